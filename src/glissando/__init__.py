@@ -1,0 +1,78 @@
+"""Where every part of a continuum robot is, at every moment, and how sure.
+
+A recording's readings and a Gaussian prior, continuous in arclength and time, become a posterior:
+pose, strain and velocity with their covariance anywhere along the robot, any time.
+
+>>> import numpy as np
+>>> from glissando import CoilReadings, load_robot, estimate, uniform_grid
+>>> robot = load_robot("tdcr466")
+>>> grid = uniform_grid(robot.length, nodes=5, start=0.0, stop=1.0, rate=10.0)
+>>> tip = np.tile(np.eye(4), (11, 1, 1))
+>>> tip[:, 2, 3] = 0.466
+>>> coil = CoilReadings(time=np.linspace(0, 1, 11), arclength=np.full(11, 0.466), values=tip,
+...                     cov=[1e-6, 1e-6, 1e-6, 1e-4, 1e-4])
+>>> posterior = estimate(robot.prior, grid, [coil])
+>>> at = posterior.at(arclength=[0.233, 0.466], time=0.5)
+>>> bool(at.std_position[1] < at.std_position[0])  # surest where the coil is
+True
+"""
+
+from glissando.errors import (
+    GlissandoError,
+    NotConvergedWarning,
+    OutsideGridError,
+    RecordingError,
+    RobotFileError,
+    SensorError,
+    UnobservableError,
+)
+from glissando.estimate import Options, estimate
+from glissando.grid import Grid, uniform_grid
+from glissando.noise import GemanMcClure, Huber
+from glissando.posterior import Estimate, Posterior
+from glissando.prior import BaseDensity, KinematicPrior
+from glissando.robot import Robot, load_robot
+from glissando.sensors import (
+    CoilReadings,
+    FbgReadings,
+    GyroReadings,
+    OrientationReadings,
+    PoseReadings,
+    PositionReadings,
+    Readings,
+    StrainReadings,
+)
+from glissando.state import State
+
+__all__ = [
+    "BaseDensity",
+    "CoilReadings",
+    "Estimate",
+    "FbgReadings",
+    "GemanMcClure",
+    "GlissandoError",
+    "Grid",
+    "GyroReadings",
+    "Huber",
+    "KinematicPrior",
+    "NotConvergedWarning",
+    "Options",
+    "OrientationReadings",
+    "OutsideGridError",
+    "PoseReadings",
+    "PositionReadings",
+    "Posterior",
+    "Readings",
+    "RecordingError",
+    "Robot",
+    "RobotFileError",
+    "SensorError",
+    "State",
+    "StrainReadings",
+    "UnobservableError",
+    "estimate",
+    "load_robot",
+    "uniform_grid",
+]
+
+__version__ = "0.1.0"

@@ -1,0 +1,155 @@
+"""The command line: `glissando estimate RECORDING` and what goes with it."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import warnings
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+from glissando import __version__
+from glissando.dataset import load_recording
+from glissando.errors import GlissandoError, NotConvergedWarning, RobotFileError
+from glissando.estimate import Progress as IterationProgress
+from glissando.report import Run, print_table, read_query, run_estimate, write_query, write_run
+from glissando.robot import load_robot, shipped_robots
+
+_ESTIMATE_HELP = """\
+Estimate a robot's shape over arclength and time from a recording, with its confidence,
+and judge both against the recording's truth streams.
+
+RECORDING is a folder with one CSV file a stream and a recording.toml, or a folder of the
+public space-time recordings as it is.
+"""
+_ESTIMATE_EXAMPLES = """\
+examples:
+  glissando estimate slow_free_space --window 19 29 --out results
+  glissando estimate my_recording --robot my_robot.toml --use coil,gyro --truth mocap_tip
+  glissando estimate my_recording --query points.csv --out results   # pose anywhere, any time
+  glissando estimate my_recording --json | python -m json.tool
+
+exit status: 0 done; 1 the estimate did not converge; 2 something given was wrong.
+"""
+
+
+def _names(text: str) -> list[str]:
+    return [name.strip() for name in text.split(",") if name.strip()]
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """The parser of the whole command line."""
+    parser = argparse.ArgumentParser(
+        prog="glissando",
+        description="Where every part of a continuum robot is, at every moment, and how sure.",
+    )
+    parser.add_argument("--version", action="version", version=f"glissando {__version__}")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    estimate = commands.add_parser(
+        "estimate",
+        help="estimate a recording",
+        description=_ESTIMATE_HELP,
+        epilog=_ESTIMATE_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = estimate.add_argument
+    add("recording", type=Path, metavar="RECORDING", help="folder of the recording")
+    robots = ", ".join(shipped_robots())
+    add("--robot", metavar="FILE|NAME", help=f"robot file, or one of {robots}")
+    add("--window", nargs=2, type=float, metavar=("T0", "T1"), help="seconds to estimate")
+    add("--use", type=_names, metavar="NAME,…", help="streams to use (default: all but truth)")
+    add("--truth", type=_names, metavar="NAME,…", help="streams to judge by (default: as marked)")
+    add("--query", type=Path, metavar="FILE.csv", help="points (columns time,arclength) to write")
+    add("--out", type=Path, metavar="DIR", help="write posterior.nc, report.json and figures here")
+    add("--json", action="store_true", help="print one JSON object and nothing else")
+    estimate.set_defaults(run=_estimate)
+    return parser
+
+
+def _estimate(options: argparse.Namespace) -> int:
+    recording = load_recording(options.recording)
+    robot = load_robot(options.robot) if options.robot else recording.robot
+    if robot is None:
+        raise RobotFileError(
+            f"{recording.name} does not name its robot and no shipped robot fits; "
+            f"give --robot FILE or one of {', '.join(shipped_robots())}."
+        )
+    query = read_query(options.query) if options.query else None
+    if query is not None:
+        window = tuple(options.window) if options.window else recording.window or recording.span()
+        robot.grid(*window).require(query[1], query[0], f"Query {options.query.name}")
+
+    def work(progress: IterationProgress) -> Run:
+        return run_estimate(
+            recording,
+            robot,
+            window=tuple(options.window) if options.window else None,
+            use=options.use,
+            truth=options.truth,
+            progress=progress,
+        )
+
+    run, complaint = _watched(recording.name, work)
+    if options.json:
+        print(json.dumps(run.as_json()))
+    else:
+        print_table(run, Console())
+    written = _write(options, run, query)
+    if written and not options.json:
+        Console().print("Wrote " + ", ".join(str(path) for path in written))
+    if complaint:
+        print(f"glissando: {complaint}", file=sys.stderr)
+    return 0 if run.posterior.solve.converged else 1
+
+
+def _write(
+    options: argparse.Namespace, run: Run, query: tuple[object, object] | None
+) -> list[Path]:
+    folder = options.out
+    written = write_run(run, folder) if folder else []
+    if query is not None:
+        path = (folder or Path()) / "query.csv"
+        write_query(run.posterior, query, path)  # type: ignore[arg-type]
+        written.append(path)
+    return written
+
+
+def _watched(name: str, work: Callable[[IterationProgress], Run]) -> tuple[Run, str]:
+    """Do the work behind a progress line on stderr; also the sentence of a warning, if any."""
+    console = Console(stderr=True)
+    columns = SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn()
+    with (
+        warnings.catch_warnings(record=True) as caught,
+        Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar,
+    ):
+        warnings.simplefilter("always", NotConvergedWarning)
+        task = bar.add_task(f"estimating {name}", total=None)
+
+        def advance(iteration: int, cost: float, length: float) -> None:
+            text = f"estimating {name}: iteration {iteration}, cost {cost:.6g}, step {length:.3g} σ"
+            bar.update(task, description=text)
+
+        run = work(advance)
+    complaints = [w for w in caught if issubclass(w.category, NotConvergedWarning)]
+    return run, str(complaints[0].message) if complaints else ""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command line; returns its exit status."""
+    options = build_parser().parse_args(arguments)
+    try:
+        return int(options.run(options))
+    except GlissandoError as problem:
+        print(f"glissando: {problem}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("glissando: interrupted", file=sys.stderr)
+        return 130
+
+
+if __name__ == "__main__":
+    sys.exit(main())

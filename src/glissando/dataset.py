@@ -1,0 +1,237 @@
+"""Recordings: folders with one CSV a stream and a recording.toml, or the public layout."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from glissando.errors import RecordingError
+from glissando.robot import Robot, load_robot, shipped_robots
+from glissando.se3 import Array
+from glissando.sensors import (
+    ROWS,
+    CoilReadings,
+    FbgReadings,
+    GyroReadings,
+    OrientationReadings,
+    PoseReadings,
+    PositionReadings,
+    Readings,
+    StrainReadings,
+)
+from glissando.streams import Rows, clean, read_named, read_public
+from glissando.tables import Table, read_toml
+
+_TRUTH_STD = 1e-6  # noise of a truth stream that states none: negligible against any posterior
+_KINDS: dict[str, type[Readings]] = {
+    "pose": PoseReadings,
+    "coil": CoilReadings,
+    "position": PositionReadings,
+    "orientation": OrientationReadings,
+    "gyro": GyroReadings,
+    "strain": StrainReadings,
+    "fbg": FbgReadings,
+}
+
+
+@dataclass(frozen=True)
+class Stream:
+    """One sensor's rows with what its description says of it.
+
+    `std` overrides the robot file's noise for this kind; `mount` (4, 4) is T_bc; `extra` holds the
+    settings only its kind has (core_radius and core_angle of a fibre).
+    """
+
+    name: str
+    rows: Rows
+    truth: bool
+    std: Array | None
+    mount: Array
+    extra: dict[str, Array]
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A recorded session: streams in the world frame and SI units, and the robot if it is named."""
+
+    name: str
+    folder: Path
+    streams: dict[str, Stream]
+    robot: Robot | None
+    window: tuple[float, float] | None
+
+    def readings(
+        self, names: Sequence[str], robot: Robot, window: tuple[float, float]
+    ) -> tuple[list[Readings], dict[str, dict[str, int]]]:
+        """Readings of the named streams inside a window, and what was dropped from each.
+
+        Raises RecordingError for an unknown name, a stream without noise, an arclength outside
+        the robot.
+        """
+        out, dropped = [], {}
+        for name in names:
+            if name not in self.streams:
+                raise RecordingError(
+                    f"{self.name} has no stream {name!r}; it has {', '.join(self.streams)}."
+                )
+            stream = self.streams[name]
+            rows = clean(stream.rows, robot.clip)
+            _require_on_robot(name, rows, robot)
+            found = _as_readings(replace(stream, rows=rows), robot)
+            inside = (found.time >= window[0]) & (found.time <= window[1])
+            if rows.dropped:
+                dropped[name] = rows.dropped
+            out.append(found.select(inside))
+        return out, dropped
+
+    def choose(
+        self, use: Sequence[str] | None, truth: Sequence[str] | None
+    ) -> tuple[list[str], list[str]]:
+        """Names of the streams to use and to judge by; by default as the recording marks them."""
+        marked = [s.name for s in self.streams.values() if s.truth]
+        chosen_truth = marked if truth is None else list(truth)
+        if use is None:
+            use = [n for n in self.streams if n not in marked and n not in chosen_truth]
+        both = set(use) & set(chosen_truth)
+        if both:
+            raise RecordingError(
+                f"{', '.join(sorted(both))} cannot be used and be truth at once; name each stream "
+                f"in --use or in --truth."
+            )
+        return list(use), chosen_truth
+
+    def span(self) -> tuple[float, float]:
+        """First and last time of any stream, seconds."""
+        times = [s.rows.time for s in self.streams.values()]
+        return min(float(t[0]) for t in times), max(float(t[-1]) for t in times)
+
+
+def load_recording(folder: str | Path) -> Recording:
+    """Read a recording folder. Raises RecordingError with the file, the line and what to do."""
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise RecordingError(
+            f"There is no recording folder {str(folder)!r}; give a folder with one CSV a stream."
+        )
+    if (folder / "recording.toml").exists():
+        return _described(folder)
+    files = sorted(folder.glob("*.csv"))
+    if not files:
+        raise RecordingError(
+            f"{folder} holds no recording.toml and no CSV stream; is it the right folder?"
+        )
+    streams = {}
+    for file in files:
+        rows, truth = read_public(file)
+        streams[file.stem] = Stream(file.stem, rows, truth, None, np.eye(4), {})
+    return Recording(folder.resolve().name, folder, streams, _fitting_robot(streams), None)
+
+
+def _fitting_robot(streams: dict[str, Stream]) -> Robot | None:
+    """The shipped robot whose tip is where the last sensor of a public recording sits."""
+    reach = max(float(s.rows.arclength.max()) for s in streams.values())
+    robots = [load_robot(name) for name in shipped_robots()]
+    return next((r for r in robots if abs(r.length - reach) < 1e-6), None)
+
+
+def _described(folder: Path) -> Recording:
+    table = read_toml(folder / "recording.toml", RecordingError)
+    name = table.text("name", folder.resolve().name)
+    robot_name = table.text("robot", "")
+    robot = None
+    if robot_name:
+        beside = folder / robot_name
+        robot = load_robot(beside if beside.is_file() else robot_name)
+    window = None
+    if table.peek("window") is not None:
+        first, last = table.vector("window", 2)
+        window = (float(first), float(last))
+    frames = {"world": np.eye(4)}
+    given = table.table("frames")
+    for frame in given.names() if given else []:
+        entry = given.table(frame) if given else None
+        assert entry is not None
+        frames[frame] = entry.pose()
+        entry.close()
+    streams = {}
+    for entry in table.tables("streams"):
+        stream = _stream(folder, entry, frames)
+        streams[stream.name] = stream
+    table.close()
+    if not streams:
+        raise RecordingError("recording.toml names no [[streams]]; add one for each CSV file.")
+    return Recording(name, folder, streams, robot, window)
+
+
+def _stream(folder: Path, entry: Table, frames: dict[str, Array]) -> Stream:
+    name = entry.text("name")
+    kind = entry.text("kind", choices=ROWS)
+    file = folder / entry.text("file", f"{name}.csv")
+    truth = entry.flag("truth")
+    length_unit = {"m": 1.0, "mm": 1e-3}[entry.text("length_unit", "m", choices=("m", "mm"))]
+    angle_unit = {"rad": 1.0, "deg": np.pi / 180.0}[
+        entry.text("angle_unit", "rad", choices=("rad", "deg"))
+    ]
+    frame = entry.text("frame", "world", choices=frames)
+    mount_table = entry.table("mount")
+    mount = mount_table.pose() if mount_table else np.eye(4)
+    std = entry.std(ROWS[kind]) if entry.peek("std") is not None else None
+    extra: dict[str, Array] = {}
+    if kind == "fbg":
+        size = len(entry.peek("core_radius") or [])
+        extra = {key: entry.vector(key, size) for key in ("core_radius", "core_angle")}
+    entry.close()
+    cores = len(extra["core_radius"]) if extra else 0
+    rows = read_named(file, kind, cores, length_unit, angle_unit)
+    rows = clean(replace(rows, values=_to_world(rows, frames[frame])))
+    return Stream(name, rows, truth, std, mount, extra)
+
+
+def _to_world(rows: Rows, T_wf: Array) -> Array:
+    if rows.kind in ("pose", "coil"):
+        return T_wf @ rows.values
+    if rows.kind == "position":
+        return rows.values @ T_wf[:3, :3].T + T_wf[:3, 3]
+    if rows.kind == "orientation":
+        return T_wf[:3, :3] @ rows.values
+    return rows.values
+
+
+def _require_on_robot(name: str, rows: Rows, robot: Robot) -> None:
+    excess = np.maximum(rows.arclength - robot.length, -rows.arclength)
+    bad = np.flatnonzero(excess > 1e-9)
+    if bad.size:
+        places = ", ".join(f"{rows.arclength[i]:.4g}" for i in bad[:3])
+        raise RecordingError(
+            f"Stream {name!r}: {bad.size} rows lie outside robot {robot.name!r} of length "
+            f"{robot.length:g} m: rows {', '.join(map(str, bad[:3]))} at {places} m, up to "
+            f"{excess.max():.3g} m beyond. Choose another robot with --robot, or correct them."
+        )
+
+
+def _as_readings(stream: Stream, robot: Robot) -> Readings:
+    rows = stream.rows
+    std = stream.std if stream.std is not None else robot.sensor_std.get(rows.kind)
+    if stream.truth and stream.std is None:
+        std = np.full(ROWS[rows.kind], _TRUTH_STD)
+    if std is None:
+        raise RecordingError(
+            f"Stream {stream.name!r}: neither the recording nor robot {robot.name!r} states the "
+            f"noise of a {rows.kind} sensor; add [sensors.{rows.kind}] std to the robot file."
+        )
+    settings: dict[str, Any] = dict(stream.extra)
+    if rows.kind == "fbg":
+        std = np.full(rows.values.shape[1], std[0])
+    return _KINDS[rows.kind](
+        time=rows.time,
+        arclength=rows.arclength,
+        values=rows.values,
+        cov=std**2,
+        mount=stream.mount,
+        name=stream.name,
+        **settings,
+    )

@@ -1,0 +1,33 @@
+"""What can go wrong, as exceptions whose text is one sentence a user can act on.
+
+Every message says what is wrong, shows the value, and says what to do. The command line
+prints that sentence alone and exits with 2.
+"""
+
+
+class GlissandoError(ValueError):
+    """A mistake in what was given: files, options or arrays."""
+
+
+class RecordingError(GlissandoError):
+    """A recording or one of its streams cannot be read as it stands."""
+
+
+class RobotFileError(GlissandoError):
+    """A robot file lacks a key, has one too many, or a value that cannot be."""
+
+
+class OutsideGridError(GlissandoError):
+    """A reading or a query lies outside the arclengths or times of the grid."""
+
+
+class UnobservableError(GlissandoError):
+    """Prior and readings together leave a direction of the state undetermined."""
+
+
+class SensorError(GlissandoError):
+    """Readings have wrong shapes, or a sensor's derivative does not fit its residual."""
+
+
+class NotConvergedWarning(UserWarning):
+    """The estimate stopped before its step became small: do not trust it."""

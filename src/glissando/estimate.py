@@ -1,0 +1,200 @@
+"""The method: Gauss–Newton with a trust region on the whole recording.
+
+Linearise every factor, assemble, factor the block-tridiagonal system, step; shorten the step by
+Levenberg–Marquardt damping when the cost does not fall; stop when a step is a negligible fraction
+of a posterior standard deviation. The covariance comes from the last factor. Source: (20), (21).
+"""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from glissando.errors import NotConvergedWarning, UnobservableError
+from glissando.factors import NormalEquations, PlacedReadings, linearize, slab_shape
+from glissando.grid import Grid
+from glissando.posterior import Posterior, Solve
+from glissando.prior import KinematicPrior
+from glissando.sensors import Readings
+from glissando.slabs import Cholesky, factor, one_thread
+from glissando.state import DOF, State
+
+_WORTHWHILE = 1e-3  # share of the predicted fall in cost below which a step is refused
+_SETTLED = 10  # iterations after which weights are held, so that the cost can only fall
+_ROUNDS = 5  # times they are renewed after that
+_ROUNDING = 1e-11  # a fall in cost this small, relatively, cannot be told from rounding
+_DAMPING = (1e-4, 1e8)  # smallest damping worth applying, and the one at which to give up
+_NOT_CONVERGED = "not converged: {} iterations, the last step still {:.2g} standard deviations long"
+
+Progress = Callable[[int, float, float], None]
+"""Called after each iteration with its number, the cost and the step in standard deviations."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """When to stop: after `max_iterations`, or when a step is shorter than `tolerance`.
+
+    A step's length is in posterior standard deviations, over the whole state at once, so that the
+    mean of a thousand unknowns moves by far less than this in any of them.
+    """
+
+    max_iterations: int = 50
+    tolerance: float = 0.3
+
+
+def estimate(
+    prior: KinematicPrior,
+    grid: Grid,
+    readings: Sequence[Readings],
+    *,
+    initial: State | None = None,
+    options: Options = Options(),
+    progress: Progress | None = None,
+) -> Posterior:
+    """Posterior over pose, strain and velocity on `grid` given a prior and readings.
+
+    Starts from the robot at rest unless `initial` is given. Warns NotConvergedWarning when it stops
+    early (the posterior says so too); raises OutsideGridError for readings off the grid and
+    UnobservableError when prior and readings leave a direction undetermined.
+    """
+    clock = Stopwatch()
+    if prior.base is None and not any(r.fixes_base and len(r) for r in readings):
+        raise UnobservableError(
+            "Nothing fixes the base: the robot has no [base] and no pose, coil or position stream "
+            "is used. Give the robot a [base], or use such a stream."
+        )
+    with one_thread():
+        start = prior.rest_state(grid) if initial is None else initial
+        found = _iterate(prior, PlacedReadings(grid, readings), start, options, progress, clock)
+        with clock("covariance"):
+            marginals = found.chol.marginals()
+    solve = found.solve(clock)
+    if not solve.converged:
+        warnings.warn(
+            f"The estimate has {solve.status}. Try a finer time grid, a robust loss, a start "
+            f"nearer the shape, or more iterations.",
+            NotConvergedWarning,
+            stacklevel=2,
+        )
+    return Posterior(prior, grid, found.state, found.at.system, marginals, solve)
+
+
+class Stopwatch:
+    """Seconds of processor time by phase: `with clock("solve"): …`."""
+
+    def __init__(self) -> None:
+        self.seconds = {"linearise": 0.0, "solve": 0.0, "covariance": 0.0}
+        self._began = time.process_time()
+
+    def __call__(self, phase: str) -> Stopwatch:
+        """Name the phase about to be timed."""
+        self._phase = phase
+        return self
+
+    def __enter__(self) -> None:
+        self._start = time.process_time()
+
+    def __exit__(self, *_: object) -> None:
+        self.seconds[self._phase] += time.process_time() - self._start
+
+    def total(self) -> dict[str, float]:
+        """Seconds by phase and in total."""
+        return {**self.seconds, "total": time.process_time() - self._began}
+
+
+@dataclass(frozen=True)
+class _Found:
+    """Where the iteration ended, and the factored system its covariance comes from."""
+
+    state: State
+    at: NormalEquations
+    chol: Cholesky
+    status: str
+    iterations: int
+
+    def solve(self, clock: Stopwatch) -> Solve:
+        """The record of the solve that goes with the posterior."""
+        cost = self.at.cost_of(self.at)
+        noise = sum(terms.log_det_cov() for terms in self.at.terms)
+        evidence = -cost - 0.5 * (noise + self.chol.log_det)
+        suspects = sum(int(np.sum(terms.robust_weights() < 0.5)) for terms in self.at.terms)
+        unknowns = self.at.right.size
+        return Solve(
+            self.status, self.iterations, unknowns, cost, evidence, suspects, clock.total()
+        )
+
+
+def _iterate(
+    prior: KinematicPrior,
+    placed: PlacedReadings,
+    start: State,
+    options: Options,
+    progress: Progress | None,
+    clock: Stopwatch,
+) -> _Found:
+    """Gauss-Newton steps, damped when the cost does not fall (Marquardt's scaling)."""
+    room = np.empty(slab_shape(placed.grid))  # fresh memory would cost more than the sums
+
+    def at(state: State, held: NormalEquations | None = None) -> NormalEquations:
+        about, terms = (state, None) if held is None else (held.about, held.terms)
+        with clock("linearise"):
+            return linearize(prior, placed, state, about, room, terms)
+
+    here, held, damping, iteration, rounds = at(start), None, 0.0, 0, 0
+    while True:
+        with clock("solve"):
+            extra = damping * np.einsum("kii->ki", here.system.diagonal)
+            chol = factor(here.system.add_to_diagonal(extra) if damping else here.system)
+            step = chol.solve(here.right)
+        iteration += 1
+        length = float(np.sqrt(np.maximum(np.sum(step * (here.right - extra * step)), 0.0)))
+        if progress is not None:
+            progress(iteration, here.cost_of(here), length)
+        state = here.state.retract(step.reshape(*placed.grid.shape, DOF))
+        fresh = held is None or held.state is here.state or rounds == _ROUNDS
+        if damping == 0.0 and length < options.tolerance and fresh:
+            return _Found(state, here, chol, "converged", iteration)
+        if (
+            iteration >= _SETTLED
+            and (held is None or length < options.tolerance)
+            and rounds < _ROUNDS
+        ):
+            held, rounds = at(here.state), rounds + 1
+        predicted = 0.5 * float(np.sum(step * (here.right + extra * step)))
+        here, gain = _try_step(here, state, held, predicted, at)
+        damping = _next_damping(damping, gain)
+        if iteration == options.max_iterations or damping > _DAMPING[1]:
+            status = _NOT_CONVERGED.format(iteration, length)
+            return _Found(here.state, here, factor(here.system), status, iteration)
+
+
+def _try_step(
+    here: NormalEquations,
+    state: State,
+    held: NormalEquations | None,
+    predicted: float,
+    at: Callable[[State, NormalEquations | None], NormalEquations],
+) -> tuple[NormalEquations, float]:
+    """The problem at `state` if that is worth it, else as it was; and the share of the promise."""
+    try:
+        there = at(state, held)
+    except np.linalg.LinAlgError:  # so far off that not even its weights exist
+        return at(here.state, held), -1.0
+    cost = here.cost_of(here)
+    if predicted < _ROUNDING * (1.0 + cost):
+        return there, 1.0
+    gain = (cost - here.cost_of(there)) / predicted
+    return (there, gain) if gain > _WORTHWHILE else (at(here.state, held), gain)
+
+
+def _next_damping(damping: float, gain: float) -> float:
+    """Less damping after a step that did what the model said, more after one that did not."""
+    if gain > 0.5:
+        return 0.0 if damping <= _DAMPING[0] else 0.1 * damping
+    if gain > _WORTHWHILE:
+        return damping
+    return max(_DAMPING[0], 10.0 * damping)

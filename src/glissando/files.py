@@ -1,0 +1,138 @@
+"""The posterior as a NetCDF-4 (HDF5) file: names, units, and everything needed to query it again.
+
+xarray, MATLAB and any HDF5 reader open it. The information matrix is stored, not the covariances
+(they are denser and follow from it); standard deviations and node covariances are written too, for
+readers who only look.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from glissando import se3
+from glissando.errors import GlissandoError
+from glissando.grid import Grid
+from glissando.posterior import Posterior, Solve
+from glissando.prior import BaseDensity, KinematicPrior
+from glissando.slabs import BlockTridiagonal, factor
+from glissando.state import DOF, State
+
+if TYPE_CHECKING:
+    import xarray
+
+_FORMAT = "glissando posterior 1"
+_SIX = ["x", "y", "z", "rx", "ry", "rz"]
+COMPONENTS = [f"{field}_{part}" for field in ("pose", "strain", "velocity") for part in _SIX]
+"""Names of the 18 components of a node, in the order of every covariance."""
+
+
+def _xarray() -> Any:
+    try:
+        import h5netcdf
+        import h5py
+        import xarray
+    except ImportError:
+        raise GlissandoError(
+            "Saving and loading posteriors needs xarray, h5netcdf and h5py; "
+            "run pip install 'glissando[netcdf]'."
+        ) from None
+    del h5netcdf, h5py
+    return xarray
+
+
+def to_xarray(posterior: Posterior) -> xarray.Dataset:
+    """Mean, standard deviation and covariance at the nodes, with names and units."""
+    k, n = posterior.grid.shape
+    state = posterior.state
+    blocks = posterior.marginals.cov.reshape(k, n, DOF, n, DOF)
+    cov = np.einsum("kninj->knij", blocks)
+    node, six = ("time", "arclength"), "component6"
+    std = np.sqrt(np.einsum("knii->kni", cov))
+    mixed = "m, rad, 1, 1/m, m/s, rad/s by component"
+    variables: dict[str, Any] = {
+        "position": ((*node, "axis"), state.pose[..., :3, 3], {"units": "m", "frame": "world"}),
+        "quaternion": (
+            (*node, "quaternion_part"),
+            se3.quaternion(state.pose[..., :3, :3]),
+            {"units": "1", "convention": "w, x, y, z; body to world"},
+        ),
+        "strain": ((*node, six), state.strain, {"units": "1, 1/m", "frame": "body"}),
+        "velocity": ((*node, six), state.velocity, {"units": "m/s, rad/s", "frame": "body"}),
+        "std": ((*node, "component"), std, {"units": mixed, "frame": "body"}),
+        "cov": (
+            (*node, "component", "component_"),
+            cov,
+            {"units": "product of the components' units", "frame": "body, pose on the right"},
+        ),
+    }
+    coordinates = {
+        "time": ("time", posterior.grid.time, {"units": "s"}),
+        "arclength": ("arclength", posterior.grid.arclength, {"units": "m"}),
+        "axis": ["x", "y", "z"],
+        "quaternion_part": ["w", "x", "y", "z"],
+        six: _SIX,
+        "component": COMPONENTS,
+        "component_": COMPONENTS,
+    }
+    attributes = {"title": "Posterior of a continuum robot's motion", "format": _FORMAT}
+    dataset: xarray.Dataset = _xarray().Dataset(variables, coordinates, attributes)
+    return dataset
+
+
+def save(posterior: Posterior, path: Path) -> None:
+    """Write the posterior; `load` gives it back with the same answers."""
+    dataset = to_xarray(posterior)
+    dataset["pose"] = (("time", "arclength", "row", "column"), posterior.state.pose)
+    dataset["information"] = (("time", "slab", "slab_"), posterior.system.diagonal)
+    dataset["information_below"] = (("time_step", "slab", "slab_"), posterior.system.lower)
+    prior = posterior.prior
+    dataset.attrs["prior"] = json.dumps(
+        {
+            "kind": "kinematic",
+            **{
+                name: getattr(prior, name).tolist()
+                for name in (*_DENSITIES, "rest_strain", "base_pose")
+            },
+            "base": None
+            if prior.base is None
+            else {part: getattr(prior.base, part).tolist() for part in _BASE},
+        }
+    )
+    dataset.attrs["solve"] = json.dumps(vars(posterior.solve))
+    packed = {"zlib": True, "complevel": 4, "shuffle": True}
+    encoding = dict.fromkeys(("information", "information_below", "cov"), packed)
+    dataset.to_netcdf(path, engine="h5netcdf", encoding=encoding)
+
+
+_DENSITIES = (
+    "psd_velocity_time", "psd_strain_arclength", "psd_strain_time", "psd_velocity_arclength"
+)  # fmt: skip
+_BASE = ("pose", "strain", "velocity")
+
+
+def load(path: Path) -> Posterior:
+    """Read a posterior written by `save`. Raises GlissandoError for any other file."""
+    try:
+        with _xarray().open_dataset(path, engine="h5netcdf") as opened:
+            dataset = opened.load()
+    except (OSError, ValueError) as problem:
+        raise GlissandoError(f"{path} cannot be read as NetCDF ({problem}).") from None
+    if dataset.attrs.get("format") != _FORMAT:
+        raise GlissandoError(f"{path} is not a glissando posterior; give a file that save wrote.")
+    given = json.loads(dataset.attrs["prior"])
+    base = given["base"]
+    prior = KinematicPrior(
+        **{name: np.array(given[name]) for name in _DENSITIES},
+        base=None if base is None else BaseDensity(*(np.array(base[part]) for part in _BASE)),
+        rest_strain=np.array(given["rest_strain"]),
+        base_pose=np.array(given["base_pose"]),
+    )
+    grid = Grid(dataset["arclength"].values, dataset["time"].values)
+    fields = (dataset[name].values for name in ("pose", "strain", "velocity"))
+    system = BlockTridiagonal(dataset["information"].values, dataset["information_below"].values)
+    solve = Solve(**json.loads(dataset.attrs["solve"]))
+    return Posterior(prior, grid, State(*fields), system, factor(system).marginals(), solve)

@@ -1,0 +1,126 @@
+"""Nodes over arclength × time, the span each node stands for, and the cell of a point."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from glissando.errors import OutsideGridError
+from glissando.se3 import Array
+
+Index = NDArray[np.intp]
+
+_TOLERANCE = 1e-9  # relative to the length: how far outside the ends still counts as the end
+
+
+def _spans(nodes: Array) -> Array:
+    """Half the distance to both neighbours (half spans at the ends); 1 for a lone node."""
+    if nodes.size == 1:
+        return np.ones(1)
+    steps = np.diff(nodes)
+    return 0.5 * (np.append(steps, 0.0) + np.append(0.0, steps))
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Where points lie: the lower node, the step of the interval and the place inside it.
+
+    `lower` (M,) index of the node below, `step` (M,) interval length, `offset` (M,) distance
+    from that node (0 ≤ offset ≤ step). A grid of one node has step and offset zero.
+    """
+
+    lower: Index
+    step: Array
+    offset: Array
+
+
+def _locate(nodes: Array, values: Array) -> Cells:
+    if nodes.size == 1:
+        zero = np.zeros(values.shape)
+        return Cells(np.zeros(values.shape, dtype=np.intp), zero, zero)
+    lower = np.clip(np.searchsorted(nodes, values, side="right") - 1, 0, nodes.size - 2)
+    step = nodes[lower + 1] - nodes[lower]
+    offset = np.clip(values - nodes[lower], 0.0, step)
+    offset = np.where(offset < _TOLERANCE * step, 0.0, offset)
+    offset = np.where(step - offset < _TOLERANCE * step, step, offset)
+    return Cells(lower, step, offset)
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Nodes over arclength (N,) in metres and time (K,) in seconds, both increasing.
+
+    A node (k, n) stands for the time span `time_spans[k]` and the arclength span
+    `arclength_spans[n]`; prior densities are divided by them. A grid of a single time (a static
+    shape) or a single arclength gives that direction span 1.
+
+    >>> Grid([0.0, 0.5, 1.0], [0.0, 0.1]).arclength_spans
+    array([0.25, 0.5 , 0.25])
+    """
+
+    arclength: Array
+    time: Array
+    arclength_spans: Array = field(init=False, repr=False)
+    time_spans: Array = field(init=False, repr=False)
+
+    def __init__(self, arclength: ArrayLike, time: ArrayLike) -> None:
+        for name, given in (("arclength", arclength), ("time", time)):
+            nodes = np.atleast_1d(np.asarray(given, dtype=float))
+            if nodes.ndim != 1 or nodes.size == 0 or not np.all(np.isfinite(nodes)):
+                raise OutsideGridError(f"Grid {name} must be a list of finite numbers: {given!r}.")
+            if np.any(np.diff(nodes) <= 0.0):
+                at = int(np.argmax(np.diff(nodes) <= 0.0))
+                raise OutsideGridError(
+                    f"Grid {name} must increase, but node {at + 1} ({nodes[at + 1]:g}) does not "
+                    f"exceed node {at} ({nodes[at]:g}). Sort the nodes and drop repeats."
+                )
+            object.__setattr__(self, name, nodes)
+            object.__setattr__(self, f"{name}_spans", _spans(nodes))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(K, N): time nodes, arclength nodes."""
+        return self.time.size, self.arclength.size
+
+    def contains(self, arclength: Array, time: Array) -> NDArray[np.bool_]:
+        """Which points (M,) lie on the grid, ends included."""
+        inside = np.ones(np.broadcast(arclength, time).shape, dtype=bool)
+        for nodes, values in ((self.arclength, arclength), (self.time, time)):
+            slack = _TOLERANCE * max(1.0, float(nodes[-1] - nodes[0]))
+            inside &= (values >= nodes[0] - slack) & (values <= nodes[-1] + slack)
+        return inside
+
+    def require(self, arclength: Array, time: Array, what: str) -> None:
+        """Raise OutsideGridError, naming up to three rows, unless all points are inside."""
+        outside = np.flatnonzero(~self.contains(arclength, time))
+        if outside.size == 0:
+            return
+        first = outside[:3]
+        s = np.broadcast_to(arclength, np.broadcast(arclength, time).shape)
+        t = np.broadcast_to(time, s.shape)
+        in_length = self.contains(s, np.full_like(s, self.time[0]))
+        if np.all(in_length[outside]):
+            name, values, nodes, unit = "time", t, self.time, "s"
+        else:
+            first = outside[~in_length[outside]][:3]
+            name, values, nodes, unit = "arclength", s, self.arclength, "m"
+        shown = ", ".join(f"{values[i]:.4g}" for i in first)
+        excess = np.maximum(values[outside] - nodes[-1], nodes[0] - values[outside]).max()
+        raise OutsideGridError(
+            f"{what}: {outside.size} of {s.size} rows lie outside the grid; rows "
+            f"{', '.join(map(str, first))} have {name} {shown} {unit}, up to {excess:.3g} {unit} "
+            f"outside [{nodes[0]:.4g}, {nodes[-1]:.4g}] {unit}. Correct them, widen the grid, or "
+            f"drop them with readings.inside(grid)."
+        )
+
+    def locate(self, arclength: Array, time: Array) -> tuple[Cells, Cells]:
+        """Cells of the points (M,) along arclength and along time."""
+        return _locate(self.arclength, arclength), _locate(self.time, time)
+
+
+def uniform_grid(length: float, nodes: int, start: float, stop: float, rate: float) -> Grid:
+    """Evenly spaced grid: `nodes` over [0, length] m, about `rate` a second over [start, stop]."""
+    count = max(2, round((stop - start) * rate) + 1)
+    return Grid(np.linspace(0.0, length, nodes), np.linspace(start, stop, count))

@@ -1,0 +1,89 @@
+"""How far an estimate is from truth, and whether its confidence is true."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from glissando import se3
+from glissando.posterior import Posterior
+from glissando.se3 import Array
+from glissando.sensors import CoilReadings, OrientationReadings, PositionReadings, Readings
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Errors of an estimate at M truth samples; columns that a stream lacks are NaN.
+
+    `position` (M,) metres, `rotation` (M,) radians, `nees_position` (M,) the squared position error
+    in units of its covariance (3 degrees of freedom).
+    """
+
+    name: str
+    arclength: Array
+    position: Array
+    rotation: Array
+    nees_position: Array
+
+    def summary(self) -> dict[str, float | None]:
+        """RMSEs, NEES per degree of freedom, and the share inside the 95 % ellipsoid."""
+        inside = np.where(
+            np.isnan(self.nees_position), np.nan, self.nees_position <= chi2.ppf(0.95, 3)
+        )
+        return {
+            "position_rmse": _rms(self.position),
+            "rotation_rmse": _rms(self.rotation),
+            "nees_position": _mean(self.nees_position / 3.0),
+            "coverage95_position": _mean(inside),
+        }
+
+
+def _mean(values: Array) -> float | None:
+    known = values[~np.isnan(values)]
+    return float(known.mean()) if known.size else None
+
+
+def _rms(values: Array) -> float | None:
+    square = _mean(values**2)
+    return None if square is None else float(np.sqrt(square))
+
+
+def errors_against(posterior: Posterior, truth: Readings) -> Errors:
+    """Errors of the posterior at every sample of a truth stream.
+
+    Streams of pose, coil, position or orientation will do. The truth's own covariance is added to
+    the posterior's before the error is measured in it.
+    """
+    found = posterior.at(truth.arclength, truth.time)
+    at = found.pose @ truth.mount
+    count = len(truth)
+    position, nees = np.full(count, np.nan), np.full(count, np.nan)
+    rotation = np.full(count, np.nan)
+    if not isinstance(truth, OrientationReadings):
+        where = truth.values[:, :3, 3] if truth.values.ndim == 3 else truth.values
+        miss = np.einsum("mji,mj->mi", at[:, :3, :3], where - at[:, :3, 3])
+        lever = se3.adjoint(se3.inverse(truth.mount))[:3]
+        own = truth.cov[..., :3, :3]
+        if isinstance(truth, PositionReadings):  # stated in the world frame
+            own = np.swapaxes(at[:, :3, :3], -1, -2) @ own @ at[:, :3, :3]
+        cov = lever @ found.cov[:, :6, :6] @ lever.T + own
+        position = np.linalg.norm(miss, axis=1)
+        nees = np.einsum("mi,mi->m", miss, np.linalg.solve(cov, miss[..., None])[..., 0])
+    if truth.values.ndim == 3:
+        apart = np.swapaxes(at[:, :3, :3], -1, -2) @ truth.values[:, :3, :3]
+        if isinstance(truth, CoilReadings):
+            rotation = np.arctan2(np.hypot(apart[:, 0, 2], apart[:, 1, 2]), apart[:, 2, 2])
+        else:
+            rotation = np.linalg.norm(se3.so3_log(apart), axis=1)
+    return Errors(truth.label, truth.arclength, position, rotation, nees)
+
+
+def pool(errors: Sequence[Errors]) -> Errors:
+    """All samples of all sites as one."""
+    columns = zip(
+        *((e.arclength, e.position, e.rotation, e.nees_position) for e in errors), strict=True
+    )
+    return Errors("overall", *(np.concatenate(c) for c in columns))

@@ -1,0 +1,196 @@
+"""One run of `estimate` on a recording, and its results as JSON, as a table, and as files."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from glissando.dataset import Recording
+from glissando.errors import GlissandoError, RecordingError
+from glissando.estimate import Progress, estimate
+from glissando.metrics import Errors, errors_against, pool
+from glissando.posterior import Posterior
+from glissando.robot import Robot
+from glissando.se3 import Array
+from glissando.sensors import Readings
+
+QUERY_COLUMNS = [
+    *("time", "arclength", "x", "y", "z", "qw", "qx", "qy", "qz"),
+    *("nu_x", "nu_y", "nu_z", "u_x", "u_y", "u_z"),
+    *("v_x", "v_y", "v_z", "w_x", "w_y", "w_z"),
+    *(f"c_{i}_{j}" for i in range(6) for j in range(6)),
+]
+
+
+@dataclass(frozen=True)
+class Run:
+    """A recording estimated: what went in, the posterior, and its errors against truth."""
+
+    recording: Recording
+    robot: Robot
+    window: tuple[float, float]
+    readings: list[Readings]
+    truth: list[Readings]
+    dropped: dict[str, dict[str, int]]
+    posterior: Posterior
+    errors: list[Errors]
+
+    def as_json(self) -> dict[str, Any]:
+        """Everything a program wants to know, SI units and radians."""
+        solve = self.posterior.solve
+        return {
+            "recording": self.recording.name,
+            "robot": self.robot.name,
+            "window": list(self.window),
+            "status": solve.status,
+            "iterations": solve.iterations,
+            "unknowns": solve.unknowns,
+            "readings": {r.label: len(r) for r in self.readings},
+            "log_evidence": solve.log_evidence,
+            "suspects": solve.suspects,
+            "seconds": solve.seconds,
+            "dropped": self.dropped,
+            "overall": pool(self.errors).summary() if self.errors else None,
+            "sites": [_site(e) for e in self.errors],
+        }
+
+
+def _site(errors: Errors) -> dict[str, Any]:
+    return {
+        "name": errors.name,
+        "arclength": float(np.mean(errors.arclength)),
+        "samples": int(errors.arclength.size),
+        **errors.summary(),
+    }
+
+
+def run_estimate(
+    recording: Recording,
+    robot: Robot,
+    *,
+    window: tuple[float, float] | None,
+    use: Sequence[str] | None,
+    truth: Sequence[str] | None,
+    progress: Progress | None = None,
+) -> Run:
+    """Estimate a window of a recording and judge it against its truth streams.
+
+    Raises RecordingError for an empty window or an unknown stream.
+    """
+    span = recording.span()
+    window = window or recording.window or span
+    if not window[0] < window[1]:
+        raise RecordingError(f"The window {window[0]:g} to {window[1]:g} s is empty; give T0 < T1.")
+    names, truth_names = recording.choose(use, truth)
+    if not names:
+        raise RecordingError(f"{recording.name} has no stream to use; name some with --use.")
+    readings, dropped = recording.readings(names, robot, window)
+    if sum(len(r) for r in readings) == 0:
+        raise RecordingError(
+            f"The window {window[0]:g} to {window[1]:g} s holds no readings; the recording runs "
+            f"from {span[0]:.3f} to {span[1]:.3f} s. Choose a window inside it."
+        )
+    true, _ = recording.readings(truth_names, robot, window)
+    true = [t for t in true if len(t)]
+    grid = robot.grid(*window)
+    posterior = estimate(robot.prior, grid, readings, progress=progress)
+    errors = [errors_against(posterior, t) for t in true]
+    return Run(recording, robot, window, readings, true, dropped, posterior, errors)
+
+
+def print_table(run: Run, console: Console) -> None:
+    """A readable table of the run: one row a truth site, then all of them together."""
+    solve = run.posterior.solve
+    console.print(
+        f"[bold]{run.recording.name}[/bold] on {run.robot.name}, "
+        f"{run.window[0]:g} to {run.window[1]:g} s: {solve.status}, "
+        f"{solve.iterations} iterations, {solve.unknowns:,} unknowns, "
+        f"{sum(len(r) for r in run.readings):,} readings, {solve.seconds['total']:.2f} s of CPU"
+    )
+    for name, reasons in run.dropped.items():
+        counted = ", ".join(f"{count} {reason}" for reason, count in reasons.items())
+        console.print(f"  {name}: {counted} rows dropped in the whole recording")
+    if not run.errors:
+        console.print("No truth streams: nothing to compare with. Name some with --truth.")
+        return
+    table = Table("site", title="Error against truth, and whether its confidence is true")
+    for heading in (
+        "arclength (m)",
+        "samples",
+        "position RMSE (mm)",
+        "rotation RMSE (deg)",
+        "NEES / dof",
+        "inside 95 %",
+    ):
+        table.add_column(heading, justify="right")
+    for errors in run.errors:
+        _add_row(table, errors, f"{np.mean(errors.arclength):.4f}")
+    table.add_section()
+    _add_row(table, pool(run.errors), "all")
+    console.print(table)
+
+
+def _add_row(table: Table, errors: Errors, place: str) -> None:
+    found = errors.summary()
+
+    def shown(key: str, scale: float, pattern: str) -> str:
+        value = found[key]
+        return "–" if value is None else pattern.format(scale * value)
+
+    table.add_row(
+        errors.name,
+        place,
+        str(errors.arclength.size),
+        shown("position_rmse", 1e3, "{:.2f}"),
+        shown("rotation_rmse", 180.0 / np.pi, "{:.2f}"),
+        shown("nees_position", 1.0, "{:.2f}"),
+        shown("coverage95_position", 100.0, "{:.1f} %"),
+    )
+
+
+def write_run(run: Run, folder: Path) -> list[Path]:
+    """Write posterior.nc, report.json and the figures into a folder; returns their paths."""
+    folder.mkdir(parents=True, exist_ok=True)
+    report = folder / "report.json"
+    report.write_text(json.dumps(run.as_json(), indent=2) + "\n", encoding="utf-8")
+    saved = folder / "posterior.nc"
+    run.posterior.save(saved)
+    from glissando.plot import save_figures
+
+    return [report, saved, *save_figures(run.posterior, run.readings, run.truth, folder)]
+
+
+def read_query(path: Path) -> tuple[Array, Array]:
+    """Times and arclengths (M,) of a CSV file with the columns time and arclength."""
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            rows = list(csv.DictReader(file))
+    except OSError as problem:
+        raise GlissandoError(f"Query {path} cannot be read ({problem.strerror}).") from None
+    points = np.empty((len(rows), 2))
+    for number, row in enumerate(rows, start=2):
+        try:
+            points[number - 2] = float(row["time"]), float(row["arclength"])
+        except (KeyError, TypeError, ValueError):
+            raise GlissandoError(
+                f"{path.name} line {number}: give the columns time,arclength with a number in each."
+            ) from None
+    return points[:, 0], points[:, 1]
+
+
+def write_query(posterior: Posterior, query: tuple[Array, Array], path: Path) -> None:
+    """Write the estimate at query points as CSV; covariance in the body frame."""
+    time, arclength = query
+    at = posterior.at(arclength, time)
+    columns = [time[:, None], arclength[:, None], at.position, at.quaternion, at.strain]
+    columns += [at.velocity, at.cov[:, :6, :6].reshape(len(time), 36)]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    np.savetxt(path, np.hstack(columns), "%.12g", ",", header=",".join(QUERY_COLUMNS), comments="")

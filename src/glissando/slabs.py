@@ -1,0 +1,143 @@
+"""Block-tridiagonal systems: factor, solve, marginals, log-determinant, samples.
+
+One block, a slab, holds all arclength nodes of one time. Everything is linear in the number of
+slabs: a forward block Cholesky, a backward substitution, a backward recursion for covariances.
+Source: equations (20) to (22). Every routine keeps BLAS to one thread: the blocks are small.
+"""
+
+from __future__ import annotations
+
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import blas, lapack
+from threadpoolctl import ThreadpoolController
+
+from glissando.errors import UnobservableError
+from glissando.se3 import Array
+
+_threads = ThreadpoolController()
+
+
+def one_thread() -> AbstractContextManager[object]:
+    """Hold BLAS to one thread: more only fight over blocks this small."""
+    return _threads.limit(limits=1, user_api="blas")
+
+
+_PIVOT_FLOOR = 1e-13  # a pivot this small against its diagonal entry carries no information
+
+
+@dataclass(frozen=True)
+class BlockTridiagonal:
+    """A symmetric matrix: `diagonal` (K, D, D) and `lower` (K−1, D, D), lower[k] = A[k+1, k]."""
+
+    diagonal: Array
+    lower: Array
+
+    def add_to_diagonal(self, values: Array) -> BlockTridiagonal:
+        """The matrix plus diag(values), values (K, D)."""
+        diagonal = self.diagonal.copy()
+        np.einsum("kii->ki", diagonal)[...] += values
+        return BlockTridiagonal(diagonal, self.lower)
+
+
+@dataclass(frozen=True)
+class Marginals:
+    """Blocks of the inverse: `cov` (K, D, D) and `cross` (K−1, D, D) = cov of slabs k and k+1."""
+
+    cov: Array
+    cross: Array
+
+
+@dataclass(frozen=True)
+class Cholesky:
+    """Block Cholesky factor L: inverses of its diagonal blocks, and what couples slabs.
+
+    `inverse[k]` (D, D) lower, `coupling[k]` = inverse[k] A[k, k+1]. Inverses of the triangles are
+    kept because products with them run several times faster than triangular solves of this size.
+    """
+
+    inverse: list[Array]
+    coupling: list[Array]
+
+    @property
+    def log_det(self) -> float:
+        """Log-determinant of the factored matrix."""
+        return -2.0 * float(sum(np.sum(np.log(np.diagonal(block))) for block in self.inverse))
+
+    def solve(self, right: Array) -> Array:
+        """Solution x (K, D) of A x = right (K, D)."""
+        x = np.array(right, dtype=float)
+        with one_thread():
+            for k, inverse in enumerate(self.inverse):
+                if k:
+                    x[k] -= self.coupling[k - 1].T @ x[k - 1]
+                x[k] = inverse @ x[k]
+            return self._backward(x)
+
+    def _backward(self, x: Array) -> Array:
+        """Solve with the transposed factor, in place."""
+        for k in reversed(range(len(self.inverse))):
+            if k + 1 < len(self.inverse):
+                x[k] -= self.coupling[k] @ x[k + 1]
+            x[k] = self.inverse[k].T @ x[k]
+        return x
+
+    def sample(self, rng: np.random.Generator) -> Array:
+        """One draw (K, D) from N(0, A⁻¹)."""
+        white = rng.standard_normal((len(self.inverse), self.inverse[0].shape[0]))
+        with one_thread():
+            return self._backward(white)
+
+    def marginals(self) -> Marginals:
+        """All blocks of A⁻¹ on the diagonal and next to it. Source: equation (21)."""
+        count, size = len(self.inverse), self.inverse[0].shape[0]
+        cov = np.empty((count, size, size))
+        cross = np.empty((count - 1, size, size))
+        with one_thread():
+            for k in reversed(range(count)):
+                inverse = self.inverse[k]
+                half = inverse
+                if k + 1 < count:
+                    ahead = self.coupling[k] @ cov[k + 1]
+                    np.matmul(inverse.T, ahead, out=cross[k])
+                    np.negative(cross[k], out=cross[k])
+                    half = inverse - ahead @ (self.coupling[k].T @ -inverse)
+                block = inverse.T @ half
+                cov[k] = 0.5 * (block + block.T)
+        return Marginals(cov, cross)
+
+
+def factor(matrix: BlockTridiagonal) -> Cholesky:
+    """Forward block Cholesky of a positive definite matrix. Source: equation (20).
+
+    Raises UnobservableError when a pivot vanishes: some direction of the state has no information.
+    """
+    found = Cholesky([], [])
+    with one_thread():
+        for k, block in enumerate(matrix.diagonal):
+            schur = block.T  # Fortran order; the matrix is symmetric
+            if k:
+                schur = blas.dsyrk(-1.0, found.coupling[-1], beta=1.0, c=schur, trans=1, lower=1)
+            chol, failed = lapack.dpotrf(schur, lower=1, clean=1)
+            if failed:
+                raise _unobservable(k)
+            inverse = lapack.dtrtri(chol, lower=1)[0]
+            found.inverse.append(inverse)
+            if k < matrix.lower.shape[0]:
+                found.coupling.append(blas.dgemm(1.0, inverse, matrix.lower[k].T))
+    pivots = np.array([np.diagonal(block) for block in found.inverse]) ** -2.0
+    sound = pivots >= _PIVOT_FLOOR * np.einsum("kii->ki", matrix.diagonal)
+    vanished = ~np.all(sound, axis=1)  # so that NaN counts as vanished
+    if np.any(vanished):
+        raise _unobservable(int(np.argmax(vanished)))
+    return found
+
+
+def _unobservable(k: int) -> UnobservableError:
+    return UnobservableError(
+        f"The normal equations are singular at time node {k}: prior and readings leave a direction "
+        f"of the state undetermined. Give the robot a [base], or use a pose, coil or position "
+        f"stream that fixes it."
+    )

@@ -1,0 +1,25 @@
+import os
+from pathlib import Path
+
+import pytest
+
+for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ.setdefault(name, "1")
+
+DATA = Path(__file__).parents[1] / ".." / "shared" / "data"
+
+
+@pytest.fixture(scope="session")
+def spacetime() -> Path:
+    folder = (DATA / "spacetime").resolve()
+    if not folder.is_dir():
+        pytest.skip("the public space-time recordings are not beside the checkout")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def golden() -> Path:
+    file = (DATA / "golden" / "reference_batch_slow_free_space.csv").resolve()
+    if not file.is_file():
+        pytest.skip("the reference implementation's results are not beside the checkout")
+    return file

@@ -1,0 +1,145 @@
+import csv
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from glissando import cli
+
+EXAMPLE = Path(__file__).parents[1] / "examples" / "closed_form_motion.py"
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("recordings") / "closed_form"
+    subprocess.run([sys.executable, EXAMPLE, folder], check=True, capture_output=True)
+    return folder
+
+
+def run(*arguments):
+    return cli.main([str(a) for a in arguments])
+
+
+def test_a_recording_becomes_a_table_a_report_a_posterior_and_figures(recording, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert run("estimate", recording, "--window", 0, 2, "--out", out) == 0
+    table = capsys.readouterr().out
+    for word in ("truth1", "overall", "RMSE", "NEES", "converged"):
+        assert word in table
+    report = json.loads((out / "report.json").read_text())
+    assert report["overall"]["position_rmse"] < 2e-3
+    assert report["overall"]["coverage95_position"] > 0.9
+    assert [s["name"] for s in report["sites"]] == ["truth1", "truth2", "truth3", "truth4"]
+    for name in ("shape.png", "confidence.png", "error.png", "posterior.nc"):
+        assert (out / name).stat().st_size > 10_000
+
+
+def test_json_is_one_object_and_nothing_else(recording, capsys):
+    assert run("estimate", recording, "--window", 0, 1, "--json") == 0
+    printed = json.loads(capsys.readouterr().out)
+    wanted = {"recording", "window", "status", "iterations", "unknowns", "seconds", "dropped"}
+    assert wanted | {"overall", "sites"} <= set(printed)
+    assert {"name", "arclength", "samples", "rotation_rmse"} <= set(printed["sites"][0])
+
+
+def test_a_query_is_answered_with_pose_strain_velocity_and_covariance(recording, tmp_path):
+    query = tmp_path / "points.csv"
+    query.write_text("arclength,time\n0.1,0.25\n0.466,0.9\n")
+    assert run("estimate", recording, "--window", 0, 1, "--query", query, "--out", tmp_path) == 0
+    with (tmp_path / "query.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert list(rows[0])[:9] == ["time", "arclength", "x", "y", "z", "qw", "qx", "qy", "qz"]
+    assert list(rows[0])[-1] == "c_5_5"
+    assert len(rows[0]) == 21 + 36
+    cov = np.array([[float(rows[0][f"c_{i}_{j}"]) for j in range(6)] for i in range(6)])
+    assert np.linalg.eigvalsh(cov).min() > 0
+
+
+def test_chosen_streams_are_used_and_judged(recording, capsys):
+    arguments = ["--use", "coil,truth2", "--truth", "truth3", "--window", 0, 1, "--json"]
+    assert run("estimate", recording, *arguments) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert list(printed["readings"]) == ["coil", "truth2"]
+    assert [s["name"] for s in printed["sites"]] == ["truth3"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["--window", 50, 60], "holds no readings; the recording runs from 0.000 to 7.9"),
+        (["--window", 2, 1], "is empty; give T0 < T1"),
+        (["--use", "sonar"], "no stream 'sonar'"),
+        (["--truth", "sonar"], "no stream 'sonar'"),
+        (["--use", "coil", "--truth", "coil"], "cannot be used and be truth at once"),
+        (["--robot", "nobody"], "no robot named 'nobody'"),
+        (["--query", "nowhere.csv"], "nowhere.csv cannot be read"),
+    ],
+)
+def test_a_mistake_is_one_sentence_and_status_2(recording, capsys, arguments, sentence):
+    assert run("estimate", recording, *arguments) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert sentence in captured.err
+    assert captured.err.startswith("glissando: ")
+    assert "Traceback" not in captured.err
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("time,where\n1,2\n", "line 2: give the columns time,arclength"),
+        ("time,arclength\n0.1,oops\n", "line 2: give the columns time,arclength"),
+        ("time,arclength\n0.1,0.9\n", "have arclength 0.9 m"),
+    ],
+)
+def test_a_bad_query_is_one_sentence(recording, tmp_path, capsys, text, sentence):
+    query = tmp_path / "points.csv"
+    query.write_text(text)
+    assert run("estimate", recording, "--window", 0, 1, "--query", query) == 2
+    assert sentence in capsys.readouterr().err
+
+
+def test_a_missing_recording_is_one_sentence(tmp_path, capsys):
+    assert run("estimate", tmp_path / "nothing") == 2
+    assert "There is no recording folder" in capsys.readouterr().err
+
+
+def test_nothing_that_fixes_the_base_exits_2(recording, tmp_path, capsys):
+    from importlib.resources import files
+
+    text = (files("glissando") / "robots" / "tdcr466.toml").read_text()
+    start, end = text.index("[base]"), text.index("[prior]")
+    robot = tmp_path / "free.toml"
+    robot.write_text(text[:start] + text[end:])
+    arguments = ["--robot", robot, "--use", "gyro", "--window", 0, 1]
+    assert run("estimate", recording, *arguments) == 2
+    assert "Nothing fixes the base" in capsys.readouterr().err
+
+
+def test_not_converging_exits_1_and_says_what_to_try(recording, capsys, monkeypatch):
+    from glissando import Options, report
+
+    original = report.estimate
+    monkeypatch.setattr(
+        report, "estimate", lambda *a, **k: original(*a, **k, options=Options(max_iterations=1))
+    )
+    assert run("estimate", recording, "--window", 0, 1) == 1
+    assert "not converged: 1 iterations" in capsys.readouterr().err.replace("\n", " ")
+
+
+def test_help_teaches(capsys):
+    for arguments in (["--help"], ["estimate", "--help"]):
+        with pytest.raises(SystemExit) as stopped:
+            cli.main(arguments)
+        assert stopped.value.code == 0
+    assert "examples:" in capsys.readouterr().out
+
+
+def test_the_module_runs_as_a_program():
+    done = subprocess.run(
+        [sys.executable, "-m", "glissando", "--version"], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.startswith("glissando 0.")

@@ -1,0 +1,255 @@
+import dataclasses
+import warnings
+
+import numpy as np
+import pytest
+
+from glissando import (
+    BaseDensity,
+    CoilReadings,
+    GemanMcClure,
+    Grid,
+    Huber,
+    KinematicPrior,
+    NotConvergedWarning,
+    Options,
+    OutsideGridError,
+    PoseReadings,
+    State,
+    UnobservableError,
+    estimate,
+    load_robot,
+    se3,
+    uniform_grid,
+)
+from scenes import LENGTH, arc, sliding_scene
+
+TIGHT = Options(tolerance=1e-5, max_iterations=200)
+
+
+def difference(a, b):
+    """Largest difference of two posteriors: of the mean, and of the covariance relatively."""
+    mean = np.abs(a.state.difference(b.state)).max()
+    scale = np.sqrt(np.einsum("kii->ki", a.marginals.cov))
+    cov = np.abs(a.marginals.cov - b.marginals.cov) / (scale[:, :, None] * scale[:, None, :])
+    return mean, cov.max()
+
+
+def test_any_roll_of_the_coil_changes_nothing():
+    prior, grid, (base, coil, gyro) = sliding_scene()
+    roll = np.zeros((len(coil), 6))
+    roll[:, 5] = np.random.default_rng(1).uniform(-np.pi, np.pi, len(coil))
+    rolled = dataclasses.replace(coil, values=coil.values @ se3.exp(roll))
+    mean, cov = difference(
+        estimate(prior, grid, [base, coil, gyro]), estimate(prior, grid, [base, rolled, gyro])
+    )
+    assert mean < 1e-9
+    assert cov < 1e-9
+
+
+def test_moving_the_world_frame_moves_the_answer_with_it():
+    prior, grid, readings = sliding_scene()
+    T_vw = se3.exp(np.array([0.3, -0.2, 0.5, 1.0, -2.0, 0.7]))
+    moved = [
+        r if r.values.ndim == 2 else dataclasses.replace(r, values=T_vw @ r.values)
+        for r in readings
+    ]
+    here = estimate(prior, grid, readings)
+    there = estimate(dataclasses.replace(prior, base_pose=T_vw @ prior.base_pose), grid, moved)
+    back = dataclasses.replace(
+        there, state=dataclasses.replace(there.state, pose=se3.inverse(T_vw) @ there.state.pose)
+    )
+    mean, cov = difference(here, back)
+    assert mean < 1e-9
+    assert cov < 1e-9
+
+
+def test_order_and_batching_of_readings_change_nothing():
+    prior, grid, (base, coil, gyro) = sliding_scene()
+    order = np.random.default_rng(2).permutation(len(coil))
+    shuffled = coil.select(order)
+    pieces = [shuffled.select(slice(0, 7)), gyro, shuffled.select(slice(7, None)), base]
+    mean, cov = difference(estimate(prior, grid, [base, coil, gyro]), estimate(prior, grid, pieces))
+    assert mean < 1e-9
+    assert cov < 1e-9
+
+
+def test_a_slid_sensor_leaves_less_uncertainty_than_a_fixed_one():
+    prior, grid, (base, coil, gyro) = sliding_scene()
+    at_tip = np.full(len(coil), LENGTH)
+    fixed = dataclasses.replace(coil, arclength=at_tip, values=arc(at_tip, coil.time))
+    swept = LENGTH * np.abs(np.cos(4 * coil.time))
+    slid = dataclasses.replace(coil, arclength=swept, values=arc(swept, coil.time))
+    std = [
+        estimate(prior, grid, [base, c, gyro]).at(LENGTH / 2, grid.time).std_position
+        for c in (fixed, slid)
+    ]
+    assert std[1].mean() < 0.8 * std[0].mean()
+
+
+def test_adding_readings_never_raises_a_marginal_variance():
+    prior, grid, (base, coil, gyro) = sliding_scene()
+    start = estimate(prior, grid, [base, coil, gyro]).state
+    once = Options(max_iterations=1, tolerance=np.inf)  # one linearisation point for both
+    few = estimate(prior, grid, [base, gyro], initial=start, options=once)
+    many = estimate(prior, grid, [base, gyro, coil], initial=start, options=once)
+    ratio = np.einsum("kii->ki", many.marginals.cov) / np.einsum("kii->ki", few.marginals.cov)
+    assert ratio.max() < 1 + 1e-9
+    assert ratio.min() < 0.5
+
+
+@pytest.mark.parametrize("loss", [Huber(3.0), GemanMcClure(5.0)])
+def test_a_robust_loss_shrugs_off_gross_outliers_and_counts_them(loss):
+    prior, grid, (base, coil, gyro) = sliding_scene(duration=2.0)
+    clean = estimate(prior, grid, [base, coil, gyro]).state
+    values = coil.values.copy()
+    hit = np.random.default_rng(3).choice(len(coil), len(coil) // 20, replace=False)
+    values[hit] = values[hit] @ se3.exp(np.array([0.1, 0, 0, np.pi / 4, 0, 0]))
+    spoilt = dataclasses.replace(coil, values=values)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotConvergedWarning)  # least squares may not even settle
+        plain = estimate(prior, grid, [base, spoilt, gyro])
+    robust = estimate(prior, grid, [base, dataclasses.replace(spoilt, loss=loss), gyro])
+
+    def off(posterior):
+        return np.linalg.norm(posterior.state.difference(clean)[..., :3], axis=-1).max()
+
+    assert robust.solve.converged
+    assert robust.solve.suspects == hit.size
+    assert off(robust) < 0.25 * off(plain)
+
+
+def test_a_bad_start_converges_to_the_same_answer():
+    prior, grid, readings = sliding_scene()
+    good = estimate(prior, grid, readings, options=TIGHT)
+    curled = np.array([0, 0, 1, -2, 1, 0.5])
+    wrong = dataclasses.replace(prior, rest_strain=curled).rest_state(grid)
+    again = estimate(prior, grid, readings, initial=wrong, options=TIGHT)
+    assert again.solve.converged
+    assert difference(good, again)[0] < 1e-5
+
+
+def test_an_absurd_start_says_that_it_failed():
+    prior, grid, readings = sliding_scene()
+    rng = np.random.default_rng(4)
+    absurd = prior.rest_state(grid).retract(rng.standard_normal((*grid.shape, 18)))
+    with pytest.warns(NotConvergedWarning, match="start nearer the shape"):
+        estimate(prior, grid, readings, initial=absurd)
+
+
+def test_not_converging_is_never_silent():
+    prior, grid, readings = sliding_scene()
+    with pytest.warns(NotConvergedWarning, match="not converged: 1 iterations.*Try"):
+        posterior = estimate(prior, grid, readings, options=Options(max_iterations=1))
+    assert not posterior.solve.converged
+
+
+def test_nothing_that_fixes_the_base_is_an_error():
+    prior, grid, (_, _, gyro) = sliding_scene()
+    with pytest.raises(UnobservableError, match="Nothing fixes the base"):
+        estimate(dataclasses.replace(prior, base=None), grid, [gyro])
+
+
+def test_a_roll_that_no_sensor_sees_is_an_error_not_a_number():
+    prior, grid, (_, coil, _) = sliding_scene()
+    straight = np.tile(np.eye(4), (len(coil), 1, 1))
+    straight[:, 2, 3] = coil.arclength
+    alone = dataclasses.replace(coil, values=straight)
+    with pytest.raises(UnobservableError, match="singular"):
+        estimate(dataclasses.replace(prior, base=None), grid, [alone])
+
+
+def test_readings_off_the_grid_are_named():
+    prior, grid, (_, coil, _) = sliding_scene()
+    arclength = coil.arclength.copy()
+    arclength[[3, 17]] = 0.481, 0.502
+    off = dataclasses.replace(coil, arclength=arclength)
+    with pytest.raises(OutsideGridError, match=r"rows 3, 17 have arclength 0.481, 0.502 m"):
+        estimate(prior, grid, [off])
+    assert len(off.inside(grid)) == len(coil) - 2
+
+
+def bent_rod(nodes):
+    """A rod of 0.70 m bent to 2 rad/m, base known, a coil read once at the tip, nothing moving."""
+    strain = np.array([0, 0, 1, 2, 0, 0.0])
+    base = BaseDensity(
+        np.full(6, 1e-14), np.array([8e-6, 8e-6, 8e-6, 14, 14, 1e-8]), np.full(6, 1e-6)
+    )
+    psd = np.array([5.1e-4, 5.1e-4, 5.1e-4, 4, 4, 0.45])
+    prior = KinematicPrior(psd, psd, psd, psd, base, rest_strain=strain)
+    tip = CoilReadings(
+        time=np.zeros(1),
+        arclength=np.full(1, 0.7),
+        values=se3.exp(0.7 * strain)[None],
+        cov=np.array([7e-4] * 3 + [np.radians(0.4)] * 2) ** 2,
+    )
+    return prior, Grid(np.linspace(0.0, 0.7, nodes), [0.0]), [tip]
+
+
+def test_five_arclength_nodes_give_the_posterior_of_sixty_five():
+    std = {}
+    for nodes in (5, 9, 17, 33, 65):
+        prior, grid, readings = bent_rod(nodes)
+        std[nodes] = 1e3 * float(estimate(prior, grid, readings).at(0.35, 0.0).std_position)
+    print("exact transitions, mid-length standard deviation (mm):", std)
+    assert std[65] == pytest.approx(12.67, abs=0.01)
+    for nodes in (5, 9, 17, 33):
+        assert std[nodes] == pytest.approx(std[65], rel=1e-3)
+
+
+def static_std(rate, arclength_nodes=5, per_node=False):
+    """Lateral standard deviation (m) at mid-length of a static straight robot, tip and base seen.
+
+    With `per_node` the densities are scaled as if every time node repeated the whole prior.
+    """
+    prior = load_robot("tdcr466").prior
+    scale = 30.0 / rate if per_node else 1.0
+    if per_node:
+        prior = dataclasses.replace(
+            prior,
+            psd_strain_arclength=prior.psd_strain_arclength * scale,
+            psd_velocity_arclength=prior.psd_velocity_arclength * scale,
+            base=BaseDensity(*(scale * getattr(prior.base, f) for f in vars(prior.base))),
+        )
+    duration = 2.0
+    grid = uniform_grid(LENGTH, arclength_nodes, 0.0, duration, rate)
+    time = np.linspace(0.0, duration, 81)
+    readings = []
+    for place in (0.0, LENGTH):
+        pose = np.tile(np.eye(4), (time.size, 1, 1))
+        pose[:, 2, 3] = place
+        cov = [2e-5] * 3 + [2.5e-3] * 3
+        where = np.full(time.size, place)
+        readings.append(PoseReadings(time=time, arclength=where, values=pose, cov=cov))
+    found = estimate(prior, grid, readings).at(LENGTH / 2, duration / 2)
+    return float(np.sqrt(found.cov[0, 0]))
+
+
+def test_refining_time_does_not_repeat_the_prior_as_if_it_were_news():
+    ours = static_std(30.0), static_std(60.0)
+    published = static_std(30.0, per_node=True), static_std(60.0, per_node=True)
+    print(f"static shape, mid-length std at 30 and 60 nodes/s: ours {ours}, per node {published}")
+    assert ours[1] == pytest.approx(ours[0], rel=0.03)
+    assert published[1] < 0.85 * published[0]
+
+
+def test_refining_arclength_leaves_a_static_shape_alone():
+    assert static_std(30.0, 9) == pytest.approx(static_std(30.0, 5), rel=0.03)
+
+
+def test_progress_is_told_of_every_iteration():
+    prior, grid, readings = sliding_scene()
+    seen = []
+    posterior = estimate(prior, grid, readings, progress=lambda *told: seen.append(told))
+    assert [number for number, _, _ in seen] == list(range(1, posterior.solve.iterations + 1))
+    assert seen[-1][2] < Options().tolerance
+
+
+def test_a_warm_start_needs_fewer_iterations():
+    prior, grid, readings = sliding_scene()
+    cold = estimate(prior, grid, readings)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warm = estimate(prior, grid, readings, initial=cold.state)
+    assert warm.solve.iterations < cold.solve.iterations
+    assert isinstance(warm.state, State)

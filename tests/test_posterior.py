@@ -1,0 +1,103 @@
+import numpy as np
+import pytest
+
+from glissando import GlissandoError, OutsideGridError, Posterior, estimate
+from glissando.files import COMPONENTS
+from glissando.interpolate import interpolate, sort_points
+from glissando.state import DOF
+from scenes import LENGTH, sliding_scene
+
+
+@pytest.fixture(scope="module")
+def posterior():
+    return estimate(*sliding_scene())
+
+
+def test_queries_keep_their_shape(posterior):
+    assert posterior.at(0.1, 0.5).cov.shape == (18, 18)
+    assert posterior.at([0.1, 0.2], 0.5).pose.shape == (2, 4, 4)
+    assert posterior.at(np.zeros((3, 1)), np.zeros((1, 4))).strain.shape == (3, 4, 6)
+    assert posterior.at([], []).pose.shape == (0, 4, 4)
+
+
+def test_at_a_node_the_answer_is_the_node(posterior):
+    k, n = 3, 2
+    at = posterior.at(posterior.grid.arclength[n], posterior.grid.time[k])
+    block = slice(n * DOF, (n + 1) * DOF)
+    assert at.pose == pytest.approx(posterior.state.pose[k, n])
+    assert at.cov == pytest.approx(posterior.marginals.cov[k, block, block])
+
+
+def test_the_answer_is_continuous_across_grid_lines(posterior):
+    time, near = posterior.grid.time[3], 1e-7
+    for s in (posterior.grid.arclength[1], 0.2):
+        here, there = (posterior.at(s, time + side) for side in (-near, near))
+        assert here.pose == pytest.approx(there.pose, abs=1e-5)
+        assert np.diag(here.cov) == pytest.approx(np.diag(there.cov), rel=1e-3)
+
+
+def test_covariances_are_positive_and_largest_between_nodes(posterior):
+    s, t = np.meshgrid(np.linspace(0, LENGTH, 13), np.linspace(0, 1, 21))
+    cov = posterior.at(s, t).cov
+    assert np.linalg.eigvalsh(cov).min() > 0
+    assert np.abs(cov - np.swapaxes(cov, -1, -2)).max() == 0
+
+
+def test_queries_off_the_grid_name_their_rows(posterior):
+    with pytest.raises(OutsideGridError, match=r"rows 1 have time 2 s, up to 1 s outside"):
+        posterior.at(0.1, [0.5, 2.0])
+
+
+def test_samples_have_the_posterior_covariance(posterior):
+    rng = np.random.default_rng(0)
+    draws = posterior.sample(rng, 2000)
+    step = draws.difference(posterior.state)
+    k = 4
+    empirical = np.cov(step[:, k].reshape(2000, -1).T)
+    exact = posterior.marginals.cov[k]
+    scale = np.sqrt(np.diag(exact))
+    gap = (empirical - exact) / (scale[:, None] * scale)
+    assert np.abs(gap).max() < 6 / np.sqrt(2000)
+
+
+def test_interpolated_samples_spread_as_the_covariance_between_nodes_less_the_bridge(posterior):
+    rng = np.random.default_rng(1)
+    s, t = np.array([0.25]), np.array([0.53])
+    (points,) = sort_points(posterior.grid, s, t)
+    mean = interpolate(posterior.prior, posterior.grid, posterior.state, posterior.state, points)
+    draws = posterior.sample(rng, 2000)
+    steps = []
+    for i in range(2000):
+        found = interpolate(posterior.prior, posterior.grid, draws.take(i), posterior.state, points)
+        steps.append(found.state.difference(mean.state)[0])
+    exact = posterior.at(0.25, 0.53).cov - mean.cov[0]
+    ratio = np.var(steps, axis=0) / np.diag(exact)
+    assert ratio == pytest.approx(np.ones(18), abs=0.2)
+
+
+def test_saving_and_loading_gives_the_same_answers(posterior, tmp_path):
+    path = tmp_path / "posterior.nc"
+    posterior.save(path)
+    again = Posterior.load(path)
+    s, t = np.array([0.0, 0.11, 0.3]), np.array([0.2, 0.33, 0.4])
+    before, after = posterior.at(s, t), again.at(s, t)
+    assert after.pose == pytest.approx(before.pose, abs=1e-14)
+    assert after.cov == pytest.approx(before.cov, rel=1e-9, abs=1e-18)
+    assert again.solve == posterior.solve
+
+
+def test_the_file_speaks_for_itself(posterior, tmp_path):
+    xarray = pytest.importorskip("xarray")
+    posterior.save(tmp_path / "posterior.nc")
+    with xarray.open_dataset(tmp_path / "posterior.nc", engine="h5netcdf") as dataset:
+        assert dataset["position"].dims == ("time", "arclength", "axis")
+        assert dataset["position"].attrs["units"] == "m"
+        assert dataset["component"].values.tolist() == COMPONENTS
+        std = dataset["std"].sel(component="pose_x").values
+        assert std == pytest.approx(posterior.std_pose()[..., 0])
+
+
+def test_a_file_of_something_else_is_refused(tmp_path):
+    (tmp_path / "other.nc").write_bytes(b"no netcdf")
+    with pytest.raises(GlissandoError, match="cannot be read as NetCDF"):
+        Posterior.load(tmp_path / "other.nc")

@@ -1,0 +1,200 @@
+import numpy as np
+import pytest
+
+from glissando import RecordingError, RobotFileError, load_robot, se3
+from glissando.dataset import load_recording
+from glissando.robot import parse_robot, shipped_robots
+from glissando.streams import Rows, clean, read_named, write_named
+from glissando.tables import read_toml
+from scenes import LENGTH, arc
+
+PUBLIC = "sensor type:,aurora\ntime (s),arclength (m),data\n"
+ROW = "{t},{s},0.001,0.002,0.4,0.0{i},0,0\n"
+
+
+def public_folder(folder, text=None):
+    """A folder in the public layout with one tracker at the tip."""
+    rows = "".join(ROW.format(t=i / 10, s=LENGTH, i=i % 10) for i in range(10))
+    (folder / "aurora1.csv").write_text(PUBLIC + rows if text is None else text)
+    return folder
+
+
+def described_folder(
+    folder, toml, columns="time,arclength,x,y,z", row="0,0.1,1,2,3\n1,0.1,4,5,6\n"
+):
+    (folder / "recording.toml").write_text(toml)
+    (folder / "marker.csv").write_text(f"{columns}\n{row}")
+    return folder
+
+
+MARKER = (
+    'robot = "tdcr466"\n[[streams]]\nname = "marker"\nkind = "position"\nstd = [1e-3, 1e-3, 1e-3]\n'
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("time,arclength\n1,2\n", "line 1: the header has no sensor type"),
+        ("", "line 1: the header has no sensor type"),
+        ("sensor type:,sonar\nx\n", "line 1: unknown sensor type 'sonar'"),
+        (PUBLIC, "holds no rows"),
+        (PUBLIC + "0,0.4,1,2\n", "line 3: 4 columns where 8 are expected"),
+        (PUBLIC + "0,0.4,1,2,3,4,5,x\n", "line 3: 'x' is not a number"),
+        (PUBLIC + "0,0.4,1,2,3,4,5,nan\n", "line 3: a value is not finite"),
+        (PUBLIC + "1,0.4,1,2,3,4,5,6\n\n0.5,0.4,1,2,3,4,5,6\n", "line 5: time goes back from 1 s"),
+    ],
+)
+def test_a_bad_stream_is_named_with_its_line(tmp_path, text, sentence):
+    with pytest.raises(RecordingError, match=sentence):
+        load_recording(public_folder(tmp_path, text))
+
+
+def test_missing_folders_and_streams_are_named(tmp_path):
+    with pytest.raises(RecordingError, match="There is no recording folder"):
+        load_recording(tmp_path / "nowhere")
+    with pytest.raises(RecordingError, match="no CSV stream"):
+        load_recording(tmp_path)
+    recording = load_recording(public_folder(tmp_path))
+    with pytest.raises(RecordingError, match="no stream 'aurora7'; it has aurora1"):
+        recording.readings(["aurora7"], recording.robot, (0, 1))
+    (tmp_path / "recording.toml").write_text('[[streams]]\nname = "gone"\nkind = "gyro"\n')
+    with pytest.raises(RecordingError, match=r"gone.csv cannot be read"):
+        load_recording(tmp_path)
+
+
+def test_an_arclength_off_the_robot_names_rows_and_excess(tmp_path):
+    rows = "".join(ROW.format(t=i, s=LENGTH + 0.01 * (i in (3, 7)), i=i) for i in range(9))
+    recording = load_recording(public_folder(tmp_path, PUBLIC + rows))
+    with pytest.raises(RecordingError, match=r"2 rows lie outside.*rows 3, 7.*up to 0.01 m beyond"):
+        recording.readings(["aurora1"], load_robot("tdcr466"), (0, 9))
+
+
+def test_repeats_of_a_tracker_are_dropped_and_counted():
+    values = np.tile(np.eye(4), (5, 1, 1))
+    values[2:, 0, 3] = [1.0, 1.0, 2.0]
+    rows = clean(Rows("pose", np.arange(5.0), np.zeros(5), values, {}))
+    assert rows.dropped == {"repeated": 2}
+    assert rows.time.tolist() == [0, 2, 4]
+
+
+def test_clipped_gyro_samples_are_dropped_and_counted():
+    values = np.zeros((4, 3))
+    values[1, 2] = -5.0
+    rows = Rows("gyro", np.arange(4.0), np.zeros(4), values, {})
+    assert clean(rows, clip=5.0).dropped == {"clipped": 1}
+    assert clean(rows).dropped == {}
+
+
+@pytest.mark.parametrize(
+    "kind", ["pose", "coil", "position", "orientation", "gyro", "strain", "fbg"]
+)
+def test_what_is_written_is_read_back(tmp_path, kind):
+    rng = np.random.default_rng(0)
+    time, place = np.arange(6.0), np.linspace(0.1, 0.4, 6)
+    pose = arc(place, time) @ se3.exp(rng.standard_normal((6, 6)))
+    width = {"position": 3, "gyro": 3, "strain": 6, "fbg": 4}.get(kind, 0)
+    values = {"pose": pose, "coil": pose, "orientation": pose[:, :3, :3]}.get(
+        kind, rng.standard_normal((6, width))
+    )
+    write_named(tmp_path / "a.csv", Rows(kind, time, place, values, {}))
+    rows = read_named(tmp_path / "a.csv", kind, cores=4, length_unit=1.0, angle_unit=1.0)
+    assert rows.values == pytest.approx(values, abs=1e-9)
+    assert rows.arclength == pytest.approx(place)
+
+
+def test_units_and_frames_are_turned_into_the_world(tmp_path):
+    toml = MARKER + (
+        'length_unit = "mm"\nframe = "camera"\n[frames.camera]\nposition = [0, 0, 1]\n'
+        "quaternion = [0.70710678, 0, 0, 0.70710678]\n"
+    )
+    described_folder(tmp_path, toml, row="0,100,1000,0,0\n1,100,2000,0,0\n")
+    recording = load_recording(tmp_path)
+    (found,), _ = recording.readings(["marker"], recording.robot, (0, 2))
+    assert found.values == pytest.approx(np.array([[0, 1, 1], [0, 2, 1.0]]), abs=1e-6)
+    assert found.arclength == pytest.approx([0.1, 0.1])
+
+
+@pytest.mark.parametrize(
+    ("toml", "sentence"),
+    [
+        (MARKER.replace("kind", "kinf"), r"kind is missing; give one of"),
+        (MARKER.replace("position", "sonar"), "kind is 'sonar'; give one of pose"),
+        (MARKER + 'frame = "camera"\n', "frame is 'camera'; give one of world"),
+        (MARKER.replace("1e-3]", "-1]"), "std is .* above zero"),
+        (MARKER + "tru = true\n", "tru is not a key.*did you mean 'truth'"),
+        (MARKER.replace("tdcr466", "tdcr999"), "no robot named 'tdcr999'"),
+        ("streams = 3", "must be an array of tables"),
+        ("", "names no"),
+        ("x = [", "is not valid TOML"),
+    ],
+)
+def test_a_bad_description_names_the_key(tmp_path, toml, sentence):
+    with pytest.raises((RecordingError, RobotFileError), match=sentence):
+        load_recording(described_folder(tmp_path, toml))
+
+
+def test_columns_may_stand_in_any_order_but_must_be_there(tmp_path):
+    described_folder(tmp_path, MARKER, "z,y,x,arclength,time", "3,2,1,0.1,0\n6,5,4,0.1,1\n")
+    assert load_recording(tmp_path).streams["marker"].rows.values[0].tolist() == [1, 2, 3]
+    described_folder(tmp_path, MARKER, "time,arclength,x,y", "0,0.1,1,2\n")
+    with pytest.raises(RecordingError, match=r"needs the columns .*; z is missing"):
+        load_recording(tmp_path)
+
+
+def test_a_quaternion_that_is_not_unit_is_refused(tmp_path):
+    (tmp_path / "recording.toml").write_text('[[streams]]\nname = "p"\nkind = "coil"\n')
+    (tmp_path / "p.csv").write_text("time,arclength,x,y,z,qw,qx,qy,qz\n0,0.1,0,0,0,1,1,0,0\n")
+    with pytest.raises(RecordingError, match=r"line 2: the quaternion has norm 1\.41"):
+        load_recording(tmp_path)
+
+
+@pytest.mark.parametrize("name", shipped_robots())
+def test_shipped_robots_load(name):
+    robot = load_robot(name)
+    assert robot.grid(0.0, 1.0).arclength[-1] == robot.length
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        ("length = 0.466", "lenght = 0.466", "length is missing"),
+        ("length = 0.466", "length = -1", "length is -1; give a number above zero"),
+        ("length = 0.466", 'length = "long"', "length is 'long'"),
+        ("time_rate = 30.0", "", r"\[grid\]: time_rate is missing"),
+        ("arclength_nodes = 5", "arclength_nodes = 1", "whole number from 2 up"),
+        ("arclength_nodes = 5", "arclength_nodes = [0, 0.2]", "end it at the length"),
+        ("arclength_nodes = 5", "arclength_nodes = [0.1, 0.466]", "must begin at 0"),
+        ("psd_pose = [4e-7, 5e-6]", "psd_pose = [1, 2, 3]", "give 6 numbers, or 2 for"),
+        ("psd_pose = [4e-7, 5e-6]", "psd_pose = [0, 1]", "above zero"),
+        ('kind = "kinematic"', 'kind = "magic"', "give one of kinematic"),
+        ("quaternion = [1, 0, 0, 0]", "quaternion = [1, 1, 0, 0]", "has norm 1.414"),
+        ("[sensors.gyro]", "[sensors.nose]", "nose is not a kind of sensor"),
+        ("[prior]", "[prior]\npsd_velocity_tim = [1, 1]", "did you mean 'psd_velocity_time'"),
+        ("[prior]", "[prier]", r"\[prior\] is missing"),
+    ],
+)
+def test_a_bad_robot_file_names_the_key(tmp_path, old, new, sentence):
+    from importlib.resources import files
+
+    text = (files("glissando") / "robots" / "tdcr466.toml").read_text()
+    assert old in text
+    path = tmp_path / "robot.toml"
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(RobotFileError, match=sentence):
+        load_robot(path)
+
+
+def test_a_robot_without_a_base_is_allowed(tmp_path):
+    path = tmp_path / "free.toml"
+    psd = "\n".join(
+        f"psd_{n} = [1, 1]"
+        for n in ("velocity_time", "strain_arclength", "strain_time", "velocity_arclength")
+    )
+    path.write_text(
+        f"length = 1\n[grid]\narclength_nodes = 3\ntime_rate = 5\n[prior]\n{psd}\n"
+        'kind = "kinematic"\n'
+    )
+    robot = parse_robot(read_toml(path, RobotFileError))
+    assert robot.prior.base is None
+    assert robot.name == "free"
