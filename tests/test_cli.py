@@ -92,7 +92,7 @@ def test_a_mistake_is_one_sentence_and_status_2(recording, capsys, arguments, se
     [
         ("time,where\n1,2\n", "line 2: give the columns time,arclength"),
         ("time,arclength\n0.1,oops\n", "line 2: give the columns time,arclength"),
-        ("time,arclength\n0.1,0.9\n", "have arclength 0.9 m"),
+        ("time,arclength\n0.1,0.9\n", "has arclength 0.9 m"),
     ],
 )
 def test_a_bad_query_is_one_sentence(recording, tmp_path, capsys, text, sentence):

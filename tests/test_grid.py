@@ -90,7 +90,7 @@ def test_rows_off_the_grid_are_counted_and_the_first_three_named():
     assert "arclength 0.5, -0.2, 0.6 m, up to 0.2 m outside [0, 0.4] m" in sentence
     with pytest.raises(OutsideGridError, match=r"rows 4, 5 have time 1.3, 0.9 s, up to 0.1 s"):
         GRID.require(np.full(6, 0.1), np.array([1, 1.1, 1.2, 1, 1.3, 0.9]), "tracker")
-    with pytest.raises(OutsideGridError, match=r"3 of 3 rows .* rows 1 have arclength 0.5 m"):
+    with pytest.raises(OutsideGridError, match=r"3 of 3 rows .* row 1 has arclength 0.5 m"):
         GRID.require(np.array([0.1, 0.5, 0.2]), np.array([2.0, 1.0, 3.0]), "tracker")
 
 

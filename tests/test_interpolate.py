@@ -241,7 +241,7 @@ def test_queries_off_the_grid_are_refused_by_row():
         OutsideGridError, match=r"2 of 4 rows .* rows 1, 3 have arclength 0.5, -0.1"
     ):
         posterior.at([0.0, 0.5, 0.4, -0.1], 0.0)
-    with pytest.raises(OutsideGridError, match=r"rows 0 have time 3 s, up to 3 s outside \[0, 0\]"):
+    with pytest.raises(OutsideGridError, match=r"row 0 has time 3 s, up to 3 s outside \[0, 0\]"):
         posterior.at(0.2, 3.0)
     with pytest.raises(OutsideGridError, match=r"Query: 3 of 3 rows"):
         posterior.at([0.1, 0.2, np.nan], [1.0, 2.0, 0.0])

@@ -44,7 +44,7 @@ def test_covariances_are_positive_and_largest_between_nodes(posterior):
 
 
 def test_queries_off_the_grid_name_their_rows(posterior):
-    with pytest.raises(OutsideGridError, match=r"rows 1 have time 2 s, up to 1 s outside"):
+    with pytest.raises(OutsideGridError, match=r"row 1 has time 2 s, up to 1 s outside"):
         posterior.at(0.1, [0.5, 2.0])
 
 

@@ -38,7 +38,9 @@ MISTAKES = {
     r"give a variance, 3 variances, .* \(one, or one a reading\)": {"cov": np.ones((3, 2))},
     "not symmetric positive definite; give every row a variance above zero": {"cov": 0.0},
     "probe: covariance is not symmetric": {"cov": np.eye(3) + np.eye(3, k=1), "name": "probe"},
-    "PositionReadings: covariance is not .* positive definite": {"cov": [1.0, np.nan, 1.0]},
+    "PositionReadings: covariance is not finite": {"cov": [1.0, np.nan, 1.0]},
+    "covariance is not finite; give every row a finite variance": {"cov": np.inf},
+    "covariance is 'much'; give numbers": {"cov": "much"},
 }
 
 

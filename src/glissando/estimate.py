@@ -71,7 +71,7 @@ def estimate(
         start = prior.rest_state(grid) if initial is None else initial
         found = _iterate(prior, PlacedReadings(grid, readings), start, options, progress, clock)
         with clock("covariance"):
-            marginals = found.chol.marginals()
+            marginals = found.chol.marginals(consume=True)
     solve = found.solve(clock)
     if not solve.converged:
         warnings.warn(
@@ -145,10 +145,11 @@ def _iterate(
             return linearize(prior, placed, state, about, room, terms)
 
     here, held, damping, iteration, rounds = at(start), None, 0.0, 0, 0
+    chol = None
     while True:
         with clock("solve"):
             extra = damping * np.einsum("kii->ki", here.system.diagonal)
-            chol = factor(here.system.add_to_diagonal(extra) if damping else here.system)
+            chol = factor(here.system.add_to_diagonal(extra) if damping else here.system, chol)
             step = chol.solve(here.right)
         iteration += 1
         length = float(np.sqrt(np.maximum(np.sum(step * (here.right - extra * step)), 0.0)))

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from glissando.errors import SensorError
 from glissando.grid import Grid, Index
 from glissando.interpolate import Interpolation, Points, interpolate, sort_points
 from glissando.linear import Factors, Residuals
@@ -70,14 +71,20 @@ class PlacedReadings:
 
 
 def _reading_factors(readings: Readings, at: Interpolation) -> Factors:
-    by_state = readings.jacobian(at.state)
     m, c = at.nodes.shape
+    residual = readings.residual(at.state)
+    if residual.shape != (m, readings.row_count):
+        raise SensorError(
+            f"{readings.label}: residual(at) returns shape {residual.shape}; return "
+            f"{(m, readings.row_count)}, a row for each reading."
+        )
+    by_state = readings.jacobian(at.state)
     cov = readings.cov + by_state @ at.cov @ np.swapaxes(by_state, -1, -2)
     by_nodes = (by_state @ at.jacobian.reshape(m, DOF, c * DOF)).reshape(m, -1, c, DOF)
     touched = np.flatnonzero(np.any(by_nodes != 0.0, axis=(0, 1, 2)))
     dofs = slice(int(touched[0]), int(touched[-1]) + 1) if touched.size else slice(0, 1)
     info = sqrt_information(np.broadcast_to(cov, (m, *cov.shape[-2:])))
-    terms = Residuals(readings.residual(at.state), info, readings.loss)
+    terms = Residuals(residual, info, readings.loss)
     return Factors(at.nodes, dofs, by_nodes[..., dofs], terms)
 
 

@@ -135,4 +135,6 @@ def load(path: Path) -> Posterior:
     fields = (dataset[name].values for name in ("pose", "strain", "velocity"))
     system = BlockTridiagonal(dataset["information"].values, dataset["information_below"].values)
     solve = Solve(**json.loads(dataset.attrs["solve"]))
-    return Posterior(prior, grid, State(*fields), system, factor(system).marginals(), solve)
+    return Posterior(
+        prior, grid, State(*fields), system, factor(system).marginals(consume=True), solve
+    )

@@ -107,17 +107,21 @@ class Grid:
             first = outside[~in_length[outside]][:3]
             name, values, nodes, unit = "arclength", s, self.arclength, "m"
         shown = ", ".join(f"{values[i]:.4g}" for i in first)
+        rows = f"row {first[0]} has" if first.size == 1 else f"rows {_listed(first)} have"
         excess = np.maximum(values[outside] - nodes[-1], nodes[0] - values[outside]).max()
         raise OutsideGridError(
-            f"{what}: {outside.size} of {s.size} rows lie outside the grid; rows "
-            f"{', '.join(map(str, first))} have {name} {shown} {unit}, up to {excess:.3g} {unit} "
-            f"outside [{nodes[0]:.4g}, {nodes[-1]:.4g}] {unit}. Correct them, widen the grid, or "
-            f"drop them with readings.inside(grid)."
+            f"{what}: {outside.size} of {s.size} rows lie outside the grid; {rows} {name} {shown} "
+            f"{unit}, up to {excess:.3g} {unit} outside [{nodes[0]:.4g}, {nodes[-1]:.4g}] {unit}. "
+            f"Correct them, widen the grid, or drop them (readings.inside(grid) does)."
         )
 
     def locate(self, arclength: Array, time: Array) -> tuple[Cells, Cells]:
         """Cells of the points (M,) along arclength and along time."""
         return _locate(self.arclength, arclength), _locate(self.time, time)
+
+
+def _listed(rows: Index) -> str:
+    return ", ".join(map(str, rows))
 
 
 def uniform_grid(length: float, nodes: int, start: float, stop: float, rate: float) -> Grid:

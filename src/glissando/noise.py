@@ -17,7 +17,12 @@ def covariance_matrix(given: ArrayLike, rows: int, what: str) -> Array:
 
     Raises SensorError when the shape does not fit or it is not positive definite.
     """
-    cov = np.asarray(given, dtype=float)
+    try:
+        cov = np.asarray(given, dtype=float)
+    except (TypeError, ValueError):
+        raise SensorError(f"{what}: covariance is {given!r}; give numbers.") from None
+    if not np.all(np.isfinite(cov)):
+        raise SensorError(f"{what}: covariance is not finite; give every row a finite variance.")
     if cov.ndim == 0:
         cov = cov * np.eye(rows)
     elif cov.ndim == 1 and cov.size == rows:

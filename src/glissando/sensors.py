@@ -65,9 +65,12 @@ class Readings:
                 f"{(*count, *(self.expected_shape or ()))}."
             )
         if self.expected_shape in ((4, 4), (3, 3)):
-            _require_rotations(self.label, self.values[:, :3, :3])
-        if self.mount.shape != (4, 4):
-            raise SensorError(f"{self.label}: mount has shape {self.mount.shape}; give (4, 4).")
+            _require_rotations(self.label, self.values)
+        mount = np.asarray(self.mount, dtype=float)
+        object.__setattr__(self, "mount", mount)
+        if mount.shape != (4, 4):
+            raise SensorError(f"{self.label}: mount has shape {mount.shape}; give (4, 4).")
+        _require_rotations(f"{self.label} mount", mount[None])
         object.__setattr__(self, "cov", covariance_matrix(self.cov, self.row_count, self.label))
         if self.cov.ndim == 3 and len(self.cov) != len(self):
             raise SensorError(
@@ -112,18 +115,24 @@ class Readings:
         return numerical_jacobian(self, at)
 
 
-def _require_rotations(label: str, rotation: Array) -> None:
+def _require_rotations(label: str, values: Array) -> None:
+    """Raise SensorError unless values (M, 4, 4) or (M, 3, 3) are poses or rotations."""
+    rotation = values[:, :3, :3]
     gap = np.abs(rotation @ np.swapaxes(rotation, -1, -2) - np.eye(3)).max(axis=(-1, -2), initial=0)
-    if np.any(gap > 1e-3):
+    sound = (gap <= 1e-3) & (np.linalg.det(rotation) > 0.0)
+    if values.shape[-1] == 4:
+        sound &= np.all(values[:, 3] == [0.0, 0.0, 0.0, 1.0], axis=-1)
+    if not np.all(sound):
         raise SensorError(
-            f"{label}: the rotation of row {int(np.argmax(gap))} is not orthonormal (off by "
-            f"{gap.max():.2g}); give rotation matrices, body to world."
+            f"{label}: row {int(np.argmin(sound))} is no rigid motion; give rotation matrices "
+            f"(orthonormal, right-handed), poses with a last row 0 0 0 1."
         )
 
 
 def numerical_jacobian(readings: Readings, at: State) -> Array:
     """Central differences of a sensor's residual (M, rows, 18), checked at two step sizes.
 
+    A residual that is constant in pieces has no slope to find; give such a sensor a smooth one.
     Raises SensorError when the two disagree: the residual jumps or is not smooth there.
     """
     found = []

@@ -54,17 +54,14 @@ class Marginals:
 class Cholesky:
     """Block Cholesky factor L: inverses of its diagonal blocks, and what couples slabs.
 
-    `inverse[k]` (D, D) lower, `coupling[k]` = inverse[k] A[k, k+1]. Inverses of the triangles are
-    kept because products with them run several times faster than triangular solves of this size.
+    `inverse` (K, D, D) lower, `coupling` (K−1, D, D) with coupling[k] = inverse[k] A[k, k+1], and
+    the log-determinant of A. Inverses of the triangles are kept because products with them run
+    several times faster than triangular solves of this size.
     """
 
-    inverse: list[Array]
-    coupling: list[Array]
-
-    @property
-    def log_det(self) -> float:
-        """Log-determinant of the factored matrix."""
-        return -2.0 * float(sum(np.sum(np.log(np.diagonal(block))) for block in self.inverse))
+    inverse: Array
+    coupling: Array
+    log_det: float
 
     def solve(self, right: Array) -> Array:
         """Solution x (K, D) of A x = right (K, D)."""
@@ -86,53 +83,57 @@ class Cholesky:
 
     def sample(self, rng: np.random.Generator) -> Array:
         """One draw (K, D) from N(0, A⁻¹)."""
-        white = rng.standard_normal((len(self.inverse), self.inverse[0].shape[0]))
+        white = rng.standard_normal(self.inverse.shape[:2])
         with one_thread():
             return self._backward(white)
 
-    def marginals(self) -> Marginals:
-        """All blocks of A⁻¹ on the diagonal and next to it. Source: equation (21)."""
-        count, size = len(self.inverse), self.inverse[0].shape[0]
-        cov = np.empty((count, size, size))
-        cross = np.empty((count - 1, size, size))
+    def marginals(self, *, consume: bool = False) -> Marginals:
+        """All blocks of A⁻¹ on the diagonal and next to it. Source: equation (21).
+
+        With `consume` they are written over the factor, which is of no use afterwards: fresh
+        memory for them would cost as much time as computing them.
+        """
+        cov = self.inverse if consume else np.empty_like(self.inverse)
+        cross = self.coupling if consume else np.empty_like(self.coupling)
         with one_thread():
-            for k in reversed(range(count)):
-                inverse = self.inverse[k]
-                half = inverse
-                if k + 1 < count:
+            for k in reversed(range(len(cov))):
+                inverse = half = self.inverse[k]
+                if k + 1 < len(cov):
                     ahead = self.coupling[k] @ cov[k + 1]
-                    np.matmul(inverse.T, ahead, out=cross[k])
-                    np.negative(cross[k], out=cross[k])
-                    half = inverse - ahead @ (self.coupling[k].T @ -inverse)
+                    half = inverse + ahead @ (self.coupling[k].T @ inverse)
+                    cross[k] = -(inverse.T @ ahead)
                 block = inverse.T @ half
                 cov[k] = 0.5 * (block + block.T)
         return Marginals(cov, cross)
 
 
-def factor(matrix: BlockTridiagonal) -> Cholesky:
+def factor(matrix: BlockTridiagonal, room: Cholesky | None = None) -> Cholesky:
     """Forward block Cholesky of a positive definite matrix. Source: equation (20).
 
-    Raises UnobservableError when a pivot vanishes: some direction of the state has no information.
+    An earlier factor of the same size may be given as `room` to be overwritten. Raises
+    UnobservableError when a pivot vanishes: some direction of the state has no information.
     """
-    found = Cholesky([], [])
+    inverses = np.empty_like(matrix.diagonal) if room is None else room.inverse
+    couplings = np.empty_like(matrix.lower) if room is None else room.coupling
+    coupling = np.empty((0, 0))
     with one_thread():
         for k, block in enumerate(matrix.diagonal):
             schur = block.T  # Fortran order; the matrix is symmetric
             if k:
-                schur = blas.dsyrk(-1.0, found.coupling[-1], beta=1.0, c=schur, trans=1, lower=1)
+                schur = blas.dsyrk(-1.0, coupling, beta=1.0, c=schur, trans=1, lower=1)
             chol, failed = lapack.dpotrf(schur, lower=1, clean=1)
             if failed:
                 raise _unobservable(k)
-            inverse = lapack.dtrtri(chol, lower=1)[0]
-            found.inverse.append(inverse)
-            if k < matrix.lower.shape[0]:
-                found.coupling.append(blas.dgemm(1.0, inverse, matrix.lower[k].T))
-    pivots = np.array([np.diagonal(block) for block in found.inverse]) ** -2.0
+            inverse = lapack.dtrtri(chol, lower=1, overwrite_c=1)[0]
+            inverses[k] = inverse
+            if k < len(couplings):
+                coupling = blas.dgemm(1.0, inverse, matrix.lower[k].T)
+                couplings[k] = coupling
+    pivots = np.einsum("kii->ki", inverses) ** -2.0
     sound = pivots >= _PIVOT_FLOOR * np.einsum("kii->ki", matrix.diagonal)
-    vanished = ~np.all(sound, axis=1)  # so that NaN counts as vanished
-    if np.any(vanished):
-        raise _unobservable(int(np.argmax(vanished)))
-    return found
+    if not np.all(sound):  # so that NaN counts as vanished
+        raise _unobservable(int(np.argmin(np.all(sound, axis=1))))
+    return Cholesky(inverses, couplings, float(np.sum(np.log(pivots))))
 
 
 def _unobservable(k: int) -> UnobservableError:

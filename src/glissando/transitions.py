@@ -75,8 +75,8 @@ def process_covariances(
 
     `rate` (M, 6), `step` (M,), densities (6,) or (M, 6). The first is ∫ Φ(u) diag(0, psd) Φ(u)ᵀ du
     (equation 2'). The second (M, 6, 6) is ∫ Ad(exp(−u rate)) diag(carried_psd) Ad(…)ᵀ du when the
-    field rides with the body (`rigid`), else step · diag(carried_psd). Exact to rounding for any
-    step that turns the body by less than about a radian.
+    field rides with the body (`rigid`), else step · diag(carried_psd). Quadrature
+    errs by about 1e-10 of it for a step that turns the body by one radian.
     """
     first, second, ridden, powers = _moments(rate, step)
     q = np.zeros((*rate.shape[:-1], 12, 12))

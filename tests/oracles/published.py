@@ -1,14 +1,12 @@
 """The published kinematic space-time estimator, slow and obvious; no code shared with the package.
 
-Equations (3), (4), (5), (10) of docs/math.md. Settled by comparison with the golden posterior:
+Equations (3), (4), (5), (10) of docs/math.md. Comparison with the golden posterior settled:
 * residual rows are plain, without J_r^-1; Q_s follows the velocity at every iteration but is NOT
   differentiated, so the answer lies near, not at, the minimum of the equivalent cost (3');
 * P0 acts on the base node of every time; a tracker's repeated rows count again; nothing is gated;
-* time nodes share evenly the span from the start to the LAST READING of the window (19 to 28.983 s
-  in 301 nodes); readings between them are predicted by (10) with J_r^-1, and R is not widened;
-* queries go along s at both times, then along t, on all 18 local numbers; along s (10) takes Q_s
-  with its W but a transition without, which is the inconsistency off the nodes; covariances are
-  those of an unmeasured node inserted with the same factors.
+* time nodes share evenly the span from the start to the LAST READING of the window (28.983 s);
+  readings between them are predicted by (10) with J_r^-1, and R is not widened;
+* queries go along s at both times, then along t; (10) along s has W in Q_s, not in the transition.
 """
 
 from collections.abc import Callable
@@ -24,20 +22,19 @@ from scipy.spatial.transform import Rotation
 
 Array = np.ndarray
 Stream = tuple[str, Array, Array, Array]  # type, time, arclength, values
-DOF, STEP, REST_STRAIN = 18, 1e-5, np.eye(6)[2]  # a node's pose, strain, velocity; differences
+DOF, STEP, REST_STRAIN = 18, 1e-5, np.eye(6)[2]  # STEP: of the central differences
 apply = partial(np.einsum, "nij,nj->ni")  # matrices times vectors
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Published values of the real robot; a pair is (translation, rotation)."""
+    """Published values of the real robot; a pair is (translation, rotation), p0 a whole node."""
 
     factor: float = 0.15  # on every Q and P0, on no R
     q1: tuple[float, float] = (30.0, 8e3)
     q2: tuple[float, float] = (0.8, 1e3)
     q3: tuple[float, float] = (0.8, 1e4)
-    p0_pose: tuple[float, float] = (8e-5, 1e-3)
-    p0_rates: tuple[float, ...] = (1e-2, 1e-2, 1e-2, 1e3, 1e3, 1e-4, *[100.0] * 6)  # then velocity
+    p0: tuple[float, ...] = (*[8e-5] * 3, *[1e-3] * 3, *[1e-2] * 3, 1e3, 1e3, 1e-4, *[100.0] * 6)
     r_pose: tuple[float, float] = (2e-5, 2.5e-3)
     r_gyro: float = 1e-6
 
@@ -89,12 +86,12 @@ def right_jacobian_inverse(x: Array) -> Array:
 
 def derivatives(error: Callable[..., Array], states: list[State]) -> Array:
     """Central differences of a batched error, (n, rows, 18 for each state)."""
-
-    def slope(j: int, d: Array) -> Array:
-        ahead, behind = (error(*states[:j], states[j].moved(e), *states[j + 1 :]) for e in (d, -d))
-        return (ahead - behind) / (2 * STEP)
-
-    return np.stack([slope(j, d[None]) for j in range(len(states)) for d in STEP * np.eye(DOF)], -1)
+    out = []
+    for j, state in enumerate(states):
+        for d in STEP * np.eye(DOF)[:, None]:
+            ahead, behind = (error(*states[:j], state.moved(e), *states[j + 1 :]) for e in (d, -d))
+            out.append((ahead - behind) / (2 * STEP))
+    return np.stack(out, -1)
 
 
 class Axis:
@@ -106,48 +103,40 @@ class Axis:
         white = (*settings.q2, *settings.q3) if along_s else (*settings.q3, *settings.q1)
         self.noise = settings.factor * np.diag(np.repeat([0.0, 0.0, *white], 3))
 
-    def error(self, a: State, b: State, h: Array) -> Array:
+    def error(self, a: State, b: State, h: Array | float) -> Array:
         """The error of (3) or (4)."""
-        flow = h[:, None] * (a.strain if self.along_s else a.velocity)
-        return np.hstack(
-            [
-                between(a.pose, b.pose) - flow,
-                b.strain - a.strain,
-                b.velocity - a.velocity + self.along_s * apply(ad(flow), a.velocity),
-            ]
-        )
+        flow = np.atleast_1d(h)[:, None] * (a.strain if self.along_s else a.velocity)
+        change = b.velocity - a.velocity + self.along_s * apply(ad(flow), a.velocity)
+        return np.hstack([between(a.pose, b.pose) - flow, b.strain - a.strain, change])
 
-    def covariance(self, a: State, h: Array) -> Array:
+    def covariance(self, a: State, h: Array | float) -> Array:
         """Noise through I + h shift: Q_t of (4), or Q_s of (3), where W copies row 1 to row 3."""
-        h, s, c = h[:, None, None], self.shift, self.noise
+        h, s, c = np.atleast_1d(h)[:, None, None], self.shift, self.noise
         q = h * c + h**2 / 2 * (s @ c + c @ s.T) + h**3 / 3 * s @ c @ s.T
-        copy = np.eye(DOF) + self.along_s * np.pad(ad(a.velocity), ((0, 0), (12, 0), (0, 12)))
-        return copy @ q @ copy.swapaxes(1, 2)
+        copy = np.eye(DOF) + np.pad(ad(a.velocity), ((0, 0), (12, 0), (0, 12)))
+        return copy @ q @ copy.swapaxes(1, 2) if self.along_s else q
 
     def interpolate(self, a: State, b: State, u: Array) -> State:
         """(10): g(u) = Phi(u) g_0 + Psi (g_1 - Phi(h) g_0)."""
         psi = self.covariance(a, u) @ (np.eye(DOF) + (self.h - u)[:, None, None] * self.shift.T)
-        psi = psi @ np.linalg.inv(self.covariance(a, self.h + 0 * u))
-        xi = between(a.pose, b.pose)
-        to = right_jacobian_inverse(xi)
+        psi = psi @ np.linalg.inv(self.covariance(a, self.h))
+        to = right_jacobian_inverse(xi := between(a.pose, b.pose))
         g0 = np.hstack([0 * xi, a.strain, a.velocity])
         g1 = np.hstack([xi, apply(to, b.strain), apply(to, b.velocity)])
-        flow = g0 @ self.shift.T
-        g = g0 + u[:, None] * flow + apply(psi, g1 - g0 - self.h * flow)
+        rate = g0 @ self.shift.T
+        g = g0 + u[:, None] * rate + apply(psi, g1 - g0 - self.h * rate)
         back = np.linalg.inv(right_jacobian_inverse(g[:, :6]))
         return State(a.pose @ se3_exp(g[:, :6]), apply(back, g[:, 6:12]), apply(back, g[:, 12:]))
 
     def insertion(self, a: State, m: State, b: State, u: Array) -> tuple[Array, Array]:
-        """Gain on [a, b] and own covariance of one unmeasured node m, u (kept inside) beyond a."""
+        """Golden covariances: gain on [a, b] and own part of an unmeasured node m between them."""
         u = np.clip(u, 1e-6 * self.h, self.h * (1 - 1e-6))
-        slope = derivatives(
-            lambda a, b, m: np.hstack([self.error(a, m, u), self.error(m, b, self.h - u)]),
-            [a, b, m],
-        )[0]
-        q = sp.block_diag([self.covariance(a, u)[0], self.covariance(m, self.h - u)[0]]).toarray()
-        pull = slope[:, -DOF:].T @ np.linalg.inv(q)
-        own = np.linalg.inv(pull @ slope[:, -DOF:])
-        return -own @ pull @ slope[:, :-DOF], own
+        f1, e1 = np.split(derivatives(partial(self.error, h=u), [a, m])[0], 2, 1)
+        e2, f2 = np.split(derivatives(partial(self.error, h=self.h - u), [m, b])[0], 2, 1)
+        pull1 = e1.T @ np.linalg.inv(self.covariance(a, u)[0])
+        pull2 = e2.T @ np.linalg.inv(self.covariance(m, self.h - u)[0])
+        own = np.linalg.inv(pull1 @ e1 + pull2 @ e2)
+        return -own @ np.hstack([pull1 @ f1, pull2 @ f2]), own
 
 
 class Solution(NamedTuple):
@@ -196,17 +185,13 @@ def read_stream(path: Path) -> Stream:
     return path.read_text().splitlines()[0].split(",")[1], time, place, np.transpose(values)
 
 
-def published_times(streams: list[Stream], start: float, stop: float, rate: float) -> Array:
-    """The time nodes of a window."""
-    last = max(time[time <= stop].max() for _, time, _, _ in streams)
-    return np.linspace(start, last, round((stop - start) * rate) + 1)
+def published_times(streams: list[Stream], start: float, stop: float, count: int) -> Array:
+    """The time nodes of a window; the published count is one more than 30 Hz times its length."""
+    return np.linspace(start, max(x[1][x[1] <= stop].max() for x in streams), count)
 
 
 def factors_of(streams: list[Stream], s: Array, t: Array, axes: list[Axis], c: Settings) -> list:
-    """(5), (3), (4), readings of sensors on arclength nodes: node numbers, error, covariance."""
-
-    def constant(diagonal: Array) -> Callable[..., Array]:
-        return lambda a: np.tile(np.diag(diagonal), (len(a.pose), 1, 1))
+    """(5), (3), (4), readings at arclength nodes; each is node numbers, error, covariance."""
 
     def base(a: State) -> Array:
         return np.hstack([between(np.eye(4), a.pose), a.strain - REST_STRAIN, a.velocity])
@@ -216,24 +201,16 @@ def factors_of(streams: list[Stream], s: Array, t: Array, axes: list[Axis], c: S
         return at.velocity[:, 3:] - measured if gyro else between(se3_exp(measured), at.pose)
 
     ids = np.arange(len(t) * len(s)).reshape(len(t), len(s))
-    p0 = [*np.repeat(c.p0_pose, 3), *c.p0_rates]
-    out = [([ids[:, 0]], base, constant(c.factor * np.array(p0)))]
-    for axis, *ends in ((axes[0], ids[:, :-1], ids[:, 1:]), (axes[1], ids[:-1], ids[1:])):
-        h = np.full(ends[0].size, axis.h)
-        out.append(
-            ([i.ravel() for i in ends], partial(axis.error, h=h), partial(axis.covariance, h=h))
-        )
+    out = [([ids[:, 0]], base, lambda _: c.factor * np.diag(c.p0))]
+    for x, a, b in ((axes[0], ids[:, :-1], ids[:, 1:]), (axes[1], ids[:-1], ids[1:])):
+        out.append(([a.ravel(), b.ravel()], partial(x.error, h=x.h), partial(x.covariance, h=x.h)))
     for kind, time, place, values in streams:
         keep, gyro = (time >= t[0]) & (time <= t[-1]), kind == "gyro"
         k = np.clip(np.searchsorted(t, time[keep], "right") - 1, 0, len(t) - 2)
         i = ids[k, np.flatnonzero(np.isclose(s, place[0]))[0]]
-        out.append(
-            (
-                [i, i + len(s)],
-                partial(reading, values[keep], gyro, time[keep] - t[k]),
-                constant(np.repeat(c.r_gyro if gyro else c.r_pose, 3)),
-            )
-        )
+        r = np.diag(np.repeat(c.r_gyro if gyro else c.r_pose, 3))
+        error = partial(reading, values[keep], gyro, time[keep] - t[k])
+        out.append(([i, i + len(s)], error, lambda _, r=r: r))
     return out
 
 
@@ -245,7 +222,7 @@ def solve_published(
     axes = [Axis(True, s[1] - s[0], settings), Axis(False, t[1] - t[0], settings)]
     rest = np.tile(REST_STRAIN, (count, 1))
     nodes = State(se3_exp(rest * np.tile(s, len(t))[:, None]), rest, 0 * rest)
-    for _ in range(30):
+    for _ in range(100):
         gradient, parts = np.zeros(DOF * count), []
         for ids, error, covariance in factors_of(streams, s, t, axes, settings):
             states = [State(*(part[i] for part in nodes)) for i in ids]
@@ -268,7 +245,6 @@ def errors_against(solution: Solution, truth: list[Stream]) -> Array:
     off = []
     for _, time, place, values in truth:
         keep = (time >= solution.t[0]) & (time <= solution.t[-1])
-        true, ours = se3_exp(values[keep]), solution.pose_at(place[keep], time[keep])
-        gap = np.stack([ours[:, :3, 3] - true[:, :3, 3], between(true, ours)[:, 3:]], 1)
-        off.append(np.linalg.norm(gap, axis=2))
+        a, b = se3_exp(values[keep]), solution.pose_at(place[keep], time[keep])
+        off.append(np.linalg.norm([b[:, :3, 3] - a[:, :3, 3], between(a, b)[:, 3:]], axis=2).T)
     return np.array([np.sqrt(np.mean(x**2, 0)) for x in [*off, np.concatenate(off)]])
