@@ -16,6 +16,7 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 import numpy as np
 import scipy
 
+from estimate import peak_memory, scene, timed
 from glissando import (
     BaseDensity,
     CoilReadings,
@@ -172,7 +173,14 @@ prints growing grids too.
 |---|---|---|---|---|---|
 {speed}
 
-{machine}
+Growing in time nodes at five arclength nodes, a sliding coil and a gyroscope in, seconds for all
+iterations and microseconds for each unknown and iteration:
+
+| time nodes | iterations | total (s) | µs |
+|---|---|---|---|
+{growth}
+
+Peak memory of the process that made this page: {memory:.0f} MB. {machine}
 """
 
 
@@ -197,8 +205,22 @@ def main():
         f"Measured {date.today():%Y-%m-%d} on {platform.machine()}, Python "
         f"{platform.python_version()}, numpy {np.__version__}, scipy {scipy.__version__}."
     )
+    growth = []
+    for times in (151, 301, 601):
+        solve, seconds = timed(*scene(5, times), 3)
+        each = 1e6 * seconds["total"] / solve.unknowns / solve.iterations
+        growth.append(f"| {times} | {solve.iterations} | {seconds['total']:.2f} | {each:.1f} |")
+    machine += " Memory includes Python and its libraries."
     tables = {"accuracy": "\n".join(accuracy_lines), "speed": "\n".join(speed_lines)}
-    options.page.write_text(TEXT.format(**tables, **grid_lines(), machine=machine))
+    options.page.write_text(
+        TEXT.format(
+            **tables,
+            **grid_lines(),
+            growth="\n".join(growth),
+            memory=peak_memory(),
+            machine=machine,
+        )
+    )
     print(options.page.read_text())
 
 

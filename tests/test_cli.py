@@ -102,6 +102,28 @@ def test_a_bad_query_is_one_sentence(recording, tmp_path, capsys, text, sentence
     assert sentence in capsys.readouterr().err
 
 
+HEAD = "sensor type:,aurora\ntime,arclength,data\n"
+
+
+@pytest.mark.parametrize(
+    ("stream", "sentence"),
+    [
+        ("time,arclength,data\n0,0,1,2,3,4,5,6\n", "header has no sensor type"),
+        ("sensor type:,sonar\n", "unknown sensor type 'sonar'"),
+        (HEAD + "0,0,1,2\n", "line 3: 4 columns where 8 are expected"),
+        (HEAD + "0,0,1,2,3,4,5,nan\n", "line 3: a value is not finite"),
+        (HEAD + "0,0,1,2,3,4,5,six\n", "line 3: 'six' is not a number"),
+        (HEAD + "1,0,1,2,3,4,5,6\n0,0,1,2,3,4,5,6\n", "line 4: time goes back"),
+        (HEAD + "0,0.5,0,0,0,0,0,0\n1,0.6,0,0,0.1,0,0,0\n", "rows 0, 1 at 0.5, 0.6 m, up to 0.134"),
+    ],
+)
+def test_a_bad_stream_is_one_sentence_and_status_2(tmp_path, capsys, stream, sentence):
+    (tmp_path / "aurora0.csv").write_text(stream)
+    assert run("estimate", tmp_path, "--robot", "tdcr466", "--out", tmp_path / "out") == 2
+    assert sentence in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_missing_recording_is_one_sentence(tmp_path, capsys):
     assert run("estimate", tmp_path / "nothing") == 2
     assert "There is no recording folder" in capsys.readouterr().err

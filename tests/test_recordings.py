@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from glissando import RecordingError, RobotFileError, load_robot, se3
+from glissando import Huber, RecordingError, RobotFileError, load_robot, se3
 from glissando.dataset import load_recording
 from glissando.robot import parse_robot, shipped_robots
 from glissando.streams import Rows, clean, read_named, write_named
@@ -169,6 +169,7 @@ def test_shipped_robots_load(name):
         ("psd_pose = [4e-7, 5e-6]", "psd_pose = [0, 1]", "above zero"),
         ('kind = "kinematic"', 'kind = "magic"', "give one of kinematic"),
         ("quaternion = [1, 0, 0, 0]", "quaternion = [1, 1, 0, 0]", "has norm 1.414"),
+        ("clip = 5.0", 'loss = "hubris"', "loss is 'hubris'; give one of none, huber"),
         ("[sensors.gyro]", "[sensors.nose]", "nose is not a kind of sensor"),
         ("[prior]", "[prior]\npsd_velocity_tim = [1, 1]", "did you mean 'psd_velocity_time'"),
         ("[prior]", "[prier]", r"\[prior\] is missing"),
@@ -183,6 +184,16 @@ def test_a_bad_robot_file_names_the_key(tmp_path, old, new, sentence):
     path.write_text(text.replace(old, new, 1))
     with pytest.raises(RobotFileError, match=sentence):
         load_robot(path)
+
+
+def test_a_robust_loss_is_set_in_the_robot_file(tmp_path):
+    from importlib.resources import files
+
+    text = (files("glissando") / "robots" / "tdcr466.toml").read_text()
+    path = tmp_path / "robot.toml"
+    path.write_text(text.replace("clip = 5.0", 'clip = 5.0\nloss = "huber"\nthreshold = 2.0'))
+    robot = load_robot(path)
+    assert robot.sensor_loss == {"gyro": Huber(2.0)}
 
 
 def test_a_robot_without_a_base_is_allowed(tmp_path):

@@ -232,6 +232,7 @@ def _as_readings(stream: Stream, robot: Robot) -> Readings:
         values=rows.values,
         cov=std**2,
         mount=stream.mount,
+        loss=None if stream.truth else robot.sensor_loss.get(rows.kind),
         name=stream.name,
         **settings,
     )

@@ -203,9 +203,10 @@ def _by_nodes(batch: Factors) -> tuple[Index, Array, Array]:
     pull = np.matmul(residual[:, None, :], jacobian)[:, 0]
     nodes, first = batch.nodes, batch.nodes[:, 0]
     if not np.all(np.diff(first) > 0):
-        order = np.argsort(first, kind="stable")
-        starts = np.flatnonzero(np.append(True, np.diff(first[order]) > 0))
-        hessian = np.add.reduceat(hessian[order], starts)
-        pull = np.add.reduceat(pull[order], starts)
-        nodes = nodes[order][starts]
+        if not np.all(np.diff(first) >= 0):
+            order = np.argsort(first, kind="stable")
+            nodes, hessian, pull = nodes[order], hessian[order], pull[order]
+        starts = np.flatnonzero(np.append(True, np.diff(nodes[:, 0]) > 0))
+        hessian, pull = np.add.reduceat(hessian, starts), np.add.reduceat(pull, starts)
+        nodes = nodes[starts]
     return nodes, hessian.reshape(-1, c, d, c, d), pull.reshape(-1, c, d)

@@ -9,11 +9,16 @@ import numpy as np
 
 from glissando.errors import RobotFileError
 from glissando.grid import Grid
+from glissando.noise import GemanMcClure, Huber, Loss
 from glissando.prior import STRAIGHT, BaseDensity, KinematicPrior
 from glissando.se3 import Array
 from glissando.sensors import ROWS
 from glissando.tables import Table, read_toml
 
+_LOSSES: dict[str, type[Huber] | type[GemanMcClure]] = {
+    "huber": Huber,
+    "geman-mcclure": GemanMcClure,
+}
 _SHIPPED = Path(__file__).parent / "robots"
 
 
@@ -22,7 +27,8 @@ class Robot:
     """What is known of a robot before any reading.
 
     `length` in metres, `arclength_nodes` (N,) in metres, `time_rate` nodes a second, `prior`,
-    `sensor_std` standard deviations by kind of sensor, `clip` the gyro's range in rad/s or None.
+    `sensor_std` standard deviations and `sensor_loss` robust losses by kind of sensor, `clip` the
+    gyro's range in rad/s or None.
     """
 
     name: str
@@ -31,6 +37,7 @@ class Robot:
     time_rate: float
     prior: KinematicPrior
     sensor_std: dict[str, Array]
+    sensor_loss: dict[str, Loss]
     clip: float | None = None
 
     def grid(self, start: float, stop: float) -> Grid:
@@ -71,9 +78,9 @@ def parse_robot(table: Table) -> Robot:
     nodes, rate = _grid(table, length)
     base_pose, base = _base(table)
     prior = _prior(table, rest_strain, base_pose, base)
-    std, clip = _sensors(table)
+    std, loss, clip = _sensors(table)
     table.close()
-    return Robot(name, length, nodes, rate, prior, std, clip)
+    return Robot(name, length, nodes, rate, prior, std, loss, clip)
 
 
 def _grid(table: Table, length: float) -> tuple[Array, float]:
@@ -124,12 +131,13 @@ def _prior(
     return KinematicPrior(**densities, base=base, rest_strain=rest_strain, base_pose=base_pose)
 
 
-def _sensors(table: Table) -> tuple[dict[str, Array], float | None]:
+def _sensors(table: Table) -> tuple[dict[str, Array], dict[str, Loss], float | None]:
     std: dict[str, Array] = {}
+    losses: dict[str, Loss] = {}
     clip = None
     sensors = table.table("sensors")
     if sensors is None:
-        return std, clip
+        return std, losses, clip
     for kind in sensors.names():
         if kind not in ROWS:
             raise sensors.fail(kind, f"is not a kind of sensor; known: {', '.join(ROWS)}.")
@@ -139,5 +147,9 @@ def _sensors(table: Table) -> tuple[dict[str, Array], float | None]:
         if kind == "gyro":
             limit = sensor.number("clip", 1e9)
             clip = limit if limit < 1e9 else None
+        name = sensor.text("loss", "none", choices=("none", *_LOSSES))
+        if name != "none":
+            loss = _LOSSES[name]
+            losses[kind] = loss(sensor.number("threshold", loss().threshold))
         sensor.close()
-    return std, clip
+    return std, losses, clip

@@ -3,7 +3,7 @@
 Equations (3), (4), (5), (10) of docs/math.md. Comparison with the golden posterior settled:
 * residual rows are plain, without J_r^-1; Q_s follows the velocity at every iteration but is NOT
   differentiated, so the answer lies near, not at, the minimum of the equivalent cost (3');
-* P0 acts on the base node of every time; a tracker's repeated rows count again; nothing is gated;
+* P0 acts on the base node of every time; a tracker's repeated rows count again; no robust loss;
 * time nodes share evenly the span from the start to the LAST READING of the window (28.983 s);
   readings between them are predicted by (10) with J_r^-1, and R is not widened;
 * queries go along s at both times, then along t; (10) along s has W in Q_s, not in the transition.
