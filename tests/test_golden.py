@@ -63,16 +63,14 @@ def test_the_published_form_reproduces_the_reference_posterior(reference, oracle
         f"oracle against reference: tip {mm[tip].max():.4f} mm, {degrees[tip].max():.4f} deg; "
         f"elsewhere {mm[~tip].max():.4f} mm, {degrees[~tip].max():.4f} deg"
     )
-    assert mm[tip].max() < 1.0
-    assert degrees[tip].max() < 0.5
-    assert mm[~tip].max() < 2.0
-    assert degrees[~tip].max() < 1.0
+    assert mm.max() < 0.01
+    assert degrees.max() < 0.01
     ours = np.array(
         [np.diag(oracle.pose_covariance_at(*at)) for at in zip(s[tip], t[tip], strict=True)]
     )
     ratio = np.sqrt(ours / variance[tip])
     print("ratio of standard deviations at the tip:", np.round([ratio.min(), ratio.max()], 3))
-    assert ratio == pytest.approx(np.ones_like(ratio), rel=0.1)
+    assert ratio == pytest.approx(np.ones_like(ratio), rel=0.01)
 
 
 @pytest.mark.slow
@@ -81,7 +79,8 @@ def test_ours_differs_from_the_published_form_by_less_than_its_confidence(spacet
 
     Along the body because exact transitions do not shrink on a coarse grid as the published rows
     do (10.52 against 12.67 mm in the bent-rod scene on five nodes); at the tip because a tracker's
-    repeated rows, counted again there, are dropped here and readings between nodes are inflated.
+    repeated rows, counted again there, are dropped here, readings between nodes are inflated, and
+    its time nodes stand elsewhere (they end at the last reading, not at the window's end).
     """
     recording = load_recording(spacetime / "slow_free_space")
     run = run_estimate(recording, recording.robot, window=WINDOW, use=None, truth=None)

@@ -19,6 +19,7 @@ from glissando.factors import NormalEquations, PlacedReadings, linearize, slab_s
 from glissando.grid import Grid
 from glissando.posterior import Posterior, Solve
 from glissando.prior import KinematicPrior
+from glissando.se3 import Array
 from glissando.sensors import Readings
 from glissando.slabs import Cholesky, factor, one_thread
 from glissando.state import DOF, State
@@ -42,7 +43,7 @@ class Options:
     mean of a thousand unknowns moves by far less than this in any of them.
     """
 
-    max_iterations: int = 50
+    max_iterations: int = 100
     tolerance: float = 0.3
 
 
@@ -166,7 +167,7 @@ def _iterate(
         ):
             held, rounds = at(here.state), rounds + 1
         predicted = 0.5 * float(np.sum(step * (here.right + extra * step)))
-        here, gain = _try_step(here, state, held, predicted, at)
+        here, gain = _try_step(here, state, held, predicted, at, placed.grid.arclength)
         damping = _next_damping(damping, gain)
         if iteration == options.max_iterations or damping > _DAMPING[1]:
             status = _NOT_CONVERGED.format(iteration, length)
@@ -179,23 +180,34 @@ def _try_step(
     held: NormalEquations | None,
     predicted: float,
     at: Callable[[State, NormalEquations | None], NormalEquations],
+    arclength: Array,
 ) -> tuple[NormalEquations, float]:
-    """The problem at `state` if that is worth it, else as it was; and the share of the promise."""
-    try:
-        there = at(state, held)
-    except np.linalg.LinAlgError:  # so far off that not even its weights exist
-        return at(here.state, held), -1.0
+    """The problem at `state` if that is worth it, else as it was; and the share of the promise.
+
+    A long step tears poses and strains apart, which stiff priors punish; when it fails, the same
+    strains are tried with the poses that follow from them.
+    """
     cost = here.cost_of(here)
-    if predicted < _ROUNDING * (1.0 + cost):
-        return there, 1.0
-    gain = (cost - here.cost_of(there)) / predicted
-    return (there, gain) if gain > _WORTHWHILE else (at(here.state, held), gain)
+    gain = -1.0
+    for candidate in (state, state.integrated(arclength)):
+        try:
+            there = at(candidate, held)
+        except np.linalg.LinAlgError:  # so far off that not even its weights exist
+            continue
+        if predicted < _ROUNDING * (1.0 + cost):
+            return there, 1.0
+        gain = (cost - here.cost_of(there)) / predicted
+        if gain > _WORTHWHILE:
+            return there, gain
+    return at(here.state, held), gain
 
 
 def _next_damping(damping: float, gain: float) -> float:
-    """Less damping after a step that did what the model said, more after one that did not."""
-    if gain > 0.5:
-        return 0.0 if damping <= _DAMPING[0] else 0.1 * damping
-    if gain > _WORTHWHILE:
-        return damping
-    return max(_DAMPING[0], 10.0 * damping)
+    """Less damping after a step that kept its promise, more after one that did not (Nielsen 1999).
+
+    Shrinking in proportion to how well the promise was kept avoids refusing every other step.
+    """
+    if gain <= _WORTHWHILE:
+        return max(_DAMPING[0], 4.0 * damping)
+    shrunk = damping * max(0.2, 1.0 - (2.0 * min(gain, 1.0) - 1.0) ** 3)
+    return 0.0 if shrunk < _DAMPING[0] else shrunk

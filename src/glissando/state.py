@@ -61,6 +61,14 @@ class State:
             self.velocity.reshape(*shape, 6),
         )
 
+    def integrated(self, arclength: Array) -> State:
+        """The state (K, N) with poses that follow from the base pose and the strains."""
+        pose = self.pose.copy()
+        for n, step in enumerate(np.diff(arclength)):
+            rate = 0.5 * (self.strain[:, n] + self.strain[:, n + 1])
+            pose[:, n + 1] = pose[:, n] @ se3.exp(step * rate)
+        return State(pose, self.strain, self.velocity)
+
     def flatten(self) -> State:
         """The state as one list of points (M,), sharing memory."""
         return self.reshape(-1)
