@@ -145,33 +145,49 @@ def _iterate(
         with clock("linearise"):
             return linearize(prior, placed, state, about, room, terms)
 
-    here, held, damping, iteration, rounds = at(start), None, 0.0, 0, 0
-    chol = None
+    here, held, chol, damping, iteration, rounds = at(start), None, None, 0.0, 0, 0
     while True:
         with clock("solve"):
-            extra = damping * np.einsum("kii->ki", here.system.diagonal)
-            chol = factor(here.system.add_to_diagonal(extra) if damping else here.system, chol)
-            step = chol.solve(here.right)
+            chol, step, length, predicted = _step(here, damping, chol)
         iteration += 1
-        length = float(np.sqrt(np.maximum(np.sum(step * (here.right - extra * step)), 0.0)))
         if progress is not None:
             progress(iteration, here.cost_of(here), length)
         state = here.state.retract(step.reshape(*placed.grid.shape, DOF))
+        short = length < options.tolerance
         fresh = held is None or held.state is here.state or rounds == _ROUNDS
-        if damping == 0.0 and length < options.tolerance and fresh:
+        if short and fresh and damping == 0.0:
             return _Found(state, here, chol, "converged", iteration)
-        if (
-            iteration >= _SETTLED
-            and (held is None or length < options.tolerance)
-            and rounds < _ROUNDS
-        ):
-            held, rounds = at(here.state), rounds + 1
-        predicted = 0.5 * float(np.sum(step * (here.right + extra * step)))
+        if iteration >= _SETTLED and (held is None or short) and rounds < _ROUNDS:
+            held, rounds = _renewed(here, held, at), rounds + 1
         here, gain = _try_step(here, state, held, predicted, at, placed.grid.arclength)
         damping = _next_damping(damping, gain)
         if iteration == options.max_iterations or damping > _DAMPING[1]:
             status = _NOT_CONVERGED.format(iteration, length)
-            return _Found(here.state, here, factor(here.system), status, iteration)
+            return _Found(here.state, here, factor(here.system, chol), status, iteration)
+
+
+def _step(
+    here: NormalEquations, damping: float, room: Cholesky | None
+) -> tuple[Cholesky, Array, float, float]:
+    """The factor, the damped step, its length in standard deviations, the fall it promises."""
+    extra = damping * np.einsum("kii->ki", here.system.diagonal)
+    chol = factor(here.system.add_to_diagonal(extra) if damping else here.system, room)
+    step = chol.solve(here.right)
+    length = float(np.sqrt(np.maximum(np.sum(step * (here.right - extra * step)), 0.0)))
+    return chol, step, length, 0.5 * float(np.sum(step * (here.right + extra * step)))
+
+
+_At = Callable[[State, NormalEquations | None], NormalEquations]
+
+
+def _renewed(
+    here: NormalEquations, held: NormalEquations | None, at: _At
+) -> NormalEquations | None:
+    """The problem whose weights are held from now on: this one, if it has weights of its own."""
+    try:
+        return at(here.state, None)
+    except np.linalg.LinAlgError:
+        return held
 
 
 def _try_step(
@@ -179,7 +195,7 @@ def _try_step(
     state: State,
     held: NormalEquations | None,
     predicted: float,
-    at: Callable[[State, NormalEquations | None], NormalEquations],
+    at: _At,
     arclength: Array,
 ) -> tuple[NormalEquations, float]:
     """The problem at `state` if that is worth it, else as it was; and the share of the promise.
