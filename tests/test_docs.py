@@ -37,3 +37,16 @@ def test_links_lead_somewhere(page):
 def test_the_script_in_the_readme_is_short():
     (block,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
     assert len(block.strip().splitlines()) <= 16
+
+
+@pytest.mark.slow
+def test_numbers_of_the_results_page_are_what_the_code_prints(spacetime):
+    """All but the timings, which a page can only date."""
+    import results
+
+    page = (ROOT / "docs" / "results.md").read_text()
+    for label, run, published, _ in results.runs(spacetime):
+        for line in results.accuracy(label, run, published):
+            assert line in page
+    for line in results.grid_lines().values():
+        assert line in page
