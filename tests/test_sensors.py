@@ -11,6 +11,7 @@ from glissando import se3
 from glissando.errors import SensorError
 from glissando.estimate import Options, estimate
 from glissando.grid import Grid
+from glissando.readings import numerical_jacobian
 from glissando.sensors import (
     CoilReadings,
     FbgReadings,
@@ -20,7 +21,6 @@ from glissando.sensors import (
     PositionReadings,
     Readings,
     StrainReadings,
-    numerical_jacobian,
 )
 from glissando.state import State
 

@@ -31,6 +31,7 @@ from glissando.grid import Grid, uniform_grid
 from glissando.noise import GemanMcClure, Huber
 from glissando.posterior import Estimate, Posterior
 from glissando.prior import BaseDensity, KinematicPrior
+from glissando.readings import Readings
 from glissando.robot import Robot, load_robot
 from glissando.sensors import (
     CoilReadings,
@@ -39,7 +40,6 @@ from glissando.sensors import (
     OrientationReadings,
     PoseReadings,
     PositionReadings,
-    Readings,
     StrainReadings,
 )
 from glissando.state import State

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from glissando.errors import RecordingError
+from glissando.readings import Readings
 from glissando.robot import Robot, load_robot, shipped_robots
 from glissando.se3 import Array
 from glissando.sensors import (
@@ -20,7 +21,6 @@ from glissando.sensors import (
     OrientationReadings,
     PoseReadings,
     PositionReadings,
-    Readings,
     StrainReadings,
 )
 from glissando.streams import Rows, clean, read_named, read_public

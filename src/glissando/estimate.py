@@ -19,8 +19,8 @@ from glissando.factors import NormalEquations, PlacedReadings, linearize, slab_s
 from glissando.grid import Grid
 from glissando.posterior import Posterior, Solve
 from glissando.prior import KinematicPrior
+from glissando.readings import Readings
 from glissando.se3 import Array
-from glissando.sensors import Readings
 from glissando.slabs import Cholesky, factor, one_thread
 from glissando.state import DOF, State
 

@@ -14,8 +14,8 @@ from glissando.interpolate import Interpolation, Points, interpolate, sort_point
 from glissando.linear import Factors, Residuals
 from glissando.noise import sqrt_information
 from glissando.prior import KinematicPrior
+from glissando.readings import Readings
 from glissando.se3 import Array
-from glissando.sensors import Readings
 from glissando.slabs import BlockTridiagonal
 from glissando.state import DOF, State
 

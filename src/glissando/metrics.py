@@ -10,8 +10,9 @@ from scipy.stats import chi2
 
 from glissando import se3
 from glissando.posterior import Posterior
+from glissando.readings import Readings
 from glissando.se3 import Array
-from glissando.sensors import CoilReadings, OrientationReadings, PositionReadings, Readings
+from glissando.sensors import CoilReadings, OrientationReadings, PositionReadings
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,9 @@ import numpy as np
 from glissando.errors import GlissandoError
 from glissando.grid import Grid
 from glissando.posterior import Estimate, Posterior
+from glissando.readings import Readings
 from glissando.se3 import Array, adjoint, inverse
-from glissando.sensors import CoilReadings, PoseReadings, PositionReadings, Readings
+from glissando.sensors import CoilReadings, PoseReadings, PositionReadings
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -18,9 +18,9 @@ from glissando.errors import GlissandoError, RecordingError
 from glissando.estimate import Progress, estimate
 from glissando.metrics import Errors, errors_against, pool
 from glissando.posterior import Posterior
+from glissando.readings import Readings
 from glissando.robot import Robot
 from glissando.se3 import Array
-from glissando.sensors import Readings
 
 QUERY_COLUMNS = [
     *("time", "arclength", "x", "y", "z", "qw", "qx", "qy", "qz"),
