@@ -102,6 +102,12 @@ def test_a_bad_query_is_one_sentence(recording, tmp_path, capsys, text, sentence
     assert sentence in capsys.readouterr().err
 
 
+def test_results_that_cannot_be_written_are_refused_before_any_work(recording, tmp_path, capsys):
+    (tmp_path / "file").write_text("in the way")
+    assert run("estimate", recording, "--out", tmp_path / "file" / "out") == 2
+    assert "is not a folder that can be written to" in capsys.readouterr().err
+
+
 HEAD = "sensor type:,aurora\ntime,arclength,data\n"
 
 

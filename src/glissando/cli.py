@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 import warnings
 from collections.abc import Callable, Sequence
@@ -79,6 +80,8 @@ def _estimate(options: argparse.Namespace) -> int:
             f"give --robot FILE or one of {', '.join(shipped_robots())}."
         )
     query = read_query(options.query) if options.query else None
+    if options.out:
+        _require_writable(options.out)
     if query is not None:
         window = tuple(options.window) if options.window else recording.window or recording.span()
         robot.grid(*window).require(query[1], query[0], f"Query {options.query.name}")
@@ -104,6 +107,13 @@ def _estimate(options: argparse.Namespace) -> int:
     if complaint:
         print(f"glissando: {complaint}", file=sys.stderr)
     return 0 if run.posterior.solve.converged else 1
+
+
+def _require_writable(folder: Path) -> None:
+    """Raise, before any work is done, unless results can be written into the folder."""
+    above = next((p for p in (folder, *folder.absolute().parents) if p.exists()), folder)
+    if not above.is_dir() or not os.access(above, os.W_OK):
+        raise GlissandoError(f"--out {folder}: {above} is not a folder that can be written to.")
 
 
 def _write(
@@ -145,6 +155,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return int(options.run(options))
     except GlissandoError as problem:
         print(f"glissando: {problem}", file=sys.stderr)
+        return 2
+    except OSError as problem:
+        print(f"glissando: {problem.filename or ''}: {problem.strerror}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("glissando: interrupted", file=sys.stderr)

@@ -223,7 +223,7 @@ def _next_damping(damping: float, gain: float) -> float:
 
     Shrinking in proportion to how well the promise was kept avoids refusing every other step.
     """
-    if gain <= _WORTHWHILE:
+    if not gain > _WORTHWHILE:  # NaN included
         return max(_DAMPING[0], 4.0 * damping)
     shrunk = damping * max(0.2, 1.0 - (2.0 * min(gain, 1.0) - 1.0) ** 3)
     return 0.0 if shrunk < _DAMPING[0] else shrunk
