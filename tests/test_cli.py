@@ -74,6 +74,9 @@ def test_chosen_streams_are_used_and_judged(recording, capsys):
         (["--use", "sonar"], "no stream 'sonar'"),
         (["--truth", "sonar"], "no stream 'sonar'"),
         (["--use", "coil", "--truth", "coil"], "cannot be used and be truth at once"),
+        (["--truth", "gyro"], "'gyro' is a gyro; truth must be one of pose"),
+        (["--window", 0, "inf"], "is not finite"),
+        (["--window", 0, 1e9], "choose a shorter window"),
         (["--robot", "nobody"], "no robot named 'nobody'"),
         (["--query", "nowhere.csv"], "nowhere.csv cannot be read"),
     ],
@@ -90,9 +93,12 @@ def test_a_mistake_is_one_sentence_and_status_2(recording, capsys, arguments, se
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        ("time,where\n1,2\n", "line 2: give the columns time,arclength"),
-        ("time,arclength\n0.1,oops\n", "line 2: give the columns time,arclength"),
-        ("time,arclength\n0.1,0.9\n", "has arclength 0.9 m"),
+        ("time,where\n1,2\n", "must have the columns time,arclength"),
+        ("", "must have the columns time,arclength"),
+        ("time,arclength\n", "and a row for each point"),
+        ("time, arclength\n0.1,nan\n", "line 2: give a number for time"),
+        ("time,arclength\n0.1,oops\n", "line 2: give a number for time"),
+        ("time,arclength\n0.1,0.9\n", "line 2: time 0.1 s, arclength 0.9 m lies outside"),
     ],
 )
 def test_a_bad_query_is_one_sentence(recording, tmp_path, capsys, text, sentence):
@@ -128,6 +134,25 @@ def test_a_bad_stream_is_one_sentence_and_status_2(tmp_path, capsys, stream, sen
     assert run("estimate", tmp_path, "--robot", "tdcr466", "--out", tmp_path / "out") == 2
     assert sentence in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_a_query_is_not_overwritten_by_its_answers(recording, tmp_path, capsys):
+    query = tmp_path / "query.csv"
+    query.write_text("time,arclength\n0.1,0.1\n")
+    arguments = ["--window", 0, 1, "--query", query, "--out", tmp_path]
+    assert run("estimate", recording, *arguments) == 2
+    assert "would overwrite" in capsys.readouterr().err
+    assert query.read_text().count("\n") == 2
+
+
+def test_names_are_printed_as_they_are(recording, tmp_path, capsys):
+    folder = tmp_path / "copy"
+    folder.mkdir()
+    for file in recording.iterdir():
+        text = file.read_text().replace('"closed form motion"', '"sim [/red] [mm]"')
+        (folder / file.name).write_text(text)
+    assert run("estimate", folder, "--window", 0, 1) == 0
+    assert "sim [/red] [mm]" in capsys.readouterr().out
 
 
 def test_a_missing_recording_is_one_sentence(tmp_path, capsys):

@@ -142,6 +142,52 @@ def test_columns_may_stand_in_any_order_but_must_be_there(tmp_path):
         load_recording(tmp_path)
 
 
+def test_the_clock_is_the_time_column_wherever_it_stands(tmp_path):
+    described_folder(tmp_path, MARKER, "x,y,z,arclength,time", "2,2,3,0.1,0\n1,5,6,0.1,1\n")
+    assert load_recording(tmp_path).streams["marker"].rows.time.tolist() == [0, 1]
+    described_folder(tmp_path, MARKER, "x,y,z,arclength,time", "1,2,3,0.1,1\n2,5,6,0.1,0\n")
+    with pytest.raises(RecordingError, match="line 3: time goes back from 1 s to 0 s"):
+        load_recording(tmp_path)
+
+
+def test_a_name_or_a_column_given_twice_is_refused(tmp_path):
+    described_folder(tmp_path, MARKER, "time,arclength,x,y,z,x", "0,0.1,1,2,3,4\n")
+    with pytest.raises(RecordingError, match="column x stands there twice"):
+        load_recording(tmp_path)
+    described_folder(tmp_path, MARKER + MARKER[MARKER.index("[[") :])
+    with pytest.raises(RecordingError, match="'marker' is given twice"):
+        load_recording(tmp_path)
+
+
+def test_naming_a_stream_twice_uses_it_once(tmp_path):
+    recording = load_recording(public_folder(tmp_path))
+    assert recording.choose(["aurora1", "aurora1"], None)[0] == ["aurora1"]
+
+
+def test_units_reach_strains_and_fibre_cores(tmp_path):
+    (tmp_path / "recording.toml").write_text(
+        'robot = "tdcr466"\n[[streams]]\nname = "f"\nkind = "fbg"\nlength_unit = "mm"\n'
+        'angle_unit = "deg"\ncore_radius = [1.0]\ncore_angle = [180]\nstd = [1e-6]\n'
+        '[[streams]]\nname = "s"\nkind = "strain"\nlength_unit = "mm"\nstd = [1, 1]\n'
+    )
+    (tmp_path / "f.csv").write_text("time,arclength,strain_0\n0,300,0.002\n")
+    (tmp_path / "s.csv").write_text(
+        "time,arclength,nu_x,nu_y,nu_z,u_x,u_y,u_z\n0,300,0,0,1,0,0.002,0\n"
+    )
+    recording = load_recording(tmp_path)
+    (fibre, strain), _ = recording.readings(["f", "s"], recording.robot, (0, 1))
+    assert fibre.core_radius == pytest.approx([1e-3])
+    assert fibre.core_angle == pytest.approx([np.pi])
+    assert fibre.arclength == pytest.approx([0.3])
+    assert strain.values[0] == pytest.approx([0, 0, 1, 0, 2.0, 0])
+
+
+def test_one_orientation_at_many_places_is_no_repeat():
+    values = np.tile(np.eye(3), (4, 1, 1))
+    sliding = Rows("orientation", np.arange(4.0), np.array([0.1, 0.2, 0.2, 0.3]), values, {})
+    assert clean(sliding).dropped == {"repeated": 1}
+
+
 def test_a_quaternion_that_is_not_unit_is_refused(tmp_path):
     (tmp_path / "recording.toml").write_text('[[streams]]\nname = "p"\nkind = "coil"\n')
     (tmp_path / "p.csv").write_text("time,arclength,x,y,z,qw,qx,qy,qz\n0,0.1,0,0,0,1,1,0,0\n")

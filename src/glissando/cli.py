@@ -10,15 +10,26 @@ import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import numpy as np
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from glissando import __version__
-from glissando.dataset import load_recording
+from glissando.dataset import Recording, load_recording
 from glissando.errors import GlissandoError, NotConvergedWarning, RobotFileError
 from glissando.estimate import Progress as IterationProgress
-from glissando.report import Run, print_table, read_query, run_estimate, write_query, write_run
-from glissando.robot import load_robot, shipped_robots
+from glissando.report import (
+    Run,
+    checked_window,
+    print_table,
+    read_query,
+    run_estimate,
+    write_query,
+    write_run,
+)
+from glissando.robot import Robot, load_robot, shipped_robots
+from glissando.se3 import Array
 
 _ESTIMATE_HELP = """\
 Estimate a robot's shape over arclength and time from a recording, with its confidence,
@@ -64,7 +75,8 @@ def build_parser() -> argparse.ArgumentParser:
     add("--window", nargs=2, type=float, metavar=("T0", "T1"), help="seconds to estimate")
     add("--use", type=_names, metavar="NAME,…", help="streams to use (default: all but truth)")
     add("--truth", type=_names, metavar="NAME,…", help="streams to judge by (default: as marked)")
-    add("--query", type=Path, metavar="FILE.csv", help="points (columns time,arclength) to write")
+    answers = "points (columns time,arclength); answers go to query.csv in DIR, or here"
+    add("--query", type=Path, metavar="FILE.csv", help=answers)
     add("--out", type=Path, metavar="DIR", help="write posterior.nc, report.json and figures here")
     add("--json", action="store_true", help="print one JSON object and nothing else")
     estimate.set_defaults(run=_estimate)
@@ -79,12 +91,9 @@ def _estimate(options: argparse.Namespace) -> int:
             f"{recording.name} does not name its robot and no shipped robot fits; "
             f"give --robot FILE or one of {', '.join(shipped_robots())}."
         )
-    query = read_query(options.query) if options.query else None
+    query = _checked_query(options, recording, robot) if options.query else None
     if options.out:
         _require_writable(options.out)
-    if query is not None:
-        window = tuple(options.window) if options.window else recording.window or recording.span()
-        robot.grid(*window).require(query[1], query[0], f"Query {options.query.name}")
 
     def work(progress: IterationProgress) -> Run:
         return run_estimate(
@@ -103,10 +112,31 @@ def _estimate(options: argparse.Namespace) -> int:
         print_table(run, Console())
     written = _write(options, run, query)
     if written and not options.json:
-        Console().print("Wrote " + ", ".join(str(path) for path in written))
+        Console().print("Wrote " + ", ".join(str(path) for path in written), markup=False)
     if complaint:
         print(f"glissando: {complaint}", file=sys.stderr)
     return 0 if run.posterior.solve.converged else 1
+
+
+def _checked_query(
+    options: argparse.Namespace, recording: Recording, robot: Robot
+) -> tuple[Array, Array]:
+    """Times and arclengths to answer; raises, before any work is done, when they cannot be."""
+    time, arclength = read_query(options.query)
+    window = checked_window(recording, tuple(options.window) if options.window else None)
+    inside = robot.grid(*window).contains(arclength, time)
+    if not np.all(inside):
+        row = int(np.argmin(inside))
+        raise GlissandoError(
+            f"{options.query.name} line {row + 2}: time {time[row]:g} s, arclength "
+            f"{arclength[row]:g} m lies outside {window[0]:g} to {window[1]:g} s or the robot, "
+            f"0 to {robot.length:g} m; correct or delete that line."
+        )
+    if _answers(options).resolve() == options.query.resolve():
+        raise GlissandoError(
+            f"The answers would overwrite {options.query}; give another --out folder or name."
+        )
+    return time, arclength
 
 
 def _require_writable(folder: Path) -> None:
@@ -116,14 +146,17 @@ def _require_writable(folder: Path) -> None:
         raise GlissandoError(f"--out {folder}: {above} is not a folder that can be written to.")
 
 
-def _write(
-    options: argparse.Namespace, run: Run, query: tuple[object, object] | None
-) -> list[Path]:
+def _answers(options: argparse.Namespace) -> Path:
+    """The file that answers a query."""
+    return (options.out or Path()) / "query.csv"
+
+
+def _write(options: argparse.Namespace, run: Run, query: tuple[Array, Array] | None) -> list[Path]:
     folder = options.out
     written = write_run(run, folder) if folder else []
     if query is not None:
-        path = (folder or Path()) / "query.csv"
-        write_query(run.posterior, query, path)  # type: ignore[arg-type]
+        path = _answers(options)
+        write_query(run.posterior, query, path)
         written.append(path)
     return written
 
@@ -137,10 +170,11 @@ def _watched(name: str, work: Callable[[IterationProgress], Run]) -> tuple[Run, 
         Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar,
     ):
         warnings.simplefilter("always", NotConvergedWarning)
-        task = bar.add_task(f"estimating {name}", total=None)
+        task = bar.add_task(f"estimating {escape(name)}", total=None)
 
         def advance(iteration: int, cost: float, length: float) -> None:
-            text = f"estimating {name}: iteration {iteration}, cost {cost:.6g}, step {length:.3g} σ"
+            doing = f"estimating {escape(name)}: iteration {iteration}"
+            text = f"{doing}, cost {cost:.6g}, step {length:.3g} σ"
             bar.update(task, description=text)
 
         run = work(advance)

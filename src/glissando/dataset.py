@@ -23,7 +23,7 @@ from glissando.sensors import (
     PositionReadings,
     StrainReadings,
 )
-from glissando.streams import Rows, clean, read_named, read_public
+from glissando.streams import TRUTH_KINDS, Rows, clean, read_named, read_public
 from glissando.tables import Table, read_toml
 
 _TRUTH_STD = 1e-6  # noise of a truth stream that states none: negligible against any posterior
@@ -93,7 +93,13 @@ class Recording:
     ) -> tuple[list[str], list[str]]:
         """Names of the streams to use and to judge by; by default as the recording marks them."""
         marked = [s.name for s in self.streams.values() if s.truth]
-        chosen_truth = marked if truth is None else list(truth)
+        chosen_truth = marked if truth is None else list(dict.fromkeys(truth))
+        for name in chosen_truth:
+            kind = self.streams[name].rows.kind if name in self.streams else TRUTH_KINDS[0]
+            if kind not in TRUTH_KINDS:
+                raise RecordingError(
+                    f"Stream {name!r} is a {kind}; truth must be one of {', '.join(TRUTH_KINDS)}."
+                )
         if use is None:
             use = [n for n in self.streams if n not in marked and n not in chosen_truth]
         both = set(use) & set(chosen_truth)
@@ -102,7 +108,7 @@ class Recording:
                 f"{', '.join(sorted(both))} cannot be used and be truth at once; name each stream "
                 f"in --use or in --truth."
             )
-        return list(use), chosen_truth
+        return list(dict.fromkeys(use)), chosen_truth
 
     def span(self) -> tuple[float, float]:
         """First and last time of any stream, seconds."""
@@ -160,6 +166,8 @@ def _described(folder: Path) -> Recording:
     streams = {}
     for entry in table.tables("streams"):
         stream = _stream(folder, entry, frames)
+        if stream.name in streams:
+            raise entry.fail("name", f"{stream.name!r} is given twice; name each stream once.")
         streams[stream.name] = stream
     table.close()
     if not streams:
@@ -182,8 +190,11 @@ def _stream(folder: Path, entry: Table, frames: dict[str, Array]) -> Stream:
     std = entry.std(ROWS[kind]) if entry.peek("std") is not None else None
     extra: dict[str, Array] = {}
     if kind == "fbg":
-        size = len(entry.peek("core_radius") or [])
-        extra = {key: entry.vector(key, size) for key in ("core_radius", "core_angle")}
+        given = entry.peek("core_radius")
+        if not isinstance(given, list) or not given:
+            raise entry.fail("core_radius", "must be a list, one radius a core.")
+        radius, angle = (entry.vector(key, len(given)) for key in ("core_radius", "core_angle"))
+        extra = {"core_radius": radius * length_unit, "core_angle": angle * angle_unit}
     entry.close()
     cores = len(extra["core_radius"]) if extra else 0
     rows = read_named(file, kind, cores, length_unit, angle_unit)

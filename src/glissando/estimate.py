@@ -14,7 +14,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from glissando.errors import NotConvergedWarning, UnobservableError
+from glissando.errors import (
+    NotConvergedWarning,
+    OutsideGridError,
+    SensorError,
+    UnobservableError,
+)
 from glissando.factors import NormalEquations, PlacedReadings, linearize, slab_shape
 from glissando.grid import Grid
 from glissando.posterior import Posterior, Solve
@@ -63,10 +68,17 @@ def estimate(
     UnobservableError when prior and readings leave a direction undetermined.
     """
     clock = Stopwatch()
+    if isinstance(readings, Readings):
+        raise SensorError("Readings go in a list, a sensor each: estimate(prior, grid, [coil]).")
+    if initial is not None and initial.pose.shape[:2] != grid.shape:
+        raise OutsideGridError(
+            f"The initial state has {initial.pose.shape[:2]} nodes and the grid {grid.shape}; give "
+            f"a state of this grid."
+        )
     if prior.base is None and not any(r.fixes_base and len(r) for r in readings):
         raise UnobservableError(
             "Nothing fixes the base: the robot has no [base] and no pose, coil or position stream "
-            "is used. Give the robot a [base], or use such a stream."
+            "is used. Give the robot a [base], or use a stream that fixes it."
         )
     with one_thread():
         start = prior.rest_state(grid) if initial is None else initial

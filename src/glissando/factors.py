@@ -78,7 +78,20 @@ def _reading_factors(readings: Readings, at: Interpolation) -> Factors:
             f"{readings.label}: residual(at) returns shape {residual.shape}; return "
             f"{(m, readings.row_count)}, a row for each reading."
         )
+    if not np.all(np.isfinite(residual)):
+        if not np.all(np.isfinite(at.state.pose)):
+            raise np.linalg.LinAlgError("the state is not finite")
+        row = int(np.argwhere(~np.isfinite(residual))[0, 0])
+        raise SensorError(
+            f"{readings.label}: the residual of row {row} is not finite; give every reading and "
+            f"every state a finite one."
+        )
     by_state = readings.jacobian(at.state)
+    if by_state.shape != (m, readings.row_count, DOF):
+        raise SensorError(
+            f"{readings.label}: jacobian(at) returns shape {by_state.shape}; return "
+            f"{(m, readings.row_count, DOF)}, or leave it out."
+        )
     cov = readings.cov + by_state @ at.cov @ np.swapaxes(by_state, -1, -2)
     by_nodes = (by_state @ at.jacobian.reshape(m, DOF, c * DOF)).reshape(m, -1, c, DOF)
     touched = np.flatnonzero(np.any(by_nodes != 0.0, axis=(0, 1, 2)))

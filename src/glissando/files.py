@@ -84,7 +84,10 @@ def to_xarray(posterior: Posterior) -> xarray.Dataset:
 
 
 def save(posterior: Posterior, path: Path) -> None:
-    """Write the posterior; `load` gives it back with the same answers."""
+    """Write the posterior; `load` gives it back with the same answers.
+
+    Raises GlissandoError when the file cannot be written.
+    """
     dataset = to_xarray(posterior)
     dataset["pose"] = (("time", "arclength", "row", "column"), posterior.state.pose)
     dataset["information"] = (("time", "slab", "slab_"), posterior.system.diagonal)
@@ -105,7 +108,10 @@ def save(posterior: Posterior, path: Path) -> None:
     dataset.attrs["solve"] = json.dumps(vars(posterior.solve))
     packed = {"zlib": True, "complevel": 4, "shuffle": True}
     encoding = dict.fromkeys(("information", "information_below", "cov"), packed)
-    dataset.to_netcdf(path, engine="h5netcdf", encoding=encoding)
+    try:
+        dataset.to_netcdf(path, engine="h5netcdf", encoding=encoding)
+    except OSError as problem:
+        raise GlissandoError(f"{path} cannot be written ({problem}).") from None
 
 
 _DENSITIES = (

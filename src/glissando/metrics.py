@@ -9,10 +9,13 @@ import numpy as np
 from scipy.stats import chi2
 
 from glissando import se3
+from glissando.errors import SensorError
 from glissando.posterior import Posterior
 from glissando.readings import Readings
 from glissando.se3 import Array
-from glissando.sensors import CoilReadings, OrientationReadings, PositionReadings
+from glissando.sensors import CoilReadings, OrientationReadings, PoseReadings, PositionReadings
+
+_JUDGES = (PoseReadings, CoilReadings, PositionReadings, OrientationReadings)
 
 
 @dataclass(frozen=True)
@@ -56,8 +59,13 @@ def errors_against(posterior: Posterior, truth: Readings) -> Errors:
     """Errors of the posterior at every sample of a truth stream.
 
     Streams of pose, coil, position or orientation will do. The truth's own covariance is added to
-    the posterior's before the error is measured in it.
+    the posterior's before the error is measured in it. Raises SensorError for other kinds.
     """
+    if not isinstance(truth, _JUDGES):
+        raise SensorError(
+            f"{truth.label}: a {type(truth).__name__} cannot be truth; give poses, coils, "
+            f"positions or orientations."
+        )
     found = posterior.at(truth.arclength, truth.time)
     at = found.pose @ truth.mount
     count = len(truth)

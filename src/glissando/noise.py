@@ -74,11 +74,19 @@ class Loss(Protocol):
         ...
 
 
+def _require_positive(threshold: float) -> None:
+    if not threshold > 0.0:
+        raise SensorError(f"The threshold of a loss is {threshold}; give one above zero.")
+
+
 @dataclass(frozen=True)
 class Huber:
     """Quadratic up to `threshold` standard deviations, linear beyond (Huber 1964)."""
 
     threshold: float = 3.0
+
+    def __post_init__(self) -> None:
+        _require_positive(self.threshold)
 
     def weight(self, norm: Array) -> Array:
         """Weight threshold / norm beyond the threshold."""
@@ -95,6 +103,9 @@ class GemanMcClure:
     """A loss that saturates: gross outliers lose all influence (Geman and McClure 1987)."""
 
     threshold: float = 5.0
+
+    def __post_init__(self) -> None:
+        _require_positive(self.threshold)
 
     def weight(self, norm: Array) -> Array:
         """Weight 1 / (1 + (norm / threshold)²)²."""

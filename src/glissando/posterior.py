@@ -151,7 +151,7 @@ class Posterior:
     def sample(self, rng: np.random.Generator, size: int = 1) -> State:
         """Joint draws of the whole motion at the nodes, leading shape (size, K, N)."""
         chol = factor(self.system)
-        steps = np.stack([chol.sample(rng) for _ in range(size)])
+        steps = np.array([chol.sample(rng) for _ in range(size)])
         return self.state.retract(steps.reshape(size, *self.grid.shape, DOF))
 
     def std_pose(self) -> Array:

@@ -19,6 +19,8 @@ from glissando.noise import Loss, covariance_matrix
 from glissando.se3 import Array
 from glissando.state import DOF, State
 
+_EACH = ("time", "arclength", "values")
+
 
 @dataclass(frozen=True, kw_only=True)
 class Readings:
@@ -40,6 +42,7 @@ class Readings:
     rows: ClassVar[int]
     value_shape: ClassVar[tuple[int, ...] | None] = None  # of one reading; None: any
     fixes_base: ClassVar[bool] = False
+    per_reading: ClassVar[tuple[str, ...]] = ()  # fields of one's own with a row a reading
 
     def __post_init__(self) -> None:
         for given in ("time", "arclength", "values"):
@@ -95,7 +98,7 @@ class Readings:
 
     def select(self, rows: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Self:
         """The readings at `rows`, a mask, indices or a slice."""
-        kept = {name: getattr(self, name)[rows] for name in ("time", "arclength", "values")}
+        kept = {name: getattr(self, name)[rows] for name in (*_EACH, *self.per_reading)}
         cov = self.cov[rows] if self.cov.ndim == 3 else self.cov
         return replace(self, **kept, cov=cov)
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from glissando.dataset import Recording
@@ -72,6 +73,21 @@ def _site(errors: Errors) -> dict[str, Any]:
     }
 
 
+def checked_window(recording: Recording, window: tuple[float, float] | None) -> tuple[float, float]:
+    """The window to estimate: as given, else the recording's own, else all of it.
+
+    Raises RecordingError unless it is finite and longer than nothing.
+    """
+    first, last = window or recording.window or recording.span()
+    if not (np.isfinite(first) and np.isfinite(last)):
+        raise RecordingError(f"The window {first:g} to {last:g} s is not finite; give seconds.")
+    if not first < last:
+        given = window or recording.window
+        advice = "give T0 < T1" if given else "the recording has no length, give --window T0 T1"
+        raise RecordingError(f"The window {first:g} to {last:g} s is empty; {advice}.")
+    return first, last
+
+
 def run_estimate(
     recording: Recording,
     robot: Robot,
@@ -85,10 +101,7 @@ def run_estimate(
 
     Raises RecordingError for an empty window or an unknown stream.
     """
-    span = recording.span()
-    window = window or recording.window or span
-    if not window[0] < window[1]:
-        raise RecordingError(f"The window {window[0]:g} to {window[1]:g} s is empty; give T0 < T1.")
+    window, span = checked_window(recording, window), recording.span()
     names, truth_names = recording.choose(use, truth)
     if not names:
         raise RecordingError(f"{recording.name} has no stream to use; name some with --use.")
@@ -110,14 +123,14 @@ def print_table(run: Run, console: Console) -> None:
     """A readable table of the run: one row a truth site, then all of them together."""
     solve = run.posterior.solve
     console.print(
-        f"[bold]{run.recording.name}[/bold] on {run.robot.name}, "
+        f"[bold]{escape(run.recording.name)}[/bold] on {escape(run.robot.name)}, "
         f"{run.window[0]:g} to {run.window[1]:g} s: {solve.status}, "
         f"{solve.iterations} iterations, {solve.unknowns:,} unknowns, "
         f"{sum(len(r) for r in run.readings):,} readings, {solve.seconds['total']:.2f} s of CPU"
     )
     for name, reasons in run.dropped.items():
         counted = ", ".join(f"{count} {reason}" for reason, count in reasons.items())
-        console.print(f"  {name}: {counted} rows dropped in the whole recording")
+        console.print(f"  {escape(name)}: {counted} rows dropped in the whole recording")
     if not run.errors:
         console.print("No truth streams: nothing to compare with. Name some with --truth.")
         return
@@ -146,7 +159,7 @@ def _add_row(table: Table, errors: Errors, place: str) -> None:
         return "–" if value is None else pattern.format(scale * value)
 
     table.add_row(
-        errors.name,
+        escape(errors.name),
         place,
         str(errors.arclength.size),
         shown("position_rmse", 1e3, "{:.2f}"),
@@ -172,17 +185,26 @@ def read_query(path: Path) -> tuple[Array, Array]:
     """Times and arclengths (M,) of a CSV file with the columns time and arclength."""
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = list(csv.DictReader(file))
+            lines = list(csv.reader(file))
     except OSError as problem:
         raise GlissandoError(f"Query {path} cannot be read ({problem.strerror}).") from None
-    points = np.empty((len(rows), 2))
-    for number, row in enumerate(rows, start=2):
+    except (UnicodeDecodeError, csv.Error):
+        raise GlissandoError(f"Query {path} is not a CSV text in UTF-8.") from None
+    head = [name.strip() for name in lines[0]] if lines else []
+    if "time" not in head or "arclength" not in head or len(lines) < 2:
+        raise GlissandoError(
+            f"Query {path.name} must have the columns time,arclength and a row for each point."
+        )
+    points = np.empty((len(lines) - 1, 2))
+    for number, row in enumerate(lines[1:], start=2):
         try:
-            points[number - 2] = float(row["time"]), float(row["arclength"])
-        except (KeyError, TypeError, ValueError):
+            points[number - 2] = [float(row[head.index(name)]) for name in ("time", "arclength")]
+        except (IndexError, ValueError):
+            points[number - 2] = np.nan
+        if not np.all(np.isfinite(points[number - 2])):
             raise GlissandoError(
-                f"{path.name} line {number}: give the columns time,arclength with a number in each."
-            ) from None
+                f"{path.name} line {number}: give a number for time and one for arclength."
+            )
     return points[:, 0], points[:, 1]
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from glissando.errors import RobotFileError
+from glissando.errors import OutsideGridError, RobotFileError
 from glissando.grid import Grid
 from glissando.noise import GemanMcClure, Huber, Loss
 from glissando.prior import STRAIGHT, BaseDensity, KinematicPrior
@@ -19,6 +19,7 @@ _LOSSES: dict[str, type[Huber] | type[GemanMcClure]] = {
     "huber": Huber,
     "geman-mcclure": GemanMcClure,
 }
+_MOST_NODES = 1_000_000
 _SHIPPED = Path(__file__).parent / "robots"
 
 
@@ -43,6 +44,11 @@ class Robot:
     def grid(self, start: float, stop: float) -> Grid:
         """The robot's grid over the times [start, stop] in seconds."""
         count = max(2, round((stop - start) * self.time_rate) + 1)
+        if count > _MOST_NODES:
+            raise OutsideGridError(
+                f"{start:g} to {stop:g} s at {self.time_rate:g} nodes a second would be {count:,} "
+                f"time nodes; choose a shorter window or a lower time_rate."
+            )
         return Grid(self.arclength_nodes, np.linspace(start, stop, count))
 
 

@@ -163,15 +163,17 @@ class FbgReadings(Readings):
     @property
     def row_count(self) -> int:
         """One row a core."""
-        return len(self.core_radius)
+        return int(np.size(self.core_radius))
 
     @property
     def expected_shape(self) -> tuple[int, ...]:
         """One strain a core. Raises SensorError when radii and angles differ in number."""
-        if len(self.core_radius) != len(self.core_angle):
+        if np.ndim(self.core_radius) != 1 or np.shape(self.core_radius) != np.shape(
+            self.core_angle
+        ):
             raise SensorError(
-                f"{self.label}: {len(self.core_radius)} core radii and {len(self.core_angle)} "
-                f"core angles; give one of each a core."
+                f"{self.label}: core radii {np.shape(self.core_radius)} and angles "
+                f"{np.shape(self.core_angle)} must be lists of one length; give one of each a core."
             )
         return (len(self.core_radius),)
 

@@ -139,6 +139,6 @@ def factor(matrix: BlockTridiagonal, room: Cholesky | None = None) -> Cholesky:
 def _unobservable(k: int) -> UnobservableError:
     return UnobservableError(
         f"The normal equations are singular at time node {k}: prior and readings leave a direction "
-        f"of the state undetermined. Give the robot a [base], or use a pose, coil or position "
-        f"stream that fixes it."
+        f"of the state undetermined. Give the robot a [base], or a pose stream, or coils or "
+        f"positions at several places of a bent shape."
     )

@@ -27,7 +27,7 @@ COLUMNS = {
 """Value columns of each kind of stream, after time and arclength; fbg has one a core."""
 
 _PUBLIC_KINDS = {"aurora": ("pose", False), "vicon": ("pose", True), "gyro": ("gyro", False)}
-_TRACKERS = ("pose", "coil", "position", "orientation")
+TRUTH_KINDS = _TRACKERS = ("pose", "coil", "position", "orientation")
 _NEAR_CLIP = 0.99  # a gyro within 1 % of its range is taken as clipped
 
 
@@ -72,21 +72,28 @@ def read_public(path: Path) -> tuple[Rows, bool]:
 def read_named(path: Path, kind: str, cores: int, length_unit: float, angle_unit: float) -> Rows:
     """A stream with one header line of column names, in any order; units as factors to SI."""
     lines = _lines(path)
+    if not lines:
+        raise RecordingError(f"{path.name} is empty; record some rows or leave the stream out.")
     wanted = ["time", "arclength", *(COLUMNS[kind] or [f"strain_{i}" for i in range(cores)])]
-    found = [part.strip() for part in lines[0].split(",")] if lines else []
+    found = [part.strip() for part in lines[0].split(",")]
+    twice = [name for name in wanted if found.count(name) > 1]
+    if twice:
+        raise RecordingError(f"{path.name} line 1: column {twice[0]} stands there twice; keep one.")
     missing = [name for name in wanted if name not in found]
     if missing:
         raise RecordingError(
             f"{path.name} line 1: a {kind} stream needs the columns {', '.join(wanted)}; "
             f"{', '.join(missing)} is missing."
         )
-    table = _numbers(path, lines, first=1, width=len(found))
+    table = _numbers(path, lines, 1, len(found), found.index("time"))
     table = table[:, [found.index(name) for name in wanted]]
     time, arclength, values = table[:, 0], table[:, 1] * length_unit, table[:, 2:]
     if kind in ("pose", "coil", "position"):
         values[:, :3] *= length_unit
     if kind == "gyro":
         values = values * angle_unit
+    if kind == "strain":
+        values[:, 3:] *= angle_unit / length_unit
     if kind in ("pose", "coil", "orientation"):
         values = _oriented(path, values, first=1)
     return Rows(kind, time, arclength, values, {})
@@ -110,12 +117,15 @@ def clean(rows: Rows, clip: float | None = None) -> Rows:
     """Rows without a tracker's repeats and a gyro's clipped samples, which are counted.
 
     A tracker polled faster than it measures returns the same values again; counted twice they
-    would be information twice. A gyro at the end of its range only gives a bound.
+    would be information twice, and at a sensor's next place they would be wrong as well. A gyro at
+    the end of its range only gives a bound.
     """
     flat = rows.values.reshape(len(rows.time), -1)
     if rows.kind in _TRACKERS:
-        reason, bad = "repeated", np.append(False, np.all(np.diff(flat, axis=0) == 0.0, axis=1))
-        bad = bad[: len(flat)]
+        same = np.all(np.diff(flat, axis=0) == 0.0, axis=1)
+        if rows.kind == "orientation":  # a straight robot has one orientation at many places
+            same &= np.diff(rows.arclength) == 0.0
+        reason, bad = "repeated", np.append(False, same)[: len(flat)]
     elif rows.kind == "gyro" and clip is not None:
         reason, bad = "clipped", np.any(np.abs(flat) >= _NEAR_CLIP * clip, axis=1)
     else:
@@ -152,8 +162,8 @@ def _lines(path: Path) -> list[str]:
         raise RecordingError(f"{path.name} is not a text file; give CSV in UTF-8.") from None
 
 
-def _numbers(path: Path, lines: list[str], first: int, width: int) -> Array:
-    """The rows from line `first` on as numbers (M, width), time not going backwards."""
+def _numbers(path: Path, lines: list[str], first: int, width: int, clock: int = 0) -> Array:
+    """The rows from line `first` on as numbers (M, width), column `clock` not going backwards."""
     table = np.empty((len(lines) - min(first, len(lines)), width))
     count = 0
     before = -np.inf
@@ -179,12 +189,12 @@ def _numbers(path: Path, lines: list[str], first: int, width: int) -> Array:
                 f"{path.name} line {number}: a value is not finite ({line.strip()[:60]}); delete "
                 f"that line, gaps are normal."
             )
-        if table[count, 0] < before:
+        if table[count, clock] < before:
             raise RecordingError(
                 f"{path.name} line {number}: time goes back from {before:g} s to "
-                f"{table[count, 0]:g} s; sort the rows or correct the clock."
+                f"{table[count, clock]:g} s; sort the rows or correct the clock."
             )
-        before = table[count, 0]
+        before = table[count, clock]
         count += 1
     if count == 0:
         raise RecordingError(f"{path.name} holds no rows; record some or leave the stream out.")

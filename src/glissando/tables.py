@@ -142,8 +142,10 @@ def _shown(value: Any) -> str:
 def read_toml(path: Path, error: type[GlissandoError]) -> Table:
     """The file as a Table. Raises `error` when it cannot be read or parsed."""
     try:
-        return Table(tomllib.loads(path.read_text(encoding="utf-8")), path.name, error)
+        return Table(tomllib.loads(path.read_text(encoding="utf-8-sig")), path.name, error)
     except OSError as problem:
         raise error(f"{path} cannot be read ({problem.strerror}); check the path.") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as problem:
+    except UnicodeDecodeError:
+        raise error(f"{path} is not a text in UTF-8; save it as such.") from None
+    except tomllib.TOMLDecodeError as problem:
         raise error(f"{path} is not valid TOML: {problem}. Correct that line.") from None
