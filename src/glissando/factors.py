@@ -19,7 +19,7 @@ from glissando.se3 import Array
 from glissando.slabs import BlockTridiagonal
 from glissando.state import DOF, State
 
-_FACTORS = 2000  # prior factors linearised together: fewer waste calls, more outgrow the caches
+_FACTORS = 700  # prior factors linearised together: fewer waste calls, more outgrow the caches
 
 
 def blocks_of_time(grid: Grid) -> list[slice]:
