@@ -159,6 +159,15 @@ def test_a_name_or_a_column_given_twice_is_refused(tmp_path):
         load_recording(tmp_path)
 
 
+def test_a_truth_stream_used_as_a_sensor_has_a_sensors_noise(tmp_path):
+    toml = 'robot = "tdcr466"\n[[streams]]\nname = "marker"\nkind = "position"\ntruth = true\n'
+    recording = load_recording(described_folder(tmp_path, toml))
+    (judge,), _ = recording.readings(["marker"], recording.robot, (0, 1), as_truth=True)
+    assert np.sqrt(judge.cov[0, 0]) < 1e-5
+    with pytest.raises(RecordingError, match="states the noise of a position sensor"):
+        recording.readings(["marker"], recording.robot, (0, 1))
+
+
 def test_naming_a_stream_twice_uses_it_once(tmp_path):
     recording = load_recording(public_folder(tmp_path))
     assert recording.choose(["aurora1", "aurora1"], None)[0] == ["aurora1"]

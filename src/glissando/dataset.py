@@ -65,10 +65,17 @@ class Recording:
     window: tuple[float, float] | None
 
     def readings(
-        self, names: Sequence[str], robot: Robot, window: tuple[float, float]
+        self,
+        names: Sequence[str],
+        robot: Robot,
+        window: tuple[float, float],
+        *,
+        as_truth: bool = False,
     ) -> tuple[list[Readings], dict[str, dict[str, int]]]:
         """Readings of the named streams inside a window, and what was dropped from each.
 
+        `as_truth` judges by them: a stream marked as truth that states no noise then counts as
+        exact. Used as a sensor it needs noise like any other, its own or the robot file's.
         Raises RecordingError for an unknown name, a stream without noise, an arclength outside
         the robot.
         """
@@ -81,7 +88,7 @@ class Recording:
             stream = self.streams[name]
             rows = clean(stream.rows, robot.clip)
             _require_on_robot(name, rows, robot)
-            found = _as_readings(replace(stream, rows=rows), robot)
+            found = _as_readings(replace(stream, rows=rows), robot, as_truth)
             inside = (found.time >= window[0]) & (found.time <= window[1])
             if rows.dropped:
                 dropped[name] = rows.dropped
@@ -224,10 +231,10 @@ def _require_on_robot(name: str, rows: Rows, robot: Robot) -> None:
         )
 
 
-def _as_readings(stream: Stream, robot: Robot) -> Readings:
+def _as_readings(stream: Stream, robot: Robot, as_truth: bool) -> Readings:
     rows = stream.rows
     std = stream.std if stream.std is not None else robot.sensor_std.get(rows.kind)
-    if stream.truth and stream.std is None:
+    if as_truth and stream.truth and stream.std is None:
         std = np.full(ROWS[rows.kind], _TRUTH_STD)
     if std is None:
         raise RecordingError(
@@ -243,7 +250,7 @@ def _as_readings(stream: Stream, robot: Robot) -> Readings:
         values=rows.values,
         cov=std**2,
         mount=stream.mount,
-        loss=None if stream.truth else robot.sensor_loss.get(rows.kind),
+        loss=None if as_truth else robot.sensor_loss.get(rows.kind),
         name=stream.name,
         **settings,
     )

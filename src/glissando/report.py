@@ -111,7 +111,7 @@ def run_estimate(
             f"The window {window[0]:g} to {window[1]:g} s holds no readings; the recording runs "
             f"from {span[0]:.3f} to {span[1]:.3f} s. Choose a window inside it."
         )
-    true, _ = recording.readings(truth_names, robot, window)
+    true, _ = recording.readings(truth_names, robot, window, as_truth=True)
     true = [t for t in true if len(t)]
     grid = robot.grid(*window)
     posterior = estimate(robot.prior, grid, readings, progress=progress)
@@ -185,23 +185,24 @@ def read_query(path: Path) -> tuple[Array, Array]:
     """Times and arclengths (M,) of a CSV file with the columns time and arclength."""
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
-            lines = list(csv.reader(file))
+            reader = csv.reader(file)
+            lines = [(reader.line_num, row) for row in reader if row]
     except OSError as problem:
         raise GlissandoError(f"Query {path} cannot be read ({problem.strerror}).") from None
     except (UnicodeDecodeError, csv.Error):
         raise GlissandoError(f"Query {path} is not a CSV text in UTF-8.") from None
-    head = [name.strip() for name in lines[0]] if lines else []
+    head = [name.strip() for name in lines[0][1]] if lines else []
     if "time" not in head or "arclength" not in head or len(lines) < 2:
         raise GlissandoError(
             f"Query {path.name} must have the columns time,arclength and a row for each point."
         )
     points = np.empty((len(lines) - 1, 2))
-    for number, row in enumerate(lines[1:], start=2):
+    for point, (number, row) in zip(points, lines[1:], strict=True):
         try:
-            points[number - 2] = [float(row[head.index(name)]) for name in ("time", "arclength")]
+            point[:] = [float(row[head.index(name)]) for name in ("time", "arclength")]
         except (IndexError, ValueError):
-            points[number - 2] = np.nan
-        if not np.all(np.isfinite(points[number - 2])):
+            point[:] = np.nan
+        if not np.all(np.isfinite(point)):
             raise GlissandoError(
                 f"{path.name} line {number}: give a number for time and one for arclength."
             )
