@@ -31,6 +31,7 @@ _SAMPLES = 1000  # truth samples drawn a site
 _AXES = {"x": "#D55E00", "y": "#009E73", "z": "#0072B2"}  # Okabe and Ito: told apart by all eyes
 _SENSORS = ("#E69F00", "#56B4E9", "#FFFFFF", "#CC79A7", "#D55E00", "#000000", "#F0E442", "#009E73")
 _MARKERS = "osD^vP*X"
+_POSITIONED = PoseReadings | CoilReadings | PositionReadings  # streams that see a position
 _DOT: dict[str, Any] = {"color": "black", "depthshade": False}
 _STYLE: dict[Any, Any] = {
     "font.size": 11,
@@ -66,15 +67,13 @@ def _legend(figure: Figure, entries: dict[str, Any], **look: Any) -> None:
     figure.legend(list(entries.values()), list(entries), **look)
 
 
-def _places(truth: Sequence[Readings], grid: Grid) -> list[Readings]:
-    """The streams that see a position, inside the grid and in time order, one batch a site.
+def _places(streams: Sequence[Readings], grid: Grid, kind: Any = _POSITIONED) -> list[Readings]:
+    """The streams of a kind, inside the grid and in time order, one batch a site.
 
     A stream at a few fixed arclengths is split into them; one that slides stays whole.
     """
     out: list[Readings] = []
-    for stream in truth:
-        if not isinstance(stream, PoseReadings | CoilReadings | PositionReadings):
-            continue
+    for stream in (s for s in streams if isinstance(s, kind)):
         kept: Readings = stream.inside(grid)
         kept = kept.select(np.argsort(kept.time, kind="stable"))
         near = kept.arclength.round(6)

@@ -57,6 +57,19 @@ def shipped_robots() -> list[str]:
     return sorted(path.stem for path in _SHIPPED.glob("*.toml"))
 
 
+def robot_file(name: str | Path) -> Path:
+    """The file of a shipped robot by name, or of any robot by path. Raises RobotFileError."""
+    if str(name) in shipped_robots():
+        return _SHIPPED / f"{name}.toml"
+    path = Path(name)
+    if not path.exists():
+        raise RobotFileError(
+            f"There is no robot named {str(name)!r} and no such file; give a TOML file or one of "
+            f"{', '.join(shipped_robots())}."
+        )
+    return path
+
+
 def load_robot(name: str | Path) -> Robot:
     """A robot by the name of a shipped one or by the path of a robot file.
 
@@ -65,15 +78,7 @@ def load_robot(name: str | Path) -> Robot:
     >>> load_robot("tdcr466").length
     0.466
     """
-    if str(name) in shipped_robots():
-        return parse_robot(read_toml(_SHIPPED / f"{name}.toml", RobotFileError))
-    path = Path(name)
-    if not path.exists():
-        raise RobotFileError(
-            f"There is no robot named {str(name)!r} and no such file; give a TOML file or one of "
-            f"{', '.join(shipped_robots())}."
-        )
-    return parse_robot(read_toml(path, RobotFileError))
+    return parse_robot(read_toml(robot_file(name), RobotFileError))
 
 
 def parse_robot(table: Table) -> Robot:
@@ -85,6 +90,7 @@ def parse_robot(table: Table) -> Robot:
     base_pose, base = _base(table)
     prior = _prior(table, rest_strain, base_pose, base)
     std, loss, clip = _sensors(table)
+    table.skip("physics")  # of the simulator, which checks it
     table.close()
     return Robot(name, length, nodes, rate, prior, std, loss, clip)
 

@@ -56,6 +56,10 @@ class Table:
         """The raw value of a key, left where it is."""
         return self._left.get(key)
 
+    def skip(self, key: str) -> None:
+        """Leave a table to somebody else."""
+        self._take(key)
+
     def std(self, rows: int) -> Array:
         """`std`, `rows` numbers above zero; six or five may be a pair [linear, angular]."""
         value = self.peek("std")
@@ -106,6 +110,18 @@ class Table:
         if not all(_is_number(v) and (v > 0 or not positive) for v in value):
             raise self.fail(key, f"is {value!r}; give numbers{' above zero' * positive}.")
         return np.repeat(np.array(value, float), 3 if pair else 1)
+
+    def matrix(self, key: str, columns: int) -> Array:
+        """Rows of `columns` numbers (R, columns); a single row may be given without its list."""
+        value = self._take(key)
+        rows = (
+            value if isinstance(value, list) and value and isinstance(value[0], list) else [value]
+        )
+        for row in rows:
+            sound = isinstance(row, list) and len(row) == columns and all(map(_is_number, row))
+            if not sound:
+                raise self.fail(key, f"is {_shown(value)}; give {columns} numbers a row.")
+        return np.array(rows, dtype=float)
 
     def pose(self) -> Array:
         """`position` and `quaternion` [w, x, y, z] as a pose (4, 4); identity when absent."""

@@ -15,6 +15,10 @@ Field = Callable[[Array], Array]
 """A function of arclength (M,) in metres; its values have a row for each."""
 
 
+STRAIGHT = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+"""Strain of a straight rod at its own length."""
+
+
 class SimulationError(GlissandoError):
     """What was asked of the simulator cannot be: a tendon off its disk, a shape unknown."""
 
@@ -35,7 +39,7 @@ class Rod:
 
     length: float
     stiffness: Array
-    rest_strain: Array | Field = field(default_factory=lambda: np.array([0.0, 0, 1, 0, 0, 0]))
+    rest_strain: Array | Field = field(default_factory=STRAIGHT.copy)
     mass_per_length: float = 0.0
     base: Array = field(default_factory=lambda: np.eye(4))
 
@@ -64,7 +68,8 @@ class Rod:
         young: float,
         poisson: float,
         density: float = 0.0,
-        **more: Array,
+        rest_strain: Array | Field = STRAIGHT,
+        base: Array | None = None,
     ) -> Rod:
         """Concentric tubes of one material that bend together; (outer, inner) diameters in m.
 
@@ -86,19 +91,28 @@ class Rod:
         shear = young / (2.0 * (1.0 + poisson))
         stiffness = [shear * area, shear * area, young * area]
         stiffness += [young * inertia, young * inertia, 2.0 * shear * inertia]
-        return Rod(length, np.array(stiffness), mass_per_length=density * area, **more)
+        return Rod(
+            length,
+            np.array(stiffness),
+            rest_strain,
+            density * area,
+            np.eye(4) if base is None else base,
+        )
 
 
 @dataclass(frozen=True)
 class Tendon:
-    """A tendon without friction through holes in the disks, from the base to `end` (m).
+    """A tendon through holes in the disks, from the base to `end` (m), where it is tied.
 
     `offset` is where it runs in the cross-section: two numbers in m, or a function of arclength
-    (M,) → (M, 2) for any other routing.
+    (M,) → (M, 2) for any other routing. With a coefficient of `friction` μ its tension falls from
+    the base by exp(−μ Θ), Θ the angle the backbone has bent it by, as when it is being pulled
+    (Capstan; Kato et al. 2015).
     """
 
     offset: Array | Field
     end: float
+    friction: float = 0.0
 
     def path(self, arclength: Array) -> tuple[Array, Array]:
         """Places r (M, 3) in the cross-section and their slopes dr/ds (M, 3)."""
@@ -114,14 +128,16 @@ class Tendon:
         return place, slope
 
     @staticmethod
-    def helical(radius: float, angle: float, pitch: float, end: float) -> Tendon:
+    def helical(
+        radius: float, angle: float, pitch: float, end: float, friction: float = 0.0
+    ) -> Tendon:
         """A tendon that winds round the backbone, once every `pitch` metres, from `angle` (rad)."""
 
         def offset(arclength: Array) -> Array:
             turn = angle + 2.0 * np.pi * arclength / pitch
             return radius * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
 
-        return Tendon(offset, end)
+        return Tendon(offset, end, friction)
 
 
 @dataclass(frozen=True)
@@ -162,6 +178,10 @@ def require_possible(rod: Rod, tendons: Sequence[Tendon], loads: Loads) -> None:
             f"Tensions {tensions.tolist()} N cannot be: a tendon only pulls; give numbers ≥ 0."
         )
     for tendon in tendons:
+        if not (np.isfinite(tendon.friction) and tendon.friction >= 0.0):
+            raise SimulationError(
+                f"A tendon's friction of {tendon.friction:g} cannot be; give a coefficient ≥ 0."
+            )
         if not 0.0 < tendon.end <= rod.length + 1e-12:
             raise SimulationError(
                 f"A tendon ends at {tendon.end:g} m, off a rod of {rod.length:g} m; end it on it."

@@ -7,8 +7,8 @@ pull of the tendons, and linear elasticity turns it into strain:
     K (ε − ε_rest) + Σ τ [t; r × t] = [Rᵀ N; Rᵀ M],   t = (ν + u × r + r′)/|…|,
     N(s) = Σ forces beyond s,   M(s) = Σ moments beyond s + ∫ₛᴸ p′ × N dσ.
 
-This is Rucker and Webster 2011 with the tendons' distributed and end loads integrated once; a
-frictionless tendon's reactions are inside the section and need no term of their own.
+This is Rucker and Webster 2011 with the tendons' distributed and end loads integrated once: what
+passes between tendon and disks is inside the body, friction too, and needs no term of its own.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import lu_factor, lu_solve
 
 from glissando.se3 import Array, hat3
 from glissando.simulate.mesh import Mesh
@@ -24,9 +25,10 @@ from glissando.simulate.rod import Loads, NoShapeError, Rod, Tendon, require_pos
 from glissando.simulate.shape import Shape
 
 _CLOSE = 1e-10  # residual in strain at which a shape is found
-_SMOOTH = 1e-8  # share of the highest modes in strain above which elements are halved
+_SMOOTH = 1e-6  # share of the highest modes in strain above which elements are halved
 _ITERATIONS = 25
 _SMALLEST_STEP = 1e-3  # of the load, when it has to be put on bit by bit
+_LONGEST = 20.0  # rad that a step may turn the rod by, as a guard against nonsense
 _FINEST = 64  # elements the length may be divided into
 
 
@@ -63,17 +65,34 @@ def resample(mesh: Mesh, strain: Array, other: Mesh) -> Array:
 
 
 @dataclass(frozen=True)
+class _At:
+    """A trial strain (G, 6), its residual, and what the residual's derivative is made of."""
+
+    strain: Array
+    residual: Array
+    turn: Array
+    along: Array
+    force: Array
+    moment: Array
+    tendon_slope: Array
+
+
+def _each(left: Array, right: Array) -> Array:
+    """Product (G, 3, H, 3) of matrices (G, 3, 3) with blocks (G, 3, H, 3)."""
+    return (left @ right.reshape(len(left), 3, -1)).reshape(right.shape)
+
+
+@dataclass(frozen=True)
 class _Problem:
     """Loads on a mesh: everything that does not depend on the shape."""
 
     rod: Rod
-    tendons: Sequence[Tendon]
-    loads: Loads
     mesh: Mesh
     rest: Array  # (G, 6)
     force: Array  # (G, 3) N, world
     moment: Array  # (G, 3) of moments beyond s, world
-    pull: Array  # (T, G) tension of each tendon at each point, zero beyond its end
+    pull: Array  # (T, G) tension of each tendon at each point but for friction, zero beyond its end
+    friction: Array  # (T, 1)
     place: Array  # (T, G, 3)
     slope: Array  # (T, G, 3)
     before: Array  # (G, G) integral from 0
@@ -98,12 +117,12 @@ class _Problem:
         place, slope = (
             np.array([path[i] for path in paths]).reshape(len(tendons), s.size, 3) for i in (0, 1)
         )
+        friction = np.array([tendon.friction for tendon in tendons]).reshape(-1, 1)
         before = mesh.integral
         beyond = mesh.weights - before
         rest = rod.rest(s)
-        return _Problem(
-            rod, tendons, loads, mesh, rest, force, moment, pull, place, slope, before, beyond
-        )
+        load = (rest, force, moment, pull, friction, place, slope)
+        return _Problem(rod, mesh, *load, before, beyond)
 
     def load_up(self, guess: Array | None) -> Array:
         """Strain (G, 6) under the whole load, which is put on bit by bit if it must be."""
@@ -127,66 +146,84 @@ class _Problem:
         return strain
 
     def _newton(self, strain: Array, share: float) -> Array | None:
-        """A stable equilibrium near `strain` under a share of the loads, or None."""
-        residual, jacobian = self._linearize(strain, share)
-        size = np.abs(residual).max()
+        """A stable equilibrium near `strain` under a share of the loads, or None.
+
+        A derivative is kept for as long as each step with it makes the residual five times smaller.
+        """
+        here = self._at(strain, share)
+        size, slope = np.abs(here.residual).max(), None
         for _ in range(_ITERATIONS):
             if size < _CLOSE * (1.0 + np.abs(strain).max()):
-                return strain if self._is_stable(jacobian) else None
-            step = np.linalg.solve(jacobian, residual.ravel()).reshape(strain.shape)
-            if not np.abs(step).max() * self.rod.length < 20.0:
+                return strain if self._is_stable(self._jacobian(here)) else None
+            fresh = slope is None
+            if slope is None:
+                slope = lu_factor(self._jacobian(here), check_finite=False)
+            step = lu_solve(slope, here.residual.ravel(), check_finite=False)
+            if not np.abs(step).max() * self.rod.length < _LONGEST:
                 return None
-            shorter = 1.0
-            while True:
-                there = strain - shorter * step
-                residual, jacobian_there = self._linearize(there, share)
-                found = np.abs(residual).max()
-                if found < size or shorter < 0.1:
-                    break
-                shorter *= 0.5
-            if not found < 2.0 * size:
-                return None
-            strain, size, jacobian = there, found, jacobian_there
+            there, found = self._shorten(strain, step.reshape(strain.shape), share, size)
+            if not found < (2.0 * size if fresh else size):
+                if fresh:
+                    return None
+                slope = None
+                continue
+            strain, here = there.strain, there
+            slope = slope if found < 0.2 * size else None
+            size = found
         return None
 
-    def _linearize(self, strain: Array, share: float) -> tuple[Array, Array]:
-        """Residual (G, 6) in strain and its derivative (6G, 6G)."""
-        stiffness, points = self.rod.stiffness, self.mesh.points.size
-        pose = self.mesh.roll_out(strain, self.rod.base)[0]
-        turn, back = pose[:, :3, :3], np.swapaxes(pose[:, :3, :3], -1, -2)
+    def _shorten(self, strain: Array, step: Array, share: float, size: float) -> tuple[_At, float]:
+        """Where a step leads, halved up to three times if the residual would grow."""
+        shorter = 1.0
+        while True:
+            there = self._at(strain - shorter * step, share)
+            found = float(np.abs(there.residual).max())
+            if found < size or shorter < 0.2:
+                return there, found
+            shorter *= 0.5
+
+    def _at(self, strain: Array, share: float) -> _At:
+        """Residual at a strain, and what its derivative is made of."""
+        turn = self.mesh.roll_out(strain, self.rod.base)[0][:, :3, :3]
         force = share * self.force
         along = np.einsum("gij,gj->gi", turn, strain[:, :3])  # p′
         moment = share * self.moment + self.beyond @ np.cross(along, force)
-        carried = np.concatenate(
-            [np.einsum("gij,gj->gi", back, force), np.einsum("gij,gj->gi", back, moment)], axis=-1
-        )
+        carried = np.einsum("gji,cgj->cgi", turn, np.stack([force, moment]))
         tendon, tendon_slope = self._tendons(strain, share)
-        residual = strain - self.rest + (tendon - carried) / stiffness
+        carried = np.concatenate([*carried], axis=-1)
+        residual = strain - self.rest + (tendon - carried) / self.rod.stiffness
+        return _At(strain, residual, turn, along, force, moment, tendon_slope)
 
+    def _jacobian(self, at: _At) -> Array:
+        """Derivative (6G, 6G) of the residual by strain."""
+        turn, back = at.turn, np.swapaxes(at.turn, -1, -2)
+        points = self.mesh.points.size
         # a rotation δθ(σ) = ∫₀^σ R δu turns p′, and with it the moment of everything beyond
         turned = self.before[:, None, :, None] * np.swapaxes(turn, 0, 1)[None]  # (G, 3, G, 3)
-        lever = hat3(force) @ hat3(along)
-        by_turn = np.einsum("gij,gjhk->gihk", lever, turned)
-        by_turn = (self.beyond @ by_turn.reshape(points, -1)).reshape(turned.shape)
-        by_stretch = self.beyond[:, None, :, None] * np.swapaxes(-hat3(force) @ turn, 0, 1)[None]
+        levered = _each(hat3(at.force) @ hat3(at.along), turned).reshape(points, -1)
+        by_turn = (self.beyond @ levered).reshape(turned.shape)
+        by_stretch = self.beyond[:, None, :, None] * np.swapaxes(-hat3(at.force) @ turn, 0, 1)[None]
         jacobian = np.zeros((points, 6, points, 6))
-        jacobian[:, :3, :, 3:] = np.einsum("gij,gjhk->gihk", -back @ hat3(force), turned)
-        jacobian[:, 3:, :, :3] = np.einsum("gij,gjhk->gihk", -back, by_stretch)
-        jacobian[:, 3:, :, 3:] = np.einsum("gij,gjhk->gihk", -back @ hat3(moment), turned)
-        jacobian[:, 3:, :, 3:] -= np.einsum("gij,gjhk->gihk", back, by_turn)
+        jacobian[:, :3, :, 3:] = _each(-back @ hat3(at.force), turned)
+        jacobian[:, 3:, :, :3] = _each(-back, by_stretch)
+        jacobian[:, 3:, :, 3:] = _each(-back @ hat3(at.moment), turned) - _each(back, by_turn)
         g = np.arange(points)
-        jacobian[g, :, g] += tendon_slope
-        jacobian /= stiffness[None, :, None, None]
+        jacobian[g, :, g] += at.tendon_slope
+        jacobian /= self.rod.stiffness[None, :, None, None]
         jacobian[g, :, g] += np.eye(6)
-        return residual, jacobian.reshape(6 * points, 6 * points)
+        return jacobian.reshape(6 * points, 6 * points)
 
     def _tendons(self, strain: Array, share: float) -> tuple[Array, Array]:
-        """Wrench (G, 6) of all tendons on the section and its derivative (G, 6, 6) by strain."""
+        """Wrench (G, 6) of all tendons on the section and its derivative (G, 6, 6) by strain.
+
+        The derivative leaves friction out: Newton's method then gains a digit or so an iteration.
+        """
         arm = hat3(self.place)
         along = strain[:, :3] + np.cross(strain[:, 3:], self.place) + self.slope  # (T, G, 3)
         length = np.linalg.norm(along, axis=-1, keepdims=True)
         unit = along / length
-        pull = share * self.pull[..., None]
+        bend = np.linalg.norm(np.cross(strain[:, 3:], unit), axis=-1) @ self.before.T
+        pull = (share * self.pull * np.exp(-self.friction * bend))[..., None]
         reach = np.concatenate([np.broadcast_to(np.eye(3), arm.shape), -arm], axis=-1)  # ∂along/∂ε
         across = np.eye(3) - unit[..., :, None] * unit[..., None, :]
         back = np.swapaxes(reach, -1, -2)

@@ -1,0 +1,170 @@
+"""`glissando estimate RECORDING`: a posterior, its table against truth, and its figures."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+from glissando.animation import save_animation
+from glissando.commands.shared import Commands, names, require_writable
+from glissando.dataset import Recording, load_recording
+from glissando.errors import GlissandoError, NotConvergedWarning, RobotFileError
+from glissando.estimate import Progress as IterationProgress
+from glissando.report import (
+    Run,
+    checked_window,
+    print_table,
+    read_query,
+    run_estimate,
+    write_query,
+    write_run,
+)
+from glissando.robot import Robot, load_robot, shipped_robots
+from glissando.se3 import Array
+
+_ESTIMATE_HELP = """\
+Estimate a robot's shape over arclength and time from a recording, with its confidence,
+and judge both against the recording's truth streams.
+
+RECORDING is a folder with one CSV file a stream and a recording.toml, or a folder of the
+public space-time recordings as it is.
+"""
+_ESTIMATE_EXAMPLES = """\
+examples:
+  glissando estimate slow_free_space --window 19 29 --out results
+  glissando estimate my_recording --robot my_robot.toml --use coil,gyro --truth mocap_tip
+  glissando estimate my_recording --query points.csv --out results   # pose anywhere, any time
+  glissando estimate my_recording --json | python -m json.tool
+
+exit status: 0 done; 1 the estimate did not converge; 2 something given was wrong.
+"""
+
+
+def add_to(commands: Commands) -> None:
+    """Add the command to the parser's."""
+    estimate = commands.add_parser(
+        "estimate",
+        help="estimate a recording",
+        description=_ESTIMATE_HELP,
+        epilog=_ESTIMATE_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = estimate.add_argument
+    add("recording", type=Path, metavar="RECORDING", help="folder of the recording")
+    robots = ", ".join(shipped_robots())
+    add("--robot", metavar="FILE|NAME", help=f"robot file, or one of {robots}")
+    add("--window", nargs=2, type=float, metavar=("T0", "T1"), help="seconds to estimate")
+    add("--use", type=names, metavar="NAME,…", help="streams to use (default: all but truth)")
+    add("--truth", type=names, metavar="NAME,…", help="streams to judge by (default: as marked)")
+    answers = "points (columns time,arclength); answers go to query.csv in DIR, or here"
+    add("--query", type=Path, metavar="FILE.csv", help=answers)
+    add("--out", type=Path, metavar="DIR", help="write posterior.nc, report.json and figures here")
+    add("--animate", action="store_true", help="also write an animation, shape.mp4 or .gif, in DIR")
+    add("--json", action="store_true", help="print one JSON object and nothing else")
+    estimate.set_defaults(run=_estimate)
+
+
+def _estimate(options: argparse.Namespace) -> int:
+    recording = load_recording(options.recording)
+    robot = load_robot(options.robot) if options.robot else recording.robot
+    if robot is None:
+        raise RobotFileError(
+            f"{recording.name} does not name its robot and no shipped robot fits; "
+            f"give --robot FILE or one of {', '.join(shipped_robots())}."
+        )
+    query = _checked_query(options, recording, robot) if options.query else None
+    if options.out:
+        require_writable(options.out)
+    elif options.animate:
+        raise GlissandoError("--animate writes into a folder: give --out DIR.")
+
+    def work(progress: IterationProgress) -> Run:
+        return run_estimate(
+            recording,
+            robot,
+            window=tuple(options.window) if options.window else None,
+            use=options.use,
+            truth=options.truth,
+            progress=progress,
+        )
+
+    run, complaint = _watched(recording.name, work)
+    if options.json:
+        print(json.dumps(run.as_json()))
+    else:
+        print_table(run, Console())
+    written = _write(options, run, query)
+    if written and not options.json:
+        Console().print("Wrote " + ", ".join(str(path) for path in written), markup=False)
+    if complaint:
+        print(f"glissando: {complaint}", file=sys.stderr)
+    return 0 if run.posterior.solve.converged else 1
+
+
+def _checked_query(
+    options: argparse.Namespace, recording: Recording, robot: Robot
+) -> tuple[Array, Array]:
+    """Times and arclengths to answer; raises, before any work is done, when they cannot be."""
+    time, arclength = read_query(options.query)
+    window = checked_window(recording, tuple(options.window) if options.window else None)
+    inside = robot.grid(*window).contains(arclength, time)
+    if not np.all(inside):
+        row = int(np.argmin(inside))
+        raise GlissandoError(
+            f"{options.query.name} line {row + 2}: time {time[row]:g} s, arclength "
+            f"{arclength[row]:g} m lies outside {window[0]:g} to {window[1]:g} s or the robot, "
+            f"0 to {robot.length:g} m; correct or delete that line."
+        )
+    if _answers(options).resolve() == options.query.resolve():
+        raise GlissandoError(
+            f"The answers would overwrite {options.query}; give another --out folder or name."
+        )
+    return time, arclength
+
+
+def _answers(options: argparse.Namespace) -> Path:
+    """The file that answers a query."""
+    return (options.out or Path()) / "query.csv"
+
+
+def _write(options: argparse.Namespace, run: Run, query: tuple[Array, Array] | None) -> list[Path]:
+    folder = options.out
+    written = write_run(run, folder) if folder else []
+    if options.animate:
+        film = save_animation(run.posterior, run.readings, run.truth, folder / "shape.mp4")
+        written.append(film)
+    if query is not None:
+        path = _answers(options)
+        write_query(run.posterior, query, path)
+        written.append(path)
+    return written
+
+
+def _watched(name: str, work: Callable[[IterationProgress], Run]) -> tuple[Run, str]:
+    """Do the work behind a progress line on stderr; also the sentence of a warning, if any."""
+    console = Console(stderr=True)
+    columns = SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn()
+    with (
+        warnings.catch_warnings(record=True) as caught,
+        Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar,
+    ):
+        warnings.simplefilter("always", NotConvergedWarning)
+        task = bar.add_task(f"estimating {escape(name)}", total=None)
+
+        def advance(iteration: int, cost: float, length: float) -> None:
+            doing = f"estimating {escape(name)}: iteration {iteration}"
+            text = f"{doing}, cost {cost:.6g}, step {length:.3g} σ"
+            bar.update(task, description=text)
+
+        run = work(advance)
+    complaints = [w for w in caught if issubclass(w.category, NotConvergedWarning)]
+    return run, str(complaints[0].message) if complaints else ""

@@ -1,0 +1,113 @@
+"""`glissando simulate`: physics and imperfect sensors become a recording folder."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from glissando.commands.shared import Commands, names, require_writable
+from glissando.robot import robot_file, shipped_robots
+from glissando.simulate import SimulationError, SlidePath
+from glissando.simulate.bench import Bench, load_bench
+from glissando.simulate.imperfections import PARTS
+from glissando.simulate.session import simulate_session, write_session
+from glissando.simulate.slide import read_slide
+
+_HELP = """\
+Simulate a tendon-driven robot with a sliding coil, and write what its sensors would record.
+
+The robot's shapes are static Cosserat rods, so slow motions only. The coil reports five degrees of
+freedom with noise, bias that depends on place, drop-outs, and the slide's own errors; motion
+capture stands beside as truth. The folder is estimated like any other recording.
+"""
+_EXAMPLES = """\
+examples:
+  glissando simulate --shape S --slide oscillate --out s_oscillating
+  glissando estimate s_oscillating --out results
+  glissando simulate --shape C --slide hold --at 0.06 --without bias,dropouts --out c_fixed
+  glissando simulate --shape C-to-S --slide traverse --speed 0.1 --seed 7 --out moving
+  glissando simulate --shape my_shape.toml --slide my_path.csv --out mine
+
+A shape file is TOML: tensions = [10, 20] in newtons, or one such row for each of time = [0, 20];
+gravity = [0, 0, 9.81] and [[loads]] with arclength, force and moment may follow. A slide file is
+CSV: time,displacement (at rest at each row), or time,displacement,speed.
+
+exit status: 0 done; 1 the physics has no static shape there; 2 something given was wrong.
+"""
+
+
+def add_to(commands: Commands) -> None:
+    """Add the command to the parser's."""
+    parser = commands.add_parser(
+        "simulate",
+        help="simulate a recording",
+        description=_HELP,
+        epilog=_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = parser.add_argument
+    robots = ", ".join(shipped_robots())
+    add("--robot", default="sliding700", metavar="FILE|NAME", help=f"robot file, or of {robots}")
+    add("--shape", default="S", metavar="NAME|FILE", help="straight, C, S, C-to-S or a TOML file")
+    slides = "hold, oscillate, traverse (a stage as long as the robot) or a CSV file"
+    add("--slide", default="oscillate", metavar="NAME|FILE", help=slides)
+    add("--cycles", type=int, metavar="N", help="there and back (default 3; traverse 1)")
+    add("--stroke", type=float, metavar="M", help="of a cycle (default: the stage's)")
+    add("--speed", type=float, metavar="M/S", help="of the slide (default: the stage's)")
+    add("--at", type=float, default=0.0, metavar="M", help="displacement of hold, from the tip")
+    add("--duration", type=float, metavar="S", help="seconds (default: until all is at rest)")
+    parts = ", ".join((*PARTS, "all"))
+    add("--without", type=names, default=[], metavar="NAME,…", help=f"switch off: {parts}")
+    add("--seed", type=int, default=0, metavar="N", help="of all noise (default 0)")
+    add("--out", type=Path, required=True, metavar="RECORDING", help="folder to write")
+    parser.set_defaults(run=_simulate)
+
+
+def _simulate(options: argparse.Namespace) -> int:
+    if options.seed < 0:
+        raise SimulationError(f"Seed {options.seed} cannot be; give a whole number from 0 up.")
+    file = robot_file(options.robot)
+    bench = load_bench(file)
+    flaws = bench.flaws.without(*options.without)
+    actuation = bench.shape(options.shape)
+    path = _path(options, bench)
+    require_writable(options.out)
+    session = simulate_session(
+        bench,
+        bench.move(actuation, flaws, options.seed),
+        path,
+        seed=options.seed,
+        duration=options.duration,
+        flaws=flaws,
+        name=options.out.resolve().name,
+    )
+    shipped = options.robot in shipped_robots()
+    write_session(session, options.out, options.robot if shipped else file)
+    rows, lasts = len(session.coil.time), session.coil.time[-1]
+    print(
+        f"Wrote {options.out}: {lasts:.3g} s, {rows} readings of the coil, {len(session.mocap)} "
+        f"motion capture frames. Now: glissando estimate {options.out} --out results"
+    )
+    return 0
+
+
+def _path(options: argparse.Namespace, bench: Bench) -> SlidePath:
+    """The slide path that the options ask for, on the stage that it needs."""
+    kind, stage = options.slide, bench.slide
+    if kind == "hold":
+        return SlidePath.hold(options.at, options.duration or 15.0, stage)
+    if kind == "oscillate":
+        cycles = 3 if options.cycles is None else options.cycles
+        stroke = stage.stroke if options.stroke is None else options.stroke
+        return SlidePath.oscillate(cycles, stroke, stage, speed=options.speed)
+    if kind == "traverse":
+        stage = bench.full_slide
+        cycles = 1 if options.cycles is None else options.cycles
+        stroke = stage.stroke if options.stroke is None else options.stroke
+        return SlidePath.oscillate(cycles, stroke, stage, speed=options.speed)
+    if Path(kind).is_file():
+        return read_slide(Path(kind), stage)
+    raise SimulationError(
+        f"There is no slide named {kind!r} and no such file; give hold, oscillate, traverse or a "
+        f"CSV file."
+    )

@@ -1,0 +1,119 @@
+"""A simulated session: the streams its sensors record, and the recording folder they make."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from glissando import se3
+from glissando.se3 import Array
+from glissando.simulate.bench import Bench
+from glissando.simulate.imperfections import Imperfections
+from glissando.simulate.motion import Motion
+from glissando.simulate.rod import SimulationError
+from glissando.simulate.slide import SlidePath
+from glissando.simulate.tracker import coil_rows, mocap_rows
+from glissando.streams import Rows, write_named
+
+COIL_RATE, MOCAP_RATE = 40.0, 10.0  # Hz
+
+
+@dataclass(frozen=True)
+class Session:
+    """Streams of one run: the coil in the tracker's frame T_wt, motion capture in the world.
+
+    `mocap_std` (6,) is what motion capture's noise is, [linear, angular].
+    """
+
+    name: str
+    motion: Motion
+    path: SlidePath
+    coil: Rows
+    mocap: dict[str, Rows]
+    T_wt: Array
+    mocap_std: Array
+
+
+def simulate_session(
+    bench: Bench,
+    motion: Motion,
+    path: SlidePath,
+    *,
+    seed: int,
+    duration: float | None = None,
+    flaws: Imperfections | None = None,
+    name: str = "simulated",
+) -> Session:
+    """What the bench's sensors record of a motion while the coil slides along a path.
+
+    Lasts `duration` seconds, unless given until both have come to rest. The same seed gives the
+    same noise, and switching one of the `flaws` off leaves the others' draws as they were.
+    """
+    flaws = bench.flaws if flaws is None else flaws
+    lasts = max(path.duration, float(motion.time[-1])) if duration is None else duration
+    if not (np.isfinite(lasts) and lasts > 0.0):
+        raise SimulationError(f"A session of {lasts:g} s cannot be; give seconds above zero.")
+    coil_noise, *mocap_noise = np.random.default_rng(seed).spawn(1 + bench.truth.size)
+    time = np.arange(0.0, lasts + 1e-9, 1.0 / COIL_RATE)
+    coil = coil_rows(motion, path, time, bench.coil_offset, bench.tracker, flaws, coil_noise)
+    time = np.arange(0.0, lasts + 1e-9, 1.0 / MOCAP_RATE)
+    mocap = {
+        f"mocap_{round(1e3 * s)}": mocap_rows(motion, float(s), time, flaws, noise)
+        for s, noise in zip(bench.truth, mocap_noise, strict=True)
+    }
+    std = np.repeat(np.maximum([flaws.mocap, flaws.mocap_angle], 1e-6), 3) / np.sqrt(3.0)
+    return Session(name, motion, path, coil, mocap, bench.tracker, std)
+
+
+def write_session(session: Session, folder: Path, robot: str | Path) -> list[Path]:
+    """Write a recording folder, whole or not at all; returns its files.
+
+    `robot` is the name of a shipped robot or a robot file, which is copied into the folder. Raises
+    SimulationError when the folder holds something already.
+    """
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise SimulationError(f"{folder} is there already and not empty; give another --out.")
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    building = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+    try:
+        streams = {"coil": session.coil, **session.mocap}
+        for name, rows in streams.items():
+            write_named(building / f"{name}.csv", rows)
+        session.path.write(building / "slide_path.csv")
+        if isinstance(robot, Path):
+            shutil.copy(robot, building / "robot.toml")
+            robot = "robot.toml"
+        (building / "recording.toml").write_text(_description(session, robot), encoding="utf-8")
+        building.chmod(0o777 & ~_umask())
+        if folder.exists():
+            folder.rmdir()
+        building.rename(folder)
+    except BaseException:
+        shutil.rmtree(building, ignore_errors=True)
+        raise
+    return sorted(folder.iterdir())
+
+
+def _umask() -> int:
+    now = os.umask(0)
+    os.umask(now)
+    return now
+
+
+def _description(session: Session, robot: str) -> str:
+    """The recording.toml: the coil is in the tracker's frame, motion capture is the truth."""
+    position = session.T_wt[:3, 3].tolist()
+    quaternion = se3.quaternion(session.T_wt[:3, :3]).tolist()
+    lines = [f"name = {json.dumps(session.name)}", f"robot = {json.dumps(robot)}", ""]
+    lines += ["[frames.tracker]", f"position = {position}", f"quaternion = {quaternion}", ""]
+    lines += ["[[streams]]", 'name = "coil"', 'kind = "coil"', 'frame = "tracker"']
+    for name in session.mocap:
+        lines += ["", "[[streams]]", f'name = "{name}"', 'kind = "pose"', "truth = true"]
+        lines += [f"std = {session.mocap_std.tolist()}"]
+    return "\n".join(lines) + "\n"

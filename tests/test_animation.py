@@ -1,0 +1,197 @@
+from dataclasses import replace
+
+import matplotlib
+import numpy as np
+import pytest
+from PIL import Image
+
+from glissando import GlissandoError, Grid, PoseReadings, PositionReadings, estimate
+from glissando.animation import film, frames_at, save_animation
+from scenes import LENGTH, arc, sliding_scene
+
+SMALL = {"seconds": 0.5, "rate": 6.0, "width": 200}  # three frames
+
+
+@pytest.fixture(scope="module")
+def scene():
+    prior, grid, readings = sliding_scene(duration=1.0)
+    readings[1] = readings[1].select(np.abs(readings[1].time - 0.5) > 0.35)  # the coil drops out
+    time = np.arange(0.0, 0.31, 0.05)
+    place = np.full(time.size, LENGTH / 2)
+    poses = PoseReadings(time=time, arclength=place, values=arc(place, time), cov=1e-6)
+    tip = np.full(time.size, LENGTH)
+    seen = PositionReadings(
+        time=time, arclength=tip, values=arc(tip, time)[:, :3, 3], cov=1e-6, name="marker"
+    )
+    return estimate(prior, grid, readings), readings, [poses, seen]
+
+
+def test_a_gif_has_its_frames_lasts_its_seconds_and_starts_again(scene, tmp_path):
+    told = []
+    path = save_animation(
+        *scene, tmp_path / "new" / "film.gif", **SMALL, progress=lambda *at: told.append(at)
+    )
+    assert path == tmp_path / "new" / "film.gif"
+    with Image.open(path) as image:
+        assert (image.n_frames, image.size, image.info["loop"]) == (3, (200, 116), 0)
+        lasts = 0
+        for k in range(3):
+            image.seek(k)
+            lasts += image.info["duration"]
+            assert len(image.convert("RGB").getcolors(10_000)) > 20  # not an empty picture
+    assert lasts == 500
+    assert told == [(1, 3), (2, 3), (3, 3)]
+    assert [p.name for p in path.parent.iterdir()] == ["film.gif"]
+
+
+def test_a_motion_is_shown_in_its_own_time_unless_it_is_long(scene, monkeypatch, tmp_path):
+    shown = []
+    monkeypatch.setattr(film, "_write_gif", lambda stage, path, *_: shown.append(stage.frames.time))
+    monkeypatch.setattr(film.Path, "replace", lambda *_: None)
+    save_animation(*scene, tmp_path / "film.gif", width=100)
+    monkeypatch.setattr(film, "_LONGEST", 0.5)
+    save_animation(*scene, tmp_path / "film.gif", width=100)
+    assert [time.size for time in shown] == [12, 6]
+    assert all(time[[0, -1]] == pytest.approx([0.0, 1.0]) for time in shown)
+
+
+def test_without_ffmpeg_an_mp4_becomes_a_gif_beside_it(scene, tmp_path, monkeypatch):
+    monkeypatch.setattr(film, "_has_ffmpeg", lambda: False)
+    path = save_animation(*scene, tmp_path / "film.mp4", **SMALL)
+    assert path == tmp_path / "film.gif"
+    assert [p.name for p in tmp_path.iterdir()] == ["film.gif"]
+    with Image.open(path) as image:
+        assert image.format == "GIF"
+
+
+@pytest.mark.skipif(not film._has_ffmpeg(), reason="ffmpeg is not installed")
+def test_with_ffmpeg_an_mp4_is_one(scene, tmp_path):
+    path = save_animation(*scene, tmp_path / "film.mp4", **SMALL)
+    assert path == tmp_path / "film.mp4"
+    assert path.read_bytes()[4:8] == b"ftyp"
+
+
+def test_an_ffmpeg_that_fails_is_one_sentence_and_leaves_nothing(scene, tmp_path):
+    broken = tmp_path / "ffmpeg"
+    broken.write_text("#!/bin/sh\nexit 1\n")
+    broken.chmod(0o755)
+    with (
+        matplotlib.rc_context({"animation.ffmpeg_path": str(broken)}),
+        pytest.raises(GlissandoError, match=r"ffmpeg could not encode .* ends in \.gif"),
+    ):
+        save_animation(*scene, tmp_path / "film.mp4", **SMALL)
+    assert [p.name for p in tmp_path.iterdir()] == ["ffmpeg"]
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "sentence"),
+    [
+        ("film.avi", {}, r"film\.avi is no animation: give a path that ends in \.gif or \.mp4\."),
+        ("film", {}, "film is no animation"),
+        ("film.gif", {"seconds": 0.0}, "give seconds above 0"),
+        ("film.gif", {"seconds": np.nan}, "give seconds above 0"),
+        ("film.gif", {"rate": 0.0}, "a rate up to 50"),
+        ("film.gif", {"rate": 60.0}, "a rate up to 50"),
+        ("film.gif", {"width": 0}, "a width of 100 or more"),
+    ],
+)
+def test_what_cannot_be_written_is_one_sentence(scene, tmp_path, name, changes, sentence):
+    with pytest.raises(GlissandoError, match=sentence) as caught:
+        save_animation(*scene, tmp_path / name, **{**SMALL, **changes})
+    assert "\n" not in str(caught.value)
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_interrupted_film_leaves_nothing_and_spoils_nothing(scene, tmp_path):
+    def stop(done, frames):
+        raise KeyboardInterrupt
+
+    (tmp_path / "film.gif").write_text("an earlier film")
+    with pytest.raises(KeyboardInterrupt):
+        save_animation(*scene, tmp_path / "film.gif", **SMALL, progress=stop)
+    assert [p.name for p in tmp_path.iterdir()] == ["film.gif"]
+    assert (tmp_path / "film.gif").read_text() == "an earlier film"
+
+
+def test_a_robot_that_stands_still_is_one_frame(scene, tmp_path):
+    posterior, readings, truth = scene
+    grid = Grid(posterior.grid.arclength, [0.0])
+    still = [r.inside(grid) for r in readings[:2]]
+    path = save_animation(
+        estimate(posterior.prior, grid, still), still, truth, tmp_path / "film.gif", width=200
+    )
+    with Image.open(path) as image:
+        assert image.n_frames == 1
+
+
+def test_a_sensor_is_where_its_nearest_reading_says(scene):
+    posterior, readings, _ = scene
+    coil = readings[1].select(slice(None, None, -1))  # in any order
+    times = np.array([0.0, 0.06, 0.9])
+    frames = frames_at(posterior, [coil], [], times)
+    assert frames.sensors == ["coil"]
+    for k, time in enumerate(times):
+        place = coil.arclength[np.argmin(np.abs(coil.time - time))]
+        at = posterior.at(place, time)
+        assert frames.place[k, 0] == pytest.approx(1e3 * place)
+        assert frames.dot[k, 0] == pytest.approx(1e3 * at.position)
+        assert frames.dot_std[k, 0] == pytest.approx(1e3 * at.std_position)
+
+
+def test_a_sensor_is_hidden_while_its_last_and_next_reading_are_over_a_quarter_second_away(scene):
+    posterior, readings, _ = scene
+    times = np.array([0.1, 0.3, 0.5, 0.7, 0.9])
+    frames = frames_at(posterior, readings, [], times)
+    hidden = np.isnan(frames.place[:, frames.sensors.index("coil")])
+    assert hidden.tolist() == [False, False, True, False, False]
+    assert np.array_equal(hidden, np.isnan(frames.dot[:, frames.sensors.index("coil"), 0]))
+    assert not np.isnan(frames.place[:, frames.sensors.index("gyro")]).any()
+
+
+def test_truth_is_shown_where_it_has_a_sample_within_a_tenth_of_a_second(scene):
+    posterior, _, truth = scene
+    frames = frames_at(posterior, [], truth, np.array([0.1, 0.38, 0.42, 1.0]))
+    assert np.isnan(frames.triad[:, 0, 0, 0]).tolist() == [False, False, True, True]
+    assert np.isnan(frames.point[:, 0, 0]).tolist() == [False, False, True, True]
+    origin, *tips = frames.triad[0, 0]
+    true = arc(LENGTH / 2, 0.1)
+    assert origin == pytest.approx(1e3 * true[:3, 3])
+    assert (np.array(tips) - origin) / np.linalg.norm(tips[0] - origin) == pytest.approx(
+        true[:3, :3].T
+    )
+    assert frames.point[0, 0] == pytest.approx(1e3 * arc(LENGTH, 0.1)[:3, 3])
+
+
+def test_the_tube_is_three_sigma_across_the_body_at_every_arclength(scene):
+    posterior = scene[0]
+    frames = frames_at(posterior, [], [], np.array([0.25, 0.8]))
+    count = frames.arclength.size
+    extra = (frames.tube.shape[1] - count) // 2
+    at = posterior.at(1e-3 * frames.arclength, frames.time[:, None])
+    off = 1e-3 * frames.tube[:, extra:-extra] - at.position[:, :, None]
+    body = off @ at.pose[..., :3, :3]
+    assert body[..., 2] == pytest.approx(0.0, abs=1e-12)
+    weight = np.linalg.inv(at.cov[..., :2, :2])
+    squared = np.einsum("fnai,fnij,fnaj->fna", body[..., :2], weight, body[..., :2])
+    assert squared == pytest.approx(9.0)
+
+
+def test_everything_is_found_in_one_query(scene):
+    posterior, readings, truth = scene
+    asked = []
+
+    class Counting(type(posterior)):
+        def at(self, arclength, time):
+            asked.append(np.broadcast(arclength, time).size)
+            return super().at(arclength, time)
+
+    fields = {name: getattr(posterior, name) for name in posterior.__dataclass_fields__}
+    frames = frames_at(Counting(**fields), readings, truth, np.linspace(0.0, 1.0, 5))
+    assert asked == [5 * (frames.arclength.size + len(readings))]
+
+
+def test_no_sensor_and_no_truth_is_still_a_film(scene, tmp_path):
+    posterior, readings, _ = scene
+    later = replace(readings[1], time=readings[1].time + 9.0)  # none of it on the grid
+    path = save_animation(posterior, [later], [], tmp_path / "film.gif", **SMALL)
+    assert path.stat().st_size > 1000

@@ -1,0 +1,152 @@
+"""`glissando simulate`: a folder that is estimated like a real one, or one sentence and nothing."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+from glissando import cli
+from glissando.dataset import load_recording
+from glissando.robot import robot_file
+
+
+def run(*arguments):
+    return cli.main([str(a) for a in arguments])
+
+
+def simulate(folder, *more):
+    return run("simulate", "--out", folder, *more)
+
+
+def test_a_simulated_recording_is_estimated_like_a_real_one(tmp_path, capsys):
+    made = tmp_path / "s"
+    assert simulate(made, "--shape", "S", "--cycles", 1, "--seed", 4) == 0
+    assert "Now: glissando estimate" in capsys.readouterr().out
+    assert run("estimate", made, "--json") == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["status"] == "converged"
+    assert len(report["sites"]) == 6
+    assert report["overall"]["position_rmse"] < 0.015
+    assert report["overall"]["coverage95_position"] > 0.7
+
+
+def test_the_coils_arclength_is_in_every_row_and_slides(tmp_path):
+    assert simulate(tmp_path / "s", "--cycles", 1) == 0
+    rows = csv.DictReader((tmp_path / "s" / "coil.csv").read_text().splitlines())
+    place = np.array([float(row["arclength"]) for row in rows])
+    assert place.max() == pytest.approx(0.7, abs=2e-4)
+    assert place.min() == pytest.approx(0.64, abs=2e-4)
+
+
+def test_the_same_seed_writes_the_same_folder(tmp_path):
+    for name in ("a", "b", "c"):
+        seed = 1 if name == "c" else 0
+        simulate(tmp_path / name, "--duration", 1, "--slide", "hold", "--seed", seed)
+    text = {name: (tmp_path / name / "coil.csv").read_text() for name in "abc"}
+    assert text["a"] == text["b"] != text["c"]
+
+
+def test_a_hold_stays_where_it_is_told_and_a_traverse_reaches_the_base(tmp_path):
+    simulate(tmp_path / "hold", "--slide", "hold", "--at", 0.05, "--duration", 1)
+    simulate(tmp_path / "all", "--slide", "traverse", "--shape", "straight", "--without", "all")
+    held = load_recording(tmp_path / "hold").streams["coil"].rows.arclength
+    assert np.allclose(held, 0.65, atol=1e-4)
+    slid = load_recording(tmp_path / "all").streams["coil"].rows.arclength
+    assert slid.min() < 0.01
+    assert slid.max() > 0.699
+
+
+def test_shapes_and_slides_come_from_files(tmp_path):
+    shape, path = tmp_path / "my.toml", tmp_path / "my.csv"
+    shape.write_text(
+        "time = [0, 3]\ntensions = [[0, 0], [5, 0]]\ngravity = [0, 0, 0]\n"
+        "[[loads]]\narclength = 0.5\nforce = [0, 0.1, 0]\n"
+    )
+    path.write_text("time,displacement\n0,0.01\n3,0.04\n")
+    assert simulate(tmp_path / "out", "--shape", shape, "--slide", path) == 0
+    coil = load_recording(tmp_path / "out").streams["coil"].rows
+    assert coil.arclength[0] == pytest.approx(0.69, abs=2e-4)
+    assert coil.arclength[-1] == pytest.approx(0.66, abs=2e-4)
+
+
+def test_a_robot_file_of_ones_own_travels_with_the_recording(tmp_path):
+    own = tmp_path / "mine.toml"
+    own.write_text(robot_file("sliding700").read_text().replace('"sliding700"', '"mine"'))
+    assert simulate(tmp_path / "out", "--robot", own, "--slide", "hold", "--duration", 1) == 0
+    assert load_recording(tmp_path / "out").robot.name == "mine"
+
+
+def changed(old, new):
+    """A robot file with one line changed, as a function of a folder."""
+
+    def write(folder):
+        text = robot_file("sliding700").read_text()
+        assert old in text
+        (folder / "changed.toml").write_text(text.replace(old, new, 1))
+        return ["--robot", folder / "changed.toml"]
+
+    return write
+
+
+def shaped(text):
+    def write(folder):
+        (folder / "shape.toml").write_text(text)
+        return ["--shape", folder / "shape.toml"]
+
+    return write
+
+
+@pytest.mark.parametrize(
+    ("options", "status", "sentence"),
+    [
+        (["--shape", "Z"], 2, "no shape named 'Z'"),
+        (["--slide", "jump"], 2, "no slide named 'jump'"),
+        (["--stroke", "0.08"], 2, "stroke would be 0.08 m; the stage allows 0.06 m"),
+        (["--speed", "0.03"], 2, "speed would be 0.03 m/s; the stage allows 0.024 m/s"),
+        (["--cycles", "0"], 2, "0 cycles cannot be"),
+        (["--slide", "hold", "--at", "0.2"], 2, "stroke would be 0.2 m"),
+        (["--slide", "hold", "--at", "-0.1"], 2, "100 mm beyond the tip"),
+        (["--duration", "-3"], 2, "session of -3 s cannot be"),
+        (["--duration", "nan"], 2, "session of nan s cannot be"),
+        (["--without", "noise"], 2, "'noise' is no imperfection"),
+        (["--seed", "-1"], 2, "Seed -1 cannot be"),
+        (["--robot", "nobody"], 2, "no robot named 'nobody'"),
+        (["--robot", "tdcr466"], 2, "has no [physics]"),
+        (changed("offset = [5e-3, 0]", "offset = [9e-3, 0]"), 2, "off a disk of 0.006 m"),
+        (changed("end = 0.35", "end = 0.9"), 2, "off a robot of 0.7 m"),
+        (changed("young =", "yuong ="), 2, "young"),
+        (changed("stroke = 0.06", "stroke = -1"), 2, "give a number above zero"),
+        (changed("inner = 1.8e-3", "inner = 2.8e-3"), 2, "give outer > inner"),
+        (shaped("tensions = [5]"), 2, "give 2 numbers a row"),
+        (shaped("tensions = [-5, 0]"), 2, "a tendon only pulls"),
+        (shaped("tensions = [5, 0]\nforce = 3"), 2, "force is not a key"),
+        (shaped("tensions = [[5, 0], [6, 0]]\ntime = [2, 1]"), 2, "give times that increase"),
+        (shaped("tensions = [0, 0]\n[[loads]]\narclength = 2\nforce = [1,0,0]"), 2, "off a rod"),
+        (shaped("tensions = [90000, 0]"), 1, "% of these loads the rod buckles"),
+        (
+            shaped("tensions = [0, 0]\n[[loads]]\narclength = 0.7\nforce = [0, 0, -30]"),
+            1,
+            "% of these loads the rod buckles",
+        ),
+    ],
+)
+def test_a_mistake_is_one_sentence_and_nothing_is_written(
+    tmp_path, capsys, options, status, sentence
+):
+    given = options(tmp_path) if callable(options) else options
+    before = sorted(tmp_path.iterdir())
+    assert simulate(tmp_path / "out", *given) == status
+    captured = capsys.readouterr()
+    assert sentence in captured.err
+    assert captured.err.startswith("glissando: ")
+    assert captured.err.count("\n") == 1
+    assert captured.out == ""
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_a_folder_that_holds_something_is_left_alone(tmp_path, capsys):
+    (tmp_path / "note.txt").write_text("mine")
+    assert simulate(tmp_path, "--slide", "hold", "--duration", 1) == 2
+    assert "is there already and not empty" in capsys.readouterr().err
+    assert [p.name for p in tmp_path.iterdir()] == ["note.txt"]
