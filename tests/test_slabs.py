@@ -6,7 +6,8 @@ from threadpoolctl import threadpool_info
 
 from draws import generators, law
 from glissando.errors import UnobservableError
-from glissando.slabs import BlockTridiagonal, factor, one_thread
+from glissando.slabs import BlockTridiagonal, factor
+from glissando.threads import one_thread
 
 counts, sizes = st.integers(1, 6), st.integers(1, 9)
 

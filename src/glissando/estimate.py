@@ -26,14 +26,17 @@ from glissando.posterior import Posterior, Solve
 from glissando.prior import KinematicPrior
 from glissando.readings import Readings
 from glissando.se3 import Array
-from glissando.slabs import Cholesky, factor, one_thread
+from glissando.slabs import Cholesky, factor
 from glissando.state import DOF, State
+from glissando.threads import one_thread
 
 _WORTHWHILE = 1e-3  # share of the predicted fall in cost below which a step is refused
 _SETTLED = 10  # iterations after which weights are held, so that the cost can only fall
 _ROUNDS = 5  # times they are renewed after that
 _ROUNDING = 1e-11  # a fall in cost this small, relatively, cannot be told from rounding
 _DAMPING = (1e-4, 1e8)  # smallest damping worth applying, and the one at which to give up
+_ROUGH = 10.0  # standard deviations a number that a rough start may be off by
+_ROUGH_ITERATIONS = 15
 _NOT_CONVERGED = "not converged: {} iterations, the last step still {:.2g} standard deviations long"
 
 Progress = Callable[[int, float, float], None]
@@ -63,9 +66,11 @@ def estimate(
 ) -> Posterior:
     """Posterior over pose, strain and velocity on `grid` given a prior and readings.
 
-    Starts from the robot at rest unless `initial` is given. Warns NotConvergedWarning when it stops
-    early (the posterior says so too); raises OutsideGridError for readings off the grid and
-    UnobservableError when prior and readings leave a direction undetermined.
+    Starts from `initial`, else from the robot at rest, first with shear and extension softened
+    where they are stiff: stiff ones make a bend a long walk along a narrow valley. Warns
+    NotConvergedWarning when it stops early (the posterior says so too); raises OutsideGridError for
+    readings off the grid and UnobservableError when prior and readings leave a direction
+    undetermined.
     """
     clock = Stopwatch()
     if isinstance(readings, Readings):
@@ -81,8 +86,10 @@ def estimate(
             "is used. Give the robot a [base], or use a stream that fixes it."
         )
     with one_thread():
-        start = prior.rest_state(grid) if initial is None else initial
-        found = _iterate(prior, PlacedReadings(grid, readings), start, options, progress, clock)
+        placed, start = PlacedReadings(grid, readings), initial
+        if start is None:
+            start = _rough(prior, placed, clock)
+        found = _iterate(prior, placed, start, options, progress, clock)
         with clock("covariance"):
             marginals = found.chol.marginals(consume=True)
     solve = found.solve(clock)
@@ -94,6 +101,17 @@ def estimate(
             stacklevel=2,
         )
     return Posterior(prior, grid, found.state, found.at.system, marginals, solve)
+
+
+def _rough(prior: KinematicPrior, placed: PlacedReadings, clock: Stopwatch) -> State:
+    """Where to start: at rest, or where a few steps with a softer prior lead from there."""
+    rest = prior.rest_state(placed.grid)
+    soft = prior.softened()
+    if soft is prior:
+        return rest
+    size = rest.strain.shape[0] * rest.strain.shape[1] * DOF
+    options = Options(max_iterations=_ROUGH_ITERATIONS, tolerance=_ROUGH * float(np.sqrt(size)))
+    return _iterate(soft, placed, rest, options, None, clock).state
 
 
 class Stopwatch:

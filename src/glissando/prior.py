@@ -8,7 +8,7 @@ the grid does not repeat the prior as if it were news.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -23,6 +23,14 @@ from glissando.transitions import Bridge, bridge, process_covariances
 
 _POSE_STRAIN, _ALL = slice(0, 12), slice(0, DOF)
 STRAIGHT = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+
+
+_SOFT = (0.022) ** 2  # m², of strain density over curvature density
+
+
+def _soften(psd: Array) -> Array:
+    """A strain density (6,) whose linear part is large enough beside its bending part."""
+    return np.concatenate([np.maximum(psd[:3], _SOFT * np.mean(psd[3:5])), psd[3:]])
 
 
 @dataclass(frozen=True)
@@ -56,6 +64,21 @@ class KinematicPrior:
     base: BaseDensity | None
     rest_strain: Array = field(default_factory=STRAIGHT.copy)
     base_pose: Array = field(default_factory=lambda: np.eye(4))
+
+    def softened(self) -> KinematicPrior:
+        """The prior with shear and extension no stiffer than a bend over 2 cm; itself if it is so.
+
+        Its estimates bend easily, which makes them a start for the stiffer one.
+        """
+        names = ("psd_strain_arclength", "psd_strain_time")
+        soft = {name: _soften(getattr(self, name)) for name in names}
+        base = self.base
+        if base is not None:
+            base = replace(base, strain=_soften(base.strain))
+        known = [getattr(self, name) for name in names]
+        if all(np.array_equal(soft[name], was) for name, was in zip(names, known, strict=True)):
+            return self
+        return replace(self, **soft, base=base)
 
     def rest_state(self, grid: Grid) -> State:
         """The robot at rest on the grid, from which an estimate starts."""

@@ -7,23 +7,14 @@ Source: equations (20) to (22). Every routine keeps BLAS to one thread: the bloc
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import blas, lapack
-from threadpoolctl import ThreadpoolController
 
 from glissando.errors import UnobservableError
 from glissando.se3 import Array
-
-_threads = ThreadpoolController()
-
-
-def one_thread() -> AbstractContextManager[object]:
-    """Hold BLAS to one thread: more only fight over blocks this small."""
-    return _threads.limit(limits=1, user_api="blas")
-
+from glissando.threads import one_thread
 
 _PIVOT_FLOOR = 1e-13  # a pivot this small against its diagonal entry carries no information
 

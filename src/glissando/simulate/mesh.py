@@ -20,6 +20,7 @@ from glissando.se3 import Array
 _COUNT = 12  # Gauss points an element
 _NODES, _WEIGHTS = legendre.leggauss(_COUNT)
 _TO_MODES = np.linalg.inv(legendre.legvander(_NODES, _COUNT - 1))  # values at the points → modes
+_SAME = 1e-9  # m between two places that are one
 _ENDS = np.concatenate([[-1.0], _NODES, [1.0]])
 _INNER = np.sqrt(0.6) * np.array([-1.0, 0.0, 1.0])  # the three Gauss points of a Magnus step
 
@@ -79,12 +80,18 @@ class Mesh:
     @staticmethod
     def through(breaks: Sequence[float] | Array, largest: float) -> Mesh:
         """A mesh with an edge at every one of `breaks`, no element longer than `largest`."""
-        places = np.unique(np.round(breaks, 12))
+        places = np.unique(breaks)
+        places = places[np.append(True, np.diff(places) > _SAME)]
         parts = [
             np.linspace(low, high, int(np.ceil((high - low) / largest - 1e-9)) + 1)[:-1]
             for low, high in pairwise(places)
         ]
         return Mesh(np.append(np.concatenate(parts), places[-1]))
+
+    def has(self, breaks: Sequence[float] | Array) -> bool:
+        """Whether this is a mesh of the same length with an edge at every one of `breaks`."""
+        gaps = np.abs(self.edges[:, None] - np.asarray(breaks)).min(axis=0)
+        return bool(np.all(gaps <= _SAME) and abs(self.edges[-1] - np.max(breaks)) <= _SAME)
 
     @property
     def integral(self) -> Array:
@@ -114,7 +121,7 @@ class Mesh:
         return (2.0 * arclength - low - high) / (high - low)
 
     def _split(self, values: Array) -> Array:
-        return values.reshape(*values.shape[:-2], -1, _COUNT, values.shape[-1])
+        return values.reshape(*values.shape[:-2], self.edges.size - 1, _COUNT, values.shape[-1])
 
     def roll_out(self, strain: Array, base: Array) -> tuple[Array, Array]:
         """Poses at the points (…, G, 4, 4) and the edges (…, E + 1, 4, 4) of strains (…, G, 6)."""
@@ -129,7 +136,7 @@ class Mesh:
             for i in range(_COUNT):
                 pose = points[..., e, i, :, :] = pose @ moves[..., e, i, :, :]
             pose = edges[..., e + 1, :, :] = pose @ moves[..., e, _COUNT, :, :]
-        return points.reshape(*strain.shape[:-2], -1, 4, 4), edges
+        return points.reshape(*strain.shape[:-1], 4, 4), edges
 
     def pose_at(self, strain: Array, edges: Array, arclength: Array) -> Array:
         """Poses (M, 4, 4) at arclengths (M,) of strains (M, G, 6) and edge poses (M, E + 1, 4, 4).

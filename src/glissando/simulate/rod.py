@@ -27,6 +27,13 @@ class NoShapeError(Exception):
     """The physics has no stable static shape under these loads that continues the unloaded one."""
 
 
+def _require_finite(name: str, value: Array, shape: tuple[int, ...]) -> None:
+    if value.shape != shape or not np.all(np.isfinite(value)):
+        raise SimulationError(
+            f"{name} is {value.tolist()}; give an array {shape} of finite numbers."
+        )
+
+
 @dataclass(frozen=True)
 class Rod:
     """A linear-elastic Cosserat rod.
@@ -44,21 +51,29 @@ class Rod:
     base: Array = field(default_factory=lambda: np.eye(4))
 
     def __post_init__(self) -> None:
-        stiffness = np.asarray(self.stiffness, dtype=float)
-        object.__setattr__(self, "stiffness", stiffness)
+        for name, shape in (("stiffness", (6,)), ("base", (4, 4))):
+            object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=float))
+            _require_finite(name, getattr(self, name), shape)
         if not (np.isfinite(self.length) and self.length > 0.0):
             raise SimulationError(f"A rod of length {self.length:g} m cannot be; give metres > 0.")
-        if stiffness.shape != (6,) or not np.all(stiffness > 0.0):
+        if not np.all(self.stiffness > 0.0):
             raise SimulationError(
-                f"A rod's stiffness is {stiffness.tolist()}; give six numbers above zero: shear, "
-                f"shear, extension (N), bending, bending, twist (N m²)."
+                f"A rod's stiffness is {self.stiffness.tolist()}; give six numbers above zero: "
+                f"shear, shear, extension (N), bending, bending, twist (N m²)."
             )
+        if not (np.isfinite(self.mass_per_length) and self.mass_per_length >= 0.0):
+            raise SimulationError(
+                f"A rod of {self.mass_per_length:g} kg/m cannot be; give zero or more."
+            )
+        _require_finite("rest_strain", self.rest(np.zeros(1)), (1, 6))
 
     def rest(self, arclength: Array) -> Array:
         """Strain (M, 6) of the unloaded rod at arclengths (M,)."""
         if callable(self.rest_strain):
             return np.asarray(self.rest_strain(arclength), dtype=float)
-        return np.broadcast_to(np.asarray(self.rest_strain, dtype=float), (arclength.size, 6))
+        strain = np.asarray(self.rest_strain, dtype=float)
+        _require_finite("rest_strain", strain, (6,))
+        return np.broadcast_to(strain, (arclength.size, 6))
 
     @staticmethod
     def of_tubes(
@@ -118,12 +133,15 @@ class Tendon:
         """Places r (M, 3) in the cross-section and their slopes dr/ds (M, 3)."""
         place, slope = np.zeros((arclength.size, 3)), np.zeros((arclength.size, 3))
         if not callable(self.offset):
-            place[:, :2] = self.offset
+            offset = np.asarray(self.offset, dtype=float)
+            _require_finite("A tendon's offset", offset, (2,))
+            place[:, :2] = offset
             return place, slope
         step = 1e-4 * self.end  # a five-point difference: exact to 1e-12 for smooth routings
-        place[:, :2] = self.offset(arclength)
-        near = np.asarray(self.offset(arclength + step)) - self.offset(arclength - step)
-        far = np.asarray(self.offset(arclength + 2 * step)) - self.offset(arclength - 2 * step)
+        at = np.clip(arclength, 2.0 * step, self.end - 2.0 * step)
+        place[:, :2] = self.offset(np.minimum(arclength, self.end))
+        near = np.asarray(self.offset(at + step)) - self.offset(at - step)
+        far = np.asarray(self.offset(at + 2 * step)) - self.offset(at - 2 * step)
         slope[:, :2] = (8.0 * near - far) / (12.0 * step)
         return place, slope
 
@@ -168,7 +186,7 @@ class Loads:
 
 def require_possible(rod: Rod, tendons: Sequence[Tendon], loads: Loads) -> None:
     """Raise SimulationError unless tendons and loads are on the rod and tensions can be."""
-    tensions = np.asarray(loads.tensions, dtype=float)
+    tensions = np.atleast_1d(np.asarray(loads.tensions, dtype=float))
     if tensions.shape != (len(tendons),):
         raise SimulationError(
             f"{tensions.size} tensions for {len(tendons)} tendons; give one a tendon, in newtons."

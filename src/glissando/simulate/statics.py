@@ -23,12 +23,13 @@ from glissando.se3 import Array, hat3
 from glissando.simulate.mesh import Mesh
 from glissando.simulate.rod import Loads, NoShapeError, Rod, Tendon, require_possible
 from glissando.simulate.shape import Shape
+from glissando.threads import one_thread
 
 _CLOSE = 1e-10  # residual in strain at which a shape is found
 _SMOOTH = 1e-6  # share of the highest modes in strain above which elements are halved
 _ITERATIONS = 25
-_SMALLEST_STEP = 1e-3  # of the load, when it has to be put on bit by bit
-_LONGEST = 20.0  # rad that a step may turn the rod by, as a guard against nonsense
+_SMALLEST_STEP = 1e-4  # of the load, when it has to be put on bit by bit
+_LONGEST = 4.0  # rad a step may turn the rod by: a longer one may land on another branch
 _FINEST = 64  # elements the length may be divided into
 
 
@@ -38,24 +39,26 @@ def solve_shape(
     """The stable static shape that the unloaded rod takes when the loads are put on.
 
     `start`, a shape under similar loads, saves iterations. Elements are halved until strain is
-    resolved. Raises SimulationError for impossible tendons or loads, NoShapeError when the rod
-    buckles on the way or no shape is found.
+    resolved, or a 64th of the length long where the rest strain itself jumps. Raises
+    SimulationError for impossible tendons or loads, NoShapeError when the rod buckles on the way or
+    no shape is found.
     """
     require_possible(rod, tendons, loads)
     breaks = [0.0, rod.length, *(t.end for t in tendons), *(w.arclength for w in loads.wrenches)]
     largest = rod.length / 2.0
-    if start is not None and set(np.round(breaks, 12)) <= set(np.round(start.mesh.edges, 12)):
+    if start is not None and start.mesh.has(breaks):
         mesh, guess = start.mesh, start.strain
     else:
         mesh, guess = Mesh.through(breaks, largest), None
-    while True:
-        problem = _Problem.of(rod, tendons, loads, mesh)
-        strain = problem.load_up(guess)
-        smooth = mesh.roughness(strain) < _SMOOTH
-        if smooth or np.diff(mesh.edges).max() < rod.length / _FINEST:
-            return problem.shape(strain)
-        finer = Mesh.through(mesh.edges, 0.5 * np.diff(mesh.edges).max())
-        mesh, guess = finer, resample(mesh, strain, finer)
+    with one_thread():
+        while True:
+            problem = _Problem.of(rod, tendons, loads, mesh)
+            strain = problem.load_up(guess)
+            smooth = mesh.roughness(strain) < _SMOOTH
+            if smooth or np.diff(mesh.edges).max() < rod.length / _FINEST:
+                return problem.shape(strain)
+            finer = Mesh.through(mesh.edges, 0.5 * np.diff(mesh.edges).max())
+            mesh, guess = finer, resample(mesh, strain, finer)
 
 
 def resample(mesh: Mesh, strain: Array, other: Mesh) -> Array:
@@ -110,7 +113,7 @@ class _Problem:
         pull = np.array(
             [
                 t * (s < tendon.end)
-                for t, tendon in zip(np.ravel(loads.tensions), tendons, strict=True)
+                for t, tendon in zip(np.atleast_1d(loads.tensions), tendons, strict=True)
             ]
         ).reshape(len(tendons), s.size)
         paths = [tendon.path(s) for tendon in tendons]

@@ -1,0 +1,1 @@
+"""The paper's claims, computed: scenes, trials over seeds, figures, verdicts."""

@@ -1,0 +1,97 @@
+"""Claims: sentences of the paper with a number of ours beside each, and a verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from glissando.errors import GlissandoError
+from glissando.tables import Table, read_toml
+
+CLAIMS = Path(__file__).parent / "claims.toml"
+_DIRECTIONS = ("below", "above", "report")
+
+
+class ClaimsError(GlissandoError):
+    """A file of claims is not as it should be."""
+
+
+@dataclass(frozen=True)
+class Claim:
+    """One claim: what the paper says, its value, and how ours is computed and judged.
+
+    `ours` is a format string over the results, `{table[C][fixed][position][value]:.3f}`; `measure`
+    the dotted path of the number that must be `direction` ('below', 'above') the `bound`, or
+    'report' for what is printed without a verdict. `beyond` marks what the paper does not claim.
+    """
+
+    id: str
+    says: str
+    paper: str
+    ours: str
+    direction: str
+    measure: str = ""
+    bound: float = 0.0
+    beyond: bool = False
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """A claim with our number: 'holds', 'FAILS', or '' where there is nothing to judge."""
+
+    claim: Claim
+    ours: str
+    value: float | None
+    verdict: str
+
+    @property
+    def fails(self) -> bool:
+        """Whether the claim was judged and does not hold."""
+        return self.verdict == "FAILS"
+
+
+def load_claims(path: Path = CLAIMS) -> list[Claim]:
+    """The claims of a TOML file. Raises ClaimsError naming the claim and the key."""
+    table = read_toml(path, ClaimsError)
+    claims = [_claim(entry) for entry in table.tables("claims")]
+    table.close()
+    if not claims:
+        raise ClaimsError(f"{path.name} holds no [[claims]]; add some.")
+    return claims
+
+
+def _claim(entry: Table) -> Claim:
+    name = entry.text("id")
+    entry.where = f"{entry.where} {name!r}"
+    direction = entry.text("direction", choices=_DIRECTIONS)
+    measure, bound = "", 0.0
+    if direction != "report":
+        measure, bound = entry.text("measure"), entry.number("bound", positive=False)
+    says, paper, ours = entry.text("says"), entry.text("paper", "–"), entry.text("ours")
+    beyond = entry.flag("beyond")
+    entry.close()
+    return Claim(name, says, paper, ours, direction, measure, bound, beyond)
+
+
+def judge(claims: Sequence[Claim], results: dict[str, Any]) -> list[Verdict]:
+    """Every claim with our number and its verdict. Raises ClaimsError for a number not computed."""
+    return [_judge(claim, results) for claim in claims]
+
+
+def _judge(claim: Claim, results: dict[str, Any]) -> Verdict:
+    try:
+        ours = claim.ours.format_map(results)
+        if claim.direction == "report":
+            return Verdict(claim, ours, None, "")
+        value: Any = results
+        for key in claim.measure.split("."):
+            value = value[key]
+    except (KeyError, TypeError, ValueError, IndexError) as problem:
+        raise ClaimsError(
+            f"Claim {claim.id!r} asks for a number that was not computed ({problem}); correct its "
+            f"ours or measure."
+        ) from None
+    holds = value < claim.bound if claim.direction == "below" else value > claim.bound
+    return Verdict(claim, ours, float(value), "holds" if holds else "FAILS")

@@ -1,0 +1,177 @@
+"""Scenes: a robot, a shape, a slide; simulated with a seed and estimated like any recording.
+
+The prior of the robot file was chosen on the shapes of TUNED_ON and is judged on REPORTED_ON.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from glissando.dataset import Recording, Stream
+from glissando.estimate import estimate
+from glissando.grid import Grid
+from glissando.metrics import Errors, errors_against
+from glissando.posterior import Posterior
+from glissando.prior import KinematicPrior
+from glissando.readings import Readings
+from glissando.robot import Robot, load_robot, robot_file
+from glissando.simulate import (
+    Actuation,
+    Bench,
+    Imperfections,
+    Motion,
+    Session,
+    SlideLimits,
+    SlidePath,
+    load_bench,
+    simulate_session,
+)
+
+ROBOT = "sliding700"
+TUNED_ON: dict[str, Sequence[Sequence[float]]] = {
+    "soft C": [[7, 0]],
+    "back half": [[0, 14]],
+    "J": [[14, 7]],
+    "strong S": [[5, 16]],
+    "soft C to strong S": [[7, 0], [5, 16]],
+}
+"""Tendon tensions (N) of the shapes that the prior was chosen on, with seeds 1000 up."""
+REPORTED_ON = ("straight", "C", "S", "C-to-S")
+"""Named shapes of the robot file, with seeds 0 up, that every published number is about."""
+_STILL = 1e-3  # share of its densities over time that the prior of a robot known to be still has
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What is simulated and estimated: everything but the seed.
+
+    `shape` a name of REPORTED_ON or TUNED_ON; `slide` 'hold', 'oscillate' or 'traverse' with `at`,
+    `stroke` in metres and `cycles`; `speed` m/s; `duration` s of the session, and of the motion if
+    the shape moves. `flaws` scales parts of the imperfections: pairs of a field and a factor.
+    `still` lets the estimator know that the robot holds still; `nodes` a length and `time_rate` a
+    second are its grid's, the robot file's unless given.
+    """
+
+    shape: str
+    slide: str
+    duration: float
+    speed: float = 0.024
+    at: float = 0.0
+    stroke: float = 0.06
+    cycles: int = 3
+    flaws: tuple[tuple[str, float], ...] = ()
+    still: bool = False
+    nodes: int | None = None
+    time_rate: float | None = None
+
+
+@lru_cache(maxsize=1)
+def bench() -> Bench:
+    """The robot on its bench."""
+    return load_bench(robot_file(ROBOT))
+
+
+@lru_cache(maxsize=1)
+def robot() -> Robot:
+    """The robot as the estimator knows it."""
+    return load_robot(ROBOT)
+
+
+def flaws(scene: Scene) -> Imperfections:
+    """The bench's imperfections, scaled as the scene says."""
+    out = bench().flaws
+    for name, factor in scene.flaws:
+        out = replace(out, **{name: factor * getattr(out, name)})
+    return out
+
+
+def motion(scene: Scene, seed: int) -> Motion:
+    """The shapes of a scene, of a robot with the set that the seed gives it."""
+    return _motion(scene.shape, scene.duration, flaws(scene).set_curvature, seed)
+
+
+@lru_cache(maxsize=32)
+def _motion(shape: str, duration: float, set_curvature: float, seed: int) -> Motion:
+    if shape in TUNED_ON:
+        tensions = np.array(TUNED_ON[shape], dtype=float)
+        time = np.linspace(0.0, duration, len(tensions)) if len(tensions) > 1 else np.zeros(1)
+        actuation = Actuation(time, tensions, bench().gravity)
+    else:
+        actuation = bench().shape(shape).lasting(duration)
+    return bench().move(actuation, replace(bench().flaws, set_curvature=set_curvature), seed)
+
+
+def path(scene: Scene) -> SlidePath:
+    """The slide's path; an ideal stage, fast and as long as the robot, where one is needed."""
+    stage = bench().slide
+    if scene.slide == "hold":
+        return SlidePath.hold(scene.at, scene.duration, bench().full_slide)
+    if scene.slide == "traverse":
+        stage = SlideLimits(bench().rod.length, scene.speed, 4.0 * scene.speed)
+    return SlidePath.oscillate(scene.cycles, scene.stroke, stage, speed=scene.speed)
+
+
+def session(scene: Scene, seed: int) -> Session:
+    """What the sensors record of the scene with this seed's robot and noise."""
+    moved, slid = motion(scene, seed), path(scene)
+    return simulate_session(
+        bench(), moved, slid, seed=seed, duration=scene.duration, flaws=flaws(scene)
+    )
+
+
+def recording(recorded: Session) -> Recording:
+    """A session as the recording that its folder would be read as."""
+    coil = replace(recorded.coil, values=recorded.T_wt @ recorded.coil.values)
+    streams = {"coil": Stream("coil", coil, False, None, np.eye(4), {})}
+    for name, rows in recorded.mocap.items():
+        streams[name] = Stream(name, rows, True, recorded.mocap_std, np.eye(4), {})
+    return Recording(recorded.name, Path(), streams, robot(), None)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One estimate of a scene: what went in, what came out, and its errors against truth."""
+
+    readings: list[Readings]
+    truth: list[Readings]
+    posterior: Posterior
+    errors: list[Errors]
+
+
+def trial(scene: Scene, seed: int) -> Trial:
+    """Simulate a scene with a seed, estimate it, and judge it by motion capture."""
+    recorded = recording(session(scene, seed))
+    window = (0.0, scene.duration)
+    used, judges = recorded.choose(None, None)
+    readings, _ = recorded.readings(used, robot(), window)
+    truth, _ = recorded.readings(judges, robot(), window, as_truth=True)
+    posterior = estimate(prior(scene), grid(scene), readings)
+    return Trial(readings, truth, posterior, [errors_against(posterior, t) for t in truth])
+
+
+def grid(scene: Scene) -> Grid:
+    """The robot file's grid over the scene, or the finer one that the scene asks for."""
+    known = robot()
+    if scene.nodes is not None:
+        known = replace(known, arclength_nodes=np.linspace(0.0, known.length, scene.nodes))
+    if scene.time_rate is not None:
+        known = replace(known, time_rate=scene.time_rate)
+    return known.grid(0.0, scene.duration)
+
+
+def prior(scene: Scene) -> KinematicPrior:
+    """The robot file's prior, firmer over time if it is known that the robot holds still."""
+    known = robot().prior
+    if not scene.still:
+        return known
+    return replace(
+        known,
+        psd_velocity_time=_STILL * known.psd_velocity_time,
+        psd_strain_time=_STILL * known.psd_strain_time,
+        psd_velocity_arclength=_STILL * known.psd_velocity_arclength,
+    )

@@ -1,0 +1,147 @@
+"""Claims, trials and the command that reproduces: judged as said, the same every time."""
+
+import json
+import os
+
+import numpy as np
+import pytest
+
+from glissando import cli
+from glissando.experiments import scenes, trials
+from glissando.experiments.claims import Claim, ClaimsError, Verdict, judge, load_claims
+from glissando.experiments.confidence import nearest_minimum
+from glissando.experiments.scenes import REPORTED_ON, TUNED_ON, Scene
+from glissando.experiments.trials import run_trials, summary
+
+BODY = np.linspace(0.0, 0.7, 701)
+
+
+@pytest.mark.parametrize("place", [0.2, 0.45, 0.64, 0.7])
+def test_the_nearest_minimum_is_found_wherever_the_coil_is(place):
+    std = np.sqrt(BODY) * (1.0 - 0.6 * np.exp(-(((BODY - place) / 0.03) ** 2)))
+    assert nearest_minimum(BODY, std, place) == pytest.approx(place, abs=0.012)
+
+
+def test_the_clamped_base_and_a_slope_without_a_minimum_are_none():
+    assert np.isnan(nearest_minimum(BODY, BODY, 0.3))
+    assert nearest_minimum(BODY, 1.0 - BODY, 0.3) == 0.7
+
+
+def test_intervals_of_a_summary_hold_the_true_error_as_often_as_they_say():
+    rng = np.random.default_rng(1)
+    inside = 0
+    for _ in range(100):
+        rmse = rng.normal(2.0, 0.3, (60, 1))
+        told = summary(np.hstack([rmse, np.ones((60, 4))]))["position"]
+        inside += told["low"] < np.sqrt(2.0**2 + 0.3**2) < told["high"]
+    assert 86 <= inside <= 100
+
+
+def test_a_change_is_judged_between_trials_of_the_same_seed():
+    """Seeds differ tenfold from each other; each sliding trial is 5 % better than its own."""
+    fixed = np.ones((40, 5)) * np.random.default_rng(0).uniform(1, 10, (40, 1))
+    told = summary(0.95 * fixed, fixed)["position_change"]
+    assert told["low"] == pytest.approx(-5.0)
+    assert told["high"] == pytest.approx(-5.0)
+
+
+RESULTS = {"a": {"b": 3.0}}
+
+
+def claim(**changes):
+    entries = {"id": "x", "says": "s", "paper": "p", "ours": "{a[b]:.1f}", "measure": "a.b"}
+    return Claim(**{**entries, "direction": "below", "bound": 4.0, **changes})
+
+
+@pytest.mark.parametrize(
+    ("changes", "verdict"),
+    [
+        ({}, "holds"),
+        ({"bound": 3.0}, "FAILS"),
+        ({"direction": "above"}, "FAILS"),
+        ({"direction": "above", "bound": 2.0}, "holds"),
+        ({"direction": "report"}, ""),
+    ],
+)
+def test_a_claim_is_judged_by_its_direction_and_bound(changes, verdict):
+    (found,) = judge([claim(**changes)], RESULTS)
+    assert found.verdict == verdict
+    assert found.fails == (verdict == "FAILS")
+    assert found.ours == "3.0"
+
+
+@pytest.mark.parametrize("changes", [{"measure": "a.c"}, {"ours": "{a[c]}"}, {"measure": "a.b.c"}])
+def test_a_claim_about_a_number_nobody_computes_is_a_mistake(changes):
+    with pytest.raises(ClaimsError, match="number that was not computed"):
+        judge([claim(**changes)], RESULTS)
+
+
+def test_a_number_that_is_nan_holds_for_no_claim():
+    for direction in ("below", "above"):
+        (found,) = judge([claim(direction=direction)], {"a": {"b": float("nan")}})
+        assert found.fails
+
+
+def test_claims_of_the_paper_are_all_there():
+    ids = {claim.id for claim in load_claims()}
+    wanted = {"highest at the coil", "follows the coil"}
+    wanted |= {f"{shape} {what}" for shape in "CS" for what in ("position", "orientation")}
+    assert wanted <= ids
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("", "holds no [[claims]]"),
+        ('[[claims]]\nid = "a"\nsays = "b"\nours = "c"\ndirection = "up"', "give one of below"),
+        ('[[claims]]\nid = "a"\nsays = "b"\nours = "c"\ndirection = "below"', "measure"),
+    ],
+)
+def test_a_file_of_claims_that_cannot_be_is_one_sentence(tmp_path, capsys, text, sentence):
+    (tmp_path / "claims.toml").write_text(text)
+    options = ["--claims", str(tmp_path / "claims.toml"), "--out", str(tmp_path / "out")]
+    assert cli.main(["reproduce", *options]) == 2
+    assert sentence in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_no_shape_is_both_tuned_on_and_reported_on():
+    assert not set(TUNED_ON) & set(REPORTED_ON)
+    named = {np.asarray(scenes.bench().shape(name).tensions).tobytes() for name in REPORTED_ON}
+    assert not {np.asarray(t, dtype=float).tobytes() for t in TUNED_ON.values()} & named
+
+
+def test_the_same_seeds_give_the_same_numbers_on_one_core_and_on_two(monkeypatch):
+    plan = [(Scene("C", "hold", 1.0), 6)]
+    monkeypatch.setattr(trials, "_workers", lambda: 1)
+    alone = run_trials(plan)
+    monkeypatch.setattr(trials, "_workers", lambda: 2)
+    together = run_trials(plan)
+    assert np.array_equal(alone[plan[0][0]], together[plan[0][0]])
+    assert np.unique(alone[plan[0][0]][:, 0]).size == 6
+
+
+@pytest.mark.slow
+def test_the_quick_run_computes_judges_and_draws_every_claim(tmp_path, capsys):
+    assert cli.main(["reproduce", "--quick", "--out", str(tmp_path)]) == 0
+    printed = capsys.readouterr().out
+    assert "FAILS" not in printed
+    record = json.loads((tmp_path / "results.json").read_text())
+    assert [entry["id"] for entry in record["claims"]] == [c.id for c in load_claims()]
+    assert {"numpy", "scipy", "python", "glissando"} <= set(record["versions"])
+    assert record["seeds"]["first"] == 0
+    arm = record["results"]["table"]["C"]["fixed"]
+    assert arm["seeds"] == record["seeds"]["table"]
+    assert arm["converged"] == 1.0
+    written = {p.name for p in tmp_path.iterdir()}
+    assert len([name for name in written if name.endswith(".png")]) == 5
+    assert os.path.getsize(tmp_path / "sliding.gif") > 10_000
+
+
+def test_a_claim_that_fails_ends_with_status_1(tmp_path, capsys, monkeypatch):
+    from glissando.experiments import run
+
+    failing = Verdict(claim(), "3.0", 3.0, "FAILS")
+    monkeypatch.setattr(run, "reproduce", lambda *_, **__: ([failing], []))
+    assert cli.main(["reproduce", "--out", str(tmp_path)]) == 1
+    assert "FAILS" in capsys.readouterr().out
