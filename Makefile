@@ -5,10 +5,10 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 OUT ?= results
 
-# What `make reproduce` estimates: RECORDING=…, else a public recording that stands beside the
-# checkout, else a motion in closed form.
+# What `make reproduce` estimates in the end: RECORDING=…, else a public recording that stands
+# beside the checkout, else a simulated one.
 PUBLIC := $(wildcard ../shared/data/spacetime/slow_free_space)
-RECORDING ?= $(if $(PUBLIC),$(PUBLIC),$(OUT)/closed_form)
+RECORDING ?= $(if $(PUBLIC),$(PUBLIC),$(OUT)/simulated)
 WINDOW ?= $(if $(filter $(PUBLIC),$(RECORDING)),19 29)
 
 export OMP_NUM_THREADS := 1
@@ -17,8 +17,10 @@ export OPENBLAS_NUM_THREADS := 1
 .PHONY: reproduce test lint check-types check-layers pytest bench picture clean
 
 reproduce: $(READY)
-	$(if $(filter $(OUT)/closed_form,$(RECORDING)),$(BIN)/python examples/closed_form_motion.py $(OUT)/closed_form)
-	$(BIN)/glissando estimate $(RECORDING) $(if $(WINDOW),--window $(WINDOW)) --out $(OUT)
+	$(BIN)/glissando reproduce --out $(OUT)
+	rm -rf $(OUT)/simulated
+	$(BIN)/glissando simulate --shape S --slide oscillate --out $(OUT)/simulated
+	$(BIN)/glissando estimate $(RECORDING) $(if $(WINDOW),--window $(WINDOW)) --out $(OUT)/estimate
 
 test: lint check-types check-layers pytest
 
@@ -37,12 +39,11 @@ pytest: $(READY)
 
 bench: $(READY)
 	$(BIN)/python benchmarks/estimate.py
+	$(BIN)/python benchmarks/simulate.py
 
+# The page docs/reproduction, its figures, and the picture of the README.
 picture: $(READY)
-	$(BIN)/python examples/closed_form_motion.py $(OUT)/closed_form
-	$(BIN)/glissando estimate $(OUT)/closed_form --out $(OUT)/closed_form_estimate
-	cp $(OUT)/closed_form_estimate/shape.png docs/images/shape.png
-	cp $(OUT)/closed_form_estimate/confidence.png docs/images/confidence.png
+	$(BIN)/glissando reproduce --out docs/reproduction
 
 $(READY): pyproject.toml
 	python3 -m venv $(VENV)

@@ -1,13 +1,17 @@
 """What is written is run: Python blocks of the README and the docs, links between pages."""
 
+import json
 import re
 import tomllib
 from pathlib import Path
 
 import pytest
 
+from glissando.experiments.claims import judge, load_claims
+from glissando.experiments.page import page as page_of
+
 ROOT = Path(__file__).parents[1]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 
 def blocks(language):
@@ -43,6 +47,7 @@ def test_the_script_in_the_readme_is_short():
 def test_numbers_of_the_results_page_are_what_the_code_prints(spacetime):
     """All but the timings, which a page can only date."""
     import results
+    import sorosim
 
     page = (ROOT / "docs" / "results.md").read_text()
     for label, run, published, _ in results.runs(spacetime):
@@ -50,3 +55,17 @@ def test_numbers_of_the_results_page_are_what_the_code_prints(spacetime):
             assert line in page
     for line in results.grid_lines().values():
         assert line in page
+    assert sorosim.line(spacetime.parent / "sorosim" / sorosim.FILE.name) in page
+
+
+def test_the_page_of_the_reproduction_is_written_from_its_record_and_every_claim_holds():
+    folder = ROOT / "docs" / "reproduction"
+    record = json.loads((folder / "results.json").read_text())
+    assert page_of(record) == (folder / "reproduction.md").read_text()
+    assert not record["quick"]
+    assert record["seeds"]["table"] >= 100
+    assert [c["id"] for c in record["claims"]] == [c.id for c in load_claims()]
+    assert [v.ours for v in judge(load_claims(), record["results"])] == [
+        c["ours"] for c in record["claims"]
+    ]
+    assert not any(c["verdict"] == "FAILS" for c in record["claims"])

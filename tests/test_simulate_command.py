@@ -27,7 +27,7 @@ def test_a_simulated_recording_is_estimated_like_a_real_one(tmp_path, capsys):
     report = json.loads(capsys.readouterr().out)
     assert report["status"] == "converged"
     assert len(report["sites"]) == 6
-    assert report["overall"]["position_rmse"] < 0.015
+    assert report["overall"]["position_rmse"] < 0.03
     assert report["overall"]["coverage95_position"] > 0.7
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -86,10 +86,11 @@ def estimate(
             "is used. Give the robot a [base], or use a stream that fixes it."
         )
     with one_thread():
-        placed, start = PlacedReadings(grid, readings), initial
+        placed, start, before = PlacedReadings(grid, readings), initial, 0
         if start is None:
-            start = _rough(prior, placed, clock)
+            start, before = _rough(prior, placed, clock)
         found = _iterate(prior, placed, start, options, progress, clock)
+        found = replace(found, iterations=before + found.iterations)
         with clock("covariance"):
             marginals = found.chol.marginals(consume=True)
     solve = found.solve(clock)
@@ -103,15 +104,16 @@ def estimate(
     return Posterior(prior, grid, found.state, found.at.system, marginals, solve)
 
 
-def _rough(prior: KinematicPrior, placed: PlacedReadings, clock: Stopwatch) -> State:
-    """Where to start: at rest, or where a few steps with a softer prior lead from there."""
+def _rough(prior: KinematicPrior, placed: PlacedReadings, clock: Stopwatch) -> tuple[State, int]:
+    """Where to start: at rest, or where steps with a softer prior lead from there; how many."""
     rest = prior.rest_state(placed.grid)
     soft = prior.softened()
     if soft is prior:
-        return rest
+        return rest, 0
     size = rest.strain.shape[0] * rest.strain.shape[1] * DOF
     options = Options(max_iterations=_ROUGH_ITERATIONS, tolerance=_ROUGH * float(np.sqrt(size)))
-    return _iterate(soft, placed, rest, options, None, clock).state
+    found = _iterate(soft, placed, rest, options, None, clock)
+    return found.state, found.iterations
 
 
 class Stopwatch:

@@ -48,7 +48,7 @@ def figure_a(quick: bool) -> tuple[dict[str, Any], dict[str, Trial]]:
     return {**results, "worst": max(r["distance"] for r in results.values())}, trials
 
 
-def figure_b() -> tuple[dict[str, Any], Trial, Scene]:
+def figure_b(quick: bool) -> tuple[dict[str, Any], Trial, Scene]:
     """The coil slides the whole length of a C: distance from coil to minimum at several instants.
 
     The base is clamped, so instants count while the coil is in the outer three quarters.

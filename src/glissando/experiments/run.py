@@ -14,6 +14,7 @@ from glissando import __version__
 from glissando.experiments.claims import Claim, Verdict, judge
 from glissando.experiments.confidence import figure_a, figure_b
 from glissando.experiments.figures import save_experiment_figures
+from glissando.experiments.page import page
 from glissando.experiments.scenes import ROBOT, Scene, trial
 from glissando.experiments.studies import Studies
 
@@ -24,7 +25,7 @@ Progress = Callable[[str, int, int], None]
 def reproduce(
     claims: Sequence[Claim], folder: Path, *, quick: bool, progress: Progress
 ) -> tuple[list[Verdict], list[Path]]:
-    """Compute and judge the claims; write results.json, figures and the animation.
+    """Compute and judge the claims; write results.json, a page, figures and an animation.
 
     The same numbers on any number of cores. Raises ClaimsError for a claim whose number nothing
     computes.
@@ -34,7 +35,7 @@ def reproduce(
     progress("confidence along the body", 0, 2)
     confidence, trials = figure_a(quick)
     progress("confidence along the body", 1, 2)
-    following, sliding, scene = figure_b()
+    following, sliding, scene = figure_b(quick)
     studies = Studies(quick=quick)
     numbers = studies.run(lambda done, whole: progress("trials", done, whole))
     results = {"confidence": confidence, "following": following, **numbers}
@@ -43,8 +44,10 @@ def reproduce(
     record = _record(results, verdicts, studies, quick=quick)
     record["seconds"] = round(time.monotonic() - began, 1)
     file.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+    text = folder / "reproduction.md"
+    text.write_text(page(record), encoding="utf-8")
     progress("figures", 0, 1)
-    written = [file, *save_experiment_figures(results, trials, sliding, scene, folder)]
+    written = [file, text, *save_experiment_figures(results, trials, sliding, scene, folder)]
     written.append(_animate(folder, quick, progress))
     return verdicts, written
 

@@ -87,6 +87,8 @@ def summary(outcomes: Array, fixed: Array | None = None) -> dict[str, Any]:
     for column, name in enumerate(COLUMNS[:2]):
         ours = _rms(outcomes[draw, column])
         out[name] = interval(ours)
+        if name == "position":
+            out["position_cm"] = interval(100.0 * ours)
         if fixed is not None:
             out[f"{name}_change"] = interval(100.0 * (ours / _rms(fixed[draw, column]) - 1.0))
     for column, name in enumerate(COLUMNS[2:4], start=2):

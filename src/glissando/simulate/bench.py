@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from glissando.se3 import Array
-from glissando.simulate.imperfections import Imperfections, SmoothField
+from glissando.simulate.imperfections import ROLLS, Imperfections, SmoothField
 from glissando.simulate.motion import Motion, solve_motion
 from glissando.simulate.rod import STRAIGHT, Loads, Rod, SimulationError, Tendon, Wrench
 from glissando.simulate.slide import SlideLimits
 from glissando.tables import Table, read_toml
 
+_VECTORS = ("field_centre", "dropout_duration")
 _FRAME = 0.2  # s between solved shapes of a robot that moves
 
 
@@ -184,17 +186,24 @@ def _tracker(table: Table) -> tuple[Array, Imperfections]:
     tracker = table.table("tracker", required=True)
     assert tracker is not None
     pose = tracker.pose()
-    given: dict[str, object] = {}
-    for entry in fields(Imperfections):
-        value = tracker.peek(entry.name)
-        if entry.name == "roll":
-            given["roll"] = tracker.text("roll", "arbitrary")
-        elif isinstance(value, list):
-            given[entry.name] = tracker.vector(entry.name, len(value))
-        elif value is not None:
-            given[entry.name] = tracker.number(entry.name, positive=False)
     tracker.close()
-    return pose, Imperfections(**given)  # type: ignore[arg-type]
+    imperfections = table.table("imperfections")
+    return pose, _imperfections(imperfections) if imperfections else Imperfections()
+
+
+def _imperfections(table: Table) -> Imperfections:
+    given: dict[str, Any] = {}
+    for entry in fields(Imperfections):
+        value = table.peek(entry.name)
+        if entry.name == "roll":
+            given["roll"] = table.text("roll", "arbitrary", ROLLS)
+        elif entry.name in _VECTORS:
+            known = getattr(Imperfections(), entry.name)
+            given[entry.name] = table.vector(entry.name, known.size, known)
+        elif value is not None:
+            given[entry.name] = table.number(entry.name, positive=False)
+    table.close()
+    return Imperfections(**given)
 
 
 def _shapes(table: Table, tendons: int, gravity: Array) -> dict[str, Actuation]:

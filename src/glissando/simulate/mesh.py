@@ -101,10 +101,14 @@ class Mesh:
         element = np.repeat(np.arange(half.size), _COUNT)
         return whole + (element[:, None] > element[None, :]) * self.weights
 
-    def roughness(self, values: Array) -> float:
-        """Largest share that the last two modes have in any element of values (G, D)."""
-        modes = np.abs(_TO_MODES @ values.reshape(-1, _COUNT, values.shape[-1]))
-        return float((modes[:, -2:].max(axis=1) / (1.0 + modes.max(axis=1))).max())
+    def unresolved(self, strain: Array) -> float:
+        """About how far (rad) the modes that an element lacks would turn the rod.
+
+        Taken from the last two modes that it has, which an integral over it nearly cancels.
+        """
+        modes = np.abs(_TO_MODES @ self._split(strain))
+        tails = modes[:, -2:].max(axis=(1, 2))
+        return float((tails * np.diff(self.edges)).max()) / _COUNT**2
 
     def element_of(self, arclength: Array) -> np.ndarray:
         """Index of the element (M,) that holds each arclength; an edge belongs to the one above."""

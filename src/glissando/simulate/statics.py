@@ -26,7 +26,7 @@ from glissando.simulate.shape import Shape
 from glissando.threads import one_thread
 
 _CLOSE = 1e-10  # residual in strain at which a shape is found
-_SMOOTH = 1e-6  # share of the highest modes in strain above which elements are halved
+_SMOOTH = 3e-8  # rad that what an element cannot resolve may turn the rod by
 _ITERATIONS = 25
 _SMALLEST_STEP = 1e-4  # of the load, when it has to be put on bit by bit
 _LONGEST = 4.0  # rad a step may turn the rod by: a longer one may land on another branch
@@ -54,7 +54,7 @@ def solve_shape(
         while True:
             problem = _Problem.of(rod, tendons, loads, mesh)
             strain = problem.load_up(guess)
-            smooth = mesh.roughness(strain) < _SMOOTH
+            smooth = mesh.unresolved(strain) < _SMOOTH
             if smooth or np.diff(mesh.edges).max() < rod.length / _FINEST:
                 return problem.shape(strain)
             finer = Mesh.through(mesh.edges, 0.5 * np.diff(mesh.edges).max())

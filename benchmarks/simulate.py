@@ -1,0 +1,60 @@
+"""How many static shapes a second on one core, and how long a slow motion takes to simulate.
+
+Times are wall seconds of one thread in one process, ratios to the first row. Usage: simulate.py
+"""
+
+import os
+import time
+
+for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ[name] = "1"
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from glissando.robot import robot_file
+from glissando.simulate import Loads, SlidePath, Wrench, load_bench, simulate_session, solve_shape
+
+
+def shapes(count, friction, seed=0):
+    """Cold solves of random tensions, gravity and a tip load on the paper's robot."""
+    rng = np.random.default_rng(seed)
+    bench = load_bench(robot_file("sliding700"))
+    tendons = bench.tendons
+    if not friction:
+        tendons = [type(t)(t.offset, t.end) for t in tendons]
+    for _ in range(count):
+        tip = Wrench(bench.rod.length, rng.normal(0.0, 0.05, 3))
+        solve_shape(bench.rod, tendons, Loads(rng.uniform(0, 20, 2), bench.gravity, [tip]))
+
+
+def motion():
+    """Twenty seconds from C to S, and what its sensors record."""
+    bench = load_bench(robot_file("sliding700"))
+    moved = bench.move(bench.shape("C-to-S"), bench.flaws, seed=1)
+    path = SlidePath.oscillate(3, 0.06, bench.slide)
+    simulate_session(bench, moved, path, seed=1)
+
+
+def main():
+    """Print the table."""
+    cases = [
+        ("static shapes", lambda: shapes(100, False), 100),
+        ("static shapes with friction", lambda: shapes(100, True), 100),
+        ("20 s from C to S, recorded", motion, 1),
+    ]
+    table = Table("what", "seconds each", "a second", "ratio", title="Simulation, one core")
+    first = None
+    for label, work, count in cases:
+        work()
+        start = time.perf_counter()
+        work()
+        each = (time.perf_counter() - start) / count
+        first = first or each
+        table.add_row(label, f"{each:.4f}", f"{1 / each:.1f}", f"{each / first:.1f}")
+    Console().print(table)
+
+
+if __name__ == "__main__":
+    main()
