@@ -89,10 +89,10 @@ def changed(old, new):
     return write
 
 
-def shaped(text):
+def shaped(text, *more):
     def write(folder):
         (folder / "shape.toml").write_text(text)
-        return ["--shape", folder / "shape.toml"]
+        return ["--shape", folder / "shape.toml", *more]
 
     return write
 
@@ -104,6 +104,17 @@ def shaped(text):
         (["--slide", "jump"], 2, "no slide named 'jump'"),
         (["--stroke", "0.08"], 2, "stroke would be 0.08 m; the stage allows 0.06 m"),
         (["--speed", "0.03"], 2, "speed would be 0.03 m/s; the stage allows 0.024 m/s"),
+        (["--at", "0.01"], 2, "--at says nothing to --slide oscillate"),
+        (["--slide", "hold", "--cycles", "2"], 2, "--cycles says nothing to --slide hold"),
+        (["--cycles", "1000000000"], 2, "give a whole number from 1 to"),
+        (["--duration", "1e12"], 2, "session of 1e+12 s cannot be"),
+        (shaped("time = [0, 1e9]\ntensions = [[0, 0], [1, 0]]"), 2, "give its times in seconds"),
+        (changed("truth_arclengths = [0.1,", "truth_arclengths = [0.7,"), 2, "each place once"),
+        (changed("coil_offset = 0", "coil_offset = -0.9"), 2, "off the robot"),
+        (changed("poisson = 0.33", "poisson = 5"), 2, "Poisson's ratio of 5 cannot be"),
+        (changed("set_curvature =", "field_size = 0\nset_curvature ="), 2, "field_size is 0"),
+        (changed('kind = "kinematic"', 'kind = "foo"'), 2, "give one of kinematic"),
+        (changed("set_curvature", "set_curvatur"), 2, "did you mean 'set_curvature'"),
         (["--cycles", "0"], 2, "0 cycles cannot be"),
         (["--slide", "hold", "--at", "0.2"], 2, "stroke would be 0.2 m"),
         (["--slide", "hold", "--at", "-0.1"], 2, "100 mm beyond the tip"),
@@ -125,7 +136,10 @@ def shaped(text):
         (shaped("tensions = [0, 0]\n[[loads]]\narclength = 2\nforce = [1,0,0]"), 2, "off a rod"),
         (shaped("tensions = [90000, 0]"), 1, "% of these loads the rod buckles"),
         (
-            shaped("tensions = [0, 0]\n[[loads]]\narclength = 0.7\nforce = [0, 0, -30]"),
+            shaped(
+                "tensions = [0, 0]\n[[loads]]\narclength = 0.7\nforce = [0, 0, -30]",
+                *("--without", "set"),
+            ),
             1,
             "% of these loads the rod buckles",
         ),
@@ -143,6 +157,31 @@ def test_a_mistake_is_one_sentence_and_nothing_is_written(
     assert captured.err.count("\n") == 1
     assert captured.out == ""
     assert sorted(tmp_path.iterdir()) == before
+
+
+def test_a_still_robot_without_noise_is_estimated_from_readings_that_repeat(tmp_path, capsys):
+    made = tmp_path / "still"
+    simulate(made, "--slide", "hold", "--duration", 2, "--without", "all")
+    capsys.readouterr()
+    assert run("estimate", made, "--json") == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["readings"]["coil"] == 81
+    assert report["dropped"] == {}
+
+
+def test_the_base_of_the_robot_file_is_where_the_simulated_robot_stands(tmp_path):
+    robot = tmp_path / "raised.toml"
+    text = robot_file("sliding700").read_text()
+    robot.write_text(text.replace("position = [0, 0, 0]", "position = [0, 0, 1]", 1))
+    options = ["--robot", robot, "--shape", "straight", "--without", "all", "--slide", "hold"]
+    simulate(tmp_path / "out", *options, "--duration", 1)
+    tip = load_recording(tmp_path / "out").streams["mocap_700"].rows.values[0]
+    assert tip[2, 3] == pytest.approx(1.7, abs=1e-3)
+
+
+def test_a_name_that_toml_must_quote_is_read_back(tmp_path):
+    simulate(tmp_path / 'a "b" ∂😀', "--slide", "hold", "--duration", 1)
+    assert load_recording(tmp_path / 'a "b" ∂😀').name == 'a "b" ∂😀'
 
 
 def test_a_folder_that_holds_something_is_left_alone(tmp_path, capsys):

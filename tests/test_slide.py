@@ -110,13 +110,11 @@ def test_waypoints_are_read_from_a_file_without_speeds(tmp_path):
         (lambda: SlidePath.waypoints([0, 2], [0, 0.05], STAGE), "speed would be 0.02929 m/s"),
         (lambda: SlidePath.waypoints([1, 1], [0, 0], STAGE), "must be two or more, and increase"),
         (
-            lambda: SlidePath(np.array([0, 1.0]), np.zeros(2), np.array([0, 0.02]), STAGE),
+            lambda: SlidePath([0, 1, 2], [0, 0, 0], [0, 0.02, 0], STAGE),
             "speeds and displacements differ by -10 mm",
         ),
         (
-            lambda: SlidePath(
-                np.array([0.0, 0.1]), np.array([0, 0.001]), np.array([0, 0.02]), STAGE
-            ),
+            lambda: SlidePath([0, 0.1, 0.2], [0, 0.001, 0.002], [0, 0.02, 0], STAGE),
             "acceleration would be 0.2 m/s²",
         ),
         (lambda: SlideLimits(0.06, -1.0, 0.1), "a speed of -1 m/s cannot be"),
@@ -131,7 +129,17 @@ def test_an_impossible_slide_is_one_sentence(make, sentence):
 def test_a_path_that_leaves_the_stroke_between_its_knots_is_found():
     """Thrown up at the end of the stroke: both knots lie inside, the way between does not."""
     with pytest.raises(SimulationError, match="stroke would be 0"):
-        SlidePath(np.array([0.0, 0.4]), np.array([0.06, 0.06]), np.array([0.02, -0.02]), STAGE)
+        SlidePath([0, 1, 1.4, 2.4], [0.05, 0.06, 0.06, 0.05], [0, 0.02, -0.02, 0], STAGE)
+
+
+def test_a_path_that_dips_below_the_tip_between_its_knots_is_found():
+    with pytest.raises(SimulationError, match="2 mm beyond the tip"):
+        SlidePath([0, 1, 1.4, 2.4], [0.01, 0, 0, 0.01], [0, -0.02, 0.02, 0], STAGE)
+
+
+def test_a_path_that_begins_or_ends_in_motion_is_refused():
+    with pytest.raises(SimulationError, match="begin and end at rest"):
+        SlidePath([0, 10], [0, 0.05], [0.005, 0.005], STAGE)
 
 
 @pytest.mark.parametrize(

@@ -43,7 +43,8 @@ class Stream:
     """One sensor's rows with what its description says of it.
 
     `std` overrides the robot file's noise for this kind; `mount` (4, 4) is T_bc; `extra` holds the
-    settings only its kind has (core_radius and core_angle of a fibre).
+    settings only its kind has (core_radius and core_angle of a fibre). `keep_repeats` takes rows
+    that repeat the one before for readings, not for a tracker polled too fast.
     """
 
     name: str
@@ -52,6 +53,7 @@ class Stream:
     std: Array | None
     mount: Array
     extra: dict[str, Array]
+    keep_repeats: bool = False
 
 
 @dataclass(frozen=True)
@@ -86,7 +88,7 @@ class Recording:
                     f"{self.name} has no stream {name!r}; it has {', '.join(self.streams)}."
                 )
             stream = self.streams[name]
-            rows = clean(stream.rows, robot.clip)
+            rows = clean(stream.rows, robot.clip, stream.keep_repeats)
             _require_on_robot(name, rows, robot)
             found = _as_readings(replace(stream, rows=rows), robot, as_truth)
             inside = (found.time >= window[0]) & (found.time <= window[1])
@@ -186,7 +188,7 @@ def _stream(folder: Path, entry: Table, frames: dict[str, Array]) -> Stream:
     name = entry.text("name")
     kind = entry.text("kind", choices=ROWS)
     file = folder / entry.text("file", f"{name}.csv")
-    truth = entry.flag("truth")
+    truth, keep_repeats = entry.flag("truth"), entry.flag("keep_repeats")
     length_unit = {"m": 1.0, "mm": 1e-3}[entry.text("length_unit", "m", choices=("m", "mm"))]
     angle_unit = {"rad": 1.0, "deg": np.pi / 180.0}[
         entry.text("angle_unit", "rad", choices=("rad", "deg"))
@@ -205,8 +207,8 @@ def _stream(folder: Path, entry: Table, frames: dict[str, Array]) -> Stream:
     entry.close()
     cores = len(extra["core_radius"]) if extra else 0
     rows = read_named(file, kind, cores, length_unit, angle_unit)
-    rows = clean(replace(rows, values=_to_world(rows, frames[frame])))
-    return Stream(name, rows, truth, std, mount, extra)
+    rows = clean(replace(rows, values=_to_world(rows, frames[frame])), None, keep_repeats)
+    return Stream(name, rows, truth, std, mount, extra, keep_repeats)
 
 
 def _to_world(rows: Rows, T_wf: Array) -> Array:

@@ -113,14 +113,16 @@ def write_named(path: Path, rows: Rows) -> None:
     np.savetxt(path, table, "%.12g", ",", header=header, comments="")
 
 
-def clean(rows: Rows, clip: float | None = None) -> Rows:
+def clean(rows: Rows, clip: float | None = None, keep_repeats: bool = False) -> Rows:
     """Rows without a tracker's repeats and a gyro's clipped samples, which are counted.
 
     A tracker polled faster than it measures returns the same values again; counted twice they
     would be information twice, and at a sensor's next place they would be wrong as well. A gyro at
-    the end of its range only gives a bound.
+    the end of its range only gives a bound. `keep_repeats` leaves a tracker's rows alone.
     """
     flat = rows.values.reshape(len(rows.time), -1)
+    if rows.kind in _TRACKERS and keep_repeats:
+        return rows
     if rows.kind in _TRACKERS:
         same = np.all(np.diff(flat, axis=0) == 0.0, axis=1)
         if rows.kind == "orientation":  # a straight robot has one orientation at many places

@@ -97,13 +97,19 @@ class Table:
         return float(value)
 
     def vector(
-        self, key: str, size: int, default: Array | None = None, *, positive: bool = False
+        self,
+        key: str,
+        size: int,
+        default: Array | None = None,
+        *,
+        positive: bool = False,
+        pairs: bool = True,
     ) -> Array:
-        """`size` finite numbers; six may also be given as a pair [linear, angular]."""
+        """`size` finite numbers; six may also be given as a pair [linear, angular] if `pairs`."""
         value = self._take(key)
         if value is None and default is not None:
             return default
-        pair = size == 6 and isinstance(value, list) and len(value) == 2
+        pair = pairs and size == 6 and isinstance(value, list) and len(value) == 2
         if not isinstance(value, list) or not (pair or len(value) == size):
             wanted = f"{size} numbers" + (", or 2 for [linear, angular]" * (size == 6))
             raise self.fail(key, f"is {_shown(value)}; give {wanted}.")

@@ -6,11 +6,11 @@ import argparse
 from pathlib import Path
 
 from glissando.commands.shared import Commands, names, require_writable
-from glissando.robot import robot_file, shipped_robots
+from glissando.robot import load_robot, robot_file, shipped_robots
 from glissando.simulate import SimulationError, SlidePath
 from glissando.simulate.bench import Bench, load_bench
 from glissando.simulate.imperfections import PARTS
-from glissando.simulate.session import simulate_session, write_session
+from glissando.simulate.session import require_new, simulate_session, write_session
 from glissando.simulate.slide import read_slide
 
 _HELP = """\
@@ -54,8 +54,8 @@ def add_to(commands: Commands) -> None:
     add("--cycles", type=int, metavar="N", help="there and back (default 3; traverse 1)")
     add("--stroke", type=float, metavar="M", help="of a cycle (default: the stage's)")
     add("--speed", type=float, metavar="M/S", help="of the slide (default: the stage's)")
-    add("--at", type=float, default=0.0, metavar="M", help="displacement of hold, from the tip")
-    add("--duration", type=float, metavar="S", help="seconds (default: until all is at rest)")
+    add("--at", type=float, metavar="M", help="displacement of hold, from the tip (default 0)")
+    add("--duration", type=float, metavar="S", help="seconds (default: until at rest; hold 15)")
     parts = ", ".join((*PARTS, "all"))
     add("--without", type=names, default=[], metavar="NAME,…", help=f"switch off: {parts}")
     add("--seed", type=int, default=0, metavar="N", help="of all noise (default 0)")
@@ -67,11 +67,13 @@ def _simulate(options: argparse.Namespace) -> int:
     if options.seed < 0:
         raise SimulationError(f"Seed {options.seed} cannot be; give a whole number from 0 up.")
     file = robot_file(options.robot)
+    load_robot(file)  # what cannot be estimated is not worth simulating
     bench = load_bench(file)
     flaws = bench.flaws.without(*options.without)
     actuation = bench.shape(options.shape)
     path = _path(options, bench)
-    require_writable(options.out)
+    require_writable(options.out.parent)
+    require_new(options.out)
     session = simulate_session(
         bench,
         bench.move(actuation, flaws, options.seed),
@@ -83,7 +85,7 @@ def _simulate(options: argparse.Namespace) -> int:
     )
     shipped = options.robot in shipped_robots()
     write_session(session, options.out, options.robot if shipped else file)
-    rows, lasts = len(session.coil.time), session.coil.time[-1]
+    rows, lasts = len(session.coil.time), session.duration
     print(
         f"Wrote {options.out}: {lasts:.3g} s, {rows} readings of the coil, {len(session.mocap)} "
         f"motion capture frames. Now: glissando estimate {options.out} --out results"
@@ -91,23 +93,33 @@ def _simulate(options: argparse.Namespace) -> int:
     return 0
 
 
+_SETS = {
+    "hold": ("at",),
+    "oscillate": ("cycles", "stroke", "speed"),
+    "traverse": ("cycles", "stroke", "speed"),
+}
+"""Options that each named slide takes; a file takes none."""
+
+
 def _path(options: argparse.Namespace, bench: Bench) -> SlidePath:
     """The slide path that the options ask for, on the stage that it needs."""
     kind, stage = options.slide, bench.slide
+    if kind not in _SETS and not Path(kind).is_file():
+        raise SimulationError(
+            f"There is no slide named {kind!r} and no such file; give hold, oscillate, traverse or "
+            f"a CSV file."
+        )
+    for name in ("at", "cycles", "stroke", "speed"):
+        if getattr(options, name) is not None and name not in _SETS.get(kind, ()):
+            raise SimulationError(
+                f"--{name} says nothing to --slide {kind}; leave it out or choose another slide."
+            )
     if kind == "hold":
-        return SlidePath.hold(options.at, options.duration or 15.0, stage)
-    if kind == "oscillate":
-        cycles = 3 if options.cycles is None else options.cycles
-        stroke = stage.stroke if options.stroke is None else options.stroke
-        return SlidePath.oscillate(cycles, stroke, stage, speed=options.speed)
-    if kind == "traverse":
-        stage = bench.full_slide
-        cycles = 1 if options.cycles is None else options.cycles
-        stroke = stage.stroke if options.stroke is None else options.stroke
-        return SlidePath.oscillate(cycles, stroke, stage, speed=options.speed)
-    if Path(kind).is_file():
+        lasts = 15.0 if options.duration is None else options.duration
+        return SlidePath.hold(options.at or 0.0, lasts, stage)
+    if kind not in _SETS:
         return read_slide(Path(kind), stage)
-    raise SimulationError(
-        f"There is no slide named {kind!r} and no such file; give hold, oscillate, traverse or a "
-        f"CSV file."
-    )
+    stage, usual = (bench.full_slide, 1) if kind == "traverse" else (stage, 3)
+    cycles = usual if options.cycles is None else options.cycles
+    stroke = stage.stroke if options.stroke is None else options.stroke
+    return SlidePath.oscillate(cycles, stroke, stage, speed=options.speed)

@@ -88,10 +88,11 @@ def _judge(claim: Claim, results: dict[str, Any]) -> Verdict:
         value: Any = results
         for key in claim.measure.split("."):
             value = value[key]
-    except (KeyError, TypeError, ValueError, IndexError) as problem:
+        value = float(value)
+    except (AttributeError, KeyError, TypeError, ValueError, IndexError) as problem:
         raise ClaimsError(
             f"Claim {claim.id!r} asks for a number that was not computed ({problem}); correct its "
             f"ours or measure."
         ) from None
     holds = value < claim.bound if claim.direction == "below" else value > claim.bound
-    return Verdict(claim, ours, float(value), "holds" if holds else "FAILS")
+    return Verdict(claim, ours, value, "holds" if holds else "FAILS")

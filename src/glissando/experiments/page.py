@@ -46,12 +46,13 @@ is at the base, the tip moves unseen.
 _CAUSES = """\
 ## Where the size of the effect comes from
 
-Oscillating against fixed, with one cause scaled at a time. White noise is averaged by a fixed
-sensor as well as by a sliding one. What a sensor at the tip cannot see, the set of the tubes, is
-what sliding reveals: the more of it, the larger the change. What a sensor at every place would see
-wrongly, bias and registration, sliding cannot remove: the more of it, the smaller the change. The
-paper's robot errs as much as ours with a fixed sensor and gains less, as it would if more of its
-error were of the second kind.
+Oscillating against fixed, with one cause scaled at a time. Noise, bias and registration change a
+fixed and a sliding sensor's errors alike, and the effect of sliding little. What decides is the set
+of the tubes, which a sensor at the tip cannot see and a sliding one can, as far as it reaches:
+the shorter its bends, the less of them 60 mm reveal. Without set the prior is right about all but
+the joint of an S, and sliding can even hurt: what the coil sees beyond the joint is taken to tell
+of the other side as well. A fixed sensor errs here as much as the paper's, by choice of the set's
+size; that the paper's robot gains less is for one of these reasons, or for none of them.
 
 ![Change by cause](causes.png)
 """

@@ -39,11 +39,14 @@ def reproduce(
     studies = Studies(quick=quick)
     numbers = studies.run(lambda done, whole: progress("trials", done, whole))
     results = {"confidence": confidence, "following": following, **numbers}
-    verdicts = judge(claims, results)
     file = folder / "results.json"
-    record = _record(results, verdicts, studies, quick=quick)
-    record["seconds"] = round(time.monotonic() - began, 1)
-    file.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+    verdicts: list[Verdict] = []
+    try:
+        verdicts = judge(claims, results)
+    finally:  # a mistake in the claims does not cost the numbers
+        record = _record(results, verdicts, studies, quick=quick)
+        record["seconds"] = round(time.monotonic() - began, 1)
+        file.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
     text = folder / "reproduction.md"
     text.write_text(page(record), encoding="utf-8")
     progress("figures", 0, 1)

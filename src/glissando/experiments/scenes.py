@@ -92,18 +92,20 @@ def flaws(scene: Scene) -> Imperfections:
 
 def motion(scene: Scene, seed: int) -> Motion:
     """The shapes of a scene, of a robot with the set that the seed gives it."""
-    return _motion(scene.shape, scene.duration, flaws(scene).set_curvature, seed)
+    kept = flaws(scene)
+    return _motion(scene.shape, scene.duration, (kept.set_curvature, kept.set_length), seed)
 
 
 @lru_cache(maxsize=32)
-def _motion(shape: str, duration: float, set_curvature: float, seed: int) -> Motion:
+def _motion(shape: str, duration: float, kept: tuple[float, float], seed: int) -> Motion:
     if shape in TUNED_ON:
         tensions = np.array(TUNED_ON[shape], dtype=float)
         time = np.linspace(0.0, duration, len(tensions)) if len(tensions) > 1 else np.zeros(1)
         actuation = Actuation(time, tensions, bench().gravity)
     else:
         actuation = bench().shape(shape).lasting(duration)
-    return bench().move(actuation, replace(bench().flaws, set_curvature=set_curvature), seed)
+    bent = replace(bench().flaws, set_curvature=kept[0], set_length=kept[1])
+    return bench().move(actuation, bent, seed)
 
 
 def path(scene: Scene) -> SlidePath:
@@ -127,9 +129,9 @@ def session(scene: Scene, seed: int) -> Session:
 def recording(recorded: Session) -> Recording:
     """A session as the recording that its folder would be read as."""
     coil = replace(recorded.coil, values=recorded.T_wt @ recorded.coil.values)
-    streams = {"coil": Stream("coil", coil, False, None, np.eye(4), {})}
+    streams = {"coil": Stream("coil", coil, False, None, np.eye(4), {}, True)}
     for name, rows in recorded.mocap.items():
-        streams[name] = Stream(name, rows, True, recorded.mocap_std, np.eye(4), {})
+        streams[name] = Stream(name, rows, True, recorded.mocap_std, np.eye(4), {}, True)
     return Recording(recorded.name, Path(), streams, robot(), None)
 
 

@@ -56,9 +56,9 @@ _REGISTRATION = ("registration", "registration_angle")
 CAUSES: dict[str, tuple[tuple[str, float], ...]] = {
     "as it is": (),
     "white noise × 10": tuple((name, 10.0) for name in _JITTER),
-    "no bias": tuple((name, 0.0) for name in _BIAS),
     "bias × 3": tuple((name, 3.0) for name in _BIAS),
     "registration error × 6": tuple((name, 6.0) for name in _REGISTRATION),
+    "set on a third of the length": (("set_length", 1.0 / 3.0),),
     "tubes without set": (("set_curvature", 0.0),),
 }
 """What is varied to see where the size of the effect comes from."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
 import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -42,17 +43,25 @@ def run_trials(
     done, whole = 0, sum(seeds.values())
     context = multiprocessing.get_context("spawn")
     # as many threads as processes would wait for each other
-    with ProcessPoolExecutor(
-        _workers(), mp_context=context, initializer=threadpool_limits, initargs=(1,)
-    ) as workers:
+    with ProcessPoolExecutor(_workers(), mp_context=context, initializer=_quietly) as workers:
         running = {workers.submit(_outcomes, *task): task for task in tasks}
-        for future in as_completed(running):
-            scene, rows = running[future]
-            out[scene][rows.start : rows.stop] = future.result()
-            done += len(rows)
-            if progress is not None:
-                progress(done, whole)
+        try:
+            for future in as_completed(running):
+                scene, rows = running[future]
+                out[scene][rows.start : rows.stop] = future.result()
+                done += len(rows)
+                if progress is not None:
+                    progress(done, whole)
+        except BaseException:
+            workers.shutdown(wait=False, cancel_futures=True)
+            raise
     return out
+
+
+def _quietly() -> None:
+    """In a worker: one BLAS thread, and an interrupt is for the process that started it."""
+    threadpool_limits(1)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _workers() -> int:

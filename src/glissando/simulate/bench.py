@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +16,8 @@ from glissando.simulate.rod import STRAIGHT, Loads, Rod, SimulationError, Tendon
 from glissando.simulate.slide import SlideLimits
 from glissando.tables import Table, read_toml
 
-_VECTORS = ("field_centre", "dropout_duration")
 _FRAME = 0.2  # s between solved shapes of a robot that moves
+_FEWEST, _MOST = 10, 20_000  # of them between two times of an actuation
 
 
 @dataclass(frozen=True)
@@ -106,39 +107,61 @@ class Bench:
                 return strain
 
             rod = replace(rod, rest_strain=rest)
-        start, stop = float(actuation.time[0]), float(actuation.time[-1])
-        frames = np.linspace(start, stop, int(np.ceil((stop - start) / _FRAME)) + 1)
-        times = np.unique(np.concatenate([frames, actuation.time]))
-        return solve_motion(rod, self.tendons, actuation.loads_at, times)
+        frames = [actuation.time[:1]]
+        for start, stop in pairwise(actuation.time):
+            count = max(_FEWEST, np.ceil((stop - start) / _FRAME))
+            if count > _MOST:
+                raise SimulationError(
+                    f"A motion of {stop - start:g} s would be {count:,.0f} shapes; give its times "
+                    f"in seconds, {_MOST * _FRAME:g} s at most between two."
+                )
+            frames.append(np.linspace(start, stop, int(count) + 1)[1:])
+        times = np.concatenate(frames)
+        return solve_motion(rod, self.tendons, actuation.loads_at, times, actuation.time)
 
 
 def load_bench(path: Path) -> Bench:
     """The bench that a robot file's [physics] describes. Raises SimulationError without one."""
     table = read_toml(path, SimulationError)
-    physics = table.table("physics")
+    physics, base = table.table("physics"), table.table("base")
     if physics is None:
         raise SimulationError(
             f"{path.name} has no [physics]: it can be estimated, not simulated. Add its tubes, "
             f"tendons and stage, or choose another robot."
         )
-    return _bench(physics, table.number("length"))
+    length, rest = table.number("length"), table.vector("rest_strain", 6, STRAIGHT)
+    return _bench(physics, length, rest, base.pose() if base else np.eye(4))
 
 
-def _bench(table: Table, length: float) -> Bench:
+def _bench(table: Table, length: float, rest_strain: Array, base: Array) -> Bench:
     gravity = table.vector("gravity", 3, np.zeros(3))
-    rod = _rod(table, length)
+    rod = _rod(table, length, rest_strain, base)
     radius = table.number("disk_radius")
     tendons = tuple(_tendon(entry, rod, radius) for entry in table.tables("tendons"))
     slide, offset = _stage(table, "slide")
     full_slide, _ = _stage(table, "full_slide")
     tracker, flaws = _tracker(table)
-    places = table.matrix("truth_arclengths", len(table.peek("truth_arclengths") or [0]))[0]
+    places = _places(table, length)
+    if not 0.0 <= length + offset <= length:
+        raise table.fail("coil_offset", f"is {offset:g} m, off the robot; give −{length:g} to 0.")
     shapes = _shapes(table, len(tendons), gravity)
     table.close()
     return Bench(rod, tendons, gravity, slide, full_slide, offset, tracker, flaws, places, shapes)
 
 
-def _rod(table: Table, length: float) -> Rod:
+def _places(table: Table, length: float) -> Array:
+    given = table.peek("truth_arclengths")
+    if not isinstance(given, list) or not given:
+        raise table.fail("truth_arclengths", f"is {given!r}; give a list of places in metres.")
+    places = table.vector("truth_arclengths", len(given), pairs=False)
+    if np.any(places < 0.0) or np.any(places > length) or np.unique(places).size < places.size:
+        raise table.fail(
+            "truth_arclengths", f"is {given}; give each place once, 0 to {length:g} m."
+        )
+    return places
+
+
+def _rod(table: Table, length: float, rest_strain: Array, base: Array) -> Rod:
     tubes = []
     for entry in table.tables("tubes"):
         outer, inner = entry.number("outer"), entry.number("inner", 0.0, positive=False)
@@ -146,10 +169,15 @@ def _rod(table: Table, length: float) -> Rod:
         entry.close()
     if not tubes:
         raise table.fail("[[tubes]]", "is missing; add one with outer and inner diameters in m.")
-    young, poisson, density = (table.number(key) for key in ("young", "poisson", "density"))
-    rest = table.vector("rest_strain", 6, STRAIGHT)
+    young, density = table.number("young"), table.number("density")
     rod = Rod.of_tubes(
-        length, tubes, young=young, poisson=poisson, density=density, rest_strain=rest
+        length,
+        tubes,
+        young=young,
+        poisson=table.number("poisson", positive=False),
+        density=density,
+        rest_strain=rest_strain,
+        base=base,
     )
     disks = table.number("disk_mass_per_length", 0.0, positive=False)
     return replace(rod, mass_per_length=rod.mass_per_length + disks)
@@ -193,15 +221,15 @@ def _tracker(table: Table) -> tuple[Array, Imperfections]:
 
 def _imperfections(table: Table) -> Imperfections:
     given: dict[str, Any] = {}
+    usual = Imperfections()
     for entry in fields(Imperfections):
-        value = table.peek(entry.name)
+        known = getattr(usual, entry.name)
         if entry.name == "roll":
-            given["roll"] = table.text("roll", "arbitrary", ROLLS)
-        elif entry.name in _VECTORS:
-            known = getattr(Imperfections(), entry.name)
+            given["roll"] = table.text("roll", known, ROLLS)
+        elif isinstance(known, np.ndarray):
             given[entry.name] = table.vector(entry.name, known.size, known)
-        elif value is not None:
-            given[entry.name] = table.number(entry.name, positive=False)
+        else:
+            given[entry.name] = table.number(entry.name, known, positive=False)
     table.close()
     return Imperfections(**given)
 

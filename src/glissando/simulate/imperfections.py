@@ -10,6 +10,8 @@ import numpy as np
 from glissando.se3 import Array
 from glissando.simulate.rod import SimulationError
 
+_LENGTHS = ("bias_length", "field_size", "set_length")  # which cannot be zero
+_MOST = 1e6
 _WAVES = 64  # plane waves a random field is made of
 ROLLS = ("arbitrary", "minimal", "true")
 
@@ -54,8 +56,18 @@ class Imperfections:
     def __post_init__(self) -> None:
         for entry in fields(self):
             value = getattr(self, entry.name)
-            if isinstance(value, float) and not (np.isfinite(value) and value >= 0.0):
-                raise SimulationError(f"{entry.name} is {value:g}; give zero or more, in SI units.")
+            if entry.type != "float":
+                continue
+            least = 1e-6 if entry.name in _LENGTHS else 0.0
+            if not (isinstance(value, (int, float, np.number)) and least <= value <= _MOST):
+                raise SimulationError(
+                    f"{entry.name} is {value}; give a number from {least:g} to {_MOST:g}, SI units."
+                )
+        low, high = self.dropout_duration
+        if not 0.0 <= low <= high:
+            raise SimulationError(
+                f"dropout_duration is {low:g} to {high:g} s; give the shortest and the longest."
+            )
         if self.roll not in ROLLS:
             raise SimulationError(f"roll is {self.roll!r}; give one of {', '.join(ROLLS)}.")
 
@@ -64,10 +76,10 @@ class Imperfections:
 
         An error and its angle go together. Raises SimulationError for a name that is not a part.
         """
-        parts = [*PARTS] if "all" in names else names
-        for name in parts:
-            if name not in PARTS:
+        for name in names:
+            if name not in (*PARTS, "all"):
                 raise SimulationError(f"{name!r} is no imperfection; name some of {_LISTED}.")
+        parts = [*PARTS] if "all" in names else names
         off: dict[str, Any] = {key: 0.0 for name in parts for key in PARTS[name] if key != "roll"}
         return replace(self, **off, roll="true" if "roll" in parts else self.roll)
 

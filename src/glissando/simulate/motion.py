@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,13 +23,15 @@ _CHUNK = 500  # queries at a time, to bound memory
 class Motion:
     """Shapes at times `time` (K,) s with a cubic spline of their strains (K, G, 6) between.
 
-    Before the first time and after the last the robot holds still.
+    At `rests` (B,), some of these times, the robot is at rest; each stretch between two of them has
+    a spline of its own. Before the first time and after the last the robot holds still.
     """
 
     rod: Rod
     mesh: Mesh
     time: Array
     strain: Array
+    rests: Array
 
     def at(self, arclength: ArrayLike, time: ArrayLike) -> Section:
         """Cross-sections at arclengths (m) and times (s), which broadcast together.
@@ -56,7 +59,13 @@ class Motion:
     def _strain(self, time: Array) -> Array:
         if self.time.size == 1:
             return np.broadcast_to(self.strain, (time.size, *self.strain.shape[1:]))
-        return np.asarray(CubicSpline(self.time, self.strain)(time))
+        out = np.empty((time.size, *self.strain.shape[1:]))
+        for start, stop in pairwise(np.searchsorted(self.time, self.rests)):
+            inside = (time >= self.time[start]) & (time <= self.time[stop])
+            knots = slice(start, stop + 1)
+            spline = CubicSpline(self.time[knots], self.strain[knots], bc_type="clamped")
+            out[inside] = spline(time[inside])
+        return out
 
 
 def solve_motion(
@@ -64,9 +73,11 @@ def solve_motion(
     tendons: Sequence[Tendon],
     loads_at: Callable[[float], Loads],
     time: ArrayLike,
+    rests: ArrayLike,
 ) -> Motion:
     """The shapes under loads that change slowly, at times (K,) in seconds, each from the last.
 
+    At `rests` (B,), the first and the last of the times among them, the loads come to rest.
     Raises SimulationError for impossible loads, NoShapeError where the rod buckles.
     """
     times = np.atleast_1d(np.asarray(time, dtype=float))
@@ -83,4 +94,4 @@ def solve_motion(
             for s in shapes
         ]
     )
-    return Motion(rod, finest, times, strain)
+    return Motion(rod, finest, times, strain, np.atleast_1d(np.asarray(rests, dtype=float)))

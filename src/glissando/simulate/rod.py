@@ -94,6 +94,8 @@ class Rod:
         >>> Rod.of_tubes(0.7, [(2e-3, 1.8e-3)], young=60e9, poisson=0.33).stiffness[3].round(4)
         np.float64(0.0162)
         """
+        if not -1.0 < poisson <= 0.5:
+            raise SimulationError(f"A Poisson's ratio of {poisson:g} cannot be; give −1 to 0.5.")
         area = inertia = 0.0
         for outer, inner in diameters:
             if not 0.0 <= inner < outer:

@@ -22,16 +22,18 @@ from glissando.simulate.tracker import coil_rows, mocap_rows
 from glissando.streams import Rows, write_named
 
 COIL_RATE, MOCAP_RATE = 40.0, 10.0  # Hz
+_LONGEST = 100_000.0  # s
 
 
 @dataclass(frozen=True)
 class Session:
     """Streams of one run: the coil in the tracker's frame T_wt, motion capture in the world.
 
-    `mocap_std` (6,) is what motion capture's noise is, [linear, angular].
+    Lasts `duration` seconds; `mocap_std` (6,) is what motion capture's noise is, [linear, angular].
     """
 
     name: str
+    duration: float
     motion: Motion
     path: SlidePath
     coil: Rows
@@ -57,18 +59,43 @@ def simulate_session(
     """
     flaws = bench.flaws if flaws is None else flaws
     lasts = max(path.duration, float(motion.time[-1])) if duration is None else duration
-    if not (np.isfinite(lasts) and lasts > 0.0):
-        raise SimulationError(f"A session of {lasts:g} s cannot be; give seconds above zero.")
+    if not 1.0 / COIL_RATE <= lasts <= _LONGEST:
+        raise SimulationError(
+            f"A session of {lasts:g} s cannot be; give {1.0 / COIL_RATE:g} to {_LONGEST:,.0f} s."
+        )
+    if seed < 0:
+        raise SimulationError(f"Seed {seed} cannot be; give a whole number from 0 up.")
+    _require_coil_on_robot(bench, path)
     coil_noise, *mocap_noise = np.random.default_rng(seed).spawn(1 + bench.truth.size)
     time = np.arange(0.0, lasts + 1e-9, 1.0 / COIL_RATE)
     coil = coil_rows(motion, path, time, bench.coil_offset, bench.tracker, flaws, coil_noise)
     time = np.arange(0.0, lasts + 1e-9, 1.0 / MOCAP_RATE)
     mocap = {
-        f"mocap_{round(1e3 * s)}": mocap_rows(motion, float(s), time, flaws, noise)
+        f"mocap_{1e3 * s:g}": mocap_rows(motion, float(s), time, flaws, noise)
         for s, noise in zip(bench.truth, mocap_noise, strict=True)
     }
+    if not all(np.all(np.isfinite(rows.values)) for rows in (coil, *mocap.values())):
+        raise SimulationError("Imperfections so large leave readings that are no numbers.")
     std = np.repeat(np.maximum([flaws.mocap, flaws.mocap_angle], 1e-6), 3) / np.sqrt(3.0)
-    return Session(name, motion, path, coil, mocap, bench.tracker, std)
+    return Session(name, lasts, motion, path, coil, mocap, bench.tracker, std)
+
+
+def _require_coil_on_robot(bench: Bench, path: SlidePath) -> None:
+    length = bench.rod.length
+    farthest = float(path.at(path.time).max())
+    if bench.coil_offset > 0.0 or length - farthest + bench.coil_offset < -1e-9:
+        raise SimulationError(
+            f"The coil would leave the robot: {length:g} m − {farthest:g} m of slide "
+            f"{bench.coil_offset:+g} m of offset; slide less far."
+        )
+
+
+def require_new(folder: Path) -> None:
+    """Raise SimulationError when the folder holds something already, or is no folder."""
+    if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
+        raise SimulationError(f"{folder} is there already and no folder; give another --out.")
+    if folder.exists() and any(folder.iterdir()):
+        raise SimulationError(f"{folder} is there already and not empty; give another --out.")
 
 
 def write_session(session: Session, folder: Path, robot: str | Path) -> list[Path]:
@@ -77,8 +104,7 @@ def write_session(session: Session, folder: Path, robot: str | Path) -> list[Pat
     `robot` is the name of a shipped robot or a robot file, which is copied into the folder. Raises
     SimulationError when the folder holds something already.
     """
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise SimulationError(f"{folder} is there already and not empty; give another --out.")
+    require_new(folder)
     folder.parent.mkdir(parents=True, exist_ok=True)
     building = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
     try:
@@ -110,10 +136,17 @@ def _description(session: Session, robot: str) -> str:
     """The recording.toml: the coil is in the tracker's frame, motion capture is the truth."""
     position = session.T_wt[:3, 3].tolist()
     quaternion = se3.quaternion(session.T_wt[:3, :3]).tolist()
-    lines = [f"name = {json.dumps(session.name)}", f"robot = {json.dumps(robot)}", ""]
+    lines = [f"name = {_quoted(session.name)}", f"robot = {_quoted(robot)}", ""]
     lines += ["[frames.tracker]", f"position = {position}", f"quaternion = {quaternion}", ""]
     lines += ["[[streams]]", 'name = "coil"', 'kind = "coil"', 'frame = "tracker"']
+    lines += ["keep_repeats = true"]  # a still coil without noise says the same again and again
     for name in session.mocap:
         lines += ["", "[[streams]]", f'name = "{name}"', 'kind = "pose"', "truth = true"]
-        lines += [f"std = {session.mocap_std.tolist()}"]
+        lines += [f"std = {session.mocap_std.tolist()}", "keep_repeats = true"]
     return "\n".join(lines) + "\n"
+
+
+def _quoted(text: str) -> str:
+    """A TOML string; what UTF-8 has no letter for becomes a question mark."""
+    plain = text.encode("utf-8", "replace").decode().replace("\x7f", "?")
+    return json.dumps(plain, ensure_ascii=False)

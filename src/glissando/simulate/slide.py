@@ -15,6 +15,8 @@ from glissando.se3 import Array
 from glissando.simulate.rod import SimulationError
 
 _SLACK = 1e-6  # of a limit, for rounding
+_MOST = 1e9  # s, m or m/s, beyond which nothing is meant
+_CYCLES = 100_000
 _NO_WAY = 1e-9  # m, a move too short to be one
 
 
@@ -51,8 +53,18 @@ class SlidePath:
 
     def __post_init__(self) -> None:
         for name in ("time", "displacement", "speed"):
-            object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=float))
+            array = np.asarray(getattr(self, name), dtype=float)
+            object.__setattr__(self, name, array)
+            if array.shape != np.shape(self.time) or not np.all(np.abs(array) < _MOST):
+                raise SimulationError(
+                    f"A slide's {name} is {array}; give finite numbers, one a knot."
+                )
         _require_increasing(self.time)
+        if np.any(np.abs(self.speed[[0, -1]]) > 1e-9):
+            raise SimulationError(
+                f"The slide begins at {self.speed[0]:g} and ends at {self.speed[-1]:g} m/s, where "
+                f"the stage holds; begin and end at rest."
+            )
         step = np.diff(self.time)
         gap = np.diff(self.displacement) - 0.5 * step * (self.speed[1:] + self.speed[:-1])
         if np.any(np.abs(gap) > 1e-6 + 1e-6 * np.abs(self.displacement[1:])):
@@ -63,23 +75,24 @@ class SlidePath:
                 f"them."
             )
         acceleration = np.diff(self.speed) / step
-        self._require("stroke", "m", self._reach(acceleration), self.limits.stroke)
+        least, most = self._reach(acceleration)
+        self._require("stroke", "m", most, self.limits.stroke)
         self._require("speed", "m/s", float(np.abs(self.speed).max()), self.limits.speed)
         sharpest = float(np.abs(acceleration).max(initial=0.0))
         self._require("acceleration", "m/s²", sharpest, self.limits.acceleration)
-        if self.displacement.min() < -1e-9:
+        if least < -1e-9:
             raise SimulationError(
-                f"The slide goes {-1e3 * self.displacement.min():.3g} mm beyond the tip; "
+                f"The slide goes {-1e3 * least:.3g} mm beyond the tip; "
                 f"displacements run from 0, the tip, towards the base."
             )
 
-    def _reach(self, acceleration: Array) -> float:
-        """Largest displacement, turning points between knots included."""
-        turning = acceleration * self.speed[:-1] < 0.0
-        turning &= self.speed[1:] * self.speed[:-1] < 0.0
-        sharp = np.where(turning, acceleration, -1.0)
-        peaks = self.displacement[:-1] - 0.5 * self.speed[:-1] ** 2 / sharp
-        return float(max(self.displacement.max(), np.where(turning, peaks, 0.0).max(initial=0.0)))
+    def _reach(self, acceleration: Array) -> tuple[float, float]:
+        """Least and largest displacement, turning points between knots included."""
+        turning = self.speed[1:] * self.speed[:-1] < 0.0
+        sharp = np.where(turning, acceleration, 1.0)
+        peaks = np.where(turning, self.displacement[:-1] - 0.5 * self.speed[:-1] ** 2 / sharp, 0.0)
+        places = np.concatenate([self.displacement, peaks[turning]])
+        return float(places.min()), float(places.max())
 
     @staticmethod
     def _require(what: str, unit: str, value: float, limit: float) -> None:
@@ -145,8 +158,10 @@ class SlidePath:
         cycles: int, stroke: float, limits: SlideLimits, *, speed: float | None = None
     ) -> SlidePath:
         """From the tip `stroke` metres towards the base and back, `cycles` times."""
-        if not (cycles == int(cycles) and cycles > 0):
-            raise SimulationError(f"{cycles:g} cycles cannot be; give a whole number from 1 up.")
+        if not (np.isfinite(cycles) and cycles == int(cycles) and 0 < cycles <= _CYCLES):
+            raise SimulationError(
+                f"{cycles:g} cycles cannot be; give a whole number from 1 to {_CYCLES:,}."
+            )
         if not (np.isfinite(stroke) and stroke > 0.0):
             raise SimulationError(f"A stroke of {stroke:g} m cannot be; give metres above zero.")
         return SlidePath.moves([0.0, *[stroke, 0.0] * int(cycles)], limits, speed=speed)
@@ -231,6 +246,16 @@ def read_slide(path: Path, limits: SlideLimits) -> SlidePath:
             raise SimulationError(
                 f"{path.name} row {number + 1}: give a number each for {', '.join(names)}."
             )
+    unknown = set(head) - {"time", "displacement", "speed"}
+    if unknown:
+        raise SimulationError(
+            f"Slide {path.name} has a column {sorted(unknown)[0]!r}; columns are time, "
+            f"displacement and speed."
+        )
+    if len(table) and table[0, 0] < 0.0:
+        raise SimulationError(
+            f"Slide {path.name} begins at {table[0, 0]:g} s; begin at 0 or later."
+        )
     if len(names) == 3:
         _require_increasing(table[:, 0])
         return SlidePath(table[:, 0], table[:, 1], table[:, 2], limits)

@@ -140,8 +140,9 @@ class _Problem:
             if found is None:
                 step *= 0.5
                 if step < _SMALLEST_STEP:
+                    percent = f"{100 * share:.1f}" if share > 1e-3 else f"{100 * share:.2g}"
                     raise NoShapeError(
-                        f"Under {100 * share:.1f} % of these loads the rod buckles, or no static "
+                        f"Under {percent} % of these loads the rod buckles, or no static "
                         f"shape continues the unloaded one; reduce tensions or forces below that."
                     )
                 continue
