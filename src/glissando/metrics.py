@@ -20,10 +20,11 @@ _JUDGES = (PoseReadings, CoilReadings, PositionReadings, OrientationReadings)
 
 @dataclass(frozen=True)
 class Errors:
-    """Errors of an estimate at M truth samples; columns that a stream lacks are NaN.
+    """Errors of an estimate at M truth samples in order of time; what a stream lacks is NaN.
 
-    `position` (M,) metres, `rotation` (M,) radians, `nees_position` (M,) the squared position error
-    in units of its covariance (3 degrees of freedom).
+    `position` (M,) metres, `rotation` (M,) radians; `nees_position` and `nees_rotation` (M,) the
+    squared errors in units of their covariance, of 3 and `dof_rotation` degrees of freedom (2 for a
+    coil, whose roll is not seen).
     """
 
     name: str
@@ -31,6 +32,8 @@ class Errors:
     position: Array
     rotation: Array
     nees_position: Array
+    nees_rotation: Array
+    dof_rotation: int = 3
 
     def summary(self) -> dict[str, float | None]:
         """RMSEs, NEES per degree of freedom, and the share inside the 95 % ellipsoid."""
@@ -42,6 +45,7 @@ class Errors:
             "rotation_rmse": _rms(self.rotation),
             "nees_position": _mean(self.nees_position / 3.0),
             "coverage95_position": _mean(inside),
+            "nees_rotation": _mean(self.nees_rotation / self.dof_rotation),
         }
 
 
@@ -66,11 +70,12 @@ def errors_against(posterior: Posterior, truth: Readings) -> Errors:
             f"{truth.label}: a {type(truth).__name__} cannot be truth; give poses, coils, "
             f"positions or orientations."
         )
+    truth = truth.select(np.argsort(truth.time, kind="stable"))
     found = posterior.at(truth.arclength, truth.time)
     at = found.pose @ truth.mount
     count = len(truth)
-    position, nees = np.full(count, np.nan), np.full(count, np.nan)
-    rotation = np.full(count, np.nan)
+    position, nees, rotation, nees_rotation = np.full((4, count), np.nan)
+    dof = 2 if isinstance(truth, CoilReadings) else 3
     if not isinstance(truth, OrientationReadings):
         where = truth.values[:, :3, 3] if truth.values.ndim == 3 else truth.values
         miss = np.einsum("mji,mj->mi", at[:, :3, :3], where - at[:, :3, 3])
@@ -82,17 +87,36 @@ def errors_against(posterior: Posterior, truth: Readings) -> Errors:
         position = np.linalg.norm(miss, axis=1)
         nees = np.einsum("mi,mi->m", miss, np.linalg.solve(cov, miss[..., None])[..., 0])
     if truth.values.ndim == 3:
-        apart = np.swapaxes(at[:, :3, :3], -1, -2) @ truth.values[:, :3, :3]
-        if isinstance(truth, CoilReadings):
-            rotation = np.arctan2(np.hypot(apart[:, 0, 2], apart[:, 1, 2]), apart[:, 2, 2])
-        else:
-            rotation = np.linalg.norm(se3.so3_log(apart), axis=1)
-    return Errors(truth.label, truth.arclength, position, rotation, nees)
+        miss = _turned(at[:, :3, :3], truth)
+        own = truth.cov[..., -dof:, -dof:]
+        turn = truth.mount[:3, :3].T[:dof]
+        cov = turn @ found.cov[:, 3:6, 3:6] @ turn.T + own
+        rotation = np.linalg.norm(miss, axis=1)
+        nees_rotation = np.einsum("mi,mi->m", miss, np.linalg.solve(cov, miss[..., None])[..., 0])
+    return Errors(truth.label, truth.arclength, position, rotation, nees, nees_rotation, dof)
+
+
+def _turned(estimated: Array, truth: Readings) -> Array:
+    """Rotation vectors (M, 3) from estimated to true orientation in the sensor's frame.
+
+    For a coil (M, 2): the tilt of its axis, the least turn that takes one onto the other.
+    """
+    apart = np.swapaxes(estimated, -1, -2) @ truth.values[:, :3, :3]
+    if not isinstance(truth, CoilReadings):
+        return se3.so3_log(apart)
+    sine = np.hypot(apart[:, 0, 2], apart[:, 1, 2])
+    angle = np.arctan2(sine, apart[:, 2, 2])
+    scale = np.where(sine > 1e-12, angle / np.maximum(sine, 1e-12), 1.0)
+    return scale[:, None] * np.stack([-apart[:, 1, 2], apart[:, 0, 2]], axis=-1)
 
 
 def pool(errors: Sequence[Errors]) -> Errors:
-    """All samples of all sites as one."""
-    columns = zip(
-        *((e.arclength, e.position, e.rotation, e.nees_position) for e in errors), strict=True
+    """All samples of all sites as one; rotations count as of three degrees of freedom."""
+    return Errors(
+        "overall",
+        np.concatenate([e.arclength for e in errors]),
+        np.concatenate([e.position for e in errors]),
+        np.concatenate([e.rotation for e in errors]),
+        np.concatenate([e.nees_position for e in errors]),
+        np.concatenate([e.nees_rotation * (3.0 / e.dof_rotation) for e in errors]),
     )
-    return Errors("overall", *(np.concatenate(c) for c in columns))

@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from glissando.consistency import check
 from glissando.dataset import Recording
 from glissando.errors import GlissandoError, RecordingError
 from glissando.estimate import Progress, estimate
@@ -61,6 +62,7 @@ class Run:
             "dropped": self.dropped,
             "overall": pool(self.errors).summary() if self.errors else None,
             "sites": [_site(e) for e in self.errors],
+            "consistency": [c.as_json() for c in check(self.errors)],
         }
 
 

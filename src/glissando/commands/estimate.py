@@ -5,30 +5,30 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-import warnings
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 from rich.console import Console
-from rich.markup import escape
-from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from glissando.animation import save_animation
-from glissando.commands.shared import Commands, names, require_writable
+from glissando.commands.shared import (
+    Commands,
+    add_choices,
+    chosen_robot,
+    estimate_watched,
+    require_writable,
+)
 from glissando.dataset import Recording, load_recording
-from glissando.errors import GlissandoError, NotConvergedWarning, RobotFileError
-from glissando.estimate import Progress as IterationProgress
+from glissando.errors import GlissandoError
 from glissando.report import (
     Run,
     checked_window,
     print_table,
     read_query,
-    run_estimate,
     write_query,
     write_run,
 )
-from glissando.robot import Robot, load_robot, shipped_robots
+from glissando.robot import Robot
 from glissando.se3 import Array
 
 _ESTIMATE_HELP = """\
@@ -60,11 +60,7 @@ def add_to(commands: Commands) -> None:
     )
     add = estimate.add_argument
     add("recording", type=Path, metavar="RECORDING", help="folder of the recording")
-    robots = ", ".join(shipped_robots())
-    add("--robot", metavar="FILE|NAME", help=f"robot file, or one of {robots}")
-    add("--window", nargs=2, type=float, metavar=("T0", "T1"), help="seconds to estimate")
-    add("--use", type=names, metavar="NAME,…", help="streams to use (default: all but truth)")
-    add("--truth", type=names, metavar="NAME,…", help="streams to judge by (default: as marked)")
+    add_choices(estimate)
     answers = "points (columns time,arclength); answers go to query.csv in DIR, or here"
     add("--query", type=Path, metavar="FILE.csv", help=answers)
     add("--out", type=Path, metavar="DIR", help="write posterior.nc, report.json and figures here")
@@ -75,29 +71,14 @@ def add_to(commands: Commands) -> None:
 
 def _estimate(options: argparse.Namespace) -> int:
     recording = load_recording(options.recording)
-    robot = load_robot(options.robot) if options.robot else recording.robot
-    if robot is None:
-        raise RobotFileError(
-            f"{recording.name} does not name its robot and no shipped robot fits; "
-            f"give --robot FILE or one of {', '.join(shipped_robots())}."
-        )
+    robot = chosen_robot(recording, options.robot)
     query = _checked_query(options, recording, robot) if options.query else None
     if options.out:
         require_writable(options.out)
     elif options.animate:
         raise GlissandoError("--animate writes into a folder: give --out DIR.")
 
-    def work(progress: IterationProgress) -> Run:
-        return run_estimate(
-            recording,
-            robot,
-            window=tuple(options.window) if options.window else None,
-            use=options.use,
-            truth=options.truth,
-            progress=progress,
-        )
-
-    run, complaint = _watched(recording.name, work)
+    run, complaint = estimate_watched(recording, robot, options)
     if options.json:
         print(json.dumps(run.as_json()))
     else:
@@ -147,24 +128,3 @@ def _write(options: argparse.Namespace, run: Run, query: tuple[Array, Array] | N
         write_query(run.posterior, query, path)
         written.append(path)
     return written
-
-
-def _watched(name: str, work: Callable[[IterationProgress], Run]) -> tuple[Run, str]:
-    """Do the work behind a progress line on stderr; also the sentence of a warning, if any."""
-    console = Console(stderr=True)
-    columns = SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn()
-    with (
-        warnings.catch_warnings(record=True) as caught,
-        Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar,
-    ):
-        warnings.simplefilter("always", NotConvergedWarning)
-        task = bar.add_task(f"estimating {escape(name)}", total=None)
-
-        def advance(iteration: int, cost: float, length: float) -> None:
-            doing = f"estimating {escape(name)}: iteration {iteration}"
-            text = f"{doing}, cost {cost:.6g}, step {length:.3g} σ"
-            bar.update(task, description=text)
-
-        run = work(advance)
-    complaints = [w for w in caught if issubclass(w.category, NotConvergedWarning)]
-    return run, str(complaints[0].message) if complaints else ""

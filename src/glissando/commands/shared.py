@@ -4,10 +4,18 @@ from __future__ import annotations
 
 import argparse
 import os
+import warnings
 from pathlib import Path
 from typing import TypeAlias
 
-from glissando.errors import GlissandoError
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+from glissando.dataset import Recording
+from glissando.errors import GlissandoError, NotConvergedWarning, RobotFileError
+from glissando.report import Run, run_estimate
+from glissando.robot import Robot, load_robot, shipped_robots
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 """Where a command adds its parser."""
@@ -16,6 +24,57 @@ Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 def names(text: str) -> list[str]:
     """Names separated by commas."""
     return [name.strip() for name in text.split(",") if name.strip()]
+
+
+def add_choices(parser: argparse.ArgumentParser) -> None:
+    """Options that say what of a recording is estimated, and by what it is judged."""
+    add = parser.add_argument
+    robots = ", ".join(shipped_robots())
+    add("--robot", metavar="FILE|NAME", help=f"robot file, or one of {robots}")
+    add("--window", nargs=2, type=float, metavar=("T0", "T1"), help="seconds to estimate")
+    add("--use", type=names, metavar="NAME,…", help="streams to use (default: all but truth)")
+    add("--truth", type=names, metavar="NAME,…", help="streams to judge by (default: as marked)")
+
+
+def chosen_robot(recording: Recording, name: str | None) -> Robot:
+    """The robot that was asked for, else the recording's. Raises RobotFileError without one."""
+    robot = load_robot(name) if name else recording.robot
+    if robot is None:
+        raise RobotFileError(
+            f"{recording.name} does not name its robot and no shipped robot fits; "
+            f"give --robot FILE or one of {', '.join(shipped_robots())}."
+        )
+    return robot
+
+
+def estimate_watched(
+    recording: Recording, robot: Robot, options: argparse.Namespace
+) -> tuple[Run, str]:
+    """Estimate behind a progress line on stderr; also the sentence of a warning, if any."""
+    console = Console(stderr=True)
+    columns = SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn()
+    with (
+        warnings.catch_warnings(record=True) as caught,
+        Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar,
+    ):
+        warnings.simplefilter("always", NotConvergedWarning)
+        doing = f"estimating {escape(recording.name)}"
+        task = bar.add_task(doing, total=None)
+
+        def advance(iteration: int, cost: float, length: float) -> None:
+            text = f"{doing}: iteration {iteration}, cost {cost:.6g}, step {length:.3g} σ"
+            bar.update(task, description=text)
+
+        run = run_estimate(
+            recording,
+            robot,
+            window=tuple(options.window) if options.window else None,
+            use=options.use,
+            truth=options.truth,
+            progress=advance,
+        )
+    complaints = [w for w in caught if issubclass(w.category, NotConvergedWarning)]
+    return run, str(complaints[0].message) if complaints else ""
 
 
 def require_writable(folder: Path) -> None:

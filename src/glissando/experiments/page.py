@@ -48,11 +48,11 @@ _CAUSES = """\
 
 Oscillating against fixed, with one cause scaled at a time. Noise, bias and registration change a
 fixed and a sliding sensor's errors alike, and the effect of sliding little. What decides is the set
-of the tubes, which a sensor at the tip cannot see and a sliding one can, as far as it reaches:
-the shorter its bends, the less of them 60 mm reveal. Without set the prior is right about all but
-the joint of an S, and sliding can even hurt: what the coil sees beyond the joint is taken to tell
-of the other side as well. A fixed sensor errs here as much as the paper's, by choice of the set's
-size; that the paper's robot gains less is for one of these reasons, or for none of them.
+of the tubes, which a sensor at the tip cannot see and a sliding one can. Without set the prior is
+right about all but the joint of an S, and sliding can even hurt: what the coil sees beyond the
+joint is taken to tell of the other side as well. Between no set and ours lies an effect as small as
+the paper's, but there a fixed sensor would err less than the paper's does. What else keeps the
+paper's robot from gaining more, this does not tell.
 
 ![Change by cause](causes.png)
 """

@@ -1,0 +1,124 @@
+"""Consistency as a product: honest confidence is called true as often as it should, others not."""
+
+import json
+
+import numpy as np
+import pytest
+
+from glissando import cli
+from glissando.consistency import LEVELS, Consistency, check, effective_samples
+from glissando.metrics import Errors
+
+
+def series(rng, count, rho, scale=1.0):
+    """Squared normalised errors (M,) of three degrees of freedom, correlated by rho a step."""
+    steps = rng.standard_normal((count, 3))
+    for k in range(1, count):
+        steps[k] = rho * steps[k - 1] + np.sqrt(1.0 - rho**2) * steps[k]
+    return scale * np.sum(steps**2, axis=1)
+
+
+def judged(nees):
+    return Consistency("site", 0.1, "position", nees, 3, effective_samples(nees))
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.8, 0.97])
+def test_effective_samples_are_those_of_the_correlation(rho):
+    """A square of a Gaussian series with correlation ρ^k has correlation ρ^2k."""
+    rng = np.random.default_rng(0)
+    found = np.median([effective_samples(series(rng, 4000, rho)) for _ in range(20)])
+    expected = 4000 * (1.0 - rho**2) / (1.0 + rho**2)
+    assert found == pytest.approx(expected, rel=0.15)
+
+
+def test_a_constant_series_is_worth_one_sample():
+    assert effective_samples(np.full(100, 2.0)) == 1.0
+    assert effective_samples(np.zeros(3)) == 1.0
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.9])
+def test_honest_confidence_is_called_true_and_errors_of_confidence_are_found(rho):
+    rng = np.random.default_rng(1)
+    verdicts = {
+        scale: [judged(series(rng, 1500, rho, scale)).verdict for _ in range(100)]
+        for scale in (1.0, 1.7, 1.0 / 1.7)
+    }
+    assert verdicts[1.0].count("true") >= 85
+    assert verdicts[1.7].count("too sure") >= 95
+    assert verdicts[1.0 / 1.7].count("too unsure") >= 95
+
+
+def test_coverage_bounds_hold_honest_coverage():
+    rng = np.random.default_rng(2)
+    inside = dict.fromkeys(LEVELS, 0)
+    for _ in range(200):
+        found = judged(series(rng, 600, 0.6))
+        for level in LEVELS:
+            low, high = found.coverage_bounds(level)
+            inside[level] += low <= found.coverage(level) <= high
+    assert min(inside.values()) >= 180
+
+
+def test_sites_are_judged_alone_and_together_and_what_is_missing_is_left_out():
+    nan = np.full(50, np.nan)
+    nees = series(np.random.default_rng(3), 50, 0.0)
+    seen = Errors("pose", np.full(50, 0.1), nees, nees, nees, nees)
+    point = Errors("point", np.full(50, 0.2), nees, nan, nees, nan)
+    found = [(c.site, c.quantity) for c in check([seen, point])]
+    assert found == [
+        ("pose", "position"), ("point", "position"), ("all", "position"), ("pose", "rotation")
+    ]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("check") / "C"
+    options = ["--shape", "C", "--slide", "oscillate", "--cycles", "1"]
+    assert cli.main(["simulate", *options, "--out", str(folder)]) == 0
+    return folder
+
+
+def run(*arguments):
+    return cli.main([str(a) for a in arguments])
+
+
+def test_a_recording_and_its_saved_posterior_are_judged_alike(recording, tmp_path, capsys):
+    assert run("estimate", recording, "--out", tmp_path / "estimate") == 0
+    capsys.readouterr()
+    assert run("check", recording, "--json") == 0
+    fresh = json.loads(capsys.readouterr().out)["checks"]
+    saved = tmp_path / "estimate" / "posterior.nc"
+    assert run("check", saved, "--recording", recording, "--json") == 0
+    again = json.loads(capsys.readouterr().out)["checks"]
+    assert len(fresh) == len(again) == 14
+    for one, other in zip(fresh, again, strict=True):
+        assert one["nees"] == pytest.approx(other["nees"], rel=1e-6)
+        assert set(one["coverage"]) == {"0.5", "0.9", "0.95", "0.99"}
+
+
+def test_the_check_is_printed_and_drawn(recording, tmp_path, capsys):
+    assert run("check", recording, "--out", tmp_path) == 0
+    printed = capsys.readouterr().out
+    for word in ("position", "rotation", "mocap_700", "all", "95 %"):
+        assert word in printed
+    assert (tmp_path / "calibration.png").stat().st_size > 10_000
+    assert json.loads((tmp_path / "check.json").read_text())["name"] == "C"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["nowhere"], "no recording folder or posterior"),
+        (["posterior.nc"], "give the folder that does with --recording"),
+    ],
+)
+def test_a_mistake_is_one_sentence(tmp_path, monkeypatch, capsys, arguments, sentence):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "posterior.nc").write_text("")
+    assert run("check", *arguments) == 2
+    assert sentence in capsys.readouterr().err
+
+
+def test_a_recording_without_truth_cannot_be_checked(recording, capsys):
+    assert run("check", recording, "--truth", "", "--use", "coil") == 2
+    assert "has no truth" in capsys.readouterr().err
