@@ -12,6 +12,7 @@ from glissando.experiments.claims import Claim, ClaimsError, Verdict, judge, loa
 from glissando.experiments.confidence import nearest_minimum
 from glissando.experiments.scenes import REPORTED_ON, TUNED_ON, Scene
 from glissando.experiments.trials import run_trials, summary
+from glissando.robot import load_robot
 
 BODY = np.linspace(0.0, 0.7, 701)
 
@@ -145,3 +146,20 @@ def test_a_claim_that_fails_ends_with_status_1(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(run, "reproduce", lambda *_, **__: ([failing], []))
     assert cli.main(["reproduce", "--out", str(tmp_path)]) == 1
     assert "FAILS" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("seed", [1, 3])
+def test_a_right_angle_bend_with_stiff_shear_converges_from_a_straight_start(seed):
+    """These two took a hundred iterations and ended elsewhere before the start was softened."""
+    found = scenes.trial(Scene("C", "oscillate", 16.44), seed)
+    assert found.posterior.solve.converged
+    assert found.posterior.solve.iterations < 20
+    assert max(e.summary()["position_rmse"] for e in found.errors) < 0.05
+
+
+def test_a_prior_whose_shear_is_soft_already_is_not_softened():
+    soft = load_robot("tdcr466").prior
+    assert soft.softened() is soft
+    stiff = scenes.robot().prior
+    assert np.all(stiff.softened().psd_strain_arclength[:3] > stiff.psd_strain_arclength[:3])
+    assert np.array_equal(stiff.softened().psd_strain_arclength[3:], stiff.psd_strain_arclength[3:])

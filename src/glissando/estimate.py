@@ -88,8 +88,8 @@ def estimate(
     with one_thread():
         placed, start, before = PlacedReadings(grid, readings), initial, 0
         if start is None:
-            start, before = _rough(prior, placed, clock)
-        found = _iterate(prior, placed, start, options, progress, clock)
+            start, before = _rough(prior, placed, progress, clock)
+        found = _iterate(prior, placed, start, options, _counted(progress, before), clock)
         found = replace(found, iterations=before + found.iterations)
         with clock("covariance"):
             marginals = found.chol.marginals(consume=True)
@@ -104,7 +104,16 @@ def estimate(
     return Posterior(prior, grid, found.state, found.at.system, marginals, solve)
 
 
-def _rough(prior: KinematicPrior, placed: PlacedReadings, clock: Stopwatch) -> tuple[State, int]:
+def _counted(progress: Progress | None, before: int) -> Progress | None:
+    """The same progress, told that so many iterations went before."""
+    if progress is None or before == 0:
+        return progress
+    return lambda iteration, cost, length: progress(before + iteration, cost, length)
+
+
+def _rough(
+    prior: KinematicPrior, placed: PlacedReadings, progress: Progress | None, clock: Stopwatch
+) -> tuple[State, int]:
     """Where to start: at rest, or where steps with a softer prior lead from there; how many."""
     rest = prior.rest_state(placed.grid)
     soft = prior.softened()
@@ -112,7 +121,7 @@ def _rough(prior: KinematicPrior, placed: PlacedReadings, clock: Stopwatch) -> t
         return rest, 0
     size = rest.strain.shape[0] * rest.strain.shape[1] * DOF
     options = Options(max_iterations=_ROUGH_ITERATIONS, tolerance=_ROUGH * float(np.sqrt(size)))
-    found = _iterate(soft, placed, rest, options, None, clock)
+    found = _iterate(soft, placed, rest, options, progress, clock)
     return found.state, found.iterations
 
 

@@ -25,7 +25,8 @@ _POSE_STRAIN, _ALL = slice(0, 12), slice(0, DOF)
 STRAIGHT = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 
 
-_SOFT = (0.022) ** 2  # m², of strain density over curvature density
+_SOFT = 0.022**2  # m², of strain density over curvature density
+_STIFF = 10.0  # times softer than a prior must be to be worth a start of its own
 
 
 def _soften(psd: Array) -> Array:
@@ -66,7 +67,7 @@ class KinematicPrior:
     base_pose: Array = field(default_factory=lambda: np.eye(4))
 
     def softened(self) -> KinematicPrior:
-        """The prior with shear and extension no stiffer than a bend over 2 cm; itself if it is so.
+        """The prior with shear and extension as soft as bending over 2 cm, or itself if not far.
 
         Its estimates bend easily, which makes them a start for the stiffer one.
         """
@@ -75,8 +76,7 @@ class KinematicPrior:
         base = self.base
         if base is not None:
             base = replace(base, strain=_soften(base.strain))
-        known = [getattr(self, name) for name in names]
-        if all(np.array_equal(soft[name], was) for name, was in zip(names, known, strict=True)):
+        if all(np.all(soft[name] <= _STIFF * getattr(self, name)) for name in names):
             return self
         return replace(self, **soft, base=base)
 
