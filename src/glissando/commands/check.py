@@ -16,6 +16,7 @@ from rich.table import Table
 from glissando.commands.shared import (
     Commands,
     add_choices,
+    add_command,
     chosen_robot,
     estimate_watched,
     require_writable,
@@ -47,20 +48,14 @@ wrong.
 
 def add_to(commands: Commands) -> None:
     """Add the command to the parser's."""
-    parser = commands.add_parser(
-        "check",
-        help="check whether confidence is true",
-        description=_HELP,
-        epilog=_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    texts = _HELP, _EXAMPLES
+    parser = add_command(commands, "check", "check whether confidence is true", texts, _check)
     add = parser.add_argument
     add("target", type=Path, metavar="RECORDING|POSTERIOR", help="folder, or a posterior.nc")
     add("--recording", type=Path, metavar="FOLDER", help="where the truth of a posterior is")
     add_choices(parser)
     add("--out", type=Path, metavar="DIR", help="write check.json and calibration.png here")
     add("--json", action="store_true", help="print one JSON object and nothing else")
-    parser.set_defaults(run=_check)
 
 
 def _check(options: argparse.Namespace) -> int:

@@ -14,6 +14,7 @@ from glissando.animation import save_animation
 from glissando.commands.shared import (
     Commands,
     add_choices,
+    add_command,
     chosen_robot,
     estimate_watched,
     require_writable,
@@ -51,13 +52,8 @@ exit status: 0 done; 1 the estimate did not converge; 2 something given was wron
 
 def add_to(commands: Commands) -> None:
     """Add the command to the parser's."""
-    estimate = commands.add_parser(
-        "estimate",
-        help="estimate a recording",
-        description=_ESTIMATE_HELP,
-        epilog=_ESTIMATE_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    texts = _ESTIMATE_HELP, _ESTIMATE_EXAMPLES
+    estimate = add_command(commands, "estimate", "estimate a recording", texts, _estimate)
     add = estimate.add_argument
     add("recording", type=Path, metavar="RECORDING", help="folder of the recording")
     add_choices(estimate)
@@ -66,7 +62,6 @@ def add_to(commands: Commands) -> None:
     add("--out", type=Path, metavar="DIR", help="write posterior.nc, report.json and figures here")
     add("--animate", action="store_true", help="also write an animation, shape.mp4 or .gif, in DIR")
     add("--json", action="store_true", help="print one JSON object and nothing else")
-    estimate.set_defaults(run=_estimate)
 
 
 def _estimate(options: argparse.Namespace) -> int:

@@ -11,7 +11,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from glissando.commands.shared import Commands, require_writable
+from glissando.commands.shared import Commands, add_command, require_writable
 from glissando.experiments.claims import CLAIMS, Verdict, load_claims
 
 _HELP = """\
@@ -31,18 +31,14 @@ exit status: 0 every claim holds; 1 one does not; 2 something given was wrong.
 
 def add_to(commands: Commands) -> None:
     """Add the command to the parser's."""
-    parser = commands.add_parser(
-        "reproduce",
-        help="compute and judge the paper's claims",
-        description=_HELP,
-        epilog=_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+    texts = _HELP, _EXAMPLES
+    parser = add_command(
+        commands, "reproduce", "compute and judge the paper's claims", texts, _reproduce
     )
     add = parser.add_argument
     add("--quick", action="store_true", help="fewer seeds and scenes, under a minute")
     add("--claims", type=Path, default=CLAIMS, metavar="FILE", help="claims to judge (TOML)")
     add("--out", type=Path, default=Path("results"), metavar="DIR", help="default: results")
-    parser.set_defaults(run=_reproduce)
 
 
 def _reproduce(options: argparse.Namespace) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import TypeAlias
 
@@ -19,6 +20,25 @@ from glissando.robot import Robot, load_robot, shipped_robots
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 """Where a command adds its parser."""
+
+
+def add_command(
+    commands: Commands,
+    name: str,
+    summary: str,
+    texts: tuple[str, str],
+    run: Callable[[argparse.Namespace], int],
+) -> argparse.ArgumentParser:
+    """The parser of a new command; `texts` stand above and below its options in the help."""
+    parser = commands.add_parser(
+        name,
+        help=summary,
+        description=texts[0],
+        epilog=texts[1],
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.set_defaults(run=run)
+    return parser
 
 
 def names(text: str) -> list[str]:

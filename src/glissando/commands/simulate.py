@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from glissando.commands.shared import Commands, names, require_writable
+from glissando.commands.shared import Commands, add_command, names, require_writable
 from glissando.robot import load_robot, robot_file, shipped_robots
 from glissando.simulate import SimulationError, SlidePath
 from glissando.simulate.bench import Bench, load_bench
@@ -38,13 +38,8 @@ exit status: 0 done; 1 the physics has no static shape there; 2 something given 
 
 def add_to(commands: Commands) -> None:
     """Add the command to the parser's."""
-    parser = commands.add_parser(
-        "simulate",
-        help="simulate a recording",
-        description=_HELP,
-        epilog=_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    texts = _HELP, _EXAMPLES
+    parser = add_command(commands, "simulate", "simulate a recording", texts, _simulate)
     add = parser.add_argument
     robots = ", ".join(shipped_robots())
     add("--robot", default="sliding700", metavar="FILE|NAME", help=f"robot file, or of {robots}")
@@ -60,7 +55,6 @@ def add_to(commands: Commands) -> None:
     add("--without", type=names, default=[], metavar="NAME,…", help=f"switch off: {parts}")
     add("--seed", type=int, default=0, metavar="N", help="of all noise (default 0)")
     add("--out", type=Path, required=True, metavar="RECORDING", help="folder to write")
-    parser.set_defaults(run=_simulate)
 
 
 def _simulate(options: argparse.Namespace) -> int:
