@@ -145,14 +145,14 @@ class Trial:
     errors: list[Errors]
 
 
-def trial(scene: Scene, seed: int) -> Trial:
-    """Simulate a scene with a seed, estimate it, and judge it by motion capture."""
+def trial(scene: Scene, seed: int, other: KinematicPrior | None = None) -> Trial:
+    """Simulate a scene with a seed, estimate it (with an `other` prior), judge it by mocap."""
     recorded = recording(session(scene, seed))
     window = (0.0, scene.duration)
     used, judges = recorded.choose(None, None)
     readings, _ = recorded.readings(used, robot(), window)
     truth, _ = recorded.readings(judges, robot(), window, as_truth=True)
-    posterior = estimate(prior(scene), grid(scene), readings)
+    posterior = estimate(other or prior(scene), grid(scene), readings)
     return Trial(readings, truth, posterior, [errors_against(posterior, t) for t in truth])
 
 
