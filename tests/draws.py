@@ -5,7 +5,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 
 from glissando import se3
-from glissando.prior import BaseDensity, KinematicPrior
+from glissando.kinematic import BaseDensity, KinematicPrior
 from glissando.state import State
 
 law = settings(deadline=None, derandomize=True, max_examples=50)

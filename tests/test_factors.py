@@ -37,7 +37,7 @@ def scattered(rng, count, *, loss=None):
 
 def equations(readings, *, state=STATE, about=ABOUT, held=None):
     placed = PlacedReadings(GRID, readings)
-    return linearize(prior(), placed, state, about, np.empty(slab_shape(GRID)), held)
+    return linearize(prior(), placed, state, about, np.empty(slab_shape(GRID, 18)), held)
 
 
 def dense_of(system):

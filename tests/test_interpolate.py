@@ -15,10 +15,11 @@ from glissando.errors import OutsideGridError
 from glissando.estimate import Options, estimate
 from glissando.factors import PlacedReadings, linearize, slab_shape
 from glissando.grid import Grid
-from glissando.interpolate import interpolate, sort_points
+from glissando.points import sort_points
 from glissando.sensors import GyroReadings, PoseReadings, PositionReadings, StrainReadings
 from glissando.state import DOF, State
 from glissando.steps import ARCLENGTH, TIME, between
+from glissando.transitions import bridge as bridge_into
 from oracles import dense
 
 GRID = Grid([0.0, 0.1, 0.25, 0.4], [0.0, 0.1, 0.25])
@@ -30,7 +31,7 @@ SHEAR = np.array([0.01, 0.02, -0.01, 0.5, 0.8, -0.4])
 
 def interpolated(s, t, state, grid=GRID):
     (points,) = sort_points(grid, np.atleast_1d(s), np.atleast_1d(t))
-    return interpolate(prior(), grid, state, state, points)
+    return prior().interpolate(grid, state, state, points)
 
 
 def along_arclength(bend, nodes, *, strain=STRAIGHT):
@@ -191,13 +192,16 @@ def test_a_point_in_a_cell_is_two_steps_along_arclength_and_one_along_time(rng):
     for k in (1, 2):
         ends = state.take(([k], [2])), state.take(([k], [3]))
         middle = 0.5 * (ends[0].strain + ends[1].strain)
-        bridge = soft.bridge(ARCLENGTH, middle, (length, offset, GRID.time_spans[k : k + 1]))
+        weight = GRID.time_spans[k]
+        densities = soft.psd_strain_arclength / weight, soft.psd_velocity_arclength / weight
+        bridge = bridge_into(middle, length, offset, *densities, rigid=True)
         steps.append(between(ARCLENGTH, *ends, length, offset, bridge))
     (early, *of_early, cov_early), (late, *of_late, cov_late) = steps
     span = np.interp([0.3], GRID.arclength, GRID.arclength_spans)
     mean = 0.5 * (state.velocity[1] + state.velocity[2])
     rate = (2.0 * mean[2:3] + mean[3:4]) / 3.0
-    bridge = soft.bridge(TIME, rate, (wait, elapsed, span))
+    densities = soft.psd_velocity_time / span, soft.psd_strain_time / span
+    bridge = bridge_into(rate, wait, elapsed, *densities, rigid=False)
     expected, j0, j1, cov = between(TIME, early, late, wait, elapsed, bridge)
     cov = cov + j0 @ cov_early @ j0.swapaxes(1, 2) + j1 @ cov_late @ j1.swapaxes(1, 2)
     jacobian = np.stack([j0 @ j for j in of_early] + [j1 @ j for j in of_late], axis=2)
@@ -215,11 +219,11 @@ def test_covariance_anywhere_is_that_of_the_dense_inverse():
     s[:6:2], t[1:9:3] = GRID.arclength[1], GRID.time[1]  # on nodes and lines as well
     posterior = estimate(prior(), GRID, [])
     soft, placed, state = prior(), PlacedReadings(GRID, []), posterior.state
-    equations = linearize(soft, placed, state, state, np.empty(slab_shape(GRID)))
+    equations = linearize(soft, placed, state, state, np.empty(slab_shape(GRID, 18)))
     assert np.abs(equations.right).max() < 1e-9
     whole = dense.assemble(soft.factors(GRID, state, state, slice(0, 3)), 12).cov
     for points in sort_points(GRID, s, t):
-        found = interpolate(soft, GRID, state, state, points)
+        found = soft.interpolate(GRID, state, state, points)
         for row, nodes in enumerate(found.nodes):
             spread = np.zeros((DOF, 12, DOF))
             spread[:, nodes] = found.jacobian[row]

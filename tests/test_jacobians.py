@@ -8,7 +8,7 @@ from draws import motion, poses, prior, sixes, spd, states
 from glissando import se3, sensors
 from glissando.factors import PlacedReadings
 from glissando.grid import Grid
-from glissando.interpolate import interpolate, sort_points
+from glissando.points import sort_points
 from glissando.readings import numerical_jacobian
 from glissando.state import DOF, State
 from glissando.steps import ARCLENGTH, TIME, between, carried_error, pair_error
@@ -202,11 +202,11 @@ PLACES = {
 def test_interpolation_has_its_jacobian_and_names_its_nodes(place):
     state = motion(np.random.default_rng(16), GRID)
     (points,) = sort_points(GRID, *map(np.array, PLACES[place]))
-    found = interpolate(prior(), GRID, state, state, points)
+    found = prior().interpolate(GRID, state, state, points)
 
     def moved(step):
         there = state.retract(step.reshape(*GRID.shape, DOF))
-        return interpolate(prior(), GRID, there, state, points).state
+        return prior().interpolate(GRID, there, state, points).state
 
     jacobian = np.zeros((3, DOF, NODES, DOF))
     for row, nodes in enumerate(found.nodes):
@@ -224,7 +224,7 @@ def test_readings_inside_cells_pull_on_the_nodes_as_their_jacobian_says(sensor):
     state = motion(rng, GRID)
     where = {"arclength": rng.uniform(0.0, 0.4, M), "time": rng.uniform(0.0, 0.25, M)}
     (points,) = sort_points(GRID, where["arclength"], where["time"])
-    at = interpolate(prior(), GRID, state, state, points).state
+    at = prior().interpolate(GRID, state, state, points).state
     placed = PlacedReadings(GRID, [readings_of(sensor, rng, at, **where)])
     (batch,) = placed.factors(prior(), state, state, 0)
 

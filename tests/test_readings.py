@@ -9,6 +9,7 @@ from draws import generators, law, spd
 from glissando.errors import SensorError
 from glissando.estimate import estimate
 from glissando.grid import Grid
+from glissando.kinematic import BaseDensity, KinematicPrior
 from glissando.noise import (
     GemanMcClure,
     Huber,
@@ -16,7 +17,6 @@ from glissando.noise import (
     pair_sqrt_information,
     sqrt_information,
 )
-from glissando.prior import BaseDensity, KinematicPrior
 from glissando.sensors import (
     CoilReadings,
     FbgReadings,

@@ -28,9 +28,9 @@ from glissando.errors import (
 )
 from glissando.estimate import Options, estimate
 from glissando.grid import Grid, uniform_grid
+from glissando.kinematic import BaseDensity, KinematicPrior
 from glissando.noise import GemanMcClure, Huber
 from glissando.posterior import Estimate, Posterior
-from glissando.prior import BaseDensity, KinematicPrior
 from glissando.readings import Readings
 from glissando.robot import Robot, load_robot
 from glissando.sensors import (

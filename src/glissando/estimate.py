@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,11 +23,11 @@ from glissando.errors import (
 from glissando.factors import NormalEquations, PlacedReadings, linearize, slab_shape
 from glissando.grid import Grid
 from glissando.posterior import Posterior, Solve
-from glissando.prior import KinematicPrior
+from glissando.prior import Prior
 from glissando.readings import Readings
 from glissando.se3 import Array
 from glissando.slabs import Cholesky, factor
-from glissando.state import DOF, State
+from glissando.state import State
 from glissando.threads import one_thread
 
 _WORTHWHILE = 1e-3  # share of the predicted fall in cost below which a step is refused
@@ -56,7 +56,7 @@ class Options:
 
 
 def estimate(
-    prior: KinematicPrior,
+    prior: Prior,
     grid: Grid,
     readings: Sequence[Readings],
     *,
@@ -80,7 +80,7 @@ def estimate(
             f"The initial state has {initial.pose.shape[:2]} nodes and the grid {grid.shape}; give "
             f"a state of this grid."
         )
-    if prior.base is None and not any(r.fixes_base and len(r) for r in readings):
+    if not prior.fixes_base and not any(r.fixes_base and len(r) for r in readings):
         raise UnobservableError(
             "Nothing fixes the base: the robot has no [base] and no pose, coil or position stream "
             "is used. Give the robot a [base], or use a stream that fixes it."
@@ -112,14 +112,14 @@ def _counted(progress: Progress | None, before: int) -> Progress | None:
 
 
 def _rough(
-    prior: KinematicPrior, placed: PlacedReadings, progress: Progress | None, clock: Stopwatch
+    prior: Prior, placed: PlacedReadings, progress: Progress | None, clock: Stopwatch
 ) -> tuple[State, int]:
     """Where to start: at rest, or where steps with a softer prior lead from there; how many."""
     rest = prior.rest_state(placed.grid)
     soft = prior.softened()
     if soft is prior:
         return rest, 0
-    size = rest.strain.shape[0] * rest.strain.shape[1] * DOF
+    size = rest.strain[..., 0].size * rest.dof
     options = Options(max_iterations=_ROUGH_ITERATIONS, tolerance=_ROUGH * float(np.sqrt(size)))
     found = _iterate(soft, placed, rest, options, progress, clock)
     return found.state, found.iterations
@@ -171,7 +171,7 @@ class _Found:
 
 
 def _iterate(
-    prior: KinematicPrior,
+    prior: Prior,
     placed: PlacedReadings,
     start: State,
     options: Options,
@@ -179,7 +179,8 @@ def _iterate(
     clock: Stopwatch,
 ) -> _Found:
     """Gauss-Newton steps, damped when the cost does not fall (Marquardt's scaling)."""
-    room = np.empty(slab_shape(placed.grid))  # fresh memory would cost more than the sums
+    # Room for every system: fresh memory would cost more than the sums.
+    room = np.empty(slab_shape(placed.grid, start.dof))
 
     def at(state: State, held: NormalEquations | None = None) -> NormalEquations:
         about, terms = (state, None) if held is None else (held.about, held.terms)
@@ -193,14 +194,16 @@ def _iterate(
         iteration += 1
         if progress is not None:
             progress(iteration, here.cost_of(here), length)
-        state = here.state.retract(step.reshape(*placed.grid.shape, DOF))
+        step = step.reshape(*placed.grid.shape, start.dof)
+        state = here.state.retract(step)
+        candidates = _candidates(prior, placed.grid, here.state, step)
         short = length < options.tolerance
         fresh = held is None or held.state is here.state or rounds == _ROUNDS
         if short and fresh and damping == 0.0:
             return _Found(state, here, chol, "converged", iteration)
         if iteration >= _SETTLED and (held is None or short) and rounds < _ROUNDS:
             held, rounds = _renewed(here, held, at), rounds + 1
-        here, gain = _try_step(here, state, held, predicted, at, placed.grid.arclength)
+        here, gain = _try_step(here, candidates, held, predicted, at)
         damping = _next_damping(damping, gain)
         if iteration == options.max_iterations or damping > _DAMPING[1]:
             status = _NOT_CONVERGED.format(iteration, length)
@@ -218,6 +221,15 @@ def _step(
     return chol, step, length, 0.5 * float(np.sum(step * (here.right + extra * step)))
 
 
+def _candidates(prior: Prior, grid: Grid, state: State, step: Array) -> Iterator[State]:
+    """Where a step may lead: straight on, or with poses that still follow from the strains.
+
+    A long step straight on tears poses and strains apart, which stiff priors punish.
+    """
+    yield state.retract(step)
+    yield prior.bent(grid, state, step)
+
+
 _At = Callable[[State, NormalEquations | None], NormalEquations]
 
 
@@ -233,20 +245,15 @@ def _renewed(
 
 def _try_step(
     here: NormalEquations,
-    state: State,
+    candidates: Iterable[State],
     held: NormalEquations | None,
     predicted: float,
     at: _At,
-    arclength: Array,
 ) -> tuple[NormalEquations, float]:
-    """The problem at `state` if that is worth it, else as it was; and the share of the promise.
-
-    A long step tears poses and strains apart, which stiff priors punish; when it fails, the same
-    strains are tried with the poses that follow from them.
-    """
+    """The problem at the first candidate worth it, else as it was; and the share of the promise."""
     cost = here.cost_of(here)
     gain = -1.0
-    for candidate in (state, state.integrated(arclength)):
+    for candidate in candidates:
         try:
             there = at(candidate, held)
         except np.linalg.LinAlgError:  # so far off that not even its weights exist

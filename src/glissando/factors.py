@@ -10,10 +10,10 @@ import numpy as np
 
 from glissando.errors import SensorError
 from glissando.grid import Grid, Index
-from glissando.interpolate import Interpolation, Points, interpolate, sort_points
 from glissando.linear import Factors, Residuals
 from glissando.noise import sqrt_information
-from glissando.prior import KinematicPrior
+from glissando.points import Interpolation, Points, sort_points
+from glissando.prior import Prior
 from glissando.readings import Readings
 from glissando.se3 import Array
 from glissando.slabs import BlockTridiagonal
@@ -58,12 +58,10 @@ class PlacedReadings:
                 split = [readings[j].select(rows[mine == j]) for j in np.unique(mine)]
                 parts.append((points, split))
 
-    def factors(
-        self, prior: KinematicPrior, state: State, about: State, block: int
-    ) -> Iterator[Factors]:
+    def factors(self, prior: Prior, state: State, about: State, block: int) -> Iterator[Factors]:
         """Factors of one block's readings, covariance widened by the bridge. Source: (13)."""
         for points, readings in self._parts[block]:
-            at = interpolate(prior, self.grid, state, about, points)
+            at = prior.interpolate(self.grid, state, about, points)
             first = 0
             for r in readings:
                 yield _reading_factors(r, at.take(slice(first, first + len(r))))
@@ -93,7 +91,7 @@ def _reading_factors(readings: Readings, at: Interpolation) -> Factors:
             f"{(m, readings.row_count, DOF)}, or leave it out."
         )
     cov = readings.cov + by_state @ at.cov @ np.swapaxes(by_state, -1, -2)
-    by_nodes = (by_state @ at.jacobian.reshape(m, DOF, c * DOF)).reshape(m, -1, c, DOF)
+    by_nodes = (by_state @ at.jacobian.reshape(m, DOF, -1)).reshape(m, -1, c, at.jacobian.shape[-1])
     touched = np.flatnonzero(np.any(by_nodes != 0.0, axis=(0, 1, 2)))
     dofs = slice(int(touched[0]), int(touched[-1]) + 1) if touched.size else slice(0, 1)
     info = sqrt_information(np.broadcast_to(cov, (m, *cov.shape[-2:])))
@@ -103,7 +101,7 @@ def _reading_factors(readings: Readings, at: Interpolation) -> Factors:
 
 @dataclass(frozen=True)
 class NormalEquations:
-    """The problem linearised at `state`: system (K slabs of 18 N) · step = right (K, 18 N).
+    """The problem linearised at `state`: system (K slabs of N · dof) · step = right (K, N · dof).
 
     `about` is the state its weights come from, `terms` the residuals of every factor, always in the
     same order.
@@ -123,7 +121,7 @@ class NormalEquations:
 
 
 def linearize(
-    prior: KinematicPrior,
+    prior: Prior,
     placed: PlacedReadings,
     state: State,
     about: State,
@@ -135,9 +133,9 @@ def linearize(
     Weights come from the rates of `about` and count as constants; with `held`, the terms of an
     earlier linearisation, they are the very weights used there.
 
-    `room` is an array of `slab_shape(grid)`, to be used again and again: it is the largest by far.
+    `room` is an array of `slab_shape(grid, dof)`, to be used again: it is the largest by far.
     """
-    sums = NeighbourSums(placed.grid)
+    sums = NeighbourSums(placed.grid, state.dof)
     terms: list[Residuals] = []
     for i, times in enumerate(placed.blocks):
         for batch in itertools.chain(
@@ -153,10 +151,10 @@ def linearize(
     return NormalEquations(state, about, system, right, terms)
 
 
-def slab_shape(grid: Grid) -> tuple[int, ...]:
+def slab_shape(grid: Grid, dof: int) -> tuple[int, ...]:
     """Shape of the memory a system needs: diagonal slabs, then those below the diagonal."""
     k_count, n_count = grid.shape
-    return 2 * k_count - 1, n_count, DOF, n_count, DOF
+    return 2 * k_count - 1, n_count, dof, n_count, dof
 
 
 class NeighbourSums:
@@ -168,14 +166,14 @@ class NeighbourSums:
     mostly zero.
     """
 
-    def __init__(self, grid: Grid) -> None:
+    def __init__(self, grid: Grid, dof: int) -> None:
         k, n = grid.shape
         self._grid = grid
         self._blocks = {
-            ahead: np.zeros((k - ahead[0], n, DOF, DOF))
+            ahead: np.zeros((k - ahead[0], n, dof, dof))
             for ahead in ((0, 0), (0, 1), (1, -1), (1, 0), (1, 1))
         }
-        self.right = np.zeros((k * n, DOF))
+        self.right = np.zeros((k * n, dof))
 
     def add(self, batch: Factors) -> None:
         """Add a batch of factors."""
@@ -199,7 +197,7 @@ class NeighbourSums:
                 slabs[:, n + further, :, n] = blocks[:, n]
                 if (later, further) == (0, 1):
                     slabs[:, n, :, n + 1] = np.swapaxes(blocks[:, n], -1, -2)
-        size = n_count * DOF
+        size = n_count * self.right.shape[1]
         flat = room.reshape(2 * k_count - 1, size, size)
         return BlockTridiagonal(flat[:k_count], flat[k_count:])
 

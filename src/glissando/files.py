@@ -16,18 +16,21 @@ import numpy as np
 from glissando import se3
 from glissando.errors import GlissandoError
 from glissando.grid import Grid
+from glissando.kinematic import BaseDensity, KinematicPrior
 from glissando.posterior import Posterior, Solve
-from glissando.prior import BaseDensity, KinematicPrior
+from glissando.prior import Prior
+from glissando.separable import BaseVariance, SeparablePrior
 from glissando.slabs import BlockTridiagonal, factor
-from glissando.state import DOF, State
+from glissando.state import State
 
 if TYPE_CHECKING:
     import xarray
 
 _FORMAT = "glissando posterior 1"
 _SIX = ["x", "y", "z", "rx", "ry", "rz"]
-COMPONENTS = [f"{field}_{part}" for field in ("pose", "strain", "velocity") for part in _SIX]
-"""Names of the 18 components of a node, in the order of every covariance."""
+_FIELDS = ("pose", "strain", "velocity", "strain_rate")
+COMPONENTS = [f"{field}_{part}" for field in _FIELDS for part in _SIX]
+"""Names of a node's components in the order of every covariance; 18, or 24 with a strain rate."""
 
 
 def _xarray() -> Any:
@@ -48,11 +51,12 @@ def to_xarray(posterior: Posterior) -> xarray.Dataset:
     """Mean, standard deviation and covariance at the nodes, with names and units."""
     k, n = posterior.grid.shape
     state = posterior.state
-    blocks = posterior.marginals.cov.reshape(k, n, DOF, n, DOF)
+    dof = state.dof
+    blocks = posterior.marginals.cov.reshape(k, n, dof, n, dof)
     cov = np.einsum("kninj->knij", blocks)
     node, six = ("time", "arclength"), "component6"
     std = np.sqrt(np.einsum("knii->kni", cov))
-    mixed = "m, rad, 1, 1/m, m/s, rad/s by component"
+    mixed = ", ".join(["m", "rad", "1", "1/m", "m/s", "rad/s", "1/s", "1/m/s"][: dof // 3])
     variables: dict[str, Any] = {
         "position": ((*node, "axis"), state.pose[..., :3, 3], {"units": "m", "frame": "world"}),
         "quaternion": (
@@ -69,14 +73,17 @@ def to_xarray(posterior: Posterior) -> xarray.Dataset:
             {"units": "product of the components' units", "frame": "body, pose on the right"},
         ),
     }
+    if state.strain_rate is not None:
+        units = {"units": "1/s, 1/m/s", "frame": "body"}
+        variables["strain_rate"] = ((*node, six), state.strain_rate, units)
     coordinates = {
         "time": ("time", posterior.grid.time, {"units": "s"}),
         "arclength": ("arclength", posterior.grid.arclength, {"units": "m"}),
         "axis": ["x", "y", "z"],
         "quaternion_part": ["w", "x", "y", "z"],
         six: _SIX,
-        "component": COMPONENTS,
-        "component_": COMPONENTS,
+        "component": COMPONENTS[:dof],
+        "component_": COMPONENTS[:dof],
     }
     attributes = {"title": "Posterior of a continuum robot's motion", "format": _FORMAT}
     dataset: xarray.Dataset = _xarray().Dataset(variables, coordinates, attributes)
@@ -92,19 +99,7 @@ def save(posterior: Posterior, path: Path) -> None:
     dataset["pose"] = (("time", "arclength", "row", "column"), posterior.state.pose)
     dataset["information"] = (("time", "slab", "slab_"), posterior.system.diagonal)
     dataset["information_below"] = (("time_step", "slab", "slab_"), posterior.system.lower)
-    prior = posterior.prior
-    dataset.attrs["prior"] = json.dumps(
-        {
-            "kind": "kinematic",
-            **{
-                name: getattr(prior, name).tolist()
-                for name in (*_DENSITIES, "rest_strain", "base_pose")
-            },
-            "base": None
-            if prior.base is None
-            else {part: getattr(prior.base, part).tolist() for part in _BASE},
-        }
-    )
+    dataset.attrs["prior"] = json.dumps(_as_table(posterior.prior))
     dataset.attrs["solve"] = json.dumps(vars(posterior.solve))
     packed = {"zlib": True, "complevel": 4, "shuffle": True}
     encoding = dict.fromkeys(("information", "information_below", "cov"), packed)
@@ -114,10 +109,34 @@ def save(posterior: Posterior, path: Path) -> None:
         raise GlissandoError(f"{path} cannot be written ({problem}).") from None
 
 
-_DENSITIES = (
-    "psd_velocity_time", "psd_strain_arclength", "psd_strain_time", "psd_velocity_arclength"
-)  # fmt: skip
-_BASE = ("pose", "strain", "velocity")
+_PRIORS: dict[str, tuple[type[Any], type[Any]]] = {
+    "kinematic": (KinematicPrior, BaseDensity),
+    "separable": (SeparablePrior, BaseVariance),
+}
+
+
+def _as_table(prior: Prior) -> dict[str, Any]:
+    """A prior's kind and fields, arrays as lists."""
+    kind = next(kind for kind, (made, _) in _PRIORS.items() if isinstance(prior, made))
+    table: dict[str, Any] = {"kind": kind}
+    for name, value in vars(prior).items():
+        if name == "base" and value is not None:
+            value = {part: array.tolist() for part, array in vars(value).items()}
+        table[name] = value.tolist() if isinstance(value, np.ndarray) else value
+    return table
+
+
+def _as_prior(table: dict[str, Any]) -> Prior:
+    prior, base = _PRIORS[table.pop("kind")]
+    for name, value in table.items():
+        if isinstance(value, list):
+            table[name] = np.array(value)
+        elif isinstance(value, dict):
+            table[name] = base(**{part: np.array(given) for part, given in value.items()})
+    if "jumps" in table:
+        table["jumps"] = table["jumps"].reshape(-1, 6)
+    made: Prior = prior(**table)
+    return made
 
 
 def load(path: Path) -> Posterior:
@@ -129,18 +148,16 @@ def load(path: Path) -> Posterior:
         raise GlissandoError(f"{path} cannot be read as NetCDF ({problem}).") from None
     if dataset.attrs.get("format") != _FORMAT:
         raise GlissandoError(f"{path} is not a glissando posterior; give a file that save wrote.")
-    given = json.loads(dataset.attrs["prior"])
-    base = given["base"]
-    prior = KinematicPrior(
-        **{name: np.array(given[name]) for name in _DENSITIES},
-        base=None if base is None else BaseDensity(*(np.array(base[part]) for part in _BASE)),
-        rest_strain=np.array(given["rest_strain"]),
-        base_pose=np.array(given["base_pose"]),
-    )
     grid = Grid(dataset["arclength"].values, dataset["time"].values)
-    fields = (dataset[name].values for name in ("pose", "strain", "velocity"))
+    names = [n for n in _FIELDS if n in dataset]
+    fields = (dataset[name].values for name in names)
     system = BlockTridiagonal(dataset["information"].values, dataset["information_below"].values)
     solve = Solve(**json.loads(dataset.attrs["solve"]))
     return Posterior(
-        prior, grid, State(*fields), system, factor(system).marginals(consume=True), solve
+        _as_prior(json.loads(dataset.attrs["prior"])),
+        grid,
+        State(*fields),
+        system,
+        factor(system).marginals(consume=True),
+        solve,
     )

@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 
 from glissando import se3
 from glissando.grid import Grid
-from glissando.interpolate import interpolate, sort_points
-from glissando.prior import KinematicPrior
+from glissando.points import sort_points
+from glissando.prior import Prior
 from glissando.se3 import Array
 from glissando.slabs import BlockTridiagonal, Marginals, factor
 from glissando.state import DOF, POSE, State
@@ -89,7 +89,7 @@ class Posterior:
     `marginals` the blocks of its inverse that any query needs, `solve` how it was reached.
     """
 
-    prior: KinematicPrior
+    prior: Prior
     grid: Grid
     state: State
     system: BlockTridiagonal
@@ -115,9 +115,8 @@ class Posterior:
         for first in range(0, s.size, _CHUNK):
             here = slice(first, first + _CHUNK)
             for points in sort_points(self.grid, s[here], t[here]):
-                found = interpolate(self.prior, self.grid, self.state, self.state, points)
-                m, c = found.nodes.shape
-                jacobian = found.jacobian.reshape(m, DOF, c * DOF)
+                found = self.prior.interpolate(self.grid, self.state, self.state, points)
+                jacobian = found.jacobian.reshape(points.rows.size, DOF, -1)
                 joint = self._joint(found.nodes)
                 rows = first + points.rows
                 out.pose[rows] = found.state.pose
@@ -133,11 +132,11 @@ class Posterior:
         )
 
     def _joint(self, nodes: np.ndarray) -> Array:
-        """Joint covariance (M, c·18, c·18) of the touched nodes (M, c)."""
+        """Joint covariance (M, c·dof, c·dof) of the touched nodes (M, c)."""
         slab, inner = np.divmod(nodes, self.grid.arclength.size)
-        m, c = nodes.shape
-        at = (inner[:, :, None] * DOF + np.arange(DOF)).reshape(m, c * DOF)
-        slab = np.repeat(slab, DOF, axis=1)
+        (m, c), dof = nodes.shape, self.state.dof
+        at = (inner[:, :, None] * dof + np.arange(dof)).reshape(m, c * dof)
+        slab = np.repeat(slab, dof, axis=1)
         k0, k1 = slab[:, :, None], slab[:, None, :]
         row, column = at[:, :, None], at[:, None, :]
         cov = self.marginals.cov[k0, row, column]
@@ -152,12 +151,12 @@ class Posterior:
         """Joint draws of the whole motion at the nodes, leading shape (size, K, N)."""
         chol = factor(self.system)
         steps = np.array([chol.sample(rng) for _ in range(size)])
-        return self.state.retract(steps.reshape(size, *self.grid.shape, DOF))
+        return self.state.retract(steps.reshape(size, *self.grid.shape, self.state.dof))
 
     def std_pose(self) -> Array:
         """Standard deviations (K, N, 6) of the pose at the nodes, body frame."""
         k, n = self.grid.shape
-        variance = np.einsum("kii->ki", self.marginals.cov).reshape(k, n, DOF)
+        variance = np.einsum("kii->ki", self.marginals.cov).reshape(k, n, -1)
         return np.sqrt(variance[..., POSE])
 
     def to_xarray(self) -> xarray.Dataset:

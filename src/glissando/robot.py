@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from glissando.errors import OutsideGridError, RobotFileError
 from glissando.grid import Grid
+from glissando.kinematic import BaseDensity, KinematicPrior
 from glissando.noise import GemanMcClure, Huber, Loss
-from glissando.prior import STRAIGHT, BaseDensity, KinematicPrior
+from glissando.prior import STRAIGHT
 from glissando.se3 import Array
 from glissando.sensors import ROWS
+from glissando.separable import BaseVariance, SeparablePrior
 from glissando.tables import Table, read_toml
 
 _LOSSES: dict[str, type[Huber] | type[GemanMcClure]] = {
@@ -36,7 +39,7 @@ class Robot:
     length: float
     arclength_nodes: Array
     time_rate: float
-    prior: KinematicPrior
+    prior: KinematicPrior | SeparablePrior
     sensor_std: dict[str, Array]
     sensor_loss: dict[str, Loss]
     clip: float | None = None
@@ -85,10 +88,11 @@ def parse_robot(table: Table) -> Robot:
     """The robot a TOML table describes."""
     name = table.text("name", Path(table.where).stem)
     length = table.number("length")
-    rest_strain = table.vector("rest_strain", 6, STRAIGHT)
+    prior = _prior(table)
+    if prior.joints.size and prior.joints[-1] >= length:
+        raise table.fail("[prior]", f"has a joint at {prior.joints[-1]:g} m, beyond the tip.")
     nodes, rate = _grid(table, length)
-    base_pose, base = _base(table)
-    prior = _prior(table, rest_strain, base_pose, base)
+    nodes = np.sort(np.concatenate([nodes, _missing(prior.joints, nodes)]))
     std, loss, clip = _sensors(table)
     table.skip("physics")  # of the simulator, which checks it
     table.close()
@@ -119,28 +123,50 @@ def _grid(table: Table, length: float) -> tuple[Array, float]:
     return nodes, rate
 
 
-def _base(table: Table) -> tuple[Array, BaseDensity | None]:
-    base = table.table("base")
-    if base is None:
-        return np.eye(4), None
-    pose = base.pose()
-    density = BaseDensity(
-        *(base.vector(f"psd_{part}", 6, positive=True) for part in ("pose", "strain", "velocity"))
-    )
-    base.close()
-    return pose, density
+def _missing(joints: Array, nodes: Array) -> Array:
+    """The joints that are no nodes yet."""
+    return joints[[np.abs(nodes - joint).min() > 1e-9 for joint in joints]]
 
 
-def _prior(
-    table: Table, rest_strain: Array, base_pose: Array, base: BaseDensity | None
-) -> KinematicPrior:
+def _prior(table: Table) -> KinematicPrior | SeparablePrior:
+    """The prior, of the kind its table says, with the base it starts from."""
+    rest_strain = table.vector("rest_strain", 6, STRAIGHT)
     prior = table.table("prior", required=True)
     assert prior is not None
-    prior.text("kind", choices=["kinematic"])
-    names = ("velocity_time", "strain_arclength", "strain_time", "velocity_arclength")
-    densities = {f"psd_{name}": prior.vector(f"psd_{name}", 6, positive=True) for name in names}
+    kind = prior.text("kind", choices=["kinematic", "separable"])
+    joints, psd = _segments(prior)
+    common: dict[str, Any] = {"psd_strain_arclength": psd, "rest_strain": rest_strain}
+    if joints.size:
+        name = "psd_jumps" if kind == "kinematic" else "var_jumps"
+        common |= {"joints": joints, "jumps": prior.rows(name, joints.size, 6, positive=False)}
+    base = table.table("base", required=kind == "separable")
+    common["base_pose"] = base.pose() if base else np.eye(4)
+    made: KinematicPrior | SeparablePrior
+    if kind == "separable":
+        assert base is not None
+        variances = (base.vector(f"var_{part}", 6, positive=True) for part in ("pose", "strain"))
+        scale = prior.number("time_scale")
+        made = SeparablePrior(time_scale=scale, base=BaseVariance(*variances), **common)
+    else:
+        parts = ("pose", "strain", "velocity")
+        firm = [base.vector(f"psd_{part}", 6, positive=True) for part in parts] if base else None
+        names = ("psd_velocity_time", "psd_strain_time", "psd_velocity_arclength")
+        common |= {name: prior.vector(name, 6, positive=True) for name in names}
+        made = KinematicPrior(base=BaseDensity(*firm) if firm else None, **common)
+    if base:
+        base.close()
     prior.close()
-    return KinematicPrior(**densities, base=base, rest_strain=rest_strain, base_pose=base_pose)
+    return made
+
+
+def _segments(prior: Table) -> tuple[Array, Array]:
+    """Joints (S−1,), and strain densities (6,), or (S, 6) where there are joints."""
+    if prior.peek("joints") is None:
+        return np.zeros(0), prior.vector("psd_strain_arclength", 6, positive=True)
+    joints = prior.numbers("joints")
+    if np.any(np.diff(joints, prepend=0.0) <= 0.0):
+        raise prior.fail("joints", "must increase from above 0.")
+    return joints, prior.rows("psd_strain_arclength", joints.size + 1, 6)
 
 
 def _sensors(table: Table) -> tuple[dict[str, Array], dict[str, Loss], float | None]:

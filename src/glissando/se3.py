@@ -50,6 +50,7 @@ def _derivative(coefficients: list[float]) -> list[float]:
 
 
 _A1, _B1, _C1, _D1 = (_derivative(c) for c in (_A, _B, _C, _D))
+_B2, _C2 = _derivative(_B1), _derivative(_C1)
 
 
 def _piecewise(
@@ -93,6 +94,14 @@ def _bc_closed(q: Array) -> tuple[Array, ...]:
     a, b, c = _abc_closed(q)
     a_slope = (np.cos(np.sqrt(q)) - a) / (2.0 * q)
     return b, c, (0.5 * a - b) / q, (-a_slope - c) / q
+
+
+def _bc_curves_closed(q: Array) -> tuple[Array, ...]:
+    a, _, _ = _abc_closed(q)
+    _, _, b_slope, c_slope = _bc_closed(q)
+    a_slope = (np.cos(np.sqrt(q)) - a) / (2.0 * q)
+    a_curve = -(0.5 * a + 3.0 * a_slope) / (2.0 * q)
+    return (0.5 * a_slope - 2.0 * b_slope) / q, -(a_curve + 2.0 * c_slope) / q
 
 
 def hat3(v: Array) -> Array:
@@ -235,6 +244,25 @@ def right_jacobian(x: Array) -> Array:
         + m @ (c[..., 1, :, :] * eye + c[..., 3, :, :] * m2)
         + m2 @ (c[..., 2, :, :] * eye + c[..., 4, :, :] * m2)
     )
+
+
+def right_jacobian_slope(x: Array, w: Array) -> Array:
+    """Derivative (…, 6, 6) of J_r(x) w with respect to x, for six-vectors x and w (…, 6)."""
+    q = np.sum(x[..., 3:] ** 2, axis=-1)
+    c = right_jacobian_coefficients(q)[..., None, None]
+    b2, c2 = _piecewise(q, (_B2, _C2), _bc_curves_closed)
+    zero = np.zeros_like(q)
+    c_slopes = np.stack([zero, q * b2, -q * c2, b2, -c2], axis=-1)
+    m = ad(x)
+    power, out, along = w, np.zeros_like(m), np.zeros_like(w)
+    by_x = np.zeros_like(m)  # of the power at hand
+    for i in range(1, 5):
+        by_x = m @ by_x - ad(power)
+        power = np.einsum("...ij,...j->...i", m, power)
+        out += c[..., i, :, :] * by_x
+        along += c_slopes[..., i, None] * power
+    out[..., 3:] += 2.0 * along[..., None] * x[..., None, 3:]
+    return out
 
 
 def right_jacobian_inverse(x: Array) -> Array:

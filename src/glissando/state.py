@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,9 +12,9 @@ from glissando.grid import Grid
 from glissando.se3 import Array
 
 DOF = 18
-"""Degrees of freedom of a node, in the order pose, strain, velocity."""
+"""Numbers of a state that a sensor or a user sees, in the order pose, strain, velocity."""
 
-POSE, STRAIN, VELOCITY = slice(0, 6), slice(6, 12), slice(12, 18)
+POSE, STRAIN, VELOCITY, STRAIN_RATE = (slice(i, i + 6) for i in (0, 6, 12, 18))
 
 
 @dataclass(frozen=True)
@@ -23,43 +23,45 @@ class State:
 
     `pose` (…, 4, 4); `strain` (…, 6) with dT/ds = T strain^ (1/m on the angular half);
     `velocity` (…, 6) with dT/dt = T velocity^; both in the body frame, [linear, angular].
+    `strain_rate` (…, 6) = ∂strain/∂t at the nodes of a prior that needs it, else None.
     Source: equation (1).
     """
 
     pose: Array
     strain: Array
     velocity: Array
+    strain_rate: Array | None = None
+
+    @property
+    def dof(self) -> int:
+        """Degrees of freedom of a point: 18, or 24 with a strain rate."""
+        return DOF if self.strain_rate is None else DOF + 6
+
+    def _fields(self) -> list[Array]:
+        """All fields but the pose, in the order of the degrees of freedom."""
+        rate = [] if self.strain_rate is None else [self.strain_rate]
+        return [self.strain, self.velocity, *rate]
 
     def retract(self, step: Array) -> State:
-        """The state moved by `step` (…, 18): poses on the right, the rest by addition."""
-        return State(
-            self.pose @ se3.exp(step[..., POSE]),
-            self.strain + step[..., STRAIN],
-            self.velocity + step[..., VELOCITY],
-        )
+        """The state moved by `step` (…, dof): poses on the right, the rest by addition."""
+        pose = self.pose @ se3.exp(step[..., POSE])
+        moved = (f + step[..., 6 + 6 * i : 12 + 6 * i] for i, f in enumerate(self._fields()))
+        return State(pose, *moved)
 
     def difference(self, other: State) -> Array:
-        """The step (…, 18) that takes `other` to this state: self = other.retract(step)."""
-        return np.concatenate(
-            [
-                se3.log(se3.inverse(other.pose) @ self.pose),
-                self.strain - other.strain,
-                self.velocity - other.velocity,
-            ],
-            axis=-1,
-        )
+        """The step (…, dof) that takes `other` to this state: self = other.retract(step)."""
+        turn = se3.log(se3.inverse(other.pose) @ self.pose)
+        fields = zip(self._fields(), other._fields(), strict=True)
+        return np.concatenate([turn, *(mine - its for mine, its in fields)], axis=-1)
 
     def take(self, index: Any) -> State:
         """The state at leading indices, as numpy would index an array of points."""
-        return State(self.pose[index], self.strain[index], self.velocity[index])
+        return State(self.pose[index], *(f[index] for f in self._fields()))
 
     def reshape(self, *shape: int) -> State:
         """The state with another leading shape; it shares memory as numpy's reshape does."""
-        return State(
-            self.pose.reshape(*shape, 4, 4),
-            self.strain.reshape(*shape, 6),
-            self.velocity.reshape(*shape, 6),
-        )
+        fields = (f.reshape(*shape, 6) for f in self._fields())
+        return State(self.pose.reshape(*shape, 4, 4), *fields)
 
     def integrated(self, arclength: Array) -> State:
         """The state (K, N) with poses that follow from the base pose and the strains."""
@@ -67,7 +69,7 @@ class State:
         for n, step in enumerate(np.diff(arclength)):
             rate = 0.5 * (self.strain[:, n] + self.strain[:, n + 1])
             pose[:, n + 1] = pose[:, n] @ se3.exp(step * rate)
-        return State(pose, self.strain, self.velocity)
+        return replace(self, pose=pose)
 
     def flatten(self) -> State:
         """The state as one list of points (M,), sharing memory."""

@@ -99,7 +99,7 @@ def between(
     T(u) = T₀ exp(u rate₀) exp(δ), with [δ; δ_rate] = gain e. The covariance (M, 18, 18) is what
     stays uncertain when both ends are known, in the body frame. Source: equations (2'), (10), (12).
     """
-    pose, rate, j0, j1, turn = _pair_between(direction, start, end, step, offset, bridge)
+    pose, rate, j0, j1, turn = pair_between(direction, start, end, step, offset, bridge.gain)
     error, e0, e1 = carried_error(direction, start, end)
     j0[..., direction.carried, :] = bridge.carried_gain @ e0
     j1[..., direction.carried, :] = bridge.carried_gain @ e1
@@ -120,14 +120,17 @@ def between(
     return direction.build(pose, rate, ridden + carried), lean @ j0, lean @ j1, cov
 
 
-def _pair_between(
-    direction: Direction, start: State, end: State, step: Array, offset: Array, bridge: Bridge
+def pair_between(
+    direction: Direction, start: State, end: State, step: Array, offset: Array, gain: Array
 ) -> tuple[Array, Array, Array, Array, Array]:
-    """Pose and rate at the point, Jacobians with those rows filled, and J_r of the correction."""
+    """Pose and rate at `offset` into a step, Jacobians (M, 18, 18) with those rows, and J_r(δ).
+
+    T(u) = T₀ exp(u rate₀) exp(δ), with [δ; δ_rate] = gain e, `gain` (M, 12, 12).
+    """
     error, e0, e1 = pair_error(direction, start, end, step)
     rate0 = direction.rate_of(start)
-    delta = np.einsum("...ij,...j->...i", bridge.gain, error)
-    d0, d1 = bridge.gain @ e0, bridge.gain @ e1
+    delta = np.einsum("...ij,...j->...i", gain, error)
+    d0, d1 = gain @ e0, gain @ e1
     scaled = offset[..., None] * rate0
     ahead, bend = se3.exp(scaled), se3.exp(delta[..., :6])
     turn = se3.right_jacobian(delta[..., :6])

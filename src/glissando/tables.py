@@ -129,6 +129,26 @@ class Table:
                 raise self.fail(key, f"is {_shown(value)}; give {columns} numbers a row.")
         return np.array(rows, dtype=float)
 
+    def numbers(self, key: str) -> Array:
+        """Numbers, at least one."""
+        value = self.peek(key)
+        if not isinstance(value, list) or not value:
+            raise self.fail(key, f"is {_shown(value)}; give a list of numbers.")
+        return self.vector(key, len(value), pairs=False)
+
+    def rows(self, key: str, count: int, size: int, *, positive: bool = True) -> Array:
+        """`count` vectors (count, size) of numbers not below zero; pairs as in `vector`."""
+        value = self._take(key)
+        if not isinstance(value, list) or len(value) != count:
+            raise self.fail(key, f"is {_shown(value)}; give {count} rows, [[…], …].")
+        out = []
+        for row in value:
+            entry = Table({key: row}, self.where, self.error)
+            out.append(entry.vector(key, size, positive=positive))
+            if np.any(out[-1] < 0.0):
+                raise self.fail(key, f"is {row!r}; give no number below zero.")
+        return np.array(out)
+
     def pose(self) -> Array:
         """`position` and `quaternion` [w, x, y, z] as a pose (4, 4); identity when absent."""
         out = np.eye(4)

@@ -69,14 +69,21 @@ def _sandwich(moments: Array, powers: Array, psd: Array) -> Array:
 
 
 def process_covariances(
-    rate: Array, step: Array, psd: Array, carried_psd: Array, *, rigid: bool
+    rate: Array,
+    step: Array,
+    psd: Array,
+    carried_psd: Array,
+    *,
+    rigid: bool,
+    jump: Array | float = 0.0,
 ) -> tuple[Array, Array]:
     """Noise of an interval on [pose error, rate error] (M, 12, 12) and on the carried field.
 
     `rate` (M, 6), `step` (M,), densities (6,) or (M, 6). The first is ∫ Φ(u) diag(0, psd) Φ(u)ᵀ du
-    (equation 2'). The second (M, 6, 6) is ∫ Ad(exp(−u rate)) diag(carried_psd) Ad(…)ᵀ du when the
-    field rides with the body (`rigid`), else step · diag(carried_psd). Quadrature
-    errs by about 1e-10 of it for a step that turns the body by one radian.
+    (equation 2'), plus the variance of a `jump` (M, 6) of the rate at the end. The second (M, 6, 6)
+    is ∫ Ad(exp(−u rate)) diag(carried_psd) Ad(…)ᵀ du when the field rides with the body (`rigid`),
+    else step · diag(carried_psd). Quadrature errs by about 1e-10 of it for a step that turns the
+    body by one radian.
     """
     first, second, ridden, powers = _moments(rate, step)
     q = np.zeros((*rate.shape[:-1], 12, 12))
@@ -84,7 +91,7 @@ def process_covariances(
     mean = (first[..., None, :] @ powers.reshape(*powers.shape[:-2], 36)).reshape(*rate.shape, 6)
     q[..., :6, 6:] = mean * psd[..., None, :]
     q[..., 6:, :6] = np.swapaxes(q[..., :6, 6:], -1, -2)
-    q[..., 6:, 6:] = (step[..., None] * psd)[..., None] * np.eye(6)
+    q[..., 6:, 6:] = (step[..., None] * psd + jump)[..., None] * np.eye(6)
     if rigid:
         return q, _sandwich(ridden, powers, carried_psd)
     return q, (step[..., None] * carried_psd)[..., None] * np.eye(6)
@@ -105,16 +112,25 @@ class Bridge:
 
 
 def bridge(
-    rate: Array, step: Array, offset: Array, psd: Array, carried_psd: Array, *, rigid: bool
+    rate: Array,
+    step: Array,
+    offset: Array,
+    psd: Array,
+    carried_psd: Array,
+    jump: Array | float = 0.0,
+    *,
+    rigid: bool,
 ) -> Bridge:
     """Bridge at `offset` (M,) into intervals of length `step` (M,) about `rate` (M, 6).
+
+    `jump` (M, 6) is the variance of a jump of the rate at the interval's end.
 
     gain = Q(u) Φ(h−u)ᵀ Q(h)⁻¹ and cov = Q(u) − gain Φ(h−u) Q(u), which equals equation (12).
     Gains do not depend on the scale of the densities, covariances are proportional to it.
     """
     phi = transition(rate, step - offset)
     near, near_carried = process_covariances(rate, offset, psd, carried_psd, rigid=rigid)
-    whole, whole_carried = process_covariances(rate, step, psd, carried_psd, rigid=rigid)
+    whole, whole_carried = process_covariances(rate, step, psd, carried_psd, rigid=rigid, jump=jump)
     ride = phi[..., :6, :6] if rigid else np.broadcast_to(np.eye(6), near_carried.shape)
     return Bridge(*_condition(near, phi, whole), *_condition(near_carried, ride, whole_carried))
 

@@ -15,9 +15,9 @@ import numpy as np
 from glissando.dataset import Recording, Stream
 from glissando.estimate import estimate
 from glissando.grid import Grid
+from glissando.kinematic import KinematicPrior
 from glissando.metrics import Errors, errors_against
 from glissando.posterior import Posterior
-from glissando.prior import KinematicPrior
 from glissando.readings import Readings
 from glissando.robot import Robot, load_robot, robot_file
 from glissando.simulate import (
@@ -169,6 +169,7 @@ def grid(scene: Scene) -> Grid:
 def prior(scene: Scene) -> KinematicPrior:
     """The robot file's prior, firmer over time if it is known that the robot holds still."""
     known = robot().prior
+    assert isinstance(known, KinematicPrior)
     if not scene.still:
         return known
     return replace(

@@ -1,0 +1,229 @@
+"""The kinematic space-time prior: white noise on the rates, exact transitions between nodes.
+
+White noise drives ∂ϖ/∂t, ∂ε/∂s and ∂ε/∂t (equations 3 to 5). Its strengths are densities over
+arclength AND time: a node's factor is weighted by the span the node stands for, so that refining
+the grid does not repeat the prior as if it were news.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from glissando import se3
+from glissando.grid import Grid, Index
+from glissando.linear import Factors, Residuals
+from glissando.noise import pair_sqrt_information, sqrt_information
+from glissando.points import Interpolation, Points
+from glissando.prior import STRAIGHT, by_interval, interval_strain, is_soft, soften
+from glissando.se3 import Array
+from glissando.state import DOF, POSE, STRAIN, VELOCITY, State, rest_state
+from glissando.steps import ARCLENGTH, TIME, Direction, between, carried_error, pair_error
+from glissando.transitions import bridge, process_covariances
+
+_POSE_STRAIN, _ALL = slice(0, 12), slice(0, DOF)
+
+
+@dataclass(frozen=True)
+class BaseDensity:
+    """How firmly pose, strain and velocity are known at s = 0; each (6,), variance · second.
+
+    A time node that stands for Δt seconds knows its base with covariance density / Δt. With a
+    single time node (a static shape) Δt counts as one second, so these are plain variances.
+    """
+
+    pose: Array
+    strain: Array
+    velocity: Array
+
+
+@dataclass(frozen=True)
+class KinematicPrior:
+    """Gaussian prior on pose, strain and velocity over arclength × time.
+
+    Densities are (6,), [linear, angular], of white noise over arclength and time:
+    `psd_strain_arclength` on ∂ε/∂s and `psd_velocity_arclength` on ∂ϖ/∂s (weighted by time spans),
+    `psd_velocity_time` on ∂ϖ/∂t and `psd_strain_time` on ∂ε/∂t (weighted by arclength spans).
+    `rest_strain` (6,) and `base_pose` (4, 4) are where the robot rests and stands; `base` says how
+    firmly, and may be None when readings fix the base. A robot of S segments gives
+    `psd_strain_arclength` (S, 6), the `joints` (S−1,) between them in metres, and `jumps`
+    (S−1, 6), variance · second of the strain's jump there. Source: equations (2'), (3'), (4), (5).
+    """
+
+    psd_velocity_time: Array
+    psd_strain_arclength: Array
+    psd_strain_time: Array
+    psd_velocity_arclength: Array
+    base: BaseDensity | None
+    rest_strain: Array = field(default_factory=STRAIGHT.copy)
+    base_pose: Array = field(default_factory=lambda: np.eye(4))
+    joints: Array = field(default_factory=lambda: np.zeros(0))
+    jumps: Array = field(default_factory=lambda: np.zeros((0, 6)))
+
+    @property
+    def fixes_base(self) -> bool:
+        """Whether the prior alone says where the robot stands."""
+        return self.base is not None
+
+    def softened(self) -> KinematicPrior:
+        """The prior with shear and extension as soft as bending over 2 cm, or itself if not far.
+
+        Its estimates bend easily, which makes them a start for the stiffer one.
+        """
+        names = ("psd_strain_arclength", "psd_strain_time")
+        soft = {name: soften(getattr(self, name)) for name in names}
+        base = self.base
+        if base is not None:
+            base = replace(base, strain=soften(base.strain))
+        if all(is_soft(getattr(self, name), soft[name]) for name in names):
+            return self
+        return replace(self, **soft, base=base)
+
+    def rest_state(self, grid: Grid) -> State:
+        """The robot at rest on the grid, from which an estimate starts."""
+        return rest_state(grid, self.base_pose, self.rest_strain)
+
+    def bent(self, grid: Grid, state: State, step: Array) -> State:
+        """The state moved by `step` (K, N, 18), with poses that follow from the strains."""
+        return state.retract(step).integrated(grid.arclength)
+
+    def densities(
+        self, direction: Direction, arclength: Array, at: Index
+    ) -> tuple[Array, Array, Array]:
+        """Densities of steps along a direction: of the moving field, the carried, and a jump.
+
+        Steps begin at the nodes `at` (M,) of `arclength` (N,); each result is (M, 6).
+        """
+        if direction is ARCLENGTH:
+            psd, jump = self._intervals(arclength)
+            return psd[at], np.broadcast_to(self.psd_velocity_arclength, (at.size, 6)), jump[at]
+        shape = at.size, 6
+        moving, carried = self.psd_velocity_time, self.psd_strain_time
+        return np.broadcast_to(moving, shape), np.broadcast_to(carried, shape), np.zeros(shape)
+
+    def _intervals(self, arclength: Array) -> tuple[Array, Array]:
+        return by_interval(arclength, self.psd_strain_arclength, self.joints, self.jumps)
+
+    def factors(self, grid: Grid, state: State, about: State, times: slice) -> Iterator[Factors]:
+        """Prior factors that begin at the time nodes `times`, linearised at `state`.
+
+        Along arclength at each of those times, along time to the next, and at the base. Their
+        weights come from the rates of `about`, a state on the same grid.
+        """
+        k_count, n_count = grid.shape
+        node = np.arange(k_count * n_count).reshape(k_count, n_count)
+        here, flat, about = node[times], state.flatten(), about.flatten()
+        if n_count > 1:
+            ends = (here[:, :-1].ravel(), here[:, 1:].ravel())
+            step = np.broadcast_to(np.diff(grid.arclength), (len(here), n_count - 1)).ravel()
+            span = np.repeat(grid.time_spans[times], n_count - 1)
+            yield from self._along(ARCLENGTH, grid, flat, about, ends, step, span)
+        if k_count > 1 and times.start < k_count - 1:
+            starts = node[:-1][times]
+            ends = (starts.ravel(), starts.ravel() + n_count)
+            step = np.repeat(np.diff(grid.time)[times], n_count)
+            span = np.broadcast_to(grid.arclength_spans, starts.shape).ravel()
+            yield from self._along(TIME, grid, flat, about, ends, step, span)
+        if self.base is not None:
+            yield self._base(grid.time_spans[times], flat, here[:, :1])
+
+    def interpolate(self, grid: Grid, state: State, about: State, points: Points) -> Interpolation:
+        """State at points between the nodes, conditional on the nodes. Source: (10) to (12).
+
+        Inside a cell: along arclength at both times, then along time. Gains and bridge covariances
+        come from the rates of `about`, a state on the same grid, as the weights of the factors do;
+        they are constants to the Jacobian.
+        """
+        return _interpolate(self, grid, state, about, points)
+
+    def _along(
+        self,
+        direction: Direction,
+        grid: Grid,
+        flat: State,
+        about: State,
+        ends: tuple[Index, Index],
+        step: Array,
+        span: Array,
+    ) -> Iterator[Factors]:
+        start, end = flat.take(ends[0]), flat.take(ends[1])
+        rates = direction.rate_of(about)
+        psd, carried_psd, jump = self.densities(
+            direction, grid.arclength, ends[0] % grid.arclength.size
+        )
+        middle = interval_strain(rates[ends[0]], rates[ends[1]], jump)
+        cov, carried_cov = process_covariances(
+            middle, step, psd, carried_psd, rigid=direction.rigid, jump=jump
+        )
+        nodes, weight = np.stack(ends, axis=1), np.sqrt(span)[:, None, None]
+        pair_dofs = _POSE_STRAIN if direction is ARCLENGTH else _ALL
+        carried_dofs = _ALL if direction.rigid else STRAIN
+        pair, carried = pair_sqrt_information(cov), sqrt_information(carried_cov)
+        for (error, j0, j1), dofs, whitener in (
+            (pair_error(direction, start, end, step), pair_dofs, pair),
+            (carried_error(direction, start, end), carried_dofs, carried),
+        ):
+            jacobian = np.stack([j0[..., dofs], j1[..., dofs]], axis=2)
+            yield Factors(nodes, dofs, jacobian, Residuals(error, weight * whitener))
+
+    def _base(self, spans: Array, flat: State, nodes: Index) -> Factors:
+        assert self.base is not None
+        state = flat.take(nodes[:, 0])
+        xi = se3.log(se3.inverse(self.base_pose) @ state.pose)
+        residual = np.concatenate([xi, state.strain - self.rest_strain, state.velocity], axis=-1)
+        jacobian = np.zeros((nodes.size, DOF, 1, DOF))
+        jacobian[:, POSE, 0, POSE] = se3.right_jacobian_inverse(xi)
+        jacobian[:, STRAIN, 0, STRAIN] = jacobian[:, VELOCITY, 0, VELOCITY] = np.eye(6)
+        density = np.concatenate([self.base.pose, self.base.strain, self.base.velocity])
+        info = np.sqrt(spans)[:, None, None] * np.diag(1.0 / np.sqrt(density))
+        return Factors(nodes, _ALL, jacobian, Residuals(residual, info))
+
+
+def _interpolate(
+    prior: KinematicPrior, grid: Grid, state: State, about: State, points: Points
+) -> Interpolation:
+    n_count = grid.arclength.size
+    s, t = grid.locate(points.arclength, points.time)
+    on_node_s = s.lower + (s.offset >= s.step) * (s.step > 0.0)
+    on_node_t = t.lower + (t.offset >= t.step) * (t.step > 0.0)
+    flat = state.flatten()
+    share = (s.offset / np.where(s.step > 0.0, s.step, 1.0))[:, None]
+    above = np.minimum(s.lower + 1, n_count - 1)
+
+    def along_arclength(k: Index) -> Interpolation:
+        if not points.inside_arclength:
+            nodes = (k * n_count + on_node_s)[:, None]
+            eye = np.broadcast_to(np.eye(DOF)[:, None, :], (k.size, DOF, 1, DOF))
+            return Interpolation(flat.take(nodes[:, 0]), nodes, eye, np.zeros((k.size, DOF, DOF)))
+        nodes = (k * n_count + s.lower)[:, None] + np.arange(2)
+        start, end = flat.take(nodes[:, 0]), flat.take(nodes[:, 1])
+        psd, carried, jump = prior.densities(ARCLENGTH, grid.arclength, s.lower)
+        rate = interval_strain(about.strain[k, s.lower], about.strain[k, above], jump)
+        weight = grid.time_spans[k, None]
+        densities = psd / weight, carried / weight, jump / weight
+        found = bridge(rate, s.step, s.offset, *densities, rigid=True)
+        at, j0, j1, cov = between(ARCLENGTH, start, end, s.step, s.offset, found)
+        return Interpolation(at, nodes, np.stack([j0, j1], axis=2), cov)
+
+    if not points.inside_time:
+        return along_arclength(on_node_t)
+    early, late = along_arclength(t.lower), along_arclength(t.lower + 1)
+    mean = 0.5 * (about.velocity[t.lower] + about.velocity[t.lower + 1])
+    rows = np.arange(len(share))
+    rate = (1.0 - share) * mean[rows, s.lower] + share * mean[rows, above]
+    span = np.interp(points.arclength, grid.arclength, grid.arclength_spans)[:, None]
+    psd, carried, jump = prior.densities(TIME, grid.arclength, s.lower)
+    found = bridge(rate, t.step, t.offset, psd / span, carried / span, jump, rigid=False)
+    at, j0, j1, cov = between(TIME, early.state, late.state, t.step, t.offset, found)
+    for jacobian, corner in ((j0, early), (j1, late)):
+        if points.inside_arclength:
+            cov = cov + jacobian @ corner.cov @ np.swapaxes(jacobian, -1, -2)
+    jacobian = np.concatenate([_chain(j0, early.jacobian), _chain(j1, late.jacobian)], axis=2)
+    return Interpolation(at, np.concatenate([early.nodes, late.nodes], axis=1), jacobian, cov)
+
+
+def _chain(outer: Array, inner: Array) -> Array:
+    m, r, c, d = inner.shape
+    return (outer @ inner.reshape(m, r, c * d)).reshape(m, r, c, d)
