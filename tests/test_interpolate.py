@@ -13,12 +13,13 @@ from draws import generators, law, motion, prior
 from glissando import se3
 from glissando.errors import OutsideGridError
 from glissando.estimate import Options, estimate
-from glissando.factors import PlacedReadings, linearize, slab_shape
+from glissando.factors import PlacedReadings, linearize
 from glissando.grid import Grid
 from glissando.points import sort_points
 from glissando.sensors import GyroReadings, PoseReadings, PositionReadings, StrainReadings
 from glissando.state import DOF, State
 from glissando.steps import ARCLENGTH, TIME, between
+from glissando.sums import slab_shape
 from glissando.transitions import bridge as bridge_into
 from oracles import dense
 

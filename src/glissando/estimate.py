@@ -20,15 +20,18 @@ from glissando.errors import (
     SensorError,
     UnobservableError,
 )
-from glissando.factors import NormalEquations, PlacedReadings, linearize, slab_shape
+from glissando.factors import NormalEquations, linearize
 from glissando.grid import Grid
+from glissando.placed import PlacedReadings
 from glissando.posterior import Posterior, Solve
 from glissando.prior import Prior
 from glissando.readings import Readings
 from glissando.se3 import Array
 from glissando.slabs import Cholesky, factor
 from glissando.state import State
+from glissando.sums import slab_shape
 from glissando.threads import one_thread
+from glissando.unknowns import Unknown, corrected
 
 _WORTHWHILE = 1e-3  # share of the predicted fall in cost below which a step is refused
 _SETTLED = 10  # iterations after which weights are held, so that the cost can only fall
@@ -60,12 +63,15 @@ def estimate(
     grid: Grid,
     readings: Sequence[Readings],
     *,
+    unknowns: Sequence[Unknown] = (),
     initial: State | None = None,
     options: Options = Options(),
     progress: Progress | None = None,
 ) -> Posterior:
     """Posterior over pose, strain and velocity on `grid` given a prior and readings.
 
+    `unknowns` of the sensors, matched by the readings' names, are estimated with them where they
+    are uncertain, and put right where they are known.
     Starts from `initial`, else from the robot at rest, first with shear and extension softened
     where they are stiff: stiff ones make a bend a long walk along a narrow valley. Warns
     NotConvergedWarning when it stops early (the posterior says so too); raises OutsideGridError for
@@ -86,9 +92,11 @@ def estimate(
             "is used. Give the robot a [base], or use a stream that fixes it."
         )
     with one_thread():
-        placed, start, before = PlacedReadings(grid, readings), initial, 0
+        unmoved = [u for u in unknowns if u.known]
+        placed = PlacedReadings(grid, [corrected(r, unmoved) for r in readings], unknowns)
+        start, before = initial, 0
         if start is None:
-            start, before = _rough(prior, placed, progress, clock)
+            start, placed, before = _rough(prior, placed, progress, clock)
         found = _iterate(prior, placed, start, options, _counted(progress, before), clock)
         found = replace(found, iterations=before + found.iterations)
         with clock("covariance"):
@@ -101,7 +109,9 @@ def estimate(
             NotConvergedWarning,
             stacklevel=2,
         )
-    return Posterior(prior, grid, found.state, found.at.system, marginals, solve)
+    return Posterior(
+        prior, grid, found.state, found.at.system, marginals, solve, found.placed.known_now()
+    )
 
 
 def _counted(progress: Progress | None, before: int) -> Progress | None:
@@ -113,16 +123,16 @@ def _counted(progress: Progress | None, before: int) -> Progress | None:
 
 def _rough(
     prior: Prior, placed: PlacedReadings, progress: Progress | None, clock: Stopwatch
-) -> tuple[State, int]:
+) -> tuple[State, PlacedReadings, int]:
     """Where to start: at rest, or where steps with a softer prior lead from there; how many."""
     rest = prior.rest_state(placed.grid)
     soft = prior.softened()
     if soft is prior:
-        return rest, 0
+        return rest, placed, 0
     size = rest.strain[..., 0].size * rest.dof
     options = Options(max_iterations=_ROUGH_ITERATIONS, tolerance=_ROUGH * float(np.sqrt(size)))
     found = _iterate(soft, placed, rest, options, progress, clock)
-    return found.state, found.iterations
+    return found.state, found.placed, found.iterations
 
 
 class Stopwatch:
@@ -153,6 +163,7 @@ class _Found:
     """Where the iteration ended, and the factored system its covariance comes from."""
 
     state: State
+    placed: PlacedReadings
     at: NormalEquations
     chol: Cholesky
     status: str
@@ -180,34 +191,33 @@ def _iterate(
 ) -> _Found:
     """Gauss-Newton steps, damped when the cost does not fall (Marquardt's scaling)."""
     # Room for every system: fresh memory would cost more than the sums.
-    room = np.empty(slab_shape(placed.grid, start.dof))
+    room = np.empty(slab_shape(placed.grid, start.dof, placed.unknowns.size))
 
-    def at(state: State, held: NormalEquations | None = None) -> NormalEquations:
-        about, terms = (state, None) if held is None else (held.about, held.terms)
+    def at(to: _Where, held: NormalEquations | None = None) -> NormalEquations:
+        about, terms = (to[0], None) if held is None else (held.about, held.terms)
         with clock("linearise"):
-            return linearize(prior, placed, state, about, room, terms)
+            return linearize(prior, to[1], to[0], about, room, terms)
 
-    here, held, chol, damping, iteration, rounds = at(start), None, None, 0.0, 0, 0
+    here, held, chol, damping, iteration, rounds = at((start, placed)), None, None, 0.0, 0, 0
     while True:
         with clock("solve"):
             chol, step, length, predicted = _step(here, damping, chol)
         iteration += 1
         if progress is not None:
             progress(iteration, here.cost_of(here), length)
-        step = step.reshape(*placed.grid.shape, start.dof)
-        state = here.state.retract(step)
-        candidates = _candidates(prior, placed.grid, here.state, step)
+        candidates = _candidates(prior, here, step)
         short = length < options.tolerance
         fresh = held is None or held.state is here.state or rounds == _ROUNDS
         if short and fresh and damping == 0.0:
-            return _Found(state, here, chol, "converged", iteration)
+            return _Found(*next(candidates), here, chol, "converged", iteration)
         if iteration >= _SETTLED and (held is None or short) and rounds < _ROUNDS:
             held, rounds = _renewed(here, held, at), rounds + 1
         here, gain = _try_step(here, candidates, held, predicted, at)
         damping = _next_damping(damping, gain)
         if iteration == options.max_iterations or damping > _DAMPING[1]:
             status = _NOT_CONVERGED.format(iteration, length)
-            return _Found(here.state, here, factor(here.system, chol), status, iteration)
+            chol = factor(here.system, chol)
+            return _Found(here.state, here.placed, here, chol, status, iteration)
 
 
 def _step(
@@ -221,16 +231,22 @@ def _step(
     return chol, step, length, 0.5 * float(np.sum(step * (here.right + extra * step)))
 
 
-def _candidates(prior: Prior, grid: Grid, state: State, step: Array) -> Iterator[State]:
+_Where = tuple[State, PlacedReadings]
+"""A state, and the readings where the unknowns that go with it put them."""
+
+
+def _candidates(prior: Prior, here: NormalEquations, step: Array) -> Iterator[_Where]:
     """Where a step may lead: straight on, or with poses that still follow from the strains.
 
     A long step straight on tears poses and strains apart, which stiff priors punish.
     """
-    yield state.retract(step)
-    yield prior.bent(grid, state, step)
+    of_nodes, of_unknowns = here.split(step)
+    placed = here.placed.moved(of_unknowns)
+    yield here.state.retract(of_nodes), placed
+    yield prior.bent(placed.grid, here.state, of_nodes), placed
 
 
-_At = Callable[[State, NormalEquations | None], NormalEquations]
+_At = Callable[[_Where, NormalEquations | None], NormalEquations]
 
 
 def _renewed(
@@ -238,14 +254,14 @@ def _renewed(
 ) -> NormalEquations | None:
     """The problem whose weights are held from now on: this one, if it has weights of its own."""
     try:
-        return at(here.state, None)
+        return at((here.state, here.placed), None)
     except np.linalg.LinAlgError:
         return held
 
 
 def _try_step(
     here: NormalEquations,
-    candidates: Iterable[State],
+    candidates: Iterable[_Where],
     held: NormalEquations | None,
     predicted: float,
     at: _At,
@@ -263,7 +279,7 @@ def _try_step(
         gain = (cost - here.cost_of(there)) / predicted
         if gain > _WORTHWHILE:
             return there, gain
-    return at(here.state, held), gain
+    return at((here.state, here.placed), held), gain
 
 
 def _next_damping(damping: float, gain: float) -> float:

@@ -19,9 +19,11 @@ from glissando.grid import Grid
 from glissando.kinematic import BaseDensity, KinematicPrior
 from glissando.posterior import Posterior, Solve
 from glissando.prior import Prior
+from glissando.se3 import Array
 from glissando.separable import BaseVariance, SeparablePrior
 from glissando.slabs import BlockTridiagonal, factor
 from glissando.state import State
+from glissando.unknowns import Unknown
 
 if TYPE_CHECKING:
     import xarray
@@ -52,7 +54,8 @@ def to_xarray(posterior: Posterior) -> xarray.Dataset:
     k, n = posterior.grid.shape
     state = posterior.state
     dof = state.dof
-    blocks = posterior.marginals.cov.reshape(k, n, dof, n, dof)
+    of_nodes = posterior.marginals.cov[:, : n * dof, : n * dof]
+    blocks = of_nodes.reshape(k, n, dof, n, dof)
     cov = np.einsum("kninj->knij", blocks)
     node, six = ("time", "arclength"), "component6"
     std = np.sqrt(np.einsum("knii->kni", cov))
@@ -100,6 +103,9 @@ def save(posterior: Posterior, path: Path) -> None:
     dataset["information"] = (("time", "slab", "slab_"), posterior.system.diagonal)
     dataset["information_below"] = (("time_step", "slab", "slab_"), posterior.system.lower)
     dataset.attrs["prior"] = json.dumps(_as_table(posterior.prior))
+    dataset.attrs["unknowns"] = json.dumps(
+        [_plain({**vars(u), "values": values}) for u, values in posterior.unknowns]
+    )
     dataset.attrs["solve"] = json.dumps(vars(posterior.solve))
     packed = {"zlib": True, "complevel": 4, "shuffle": True}
     encoding = dict.fromkeys(("information", "information_below", "cov"), packed)
@@ -120,10 +126,22 @@ def _as_table(prior: Prior) -> dict[str, Any]:
     kind = next(kind for kind, (made, _) in _PRIORS.items() if isinstance(prior, made))
     table: dict[str, Any] = {"kind": kind}
     for name, value in vars(prior).items():
-        if name == "base" and value is not None:
-            value = {part: array.tolist() for part, array in vars(value).items()}
-        table[name] = value.tolist() if isinstance(value, np.ndarray) else value
-    return table
+        table[name] = _plain(vars(value)) if name == "base" and value is not None else value
+    return _plain(table)
+
+
+def _plain(table: dict[str, Any]) -> dict[str, Any]:
+    """The table with arrays as lists, and None for infinity, which JSON lacks."""
+    plain = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in table.items()}
+    return {k: None if v == np.inf else v for k, v in plain.items()}
+
+
+def _as_unknown(table: dict[str, Any]) -> tuple[Unknown, Array]:
+    values, memory = np.array(table.pop("values")), table.pop("correlation_time")
+    memory = np.inf if memory is None else memory
+    return Unknown(
+        **{**table, "streams": tuple(table["streams"]), "correlation_time": memory}
+    ), values
 
 
 def _as_prior(table: dict[str, Any]) -> Prior:
@@ -153,6 +171,7 @@ def load(path: Path) -> Posterior:
     fields = (dataset[name].values for name in names)
     system = BlockTridiagonal(dataset["information"].values, dataset["information_below"].values)
     solve = Solve(**json.loads(dataset.attrs["solve"]))
+    unknowns = [_as_unknown(u) for u in json.loads(dataset.attrs.get("unknowns", "[]"))]
     return Posterior(
         _as_prior(json.loads(dataset.attrs["prior"])),
         grid,
@@ -160,4 +179,5 @@ def load(path: Path) -> Posterior:
         system,
         factor(system).marginals(consume=True),
         solve,
+        unknowns,
     )

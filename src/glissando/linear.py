@@ -51,19 +51,24 @@ class Factors:
 
     On a grid a node is its index k·N + n. `nodes` (M, c) are the nodes a factor touches, in the
     same pattern for all, `dofs` the d components of those nodes it depends on, `jacobian`
-    (M, r, c, d) of the residual.
+    (M, r, c, d) of the residual. `extras` (M, r, 2 E), where given, is the Jacobian with respect to
+    E numbers that belong to no node, at the time node at or before the factor and at the next.
     """
 
     nodes: NDArray[np.intp]
     dofs: slice
     jacobian: Array
     terms: Residuals
+    extras: Array | None = None
 
     def whitened(self) -> tuple[Array, Array]:
-        """Residual (M, r) and Jacobian (M, r, c·d), whitened and robustly weighted."""
+        """Residual (M, r) and Jacobian (M, r, c·d + 2 E), whitened and robustly weighted."""
         m, r, c, d = self.jacobian.shape
         residual = self.terms.whiten(self.terms.residual)
-        jacobian = self.terms.sqrt_info @ self.jacobian.reshape(m, r, c * d)
+        jacobian = self.jacobian.reshape(m, r, c * d)
+        if self.extras is not None:
+            jacobian = np.concatenate([jacobian, self.extras], axis=-1)
+        jacobian = self.terms.sqrt_info @ jacobian
         if self.terms.loss is not None:
             scale = np.sqrt(self.terms.robust_weights())
             residual, jacobian = residual * scale[:, None], jacobian * scale[:, None, None]

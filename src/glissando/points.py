@@ -29,6 +29,11 @@ class Interpolation:
     jacobian: Array
     cov: Array
 
+    @property
+    def dof(self) -> int:
+        """Degrees of freedom of a node."""
+        return int(self.jacobian.shape[-1])
+
     def take(self, rows: slice) -> Interpolation:
         """The interpolation at some of its points."""
         return Interpolation(

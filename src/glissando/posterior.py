@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from glissando import se3
+from glissando.errors import GlissandoError
 from glissando.grid import Grid
 from glissando.points import sort_points
 from glissando.prior import Prior
@@ -17,6 +19,7 @@ from glissando.se3 import Array
 from glissando.slabs import BlockTridiagonal, Marginals, factor
 from glissando.state import DOF, POSE, State
 from glissando.transitions import symmetrize
+from glissando.unknowns import Unknown
 
 if TYPE_CHECKING:
     import xarray
@@ -86,7 +89,8 @@ class Posterior:
     """Gaussian posterior over the whole motion, continuous in arclength and time.
 
     `state` is the mean at the nodes, `system` the information matrix of the nodes in time order,
-    `marginals` the blocks of its inverse that any query needs, `solve` how it was reached.
+    `marginals` the blocks of its inverse that any query needs, `solve` how it was reached,
+    `unknowns` of the sensors with their estimated values (K, size) at the time nodes.
     """
 
     prior: Prior
@@ -95,6 +99,7 @@ class Posterior:
     system: BlockTridiagonal
     marginals: Marginals
     solve: Solve
+    unknowns: Sequence[tuple[Unknown, Array]] = ()
 
     def at(self, arclength: ArrayLike, time: ArrayLike) -> Estimate:
         """State with its 18×18 covariance at points; arclength and time broadcast together.
@@ -150,14 +155,30 @@ class Posterior:
     def sample(self, rng: np.random.Generator, size: int = 1) -> State:
         """Joint draws of the whole motion at the nodes, leading shape (size, K, N)."""
         chol = factor(self.system)
-        steps = np.array([chol.sample(rng) for _ in range(size)])
+        of_nodes = self.grid.arclength.size * self.state.dof
+        steps = np.array([chol.sample(rng)[:, :of_nodes] for _ in range(size)])
         return self.state.retract(steps.reshape(size, *self.grid.shape, self.state.dof))
 
     def std_pose(self) -> Array:
         """Standard deviations (K, N, 6) of the pose at the nodes, body frame."""
         k, n = self.grid.shape
-        variance = np.einsum("kii->ki", self.marginals.cov).reshape(k, n, -1)
+        of_nodes = np.einsum("kii->ki", self.marginals.cov)[:, : n * self.state.dof]
+        variance = of_nodes.reshape(k, n, -1)
         return np.sqrt(variance[..., POSE])
+
+    def unknown(self, name: str) -> tuple[Array, Array]:
+        """Values (K, size) of an estimated unknown and their covariance (K, size, size).
+
+        Raises GlissandoError when no unknown of that name was estimated.
+        """
+        first = self.grid.arclength.size * self.state.dof
+        for unknown, values in self.unknowns:
+            at = slice(first, first + unknown.size)
+            if unknown.name == name:
+                return values, self.marginals.cov[:, at, at]
+            first += unknown.size
+        known = ", ".join(u.name for u, _ in self.unknowns) or "none"
+        raise GlissandoError(f"No unknown {name!r} was estimated; those that were: {known}.")
 
     def to_xarray(self) -> xarray.Dataset:
         """The posterior at the nodes as an xarray Dataset with names and units."""

@@ -27,8 +27,10 @@ class Readings:
     """M readings of one sensor: `time` (M,) s, `arclength` (M,) m, `values` (M, …), `cov`.
 
     `cov` is a variance, `rows` variances, or a matrix (rows, rows) or (M, rows, rows). `mount`
-    (4, 4) is T_bc, the sensor in the cross-section's frame. `loss` forgives outliers. `name` is
-    used in messages. Raises SensorError when shapes differ or a value is not finite.
+    (4, 4), or one a reading, is T_bc, the sensor in the cross-section's frame. `loss` forgives
+    outliers. `name` is used in messages, and to find the unknowns of a sensor. `arclength_std` (m,
+    one or one a reading) is how uncertain the arclength is itself (equation 16). Raises SensorError
+    when shapes differ or a value is not finite.
     """
 
     time: Array
@@ -38,6 +40,7 @@ class Readings:
     mount: Array = field(default_factory=lambda: np.eye(4))
     loss: Loss | None = None
     name: str = ""
+    arclength_std: Array | float = 0.0
 
     rows: ClassVar[int]
     value_shape: ClassVar[tuple[int, ...] | None] = None  # of one reading; None: any
@@ -68,9 +71,13 @@ class Readings:
             _require_rotations(self.label, self.values)
         mount = np.asarray(self.mount, dtype=float)
         object.__setattr__(self, "mount", mount)
-        if mount.shape != (4, 4):
+        if mount.shape not in ((4, 4), (*count, 4, 4)):
             raise SensorError(f"{self.label}: mount has shape {mount.shape}; give (4, 4).")
-        _require_rotations(f"{self.label} mount", mount[None])
+        _require_rotations(f"{self.label} mount", mount.reshape(-1, 4, 4))
+        std = np.asarray(self.arclength_std, dtype=float)
+        object.__setattr__(self, "arclength_std", std)
+        if std.shape not in ((), count) or not np.all(std >= 0.0):
+            raise SensorError(f"{self.label}: arclength_std must be one number from 0, or {count}.")
         object.__setattr__(self, "cov", covariance_matrix(self.cov, self.row_count, self.label))
         if self.cov.ndim == 3 and len(self.cov) != len(self):
             raise SensorError(
@@ -99,8 +106,10 @@ class Readings:
     def select(self, rows: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Self:
         """The readings at `rows`, a mask, indices or a slice."""
         kept = {name: getattr(self, name)[rows] for name in (*_EACH, *self.per_reading)}
-        cov = self.cov[rows] if self.cov.ndim == 3 else self.cov
-        return replace(self, **kept, cov=cov)
+        for name, single in (("cov", 2), ("mount", 2), ("arclength_std", 0)):
+            value = getattr(self, name)
+            kept[name] = value[rows] if value.ndim > single else value
+        return replace(self, **kept)
 
     def inside(self, grid: Grid) -> Self:
         """The readings whose arclength and time lie on the grid."""

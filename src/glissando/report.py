@@ -23,6 +23,7 @@ from glissando.posterior import Posterior
 from glissando.readings import Readings
 from glissando.robot import Robot
 from glissando.se3 import Array
+from glissando.unknowns import Unknown, corrected
 
 QUERY_COLUMNS = [
     *("time", "arclength", "x", "y", "z", "qw", "qx", "qy", "qz"),
@@ -55,6 +56,7 @@ class Run:
             "status": solve.status,
             "iterations": solve.iterations,
             "unknowns": solve.unknowns,
+            "calibration": [_unknown(self.posterior, u) for u, _ in self.posterior.unknowns],
             "readings": {r.label: len(r) for r in self.readings},
             "log_evidence": solve.log_evidence,
             "suspects": solve.suspects,
@@ -64,6 +66,19 @@ class Run:
             "sites": [_site(e) for e in self.errors],
             "consistency": [c.as_json() for c in check(self.errors)],
         }
+
+
+def _unknown(posterior: Posterior, unknown: Unknown) -> dict[str, Any]:
+    """Value and standard deviation of an unknown at mid recording."""
+    values, cov = posterior.unknown(unknown.name)
+    middle = len(values) // 2
+    return {
+        "name": unknown.name,
+        "kind": unknown.kind,
+        "value": values[middle].tolist(),
+        "std": np.sqrt(np.diagonal(cov[middle])).tolist(),
+        "rms": np.sqrt(np.mean(values**2, axis=0)).tolist(),
+    }
 
 
 def _site(errors: Errors) -> dict[str, Any]:
@@ -114,9 +129,9 @@ def run_estimate(
             f"from {span[0]:.3f} to {span[1]:.3f} s. Choose a window inside it."
         )
     true, _ = recording.readings(truth_names, robot, window, as_truth=True)
-    true = [t for t in true if len(t)]
+    true = [corrected(t, robot.unknowns) for t in true if len(t)]
     grid = robot.grid(*window)
-    posterior = estimate(robot.prior, grid, readings, progress=progress)
+    posterior = estimate(robot.prior, grid, readings, unknowns=robot.unknowns, progress=progress)
     errors = [errors_against(posterior, t) for t in true]
     return Run(recording, robot, window, readings, true, dropped, posterior, errors)
 
@@ -133,6 +148,10 @@ def print_table(run: Run, console: Console) -> None:
     for name, reasons in run.dropped.items():
         counted = ", ".join(f"{count} {reason}" for reason, count in reasons.items())
         console.print(f"  {escape(name)}: {counted} rows dropped in the whole recording")
+    for found in (_unknown(run.posterior, u) for u, _ in run.posterior.unknowns):
+        pairs = zip(found["value"], found["std"], strict=True)
+        told = ", ".join(f"{value:.3g} ± {std:.2g}" for value, std in pairs)
+        console.print(f"  {escape(found['name'])} ({found['kind']}): {told}")
     if not run.errors:
         console.print("No truth streams: nothing to compare with. Name some with --truth.")
         return

@@ -17,6 +17,7 @@ from glissando.se3 import Array
 from glissando.sensors import ROWS
 from glissando.separable import BaseVariance, SeparablePrior
 from glissando.tables import Table, read_toml
+from glissando.unknowns import SIZES, Unknown
 
 _LOSSES: dict[str, type[Huber] | type[GemanMcClure]] = {
     "huber": Huber,
@@ -32,7 +33,7 @@ class Robot:
 
     `length` in metres, `arclength_nodes` (N,) in metres, `time_rate` nodes a second, `prior`,
     `sensor_std` standard deviations and `sensor_loss` robust losses by kind of sensor, `clip` the
-    gyro's range in rad/s or None.
+    gyro's range in rad/s or None, `unknowns` what is not known exactly of streams by name.
     """
 
     name: str
@@ -43,6 +44,7 @@ class Robot:
     sensor_std: dict[str, Array]
     sensor_loss: dict[str, Loss]
     clip: float | None = None
+    unknowns: tuple[Unknown, ...] = ()
 
     def grid(self, start: float, stop: float) -> Grid:
         """The robot's grid over the times [start, stop] in seconds."""
@@ -94,9 +96,10 @@ def parse_robot(table: Table) -> Robot:
     nodes, rate = _grid(table, length)
     nodes = np.sort(np.concatenate([nodes, _missing(prior.joints, nodes)]))
     std, loss, clip = _sensors(table)
+    unknowns = tuple(_unknown(entry) for entry in table.tables("unknowns"))
     table.skip("physics")  # of the simulator, which checks it
     table.close()
-    return Robot(name, length, nodes, rate, prior, std, loss, clip)
+    return Robot(name, length, nodes, rate, prior, std, loss, clip, unknowns)
 
 
 def _grid(table: Table, length: float) -> tuple[Array, float]:
@@ -167,6 +170,18 @@ def _segments(prior: Table) -> tuple[Array, Array]:
     if np.any(np.diff(joints, prepend=0.0) <= 0.0):
         raise prior.fail("joints", "must increase from above 0.")
     return joints, prior.rows("psd_strain_arclength", joints.size + 1, 6)
+
+
+def _unknown(table: Table) -> Unknown:
+    """One [[unknowns]]: known, and held as it is, when it states no std."""
+    name, kind = table.text("name"), table.text("kind", choices=SIZES)
+    size = SIZES[kind]
+    value = table.vector("value", size, np.zeros(size), pairs=False)
+    std = table.vector("std", size, np.zeros(size), positive=True)
+    memory = table.number("correlation_time", np.inf) if table.peek("correlation_time") else np.inf
+    streams = tuple(table.texts("streams"))
+    table.close()
+    return Unknown(name, kind, streams, value, std, memory)
 
 
 def _sensors(table: Table) -> tuple[dict[str, Array], dict[str, Loss], float | None]:

@@ -17,7 +17,7 @@ _ANGULAR_VELOCITY = slice(15, 18)
 
 
 def _mounted(readings: Readings, at: State) -> tuple[Array, Array]:
-    """Pose T_wc (M, 4, 4) of the sensor and Ad(T_bc⁻¹) (6, 6), which takes body to sensor."""
+    """Pose T_wc (M, 4, 4) of the sensor and Ad(T_bc⁻¹) (…, 6, 6), which takes body to sensor."""
     return at.pose @ readings.mount, se3.adjoint(se3.inverse(readings.mount))
 
 
@@ -93,7 +93,7 @@ class PositionReadings(Readings):
     def jacobian(self, at: State) -> Array:
         """R_wc times the linear half of Ad(T_bc⁻¹)."""
         pose, to_sensor = _mounted(self, at)
-        return _columns(pose[..., :3, :3] @ to_sensor[:3], POSE)
+        return _columns(pose[..., :3, :3] @ to_sensor[..., :3, :], POSE)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,7 +113,7 @@ class OrientationReadings(Readings):
         turn = np.zeros((len(self), 6))
         turn[:, 3:] = self.residual(at)
         spread = se3.right_jacobian_inverse(turn)[..., 3:, 3:]
-        return _columns(spread @ _mounted(self, at)[1][3:], POSE)
+        return _columns(spread @ _mounted(self, at)[1][..., 3:, :], POSE)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,11 +125,14 @@ class GyroReadings(Readings):
 
     def residual(self, at: State) -> Array:
         """R_bcᵀ times the body's angular velocity, minus the reading."""
-        return at.velocity[..., 3:] @ self.mount[:3, :3] - self.values
+        return (
+            np.einsum("...i,...ij->...j", at.velocity[..., 3:], self.mount[..., :3, :3])
+            - self.values
+        )
 
     def jacobian(self, at: State) -> Array:
         """R_bcᵀ on the angular velocity."""
-        turn = np.broadcast_to(self.mount[:3, :3].T, (len(self), 3, 3))
+        turn = np.broadcast_to(np.swapaxes(self.mount[..., :3, :3], -1, -2), (len(self), 3, 3))
         return _columns(turn, _ANGULAR_VELOCITY)
 
 

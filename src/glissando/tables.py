@@ -81,6 +81,13 @@ class Table:
             raise self.fail(key, f"is {_shown(value)}; give {wanted}.")
         return value
 
+    def texts(self, key: str) -> list[str]:
+        """Strings, at least one."""
+        value = self._take(key)
+        if not isinstance(value, list) or not value or not all(isinstance(v, str) for v in value):
+            raise self.fail(key, f"is {_shown(value)}; give a list of texts.")
+        return value
+
     def flag(self, key: str) -> bool:
         """A truth value, false when absent."""
         value = self._take(key)

@@ -5,7 +5,8 @@ the body frame, strain deviation] obeys
 
     x(0) ~ N(0, diag(base_pose_var, base_strain_var)),   δ' = −ad(ε) δ + δε,   δε' = white noise,
 
-`psd` the noise's density per metre, and at a joint (s_j, jump) the strain also jumps by an
+`psd` the noise's density per metre, (6,) or (S, 6) for the S segments that meet at S−1 joints in
+increasing order, and at a joint (s_j, jump) the strain also jumps by an
 independent amount of variance `jump` (6,) just before s_j, so that the value at s_j has it. In time
 all of it varies as the Matérn-3/2 process k of scale ℓ: cov(x(s,t), x(s',t')) = k(t−t') K(s,s').
 About a still rod the body's velocity is dδ/dt, so a point's 24 numbers are [x, dx/dt], in the order
@@ -20,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from glissando.linear import Factors
 from oracles import dense
 
 Array = NDArray[np.float64]
@@ -62,8 +64,13 @@ def space_covariance(
 
     base = block_diag(np.diag(base_pose_var), np.diag(base_strain_var))
     k = onward(0.0, s) @ base @ onward(0.0, s2).T
-    noise = dense.pair_covariance(rest_strain, near, psd)
-    k = k + onward(near, s) @ noise @ onward(near, s2).T
+    joints = tuple(joints)
+    bounds = [0.0, *(place for place, _ in joints), np.inf] if psd.ndim == 2 else [0.0, np.inf]
+    for start, end, density in zip(bounds[:-1], bounds[1:], np.atleast_2d(psd), strict=True):
+        if start < near:
+            stop = min(end, near)
+            noise = dense.pair_covariance(rest_strain, stop - start, density)
+            k = k + onward(stop, s) @ noise @ onward(stop, s2).T
     for place, jump in joints:
         if place <= near:
             loose = block_diag(np.zeros((6, 6)), np.diag(jump))
@@ -108,3 +115,23 @@ def condition(cov: Array, h: Array, y: Array, r: Array) -> tuple[Array, Array]:
     """Return mean and covariance of x ~ N(0, cov) once y = h x + noise of covariance r is read."""
     gain = np.linalg.solve(h @ cov @ h.T + r, h @ cov).T
     return gain @ y, cov - gain @ h @ cov
+
+
+def information(batches: Iterable[Factors], nodes: int) -> Array:
+    """Return the information matrix (24 nodes, 24 nodes) of factors over nodes of 24 numbers."""
+    out = np.zeros((24 * nodes, 24 * nodes))
+    for batch in batches:
+        for row, at_node in enumerate(spread(batch, nodes)):
+            white = batch.terms.sqrt_info[row] @ at_node
+            out += white.T @ white
+    return out
+
+
+def spread(batch: Factors, nodes: int) -> Array:
+    """Return a batch's Jacobian (M, r, 24 nodes) with respect to every node of the grid."""
+    m, r, c, _ = batch.jacobian.shape
+    out = np.zeros((m, r, nodes, 24))
+    for row in range(m):
+        for corner in range(c):
+            out[row, :, batch.nodes[row, corner], batch.dofs] += batch.jacobian[row, :, corner]
+    return out.reshape(m, r, nodes * 24)
