@@ -90,7 +90,7 @@ def test_a_recording_and_its_saved_posterior_are_judged_alike(recording, tmp_pat
     saved = tmp_path / "estimate" / "posterior.nc"
     assert run("check", saved, "--recording", recording, "--json") == 0
     again = json.loads(capsys.readouterr().out)["checks"]
-    assert len(fresh) == len(again) == 14
+    assert len(fresh) == len(again) == 15
     for one, other in zip(fresh, again, strict=True):
         assert one["nees"] == pytest.approx(other["nees"], rel=1e-6)
         assert set(one["coverage"]) == {"0.5", "0.9", "0.95", "0.99"}
@@ -99,7 +99,7 @@ def test_a_recording_and_its_saved_posterior_are_judged_alike(recording, tmp_pat
 def test_the_check_is_printed_and_drawn(recording, tmp_path, capsys):
     assert run("check", recording, "--out", tmp_path) == 0
     printed = capsys.readouterr().out
-    for word in ("position", "rotation", "mocap_700", "all", "95 %"):
+    for word in ("position", "rotation", "innovation", "mocap_700", "all", "95 %"):
         assert word in printed
     assert (tmp_path / "calibration.png").stat().st_size > 10_000
     assert json.loads((tmp_path / "check.json").read_text())["name"] == "C"

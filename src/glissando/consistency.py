@@ -14,7 +14,9 @@ from typing import Any
 import numpy as np
 from scipy.stats import binom, chi2
 
-from glissando.metrics import Errors
+from glissando.metrics import Errors, innovations
+from glissando.posterior import Posterior
+from glissando.readings import Readings
 from glissando.se3 import Array
 
 LEVELS = (0.5, 0.9, 0.95, 0.99)
@@ -117,6 +119,22 @@ def check(errors: Sequence[Errors]) -> list[Consistency]:
             nees = np.concatenate([c.nees * (3.0 / c.dof) for c in found])
             effective = float(np.mean([c.effective for c in found]))
             out.append(Consistency("all", float("nan"), quantity, nees, 3, effective))
+    return out
+
+
+def check_readings(posterior: Posterior, readings: Sequence[Readings]) -> list[Consistency]:
+    """Innovations of every stream that was used: is each as far off as it should be.
+
+    Streams with a robust loss may hold outliers, which count here.
+    """
+    out = []
+    for stream in readings:
+        if len(stream):
+            nis = innovations(posterior, stream)
+            place = float(np.mean(stream.arclength))
+            rows = stream.row_count
+            name = stream.label
+            out.append(Consistency(name, place, "innovation", nis, rows, effective_samples(nis)))
     return out
 
 

@@ -87,7 +87,15 @@ class KinematicPrior:
 
     def bent(self, grid: Grid, state: State, step: Array) -> State:
         """The state moved by `step` (K, N, 18), with poses that follow from the strains."""
-        return state.retract(step).integrated(grid.arclength)
+        moved = state.retract(step)
+        lengths = np.diff(grid.arclength)
+        strain = interval_strain(
+            moved.strain[:, :-1], moved.strain[:, 1:], lengths, self._intervals(grid.arclength)
+        )
+        pose = moved.pose.copy()
+        for n, h in enumerate(lengths):
+            pose[:, n + 1] = pose[:, n] @ se3.exp(h * strain[:, n])
+        return replace(moved, pose=pose)
 
     def densities(
         self, direction: Direction, arclength: Array, at: Index
@@ -153,7 +161,7 @@ class KinematicPrior:
         psd, carried_psd, jump = self.densities(
             direction, grid.arclength, ends[0] % grid.arclength.size
         )
-        middle = interval_strain(rates[ends[0]], rates[ends[1]], jump)
+        middle = interval_strain(rates[ends[0]], rates[ends[1]], step, (psd, jump))
         cov, carried_cov = process_covariances(
             middle, step, psd, carried_psd, rigid=direction.rigid, jump=jump
         )
@@ -200,7 +208,8 @@ def _interpolate(
         nodes = (k * n_count + s.lower)[:, None] + np.arange(2)
         start, end = flat.take(nodes[:, 0]), flat.take(nodes[:, 1])
         psd, carried, jump = prior.densities(ARCLENGTH, grid.arclength, s.lower)
-        rate = interval_strain(about.strain[k, s.lower], about.strain[k, above], jump)
+        ends = about.strain[k, s.lower], about.strain[k, above]
+        rate = interval_strain(*ends, s.step, (psd, jump))
         weight = grid.time_spans[k, None]
         densities = psd / weight, carried / weight, jump / weight
         found = bridge(rate, s.step, s.offset, *densities, rigid=True)

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import chi2
 
 from glissando import se3
 from glissando.errors import SensorError
+from glissando.points import sort_points
 from glissando.posterior import Posterior
 from glissando.readings import Readings
 from glissando.se3 import Array
 from glissando.sensors import CoilReadings, OrientationReadings, PoseReadings, PositionReadings
+from glissando.state import State
+from glissando.unknowns import corrected
 
 _JUDGES = (PoseReadings, CoilReadings, PositionReadings, OrientationReadings)
 
@@ -94,6 +97,34 @@ def errors_against(posterior: Posterior, truth: Readings) -> Errors:
         rotation = np.linalg.norm(miss, axis=1)
         nees_rotation = np.einsum("mi,mi->m", miss, np.linalg.solve(cov, miss[..., None])[..., 0])
     return Errors(truth.label, truth.arclength, position, rotation, nees, nees_rotation, dof)
+
+
+def innovations(posterior: Posterior, readings: Readings) -> Array:
+    """Squared innovations (M,) of readings that were used, in units of their covariance.
+
+    The innovation of a reading is its distance from what all others foretell; for residual e with
+    covariance R and posterior spread H P Hᵀ its square is eᵀ (R − H P Hᵀ)⁻¹ e, of as many degrees
+    of freedom as a reading has rows, and no reading need be left out to find it. Unknowns are taken
+    at their estimates and as if they were sure.
+    """
+    middle = [(u, values[len(values) // 2]) for u, values in posterior.unknowns]
+    readings = corrected(readings, [replace(u, value=value) for u, value in middle])
+    grid = posterior.grid
+    readings = replace(
+        readings,
+        arclength=np.clip(readings.arclength, grid.arclength[0], grid.arclength[-1]),
+        time=np.clip(readings.time, grid.time[0], grid.time[-1]),
+    )
+    found = posterior.at(readings.arclength, readings.time)
+    at = State(found.pose, found.strain, found.velocity)
+    residual, slope = readings.residual(at), readings.jacobian(at)
+    open_ = np.zeros_like(found.cov)
+    for points in sort_points(grid, readings.arclength, readings.time):
+        state = posterior.state
+        open_[points.rows] = posterior.prior.interpolate(grid, state, state, points).cov
+    turned = np.swapaxes(slope, -1, -2)
+    cov = readings.cov + slope @ (2.0 * open_ - found.cov) @ turned
+    return np.einsum("mi,mi->m", residual, np.linalg.solve(cov, residual[..., None])[..., 0])
 
 
 def _turned(estimated: Array, truth: Readings) -> Array:

@@ -14,6 +14,9 @@ from glissando.points import Interpolation, Points
 from glissando.se3 import Array
 from glissando.state import State
 
+Spread = tuple[Array, Array]
+"""Of intervals: the density of strain (…, 6) inside them, and the variance (…, 6) of its jump."""
+
 STRAIGHT = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 
 _SOFT = 0.022**2  # m², of strain density over curvature density
@@ -63,7 +66,7 @@ def is_soft(psd: Array, softened: Array) -> bool:
     return bool(np.all(softened <= _STIFF * psd))
 
 
-def by_interval(arclength: Array, psd: Array, joints: Array, jumps: Array) -> tuple[Array, Array]:
+def by_interval(arclength: Array, psd: Array, joints: Array, jumps: Array) -> Spread:
     """Density of strain (N−1, 6) of every interval between nodes, and of its jump at the end.
 
     `psd` is (6,), or (S, 6) for S segments that meet at `joints` (S−1,), where strain may jump by
@@ -86,7 +89,12 @@ def by_interval(arclength: Array, psd: Array, joints: Array, jumps: Array) -> tu
     return psd[np.searchsorted(joints, middle)], jump
 
 
-def interval_strain(strain0: Array, strain1: Array, jump: Array) -> Array:
-    """Strain (…, 6) about which an interval is linearised: the mean, or before a jump the first."""
-    jumps = np.any(jump > 0.0, axis=-1, keepdims=True)
-    return np.where(jumps, strain0, 0.5 * (strain0 + strain1))
+def interval_strain(strain0: Array, strain1: Array, length: Array, spread: Spread) -> Array:
+    """Strain (…, 6) about which intervals are linearised: the mean, less the jump at their end.
+
+    Of the difference between both ends, the jump has its share of the variance; `spread` is what
+    `by_interval` gives for these intervals of `length` (…).
+    """
+    psd, jump = spread
+    drift = length[..., None] * psd
+    return strain0 + 0.5 * drift / (drift + jump) * (strain1 - strain0)

@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from glissando.consistency import check
+from glissando.consistency import Consistency, check, check_readings
 from glissando.dataset import Recording
 from glissando.errors import GlissandoError, RecordingError
 from glissando.estimate import Progress, estimate
@@ -46,6 +46,10 @@ class Run:
     posterior: Posterior
     errors: list[Errors]
 
+    def consistency(self) -> list[Consistency]:
+        """Whether confidence is true: errors against truth, then innovations of the readings."""
+        return [*check(self.errors), *check_readings(self.posterior, self.readings)]
+
     def as_json(self) -> dict[str, Any]:
         """Everything a program wants to know, SI units and radians."""
         solve = self.posterior.solve
@@ -64,7 +68,7 @@ class Run:
             "dropped": self.dropped,
             "overall": pool(self.errors).summary() if self.errors else None,
             "sites": [_site(e) for e in self.errors],
-            "consistency": [c.as_json() for c in check(self.errors)],
+            "consistency": [c.as_json() for c in self.consistency()],
         }
 
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from glissando import matern, se3
+from glissando.errors import OutsideGridError
 from glissando.grid import Cells, Grid, Index
 from glissando.intervals import (
     RATED,
@@ -32,6 +33,7 @@ from glissando.steps import TIME, pair_between
 from glissando.transitions import Bridge, bridge, process_covariances, transition
 
 _ALL = slice(0, RATED)
+_DENSEST = 200.0  # time nodes a time scale: beyond, rounding shows in the covariance
 
 
 @dataclass(frozen=True)
@@ -101,6 +103,7 @@ class SeparablePrior:
         Every interval, and the base, at the first time and from each of `times` to the next.
         """
         k_count, n_count = grid.shape
+        self._require_digits(grid)
         node = np.arange(k_count * n_count).reshape(k_count, n_count)
         touched = slice(times.start, min(times.stop + 1, k_count))
         here, steps = node[touched], np.diff(grid.time[touched])
@@ -118,11 +121,21 @@ class SeparablePrior:
             np.stack([here[:, :-1], here[:, 1:]], axis=2),
             error,
             np.stack(jacobians, axis=3),
-            pair_sqrt_information(cov),
+            cov,
         )
 
+    def _require_digits(self, grid: Grid) -> None:
+        """Raise OutsideGridError where time nodes are so dense that information loses digits."""
+        steps = np.diff(grid.time)
+        if steps.size and np.median(steps) * _DENSEST < self.time_scale:
+            raise OutsideGridError(
+                f"Time nodes {np.median(steps):.3g} s apart are too dense for a time scale of "
+                f"{self.time_scale:g} s: they add nothing and cost all digits; leave "
+                f"{self.time_scale / _DENSEST:.3g} s at least between them."
+            )
+
     def _base(self, state: State) -> tuple[Array, Array, Array]:
-        """Error [r; ṙ] (K, 1, 24) of the base, its Jacobian (K, 1, 24, 1, 24) and whitener."""
+        """Error [r; ṙ] (K, 1, 24) of the base, its Jacobian (K, 1, 24, 1, 24) and variance."""
         at = state.take(np.s_[:, :1])
         xi = se3.log(se3.inverse(self.base_pose) @ at.pose)
         spread = se3.right_jacobian_inverse(xi)
@@ -136,8 +149,7 @@ class SeparablePrior:
         jacobian[..., 12:18, 0, POSE] = bend
         jacobian[..., 6:12, 0, STRAIN] = jacobian[..., 18:, 0, STRAIN_RATE] = np.eye(6)
         variance = np.concatenate([self.base.pose, self.base.strain])
-        whitener = np.broadcast_to(np.diag(variance**-0.5), (*xi.shape[:2], 12, 12))
-        return error, jacobian, whitener
+        return error, jacobian, np.broadcast_to(np.diag(variance), (*xi.shape[:2], 12, 12))
 
     def _chain(
         self,
@@ -146,14 +158,14 @@ class SeparablePrior:
         nodes: Index,
         error: Array,
         jacobian: Array,
-        whitener: Array,
+        cov: Array,
     ) -> Iterator[Factors]:
-        """Factors of processes (K, I) in time with errors (K, I, 24), over nodes (K, I, c)."""
+        """Factors of processes with errors (K, I, 24), Q (K, I, 12, 12) and nodes (K, I, c)."""
         count = nodes.shape[2]
 
         if first:
             root = np.diag(np.diagonal(matern.stationary(self.time_scale)) ** -0.5)
-            terms = Residuals(error[0], _kron(root, whitener[0]))
+            terms = Residuals(error[0], _kron(root, pair_sqrt_information(cov[0])))
             yield Factors(nodes[0], _ALL, jacobian[0], terms)
         if not len(steps):
             return
@@ -167,7 +179,7 @@ class SeparablePrior:
         both[..., :count, :] = -fading.reshape(both[..., :count, :].shape)
         both[..., count:, :] = jacobian[1:]
         joined = np.concatenate([nodes[:-1], nodes[1:]], axis=2)
-        info = _kron(root[:, None], whitener[:-1])
+        info = _kron(root[:, None], pair_sqrt_information(0.5 * (cov[:-1] + cov[1:])))
         terms = Residuals(innovation.reshape(-1, RATED), info.reshape(-1, RATED, RATED))
         shape = -1, RATED, 2 * count, RATED
         yield Factors(joined.reshape(-1, 2 * count), _ALL, both.reshape(shape), terms)
@@ -175,8 +187,9 @@ class SeparablePrior:
     def _interval_covariances(self, grid: Grid, about: State) -> tuple[Array, Array]:
         """Strains (K, N−1, 6) that intervals are linearised about, and their Q (K, N−1, 12, 12)."""
         psd, jump = self._intervals(grid)
-        strain = interval_strain(about.strain[:, :-1], about.strain[:, 1:], jump)
-        step = np.broadcast_to(np.diff(grid.arclength), strain.shape[:2])
+        lengths = np.diff(grid.arclength)
+        strain = interval_strain(about.strain[:, :-1], about.strain[:, 1:], lengths, (psd, jump))
+        step = np.broadcast_to(lengths, strain.shape[:2])
         return strain, process_covariances(strain, step, psd, psd, rigid=False, jump=jump)[0]
 
     def _intervals(self, grid: Grid) -> tuple[Array, Array]:
@@ -214,7 +227,8 @@ class SeparablePrior:
     def _crossing(self, grid: Grid, about: State, k: Index, s: Cells) -> Bridge:
         """Bridge along arclength into the intervals `s` at time nodes k."""
         psd, jump = (values[s.lower] for values in self._intervals(grid))
-        rate = interval_strain(about.strain[k, s.lower], about.strain[k, s.lower + 1], jump)
+        ends = about.strain[k, s.lower], about.strain[k, s.lower + 1]
+        rate = interval_strain(*ends, s.step, (psd, jump))
         return bridge(rate, s.step, s.offset, psd, psd, jump, rigid=False)
 
     def _along_time(self, early: State, late: State, t: Cells) -> tuple[State, Array, Array, Array]:

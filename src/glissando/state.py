@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -62,14 +62,6 @@ class State:
         """The state with another leading shape; it shares memory as numpy's reshape does."""
         fields = (f.reshape(*shape, 6) for f in self._fields())
         return State(self.pose.reshape(*shape, 4, 4), *fields)
-
-    def integrated(self, arclength: Array) -> State:
-        """The state (K, N) with poses that follow from the base pose and the strains."""
-        pose = self.pose.copy()
-        for n, step in enumerate(np.diff(arclength)):
-            rate = 0.5 * (self.strain[:, n] + self.strain[:, n + 1])
-            pose[:, n + 1] = pose[:, n] @ se3.exp(step * rate)
-        return replace(self, pose=pose)
 
     def flatten(self) -> State:
         """The state as one list of points (M,), sharing memory."""

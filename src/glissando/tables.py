@@ -190,8 +190,13 @@ def _shown(value: Any) -> str:
 
 def read_toml(path: Path, error: type[GlissandoError]) -> Table:
     """The file as a Table. Raises `error` when it cannot be read or parsed."""
+    return Table(read_document(path, error), path.name, error)
+
+
+def read_document(path: Path, error: type[GlissandoError] = GlissandoError) -> dict[str, Any]:
+    """The file as TOML gives it. Raises `error` when it cannot be read or parsed."""
     try:
-        return Table(tomllib.loads(path.read_text(encoding="utf-8-sig")), path.name, error)
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as problem:
         raise error(f"{path} cannot be read ({problem.strerror}); check the path.") from None
     except UnicodeDecodeError:

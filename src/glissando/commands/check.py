@@ -21,16 +21,18 @@ from glissando.commands.shared import (
     estimate_watched,
     require_writable,
 )
-from glissando.consistency import LEVELS, Consistency, check
+from glissando.consistency import LEVELS, Consistency, check, check_readings
 from glissando.dataset import load_recording
 from glissando.errors import GlissandoError, RecordingError
-from glissando.metrics import Errors, errors_against
+from glissando.metrics import errors_against
 from glissando.posterior import Posterior
+from glissando.unknowns import corrected
 
 _HELP = """\
 Check whether the confidence of an estimate is true: errors against truth in units of their own
 covariance (NEES, 1 per degree of freedom when true) and the share of errors inside the 50, 90, 95
-and 99 % ellipsoids, by site, for position and rotation.
+and 99 % ellipsoids, by site, for position and rotation; and innovations of the readings (NIS), each
+against what all others foretell.
 
 RECORDING is estimated first. A posterior.nc of an earlier estimate needs --recording for its truth.
 Bounds hold for 95 % of honest estimates, and count neighbouring errors that are alike as one.
@@ -61,8 +63,7 @@ def add_to(commands: Commands) -> None:
 def _check(options: argparse.Namespace) -> int:
     if options.out:
         require_writable(options.out)
-    errors, name, complaint = _errors(options)
-    found = check(errors)
+    found, name, complaint = _judged(options)
     if not found:
         raise RecordingError(
             f"{name} has no truth inside the window; name streams with --truth, or another window."
@@ -83,13 +84,14 @@ def _check(options: argparse.Namespace) -> int:
     return complaint
 
 
-def _errors(options: argparse.Namespace) -> tuple[list[Errors], str, int]:
-    """Errors against truth, the name of what is checked, and the exit status so far."""
+def _judged(options: argparse.Namespace) -> tuple[list[Consistency], str, int]:
+    """Every check, none without truth, the name of what is checked, and the exit status so far."""
     if options.target.is_dir():
         recording = load_recording(options.target)
         robot = chosen_robot(recording, options.robot)
         run, complaint = estimate_watched(recording, robot, options)
-        return run.errors, recording.name, 1 if complaint else 0
+        found = run.consistency() if run.errors else []
+        return found, recording.name, 1 if complaint else 0
     if not options.target.is_file():
         raise GlissandoError(
             f"There is no recording folder or posterior {str(options.target)!r}; give one."
@@ -103,10 +105,15 @@ def _errors(options: argparse.Namespace) -> tuple[list[Errors], str, int]:
     robot = chosen_robot(recording, options.robot)
     time = posterior.grid.time
     window = (float(time[0]), float(time[-1]))
-    _, judges = recording.choose(None, options.truth)
+    used, judges = recording.choose(options.use, options.truth)
+    readings, _ = recording.readings(used, robot, window)
     truth, _ = recording.readings(judges, robot, window, as_truth=True)
     status = 0 if posterior.solve.converged else 1
-    return [errors_against(posterior, t) for t in truth if len(t)], options.target.name, status
+    truth = [corrected(t, robot.unknowns) for t in truth if len(t)]
+    found = check([errors_against(posterior, t) for t in truth])
+    if found:
+        found += check_readings(posterior, readings)
+    return found, options.target.name, status
 
 
 def _table(quantity: str, found: Sequence[Consistency]) -> Table:

@@ -1,0 +1,253 @@
+"""Learning a robot file's numbers from recordings: how strong, how fast, how noisy.
+
+What is maximised is the Laplace log marginal likelihood of the readings (equation 22) or, where
+truth is given, the predictive log-likelihood of it. Numbers are scaled by exponentials, so they
+stay positive; a try that cannot be estimated is a bad one, not an end. Gradients are differences,
+tried on all cores.
+"""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field
+from multiprocessing import get_context
+from typing import Protocol
+
+import numpy as np
+from scipy.optimize import minimize
+
+from glissando.dataset import Recording
+from glissando.errors import GlissandoError, NotConvergedWarning
+from glissando.estimate import Options, estimate
+from glissando.grid import Grid
+from glissando.parameters import Document, Parameter, scaled
+from glissando.posterior import Posterior
+from glissando.predictive import constants_of, predict
+from glissando.readings import Readings
+from glissando.robot import Robot, parse_robot
+from glissando.se3 import Array
+from glissando.state import State
+from glissando.tables import Table
+from glissando.unknowns import Unknown
+
+_TIGHT = Options(max_iterations=15, tolerance=0.2)
+_BAD = 1e3  # objective of a try that cannot be estimated
+_NUDGE = 0.05  # of a logarithm, for differences
+_REACH = np.log(1e4)  # how far a number may move
+
+
+class Case(Protocol):
+    """Something to learn from: a grid, readings and truth that depend on the robot file."""
+
+    def grid(self, robot: Robot) -> Grid:
+        """The grid to estimate on."""
+        ...
+
+    def readings(self, robot: Robot) -> list[Readings]:
+        """What the sensors said."""
+        ...
+
+    def truth(self, robot: Robot) -> list[Readings]:
+        """What to foretell; empty to maximise the likelihood of the readings."""
+        ...
+
+
+@dataclass(frozen=True)
+class Score:
+    """What a robot file is worth on all cases: the objective per degree of freedom."""
+
+    value: float
+    samples: int
+    constants: tuple[Unknown, ...] = ()
+
+
+Watch = Callable[[int, float], None]
+"""Called after each step with its number and the objective."""
+
+
+@dataclass(frozen=True)
+class Learned:
+    """What was learned: the document, what it was worth before and after, and how sure.
+
+    `std` (P,) is how far each parameter's logarithm may be off, the others held.
+    """
+
+    document: Document
+    parameters: list[Parameter]
+    moved: Array
+    std: Array
+    before: Score
+    after: Score
+    steps: int
+    message: str = ""
+
+
+@dataclass
+class Judge:
+    """Scores documents on cases; remembers where the first ended, to start there again."""
+
+    cases: Sequence[Case]
+    calibrate: bool
+    _starts: dict[int, State] = field(default_factory=dict)
+    _constants: tuple[Unknown, ...] = ()
+
+    def score(self, document: Document) -> Score:
+        """The objective: log-likelihood per degree of freedom of truth, else of the readings."""
+        robot = parse_robot(Table(document, "learned", GlissandoError))
+        found = [self._estimate(i, case, robot) for i, case in enumerate(self.cases)]
+        truths = [case.truth(robot) for case in self.cases]
+        if not any(truths):
+            counts = [sum(r.values.shape[0] * r.row_count for r in rs) for _, rs in found]
+            total = sum(posterior.solve.log_evidence for posterior, _ in found)
+            return Score(total / sum(counts), sum(counts))
+        return self._foretold([posterior for posterior, _ in found], truths)
+
+    def _foretold(self, found: Sequence[Posterior], truths: Sequence[list[Readings]]) -> Score:
+        """Truth of all cases; constants are calibrated on the longest and hold for all."""
+        longest = max(range(len(truths)), key=lambda i: sum(map(len, truths[i])))
+        constants: tuple[Unknown, ...] = ()
+        if self.calibrate:
+            constants = self._constants or constants_of(truths[longest])
+            constants = predict(found[longest], truths[longest], constants, free=True).constants
+            self._constants = self._constants or constants
+        told_all = [
+            predict(posterior, truth, constants, free=False)
+            for posterior, truth in zip(found, truths, strict=True)
+        ]
+        samples = sum(t.samples for t in told_all)
+        value = sum(t.score * t.samples for t in told_all) / samples
+        return Score(value, samples, constants)
+
+    def _estimate(self, i: int, case: Case, robot: Robot) -> tuple[Posterior, list[Readings]]:
+        readings = case.readings(robot)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotConvergedWarning)
+            posterior = estimate(
+                robot.prior,
+                case.grid(robot),
+                readings,
+                unknowns=robot.unknowns,
+                initial=self._starts.get(i),
+                options=_TIGHT,
+            )
+        self._starts.setdefault(i, posterior.state)
+        return posterior, readings
+
+
+_judge: Judge | None = None
+
+
+def _prepare(judge: Judge, document: Document) -> None:
+    global _judge
+    _judge = judge
+    _judge.score(document)
+
+
+def _tried(document: Document) -> float:
+    assert _judge is not None
+    try:
+        value = -_judge.score(document).value
+    except (GlissandoError, np.linalg.LinAlgError):
+        return _BAD
+    return value if np.isfinite(value) else _BAD
+
+
+def learn(
+    document: Document,
+    parameters: Sequence[Parameter],
+    cases: Sequence[Case],
+    *,
+    calibrate: bool = False,
+    steps: int = 20,
+    watch: Watch | None = None,
+) -> Learned:
+    """Scale the parameters of an expanded document until the cases are most likely.
+
+    With `calibrate` the truth's frame and mounts are found as well. Raises what the first estimate
+    raises: a start must at least be possible.
+    """
+    parameters = list(parameters)
+    judge = Judge(cases, calibrate)
+    before = judge.score(document)
+    workers = min(os.cpu_count() or 1, 1 + len(parameters))
+    spawned = get_context("spawn")
+    with ProcessPoolExecutor(
+        workers, spawned, _prepare, (Judge(cases, calibrate), document)
+    ) as pool:
+        search = _Search(document, parameters, pool, watch)
+        limits = [(-_REACH, _REACH)] * len(parameters)
+        found = minimize(
+            search.with_slope, np.zeros(len(parameters)), jac=True, method="L-BFGS-B",
+            bounds=limits, options={"maxiter": steps, "ftol": 1e-5, "maxls": 8},
+        )  # fmt: skip
+        best = search.best[1]
+        std = search.spread(best, before.samples)
+    learned = scaled(document, parameters, best)
+    after = judge.score(learned)
+    message = found.message if isinstance(found.message, str) else found.message.decode()
+    return Learned(learned, parameters, best, std, before, after, int(found.nit), message)
+
+
+class _Search:
+    """The objective and its slope by differences, all tries at once."""
+
+    def __init__(
+        self,
+        document: Document,
+        parameters: list[Parameter],
+        pool: ProcessPoolExecutor,
+        watch: Watch | None,
+    ) -> None:
+        self._document, self._parameters = document, parameters
+        self._pool, self._watch = pool, watch
+        self.best = (np.inf, np.zeros(len(parameters)))
+        self._count = 0
+
+    def _all(self, points: Sequence[Array]) -> Array:
+        documents = [scaled(self._document, self._parameters, x) for x in points]
+        return np.array(list(self._pool.map(_tried, documents)))
+
+    def with_slope(self, x: Array) -> tuple[float, Array]:
+        """The objective and its gradient (P,)."""
+        values = self._all([x, *(x + _NUDGE * np.eye(x.size))])
+        if values[0] < self.best[0]:
+            self.best = (float(values[0]), x.copy())
+        self._count += 1
+        if self._watch is not None:
+            self._watch(self._count, -float(self.best[0]))
+        slope = np.where(values[1:] < _BAD, (values[1:] - values[0]) / _NUDGE, 0.0)
+        return float(values[0]), slope
+
+    def spread(self, x: Array, samples: int) -> Array:
+        """Standard deviation (P,) of each number, from the curvature; infinite where it is flat."""
+        nudges = 4.0 * _NUDGE * np.eye(x.size)
+        values = self._all([x, *(x + nudges), *(x - nudges)])
+        ahead, behind = values[1 : 1 + x.size], values[1 + x.size :]
+        curvature = (ahead + behind - 2.0 * values[0]) / (4.0 * _NUDGE) ** 2 * samples
+        return np.where(curvature > 0.0, np.maximum(curvature, 1e-12) ** -0.5, np.inf)
+
+
+@dataclass(frozen=True)
+class RecordingCase:
+    """A window of a recording: streams to use, and streams to foretell (none: their evidence)."""
+
+    recording: Recording
+    window: tuple[float, float]
+    use: Sequence[str]
+    foretell: Sequence[str] = ()
+
+    def grid(self, robot: Robot) -> Grid:
+        """The robot's grid over the window."""
+        return robot.grid(*self.window)
+
+    def readings(self, robot: Robot) -> list[Readings]:
+        """The streams to use, inside the window."""
+        return self.recording.readings(self.use, robot, self.window)[0]
+
+    def truth(self, robot: Robot) -> list[Readings]:
+        """The streams to foretell, inside the window."""
+        found, _ = self.recording.readings(self.foretell, robot, self.window, as_truth=True)
+        return [stream for stream in found if len(stream)]

@@ -1,0 +1,113 @@
+"""How well an estimate foretells truth: its predictive log-likelihood, frames and mounts put right.
+
+Truth is seldom where one thinks: its frame and the mounts of its bodies are calibrated, as the
+constants under which the truth is most likely given the estimate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from glissando.posterior import Estimate, Posterior
+from glissando.readings import Readings
+from glissando.se3 import Array
+from glissando.state import State
+from glissando.unknowns import SIZES, Unknown, corrected
+
+_LOOSE = {"world": (0.02, 0.1), "mount": (0.02, 0.2)}  # m, rad: how far off a constant may be
+_ROUNDS = 2  # Gauss-Newton steps towards the constants; they begin where the last try ended
+_NUDGE = 1e-6
+_MOST = 150  # samples judged a stream: neighbours are much alike
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Log-likelihood of the truth, per sample and degree of freedom, and the constants found."""
+
+    score: float
+    samples: int
+    constants: tuple[Unknown, ...]
+
+
+def constants_of(truth: Sequence[Readings]) -> tuple[Unknown, ...]:
+    """One frame for all truth streams and a mount for each, expected to be nothing."""
+    names = tuple(t.name for t in truth)
+    made = [("truth frame", "world", names)]
+    made += [(f"{name} mount", "mount", (name,)) for name in names]
+    zero = np.zeros(6)
+    return tuple(Unknown(name, kind, streams, zero, zero) for name, kind, streams in made)
+
+
+def predict(
+    posterior: Posterior, truth: Sequence[Readings], constants: Sequence[Unknown], *, free: bool
+) -> Prediction:
+    """Judge a posterior by truth streams; with `free` the constants are calibrated, else held."""
+    sparse = [t.select(slice(None, None, -(-len(t) // _MOST))) for t in truth if len(t)]
+    found = [posterior.at(t.arclength, t.time) for t in sparse]
+    constants = tuple(constants)
+    for _ in range(_ROUNDS * free):
+        constants = _improved(sparse, found, constants)
+    terms = [_normalised(t, at, constants) for t, at in zip(sparse, found, strict=True)]
+    total = sum(float(np.sum(cost)) for cost, _ in terms)
+    count = sum(size for _, size in terms)
+    return Prediction(-total / max(count, 1), count, constants)
+
+
+def _normalised(truth: Readings, at: Estimate, constants: Sequence[Unknown]) -> tuple[Array, int]:
+    """Minus log-likelihood (M,) of truth samples, and their degrees of freedom altogether."""
+    residual, cov = _miss(corrected(truth, constants), at)
+    solved = np.linalg.solve(cov, residual[..., None])[..., 0]
+    size = residual.shape[1]
+    square = np.sum(residual * solved, axis=1)
+    cost: Array = 0.5 * (square + np.linalg.slogdet(cov)[1] + size * np.log(2.0 * np.pi))
+    return cost, residual.size
+
+
+def _miss(truth: Readings, at: Estimate) -> tuple[Array, Array]:
+    """Residual (M, r) of truth samples and its covariance (M, r, r), the truth's own included."""
+    state = State(at.pose, at.strain, at.velocity)
+    jacobian = truth.jacobian(state)
+    cov = jacobian @ at.cov @ np.swapaxes(jacobian, -1, -2) + truth.cov
+    return truth.residual(state), cov
+
+
+def _improved(
+    truth: Sequence[Readings], found: Sequence[Estimate], constants: tuple[Unknown, ...]
+) -> tuple[Unknown, ...]:
+    """The constants after one Gauss-Newton step towards the most likely truth."""
+    size = SIZES["world"]
+    total = size * len(constants)
+    information, pull = np.zeros((total, total)), np.zeros(total)
+    for i, constant in enumerate(constants):
+        at = slice(i * size, i * size + size)
+        weight = np.repeat(_LOOSE[constant.kind], 3) ** -2.0
+        information[at, at] += np.diag(weight)
+        pull[at] -= weight * constant.value
+    for stream, there in zip(truth, found, strict=True):
+        residual, cov = _miss(corrected(stream, constants), there)
+        state = State(there.pose, there.strain, there.velocity)
+        jacobian = np.zeros((*residual.shape, total))
+        for i, constant in enumerate(constants):
+            if stream.name in constant.streams:
+                for j, nudge in enumerate(_NUDGE * np.eye(size)):
+                    ends = [
+                        corrected(stream, _moved(constants, i, sign * nudge)).residual(state)
+                        for sign in (1.0, -1.0)
+                    ]
+                    jacobian[..., i * size + j] = (ends[0] - ends[1]) / (2.0 * _NUDGE)
+        weighed = np.linalg.solve(cov, jacobian)
+        information += np.einsum("mra,mrb->ab", jacobian, weighed)
+        pull -= np.einsum("mra,mr->a", weighed, residual)
+    step: Array = np.asarray(np.linalg.solve(information, pull), dtype=float)
+    for i in range(len(constants)):
+        constants = _moved(constants, i, step[i * size : i * size + size])
+    return constants
+
+
+def _moved(constants: tuple[Unknown, ...], i: int, step: Array) -> tuple[Unknown, ...]:
+    there = list(constants)
+    there[i] = replace(there[i], value=there[i].value + step)
+    return tuple(there)
