@@ -42,10 +42,13 @@ from glissando.sensors import (
     PositionReadings,
     StrainReadings,
 )
+from glissando.separable import BaseVariance, SeparablePrior
 from glissando.state import State
+from glissando.unknowns import Unknown
 
 __all__ = [
     "BaseDensity",
+    "BaseVariance",
     "CoilReadings",
     "Estimate",
     "FbgReadings",
@@ -67,8 +70,10 @@ __all__ = [
     "Robot",
     "RobotFileError",
     "SensorError",
+    "SeparablePrior",
     "State",
     "StrainReadings",
+    "Unknown",
     "UnobservableError",
     "estimate",
     "load_robot",

@@ -34,6 +34,7 @@ from glissando.threads import one_thread
 from glissando.unknowns import Unknown, corrected
 
 _WORTHWHILE = 1e-3  # share of the predicted fall in cost below which a step is refused
+_SHORTER = (0.5, 0.2)  # parts of a refused step that are tried
 _SETTLED = 10  # iterations after which weights are held, so that the cost can only fall
 _ROUNDS = 5  # times they are renewed after that
 _ROUNDING = 1e-11  # a fall in cost this small, relatively, cannot be told from rounding
@@ -209,7 +210,7 @@ def _iterate(
         short = length < options.tolerance
         fresh = held is None or held.state is here.state or rounds == _ROUNDS
         if short and fresh and damping == 0.0:
-            return _Found(*next(candidates), here, chol, "converged", iteration)
+            return _Found(*next(candidates)[0], here, chol, "converged", iteration)
         if iteration >= _SETTLED and (held is None or short) and rounds < _ROUNDS:
             held, rounds = _renewed(here, held, at), rounds + 1
         here, gain = _try_step(here, candidates, held, predicted, at)
@@ -235,15 +236,20 @@ _Where = tuple[State, PlacedReadings]
 """A state, and the readings where the unknowns that go with it put them."""
 
 
-def _candidates(prior: Prior, here: NormalEquations, step: Array) -> Iterator[_Where]:
-    """Where a step may lead: straight on, or with poses that still follow from the strains.
+def _candidates(prior: Prior, here: NormalEquations, step: Array) -> Iterator[tuple[_Where, float]]:
+    """Where a step may lead, and the share of its promise: straight on, bent, or bent and shorter.
 
-    A long step straight on tears poses and strains apart, which stiff priors punish.
+    A long step straight on tears poses and strains apart, which stiff priors punish; bent, poses
+    still follow from the strains. Along a curved valley a shorter one is better than a damped one.
     """
     of_nodes, of_unknowns = here.split(step)
     placed = here.placed.moved(of_unknowns)
-    yield here.state.retract(of_nodes), placed
-    yield prior.bent(placed.grid, here.state, of_nodes), placed
+    yield (here.state.retract(of_nodes), placed), 1.0
+    yield (prior.bent(placed.grid, here.state, of_nodes), placed), 1.0
+    for part in _SHORTER:
+        placed = here.placed.moved(part * of_unknowns)
+        bent = prior.bent(placed.grid, here.state, part * of_nodes)
+        yield (bent, placed), part * (2.0 - part)
 
 
 _At = Callable[[_Where, NormalEquations | None], NormalEquations]
@@ -261,7 +267,7 @@ def _renewed(
 
 def _try_step(
     here: NormalEquations,
-    candidates: Iterable[_Where],
+    candidates: Iterable[tuple[_Where, float]],
     held: NormalEquations | None,
     predicted: float,
     at: _At,
@@ -269,14 +275,14 @@ def _try_step(
     """The problem at the first candidate worth it, else as it was; and the share of the promise."""
     cost = here.cost_of(here)
     gain = -1.0
-    for candidate in candidates:
+    for candidate, share in candidates:
         try:
             there = at(candidate, held)
         except np.linalg.LinAlgError:  # so far off that not even its weights exist
             continue
         if predicted < _ROUNDING * (1.0 + cost):
             return there, 1.0
-        gain = (cost - here.cost_of(there)) / predicted
+        gain = (cost - here.cost_of(there)) / (share * predicted)
         if gain > _WORTHWHILE:
             return there, gain
     return at((here.state, here.placed), held), gain

@@ -12,6 +12,7 @@ import os
 import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, field
 from multiprocessing import get_context
 from typing import Protocol
@@ -20,7 +21,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from glissando.dataset import Recording
-from glissando.errors import GlissandoError, NotConvergedWarning
+from glissando.errors import GlissandoError, NotConvergedWarning, RecordingError
 from glissando.estimate import Options, estimate
 from glissando.grid import Grid
 from glissando.parameters import Document, Parameter, scaled
@@ -33,9 +34,11 @@ from glissando.state import State
 from glissando.tables import Table
 from glissando.unknowns import Unknown
 
-_TIGHT = Options(max_iterations=15, tolerance=0.2)
+_TIGHT = Options(max_iterations=10, tolerance=0.3)
 _BAD = 1e3  # objective of a try that cannot be estimated
 _NUDGE = 0.05  # of a logarithm, for differences
+_WORTH = 1e-3  # gain a degree of freedom below which a step was idle
+_IDLE = 3  # idle steps in a row that end the search
 _REACH = np.log(1e4)  # how far a number may move
 
 
@@ -82,7 +85,6 @@ class Learned:
     before: Score
     after: Score
     steps: int
-    message: str = ""
 
 
 @dataclass
@@ -118,11 +120,15 @@ class Judge:
             for posterior, truth in zip(found, truths, strict=True)
         ]
         samples = sum(t.samples for t in told_all)
+        if not samples:
+            raise RecordingError("There is no truth in the window; choose another.")
         value = sum(t.score * t.samples for t in told_all) / samples
         return Score(value, samples, constants)
 
     def _estimate(self, i: int, case: Case, robot: Robot) -> tuple[Posterior, list[Readings]]:
         readings = case.readings(robot)
+        if not sum(map(len, readings)):
+            raise RecordingError("The window holds no readings to learn from; choose another.")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", NotConvergedWarning)
             posterior = estimate(
@@ -177,18 +183,22 @@ def learn(
     with ProcessPoolExecutor(
         workers, spawned, _prepare, (Judge(cases, calibrate), document)
     ) as pool:
-        search = _Search(document, parameters, pool, watch)
+        search = _Search(document, parameters, pool, watch, steps)
         limits = [(-_REACH, _REACH)] * len(parameters)
-        found = minimize(
-            search.with_slope, np.zeros(len(parameters)), jac=True, method="L-BFGS-B",
-            bounds=limits, options={"maxiter": steps, "ftol": 1e-5, "maxls": 8},
-        )  # fmt: skip
+        with suppress(_EnoughError):
+            minimize(
+                search.with_slope, np.zeros(len(parameters)), jac=True, method="L-BFGS-B",
+                bounds=limits, options={"maxfun": steps, "ftol": 1e-5, "maxls": 8},
+            )  # fmt: skip
         best = search.best[1]
         std = search.spread(best, before.samples)
     learned = scaled(document, parameters, best)
     after = judge.score(learned)
-    message = found.message if isinstance(found.message, str) else found.message.decode()
-    return Learned(learned, parameters, best, std, before, after, int(found.nit), message)
+    return Learned(learned, parameters, best, std, before, after, search.count)
+
+
+class _EnoughError(Exception):
+    """Raised out of the search when more steps would not pay."""
 
 
 class _Search:
@@ -200,11 +210,13 @@ class _Search:
         parameters: list[Parameter],
         pool: ProcessPoolExecutor,
         watch: Watch | None,
+        steps: int,
     ) -> None:
+        self._steps = steps
         self._document, self._parameters = document, parameters
         self._pool, self._watch = pool, watch
         self.best = (np.inf, np.zeros(len(parameters)))
-        self._count = 0
+        self.count, self._idle = 0, 0
 
     def _all(self, points: Sequence[Array]) -> Array:
         documents = [scaled(self._document, self._parameters, x) for x in points]
@@ -212,12 +224,17 @@ class _Search:
 
     def with_slope(self, x: Array) -> tuple[float, Array]:
         """The objective and its gradient (P,)."""
-        values = self._all([x, *(x + _NUDGE * np.eye(x.size))])
-        if values[0] < self.best[0]:
-            self.best = (float(values[0]), x.copy())
-        self._count += 1
+        points = [x.copy(), *(x + _NUDGE * np.eye(x.size))]
+        values = self._all(points)
+        least = int(np.argmin(values))
+        self._idle = 0 if values[least] < self.best[0] - _WORTH else self._idle + 1
+        if values[least] < self.best[0]:
+            self.best = (float(values[least]), points[least])
+        self.count += 1
         if self._watch is not None:
-            self._watch(self._count, -float(self.best[0]))
+            self._watch(self.count, -float(self.best[0]))
+        if self._idle == _IDLE or self.count == self._steps:
+            raise _EnoughError
         slope = np.where(values[1:] < _BAD, (values[1:] - values[0]) / _NUDGE, 0.0)
         return float(values[0]), slope
 

@@ -37,6 +37,10 @@ class Parameter:
         value = _follow(document, self.path)
         return float(np.exp(np.mean(np.log(np.take(value, self.entries or 0)))))
 
+    def is_positive(self, document: Document) -> bool:
+        """Whether all entries are above zero, as what is scaled must be."""
+        return bool(np.all(np.take(_follow(document, self.path), self.entries or 0) > 0.0))
+
     def scale(self, document: Document, factor: float) -> None:
         """Multiply the entries, in place."""
         parent = _follow(document, self.path[:-1])
@@ -79,7 +83,7 @@ def _six(value: Sequence[float]) -> list[float]:
 
 def learnable(document: Document, kinds: Sequence[str]) -> list[Parameter]:
     """What of an expanded document may be learned from sensors of these kinds."""
-    return [p for p in _all(document, kinds) if np.all(np.isfinite(np.log(p.of(document))))]
+    return [p for p in _all(document, kinds) if p.is_positive(document)]
 
 
 def _all(document: Document, kinds: Sequence[str]) -> Iterator[Parameter]:

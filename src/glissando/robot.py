@@ -178,7 +178,8 @@ def _unknown(table: Table) -> Unknown:
     size = SIZES[kind]
     value = table.vector("value", size, np.zeros(size), pairs=False)
     std = table.vector("std", size, np.zeros(size), positive=True)
-    memory = table.number("correlation_time", np.inf) if table.peek("correlation_time") else np.inf
+    drifts = table.peek("correlation_time") is not None
+    memory = table.number("correlation_time") if drifts else np.inf
     streams = tuple(table.texts("streams"))
     table.close()
     return Unknown(name, kind, streams, value, std, memory)

@@ -20,7 +20,7 @@ from glissando.learn import Learned, RecordingCase, learn
 from glissando.metrics import pool
 from glissando.parameters import Document, expanded, learnable
 from glissando.report import checked_window, run_estimate
-from glissando.robot import parse_robot, robot_file
+from glissando.robot import load_robot, parse_robot, robot_file
 from glissando.tables import Table, read_document
 
 _HELP = """\
@@ -62,8 +62,8 @@ def add_to(commands: Commands) -> None:
 
 def _learn(options: argparse.Namespace) -> int:
     recordings = [load_recording(folder) for folder in options.recordings]
+    load_robot(options.robot)  # which says what is wrong with it
     document = expanded(read_document(robot_file(options.robot)))
-    robot = parse_robot(Table(document, options.robot, GlissandoError))
     _require_writable(options)
     truth = options.truth or []
     if options.calibrate and not truth:
@@ -81,7 +81,6 @@ def _learn(options: argparse.Namespace) -> int:
             f"--steps {options.steps}; the numbers are: "
             f"{'; '.join(p.label for p in learnable(document, kinds))}."
         )
-    del robot
     with _watched(options.steps) as (progress, task):
         found = learn(
             document,
@@ -186,7 +185,6 @@ def _as_json(found: Learned, out: Path) -> dict[str, Any]:
         "objective_after": found.after.value,
         "degrees_of_freedom": found.before.samples,
         "steps": found.steps,
-        "message": found.message,
         "parameters": [
             {
                 "name": p.label,
@@ -217,7 +215,7 @@ def _print(found: Learned, told: dict[str, Any], out: Path) -> None:
         console.print(f"  {c.name}: " + ", ".join(f"{v:.4g}" for v in c.value), markup=False)
     console.print(
         f"{found.steps} steps; log-likelihood a degree of freedom {found.before.value:.4f} → "
-        f"{found.after.value:.4f} ({found.before.samples:,} of them). {found.message}"
+        f"{found.after.value:.4f} ({found.before.samples:,} of them)"
     )
     for held in told.get("held_out", []):
         console.print(f"held out, {held['file']}: {json.dumps(held)}", markup=False)

@@ -1,0 +1,130 @@
+"""What nodes buy: accuracy, confidence and time of both priors for growing grids.
+
+fast_contact is estimated with everything at its default but the nodes. The separable prior is one
+process however many nodes there are, so it may do with fewer. Times are processor seconds of this
+process, covariances in, as ratios to the kinematic prior on 5 × 30 Hz, so that a slow machine shows
+the same picture.
+Usage: nodes.py [FOLDER of public recordings] [--robots KINEMATIC SEPARABLE] [--runs N]
+"""
+
+import argparse
+import os
+import warnings
+from dataclasses import replace
+from itertools import product
+from pathlib import Path
+
+for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ[name] = "1"
+
+import numpy as np
+
+from glissando import NotConvergedWarning, estimate, load_robot
+from glissando.dataset import load_recording
+from glissando.metrics import errors_against, pool
+from glissando.unknowns import corrected
+
+DATA = Path("../shared/data/spacetime")
+RECORDING, WINDOW = "fast_contact", (10.0, 20.0)
+ROBOTS = ("tdcr466", "tdcr466-segments")  # kinematic, separable
+ARCLENGTH = (3, 5, 9)
+RATES = (5.0, 10.0, 15.0, 20.0, 30.0)
+REFERENCE = (5, 30.0)
+MIDDLE = 0.233  # m, where the two segments meet: a node of all grids
+CLAIM = 3.0  # times the kinematic prior's time that the separable one may take
+AT_NODES = np.linspace(*WINDOW, 51)  # of every rate here
+BETWEEN = np.linspace(*WINDOW, 241)
+
+
+def on_nodes(robot, nodes, rate):
+    """The robot on another grid, which keeps its joint a node."""
+    arclength = np.linspace(0.0, robot.length, nodes)
+    if np.abs(arclength - MIDDLE).min() > 1e-9:
+        raise SystemExit(f"{nodes} nodes along the robot leave out its joint at {MIDDLE:g} m.")
+    return replace(robot, arclength_nodes=arclength, time_rate=rate)
+
+
+def solved(robot, recording):
+    """The posterior of the window with the robot's settings."""
+    use, _ = recording.choose(None, None)
+    readings, _ = recording.readings(use, robot, WINDOW)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotConvergedWarning)
+        return estimate(robot.prior, robot.grid(*WINDOW), readings, unknowns=robot.unknowns)
+
+
+def judged(posterior, robot, known, recording):
+    """Position RMSE (m), coverage, and rms position std (m) at mid-length, at nodes and between."""
+    _, truth = recording.choose(None, None)
+    judges, _ = recording.readings(truth, robot, WINDOW, as_truth=True)
+    errors = pool([errors_against(posterior, corrected(t, known)) for t in judges]).summary()
+    found = (posterior.at(MIDDLE, times).cov[:, :3, :3] for times in (AT_NODES, BETWEEN))
+    stds = [np.sqrt(np.mean(np.trace(cov, axis1=1, axis2=2))) for cov in found]
+    return errors["position_rmse"], errors["coverage95_position"], *stds
+
+
+def row(robot, nodes, rate, numbers, solve, unit):
+    """A row of the table; `unit` is the processor time that counts as 1."""
+    rmse, inside, at_nodes, between = numbers
+    seconds = solve.seconds["total"]
+    done = f"{solve.iterations}" + ("" if solve.converged else " (not converged)")
+    return (
+        f"| {robot.name} | {nodes} × {rate:g} Hz | {solve.unknowns:,} | {1e3 * rmse:.2f} | "
+        f"{100 * inside:.0f} % | {1e3 * at_nodes:.2f} | {1e3 * between:.2f} | "
+        f"{seconds / unit:.2f} | {done} | "
+        f"{seconds / solve.iterations / unit:.3f} |"
+    )
+
+
+def compare(robots, recording, runs):
+    """Solves of both priors on the reference grid, in turns; each with the median of times."""
+    found = [
+        [solved(on_nodes(r, *REFERENCE), recording).solve for r in robots] for _ in range(runs)
+    ]
+    medians = np.median([[s.seconds["total"] for s in pair] for pair in found], axis=0)
+    return found[0], medians
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", nargs="?", default=DATA, type=Path)
+    parser.add_argument("--robots", nargs=2, default=ROBOTS, metavar=("KINEMATIC", "SEPARABLE"))
+    parser.add_argument("--runs", type=int, default=3)
+    options = parser.parse_args()
+    if not (options.folder / RECORDING).is_dir():
+        print(f"Skipped: there is no public recording {RECORDING} in {options.folder}.")
+        return
+    recording = load_recording(options.folder / RECORDING)
+    robots = [load_robot(name) for name in options.robots]
+    known = robots[1].unknowns  # of the truth: both are judged by the same
+
+    (one, other), medians = compare(robots, recording, options.runs)
+    unit, ratio = medians[0], medians[1] / medians[0]
+    each = ratio * one.iterations / other.iterations
+    print(
+        f"{RECORDING} {WINDOW[0]:g}-{WINDOW[1]:g} s on {REFERENCE[0]} × {REFERENCE[1]:g} Hz, "
+        f"medians of {options.runs} runs in turns: {robots[0].name} {medians[0]:.2f} s "
+        f"({one.iterations} it.), {robots[1].name} {medians[1]:.2f} s ({other.iterations} it.): "
+        f"{ratio:.2f} times as long an estimate, {each:.2f} times an iteration; "
+        f"{'within' if ratio <= CLAIM else 'NOT within'} {CLAIM:g}.\n"
+    )
+    heads = (
+        "robot",
+        "grid",
+        "unknowns",
+        "position (mm)",
+        "inside 95 %",
+        "std at mid-length, at nodes (mm)",
+        "anywhere (mm)",
+    )
+    heads += ("time", "iterations", "time an iteration")
+    print("|", " | ".join(heads), "|")
+    print("|" + "---|" * len(heads))
+    for robot, nodes, rate in product(robots, ARCLENGTH, RATES):
+        posterior = solved(on_nodes(robot, nodes, rate), recording)
+        numbers = judged(posterior, robot, known, recording)
+        print(row(robot, nodes, rate, numbers, posterior.solve, unit), flush=True)
+
+
+if __name__ == "__main__":
+    main()
