@@ -9,7 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-SECTIONS = ("invariance",)
+SECTIONS = ("invariance", "shapes")
 
 TEXT = """\
 # Is confidence true? Measured
@@ -22,6 +22,10 @@ A still robot with a coil at its tip: standard deviation of position at mid-leng
 mid-recording, and its change when something is doubled that tells nothing new there.
 
 {invariance}
+
+## Shapes of a physics that is not ours
+
+{shapes}
 """
 
 

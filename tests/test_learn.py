@@ -1,4 +1,4 @@
-"""Learning robot files: what is scaled, what is judged, what is found."""
+"""Learning robot files: what is moved, what is judged, what is found."""
 
 import json
 import subprocess
@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from glissando import GlissandoError, cli, estimate, load_robot, se3, uniform_grid
+from glissando import GlissandoError, cli, estimate, load_robot, predictive, se3, uniform_grid
 from glissando import learn as learning
 from glissando.learn import learn
-from glissando.parameters import Parameter, expanded, learnable, scaled
+from glissando.parameters import Parameter, expanded, learnable, moved
 from glissando.predictive import constants_of, predict
 from glissando.robot import parse_robot, robot_file, shipped_robots
 from glissando.sensors import ROWS, PoseReadings
@@ -109,7 +109,10 @@ def test_writing_pairs_out_leaves_a_robot_as_it_was(name):
         np.testing.assert_array_equal(value, other)
     for kind, std in given.sensor_std.items():
         np.testing.assert_array_equal(std, written.sensor_std[kind])
-    assert [vars(u) for u in given.unknowns] == [vars(u) for u in written.unknowns]
+    for one, other in zip(given.unknowns, written.unknowns, strict=True):
+        assert {k: str(v) for k, v in vars(one).items()} == {
+            k: str(v) for k, v in vars(other).items()
+        }
 
 
 @pytest.mark.parametrize("name", shipped_robots())
@@ -117,14 +120,17 @@ def test_every_learnable_number_of_a_shipped_robot_is_scaled_alone_and_parsed_ag
     document = expanded(shipped(name))
     numbers = learnable(document, list(ROWS))
     assert len({p.label for p in numbers}) == len(numbers) > 5
-    assert scaled(document, numbers, np.zeros(len(numbers))) == document
+    assert moved(document, numbers, np.zeros(len(numbers))) == document
     before = np.array([p.of(document) for p in numbers])
     for i in range(len(numbers)):
         x = np.zeros(len(numbers))
         x[i] = 0.7
-        there = scaled(document, numbers, x)
+        there = moved(document, numbers, x)
         after = np.array([p.of(there) for p in numbers])
-        np.testing.assert_allclose(after, before * np.exp(x), rtol=1e-12)
+        expected = before * np.exp(x)
+        if numbers[i].unit is not None:
+            expected[i] = before[i] + 0.7 * numbers[i].unit
+        np.testing.assert_allclose(after, expected, rtol=1e-12)
         assert there != document
         parsed(there)
 
@@ -135,7 +141,7 @@ def test_a_factor_acts_on_the_named_entries_only():
     number = Parameter("number", ("prior", "scale"), ())
     assert some.of(document) == pytest.approx(np.sqrt(8.0))
     assert number.of(document) == pytest.approx(5.0)
-    there = scaled(document, [some, number], np.log([10.0, 2.0]))
+    there = moved(document, [some, number], np.log([10.0, 2.0]))
     assert there["prior"]["psd"] == pytest.approx([1.0, 20.0, 3.0, 40.0])
     assert there["prior"]["scale"] == pytest.approx(10.0)
     assert there["other"] == [1.0]
@@ -175,7 +181,7 @@ def test_foretelling_truth_better_is_what_truth_is_for(in_process):
     numbers = of_label(document, "pose noise")
     found = learn(document, numbers, [Arc(judged=True)], steps=3, watch=lambda *a: told.append(a))
     assert found.after.value > found.before.value + 0.1
-    assert found.before.samples == 6 * 6
+    assert found.before.samples == 3 * 6  # of six times 0.2 s apart, those half a second apart
     assert [step for step, _ in told] == list(range(1, len(told) + 1))
     values = [value for _, value in told]
     assert values == sorted(values)
@@ -229,7 +235,8 @@ def posterior_of_the_arc():
 TIMES = np.linspace(0.0, 1.0, 6)
 
 
-def test_the_score_is_the_gaussian_log_likelihood():
+def test_the_score_is_the_gaussian_log_likelihood(monkeypatch):
+    monkeypatch.setattr(predictive, "_APART", 0.1)
     posterior = posterior_of_the_arc()
     std = np.r_[1e-3, 2e-3, 1e-3, 1e-2, 2e-2, 1e-2]
     truth = [

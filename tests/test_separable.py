@@ -60,6 +60,7 @@ PROCESS = {
     "time_scale": SCALE,
     "rest_strain": REST,
 }
+UNBENT = np.zeros((2, M, 12))
 
 
 def separable(**changes):
@@ -212,9 +213,10 @@ def test_the_point_inside_an_interval_has_its_jacobians(seed):
     start, end, step = intervals(rng)
     move, offset = both_moved(start, end), step * rng.uniform(size=M)
     gain = 0.3 * rng.standard_normal((M, 12, 12))
-    _, j0, j1 = interval_between(start, end, step, offset, gain)
+    rest = sixes(rng, M, 4, reach=0.01).reshape(2, M, 12)
+    _, j0, j1 = interval_between(start, end, step, offset, gain, rest)
     slope_test(
-        lambda both: interval_between(*move(both), step, offset, gain)[0],
+        lambda both: interval_between(*move(both), step, offset, gain, rest)[0],
         np.concatenate([j0, j1], axis=-1),
         difference=State.difference,
     )
@@ -238,8 +240,8 @@ def test_rates_are_derivatives_in_time(seed):
     before, behind = (interval_error(*e, step)[0][:, :12] for e in ends)
     np.testing.assert_allclose(error[:, 12:], (behind - before) / (2 * wait), atol=1e-7)
 
-    at = interval_between(start, end, step, offset, gain)[0]
-    before, behind = (interval_between(*e, step, offset, gain)[0] for e in ends)
+    at = interval_between(start, end, step, offset, gain, UNBENT)[0]
+    before, behind = (interval_between(*e, step, offset, gain, UNBENT)[0] for e in ends)
     moved = behind.difference(before)[:, :12] / (2 * wait)
     np.testing.assert_allclose(at.velocity, moved[:, :6], atol=1e-7)
     np.testing.assert_allclose(at.strain_rate, moved[:, 6:], atol=1e-7)
@@ -261,8 +263,8 @@ def test_an_end_built_from_an_error_has_that_error(rng):
 def test_a_point_inside_runs_from_one_end_to_the_other(rng):
     start, end, step = intervals(rng)
     eye = np.broadcast_to(np.eye(12), (M, 12, 12))
-    first = interval_between(start, end, step, 0.0 * step, 0.0 * eye)[0]
-    last = interval_between(start, end, step, step, eye)[0]
+    first = interval_between(start, end, step, 0.0 * step, 0.0 * eye, UNBENT)[0]
+    last = interval_between(start, end, step, step, eye, UNBENT)[0]
     assert np.abs(first.difference(start)).max() < 1e-12
     assert np.abs(last.difference(end)).max() < 1e-12
 

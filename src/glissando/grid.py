@@ -54,7 +54,8 @@ class Grid:
 
     A node (k, n) stands for the time span `time_spans[k]` and the arclength span
     `arclength_spans[n]`; prior densities are divided by them. A grid of a single time (a static
-    shape) or a single arclength gives that direction span 1.
+    shape) or a single arclength gives that direction span 1. A grid that continues another says
+    which time node came `before` its first.
 
     >>> Grid([0.0, 0.5, 1.0], [0.0, 0.1]).arclength_spans
     array([0.25, 0.5 , 0.25])
@@ -62,10 +63,11 @@ class Grid:
 
     arclength: Array
     time: Array
+    before: float | None = None
     arclength_spans: Array = field(init=False, repr=False)
     time_spans: Array = field(init=False, repr=False)
 
-    def __init__(self, arclength: ArrayLike, time: ArrayLike) -> None:
+    def __init__(self, arclength: ArrayLike, time: ArrayLike, before: float | None = None) -> None:
         for name, given in (("arclength", arclength), ("time", time)):
             nodes = np.atleast_1d(np.asarray(given, dtype=float))
             if nodes.ndim != 1 or nodes.size == 0 or not np.all(np.isfinite(nodes)):
@@ -78,6 +80,13 @@ class Grid:
                 )
             object.__setattr__(self, name, nodes)
             object.__setattr__(self, f"{name}_spans", _spans(nodes))
+        object.__setattr__(self, "before", before)
+        if before is not None:
+            if not before < self.time[0]:
+                raise OutsideGridError(
+                    f"The node before the grid, {before:g} s, must lie before {self.time[0]:g} s."
+                )
+            object.__setattr__(self, "time_spans", _spans(np.append(before, self.time))[1:])
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -70,17 +70,18 @@ def interval_error(start: State, end: State, step: Array) -> tuple[Array, Array,
 
 
 def interval_between(
-    start: State, end: State, step: Array, offset: Array, gain: Array
+    start: State, end: State, step: Array, offset: Array, gain: Array, rest: tuple[Array, Array]
 ) -> tuple[State, Array, Array]:
     """State at `offset` into intervals and its Jacobians (M, 24, 24) at both ends.
 
-    T(u) = T₀ exp(u ε₀) exp(δ) with [δ; δε] = gain r, `gain` (M, 12, 12) constant; velocity and
-    strain rate are its derivatives in time. Source: equations (2') and (10).
+    T(u) = T₀ exp(u ε₀) exp(δ) with [δ; δε] = r̄(u) + gain (r − r̄), `gain` (M, 12, 12) and `rest`,
+    the errors r̄ and r̄(u) (M, 12) at rest, constant; velocity and strain rate are its derivatives
+    in time. Source: equations (2') and (10).
     """
     rate0 = strain_rate_of(start)
     error, e0, e1 = interval_error(start, end, step)
     shape = error.shape[:-1]
-    still, moving = _apply(gain, error[..., :12]), _apply(gain, error[..., 12:])
+    still, moving = _apply(gain, error[..., :12] - rest[0]) + rest[1], _apply(gain, error[..., 12:])
     delta, delta_rate = still[..., :6], moving[..., :6]
     d0, d1 = (
         (gain[..., None, :, :] @ e.reshape(*shape, 2, 12, RATED)).reshape(e.shape) for e in (e0, e1)

@@ -17,7 +17,8 @@ from glissando.grid import Grid, Index
 from glissando.linear import Factors, Residuals
 from glissando.noise import pair_sqrt_information, sqrt_information
 from glissando.points import Interpolation, Points
-from glissando.prior import STRAIGHT, by_interval, interval_strain, is_soft, soften
+from glissando.prior import by_interval, interval_strain, is_soft, soften
+from glissando.rest import STRAIGHT
 from glissando.se3 import Array
 from glissando.state import DOF, POSE, STRAIN, VELOCITY, State, rest_state
 from glissando.steps import ARCLENGTH, TIME, Direction, between, carried_error, pair_error

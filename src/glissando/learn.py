@@ -24,7 +24,7 @@ from glissando.dataset import Recording
 from glissando.errors import GlissandoError, NotConvergedWarning, RecordingError
 from glissando.estimate import Options, estimate
 from glissando.grid import Grid
-from glissando.parameters import Document, Parameter, scaled
+from glissando.parameters import Document, Parameter, moved
 from glissando.posterior import Posterior
 from glissando.predictive import constants_of, predict
 from glissando.readings import Readings
@@ -192,7 +192,7 @@ def learn(
             )  # fmt: skip
         best = search.best[1]
         std = search.spread(best, before.samples)
-    learned = scaled(document, parameters, best)
+    learned = moved(document, parameters, best)
     after = judge.score(learned)
     return Learned(learned, parameters, best, std, before, after, search.count)
 
@@ -219,7 +219,7 @@ class _Search:
         self.count, self._idle = 0, 0
 
     def _all(self, points: Sequence[Array]) -> Array:
-        documents = [scaled(self._document, self._parameters, x) for x in points]
+        documents = [moved(self._document, self._parameters, x) for x in points]
         return np.array(list(self._pool.map(_tried, documents)))
 
     def with_slope(self, x: Array) -> tuple[float, Array]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,15 +61,23 @@ class Factors:
     terms: Residuals
     extras: Array | None = None
 
-    def whitened(self) -> tuple[Array, Array]:
-        """Residual (M, r) and Jacobian (M, r, c·d + 2 E), whitened and robustly weighted."""
+    def take(self, rows: NDArray[np.bool_]) -> Factors:
+        """Those of the factors."""
+        terms = replace(
+            self.terms, residual=self.terms.residual[rows], sqrt_info=self.terms.sqrt_info[rows]
+        )
+        extras = None if self.extras is None else self.extras[rows]
+        return Factors(self.nodes[rows], self.dofs, self.jacobian[rows], terms, extras)
+
+    def whitened(self, *, robust: bool = True) -> tuple[Array, Array]:
+        """Residual (M, r) and Jacobian (M, r, c·d + 2 E), whitened; robustly weighted or not."""
         m, r, c, d = self.jacobian.shape
         residual = self.terms.whiten(self.terms.residual)
         jacobian = self.jacobian.reshape(m, r, c * d)
         if self.extras is not None:
             jacobian = np.concatenate([jacobian, self.extras], axis=-1)
         jacobian = self.terms.sqrt_info @ jacobian
-        if self.terms.loss is not None:
+        if robust and self.terms.loss is not None:
             scale = np.sqrt(self.terms.robust_weights())
             residual, jacobian = residual * scale[:, None], jacobian * scale[:, None, None]
         return residual, jacobian

@@ -23,33 +23,40 @@ _RATES = ("psd_velocity_time", "psd_velocity_arclength")
 
 @dataclass(frozen=True)
 class Parameter:
-    """Entries of one vector (or a number) of a robot file that are scaled together.
+    """Entries of one vector (or a number) of a robot file that are scaled, or shifted, together.
 
-    `path` leads to the vector, `entries` are those of it that are meant, none for a number.
+    `path` leads to the vector, `entries` are those of it that are meant, none for a number. With a
+    `unit` they are shifted by so much, and may have either sign.
     """
 
     label: str
     path: tuple[str | int, ...]
     entries: tuple[int, ...]
+    unit: float | None = None
 
     def of(self, document: Document) -> float:
-        """The number, or the geometric mean of the entries."""
+        """The number, or the mean of the entries: geometric where they are scaled."""
         value = _follow(document, self.path)
+        if self.unit is not None:
+            return float(np.mean(np.take(value, self.entries)))
         return float(np.exp(np.mean(np.log(np.take(value, self.entries or 0)))))
 
-    def is_positive(self, document: Document) -> bool:
+    def is_sound(self, document: Document) -> bool:
         """Whether all entries are above zero, as what is scaled must be."""
-        return bool(np.all(np.take(_follow(document, self.path), self.entries or 0) > 0.0))
+        value = np.take(_follow(document, self.path), self.entries or 0)
+        return self.unit is not None or bool(np.all(value > 0.0))
 
-    def scale(self, document: Document, factor: float) -> None:
-        """Multiply the entries, in place."""
+    def move(self, document: Document, x: float) -> None:
+        """Multiply the entries by exp(x), or add x units, in place."""
+        factor = float(np.exp(x))
         parent = _follow(document, self.path[:-1])
         if not self.entries:
             parent[self.path[-1]] = float(parent[self.path[-1]] * factor)
             return
         vector = parent[self.path[-1]]
         for i in self.entries:
-            vector[i] = float(vector[i] * factor)
+            moved = vector[i] * factor if self.unit is None else vector[i] + x * self.unit
+            vector[i] = float(moved)
 
 
 def _follow(document: Any, path: Sequence[str | int]) -> Any:
@@ -83,11 +90,12 @@ def _six(value: Sequence[float]) -> list[float]:
 
 def learnable(document: Document, kinds: Sequence[str]) -> list[Parameter]:
     """What of an expanded document may be learned from sensors of these kinds."""
-    return [p for p in _all(document, kinds) if p.is_positive(document)]
+    return [p for p in _all(document, kinds) if p.is_sound(document)]
 
 
 def _all(document: Document, kinds: Sequence[str]) -> Iterator[Parameter]:
     prior = document["prior"]
+    yield from _rest(document)
     if "time_scale" in prior:
         yield Parameter("time scale", ("prior", "time_scale"), ())
     for table in ("prior", "base"):
@@ -120,9 +128,22 @@ def _all(document: Document, kinds: Sequence[str]) -> Iterator[Parameter]:
                 yield Parameter(f"{unknown['name']} spread {part}".strip(), to, entries)
 
 
-def scaled(document: Document, parameters: Sequence[Parameter], x: Array) -> Document:
-    """A copy of an expanded document with every parameter times exp of its number."""
+def _rest(document: Document) -> Iterator[Parameter]:
+    """Curvature of the shape at rest, where it is given by segment."""
+    for key, unit, label in (
+        ("rest_strain", 1.0, "rest curvature"),
+        ("rest_slope", 5.0, "rest curvature's slope"),
+    ):
+        rows = document.get(key, [])
+        if rows and isinstance(rows[0], list):
+            for row in range(len(rows)):
+                for axis, entry in (("x", 3), ("y", 4)):
+                    yield Parameter(f"{label} {row + 1}, {axis}", (key, row), (entry,), unit)
+
+
+def moved(document: Document, parameters: Sequence[Parameter], x: Array) -> Document:
+    """A copy of an expanded document with every parameter moved by its number."""
     out = copy.deepcopy(document)
     for parameter, value in zip(parameters, x, strict=True):
-        parameter.scale(out, float(np.exp(value)))
+        parameter.move(out, float(value))
     return out

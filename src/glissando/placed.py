@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -42,7 +42,8 @@ class PlacedReadings:
     """All readings, sorted by block of time and by the part of a cell they fall in.
 
     Readings of all sensors that touch equally many nodes are interpolated together. `unknowns` of
-    sensors shift them by `values` (K, E). Raises OutsideGridError for readings off the grid.
+    sensors shift them by `values` (K, E); those that no sensor has are left out unless `keep_all`.
+    Raises OutsideGridError for readings off the grid.
     """
 
     def __init__(
@@ -51,11 +52,13 @@ class PlacedReadings:
         readings: Sequence[Readings],
         unknowns: Sequence[Unknown] = (),
         values: Array | None = None,
+        *,
+        keep_all: bool = False,
     ) -> None:
         self.grid = grid
         self.blocks = blocks_of_time(grid)
         self._given = [r for r in readings if len(r)]
-        used = [u for u in unknowns if any(r.name in u.streams for r in self._given)]
+        used = [u for u in unknowns if keep_all or any(r.name in u.streams for r in self._given)]
         self.unknowns = Unknowns(grid, used)
         self.values = self.unknowns.expected() if values is None else values
         for r in self._given:
@@ -113,8 +116,7 @@ class PlacedReadings:
             for unknown, at in self._of(readings):
                 if unknown.moves:
                     readings = unknown.shift(readings, now[:, at])
-        return replace(
-            readings,
+        return readings.changed(
             arclength=np.clip(readings.arclength, grid.arclength[0], grid.arclength[-1]),
             time=np.clip(readings.time, grid.time[0], grid.time[-1]),
         )
@@ -218,7 +220,7 @@ def slope(prior: Prior, grid: Grid, state: State, readings: Readings, way: str) 
     here, ends = getattr(readings, way), []
     for sign in (1.0, -1.0):
         there = np.clip(here + sign * nudge, nodes[0], nodes[-1])
-        moved = replace(readings, **{way: there})
+        moved = readings.changed(**{way: there})
         ends.append((there, states_at(prior, grid, state, moved.arclength, moved.time)))
     (ahead, high), (behind, low) = ends
     out: Array = high.difference(low) / (ahead - behind)[:, None]

@@ -142,15 +142,7 @@ class Posterior:
         (m, c), dof = nodes.shape, self.state.dof
         at = (inner[:, :, None] * dof + np.arange(dof)).reshape(m, c * dof)
         slab = np.repeat(slab, dof, axis=1)
-        k0, k1 = slab[:, :, None], slab[:, None, :]
-        row, column = at[:, :, None], at[:, None, :]
-        cov = self.marginals.cov[k0, row, column]
-        if np.all(slab == slab[:, :1]):
-            return cov
-        swap = k0 > k1
-        low = np.minimum(np.minimum(k0, k1), len(self.marginals.cross) - 1)
-        cross = self.marginals.cross[low, np.where(swap, column, row), np.where(swap, row, column)]
-        return np.where(k0 == k1, cov, cross)
+        return self.marginals.joint(slab, at)
 
     def sample(self, rng: np.random.Generator, size: int = 1) -> State:
         """Joint draws of the whole motion at the nodes, leading shape (size, K, N)."""

@@ -17,10 +17,10 @@ from glissando.se3 import Array
 from glissando.state import State
 from glissando.unknowns import SIZES, Unknown, corrected
 
-_LOOSE = {"world": (0.02, 0.1), "mount": (0.02, 0.2)}  # m, rad: how far off a constant may be
+_LOOSE = {"world": (0.005, 0.03), "mount": (0.005, 0.05)}  # m, rad: how far off it may be
 _ROUNDS = 2  # Gauss-Newton steps towards the constants; they begin where the last try ended
 _NUDGE = 1e-6
-_MOST = 150  # samples judged a stream: neighbours are much alike
+_APART = 0.5  # s between samples that are judged: closer ones are much alike
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ def predict(
     posterior: Posterior, truth: Sequence[Readings], constants: Sequence[Unknown], *, free: bool
 ) -> Prediction:
     """Judge a posterior by truth streams; with `free` the constants are calibrated, else held."""
-    sparse = [t.select(slice(None, None, -(-len(t) // _MOST))) for t in truth if len(t)]
+    sparse = [_apart(t) for t in truth if len(t)]
     found = [posterior.at(t.arclength, t.time) for t in sparse]
     constants = tuple(constants)
     for _ in range(_ROUNDS * free):
@@ -54,6 +54,13 @@ def predict(
     total = sum(float(np.sum(cost)) for cost, _ in terms)
     count = sum(size for _, size in terms)
     return Prediction(-total / max(count, 1), count, constants)
+
+
+def _apart(truth: Readings) -> Readings:
+    """The first sample of every stretch of time; all that share one moment."""
+    stretch = np.floor(truth.time / _APART)
+    begins = truth.time[np.append(True, np.diff(stretch) > 0.0)]
+    return truth.select(np.isin(truth.time, begins))
 
 
 def _normalised(truth: Readings, at: Estimate, constants: Sequence[Unknown]) -> tuple[Array, int]:

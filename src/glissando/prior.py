@@ -17,8 +17,6 @@ from glissando.state import State
 Spread = tuple[Array, Array]
 """Of intervals: the density of strain (…, 6) inside them, and the variance (…, 6) of its jump."""
 
-STRAIGHT = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
-
 _SOFT = 0.022**2  # m², of strain density over curvature density
 _STIFF = 10.0  # times softer than a prior must be to be worth a start of its own
 

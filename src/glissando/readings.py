@@ -7,7 +7,8 @@ checked. Every reading has its own time and arclength: sliding is the normal cas
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from copy import copy
+from dataclasses import dataclass, field
 from typing import ClassVar, Self
 
 import numpy as np
@@ -109,7 +110,31 @@ class Readings:
         for name, single in (("cov", 2), ("mount", 2), ("arclength_std", 0)):
             value = getattr(self, name)
             kept[name] = value[rows] if value.ndim > single else value
-        return replace(self, **kept)
+        return self.changed(**kept)
+
+    def changed(self, **fields: Array) -> Self:
+        """The readings with other fields, taken to be sound: checking would cost more than use."""
+        out = copy(self)
+        for name, value in fields.items():
+            object.__setattr__(out, name, value)
+        return out
+
+    def joined(self, other: Self) -> Self:
+        """These readings, then those of the same sensor."""
+        kept = {
+            name: np.concatenate([getattr(self, name), getattr(other, name)])
+            for name in (*_EACH, *self.per_reading)
+        }
+        for name, single in (("cov", 2), ("mount", 2), ("arclength_std", 0)):
+            mine, its = getattr(self, name), getattr(other, name)
+            if mine.ndim == its.ndim == single and np.array_equal(mine, its):
+                continue
+            both = [
+                np.broadcast_to(value, (len(part), *value.shape[value.ndim - single :]))
+                for part, value in ((self, mine), (other, its))
+            ]
+            kept[name] = np.concatenate(both)
+        return self.changed(**kept)
 
     def inside(self, grid: Grid) -> Self:
         """The readings whose arclength and time lie on the grid."""

@@ -12,7 +12,7 @@ from glissando.errors import OutsideGridError, RobotFileError
 from glissando.grid import Grid
 from glissando.kinematic import BaseDensity, KinematicPrior
 from glissando.noise import GemanMcClure, Huber, Loss
-from glissando.prior import STRAIGHT
+from glissando.rest import STRAIGHT
 from glissando.se3 import Array
 from glissando.sensors import ROWS
 from glissando.separable import BaseVariance, SeparablePrior
@@ -133,12 +133,12 @@ def _missing(joints: Array, nodes: Array) -> Array:
 
 def _prior(table: Table) -> KinematicPrior | SeparablePrior:
     """The prior, of the kind its table says, with the base it starts from."""
-    rest_strain = table.vector("rest_strain", 6, STRAIGHT)
     prior = table.table("prior", required=True)
     assert prior is not None
     kind = prior.text("kind", choices=["kinematic", "separable"])
     joints, psd = _segments(prior)
-    common: dict[str, Any] = {"psd_strain_arclength": psd, "rest_strain": rest_strain}
+    rest = _rest(table, kind, len(joints) + 1)
+    common: dict[str, Any] = {"psd_strain_arclength": psd, **rest}
     if joints.size:
         name = "psd_jumps" if kind == "kinematic" else "var_jumps"
         common |= {"joints": joints, "jumps": prior.rows(name, joints.size, 6, positive=False)}
@@ -160,6 +160,25 @@ def _prior(table: Table) -> KinematicPrior | SeparablePrior:
         base.close()
     prior.close()
     return made
+
+
+def _rest(table: Table, kind: str, segments: int) -> dict[str, Array]:
+    """The rest strain, and its slope where it is given; of each segment, or (6,) of the body."""
+    found = {}
+    varies = isinstance(table.peek("rest_strain"), list) and any(
+        isinstance(row, list) for row in table.peek("rest_strain")
+    )
+    if kind == "kinematic" and (varies or table.peek("rest_slope") is not None):
+        raise table.fail(
+            "rest_strain", 'varies along the body, which takes [prior] kind = "separable".'
+        )
+    for key in ("rest_strain", "rest_slope"):
+        value = table.peek(key)
+        if isinstance(value, list) and value and isinstance(value[0], list):
+            found[key] = table.rows(key, segments, 6, positive=False, signed=True)
+        elif key == "rest_strain" or value is not None:
+            found[key] = table.vector(key, 6, STRAIGHT)
+    return found
 
 
 def _segments(prior: Table) -> tuple[Array, Array]:

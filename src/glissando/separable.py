@@ -26,9 +26,10 @@ from glissando.intervals import (
 from glissando.linear import Factors, Residuals
 from glissando.noise import pair_sqrt_information
 from glissando.points import Interpolation, Points
-from glissando.prior import STRAIGHT, by_interval, interval_strain, is_soft, soften
+from glissando.prior import by_interval, interval_strain, is_soft, soften
+from glissando.rest import STRAIGHT, RestShape
 from glissando.se3 import Array
-from glissando.state import DOF, POSE, STRAIN, STRAIN_RATE, VELOCITY, State, rest_state
+from glissando.state import DOF, POSE, STRAIN, STRAIN_RATE, VELOCITY, State
 from glissando.steps import TIME, pair_between
 from glissando.transitions import Bridge, bridge, process_covariances, transition
 
@@ -52,7 +53,9 @@ class SeparablePrior:
     variance per metre; `time_scale` ℓ in seconds is how long a shape is remembered; `base` says how
     far pose and strain at s = 0 stray from `base_pose` (4, 4) and `rest_strain` (6,). A robot of S
     segments gives densities (S, 6), the `joints` (S−1,) between them in metres, and `jumps`
-    (S−1, 6), variances of the strain's jump there. Source: equations (6) to (9).
+    (S−1, 6), variances of the strain's jump there; it may be curved at rest, with the strain
+    `rest_strain` (S, 6) where each segment begins and its change per metre `rest_slope` (S, 6).
+    Source: equations (6) to (9).
     """
 
     psd_strain_arclength: Array
@@ -62,6 +65,14 @@ class SeparablePrior:
     base_pose: Array = field(default_factory=lambda: np.eye(4))
     joints: Array = field(default_factory=lambda: np.zeros(0))
     jumps: Array = field(default_factory=lambda: np.zeros((0, 6)))
+    rest_slope: Array = field(default_factory=lambda: np.zeros(6))
+
+    @property
+    def rest(self) -> RestShape:
+        """The shape at rest."""
+        given = np.atleast_2d(self.rest_strain), np.atleast_2d(self.rest_slope)
+        strain, slope = np.broadcast_arrays(*given)
+        return RestShape(strain, slope, self.joints if len(strain) > 1 else np.zeros(0))
 
     @property
     def fixes_base(self) -> bool:
@@ -78,8 +89,10 @@ class SeparablePrior:
 
     def rest_state(self, grid: Grid) -> State:
         """The robot at rest on the grid, from which an estimate starts."""
-        at_rest = rest_state(grid, self.base_pose, self.rest_strain)
-        return replace(at_rest, strain_rate=np.zeros_like(at_rest.strain))
+        rest, still = self.rest, np.zeros((*grid.shape, 6))
+        pose = np.broadcast_to(rest.poses(self.base_pose, grid.arclength), (*grid.shape, 4, 4))
+        strain = np.broadcast_to(rest.at(grid.arclength), still.shape)
+        return State(pose.copy(), strain.copy(), still, still.copy())
 
     def bent(self, grid: Grid, state: State, step: Array) -> State:
         """The state moved by `step` (K, N, 24) interval by interval from the base outwards.
@@ -108,15 +121,17 @@ class SeparablePrior:
         touched = slice(times.start, min(times.stop + 1, k_count))
         here, steps = node[touched], np.diff(grid.time[touched])
         local = state.take(touched)
-        yield from self._chain(times.start == 0, steps, here[:, :1, None], *self._base(local))
+        first = times.start == 0 and grid.before is None
+        yield from self._chain(first, steps, here[:, :1, None], *self._base(local))
         if n_count == 1:
             return
         ends = local.take(np.s_[:, :-1]), local.take(np.s_[:, 1:])
         step = np.broadcast_to(np.diff(grid.arclength), (len(here), n_count - 1))
         error, *jacobians = interval_error(*ends, step)
+        error[..., :12] -= self.rest.interval_errors(grid.arclength)
         cov = self._interval_covariances(grid, about.take(touched))[1]
         yield from self._chain(
-            times.start == 0,
+            first,
             steps,
             np.stack([here[:, :-1], here[:, 1:]], axis=2),
             error,
@@ -141,7 +156,7 @@ class SeparablePrior:
         spread = se3.right_jacobian_inverse(xi)
         xi_rate = np.einsum("...ij,...j->...i", spread, at.velocity)
         error = np.concatenate(
-            [xi, at.strain - self.rest_strain, xi_rate, strain_rate_of(at)], axis=-1
+            [xi, at.strain - self.rest.at(np.zeros(1)), xi_rate, strain_rate_of(at)], axis=-1
         )
         jacobian = np.zeros((*xi.shape[:2], RATED, 1, RATED))
         jacobian[..., :6, 0, POSE] = jacobian[..., 12:18, 0, VELOCITY] = spread
@@ -206,13 +221,14 @@ class SeparablePrior:
         k = t.lower if points.inside_time else t.lower + (t.offset >= t.step) * (t.step > 0.0)
         n = s.lower if points.inside_arclength else s.lower + (s.offset >= s.step) * (s.step > 0.0)
         crossing = self._crossing(grid, about, k, s) if points.inside_arclength else None
+        rest = self._rest_within(grid, s)
 
         if not points.inside_time:
-            at, nodes, jacobian = _at_times(state, k, n, s, crossing)
+            at, nodes, jacobian = _at_times(state, k, n, s, crossing, rest)
             at, jacobian, time_left = replace(at, strain_rate=None), jacobian[:, :DOF], None
         else:
-            early, late = (_at_times(state, k + i, n, s, crossing) for i in (0, 1))
-            at, j0, j1, time_left = self._along_time(early[0], late[0], t)
+            early, late = (_at_times(state, k + i, n, s, crossing, rest) for i in (0, 1))
+            at, j0, j1, time_left = self._along_time(early[0], late[0], t, points.arclength)
             jacobian = np.concatenate([_chained(j0, early[2]), _chained(j1, late[2])], axis=2)
             nodes = np.concatenate([early[1], late[1]], axis=1)
         left = np.zeros((k.size, RATED, RATED))
@@ -231,15 +247,22 @@ class SeparablePrior:
         rate = interval_strain(*ends, s.step, (psd, jump))
         return bridge(rate, s.step, s.offset, psd, psd, jump, rigid=False)
 
-    def _along_time(self, early: State, late: State, t: Cells) -> tuple[State, Array, Array, Array]:
+    def _rest_within(self, grid: Grid, s: Cells) -> tuple[Array, Array]:
+        """Errors (M, 12) at rest of the intervals `s`, and of their parts up to the points."""
+        whole = self.rest.interval_errors(grid.arclength)[np.minimum(s.lower, grid.shape[1] - 2)]
+        return whole, self.rest.error(grid.arclength[s.lower], s.offset)
+
+    def _along_time(
+        self, early: State, late: State, t: Cells, arclength: Array
+    ) -> tuple[State, Array, Array, Array]:
         """State (M,) within time steps, its Jacobians (M, 18, 24) at both ends, and Σ_t."""
         fading, rising, left = matern.bridge(self.time_scale, t.step, t.offset)
         gain = np.einsum("mij,ab->miajb", rising, np.eye(6)).reshape(-1, 12, 12)
         pose, velocity, p0, p1 = pair_between(TIME, early, late, t.step, t.offset, gain)[:4]
-        strain = self.rest_strain
+        strain = rest = self.rest.at(arclength)
         j0, j1 = np.zeros((2, len(pose), DOF, RATED))
         for end, weights, j, pair in ((early, fading, j0, p0), (late, rising, j1, p1)):
-            strain = strain + weights[:, 0, :1] * (end.strain - self.rest_strain)
+            strain = strain + weights[:, 0, :1] * (end.strain - rest)
             strain = strain + weights[:, 0, 1:] * strain_rate_of(end)
             j[..., :DOF] = pair
             j[:, STRAIN, STRAIN] = weights[:, 0, 0, None, None] * np.eye(6)
@@ -277,7 +300,7 @@ def _transposed(matrix: Array) -> Array:
 
 
 def _at_times(
-    state: State, k: Index, n: Index, s: Cells, crossing: Bridge | None
+    state: State, k: Index, n: Index, s: Cells, crossing: Bridge | None, rest: tuple[Array, Array]
 ) -> tuple[State, Index, Array]:
     """State, nodes (M, 1 or 2) and Jacobian (M, 24, c, 24) at time nodes k, nodes n or beyond."""
     n_count, flat = state.strain.shape[1], state.flatten()
@@ -286,7 +309,7 @@ def _at_times(
         eye = np.broadcast_to(np.eye(RATED)[:, None, :], (k.size, RATED, 1, RATED))
         return flat.take(nodes[:, 0]), nodes, eye
     ends = flat.take(nodes[:, 0]), flat.take(nodes[:, 0] + 1)
-    at, j0, j1 = interval_between(*ends, s.step, s.offset, crossing.gain)
+    at, j0, j1 = interval_between(*ends, s.step, s.offset, crossing.gain, rest)
     return at, nodes + np.arange(2), np.stack([j0, j1], axis=2)
 
 

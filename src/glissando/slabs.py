@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import blas, lapack
 
 from glissando.errors import UnobservableError
@@ -39,6 +40,18 @@ class Marginals:
 
     cov: Array
     cross: Array
+
+    def joint(self, slab: NDArray[np.intp], column: NDArray[np.intp]) -> Array:
+        """Joint covariance (M, q, q) of numbers: columns (M, q) of slabs (M, q), neighbours all."""
+        k0, k1 = slab[:, :, None], slab[:, None, :]
+        row, other = column[:, :, None], column[:, None, :]
+        cov = self.cov[k0, row, other]
+        if np.all(slab == slab[:, :1]):
+            return cov
+        swap = k0 > k1
+        low = np.minimum(np.minimum(k0, k1), len(self.cross) - 1)
+        cross = self.cross[low, np.where(swap, other, row), np.where(swap, row, other)]
+        return np.where(k0 == k1, cov, cross)
 
 
 @dataclass(frozen=True)

@@ -37,30 +37,34 @@ class State:
         """Degrees of freedom of a point: 18, or 24 with a strain rate."""
         return DOF if self.strain_rate is None else DOF + 6
 
-    def _fields(self) -> list[Array]:
+    def _others(self) -> list[Array]:
         """All fields but the pose, in the order of the degrees of freedom."""
         rate = [] if self.strain_rate is None else [self.strain_rate]
         return [self.strain, self.velocity, *rate]
 
+    def fields(self) -> list[Array]:
+        """Pose, then all other fields, in the order of the degrees of freedom."""
+        return [self.pose, *self._others()]
+
     def retract(self, step: Array) -> State:
         """The state moved by `step` (…, dof): poses on the right, the rest by addition."""
         pose = self.pose @ se3.exp(step[..., POSE])
-        moved = (f + step[..., 6 + 6 * i : 12 + 6 * i] for i, f in enumerate(self._fields()))
+        moved = (f + step[..., 6 + 6 * i : 12 + 6 * i] for i, f in enumerate(self._others()))
         return State(pose, *moved)
 
     def difference(self, other: State) -> Array:
         """The step (…, dof) that takes `other` to this state: self = other.retract(step)."""
         turn = se3.log(se3.inverse(other.pose) @ self.pose)
-        fields = zip(self._fields(), other._fields(), strict=True)
+        fields = zip(self._others(), other._others(), strict=True)
         return np.concatenate([turn, *(mine - its for mine, its in fields)], axis=-1)
 
     def take(self, index: Any) -> State:
         """The state at leading indices, as numpy would index an array of points."""
-        return State(self.pose[index], *(f[index] for f in self._fields()))
+        return State(self.pose[index], *(f[index] for f in self._others()))
 
     def reshape(self, *shape: int) -> State:
         """The state with another leading shape; it shares memory as numpy's reshape does."""
-        fields = (f.reshape(*shape, 6) for f in self._fields())
+        fields = (f.reshape(*shape, 6) for f in self._others())
         return State(self.pose.reshape(*shape, 4, 4), *fields)
 
     def flatten(self) -> State:

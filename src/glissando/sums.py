@@ -43,7 +43,7 @@ class NeighbourSums:
 
     def add(self, batch: Factors) -> None:
         """Add a batch of factors."""
-        nodes, hessian, pull = _by_nodes(batch)
+        nodes, hessian, pull = by_nodes(batch)
         count = nodes.shape[1]
         d = batch.jacobian.shape[-1]
         slab, inner = np.divmod(nodes, self._grid.arclength.size)
@@ -120,7 +120,7 @@ class NeighbourSums:
         return BlockTridiagonal(diagonal, lower)
 
 
-def _by_nodes(batch: Factors) -> tuple[Index, Array, Array]:
+def by_nodes(batch: Factors) -> tuple[Index, Array, Array]:
     """Nodes (G, c), Jᵀ J (G, q, q) and Jᵀ r (G, q), summed over factors that share nodes.
 
     The q columns are d for each of the c nodes, then the extras'. All factors of a batch touch

@@ -143,8 +143,10 @@ class Table:
             raise self.fail(key, f"is {_shown(value)}; give a list of numbers.")
         return self.vector(key, len(value), pairs=False)
 
-    def rows(self, key: str, count: int, size: int, *, positive: bool = True) -> Array:
-        """`count` vectors (count, size) of numbers not below zero; pairs as in `vector`."""
+    def rows(
+        self, key: str, count: int, size: int, *, positive: bool = True, signed: bool = False
+    ) -> Array:
+        """`count` vectors (count, size), not below zero unless `signed`; pairs as in `vector`."""
         value = self._take(key)
         if not isinstance(value, list) or len(value) != count:
             raise self.fail(key, f"is {_shown(value)}; give {count} rows, [[…], …].")
@@ -152,7 +154,7 @@ class Table:
         for row in value:
             entry = Table({key: row}, self.where, self.error)
             out.append(entry.vector(key, size, positive=positive))
-            if np.any(out[-1] < 0.0):
+            if np.any(out[-1] < 0.0) and not signed:
                 raise self.fail(key, f"is {row!r}; give no number below zero.")
         return np.array(out)
 

@@ -8,7 +8,7 @@ for a constant. One that is known (`std` absent) is applied and never moves. Sou
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -25,27 +25,27 @@ _CONSTANT = 1e6  # times the recording: the memory of a constant, long enough to
 def _world(r: Readings, x: Array) -> Readings:
     shift = se3.exp(x)
     if r.value_shape == (4, 4):
-        return replace(r, values=shift @ r.values)
+        return r.changed(values=shift @ r.values)
     if r.value_shape == (3, 3):
-        return replace(r, values=shift[:, :3, :3] @ r.values)
+        return r.changed(values=shift[:, :3, :3] @ r.values)
     turned = (shift[:, :3, :3] @ r.values[..., None])[..., 0]
-    return replace(r, values=turned + shift[:, :3, 3])
+    return r.changed(values=turned + shift[:, :3, 3])
 
 
 def _mount(r: Readings, x: Array) -> Readings:
-    return replace(r, mount=r.mount @ se3.exp(x if len(x) > 1 else x[0]))
+    return r.changed(mount=r.mount @ se3.exp(x if len(x) > 1 else x[0]))
 
 
 def _bias(r: Readings, x: Array) -> Readings:
-    return replace(r, values=r.values - x)
+    return r.changed(values=r.values - x)
 
 
 def _slide(r: Readings, x: Array) -> Readings:
-    return replace(r, arclength=r.arclength + x[:, 0])
+    return r.changed(arclength=r.arclength + x[:, 0])
 
 
 def _delay(r: Readings, x: Array) -> Readings:
-    return replace(r, time=r.time - x[:, 0])
+    return r.changed(time=r.time - x[:, 0])
 
 
 _SHIFTS: dict[str, Callable[[Readings, Array], Readings]] = {
