@@ -30,6 +30,7 @@ from glissando.estimate import Options, estimate
 from glissando.grid import Grid, uniform_grid
 from glissando.kinematic import BaseDensity, KinematicPrior
 from glissando.noise import GemanMcClure, Huber
+from glissando.online import FixedLag
 from glissando.posterior import Estimate, Posterior
 from glissando.readings import Readings
 from glissando.robot import Robot, load_robot
@@ -52,6 +53,7 @@ __all__ = [
     "CoilReadings",
     "Estimate",
     "FbgReadings",
+    "FixedLag",
     "GemanMcClure",
     "GlissandoError",
     "Grid",

@@ -1,0 +1,332 @@
+"""Online: the newest state with its covariance while readings come in, and what came before it.
+
+A fixed-lag smoother: the last time nodes are estimated together, what is older is a prior on them.
+Readings may come late, out of order, twice or not at all; each is checked against what all others
+say before it is believed. Source: Särkkä and Svensson, *Bayesian
+Filtering and Smoothing* (2nd ed.), chapter 12.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections import Counter, deque
+from collections.abc import Sequence
+from copy import copy
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.stats import chi2
+
+from glissando.errors import NotConvergedWarning, OutsideGridError, SensorError, UnobservableError
+from glissando.estimate import Options, estimate
+from glissando.grid import Grid, Index
+from glissando.posterior import Estimate, Posterior
+from glissando.prior import Prior
+from glissando.readings import Readings
+from glissando.se3 import Array
+from glissando.state import DOF
+from glissando.threads import one_thread
+from glissando.unknowns import Unknown, corrected
+from glissando.window import Window
+
+_RENEWED = 2  # intervals before the newest node that every update linearises again
+_TURN = 0.02  # rad: a step that turns the body by more is followed by another
+_MOST = 5  # steps an update
+_STRIKES = 10  # readings refused in a row after which a stream is believed again
+_REMEMBERED = 200  # innovations that the monitor looks back on
+_AHEAD = 2.0  # s: stamps further ahead of the newest node are a clock's fault
+_FALSE_ALARM = 1e-4
+
+
+class FixedLag:
+    """A smoother over the last `window` time nodes of a prior on `arclength` nodes (N,).
+
+    `unknowns` of the sensors are put right where they are known and estimated where they are not.
+    A reading is refused when its innovation would come by chance once in 1 / `gate` times, unless
+    its stream has been refused for long. `window` 1 is a filter. Raises OutsideGridError for an
+    empty window.
+    """
+
+    def __init__(
+        self,
+        prior: Prior,
+        arclength: ArrayLike,
+        *,
+        window: int = 4,
+        unknowns: Sequence[Unknown] = (),
+        gate: float | None = 1e-6,
+    ) -> None:
+        if window < 1:
+            raise OutsideGridError(f"A window of {window} time nodes is empty; give 1 or more.")
+        self.arclength = np.asarray(arclength, dtype=float)
+        self.lag, self.gate = window, gate
+        self.dropped: dict[str, Counter[str]] = {}
+        self.updates = self.restarts = 0
+        self._known = [u for u in unknowns if u.known]
+        self._window = Window(prior, self.arclength, unknowns)
+        self._held: dict[str, Readings] = {}  # that lie in the window
+        self._waiting: dict[str, Readings] = {}  # later than the newest node
+        self._strikes: Counter[str] = Counter()
+        self._innovations: deque[tuple[float, int]] = deque(maxlen=_REMEMBERED)
+        self._late_from = np.inf
+        self._started = False
+
+    @property
+    def time(self) -> float | None:
+        """Time of the newest node, None before the first."""
+        return self._window.nodes[-1].time if self._window.nodes else None
+
+    def add(self, readings: Readings) -> None:
+        """Take readings of one stream, told apart by `name`; they are used when time reaches them.
+
+        Those that came before, lie before the window, off the robot, or absurdly far ahead are
+        dropped and counted in `dropped`. Raises SensorError when the stream changed its kind.
+        """
+        readings = corrected(readings, self._known)
+        name = readings.label
+        before = self._waiting.get(name, self._held.get(name))
+        if before is not None and type(before) is not type(readings):
+            raise SensorError(f"{name} was {type(before).__name__}; name each stream by itself.")
+        kept = np.ones(len(readings), dtype=bool)
+        kept &= self._refuse(name, "off the robot", kept & ~self._on_robot(readings))
+        if self._window.nodes:
+            oldest, newest = self._window.nodes[0].time, self._window.nodes[-1].time
+            kept &= self._refuse(name, "late", kept & (readings.time < oldest))
+            kept &= self._refuse(name, "ahead", kept & (readings.time > newest + _AHEAD))
+        kept &= self._refuse(name, "repeated", kept & self._repeated(readings))
+        readings = readings.select(kept)
+        if len(readings) == 0:
+            return
+        waiting = self._waiting.get(name)
+        self._waiting[name] = readings if waiting is None else waiting.joined(readings)
+
+    def _on_robot(self, readings: Readings) -> np.ndarray:
+        slack = 1e-9 * self.arclength[-1]
+        above, below = (
+            readings.arclength >= -slack,
+            readings.arclength <= self.arclength[-1] + slack,
+        )
+        return above & below
+
+    def _repeated(self, readings: Readings) -> np.ndarray:
+        """Rows that have a stamp of before; at one moment a stream may read several places."""
+        seen = np.diff(np.column_stack([readings.time, readings.arclength]), axis=0, prepend=np.nan)
+        again = ~np.any(seen != 0.0, axis=1)
+        for other in (self._held.get(readings.label), self._waiting.get(readings.label)):
+            if other is not None and len(other):
+                same = readings.time[:, None] == other.time
+                same &= readings.arclength[:, None] == other.arclength
+                again |= np.any(same, axis=1)
+        return again
+
+    def _refuse(self, name: str, reason: str, rows: np.ndarray) -> np.ndarray:
+        """Count the rows that are refused; returns those that are not."""
+        if np.any(rows):
+            self.dropped.setdefault(name, Counter())[reason] += int(rows.sum())
+        return ~rows
+
+    def advance(self, time: float) -> Estimate:
+        """Go on to `time` with all readings up to then; the newest state at the nodes (N,).
+
+        A time that is not after the newest node's changes nothing but brings in what came late.
+        Raises OutsideGridError for a time that is not finite.
+        """
+        if not np.isfinite(time):
+            raise OutsideGridError(f"The time to advance to is {time}; give seconds.")
+        with one_thread():
+            window = self._window
+            if not window.nodes:
+                at = Grid(self.arclength, [time])
+                window.begin(time, window.prior.rest_state(at).take(0))
+            elif time > window.nodes[-1].time:
+                window.append(time)
+            self._late_from = np.inf
+            fresh = self._arrived(window.nodes[-1].time)
+            if not fresh and time < window.nodes[-1].time:
+                return self.newest()
+            if not self._started and fresh:
+                self._start()
+            first = max(0, len(window.nodes) - 1 - _RENEWED)
+            late = int(np.searchsorted(window.times, self._late_from, side="right")) - 1
+            try:
+                self._update(max(0, min(first, late)), fresh)
+            except (np.linalg.LinAlgError, UnobservableError):
+                if not self._started:
+                    raise
+                self._restart()
+            while len(window.nodes) > self.lag:
+                window.drop()
+            self._forget()
+        self.updates += 1
+        return self.newest()
+
+    def _arrived(self, until: float) -> dict[str, Array]:
+        """Move what waits up to a time into the window; times of the new rows by stream."""
+        fresh = {}
+        for name, waiting in list(self._waiting.items()):
+            due = waiting.time <= until
+            if not np.any(due):
+                continue
+            now = waiting.select(due)
+            early = now.time < self._window.nodes[0].time
+            now = now.select(self._refuse(name, "late", early))
+            if np.all(due):
+                del self._waiting[name]
+            else:
+                self._waiting[name] = waiting.select(~due)
+            if len(now) == 0:
+                continue
+            held = self._held.get(name)
+            self._held[name] = now if held is None or not len(held) else held.joined(now)
+            fresh[name] = now.time
+            self._late_from = min(self._late_from, float(now.time.min()))
+        return fresh
+
+    def _restart(self) -> None:
+        """Begin again from rest: foretold for too long without readings, states are absurd."""
+        window = self._window
+        rest = window.prior.rest_state(Grid(self.arclength, [0.0])).take(0)
+        time, self._started, self.restarts = window.nodes[-1].time, False, self.restarts + 1
+        window.begin(time, rest)
+        window.before = None
+        self._forget()
+        window.solve(0, self._since(0))
+
+    def _start(self) -> None:
+        """The first readings: estimate all there is from rest, as a recording is."""
+        window = self._window
+        readings = [r for r in self._held.values() if len(r)]
+        unknowns, options = window.unknowns, Options(max_iterations=30)
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", NotConvergedWarning)
+                found = estimate(
+                    window.prior, window.grid(), readings, unknowns=unknowns, options=options
+                )
+        except UnobservableError:
+            return  # not yet: some other sensor will fix the base
+        for k, node in enumerate(window.nodes):
+            node.state, node.step = found.state.take(k), np.zeros_like(node.step)
+        self._started = True
+
+    def _update(self, first: int, fresh: dict[str, Array]) -> None:
+        """Solve from a node on, more than once if far; refuse what nothing else agrees with."""
+        for _ in range(_MOST):
+            self._window.relinearize(first)
+            self._window.solve(first, self._since(first))
+            steps = [
+                n.step[: self.arclength.size * n.state.dof] for n in self._window.nodes[first:]
+            ]
+            turns = [np.abs(s.reshape(self.arclength.size, -1)[:, 3:6]).max() for s in steps]
+            if max(turns) < _TURN:
+                break
+        for again in range(_MOST if fresh else 0):
+            if not self._judged(first, fresh, first_look=not again):
+                break
+            self._window.solve(first, self._since(first))
+
+    def _since(self, first: int) -> list[Readings]:
+        """Readings at and after a node, a stream each."""
+        begin = self._window.nodes[first].time
+        found = [r.select(r.time >= begin) for r in self._held.values()]
+        return [r for r in found if len(r)]
+
+    def _judged(self, first: int, fresh: dict[str, Array], *, first_look: bool) -> bool:
+        """Refuse the new reading that fits the others least, if it is beyond belief.
+
+        One at a time, as a wrong one makes its neighbours look wrong. Returns whether there was.
+        """
+        streams = self._since(first)
+        new: list[Index] = [
+            np.flatnonzero(np.isin(r.time, fresh[r.label]) if r.label in fresh else [])
+            for r in streams
+        ]
+        worst = (1.0, "", 0.0, 0.0)
+        for judged in self._window.judge(new):
+            stream = streams[judged.stream]
+            limit = np.inf if self.gate is None else float(chi2.isf(self.gate, judged.dof))
+            if first_look:
+                self._innovations.extend((float(nis), judged.dof) for nis in judged.nis)
+                if np.any(judged.nis <= limit):
+                    self._strikes[stream.label] = 0
+            if self._strikes[stream.label] < _STRIKES:
+                i = int(np.argmax(judged.nis))
+                row = judged.rows[i]
+                place = float(stream.time[row]), float(stream.arclength[row])
+                worst = max(worst, (float(judged.nis[i]) / limit, stream.label, *place))
+        _, name, time, arclength = worst
+        if not name:
+            return False
+        self._strikes[name] += 1
+        held = self._held[name]
+        out = (held.time == time) & (held.arclength == arclength)
+        self._held[name] = held.select(self._refuse(name, "gated", out))
+        return True
+
+    def _forget(self) -> None:
+        oldest = self._window.nodes[0].time
+        for name, held in self._held.items():
+            if len(held) and held.time.min() < oldest:
+                self._held[name] = held.select(held.time >= oldest)
+
+    def newest(self) -> Estimate:
+        """The newest state at the nodes (N,) with covariance (N, 18, 18)."""
+        if not self._window.nodes:
+            raise OutsideGridError("There is no estimate yet; call advance(time) first.")
+        state, cov = self._window.newest()
+        n, dof = self.arclength.size, state.dof
+        blocks = cov[: n * dof, : n * dof].reshape(n, dof, n, dof)
+        own = np.einsum("ndne->nde", blocks)[:, :DOF, :DOF]
+        return Estimate(state.pose, state.strain, state.velocity, own)
+
+    def posterior(self) -> Posterior:
+        """The window as a posterior, to query, draw and save like any other."""
+        self.newest()
+        with one_thread():
+            return self._window.posterior()
+
+    def at(self, arclength: ArrayLike, time: ArrayLike) -> Estimate:
+        """State and covariance inside the window, or ahead of it as the prior foretells.
+
+        Raises OutsideGridError for a point off the robot or before the window.
+        """
+        latest = float(np.max(time))
+        self.newest()
+        window = self._window
+        if latest > window.nodes[-1].time:
+            window = copy(window)
+            window.nodes = [copy(node) for node in window.nodes]
+            window.append(latest)
+            first = max(0, len(window.nodes) - 2)
+            begin = window.nodes[first].time
+            held = [r.select(r.time >= begin) for r in self._held.values()]
+            with one_thread():
+                window.solve(first, [r for r in held if len(r)])
+        with one_thread():
+            return window.posterior().at(arclength, time)
+
+    def settle(self, tolerance: float = 1e-9, most: int = 50) -> int:
+        """Linearise the whole window again until no number moves by more; returns the rounds."""
+        with one_thread():
+            rounds = 0
+            moved = np.inf
+            while moved >= tolerance and rounds < most:
+                rounds += 1
+                self._window.relinearize(0)
+                self._window.solve(0, self._since(0))
+                moved = max(float(np.abs(node.step).max()) for node in self._window.nodes)
+        return rounds
+
+    @property
+    def nis(self) -> float | None:
+        """Mean squared innovation per degree of freedom of late; 1 when the model fits."""
+        if not self._innovations:
+            return None
+        total = np.sum(np.array(self._innovations), axis=0)
+        return float(total[0] / total[1])
+
+    @property
+    def fits(self) -> bool:
+        """Whether innovations of late are no larger than chance allows."""
+        dof = sum(d for _, d in self._innovations)
+        return self.nis is None or self.nis <= float(chi2.isf(_FALSE_ALARM, dof)) / dof

@@ -1,0 +1,288 @@
+"""The last time nodes of a motion, with everything older kept as a prior on the oldest of them.
+
+Intervals between time nodes are linearised by themselves and eliminated forwards, so that only
+those which changed are done again. What leaves the window stays as the Schur complement on the next
+node, whose linearisation point is held from then on: first-estimate Jacobians. Source:
+equation (20); Huang, Mourikis and Roumeliotis (2010) on first estimates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import lapack
+
+from glissando.errors import UnobservableError
+from glissando.grid import Grid, Index
+from glissando.linear import Factors
+from glissando.placed import PlacedReadings
+from glissando.posterior import Posterior, Solve
+from glissando.prior import Prior
+from glissando.readings import Readings
+from glissando.se3 import Array
+from glissando.slabs import BlockTridiagonal, Marginals
+from glissando.state import State
+from glissando.sums import by_nodes
+from glissando.unknowns import Unknown, Unknowns
+
+
+@dataclass
+class Node:
+    """A time node: where it is linearised, the step from there, and what elimination left.
+
+    `state` (N,) and `extras` (E,) are the linearisation point, `step` (D,) leads to the estimate;
+    `carried` is the information matrix and vector that older nodes left here; `block` (2 D, 2 D)
+    and `pull` (2 D,) are those of the interval that begins here; `inverse` (D, D) of the Cholesky
+    factor, `ahead` (D, D) and `solved` (D,) what it makes of them.
+    """
+
+    time: float
+    state: State
+    extras: Array
+    step: Array
+    carried: tuple[Array, Array]
+    block: Array
+    pull: Array
+    inverse: Array
+    ahead: Array
+    solved: Array
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Readings of one stream at the solution: which rows, and their squared innovations (M,)."""
+
+    stream: int
+    rows: Index
+    nis: Array
+    dof: int
+
+
+class Window:
+    """Time nodes of a prior on `arclength` (N,), and `unknowns` of sensors, solved together."""
+
+    def __init__(self, prior: Prior, arclength: Array, unknowns: Sequence[Unknown] = ()) -> None:
+        self.prior, self.arclength = prior, arclength
+        self.unknowns = tuple(u for u in unknowns if not u.known)
+        self.nodes: list[Node] = []
+        self.before: float | None = None
+        self._extras = Unknowns(Grid(arclength, [0.0]), self.unknowns)
+        self._factors: list[tuple[int, Index, Factors]] = []
+        self._first = 0
+
+    @property
+    def times(self) -> Array:
+        """Times (K,) of the nodes."""
+        return np.array([node.time for node in self.nodes])
+
+    def grid(self, first: int = 0) -> Grid:
+        """The grid of the nodes from `first` on."""
+        before = self.nodes[first - 1].time if first else self.before
+        return Grid(self.arclength, self.times[first:], before)
+
+    def begin(self, time: float, state: State) -> None:
+        """Start with one node, linearised at `state` (N,)."""
+        self.nodes = [self._node(time, state, self._extras.mean)]
+
+    def append(self, time: float) -> None:
+        """One more node, where constant velocity (and strain rate) lead from the newest."""
+        newest = self.nodes[-1]
+        state, extras = self._estimate(newest)
+        ahead = np.zeros((self.arclength.size, state.dof))
+        ahead[:, :6] = (time - newest.time) * state.velocity
+        if state.strain_rate is not None:
+            ahead[:, 6:12] = (time - newest.time) * state.strain_rate
+        self.nodes.append(self._node(time, state.retract(ahead), extras))
+
+    def _node(self, time: float, state: State, extras: Array) -> Node:
+        size = self.arclength.size * state.dof + self._extras.size
+        none, flat = np.zeros((size, size)), np.zeros(size)
+        return Node(
+            time, state, extras, flat, (none, flat), np.zeros((2 * size, 2 * size)),
+            np.zeros(2 * size), none, none, flat,
+        )  # fmt: skip
+
+    def _estimate(self, node: Node) -> tuple[State, Array]:
+        of_nodes = self.arclength.size * node.state.dof
+        step = node.step[:of_nodes].reshape(self.arclength.size, -1)
+        return node.state.retract(step), node.extras + node.step[of_nodes:]
+
+    def drop(self) -> None:
+        """Leave the oldest node behind, as a prior on the next, which is not linearised again."""
+        self.before = self.nodes.pop(0).time
+        self._first = max(0, self._first - 1)
+
+    def relinearize(self, first: int) -> None:
+        """Linearise the nodes after `first` at their estimates; the oldest too unless held."""
+        moved = self.nodes[first + 1 :]
+        if first == 0 and self.before is None:
+            moved = self.nodes
+        for node in moved:
+            node.state, node.extras = self._estimate(node)
+            node.step = np.zeros_like(node.step)
+
+    def solve(self, first: int, readings: Sequence[Readings]) -> None:
+        """Linearise all that begins at the nodes from `first` on, eliminate, find every step.
+
+        `readings` are those of these nodes and the intervals after them.
+        """
+        self._linearize(first, readings)
+        self._eliminate(first)
+        ahead = None
+        for node in reversed(self.nodes):
+            solved = node.solved if ahead is None else node.solved - node.ahead @ ahead
+            node.step = ahead = node.inverse.T @ solved
+
+    def _linearize(self, first: int, readings: Sequence[Readings]) -> None:
+        nodes, grid = self.nodes[first:], self.grid(first)
+        state = _stacked([node.state for node in nodes])
+        values = np.array([node.extras for node in nodes])
+        placed = PlacedReadings(grid, readings, self.unknowns, values, keep_all=True)
+        size = nodes[0].step.size
+        blocks = np.zeros((len(nodes), 2 * size, 2 * size))
+        pulls = np.zeros((len(nodes), 2 * size))
+        self._factors, self._first = [], first
+        for i, times in enumerate(placed.blocks):
+            for batch in self.prior.factors(grid, state, state, times):
+                self._add(batch, blocks, pulls)
+            rows, batches = placed.rows(i), placed.factors(self.prior, state, state, i)
+            for (stream, row), batch in zip(rows, batches, strict=True):
+                self._add(batch, blocks, pulls)
+                self._factors.append((stream, row, batch))
+        if self._extras.size:
+            self._chain(grid, values, blocks, pulls)
+        for node, block, pull in zip(nodes, blocks, pulls, strict=True):
+            node.block, node.pull = block, pull
+
+    def _add(self, batch: Factors, blocks: Array, pulls: Array) -> None:
+        """Add a batch of factors to the intervals they lie in."""
+        touched, hessian, pull = by_nodes(batch)
+        k, columns = self._places(batch, touched, len(blocks))
+        np.add.at(blocks, (k[:, None, None], columns[:, :, None], columns[:, None, :]), hessian)
+        np.add.at(pulls, (k[:, None], columns), -pull)
+
+    def _places(self, batch: Factors, touched: Index, count: int) -> tuple[Index, Index]:
+        """Interval (G,) of factors on nodes (G, c), and columns (G, q) of its block."""
+        n_count, size = self.arclength.size, self.nodes[0].step.size
+        slab, inner = np.divmod(touched, n_count)
+        k = slab[:, 0]
+        if batch.extras is not None:
+            k = np.minimum(k, max(count - 2, 0))
+        dofs = np.arange(batch.dofs.start, batch.dofs.stop)
+        first = (slab - k[:, None]) * size + inner * self.nodes[0].state.dof
+        columns = (first[:, :, None] + dofs).reshape(len(touched), -1)
+        if batch.extras is not None:
+            own = size - self._extras.size + np.arange(self._extras.size)
+            both = np.broadcast_to(np.append(own, own + size), (len(touched), 2 * own.size))
+            columns = np.concatenate([columns, both], axis=1)
+        return k, columns
+
+    def _chain(self, grid: Grid, values: Array, blocks: Array, pulls: Array) -> None:
+        """Add what ties unknowns of one time node to those of the next, and to what is expected."""
+        decay, spread = Unknowns(grid, self.unknowns).chain()
+        size = blocks.shape[1] // 2
+        at = np.arange(size - self._extras.size, size)
+        off = values - self._extras.mean
+        if grid.before is None:
+            info = spread[0] ** -2.0
+            blocks[0, at, at] += info
+            pulls[0, at] -= info * off[0]
+        for k, fade in enumerate(decay):
+            info, miss = spread[k + 1] ** -2.0, off[k + 1] - fade * off[k]
+            blocks[k, at, at] += fade**2 * info
+            blocks[k, at + size, at + size] += info
+            blocks[k, at, at + size] -= fade * info
+            blocks[k, at + size, at] -= fade * info
+            pulls[k, at] += fade * info * miss
+            pulls[k, at + size] -= info * miss
+
+    def _eliminate(self, first: int) -> None:
+        size = self.nodes[0].step.size
+        own, next_ = slice(0, size), slice(size, None)
+        for i, node in enumerate(self.nodes[first:], start=first):
+            matrix = node.block[own, own] + node.carried[0]
+            chol, failed = lapack.dpotrf(matrix.T, lower=1, clean=1)
+            if failed:
+                raise UnobservableError(
+                    f"Prior and readings leave a direction of the state at {node.time:g} s "
+                    f"undetermined. Give the robot a [base], or use a stream that fixes it."
+                )
+            node.inverse = lapack.dtrtri(chol, lower=1)[0]
+            node.solved = node.inverse @ (node.pull[own] + node.carried[1])
+            if i + 1 < len(self.nodes):
+                node.ahead = node.inverse @ node.block[own, next_]
+                self.nodes[i + 1].carried = (
+                    node.block[next_, next_] - node.ahead.T @ node.ahead,
+                    node.pull[next_] - node.ahead.T @ node.solved,
+                )
+
+    def marginals(self, first: int = 0) -> Marginals:
+        """Covariances of the nodes from `first` on, and of neighbours. Source: equation (21)."""
+        nodes = self.nodes[first:]
+        size = nodes[0].step.size
+        cov, cross = np.empty((len(nodes), size, size)), np.empty((len(nodes) - 1, size, size))
+        for k in reversed(range(len(nodes))):
+            inverse = half = nodes[k].inverse
+            if k + 1 < len(nodes):
+                ahead = nodes[k].ahead @ cov[k + 1]
+                half = inverse + ahead @ (nodes[k].ahead.T @ inverse)
+                cross[k] = -(inverse.T @ ahead)
+            block = inverse.T @ half
+            cov[k] = 0.5 * (block + block.T)
+        return Marginals(cov, cross)
+
+    def judge(self, fresh: Sequence[Index]) -> list[Judged]:
+        """Squared innovations of the `fresh` rows of every stream, each against all the others.
+
+        A residual e at the solution that keeps the share S = 1 − J P Jᵀ of its variance stands for
+        the innovation S⁻¹ e, whose square in units of its covariance is eᵀ S⁻¹ e.
+        """
+        kept = [(j, rows, b) for j, rows, b in self._factors if np.any(np.isin(rows, fresh[j]))]
+        if not kept:
+            return []
+        marginals, out = self.marginals(self._first), []
+        steps = np.array([node.step for node in self.nodes[self._first :]])
+        for stream, rows, batch in kept:
+            mine = np.isin(rows, fresh[stream])
+            chosen = batch.take(mine)
+            k, columns = self._places(chosen, chosen.nodes, len(steps))
+            slab, column = np.divmod(columns + k[:, None] * steps.shape[1], steps.shape[1])
+            slab = np.minimum(slab, len(steps) - 1)  # unknowns after the last node have no weight
+            residual, jacobian = chosen.whitened(robust=False)
+            residual = residual + np.einsum("mrq,mq->mr", jacobian, steps[slab, column])
+            cov = marginals.joint(slab, column)
+            share = np.eye(residual.shape[1]) - jacobian @ cov @ np.swapaxes(jacobian, -1, -2)
+            share += 1e-9 * np.eye(residual.shape[1])
+            solved = np.linalg.solve(share, residual[..., None])[..., 0]
+            out.append(Judged(stream, rows[mine], np.sum(residual * solved, 1), residual.shape[1]))
+        return out
+
+    def newest(self) -> tuple[State, Array]:
+        """Estimate (N,) of the newest node and its covariance (D, D)."""
+        inverse = self.nodes[-1].inverse
+        return self._estimate(self.nodes[-1])[0], inverse.T @ inverse
+
+    def posterior(self) -> Posterior:
+        """All that the window knows, as an estimate of a recording gives it."""
+        found = [self._estimate(node) for node in self.nodes]
+        size = self.nodes[0].step.size
+        diagonal = np.array([node.block[:size, :size] for node in self.nodes])
+        diagonal[0] += self.nodes[0].carried[0]
+        for k, node in enumerate(self.nodes[:-1]):
+            diagonal[k + 1] += node.block[size:, size:]
+        lower = np.array([node.block[size:, :size] for node in self.nodes[:-1]])
+        system = BlockTridiagonal(diagonal, lower.reshape(-1, size, size))
+        solve = Solve("online", 1, diagonal[:, 0].size, 0.0, 0.0, 0, {})
+        ends = np.cumsum([0, *(u.size for u in self.unknowns)])
+        extras = np.array([extra for _, extra in found])
+        known = [(u, extras[:, a : a + u.size]) for u, a in zip(self.unknowns, ends, strict=False)]
+        state = _stacked([state for state, _ in found])
+        return Posterior(self.prior, self.grid(), state, system, self.marginals(), solve, known)
+
+
+def _stacked(states: Sequence[State]) -> State:
+    """States (K, N) of K states (N,)."""
+    fields = zip(*(state.fields() for state in states), strict=True)
+    return State(*(np.array(field) for field in fields))

@@ -1,0 +1,260 @@
+"""The online estimator: equal to the batch where it can be, honest and unshaken where it cannot."""
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from scipy.stats import chi2
+
+import test_separable_consistency as drawn
+from draws import generators, law
+from glissando import Grid, PoseReadings, State, estimate, load_robot, se3
+from glissando.errors import OutsideGridError, SensorError
+from glissando.estimate import Options
+from glissando.online import FixedLag
+from glissando.unknowns import Unknown
+from scenes import LENGTH, arc, sliding_scene
+
+EXACT = Options(tolerance=1e-7)
+PRIORS = {
+    "kinematic": load_robot("tdcr466").prior,
+    "separable": replace(drawn.PRIOR, time_scale=0.5),
+}
+UNKNOWNS = [
+    Unknown("bias", "bias", ("gyro",), np.zeros(3), np.full(3, 0.1), 0.5),
+    Unknown("frame", "world", ("coil",), np.zeros(6), np.full(6, 0.01)),
+]
+
+
+def fed(smoother, grid, readings, order=None):
+    """The smoother after all readings came as they would live; the newest of every update."""
+    newest = []
+    for k, time in enumerate(grid.time):
+        since = grid.time[k - 1] if k else -np.inf
+        for stream in readings:
+            now = stream.select((stream.time > since) & (stream.time <= time))
+            if len(now):
+                smoother.add(now)
+        newest.append(smoother.advance(time))
+    return newest
+
+
+@pytest.mark.parametrize("unknowns", [[], UNKNOWNS], ids=["known", "unknowns"])
+@pytest.mark.parametrize("kind", PRIORS)
+def test_a_window_as_long_as_the_recording_is_the_batch_estimate(kind, unknowns):
+    _, grid, readings = sliding_scene(duration=1.0)
+    prior = PRIORS[kind]
+    smoother = FixedLag(prior, grid.arclength, window=99, unknowns=unknowns, gate=None)
+    fed(smoother, grid, readings)
+    smoother.settle()
+    found = smoother.posterior()
+    batch = estimate(prior, grid, readings, unknowns=unknowns, options=EXACT)
+    assert np.abs(found.state.difference(batch.state)).max() < 1e-6
+    mine, its = (np.einsum("kii->ki", p.marginals.cov) ** 0.5 for p in (found, batch))
+    np.testing.assert_allclose(mine, its, rtol=1e-5)
+    scale = np.abs(batch.system.diagonal).max()
+    assert np.abs(found.system.diagonal - batch.system.diagonal).max() < 1e-6 * scale
+    assert np.abs(found.system.lower - batch.system.lower).max() < 1e-6 * scale
+    for unknown in unknowns:
+        for mine, its in zip(found.unknown(unknown.name), batch.unknown(unknown.name), strict=True):
+            np.testing.assert_allclose(mine, its, atol=1e-6)
+    for s, t in ((0.3, 0.55), (LENGTH, 1.0)):
+        np.testing.assert_allclose(smoother.at(s, t).pose, batch.at(s, t).pose, atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", PRIORS)
+def test_a_linear_problem_loses_nothing_to_a_short_window(kind):
+    """A still, straight robot: what left the window is all in the prior on its oldest node."""
+    time = np.arange(0.0, 2.01, 0.1)
+    rng = np.random.default_rng(3)
+    seen = se3.exp(np.array([0, 0, LENGTH, 0, 0, 0]) + 1e-6 * rng.standard_normal((time.size, 6)))
+    tip = PoseReadings(
+        time=time, arclength=np.full(time.size, LENGTH), values=seen, cov=1e-6, name="tip"
+    )
+    grid = Grid(np.linspace(0.0, LENGTH, 4), time)
+    found = {}
+    for window in (1, 3, 99):
+        smoother = FixedLag(PRIORS[kind], grid.arclength, window=window)
+        found[window] = fed(smoother, grid, [tip])[-1]
+    for window in (1, 3):
+        mine, its = (np.einsum("nii->ni", found[w].cov) ** 0.5 for w in (window, 99))
+        np.testing.assert_allclose(mine, its, rtol=1e-3)
+        np.testing.assert_allclose(found[window].pose, found[99].pose, atol=1e-8)
+
+
+@law
+@given(generators)
+def test_the_order_in_which_readings_come_does_not_matter_inside_the_window(rng):
+    prior, grid, readings = sliding_scene(duration=0.5)
+    smoothers = [FixedLag(prior, grid.arclength, window=99, gate=None) for _ in range(2)]
+    fed(smoothers[0], grid, readings)
+    delay = [rng.uniform(0.0, 0.2, len(r)) for r in readings]
+    for time in np.append(grid.time, grid.time[-1] + 0.2):
+        for stream, late in zip(readings, delay, strict=True):
+            came = stream.time + late
+            now = np.flatnonzero(
+                (came <= time) & (came > time - 0.1 if time < 0.65 else came > 0.5)
+            )
+            now = rng.permutation(now)
+            if now.size:
+                smoothers[1].add(stream.select(now))
+        smoothers[1].advance(min(time, grid.time[-1]))
+    for stream, late in zip(readings, delay, strict=True):
+        smoothers[1].add(stream.select(stream.time + late > 0.0))  # all again: repeats
+    smoothers[1].advance(grid.time[-1])
+    means = []
+    for smoother in smoothers:
+        smoother.settle()
+        means.append(smoother.posterior().state)
+    assert np.abs(means[0].difference(means[1])).max() < 1e-6
+    again = sum(count["repeated"] for count in smoothers[1].dropped.values())
+    assert again >= sum(map(len, readings))
+
+
+def test_prediction_grows_less_sure_and_goes_on_as_it_moved():
+    prior, grid, readings = sliding_scene()
+    smoother = FixedLag(prior, grid.arclength, window=4)
+    newest = fed(smoother, grid, readings)[-1]
+    np.testing.assert_allclose(smoother.at(LENGTH, 1.0).cov, newest.cov[-1], rtol=1e-6, atol=1e-12)
+    ahead = [smoother.at(LENGTH, 1.0 + wait) for wait in (0.01, 0.05, 0.2)]
+    spread = [newest.std_position[-1], *(a.std_position for a in ahead)]
+    assert np.all(np.diff(spread) > 0.0)
+    onward = newest.pose[-1] @ se3.exp(0.01 * newest.velocity[-1])
+    np.testing.assert_allclose(ahead[0].pose, onward, atol=2e-3)
+    assert smoother.time == grid.time[-1]  # looking ahead changes nothing
+
+
+def test_a_gross_outlier_is_refused_counted_and_leaves_no_trace():
+    prior, grid, readings = sliding_scene()
+    clean = fed(FixedLag(prior, grid.arclength, window=4), grid, readings)[-1]
+    base, coil, gyro = readings
+    bad = coil.values.copy()
+    bad[[10, 25], 0, 3] += 0.3
+    smoother = FixedLag(prior, grid.arclength, window=4)
+    found = fed(smoother, grid, [base, replace(coil, values=bad), gyro])[-1]
+    assert smoother.dropped["coil"]["gated"] == 2
+    assert np.abs(found.position - clean.position).max() < 2e-3
+    open_to_all = FixedLag(prior, grid.arclength, window=4, gate=None)
+    fed(open_to_all, grid, [base, replace(coil, values=bad), gyro])
+    assert not open_to_all.dropped
+    assert not smoother.fits  # what was refused counts against the model
+
+
+def test_a_stream_that_was_right_all_along_is_believed_in_the_end():
+    prior, grid, readings = sliding_scene(duration=2.0)
+    base, coil, gyro = readings
+    coil = coil.select(slice(None, None, 4))  # one an update: several at once would agree
+    moved = coil.values.copy()
+    moved[6:, 0, 3] += 0.2
+    smoother = FixedLag(prior, grid.arclength, window=4)
+    tip = fed(smoother, grid, [base, replace(coil, values=moved), gyro])[-1].position[-1]
+    assert 1 <= smoother.dropped["coil"]["gated"] <= 10
+    assert abs(tip[0] - arc(LENGTH, 2.0)[0, 3] - 0.2) < 0.05
+
+
+def faulty(rng, stream):
+    """The stream as a bad day gives it: arrival times (M,), and rows lost, wrong and delayed."""
+    kept = rng.uniform(size=len(stream)) > 0.3
+    kept &= (stream.time < 2.0) | (stream.time > 4.0)  # a blackout
+    stream = stream.select(kept)
+    came = stream.time + (rng.uniform(size=len(stream)) < 0.1) * rng.uniform(0, 0.1, len(stream))
+    values = stream.values.copy()
+    wrong = rng.uniform(size=len(stream)) < 0.05
+    if values.shape[1:] == (4, 4):
+        values[wrong, :3, 3] += rng.normal(0.0, 0.2, (wrong.sum(), 3))
+    else:
+        values[wrong] += rng.normal(0.0, 5.0, (wrong.sum(), 3))
+    time = stream.time + (0.05 if stream.name == "gyro" else 0.0)  # a clock that is off
+    return replace(stream, values=values, time=time), came
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("kind", PRIORS)
+def test_a_bad_day_of_losses_blackout_outliers_disorder_and_a_wrong_clock(kind, seed):
+    rng = np.random.default_rng(seed)
+    _, grid, readings = sliding_scene(seed, duration=6.0, rate=20.0)
+    prior = PRIORS[kind]
+    day = [faulty(rng, stream) for stream in readings]
+    smoother = FixedLag(prior, grid.arclength, window=5)
+    spread, miss = [], []
+    for k, time in enumerate(grid.time):
+        since = grid.time[k - 1] if k else -np.inf
+        for stream, came in day:
+            now = (came > since) & (came <= time)
+            if np.any(now):
+                smoother.add(stream.select(now))
+        newest = smoother.advance(time)
+        spread.append(newest.std_position[-1])
+        miss.append(np.linalg.norm(newest.position[-1] - arc(LENGTH, time)[:3, 3]))
+    spread, miss = np.array(spread), np.array(miss)
+    dark, after = (grid.time > 2.5) & (grid.time < 4.0), grid.time > 4.5
+    before = (grid.time > 1.0) & (grid.time < 1.9)
+    print(f"tip error before {miss[before].max():.4f}, after {miss[after].max():.4f} m")
+    print(f"began again {smoother.restarts} times; {smoother.dropped}")
+    print(f"std before {np.median(spread[before]):.4f}, dark {spread[dark].max():.4f} m")
+    assert spread[dark].max() > 5.0 * np.median(spread[before])
+    assert np.median(spread[after]) < 2.0 * np.median(spread[before])
+    assert np.median(miss[after]) < 0.02
+    assert sum(c["gated"] for c in smoother.dropped.values()) >= 3
+
+
+def test_times_and_readings_that_make_no_sense_are_counted_and_nothing_breaks():
+    prior, grid, (base, coil, _) = sliding_scene()
+    smoother = FixedLag(prior, grid.arclength, window=3)
+    with pytest.raises(OutsideGridError, match=r"call advance\(time\) first"):
+        smoother.newest()
+    fed(smoother, grid, [base, coil])
+    before = smoother.newest()
+    for time in (coil.time[:2], coil.time[:2] + 100.0):
+        smoother.add(replace(coil.select(slice(0, 2)), time=time))
+    outside = replace(coil.select(slice(0, 1)), time=np.array([1.05]), arclength=np.array([9.0]))
+    smoother.add(outside)
+    assert smoother.dropped["coil"] == {"late": 2, "ahead": 2, "off the robot": 1}
+    back = smoother.advance(0.2)  # the clock went back
+    np.testing.assert_allclose(back.pose, before.pose, atol=1e-6)
+    assert smoother.time == 1.0
+    with pytest.raises(OutsideGridError, match="is nan"):
+        smoother.advance(np.nan)
+    with pytest.raises(SensorError, match="was CoilReadings"):
+        smoother.add(replace(base, name="coil"))
+    with pytest.raises(OutsideGridError, match="window of 0"):
+        FixedLag(prior, grid.arclength, window=0)
+
+
+def newest_errors(window, trials):
+    """NEES (trials, updates) of the tip's state at the newest node, on draws of the prior."""
+    rng, found = np.random.default_rng(5), []
+    for _ in range(trials):
+        truth = drawn.draw(rng)
+        readings = [r.select(np.argsort(r.time)) for r in drawn.read(rng, truth, 1.0)]
+        smoother = FixedLag(drawn.PRIOR, drawn.GRID.arclength, window=window, gate=None)
+        nees = []
+        for k, at in enumerate(fed(smoother, drawn.GRID, readings)):
+            true = truth.take((drawn.ON_NODES[k], drawn.FINE_S))
+            miss = true.difference(State(at.pose[-1], at.strain[-1], at.velocity[-1]))
+            nees.append(miss @ np.linalg.solve(at.cov[-1], miss))
+        found.append(nees)
+    return np.array(found)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("window", [4, 1])
+def test_the_newest_state_errs_as_much_as_it_says(window):
+    nees = newest_errors(window, 200) / 18
+    low, high = chi2.ppf([0.5e-4, 1 - 0.5e-4], 18 * len(nees)) / 18 / len(nees)
+    mean = nees.mean(axis=0)
+    print(f"window {window}:", *(f"{m:.3f}" for m in mean), f"in [{low:.3f}, {high:.3f}]")
+    assert np.all((low <= mean) & (mean <= high))
+
+
+def test_the_example_loop_runs_and_is_sure_of_what_it_says():
+    script = Path(__file__).parents[1] / "examples" / "control_loop.py"
+    assert len(script.read_text().splitlines()) <= 34
+    command = [sys.executable, str(script), "1"]
+    out = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+    assert "tip at" in out.splitlines()[-1]
