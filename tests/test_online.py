@@ -254,7 +254,7 @@ def test_the_newest_state_errs_as_much_as_it_says(window):
 
 def test_the_example_loop_runs_and_is_sure_of_what_it_says():
     script = Path(__file__).parents[1] / "examples" / "control_loop.py"
-    assert len(script.read_text().splitlines()) <= 34
+    assert len(script.read_text().splitlines()) <= 30
     command = [sys.executable, str(script), "1"]
     out = subprocess.run(command, check=True, capture_output=True, text=True).stdout
     assert "tip at" in out.splitlines()[-1]
