@@ -111,7 +111,9 @@ class PlacedReadings:
         """Readings where and when the unknowns say they were taken, as far as the grid reaches."""
         grid = self.grid
         stamped = readings
-        for _ in range(2):  # a delay is that of the true time, which the first pass finds
+        moving = any(u.moves for u, _ in self._of(readings))
+        # Twice, as a delay is that of the true time, which the first pass finds.
+        for _ in range(2 if moving else 0):
             now, readings = self._now(readings.time), stamped
             for unknown, at in self._of(readings):
                 if unknown.moves:
@@ -153,9 +155,10 @@ class PlacedReadings:
 
     def _factor(self, readings: Readings, at: Interpolation, slopes: dict[str, Array]) -> Factors:
         """Factors of readings at the states `at`, whose slopes (M, 18) are given where needed."""
-        now = self._now(readings.time)
+        mine = self._of(readings)
+        now = self._now(readings.time) if mine else np.zeros((len(readings), 0))
         shifted = readings
-        for unknown, columns in self._of(readings):
+        for unknown, columns in mine:
             if not unknown.moves:
                 shifted = unknown.shift(shifted, now[:, columns])
         residual, by_state = _sound(shifted, at)
@@ -165,7 +168,7 @@ class PlacedReadings:
             var = np.broadcast_to(shifted.arclength_std**2, along.shape[:1])
             cov = cov + var[:, None, None] * along[:, :, None] * along[:, None, :]
         extras = None
-        if self._of(readings):
+        if mine:
             by_extras = self._by_unknowns(readings, at, by_state, slopes, now)
             _, weights, left = self.unknowns.between(readings.time)
             cov = cov + (by_extras * left[:, None]) @ np.swapaxes(by_extras, -1, -2)
