@@ -30,7 +30,7 @@ UNKNOWNS = [
 ]
 
 
-def fed(smoother, grid, readings, order=None):
+def fed(smoother, grid, readings):
     """The smoother after all readings came as they would live; the newest of every update."""
     newest = []
     for k, time in enumerate(grid.time):
