@@ -130,7 +130,9 @@ def test_prediction_grows_less_sure_and_goes_on_as_it_moved():
 
 def test_a_gross_outlier_is_refused_counted_and_leaves_no_trace():
     prior, grid, readings = sliding_scene()
-    clean = fed(FixedLag(prior, grid.arclength, window=4), grid, readings)[-1]
+    calm = FixedLag(prior, grid.arclength, window=4)
+    clean = fed(calm, grid, readings)[-1]
+    assert calm.fits
     base, coil, gyro = readings
     bad = coil.values.copy()
     bad[[10, 25], 0, 3] += 0.3

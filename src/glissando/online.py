@@ -9,16 +9,16 @@ Filtering and Smoothing* (2nd ed.), chapter 12.
 from __future__ import annotations
 
 import warnings
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Sequence
 from copy import copy
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import chi2
 
 from glissando.errors import NotConvergedWarning, OutsideGridError, SensorError, UnobservableError
 from glissando.estimate import Options, estimate
+from glissando.gate import Gate
 from glissando.grid import Grid, Index
 from glissando.posterior import Estimate, Posterior
 from glissando.prior import Prior
@@ -32,10 +32,7 @@ from glissando.window import Window
 _RENEWED = 2  # intervals before the newest node that every update linearises again
 _TURN = 0.02  # rad: a step that turns the body by more is followed by another
 _MOST = 5  # steps an update
-_STRIKES = 10  # readings refused in a row after which a stream is believed again
-_REMEMBERED = 200  # innovations that the monitor looks back on
 _AHEAD = 2.0  # s: stamps further ahead of the newest node are a clock's fault
-_FALSE_ALARM = 1e-4
 
 
 class FixedLag:
@@ -59,15 +56,13 @@ class FixedLag:
         if window < 1:
             raise OutsideGridError(f"A window of {window} time nodes is empty; give 1 or more.")
         self.arclength = np.asarray(arclength, dtype=float)
-        self.lag, self.gate = window, gate
-        self.dropped: dict[str, Counter[str]] = {}
+        self.lag = window
         self.updates = self.restarts = 0
         self._known = [u for u in unknowns if u.known]
         self._window = Window(prior, self.arclength, unknowns)
         self._held: dict[str, Readings] = {}  # that lie in the window
         self._waiting: dict[str, Readings] = {}  # later than the newest node
-        self._strikes: Counter[str] = Counter()
-        self._innovations: deque[tuple[float, int]] = deque(maxlen=_REMEMBERED)
+        self._gate = Gate(gate)
         self._late_from = np.inf
         self._started = False
 
@@ -88,12 +83,12 @@ class FixedLag:
         if before is not None and type(before) is not type(readings):
             raise SensorError(f"{name} was {type(before).__name__}; name each stream by itself.")
         kept = np.ones(len(readings), dtype=bool)
-        kept &= self._refuse(name, "off the robot", kept & ~self._on_robot(readings))
+        kept &= self._gate.refuse(name, "off the robot", kept & ~self._on_robot(readings))
         if self._window.nodes:
             oldest, newest = self._window.nodes[0].time, self._window.nodes[-1].time
-            kept &= self._refuse(name, "late", kept & (readings.time < oldest))
-            kept &= self._refuse(name, "ahead", kept & (readings.time > newest + _AHEAD))
-        kept &= self._refuse(name, "repeated", kept & self._repeated(readings))
+            kept &= self._gate.refuse(name, "late", kept & (readings.time < oldest))
+            kept &= self._gate.refuse(name, "ahead", kept & (readings.time > newest + _AHEAD))
+        kept &= self._gate.refuse(name, "repeated", kept & self._repeated(readings))
         readings = readings.select(kept)
         if len(readings) == 0:
             return
@@ -118,12 +113,6 @@ class FixedLag:
                 same &= readings.arclength[:, None] == other.arclength
                 again |= np.any(same, axis=1)
         return again
-
-    def _refuse(self, name: str, reason: str, rows: np.ndarray) -> np.ndarray:
-        """Count the rows that are refused; returns those that are not."""
-        if np.any(rows):
-            self.dropped.setdefault(name, Counter())[reason] += int(rows.sum())
-        return ~rows
 
     def advance(self, time: float) -> Estimate:
         """Go on to `time` with all readings up to then; the newest state at the nodes (N,).
@@ -169,7 +158,7 @@ class FixedLag:
                 continue
             now = waiting.select(due)
             early = now.time < self._window.nodes[0].time
-            now = now.select(self._refuse(name, "late", early))
+            now = now.select(self._gate.refuse(name, "late", early))
             if np.all(due):
                 del self._waiting[name]
             else:
@@ -244,23 +233,19 @@ class FixedLag:
         worst = (1.0, "", 0.0, 0.0)
         for judged in self._window.judge(new):
             stream = streams[judged.stream]
-            limit = np.inf if self.gate is None else float(chi2.isf(self.gate, judged.dof))
             if first_look:
-                self._innovations.extend((float(nis), judged.dof) for nis in judged.nis)
-                if np.any(judged.nis <= limit):
-                    self._strikes[stream.label] = 0
-            if self._strikes[stream.label] < _STRIKES:
-                i = int(np.argmax(judged.nis))
-                row = judged.rows[i]
-                place = float(stream.time[row]), float(stream.arclength[row])
-                worst = max(worst, (float(judged.nis[i]) / limit, stream.label, *place))
+                self._gate.note(stream.label, judged.nis, judged.dof)
+            row = judged.rows[int(np.argmax(judged.nis))]
+            excess = self._gate.excess(stream.label, judged.nis, judged.dof)
+            place = float(stream.time[row]), float(stream.arclength[row])
+            worst = max(worst, (excess, stream.label, *place))
         _, name, time, arclength = worst
         if not name:
             return False
-        self._strikes[name] += 1
+        self._gate.strike(name)
         held = self._held[name]
         out = (held.time == time) & (held.arclength == arclength)
-        self._held[name] = held.select(self._refuse(name, "gated", out))
+        self._held[name] = held.select(self._gate.refuse(name, "gated", out))
         return True
 
     def _forget(self) -> None:
@@ -318,15 +303,16 @@ class FixedLag:
         return rounds
 
     @property
+    def dropped(self) -> dict[str, Counter[str]]:
+        """How many readings of each stream were not used, by reason."""
+        return self._gate.dropped
+
+    @property
     def nis(self) -> float | None:
         """Mean squared innovation per degree of freedom of late; 1 when the model fits."""
-        if not self._innovations:
-            return None
-        total = np.sum(np.array(self._innovations), axis=0)
-        return float(total[0] / total[1])
+        return self._gate.nis
 
     @property
     def fits(self) -> bool:
         """Whether innovations of late are no larger than chance allows."""
-        dof = sum(d for _, d in self._innovations)
-        return self.nis is None or self.nis <= float(chi2.isf(_FALSE_ALARM, dof)) / dof
+        return self._gate.fits

@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 
 _SERIES_BELOW = 1.0  # squared angle under which the power series are used
 _TERMS = 12
+_NEAR = 2.0  # trace of a rotation above which (by less than 60°) its sine says all
 
 
 def _factorial_series(offset: int) -> list[float]:
@@ -34,35 +35,42 @@ _A, _B, _C = (_factorial_series(k) for k in (1, 2, 3))
 _D = [2.0 * float(zeta(2 * m + 2)) / (2.0 * np.pi) ** (2 * m + 2) for m in range(_TERMS + 4)]
 
 
-def _series(coefficients: list[float], q: Array) -> Array:
-    """Σ c_m q^m for q < 1, with no more terms than the largest q asks for."""
-    largest = float(q.max(initial=0.0))
-    terms = 5 if largest < 1e-3 else 7 if largest < 0.05 else len(coefficients)
-    value = np.full_like(q, coefficients[terms - 1])
-    for c in reversed(coefficients[: terms - 1]):
-        value *= q
-        value += c
-    return value
-
-
 def _derivative(coefficients: list[float]) -> list[float]:
     return [m * c for m, c in enumerate(coefficients)][1:]
 
 
-_A1, _B1, _C1, _D1 = (_derivative(c) for c in (_A, _B, _C, _D))
-_B2, _C2 = _derivative(_B1), _derivative(_C1)
+def _together(*series: list[float]) -> Array:
+    """Coefficients of F series as a table (terms, F, 1), as long as the shortest of them."""
+    return np.array(list(zip(*series, strict=False)))[..., None]
 
 
-def _piecewise(
-    q: Array, series: tuple[list[float], ...], closed: Callable[[Array], tuple[Array, ...]]
-) -> tuple[Array, ...]:
-    """Functions of q = θ²: power series near zero, closed forms (given q) away from it."""
+_B1, _C1 = _derivative(_B), _derivative(_C)
+_ABC = _together(_A, _B, _C)
+_DD1 = _together(_D, _derivative(_D))
+_BC_SLOPES = _together(_B, _C, _B1, _C1)
+_BC_CURVES = _together(_derivative(_B1), _derivative(_C1))
+
+
+def _series(table: Array, q: Array, largest: float) -> Array:
+    """Σ c_m q^m (F, …) for q < 1, with no more terms than the largest q asks for."""
+    terms = 5 if largest < 1e-3 else 7 if largest < 0.05 else len(table)
+    flat = q.ravel()
+    value = flat * table[terms - 1]
+    for c in table[terms - 2 : 0 : -1]:
+        value += c
+        value *= flat
+    value += table[0]
+    return value.reshape(table.shape[1], *q.shape)
+
+
+def _piecewise(q: Array, table: Array, closed: Callable[[Array], tuple[Array, ...]]) -> Array:
+    """Functions (F, …) of q = θ²: power series near zero, closed forms (given q) away from it."""
+    largest = float(q.max(initial=0.0))
+    if largest < _SERIES_BELOW:
+        return _series(table, q, largest)
     far = q >= _SERIES_BELOW
-    if not np.any(far):
-        return tuple(_series(c, q) for c in series)
-    values = tuple(_series(c, np.where(far, 0.0, q)) for c in series)
-    for value, exact in zip(values, closed(q[far]), strict=True):
-        value[far] = exact
+    values = _series(table, np.where(far, 0.0, q), _SERIES_BELOW)
+    values[:, far] = closed(q[far])
     return values
 
 
@@ -72,9 +80,9 @@ def _abc_closed(q: Array) -> tuple[Array, ...]:
     return a, (1.0 - np.cos(theta)) / q, (1.0 - a) / q
 
 
-def _abc(q: Array) -> tuple[Array, ...]:
-    """A = sin θ/θ, B = (1−cos θ)/θ², C = (θ−sin θ)/θ³ as functions of q = θ²."""
-    return _piecewise(q, (_A, _B, _C), _abc_closed)
+def _abc(q: Array) -> Array:
+    """A = sin θ/θ, B = (1−cos θ)/θ², C = (θ−sin θ)/θ³ as functions (3, …) of q = θ²."""
+    return _piecewise(q, _ABC, _abc_closed)
 
 
 def _d_closed(q: Array) -> tuple[Array, ...]:
@@ -85,9 +93,9 @@ def _d_closed(q: Array) -> tuple[Array, ...]:
     return d, (-g_slope - d) / q
 
 
-def _d_and_slope(q: Array) -> tuple[Array, ...]:
-    """D = (1 − (θ/2) cot(θ/2))/θ² and dD/dq."""
-    return _piecewise(q, (_D, _D1), _d_closed)
+def _d_and_slope(q: Array) -> Array:
+    """D = (1 − (θ/2) cot(θ/2))/θ² and dD/dq (2, …)."""
+    return _piecewise(q, _DD1, _d_closed)
 
 
 def _bc_closed(q: Array) -> tuple[Array, ...]:
@@ -104,12 +112,22 @@ def _bc_curves_closed(q: Array) -> tuple[Array, ...]:
     return (0.5 * a_slope - 2.0 * b_slope) / q, -(a_curve + 2.0 * c_slope) / q
 
 
+def _skews() -> tuple[Array, Array]:
+    """What makes a skew matrix of a three-vector and an adjoint's derivative of a six-vector."""
+    skew, wide = np.zeros((3, 3, 3)), np.zeros((6, 6, 6))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        skew[i, k, j], skew[i, j, k] = 1.0, -1.0
+    wide[3:, :3, :3] = wide[3:, 3:, 3:] = wide[:3, :3, 3:] = skew
+    return skew.reshape(3, 9), wide.reshape(6, 36)
+
+
+_EYE3, _EYE6 = np.eye(3), np.eye(6)
+_SKEW, _AD = _skews()
+
+
 def hat3(v: Array) -> Array:
     """Skew matrix (…, 3, 3) of a three-vector (…, 3); its product is the cross product."""
-    out = np.zeros((*v.shape[:-1], 3, 3))
-    out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
-    out[..., 1, 0], out[..., 2, 0], out[..., 2, 1] = v[..., 2], -v[..., 1], v[..., 0]
-    return out
+    return (v @ _SKEW).reshape(*v.shape[:-1], 3, 3)
 
 
 def hat(x: Array) -> Array:
@@ -124,7 +142,7 @@ def so3_exp(phi: Array) -> Array:
     """Rotation matrix (…, 3, 3) of a rotation vector (…, 3)."""
     a, b, _ = _abc(np.sum(phi**2, axis=-1))
     w = hat3(phi)
-    return np.eye(3) + a[..., None, None] * w + b[..., None, None] * (w @ w)
+    return _EYE3 + a[..., None, None] * w + b[..., None, None] * (w @ w)
 
 
 def quaternion(rotation: Array) -> Array:
@@ -151,11 +169,20 @@ def rotation_from_quaternion(q: Array) -> Array:
     """Rotation matrix (…, 3, 3) of a quaternion [w, x, y, z] (…, 4), normalised here."""
     q = q / np.linalg.norm(q, axis=-1, keepdims=True)
     w = hat3(q[..., 1:])
-    return np.eye(3) + 2.0 * q[..., :1, None] * w + 2.0 * (w @ w)
+    return _EYE3 + 2.0 * q[..., :1, None] * w + 2.0 * (w @ w)
 
 
 def so3_log(rotation: Array) -> Array:
     """Rotation vector (…, 3) of a rotation matrix (…, 3, 3), its norm in [0, π]."""
+    r = rotation
+    if np.einsum("...ii->...", r).min(initial=3.0) > _NEAR:
+        axis = np.empty(r.shape[:-1])  # times sin θ
+        for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+            axis[..., i] = r[..., k, j] - r[..., j, k]
+        axis *= 0.5
+        sine = np.sqrt(np.einsum("...i,...i->...", axis, axis))
+        sine = np.maximum(sine, 1e-9)
+        return (np.arcsin(sine) / sine)[..., None] * axis
     q = quaternion(rotation)
     sine = np.linalg.norm(q[..., 1:], axis=-1)
     tiny = sine < 1e-8
@@ -171,7 +198,7 @@ def exp(x: Array) -> Array:
     """
     _, b, c = _abc(np.sum(x[..., 3:] ** 2, axis=-1))
     w = hat3(x[..., 3:])
-    v = np.eye(3) + b[..., None, None] * w + c[..., None, None] * (w @ w)
+    v = _EYE3 + b[..., None, None] * w + c[..., None, None] * (w @ w)
     out = np.zeros((*x.shape[:-1], 4, 4))
     out[..., :3, :3] = so3_exp(x[..., 3:])
     out[..., :3, 3] = np.einsum("...ij,...j->...i", v, x[..., :3])
@@ -184,7 +211,7 @@ def log(pose: Array) -> Array:
     phi = so3_log(pose[..., :3, :3])
     d, _ = _d_and_slope(np.sum(phi**2, axis=-1))
     w = hat3(phi)
-    v_inverse = np.eye(3) - 0.5 * w + d[..., None, None] * (w @ w)
+    v_inverse = _EYE3 - 0.5 * w + d[..., None, None] * (w @ w)
     rho = np.einsum("...ij,...j->...i", v_inverse, pose[..., :3, 3])
     return np.concatenate([rho, phi], axis=-1)
 
@@ -210,15 +237,12 @@ def adjoint(pose: Array) -> Array:
 
 def ad(x: Array) -> Array:
     """Derivative of the adjoint (…, 6, 6): its product with y is the bracket of x^ and y^."""
-    out = np.zeros((*x.shape[:-1], 6, 6))
-    out[..., :3, :3] = out[..., 3:, 3:] = hat3(x[..., 3:])
-    out[..., :3, 3:] = hat3(x[..., :3])
-    return out
+    return (x @ _AD).reshape(*x.shape[:-1], 6, 6)
 
 
 def right_jacobian_coefficients(q: Array) -> Array:
     """Coefficients (…, 5) of J_r(x) = Σ c_i ad(x)^i as functions of the squared angle (…)."""
-    b, c, b_slope, c_slope = _piecewise(q, (_B, _C, _B1, _C1), _bc_closed)
+    b, c, b_slope, c_slope = _piecewise(q, _BC_SLOPES, _bc_closed)
     one = np.ones_like(q)
     return np.stack([one, q * b_slope - b, c - q * c_slope, b_slope, -c_slope], axis=-1)
 
@@ -227,7 +251,7 @@ def ad_powers(x: Array) -> Array:
     """Powers 0 to 4 of ad(x), stacked (…, 5, 6, 6); higher ones depend on these."""
     m = ad(x)
     m2 = m @ m
-    return np.stack([np.broadcast_to(np.eye(6), m.shape), m, m2, m2 @ m, m2 @ m2], axis=-3)
+    return np.stack([np.broadcast_to(_EYE6, m.shape), m, m2, m2 @ m, m2 @ m2], axis=-3)
 
 
 def right_jacobian(x: Array) -> Array:
@@ -238,11 +262,10 @@ def right_jacobian(x: Array) -> Array:
     c = right_jacobian_coefficients(np.sum(x[..., 3:] ** 2, axis=-1))[..., None, None]
     m = ad(x)
     m2 = m @ m
-    eye = np.eye(6)
     return (
-        eye
-        + m @ (c[..., 1, :, :] * eye + c[..., 3, :, :] * m2)
-        + m2 @ (c[..., 2, :, :] * eye + c[..., 4, :, :] * m2)
+        _EYE6
+        + m @ (c[..., 1, :, :] * _EYE6 + c[..., 3, :, :] * m2)
+        + m2 @ (c[..., 2, :, :] * _EYE6 + c[..., 4, :, :] * m2)
     )
 
 
@@ -250,7 +273,7 @@ def right_jacobian_slope(x: Array, w: Array) -> Array:
     """Derivative (…, 6, 6) of J_r(x) w with respect to x, for six-vectors x and w (…, 6)."""
     q = np.sum(x[..., 3:] ** 2, axis=-1)
     c = right_jacobian_coefficients(q)[..., None, None]
-    b2, c2 = _piecewise(q, (_B2, _C2), _bc_curves_closed)
+    b2, c2 = _piecewise(q, _BC_CURVES, _bc_curves_closed)
     zero = np.zeros_like(q)
     c_slopes = np.stack([zero, q * b2, -q * c2, b2, -c2], axis=-1)
     m = ad(x)
@@ -271,8 +294,8 @@ def right_jacobian_inverse(x: Array) -> Array:
     d, slope = _d_and_slope(q)
     m = ad(x)
     m2 = m @ m
-    even = (d - q * slope)[..., None, None] * np.eye(6) - slope[..., None, None] * m2
-    return np.eye(6) + 0.5 * m + m2 @ even
+    even = (d - q * slope)[..., None, None] * _EYE6 - slope[..., None, None] * m2
+    return _EYE6 + 0.5 * m + m2 @ even
 
 
 def left_jacobian_inverse(x: Array) -> Array:
