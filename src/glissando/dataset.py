@@ -27,7 +27,7 @@ from glissando.streams import TRUTH_KINDS, Rows, clean, read_named, read_public
 from glissando.tables import Table, read_toml
 
 _TRUTH_STD = 1e-6  # noise of a truth stream that states none: negligible against any posterior
-_KINDS: dict[str, type[Readings]] = {
+KINDS: dict[str, type[Readings]] = {
     "pose": PoseReadings,
     "coil": CoilReadings,
     "position": PositionReadings,
@@ -36,6 +36,7 @@ _KINDS: dict[str, type[Readings]] = {
     "strain": StrainReadings,
     "fbg": FbgReadings,
 }
+"""Readings by the name of their kind in a recording."""
 
 
 @dataclass(frozen=True)
@@ -156,6 +157,7 @@ def _fitting_robot(streams: dict[str, Stream]) -> Robot | None:
 def _described(folder: Path) -> Recording:
     table = read_toml(folder / "recording.toml", RecordingError)
     name = table.text("name", folder.resolve().name)
+    journal = table.flag("journal")
     robot_name = table.text("robot", "")
     robot = None
     if robot_name:
@@ -174,17 +176,19 @@ def _described(folder: Path) -> Recording:
         entry.close()
     streams = {}
     for entry in table.tables("streams"):
-        stream = _stream(folder, entry, frames)
+        stream = _stream(folder, entry, frames, journal)
+        if journal and not len(stream.rows.time):
+            continue  # described, and nothing came of it
         if stream.name in streams:
             raise entry.fail("name", f"{stream.name!r} is given twice; name each stream once.")
         streams[stream.name] = stream
     table.close()
-    if not streams:
+    if not streams and not journal:
         raise RecordingError("recording.toml names no [[streams]]; add one for each CSV file.")
     return Recording(name, folder, streams, robot, window)
 
 
-def _stream(folder: Path, entry: Table, frames: dict[str, Array]) -> Stream:
+def _stream(folder: Path, entry: Table, frames: dict[str, Array], journal: bool) -> Stream:
     name = entry.text("name")
     kind = entry.text("kind", choices=ROWS)
     file = folder / entry.text("file", f"{name}.csv")
@@ -206,7 +210,7 @@ def _stream(folder: Path, entry: Table, frames: dict[str, Array]) -> Stream:
         extra = {"core_radius": radius * length_unit, "core_angle": angle * angle_unit}
     entry.close()
     cores = len(extra["core_radius"]) if extra else 0
-    rows = read_named(file, kind, cores, length_unit, angle_unit)
+    rows = read_named(file, kind, cores, length_unit, angle_unit, journal=journal)
     rows = clean(replace(rows, values=_to_world(rows, frames[frame])), None, keep_repeats)
     return Stream(name, rows, truth, std, mount, extra, keep_repeats)
 
@@ -246,7 +250,7 @@ def _as_readings(stream: Stream, robot: Robot, as_truth: bool) -> Readings:
     settings: dict[str, Any] = dict(stream.extra)
     if rows.kind == "fbg":
         std = np.full(rows.values.shape[1], std[0])
-    return _KINDS[rows.kind](
+    return KINDS[rows.kind](
         time=rows.time,
         arclength=rows.arclength,
         values=rows.values,

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.stats import chi2
 
 from glissando import se3
 from glissando.errors import SensorError
 from glissando.points import sort_points
-from glissando.posterior import Posterior
+from glissando.posterior import Estimate, Posterior
 from glissando.readings import Readings
 from glissando.se3 import Array
 from glissando.sensors import CoilReadings, OrientationReadings, PoseReadings, PositionReadings
@@ -23,7 +25,7 @@ _JUDGES = (PoseReadings, CoilReadings, PositionReadings, OrientationReadings)
 
 @dataclass(frozen=True)
 class Errors:
-    """Errors of an estimate at M truth samples in order of time; what a stream lacks is NaN.
+    """Errors of an estimate at M truth samples in order of `time`; what a stream lacks is NaN.
 
     `position` (M,) metres, `rotation` (M,) radians; `nees_position` and `nees_rotation` (M,) the
     squared errors in units of their covariance, of 3 and `dof_rotation` degrees of freedom (2 for a
@@ -37,6 +39,7 @@ class Errors:
     nees_position: Array
     nees_rotation: Array
     dof_rotation: int = 3
+    time: Array = field(default_factory=lambda: np.zeros(0))
 
     def summary(self) -> dict[str, float | None]:
         """RMSEs, NEES per degree of freedom, and the share inside the 95 % ellipsoid."""
@@ -62,8 +65,15 @@ def _rms(values: Array) -> float | None:
     return None if square is None else float(np.sqrt(square))
 
 
-def errors_against(posterior: Posterior, truth: Readings) -> Errors:
-    """Errors of the posterior at every sample of a truth stream.
+class Answers(Protocol):
+    """What can be asked for the state at any arclength and time: a posterior, a smoother."""
+
+    def at(self, arclength: ArrayLike, time: ArrayLike) -> Estimate:
+        """State and covariance at points (M,)."""
+
+
+def errors_against(posterior: Answers, truth: Readings) -> Errors:
+    """Errors of the estimate at every sample of a truth stream.
 
     Streams of pose, coil, position or orientation will do. The truth's own covariance is added to
     the posterior's before the error is measured in it. Raises SensorError for other kinds.
@@ -96,7 +106,8 @@ def errors_against(posterior: Posterior, truth: Readings) -> Errors:
         cov = turn @ found.cov[:, 3:6, 3:6] @ turn.T + own
         rotation = np.linalg.norm(miss, axis=1)
         nees_rotation = np.einsum("mi,mi->m", miss, np.linalg.solve(cov, miss[..., None])[..., 0])
-    return Errors(truth.label, truth.arclength, position, rotation, nees, nees_rotation, dof)
+    found_out = position, rotation, nees, nees_rotation, dof, truth.time
+    return Errors(truth.label, truth.arclength, *found_out)
 
 
 def innovations(posterior: Posterior, readings: Readings) -> Array:
@@ -141,13 +152,21 @@ def _turned(estimated: Array, truth: Readings) -> Array:
     return scale[:, None] * np.stack([-apart[:, 1, 2], apart[:, 0, 2]], axis=-1)
 
 
-def pool(errors: Sequence[Errors]) -> Errors:
-    """All samples of all sites as one; rotations count as of three degrees of freedom."""
+def joined(errors: Sequence[Errors]) -> Errors:
+    """Errors of one stream, one part after another."""
     return Errors(
-        "overall",
+        errors[0].name,
         np.concatenate([e.arclength for e in errors]),
         np.concatenate([e.position for e in errors]),
         np.concatenate([e.rotation for e in errors]),
         np.concatenate([e.nees_position for e in errors]),
-        np.concatenate([e.nees_rotation * (3.0 / e.dof_rotation) for e in errors]),
+        np.concatenate([e.nees_rotation for e in errors]),
+        errors[0].dof_rotation,
+        np.concatenate([e.time for e in errors]),
     )
+
+
+def pool(errors: Sequence[Errors]) -> Errors:
+    """All samples of all sites as one; rotations count as of three degrees of freedom."""
+    alike = [replace(e, nees_rotation=e.nees_rotation * (3.0 / e.dof_rotation)) for e in errors]
+    return replace(joined(alike), name="overall", dof_rotation=3)

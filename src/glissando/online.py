@@ -275,13 +275,16 @@ class FixedLag:
 
         Raises OutsideGridError for a point off the robot or before the window.
         """
-        latest = float(np.max(time))
+        latest = float(np.max(time, initial=-np.inf))
         self.newest()
         window = self._window
         if latest > window.nodes[-1].time:
             window = copy(window)
             window.nodes = [copy(node) for node in window.nodes]
-            window.append(latest)
+            newest = window.nodes[-1].time
+            before = window.nodes[-2].time if len(window.nodes) > 1 else window.before
+            # Nodes closer than usual may be too close; what is beyond a point does not change it.
+            window.append(max(latest, newest if before is None else 2.0 * newest - before))
             first = max(0, len(window.nodes) - 2)
             begin = window.nodes[first].time
             held = [r.select(r.time >= begin) for r in self._held.values()]

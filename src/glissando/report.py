@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from glissando.dataset import Recording
 from glissando.errors import GlissandoError, RecordingError
 from glissando.estimate import Progress, estimate
 from glissando.metrics import Errors, errors_against, pool
-from glissando.posterior import Posterior
+from glissando.posterior import Estimate, Posterior
 from glissando.readings import Readings
 from glissando.robot import Robot
 from glissando.se3 import Array
@@ -67,7 +67,7 @@ class Run:
             "seconds": solve.seconds,
             "dropped": self.dropped,
             "overall": pool(self.errors).summary() if self.errors else None,
-            "sites": [_site(e) for e in self.errors],
+            "sites": [site_summary(e) for e in self.errors],
             "consistency": [c.as_json() for c in self.consistency()],
         }
 
@@ -85,7 +85,8 @@ def _unknown(posterior: Posterior, unknown: Unknown) -> dict[str, Any]:
     }
 
 
-def _site(errors: Errors) -> dict[str, Any]:
+def site_summary(errors: Errors) -> dict[str, Any]:
+    """Errors at a site as a report tells them, SI units and radians."""
     return {
         "name": errors.name,
         "arclength": float(np.mean(errors.arclength)),
@@ -237,8 +238,16 @@ def read_query(path: Path) -> tuple[Array, Array]:
 def write_query(posterior: Posterior, query: tuple[Array, Array], path: Path) -> None:
     """Write the estimate at query points as CSV; covariance in the body frame."""
     time, arclength = query
-    at = posterior.at(arclength, time)
-    columns = [time[:, None], arclength[:, None], at.position, at.quaternion, at.strain]
-    columns += [at.velocity, at.cov[:, :6, :6].reshape(len(time), 36)]
     path.parent.mkdir(parents=True, exist_ok=True)
-    np.savetxt(path, np.hstack(columns), "%.12g", ",", header=",".join(QUERY_COLUMNS), comments="")
+    write_states([(time, arclength, posterior.at(arclength, time))], path)
+
+
+def write_states(states: Iterable[tuple[Array, Array, Estimate]], path: Path) -> None:
+    """Write estimates at times and arclengths (M,) each, one after another, as CSV."""
+    rows = []
+    for time, arclength, at in states:
+        columns = [time[:, None], arclength[:, None], at.position, at.quaternion, at.strain]
+        columns += [at.velocity, at.cov[:, :6, :6].reshape(len(time), 36)]
+        rows.append(np.hstack(columns))
+    header = ",".join(QUERY_COLUMNS)
+    np.savetxt(path, np.concatenate(rows), "%.12g", ",", header=header, comments="")

@@ -64,17 +64,29 @@ def read_public(path: Path) -> tuple[Rows, bool]:
         )
     kind, truth = _PUBLIC_KINDS[head[1].lower()]
     width = 8 if kind == "pose" else 5
-    table = _numbers(path, lines, first=2, width=width)
+    table = _numbers(path, lines, first=2, width=width, clock=0)
     values = se3.exp(table[:, 2:]) if kind == "pose" else table[:, 2:]
     return clean(Rows(kind, table[:, 0], table[:, 1], values, {})), truth
 
 
-def read_named(path: Path, kind: str, cores: int, length_unit: float, angle_unit: float) -> Rows:
-    """A stream with one header line of column names, in any order; units as factors to SI."""
-    lines = _lines(path)
+def read_named(
+    path: Path,
+    kind: str,
+    cores: int,
+    length_unit: float,
+    angle_unit: float,
+    *,
+    journal: bool = False,
+) -> Rows:
+    """A stream with one header line of column names, in any order; units as factors to SI.
+
+    Rows of a `journal` may go back in time and end in a line that was not finished; they are
+    sorted, and there may be none.
+    """
+    lines = _lines(path, whole=journal)
     if not lines:
         raise RecordingError(f"{path.name} is empty; record some rows or leave the stream out.")
-    wanted = ["time", "arclength", *(COLUMNS[kind] or [f"strain_{i}" for i in range(cores)])]
+    wanted = ["time", "arclength", *columns_of(kind, cores)]
     found = [part.strip() for part in lines[0].split(",")]
     twice = [name for name in wanted if found.count(name) > 1]
     if twice:
@@ -85,7 +97,10 @@ def read_named(path: Path, kind: str, cores: int, length_unit: float, angle_unit
             f"{path.name} line 1: a {kind} stream needs the columns {', '.join(wanted)}; "
             f"{', '.join(missing)} is missing."
         )
-    table = _numbers(path, lines, 1, len(found), found.index("time"))
+    clock = found.index("time")
+    table = _numbers(path, lines, 1, len(found), None if journal else clock)
+    if journal:
+        table = table[np.argsort(table[:, clock], kind="stable")]
     table = table[:, [found.index(name) for name in wanted]]
     time, arclength, values = table[:, 0], table[:, 1] * length_unit, table[:, 2:]
     if kind in ("pose", "coil", "position"):
@@ -99,17 +114,26 @@ def read_named(path: Path, kind: str, cores: int, length_unit: float, angle_unit
     return Rows(kind, time, arclength, values, {})
 
 
-def write_named(path: Path, rows: Rows) -> None:
-    """Write rows as one header line of column names and a line a row, SI units."""
+def columns_of(kind: str, cores: int) -> list[str]:
+    """Value columns of a kind of stream; `cores` counts those of a fibre."""
+    return COLUMNS[kind] or [f"strain_{i}" for i in range(cores)]
+
+
+def table_of(rows: Rows) -> Array:
+    """Rows as numbers (M, 2 + columns) in the order of their columns, SI units."""
     values = rows.values.reshape(len(rows.time), -1)
     if rows.kind in ("pose", "coil"):
         quaternion = se3.quaternion(rows.values[:, :3, :3])
         values = np.hstack([rows.values[:, :3, 3], quaternion])
     elif rows.kind == "orientation":
         values = se3.quaternion(rows.values)
-    columns = COLUMNS[rows.kind] or [f"strain_{i}" for i in range(values.shape[1])]
-    table = np.column_stack([rows.time, rows.arclength, values])
-    header = ",".join(["time", "arclength", *columns])
+    return np.column_stack([rows.time, rows.arclength, values])
+
+
+def write_named(path: Path, rows: Rows) -> None:
+    """Write rows as one header line of column names and a line a row, SI units."""
+    table = table_of(rows)
+    header = ",".join(["time", "arclength", *columns_of(rows.kind, table.shape[1] - 2)])
     np.savetxt(path, table, "%.12g", ",", header=header, comments="")
 
 
@@ -120,9 +144,9 @@ def clean(rows: Rows, clip: float | None = None, keep_repeats: bool = False) -> 
     would be information twice, and at a sensor's next place they would be wrong as well. A gyro at
     the end of its range only gives a bound. `keep_repeats` leaves a tracker's rows alone.
     """
-    flat = rows.values.reshape(len(rows.time), -1)
-    if rows.kind in _TRACKERS and keep_repeats:
+    if len(rows.time) == 0 or (rows.kind in _TRACKERS and keep_repeats):
         return rows
+    flat = rows.values.reshape(len(rows.time), -1)
     if rows.kind in _TRACKERS:
         same = np.all(np.diff(flat, axis=0) == 0.0, axis=1)
         if rows.kind == "orientation":  # a straight robot has one orientation at many places
@@ -153,9 +177,11 @@ def _oriented(path: Path, values: Array, first: int) -> Array:
     return pose
 
 
-def _lines(path: Path) -> list[str]:
+def _lines(path: Path, *, whole: bool = False) -> list[str]:
+    """The lines of a file; only whole ones if asked."""
     try:
-        return path.read_text(encoding="utf-8-sig").splitlines()
+        text = path.read_text(encoding="utf-8-sig")
+        return (text[: text.rfind("\n") + 1] if whole else text).splitlines()
     except OSError as problem:
         raise RecordingError(
             f"Stream file {path} cannot be read ({problem.strerror}); check the name."
@@ -164,8 +190,13 @@ def _lines(path: Path) -> list[str]:
         raise RecordingError(f"{path.name} is not a text file; give CSV in UTF-8.") from None
 
 
-def _numbers(path: Path, lines: list[str], first: int, width: int, clock: int = 0) -> Array:
-    """The rows from line `first` on as numbers (M, width), column `clock` not going backwards."""
+def _numbers(
+    path: Path, lines: list[str], first: int, width: int, clock: int | None = None
+) -> Array:
+    """The rows from line `first` on as numbers (M, width).
+
+    With a column `clock`, which must not go backwards, there must be some.
+    """
     table = np.empty((len(lines) - min(first, len(lines)), width))
     count = 0
     before = -np.inf
@@ -191,14 +222,15 @@ def _numbers(path: Path, lines: list[str], first: int, width: int, clock: int = 
                 f"{path.name} line {number}: a value is not finite ({line.strip()[:60]}); delete "
                 f"that line, gaps are normal."
             )
-        if table[count, clock] < before:
-            raise RecordingError(
-                f"{path.name} line {number}: time goes back from {before:g} s to "
-                f"{table[count, clock]:g} s; sort the rows or correct the clock."
-            )
-        before = table[count, clock]
+        if clock is not None:
+            if table[count, clock] < before:
+                raise RecordingError(
+                    f"{path.name} line {number}: time goes back from {before:g} s to "
+                    f"{table[count, clock]:g} s; sort the rows or correct the clock."
+                )
+            before = table[count, clock]
         count += 1
-    if count == 0:
+    if count == 0 and clock is not None:
         raise RecordingError(f"{path.name} holds no rows; record some or leave the stream out.")
     return table[:count]
 
