@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
@@ -260,3 +261,21 @@ def test_the_example_loop_runs_and_is_sure_of_what_it_says():
     command = [sys.executable, str(script), "1"]
     out = subprocess.run(command, check=True, capture_output=True, text=True).stdout
     assert "tip at" in out.splitlines()[-1]
+
+
+@pytest.mark.slow
+def test_memory_does_not_grow_while_it_runs():
+    prior, _, readings = sliding_scene(duration=40.0)
+    smoother = FixedLag(prior, np.linspace(0.0, LENGTH, 4), window=4)
+    held = []
+    tracemalloc.start()
+    try:
+        for k, time in enumerate(np.arange(0.1, 40.0, 0.1)):
+            for stream in readings:
+                smoother.add(stream.select((stream.time > time - 0.1) & (stream.time <= time)))
+            smoother.advance(time)
+            if k % 50 == 49:
+                held.append(tracemalloc.get_traced_memory()[0])
+    finally:
+        tracemalloc.stop()
+    assert max(held[3:]) < 1.05 * max(held[:3])

@@ -16,10 +16,11 @@ from copy import copy
 import numpy as np
 from numpy.typing import ArrayLike
 
-from glissando.errors import NotConvergedWarning, OutsideGridError, SensorError, UnobservableError
+from glissando.errors import NotConvergedWarning, OutsideGridError, UnobservableError
 from glissando.estimate import Options, estimate
 from glissando.gate import Gate
 from glissando.grid import Grid, Index
+from glissando.inbox import Inbox
 from glissando.posterior import Estimate, Posterior
 from glissando.prior import Prior
 from glissando.readings import Readings
@@ -32,7 +33,7 @@ from glissando.window import Window
 _RENEWED = 2  # intervals before the newest node that every update linearises again
 _TURN = 0.02  # rad: a step that turns the body by more is followed by another
 _MOST = 5  # steps an update
-_AHEAD = 2.0  # s: stamps further ahead of the newest node are a clock's fault
+_CLOSEST = 0.2  # of the last interval: no node is put nearer to the newest one to look ahead
 
 
 class FixedLag:
@@ -60,10 +61,8 @@ class FixedLag:
         self.updates = self.restarts = 0
         self._known = [u for u in unknowns if u.known]
         self._window = Window(prior, self.arclength, unknowns)
-        self._held: dict[str, Readings] = {}  # that lie in the window
-        self._waiting: dict[str, Readings] = {}  # later than the newest node
         self._gate = Gate(gate)
-        self._late_from = np.inf
+        self._inbox = Inbox(float(self.arclength[-1]), self._gate)
         self._started = False
 
     @property
@@ -77,42 +76,9 @@ class FixedLag:
         Those that came before, lie before the window, off the robot, or absurdly far ahead are
         dropped and counted in `dropped`. Raises SensorError when the stream changed its kind.
         """
-        readings = corrected(readings, self._known)
-        name = readings.label
-        before = self._waiting.get(name, self._held.get(name))
-        if before is not None and type(before) is not type(readings):
-            raise SensorError(f"{name} was {type(before).__name__}; name each stream by itself.")
-        kept = np.ones(len(readings), dtype=bool)
-        kept &= self._gate.refuse(name, "off the robot", kept & ~self._on_robot(readings))
-        if self._window.nodes:
-            oldest, newest = self._window.nodes[0].time, self._window.nodes[-1].time
-            kept &= self._gate.refuse(name, "late", kept & (readings.time < oldest))
-            kept &= self._gate.refuse(name, "ahead", kept & (readings.time > newest + _AHEAD))
-        kept &= self._gate.refuse(name, "repeated", kept & self._repeated(readings))
-        readings = readings.select(kept)
-        if len(readings) == 0:
-            return
-        waiting = self._waiting.get(name)
-        self._waiting[name] = readings if waiting is None else waiting.joined(readings)
-
-    def _on_robot(self, readings: Readings) -> np.ndarray:
-        slack = 1e-9 * self.arclength[-1]
-        above, below = (
-            readings.arclength >= -slack,
-            readings.arclength <= self.arclength[-1] + slack,
-        )
-        return above & below
-
-    def _repeated(self, readings: Readings) -> np.ndarray:
-        """Rows that have a stamp of before; at one moment a stream may read several places."""
-        seen = np.diff(np.column_stack([readings.time, readings.arclength]), axis=0, prepend=np.nan)
-        again = ~np.any(seen != 0.0, axis=1)
-        for other in (self._held.get(readings.label), self._waiting.get(readings.label)):
-            if other is not None and len(other):
-                same = readings.time[:, None] == other.time
-                same &= readings.arclength[:, None] == other.arclength
-                again |= np.any(same, axis=1)
-        return again
+        nodes = self._window.nodes
+        span = (nodes[0].time, nodes[-1].time) if nodes else None
+        self._inbox.take(corrected(readings, self._known), span)
 
     def advance(self, time: float) -> Estimate:
         """Go on to `time` with all readings up to then; the newest state at the nodes (N,).
@@ -129,14 +95,14 @@ class FixedLag:
                 window.begin(time, window.prior.rest_state(at).take(0))
             elif time > window.nodes[-1].time:
                 window.append(time)
-            self._late_from = np.inf
-            fresh = self._arrived(window.nodes[-1].time)
+            fresh = self._inbox.arrive(window.nodes[0].time, window.nodes[-1].time)
             if not fresh and time < window.nodes[-1].time:
                 return self.newest()
             if not self._started and fresh:
                 self._start()
             first = max(0, len(window.nodes) - 1 - _RENEWED)
-            late = int(np.searchsorted(window.times, self._late_from, side="right")) - 1
+            earliest = min((float(t.min()) for t in fresh.values()), default=np.inf)
+            late = int(np.searchsorted(window.times, earliest, side="right")) - 1
             try:
                 self._update(max(0, min(first, late)), fresh)
             except (np.linalg.LinAlgError, UnobservableError):
@@ -145,31 +111,9 @@ class FixedLag:
                 self._restart()
             while len(window.nodes) > self.lag:
                 window.drop()
-            self._forget()
+            self._inbox.forget(window.nodes[0].time)
         self.updates += 1
         return self.newest()
-
-    def _arrived(self, until: float) -> dict[str, Array]:
-        """Move what waits up to a time into the window; times of the new rows by stream."""
-        fresh = {}
-        for name, waiting in list(self._waiting.items()):
-            due = waiting.time <= until
-            if not np.any(due):
-                continue
-            now = waiting.select(due)
-            early = now.time < self._window.nodes[0].time
-            now = now.select(self._gate.refuse(name, "late", early))
-            if np.all(due):
-                del self._waiting[name]
-            else:
-                self._waiting[name] = waiting.select(~due)
-            if len(now) == 0:
-                continue
-            held = self._held.get(name)
-            self._held[name] = now if held is None or not len(held) else held.joined(now)
-            fresh[name] = now.time
-            self._late_from = min(self._late_from, float(now.time.min()))
-        return fresh
 
     def _restart(self) -> None:
         """Begin again from rest: foretold for too long without readings, states are absurd."""
@@ -178,13 +122,13 @@ class FixedLag:
         time, self._started, self.restarts = window.nodes[-1].time, False, self.restarts + 1
         window.begin(time, rest)
         window.before = None
-        self._forget()
+        self._inbox.forget(time)
         window.solve(0, self._since(0))
 
     def _start(self) -> None:
         """The first readings: estimate all there is from rest, as a recording is."""
         window = self._window
-        readings = [r for r in self._held.values() if len(r)]
+        readings = self._since(0)
         unknowns, options = window.unknowns, Options(max_iterations=30)
         try:
             with warnings.catch_warnings():
@@ -216,9 +160,7 @@ class FixedLag:
 
     def _since(self, first: int) -> list[Readings]:
         """Readings at and after a node, a stream each."""
-        begin = self._window.nodes[first].time
-        found = [r.select(r.time >= begin) for r in self._held.values()]
-        return [r for r in found if len(r)]
+        return self._inbox.since(self._window.nodes[first].time)
 
     def _judged(self, first: int, fresh: dict[str, Array], *, first_look: bool) -> bool:
         """Refuse the new reading that fits the others least, if it is beyond belief.
@@ -243,16 +185,8 @@ class FixedLag:
         if not name:
             return False
         self._gate.strike(name)
-        held = self._held[name]
-        out = (held.time == time) & (held.arclength == arclength)
-        self._held[name] = held.select(self._gate.refuse(name, "gated", out))
+        self._inbox.discard(name, time, arclength)
         return True
-
-    def _forget(self) -> None:
-        oldest = self._window.nodes[0].time
-        for name, held in self._held.items():
-            if len(held) and held.time.min() < oldest:
-                self._held[name] = held.select(held.time >= oldest)
 
     def newest(self) -> Estimate:
         """The newest state at the nodes (N,) with covariance (N, 18, 18)."""
@@ -283,13 +217,12 @@ class FixedLag:
             window.nodes = [copy(node) for node in window.nodes]
             newest = window.nodes[-1].time
             before = window.nodes[-2].time if len(window.nodes) > 1 else window.before
-            # Nodes closer than usual may be too close; what is beyond a point does not change it.
-            window.append(max(latest, newest if before is None else 2.0 * newest - before))
+            # Nodes may be too close; one further ahead than asked for does not change the answer.
+            least = 0.0 if before is None else _CLOSEST * (newest - before)
+            window.append(max(latest, newest + least))
             first = max(0, len(window.nodes) - 2)
-            begin = window.nodes[first].time
-            held = [r.select(r.time >= begin) for r in self._held.values()]
             with one_thread():
-                window.solve(first, [r for r in held if len(r)])
+                window.solve(first, self._inbox.since(window.nodes[first].time))
         with one_thread():
             return window.posterior().at(arclength, time)
 
