@@ -112,7 +112,7 @@ class Sender:
         if self._strikes("truncated"):
             data = data[: self.rng.integers(len(data))]
         if self._strikes("garbage"):
-            data = self.rng.bytes(self.rng.integers(1, 300))
+            data = self.rng.bytes(int(self.rng.integers(1, 300)))
         before, self._late = self._late, []
         if self._strikes("lost"):
             return before
