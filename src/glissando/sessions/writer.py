@@ -51,7 +51,7 @@ class SessionWriter:
         clocks = {"monotonic_ns": str(time.monotonic_ns()), "wall_ns": str(time.time_ns())}
         with self._sound():
             self._writer.start(profile="", library="glissando")
-            self._writer.add_metadata("session", {**(metadata or {}), "format": FORMAT, **clocks})
+            self._writer.add_metadata("session", {"format": FORMAT, **clocks, **(metadata or {})})
         self.sync()
         self._keeper = threading.Thread(target=self._keep_safe, name="session", daemon=True)
         self._keeper.start()
