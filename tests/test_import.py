@@ -249,6 +249,31 @@ def test_pose_topics_of_a_bag_are_read_back_with_their_stamps(tmp_path, version,
         read_tracks(path, topics=["/talk"])
 
 
+def test_a_mutilated_text_file_is_read_or_refused_with_a_sentence(tmp_path):
+    rng = np.random.default_rng(0)
+    whole = [
+        tracker_csv(tmp_path / "a.csv", {"tip": poses(rng, 4), "mid": poses(rng, 4)}).read_bytes(),
+        ndi_csv(tmp_path / "b.csv", {"tip": poses(rng, 4)}, [1, 2, 3, 4], markers=1).read_bytes(),
+        NEXUS.encode(),
+    ]
+    refused = read = 0
+    for trial in range(1500):
+        data = bytearray(whole[trial % 3])
+        for at in rng.integers(0, len(data), rng.integers(1, 6)):
+            data[at] = rng.choice(list(b",\n,;.x0-9e\xff\x00 S"))
+        (tmp_path / "c.csv").write_bytes(data[: rng.integers(len(data) // 3, len(data) + 1)])
+        try:
+            for found in read_tracks(tmp_path / "c.csv", rate=100.0):
+                assert np.all(np.isfinite(found.time))
+                assert np.all(np.isfinite(found.values))
+                assert np.all(np.diff(found.time) > 0)
+                assert len(found.time) == len(found.values)
+            read += 1
+        except RecordingError:
+            refused += 1
+    assert min(read, refused) > 150
+
+
 def text(content):
     def write(folder):
         (folder / "take.csv").write_text(content)

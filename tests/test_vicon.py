@@ -195,7 +195,7 @@ def running(*options):
 
 def test_what_a_sender_in_its_own_process_sends_is_received(tmp_path):
     with ViconStream(0, host="127.0.0.1", timeout=20.0) as stream:
-        options = ["--scene", scene_file(tmp_path), "--to", f"127.0.0.1:{stream.port}"]
+        options = ["--scene", scene_file(tmp_path, 60.0), "--to", f"127.0.0.1:{stream.port}"]
         epoch = time.monotonic() + 1.0
         process = running(*options, "--bodies", "tip=0.4,mid=0.1", "--epoch", epoch)
         try:

@@ -9,6 +9,7 @@ only, so rows are read as a 'coil', which ignores roll, unless the user says oth
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +29,6 @@ from glissando.se3 import Array
 _VALUES = ["q0", "qx", "qy", "qz", "tx", "ty", "tz"]
 _FRAMES, _STATES = ("frame#", "frame"), ("state", "transformstatus", "status")
 _TIMES = ("time [sec]", "time")
-_NONE_BELOW = -1e20  # the device writes -3.697314e28 for no number
 _WELL = ("", "OK", "ENABLED", "VALID")  # [inferred] beyond OK
 
 
@@ -53,8 +53,7 @@ def read_ndi_csv(path: Path, rate: float | None) -> list[Track]:
     ]
     if not rows:
         raise RecordingError(f"{path.name} holds no rows; record some.")
-    ends = [*starts[1:], len(heads)]
-    return [_tool(path, heads, s, e, rows, rate) for s, e in zip(starts, ends, strict=True)]
+    return [_tool(path, heads, *span, rows, rate) for span in pairwise([*starts, len(heads)])]
 
 
 def _tool(
@@ -87,7 +86,7 @@ def _tool(
         before, first = tick[0], tick[0] if first == -np.inf else first
         found = as_numbers(path, line, [cells[c] for c in at])
         well = state is None or cells[state].upper() in _WELL
-        if found is None or not well or found.min() < _NONE_BELOW or not found[:4].any():
+        if found is None or not well or not found[:4].any():
             missing += 1
             continue
         times.append(tick[0] if absolute else (tick[0] - first) / (rate or 1.0))

@@ -12,6 +12,7 @@ import numpy as np
 from glissando.errors import RecordingError
 from glissando.se3 import Array
 
+_NO_NUMBER = 1e20  # NDI's devices write -3.697314e28 for what they do not know
 LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 """Metres of a unit as files name it."""
 
@@ -53,7 +54,7 @@ def text_lines(path: Path) -> list[str]:
 
 
 def as_numbers(path: Path, line: int, cells: Sequence[str]) -> Array | None:
-    """The cells of a line as numbers, None when one is empty: the object was not seen.
+    """The cells of a line as numbers, None when one is empty or none: the object was not seen.
 
     Raises RecordingError, with the line, for a cell that is no number.
     """
@@ -66,7 +67,7 @@ def as_numbers(path: Path, line: int, cells: Sequence[str]) -> Array | None:
         raise RecordingError(
             f"{path.name} line {line}: {shown!r} is not all numbers; correct or delete that line."
         ) from None
-    return values if np.all(np.isfinite(values)) else None
+    return values if np.all(np.abs(values) < _NO_NUMBER) else None
 
 
 def require_ahead(path: Path, line: int, before: float, frame: float) -> None:

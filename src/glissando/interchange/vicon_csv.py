@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -115,9 +116,8 @@ def _frames(path: Path, section: _Section) -> tuple[Array, list[tuple[int, list[
 def _columns(section: _Section) -> list[tuple[str, list[int]]]:
     """Names of the section's objects, and the columns of their numbers in our order."""
     starts = [c for c, name in enumerate(section.names) if name and c >= 2]
-    ends = [*starts[1:], len(section.labels)]
     found = []
-    for start, end in zip(starts, ends, strict=True):
+    for start, end in pairwise([*starts, len(section.labels)]):
         labels = section.labels[start:end]
         wanted = _POSE if "RX" in labels else _POINT
         if all(label in labels for label in wanted):
@@ -141,7 +141,7 @@ def _track(
         ) from None
     values, seen = np.empty((len(rows), len(at))), np.zeros(len(rows), dtype=bool)
     for k, (line, cells) in enumerate(rows):
-        found = as_numbers(path, line, [cells[c] for c in at]) if len(cells) > at[-1] else None
+        found = as_numbers(path, line, [cells[c] for c in at]) if len(cells) > max(at) else None
         if found is not None and np.any(found != 0.0):
             values[k], seen[k] = scale * found, True
     values, missing = values[seen], int(np.sum(~seen))

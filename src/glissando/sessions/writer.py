@@ -48,6 +48,7 @@ class SessionWriter:
         self._lock = threading.Lock()
         self._closing = threading.Event()
         self._failure: OSError | None = None
+        self._flushed = 0.0
         clocks = {"monotonic_ns": str(time.monotonic_ns()), "wall_ns": str(time.time_ns())}
         with self._sound():
             self._writer.start(profile="", library="glissando")
@@ -80,11 +81,13 @@ class SessionWriter:
                 raise GlissandoError(f"Log time {now} ns cannot be; give nanoseconds from 0 up.")
             self._count[topic] += 1
             self._writer.add_message(self._channels[topic], now, data, now, self._count[topic])
+            if time.monotonic() - self._flushed > _SAFE_EVERY:  # the thread waits for a slow disk
+                self._flush()
 
     def sync(self) -> None:
         """Have the disk keep everything written so far."""
         with self._sound():
-            self._writer.flush()
+            self._flush()
             at = os.dup(self._file.fileno())  # the lock is not held while the disk is slow
         try:
             os.fsync(at)
@@ -118,6 +121,11 @@ class SessionWriter:
         trace: TracebackType | None,
     ) -> None:
         self.close()
+
+    def _flush(self) -> None:
+        """Hand everything to the operating system, which keeps it when this process is killed."""
+        self._writer.flush()
+        self._flushed = time.monotonic()
 
     def _keep_safe(self) -> None:
         with suppress(GlissandoError):  # who writes next, or closes, is told
