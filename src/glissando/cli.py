@@ -7,9 +7,20 @@ import sys
 from collections.abc import Sequence
 
 from glissando import __version__
-from glissando.commands import check, estimate, learn, replay, reproduce, simulate
+from glissando.commands import (
+    check,
+    estimate,
+    exporting,
+    importing,
+    learn,
+    replay,
+    reproduce,
+    simulate,
+)
 from glissando.errors import GlissandoError
 from glissando.simulate import NoShapeError
+
+_COMMANDS = (estimate, check, learn, replay, simulate, importing, exporting, reproduce)
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -20,7 +31,7 @@ def build_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"glissando {__version__}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for command in (estimate, check, learn, replay, simulate, reproduce):
+    for command in _COMMANDS:
         command.add_to(commands)
     return parser
 

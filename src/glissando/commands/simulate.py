@@ -6,11 +6,12 @@ import argparse
 from pathlib import Path
 
 from glissando.commands.shared import Commands, add_command, names, require_writable
+from glissando.folders import require_new
 from glissando.robot import load_robot, robot_file, shipped_robots
 from glissando.simulate import SimulationError, SlidePath
 from glissando.simulate.bench import Bench, load_bench
 from glissando.simulate.imperfections import PARTS
-from glissando.simulate.session import require_new, simulate_session, write_session
+from glissando.simulate.session import simulate_session, write_session
 from glissando.simulate.slide import read_slide
 
 _HELP = """\
@@ -67,7 +68,7 @@ def _simulate(options: argparse.Namespace) -> int:
     actuation = bench.shape(options.shape)
     path = _path(options, bench)
     require_writable(options.out.parent)
-    require_new(options.out)
+    require_new(options.out, SimulationError)
     session = simulate_session(
         bench,
         bench.move(actuation, flaws, options.seed),

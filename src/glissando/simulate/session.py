@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from glissando import se3
+from glissando.folders import new_folder
 from glissando.se3 import Array
 from glissando.simulate.bench import Bench
 from glissando.simulate.imperfections import Imperfections
@@ -90,24 +89,13 @@ def _require_coil_on_robot(bench: Bench, path: SlidePath) -> None:
         )
 
 
-def require_new(folder: Path) -> None:
-    """Raise SimulationError when the folder holds something already, or is no folder."""
-    if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
-        raise SimulationError(f"{folder} is there already and no folder; give another --out.")
-    if folder.exists() and any(folder.iterdir()):
-        raise SimulationError(f"{folder} is there already and not empty; give another --out.")
-
-
 def write_session(session: Session, folder: Path, robot: str | Path) -> list[Path]:
     """Write a recording folder, whole or not at all; returns its files.
 
     `robot` is the name of a shipped robot or a robot file, which is copied into the folder. Raises
     SimulationError when the folder holds something already.
     """
-    require_new(folder)
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    building = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
-    try:
+    with new_folder(folder, SimulationError) as building:
         streams = {"coil": session.coil, **session.mocap}
         for name, rows in streams.items():
             write_named(building / f"{name}.csv", rows)
@@ -116,20 +104,7 @@ def write_session(session: Session, folder: Path, robot: str | Path) -> list[Pat
             shutil.copy(robot, building / "robot.toml")
             robot = "robot.toml"
         (building / "recording.toml").write_text(_description(session, robot), encoding="utf-8")
-        building.chmod(0o777 & ~_umask())
-        if folder.exists():
-            folder.rmdir()
-        building.rename(folder)
-    except BaseException:
-        shutil.rmtree(building, ignore_errors=True)
-        raise
     return sorted(folder.iterdir())
-
-
-def _umask() -> int:
-    now = os.umask(0)
-    os.umask(now)
-    return now
 
 
 def _description(session: Session, robot: str) -> str:

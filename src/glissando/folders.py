@@ -1,0 +1,46 @@
+"""Folders that are written whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from glissando.errors import GlissandoError
+
+
+def require_new(folder: Path, error: type[GlissandoError]) -> None:
+    """Raise `error` when the folder holds something already, or is no folder."""
+    if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
+        raise error(f"{folder} is there already and no folder; give another --out.")
+    if folder.exists() and any(folder.iterdir()):
+        raise error(f"{folder} is there already and not empty; give another --out.")
+
+
+@contextmanager
+def new_folder(folder: Path, error: type[GlissandoError]) -> Iterator[Path]:
+    """A folder to write into, which becomes `folder` when the context ends well, else nothing.
+
+    Raises `error` as `require_new` does.
+    """
+    require_new(folder, error)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    building = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+    try:
+        yield building
+        building.chmod(0o777 & ~_umask())
+        if folder.exists():
+            folder.rmdir()
+        building.rename(folder)
+    except BaseException:
+        shutil.rmtree(building, ignore_errors=True)
+        raise
+
+
+def _umask() -> int:
+    now = os.umask(0)
+    os.umask(now)
+    return now
