@@ -29,6 +29,22 @@ def strain_rate_of(state: State) -> Array:
     return state.strain_rate
 
 
+def place_error(pose: Array, strain: Array, at: State) -> tuple[Array, Array]:
+    """Error [r; ṙ] (…, 24) of a cross-section from where it is expected, Jacobian (…, 24, 24).
+
+    r = [log(T̄⁻¹ T); ε − ε̄] for a `pose` (4, 4) and a `strain` (6,) that stand still.
+    """
+    xi = se3.log(se3.inverse(pose) @ at.pose)
+    spread = se3.right_jacobian_inverse(xi)
+    xi_rate = _apply(spread, at.velocity)
+    error = np.concatenate([xi, at.strain - strain, xi_rate, strain_rate_of(at)], axis=-1)
+    jacobian = np.zeros((*xi.shape[:-1], RATED, RATED))
+    jacobian[..., :6, POSE] = jacobian[..., 12:18, VELOCITY] = spread
+    jacobian[..., 12:18, POSE] = -spread @ se3.right_jacobian_slope(xi, xi_rate) @ spread
+    jacobian[..., 6:12, STRAIN] = jacobian[..., 18:, STRAIN_RATE] = np.eye(6)
+    return error, jacobian
+
+
 def interval_error(start: State, end: State, step: Array) -> tuple[Array, Array, Array]:
     """Error [r; ṙ] (M, 24) of intervals of length `step` (M,), Jacobians (M, 24, 24) at both ends.
 

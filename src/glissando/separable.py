@@ -21,6 +21,7 @@ from glissando.intervals import (
     interval_between,
     interval_end,
     interval_error,
+    place_error,
     strain_rate_of,
 )
 from glissando.linear import Factors, Residuals
@@ -152,19 +153,10 @@ class SeparablePrior:
     def _base(self, state: State) -> tuple[Array, Array, Array]:
         """Error [r; ṙ] (K, 1, 24) of the base, its Jacobian (K, 1, 24, 1, 24) and variance."""
         at = state.take(np.s_[:, :1])
-        xi = se3.log(se3.inverse(self.base_pose) @ at.pose)
-        spread = se3.right_jacobian_inverse(xi)
-        xi_rate = np.einsum("...ij,...j->...i", spread, at.velocity)
-        error = np.concatenate(
-            [xi, at.strain - self.rest.at(np.zeros(1)), xi_rate, strain_rate_of(at)], axis=-1
-        )
-        jacobian = np.zeros((*xi.shape[:2], RATED, 1, RATED))
-        jacobian[..., :6, 0, POSE] = jacobian[..., 12:18, 0, VELOCITY] = spread
-        bend = -spread @ se3.right_jacobian_slope(xi, xi_rate) @ spread
-        jacobian[..., 12:18, 0, POSE] = bend
-        jacobian[..., 6:12, 0, STRAIN] = jacobian[..., 18:, 0, STRAIN_RATE] = np.eye(6)
+        error, jacobian = place_error(self.base_pose, self.rest.at(np.zeros(1)), at)
         variance = np.concatenate([self.base.pose, self.base.strain])
-        return error, jacobian, np.broadcast_to(np.diag(variance), (*xi.shape[:2], 12, 12))
+        cov = np.broadcast_to(np.diag(variance), (*error.shape[:2], 12, 12))
+        return error, jacobian[..., None, :], cov
 
     def _chain(
         self,
