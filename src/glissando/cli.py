@@ -7,7 +7,8 @@ import sys
 from collections.abc import Sequence
 
 from glissando import __version__
-from glissando.commands import check, estimate, learn, reproduce, simulate, view
+from glissando.commands import check, doctor, estimate, learn, report, reproduce, simulate, view
+from glissando.commands.completion import PrintCompletion
 from glissando.errors import GlissandoError
 from glissando.simulate import NoShapeError
 
@@ -19,8 +20,11 @@ def build_parser() -> argparse.ArgumentParser:
         description="Where every part of a continuum robot is, at every moment, and how sure.",
     )
     parser.add_argument("--version", action="version", version=f"glissando {__version__}")
+    told = "print a script that completes words, and exit"
+    shells = ("bash", "zsh")
+    parser.add_argument("--print-completion", action=PrintCompletion, choices=shells, help=told)
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for command in (estimate, check, learn, simulate, reproduce, view):
+    for command in (estimate, check, learn, simulate, reproduce, view, report, doctor):
         command.add_to(commands)
     return parser
 

@@ -50,6 +50,7 @@ class Live:
         self._server.gui.add_markdown(
             f"Tube: 95 %. Body: dark is sure, yellow ± {_MM * top:.3g} mm or more."
         )
+        self._look_at(np.zeros(3))  # who looks before the first update sees the base's place
         self._body: Any = None
 
     @property
@@ -71,6 +72,7 @@ class Live:
         rings, _ = _tube(frames[None], (np.swapaxes(turn, -1, -2) @ cov @ turn)[None], SIGMAS)
         shade = self._shades[np.minimum(255 * std / self.top, 255).astype(int)]
         if self._body is None:
+            self._look_at(centres.mean(axis=0))
             self._add(rings[0].shape[:2])
         with self._server.atomic():
             self._tube.vertices = (rings[0] / _MM).reshape(-1, 3).astype(np.float32)
@@ -94,6 +96,11 @@ class Live:
             raise GlissandoError(
                 f"An update of shapes {seen} does not fit {count} arclengths; give {wanted}."
             )
+
+    def _look_at(self, centre: Array) -> None:
+        camera = self._server.initial_camera
+        camera.look_at = centre
+        camera.position = centre + self._long * np.array([0.6, -0.75, 0.35])
 
     def _add(self, rings: tuple[int, int]) -> None:
         """Put the parts into the picture that updates move."""

@@ -75,6 +75,11 @@ function begin() {
     event.preventDefault();
     KEYS[event.key]();
   });
+  addEventListener("message", ({ source, data }) => {
+    if (source !== parent || !data || !Number.isFinite(data.time)) return;
+    play(false);
+    showTime(data.time, false);
+  });
   const fresh = () => {
     drawRamp(of("ramp"));
     redraw();

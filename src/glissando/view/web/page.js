@@ -142,11 +142,12 @@ function tell(body, moment) {
   of("sites").tBodies[0].replaceChildren(...lines);
 }
 
-// Show the moment nearest to a time in seconds.
-function showTime(time) {
+// Show the moment nearest to a time in seconds, and tell a page that this one stands in.
+function showTime(time, tell = true) {
   state.time = time;
   const moment = momentAt(scene, time);
   if (moment === state.moment) return;
+  if (tell && parent !== window) parent.postMessage({ time }, "*");
   state.moment = moment;
   of("slider").value = moment;
   of("slider").setAttribute("aria-valuetext", `${scene.time[moment].toFixed(2)} seconds`);
