@@ -20,6 +20,7 @@ from glissando.view.page import asset, page, subtitle
 from glissando.view.scene import scene_of
 
 _SCALES = {"position": (1e3, "mm"), "rotation": (180.0 / np.pi, "deg")}
+_LEVELS = ("0.5", "0.9", "0.95", "0.99")
 _DASH = "–"
 
 
@@ -84,9 +85,7 @@ def comparison(runs: Sequence[Written]) -> str:
         parts.append("<p>No truth was given: there are no errors to tell.</p>")
     parts += [_innovations(runs), _settings(runs), _scenes(runs), _figures(runs)]
     return Template(asset("report.html")).substitute(
-        title=escape("Estimate of " + " and ".join([", ".join(labels[:-1]), labels[-1]]))
-        if len(runs) > 1
-        else escape(f"Estimate of {runs[0].told['recording']}"),
+        title=escape(", ".join(labels)),
         style=asset("page.css") + asset("report.css"),
         body="\n".join(part for part in parts if part),
     )
@@ -99,76 +98,89 @@ def _errors(runs: Sequence[Written], quantity: str) -> str:
     rows = [n for n in [*names, "all"] if any(run.site(n, quantity) for run in runs)]
     if not rows:
         return ""
-    found = {run.label: [run.site(name, quantity) for name in rows] for run in runs}
-    rmse = {
-        label: [scale * f["rmse"] if f else None for f in column] for label, column in found.items()
-    }
-    inside = {label: _covered(column[-1]) for label, column in found.items() if column[-1]}
-    head = ["site"]
-    for run in runs:
-        of = f"{run.label}: " if len(runs) > 1 else ""
-        head.append(f"{of}RMSE ({unit})")
-        head += ["change"] if run is not runs[0] else []
-        head += ["NEES / dof", "in 95 %", "confidence"]
-    lines = []
-    for i, name in enumerate(rows):
-        cells = [name]
-        for k, column in enumerate(found.values()):
-            cells += _cells(column[i], scale, next(iter(found.values()))[i] if k else None)
-        lines.append(cells)
-    charts = svg.rows_of_dots(rows, rmse, unit) + svg.coverage(inside)
+    found = [[run.site(name, quantity) for name in rows] for run in runs]
+    labels = [run.label for run in runs]
+    dots = [[svg.Dot(scale * f["rmse"]) if f else None for f in column] for column in found]
+    rmse = svg.chart(rows, dict(zip(labels, dots, strict=True)), f"RMSE ({unit})")
+    inside = [[_share(column[-1], level) for level in _LEVELS] for column in found]
+    coverage = svg.chart(
+        [f"{100 * float(level):g} %" for level in _LEVELS],
+        dict(zip(labels, inside, strict=True)),
+        "errors inside the ellipsoid that should hold so many (%)",
+        end=100.0,
+        marks=[100 * float(level) for level in _LEVELS],
+    )
+    groups = [("", ["site"])]
+    for k, label in enumerate(labels):
+        change = ["change"] if k else []
+        groups.append((label, [f"RMSE ({unit})", *change, "NEES / dof", "in 95 %", "confidence"]))
+    lines = [
+        [
+            name,
+            *(
+                cell
+                for k, column in enumerate(found)
+                for cell in _cells(column[i], scale, k and found[0][i])
+            ),
+        ]
+        for i, name in enumerate(rows)
+    ]
     return (
         f"<section><h2>{quantity.capitalize()} against truth</h2>"
-        f'<div class="charts">{charts}</div>{_table(head, lines)}'
-        '<p class="note">Squared error in units of its covariance (NEES) is 1 per degree of freedom'
-        " when confidence is true; … are the bounds that 95 % of honest estimates keep. Bars in the"
-        " chart of coverage are such bounds as well.</p></section>"
+        f'<div class="charts">{rmse}{coverage}</div>{_table(groups, lines)}'
+        '<p class="note">The squared error in units of its covariance (NEES) is 1 per degree of '
+        "freedom when confidence is true; in brackets, and as bars, what 95 % of honest estimates "
+        "keep to.</p></section>"
     )
 
 
-def _cells(found: dict[str, Any], scale: float, first: dict[str, Any] | None) -> list[str]:
-    """One run's cells at a site; `first` is what the first run has there, None for itself."""
+def _cells(found: dict[str, Any], scale: float, first: dict[str, Any] | int) -> list[str]:
+    """One run's cells at a site; `first` is what the first run has there, 0 for that run itself."""
+    base = first.get("rmse") if isinstance(first, dict) else None
+    change = [] if first == 0 else [_DASH]
     if not found:
-        return [_DASH] * (4 if first is None else 5)
-    cells = [f"{scale * found['rmse']:.2f}"]
-    if first is not None:
-        base = first.get("rmse")
-        cells.append(f"{100 * (found['rmse'] / base - 1):+.1f} %" if base else _DASH)
-    if "nees" not in found:
-        return [*cells, *[_DASH] * 3]
+        return [_DASH, *change, _DASH, _DASH, _DASH]
+    if base:
+        change = [f"{100 * (found['rmse'] / base - 1):+.1f} %".replace("-", "−")]
+    told = [_DASH] * 3
+    if "nees" in found:
+        inside = 100 * found["coverage"]["0.95"]["share"]
+        told = [_bounded(found), f"{inside:.1f} %", found["verdict"]]
+    return [f"{scale * found['rmse']:.2f}", *change, *told]
+
+
+def _bounded(found: dict[str, Any]) -> str:
     low, high = found["nees_bounds"]
-    inside = 100 * found["coverage"]["0.95"]["share"]
-    return [
-        *cells,
-        f"{found['nees']:.2f} ({low:.2f}…{high:.2f})",
-        f"{inside:.1f} %",
-        found["verdict"],
-    ]
+    return f"{found['nees']:.2f} ({low:.2f}…{high:.2f})"
 
 
-def _covered(found: dict[str, Any]) -> list[tuple[float, float, float, float]]:
-    entries = found.get("coverage", {}).items()
-    return [(float(level), entry["share"], *entry["bounds"]) for level, entry in entries]
+def _share(found: dict[str, Any], level: str) -> svg.Dot | None:
+    if level not in found.get("coverage", {}):
+        return None
+    entry = found["coverage"][level]
+    low, high = entry["bounds"]
+    return svg.Dot(100 * entry["share"], (100 * low, 100 * high))
 
 
 def _innovations(runs: Sequence[Written]) -> str:
     """Whether each stream that was used is as far off as it should be."""
-    head = ["stream", *(f"{run.label}: NIS / dof" for run in runs)]
-    if len(runs) == 1:
-        head[1] = "NIS / dof"
     found = [
         {c["site"]: c for c in run.told["consistency"] if c["quantity"] == "innovation"}
         for run in runs
     ]
-    lines = []
-    for name in dict.fromkeys(n for column in found for n in column):
-        cells = [name]
-        for column in found:
-            c = column.get(name)
-            bounds = "({:.2f}…{:.2f})".format(*c["nees_bounds"]) if c else ""
-            cells.append(f"{c['nees']:.2f} {bounds}, {c['verdict']}" if c else _DASH)
-        lines.append(cells)
-    return f"<section><h2>Readings against each other</h2>{_table(head, lines)}</section>"
+    groups = [("", ["stream"]), *((run.label, ["NIS / dof", "confidence"]) for run in runs)]
+    lines = [
+        [
+            name,
+            *(
+                cell
+                for c in (column.get(name) for column in found)
+                for cell in ([_bounded(c), c["verdict"]] if c else [_DASH, _DASH])
+            ),
+        ]
+        for name in dict.fromkeys(n for column in found for n in column)
+    ]
+    return f"<section><h2>Readings against each other</h2>{_table(groups, lines)}</section>"
 
 
 def _settings(runs: Sequence[Written]) -> str:
@@ -177,9 +189,9 @@ def _settings(runs: Sequence[Written]) -> str:
     for column, run in enumerate(runs):
         for name, text in _setting(run.told):
             rows.setdefault(name, [_DASH] * len(runs))[column] = text
-    head = ["", *(run.label for run in runs)]
+    groups = [("", [""]), *((run.label, [""]) for run in runs)]
     lines = [[name, *cells] for name, cells in rows.items()]
-    return f"<section><h2>Settings and versions</h2>{_table(head, lines)}</section>"
+    return f"<section><h2>Settings and versions</h2>{_table(groups, lines)}</section>"
 
 
 def _setting(told: dict[str, Any]) -> Iterable[tuple[str, str]]:
@@ -236,9 +248,14 @@ def _figures(runs: Sequence[Written]) -> str:
     return f'<section class="figures"><h2>Figures</h2>{"".join(pictures)}</section>'
 
 
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    def line(cells: Sequence[str], tag: str) -> str:
-        return "<tr>" + "".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in cells) + "</tr>"
+def _table(groups: Sequence[tuple[str, list[str]]], rows: Sequence[Sequence[str]]) -> str:
+    """A table under two lines of headings: the groups, each over its columns."""
+    top = "".join(f'<th colspan="{len(c)}" scope="colgroup">{escape(g)}</th>' for g, c in groups)
+    head = _line("th", [name for _, columns in groups for name in columns])
+    body = "".join(_line("td", row) for row in rows)
+    head = f"<thead><tr>{top}</tr>{head if any(any(c) for _, c in groups) else ''}</thead>"
+    return f'<div class="scroll"><table>{head}<tbody>{body}</tbody></table></div>'
 
-    body = "".join(line(row, "td") for row in rows)
-    return f'<div class="wide"><table><thead>{line(head, "th")}</thead>{body}</table></div>'
+
+def _line(tag: str, cells: Sequence[str]) -> str:
+    return "<tr>" + "".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in cells) + "</tr>"

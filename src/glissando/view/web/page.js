@@ -119,8 +119,11 @@ function tell(body, moment) {
   const worst = body.reduce((best, at, n) => (at.std > body[best].std ? n : best), 0);
   const rows = [["tip", `± ${inMm(body.at(-1).std)} mm`],
     ["least sure", `± ${inMm(body[worst].std)} mm at ${inMm(scene.arclength[worst], 0)} mm`],
-    ...sensorsAt(scene, moment).map(({ name, place }) => [name,
-      `± ${inMm(bodyPoint(scene, body, place).std)} mm at ${inMm(place, 0)} mm`])];
+    ...scene.sensors.map((name, i) => {
+      const place = row(scene.place, moment, i)[0];
+      return [name, Number.isNaN(place) ? "no reading"
+        : `± ${inMm(bodyPoint(scene, body, place).std)} mm at ${inMm(place, 0)} mm`];
+    })];
   of("now").replaceChildren(...rows.flatMap((texts) => texts.map((text, i) => {
     const cell = document.createElement(i ? "dd" : "dt");
     cell.textContent = text;
