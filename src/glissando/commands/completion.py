@@ -24,7 +24,10 @@ _glissando() {
 }
 complete -o default -F _glissando glissando
 """
-_ZSH = "autoload -U +X compinit bashcompinit && compinit -u && bashcompinit\n"
+_ZSH = """\
+(( $+functions[compdef] )) || { autoload -U compinit && compinit; }
+autoload -U +X bashcompinit && bashcompinit
+"""
 
 
 class PrintCompletion(argparse.Action):
