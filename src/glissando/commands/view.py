@@ -60,7 +60,8 @@ def _view(options: argparse.Namespace) -> int:
     require_writable(options.html.parent)
     posterior, readings, truth, title, complaint = _shown(options)
     window = tuple(options.window) if options.window else None
-    with Progress(console=Console(stderr=True), transient=True) as bar:
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task("asking the posterior")
         scene = scene_of(
             posterior,

@@ -88,7 +88,9 @@ function disc(pen, x, y, radius, colour) {
 // The deviation at every moment (left to right) and arclength (base below) as one picture.
 function heatOf(scene) {
   const [moments, along] = scene.std.shape;
-  const picture = new OffscreenCanvas(moments, along), pen = picture.getContext("2d");
+  const picture = document.createElement("canvas");
+  [picture.width, picture.height] = [moments, along];
+  const pen = picture.getContext("2d");
   const pixels = pen.createImageData(moments, along);
   for (let f = 0; f < moments; f++) {
     for (let n = 0; n < along; n++) {
