@@ -9,18 +9,25 @@ from collections.abc import Sequence
 from glissando import __version__
 from glissando.commands import (
     check,
+    doctor,
     estimate,
     exporting,
     importing,
     learn,
     replay,
+    report,
     reproduce,
     simulate,
+    view,
 )
+from glissando.commands.completion import PrintCompletion
 from glissando.errors import GlissandoError
 from glissando.simulate import NoShapeError
 
-_COMMANDS = (estimate, check, learn, replay, simulate, importing, exporting, reproduce)
+_COMMANDS = (
+    *(estimate, check, learn, replay, simulate, view, report),
+    *(importing, exporting, doctor, reproduce),
+)
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -30,6 +37,9 @@ def build_parser() -> argparse.ArgumentParser:
         description="Where every part of a continuum robot is, at every moment, and how sure.",
     )
     parser.add_argument("--version", action="version", version=f"glissando {__version__}")
+    told = "print a script that completes words, and exit"
+    shells = ("bash", "zsh")
+    parser.add_argument("--print-completion", action=PrintCompletion, choices=shells, help=told)
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for command in _COMMANDS:
         command.add_to(commands)

@@ -24,7 +24,7 @@ from glissando.unknowns import Unknown
 if TYPE_CHECKING:
     import xarray
 
-_CHUNK = 5000  # queries at a time, to bound memory
+_CHUNK = 500  # queries at a time: more ask for new memory faster than it is given
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ from glissando.posterior import Estimate, Posterior
 from glissando.readings import Readings
 from glissando.robot import Robot
 from glissando.se3 import Array
+from glissando.system import versions
 from glissando.unknowns import Unknown, corrected
 
 QUERY_COLUMNS = [
@@ -57,6 +58,8 @@ class Run:
             "recording": self.recording.name,
             "robot": self.robot.name,
             "window": list(self.window),
+            "prior": type(self.posterior.prior).__name__.removesuffix("Prior").lower(),
+            "nodes": list(self.posterior.grid.shape),
             "status": solve.status,
             "iterations": solve.iterations,
             "unknowns": solve.unknowns,
@@ -69,6 +72,7 @@ class Run:
             "overall": pool(self.errors).summary() if self.errors else None,
             "sites": [site_summary(e) for e in self.errors],
             "consistency": [c.as_json() for c in self.consistency()],
+            "versions": versions(),
         }
 
 

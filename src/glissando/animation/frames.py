@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from glissando.grid import Index
 from glissando.plot import _MM, _NEAR, _SIGMAS, _places, _seen
-from glissando.posterior import Estimate, Posterior
+from glissando.posterior import Posterior
 from glissando.readings import Readings
 from glissando.se3 import Array
 
@@ -60,7 +60,8 @@ def frames_at(
     asked = np.nan_to_num(np.hstack([np.tile(body, (times.size, 1)), place]), nan=body[0])
     at = posterior.at(asked, times[:, None])
     std, hidden = at.std_position * _MM, np.where(np.isnan(place), np.nan, _MM)
-    tube, ring = _tube(at, body.size)
+    of_body = np.s_[:, : body.size]
+    tube, ring = _tube(at.pose[of_body], at.cov[of_body][..., :3, :3], _SIGMAS)
     true = _places(truth, grid)
     reach = 0.05 * (body[-1] - body[0])
     return Frames(
@@ -99,16 +100,18 @@ def _true(sites: Sequence[Readings], times: Array, reach: float) -> Array:
     return out * _MM
 
 
-def _tube(at: Estimate, count: int) -> tuple[Array, Index]:
-    """Rings (F, R, A, 3) in mm of the 3σ surface of the first `count` points; R their points.
+def _tube(pose: Array, cov: Array, sigmas: float) -> tuple[Array, Index]:
+    """Rings (F, R, A, 3) in mm of the confidence surface of poses (F, N, 4, 4); R their points.
+
+    `cov` (F, N, 3, 3) of the position in the body frame, `sigmas` the size of the surface.
 
     Across the body a ring is the ellipse of the lateral 2×2 block of the covariance, turned by its
     symmetric root, which is smooth where principal axes would flip; both ends are rounded off.
     """
+    count = pose.shape[1]
     rest = np.linspace(0.0, 0.5 * np.pi, _CAP, endpoint=False)
     tilt = np.concatenate([rest - 0.5 * np.pi, np.zeros(count), 0.5 * np.pi - rest[::-1]])
     ring = np.concatenate([[0] * _CAP, np.arange(count), [count - 1] * _CAP])
-    cov = at.cov[:, :count, :3, :3]
     flat = cov[..., :2, :2]
     product = np.sqrt(np.maximum(np.linalg.det(flat), 0.0))
     total = np.sqrt(np.einsum("...ii->...", flat) + 2.0 * product + 1e-24)
@@ -119,6 +122,6 @@ def _tube(at: Estimate, count: int) -> tuple[Array, Index]:
     body = np.empty((*along.shape, _AROUND, 3))
     body[..., :2] = across @ root[:, ring]
     body[..., 2] = along[..., None]
-    pose = at.pose[:, ring]
+    pose = pose[:, ring]
     turned = body @ np.swapaxes(pose[..., :3, :3], -1, -2)
-    return (pose[..., None, :3, 3] + _SIGMAS * turned) * _MM, ring
+    return (pose[..., None, :3, 3] + sigmas * turned) * _MM, ring

@@ -20,13 +20,13 @@ from glissando.commands.shared import (
     chosen_robot,
     estimate_watched,
     require_writable,
+    streams_of,
 )
 from glissando.consistency import LEVELS, Consistency, check, check_readings
 from glissando.dataset import load_recording
 from glissando.errors import GlissandoError, RecordingError
 from glissando.metrics import errors_against
 from glissando.posterior import Posterior
-from glissando.unknowns import corrected
 
 _HELP = """\
 Check whether the confidence of an estimate is true: errors against truth in units of their own
@@ -102,14 +102,8 @@ def _judged(options: argparse.Namespace) -> tuple[list[Consistency], str, int]:
         )
     posterior = Posterior.load(options.target)
     recording = load_recording(options.recording)
-    robot = chosen_robot(recording, options.robot)
-    time = posterior.grid.time
-    window = (float(time[0]), float(time[-1]))
-    used, judges = recording.choose(options.use, options.truth)
-    readings, _ = recording.readings(used, robot, window)
-    truth, _ = recording.readings(judges, robot, window, as_truth=True)
+    readings, truth = streams_of(posterior, recording, options)
     status = 0 if posterior.solve.converged else 1
-    truth = [corrected(t, robot.unknowns) for t in truth if len(t)]
     found = check([errors_against(posterior, t) for t in truth])
     if found:
         found += check_readings(posterior, readings)

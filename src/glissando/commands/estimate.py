@@ -31,6 +31,7 @@ from glissando.report import (
 )
 from glissando.robot import Robot
 from glissando.se3 import Array
+from glissando.view import save_view
 
 _ESTIMATE_HELP = """\
 Estimate a robot's shape over arclength and time from a recording, with its confidence,
@@ -61,6 +62,7 @@ def add_to(commands: Commands) -> None:
     add("--query", type=Path, metavar="FILE.csv", help=answers)
     add("--out", type=Path, metavar="DIR", help="write posterior.nc, report.json and figures here")
     add("--animate", action="store_true", help="also write an animation, shape.mp4 or .gif, in DIR")
+    add("--view", action="store_true", help="also write view.html, the robot over time, in DIR")
     add("--json", action="store_true", help="print one JSON object and nothing else")
 
 
@@ -70,8 +72,9 @@ def _estimate(options: argparse.Namespace) -> int:
     query = _checked_query(options, recording, robot) if options.query else None
     if options.out:
         require_writable(options.out)
-    elif options.animate:
-        raise GlissandoError("--animate writes into a folder: give --out DIR.")
+    elif options.animate or options.view:
+        wish = "--animate" if options.animate else "--view"
+        raise GlissandoError(f"{wish} writes into a folder: give --out DIR.")
 
     run, complaint = estimate_watched(recording, robot, options)
     if options.json:
@@ -118,6 +121,10 @@ def _write(options: argparse.Namespace, run: Run, query: tuple[Array, Array] | N
     if options.animate:
         film = save_animation(run.posterior, run.readings, run.truth, folder / "shape.mp4")
         written.append(film)
+    if options.view:
+        path, name = folder / "view.html", run.recording.name
+        page = save_view(run.posterior, path, title=name, readings=run.readings, truth=run.truth)
+        written.append(page)
     if query is not None:
         path = _answers(options)
         write_query(run.posterior, query, path)

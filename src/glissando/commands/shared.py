@@ -15,8 +15,11 @@ from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from glissando.dataset import Recording
 from glissando.errors import GlissandoError, NotConvergedWarning, RobotFileError
+from glissando.posterior import Posterior
+from glissando.readings import Readings
 from glissando.report import Run, run_estimate
 from glissando.robot import Robot, load_robot, shipped_robots
+from glissando.unknowns import corrected
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 """Where a command adds its parser."""
@@ -65,6 +68,19 @@ def chosen_robot(recording: Recording, name: str | None) -> Robot:
             f"give --robot FILE or one of {', '.join(shipped_robots())}."
         )
     return robot
+
+
+def streams_of(
+    posterior: Posterior, recording: Recording, options: argparse.Namespace
+) -> tuple[list[Readings], list[Readings]]:
+    """Readings that were used and truth, of the recording that a posterior was estimated from."""
+    robot = chosen_robot(recording, options.robot)
+    time = posterior.grid.time
+    window = (float(time[0]), float(time[-1]))
+    used, judges = recording.choose(options.use, options.truth)
+    readings, _ = recording.readings(used, robot, window)
+    truth, _ = recording.readings(judges, robot, window, as_truth=True)
+    return readings, [corrected(t, robot.unknowns) for t in truth if len(t)]
 
 
 def estimate_watched(
