@@ -1,0 +1,3 @@
+"""Drivers of real devices; each is a context manager that says what is wrong in a sentence."""
+
+from glissando.drivers.aurora import Aurora as Aurora
