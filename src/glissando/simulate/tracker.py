@@ -41,7 +41,7 @@ def coil_rows(
     centre = np.eye(4)
     centre[:3, 3] = flaws.field_centre
     slip = centre @ se3.exp(_registration(next(streams), flaws)) @ se3.inverse(centre)
-    seen = _rolled(se3.inverse(T_wt) @ slip @ pose, flaws.roll, next(streams))
+    seen = rolled(se3.inverse(T_wt) @ slip @ pose, flaws.roll, next(streams))
     kept = _kept(next(streams), time, flaws)
     return Rows("coil", time[kept], named[kept], seen[kept], {})
 
@@ -73,18 +73,26 @@ def _play(rng: np.random.Generator, arclength: Array, clearance: float) -> Array
 def _tracker_error(
     white: np.random.Generator, spatial: np.random.Generator, pose: Array, flaws: Imperfections
 ) -> Array:
-    """Twists (M, 6) of white noise and of bias; tilts only, roll is not seen."""
+    """Twists (M, 6) of white noise and of bias."""
+    noise = white.standard_normal((len(pose), 5))
+    return error_twists(noise, SmoothField.draw(spatial, 3, 5, flaws.bias_length), pose, flaws)
+
+
+def error_twists(noise: Array, field: SmoothField, pose: Array, flaws: Imperfections) -> Array:
+    """Twists (M, 6) by which the tracker errs at poses (M, 4, 4); tilts only, roll is not seen.
+
+    White `noise` (M, 5) and the bias's `field` of place are of unit variance.
+    """
     place = pose[:, :3, 3]
-    noise, bias = np.zeros((2, len(pose), 6))
-    noise[:, :5] = white.standard_normal((len(pose), 5))
-    bias[:, :5] = SmoothField.draw(spatial, 3, 5, flaws.bias_length)(place)
+    white, bias = np.zeros((2, len(pose), 6))
+    white[:, :5], bias[:, :5] = noise, field(place)
     size = np.repeat(np.sqrt([1.0 / 3.0, 1.0 / 2.0]), 3)
-    noise *= size * np.repeat([flaws.jitter, flaws.jitter_angle], 3)
+    white *= size * np.repeat([flaws.jitter, flaws.jitter_angle], 3)
     bias *= size * np.repeat([flaws.bias, flaws.bias_angle], 3)
     distance = np.linalg.norm(place - flaws.field_centre, axis=1, keepdims=True)
     # the noise is stated in the tracker's axes or the coil's alike; bias belongs to the place
     bias[:, :3] = np.einsum("mji,mj->mi", pose[:, :3, :3], bias[:, :3])
-    return (1.0 + (distance / flaws.field_size) ** 2) * (noise + bias)
+    return (1.0 + (distance / flaws.field_size) ** 2) * (white + bias)
 
 
 def _registration(rng: np.random.Generator, flaws: Imperfections) -> Array:
@@ -92,7 +100,7 @@ def _registration(rng: np.random.Generator, flaws: Imperfections) -> Array:
     return error * np.repeat([flaws.registration, flaws.registration_angle], 3)
 
 
-def _rolled(pose: Array, roll: str, rng: np.random.Generator) -> Array:
+def rolled(pose: Array, roll: str, rng: np.random.Generator) -> Array:
     """Poses (M, 4, 4) in the tracker's frame with the roll that it reports."""
     if roll == "true":
         return pose

@@ -1,0 +1,214 @@
+"""A byte link to a device, by address: a serial path, or tcp://host:port."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import select
+import socket
+import time
+from types import TracebackType
+from typing import Any, Protocol
+from urllib.parse import urlsplit
+
+from glissando.errors import DeviceError
+
+_CONNECT = 5.0  # s for a network device to accept
+_BREAK = 0.3  # s that a BREAK lasts
+
+
+class LostError(DeviceError):
+    """The link to a device is gone: unplugged, switched off, or closed at the other end."""
+
+
+class SilentError(DeviceError):
+    """A device did not answer in time."""
+
+
+class _Wire(Protocol):
+    def receive(self, timeout: float) -> bytes: ...
+    def send(self, data: bytes) -> None: ...
+    def close(self) -> None: ...
+
+
+class Link:
+    """An open byte link, serial at `baud` 8N1 without handshake, or TCP; a context manager.
+
+    `arrived` is when the first bytes came after the last that were written, seconds of
+    time.monotonic(). Raises DeviceError when the address cannot be opened; later LostError when the
+    link breaks.
+    """
+
+    def __init__(self, address: str, baud: int = 9600):
+        self.address, self.arrived, self._fresh = address, -float("inf"), True
+        self._held = b""
+        network = address.lower().startswith("tcp://")
+        self._wire: _Wire = _Tcp(address) if network else _Serial(address, baud)
+
+    def write(self, data: bytes) -> None:
+        """Send bytes; what came before and was not read is dropped, for it answers nothing now."""
+        self._held = b""
+        with self._watched():
+            while self._wire.receive(0.0):
+                pass
+            self._wire.send(data)
+        self._fresh = True
+
+    def read(self, count: int, timeout: float) -> bytes:
+        """Exactly `count` bytes. Raises SilentError when they do not come within `timeout` s."""
+        deadline = time.monotonic() + timeout
+        while len(self._held) < count:
+            self._wait(deadline, timeout)
+        out, self._held = self._held[:count], self._held[count:]
+        return out
+
+    def read_until(self, end: bytes, timeout: float, most: int = 8192) -> bytes:
+        """Bytes up to and with `end`, or `most` of them. Raises SilentError."""
+        deadline = time.monotonic() + timeout
+        while end not in self._held and len(self._held) < most:
+            self._wait(deadline, timeout)
+        at = self._held.find(end)
+        stop = most if at < 0 else at + len(end)
+        out, self._held = self._held[:stop], self._held[stop:]
+        return out
+
+    def _wait(self, deadline: float, timeout: float) -> None:
+        left = deadline - time.monotonic()
+        with self._watched():
+            came = self._wire.receive(max(left, 0.0))
+        if came and self._fresh:
+            self.arrived, self._fresh = time.monotonic(), False
+        if not came and left <= 0.0:
+            raise SilentError(
+                f"{self.address} did not answer within {timeout:.3g} s ({len(self._held)} bytes "
+                f"came); check that it is switched on and that nothing else uses it."
+            )
+        self._held += came
+
+    def send_break(self) -> bool:
+        """Hold a serial line in BREAK, which resets some devices; False where there is no such."""
+        if not isinstance(self._wire, _Serial) or self._wire.pseudo:
+            return False
+        self._held = b""
+        with self._watched():
+            self._wire.port.send_break(_BREAK)
+        return True
+
+    def set_baud(self, baud: int) -> None:
+        """Change the rate of a serial line; a network has none."""
+        if isinstance(self._wire, _Serial):
+            with self._watched():
+                self._wire.port.baudrate = baud
+
+    @property
+    def baud(self) -> int | None:
+        """The rate of a serial line; None for a network."""
+        return self._wire.port.baudrate if isinstance(self._wire, _Serial) else None
+
+    def close(self) -> None:
+        """Close the link; a broken one too."""
+        with contextlib.suppress(OSError):
+            self._wire.close()
+
+    def __enter__(self) -> Link:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        at: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    @contextlib.contextmanager
+    def _watched(self) -> Any:
+        try:
+            yield
+        except OSError as problem:
+            raise LostError(
+                f"The link to {self.address} is lost ({problem}); plug the device in again."
+            ) from None
+
+
+class _Tcp:
+    def __init__(self, address: str):
+        try:
+            parts = urlsplit(address)
+            host, port = parts.hostname, parts.port
+        except ValueError:
+            host = port = None
+        if not host or not port:
+            raise DeviceError(f"{address} is no network address; give tcp://host:port.")
+        try:
+            self.socket = socket.create_connection((host, port), _CONNECT)
+        except OSError as problem:
+            raise DeviceError(
+                f"Nothing answers at {address} ({problem}); check that the device is switched on, "
+                f"its address, and that no other program is connected to it."
+            ) from None
+        self.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    def receive(self, timeout: float) -> bytes:
+        if not select.select([self.socket], [], [], timeout)[0]:
+            return b""
+        came = self.socket.recv(4096)
+        if not came:
+            raise ConnectionResetError("closed at the other end")
+        return came
+
+    def send(self, data: bytes) -> None:
+        self.socket.sendall(data)
+
+    def close(self) -> None:
+        self.socket.close()
+
+
+class _Serial:
+    def __init__(self, path: str, baud: int):
+        try:
+            import serial
+        except ImportError:
+            raise DeviceError(
+                f"Opening {path} needs pyserial, which is not installed; "
+                f'install it with pip install "glissando[hardware]".'
+            ) from None
+        try:
+            self.port = serial.Serial(path, baud, timeout=0, write_timeout=5.0, exclusive=True)
+        except (OSError, ValueError) as problem:
+            raise DeviceError(_why_closed(path, problem)) from None
+        self.pseudo = os.path.realpath(path).startswith("/dev/pts/")
+        with contextlib.suppress(OSError, ValueError, NotImplementedError, AttributeError):
+            # USB adapters otherwise gather bytes for up to 16 ms.
+            self.port.set_low_latency_mode(True)
+
+    def receive(self, timeout: float) -> bytes:
+        if self.port.timeout != timeout:
+            self.port.timeout = timeout
+        first = self.port.read(1)
+        return first + self.port.read(self.port.in_waiting) if first else b""
+
+    def send(self, data: bytes) -> None:
+        self.port.write(data)
+
+    def close(self) -> None:
+        self.port.close()
+
+
+def _why_closed(path: str, problem: Exception) -> str:
+    code = getattr(problem, "errno", None)
+    if code in (errno.ENOENT, errno.ENXIO, errno.ENODEV):
+        from serial.tools import list_ports
+
+        ports = ", ".join(sorted(port.device for port in list_ports.comports()))
+        there = f"serial ports here are {ports}" if ports else "there are no serial ports here"
+        return f"There is no device {path}: {there}. Plug it in, or give another address."
+    if code in (errno.EACCES, errno.EPERM):
+        return (
+            f"You may not open {path}. Join the group that may, then log in again: "
+            f"sudo usermod -aG dialout $USER"
+        )
+    if code in (errno.EAGAIN, errno.EBUSY):
+        return f"Another program has {path} open; end it first."
+    return f"{path} cannot be opened as a serial port ({problem}); give another address."
