@@ -29,5 +29,9 @@ class SensorError(GlissandoError):
     """Readings have wrong shapes, or a sensor's derivative does not fit its residual."""
 
 
+class DeviceError(GlissandoError):
+    """A device does not answer, or answers what it should not."""
+
+
 class NotConvergedWarning(UserWarning):
     """The estimate stopped before its step became small: do not trust it."""
