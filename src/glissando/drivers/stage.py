@@ -92,12 +92,16 @@ class Stage:
     def from_table(cls, table: Table) -> Self:
         """From a TOML table with the names of this class; lead and stroke are required."""
         stroke = table.vector("stroke", 2)
-        home = table.peek("home")
+        if table.peek("home") is None:
+            table.skip("home")
+            home = None
+        else:
+            home = table.number("home", positive=False)
         found = cls(
             lead=table.number("lead"),
             stroke=(float(stroke[0]), float(stroke[1])),
             direction=table.number("direction", 1, positive=False),
-            home=None if home is None else table.number("home", positive=False),
+            home=home,
             speed=table.number("speed", cls.speed),
             acceleration=table.number("acceleration", cls.acceleration),
             hold=table.flag("hold"),

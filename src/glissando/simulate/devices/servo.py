@@ -149,7 +149,7 @@ def _made(options: argparse.Namespace) -> Stage:
     tick = int(random.integers(TICK_WRAP))
     first, *rest = options.ids
     servo = Xl430(screw, identity=first, now=now, clock=options.clock, tick=tick)
-    others = [Xl430(identity=identity, now=now) for identity in rest]
+    others = [Xl430(Screw(ends=(-1.0, 1.0)), identity=identity, now=now) for identity in rest]
     return Stage(servo, others, Line(Faults.read(options.faults), options.seed))
 
 

@@ -19,6 +19,7 @@ OVERLOAD = 0x20
 _CLEAR = bytes([0x01, 0x44, 0x58, 0x4C, 0x22])
 _BOOT = 0.1  # s without an answer after a reboot [inferred]
 _PATIENCE = 0.5  # s of a stall at more than half the PWM until overload [inferred]
+_TOUCH = 2.0  # ticks beyond a hard end that are no push yet
 _FRICTION = 120  # load in 0.1 % while moving freely [inferred]
 _TALKATIVE = {Do.PING: 0, Do.READ: 1}  # the status return level that an answer needs, else 2
 
@@ -82,7 +83,7 @@ class Xl430:
         if self.table["torque_enable"] and 0.0 < limit < now - self._heard:
             self._bite(self._heard + limit)
         angle, _ = self._actual(now)
-        if angle == self._profile.at(now)[0]:
+        if abs(angle - self._profile.at(now)[0]) < _TOUCH:
             self._stalled_since = None
         elif self._stalled_since is None:
             self._stalled_since = now
@@ -173,7 +174,7 @@ class Xl430:
         table, (angle, speed) = self.table, self._actual(now)
         intended, _ = self._profile.at(now)
         units = round(speed / SPEED_UNIT)
-        if intended != angle:  # pressed against a hard end with all the PWM there is
+        if abs(intended - angle) > _TOUCH:  # pressed against a hard end with all the PWM there is
             effort = math.copysign(1000 * table["goal_pwm"] // 885, intended - angle)
         else:
             effort = math.copysign(_FRICTION, speed) if speed else 0.0
