@@ -28,6 +28,7 @@ class World:
         self.stage = Simulated(self.servo, [], Line(Faults.read(faults), seed=3))
         self.travel = [(self.now, start)]
         self.heard = 0  # times anything was sent
+        self.told = []  # (time, answers until then)
         # What the SDK asks of a port.
         self.is_using = self.is_open = False
         self._bytes, self._deadline = b"", 0.0
@@ -42,6 +43,7 @@ class World:
         self.passes(_SENDING)
         self.heard += 1
         self.stage.hear(bytes(packet), self.now)
+        self.told.append((self.now, self.stage.line.sent))
         return len(packet)
 
     def readPort(self, length):  # noqa: N802

@@ -42,6 +42,10 @@ _HARDWARE = {
 }
 
 
+class NoAnswerError(DeviceError):
+    """A servo was asked a few times in a row and was not heard."""
+
+
 @dataclass(frozen=True)
 class Answer:
     """Bytes that a servo sent, and the host's times (monotonic s) around the exchange."""
@@ -218,10 +222,12 @@ class Servo:
         try:
             self.aim(self.state(heed=False).place, speed=0, heed=False)
             held = True
+        except NoAnswerError:
+            held = False
         except DeviceError:
             held = self.bitten()  # then goals are refused, and it stands already
-            if not held:
-                self.write(TORQUE, (0, 1), heed=False)
+        if not held:
+            self.write(TORQUE, (0, 1), heed=False)
         self.write(WATCHDOG, (0, 1), heed=False)  # not before it stands
         return held
 
@@ -256,7 +262,7 @@ class Servo:
             kinds = {_NO_REPLY: "missing", _CORRUPT: "corrupt"}
             self.counts["refused" if result == 0 else kinds.get(result, "failed")] += 1
             self._drain()
-        raise DeviceError(
+        raise NoAnswerError(
             f"The servo {self.identity} at {self.address} did not answer {_ATTEMPTS} times in a "
             f"row at {self.baud} baud (could not {what}); check its power, cable, baud rate and id."
         )

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from glissando.drivers import dynamixel
-from glissando.drivers.dynamixel import Servo
+from glissando.drivers.dynamixel import Servo, NoAnswerError
 from glissando.drivers.homing import touch
 from glissando.drivers.stage import Stage
 from glissando.errors import DeviceError
@@ -265,13 +265,23 @@ class Slide:
         try:
             yield
         except BaseException as problem:
-            bitten = isinstance(problem, DeviceError) and servo.bitten()
-            with suppress(DeviceError):
-                self.stop()
-            if bitten:
-                raise DeviceError(
-                    f"The servo heard nothing for {self.stage.watchdog:g} s while it moved and "
-                    f"stopped; take readings faster, or raise `watchdog`."
-                ) from problem
+            self._break_off(problem)
             raise
         servo.write(dynamixel.WATCHDOG, (0, 1))
+
+    def _break_off(self, problem: BaseException) -> None:
+        """Stand still after an exception; raises a better sentence if the watchdog was first."""
+        servo = self._servo
+        if isinstance(problem, NoAnswerError):  # it may hear us all the same: ask nothing more
+            self._zero = None
+            with suppress(DeviceError):
+                servo.write(dynamixel.TORQUE, (0, 1), heed=False)
+            return
+        bitten = isinstance(problem, DeviceError) and servo.bitten()
+        with suppress(DeviceError):
+            self.stop()
+        if bitten:
+            raise DeviceError(
+                f"The servo heard nothing for {self.stage.watchdog:g} s while it moved and "
+                f"stopped; take readings faster, or raise `watchdog`."
+            ) from problem
