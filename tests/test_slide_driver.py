@@ -403,7 +403,7 @@ class Fused(World):
 
 
 @pytest.mark.slow
-@settings(max_examples=150, deadline=None, derandomize=True)
+@settings(max_examples=100, deadline=None, derandomize=True)
 @given(
     st.lists(commands, min_size=2, max_size=6),
     st.sampled_from([1, -1]),

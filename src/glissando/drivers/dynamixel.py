@@ -159,7 +159,7 @@ class Servo:
         for address in (TORQUE, WATCHDOG):
             self.write(address, (0, 1), heed=False)
         # Drive mode 0: not reversed, profiles by speed, no torque by a goal alone. With a homing
-        # offset some firmware runs away when its watchdog bites (DynamixelSDK, issue 584).
+        # offset some firmware runs away when its watchdog bites (reported to DynamixelSDK in 2022).
         wanted = (
             (OPERATING_MODE, _EXTENDED_POSITION, 1),
             (DRIVE_MODE, 0, 1),

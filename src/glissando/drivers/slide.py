@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from glissando.drivers import dynamixel
-from glissando.drivers.dynamixel import Servo, NoAnswerError
+from glissando.drivers.dynamixel import NoAnswerError, Servo
 from glissando.drivers.homing import touch
 from glissando.drivers.stage import Stage
 from glissando.errors import DeviceError

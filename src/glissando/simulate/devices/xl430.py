@@ -98,8 +98,8 @@ class Xl430:
     def _bite(self, now: float) -> None:
         """The watchdog: the bus was silent for too long."""
         self.table["bus_watchdog"] = -1
-        # Older firmware takes the place without its offset for the goal, and runs away
-        # (ROBOTIS-GIT/DynamixelSDK, issue 584).
+        # Older firmware takes another place for the goal if there is an offset, and runs away
+        # (reported to DynamixelSDK in 2022); that it forgets the offset is [inferred].
         self.table["goal_position"] = self._present(now) - self.table["homing_offset"]
         self._profile = Profile(now, self._actual(now)[0])
         if self.table["homing_offset"]:
