@@ -1,0 +1,38 @@
+"""The official Dynamixel SDK's port: opened with sentences, and kept from burning a processor."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from glissando.errors import DeviceError
+
+
+def lost_port() -> tuple[type[Exception], ...]:
+    """What pyserial lets through when its port goes away."""
+    try:
+        import termios
+    except ImportError:  # Windows
+        return (OSError,)
+    return OSError, termios.error
+
+
+def opened(address: str, baud: int) -> tuple[Any, Any]:
+    """The SDK's port and packet handler. Raises DeviceError when the port cannot be had."""
+    try:
+        from dynamixel_sdk import PacketHandler, PortHandler
+    except ImportError:
+        raise DeviceError(
+            'The slide needs the package dynamixel-sdk: pip install "glissando[hardware]".'
+        ) from None
+    port = PortHandler(address)
+    try:
+        ready = port.setBaudRate(baud)
+    except lost_port() as problem:
+        raise DeviceError(
+            f"The port {address} cannot be opened ({problem}); check its name and your "
+            f"rights to it."
+        ) from None
+    if not ready:
+        raise DeviceError(f"The SDK knows no rate of {baud} baud; give 57600 or 1000000, say.")
+    port.ser.timeout = 0.002  # wait for bytes instead of asking for them all the time
+    return port, PacketHandler(2.0)
