@@ -14,6 +14,7 @@ from glissando.commands import (
     exporting,
     importing,
     learn,
+    record,
     replay,
     report,
     reproduce,
@@ -26,7 +27,7 @@ from glissando.simulate import NoShapeError
 
 _COMMANDS = (
     *(estimate, check, learn, replay, simulate, view, report),
-    *(importing, exporting, doctor, reproduce),
+    *(record, importing, exporting, doctor, reproduce),
 )
 
 

@@ -10,13 +10,16 @@ T_wb (K, M, 4, 4).
 from __future__ import annotations
 
 import argparse
+import os
 import socket
 import struct
 import sys
+import threading
 import time
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -155,15 +158,26 @@ def read_faults(text: str) -> dict[str, float]:
     return faults
 
 
-def send(sender: Sender, to: tuple[str, int], rate: float, epoch: float) -> None:
-    """Send the scene's frames when they are due: frame k at `epoch` + k/rate, monotonic seconds."""
+def send(
+    sender: Sender, to: tuple[str, int], rate: float, epoch: float, *, hold: bool = False
+) -> None:
+    """Send the scene's frames when they are due: frame k at `epoch` + k/rate, monotonic seconds.
+
+    If asked to `hold`, the scene stands still at its end, and this never does.
+    """
     first = max(0, int(np.ceil((time.monotonic() - epoch) * rate)))
     start, end = float(sender.time[0]), float(sender.time[-1])
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
-        for number in range(first, int(np.floor((end - start) * rate + 1e-9)) + 1):
+        last = int(np.floor((end - start) * rate + 1e-9))
+        for number in count(first) if hold else range(first, last + 1):
             time.sleep(max(0.0, epoch + number / rate - time.monotonic()))
             for data in sender.datagrams(number + 1, min(start + number / rate, end)):
                 out.sendto(data, to)
+
+
+def _end_with_input() -> None:
+    sys.stdin.read()
+    os._exit(0)  # the sender may be asleep
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -177,6 +191,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add("--epoch", type=float, metavar="T", help="monotonic time of the scene's start (now)")
     add("--faults", default="", metavar="NAME=CHANCE,…", help=f"of {', '.join(FAULTS)}")
     add("--seed", type=int, default=0, metavar="N", help="of noise and faults (default 0)")
+    holds = "stand still at the scene's end, until standard input closes"
+    add("--hold", action="store_true", help=holds)
     options = parser.parse_args(arguments)
     try:
         host, _, port = options.to.rpartition(":")
@@ -186,7 +202,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sender = Sender(read_scene(options.scene), bodies, faults, options.seed)
         epoch = time.monotonic() if options.epoch is None else options.epoch
         print(f"ready {options.to} {options.rate:g} Hz", flush=True)
-        send(sender, (host, int(port)), options.rate, epoch)
+        if options.hold:
+            threading.Thread(target=_end_with_input, daemon=True).start()
+        send(sender, (host, int(port)), options.rate, epoch, hold=options.hold)
     except (GlissandoError, OSError) as problem:
         print(f"vicon: {problem}", file=sys.stderr)
         return 2

@@ -1,0 +1,185 @@
+"""A whole experiment on simulated devices: what is recorded is what happened, whatever happens."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from glissando import cli
+from glissando.dataset import load_recording
+from glissando.errors import DeviceError, RecordingError
+from glissando.report import run_estimate
+from glissando.rig import Body, Coil, Rig, load_rig, write_recording
+from glissando.robot import robot_file
+from glissando.sessions import SessionWriter, read_session
+from glissando.simulate import SlidePath, load_bench
+from glissando.simulate.session import simulate_session, write_session
+
+SETUP = """
+name = "bench"
+robot = "sliding700"
+
+[tracker]
+address = "/dev/ttyUSB0"
+position = [0.1, 0, 0]
+quaternion = [1, 0, 0, 0]
+[[tracker.coils]]
+name = "coil"
+arclength = 0.70
+[[tracker.coils]]
+name = "mid"
+arclength = 0.35
+fixed = true
+serial = "3D0A"
+
+[slide]
+address = "/dev/ttyUSB1"
+lead = 0.0254
+stroke = [0.0, 0.06]
+standing = 0.0
+
+[mocap]
+port = 51001
+[[mocap.bodies]]
+name = "tip"
+arclength = 0.7
+position = [0, 0, 0.02]
+"""
+
+
+def test_a_setup_says_what_rides_where(tmp_path):
+    file = tmp_path / "bench.toml"
+    file.write_text(SETUP)
+    rig = load_rig(file)
+    assert [c.name for c in rig.coils] == ["coil", "mid"]
+    np.testing.assert_allclose(rig.coils[0].places(np.array([0.0, 0.06])), [0.70, 0.64])
+    np.testing.assert_allclose(rig.coils[1].places(np.array([0.0, 0.06])), 0.35)
+    assert rig.stage.stroke == (0.0, 0.06)
+    assert rig.frame[0, 3] == 0.1
+    assert rig.bodies[0].mount[2, 3] == 0.02
+    assert json.loads(json.dumps(rig.described()))["coil_arclength"] == 0.70
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        ("standing = 0.0", "", "nobody knows where the stage is"),
+        ("arclength = 0.35", "arclength = 0.95", "off the robot"),
+        ('address = "/dev/ttyUSB1"', "", "address is missing"),
+        ("lead = 0.0254", "leed = 0.0254", "lead is missing"),
+        ("lead = 0.0254", "lead = 0.002", "rpm"),
+        ("port = 51001", "prot = 51001", "did you mean 'port'"),
+    ],
+)
+def test_a_wrong_setup_is_one_sentence(tmp_path, old, new, sentence):
+    file = tmp_path / "bench.toml"
+    file.write_text(SETUP.replace(old, new))
+    with pytest.raises(DeviceError, match=sentence):
+        load_rig(file)
+
+
+def recorded(folder, *options, **popen):
+    command = [sys.executable, "-m", "glissando.cli", "record", "--simulate", "--out", folder]
+    return subprocess.Popen(
+        [*map(str, command), *options], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        **popen,
+    )  # fmt: skip
+
+
+@pytest.mark.slow
+def test_devices_change_nothing_a_recording_of_them_is_estimated_as_one_without(tmp_path, capsys):
+    folder = tmp_path / "session"
+    assert cli.main(["record", "--simulate", "--cycles", "1", "--out", str(folder)]) == 0
+    assert "was never seen" not in capsys.readouterr().out
+    recording = load_recording(folder)
+    place = recording.streams["coil"].rows.arclength
+    assert place.min() == pytest.approx(0.64, abs=5e-4)
+    assert place.max() == pytest.approx(0.70, abs=5e-4)
+    bench = load_bench(robot_file("sliding700"))
+    path = SlidePath.oscillate(1, bench.slide.stroke, bench.slide)
+    motion = bench.move(bench.shape("S"), bench.flaws, 0)
+    without = []
+    for seed in range(8):
+        session = simulate_session(bench, motion, path, seed=seed)
+        write_session(session, tmp_path / f"{seed}", "sliding700")
+        without.append(judged(load_recording(tmp_path / f"{seed}")))
+    found, without = judged(recording), np.array(without)
+    apart = np.abs(found - without.mean(axis=0)) / without.std(axis=0, ddof=1)
+    print("with devices", found, "without", without.mean(axis=0), "apart", apart)
+    assert np.all(apart < 5.0)  # of a t with 7 degrees of freedom, 0.1 % each
+
+
+def judged(recording):
+    """RMSE of position (m) and rotation (rad) from 0.22 m to 0.58 m, where shape is told."""
+    run = run_estimate(recording, recording.robot, window=None, use=["coil"], truth=None)
+    inner = [e for e in run.errors if 0.2 < e.arclength[0] < 0.6]
+    return np.array([np.sqrt(np.mean([np.mean(getattr(e, q) ** 2) for e in inner])) for q in WHAT])
+
+
+WHAT = ("position", "rotation")
+
+
+@pytest.mark.slow
+def test_killed_in_mid_session_it_keeps_all_but_the_last_second(tmp_path):
+    folder = tmp_path / "session"
+    with recorded(folder) as process:
+        log = folder / "session.mcap"
+        wait_for(lambda: log.exists() and log.stat().st_size > 5000)
+        time.sleep(2.0)
+        killed = time.monotonic_ns()
+        process.kill()
+    session = read_session(log)
+    assert not session.complete
+    for topic in ("/slide", "/tracker/coil", "/mocap/mocap_700"):
+        assert killed - session.topics[topic].time_ns[-1] < 1.5e9
+        assert np.all(np.diff(session.topics[topic].time_ns) >= 0)
+
+
+@pytest.mark.slow
+def test_interrupted_it_stops_the_slide_and_keeps_the_recording(tmp_path):
+    folder = tmp_path / "session"
+    with recorded(folder, start_new_session=True) as process:
+        log = folder / "session.mcap"
+        wait_for(lambda: log.exists() and log.stat().st_size > 5000)
+        time.sleep(1.0)
+        os.kill(process.pid, signal.SIGINT)
+        out, err = process.communicate(timeout=60)
+    assert process.returncode == 1, err
+    assert "what was recorded is kept" in out
+    session = read_session(log)
+    assert session.complete
+    recording = load_recording(folder)
+    assert len(recording.streams["coil"].rows.time) > 10
+
+
+def wait_for(true, seconds=60.0):
+    end = time.monotonic() + seconds
+    while not true():
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+def test_what_was_not_seen_is_said_and_an_empty_session_refused(tmp_path):
+    rig = Rig(
+        "bench", "sliding700", None, (Coil("coil", 0.7),), None, None, None, None,
+        (Body("tip", 0.7, np.eye(4)),),
+    )  # fmt: skip
+    with SessionWriter(tmp_path / "session.mcap", {}):
+        pass
+    with pytest.raises(RecordingError, match="coil was never seen; tip was never seen"):
+        write_recording(read_session(tmp_path / "session.mcap"), rig, tmp_path)
+
+
+def test_a_record_command_without_a_rig_is_one_sentence(tmp_path, capsys):
+    assert cli.main(["record", "--out", str(tmp_path / "s")]) == 2
+    assert "--setup FILE" in capsys.readouterr().err
+    file = tmp_path / "bench.toml"
+    file.write_text(SETUP)
+    assert cli.main(["record", "--setup", str(file), "--out", str(tmp_path / "s")]) == 2
+    assert "/dev/ttyUSB0" in capsys.readouterr().err
+    assert not (tmp_path / "s").exists()
