@@ -26,6 +26,7 @@ _WITH_OUT_OF_VOLUME = "0801"
 _FIRMWARE_WITHOUT_BX = ("AURORA Rev 007", "AURORA Rev 008")
 _EARLY = 2e-3  # s at least before a frame is due that asking for it begins
 _PAUSE = 5e-4  # s between asking and asking again
+_REPLY, _REST = 0.2, 0.05  # s that a reply may take to begin, and its rest to follow
 _SILENCE = 2.0  # s without a whole reply after which the link is taken for lost
 _BETWEEN = 0.3  # s between attempts to connect again
 _TELLS_STATE = (0x0C, 0x10)  # errors that say it is not tracking, or was reset
@@ -72,6 +73,7 @@ class Aurora:
         self._binary, self._last, self._heard = True, -1, 0.0
         self._status, self._absent = 0, frozenset[int]()
         self._early, self._in_vain = self._period, False
+        self._stale: int | None = None
 
     def __enter__(self) -> Aurora:
         self._connect()
@@ -142,6 +144,7 @@ class Aurora:
             self.close()
             raise
         self._heard, self._status, self._absent = time.monotonic(), 0, frozenset()
+        self._stale = None
 
     def _connect_again(self, loss: LostError) -> None:
         deadline = time.monotonic() + self._reconnect
@@ -167,6 +170,7 @@ class Aurora:
         one the next is asked for earlier.
         """
         if self._last < 0:
+            time.sleep(_PAUSE)
             return
         due = self.clock.time(self._last + 1) + self._latency
         wait = due - self._early - time.monotonic()
@@ -193,13 +197,13 @@ class Aurora:
 
     def _asked(self) -> Reply:
         link = self._open_link()
-        timeout = 0.2 + (4000.0 / link.baud if link.baud else 0.0)
+        wire = 4000.0 / link.baud if link.baud else 0.0  # s that 400 bytes take
         name = "BX:" if self._binary else "TX:"
         link.write(frame_command(name + _WITH_OUT_OF_VOLUME))
-        head = link.read(BX_HEADER, timeout)
+        head = link.read(BX_HEADER, _REPLY + wire)
         if self._binary and not head.isalnum():  # what is text can only say no
-            return parse_bx(head + link.read(bx_length(head), timeout))
-        raw = head + (b"" if b"\r" in head else link.read_until(b"\r", timeout))
+            return parse_bx(head + link.read(bx_length(head), _REST + wire))
+        raw = head + (b"" if b"\r" in head else link.read_until(b"\r", _REST + wire))
         if raw.startswith(b"RESET") and parse_ascii(raw):
             raise LostError("The Aurora was reset.")
         return parse_tx(raw)
@@ -227,7 +231,9 @@ class Aurora:
             self._plug_anew()
         self._status, self._absent = reply.status, absent
         numbers = [p.number for p in reply.ports if p.number is not None and p.handle not in absent]
-        if not numbers:
+        if self._stale is None and numbers:
+            self._stale = numbers[0]  # there already when first asked for: since when is unknown
+        if not numbers or (self._last < 0 and numbers[0] == self._stale):
             return None
         restarts, last = self.clock.restarts, self._last
         count = self.clock.add(numbers[0], arrival)

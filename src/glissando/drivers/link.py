@@ -8,8 +8,9 @@ import os
 import select
 import socket
 import time
+from collections.abc import Iterator
 from types import TracebackType
-from typing import Any, Protocol
+from typing import Protocol
 from urllib.parse import urlsplit
 
 from glissando.errors import DeviceError
@@ -35,12 +36,13 @@ class _Wire(Protocol):
 class Link:
     """An open byte link, serial at `baud` 8N1 without handshake, or TCP; a context manager.
 
-    `arrived` is when the last reply began to come, seconds of time.monotonic(). Raises DeviceError
-    when the address cannot be opened; later LostError when the link breaks.
+    `arrived` is when the first bytes came after the last that were written, seconds of
+    time.monotonic(). Raises DeviceError when the address cannot be opened; later LostError when the
+    link breaks.
     """
 
     def __init__(self, address: str, baud: int = 9600):
-        self.address, self.arrived = address, -float("inf")
+        self.address, self.arrived, self._fresh = address, -float("inf"), True
         self._held = b""
         network = address.lower().startswith("tcp://")
         self._wire: _Wire = _Tcp(address) if network else _Serial(address, baud)
@@ -52,6 +54,7 @@ class Link:
             while self._wire.receive(0.0):
                 pass
             self._wire.send(data)
+        self._fresh = True
 
     def read(self, count: int, timeout: float) -> bytes:
         """Exactly `count` bytes. Raises SilentError when they do not come within `timeout` s."""
@@ -73,11 +76,10 @@ class Link:
 
     def _wait(self, deadline: float, timeout: float) -> None:
         left = deadline - time.monotonic()
-        fresh = not self._held
         with self._watched():
             came = self._wire.receive(max(left, 0.0))
-        if came and fresh:
-            self.arrived = time.monotonic()
+        if came and self._fresh:
+            self.arrived, self._fresh = time.monotonic(), False
         if not came and left <= 0.0:
             raise SilentError(
                 f"{self.address} did not answer within {timeout:.3g} s ({len(self._held)} bytes "
@@ -122,7 +124,7 @@ class Link:
         self.close()
 
     @contextlib.contextmanager
-    def _watched(self) -> Any:
+    def _watched(self) -> Iterator[None]:
         try:
             yield
         except OSError as problem:

@@ -59,8 +59,6 @@ def _serve(options: argparse.Namespace) -> None:
     if not (math.isfinite(options.rate) and 0.0 < options.rate <= 1e4):
         raise SimulationError(f"A rate of {options.rate:g} Hz cannot be; give 1 to 10000 Hz.")
     scene = Scene.load(options.scene)
-    if not scene.coils:
-        raise SimulationError(f"Scene {options.scene} has no coils; add coil_arclength.")
     dice = Dice(Faults.parse(options.faults), scene.seed if options.seed is None else options.seed)
     born = time.monotonic()
     epoch = born if options.epoch is None else options.epoch

@@ -19,6 +19,7 @@ _VERSION = (
 )
 _OUT, _PARTLY, _BROKEN = 0x40, 0x80, 0x100
 _PLUGGED, _UNPLUGGED = 0x0040, 0x0080  # by ndicapi's numbering; NDI's sample has it one bit off
+_HEAD = 6  # bytes of a reply that a serial line delivers first
 _WIDE = 0x0800  # option: out-of-volume poses too
 _PORT_COMMANDS = {
     "PHF": "free",
@@ -73,7 +74,7 @@ class Device:
         while (end := held.find(b"\r")) >= 0:
             line, held[:] = bytes(held[:end]).strip(b"\n"), held[end + 1 :]
             if line:
-                answers.append(self._answer(line, now))
+                answers += self._answer(line, now)
         if len(held) > 4096:
             held.clear()
         return [answer for answer in answers if answer[1]]
@@ -86,19 +87,22 @@ class Device:
     def _since(self, now: float) -> float:
         return -math.inf if self._tracked is None else now - self._tracked
 
-    def _answer(self, line: bytes, now: float) -> tuple[float, bytes]:
-        baud, tracking = self._baud, self._tracking
-        name = ""
+    def _answer(self, line: bytes, now: float) -> list[tuple[float, bytes]]:
+        """What to send when: on a serial line the beginning of a reply comes before its end."""
+        byte = 10.0 / self._baud if self._nature.wired else 0.0  # s
+        now += (len(line) + 1) * byte
+        tracking, name = self._tracking, ""
         try:
             name, text = _command(line)
             reply = self._obey(name, text, now)
         except RefusedError as refusal:
             reply = text_reply(f"ERROR{refusal.args[0]:02X}")
-        slow = self._dice.faults.slow_init if name == "INIT" else 0.0
+        now += self._dice.faults.slow_init if name == "INIT" else 0.0
         self._replies += 1
         reply = self._spoilt(reply, tracking)
-        wire = 10.0 * (len(line) + 1 + len(reply)) / baud if self._nature.wired else 0.0
-        return now + slow + wire, reply
+        if not byte:
+            return [(now, reply)]
+        return [(now + _HEAD * byte, reply[:_HEAD]), (now + len(reply) * byte, reply[_HEAD:])]
 
     def _spoilt(self, reply: bytes, tracking: bool) -> bytes:
         dice, k = self._dice, self._replies

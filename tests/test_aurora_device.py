@@ -1,0 +1,280 @@
+"""The simulated Aurora by itself: its states, its scene, its faults, its travel."""
+
+import socket
+
+import numpy as np
+import pytest
+from hypothesis import given
+
+from aurora_bench import QUIET, SPEED, tell_tale
+from draws import generators, law, sixes
+from glissando import se3
+from glissando.drivers.aurora_protocol import frame_command, parse_bx, parse_tx
+from glissando.simulate.devices.aurora_device import Device, Nature
+from glissando.simulate.devices.faults import Dice, Faults
+from glissando.simulate.devices.scene import Coil, Scene
+from glissando.simulate.devices.sensing import Sensing
+from glissando.simulate.devices.travel import MESSAGE, Travel
+from glissando.simulate.imperfections import Imperfections
+from glissando.simulate.rod import SimulationError
+
+
+def device(faults="", scene=None, seed=0, **nature):
+    scene = tell_tale() if scene is None else scene
+    dice, nature = Dice(Faults.parse(faults), seed), Nature(0.0, **nature)
+    return Device(scene, Sensing(scene, dice, None, 0.0, 0.0, nature.rate), dice, nature)
+
+
+def say(dev, text, now=1.0):
+    """The bytes that answer a command framed with a CRC, or with a space as it stands."""
+    data = bytearray(text.encode() + b"\r" if " " in text else frame_command(text))
+    return b"".join(reply for _, reply in dev.hear(data, now))
+
+
+def asked(dev, *texts, now=1.0):
+    """The texts of the replies, without their CRCs."""
+    return [say(dev, text, now)[:-5].decode() for text in texts]
+
+
+READY = ["INIT:", "PINIT:0A", "PINIT:0B", "PENA:0AD", "PENA:0BD"]
+
+
+def tracking(*arguments, now=1.0, **nature):
+    dev = device(*arguments, **nature)
+    assert set(asked(dev, *READY, "TSTART:", now=now)) <= {"OKAY", "WARNING01"}
+    return dev
+
+
+@pytest.mark.parametrize(
+    ("before", "command", "answer"),
+    [
+        ([], "VER:0", "ERROR10"),
+        ([], "TX:0801", "ERROR10"),
+        ([], "RESET:", "RESET"),
+        (["INIT:"], "TX:0801", "ERROR0C"),
+        (["INIT:"], "BX:0801", "ERROR0C"),
+        (["INIT:"], "TSTOP:", "ERROR0C"),
+        (["INIT:"], "PENA:0AD", "ERROR0E"),
+        (["INIT:"], "PINIT:55", "ERROR08"),
+        (["INIT:"], "GETINFO:Features.Firmware.Version", "ERROR01"),
+        (["INIT:"], "VER 3", "ERROR23"),
+        (["INIT:"], "VER 5", "013"),
+        (["INIT:"], "PHSR:02", "020A0010B001"),
+        (["INIT:"], "PHSR 02", "020A0010B001"),
+        (["INIT:", "PINIT:0a"], "PHSR:03", "010A011"),
+        (["INIT:"], "COMM:50000", "OKAY"),
+        (["INIT:"], "COMM:90000", "ERROR06"),
+        (["INIT:"], "BEEP:1", "1"),
+        ([*READY, "TSTART:"], "PINIT:0A", "ERROR0C"),
+        ([*READY, "TSTART:"], "VER:0", "ERROR0C"),
+        ([*READY, "TSTART:"], "TX:0002", "ERROR23"),
+        ([*READY, "TSTART:"], "TSTOP:", "OKAY"),
+    ],
+)
+def test_the_state_decides_the_answer(before, command, answer):
+    dev = device()
+    asked(dev, *before)
+    assert asked(dev, command) == [answer]
+
+
+def test_a_command_with_a_bad_crc_is_refused():
+    dev = device()
+    ((_, reply),) = dev.hear(bytearray(b"INIT:E3A6\r"), 0.0)
+    assert reply[:-5] == b"ERROR04"
+
+
+@given(generators)
+@law
+def test_any_bytes_leave_the_device_alive(rng):
+    dev = device()
+    held = bytearray()
+    for _ in range(20):
+        held.extend(
+            rng.bytes(30) + rng.choice([b"\r", b"PVWR:0A\r", b"PHINF \r", b"PENA 0\r", b""])
+        )
+        dev.hear(held, 0.0)
+    held.clear()
+    assert asked(dev, "INIT:") == ["OKAY"]
+
+
+def test_the_frame_clock_runs_whether_it_is_asked_or_not():
+    dev = tracking()
+    ask = lambda now: parse_bx(say(dev, "BX:0801", now)).ports[0]  # noqa: E731
+    first, again, later = ask(1.001), ask(1.020), ask(2.001)
+    assert again.number == first.number
+    assert np.array_equal(again.pose, first.pose)
+    assert later.number == first.number + 40
+    assert np.isclose(later.pose[0, 3] - first.pose[0, 3], SPEED)
+
+
+def test_a_frame_shows_the_scene_of_its_own_instant():
+    port = parse_bx(say(tracking(), "BX:0801", 1.017)).ports[0]
+    assert np.isclose(port.pose[0, 3], SPEED * port.number / 40.0, atol=1e-7)
+
+
+def test_tx_and_bx_say_the_same_of_a_frame():
+    flaws = Imperfections(roll="minimal")
+    dev = tracking("out=0.3,missing=0.2", tell_tale(flaws))
+    for now in np.arange(1.0, 3.0, 0.05):
+        tx, bx = parse_tx(say(dev, "TX:0801", now)), parse_bx(say(dev, "BX:0801", now))
+        for one, other in zip(tx.ports, bx.ports, strict=True):
+            assert (one.number, one.status, one.condition) == (
+                other.number,
+                other.status,
+                other.condition,
+            )
+            if one.pose is not None:
+                assert np.abs(one.pose - other.pose).max() < 4e-4
+                assert np.abs(one.pose[:3, 3] - other.pose[:3, 3]).max() < 0.0051e-3
+
+
+def test_without_the_option_a_coil_out_of_the_volume_is_missing():
+    dev = tracking("out=1")
+    assert parse_tx(say(dev, "TX:0001")).ports[0].missing
+    assert parse_tx(say(dev, "TX:0801")).ports[0].out_of_volume
+
+
+def test_the_second_coil_of_a_plug_shows_after_the_first_is_initialised():
+    coils = [Coil(0.1, 0.0, np.eye(4), 0), Coil(0.05, 0.0, np.eye(4), 0, channel=1)]
+    dev = device(scene=tell_tale(coils=coils))
+    assert asked(dev, "INIT:", "PHSR:02", "PINIT:0A", "PHSR:02")[1::2] == ["010A001", "010B001"]
+
+
+def test_faults_come_again_with_the_same_seed_and_differ_with_another():
+    def replies(seed):
+        dev = tracking("crc=0.2,truncate=0.1,missing=0.1", seed=seed)
+        return [say(dev, "BX:0801", 1.0 + 0.025 * k) for k in range(100)]
+
+    assert replies(1) == replies(1)
+    assert replies(1) != replies(2)
+
+
+def test_a_counter_rolls_over():
+    dev = tracking("counter=4294967290", now=0.0)
+    numbers = [parse_bx(say(dev, "BX:0801", 0.025 * k + 0.01)).ports[0].number for k in range(10)]
+    assert numbers == [(4294967290 + k) % 2**32 for k in range(10)]
+
+
+def test_tstart_80_resets_the_counter():
+    dev = device()
+    asked(dev, *READY, "TSTART:80", now=10.0)
+    assert parse_bx(say(dev, "BX:0801", 10.03)).ports[0].number == 1
+
+
+def test_a_wired_device_takes_the_time_its_baud_rate_gives():
+    dev = device(wired=True)
+    (_, head), (slow, rest) = dev.hear(bytearray(frame_command("INIT:")), 0.0)
+    assert np.isclose(slow, 10 * (10 + len(head + rest)) / 9600)
+    dev.hear(bytearray(frame_command("COMM:50000")), 0.0)
+    ((fast, beeped),) = dev.hear(bytearray(frame_command("BEEP:1")), 0.0)
+    assert np.isclose(fast, 10 * (11 + len(beeped)) / 115200)
+
+
+def test_a_fault_with_no_name_or_number_is_a_sentence():
+    for text in ("nonsense=1", "crc", "crc=often"):
+        with pytest.raises(SimulationError, match=r"\.$"):
+            Faults.parse(text)
+
+
+@given(generators)
+@law
+def test_a_scene_of_arcs_is_exact_between_its_nodes(rng):
+    strain, velocity = sixes(rng, reach=0.3), sixes(rng, angle=0.4)
+    time, places = np.sort(rng.uniform(0, 2, 4)), np.sort(rng.uniform(0, 1, 5))
+    along = se3.exp(places[:, None] * strain)
+    # One velocity at every place holds where strain does not change: T(s, t) = exp(t v) exp(s e).
+    scene = tell_tale()
+    poses = se3.exp(time[:, None] * velocity)[:, None] @ along
+    scene = Scene(time, places, poses, np.eye(4), scene.coils, QUIET)
+    for _ in range(5):
+        s, t = rng.uniform(places[0], places[-1], 3), rng.uniform(time[0], time[-1])
+        truth = se3.exp(t * velocity) @ se3.exp(s[:, None] * strain)
+        assert np.allclose(scene.pose(s, t), truth, atol=1e-9)
+
+
+def test_a_scene_holds_at_its_ends_or_begins_anew():
+    held = tell_tale()
+    looped = Scene(
+        *(getattr(held, k) for k in ("time", "arclength", "T_wb", "T_wt", "coils")), QUIET, 0, True
+    )
+    far = held.time[-1] + 5.0
+    assert np.array_equal(held.pose([0.1], far), held.pose([0.1], held.time[-1]))
+    assert np.allclose(looped.pose([0.1], far), looped.pose([0.1], 5.0))
+
+
+def test_a_saved_scene_is_the_same_scene(tmp_path):
+    scene = tell_tale(Imperfections(roll="minimal", jitter=2e-4), seed=5)
+    scene.save(tmp_path / "scene.npz")
+    again = Scene.load(tmp_path / "scene.npz")
+    assert np.array_equal(again.coil_poses(1.0, 0.02), scene.coil_poses(1.0, 0.02))
+    assert (again.seed, again.flaws.jitter, again.flaws.roll) == (5, 2e-4, "minimal")
+
+
+def test_a_scene_that_is_none_is_a_sentence(tmp_path):
+    (tmp_path / "text.npz").write_text("no scene")
+    np.savez(tmp_path / "short.npz", time=[0.0])
+    for name in ("text.npz", "short.npz", "absent.npz"):
+        with pytest.raises(SimulationError, match=r"\.$"):
+            Scene.load(tmp_path / name)
+    with pytest.raises(SimulationError, match="rising"):
+        Scene(np.zeros(2), np.arange(2.0), np.zeros((2, 2, 4, 4)), np.eye(4), (), QUIET)
+
+
+@pytest.mark.parametrize("axis", [[0, 0, 1], [0, 0.6, -0.8], [0, 0, -1]])
+def test_the_reported_rotation_has_no_roll_and_keeps_the_axis(axis):
+    turn = np.eye(4)
+    lean = np.cross([0, 0, 1], axis)
+    angle = np.arccos(np.clip(axis[2], -1, 1))
+    size = np.linalg.norm(lean)
+    turn[:3, :3] = se3.so3_exp(angle * (lean / size if size else np.array([1.0, 0, 0])))
+    dev = tracking("", tell_tale(coils=[Coil(0.1, 0.0, turn, k) for k in range(2)]))
+    port = parse_bx(say(dev, "BX:0801")).ports[0]
+    assert np.allclose(port.pose[:3, 2], axis, atol=1e-6)
+    assert abs(se3.quaternion(port.pose[:3, :3])[3]) < 1e-6
+
+
+def test_noise_is_white_and_bias_belongs_to_the_place():
+    flaws = QUIET.without()
+    flaws = Imperfections(roll="true", jitter=1e-4, bias=1e-3, bias_angle=0.0, jitter_angle=0.0)
+    still = Scene(
+        np.zeros(1),
+        np.array([0.0, 0.1]),
+        np.tile(np.eye(4), (1, 2, 1, 1)),
+        np.eye(4),
+        (Coil(0.0, 0.0, np.eye(4), 0),),
+        flaws,
+    )
+    sensing = Sensing(still, Dice(Faults(), 0), None, 0.0, 0.0, 40.0)
+    places = np.array([sensing.values(k)[0, 4:7] for k in range(400)])
+    spread = np.sqrt(3.0) * places.std(axis=0).mean()
+    assert 0.08 < spread < 0.12
+    assert np.linalg.norm(places.mean(axis=0)) > 0.1  # a bias, not noise, is left by averaging
+
+
+def test_metal_in_the_field_moves_poses_without_a_word():
+    true, bent = (parse_bx(say(tracking(f), "BX:0801")) for f in ("", "metal=0.002"))
+    for one, other in zip(true.ports, bent.ports, strict=True):
+        assert 1e-4 < np.linalg.norm(one.pose[:3, 3] - other.pose[:3, 3]) < 1e-2
+        assert (one.status, one.condition) == (other.status, other.condition)
+
+
+def test_travel_is_interpolated_at_the_instant_and_held():
+    travel = Travel(0)
+    port = travel.socket.getsockname()[1]
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as servo:
+        assert travel.at(0.0) == 0.0
+        for k in range(10):
+            servo.sendto(MESSAGE.pack(10.0 + 0.005 * k, 0.024 * 0.005 * k), ("127.0.0.1", port))
+        servo.sendto(b"noise", ("127.0.0.1", port))
+        servo.sendto(MESSAGE.pack(np.nan, 1.0), ("127.0.0.1", port))
+        for moment, way in ((10.0125, 0.0125), (10.0475, 0.0475), (9.0, 0.0), (99.0, 0.045)):
+            assert np.isclose(travel.at(moment), 0.024 * way, atol=1e-12)
+    travel.socket.close()
+
+
+def test_a_sliding_coil_is_where_the_travel_takes_it():
+    scene = tell_tale()
+    fixed, slid = scene.coil_poses(0.0, 0.02)
+    assert np.isclose(fixed[2, 3], 0.1)
+    assert np.isclose(slid[2, 3], 0.05 - 0.02)
+    assert np.isclose(scene.coil_poses(0.0, 9.0)[1, 2, 3], 0.0)  # the robot ends there
