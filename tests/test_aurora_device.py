@@ -251,6 +251,13 @@ def test_noise_is_white_and_bias_belongs_to_the_place():
     assert np.linalg.norm(places.mean(axis=0)) > 0.1  # a bias, not noise, is left by averaging
 
 
+def test_metal_in_the_field_moves_poses_without_a_word():
+    true, bent = (parse_bx(say(tracking(f), "BX:0801")) for f in ("", "metal=0.002"))
+    for one, other in zip(true.ports, bent.ports, strict=True):
+        assert 1e-4 < np.linalg.norm(one.pose[:3, 3] - other.pose[:3, 3]) < 1e-2
+        assert (one.status, one.condition) == (other.status, other.condition)
+
+
 def test_travel_is_interpolated_at_the_instant_and_held():
     travel = Travel(0)
     port = travel.socket.getsockname()[1]

@@ -73,6 +73,7 @@ class Aurora:
         self._binary, self._last, self._heard = True, -1, 0.0
         self._status, self._absent = 0, frozenset[int]()
         self._early, self._in_vain = self._period, False
+        self._stale: int | None = None
 
     def __enter__(self) -> Aurora:
         self._connect()
@@ -143,6 +144,7 @@ class Aurora:
             self.close()
             raise
         self._heard, self._status, self._absent = time.monotonic(), 0, frozenset()
+        self._stale = None
 
     def _connect_again(self, loss: LostError) -> None:
         deadline = time.monotonic() + self._reconnect
@@ -168,6 +170,7 @@ class Aurora:
         one the next is asked for earlier.
         """
         if self._last < 0:
+            time.sleep(_PAUSE)
             return
         due = self.clock.time(self._last + 1) + self._latency
         wait = due - self._early - time.monotonic()
@@ -228,7 +231,9 @@ class Aurora:
             self._plug_anew()
         self._status, self._absent = reply.status, absent
         numbers = [p.number for p in reply.ports if p.number is not None and p.handle not in absent]
-        if not numbers:
+        if self._stale is None and numbers:
+            self._stale = numbers[0]  # there already when first asked for: since when is unknown
+        if not numbers or (self._last < 0 and numbers[0] == self._stale):
             return None
         restarts, last = self.clock.restarts, self._last
         count = self.clock.add(numbers[0], arrival)

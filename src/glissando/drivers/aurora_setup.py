@@ -19,6 +19,7 @@ BAUD_CODES |= {921600: "6", 1228739: "7", 230400: "A"}
 _TRIES = 3  # of a command whose reply comes damaged
 _REPLY = 5.0  # s that a command may take
 _SETTLE = 0.2  # s on both sides of a change of the baud rate
+_REFUSED = 1.0  # s to wait for RESET after something was refused
 _ROUNDS = 4  # of initialising: a coil may show another on the same plug
 _SROM, _WRITE = 1024, 64  # bytes of a virtual SROM, and of one write
 _NO_SROM = 0x13
@@ -80,8 +81,10 @@ def _reset(link: Link, patience: float) -> None:
             said = link.read_until(b"\r", deadline - time.monotonic())
             if b"RESET" in said or parse_ascii(said) == "OKAY":
                 return
-        except (GarbledError, RefusedError):
-            continue  # the end of something older, or what the lone carriage return was taken for
+        except GarbledError:
+            continue  # the end of something older
+        except RefusedError:  # of the lone carriage return, or of RESET itself
+            deadline = min(deadline, time.monotonic() + _REFUSED)
         except SilentError:
             return  # INIT will tell
 

@@ -8,8 +8,9 @@ import os
 import select
 import socket
 import time
+from collections.abc import Iterator
 from types import TracebackType
-from typing import Any, Protocol
+from typing import Protocol
 from urllib.parse import urlsplit
 
 from glissando.errors import DeviceError
@@ -123,7 +124,7 @@ class Link:
         self.close()
 
     @contextlib.contextmanager
-    def _watched(self) -> Any:
+    def _watched(self) -> Iterator[None]:
         try:
             yield
         except OSError as problem:

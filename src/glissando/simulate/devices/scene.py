@@ -75,10 +75,9 @@ class Scene:
             time = self.time[0] + (time - self.time[0]) % float(np.ptp(self.time))
         k, share = _between(self.time, np.atleast_1d(float(time)))
         n, along = _between(self.arclength, np.asarray(arclength, dtype=float))
-        low, high = (
-            _blend(self.T_wb[k, j], self.T_wb[np.minimum(k + 1, self.time.size - 1), j], share)
-            for j in (n, np.minimum(n + 1, self.arclength.size - 1))
-        )
+        ends = np.stack([n, np.minimum(n + 1, self.arclength.size - 1)])
+        later = np.minimum(k + 1, self.time.size - 1)
+        low, high = _blend(self.T_wb[k, ends], self.T_wb[later, ends], share)
         return _blend(low, high, along)
 
     def coil_poses(self, time: float, travel: float) -> Array:
