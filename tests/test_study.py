@@ -1,6 +1,8 @@
 """Studies: what is asked, what is kept, what is said of it; nothing here starts a process."""
 
 import json
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -259,3 +261,13 @@ def test_the_figure_draws_each_axis_with_its_bars(tmp_path):
 def test_study_needs_no_file_to_be_made(tmp_path):
     study = Study("mine", {"noise": [1.0]}, {"duration": 0.5, "shape": "C"}, range(2), tmp_path)
     assert [cell.scene.shape for cell in study.cells()] == ["C", "C"]
+
+
+def test_the_study_of_the_page_is_one(tmp_path):
+    page = Path(__file__).parents[1] / "docs" / "studies.md"
+    text = page.read_text(encoding="utf-8")
+    file = tmp_path / "sweep.toml"
+    file.write_text(re.findall(r"```toml\n(.*?)```", text, flags=re.DOTALL)[0])
+    assert len(load_study(file).cells()) == 3 * 2 * 20
+    told = set(re.findall(r"`(\w+)`", text.split("| setting |")[1].split("\n\n")[0]))
+    assert set(SETTINGS) <= told
