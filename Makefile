@@ -27,6 +27,7 @@ test: lint check-types check-layers pytest
 lint: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/codespell
 
 check-types: $(READY)
 	$(BIN)/mypy

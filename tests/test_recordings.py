@@ -118,11 +118,11 @@ def test_units_and_frames_are_turned_into_the_world(tmp_path):
 @pytest.mark.parametrize(
     ("toml", "sentence"),
     [
-        (MARKER.replace("kind", "kinf"), r"kind is missing; give one of"),
+        (MARKER.replace("kind", "kinf"), r"kind is missing; give one of"),  # codespell:ignore kinf
         (MARKER.replace("position", "sonar"), "kind is 'sonar'; give one of pose"),
         (MARKER + 'frame = "camera"\n', "frame is 'camera'; give one of world"),
         (MARKER.replace("1e-3]", "-1]"), "std is .* above zero"),
-        (MARKER + "tru = true\n", "tru is not a key.*did you mean 'truth'"),
+        (MARKER + "tru = true\n", "tru is not a key.*did you mean 'truth'"),  # codespell:ignore tru
         (MARKER.replace("tdcr466", "tdcr999"), "no robot named 'tdcr999'"),
         ("streams = 3", "must be an array of tables"),
         ("", "names no"),
@@ -213,7 +213,7 @@ def test_shipped_robots_load(name):
 @pytest.mark.parametrize(
     ("old", "new", "sentence"),
     [
-        ("length = 0.466", "lenght = 0.466", "length is missing"),
+        ("length = 0.466", "lenght = 0.466", "length is missing"),  # codespell:ignore lenght
         ("length = 0.466", "length = -1", "length is -1; give a number above zero"),
         ("length = 0.466", 'length = "long"', "length is 'long'"),
         ("time_rate = 30.0", "", r"\[grid\]: time_rate is missing"),

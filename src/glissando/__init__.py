@@ -44,6 +44,7 @@ from glissando.sensors import (
     StrainReadings,
 )
 from glissando.separable import BaseVariance, SeparablePrior
+from glissando.shapes import Shapes, estimate_shapes
 from glissando.state import State
 from glissando.unknowns import Unknown
 
@@ -73,11 +74,13 @@ __all__ = [
     "RobotFileError",
     "SensorError",
     "SeparablePrior",
+    "Shapes",
     "State",
     "StrainReadings",
     "Unknown",
     "UnobservableError",
     "estimate",
+    "estimate_shapes",
     "load_robot",
     "uniform_grid",
 ]

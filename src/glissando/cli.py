@@ -19,6 +19,7 @@ from glissando.commands import (
     report,
     reproduce,
     simulate,
+    study,
     view,
 )
 from glissando.commands.completion import PrintCompletion
@@ -26,7 +27,7 @@ from glissando.errors import GlissandoError
 from glissando.simulate import NoShapeError
 
 _COMMANDS = (
-    *(estimate, check, learn, replay, simulate, view, report),
+    *(estimate, check, learn, replay, simulate, study, view, report),
     *(record, importing, exporting, doctor, reproduce),
 )
 

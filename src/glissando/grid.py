@@ -88,6 +88,16 @@ class Grid:
                 )
             object.__setattr__(self, "time_spans", _spans(np.append(before, self.time))[1:])
 
+    @staticmethod
+    def apart(arclength: ArrayLike, count: int) -> Grid:
+        """A grid of `count` single moments that know nothing of each other, of span 1 each.
+
+        Their times are their numbers.
+        """
+        grid = Grid(arclength, np.arange(count))
+        object.__setattr__(grid, "time_spans", np.ones(count))
+        return grid
+
     @property
     def shape(self) -> tuple[int, int]:
         """(K, N): time nodes, arclength nodes."""

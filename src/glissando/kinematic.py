@@ -18,7 +18,7 @@ from glissando.linear import Factors, Residuals
 from glissando.noise import pair_sqrt_information, sqrt_information
 from glissando.points import Interpolation, Points
 from glissando.prior import by_interval, interval_strain, is_soft, soften
-from glissando.rest import STRAIGHT
+from glissando.rest import STRAIGHT, RestShape
 from glissando.se3 import Array
 from glissando.state import DOF, POSE, STRAIN, VELOCITY, State, rest_state
 from glissando.steps import ARCLENGTH, TIME, Direction, between, carried_error, pair_error
@@ -62,6 +62,11 @@ class KinematicPrior:
     base_pose: Array = field(default_factory=lambda: np.eye(4))
     joints: Array = field(default_factory=lambda: np.zeros(0))
     jumps: Array = field(default_factory=lambda: np.zeros((0, 6)))
+
+    @property
+    def rest(self) -> RestShape:
+        """The shape at rest, of one strain."""
+        return RestShape(self.rest_strain[None], np.zeros((1, 6)), np.zeros(0))
 
     @property
     def fixes_base(self) -> bool:

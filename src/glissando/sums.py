@@ -96,6 +96,14 @@ class NeighbourSums:
         k_count = self._grid.time.size
         return np.hstack([self._nodes_right.reshape(k_count, -1), self._extras_right])
 
+    def chains(self) -> tuple[Array, Array, Array]:
+        """Blocks (K, N, d, d) and (K, N−1, d, d) along arclength, and −Jᵀ r (K, N, d).
+
+        All there is where no factor couples times and no extras are.
+        """
+        right = self._nodes_right.reshape(*self._grid.shape, self._dof)
+        return self._blocks[0, 0], self._blocks[0, 1][:, :-1], right
+
     def slabs(self, room: Array) -> BlockTridiagonal:
         """The sums spread out as a block-tridiagonal matrix in `room`."""
         (k_count, n_count), d = self._grid.shape, self._dof

@@ -38,25 +38,28 @@ def transition(rate: Array, step: Array) -> Array:
     return phi
 
 
-def _moments(rate: Array, step: Array) -> tuple[Array, Array, Array, Array]:
+def _moments(rate: Array, step: Array, rigid: bool) -> tuple[Array, Array, Array, Array]:
     """Integrals over u in [0, step] of what u J_r(u rate) and Ad(exp(−u rate)) are made of.
 
     Both are polynomials Σ f_i(u) ad(rate)^i, i ≤ 4, whose coefficients depend on the angle alone,
     so integrating them needs quadrature of scalars only. Returns ∫ a_i (M, 5), ∫ a_i a_k (M, 5, 5)
-    for the first, ∫ b_i b_k (M, 5, 5) for the second, and the powers of ad (M, 5, 6, 6).
+    for the first, ∫ b_i b_k (M, 5, 5) for the second, which is left zero unless `rigid`, and the
+    powers of ad (M, 5, 6, 6).
     """
     q = np.sum(rate[..., 3:] ** 2, axis=-1)[..., None]
     u = step[..., None] * _NODES
     weight = (step[..., None] * _WEIGHTS)[..., None]
     lever = se3.right_jacobian_coefficients(q * u**2) * u[..., None] ** np.arange(1, 6)
-    ride = np.zeros_like(lever)  # exp(−u ad) = 1 − ad · (u J_r), reduced by (ad² + q)² ad = 0
-    ride[..., 0] = 1.0
-    ride[..., 1:] = -lever[..., :4]
-    ride[..., 1] += q**2 * lever[..., 4]
-    ride[..., 3] += 2.0 * q * lever[..., 4]
     first = np.sum(weight * lever, axis=-2)
     second = np.swapaxes(weight * lever, -1, -2) @ lever
-    ridden = np.swapaxes(weight * ride, -1, -2) @ ride
+    ridden = np.zeros_like(second)
+    if rigid:
+        ride = np.zeros_like(lever)  # exp(−u ad) = 1 − ad · (u J_r), reduced by (ad² + q)² ad = 0
+        ride[..., 0] = 1.0
+        ride[..., 1:] = -lever[..., :4]
+        ride[..., 1] += q**2 * lever[..., 4]
+        ride[..., 3] += 2.0 * q * lever[..., 4]
+        ridden = np.swapaxes(weight * ride, -1, -2) @ ride
     return first, second, ridden, se3.ad_powers(rate)
 
 
@@ -85,7 +88,7 @@ def process_covariances(
     else step · diag(carried_psd). Quadrature errs by about 1e-10 of it for a step that turns the
     body by one radian.
     """
-    first, second, ridden, powers = _moments(rate, step)
+    first, second, ridden, powers = _moments(rate, step, rigid)
     q = np.zeros((*rate.shape[:-1], 12, 12))
     q[..., :6, :6] = _sandwich(second, powers, psd)
     mean = (first[..., None, :] @ powers.reshape(*powers.shape[:-2], 36)).reshape(*rate.shape, 6)

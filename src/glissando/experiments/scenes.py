@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from glissando.dataset import Recording, Stream
+from glissando.errors import RobotFileError
 from glissando.estimate import estimate
 from glissando.grid import Grid
 from glissando.kinematic import KinematicPrior
@@ -20,6 +21,7 @@ from glissando.metrics import Errors, errors_against
 from glissando.posterior import Posterior
 from glissando.readings import Readings
 from glissando.robot import Robot, load_robot, robot_file
+from glissando.separable import SeparablePrior
 from glissando.simulate import (
     Actuation,
     Bench,
@@ -31,6 +33,7 @@ from glissando.simulate import (
     load_bench,
     simulate_session,
 )
+from glissando.unknowns import corrected
 
 ROBOT = "sliding700"
 TUNED_ON: dict[str, Sequence[Sequence[float]]] = {
@@ -54,7 +57,8 @@ class Scene:
     `stroke` in metres and `cycles`; `speed` m/s; `duration` s of the session, and of the motion if
     the shape moves. `flaws` scales parts of the imperfections: pairs of a field and a factor.
     `still` lets the estimator know that the robot holds still; `nodes` a length and `time_rate` a
-    second are its grid's, the robot file's unless given.
+    second are its grid's, the robot file's unless given. `robot` is the shipped robot or robot file
+    that is simulated, and estimated with unless `prior` names another.
     """
 
     shape: str
@@ -68,23 +72,30 @@ class Scene:
     still: bool = False
     nodes: int | None = None
     time_rate: float | None = None
+    robot: str = ROBOT
+    prior: str = ""
 
 
-@lru_cache(maxsize=1)
-def bench() -> Bench:
+@lru_cache(maxsize=8)
+def bench(name: str = ROBOT) -> Bench:
     """The robot on its bench."""
-    return load_bench(robot_file(ROBOT))
+    return load_bench(robot_file(name))
 
 
-@lru_cache(maxsize=1)
-def robot() -> Robot:
+@lru_cache(maxsize=8)
+def robot(name: str = ROBOT) -> Robot:
     """The robot as the estimator knows it."""
-    return load_robot(ROBOT)
+    return load_robot(name)
+
+
+def known_robot(scene: Scene) -> Robot:
+    """The robot that the scene's estimator believes in."""
+    return robot(scene.prior or scene.robot)
 
 
 def flaws(scene: Scene) -> Imperfections:
     """The bench's imperfections, scaled as the scene says."""
-    out = bench().flaws
+    out = bench(scene.robot).flaws
     for name, factor in scene.flaws:
         out = replace(out, **{name: factor * getattr(out, name)})
     return out
@@ -93,46 +104,52 @@ def flaws(scene: Scene) -> Imperfections:
 def motion(scene: Scene, seed: int) -> Motion:
     """The shapes of a scene, of a robot with the set that the seed gives it."""
     kept = flaws(scene)
-    return _motion(scene.shape, scene.duration, (kept.set_curvature, kept.set_length), seed)
+    if kept.set_curvature == 0.0:
+        seed = 0  # without a set all robots are alike: one motion does for every seed
+    kinds = kept.set_curvature, kept.set_length
+    return _motion(scene.robot, scene.shape, scene.duration, kinds, seed)
 
 
 @lru_cache(maxsize=32)
-def _motion(shape: str, duration: float, kept: tuple[float, float], seed: int) -> Motion:
+def _motion(name: str, shape: str, duration: float, kept: tuple[float, float], seed: int) -> Motion:
+    known = bench(name)
     if shape in TUNED_ON:
         tensions = np.array(TUNED_ON[shape], dtype=float)
         time = np.linspace(0.0, duration, len(tensions)) if len(tensions) > 1 else np.zeros(1)
-        actuation = Actuation(time, tensions, bench().gravity)
+        actuation = Actuation(time, tensions, known.gravity)
     else:
-        actuation = bench().shape(shape).lasting(duration)
-    bent = replace(bench().flaws, set_curvature=kept[0], set_length=kept[1])
-    return bench().move(actuation, bent, seed)
+        actuation = known.shape(shape).lasting(duration)
+    bent = replace(known.flaws, set_curvature=kept[0], set_length=kept[1])
+    return known.move(actuation, bent, seed)
 
 
 def path(scene: Scene) -> SlidePath:
     """The slide's path; an ideal stage, fast and as long as the robot, where one is needed."""
-    stage = bench().slide
+    known = bench(scene.robot)
+    stage = known.slide
     if scene.slide == "hold":
-        return SlidePath.hold(scene.at, scene.duration, bench().full_slide)
+        return SlidePath.hold(scene.at, scene.duration, known.full_slide)
     if scene.slide == "traverse":
-        stage = SlideLimits(bench().rod.length, scene.speed, 4.0 * scene.speed)
+        stage = SlideLimits(known.rod.length, scene.speed, 4.0 * scene.speed)
     return SlidePath.oscillate(scene.cycles, scene.stroke, stage, speed=scene.speed)
 
 
 def session(scene: Scene, seed: int) -> Session:
     """What the sensors record of the scene with this seed's robot and noise."""
     moved, slid = motion(scene, seed), path(scene)
+    known = bench(scene.robot)
     return simulate_session(
-        bench(), moved, slid, seed=seed, duration=scene.duration, flaws=flaws(scene)
+        known, moved, slid, seed=seed, duration=scene.duration, flaws=flaws(scene)
     )
 
 
-def recording(recorded: Session) -> Recording:
-    """A session as the recording that its folder would be read as."""
+def recording(recorded: Session, known: Robot | None = None) -> Recording:
+    """A session as the recording, of the robot as it is known, that its folder would be read as."""
     coil = replace(recorded.coil, values=recorded.T_wt @ recorded.coil.values)
     streams = {"coil": Stream("coil", coil, False, None, np.eye(4), {}, True)}
     for name, rows in recorded.mocap.items():
         streams[name] = Stream(name, rows, True, recorded.mocap_std, np.eye(4), {}, True)
-    return Recording(recorded.name, Path(), streams, robot(), None)
+    return Recording(recorded.name, Path(), streams, known or robot(), None)
 
 
 @dataclass(frozen=True)
@@ -147,31 +164,41 @@ class Trial:
 
 def trial(scene: Scene, seed: int, other: KinematicPrior | None = None) -> Trial:
     """Simulate a scene with a seed, estimate it (with an `other` prior), judge it by mocap."""
-    recorded = recording(session(scene, seed))
+    known = known_robot(scene)
+    recorded = recording(session(scene, seed), known)
     window = (0.0, scene.duration)
     used, judges = recorded.choose(None, None)
-    readings, _ = recorded.readings(used, robot(), window)
-    truth, _ = recorded.readings(judges, robot(), window, as_truth=True)
-    posterior = estimate(other or prior(scene), grid(scene), readings)
+    readings, _ = recorded.readings(used, known, window)
+    truth, _ = recorded.readings(judges, known, window, as_truth=True)
+    truth = [corrected(t, known.unknowns) for t in truth]
+    believed = other or prior(scene)
+    posterior = estimate(believed, grid(scene), readings, unknowns=known.unknowns)
     return Trial(readings, truth, posterior, [errors_against(posterior, t) for t in truth])
 
 
 def grid(scene: Scene) -> Grid:
     """The robot file's grid over the scene, or the finer one that the scene asks for."""
-    known = robot()
+    known = known_robot(scene)
     if scene.nodes is not None:
-        known = replace(known, arclength_nodes=np.linspace(0.0, known.length, scene.nodes))
+        nodes = np.linspace(0.0, known.length, scene.nodes)
+        known = replace(known, arclength_nodes=np.union1d(nodes, known.prior.joints))
     if scene.time_rate is not None:
         known = replace(known, time_rate=scene.time_rate)
     return known.grid(0.0, scene.duration)
 
 
-def prior(scene: Scene) -> KinematicPrior:
-    """The robot file's prior, firmer over time if it is known that the robot holds still."""
-    known = robot().prior
-    assert isinstance(known, KinematicPrior)
+def prior(scene: Scene) -> KinematicPrior | SeparablePrior:
+    """The robot file's prior, firmer over time if it is known that the robot holds still.
+
+    Raises RobotFileError where a separable prior, which has a time scale, is asked to hold still.
+    """
+    known = known_robot(scene).prior
     if not scene.still:
         return known
+    if not isinstance(known, KinematicPrior):
+        raise RobotFileError(
+            "A separable prior has a time_scale to say how still a robot is; leave still out."
+        )
     return replace(
         known,
         psd_velocity_time=_STILL * known.psd_velocity_time,

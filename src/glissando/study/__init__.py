@@ -1,0 +1,1 @@
+"""Studies: what comes of every combination of settings, over many seeds, on any Dask cluster."""

@@ -1,0 +1,231 @@
+"""Shapes estimated together: the same as each by itself at a single moment."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+
+import test_separable_consistency as drawn
+from draws import generators, law
+from glissando import (
+    CoilReadings,
+    FbgReadings,
+    Grid,
+    GyroReadings,
+    Huber,
+    NotConvergedWarning,
+    OutsideGridError,
+    PoseReadings,
+    PositionReadings,
+    SensorError,
+    StrainReadings,
+    UnobservableError,
+    estimate,
+    estimate_shapes,
+    load_robot,
+    se3,
+)
+from glissando import shapes as method
+from glissando.chains import factor_chains
+from glissando.estimate import Options
+from glissando.metrics import errors_against
+from glissando.rest import STRAIGHT
+
+EXACT = Options(tolerance=1e-4)
+PRIORS = {
+    "kinematic": load_robot("sliding700").prior,
+    "separable": replace(load_robot("tdcr466-segments").prior, base_pose=se3.exp(np.full(6, 0.1))),
+}
+LENGTHS = {"kinematic": 0.7, "separable": 0.466}
+
+
+def nodes_of(kind):
+    return np.union1d(np.linspace(0.0, LENGTHS[kind], 5), PRIORS[kind].joints)
+
+
+def strains(rng, count, bend):
+    """Constant strains (S, 6), bent by about so many rad/m."""
+    return STRAIGHT + bend * rng.standard_normal((count, 6)) * [0, 0, 0, 1, 1, 0]
+
+
+def readings_of(rng, kind, count, bend=1.0):
+    """Sensors of several kinds on bent shapes, at nodes and between, not all on every shape."""
+    length, prior = LENGTHS[kind], PRIORS[kind]
+    bent = np.array([0, 0, 1.0, 0, 0, 0]) + bend * rng.standard_normal((count, 6)) * [
+        0,
+        0,
+        0,
+        1,
+        1,
+        0,
+    ]
+
+    def seen(places, shapes, size):
+        pose = prior.base_pose @ se3.exp(places[:, None] * bent[shapes])
+        return pose @ se3.exp(size * rng.standard_normal((len(places), 6)))
+
+    shapes = rng.integers(0, count, 4 * count)
+    places = np.where(
+        rng.uniform(size=shapes.size) < 0.3, length, length * rng.uniform(size=shapes.size)
+    )
+    at = {"time": shapes, "arclength": places}
+    coil = CoilReadings(**at, values=seen(places, shapes, 1e-3), cov=1e-5, loss=Huber(3.0))
+    every = np.arange(count)
+    middle = np.full(count, 0.5 * length)
+    at = {"time": every, "arclength": middle}
+    position = PositionReadings(**at, values=seen(middle, every, 1e-3)[:, :3, 3], cov=1e-6)
+    strain = StrainReadings(**at, values=bent, cov=1e-2)
+    fibre = {"core_radius": np.full(3, 1e-3), "core_angle": np.arange(3.0)}
+    fbg = FbgReadings(**at, values=1e-4 * rng.standard_normal((count, 3)), cov=1e-4, **fibre)
+    return [coil, position, strain, fbg]
+
+
+def alone(prior, nodes, readings, shape):
+    """The slow twin: one shape at a single moment."""
+    mine = [r.select(r.time == shape) for r in readings]
+    mine = [r.changed(time=np.zeros(len(r))) for r in mine]
+    return estimate(prior, Grid(nodes, [0.0]), mine, options=EXACT)
+
+
+def assert_same(together, one, shape, places):
+    found, wanted = together.at(places, shape), one.at(places, 0.0)
+    np.testing.assert_allclose(found.pose, wanted.pose, atol=1e-6)
+    np.testing.assert_allclose(found.strain, wanted.strain, atol=1e-4)
+    scale = np.sqrt(np.einsum("mii->mi", wanted.cov[:, :12, :12]))
+    scale = scale[:, :, None] * scale[:, None, :]
+    assert np.all(np.abs(found.cov[:, :12, :12] - wanted.cov[:, :12, :12]) <= 1e-3 * scale + 1e-20)
+
+
+@settings(law, max_examples=5)
+@given(generators)
+@pytest.mark.parametrize("kind", PRIORS)
+def test_shapes_together_are_each_by_itself(kind, rng):
+    count, prior, nodes = int(rng.integers(1, 5)), PRIORS[kind], nodes_of(kind)
+    readings = readings_of(rng, kind, count)
+    together = estimate_shapes(prior, nodes, readings, count=count, options=EXACT)
+    assert together.converged.all()
+    places = np.sort(LENGTHS[kind] * rng.uniform(size=4))
+    for shape in range(count):
+        one = alone(prior, nodes, readings, shape)
+        assert_same(together, one, shape, np.concatenate([places, nodes]))
+
+
+def test_shapes_do_not_know_of_each_other():
+    """The third is the same whatever the others are, and however many."""
+    rng = np.random.default_rng(0)
+    prior, nodes = PRIORS["separable"], nodes_of("separable")
+    readings = readings_of(rng, "separable", 6)
+    whole = estimate_shapes(prior, nodes, readings, options=EXACT)
+    third = [r.select(r.time == 2) for r in readings]
+    single = estimate_shapes(prior, nodes, third, count=9, options=EXACT)
+    found, wanted = (s.at(nodes, 2) for s in (single, whole))
+    np.testing.assert_allclose(found.pose, wanted.pose, atol=1e-6)
+    np.testing.assert_allclose(found.std_position, wanted.std_position, rtol=1e-5)
+
+
+def test_a_shape_that_nobody_read_is_as_uncertain_as_the_prior():
+    prior, nodes = PRIORS["separable"], nodes_of("separable")
+    together = estimate_shapes(prior, nodes, [], count=2)
+    one = estimate(prior, Grid(nodes, [0.0]), [])
+    assert_same(together, one, 1, np.array([0.05, 0.466]))
+
+
+def test_nearly_rigid_shear_and_right_angles_converge_from_rest(monkeypatch):
+    """Where straight steps tear the shape apart; none is left to the slow way."""
+    monkeypatch.setattr(method, "estimate", None)
+    rng = np.random.default_rng(1)
+    prior = replace(
+        drawn.PRIOR,
+        psd_strain_arclength=np.array([1e-9] * 3 + [4.0, 4.0, 0.5]),
+        joints=np.zeros(0),
+        jumps=np.zeros((0, 6)),
+    )
+    count, length = 40, 0.5
+    bent = np.array([0, 0, 1.0, 0, 0, 0]) + 3.0 * rng.standard_normal((count, 6)) * [
+        0,
+        0,
+        0,
+        1,
+        1,
+        0,
+    ]
+    tips = prior.base_pose @ se3.exp(length * bent)
+    tip = PoseReadings(
+        time=np.arange(count), arclength=np.full(count, length), values=tips, cov=1e-5
+    )
+    nodes = np.linspace(0.0, length, 6)
+    assert estimate_shapes(prior, nodes, [tip]).converged.all()
+
+
+def test_a_shape_that_steps_do_not_lead_to_is_left_to_the_estimator_of_recordings(monkeypatch):
+    """All are, if no step is ever worth it; and those that it gives up are said to be so."""
+    rng = np.random.default_rng(2)
+    prior, nodes = PRIORS["separable"], nodes_of("separable")
+    readings = readings_of(rng, "separable", 3)
+    known = estimate_shapes(prior, nodes, readings, options=EXACT)
+    monkeypatch.setattr(method, "_WORTHWHILE", np.inf)
+    left = estimate_shapes(prior, nodes, readings, options=EXACT)
+    for shape in range(3):
+        found, wanted = (which.at(nodes, shape) for which in (left, known))
+        np.testing.assert_allclose(found.pose, wanted.pose, atol=1e-6)
+        np.testing.assert_allclose(found.std_position, wanted.std_position, rtol=1e-5)
+    with pytest.warns(NotConvergedWarning):
+        hasty = estimate_shapes(prior, nodes, readings, options=Options(max_iterations=1))
+    assert not hasty.converged.any()
+
+
+def test_truth_judges_shapes_by_their_numbers():
+    rng = np.random.default_rng(3)
+    prior, nodes = PRIORS["separable"], nodes_of("separable")
+    readings = readings_of(rng, "separable", 4)
+    together = estimate_shapes(prior, nodes, readings, options=EXACT)
+    found = errors_against(together, readings[1])
+    for shape in range(4):
+        mine = readings[1].select(readings[1].time == shape)
+        mine = mine.changed(time=np.zeros(1))
+        wanted = errors_against(alone(prior, nodes, readings, shape), mine)
+        assert found.position[shape] == pytest.approx(wanted.position[0], abs=1e-6)
+        assert found.nees_position[shape] == pytest.approx(wanted.nees_position[0], rel=1e-3)
+
+
+def test_mistakes_are_one_sentence():
+    prior, nodes = PRIORS["separable"], nodes_of("separable")
+    at = {"time": [0, 0.5], "arclength": [0.1, 0.1]}
+    with pytest.raises(OutsideGridError, match=r"row 1 is of shape 0.5; shapes are numbered"):
+        estimate_shapes(prior, nodes, [PositionReadings(**at, values=np.zeros((2, 3)), cov=1.0)])
+    at = {"time": [0, 1], "arclength": [0.1, 0.1]}
+    with pytest.raises(SensorError, match="spin: a shape that holds still has no velocity"):
+        estimate_shapes(
+            prior, nodes, [GyroReadings(**at, values=np.zeros((2, 3)), cov=1.0, name="spin")]
+        )
+    free = replace(PRIORS["kinematic"], base=None)
+    with pytest.raises(UnobservableError, match="leave a direction of a shape undetermined"):
+        estimate_shapes(free, nodes, [PositionReadings(**at, values=np.zeros((2, 3)), cov=1.0)])
+    with pytest.raises(OutsideGridError, match="Query"):
+        estimate_shapes(prior, nodes, [], count=2).at(0.1, 2)
+
+
+@law
+@given(generators)
+def test_chains_are_solved_as_dense_matrices_are(rng):
+    shapes, nodes, d = (int(n) for n in rng.integers(1, 5, 3))
+    dense = rng.standard_normal((shapes, nodes * d, nodes * d))
+    dense = dense @ np.swapaxes(dense, 1, 2) + np.eye(nodes * d)
+    blocks = dense.reshape(shapes, nodes, d, nodes, d)
+    far = np.abs(np.subtract.outer(np.arange(nodes), np.arange(nodes))) > 1
+    blocks[:, far[:, None, :, None] & np.ones((d, 1, d), bool)] = 0.0
+    dense += 10.0 * nodes * d * np.eye(nodes * d)
+    every = np.arange(nodes)
+    diagonal = np.moveaxis(blocks[:, every, :, every], 0, 1)
+    lower = np.moveaxis(blocks[:, every[1:], :, every[:-1]], 0, 1)
+    chains = factor_chains(diagonal, lower)
+    right = rng.standard_normal((shapes, nodes, d))
+    wanted = np.linalg.solve(dense, right.reshape(shapes, -1, 1)).reshape(right.shape)
+    np.testing.assert_allclose(chains.solve(right), wanted, rtol=1e-8, atol=1e-12)
+    cov, cross = chains.marginals()
+    inverse = np.linalg.inv(dense).reshape(blocks.shape)
+    np.testing.assert_allclose(cov, np.moveaxis(inverse[:, every, :, every], 0, 1), atol=1e-12)
+    np.testing.assert_allclose(
+        cross, np.moveaxis(inverse[:, every[:-1], :, every[1:]], 0, 1), atol=1e-12
+    )
