@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +28,7 @@ from glissando.errors import GlissandoError
 from glissando.online import FixedLag
 from glissando.replay import Replay, replay
 from glissando.report import write_states
+from glissando.robot import Robot
 
 _HELP = """\
 Run a recording through the online estimator as if it were live: at the robot's rate it is given the
@@ -38,11 +42,13 @@ _EXAMPLES = """\
 examples:
   glissando replay slow_free_space --window 19 29
   glissando replay my_recording --robot my_robot.toml --lag 0.5 --out live
-  glissando replay my_recording --rate real --out live        # takes as long as it took
+  glissando replay my_recording --rate real --live            # takes as long as it took
   glissando replay my_recording --json | python -m json.tool
 
 exit status: 0 done; 2 something given was wrong.
 """
+
+_POINTS = 41  # along the robot that is shown live
 
 
 def add_to(commands: Commands) -> None:
@@ -57,6 +63,7 @@ def add_to(commands: Commands) -> None:
     lag = "seconds the estimator looks back (default: four time nodes; 0 is a filter)"
     add("--lag", type=float, metavar="S", help=lag)
     add("--out", type=Path, metavar="DIR", help="write log, replay.json, newest.csv, figure here")
+    add("--live", action="store_true", help="show it in a browser as it goes (needs viser)")
     add("--json", action="store_true", help="print one JSON object and nothing else")
 
 
@@ -71,13 +78,16 @@ def _replay(options: argparse.Namespace) -> int:
             raise GlissandoError(f"{options.out} holds a finished run; give another --out.")
     console = Console(stderr=True)
     columns = TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn()
-    with Progress(
-        *columns, console=console, transient=True, disable=not console.is_terminal
-    ) as bar:
+    hidden = not console.is_terminal
+    with (
+        Progress(*columns, console=console, transient=True, disable=hidden) as bar,
+        _shown(robot, options) as show,
+    ):
         task = bar.add_task(f"replaying {escape(recording.name)}", total=None)
 
-        def watch(done: int, total: int, _: FixedLag) -> None:
+        def watch(done: int, total: int, smoother: FixedLag) -> None:
             bar.update(task, completed=done, total=total)
+            show(smoother)
 
         found = replay(
             recording,
@@ -95,6 +105,28 @@ def _replay(options: argparse.Namespace) -> int:
     if written and not options.json:
         Console().print("Wrote " + ", ".join(map(str, written)), markup=False)
     return 0
+
+
+@contextmanager
+def _shown(robot: Robot, options: argparse.Namespace) -> Iterator[Callable[[FixedLag], None]]:
+    """What shows a smoother's newest state in a browser, if asked for."""
+    if not options.live:
+        yield lambda _: None
+        return
+    from glissando.view.live import Live
+
+    places = np.linspace(0.0, robot.length, _POINTS)
+    with Live(places) as live:
+        print(f"Look at {live.address}", file=sys.stderr)
+
+        def show(smoother: FixedLag) -> None:
+            time = smoother.time or 0.0
+            at = smoother.at(places, time)
+            turn = at.pose[:, :3, :3]
+            cov = turn @ at.cov[:, :3, :3] @ np.swapaxes(turn, -1, -2)
+            live.update(time, at.position, at.pose, cov)
+
+        yield show
 
 
 def _write(found: Replay, folder: Path) -> list[Path]:
