@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from urllib.request import urlopen
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from glissando.dataset import load_recording
 from glissando.errors import DeviceError, RecordingError
 from glissando.report import run_estimate
 from glissando.rig import Body, Coil, Rig, load_rig, write_recording
+from glissando.rig.online import followed
 from glissando.robot import robot_file
 from glissando.sessions import SessionWriter, read_session
 from glissando.simulate import SlidePath, load_bench
@@ -162,6 +164,19 @@ def wait_for(true, seconds=60.0):
     while not true():
         assert time.monotonic() < end
         time.sleep(0.05)
+
+
+@pytest.mark.slow
+def test_the_shape_can_be_looked_at_while_it_is_recorded():
+    pytest.importorskip("viser")
+    rig = Rig("bench", "sliding700", "", (Coil("coil", 0.7),), None, None, None, None, ())
+    with followed(rig) as (address, hear):
+        hear("/slide", {"travel": 0.01})
+        seen = {"position": [0.0, 0.0, 0.69], "quaternion": [1.0, 0.0, 0.0, 0.0]}
+        for k in range(3):
+            hear("/tracker/coil", {"time": 0.1 * k, **seen})
+        with urlopen(address, timeout=20) as page:
+            assert page.status == 200
 
 
 def test_what_was_not_seen_is_said_and_an_empty_session_refused(tmp_path):

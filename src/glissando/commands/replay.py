@@ -5,8 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +28,7 @@ from glissando.online import FixedLag
 from glissando.replay import Replay, replay
 from glissando.report import write_states
 from glissando.robot import Robot
+from glissando.view.live import Live, follow
 
 _HELP = """\
 Run a recording through the online estimator as if it were live: at the robot's rate it is given the
@@ -81,13 +81,16 @@ def _replay(options: argparse.Namespace) -> int:
     hidden = not console.is_terminal
     with (
         Progress(*columns, console=console, transient=True, disable=hidden) as bar,
-        _shown(robot, options) as show,
+        ExitStack() as stack,
     ):
         task = bar.add_task(f"replaying {escape(recording.name)}", total=None)
 
+        live = _live(robot, stack) if options.live else None
+
         def watch(done: int, total: int, smoother: FixedLag) -> None:
             bar.update(task, completed=done, total=total)
-            show(smoother)
+            if live is not None:
+                follow(live, smoother)
 
         found = replay(
             recording,
@@ -107,26 +110,11 @@ def _replay(options: argparse.Namespace) -> int:
     return 0
 
 
-@contextmanager
-def _shown(robot: Robot, options: argparse.Namespace) -> Iterator[Callable[[FixedLag], None]]:
-    """What shows a smoother's newest state in a browser, if asked for."""
-    if not options.live:
-        yield lambda _: None
-        return
-    from glissando.view.live import Live
-
-    places = np.linspace(0.0, robot.length, _POINTS)
-    with Live(places) as live:
-        print(f"Look at {live.address}", file=sys.stderr)
-
-        def show(smoother: FixedLag) -> None:
-            time = smoother.time or 0.0
-            at = smoother.at(places, time)
-            turn = at.pose[:, :3, :3]
-            cov = turn @ at.cov[:, :3, :3] @ np.swapaxes(turn, -1, -2)
-            live.update(time, at.position, at.pose, cov)
-
-        yield show
+def _live(robot: Robot, stack: ExitStack) -> Live:
+    """A browser's view of the robot while the stack lasts."""
+    live = stack.enter_context(Live(np.linspace(0.0, robot.length, _POINTS)))
+    print(f"Look at {live.address}", file=sys.stderr)
+    return live
 
 
 def _write(found: Replay, folder: Path) -> list[Path]:
