@@ -71,7 +71,7 @@ PROGRAM = """
     import sys
     from glissando.drivers import Slide, Stage
 
-    stage = Stage(lead=0.0254, stroke=(0.0, 0.06), speed=0.01, watchdog=0.5)
+    stage = Stage(lead=0.0254, stroke=(0.0, 0.06), speed=0.01, watchdog=1.0, lag=0.02)
     with Slide(sys.argv[1], stage) as slide:
         slide.home_here(0.0)
         for reading in slide.follow([0, 6], [0.0, 0.06]):
@@ -81,18 +81,20 @@ PROGRAM = """
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
-def test_a_host_that_is_interrupted_or_killed_leaves_the_stage_standing(ear, number):
+def test_a_host_that_is_interrupted_or_killed_leaves_the_stage_standing(ear, number, monkeypatch):
     from dynamixel_sdk import PacketHandler, PortHandler
 
+    # ms: on a busy machine an answer is waited for, so that none comes late.
+    monkeypatch.setattr("dynamixel_sdk.port_handler.LATENCY_TIMER", 2500)
     with simulated(ear) as address:
         command = [sys.executable, "-c", textwrap.dedent(PROGRAM), address]
         pipe = subprocess.PIPE
         with subprocess.Popen(command, stdout=pipe, stderr=subprocess.DEVNULL, text=True) as host:
             assert host.stdout.readline() == "moving\n"
             os.kill(host.pid, number)
-            host.wait(10.0)
+            host.wait(30.0)
             host.stdout.close()
-        told = ear.after(time.monotonic())
+        told = ear.after(time.monotonic() + 1.0)  # the watchdog has had its time
         assert 0.005 < told[-1, 1] < 0.05
         port, handler = PortHandler(address), PacketHandler(2.0)
         assert port.setBaudRate(57600)
@@ -115,12 +117,15 @@ def test_in_life_a_move_takes_its_time_and_readings_are_true_at_their_stamps(ear
             slide.home_here(0.0)
             readings = slide.move(0.06)
         told = ear.after(0.0)
-    moving = told[1:][np.diff(told[:, 1]) != 0.0, 0]
-    assert moving[-1] - moving[0] == pytest.approx(2.5 + 0.24, abs=0.03)
+    first, *_, last = np.flatnonzero(np.diff(told[:, 1]))
+    # Between looks at it, which a busy machine makes rare, it began and ended to move.
+    least, most = told[last, 0] - told[first + 1, 0], told[last + 1, 0] - told[first, 0]
+    assert least - 0.03 < 2.5 + 0.24 < most + 0.03
     off = np.array([r.travel - np.interp(r.time, *told.T) for r in readings])
     assert np.median(np.abs(off)) < 3e-5
-    clock = np.diff([(r.time, r.servo_time) for r in (readings[0], readings[-1])], axis=0)[0]
-    assert clock[1] / clock[0] == pytest.approx(1.002, abs=0.01)
+    stamps = np.array([(r.time, r.servo_time) for r in readings]).T
+    rate, _ = np.polyfit(stamps[0] - stamps[0, 0], stamps[1], 1)
+    assert rate == pytest.approx(1.002, abs=0.001)
     print(f"{len(readings)} readings, off by {1e6 * np.abs(off).max():.0f} um at most")
 
 
