@@ -1,0 +1,247 @@
+"""What a path will be worth: the time ahead in few numbers, and every reading it could take.
+
+Where a sensor goes changes what is known; what it reads does not. So all that planning needs is the
+prior's information over the time ahead, and the Jacobian of a reading at every place and time. Both
+are made once by the estimator's own code, and carried over to the few modes of the body's shape
+that a sensor can tell, so that a path is judged in milliseconds. Source: equations (8), (13), (20).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from glissando.errors import GlissandoError
+from glissando.grid import Grid, Index
+from glissando.noise import sqrt_information
+from glissando.online import FixedLag
+from glissando.plan.ahead import Ahead, Rows, look_ahead
+from glissando.plan.modes import Modes, reduced, telling_weights, with_rates
+from glissando.plan.sensor import SlidingSensor, sliding_sensor
+from glissando.posterior import Posterior
+from glissando.prior import Prior
+from glissando.robot import Robot
+from glissando.se3 import Array
+from glissando.state import State
+from glissando.threads import one_thread
+from glissando.unknowns import Unknowns
+
+_BETWEEN = 6  # places between two arclength nodes at which readings are linearised
+_FEWEST = 6  # of them over the whole reach
+_LEAST, _MOST = 0.1, 24  # standard deviations of a reading that modes may leave; modes at most
+_NODES = 20  # time steps of the grid ahead, if the robot file's are finer
+_BEFORE = 1e-9  # s
+
+Course = Callable[[Array], State]
+"""The motion that is expected: a State (K, N) at times (K,) and the prior's arclength nodes."""
+
+
+@dataclass(frozen=True)
+class Outlook:
+    """The time ahead as a planner sees it.
+
+    `ahead` is all of it, `modes` what a sensor can tell of it. A reading is taken in the middle of
+    each of T steps of `step` seconds at one of the places `lattice` (L,), evenly spaced: `rows`
+    (T, L, r, 2 d) are its whitened Jacobians, the steps of every time cell after each other, as many
+    readings in one as the sensor's rate makes them.
+    """
+
+    ahead: Ahead
+    sensor: SlidingSensor
+    modes: Modes
+    step: float
+    steps: int
+    lattice: Array
+    rows: Array
+
+    @property
+    def start(self) -> float:
+        """Time at which it begins, seconds."""
+        return float(self.ahead.grid.time[0])
+
+    @property
+    def times(self) -> Array:
+        """Middles (T,) of the steps, seconds."""
+        return self.start + (np.arange(self.steps) + 0.5) * self.step
+
+    @property
+    def last(self) -> float:
+        """Time at which the last step ends, seconds."""
+        return self.start + self.steps * self.step
+
+    def points(self, arclength: Array, time: Array) -> tuple[Index, Array, Array]:
+        """Time cells (M,), rows (M, 6, 2 d) and covariance (M, 6, 6) before any reading."""
+        rows, left = self.ahead.points(arclength, time)
+        cov = rows.jacobian @ self.ahead.pairs(rows) @ _transposed(rows.jacobian) + left
+        return rows.cell, self._lifted(rows), cov
+
+    def _lifted(self, rows: Rows) -> Array:
+        """The rows (M, r, 2 d) as functions of the modes."""
+        out = np.empty((*rows.jacobian.shape[:2], self.modes.lift.shape[2]))
+        for lower in np.unique(rows.lower):
+            at = np.flatnonzero(rows.lower == lower)
+            lift = self.modes.lift[:, self.ahead.corners(int(lower))]
+            out[at] = rows.jacobian[at] @ lift[rows.cell[at]]
+        return out
+
+    def told(self, arclength: Array) -> Ahead:
+        """What the estimator will know after a path (T,), at full size, a reading at a time."""
+        share = self.step * self.sensor.rate
+        count = self.steps * max(1, round(share))
+        time = self.start + (np.arange(count) + 0.5) * (self.steps * self.step / count)
+        place = np.interp(time, self.times, arclength)
+        sensor = self.sensor
+        if share < 1.0:
+            sensor = replace(sensor, cov=np.asarray(sensor.cov) / share)
+        return self.ahead.after(sensor, place, time)
+
+
+def foresee(
+    known: Robot | Posterior | FixedLag,
+    reach: tuple[float, float],
+    horizon: float,
+    sensor: SlidingSensor | None = None,
+    *,
+    course: Course | None = None,
+    start: float = 0.0,
+    step: float = 0.1,
+    node_step: float | None = None,
+) -> Outlook:
+    """What is known of the next `horizon` seconds, and what a sensor could add to it.
+
+    `known` is a robot (its prior alone, from time `start`), or a posterior or running smoother: all
+    that it knows at its newest time. The first coil moves between the arclengths `reach`, m. The
+    robot holds its shape (straight or at rest, or that of the newest time) unless `course` says how
+    it moves. `step` is that of paths, `node_step` about that of the estimate's time nodes, by default
+    the robot file's unless those are more than 20. Raises GlissandoError for what cannot be.
+
+    >>> from glissando import load_robot
+    >>> foresee(load_robot("sliding700"), (0.64, 0.7), 5.0).steps
+    50
+    """
+    if isinstance(known, FixedLag):
+        known = known.posterior()
+    if isinstance(known, Robot):
+        sensor = sliding_sensor(known) if sensor is None else sensor
+        node_step = 1.0 / known.time_rate if node_step is None else node_step
+        arclength, belief, before, unknowns = known.arclength_nodes, None, None, known.unknowns
+    else:
+        arclength, start = known.grid.arclength, float(known.grid.time[-1])
+        if known.grid.time.size > 1 and node_step is None:
+            node_step = float(known.grid.time[-1] - known.grid.time[-2])
+        belief = np.linalg.inv(known.marginals.cov[-1])
+        # The span that the newest node stood for so far is in the belief: only what is ahead counts.
+        before, unknowns = start - _BEFORE, tuple(u for u, _ in known.unknowns)
+    if sensor is None:
+        raise GlissandoError("Say what slides: sensor=SlidingSensor(cov=…) or sliding_sensor(robot).")
+    _require_reach(reach, sensor, arclength, horizon, step)
+    steps = max(2, round(horizon / step))
+    inside = max(1, round(max(node_step or 0.0, horizon / _NODES) / step))
+    cells = -(-steps // inside)
+    grid = Grid(arclength, start + inside * step * np.arange(cells + 1), before)
+    mean = _mean(known, grid, course)
+    with one_thread():
+        ahead = look_ahead(known.prior, grid, mean, Unknowns(grid, unknowns), belief)
+        return _seen(ahead, sensor, reach, step, steps, inside)
+
+
+def _require_reach(
+    reach: tuple[float, float], sensor: SlidingSensor, arclength: Array, horizon: float, step: float
+) -> None:
+    low, high = reach[0] - sensor.behind[-1], reach[1]
+    if not (arclength[0] - 1e-9 <= low and reach[0] < high <= arclength[-1] + 1e-9):
+        raise GlissandoError(
+            f"The sensor would slide from {low:g} to {high:g} m on a body from {arclength[0]:g} to "
+            f"{arclength[-1]:g} m; shorten the stroke or bring the coils closer."
+        )
+    if not (np.isfinite(horizon) and 0.0 < 2.0 * step <= horizon):
+        raise GlissandoError(
+            f"{horizon:g} s ahead in steps of {step:g} s cannot be planned; give two steps or more."
+        )
+
+
+def _mean(known: Robot | Posterior, grid: Grid, course: Course | None) -> State:
+    """The expected state on the grid: as the course says, else held where it is or at rest."""
+    if course is not None:
+        return course(grid.time)
+    rest = known.prior.rest_state(grid)
+    if isinstance(known, Robot):
+        return rest
+    now = known.state.take(-1)
+    pose, strain = (np.broadcast_to(f, (grid.shape[0], *f.shape)) for f in (now.pose, now.strain))
+    return replace(rest, pose=pose, strain=strain)
+
+
+def _seen(
+    ahead: Ahead,
+    sensor: SlidingSensor,
+    reach: tuple[float, float],
+    step: float,
+    steps: int,
+    inside: int,
+) -> Outlook:
+    """The outlook: modes from readings everywhere, then every reading as a function of them."""
+    nodes = ahead.grid.arclength
+    low, high = max(reach[0] - sensor.behind[-1], nodes[0]), min(reach[1], nodes[-1])
+    places = max(_FEWEST, int(np.ceil(_BETWEEN * (high - low) / np.diff(nodes).min())) + 1)
+    lattice = np.linspace(low, high, places)
+    cells = len(ahead.grid.time) - 1
+    middle = cells // 2
+    at = ahead.seen(sensor, lattice, np.full(places, ahead.grid.time[middle]))
+    wide = np.zeros((*at.jacobian.shape[:2], 2 * ahead.size))
+    for i, lower in enumerate(at.lower):
+        wide[i][:, ahead.corners(int(lower))] = at.jacobian[i]
+    cov = ahead.marginals.cov[middle]
+    own = wide[..., : ahead.size].reshape(-1, ahead.size)
+    weights = telling_weights(cov, own, _LEAST, _MOST)
+    modes = reduced(ahead.marginals, with_rates(weights, cov, nodes.size, ahead.mean.dof))
+    rows = _reading_rows(ahead, modes, sensor, lattice, step, inside)
+    scale = np.sqrt(step * sensor.rate)
+    return Outlook(ahead, sensor, modes, step, steps, lattice, scale * rows)
+
+
+def _reading_rows(
+    ahead: Ahead, modes: Modes, sensor: SlidingSensor, lattice: Array, step: float, inside: int
+) -> Array:
+    """Whitened rows (cells · inside, L, r, 2 d) of one reading in every step at every place.
+
+    Where the robot holds still, all time cells are alike but for what is known in them. What modes
+    leave uncertain widens the noise, as it is in the middle of the cell.
+    """
+    starts = ahead.grid.time[:-1]
+    moving = starts[:1] if ahead.still else starts
+    offsets = np.append((np.arange(inside) + 0.5) * step, 0.5 * inside * step)
+    time = (moving[:, None, None] + offsets[:, None] + 0.0 * lattice).ravel()
+    found = ahead.seen(sensor, np.broadcast_to(lattice, (moving.size * offsets.size, lattice.size)).ravel(), time)
+    shape = moving.size, offsets.size, lattice.size
+    jacobian = found.jacobian.reshape(*shape, *found.jacobian.shape[1:])
+    lower = found.lower.reshape(shape)[0, 0]
+    r, d2 = jacobian.shape[-2], modes.lift.shape[2]
+    out = np.empty((starts.size, inside, lattice.size, r, d2))
+    for n in np.unique(lower):
+        at = np.flatnonzero(lower == n)
+        corners = ahead.corners(int(n))
+        mine = jacobian[:, :, at]
+        lifted = (mine.reshape(moving.size, -1, corners.size) @ modes.lift[:, corners]).reshape(
+            starts.size, offsets.size, at.size, r, d2
+        )
+        open_ = np.eye(r) + _left(ahead, modes, mine[:, -1], lifted[:, -1], int(n))
+        out[:, :, at] = sqrt_information(open_)[:, None] @ lifted[:, :-1]
+    return out.reshape(starts.size * inside, lattice.size, r, d2)
+
+
+def _left(ahead: Ahead, modes: Modes, rows: Array, lifted: Array, lower: int) -> Array:
+    """Covariance (cells, M, r, r) of readings that the modes leave open."""
+    cells, (_, count, r, q) = len(modes.lift), rows.shape
+    index = np.arange(cells)
+    pairs = ahead.pairs(Rows(index, np.full(cells, lower), np.empty((cells, 0, q))))
+    flat = np.broadcast_to(rows, (cells, count, r, q)).reshape(cells, count * r, q)
+    whole = (flat @ pairs).reshape(cells, count, r, q) @ _transposed(rows)
+    kept = (lifted.reshape(cells, count * r, -1) @ modes.pair).reshape(lifted.shape)
+    return whole - kept @ _transposed(lifted)
+
+
+def _transposed(matrix: Array) -> Array:
+    return np.swapaxes(matrix, -1, -2)
