@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 
 from glissando import __version__
-from glissando.commands import check, estimate, learn, reproduce, simulate
+from glissando.commands import check, design, estimate, learn, plan, reproduce, simulate
 from glissando.errors import GlissandoError
 from glissando.simulate import NoShapeError
 
@@ -20,7 +20,7 @@ def build_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"glissando {__version__}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for command in (estimate, check, learn, simulate, reproduce):
+    for command in (estimate, check, learn, simulate, plan, design, reproduce):
         command.add_to(commands)
     return parser
 

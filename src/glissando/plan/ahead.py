@@ -29,8 +29,8 @@ from glissando.unknowns import Unknowns
 class Rows:
     """Linear functions (M, r) of the state, each of the corners of one cell.
 
-    `cell` (M,) is the time step and `lower` (M,) the arclength node below; the columns of `jacobian`
-    (M, r, q) are those of `Ahead.corners(lower)`.
+    `cell` (M,) is the time step and `lower` (M,) the arclength node below; the columns of
+    `jacobian` (M, r, q) are those of `Ahead.corners(lower)`.
     """
 
     cell: Index
@@ -105,7 +105,9 @@ class Ahead:
         cell, lower = np.empty((2, count), dtype=np.intp)
         return Rows(cell, lower, np.zeros((count, rows, self.corners(0).size)))
 
-    def _fill(self, rows: Rows, at: Index, nodes: Index, jacobian: Array, extras: Array | None) -> None:
+    def _fill(
+        self, rows: Rows, at: Index, nodes: Index, jacobian: Array, extras: Array | None
+    ) -> None:
         """Put Jacobians (M, r, c, dof) of nodes (M, c) where the cells' corners have them."""
         (k_count, n_count), dof, e = self.grid.shape, self.mean.dof, self.unknowns.size
         slab, inner = np.divmod(nodes, n_count)

@@ -29,10 +29,10 @@ class Belief:
     @staticmethod
     def before(judge: Judge) -> Belief:
         """What is known before any reading of the time ahead."""
-        return Belief(judge, np.linalg.inv(_dense(judge.outlook.modes.system)))
+        return Belief(judge, np.asarray(np.linalg.inv(_dense(judge.outlook.modes.system))))
 
     def _gain(self, rows: Array, cell: int) -> tuple[Array, Array]:
-        """cov(all, readings) (K d, m) and the whitener (m, m) of readings (m, 2 d) in a time cell."""
+        """cov(all, readings) (K d, m) and whitener (m, m) of readings (m, 2 d) in a time cell."""
         size = rows.shape[1] // 2
         cross = self.cov[:, cell * size : (cell + 2) * size] @ rows.T
         own = rows @ cross[cell * size : (cell + 2) * size]
@@ -92,9 +92,7 @@ def plan_greedily(judge: Judge, track: Track, places: int = 8) -> tuple[Array, f
         return control, judge.value(track.places(control))
 
 
-def _reachable(
-    track: Track, chosen: dict[int, float], cell: int, stop: float, inside: int
-) -> bool:
+def _reachable(track: Track, chosen: dict[int, float], cell: int, stop: float, inside: int) -> bool:
     """Whether the sensor can rest there during a cell and at the stops chosen before and after."""
     for other, place in chosen.items():  # the start counts as the cell before the first
         way, span = abs(place - stop), (abs(other - cell) - 1) * inside * track.step

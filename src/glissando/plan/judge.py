@@ -133,10 +133,8 @@ def judge_of(outlook: Outlook, zones: Sequence[Zone], objective: Objective) -> J
     Zones count at the middles of the outlook's time cells. Raises GlissandoError for zones off the
     body or the time ahead.
     """
-    nodes, grid = outlook.ahead.grid.time, outlook.ahead.grid
-    middles = 0.5 * (nodes[1:] + np.minimum(nodes[:-1], outlook.last))
-    middles = np.minimum(middles, outlook.last)
-    place, time, weight = zone_points(zones, middles, float(grid.arclength[-1]), outlook.last)
+    grid, span = outlook.ahead.grid, (outlook.start, outlook.last)
+    place, time, weight = zone_points(zones, outlook.middles, span, float(grid.arclength[-1]))
     order = np.argsort(time, kind="stable")
     cell, rows, cov = outlook.points(place[order], time[order])
     p = objective.rows

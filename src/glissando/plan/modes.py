@@ -17,7 +17,6 @@ from glissando.se3 import Array
 from glissando.slabs import BlockTridiagonal, Marginals
 from glissando.transitions import symmetrize
 
-
 _FLOOR = 1e-9  # of the largest variance: below it there is only rounding
 
 
@@ -79,11 +78,11 @@ def reduced(marginals: Marginals, weights: Array) -> Modes:
     z_own = symmetrize(w.T @ own[:, used])
     z_later = w.T @ later[:, used]
     pair = np.block([[z_own[:-1], z_later], [np.swapaxes(z_later, -1, -2), z_own[1:]]])
-    inverse = symmetrize(np.linalg.inv(pair))
+    inverse = symmetrize(np.asarray(np.linalg.inv(pair)))
     lift = cross @ inverse
     diagonal = np.zeros((k, size, size))
     diagonal[:-1] += inverse[:, :size, :size]
     diagonal[1:] += inverse[:, size:, size:]
-    diagonal[1:-1] -= symmetrize(np.linalg.inv(z_own[1:-1]))
+    diagonal[1:-1] -= symmetrize(np.asarray(np.linalg.inv(z_own[1:-1])))
     system = BlockTridiagonal(diagonal, np.ascontiguousarray(inverse[:, size:, :size]))
     return Modes(weights, lift, pair, system)

@@ -92,8 +92,8 @@ class Worst:
 class Chance:
     """Probability that the position errs by more than `bound` metres, the mean over the zone.
 
-    Exact but for quadrature: e = ρ C^½ n with n uniform on the sphere and ρ² of χ² with 3 degrees of
-    freedom, so that P = E_n[P(χ²₃ > b² / nᵀCn)]. The mean over 24 × 32 directions errs by about
+    Exact but for quadrature: e = ρ C^½ n with n uniform on the sphere and ρ² of χ² with 3 degrees
+    of freedom, so that P = E_n[P(χ²₃ > b² / nᵀCn)]. The mean over 24 × 32 directions errs by about
     1e-5, and by up to 1e-3 where one axis is a hundred times wider than both others.
     """
 

@@ -8,7 +8,7 @@ that a sensor can tell, so that a path is judged in milliseconds. Source: equati
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,7 +26,8 @@ from glissando.robot import Robot
 from glissando.se3 import Array
 from glissando.state import State
 from glissando.threads import one_thread
-from glissando.unknowns import Unknowns
+from glissando.transitions import symmetrize
+from glissando.unknowns import Unknown, Unknowns
 
 _BETWEEN = 6  # places between two arclength nodes at which readings are linearised
 _FEWEST = 6  # of them over the whole reach
@@ -43,9 +44,9 @@ class Outlook:
     """The time ahead as a planner sees it.
 
     `ahead` is all of it, `modes` what a sensor can tell of it. A reading is taken in the middle of
-    each of T steps of `step` seconds at one of the places `lattice` (L,), evenly spaced: `rows`
-    (T, L, r, 2 d) are its whitened Jacobians, the steps of every time cell after each other, as many
-    readings in one as the sensor's rate makes them.
+    each of `steps` of `step` seconds at one of the places `lattice` (L,), evenly spaced: `rows`
+    (T, L, r, 2 d) are its whitened Jacobians, worth as many readings as the sensor takes in a step.
+    The last time cell may have steps to spare.
     """
 
     ahead: Ahead
@@ -58,13 +59,13 @@ class Outlook:
 
     @property
     def start(self) -> float:
-        """Time at which it begins, seconds."""
+        """When it begins, seconds."""
         return float(self.ahead.grid.time[0])
 
     @property
     def times(self) -> Array:
         """Middles (T,) of the steps, seconds."""
-        return self.start + (np.arange(self.steps) + 0.5) * self.step
+        return np.asarray(self.start + (np.arange(self.steps) + 0.5) * self.step)
 
     @property
     def last(self) -> float:
@@ -86,16 +87,25 @@ class Outlook:
             out[at] = rows.jacobian[at] @ lift[rows.cell[at]]
         return out
 
-    def told(self, arclength: Array) -> Ahead:
-        """What the estimator will know after a path (T,), at full size, a reading at a time."""
+    @property
+    def middles(self) -> Array:
+        """Middles (K−1,) of the time cells as far as the time ahead reaches, where zones count."""
+        nodes = self.ahead.grid.time
+        return np.asarray(0.5 * (nodes[:-1] + np.minimum(nodes[1:], self.last)))
+
+    def told(self, arclength: Array, known: Ahead | None = None) -> Ahead:
+        """What the estimator will know after a path (T,), at full size, a reading at a time.
+
+        Before it, `known` is; all that is known of the time ahead unless given.
+        """
         share = self.step * self.sensor.rate
         count = self.steps * max(1, round(share))
-        time = self.start + (np.arange(count) + 0.5) * (self.steps * self.step / count)
-        place = np.interp(time, self.times, arclength)
+        time = np.asarray(self.start + (np.arange(count) + 0.5) * (self.steps * self.step / count))
+        place: Array = np.interp(time, self.times, arclength)
         sensor = self.sensor
         if share < 1.0:
-            sensor = replace(sensor, cov=np.asarray(sensor.cov) / share)
-        return self.ahead.after(sensor, place, time)
+            sensor = replace(sensor, cov=sensor.cov / share)
+        return (known or self.ahead).after(sensor, place, time)
 
 
 def foresee(
@@ -111,40 +121,79 @@ def foresee(
 ) -> Outlook:
     """What is known of the next `horizon` seconds, and what a sensor could add to it.
 
-    `known` is a robot (its prior alone, from time `start`), or a posterior or running smoother: all
-    that it knows at its newest time. The first coil moves between the arclengths `reach`, m. The
-    robot holds its shape (straight or at rest, or that of the newest time) unless `course` says how
-    it moves. `step` is that of paths, `node_step` about that of the estimate's time nodes, by default
-    the robot file's unless those are more than 20. Raises GlissandoError for what cannot be.
+    `known` is a robot (its prior alone, from time `start` on), or a posterior or running smoother:
+    all that it knows at its newest time. The first coil moves between the arclengths `reach`, m.
+    The robot holds its shape (that at rest, or that of the newest time) unless `course` says how it
+    moves. `step` is that of paths, `node_step` about that of the estimate's time nodes: by default
+    what it was, unless that makes more than 20. Raises GlissandoError for what cannot be.
 
     >>> from glissando import load_robot
     >>> foresee(load_robot("sliding700"), (0.64, 0.7), 5.0).steps
     50
     """
-    if isinstance(known, FixedLag):
-        known = known.posterior()
-    if isinstance(known, Robot):
-        sensor = sliding_sensor(known) if sensor is None else sensor
-        node_step = 1.0 / known.time_rate if node_step is None else node_step
-        arclength, belief, before, unknowns = known.arclength_nodes, None, None, known.unknowns
-    else:
-        arclength, start = known.grid.arclength, float(known.grid.time[-1])
-        if known.grid.time.size > 1 and node_step is None:
-            node_step = float(known.grid.time[-1] - known.grid.time[-2])
-        belief = np.linalg.inv(known.marginals.cov[-1])
-        # The span that the newest node stood for so far is in the belief: only what is ahead counts.
-        before, unknowns = start - _BEFORE, tuple(u for u, _ in known.unknowns)
+    now = _now(known, start)
+    if sensor is None and isinstance(known, Robot):
+        sensor = sliding_sensor(known)
     if sensor is None:
-        raise GlissandoError("Say what slides: sensor=SlidingSensor(cov=…) or sliding_sensor(robot).")
-    _require_reach(reach, sensor, arclength, horizon, step)
-    steps = max(2, round(horizon / step))
-    inside = max(1, round(max(node_step or 0.0, horizon / _NODES) / step))
+        raise GlissandoError("A posterior does not say what slides; give sensor=SlidingSensor(…).")
+    _require_reach(reach, sensor, now.arclength, horizon, step)
+    steps = round(horizon / step)
+    usual = now.node_step if node_step is None else node_step
+    inside = max(1, round(max(usual, horizon / _NODES) / step))
     cells = -(-steps // inside)
-    grid = Grid(arclength, start + inside * step * np.arange(cells + 1), before)
-    mean = _mean(known, grid, course)
+    grid = Grid(now.arclength, now.time + inside * step * np.arange(cells + 1), now.before)
+    mean = now.held(grid) if course is None else course(grid.time)
     with one_thread():
-        ahead = look_ahead(known.prior, grid, mean, Unknowns(grid, unknowns), belief)
+        ahead = look_ahead(now.prior, grid, mean, Unknowns(grid, now.unknowns), now.belief)
         return _seen(ahead, sensor, reach, step, steps, inside)
+
+
+@dataclass(frozen=True)
+class _Now:
+    """What is known as the time ahead begins: `shape` (N,) and information `belief` (D, D), if any.
+
+    The time that the newest node stood for so far is part of the belief, so that only what is ahead
+    of it counts: the node `before` lies next to it.
+    """
+
+    prior: Prior
+    arclength: Array
+    time: float
+    node_step: float
+    unknowns: Sequence[Unknown]
+    shape: State | None = None
+    belief: Array | None = None
+    before: float | None = None
+
+    def held(self, grid: Grid) -> State:
+        """The shape at all times of a grid, at rest."""
+        rest = self.prior.rest_state(grid)
+        if self.shape is None:
+            return rest
+        pose, strain = self.shape.pose, self.shape.strain
+        return replace(
+            rest,
+            pose=np.broadcast_to(pose, rest.pose.shape),
+            strain=np.broadcast_to(strain, rest.strain.shape),
+        )
+
+
+def _now(known: Robot | Posterior | FixedLag, start: float) -> _Now:
+    if isinstance(known, Robot):
+        nodes, step = known.arclength_nodes, 1.0 / known.time_rate
+        return _Now(known.prior, nodes, start, step, known.unknowns)
+    posterior = known.posterior() if isinstance(known, FixedLag) else known
+    time = posterior.grid.time
+    return _Now(
+        posterior.prior,
+        posterior.grid.arclength,
+        float(time[-1]),
+        float(time[-1] - time[-2]) if time.size > 1 else 0.0,
+        [unknown for unknown, _ in posterior.unknowns],
+        posterior.state.take(-1),
+        symmetrize(np.linalg.inv(posterior.marginals.cov[-1])),
+        float(time[-1]) - _BEFORE,
+    )
 
 
 def _require_reach(
@@ -156,22 +205,10 @@ def _require_reach(
             f"The sensor would slide from {low:g} to {high:g} m on a body from {arclength[0]:g} to "
             f"{arclength[-1]:g} m; shorten the stroke or bring the coils closer."
         )
-    if not (np.isfinite(horizon) and 0.0 < 2.0 * step <= horizon):
+    if not (np.isfinite(horizon) and 0.0 < 2.0 * step <= horizon * (1.0 + 1e-9)):
         raise GlissandoError(
             f"{horizon:g} s ahead in steps of {step:g} s cannot be planned; give two steps or more."
         )
-
-
-def _mean(known: Robot | Posterior, grid: Grid, course: Course | None) -> State:
-    """The expected state on the grid: as the course says, else held where it is or at rest."""
-    if course is not None:
-        return course(grid.time)
-    rest = known.prior.rest_state(grid)
-    if isinstance(known, Robot):
-        return rest
-    now = known.state.take(-1)
-    pose, strain = (np.broadcast_to(f, (grid.shape[0], *f.shape)) for f in (now.pose, now.strain))
-    return replace(rest, pose=pose, strain=strain)
 
 
 def _seen(
@@ -214,7 +251,9 @@ def _reading_rows(
     moving = starts[:1] if ahead.still else starts
     offsets = np.append((np.arange(inside) + 0.5) * step, 0.5 * inside * step)
     time = (moving[:, None, None] + offsets[:, None] + 0.0 * lattice).ravel()
-    found = ahead.seen(sensor, np.broadcast_to(lattice, (moving.size * offsets.size, lattice.size)).ravel(), time)
+    found = ahead.seen(
+        sensor, np.broadcast_to(lattice, (moving.size * offsets.size, lattice.size)).ravel(), time
+    )
     shape = moving.size, offsets.size, lattice.size
     jacobian = found.jacobian.reshape(*shape, *found.jacobian.shape[1:])
     lower = found.lower.reshape(shape)[0, 0]

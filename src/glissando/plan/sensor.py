@@ -44,7 +44,9 @@ class SlidingSensor:
                 f"A {self.kind!r} cannot slide; choose one of {', '.join(_KINDS)}."
             )
         if not (np.isfinite(self.rate) and self.rate > 0.0):
-            raise GlissandoError(f"A sensor at {self.rate:g} Hz reads nothing; give a rate above 0.")
+            raise GlissandoError(
+                f"A sensor at {self.rate:g} Hz reads nothing; give a rate above 0."
+            )
         if self.coils < 1 or self.spacing < 0.0 or (self.coils > 1 and self.spacing == 0.0):
             raise GlissandoError(
                 f"{self.coils} coils at {self.spacing:g} m cannot be; give 1 or more, apart."
@@ -53,7 +55,7 @@ class SlidingSensor:
     @property
     def behind(self) -> Array:
         """How far each coil (C,) is behind the first, towards the base, metres."""
-        return self.spacing * np.arange(self.coils)
+        return np.asarray(self.spacing * np.arange(self.coils))
 
     def readings(self, pose: Array, arclength: Array, time: Array) -> Readings:
         """Readings (M,) that agree exactly with poses (M, 4, 4) of the body."""

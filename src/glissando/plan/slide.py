@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from glissando.errors import GlissandoError
 from glissando.plan.descend import descend, strictly_inside
@@ -39,6 +40,20 @@ class Plan:
     value: float
     starts: dict[str, float]
 
+    def at(self, time: ArrayLike) -> tuple[Array, Array]:
+        """Arclength (…) and speed (…) at absolute times; at rest after the end."""
+        knots, place, speed = self.knots()
+        into = np.clip(np.asarray(time, dtype=float) - self.start, 0.0, knots[-1])
+        k = np.minimum((into / self.track.step).astype(np.intp), knots.size - 2)
+        share = into - knots[k]
+        slope = (speed[k + 1] - speed[k]) / self.track.step
+        return place[k] + share * (speed[k] + 0.5 * slope * share), speed[k] + slope * share
+
+    @property
+    def start(self) -> float:
+        """When it begins, absolute seconds."""
+        return float(self.times[0] - self.track.times[0])
+
     def knots(self) -> tuple[Array, Array, Array]:
         """Times from the plan's start, arclengths and speeds; constant acceleration between."""
         return self.track.knots(self.control)
@@ -60,13 +75,13 @@ def plan_slide(
     iterations: int = _ITERATIONS,
     before: Array | None = None,
 ) -> Plan:
-    """The path (T,) of least value by a judge among those that a track allows.
+    """The path of least value by a judge among those that a track allows.
 
     The `zones` tell where it may pay to start; `wear` weighs the mean square speed, in s² times the
-    objective's unit; `before` is a path (T + 2,) of control points to start from as well. Of the best
-    starts that differ, `tried` are improved a little and the best of these for up to `iterations`; the
-    result is never worse than any of them. Raises GlissandoError when the
-    track has not the outlook's steps.
+    objective's unit; `before` is a path (T + 2,) of control points to start from as well. Of the
+    best starts that differ, `tried` are improved a little, the best of these for up to
+    `iterations`; the result is never worse than any start. Raises GlissandoError when the track has
+    not the outlook's steps.
     """
     outlook = judge.outlook
     if (track.steps, track.step) != (outlook.steps, outlook.step):
@@ -81,9 +96,12 @@ def plan_slide(
     with one_thread():
         values = [_worth(judge, track, path, wear) for path in paths]
         order = np.argsort(values)
-        found, centre = [(paths[order[0]], values[order[0]])], _middle(track)
-        for path in _different(paths[order], _ALIKE * (track.upper - track.lower), tried):
-            found.append(_improve(judge, track, path, centre, wear, min(iterations, _BRIEFLY)))
+        centre, apart = _middle(track), _ALIKE * (track.upper - track.lower)
+        found = [(paths[order[0]], values[order[0]])]
+        found += [
+            _improve(judge, track, path, centre, wear, min(iterations, _BRIEFLY))
+            for path in _different(paths[order], apart, tried)
+        ]
         if iterations > _BRIEFLY:
             found.append(_improve(judge, track, _best(found)[0], centre, wear, iterations))
     control, value = _best(found)

@@ -54,19 +54,19 @@ class Track:
         low, high = self._bounds(np.array(self.start) + 0.5 * way, way, self.steps - 1)
         if low > high + 1e-9 * self._most[1]:
             raise GlissandoError(
-                f"At {self.start:g} m and {self.start_speed:g} m/s the slide cannot stop within its "
-                f"limits; start slower, farther from its end, or plan farther ahead."
+                f"At {self.start:g} m and {self.start_speed:g} m/s the slide cannot stop within "
+                f"its limits; start slower, farther from its end, or plan farther ahead."
             )
 
     @property
     def times(self) -> Array:
         """Middles (T,) of the steps, seconds from the start: where a path is judged."""
-        return (np.arange(self.steps) + 0.5) * self.step
+        return np.asarray((np.arange(self.steps) + 0.5) * self.step)
 
     @property
     def control_times(self) -> Array:
         """Times (T + 2,) that control points stand for."""
-        return (np.arange(self.steps + 2) - 0.5) * self.step
+        return np.asarray((np.arange(self.steps + 2) - 0.5) * self.step)
 
     @property
     def _most(self) -> tuple[float, float]:
@@ -80,7 +80,8 @@ class Track:
     def knots(self, control: Array) -> tuple[Array, Array, Array]:
         """Times, arclengths and speeds (T + 1,) at the knots, constant acceleration between."""
         place = 0.5 * (control[1:] + control[:-1])
-        return self.step * np.arange(place.size), place, np.diff(control) / self.step
+        time = np.asarray(self.step * np.arange(place.size))
+        return time, place, np.diff(control) / self.step
 
     def follow(self, wanted: Array) -> Array:
         """Control points (…, T + 2) of the paths that go where `wanted` (…, T + 2) as they can.

@@ -28,8 +28,8 @@ class Zone:
     A zone that moves gives `arclength` as a function of times (K,) that returns both ends (K,). No
     `time` means always. Raises GlissandoError for intervals that are empty.
 
-    >>> Zone((0.6, 0.7), (2.0, 4.0)).points(np.array([1.0, 3.0]))[1]
-    array([3., 3., 3., 3., 3.])
+    >>> Zone((0.6, 0.7)).points(np.array([3.0]))[0]
+    array([0.61, 0.63, 0.65, 0.67, 0.69])
     """
 
     arclength: Interval | Callable[[Array], tuple[Array, Array]]
@@ -49,22 +49,24 @@ class Zone:
 
     def ends(self, time: Array) -> tuple[Array, Array]:
         """Both ends (K,) at times (K,)."""
-        if callable(self.arclength):
-            low, high = self.arclength(time)
-        else:
-            low, high = self.arclength
-        return np.broadcast_to(low, time.shape), np.broadcast_to(high, time.shape)
+        ends = self.arclength(time) if callable(self.arclength) else self.arclength
+        low, high = (np.broadcast_to(np.asarray(end, dtype=float), time.shape) for end in ends)
+        return low, high
 
     def middle(self, time: Array) -> Array:
         """Where the zone's middle is (K,), also at times when it does not count."""
         low, high = self.ends(time)
         return 0.5 * (low + high)
 
+    def during(self, first: float, last: float) -> Interval | None:
+        """The part of its time that lies between two times, if any."""
+        if self.time is None:
+            return first, last
+        begin, end = max(self.time[0], first), min(self.time[1], last)
+        return (begin, end) if begin <= end else None
+
     def points(self, time: Array) -> tuple[Array, Array]:
-        """Arclengths and times (M,) of points that stand for the zone at those of times (K,)."""
-        if self.time is not None:
-            inside = time[(time >= self.time[0]) & (time <= self.time[1])]
-            time = inside if inside.size else np.array([0.5 * sum(self.time)])
+        """Arclengths and times (M,) of points that stand for the zone at times (K,)."""
         low, high = self.ends(time)
         count = _PLACES if np.any(high > low) else 1
         share = (np.arange(count) + 0.5) / count
@@ -72,30 +74,36 @@ class Zone:
 
 
 def zone_points(
-    zones: Sequence[Zone], time: Array, length: float, last: float
+    zones: Sequence[Zone], time: Array, span: Interval, length: float
 ) -> tuple[Array, Array, Array]:
-    """Arclengths, times and weights (M,) of all zones' points; a zone's weight is shared by its.
+    """Arclengths, times and weights (M,) of all zones' points, at those of times (K,) they last.
 
-    Weights add up to one. Raises GlissandoError when there is no zone, or one leaves the body of
-    that `length` or the time ahead that ends at `last`.
+    A zone's weight is shared by its points; all add up to one. Raises GlissandoError when there is
+    no zone, or one leaves the body of that `length` or the time ahead, `span`.
     """
     if not zones:
-        raise GlissandoError("There is no zone to be sure of; give one or more.")
-    found = [(*zone.points(time), zone.weight) for zone in zones]
-    arclength, at = (np.concatenate([f[i] for f in found]) for i in (0, 1))
-    weight = np.concatenate([np.full(f[0].size, f[2] / f[0].size) for f in found])
-    slack = 1e-9 * max(1.0, length)
-    if arclength.min() < -slack or arclength.max() > length + slack:
         raise GlissandoError(
-            f"A zone reaches from {arclength.min():g} to {arclength.max():g} m; the body from 0 to "
+            f"No zone counts between {span[0]:g} and {span[1]:g} s; give one that does."
+        )
+    found = []
+    for zone in zones:
+        during = zone.during(*span)
+        if during is None:
+            assert zone.time is not None
+            raise GlissandoError(
+                f"A zone lasts from {zone.time[0]:g} to {zone.time[1]:g} s, the time ahead from "
+                f"{span[0]:g} to {span[1]:g} s. Plan farther ahead, or give another time."
+            )
+        inside = time[(time >= during[0]) & (time <= during[1])]
+        place, at = zone.points(inside if inside.size else np.array([0.5 * sum(during)]))
+        found.append((place, at, np.full(at.size, zone.weight / at.size)))
+    place, at, weight = (np.concatenate(part) for part in zip(*found, strict=True))
+    if place.min() < -1e-9 or place.max() > length + 1e-9:
+        raise GlissandoError(
+            f"A zone reaches from {place.min():g} to {place.max():g} m; the body from 0 to "
             f"{length:g} m. Give arclengths on it."
         )
-    if at.min() < time[0] - 1.0 or at.max() > last + 1e-9:
-        raise GlissandoError(
-            f"A zone's time, {at.min():g} to {at.max():g} s, is not in the time ahead, which ends "
-            f"at {last:g} s. Plan farther ahead, or give another time."
-        )
-    return np.clip(arclength, 0.0, length), at, weight / weight.sum()
+    return np.clip(place, 0.0, length), at, weight / weight.sum()
 
 
 def read_zone(text: str) -> Zone:
