@@ -163,25 +163,36 @@ class Ahead:
 def look_ahead(
     prior: Prior, grid: Grid, mean: State, unknowns: Unknowns, belief: Array | None
 ) -> Ahead:
-    """The time ahead before any reading of it; `belief` (D, D) is the information at its start.
+    """The time ahead before any reading of it.
 
-    Raises UnobservableError when prior and belief leave a direction undetermined.
+    `belief` (D, D) is information of the first time node, from what lies before. Raises
+    UnobservableError when prior and belief leave a direction undetermined.
     """
-    sums = NeighbourSums(grid, mean.dof, unknowns.size)
     with one_thread():
-        for times in PlacedReadings(grid, []).blocks:
-            for batch in prior.factors(grid, mean, mean, times):
-                sums.add(batch)
-        if unknowns.size:
-            decay, spread = unknowns.chain()
-            if belief is not None:
-                spread[0] = np.inf  # what is believed holds it already
-            sums.add_chain(decay, spread, np.zeros_like(spread))
-        system = _slabs(sums, grid, mean, unknowns)
+        system = prior_information(prior, grid, mean, unknowns)
         if belief is not None:
             system.diagonal[0] += belief
         marginals = factor(system).marginals(consume=True)
     return Ahead(prior, grid, mean, unknowns, system, marginals)
+
+
+def prior_information(
+    prior: Prior, grid: Grid, mean: State, unknowns: Unknowns
+) -> BlockTridiagonal:
+    """Information of a prior, and of what is expected of unknowns, on a grid.
+
+    If the grid goes on from another, it is what comes on top.
+    """
+    sums = NeighbourSums(grid, mean.dof, unknowns.size)
+    for times in PlacedReadings(grid, []).blocks:
+        for batch in prior.factors(grid, mean, mean, times):
+            sums.add(batch)
+    if unknowns.size:
+        decay, spread = unknowns.chain()
+        if grid.before is not None:
+            spread[0] = np.inf
+        sums.add_chain(decay, spread, np.zeros_like(spread))
+    return _slabs(sums, grid, mean, unknowns)
 
 
 def _slabs(sums: NeighbourSums, grid: Grid, mean: State, unknowns: Unknowns) -> BlockTridiagonal:

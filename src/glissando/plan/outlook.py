@@ -17,7 +17,7 @@ from glissando.errors import GlissandoError
 from glissando.grid import Grid, Index
 from glissando.noise import sqrt_information
 from glissando.online import FixedLag
-from glissando.plan.ahead import Ahead, Rows, look_ahead
+from glissando.plan.ahead import Ahead, Rows, look_ahead, prior_information
 from glissando.plan.modes import Modes, reduced, telling_weights, with_rates
 from glissando.plan.sensor import SlidingSensor, sliding_sensor
 from glissando.posterior import Posterior
@@ -33,7 +33,6 @@ _BETWEEN = 6  # places between two arclength nodes at which readings are lineari
 _FEWEST = 6  # of them over the whole reach
 _LEAST, _MOST = 0.1, 24  # standard deviations of a reading that modes may leave; modes at most
 _NODES = 20  # time steps of the grid ahead, if the robot file's are finer
-_BEFORE = 1e-9  # s
 
 Course = Callable[[Array], State]
 """The motion that is expected: a State (K, N) at times (K,) and the prior's arclength nodes."""
@@ -152,8 +151,8 @@ def foresee(
 class _Now:
     """What is known as the time ahead begins: `shape` (N,) and information `belief` (D, D), if any.
 
-    The time that the newest node stood for so far is part of the belief, so that only what is ahead
-    of it counts: the node `before` lies next to it.
+    The belief is without what the prior says of the newest node by itself, which depends on the
+    time it stands for: from the node `before` it to the one that follows.
     """
 
     prior: Prior
@@ -183,17 +182,18 @@ def _now(known: Robot | Posterior | FixedLag, start: float) -> _Now:
         nodes, step = known.arclength_nodes, 1.0 / known.time_rate
         return _Now(known.prior, nodes, start, step, known.unknowns)
     posterior = known.posterior() if isinstance(known, FixedLag) else known
-    time = posterior.grid.time
-    return _Now(
-        posterior.prior,
-        posterior.grid.arclength,
-        float(time[-1]),
-        float(time[-1] - time[-2]) if time.size > 1 else 0.0,
-        [unknown for unknown, _ in posterior.unknowns],
-        posterior.state.take(-1),
-        symmetrize(np.linalg.inv(posterior.marginals.cov[-1])),
-        float(time[-1]) - _BEFORE,
+    prior, grid = posterior.prior, posterior.grid
+    before = float(grid.time[-2]) if grid.time.size > 1 else grid.before
+    newest, unknowns = (
+        Grid(grid.arclength, grid.time[-1:], before),
+        [u for u, _ in posterior.unknowns],
     )
+    state = posterior.state.take(slice(-1, None))
+    own = prior_information(prior, newest, state, Unknowns(newest, unknowns))
+    belief = symmetrize(np.linalg.inv(posterior.marginals.cov[-1])) - own.diagonal[0]
+    time = float(grid.time[-1])
+    step = 0.0 if before is None else time - before
+    return _Now(prior, grid.arclength, time, step, unknowns, state.take(0), belief, before)
 
 
 def _require_reach(
