@@ -113,9 +113,10 @@ def test_foresight_goes_on_from_a_running_smoother_with_its_unknowns():
 
 
 @pytest.mark.parametrize(("kind", "slack"), [("separable", 0.01), ("kinematic", 0.1)])
-@pytest.mark.parametrize("reach", [REACH, (0.1, LENGTH)])
-def test_a_few_modes_judge_a_path_almost_as_the_whole_does(kind, slack, reach):
-    outlook = small_outlook(kind, reach=reach)
+@pytest.mark.parametrize(("reach", "horizon"), [(REACH, 3.0), ((0.1, LENGTH), 3.0), (REACH, 1.1)])
+def test_a_few_modes_judge_a_path_almost_as_the_whole_does(kind, slack, reach, horizon):
+    """Also if the time ahead ends within a time step of the estimate."""
+    outlook = small_outlook(kind, horizon, reach, node_step=0.5)
     judge = judge_of(outlook, [ZONE], Trace())
     for path in (wiggle(outlook, reach), np.full(outlook.steps, 0.6)):
         whole = foretell(outlook, [ZONE], Trace(), path)
@@ -144,7 +145,7 @@ def test_dense_covariances_updated_reading_by_reading_say_the_same(kind):
     outlook = small_outlook(kind)
     judge = judge_of(outlook, [ZONE], Trace())
     path, belief = wiggle(outlook), Belief.before(judge)
-    for cell, rows in enumerate(by_cell(judge.readings(path)[0], len(outlook.modes.pair))):
+    for cell, rows in enumerate(by_cell(judge.readings(path)[0], outlook.inside)):
         belief.update(rows, cell)
     scale = np.abs(judge.before).max()
     np.testing.assert_allclose(belief.zone_cov(), judge.cov(path), rtol=1e-5, atol=1e-9 * scale)

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from glissando import cli
+from glissando import CoilReadings, cli, estimate, load_robot
 from glissando.dataset import load_recording
 from glissando.plan import Design, is_best
 
@@ -41,14 +41,15 @@ def test_json_alone_is_printed_and_says_what_every_path_is_worth(capsys):
 
 
 def test_a_plan_goes_on_from_an_estimate(tmp_path, capsys):
-    made, out = tmp_path / "made", tmp_path / "out"
-    run("simulate", "--shape", "C", "--slide", "hold", "--duration", 2, "--out", made)
-    run("estimate", made, "--out", out)
-    capsys.readouterr()
-    given = ("--from", out / "posterior.nc", "--zone", "0.5:0.6", "--horizon", 3, "--json")
-    assert run("plan", *given) == 0
+    robot, time = load_robot("sliding700"), np.linspace(0.0, 2.0, 41)
+    seen = np.tile(np.eye(4), (41, 1, 1))
+    seen[:, 2, 3] = 0.65
+    coil = CoilReadings(time=time, arclength=np.full(41, 0.65), values=seen, cov=1e-6)
+    estimate(robot.prior, robot.grid(0.0, 2.0), [coil]).save(tmp_path / "posterior.nc")
+    given = "--zone", "0.5:0.6", "--horizon", 3, "--json"
+    assert run("plan", *given, "--from", tmp_path / "posterior.nc") == 0
     known = json.loads(capsys.readouterr().out)["paths"]["fixed"]["std"]
-    run("plan", "--zone", "0.5:0.6", "--horizon", 3, "--json")
+    run("plan", *given)
     blank = json.loads(capsys.readouterr().out)["paths"]["fixed"]["std"]
     assert known < blank
 

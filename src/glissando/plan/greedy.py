@@ -68,10 +68,10 @@ def plan_greedily(judge: Judge, track: Track, places: int = 8) -> tuple[Array, f
     """
     outlook = judge.outlook
     cells = len(outlook.modes.pair)
-    inside = len(outlook.rows) // cells
+    inside = outlook.inside
     stops = np.linspace(track.lower, track.upper, places)
     with one_thread():
-        tables = [by_cell(judge.readings(np.full(outlook.steps, s))[0], cells) for s in stops]
+        tables = [by_cell(judge.readings(np.full(outlook.steps, s))[0], inside) for s in stops]
         belief, chosen = Belief.before(judge), {-1: track.start}
         cov = belief.zone_cov()
         value = judge.objective(cov, judge.weight)[0]

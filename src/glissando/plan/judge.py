@@ -43,11 +43,10 @@ class Judge:
         chol, marginals = self._known(rows)
         value, slope = self.objective(self._cov(marginals), self.weight)
         turned = self._passed(chol, marginals, self._spread(slope))
-        cells, size = len(turned), turned.shape[-1]
-        seen, moved = (by_cell(r, cells) for r in (rows, slopes))
-        by_row = np.einsum("kij,kij->ki", seen @ turned, moved).reshape(-1)
-        assert size == rows.shape[-1]
-        return value, -2.0 * by_row[: rows[..., 0].size].reshape(len(rows), -1).sum(axis=1)
+        seen, moved = (by_cell(part, self.outlook.inside) for part in (rows, slopes))
+        by_row = np.einsum("kij,kij->ki", seen @ turned, moved).ravel()
+        by_step = by_row[: rows[..., 0].size].reshape(len(rows), -1)
+        return value, -2.0 * by_step.sum(axis=1)
 
     def value(self, arclength: Array) -> float:
         """Value of a path (T,)."""
@@ -79,7 +78,7 @@ class Judge:
         """Factor and covariances of the modes after readings with these rows (T, q, 2 d)."""
         before = self.outlook.modes.system
         size = before.diagonal.shape[1]
-        seen = by_cell(rows, len(before.lower))
+        seen = by_cell(rows, self.outlook.inside)
         told = np.swapaxes(seen, -1, -2) @ seen
         diagonal, lower = before.diagonal.copy(), before.lower + told[:, size:, :size]
         diagonal[:-1] += told[:, :size, :size]
@@ -151,9 +150,12 @@ def _pairs(marginals: Marginals) -> Array:
     return out
 
 
-def by_cell(rows: Array, cells: int) -> Array:
-    """Rows (cells, m, 2 d) of the time cells, of those (T, q, 2 d) of steps; the last filled up."""
-    inside = -(-len(rows) // cells)
+def by_cell(rows: Array, inside: int) -> Array:
+    """Rows (K−1, m, 2 d) of time cells of so many steps, of those (T, q, 2 d) of the steps.
+
+    The last cell is filled up with nothing.
+    """
+    cells = -(-len(rows) // inside)
     if len(rows) < cells * inside:
         rows = np.concatenate([rows, np.zeros((cells * inside - len(rows), *rows.shape[1:]))])
     return rows.reshape(cells, -1, rows.shape[-1])

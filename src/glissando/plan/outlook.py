@@ -87,6 +87,11 @@ class Outlook:
         return out
 
     @property
+    def inside(self) -> int:
+        """Steps in a time cell."""
+        return len(self.rows) // len(self.modes.pair)
+
+    @property
     def middles(self) -> Array:
         """Middles (K−1,) of the time cells as far as the time ahead reaches, where zones count."""
         nodes = self.ahead.grid.time
@@ -97,14 +102,11 @@ class Outlook:
 
         Before it, `known` is; all that is known of the time ahead unless given.
         """
-        share = self.step * self.sensor.rate
-        count = self.steps * max(1, round(share))
-        time = np.asarray(self.start + (np.arange(count) + 0.5) * (self.steps * self.step / count))
+        lasts = self.steps * self.step
+        count = max(1, round(lasts * self.sensor.rate))
+        time = np.asarray(self.start + (np.arange(count) + 0.5) * (lasts / count))
         place: Array = np.interp(time, self.times, arclength)
-        sensor = self.sensor
-        if share < 1.0:
-            sensor = replace(sensor, cov=sensor.cov / share)
-        return (known or self.ahead).after(sensor, place, time)
+        return (known or self.ahead).after(self.sensor, place, time)
 
 
 def foresee(
@@ -137,8 +139,9 @@ def foresee(
         raise GlissandoError("A posterior does not say what slides; give sensor=SlidingSensor(…).")
     _require_reach(reach, sensor, now.arclength, horizon, step)
     steps = round(horizon / step)
-    usual = now.node_step if node_step is None else node_step
-    inside = max(1, round(max(usual, horizon / _NODES) / step))
+    if node_step is None:
+        node_step = max(now.node_step, horizon / _NODES)
+    inside = max(1, round(node_step / step))
     cells = -(-steps // inside)
     grid = Grid(now.arclength, now.time + inside * step * np.arange(cells + 1), now.before)
     mean = now.held(grid) if course is None else course(grid.time)
@@ -184,10 +187,8 @@ def _now(known: Robot | Posterior | FixedLag, start: float) -> _Now:
     posterior = known.posterior() if isinstance(known, FixedLag) else known
     prior, grid = posterior.prior, posterior.grid
     before = float(grid.time[-2]) if grid.time.size > 1 else grid.before
-    newest, unknowns = (
-        Grid(grid.arclength, grid.time[-1:], before),
-        [u for u, _ in posterior.unknowns],
-    )
+    newest = Grid(grid.arclength, grid.time[-1:], before)
+    unknowns = [unknown for unknown, _ in posterior.unknowns]
     state = posterior.state.take(slice(-1, None))
     own = prior_information(prior, newest, state, Unknowns(newest, unknowns))
     belief = symmetrize(np.linalg.inv(posterior.marginals.cov[-1])) - own.diagonal[0]

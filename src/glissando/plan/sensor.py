@@ -39,6 +39,7 @@ class SlidingSensor:
     arclength_std: float = 0.0
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "cov", np.asarray(self.cov, dtype=float))
         if self.kind not in _KINDS:
             raise GlissandoError(
                 f"A {self.kind!r} cannot slide; choose one of {', '.join(_KINDS)}."

@@ -95,16 +95,7 @@ def plan_slide(
     paths = track.follow(np.stack(list(wanted.values())))
     with one_thread():
         values = [_worth(judge, track, path, wear) for path in paths]
-        order = np.argsort(values)
-        centre, apart = _middle(track), _ALIKE * (track.upper - track.lower)
-        found = [(paths[order[0]], values[order[0]])]
-        found += [
-            _improve(judge, track, path, centre, wear, min(iterations, _BRIEFLY))
-            for path in _different(paths[order], apart, tried)
-        ]
-        if iterations > _BRIEFLY:
-            found.append(_improve(judge, track, _best(found)[0], centre, wear, iterations))
-    control, value = _best(found)
+        control, value = _searched(judge, track, paths, values, wear, tried, iterations)
     told = dict(zip(wanted, map(float, values), strict=True))
     return Plan(outlook.times, track.places(control), control, track, float(value), told)
 
@@ -153,6 +144,28 @@ def _mean_square_speed(track: Track, control: Array) -> tuple[float, Array]:
     slope[1:] += speed
     slope[:-1] -= speed
     return float(np.mean(speed**2)), slope * 2.0 / (track.step * speed.size)
+
+
+def _searched(
+    judge: Judge,
+    track: Track,
+    paths: Array,
+    values: list[float],
+    wear: float,
+    tried: int,
+    iterations: int,
+) -> tuple[Array, float]:
+    """The best path found from starts (S, T + 2), and its value."""
+    order = np.argsort(values)
+    centre, apart = _middle(track), _ALIKE * (track.upper - track.lower)
+    found = [(paths[order[0]], values[order[0]])]
+    found += [
+        _improve(judge, track, path, centre, wear, min(iterations, _BRIEFLY))
+        for path in _different(paths[order], apart, tried)
+    ]
+    if iterations > _BRIEFLY:
+        found.append(_improve(judge, track, _best(found)[0], centre, wear, iterations))
+    return _best(found)
 
 
 def _best(found: Sequence[tuple[Array, float]]) -> tuple[Array, float]:
