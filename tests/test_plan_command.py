@@ -85,13 +85,18 @@ def test_a_design_that_costs_more_for_the_same_is_not_worth_it():
         (("--zone", "0.5:0.6", "--limits", "0.06,0,1"), "a speed of 0 m/s"),
         (("--zone", "0.5:0.6", "--start", "0.2"), "off its slide from 0.64 to 0.7 m"),
         (("--zone", "0.5:0.6", "--robot", "tdcr466"), "give --limits"),
+        (
+            ("--zone", "0.5:0.6", "--robot", "extensible1m", "--limits", "0.5,0.1,0.1"),
+            "Give the prior a firmer base",
+        ),
+        (("--zone", "0.5:0.6", "--node-step", "0"), "time nodes 0 s apart"),
         (("--zone", "0.5:0.6", "--rate", "0"), "at 0 Hz reads nothing"),
         (("--zone", "0.5:0.6", "--horizon", "0.1"), "two steps or more"),
         (("--zone", "0.5:0.6", "--objective", "chance", "--bound", "-1"), "bound of -1 m"),
     ],
 )
 def test_mistakes_are_told_in_one_sentence(arguments, said, capsys):
-    assert run("plan", *arguments) == 2
+    assert run("plan", "--horizon", 2, *arguments) == 2
     told = capsys.readouterr().err
     assert said in told
     assert told.count("\n") == 1

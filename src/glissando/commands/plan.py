@@ -70,6 +70,7 @@ def add_to(commands: Commands) -> None:
     add_limits(parser)
     add("--start", type=float, metavar="M", help="arclength now (default: drawn out)")
     add("--rate", type=float, default=40.0, metavar="HZ", help="readings a second (default 40)")
+    add("--node-step", type=float, metavar="S", help="between time nodes (default: the robot's)")
     add("--wear", type=float, default=0.0, metavar="S²", help="weight of the mean square speed")
     add("--seed", type=int, default=0, metavar="N", help="of random starts (default 0)")
     add("--out", type=Path, metavar="DIR", help="write path.csv, plan.json and plan.png here")
@@ -122,7 +123,8 @@ def _plan(options: argparse.Namespace) -> int:
     start = upper if options.start is None else options.start
     known = Posterior.load(options.posterior) if options.posterior else robot
     sensor = sliding_sensor(robot, rate=options.rate)
-    outlook = foresee(known, (upper - stage.stroke, upper), options.horizon, sensor)
+    reach = upper - stage.stroke, upper
+    outlook = foresee(known, reach, options.horizon, sensor, node_step=options.node_step)
     track = track_of(stage, upper, start, options.horizon)
     plan = plan_slide(
         judge_of(outlook, zones, objective), track, zones, wear=options.wear, seed=options.seed

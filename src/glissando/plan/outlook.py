@@ -32,7 +32,8 @@ from glissando.unknowns import Unknown, Unknowns
 _BETWEEN = 6  # places between two arclength nodes at which readings are linearised
 _FEWEST = 6  # of them over the whole reach
 _LEAST, _MOST = 0.1, 24  # standard deviations of a reading that modes may leave; modes at most
-_NODES = 20  # time steps of the grid ahead, if the robot file's are finer
+_ROUNDING = 0.1  # of a reading's variance that may be lost to it
+_NODES = 100  # time steps of the grid ahead, if the estimate's are finer
 
 Course = Callable[[Array], State]
 """The motion that is expected: a State (K, N) at times (K,) and the prior's arclength nodes."""
@@ -126,7 +127,7 @@ def foresee(
     all that it knows at its newest time. The first coil moves between the arclengths `reach`, m.
     The robot holds its shape (that at rest, or that of the newest time) unless `course` says how it
     moves. `step` is that of paths, `node_step` about that of the estimate's time nodes: by default
-    what it was, unless that makes more than 20. Raises GlissandoError for what cannot be.
+    what it was, unless that makes more than 100. Raises GlissandoError for what cannot be.
 
     >>> from glissando import load_robot
     >>> foresee(load_robot("sliding700"), (0.64, 0.7), 5.0).steps
@@ -141,6 +142,8 @@ def foresee(
     steps = round(horizon / step)
     if node_step is None:
         node_step = max(now.node_step, horizon / _NODES)
+    if not node_step > 0.0:
+        raise GlissandoError(f"With time nodes {node_step:g} s apart there is no end; give more.")
     inside = max(1, round(node_step / step))
     cells = -(-steps // inside)
     grid = Grid(now.arclength, now.time + inside * step * np.arange(cells + 1), now.before)
@@ -280,7 +283,15 @@ def _left(ahead: Ahead, modes: Modes, rows: Array, lifted: Array, lower: int) ->
     flat = np.broadcast_to(rows, (cells, count, r, q)).reshape(cells, count * r, q)
     whole = (flat @ pairs).reshape(cells, count, r, q) @ _transposed(rows)
     kept = (lifted.reshape(cells, count * r, -1) @ modes.pair).reshape(lifted.shape)
-    return whole - kept @ _transposed(lifted)
+    left = symmetrize(whole - kept @ _transposed(lifted))
+    if np.linalg.eigvalsh(left).min() < -_ROUNDING:
+        widest = float(np.sqrt(np.einsum("kmii->kmi", whole).max()))
+        raise GlissandoError(
+            f"Before any reading of the time ahead, one is uncertain by {widest:.2g} standard "
+            f"deviations of its noise: too much to tell what another adds. Give the prior a firmer "
+            f"base or strain, or plan on from an estimate."
+        )
+    return left
 
 
 def _transposed(matrix: Array) -> Array:
