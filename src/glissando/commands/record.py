@@ -59,7 +59,7 @@ def add_to(commands: Commands) -> None:
     add("--robot", default="sliding700", metavar="FILE|NAME", help="that is simulated")
     add("--shape", default="S", metavar="NAME|FILE", help="of the simulated robot (default S)")
     add("--seed", type=int, default=0, metavar="N", help="of the simulated noise (default 0)")
-    slides = "oscillate, hold or a CSV file with time,displacement"
+    slides = "oscillate, hold or a CSV file, as glissando plan writes"
     add("--slide", default="oscillate", metavar="NAME|FILE", help=slides)
     add("--cycles", type=int, default=3, metavar="N", help="there and back (default 3)")
     add("--stroke", type=float, metavar="M", help="of a cycle (default: the stage's)")
@@ -115,7 +115,8 @@ def _path(options: argparse.Namespace, rig: Rig) -> SlidePath:
             f"There is no slide named {options.slide!r} and no such file; give oscillate, hold or "
             f"a CSV file."
         )
-    return read_slide(Path(options.slide), limits)
+    drawn_out = next((c.arclength for c in rig.coils if c.slides), None)
+    return read_slide(Path(options.slide), limits, drawn_out)
 
 
 def _limits(stage: Stage) -> SlideLimits:
