@@ -1,45 +1,24 @@
-"""Learning robot files: what is moved, what is judged, what is found."""
+"""Learning robot files: what is found, and the command that writes it."""
 
 import json
 import subprocess
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.stats import multivariate_normal
 
-from glissando import GlissandoError, cli, estimate, load_robot, predictive, se3, uniform_grid
+from glissando import GlissandoError, cli, load_robot, uniform_grid
 from glissando import learn as learning
 from glissando.learn import learn
-from glissando.parameters import Parameter, expanded, learnable, moved
-from glissando.predictive import constants_of, predict
-from glissando.robot import parse_robot, robot_file, shipped_robots
-from glissando.sensors import ROWS, PoseReadings
-from glissando.state import State
-from glissando.tables import Table, read_document
-from scenes import LENGTH, arc
+from glissando.parameters import expanded, learnable
+from glissando.robot import robot_file
+from glissando.sensors import PoseReadings
+from learn_drawn import NOISE, readings, shipped
+from scenes import LENGTH
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "closed_form_motion.py"
-NOISE = np.r_[2e-3, 2e-3, 2e-3, 1e-2, 1e-2, 1e-2]
-
-
-def shipped(name):
-    return read_document(robot_file(name))
-
-
-def parsed(document):
-    return parse_robot(Table(document, "mine", GlissandoError))
-
-
-def readings(kind, name, place, time, *, std=NOISE, cov=None, seed=0):
-    """Poses of the moving arc, noisy by `std`."""
-    place = np.broadcast_to(place, time.shape)
-    noise = std * np.random.default_rng(seed).standard_normal((time.size, 6))
-    values = arc(place, time) @ se3.exp(noise)
-    cov = np.asarray(std) ** 2 if cov is None else cov
-    return kind(time=time, arclength=place, values=values, cov=cov, name=name)
 
 
 @dataclass(frozen=True)
@@ -94,69 +73,6 @@ class InProcess:
 @pytest.fixture
 def in_process(monkeypatch):
     monkeypatch.setattr(learning, "ProcessPoolExecutor", InProcess)
-
-
-# Parameters.
-
-
-@pytest.mark.parametrize("name", shipped_robots())
-def test_writing_pairs_out_leaves_a_robot_as_it_was(name):
-    given, written = load_robot(name), parsed(expanded(shipped(name)))
-    for part, value in vars(given.prior).items():
-        other = getattr(written.prior, part)
-        if part == "base":
-            value, other = list(vars(value).values()), list(vars(other).values())
-        np.testing.assert_array_equal(value, other)
-    for kind, std in given.sensor_std.items():
-        np.testing.assert_array_equal(std, written.sensor_std[kind])
-    for one, other in zip(given.unknowns, written.unknowns, strict=True):
-        assert {k: str(v) for k, v in vars(one).items()} == {
-            k: str(v) for k, v in vars(other).items()
-        }
-
-
-@pytest.mark.parametrize("name", shipped_robots())
-def test_every_learnable_number_of_a_shipped_robot_is_scaled_alone_and_parsed_again(name):
-    document = expanded(shipped(name))
-    numbers = learnable(document, list(ROWS))
-    assert len({p.label for p in numbers}) == len(numbers) > 5
-    assert moved(document, numbers, np.zeros(len(numbers))) == document
-    before = np.array([p.of(document) for p in numbers])
-    for i in range(len(numbers)):
-        x = np.zeros(len(numbers))
-        x[i] = 0.7
-        there = moved(document, numbers, x)
-        after = np.array([p.of(there) for p in numbers])
-        expected = before * np.exp(x)
-        if numbers[i].unit is not None:
-            expected[i] = before[i] + 0.7 * numbers[i].unit
-        np.testing.assert_allclose(after, expected, rtol=1e-12)
-        assert there != document
-        parsed(there)
-
-
-def test_a_factor_acts_on_the_named_entries_only():
-    document = {"prior": {"psd": [1.0, 2.0, 3.0, 4.0], "scale": 5.0}, "other": [1.0]}
-    some = Parameter("some", ("prior", "psd"), (1, 3))
-    number = Parameter("number", ("prior", "scale"), ())
-    assert some.of(document) == pytest.approx(np.sqrt(8.0))
-    assert number.of(document) == pytest.approx(5.0)
-    there = moved(document, [some, number], np.log([10.0, 2.0]))
-    assert there["prior"]["psd"] == pytest.approx([1.0, 20.0, 3.0, 40.0])
-    assert there["prior"]["scale"] == pytest.approx(10.0)
-    assert there["other"] == [1.0]
-    assert document["prior"]["psd"] == [1.0, 2.0, 3.0, 4.0]
-
-
-def test_a_number_that_is_zero_cannot_be_learned_and_is_left_out():
-    document = expanded(shipped("tdcr466-segments"))
-    before = len(learnable(document, []))
-    document["prior"]["var_jumps"][0][5] = 0.0
-    parsed(document)
-    assert len(learnable(document, [])) == before - 1
-
-
-# Learning.
 
 
 def of_label(document, word):
@@ -218,78 +134,6 @@ def test_a_start_that_cannot_be_estimated_is_said_to_be(in_process):
     document = start()
     with pytest.raises(GlissandoError, match="So much noise cannot be"):
         learn(document, of_label(document, "noise"), [Arc(most=1e-6)], steps=1)
-
-
-# Foretelling.
-
-
-def posterior_of_the_arc():
-    time = np.linspace(0.0, 1.0, 21)
-    seen = [
-        readings(PoseReadings, f"p{i}", s, time, std=np.full(6, 2e-4), seed=i)
-        for i, s in enumerate((0.0, LENGTH / 2, LENGTH))
-    ]
-    return estimate(load_robot("tdcr466").prior, uniform_grid(LENGTH, 3, 0.0, 1.0, 5.0), seen)
-
-
-TIMES = np.linspace(0.0, 1.0, 6)
-
-
-def test_the_score_is_the_gaussian_log_likelihood(monkeypatch):
-    monkeypatch.setattr(predictive, "_APART", 0.1)
-    posterior = posterior_of_the_arc()
-    std = np.r_[1e-3, 2e-3, 1e-3, 1e-2, 2e-2, 1e-2]
-    truth = [
-        readings(PoseReadings, f"t{i}", s, TIMES, std=std, seed=20 + i)
-        for i, s in enumerate((0.3, LENGTH))
-    ]
-    total = 0.0
-    for t in truth:
-        at = posterior.at(t.arclength, t.time)
-        state = State(at.pose, at.strain, at.velocity)
-        for residual, by, cov in zip(t.residual(state), t.jacobian(state), at.cov, strict=True):
-            total += multivariate_normal.logpdf(residual, cov=by @ cov @ by.T + np.diag(std**2))
-    found = predict(posterior, truth, (), free=False)
-    assert found.samples == 2 * 6 * 6
-    assert found.score == pytest.approx(total / found.samples, rel=1e-9)
-    none = [t.select(slice(0, 0)) for t in truth]
-    assert predict(posterior, [*truth, *none], (), free=False).score == found.score
-
-
-def test_the_frame_of_the_truth_and_the_mounts_of_its_bodies_are_found():
-    posterior, small = posterior_of_the_arc(), np.full(6, 3e-4)
-    true = [
-        readings(PoseReadings, name, s, TIMES, std=small, seed=i)
-        for i, (name, s) in enumerate((("a", LENGTH / 2), ("b", LENGTH)))
-    ]
-    frame = np.r_[0.01, -0.005, 0.008, 0.02, -0.04, 0.03]
-    mounts = [np.r_[-0.004, 0.006, 0.003, 0.05, 0.03, -0.1], np.r_[0.003, 0, 0.005, 0, 0.08, 0.1]]
-    off = [
-        replace(t, values=se3.exp(-frame) @ t.values @ se3.exp(mount))
-        for t, mount in zip(true, mounts, strict=True)
-    ]
-    names = constants_of(off)
-    assert [c.name for c in names] == ["truth frame", "a mount", "b mount"]
-    best = predict(posterior, true, (), free=False)
-    raw = predict(posterior, off, names, free=False)
-    found = predict(posterior, off, names, free=True)
-    assert raw.score < best.score - 10.0
-    assert found.score > best.score - 0.05
-    # A frame and mounts are told apart by motion alone; what they do together is found exactly.
-    turned, *mounted = (se3.exp(c.value) for c in found.constants)
-    for t, was, mount in zip(off, true, mounted, strict=True):
-        apart = se3.log(se3.inverse(was.values) @ turned @ t.values @ se3.inverse(mount))
-        assert np.abs(apart[:, :3]).max() < 2e-3
-        assert np.abs(apart[:, 3:]).max() < 1e-2
-    for i, each in enumerate([frame, *mounts]):
-        alone = [
-            replace(t, values=se3.exp(-each) @ t.values if i == 0 else t.values @ se3.exp(each))
-            for t in (true if i == 0 else true[i - 1 : i])
-        ]
-        (one,) = predict(posterior, alone, names[i : i + 1], free=True).constants
-        np.testing.assert_allclose(one.value[:3], each[:3], atol=1e-3)
-        np.testing.assert_allclose(one.value[3:], each[3:], atol=5e-3)
-    assert predict(posterior, off, found.constants, free=False).score == found.score
 
 
 # The command.

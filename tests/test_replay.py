@@ -183,6 +183,13 @@ def test_the_command_tells_latencies_and_errors_and_leaves_files(recorded, tmp_p
     assert "holds no readings" in capsys.readouterr().err
 
 
+def test_it_can_be_watched_as_it_goes(recorded, capsys):
+    pytest.importorskip("viser")
+    call = ["replay", str(recorded.folder), "--window", "0", "0.5", "--live"]
+    assert cli.main(call) == 0
+    assert "Look at http://127.0.0.1:" in capsys.readouterr().err
+
+
 def test_in_real_time_it_takes_as_long_as_it_took(recorded):
     began = clock.monotonic()
     replay(recorded, recorded.robot, window=(0.0, 0.7), real_time=True)

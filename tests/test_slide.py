@@ -154,3 +154,16 @@ def test_a_slide_file_that_cannot_be_is_one_sentence(tmp_path, text, sentence):
     (tmp_path / "path.csv").write_text(text)
     with pytest.raises(SimulationError, match=sentence):
         read_slide(tmp_path / "path.csv", STAGE)
+
+
+def test_a_path_in_arclength_is_that_path_in_displacement(tmp_path):
+    path = SlidePath.oscillate(2, 0.05, STAGE)
+    table = np.column_stack([path.time, 0.7 - path.displacement, -path.speed])
+    file = tmp_path / "path.csv"
+    np.savetxt(file, table, "%.15g", ",", header="time,arclength,speed", comments="")
+    read = read_slide(file, STAGE, drawn_out=0.7)
+    np.testing.assert_allclose(read.at(path.time), path.displacement, atol=1e-12)
+    np.savetxt(file, table[[0, -1], :2], "%.15g", ",", header="time,arclength", comments="")
+    assert read_slide(file, STAGE, drawn_out=0.7).at(3.0) == pytest.approx(0.0, abs=1e-9)
+    with pytest.raises(SimulationError, match="time,displacement"):
+        read_slide(file, STAGE)

@@ -9,11 +9,13 @@ from collections.abc import Sequence
 from glissando import __version__
 from glissando.commands import (
     check,
+    design,
     doctor,
     estimate,
     exporting,
     importing,
     learn,
+    plan,
     record,
     replay,
     report,
@@ -27,7 +29,7 @@ from glissando.errors import GlissandoError
 from glissando.simulate import NoShapeError
 
 _COMMANDS = (
-    *(estimate, check, learn, replay, simulate, study, view, report),
+    *(estimate, check, learn, replay, simulate, plan, design, study, view, report),
     *(record, importing, exporting, doctor, reproduce),
 )
 

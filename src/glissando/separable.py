@@ -213,7 +213,7 @@ class SeparablePrior:
         k = t.lower if points.inside_time else t.lower + (t.offset >= t.step) * (t.step > 0.0)
         n = s.lower if points.inside_arclength else s.lower + (s.offset >= s.step) * (s.step > 0.0)
         crossing = self._crossing(grid, about, k, s) if points.inside_arclength else None
-        rest = self._rest_within(grid, s)
+        rest = self._rest_within(grid, s) if points.inside_arclength else None
 
         if not points.inside_time:
             at, nodes, jacobian = _at_times(state, k, n, s, crossing, rest)
@@ -292,12 +292,17 @@ def _transposed(matrix: Array) -> Array:
 
 
 def _at_times(
-    state: State, k: Index, n: Index, s: Cells, crossing: Bridge | None, rest: tuple[Array, Array]
+    state: State,
+    k: Index,
+    n: Index,
+    s: Cells,
+    crossing: Bridge | None,
+    rest: tuple[Array, Array] | None,
 ) -> tuple[State, Index, Array]:
     """State, nodes (M, 1 or 2) and Jacobian (M, 24, c, 24) at time nodes k, nodes n or beyond."""
     n_count, flat = state.strain.shape[1], state.flatten()
     nodes = (k * n_count + n)[:, None]
-    if crossing is None:
+    if crossing is None or rest is None:
         eye = np.broadcast_to(np.eye(RATED)[:, None, :], (k.size, RATED, 1, RATED))
         return flat.take(nodes[:, 0]), nodes, eye
     ends = flat.take(nodes[:, 0]), flat.take(nodes[:, 0] + 1)

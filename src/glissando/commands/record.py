@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import shutil
+import sys
 import time
 from contextlib import ExitStack
 from pathlib import Path
@@ -19,6 +20,7 @@ from glissando.errors import DeviceError, GlissandoError
 from glissando.folders import require_new
 from glissando.rig import Progress, Rig, capture, load_rig, simulated_rig, write_recording
 from glissando.rig.capture import LOG
+from glissando.rig.online import Hear, followed
 from glissando.sessions import read_session
 from glissando.simulate import SlideLimits, SlidePath
 from glissando.simulate.slide import read_slide
@@ -33,6 +35,7 @@ stands again it becomes a recording in the same folder, which `estimate` takes.
 _EXAMPLES = """\
 examples:
   glissando record --simulate --shape S --out session
+  glissando record --simulate --live --out session
   glissando record --setup bench.toml --slide oscillate --cycles 3 --stroke 0.06 --speed 0.024 \\
       --out session
   glissando record --setup bench.toml --slide hold --duration 15 --out fixed
@@ -56,12 +59,13 @@ def add_to(commands: Commands) -> None:
     add("--robot", default="sliding700", metavar="FILE|NAME", help="that is simulated")
     add("--shape", default="S", metavar="NAME|FILE", help="of the simulated robot (default S)")
     add("--seed", type=int, default=0, metavar="N", help="of the simulated noise (default 0)")
-    slides = "oscillate, hold or a CSV file with time,displacement"
+    slides = "oscillate, hold or a CSV file, as glissando plan writes"
     add("--slide", default="oscillate", metavar="NAME|FILE", help=slides)
     add("--cycles", type=int, default=3, metavar="N", help="there and back (default 3)")
     add("--stroke", type=float, metavar="M", help="of a cycle (default: the stage's)")
     add("--speed", type=float, metavar="M/S", help="of the slide (default: the stage's)")
     add("--duration", type=float, default=15.0, metavar="S", help="of hold (default 15)")
+    add("--live", action="store_true", help="show the shape in a browser as it goes (needs viser)")
     add("--out", type=Path, required=True, metavar="SESSION", help="new folder to write")
 
 
@@ -80,7 +84,11 @@ def _record(options: argparse.Namespace) -> int:
             rig = load_rig(options.setup)
         path = _path(options, rig)
         try:
-            _watched(rig, path, options.out)
+            hear = None
+            if options.live:
+                address, hear = stack.enter_context(followed(rig))
+                print(f"Look at {address}", file=sys.stderr)
+            _watched(rig, path, options.out, hear)
             status = 0
         except KeyboardInterrupt:
             print("Stopped; what was recorded is kept.")
@@ -107,18 +115,19 @@ def _path(options: argparse.Namespace, rig: Rig) -> SlidePath:
             f"There is no slide named {options.slide!r} and no such file; give oscillate, hold or "
             f"a CSV file."
         )
-    return read_slide(Path(options.slide), limits)
+    drawn_out = next((c.arclength for c in rig.coils if c.slides), None)
+    return read_slide(Path(options.slide), limits, drawn_out)
 
 
 def _limits(stage: Stage) -> SlideLimits:
     return SlideLimits(stage.stroke[1], stage.speed, stage.acceleration)
 
 
-def _watched(rig: Rig, path: SlidePath, folder: Path) -> Progress:
+def _watched(rig: Rig, path: SlidePath, folder: Path, hear: Hear | None) -> Progress:
     """Run it behind a live table on stderr, where somebody looks."""
     console = Console(stderr=True)
     if not console.is_terminal:
-        return capture(rig, path, folder)
+        return capture(rig, path, folder, hear=hear)
     with Live(console=console, auto_refresh=False, transient=True) as live:
         shown = 0.0
 
@@ -128,7 +137,7 @@ def _watched(rig: Rig, path: SlidePath, folder: Path) -> Progress:
                 live.update(_table(progress), refresh=True)
                 shown = time.monotonic()
 
-        return capture(rig, path, folder, watch=watch)
+        return capture(rig, path, folder, watch=watch, hear=hear)
 
 
 def _table(progress: Progress) -> Table:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +27,8 @@ from glissando.errors import GlissandoError
 from glissando.online import FixedLag
 from glissando.replay import Replay, replay
 from glissando.report import write_states
+from glissando.robot import Robot
+from glissando.view.live import Live, follow
 
 _HELP = """\
 Run a recording through the online estimator as if it were live: at the robot's rate it is given the
@@ -38,11 +42,13 @@ _EXAMPLES = """\
 examples:
   glissando replay slow_free_space --window 19 29
   glissando replay my_recording --robot my_robot.toml --lag 0.5 --out live
-  glissando replay my_recording --rate real --out live        # takes as long as it took
+  glissando replay my_recording --rate real --live            # takes as long as it took
   glissando replay my_recording --json | python -m json.tool
 
 exit status: 0 done; 2 something given was wrong.
 """
+
+_POINTS = 41  # along the robot that is shown live
 
 
 def add_to(commands: Commands) -> None:
@@ -57,6 +63,7 @@ def add_to(commands: Commands) -> None:
     lag = "seconds the estimator looks back (default: four time nodes; 0 is a filter)"
     add("--lag", type=float, metavar="S", help=lag)
     add("--out", type=Path, metavar="DIR", help="write log, replay.json, newest.csv, figure here")
+    add("--live", action="store_true", help="show it in a browser as it goes (needs viser)")
     add("--json", action="store_true", help="print one JSON object and nothing else")
 
 
@@ -71,13 +78,19 @@ def _replay(options: argparse.Namespace) -> int:
             raise GlissandoError(f"{options.out} holds a finished run; give another --out.")
     console = Console(stderr=True)
     columns = TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn()
-    with Progress(
-        *columns, console=console, transient=True, disable=not console.is_terminal
-    ) as bar:
+    hidden = not console.is_terminal
+    with (
+        Progress(*columns, console=console, transient=True, disable=hidden) as bar,
+        ExitStack() as stack,
+    ):
         task = bar.add_task(f"replaying {escape(recording.name)}", total=None)
 
-        def watch(done: int, total: int, _: FixedLag) -> None:
+        live = _live(robot, stack) if options.live else None
+
+        def watch(done: int, total: int, smoother: FixedLag) -> None:
             bar.update(task, completed=done, total=total)
+            if live is not None:
+                follow(live, smoother)
 
         found = replay(
             recording,
@@ -95,6 +108,13 @@ def _replay(options: argparse.Namespace) -> int:
     if written and not options.json:
         Console().print("Wrote " + ", ".join(map(str, written)), markup=False)
     return 0
+
+
+def _live(robot: Robot, stack: ExitStack) -> Live:
+    """A browser's view of the robot while the stack lasts."""
+    live = stack.enter_context(Live(np.linspace(0.0, robot.length, _POINTS)))
+    print(f"Look at {live.address}", file=sys.stderr)
+    return live
 
 
 def _write(found: Replay, folder: Path) -> list[Path]:

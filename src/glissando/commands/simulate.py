@@ -31,7 +31,8 @@ examples:
 
 A shape file is TOML: tensions = [10, 20] in newtons, or one such row for each of time = [0, 20];
 gravity = [0, 0, 9.81] and [[loads]] with arclength, force and moment may follow. A slide file is
-CSV: time,displacement (at rest at each row), or time,displacement,speed.
+CSV: time,displacement (at rest at each row), or time,displacement,speed; arclength may stand in the
+place of displacement, as `glissando plan` writes it.
 
 exit status: 0 done; 1 the physics has no static shape there; 2 something given was wrong.
 """
@@ -113,7 +114,7 @@ def _path(options: argparse.Namespace, bench: Bench) -> SlidePath:
         lasts = 15.0 if options.duration is None else options.duration
         return SlidePath.hold(options.at or 0.0, lasts, stage)
     if kind not in _SETS:
-        return read_slide(Path(kind), stage)
+        return read_slide(Path(kind), stage, bench.rod.length + bench.coil_offset)
     stage, usual = (bench.full_slide, 1) if kind == "traverse" else (stage, 3)
     cycles = usual if options.cycles is None else options.cycles
     stroke = stage.stroke if options.stroke is None else options.stroke

@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from glissando import se3
 from glissando.drivers import Aurora, Slide, SlideReading, ViconStream
 from glissando.drivers.link import SilentError
 from glissando.errors import DeviceError
+from glissando.rig.online import Hear
 from glissando.rig.setup import Coil, Rig
 from glissando.se3 import Array
 from glissando.sessions import INTEGER, NUMBER, SessionWriter, numbers, schema
@@ -62,7 +64,14 @@ Watch = Callable[[Progress], None]
 """Called a few times a second while the experiment runs."""
 
 
-def capture(rig: Rig, path: SlidePath, folder: Path, *, watch: Watch | None = None) -> Progress:
+def capture(
+    rig: Rig,
+    path: SlidePath,
+    folder: Path,
+    *,
+    watch: Watch | None = None,
+    hear: Hear | None = None,
+) -> Progress:
     """Run an experiment and log it in a new `folder`; the log is whole up to the last second.
 
     Raises DeviceError when a device fails; what came before is in the log, and the slide stands.
@@ -72,20 +81,21 @@ def capture(rig: Rig, path: SlidePath, folder: Path, *, watch: Watch | None = No
     over = threading.Event()
     failure: list[BaseException] = []
     metadata = {"setup": json.dumps(rig.described())}
-    with SessionWriter(folder / LOG, metadata) as log, ExitStack() as stack:
+    with SessionWriter(folder / LOG, metadata) as writer, ExitStack() as stack:
+        log = _Log(writer, progress, hear)
         listeners = []
         if rig.tracker is not None:
             tracker = stack.enter_context(Aurora(rig.tracker, baud=rig.baud))
             coils = _plugged(tracker, rig.coils)
-            listeners.append(lambda: _hear_tracker(tracker, coils, log, progress))
+            listeners.append(lambda: _hear_tracker(tracker, coils, log))
         if rig.mocap is not None:
             mocap = stack.enter_context(ViconStream(rig.mocap, timeout=_PATIENCE))
-            listeners.append(lambda: _hear_mocap(mocap, rig, log, progress))
+            listeners.append(lambda: _hear_mocap(mocap, rig, log))
         threads = [threading.Thread(target=_listen, args=(h, over, failure)) for h in listeners]
         stack.callback(_finish, over, threads)
         for thread in threads:
             thread.start()
-        for _ in _experiment(rig, path, log, progress):
+        for _ in _experiment(rig, path, log):
             if failure:
                 raise failure[0]
             if watch is not None:
@@ -109,16 +119,34 @@ def _finish(over: threading.Event, threads: list[threading.Thread]) -> None:
         thread.join()
 
 
-def _experiment(
-    rig: Rig, path: SlidePath, log: SessionWriter, progress: Progress
-) -> Iterator[None]:
+@dataclass(frozen=True)
+class _Log:
+    """Where messages go: to the session's log, then to who counts and who listens."""
+
+    writer: SessionWriter
+    progress: Progress
+    hear: Hear | None
+
+    def write(
+        self, topic: str, form: dict[str, Any], message: dict[str, Any], at: float, said: str
+    ) -> None:
+        """A message that came `at` a monotonic time, s, and what to show of it."""
+        if topic not in self.progress.last:
+            self.writer.add_topic(topic, form)
+        self.writer.write(topic, message, round(1e9 * at))
+        self.progress.note(topic, said)
+        if self.hear is not None:
+            self.hear(topic, message)
+
+
+def _experiment(rig: Rig, path: SlidePath, log: _Log) -> Iterator[None]:
     """Steps of the experiment: wait for clocks, home, follow the path."""
+    progress = log.progress
     yield from _wait(_SETTLE)
     progress.began, progress.count = time.monotonic(), Counter()
     if rig.slide is None or rig.stage is None:
         yield from _wait(path.duration)
         return
-    log.add_topic("/slide", _SLIDE)
     with Slide(rig.slide, rig.stage) as slide:
         if rig.standing is None:
             slide.home_at_stop()
@@ -126,7 +154,7 @@ def _experiment(
             slide.home_here(rig.standing)
         times = np.append(np.arange(0.0, path.duration, _SAMPLES), path.duration)
         for reading in slide.follow(times, path.at(times)):
-            _log_slide(reading, log, progress)
+            _log_slide(reading, log)
             yield
         progress.problems.update({f"slide {k}": str(n) for k, n in slide.counts.items() if n})
 
@@ -138,15 +166,15 @@ def _wait(seconds: float) -> Iterator[None]:
         yield
 
 
-def _log_slide(reading: SlideReading, log: SessionWriter, progress: Progress) -> None:
+def _log_slide(reading: SlideReading, log: _Log) -> None:
     message = {
         "time": reading.time,
         "tick": reading.servo_time,
         "travel": reading.travel,
         "speed": reading.speed,
     }
-    log.write("/slide", message, round(1e9 * reading.time))
-    progress.note("/slide", f"{1e3 * reading.travel:.1f} mm, {1e3 * reading.speed:+.1f} mm/s")
+    said = f"{1e3 * reading.travel:.1f} mm, {1e3 * reading.speed:+.1f} mm/s"
+    log.write("/slide", _SLIDE, message, reading.time, said)
 
 
 def _plugged(tracker: Aurora, coils: tuple[Coil, ...]) -> dict[int, str]:
@@ -171,9 +199,7 @@ def _plugged(tracker: Aurora, coils: tuple[Coil, ...]) -> dict[int, str]:
     return found
 
 
-def _hear_tracker(
-    tracker: Aurora, coils: dict[int, str], log: SessionWriter, progress: Progress
-) -> None:
+def _hear_tracker(tracker: Aurora, coils: dict[int, str], log: _Log) -> None:
     """Log the next frame."""
     try:
         frame = tracker.read(_PATIENCE)
@@ -183,32 +209,26 @@ def _hear_tracker(
         name = coils.get(port.handle)
         if name is None:
             continue
-        topic = f"/tracker/{name}"
-        if topic not in progress.last:
-            log.add_topic(topic, _TRACKER)
         pose = _pose(port.pose if port.good else None)
         said = {"time": frame.time, "frame": frame.number, "error": port.quality}
         message = {**said, "status": port.status or 0, **pose}
-        log.write(topic, message, round(1e9 * frame.arrival))
-        progress.note(topic, _told(pose["position"]))
-    progress.problems.update({f"tracker {k}": str(n) for k, n in vars(tracker.counts).items() if n})
+        log.write(f"/tracker/{name}", _TRACKER, message, frame.arrival, _told(pose["position"]))
+    counts = {f"tracker {k}": str(n) for k, n in vars(tracker.counts).items() if n}
+    log.progress.problems.update(counts)
 
 
-def _hear_mocap(mocap: ViconStream, rig: Rig, log: SessionWriter, progress: Progress) -> None:
+def _hear_mocap(mocap: ViconStream, rig: Rig, log: _Log) -> None:
     """Log the next frame; silence is noted, not fatal: the experiment is the robot's."""
     try:
         frame = mocap.read()
     except DeviceError as silence:
-        progress.problems["mocap"] = str(silence)
+        log.progress.problems["mocap"] = str(silence)
         return
     for body in rig.bodies:
-        topic = f"/mocap/{body.name}"
-        if topic not in progress.last:
-            log.add_topic(topic, _MOCAP)
         pose = _pose(frame.poses.get(body.name))
         message = {"time": frame.received, "frame": frame.number, **pose}
-        log.write(topic, message, round(1e9 * frame.received))
-        progress.note(topic, _told(pose["position"]))
+        said = _told(pose["position"])
+        log.write(f"/mocap/{body.name}", _MOCAP, message, frame.received, said)
 
 
 def _pose(pose: Array | None) -> dict[str, list[float] | None]:

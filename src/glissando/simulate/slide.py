@@ -222,22 +222,20 @@ def _trapezoid(low: float, high: float, cruise: float, most: float) -> tuple[Arr
     return np.array(durations)[kept], sign * np.array(ways)[kept], speeds[kept]
 
 
-def read_slide(path: Path, limits: SlideLimits) -> SlidePath:
+def read_slide(path: Path, limits: SlideLimits, drawn_out: float | None = None) -> SlidePath:
     """A path from a CSV with columns time,displacement (rest at each) or time,displacement,speed.
 
-    Raises SimulationError with the line that is wrong.
+    Where it is known at which arclength the sensor is when `drawn_out`, metres, a column arclength
+    may stand for the displacement; the speed is then that along it. Raises SimulationError with the
+    line that is wrong.
     """
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = [row for row in csv.reader(file) if row]
-    except (OSError, UnicodeDecodeError, csv.Error) as problem:
-        raise SimulationError(f"Slide {path} cannot be read ({problem}).") from None
-    head = [name.strip() for name in rows[0]] if rows else []
-    if not {"time", "displacement"} <= set(head):
+    head, rows = _read_rows(path)
+    place = "arclength" if "arclength" in head and drawn_out is not None else "displacement"
+    if not {"time", place} <= set(head):
         raise SimulationError(f"Slide {path.name} must have the columns time,displacement.")
-    names = [name for name in ("time", "displacement", "speed") if name in head]
-    table = np.empty((len(rows) - 1, len(names)))
-    for number, row in enumerate(rows[1:]):
+    names = [name for name in ("time", place, "speed") if name in head]
+    table = np.empty((len(rows), len(names)))
+    for number, row in enumerate(rows):
         try:
             table[number] = [float(row[head.index(name)]) for name in names]
         except (IndexError, ValueError):
@@ -246,17 +244,30 @@ def read_slide(path: Path, limits: SlideLimits) -> SlidePath:
             raise SimulationError(
                 f"{path.name} row {number + 1}: give a number each for {', '.join(names)}."
             )
-    unknown = set(head) - {"time", "displacement", "speed"}
+    unknown = set(head) - {"time", place, "speed"}
     if unknown:
         raise SimulationError(
-            f"Slide {path.name} has a column {sorted(unknown)[0]!r}; columns are time, "
-            f"displacement and speed."
+            f"Slide {path.name} has a column {sorted(unknown)[0]!r}; columns are time, {place} and "
+            f"speed."
         )
     if len(table) and table[0, 0] < 0.0:
         raise SimulationError(
             f"Slide {path.name} begins at {table[0, 0]:g} s; begin at 0 or later."
         )
+    if place == "arclength":
+        assert drawn_out is not None
+        table[:, 1:] = [drawn_out, *[0.0] * (len(names) - 2)] - table[:, 1:]
     if len(names) == 3:
         _require_increasing(table[:, 0])
         return SlidePath(table[:, 0], table[:, 1], table[:, 2], limits)
     return SlidePath.waypoints(table[:, 0], table[:, 1], limits)
+
+
+def _read_rows(path: Path) -> tuple[list[str], list[list[str]]]:
+    """The columns' names, and the rows after them."""
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            rows = [row for row in csv.reader(file) if row]
+    except (OSError, UnicodeDecodeError, csv.Error) as problem:
+        raise SimulationError(f"Slide {path} cannot be read ({problem}).") from None
+    return [name.strip() for name in rows[0]] if rows else [], rows[1:]

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from glissando.animation.frames import _tube
 from glissando.errors import GlissandoError
+from glissando.online import FixedLag
 from glissando.plot import _MM
 from glissando.se3 import Array
 from glissando.view.page import SIGMAS
@@ -141,3 +142,12 @@ def play(scene: Scene, port: int) -> None:
                 pose = scene.pose[k]
                 shown.update(float(moment), pose[:, :3, 3], pose, cov[k], coil)
                 clock.sleep(max(np.diff(scene.time).mean(), 0.02) if scene.time.size > 1 else 0.5)
+
+
+def follow(live: Live, smoother: FixedLag) -> None:
+    """Show a smoother's newest state."""
+    time = smoother.time or 0.0
+    at = smoother.at(live.arclength, time)
+    turn = at.pose[:, :3, :3]
+    cov = turn @ at.cov[:, :3, :3] @ np.swapaxes(turn, -1, -2)
+    live.update(time, at.position, at.pose, cov)

@@ -1,0 +1,140 @@
+"""Planned, oscillating and fixed: foretold, claimed and true, on physics the planner never saw.
+
+The paper's 0.70 m robot holds a C, an S, or moves from one to the other in 20 s. What matters is
+its position from 0.50 to 0.60 m. The path is planned with the nominal shape; then 5 robots, each
+with a set of its own that no model knows, are simulated with 10 draws of all sensors' faults each,
+and estimated. "everywhere" is foretold for a sensor at every place of the stroke at once: no path
+can do better. The last three columns are against oscillating: the mean variance that is foretold,
+that which the estimator claims, and the squared errors against the true motion.
+Usage: plan_study.py [ROBOTS [DRAWS]]
+"""
+
+import os
+import sys
+import warnings
+
+for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ[name] = "1"
+
+import numpy as np
+from rich.box import MARKDOWN
+from rich.console import Console
+from rich.table import Table
+from scipy.stats import chi2
+
+from glissando import CoilReadings, NotConvergedWarning, estimate, load_robot
+from glissando.plan import (
+    Trace,
+    Zone,
+    blind_paths,
+    course_of,
+    everywhere,
+    foresee,
+    foretell,
+    judge_of,
+    plan_slide,
+    track_of,
+)
+from glissando.robot import robot_file
+from glissando.simulate import SlidePath, load_bench, simulate_session
+
+LASTS, ZONE = 20.0, Zone((0.5, 0.6))
+ROBOT, BENCH = load_robot("sliding700"), load_bench(robot_file("sliding700"))
+TIP = BENCH.rod.length
+STAGES = {"60 mm": BENCH.slide, "700 mm": BENCH.full_slide}
+SHAPES = ("C", "S", "C-to-S")
+
+
+def moved(shape, robot):
+    """The motion of a robot with the set of that number; of the nominal one, without, for None."""
+    flaws = BENCH.flaws.without("set") if robot is None else BENCH.flaws
+    return BENCH.move(BENCH.shape(shape).lasting(LASTS), flaws, robot or 0)
+
+
+def expected(motion):
+    """The nominal motion as the planner takes it."""
+
+    def shape(arclength, time):
+        at = motion.at(arclength, time)
+        return at.pose, at.strain
+
+    return course_of(shape, ROBOT.prior, ROBOT.arclength_nodes)
+
+
+def paths_of(outlook, stage):
+    """The slide's paths by name, and where each is at the outlook's steps."""
+    track = track_of(stage, TIP, TIP, LASTS)
+    plan = plan_slide(judge_of(outlook, [ZONE], Trace()), track, [ZONE])
+    cycles = int(np.ceil(LASTS / (2.0 * stage.stroke / stage.speed)))
+    slides = {
+        "planned": plan.slide_path(TIP, stage),
+        "oscillating": SlidePath.oscillate(cycles, stage.stroke, stage),
+        "fixed": SlidePath.hold(0.0, LASTS, stage),
+    }
+    assert set(slides) < {"planned", *blind_paths(stage, TIP, TIP, track.times)}
+    return {name: (slide, TIP - slide.at(outlook.times)) for name, slide in slides.items()}
+
+
+def judged(motion, slide, seed, start):
+    """Claimed variance, squared error and share inside 95 % of the zone; and the state found."""
+    recorded = simulate_session(BENCH, motion, slide, seed=seed, duration=LASTS)
+    rows = recorded.coil
+    coil = CoilReadings(
+        time=rows.time, arclength=rows.arclength, values=recorded.T_wt @ rows.values,
+        cov=ROBOT.sensor_std["coil"] ** 2, name="coil",
+    )  # fmt: skip
+    found = estimate(ROBOT.prior, ROBOT.grid(0.0, LASTS), [coil], initial=start)
+    place, time = ZONE.points(np.arange(0.25, LASTS, 0.5))
+    at, true = found.at(place, time), motion.at(place, time).pose[:, :3, 3]
+    miss, cov = at.position - true, at.cov_position_world
+    nees = np.einsum("zi,zi->z", miss, np.linalg.solve(cov, miss[..., None])[..., 0])
+    inside = np.mean(nees <= chi2.ppf(0.95, 3))
+    return [np.mean(at.std_position**2), np.mean(np.sum(miss**2, 1)), inside], found.state
+
+
+def study(shape, stage, robots, draws):
+    """By path: what is foretold (m), and claimed variance, squared error, coverage of each run."""
+    course = expected(moved(shape, None))
+    reach = TIP - stage.stroke, TIP
+    outlook = foresee(ROBOT, reach, LASTS, course=course, node_step=1.0 / ROBOT.time_rate)
+    told, runs = {"everywhere": everywhere(outlook, [ZONE], Trace()).std}, {}
+    paths = paths_of(outlook, stage)
+    for name, (_, path) in paths.items():
+        told[name], runs[name] = foretell(outlook, [ZONE], Trace(), path).std, []
+    for robot in range(robots):
+        motion, state = moved(shape, robot), None
+        for name, (slide, _) in paths.items():
+            for draw in range(draws):
+                found, state = judged(motion, slide, draws * robot + draw, state)
+                runs[name].append(found)
+    return told, {name: np.array(found) for name, found in runs.items()}
+
+
+def main(robots=5, draws=10):
+    """Print a table of every shape, stage and path."""
+    warnings.simplefilter("ignore", NotConvergedWarning)
+    table = Table("stroke", "shape", "path", "σ foretold (mm)", box=MARKDOWN)
+    more = "σ claimed", "RMSE", "inside 95 %", "variance foretold", "claimed", "squared error"
+    for heading in more:
+        table.add_column(heading)
+    for label, stage in STAGES.items():
+        for shape in SHAPES:
+            told, runs = study(shape, stage, robots, draws)
+            blind = runs["oscillating"].mean(axis=0)
+            for name, std in told.items():
+                row = [label, shape, name, f"{1e3 * std:.2f}"]
+                if name in runs:
+                    claimed, square, inside = runs[name].mean(axis=0)
+                    row += [f"{1e3 * np.sqrt(x):.2f}" for x in (claimed, square)]
+                    row += [f"{100 * inside:.0f} %"]
+                else:
+                    claimed = square = np.nan
+                    row += [""] * 3
+                shares = (std / told["oscillating"]) ** 2, claimed / blind[0], square / blind[1]
+                row += [f"{100 * (x - 1):+.0f} %" if np.isfinite(x) else "" for x in shares]
+                table.add_row(*row)
+    Console(width=140).print(table)
+
+
+if __name__ == "__main__":
+    main(*(int(a) for a in sys.argv[1:3]))

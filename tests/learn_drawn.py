@@ -1,0 +1,23 @@
+"""Robot files as documents, and noisy poses of the moving arc to learn them from."""
+
+import numpy as np
+
+from glissando import se3
+from glissando.robot import robot_file
+from glissando.tables import read_document
+from scenes import arc
+
+NOISE = np.r_[2e-3, 2e-3, 2e-3, 1e-2, 1e-2, 1e-2]
+
+
+def shipped(name):
+    return read_document(robot_file(name))
+
+
+def readings(kind, name, place, time, *, std=NOISE, cov=None, seed=0):
+    """Poses of the moving arc, noisy by `std`."""
+    place = np.broadcast_to(place, time.shape)
+    noise = std * np.random.default_rng(seed).standard_normal((time.size, 6))
+    values = arc(place, time) @ se3.exp(noise)
+    cov = np.asarray(std) ** 2 if cov is None else cov
+    return kind(time=time, arclength=place, values=values, cov=cov, name=name)

@@ -1,0 +1,102 @@
+"""`glissando plan` and `glissando design`: files and numbers, or one sentence and nothing."""
+
+import json
+
+import numpy as np
+import pytest
+
+from glissando import CoilReadings, cli, estimate, load_robot
+from glissando.dataset import load_recording
+from glissando.plan import Design, is_best
+
+
+def run(*arguments):
+    return cli.main([str(a) for a in arguments])
+
+
+def test_a_planned_path_is_written_and_simulated_as_planned(tmp_path, capsys):
+    out, made = tmp_path / "plan", tmp_path / "made"
+    assert run("plan", "--zone", "0.5:0.6", "--horizon", 4, "--start", 0.69, "--out", out) == 0
+    assert "variance against" in capsys.readouterr().out
+    assert sorted(p.name for p in out.iterdir()) == ["path.csv", "plan.json", "plan.png"]
+    paths = json.loads((out / "plan.json").read_text())["paths"]
+    assert paths["planned"]["std"] < min(paths["oscillating"]["std"], paths["fixed"]["std"])
+    table = np.genfromtxt(out / "path.csv", delimiter=",", names=True)
+    simulated = ("simulate", "--shape", "straight", "--slide", out / "path.csv", "--out", made)
+    assert run(*simulated) == 0
+    coil = load_recording(made).streams["coil"].rows
+    knots = np.interp(coil.time, table["time"], table["arclength"])
+    np.testing.assert_allclose(coil.arclength, knots, atol=3e-4)  # encoder, and parabolas
+    assert coil.time[-1] == pytest.approx(4.0, abs=0.3)
+
+
+def test_json_alone_is_printed_and_says_what_every_path_is_worth(capsys):
+    zones = ("--zone", "0.3:0.4@0:2", "--zone", "0.2:0.3..0.5:0.6@1:3*2")
+    limits = ("--limits", "0.6,0.1,0.3", "--objective", "chance", "--bound", 0.01)
+    assert run("plan", *zones, *limits, "--horizon", 3, "--json") == 0
+    told = json.loads(capsys.readouterr().out)
+    assert set(told["paths"]) == {"planned", "oscillating", "fixed", "random"}
+    assert all(0.0 <= path["value"] <= 1.0 for path in told["paths"].values())
+    assert told["paths"]["planned"]["value"] <= told["paths"]["oscillating"]["value"]
+
+
+def test_a_plan_goes_on_from_an_estimate(tmp_path, capsys):
+    robot, time = load_robot("sliding700"), np.linspace(0.0, 2.0, 41)
+    seen = np.tile(np.eye(4), (41, 1, 1))
+    seen[:, 2, 3] = 0.65
+    coil = CoilReadings(time=time, arclength=np.full(41, 0.65), values=seen, cov=1e-6)
+    estimate(robot.prior, robot.grid(0.0, 2.0), [coil]).save(tmp_path / "posterior.nc")
+    given = "--zone", "0.5:0.6", "--horizon", 3, "--json"
+    assert run("plan", *given, "--from", tmp_path / "posterior.nc") == 0
+    known = json.loads(capsys.readouterr().out)["paths"]["fixed"]["std"]
+    run("plan", *given)
+    blank = json.loads(capsys.readouterr().out)["paths"]["fixed"]["std"]
+    assert known < blank
+
+
+@pytest.mark.slow
+def test_designs_are_compared_and_drawn(tmp_path, capsys):
+    sweep = ("--strokes", "0.03,0.06", "--speeds", "0.024", "--rates", "40", "--coils", "1,2")
+    given = ("--zone", "0.5:0.6", "--horizon", 2, "--out", tmp_path, "--json")
+    assert run("design", *given, *sweep) == 0
+    designs = json.loads(capsys.readouterr().out)["designs"]
+    assert len(designs) == 4
+    best = {(d["stroke"], d["coils"]): d["std"][0] for d in designs}
+    assert best[0.06, 2] < best[0.06, 1]
+    assert best[0.06, 2] < best[0.03, 2]
+    assert (tmp_path / "design.png").stat().st_size > 10_000
+
+
+def test_a_design_that_costs_more_for_the_same_is_not_worth_it():
+    def made(stroke, coils, std):
+        return Design(stroke, 0.024, 40.0, coils, 0.0, (std,))
+
+    designs = [made(0.03, 1, 9.0), made(0.06, 1, 6.0), made(0.06, 2, 5.95), made(0.03, 2, 9.5)]
+    assert is_best(designs).tolist() == [True, True, False, False]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--zone", "0.5"), "Zone '0.5' is not understood"),
+        (("--zone", "0.5:0.9"), "the body from 0 to 0.7 m"),
+        (("--zone", "0.5:0.6@20:30"), "Plan farther ahead"),
+        (("--zone", "0.5:0.6", "--limits", "0.06,0.02"), "STROKE,SPEED,ACCEL"),
+        (("--zone", "0.5:0.6", "--limits", "0.06,0,1"), "a speed of 0 m/s"),
+        (("--zone", "0.5:0.6", "--start", "0.2"), "off its slide from 0.64 to 0.7 m"),
+        (("--zone", "0.5:0.6", "--robot", "tdcr466"), "give --limits"),
+        (
+            ("--zone", "0.5:0.6", "--robot", "extensible1m", "--limits", "0.5,0.1,0.1"),
+            "Give the prior a firmer base",
+        ),
+        (("--zone", "0.5:0.6", "--node-step", "0"), "time nodes 0 s apart"),
+        (("--zone", "0.5:0.6", "--rate", "0"), "at 0 Hz reads nothing"),
+        (("--zone", "0.5:0.6", "--horizon", "0.1"), "two steps or more"),
+        (("--zone", "0.5:0.6", "--objective", "chance", "--bound", "-1"), "bound of -1 m"),
+    ],
+)
+def test_mistakes_are_told_in_one_sentence(arguments, said, capsys):
+    assert run("plan", "--horizon", 2, *arguments) == 2
+    told = capsys.readouterr().err
+    assert said in told
+    assert told.count("\n") == 1
