@@ -39,6 +39,8 @@ RUNS = {  # what must stand in the line that is run, and what makes it quick; or
     "learn": ("--only noise", "--window 0 1 --steps 1"),
     "replay": ("my_recording --json", ""),
     "simulate": ("--slide hold", "--duration 1"),
+    "plan": ("--robot sliding700", "--horizon 1"),
+    "design": ("--out design", "--horizon 1 --strokes 0.06"),
     "study": ("--out results", "--workers 1"),
     "view": ("view results --recording my_recording", ""),
     "report": ("report results/fixed", ""),
