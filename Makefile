@@ -14,7 +14,7 @@ WINDOW ?= $(if $(filter $(PUBLIC),$(RECORDING)),19 29)
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: reproduce test lint check-types check-layers pytest bench picture clean
+.PHONY: reproduce test lint check-types check-layers docs pytest bench picture clean
 
 reproduce: $(READY)
 	$(BIN)/glissando reproduce --out $(OUT)
@@ -22,7 +22,7 @@ reproduce: $(READY)
 	$(BIN)/glissando simulate --shape S --slide oscillate --out $(OUT)/simulated
 	$(BIN)/glissando estimate $(RECORDING) $(if $(WINDOW),--window $(WINDOW)) --out $(OUT)/estimate
 
-test: lint check-types check-layers pytest
+test: lint check-types check-layers docs pytest
 
 lint: $(READY)
 	$(BIN)/ruff check .
@@ -35,6 +35,10 @@ check-types: $(READY)
 check-layers: $(READY)
 	$(BIN)/lint-imports --no-cache
 
+# The site, from the pages in docs/ and the docstrings, in site/; a warning is an error.
+docs: $(READY)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
+
 pytest: $(READY)
 	$(BIN)/pytest -q -n 2
 
@@ -42,9 +46,10 @@ bench: $(READY)
 	$(BIN)/python benchmarks/estimate.py
 	$(BIN)/python benchmarks/simulate.py
 
-# The page docs/reproduction, its figures, and the picture of the README.
+# The page docs/reproduction, its figures, the picture of the README, those of the tutorials.
 picture: $(READY)
 	$(BIN)/glissando reproduce --out docs/reproduction
+	$(BIN)/python benchmarks/tutorials.py
 
 $(READY): pyproject.toml
 	python3 -m venv $(VENV)
@@ -53,4 +58,4 @@ $(READY): pyproject.toml
 	touch $(READY)
 
 clean:
-	rm -rf $(VENV) $(OUT)
+	rm -rf $(VENV) $(OUT) site

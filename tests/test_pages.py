@@ -1,0 +1,110 @@
+"""What pages say of the code is so: functions, equations, names in files, pictures."""
+
+import importlib
+import re
+from functools import reduce
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import glissando
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+MATH = (DOCS / "math.md").read_text(encoding="utf-8")
+LINKED = re.findall(r"\[`([\w.]+)`\]\(\.\./src/(glissando/[\w/]+)\.py\)", MATH)
+SHOWN = re.findall(r"^::: (\S+)$", "\n".join(p.read_text() for p in DOCS.glob("api/*.md")), re.M)
+
+
+def named(dotted):
+    """The module, or what a module holds, of a dotted name."""
+    parts = dotted.split(".")
+    for k in range(len(parts), 0, -1):
+        try:
+            module = importlib.import_module(".".join(parts[:k]))
+        except ModuleNotFoundError:
+            continue
+        return reduce(getattr, parts[k:], module)
+    raise AssertionError(f"nothing is named {dotted}")
+
+
+@pytest.mark.parametrize(("text", "file"), sorted(set(LINKED)))
+def test_a_function_that_the_mathematics_links_to_is_in_that_file(text, file):
+    module = file.replace("/", ".")
+    name = text.removeprefix(module.rpartition(".")[2] + ".")
+    assert named(f"{module}.{name}").__module__ == module
+
+
+def test_every_equation_is_linked_to_what_computes_it():
+    items = re.split(r"\n- \*\*\((?=\d)", MATH)[1:]
+    assert len(items) >= 20
+    for item in items:
+        assert "](../src/" in item.split("\n\n")[0], item[:60]
+
+
+def test_every_equation_that_the_code_names_is_on_the_page():
+    numbered = set(re.findall(r"\*\*\((\d+'?)\)\*\*", MATH))
+    for file in (ROOT / "src" / "glissando").rglob("*.py"):
+        for said in re.findall(r"(?i:equations?) (\([^A-Za-z.]*\))", file.read_text()):
+            assert set(re.findall(r"\((\d+'?)\)", said)) <= numbered, (file, said)
+
+
+def test_the_reference_shows_every_public_name_once():
+    assert len(SHOWN) == len(set(SHOWN))
+    shown = [named(name) for name in SHOWN]
+    held = [vars(s).values() for s in shown if type(s) is type(glissando)]
+    everything = {id(x) for x in (*shown, *(value for values in held for value in values))}
+    for name in glissando.__all__:
+        assert id(getattr(glissando, name)) in everything, name
+
+
+def test_matlab_is_told_the_variables_and_dimensions_that_the_file_has(tmp_path):
+    import xarray
+
+    page = (DOCS / "how-to" / "matlab.md").read_text(encoding="utf-8")
+    robot = glissando.load_robot("tdcr466")
+    tip = np.tile(np.eye(4), (4, 1, 1))
+    tip[:, 2, 3] = robot.length
+    time, place = np.linspace(0, 0.2, 4), np.full(4, robot.length)
+    seen = glissando.PoseReadings(time=time, arclength=place, values=tip, cov=1e-6)
+    posterior = glissando.estimate(robot.prior, robot.grid(0.0, 0.2), [seen])
+    posterior.save(tmp_path / "posterior.nc")
+    with xarray.open_dataset(tmp_path / "posterior.nc", engine="h5netcdf") as file:
+        read = re.findall(r"(\w+) = ncread\(file, '(\w+)'\); +% ([\dKN x]*)", page)
+        letters = {file.sizes["time"]: "K", file.sizes["arclength"]: "N"}
+        assert len(read) >= 9
+        for _, name, size in read:
+            turned = [letters.get(n, str(n)) for n in file[name].shape[::-1]]
+            assert size.split(" x ")[: len(turned)] == turned, name
+        rows = re.findall(r"^\| `(\w+)` \| ([\w, ]+) \| (.*) \|$", page, re.M)
+        assert {name for name, _, _ in rows} == {
+            n for n in file.variables if file[n].dtype.kind == "f"
+        }
+        for name, dimensions, units in rows:
+            assert list(file[name].dims) == dimensions.split(", "), name
+            assert file[name].attrs.get("units", units) == units or name in ("std", "cov")
+        assert {"prior", "unknowns", "solve"} <= set(file.attrs)
+        assert list(file["component"].values[[0, 3, 6, 12]]) == [
+            *("pose_x", "pose_rx", "strain_x", "velocity_x")
+        ]
+
+
+def test_the_gallery_shows_every_figure_of_the_reproduction():
+    gallery = (DOCS / "gallery.md").read_text(encoding="utf-8")
+    figures = [p for p in (DOCS / "reproduction").iterdir() if p.suffix in (".png", ".gif")]
+    assert len(figures) >= 6
+    for figure in figures:
+        assert f"(reproduction/{figure.name})" in gallery
+
+
+def test_tutorials_are_short_enough_to_be_read():
+    for page in (DOCS / "tutorials").glob("*.md"):
+        assert len(page.read_text(encoding="utf-8").splitlines()) <= 130, page.name
+
+
+def test_every_page_is_in_the_navigation():
+    told = (ROOT / "mkdocs.yml").read_text(encoding="utf-8").partition("\nnav:\n")[2]
+    listed = re.findall(r"[\w./-]+\.md", told)
+    assert len(listed) == len(set(listed))
+    assert set(listed) == {p.relative_to(DOCS).as_posix() for p in DOCS.rglob("*.md")}
