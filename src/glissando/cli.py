@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 from glissando import __version__
 from glissando.commands import (
+    calibrate,
     check,
     estimate,
     exporting,
@@ -20,7 +21,17 @@ from glissando.commands import (
 from glissando.errors import GlissandoError
 from glissando.simulate import NoShapeError
 
-_COMMANDS = (estimate, check, learn, replay, simulate, importing, exporting, reproduce)
+_COMMANDS = (
+    estimate,
+    check,
+    calibrate,
+    learn,
+    replay,
+    simulate,
+    importing,
+    exporting,
+    reproduce,
+)
 
 
 def build_parser() -> argparse.ArgumentParser:
