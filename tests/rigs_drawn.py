@@ -16,7 +16,7 @@ from glissando.simulate.tracker import coil_rows, mocap_rows
 
 DURATION = 15.0  # s
 CLEAN = {"mocap": 1.5e-4, "mocap_angle": 1.5e-3, "registration": 0.0, "registration_angle": 0.0}
-FAIR = {"bias": 3e-4, "bias_angle": 3e-3, "play": 1e-4, "backlash": 1e-4}  # a good lab
+FAIR = {"bias": 2e-4, "bias_angle": 2e-3, "play": 1e-4, "backlash": 1e-4}  # a good lab
 
 
 def bench(**flaws):
@@ -150,8 +150,8 @@ def robot(time_rate=3.0):
     scales = {
         "psd_strain_arclength": 0.03,
         "psd_strain_time": 0.03,
-        "psd_velocity_time": 0.04,
-        "psd_velocity_arclength": 0.04,
+        "psd_velocity_time": 0.1,
+        "psd_velocity_arclength": 0.1,
     }
     scaled = {name: scale * getattr(made.prior, name) for name, scale in scales.items()}
     return replace(made, prior=replace(made.prior, **scaled), time_rate=time_rate)

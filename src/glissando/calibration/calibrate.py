@@ -15,16 +15,17 @@ from glissando.calibration.refine import Found, innovations, refine
 from glissando.calibration.result import Calibration
 from glissando.calibration.rig import Rig, RigData
 from glissando.calibration.rough import LATEST, rough_start, slide_lag
-from glissando.calibration.shape import shape_of
+from glissando.calibration.shape import shape_of, span
 from glissando.errors import RecordingError
 from glissando.robot import Robot
 from glissando.se3 import Array
 
-READINGS = 200  # of the coil that are used: more of them read the same places again
+READINGS = 300  # of the coil that are used: more of them read the same places again
 _FIRST = 60  # of these that tell one direction from the other
 _FEWEST = 10  # with which anything can be found
 _OUTLIER = float(chi2.isf(1e-6, ROWS))  # squared innovation of a reading that is left out
 _EDGE = 0.02  # s: readings so near an end of the recording may be beyond it
+_WAY = 1e-3  # m: a travel that is none
 _DOUBT = 3.0  # of log odds, below which a direction that is stated counts for more
 
 
@@ -77,7 +78,8 @@ def _directed(model: Model, expected: Rig, std: Array) -> tuple[Rig, Rig, float]
         about = replace(start, mount=np.zeros(4), zero=expected.zero)
         tried.append((refine(few, start, about, std, rounds=1), about))
     tried.sort(key=lambda each: -each[0].log_evidence)
-    odds = tried[0][0].log_evidence - tried[1][0].log_evidence if data.slides else np.inf
+    odds = tried[0][0].log_evidence - tried[-1][0].log_evidence if data.slides else np.inf
+    odds = odds if not data.slides or np.ptp(data.travel) > _WAY else 0.0
     if odds < _DOUBT and data.direction == tried[-1][0].rig.direction:
         tried.reverse()
     return tried[0][0].rig, tried[0][1], float(odds)
@@ -85,9 +87,9 @@ def _directed(model: Model, expected: Rig, std: Array) -> tuple[Rig, Rig, float]
 
 def _inside(model: Model, rig: Rig) -> Model:
     """The model with the readings at times that motion capture and slide cover, by this rig."""
-    data, grid = model.data, model.shape.grid
+    data, (start, stop) = model.data, span(model.data)
     time = rig.true_time(data.coil_time)
-    kept = (time >= grid.time[0] + _EDGE) & (time <= grid.time[-1] - _EDGE)
+    kept = (time >= start + _EDGE) & (time <= stop - _EDGE)
     if data.slides:
         stamps = rig.slide_stamps(time)
         kept &= (stamps >= data.slide_time[0]) & (stamps <= data.slide_time[-1])

@@ -6,10 +6,11 @@ tube's play are covariances between readings, so that reading a place again is n
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from glissando import se3
 from glissando.calibration.rig import PARAMETERS, Rig, RigData
 from glissando.calibration.shape import shape_covariance
 from glissando.placed import states_at
@@ -63,13 +64,17 @@ class Model:
         return self.readings(rig).residual(self.states(rig)).ravel()
 
     def jacobian(self, rig: Rig) -> Array:
-        """Slopes (M·5, 17) of the residual by the rig's parameters.
+        """Slopes (M·5, 17) of the residual by the rig's parameters, were readings without noise.
 
-        Those of the shape by arclength and time are found once and carried on by the chain rule;
-        all are central differences.
+        Noise would turn the coil's axes this way and that, and pass for bends that show what is
+        not to be seen. Slopes of the shape by arclength and time are found once and carried on by
+        the chain rule; all are central differences.
         """
         arclength, time = self.where(rig)
-        here, states = self.readings(rig), self._states(arclength, time)
+        states = self._states(arclength, time)
+        said = se3.inverse(rig.T_wt) @ states.pose @ rig.coil_mount
+        ideal = replace(self, data=replace(self.data, coil=said))
+        here = ideal.readings(rig)
         ends = [
             self._states(*self._inside(arclength + ds, time + dt))
             for ds, dt in _NUDGE * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
@@ -82,7 +87,7 @@ class Model:
         columns = []
         for nudge in _NUDGE * np.eye(len(PARAMETERS)):
             ahead, behind = (rig.moved(sign * nudge) for sign in (1.0, -1.0))
-            moved = self.readings(ahead), self.readings(behind)
+            moved = ideal.readings(ahead), ideal.readings(behind)
             change = moved[0].residual(states) - moved[1].residual(states)
             change += by_place * (moved[0].arclength - moved[1].arclength)[:, None]
             change += by_time * (moved[0].time - moved[1].time)[:, None]

@@ -10,6 +10,7 @@ import numpy as np
 from glissando import se3
 from glissando.calibration.rig import RigData
 from glissando.estimate import estimate
+from glissando.grid import Grid
 from glissando.kinematic import KinematicPrior
 from glissando.points import sort_points
 from glissando.posterior import Posterior
@@ -20,6 +21,7 @@ from glissando.separable import SeparablePrior
 from glissando.slabs import factor
 
 _FINE, _MARGIN = 0.03, 1e-3  # m: between nodes where the coil slides, and of its reach
+_MOVES = 3.0  # standard deviations of its noise by which a body that moves does so
 _ANYWHERE = 1.0  # m² and rad²: a base that bodies place
 
 
@@ -40,12 +42,35 @@ def body_readings(data: RigData) -> list[PoseReadings]:
 
 
 def shape_of(data: RigData, robot: Robot) -> Posterior:
-    """The posterior of shape and motion given motion capture alone."""
+    """The posterior of shape and motion given motion capture alone.
+
+    A robot that keeps still has one shape at one time: a motion that is fitted to noise would be
+    believed to tell the time.
+    """
     readings = body_readings(data)
-    start = min(float(r.time[0]) for r in readings)
-    stop = max(float(r.time[-1]) for r in readings)
+    start, stop = span(data)
     grid = replace(robot, arclength_nodes=_nodes(data, robot)).grid(start, stop)
+    if keeps_still(data):
+        middle = np.array([0.5 * (start + stop)])
+        grid = Grid(grid.arclength, middle)
+        readings = [r.changed(time=np.repeat(middle, len(r))) for r in readings]
     return estimate(_loose(robot, data), grid, readings)
+
+
+def span(data: RigData) -> tuple[float, float]:
+    """First and last time at which motion capture saw a body."""
+    times = [b.time for b in data.bodies.values()]
+    return min(float(t[0]) for t in times), max(float(t[-1]) for t in times)
+
+
+def keeps_still(data: RigData) -> bool:
+    """Whether no body moves by much more than the noise of motion capture."""
+    std = np.repeat(data.noise.mocap, 3)
+    for body in data.bodies.values():
+        moved = se3.log(se3.inverse(body.poses[len(body.poses) // 2]) @ body.poses) / std
+        if np.sqrt(np.mean(np.var(moved, axis=0))) > _MOVES:
+            return False
+    return True
 
 
 def _nodes(data: RigData, robot: Robot) -> Array:
