@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 from glissando import __version__
 from glissando.commands import (
+    calibrate,
     check,
     design,
     doctor,
@@ -30,7 +31,7 @@ from glissando.simulate import NoShapeError
 
 _COMMANDS = (
     *(estimate, check, learn, replay, simulate, plan, design, study, view, report),
-    *(record, importing, exporting, doctor, reproduce),
+    *(record, calibrate, importing, exporting, doctor, reproduce),
 )
 
 

@@ -1,0 +1,203 @@
+"""Rigs on the simulated bench: what their devices say, each on a clock of its own."""
+
+import json
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+
+from glissando import se3
+from glissando.calibration import Body, Noise, Rig, RigData
+from glissando.robot import load_robot, robot_file
+from glissando.sessions import INTEGER, NUMBER, SessionWriter, numbers, schema
+from glissando.simulate import SlidePath, Tendon
+from glissando.simulate.bench import Actuation, load_bench
+from glissando.simulate.tracker import coil_rows, mocap_rows
+
+DURATION = 15.0  # s
+CLEAN = {"mocap": 1.5e-4, "mocap_angle": 1.5e-3, "registration": 0.0, "registration_angle": 0.0}
+FAIR = {"bias": 2e-4, "bias_angle": 2e-3, "play": 1e-4, "backlash": 1e-4}  # a good lab
+
+
+def bench(**flaws):
+    """The shipped bench with four tendons, so that it bends every way."""
+    made = load_bench(robot_file("sliding700"))
+    ways = 5e-3 * np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])
+    tendons = tuple(Tendon(way, 0.7, 0.0) for way in ways)
+    given = replace(made.flaws, **{**CLEAN, "roll": "true", **flaws})
+    return replace(made, tendons=tendons, flaws=given)
+
+
+SHAPES = {
+    "straight": np.zeros((1, 4)),
+    "bent": np.array([[10.0, 4.0, 0.0, 0.0]]),
+    "waving": np.array([[5, 0, 0, 0], [0, 5, 0, 0], [0, 0, 5, 0], [0, 0, 0, 5], [3, 3, 0, 0.0]]),
+}
+
+
+@cache
+def motion(shape="waving", seed=0):
+    """The motion of a robot with a set of its own; slow to solve, so kept."""
+    made = bench()
+    tensions = SHAPES[shape]
+    time = np.linspace(0.0, DURATION, len(tensions)) if len(tensions) > 1 else np.zeros(1)
+    flaws = replace(made.flaws, set_curvature=0.3)
+    return made.move(Actuation(time, tensions, np.zeros(3)), flaws, seed)
+
+
+def truth(rng, T_wt, direction):
+    return Rig(
+        T_wt,
+        direction,
+        0.7 - 0.005 * rng.uniform() if direction < 0 else 0.63 + 0.005 * rng.uniform(),
+        DURATION / 2,
+        np.r_[5e-4, 5e-4, 0.01, 0.01] * rng.standard_normal(4),
+        1.0 + 5e-3 * rng.standard_normal(),
+        FAIR["backlash"],
+        np.r_[rng.uniform(-0.3, 0.3), 1e-4 * rng.standard_normal()],
+        np.r_[rng.uniform(-0.3, 0.3), 1e-4 * rng.standard_normal()],
+    )
+
+
+def at_epoch(rig, epoch):
+    """The same rig with its clocks' delays as of another epoch."""
+    later = epoch - rig.epoch
+    clocks = {
+        name: np.array([clock[0] + clock[1] * later, clock[1]])
+        for name in ("tracker_clock", "slide_clock")
+        for clock in [getattr(rig, name)]
+    }
+    return replace(rig, epoch=epoch, **clocks)
+
+
+def path_of(kind):
+    """Three cycles at one speed, two speeds (which tells a late clock from play), or none."""
+    limits = bench().slide
+    if kind == "none":
+        return SlidePath.hold(0.03, DURATION, limits)
+    if kind == "even":
+        return SlidePath.oscillate(3, 0.06, limits)
+    time = [0.0, 2.75, 5.5, 9.25, 13.0, 15.0]
+    return SlidePath.waypoints(time, [0.0, 0.06, 0.0, 0.03, 0.0, 0.035], limits)
+
+
+def stamps(time, clock, epoch):
+    """What a device's clock says at true times: late by delay + rate · (stamp − epoch)."""
+    return epoch + (time - epoch + clock[0]) / (1.0 - clock[1])
+
+
+def drawn(seed, shape="waving", *, sliding="two speeds", direction=None, motions=3, **flaws):
+    """Data of a rig and the truth about it."""
+    rng = np.random.default_rng([seed, 7])
+    made = bench(**{**FAIR, **flaws})
+    direction = int(rng.choice([-1, 1])) if direction is None else direction
+    T_wt = made.tracker @ se3.exp(0.3 * rng.standard_normal(6))
+    known = truth(rng, T_wt, direction)
+    rods = motion(shape, seed % motions)
+    path = path_of(sliding)
+    # the simulated coil goes from the tip to the base; what the encoder says is up to the rig
+    where = _Displaced(path, known)
+    time = np.arange(0.0, DURATION, 1.0 / 40.0) + rng.uniform(0.0, 0.02)
+    time = time[time < DURATION]
+    coil = coil_rows(rods, where, time, 0.0, T_wt, made.flaws, rng)
+    x, y, tilt_x, tilt_y = known.mount
+    roll = rng.uniform(-np.pi, np.pi)
+    mount = se3.exp(np.r_[x, y, 0, tilt_x, tilt_y, 0]) @ se3.exp(np.r_[0, 0, 0, 0, 0, roll])
+    places = {"base": 0.0, "middle": 0.34, "near": 0.58, "tip": 0.7}
+    bodies = {}
+    for name, s in places.items():
+        when = np.arange(0.0, DURATION + 1e-9, 1.0 / 20.0)
+        rows = mocap_rows(rods, s, when, made.flaws, rng)
+        marker = se3.exp(0.02 * rng.standard_normal(6))
+        bodies[name] = Body(s, marker, rows.time, rows.values @ marker)
+    slide = np.arange(0.0, DURATION + 1e-9, 0.02)
+    noise = Noise(
+        mocap=np.array([made.flaws.mocap, made.flaws.mocap_angle]) / np.sqrt(3.0),
+        coil=np.array([made.flaws.jitter / np.sqrt(3.0), made.flaws.jitter_angle / np.sqrt(2.0)]),
+        bias=np.array([made.flaws.bias / np.sqrt(3.0), made.flaws.bias_angle / np.sqrt(2.0), 0.1]),
+        play=np.array([max(made.flaws.play, 1e-6), 0.075]),
+        backlash=1e-4,
+    )
+    data = RigData(
+        coil_name="coil",
+        coil_time=stamps(coil.time, known.tracker_clock, known.epoch),
+        coil=coil.values @ mount,
+        slide_time=stamps(slide, known.slide_clock, known.epoch),
+        travel=path.at(slide),
+        bodies=bodies,
+        coil_arclength=0.7 if direction < 0 else 0.63,
+        coil_arclength_std=0.005,
+        direction=0,
+        noise=noise,
+    )
+    return data, known
+
+
+class _Displaced:
+    """The simulated coil's displacement from the tip for what the rig's encoder says."""
+
+    def __init__(self, path, known):
+        self.path, self.known = path, known
+
+    def at(self, time):
+        place = self.known.zero + self.known.direction * self.known.lead * self.path.at(time)
+        return 0.7 - place
+
+
+def robot(time_rate=3.0):
+    """The shipped robot as it is in these sessions: gentle bends, slow motions, little set."""
+    made = load_robot("sliding700")
+    scales = {
+        "psd_strain_arclength": 0.03,
+        "psd_strain_time": 0.03,
+        "psd_velocity_time": 0.1,
+        "psd_velocity_arclength": 0.1,
+    }
+    scaled = {name: scale * getattr(made.prior, name) for name, scale in scales.items()}
+    return replace(made, prior=replace(made.prior, **scaled), time_rate=time_rate)
+
+
+POSE = {"time": NUMBER, "position": numbers(3), "quaternion": numbers(4), "frame": INTEGER}
+
+
+def write(path, data, *, without=(), setup=None):
+    """A raw session log of a rig's data; missing poses are null."""
+    bodies = {
+        name: {
+            "arclength": b.arclength,
+            "position": b.mount[:3, 3].tolist(),
+            "quaternion": se3.quaternion(b.mount[:3, :3]).tolist(),
+        }
+        for name, b in data.bodies.items()
+    }
+    noise = data.noise
+    told = {
+        "robot": data.robot or "sliding700",
+        "coil_arclength": data.coil_arclength,
+        "coil_arclength_std": data.coil_arclength_std,
+        "direction": data.direction,
+        "bodies": bodies,
+        "mocap_std": noise.mocap.tolist(),
+        "coil_std": noise.coil.tolist(),
+        "coil_bias": noise.bias.tolist(),
+        "play": noise.play.tolist(),
+        "backlash": noise.backlash,
+    }
+    streams = {f"/tracker/{data.coil_name}": (data.coil_time, data.coil)}
+    streams |= {f"/mocap/{name}": (b.time, b.poses) for name, b in data.bodies.items()}
+    with SessionWriter(path, {"setup": json.dumps(told | (setup or {}))}) as log:
+        for topic, (time, poses) in streams.items():
+            if topic.split("/")[1] in without:
+                continue
+            log.add_topic(topic, schema("Pose", **POSE))
+            quaternion = se3.quaternion(poses[:, :3, :3])
+            for k, (t, pose, q) in enumerate(zip(time, poses, quaternion, strict=True)):
+                row = {"frame": k, "time": t, "position": pose[:3, 3], "quaternion": q}
+                log.write(topic, row, k)
+                lost = {"frame": k, "time": t, "position": None, "quaternion": None}
+                log.write(topic, lost if k % 7 == 0 else row, k)  # nothing seen, or polled again
+        if "slide" not in without:
+            log.add_topic("/slide", schema("Slide", time=NUMBER, travel=NUMBER))
+            for k, (t, x) in enumerate(zip(data.slide_time, data.travel, strict=True)):
+                log.write("/slide", {"time": t, "tick": t, "travel": x, "speed": 0.0}, k)
+    return path
