@@ -5,6 +5,7 @@
 """
 
 import argparse
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -27,7 +28,8 @@ REPORTED_ON = (
 )  # window, and position (mm) and rotation (deg) of the reference implementation
 LEARN = (
     "glissando learn {data}/slow_free_space --window 0 45 --robot tdcr466-segments "
-    "--truth vicon0,vicon1,vicon2,vicon3,vicon4 --calibrate --out learned.toml"
+    "--truth vicon0,vicon1,vicon2,vicon3,vicon4 --calibrate "
+    "--only 'strain arclength,jumps,spread' --steps 15 --out learned.toml"
 )
 ESTIMATE = (
     "glissando estimate {data}/fast_contact --window 10 20 --robot learned.toml "
@@ -105,7 +107,8 @@ def main():
         sys.exit(f"{options.data} does not hold the public recordings.")
     robot = options.robot
     if options.learn:
-        words = LEARN.format(data=options.data).replace("learned.toml", str(options.learn)).split()
+        words = LEARN.format(data=options.data).replace("learned.toml", str(options.learn))
+        words = shlex.split(words)
         subprocess.run([sys.executable, "-m", *words], check=True)
         robot = options.learn
     print(page(options.data, robot))
