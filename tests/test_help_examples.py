@@ -45,6 +45,7 @@ RUNS = {  # what must stand in the line that is run, and what makes it quick; or
     "view": ("view results --recording my_recording", ""),
     "report": ("report results/fixed", ""),
     "record": "its devices take as long as real ones: tests/test_rig.py runs it",
+    "calibrate": "it wants a recorded session: tests/test_rig.py runs it",
     "import": ("take3.csv --rate", ""),
     "export": ("--out tip.tum", ""),
     "doctor": ("--json", ""),

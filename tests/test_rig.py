@@ -132,6 +132,25 @@ WHAT = ("position", "rotation")
 
 
 @pytest.mark.slow
+def test_recorded_calibrated_estimated_the_frame_is_found_and_the_shape_as_good(tmp_path, capsys):
+    folder, made = tmp_path / "session", tmp_path / "calibrated"
+    call = ["--simulate", "--shape", "C-to-S", "--cycles", "3", "--out", str(folder)]
+    assert cli.main(["record", *call]) == 0
+    call = ["--out", str(tmp_path / "rig.toml"), "--recording", str(made), "--json"]
+    capsys.readouterr()
+    assert cli.main(["calibrate", str(folder), *call]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["direction"] == -1
+    truth = load_bench(robot_file("sliding700")).tracker[:3, 3]
+    for name, true in (("zero", 0.70), *zip(("frame x", "frame y", "frame z"), truth, strict=True)):
+        of = found["values"][name]
+        assert abs(of["value"] - true) < 4.0 * of["std"] + 1e-4, name
+    known, calibrated = judged(load_recording(folder)), judged(load_recording(made))
+    print("frame known", known, "calibrated", calibrated)
+    assert np.all(calibrated < 1.2 * known)
+
+
+@pytest.mark.slow
 def test_killed_in_mid_session_it_keeps_all_but_the_last_second(tmp_path):
     folder = tmp_path / "session"
     with recorded(folder) as process:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,7 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from glissando import se3
 from glissando.errors import RecordingError
+from glissando.folders import new_folder
 from glissando.readings import Readings
 from glissando.robot import Robot, load_robot, shipped_robots
 from glissando.se3 import Array
@@ -23,7 +26,7 @@ from glissando.sensors import (
     PositionReadings,
     StrainReadings,
 )
-from glissando.streams import TRUTH_KINDS, Rows, clean, read_named, read_public
+from glissando.streams import TRUTH_KINDS, Rows, clean, read_named, read_public, write_named
 from glissando.tables import Table, read_toml
 
 _TRUTH_STD = 1e-6  # noise of a truth stream that states none: negligible against any posterior
@@ -145,6 +148,28 @@ def load_recording(folder: str | Path) -> Recording:
         rows, truth = read_public(file)
         streams[file.stem] = Stream(file.stem, rows, truth, None, np.eye(4), {})
     return Recording(folder.resolve().name, folder, streams, _fitting_robot(streams), None)
+
+
+def save_recording(recording: Recording, folder: Path, robot: str = "") -> None:
+    """Write streams as they are, in the world frame, into a new folder that is a recording.
+
+    `robot` is a shipped robot's name or a robot file's path. Raises RecordingError when the folder
+    holds something.
+    """
+    with new_folder(folder, RecordingError) as building:
+        head = [f"name = {json.dumps(recording.name)}"]
+        lines = [*head, *([f"robot = {json.dumps(robot)}"] if robot else [])]
+        for stream in recording.streams.values():
+            write_named(building / f"{stream.name}.csv", stream.rows)
+            lines += ["", "[[streams]]", f"name = {json.dumps(stream.name)}"]
+            lines += [f'kind = "{stream.rows.kind}"', f"truth = {json.dumps(stream.truth)}"]
+            lines += [f"keep_repeats = {json.dumps(stream.keep_repeats)}"]
+            lines += [] if stream.std is None else [f"std = {stream.std.tolist()}"]
+            lines += [f"{key} = {value.tolist()}" for key, value in stream.extra.items()]
+            quaternion = se3.quaternion(stream.mount[:3, :3]).tolist()
+            lines += ["[streams.mount]", f"position = {stream.mount[:3, 3].tolist()}"]
+            lines += [f"quaternion = {quaternion}"]
+        (building / "recording.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def _fitting_robot(streams: dict[str, Stream]) -> Robot | None:

@@ -12,9 +12,12 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from glissando.calibration import Calibration, RigData, calibrate, rig_data
+from glissando.calibration import Calibration, RigData, apply, calibrate, rig_data
 from glissando.commands.shared import Commands, add_command, require_writable
-from glissando.errors import RobotFileError
+from glissando.dataset import save_recording
+from glissando.errors import RecordingError, RobotFileError
+from glissando.folders import require_new
+from glissando.rig.capture import LOG
 from glissando.robot import Robot, load_robot, shipped_robots
 from glissando.sessions import read_session
 
@@ -29,7 +32,8 @@ is said, with the motion that would.
 """
 _EXAMPLES = """\
 examples:
-  glissando calibrate session.mcap --out rig.toml
+  glissando calibrate session --out rig.toml --recording calibrated
+  glissando estimate calibrated --out results
   glissando calibrate session.mcap --robot my_robot.toml --out rig.toml --json
 
 exit status: 0 done, whatever the warnings; 2 something given was wrong.
@@ -43,18 +47,29 @@ def add_to(commands: Commands) -> None:
     texts = _HELP, _EXAMPLES
     parser = add_command(commands, "calibrate", "find clocks, frames and zeros", texts, _calibrate)
     add = parser.add_argument
-    add("session", type=Path, metavar="SESSION", help="raw session log, .mcap")
+    given = "folder that `record` wrote, or its raw log, .mcap"
+    add("session", type=Path, metavar="SESSION", help=given)
     robots = ", ".join(shipped_robots())
     add("--robot", metavar="FILE|NAME", help=f"robot file, or one of {robots}")
     add("--out", type=Path, metavar="FILE", required=True, help="TOML file to write")
+    made = "also write the session as a recording that is right, to estimate"
+    add("--recording", type=Path, metavar="DIR", help=made)
     add("--json", action="store_true", help="print one JSON object and nothing else")
 
 
 def _calibrate(options: argparse.Namespace) -> int:
     require_writable(options.out.parent)
+    if options.session.is_dir():
+        options.session = options.session / LOG
+    if options.recording:
+        require_new(options.recording, RecordingError)
     data = rig_data(read_session(options.session))
-    found = calibrate(data, _robot(options, data))
+    robot = _robot(options, data)
+    found = calibrate(data, robot)
     found.save(options.out)
+    if options.recording:
+        name = options.robot or data.robot
+        save_recording(apply(found, data, robot), options.recording, name)
     if options.json:
         print(json.dumps(as_json(found)))
         return 0
@@ -64,7 +79,8 @@ def _calibrate(options: argparse.Namespace) -> int:
         console.print(_fits(found))
     for sentence in found.warnings:
         console.print(f"! {sentence}", markup=False)
-    console.print(f"Wrote {options.out}", markup=False)
+    also = f" and {options.recording}" if options.recording else ""
+    console.print(f"Wrote {options.out}{also}", markup=False)
     return 0
 
 
