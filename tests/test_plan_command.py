@@ -16,9 +16,12 @@ def run(*arguments):
 
 def test_a_planned_path_is_written_and_simulated_as_planned(tmp_path, capsys):
     out, made = tmp_path / "plan", tmp_path / "made"
-    assert run("plan", "--zone", "0.5:0.6", "--horizon", 4, "--start", 0.69, "--out", out) == 0
+    asked = ("--zone", "0.5:0.6", "--horizon", 4, "--start", 0.69)
+    assert run("plan", *asked, "--animate", "--out", out) == 0
     assert "variance against" in capsys.readouterr().out
-    assert sorted(p.name for p in out.iterdir()) == ["path.csv", "plan.json", "plan.png"]
+    assert sorted(p.name for p in out.iterdir()) == [
+        *("path.csv", "plan.gif", "plan.json", "plan.png")
+    ]
     paths = json.loads((out / "plan.json").read_text())["paths"]
     assert paths["planned"]["std"] < min(paths["oscillating"]["std"], paths["fixed"]["std"])
     table = np.genfromtxt(out / "path.csv", delimiter=",", names=True)

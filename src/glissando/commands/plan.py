@@ -74,6 +74,7 @@ def add_to(commands: Commands) -> None:
     add("--wear", type=float, default=0.0, metavar="S²", help="weight of the mean square speed")
     add("--seed", type=int, default=0, metavar="N", help="of random starts (default 0)")
     add("--out", type=Path, metavar="DIR", help="write path.csv, plan.json and plan.png here")
+    add("--animate", action="store_true", help="also write plan.gif, the same in time, in DIR")
     add("--json", action="store_true", help="print one JSON object and nothing else")
 
 
@@ -116,6 +117,8 @@ def stage_of(options: argparse.Namespace) -> tuple[SlideLimits, float]:
 def _plan(options: argparse.Namespace) -> int:
     if options.out:
         require_writable(options.out)
+    elif options.animate:
+        raise GlissandoError("--animate writes into a folder: give --out DIR.")
     zones = [read_zone(text) for text in options.zone]
     objective = objective_named(options.objective, options.bound)
     robot = load_robot(options.robot)
@@ -146,7 +149,7 @@ def _plan(options: argparse.Namespace) -> int:
     else:
         Console().print(_table(options.objective, told))
     if options.out:
-        _write(options.out, plan, outlook, told, zones, report)
+        _write(options.out, plan, outlook, told, zones, report, animate=options.animate)
         print(f"Wrote {options.out / 'path.csv'}") if not options.json else None
     return 0
 
@@ -171,9 +174,11 @@ def _write(
     told: dict[str, Foretold],
     zones: list[Zone],
     report: dict[str, object],
+    *,
+    animate: bool,
 ) -> None:
-    """Write path.csv, plan.json and plan.png."""
-    from glissando.plan.figures import plan_figure
+    """Write path.csv, plan.json and plan.png, and plan.gif if asked."""
+    from glissando.plan.figures import plan_figure, save_plan_film
 
     folder.mkdir(parents=True, exist_ok=True)
     table = np.column_stack(plan.knots())
@@ -183,3 +188,5 @@ def _write(
     (folder / "plan.json").write_text(text + "\n", encoding="utf-8")
     drawn = {name: told[name].arclength for name in ("planned", "oscillating", "fixed")}
     plan_figure(outlook, drawn, zones).savefig(folder / "plan.png", dpi=150)
+    if animate:
+        save_plan_film(outlook, drawn, zones, folder / "plan.gif")

@@ -6,6 +6,7 @@ matplotlib is imported when a figure is asked for, not before.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 
 _MM = 1e3
 _PLACES, _TIMES = 60, 81  # points of a map along the body and in time
+_LINES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
 
 
 def plan_figure(outlook: Outlook, paths: Mapping[str, Array], zones: Sequence[Zone]) -> Figure:
@@ -29,15 +31,7 @@ def plan_figure(outlook: Outlook, paths: Mapping[str, Array], zones: Sequence[Zo
     Colour is the root of the total position variance, millimetres; white is the sensor's way, a
     dashed outline a zone. Raises GlissandoError without matplotlib.
     """
-    nodes = outlook.ahead.grid.arclength
-    place = np.linspace(nodes[0], nodes[-1], _PLACES)
-    time = np.linspace(outlook.start, outlook.last, _TIMES)
-    where, when = (grid.ravel() for grid in np.meshgrid(place, time, indexing="ij"))
-    maps = {}
-    for name, path in paths.items():
-        cov = outlook.told(path).cov_pose(where, when)
-        std = _MM * np.sqrt(np.einsum("zii->z", cov[:, :3, :3]))
-        maps[name] = std.reshape(_PLACES, _TIMES)
+    place, time, maps = _maps(outlook, paths)
     top = float(np.quantile(np.stack(list(maps.values())), 0.97))
     with _canvas(4.6 * len(maps) + 0.8, 4.8) as figure:
         row: Any = figure.subplots(1, len(maps), sharey=True, squeeze=False)[0]
@@ -57,6 +51,53 @@ def plan_figure(outlook: Outlook, paths: Mapping[str, Array], zones: Sequence[Zo
     return figure
 
 
+def _maps(outlook: Outlook, paths: Mapping[str, Array]) -> tuple[Array, Array, dict[str, Array]]:
+    """Arclengths (P,), times (T,) and foretold position deviations (P, T) in mm of each path."""
+    nodes = outlook.ahead.grid.arclength
+    place = np.linspace(nodes[0], nodes[-1], _PLACES)
+    time = np.linspace(outlook.start, outlook.last, _TIMES)
+    where, when = (grid.ravel() for grid in np.meshgrid(place, time, indexing="ij"))
+    maps = {}
+    for name, path in paths.items():
+        cov = outlook.told(path).cov_pose(where, when)
+        std = _MM * np.sqrt(np.einsum("zii->z", cov[:, :3, :3]))
+        maps[name] = std.reshape(_PLACES, _TIMES)
+    return place, time, maps
+
+
+def save_plan_film(
+    outlook: Outlook, paths: Mapping[str, Array], zones: Sequence[Zone], file: Path
+) -> None:
+    """Write a GIF: confidence along the body as time goes on, a line and a sensor each path.
+
+    Zones that count at the moment are shaded. Raises GlissandoError without matplotlib.
+    """
+    place, time, maps = _maps(outlook, paths)
+    top = float(np.quantile(np.stack(list(maps.values())), 0.97))
+    with _canvas(7.0, 4.2) as figure:
+        from matplotlib.animation import PillowWriter
+
+        axes: Any = figure.subplots()
+        writer = PillowWriter(fps=max(1, round(_TIMES / (outlook.last - outlook.start))))
+        with writer.saving(figure, file, dpi=90):
+            for k, now in enumerate(time):
+                axes.clear()
+                for zone in zones:
+                    during = zone.during(outlook.start, outlook.last)
+                    if during is not None and during[0] <= now <= during[1]:
+                        low, high = (float(end[0]) for end in zone.ends(np.array([now])))
+                        axes.axvspan(low * _MM, high * _MM, color="#E69F00", alpha=0.2, lw=0)
+                for (name, std), colour in zip(maps.items(), _LINES, strict=False):
+                    axes.plot(place * _MM, std[:, k], color=colour, label=name)
+                    at = float(np.interp(now, outlook.times, paths[name]))
+                    axes.plot(at * _MM, 0.02 * top, "^", color=colour, clip_on=False)
+                axes.set(xlim=place[[0, -1]] * _MM, ylim=(0.0, top), xlabel="arclength (mm)")
+                axes.set_ylabel("position standard deviation (mm)")
+                axes.set_title(f"{now - outlook.start:.1f} s", loc="left")
+                axes.legend(loc="upper left", ncols=len(maps))
+                writer.grab_frame()
+
+
 def _outline(axes: Any, zone: Zone, outlook: Outlook) -> None:
     during = zone.during(outlook.start, outlook.last)
     if during is None:
@@ -72,8 +113,7 @@ def design_figure(designs: Sequence[Design]) -> Figure:
     """Confidence of every design against what it costs; a line joins the best of each.
 
     A panel each for stroke, speed, rate and number of coils; large marks are worth what they cost.
-    Raises GlissandoError without
-    matplotlib.
+    Raises GlissandoError without matplotlib.
     """
     best = is_best(designs)
     std = _MM * np.array([d.std for d in designs])
