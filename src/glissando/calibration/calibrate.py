@@ -14,16 +14,24 @@ from glissando.calibration.model import ROWS, Model
 from glissando.calibration.refine import Found, innovations, refine
 from glissando.calibration.result import Calibration
 from glissando.calibration.rig import Rig, RigData
-from glissando.calibration.rough import LATEST, rough_start, slide_lag
+from glissando.calibration.rough import (
+    FEWEST,
+    LATEST,
+    agreeing,
+    rough_start,
+    slide_lag,
+    strays,
+)
 from glissando.calibration.shape import shape_of, span
 from glissando.errors import RecordingError
 from glissando.robot import Robot
 from glissando.se3 import Array
+from glissando.slabs import factor
 
 READINGS = 300  # of the coil that are used: more of them read the same places again
 _FIRST = 60  # of these that tell one direction from the other
-_FEWEST = 10  # with which anything can be found
 _OUTLIER = float(chi2.isf(1e-6, ROWS))  # squared innovation of a reading that is left out
+_WORST, _MOST_OUT = 0.1, 0.2  # of the largest square go at once, and of all readings at most
 _EDGE = 0.02  # s: readings so near an end of the recording may be beyond it
 _WAY = 1e-3  # m: a travel that is none
 _DOUBT = 3.0  # of log odds, below which a direction that is stated counts for more
@@ -44,10 +52,13 @@ def calibrate(data: RigData, robot: Robot, *, readings: int = READINGS) -> Calib
         told = notes + advice(data, cov, std)
         return Calibration(rig, cov, data.coil_name, np.inf, (), told)
     thin = data.thinned(readings)
-    model = Model(thin, shape_of(data, robot))
+    shape = shape_of(data, robot)
+    model = Model(thin, shape, factor(shape.system))
     best, expected, odds = _directed(model, expected, std)
-    found = refine(_inside(model, best), best, expected, std)
-    found, left_out = _without_outliers(found, expected, std)
+    model = _inside(model, best)
+    sound = replace(model, data=model.data.at(agreeing(model, best)))
+    found = _without_outliers(refine(sound, best, expected, std), expected, std)
+    left_out = model.data.coil_time.size - found.model.data.coil_time.size
     notes += _doubts(data, found, odds, left_out)
     told = notes + advice(data, found.cov, std)
     return Calibration(found.rig, found.cov, data.coil_name, odds, fits(found), told)
@@ -72,11 +83,13 @@ def _directed(model: Model, expected: Rig, std: Array) -> tuple[Rig, Rig, float]
     data = model.data
     lag = slide_lag(data) if data.slides else 0.0
     few = replace(model, data=data.thinned(_FIRST))
-    tried = []
-    for direction in (1, -1) if data.slides else (1,):
-        start = rough_start(few, replace(expected, direction=direction), lag)
-        about = replace(start, mount=np.zeros(4), zero=expected.zero)
-        tried.append((refine(few, start, about, std, rounds=1), about))
+    starts = [
+        rough_start(few, replace(expected, direction=direction), lag)
+        for direction in ((1, -1) if data.slides else (1,))
+    ]
+    better = min(starts, key=lambda rig: float(np.median(strays(few, rig))))
+    few = replace(few, data=few.data.at(agreeing(few, better)))
+    tried = [(refine(few, start, start, std, rounds=1), start) for start in starts]
     tried.sort(key=lambda each: -each[0].log_evidence)
     odds = tried[0][0].log_evidence - tried[-1][0].log_evidence if data.slides else np.inf
     odds = odds if not data.slides or np.ptp(data.travel) > _WAY else 0.0
@@ -98,24 +111,27 @@ def _inside(model: Model, rig: Rig) -> Model:
 
 def _enough(data: RigData, rows: NDArray[np.intp]) -> NDArray[np.intp]:
     """The rows. Raises RecordingError when they are too few."""
-    if rows.size < _FEWEST:
+    if rows.size < FEWEST:
         raise RecordingError(
             f"The tracker saw {data.coil_name!r} {rows.size} times while the other devices ran; "
-            f"calibration needs {_FEWEST} readings or more."
+            f"calibration needs {FEWEST} readings or more."
         )
     return rows
 
 
-def _without_outliers(found: Found, expected: Rig, std: Array) -> tuple[Found, int]:
-    """The rig found without readings that all others speak against, and how many those are."""
+def _without_outliers(found: Found, expected: Rig, std: Array) -> Found:
+    """The rig found without readings that all others speak against, a fifth of them at most.
+
+    The worst go first: they make their neighbours look bad.
+    """
     count = found.model.data.coil_time.size
-    for _ in range(3):
-        kept = np.flatnonzero(np.sum(innovations(found) ** 2, axis=1) < _OUTLIER)
-        if kept.size == found.model.data.coil_time.size or kept.size < 0.8 * count:
-            break
+    while True:
+        squares = np.sum(innovations(found) ** 2, axis=1)
+        kept = np.flatnonzero(squares <= max(_OUTLIER, _WORST * float(squares.max())))
+        if kept.size == squares.size or kept.size < (1.0 - _MOST_OUT) * count:
+            return found
         model = replace(found.model, data=found.model.data.at(kept))
         found = refine(model, found.rig, expected, std)
-    return found, count - found.model.data.coil_time.size
 
 
 def _doubts(data: RigData, found: Found, odds: float, left_out: int) -> tuple[str, ...]:

@@ -17,6 +17,7 @@ from glissando.placed import states_at
 from glissando.posterior import Posterior
 from glissando.se3 import Array
 from glissando.sensors import CoilReadings
+from glissando.slabs import Cholesky
 from glissando.state import State
 
 _NUDGE = 1e-6  # of every parameter, in SI units
@@ -25,10 +26,14 @@ ROWS = CoilReadings.rows
 
 @dataclass(frozen=True)
 class Model:
-    """A coil's readings `data`, in the order of time, against the `shape` of the robot."""
+    """A coil's readings `data`, in the order of time, against the `shape` of the robot.
+
+    `chol` is the factor of the shape's information.
+    """
 
     data: RigData
     shape: Posterior
+    chol: Cholesky
 
     def where(self, rig: Rig) -> tuple[Array, Array]:
         """Arclength and time (M,) of the readings, as far as the robot and its shape reach."""
@@ -99,7 +104,7 @@ class Model:
         readings, states, noise = self.readings(rig), self.states(rig), self.data.noise
         arclength, time = self.where(rig)
         by_state = readings.jacobian(states)
-        out = shape_covariance(self.shape, arclength, time, by_state)
+        out = shape_covariance(self.shape, self.chol, arclength, time, by_state)
         size = len(time) * ROWS
         out[np.arange(size), np.arange(size)] += np.tile(readings.cov.diagonal(), len(time))
         place = self.data.coil[:, :3, 3]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from glissando.calibration.model import ROWS, Model
 from glissando.calibration.rig import Rig, RigData
@@ -14,6 +15,10 @@ LATEST = 2.0  # s: how far clocks are looked for
 _STEP = 0.1  # s between delays that are tried
 _LAP = 0.1  # s over which speeds are taken
 _POINT, _AXIS = 1e-3, 1e-2  # m and rad: how roughly readings should agree
+_WEIGHT = np.repeat([_POINT, _AXIS], [3, ROWS - 3])
+_WILD = 8.0  # times as far as most
+FEWEST = 10
+"""Readings with which anything can be found."""
 
 
 def speeds(data: RigData) -> tuple[Array, Array]:
@@ -68,9 +73,29 @@ def registration(expected: Array, seen: Array) -> Array:
 def rough_start(model: Model, expected: Rig, lag: float) -> Rig:
     """The rig from which refinement starts, for the direction that is expected.
 
-    Every delay of the tracker's clock within LATEST is tried with the frame that suits it best.
+    Every delay of the tracker's clock within LATEST is tried with the frame that suits it best;
+    readings that disagree with what is found are left out, and it is tried again.
     """
-    weight = np.repeat([_POINT, _AXIS], [3, ROWS - 3])
+    best = _scan(model, expected, lag)
+    kept = agreeing(model, best)
+    if FEWEST < kept.size < model.data.coil_time.size:
+        best = _scan(replace(model, data=model.data.at(kept)), expected, lag)
+    return best
+
+
+def strays(model: Model, rig: Rig) -> Array:
+    """How far readings (M,) are from what the rig foretells, 1 being roughly as far as they may."""
+    off = model.residual(rig).reshape(-1, ROWS) / _WEIGHT
+    return np.asarray(np.linalg.norm(off, axis=1))
+
+
+def agreeing(model: Model, rig: Rig) -> NDArray[np.intp]:
+    """The readings that stray not much farther than most."""
+    off = strays(model, rig)
+    return np.flatnonzero(off <= _WILD * max(float(np.median(off)), 0.1))
+
+
+def _scan(model: Model, expected: Rig, lag: float) -> Rig:
     best, least = expected, np.inf
     for delay in np.arange(-LATEST, LATEST + 1e-9, _STEP):
         tracker, slide = np.array([delay, 0.0]), np.array([delay + lag, 0.0])
@@ -79,7 +104,7 @@ def rough_start(model: Model, expected: Rig, lag: float) -> Rig:
             rig = replace(rig, slide_clock=slide)
         states = model.states(rig)
         rig = replace(rig, T_wt=registration(states.pose, model.data.coil))
-        off = model.readings(rig).residual(states) / weight
+        off = model.readings(rig).residual(states) / _WEIGHT
         cost = float(np.mean(np.minimum(off**2, 25.0))) + 1e-6 * delay**2  # the nearest of equals
         if cost < least:
             best, least = rig, cost

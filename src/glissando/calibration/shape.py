@@ -18,7 +18,7 @@ from glissando.robot import Robot
 from glissando.se3 import Array
 from glissando.sensors import PoseReadings
 from glissando.separable import SeparablePrior
-from glissando.slabs import factor
+from glissando.slabs import Cholesky
 
 _FINE, _MARGIN = 0.03, 1e-3  # m: between nodes where the coil slides, and of its reach
 _MOVES = 3.0  # standard deviations of its noise by which a body that moves does so
@@ -108,17 +108,19 @@ def _loose(robot: Robot, data: RigData) -> KinematicPrior | SeparablePrior:
     T_sb = se3.inverse(prior.base_pose) @ rest[near]
     base_pose = body.poses[0] @ se3.inverse(body.mount) @ se3.inverse(T_sb)
     anywhere = np.full(6, _ANYWHERE)
-    if isinstance(prior, SeparablePrior):
+    if isinstance(prior, SeparablePrior):  # each has a base of its own type
         return replace(prior, base_pose=base_pose, base=replace(prior.base, pose=anywhere))
     return replace(prior, base_pose=base_pose, base=replace(prior.base, pose=anywhere))
 
 
-def shape_covariance(shape: Posterior, arclength: Array, time: Array, by_state: Array) -> Array:
+def shape_covariance(
+    shape: Posterior, chol: Cholesky, arclength: Array, time: Array, by_state: Array
+) -> Array:
     """Joint covariance (M·r, M·r) of by_state (M, r, 18) times the states' errors at points (M,).
 
-    Times must not decrease. Slabs a long time apart go together by a chain of gains, Cov(k, j) =
-    A_k Cov(k+1, j), which is run once from the last slab to the first. What nodes cannot tell is
-    added point by point (13).
+    Times must not decrease; `chol` is the factor of the shape's information. Slabs a long time
+    apart go together by a chain of gains, Cov(k, j) = A_k Cov(k+1, j), which is run once from the
+    last slab to the first. What nodes cannot tell is added point by point (13).
     """
     m, r, _ = by_state.shape
     width = shape.grid.arclength.size * shape.state.dof
@@ -136,16 +138,16 @@ def shape_covariance(shape: Posterior, arclength: Array, time: Array, by_state: 
                 touched[slab[i, c] - lower[row], row, :, columns] += slopes[i, c]
         mine = by_state[points.rows]
         own[points.rows] = mine @ at.cov @ np.swapaxes(mine, -1, -2)
-    out = _chained(shape, lower, touched)
+    out = _chained(shape, chol, lower, touched)
     for i in range(m):
         out[i * r : (i + 1) * r, i * r : (i + 1) * r] += own[i]
     return out
 
 
-def _chained(shape: Posterior, lower: Array, touched: Array) -> Array:
+def _chained(shape: Posterior, chol: Cholesky, lower: Array, touched: Array) -> Array:
     """Joint covariance (M·r, M·r) of rows (2, M, r, D) of slabs `lower` (M,) and the next."""
     _, m, r, width = touched.shape
-    chol, cov, cross = factor(shape.system), shape.marginals.cov, shape.marginals.cross
+    cov, cross = shape.marginals.cov, shape.marginals.cross
     out = np.zeros((m * r, m * r))
     done = m  # readings from here on are in `ahead`, the covariance of the next slab with them
     ahead = np.zeros((width, 0))
