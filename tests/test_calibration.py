@@ -28,7 +28,7 @@ from glissando.tables import Table
 
 SURE = 1e-4  # chance that a true law fails, each side
 SEEDS = 20
-READINGS = 100
+READINGS = 80
 ROBOT = rigs.robot(2.0)
 ZERO, DELAY, LATE_SLIDE = (PARAMETERS.index(p) for p in ("zero", "tracker delay", "slide delay"))
 

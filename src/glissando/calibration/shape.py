@@ -108,7 +108,8 @@ def _loose(robot: Robot, data: RigData) -> KinematicPrior | SeparablePrior:
     T_sb = se3.inverse(prior.base_pose) @ rest[near]
     base_pose = body.poses[0] @ se3.inverse(body.mount) @ se3.inverse(T_sb)
     anywhere = np.full(6, _ANYWHERE)
-    if isinstance(prior, SeparablePrior):  # each has a base of its own type
+    # the same for both, but each base is of its own type
+    if isinstance(prior, SeparablePrior):
         return replace(prior, base_pose=base_pose, base=replace(prior.base, pose=anywhere))
     return replace(prior, base_pose=base_pose, base=replace(prior.base, pose=anywhere))
 
