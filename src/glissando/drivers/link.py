@@ -9,7 +9,6 @@ import select
 import socket
 import time
 from collections.abc import Iterator
-from types import TracebackType
 from typing import Protocol
 from urllib.parse import urlsplit
 
@@ -115,12 +114,7 @@ class Link:
     def __enter__(self) -> Link:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        at: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     @contextlib.contextmanager
