@@ -10,7 +10,10 @@ import sys
 from pathlib import Path
 
 SECTIONS = ("invariance", "shapes", "nodes", "real_slide", "outliers", "real")
-OPTIONS = {"real_slide": ["--robot", "tdcr466-segments"]}
+OPTIONS = {  # learning takes some minutes and leaves its file in results/
+    "real_slide": ["--robot", "tdcr466-segments", "--twist", "0.01", "--periods", "1", "2"],
+    "real": ["--learn", "results/learned.toml"],
+}
 
 TEXT = """\
 # Is confidence true? Measured
@@ -53,9 +56,8 @@ truth that neither reads.
 {real}
 
 Nearer than published, and too sure. The errors that the confidence does not own to are those of the
-inner bodies while something touches the robot: without contact (`fast_contact`, 0 to 10 s) the same
-file is right. Slow motion in free space cannot teach what contact does; learn where the robot will
-work.
+inner bodies while something touches the robot. Slow motion in free space cannot teach what contact
+does; learn where the robot will work.
 """
 
 
