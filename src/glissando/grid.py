@@ -35,6 +35,10 @@ class Cells:
     step: Array
     offset: Array
 
+    def take(self, rows: Index) -> Cells:
+        """The cells of some of the points."""
+        return Cells(self.lower[rows], self.step[rows], self.offset[rows])
+
 
 def _locate(nodes: Array, values: Array) -> Cells:
     if nodes.size == 1:

@@ -199,7 +199,7 @@ def _interpolate(
     prior: KinematicPrior, grid: Grid, state: State, about: State, points: Points
 ) -> Interpolation:
     n_count = grid.arclength.size
-    s, t = grid.locate(points.arclength, points.time)
+    s, t = points.along, points.through
     on_node_s = s.lower + (s.offset >= s.step) * (s.step > 0.0)
     on_node_t = t.lower + (t.offset >= t.step) * (t.step > 0.0)
     flat = state.flatten()

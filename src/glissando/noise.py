@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from glissando.errors import SensorError
 from glissando.se3 import Array
+from glissando.twins import twin
 
 
 def covariance_matrix(given: ArrayLike, rows: int, what: str) -> Array:
@@ -41,12 +42,14 @@ def covariance_matrix(given: ArrayLike, rows: int, what: str) -> Array:
     return cov
 
 
+@twin
 def sqrt_information(cov: Array) -> Array:
     """W (…, r, r) with Wᵀ W = cov⁻¹, so that W @ residual is white."""
     whitener: Array = np.linalg.inv(np.linalg.cholesky(cov))
     return whitener
 
 
+@twin
 def pair_sqrt_information(cov: Array) -> Array:
     """W (…, 12, 12) with Wᵀ W = cov⁻¹ for a covariance whose last 6×6 block is diagonal.
 

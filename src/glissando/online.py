@@ -27,11 +27,12 @@ from glissando.readings import Readings
 from glissando.se3 import Array
 from glissando.state import DOF
 from glissando.threads import one_thread
+from glissando.twins import prepare
 from glissando.unknowns import Unknown, corrected
 from glissando.window import Window
 
 _RENEWED = 2  # intervals before the newest node that every update linearises again
-_TURN = 0.02  # rad: a step that turns the body by more is followed by another
+_MISS = 0.1  # standard deviations by which a step may miss before it is followed by another
 _MOST = 5  # steps an update
 _CLOSEST = 0.2  # of the last interval: no node is put nearer to the newest one to look ahead
 
@@ -41,8 +42,9 @@ class FixedLag:
 
     `unknowns` of the sensors are put right where they are known and estimated where they are not.
     A reading is refused when its innovation would come by chance once in 1 / `gate` times, unless
-    its stream has been refused for long. `window` 1 is a filter. Raises OutsideGridError for an
-    empty window.
+    its stream has been refused for long. `window` 1 is a filter. The first one ever made on a
+    machine takes half a minute where numba compiles for it. Raises OutsideGridError for an empty
+    window.
     """
 
     def __init__(
@@ -56,6 +58,7 @@ class FixedLag:
     ) -> None:
         if window < 1:
             raise OutsideGridError(f"A window of {window} time nodes is empty; give 1 or more.")
+        prepare()
         self.arclength = np.asarray(arclength, dtype=float)
         self.lag = window
         self.updates = self.restarts = 0
@@ -147,11 +150,7 @@ class FixedLag:
         for _ in range(_MOST):
             self._window.relinearize(first)
             self._window.solve(first, self._since(first))
-            steps = [
-                n.step[: self.arclength.size * n.state.dof] for n in self._window.nodes[first:]
-            ]
-            turns = [np.abs(s.reshape(self.arclength.size, -1)[:, 3:6]).max() for s in steps]
-            if max(turns) < _TURN:
+            if self._window.miss(first) < _MISS:
                 break
         for again in range(_MOST if fresh else 0):
             if not self._judged(first, fresh, first_look=not again):
@@ -193,10 +192,7 @@ class FixedLag:
         if not self._window.nodes:
             raise OutsideGridError("There is no estimate yet; call advance(time) first.")
         state, cov = self._window.newest()
-        n, dof = self.arclength.size, state.dof
-        blocks = cov[: n * dof, : n * dof].reshape(n, dof, n, dof)
-        own = np.einsum("ndne->nde", blocks)[:, :DOF, :DOF]
-        return Estimate(state.pose, state.strain, state.velocity, own)
+        return Estimate(state.pose, state.strain, state.velocity, cov[:, :DOF, :DOF])
 
     def posterior(self) -> Posterior:
         """The window as a posterior, to query, draw and save like any other."""

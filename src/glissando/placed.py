@@ -87,7 +87,10 @@ class PlacedReadings:
             for points in sort_points(self.grid, arclength[here], time[here]):
                 mine, rows = owner[here[points.rows]], row[here[points.rows]]
                 taken = [(j, rows[mine == j]) for j in np.unique(mine)]
-                split = [(int(j), at, readings[j].select(at)) for j, at in taken]
+                split = [
+                    (int(j), at, r if at.size == len(r := readings[j]) else r.select(at))
+                    for j, at in taken
+                ]
                 parts[i].append(_Part(points, split))
         return parts
 
@@ -109,11 +112,10 @@ class PlacedReadings:
 
     def _in_place(self, readings: Readings) -> Readings:
         """Readings where and when the unknowns say they were taken, as far as the grid reaches."""
-        grid = self.grid
-        stamped = readings
-        moving = any(u.moves for u, _ in self._of(readings))
-        # Twice, as a delay is that of the true time, which the first pass finds.
-        for _ in range(2 if moving else 0):
+        grid, stamped = self.grid, readings
+        if not any(u.moves for u, _ in self._of(readings)):
+            return readings
+        for _ in range(2):  # as a delay is that of the true time, which the first pass finds
             now, readings = self._now(readings.time), stamped
             for unknown, at in self._of(readings):
                 if unknown.moves:
@@ -212,7 +214,7 @@ class PlacedReadings:
 def _ways(readings: Readings, unknowns: Sequence[Unknown]) -> list[str]:
     """Which slopes of the state readings need: along arclength, along time."""
     kinds = {u.kind for u in unknowns}
-    ways = ["arclength"] if "slide" in kinds or np.any(readings.arclength_std > 0.0) else []
+    ways = ["arclength"] if "slide" in kinds or np.any(readings.arclength_std) else []
     return ways + ["time"] * ("delay" in kinds)
 
 

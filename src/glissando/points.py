@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from glissando.grid import Grid, Index
+from glissando.grid import Cells, Grid, Index
 from glissando.se3 import Array
 from glissando.state import State
 
@@ -43,11 +43,16 @@ class Interpolation:
 
 @dataclass(frozen=True)
 class Points:
-    """Points of a grid that touch equally many nodes; `rows` (M,) says which of the given ones."""
+    """Points of a grid that touch equally many nodes; `rows` (M,) says which of the given ones.
+
+    `along` and `through` are the cells they lie in, along arclength and through time.
+    """
 
     rows: Index
     arclength: Array
     time: Array
+    along: Cells
+    through: Cells
     inside_arclength: bool
     inside_time: bool
 
@@ -57,8 +62,10 @@ def sort_points(grid: Grid, arclength: Array, time: Array) -> Iterator[Points]:
     s, t = grid.locate(arclength, time)
     off_s = (s.offset > 0.0) & (s.offset < s.step)
     off_t = (t.offset > 0.0) & (t.offset < t.step)
+    part = 2 * off_s + off_t
     for inside_s in (False, True):
         for inside_t in (False, True):
-            rows = np.flatnonzero((off_s == inside_s) & (off_t == inside_t))
+            rows = np.flatnonzero(part == 2 * inside_s + inside_t)
             if rows.size:
-                yield Points(rows, arclength[rows], time[rows], inside_s, inside_t)
+                cells = s.take(rows), t.take(rows)
+                yield Points(rows, arclength[rows], time[rows], *cells, inside_s, inside_t)

@@ -7,7 +7,6 @@ checked. Every reading has its own time and arclength: sliding is the normal cas
 
 from __future__ import annotations
 
-from copy import copy
 from dataclasses import dataclass, field
 from typing import ClassVar, Self
 
@@ -106,6 +105,8 @@ class Readings:
 
     def select(self, rows: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Self:
         """The readings at `rows`, a mask, indices or a slice."""
+        if isinstance(rows, np.ndarray) and rows.dtype == bool and rows.all():
+            return self
         kept = {name: getattr(self, name)[rows] for name in (*_EACH, *self.per_reading)}
         for name, single in (("cov", 2), ("mount", 2), ("arclength_std", 0)):
             value = getattr(self, name)
@@ -114,9 +115,8 @@ class Readings:
 
     def changed(self, **fields: Array) -> Self:
         """The readings with other fields, taken to be sound: checking would cost more than use."""
-        out = copy(self)
-        for name, value in fields.items():
-            object.__setattr__(out, name, value)
+        out = object.__new__(type(self))
+        out.__dict__.update(self.__dict__, **fields)
         return out
 
     def joined(self, other: Self) -> Self:

@@ -209,7 +209,7 @@ class SeparablePrior:
         that of the whole process, Σ_s ⊗ P∞ + (K_s − Σ_s) ⊗ Σ_t with K_s the prior covariance of the
         cross-section, Σ_s and Σ_t what the bridges along arclength and along time leave.
         """
-        s, t = grid.locate(points.arclength, points.time)
+        s, t = points.along, points.through
         k = t.lower if points.inside_time else t.lower + (t.offset >= t.step) * (t.step > 0.0)
         n = s.lower if points.inside_arclength else s.lower + (s.offset >= s.step) * (s.step > 0.0)
         crossing = self._crossing(grid, about, k, s) if points.inside_arclength else None

@@ -15,6 +15,7 @@ from glissando import se3
 from glissando.se3 import Array
 from glissando.state import DOF, POSE, STRAIN, VELOCITY, State
 from glissando.transitions import Bridge
+from glissando.twins import twin
 
 
 @dataclass(frozen=True)
@@ -45,6 +46,7 @@ ARCLENGTH = Direction("arclength", STRAIN, VELOCITY, rigid=True)
 TIME = Direction("time", VELOCITY, STRAIN, rigid=False)
 
 
+@twin
 def pair_error(
     direction: Direction, start: State, end: State, step: Array
 ) -> tuple[Array, Array, Array]:
@@ -71,6 +73,7 @@ def pair_error(
     return error, j0, j1
 
 
+@twin
 def carried_error(direction: Direction, start: State, end: State) -> tuple[Array, Array, Array]:
     """Error (M, 6) of the carried field over a step and its Jacobians (M, 6, 18) at both ends.
 
@@ -91,6 +94,7 @@ def carried_error(direction: Direction, start: State, end: State) -> tuple[Array
     return field1 - ridden, j0, j1
 
 
+@twin
 def between(
     direction: Direction, start: State, end: State, step: Array, offset: Array, bridge: Bridge
 ) -> tuple[State, Array, Array, Array]:

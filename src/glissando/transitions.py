@@ -18,9 +18,10 @@ import numpy as np
 
 from glissando import se3
 from glissando.se3 import Array
+from glissando.twins import twin
 
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(6)
-_NODES, _WEIGHTS = 0.5 * (_NODES + 1.0), 0.5 * _WEIGHTS
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(6)
+NODES, WEIGHTS = 0.5 * (NODES + 1.0), 0.5 * WEIGHTS
 
 
 def symmetrize(matrix: Array) -> Array:
@@ -47,8 +48,8 @@ def _moments(rate: Array, step: Array, rigid: bool) -> tuple[Array, Array, Array
     powers of ad (M, 5, 6, 6).
     """
     q = np.sum(rate[..., 3:] ** 2, axis=-1)[..., None]
-    u = step[..., None] * _NODES
-    weight = (step[..., None] * _WEIGHTS)[..., None]
+    u = step[..., None] * NODES
+    weight = (step[..., None] * WEIGHTS)[..., None]
     lever = se3.right_jacobian_coefficients(q * u**2) * u[..., None] ** np.arange(1, 6)
     first = np.sum(weight * lever, axis=-2)
     second = np.swapaxes(weight * lever, -1, -2) @ lever
@@ -71,6 +72,7 @@ def _sandwich(moments: Array, powers: Array, psd: Array) -> Array:
     return left @ np.swapaxes(right, -1, -2)
 
 
+@twin
 def process_covariances(
     rate: Array,
     step: Array,
@@ -114,6 +116,7 @@ class Bridge:
     carried_cov: Array
 
 
+@twin
 def bridge(
     rate: Array,
     step: Array,

@@ -9,7 +9,7 @@ equation (20); Huang, Mourikis and Roumeliotis (2010) on first estimates.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import lapack
@@ -23,8 +23,8 @@ from glissando.prior import Prior
 from glissando.readings import Readings
 from glissando.se3 import Array
 from glissando.slabs import BlockTridiagonal, Marginals
-from glissando.state import State
-from glissando.sums import by_nodes
+from glissando.state import POSE, State
+from glissando.sweep import Layout, add_factors, squared_innovations
 from glissando.unknowns import Unknown, Unknowns
 
 
@@ -77,6 +77,10 @@ class Window:
         """Times (K,) of the nodes."""
         return np.array([node.time for node in self.nodes])
 
+    @property
+    def _layout(self) -> Layout:
+        return Layout(self.arclength.size, self.nodes[0].state.dof, self._extras.size)
+
     def grid(self, first: int = 0) -> Grid:
         """The grid of the nodes from `first` on."""
         before = self.nodes[first - 1].time if first else self.before
@@ -114,12 +118,13 @@ class Window:
         self.before = self.nodes.pop(0).time
         self._first = max(0, self._first - 1)
 
+    def free(self, first: int) -> list[Node]:
+        """The nodes after `first`, whose linearisation may move; the oldest too unless held."""
+        return self.nodes[first + (first > 0 or self.before is not None) :]
+
     def relinearize(self, first: int) -> None:
         """Linearise the nodes after `first` at their estimates; the oldest too unless held."""
-        moved = self.nodes[first + 1 :]
-        if first == 0 and self.before is None:
-            moved = self.nodes
-        for node in moved:
+        for node in self.free(first):
             node.state, node.extras = self._estimate(node)
             node.step = np.zeros_like(node.step)
 
@@ -135,51 +140,41 @@ class Window:
             solved = node.solved if ahead is None else node.solved - node.ahead @ ahead
             node.step = ahead = node.inverse.T @ solved
 
+    def miss(self, first: int) -> float:
+        """How far the last step may have missed, in standard deviations of the newest poses.
+
+        A step goes straight where motions curve: half its length times the largest angle by which
+        it turned any node that is linearised again.
+        """
+        n_count, dof = self._layout.nodes, self._layout.dof
+        free = np.array([node.step[: n_count * dof] for node in self.free(first)])
+        if not free.size:
+            return 0.0
+        variance = np.einsum("ij,ij->j", self.nodes[-1].inverse, self.nodes[-1].inverse)
+        length = np.abs(free[-1] / np.sqrt(variance[: n_count * dof])).reshape(n_count, dof)
+        turn = np.abs(free.reshape(-1, dof)[:, 3:6]).max()
+        return float(0.5 * turn * length[:, POSE].max())
+
     def _linearize(self, first: int, readings: Sequence[Readings]) -> None:
         nodes, grid = self.nodes[first:], self.grid(first)
         state = _stacked([node.state for node in nodes])
         values = np.array([node.extras for node in nodes])
         placed = PlacedReadings(grid, readings, self.unknowns, values, keep_all=True)
-        size = nodes[0].step.size
+        layout, size = self._layout, self._layout.size
         blocks = np.zeros((len(nodes), 2 * size, 2 * size))
         pulls = np.zeros((len(nodes), 2 * size))
         self._factors, self._first = [], first
         for i, times in enumerate(placed.blocks):
             for batch in self.prior.factors(grid, state, state, times):
-                self._add(batch, blocks, pulls)
+                add_factors(batch, layout, blocks, pulls)
             rows, batches = placed.rows(i), placed.factors(self.prior, state, state, i)
             for (stream, row), batch in zip(rows, batches, strict=True):
-                self._add(batch, blocks, pulls)
+                add_factors(batch, layout, blocks, pulls)
                 self._factors.append((stream, row, batch))
         if self._extras.size:
             self._chain(grid, values, blocks, pulls)
         for node, block, pull in zip(nodes, blocks, pulls, strict=True):
             node.block, node.pull = block, pull
-
-    def _add(self, batch: Factors, blocks: Array, pulls: Array) -> None:
-        """Add a batch of factors to the intervals they lie in."""
-        touched, hessian, pull = by_nodes(batch)
-        k, columns = self._places(batch, touched, len(blocks))
-        rows = k[:, None] * pulls.shape[1] + columns  # flat indices are several times faster
-        cells = rows[:, :, None] * pulls.shape[1] + columns[:, None, :]
-        np.add.at(blocks.reshape(-1), cells.ravel(), hessian.ravel())
-        np.subtract.at(pulls.reshape(-1), rows.ravel(), pull.ravel())
-
-    def _places(self, batch: Factors, touched: Index, count: int) -> tuple[Index, Index]:
-        """Interval (G,) of factors on nodes (G, c), and columns (G, q) of its block."""
-        n_count, size = self.arclength.size, self.nodes[0].step.size
-        slab, inner = np.divmod(touched, n_count)
-        k = slab[:, 0]
-        if batch.extras is not None:
-            k = np.minimum(k, max(count - 2, 0))
-        dofs = np.arange(batch.dofs.start, batch.dofs.stop)
-        first = (slab - k[:, None]) * size + inner * self.nodes[0].state.dof
-        columns = (first[:, :, None] + dofs).reshape(len(touched), -1)
-        if batch.extras is not None:
-            own = size - self._extras.size + np.arange(self._extras.size)
-            both = np.broadcast_to(np.append(own, own + size), (len(touched), 2 * own.size))
-            columns = np.concatenate([columns, both], axis=1)
-        return k, columns
 
     def _chain(self, grid: Grid, values: Array, blocks: Array, pulls: Array) -> None:
         """Add what ties unknowns of one time node to those of the next, and to what is expected."""
@@ -236,35 +231,32 @@ class Window:
         return Marginals(cov, cross)
 
     def judge(self, fresh: Sequence[Index]) -> list[Judged]:
-        """Squared innovations of the `fresh` rows of every stream, each against all the others.
-
-        A residual e at the solution that keeps the share S = 1 − J P Jᵀ of its variance stands for
-        the innovation S⁻¹ e, whose square in units of its covariance is eᵀ S⁻¹ e.
-        """
-        kept = [(j, rows, b) for j, rows, b in self._factors if np.any(np.isin(rows, fresh[j]))]
+        """Squared innovations of the `fresh` rows of every stream, each against all the others."""
+        kept = [
+            (stream, rows[mine], batch.take(mine))
+            for stream, rows, batch in self._factors
+            if np.any(mine := np.isin(rows, fresh[stream]))
+        ]
         if not kept:
             return []
-        marginals, out = self.marginals(self._first), []
-        steps = np.array([node.step for node in self.nodes[self._first :]])
+        n_count, count = self.arclength.size, len(self.nodes) - self._first
+        begin = min(int(batch.nodes.min()) // n_count for _, _, batch in kept)
+        begin = max(0, min(begin, count - 2))  # unknowns are those of an interval
+        marginals = self.marginals(self._first + begin)
+        steps = np.array([node.step for node in self.nodes[self._first + begin :]])
+        out = []
         for stream, rows, batch in kept:
-            mine = np.isin(rows, fresh[stream])
-            chosen = batch.take(mine)
-            k, columns = self._places(chosen, chosen.nodes, len(steps))
-            slab, column = np.divmod(columns + k[:, None] * steps.shape[1], steps.shape[1])
-            slab = np.minimum(slab, len(steps) - 1)  # unknowns after the last node have no weight
-            residual, jacobian = chosen.whitened(robust=False)
-            residual = residual + np.einsum("mrq,mq->mr", jacobian, steps[slab, column])
-            cov = marginals.joint(slab, column)
-            share = np.eye(residual.shape[1]) - jacobian @ cov @ np.swapaxes(jacobian, -1, -2)
-            share += 1e-9 * np.eye(residual.shape[1])
-            solved = np.linalg.solve(share, residual[..., None])[..., 0]
-            out.append(Judged(stream, rows[mine], np.sum(residual * solved, 1), residual.shape[1]))
+            batch = replace(batch, nodes=batch.nodes - begin * n_count)
+            nis = squared_innovations(batch, self._layout, steps, marginals)
+            out.append(Judged(stream, rows, nis, batch.terms.residual.shape[1]))
         return out
 
     def newest(self) -> tuple[State, Array]:
-        """Estimate (N,) of the newest node and its covariance (D, D)."""
-        inverse = self.nodes[-1].inverse
-        return self._estimate(self.nodes[-1])[0], inverse.T @ inverse
+        """Estimate (N,) at the newest time; covariance (N, dof, dof) of each node there."""
+        newest, layout = self.nodes[-1], self._layout
+        own = newest.inverse[:, : layout.nodes * layout.dof]
+        halves = np.ascontiguousarray(own.T).reshape(layout.nodes, layout.dof, -1)
+        return self._estimate(newest)[0], halves @ np.swapaxes(halves, 1, 2)
 
     def posterior(self) -> Posterior:
         """All that the window knows, as an estimate of a recording gives it."""

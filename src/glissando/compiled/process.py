@@ -1,0 +1,169 @@
+"""Noise of intervals, bridges, whitening: twins of transitions.py and noise.py."""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+
+from glissando.compiled.jit import jit
+from glissando.compiled.lie import adjoint_into, exp_into, right_jacobian_into
+from glissando.transitions import NODES, WEIGHTS
+
+
+@jit
+def matmul_into(a, b, out):
+    """The product a b, into `out`."""
+    for i in range(a.shape[0]):
+        for j in range(b.shape[1]):
+            out[i, j] = 0.0
+        for k in range(a.shape[1]):
+            for j in range(b.shape[1]):
+                out[i, j] += a[i, k] * b[k, j]
+
+
+@jit
+def whiten_into(cov, out):
+    """W with Wᵀ W = cov⁻¹, lower triangular: the inverse of the Cholesky factor."""
+    n = len(cov)
+    for j in range(n):
+        for i in range(j):
+            out[i, j] = 0.0
+        for i in range(j, n):
+            value = cov[i, j]
+            for k in range(j):
+                value -= out[i, k] * out[j, k]
+            if i == j:
+                if not value > 0.0:
+                    raise np.linalg.LinAlgError("Matrix is not positive definite")
+                out[j, j] = sqrt(value)
+            else:
+                out[i, j] = value / out[j, j]
+    for j in range(n):
+        out[j, j] = 1.0 / out[j, j]
+        for i in range(j + 1, n):
+            value = 0.0
+            for k in range(j, i):
+                value -= out[i, k] * out[k, j]
+            out[i, j] = value / out[i, i]
+
+
+@jit
+def process_into(rate, step, psd, carried_psd, jump, rigid, cov, carried):
+    """Noise of an interval; `cov` (12, 12) and `carried` (6, 6) are written."""
+    cov[:], carried[:] = 0.0, 0.0
+    x = np.empty(6)
+    lever, ride, pose = np.empty((6, 6)), np.empty((6, 6)), np.empty((4, 4))
+    for n in range(len(NODES)):
+        u, weight = step * NODES[n], step * WEIGHTS[n]
+        for i in range(6):
+            x[i] = u * rate[i]
+        right_jacobian_into(x, lever)
+        if rigid:
+            exp_into(-x, pose)
+            adjoint_into(pose, ride)
+        for i in range(6):
+            for j in range(6):
+                value = other = 0.0
+                for k in range(6):
+                    value += lever[i, k] * psd[k] * lever[j, k]
+                    other += ride[i, k] * carried_psd[k] * ride[j, k]
+                cov[i, j] += weight * u * u * value
+                cov[i, 6 + j] += weight * u * lever[i, j] * psd[j]
+                if rigid:
+                    carried[i, j] += weight * other
+    for i in range(6):
+        for j in range(6):
+            cov[6 + j, i] = cov[i, 6 + j]
+        cov[6 + i, 6 + i] = step * psd[i] + jump[i]
+        if not rigid:
+            carried[i, i] = step * carried_psd[i]
+
+
+@jit
+def process_covariances(rate, step, psd, carried_psd, jump, rigid):
+    """Noise (M, 12, 12) and (M, 6, 6) of intervals."""
+    cov, carried = np.empty((len(rate), 12, 12)), np.empty((len(rate), 6, 6))
+    for i in range(len(rate)):
+        process_into(rate[i], step[i], psd[i], carried_psd[i], jump[i], rigid, cov[i], carried[i])
+    return cov, carried
+
+
+@jit
+def _condition(near, cross, whole, root, half, gain, cov):
+    """Gain = crossᵀ whole⁻¹ and cov = near − gain cross."""
+    n = len(near)
+    whiten_into(whole, root)
+    matmul_into(root, cross, half)
+    for i in range(n):
+        for j in range(n):
+            left = given = 0.0
+            for k in range(n):
+                left += half[k, i] * half[k, j]
+                given += half[k, i] * root[k, j]
+            gain[i, j], cov[i, j] = given, near[i, j] - left
+
+
+@jit
+def bridge(rate, step, offset, psd, carried_psd, jump, rigid):
+    """What intervals know inside: gains and covariances of pair and carried."""
+    m = len(rate)
+    gain, cov = np.empty((m, 12, 12)), np.empty((m, 12, 12))
+    carried_gain, carried_cov = np.empty((m, 6, 6)), np.empty((m, 6, 6))
+    none, x, pose = np.zeros(6), np.empty(6), np.empty((4, 4))
+    phi, ride = np.eye(12), np.eye(6)
+    near, near6 = np.empty((12, 12)), np.empty((6, 6))
+    whole, whole6 = np.empty((12, 12)), np.empty((6, 6))
+    cross, cross6 = np.empty((12, 12)), np.empty((6, 6))
+    root, root6 = np.empty((12, 12)), np.empty((6, 6))
+    half, half6 = np.empty((12, 12)), np.empty((6, 6))
+    lever, turned = np.empty((6, 6)), np.empty((6, 6))
+    for i in range(m):
+        rest = step[i] - offset[i]
+        for j in range(6):
+            x[j] = rest * rate[i, j]
+        right_jacobian_into(x, lever)
+        exp_into(-x, pose)
+        adjoint_into(pose, turned)
+        for j in range(6):
+            for k in range(6):
+                phi[j, k], phi[j, 6 + k] = turned[j, k], rest * lever[j, k]
+        if rigid:
+            ride[:] = turned
+        process_into(rate[i], offset[i], psd[i], carried_psd[i], none, rigid, near, near6)
+        process_into(rate[i], step[i], psd[i], carried_psd[i], jump[i], rigid, whole, whole6)
+        matmul_into(phi, near, cross)
+        matmul_into(ride, near6, cross6)
+        _condition(near, cross, whole, root, half, gain[i], cov[i])
+        _condition(near6, cross6, whole6, root6, half6, carried_gain[i], carried_cov[i])
+    return gain, cov, carried_gain, carried_cov
+
+
+@jit
+def sqrt_information(cov):
+    """Whiteners (M, r, r) of covariances."""
+    out = np.empty(cov.shape)
+    for i in range(len(cov)):
+        whiten_into(cov[i], out[i])
+    return out
+
+
+@jit
+def pair_sqrt_information(cov):
+    """Whiteners (M, 12, 12) of covariances whose last block is diagonal."""
+    out = np.zeros(cov.shape)
+    corner, root = np.empty((6, 6)), np.empty((6, 6))
+    for n in range(len(cov)):
+        for i in range(6):
+            for j in range(6):
+                corner[i, j] = cov[n, i, j]
+                for k in range(6):
+                    corner[i, j] -= cov[n, i, 6 + k] * cov[n, j, 6 + k] / cov[n, 6 + k, 6 + k]
+        whiten_into(corner, root)
+        for i in range(6):
+            for j in range(6):
+                out[n, i, j] = root[i, j]
+                for k in range(6):
+                    out[n, i, 6 + j] -= root[i, k] * cov[n, k, 6 + j] / cov[n, 6 + j, 6 + j]
+            out[n, 6 + i, 6 + i] = 1.0 / sqrt(cov[n, 6 + i, 6 + i])
+    return out

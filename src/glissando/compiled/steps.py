@@ -1,0 +1,215 @@
+"""Errors of steps and the point between two nodes: twins of steps.py."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from glissando.compiled.jit import jit
+from glissando.compiled.lie import (
+    ad_into,
+    adjoint_back_into,
+    adjoint_into,
+    ahead_into,
+    compose_into,
+    exp_into,
+    log_into,
+    right_jacobian_into,
+    right_jacobian_inverse_into,
+    times_into,
+)
+from glissando.compiled.process import matmul_into
+
+
+@jit
+def _pair(start, end, rate0, rate1, step, error, back, pull, spread):
+    """Error (12,) of a step; its Jacobian is [back, pull; 0, −1] at the start, [spread, 0; 0, 1].
+
+    In the order [pose, rate]; the three blocks (6, 6) are written.
+    """
+    scaled, xi = np.empty(6), np.empty(6)
+    ahead, miss, pose = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
+    a, b = np.empty((6, 6)), np.empty((6, 6))
+    for i in range(6):
+        scaled[i] = step * rate0[i]
+    ahead_into(start, end, ahead)
+    exp_into(-scaled, pose)
+    compose_into(pose, ahead, miss)
+    log_into(miss, xi)
+    right_jacobian_inverse_into(xi, spread)
+    adjoint_back_into(ahead, a)
+    times_into(spread, a, back)
+    adjoint_back_into(miss, a)
+    times_into(spread, a, b)
+    right_jacobian_into(scaled, a)
+    times_into(b, a, pull)
+    for i in range(6):
+        error[i], error[6 + i] = xi[i], rate1[i] - rate0[i]
+        for j in range(6):
+            back[i, j] *= -1.0
+            pull[i, j] *= -step
+
+
+@jit
+def pair_error(start, end, rate0, rate1, step, at):
+    """Errors (M, 12) of pose and rate, Jacobians (M, 12, 18) at both ends."""
+    m = len(step)
+    error, j0, j1 = np.empty((m, 12)), np.zeros((m, 12, 18)), np.zeros((m, 12, 18))
+    back, pull, spread = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
+    for n in range(m):
+        _pair(start[n], end[n], rate0[n], rate1[n], step[n], error[n], back, pull, spread)
+        for i in range(6):
+            for j in range(6):
+                j0[n, i, j], j0[n, i, at + j], j1[n, i, j] = back[i, j], pull[i, j], spread[i, j]
+            j0[n, 6 + i, at + i], j1[n, 6 + i, at + i] = -1.0, 1.0
+    return error, j0, j1
+
+
+@jit
+def _ridden(ride, field, out):
+    for i in range(6):
+        out[i] = 0.0
+        for k in range(6):
+            out[i] += ride[i, k] * field[k]
+
+
+@jit
+def _carried(start, end, field0, field1, at, rigid, error, j0, j1):
+    """Error (6,) of the carried field and its Jacobians (6, 18), which are written."""
+    j0[:], j1[:] = 0.0, 0.0
+    for i in range(6):
+        j1[i, at + i] = 1.0
+        if not rigid:
+            j0[i, at + i], error[i] = -1.0, field1[i] - field0[i]
+    if not rigid:
+        return
+    pose, ride, curl, lean = np.empty((4, 4)), np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
+    ridden = np.empty(6)
+    ahead_into(end, start, pose)
+    adjoint_into(pose, ride)
+    _ridden(ride, field0, ridden)
+    ad_into(field0, curl)
+    times_into(ride, curl, lean)
+    ad_into(ridden, curl)
+    for i in range(6):
+        error[i] = field1[i] - ridden[i]
+        for j in range(6):
+            j0[i, j], j0[i, at + j], j1[i, j] = lean[i, j], -ride[i, j], -curl[i, j]
+
+
+@jit
+def carried_error(start, end, field0, field1, at, rigid):
+    """Errors (M, 6) of the carried field, Jacobians (M, 6, 18)."""
+    m = len(start)
+    error, j0, j1 = np.empty((m, 6)), np.empty((m, 6, 18)), np.empty((m, 6, 18))
+    for n in range(m):
+        _carried(start[n], end[n], field0[n], field1[n], at, rigid, error[n], j0[n], j1[n])
+    return error, j0, j1
+
+
+@jit
+def _spread_out(turn, cov, carried_cov, at, carried_at, left):
+    """Bridge covariance (18, 18) at a point whose pose is turned by `turn`, into zeros."""
+    half = np.zeros((6, 12))
+    for i in range(6):
+        for k in range(6):
+            for j in range(12):
+                half[i, j] += turn[i, k] * cov[k, j]
+    for i in range(6):
+        for j in range(6):
+            for k in range(6):
+                left[i, j] += half[i, k] * turn[j, k]
+            left[i, at + j] = left[at + j, i] = half[i, 6 + j]
+            left[at + i, at + j] = cov[6 + i, 6 + j]
+            left[carried_at + i, carried_at + j] = carried_cov[i, j]
+
+
+@jit
+def _lean(curl, at, rows):
+    """What rides turns with the pose at the point."""
+    for i in range(6):
+        for k in range(6):
+            for j in range(rows.shape[1]):
+                rows[at + i, j] += curl[i, k] * rows[k, j]
+
+
+@jit
+def between(
+    start, end, rate0, rate1, field0, field1, step, offset, gain, cov, carried_gain, carried_cov,
+    at, carried_at, rigid,
+):  # fmt: skip
+    """States between nodes, Jacobians (M, 18, 18) at both ends, bridge covariances."""
+    m = len(step)
+    pose, rate, field = np.empty((m, 4, 4)), np.empty((m, 6)), np.empty((m, 6))
+    j0, j1, left = np.zeros((m, 18, 18)), np.zeros((m, 18, 18)), np.zeros((m, 18, 18))
+    error, lost, delta, scaled = np.empty(12), np.empty(6), np.empty(12), np.empty(6)
+    back, pull, spread = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
+    e0, e1 = np.zeros((12, 18)), np.zeros((12, 18))
+    c0, c1 = np.empty((6, 18)), np.empty((6, 18))
+    d0, d1 = np.empty((12, 18)), np.empty((12, 18))
+    ahead, bend, there = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
+    turn, unbend, a, b = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
+    for n in range(m):
+        _pair(start[n], end[n], rate0[n], rate1[n], step[n], error, back, pull, spread)
+        for i in range(6):
+            for j in range(6):
+                e0[i, j], e0[i, at + j], e1[i, j] = back[i, j], pull[i, j], spread[i, j]
+            e0[6 + i, at + i], e1[6 + i, at + i] = -1.0, 1.0
+        _carried(start[n], end[n], field0[n], field1[n], carried_at, rigid, lost, c0, c1)
+        for i in range(12):
+            delta[i] = 0.0
+            for k in range(12):
+                delta[i] += gain[n, i, k] * error[k]
+        matmul_into(gain[n], e0, d0)
+        matmul_into(gain[n], e1, d1)
+        for i in range(6):
+            scaled[i] = offset[n] * rate0[n, i]
+        exp_into(scaled, ahead)
+        exp_into(delta[:6], bend)
+        compose_into(start[n], ahead, there)
+        compose_into(there, bend, pose[n])
+        right_jacobian_into(delta[:6], turn)
+        adjoint_back_into(bend, unbend)
+        adjoint_back_into(ahead, a)
+        times_into(unbend, a, back)
+        right_jacobian_into(scaled, a)
+        times_into(unbend, a, pull)
+        for i in range(6):
+            for k in range(6):
+                for j in range(18):
+                    j0[n, i, j] += turn[i, k] * d0[k, j]
+                    j1[n, i, j] += turn[i, k] * d1[k, j]
+                    j0[n, carried_at + i, j] += carried_gain[n, i, k] * c0[k, j]
+                    j1[n, carried_at + i, j] += carried_gain[n, i, k] * c1[k, j]
+            for j in range(6):
+                j0[n, i, j] += back[i, j]
+                j0[n, i, at + j] += offset[n] * pull[i, j]
+            for j in range(18):
+                j0[n, at + i, j] += d0[6 + i, j]
+                j1[n, at + i, j] += d1[6 + i, j]
+            j0[n, at + i, at + i] += 1.0
+            rate[n, i] = rate0[n, i] + delta[6 + i]
+            field[n, i] = 0.0
+            for k in range(6):
+                field[n, i] += carried_gain[n, i, k] * lost[k]
+        _spread_out(turn, cov[n], carried_cov[n], at, carried_at, left[n])
+        if not rigid:
+            for i in range(6):
+                field[n, i] += field0[n, i]
+                j0[n, carried_at + i, carried_at + i] += 1.0
+            continue
+        ahead_into(pose[n], start[n], there)
+        adjoint_into(there, a)
+        _ridden(a, field0[n], scaled)
+        ad_into(field0[n], b)
+        times_into(a, b, back)
+        for i in range(6):
+            field[n, i] += scaled[i]
+            for j in range(6):
+                j0[n, carried_at + i, j] -= back[i, j]
+                j0[n, carried_at + i, carried_at + j] += a[i, j]
+        ad_into(scaled, b)
+        _lean(b, carried_at, j0[n])
+        _lean(b, carried_at, j1[n])
+        _lean(b, carried_at, left[n])
+        _lean(b, carried_at, left[n].T)
+    return pose, rate, field, j0, j1, left

@@ -1,0 +1,82 @@
+"""Factors by the interval between time nodes they lie in: summed, and judged at a solution.
+
+A time node has D numbers, those of its N nodes and then E of unknowns; an interval has those of
+both its ends, 2 D.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from glissando.grid import Index
+from glissando.linear import Factors
+from glissando.se3 import Array
+from glissando.slabs import Marginals
+from glissando.sums import by_nodes
+from glissando.twins import twin
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How the D numbers of a time node are laid out: `nodes` · `dof`, then `extras`."""
+
+    nodes: int
+    dof: int
+    extras: int
+
+    @property
+    def size(self) -> int:
+        """How many numbers a time node has."""
+        return self.nodes * self.dof + self.extras
+
+    def places(self, batch: Factors, touched: Index, count: int) -> tuple[Index, Index]:
+        """Interval (G,) of factors on nodes (G, c), and columns (G, q) of its numbers.
+
+        The last of `count` time nodes begins an interval that has no end.
+        """
+        slab, inner = np.divmod(touched, self.nodes)
+        k = slab[:, 0]
+        if batch.extras is not None:
+            k = np.minimum(k, max(count - 2, 0))
+        dofs = np.arange(batch.dofs.start, batch.dofs.stop)
+        first = (slab - k[:, None]) * self.size + inner * self.dof
+        columns = (first[:, :, None] + dofs).reshape(len(touched), -1)
+        if batch.extras is not None:
+            own = self.nodes * self.dof + np.arange(self.extras)
+            both = np.append(own, own + self.size)
+            columns = np.hstack([columns, np.broadcast_to(both, (len(touched), both.size))])
+        return k, columns
+
+
+@twin
+def add_factors(batch: Factors, layout: Layout, blocks: Array, pulls: Array) -> None:
+    """Add Jᵀ J of a batch to `blocks` (K, 2 D, 2 D) of intervals, and −Jᵀ r to `pulls` (K, 2 D)."""
+    touched, hessian, pull = by_nodes(batch)
+    k, columns = layout.places(batch, touched, len(blocks))
+    rows = k[:, None] * pulls.shape[1] + columns  # flat indices are several times faster
+    cells = rows[:, :, None] * pulls.shape[1] + columns[:, None, :]
+    np.add.at(blocks.reshape(-1), cells.ravel(), hessian.ravel())
+    np.subtract.at(pulls.reshape(-1), rows.ravel(), pull.ravel())
+
+
+@twin
+def squared_innovations(
+    batch: Factors, layout: Layout, steps: Array, marginals: Marginals
+) -> Array:
+    """Squared innovations (M,) of a batch at a solution, each against all other factors.
+
+    `steps` (K, D) lead from where it is linearised to the solution, `marginals` are its
+    covariances. A residual e there that keeps the share S = 1 − J P Jᵀ of its variance stands for
+    the innovation S⁻¹ e, whose square in units of its covariance is eᵀ S⁻¹ e.
+    """
+    k, columns = layout.places(batch, batch.nodes, len(steps))
+    slab, column = np.divmod(columns + k[:, None] * layout.size, layout.size)
+    slab = np.minimum(slab, len(steps) - 1)  # unknowns after the last node have no weight
+    residual, jacobian = batch.whitened(robust=False)
+    residual = residual + np.einsum("mrq,mq->mr", jacobian, steps[slab, column])
+    cov = marginals.joint(slab, column)
+    share = np.eye(residual.shape[1]) - jacobian @ cov @ np.swapaxes(jacobian, -1, -2)
+    share += 1e-9 * np.eye(residual.shape[1])
+    return np.sum(residual * np.linalg.solve(share, residual[..., None])[..., 0], axis=1)

@@ -1,0 +1,215 @@
+"""Every compiled function does what its definition in numpy does, on any shape and any angle."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from glissando import compiled, se3
+from glissando.linear import Factors, Residuals
+from glissando.noise import GemanMcClure
+from glissando.slabs import Marginals
+from glissando.state import State
+from glissando.steps import ARCLENGTH, TIME
+from glissando.sweep import Layout
+from glissando.transitions import Bridge
+from glissando.twins import TWINS
+
+SHAPES = [(), (1,), (5,), (2, 3), (0,)]
+ANGLES = [0.0, 1e-9, 1e-3, 0.5, 1.2, 3.0, np.pi - 1e-9]
+
+
+def sixes(rng, lead, angle=None):
+    x = rng.standard_normal((*lead, 6))
+    if angle is not None:
+        x[..., 3:] *= angle / np.linalg.norm(x[..., 3:], axis=-1, keepdims=True)
+    return x
+
+
+def spd(rng, lead, n):
+    a = rng.standard_normal((*lead, n, n + 3))
+    return a @ np.swapaxes(a, -1, -2)
+
+
+def same(found, expected, tolerance=1e-9):
+    """Whether arrays, states, bridges and tuples of them agree in shape and number."""
+    if isinstance(expected, tuple):
+        assert len(found) == len(expected)
+        for mine, its in zip(found, expected, strict=True):
+            same(mine, its, tolerance)
+    elif isinstance(expected, State | Bridge):
+        for name, its in vars(expected).items():
+            if its is not None:
+                same(getattr(found, name), its, tolerance)
+    else:
+        assert found.shape == expected.shape
+        scale = 1.0 + np.abs(expected).max(initial=0.0)
+        np.testing.assert_allclose(found, expected, rtol=0.0, atol=tolerance * scale)
+
+
+def states(rng, lead):
+    pose = se3.exp(sixes(rng, lead, rng.uniform(0.0, 3.0)))
+    return State(pose, sixes(rng, lead), sixes(rng, lead))
+
+
+def intervals(rng, lead):
+    """Rates, steps, densities of the moving field and the carried, variances of jumps."""
+    psd, carried = rng.uniform(0.1, 2.0, (2, *lead, 6))
+    return sixes(rng, lead), rng.uniform(0.05, 0.4, lead), psd, carried, rng.uniform(0, 1, 6)
+
+
+def of_se3(name, needs_pose):
+    def arguments(rng, lead):
+        x = sixes(rng, lead, rng.choice(ANGLES))
+        return (se3.exp(x) if needs_pose else x,), {}
+
+    return name, arguments
+
+
+def slope(rng, lead):
+    return (sixes(rng, lead, rng.choice(ANGLES)), sixes(rng, lead)), {}
+
+
+def noise_of_intervals(rng, lead):
+    rate, step, psd, carried, jump = intervals(rng, lead)
+    return (rate, step, psd, carried), {"rigid": bool(rng.integers(2)), "jump": jump}
+
+
+def inside_intervals(rng, lead):
+    rate, step, psd, carried, jump = intervals(rng, lead)
+    return (rate, step, 0.3 * step, psd, carried, jump), {"rigid": bool(rng.integers(2))}
+
+
+def covariances(size):
+    def arguments(rng, lead):
+        cov = spd(rng, lead, size)
+        if size == 12:
+            cov[..., 6:, 6:] = 30.0 * np.eye(6)
+            cov[..., :6, :6] += 40.0 * np.eye(6)
+        return (cov,), {}
+
+    return arguments
+
+
+def steps(rng, lead):
+    direction = (ARCLENGTH, TIME)[rng.integers(2)]
+    return (direction, states(rng, lead), states(rng, lead), rng.uniform(0.01, 0.3, lead)), {}
+
+
+def carried(rng, lead):
+    return steps(rng, lead)[0][:3], {}
+
+
+def inside_steps(rng, lead):
+    (direction, start, end, step), _ = steps(rng, lead)
+    gains = rng.standard_normal((*lead, 12, 12)), rng.standard_normal((*lead, 6, 6))
+    bridge = Bridge(gains[0], spd(rng, lead, 12), gains[1], spd(rng, lead, 6))
+    return (direction, start, end, step, 0.4 * step, bridge), {}
+
+
+ARGUMENTS = dict(
+    of_se3(name, name in ("log", "inverse", "adjoint"))
+    for name in ("exp", "log", "inverse", "adjoint", "right_jacobian", "right_jacobian_inverse")
+) | {
+    "right_jacobian_slope": slope,
+    "process_covariances": noise_of_intervals,
+    "bridge": inside_intervals,
+    "sqrt_information": covariances(5),
+    "pair_sqrt_information": covariances(12),
+    "pair_error": steps,
+    "carried_error": carried,
+    "between": inside_steps,
+}
+
+
+def test_every_twin_is_tested_here():
+    assert set(TWINS) == {*ARGUMENTS, "add_factors", "squared_innovations"}
+
+
+@pytest.mark.parametrize("lead", SHAPES, ids=str)
+@pytest.mark.parametrize("name", ARGUMENTS)
+def test_a_compiled_function_agrees_with_its_definition(name, lead):
+    for seed in range(10):
+        given_, options = ARGUMENTS[name](np.random.default_rng(seed), lead)
+        same(getattr(compiled, name)(*given_, **options), TWINS[name](*given_, **options))
+
+
+@given(st.sampled_from([n for n in ARGUMENTS if n in vars(se3)]), st.integers(0, 2**32 - 1))
+@settings(max_examples=150, deadline=None)
+def test_motions_agree_at_any_angle(name, seed):
+    given_, _ = ARGUMENTS[name](np.random.default_rng(seed), (3,))
+    same(getattr(compiled, name)(*given_), TWINS[name](*given_))
+
+
+@pytest.mark.parametrize("name", ["sqrt_information", "pair_sqrt_information"])
+def test_both_refuse_what_is_no_covariance(name):
+    cov = np.broadcast_to(np.eye(12), (2, 12, 12)).copy()
+    cov[1, 0, 0] = -1.0
+    for function in (TWINS[name], getattr(compiled, name)):
+        with pytest.raises(np.linalg.LinAlgError):
+            function(cov)
+
+
+def batches(rng, layout, count, extras):
+    """Factors on one node, on neighbours along the robot, and on four corners of a cell."""
+    n = layout.nodes
+    for corners in ((0,), (0, 1), (0, 1, n, n + 1))[: 2 + (count > 1)]:
+        last = count - (corners[-1] >= n)
+        starts = np.array([k * n + i for k in range(last) for i in range(n - (len(corners) > 1))])
+        first = np.repeat(starts, 2)
+        m, r, dofs = first.size, 3, slice(2, 9)
+        jacobian = rng.standard_normal((m, r, len(corners), 7))
+        terms = Residuals(
+            rng.standard_normal((m, r)),
+            np.linalg.cholesky(spd(rng, (m,), r)),
+            GemanMcClure(2.0) if len(corners) == 2 else None,
+        )
+        shifts = rng.standard_normal((m, r, 2 * layout.extras)) if extras else None
+        yield Factors(first[:, None] + np.array(corners), dofs, jacobian, terms, shifts)
+
+
+@pytest.mark.parametrize("extras", [False, True])
+@pytest.mark.parametrize("count", [1, 3])
+def test_sums_over_intervals_agree(count, extras):
+    rng = np.random.default_rng(count)
+    layout = Layout(4, 18, 5)
+    for batch in batches(rng, layout, count, extras):
+        sums = []
+        for function in (TWINS["add_factors"], compiled.add_factors):
+            blocks = np.zeros((count, 2 * layout.size, 2 * layout.size))
+            pulls = np.zeros((count, 2 * layout.size))
+            function(batch, layout, blocks, pulls)
+            sums.append((blocks, pulls))
+        same(sums[1], sums[0])
+
+
+@pytest.mark.parametrize("extras", [False, True])
+@pytest.mark.parametrize("count", [1, 3])
+def test_innovations_agree(count, extras):
+    rng = np.random.default_rng(count)
+    layout = Layout(4, 18, 5)
+    cov = 1e-5 * spd(rng, (count,), layout.size)
+    cross = 1e-6 * rng.standard_normal((count - 1, layout.size, layout.size))
+    steps_ = rng.standard_normal((count, layout.size))
+    for batch in batches(rng, layout, count, extras):
+        given_ = batch, layout, steps_, Marginals(cov, cross)
+        found, expected = (
+            f(*given_) for f in (compiled.squared_innovations, TWINS["squared_innovations"])
+        )
+        np.testing.assert_allclose(found, expected, rtol=1e-8)
+
+
+def test_without_numba_the_definitions_are_used():
+    """In a process of its own, as the choice is made once."""
+    code = (
+        "import os; os.environ['GLISSANDO_COMPILED'] = '0'\n"
+        "import sys, numpy as np\n"
+        "from glissando import se3\n"
+        "print(se3.exp(np.full(6, 0.1))[0, 3])\n"
+        "assert 'numba' not in sys.modules"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert float(run.stdout) == pytest.approx(se3.exp(np.full(6, 0.1))[0, 3], abs=1e-15)
