@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from glissando import compiled, se3
 from glissando.linear import Factors, Residuals
 from glissando.noise import GemanMcClure
-from glissando.slabs import Marginals
 from glissando.state import State
 from glissando.steps import ARCLENGTH, TIME
 from glissando.sweep import Layout
@@ -94,17 +93,22 @@ def covariances(size):
     return arguments
 
 
-def steps(rng, lead):
-    direction = (ARCLENGTH, TIME)[rng.integers(2)]
-    return (direction, states(rng, lead), states(rng, lead), rng.uniform(0.01, 0.3, lead)), {}
+def weighted(rng, lead):
+    """Steps between any two of seven states, as many as `lead` has items."""
+    direction, m = (ARCLENGTH, TIME)[rng.integers(2)], int(np.prod(lead))
+    nodes, (step, weight) = rng.integers(7, size=(m, 2)), rng.uniform(0.01, 0.3, (2, m))
+    densities = tuple(rng.uniform(0.1, 2.0, (3, m, 6)))
+    return (direction, states(rng, (7,)), states(rng, (7,)), nodes, step, weight, densities), {}
 
 
-def carried(rng, lead):
-    return steps(rng, lead)[0][:3], {}
+def explained(rng, lead):
+    m = int(np.prod(lead))
+    return (rng.standard_normal((m, 4)), 0.05 * rng.standard_normal((m, 4, 20))), {}
 
 
 def inside_steps(rng, lead):
-    (direction, start, end, step), _ = steps(rng, lead)
+    direction = (ARCLENGTH, TIME)[rng.integers(2)]
+    start, end, step = states(rng, lead), states(rng, lead), rng.uniform(0.01, 0.3, lead)
     gains = rng.standard_normal((*lead, 12, 12)), rng.standard_normal((*lead, 6, 6))
     bridge = Bridge(gains[0], spd(rng, lead, 12), gains[1], spd(rng, lead, 6))
     return (direction, start, end, step, 0.4 * step, bridge), {}
@@ -119,14 +123,14 @@ ARGUMENTS = dict(
     "bridge": inside_intervals,
     "sqrt_information": covariances(5),
     "pair_sqrt_information": covariances(12),
-    "pair_error": steps,
-    "carried_error": carried,
+    "weighted_steps": weighted,
+    "squared_innovations": explained,
     "between": inside_steps,
 }
 
 
 def test_every_twin_is_tested_here():
-    assert set(TWINS) == {*ARGUMENTS, "add_factors", "squared_innovations"}
+    assert set(TWINS) == {*ARGUMENTS, "add_factors", "spread_out"}
 
 
 @pytest.mark.parametrize("lead", SHAPES, ids=str)
@@ -188,18 +192,12 @@ def test_sums_over_intervals_agree(count, extras):
 
 @pytest.mark.parametrize("extras", [False, True])
 @pytest.mark.parametrize("count", [1, 3])
-def test_innovations_agree(count, extras):
+def test_factors_spread_out_agree(count, extras):
     rng = np.random.default_rng(count)
     layout = Layout(4, 18, 5)
-    cov = 1e-5 * spd(rng, (count,), layout.size)
-    cross = 1e-6 * rng.standard_normal((count - 1, layout.size, layout.size))
-    steps_ = rng.standard_normal((count, layout.size))
     for batch in batches(rng, layout, count, extras):
-        given_ = batch, layout, steps_, Marginals(cov, cross)
-        found, expected = (
-            f(*given_) for f in (compiled.squared_innovations, TWINS["squared_innovations"])
-        )
-        np.testing.assert_allclose(found, expected, rtol=1e-8)
+        given_ = batch, layout, count
+        same(compiled.spread_out(*given_), TWINS["spread_out"](*given_))
 
 
 def test_without_numba_the_definitions_are_used():

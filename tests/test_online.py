@@ -279,4 +279,5 @@ def test_memory_does_not_grow_while_it_runs():
                 held.append(tracemalloc.get_traced_memory()[0])
     finally:
         tracemalloc.stop()
-    assert max(held[3:]) < 1.05 * max(held[:3])
+    half = len(held) // 2  # the least of each, as how much an update holds on to varies
+    assert min(held[half:]) < 1.05 * min(held[:half])

@@ -36,7 +36,7 @@ class Gate:
 
     def refuse(self, name: str, reason: str, rows: np.ndarray) -> np.ndarray:
         """Count the rows (M,) that are refused; returns those that are not."""
-        if np.any(rows):
+        if rows.any():
             self.dropped.setdefault(name, Counter())[reason] += int(rows.sum())
         return ~rows
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections import Counter
+
 import numpy as np
 
 from glissando.errors import SensorError
 from glissando.gate import Gate
 from glissando.readings import Readings
-from glissando.se3 import Array
 
 _AHEAD = 2.0  # s: stamps further ahead of the newest node are a clock's fault
 
@@ -29,47 +30,48 @@ class Inbox:
         Those off the robot, before the span, absurdly far after it, or there already are refused.
         Raises SensorError when the stream changed its kind.
         """
-        name, refuse = readings.label, self._gate.refuse
+        name = readings.label
         before = self._waiting.get(name, self.held.get(name))
         if before is not None and type(before) is not type(readings):
             raise SensorError(f"{name} was {type(before).__name__}; name each stream by itself.")
-        kept = np.ones(len(readings), dtype=bool)
-        kept &= refuse(name, "off the robot", kept & ~self._on_robot(readings))
+        slack, time, place = 1e-9 * self._length, readings.time, readings.arclength
+        faults = [("off the robot", (place < -slack) | (place > self._length + slack))]
         if span is not None:
-            kept &= refuse(name, "late", kept & (readings.time < span[0]))
-            kept &= refuse(name, "ahead", kept & (readings.time > span[1] + _AHEAD))
-        kept &= refuse(name, "repeated", kept & self._repeated(readings))
+            faults += [("late", time < span[0]), ("ahead", time > span[1] + _AHEAD)]
+        faults.append(("repeated", self._repeated(readings)))
+        kept = np.ones(len(readings), dtype=bool)
+        for reason, bad in faults:
+            kept &= self._gate.refuse(name, reason, kept & bad)
         readings = readings.select(kept)
         if len(readings):
             waiting = self._waiting.get(name)
             self._waiting[name] = readings if waiting is None else waiting.joined(readings)
 
-    def _on_robot(self, readings: Readings) -> np.ndarray:
-        slack = 1e-9 * self._length
-        reached = readings.arclength <= self._length + slack
-        return (readings.arclength >= -slack) & reached
-
     def _repeated(self, readings: Readings) -> np.ndarray:
         """Rows that have a stamp of before; at one moment a stream may read several places."""
-        seen = np.diff(np.column_stack([readings.time, readings.arclength]), axis=0, prepend=np.nan)
-        again = ~np.any(seen != 0.0, axis=1)
+        time, place = readings.time, readings.arclength
+        again = np.zeros(len(readings), dtype=bool)
+        again[1:] = (time[1:] == time[:-1]) & (place[1:] == place[:-1])
         for other in (self.held.get(readings.label), self._waiting.get(readings.label)):
-            if other is not None and len(other):
-                same = readings.time[:, None] == other.time
-                same &= readings.arclength[:, None] == other.arclength
-                again |= np.any(same, axis=1)
+            if other is not None and len(other) and time.min(initial=np.inf) <= other.time.max():
+                same = (time[:, None] == other.time) & (place[:, None] == other.arclength)
+                again |= same.any(axis=1)
         return again
 
-    def arrive(self, oldest: float, until: float) -> dict[str, Array]:
-        """Hold what waits up to a time; times of the new rows by stream."""
-        fresh = {}
+    def arrive(self, oldest: float, until: float) -> tuple[Counter[str], float]:
+        """Hold what waits up to a time; how many rows of each stream are new, and their earliest.
+
+        New rows are the last that are held of a stream.
+        """
+        fresh: Counter[str] = Counter()
+        earliest = np.inf
         for name, waiting in list(self._waiting.items()):
             due = waiting.time <= until
-            if not np.any(due):
+            if not due.any():
                 continue
             now = waiting.select(due)
             now = now.select(self._gate.refuse(name, "late", now.time < oldest))
-            if np.all(due):
+            if due.all():
                 del self._waiting[name]
             else:
                 self._waiting[name] = waiting.select(~due)
@@ -77,8 +79,8 @@ class Inbox:
                 continue
             held = self.held.get(name)
             self.held[name] = now if held is None or not len(held) else held.joined(now)
-            fresh[name] = now.time
-        return fresh
+            fresh[name], earliest = len(now), min(earliest, float(now.time.min()))
+        return fresh, earliest
 
     def since(self, begin: float) -> list[Readings]:
         """Held readings at and after a time, a stream each."""

@@ -23,6 +23,7 @@ from glissando.se3 import Array
 from glissando.state import DOF, POSE, STRAIN, VELOCITY, State, rest_state
 from glissando.steps import ARCLENGTH, TIME, Direction, between, carried_error, pair_error
 from glissando.transitions import bridge, process_covariances
+from glissando.twins import twin
 
 _POSE_STRAIN, _ALL = slice(0, 12), slice(0, DOF)
 
@@ -162,25 +163,15 @@ class KinematicPrior:
         step: Array,
         span: Array,
     ) -> Iterator[Factors]:
-        start, end = flat.take(ends[0]), flat.take(ends[1])
-        rates = direction.rate_of(about)
-        psd, carried_psd, jump = self.densities(
-            direction, grid.arclength, ends[0] % grid.arclength.size
+        nodes = np.stack(ends, axis=1)
+        densities = self.densities(direction, grid.arclength, ends[0] % grid.arclength.size)
+        found = weighted_steps(direction, flat, about, nodes, step, np.sqrt(span), densities)
+        dofs = (
+            (_POSE_STRAIN if direction is ARCLENGTH else _ALL),
+            _ALL if direction.rigid else STRAIN,
         )
-        middle = interval_strain(rates[ends[0]], rates[ends[1]], step, (psd, jump))
-        cov, carried_cov = process_covariances(
-            middle, step, psd, carried_psd, rigid=direction.rigid, jump=jump
-        )
-        nodes, weight = np.stack(ends, axis=1), np.sqrt(span)[:, None, None]
-        pair_dofs = _POSE_STRAIN if direction is ARCLENGTH else _ALL
-        carried_dofs = _ALL if direction.rigid else STRAIN
-        pair, carried = pair_sqrt_information(cov), sqrt_information(carried_cov)
-        for (error, j0, j1), dofs, whitener in (
-            (pair_error(direction, start, end, step), pair_dofs, pair),
-            (carried_error(direction, start, end), carried_dofs, carried),
-        ):
-            jacobian = np.stack([j0[..., dofs], j1[..., dofs]], axis=2)
-            yield Factors(nodes, dofs, jacobian, Residuals(error, weight * whitener))
+        for columns, (error, jacobian, info) in zip(dofs, found, strict=True):
+            yield Factors(nodes, columns, jacobian[..., columns], Residuals(error, info))
 
     def _base(self, spans: Array, flat: State, nodes: Index) -> Factors:
         assert self.base is not None
@@ -193,6 +184,36 @@ class KinematicPrior:
         density = np.concatenate([self.base.pose, self.base.strain, self.base.velocity])
         info = np.sqrt(spans)[:, None, None] * np.diag(1.0 / np.sqrt(density))
         return Factors(nodes, _ALL, jacobian, Residuals(residual, info))
+
+
+@twin
+def weighted_steps(
+    direction: Direction,
+    flat: State,
+    about: State,
+    nodes: Index,
+    step: Array,
+    weight: Array,
+    densities: tuple[Array, Array, Array],
+) -> tuple[tuple[Array, Array, Array], tuple[Array, Array, Array]]:
+    """Errors of steps between `nodes` (M, 2) of a list of states, of the pair and of the carried.
+
+    Each with Jacobian (M, r, 2, 18) and whitener (M, r, r), times `weight` (M,), which come from
+    the rates of `about` and the `densities` of the moving field, the carried and a jump (M, 6).
+    """
+    start, end = flat.take(nodes[:, 0]), flat.take(nodes[:, 1])
+    rates, (psd, carried_psd, jump) = direction.rate_of(about), densities
+    middle = interval_strain(rates[nodes[:, 0]], rates[nodes[:, 1]], step, (psd, jump))
+    cov, carried_cov = process_covariances(
+        middle, step, psd, carried_psd, rigid=direction.rigid, jump=jump
+    )
+    pair, carried = pair_error(direction, start, end, step), carried_error(direction, start, end)
+    whiteners = pair_sqrt_information(cov), sqrt_information(carried_cov)
+    first, second = (
+        (error, np.stack(jacobians, axis=2), weight[:, None, None] * whitener)
+        for (error, *jacobians), whitener in zip((pair, carried), whiteners, strict=True)
+    )
+    return first, second
 
 
 def _interpolate(
@@ -232,11 +253,14 @@ def _interpolate(
     psd, carried, jump = prior.densities(TIME, grid.arclength, s.lower)
     found = bridge(rate, t.step, t.offset, psd / span, carried / span, jump, rigid=False)
     at, j0, j1, cov = between(TIME, early.state, late.state, t.step, t.offset, found)
-    for jacobian, corner in ((j0, early), (j1, late)):
-        if points.inside_arclength:
+    if points.inside_arclength:
+        for jacobian, corner in ((j0, early), (j1, late)):
             cov = cov + jacobian @ corner.cov @ np.swapaxes(jacobian, -1, -2)
-    jacobian = np.concatenate([_chain(j0, early.jacobian), _chain(j1, late.jacobian)], axis=2)
-    return Interpolation(at, np.concatenate([early.nodes, late.nodes], axis=1), jacobian, cov)
+        j0, j1 = _chain(j0, early.jacobian), _chain(j1, late.jacobian)
+    else:  # both ends are nodes
+        j0, j1 = j0[:, :, None], j1[:, :, None]
+    nodes = np.concatenate([early.nodes, late.nodes], axis=1)
+    return Interpolation(at, nodes, np.concatenate([j0, j1], axis=2), cov)
 
 
 def _chain(outer: Array, inner: Array) -> Array:

@@ -19,19 +19,19 @@ from numpy.typing import ArrayLike
 from glissando.errors import NotConvergedWarning, OutsideGridError, UnobservableError
 from glissando.estimate import Options, estimate
 from glissando.gate import Gate
-from glissando.grid import Grid, Index
+from glissando.grid import Grid
 from glissando.inbox import Inbox
 from glissando.posterior import Estimate, Posterior
 from glissando.prior import Prior
 from glissando.readings import Readings
-from glissando.se3 import Array
 from glissando.state import DOF
 from glissando.threads import one_thread
 from glissando.twins import prepare
 from glissando.unknowns import Unknown, corrected
 from glissando.window import Window
 
-_RENEWED = 2  # intervals before the newest node that every update linearises again
+_RENEWED = 2  # intervals before the newest node that an update linearises again
+_CLOSE = 0.02  # standard deviations: where the last step missed by less, the newest alone will do
 _MISS = 0.1  # standard deviations by which a step may miss before it is followed by another
 _MOST = 5  # steps an update
 _CLOSEST = 0.2  # of the last interval: no node is put nearer to the newest one to look ahead
@@ -66,7 +66,7 @@ class FixedLag:
         self._window = Window(prior, self.arclength, unknowns)
         self._gate = Gate(gate)
         self._inbox = Inbox(float(self.arclength[-1]), self._gate)
-        self._started = False
+        self._started, self._missed = False, np.inf
 
     @property
     def time(self) -> float | None:
@@ -98,13 +98,13 @@ class FixedLag:
                 window.begin(time, window.prior.rest_state(at).take(0))
             elif time > window.nodes[-1].time:
                 window.append(time)
-            fresh = self._inbox.arrive(window.nodes[0].time, window.nodes[-1].time)
+            fresh, earliest = self._inbox.arrive(window.nodes[0].time, window.nodes[-1].time)
             if not fresh and time < window.nodes[-1].time:
                 return self.newest()
             if not self._started and fresh:
                 self._start()
-            first = max(0, len(window.nodes) - 1 - _RENEWED)
-            earliest = min((float(t.min()) for t in fresh.values()), default=np.inf)
+            renewed = _RENEWED if self._missed > _CLOSE else 1
+            first = max(0, len(window.nodes) - 1 - renewed)
             late = int(np.searchsorted(window.times, earliest, side="right")) - 1
             try:
                 self._update(max(0, min(first, late)), fresh)
@@ -145,12 +145,13 @@ class FixedLag:
             node.state, node.step = found.state.take(k), np.zeros_like(node.step)
         self._started = True
 
-    def _update(self, first: int, fresh: dict[str, Array]) -> None:
+    def _update(self, first: int, fresh: Counter[str]) -> None:
         """Solve from a node on, more than once if far; refuse what nothing else agrees with."""
         for _ in range(_MOST):
             self._window.relinearize(first)
             self._window.solve(first, self._since(first))
-            if self._window.miss(first) < _MISS:
+            self._missed = self._window.miss(first)
+            if self._missed < _MISS:
                 break
         for again in range(_MOST if fresh else 0):
             if not self._judged(first, fresh, first_look=not again):
@@ -161,18 +162,14 @@ class FixedLag:
         """Readings at and after a node, a stream each."""
         return self._inbox.since(self._window.nodes[first].time)
 
-    def _judged(self, first: int, fresh: dict[str, Array], *, first_look: bool) -> bool:
+    def _judged(self, first: int, fresh: Counter[str], *, first_look: bool) -> bool:
         """Refuse the new reading that fits the others least, if it is beyond belief.
 
         One at a time, as a wrong one makes its neighbours look wrong. Returns whether there was.
         """
         streams = self._since(first)
-        new: list[Index] = [
-            np.flatnonzero(np.isin(r.time, fresh[r.label]) if r.label in fresh else [])
-            for r in streams
-        ]
         worst = (1.0, "", 0.0, 0.0)
-        for judged in self._window.judge(new):
+        for judged in self._window.judge([len(r) - fresh[r.label] for r in streams]):
             stream = streams[judged.stream]
             if first_look:
                 self._gate.note(stream.label, judged.nis, judged.dof)
@@ -185,6 +182,7 @@ class FixedLag:
             return False
         self._gate.strike(name)
         self._inbox.discard(name, time, arclength)
+        fresh[name] -= 1
         return True
 
     def newest(self) -> Estimate:

@@ -61,9 +61,17 @@ class PlacedReadings:
         used = [u for u in unknowns if keep_all or any(r.name in u.streams for r in self._given)]
         self.unknowns = Unknowns(grid, used)
         self.values = self.unknowns.expected() if values is None else values
-        for r in self._given:
-            grid.require(r.arclength, r.time, r.label)
+        self._require_inside()
         self._parts = self._placed()
+
+    def _require_inside(self) -> None:
+        place, time = (
+            np.concatenate([np.zeros(0), *(getattr(r, name) for r in self._given)])
+            for name in ("arclength", "time")
+        )
+        if not self.grid.contains(place, time).all():
+            for r in self._given:
+                self.grid.require(r.arclength, r.time, r.label)
 
     @property
     def streams(self) -> list[tuple[int, Readings]]:

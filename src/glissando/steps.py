@@ -46,7 +46,6 @@ ARCLENGTH = Direction("arclength", STRAIN, VELOCITY, rigid=True)
 TIME = Direction("time", VELOCITY, STRAIN, rigid=False)
 
 
-@twin
 def pair_error(
     direction: Direction, start: State, end: State, step: Array
 ) -> tuple[Array, Array, Array]:
@@ -73,7 +72,6 @@ def pair_error(
     return error, j0, j1
 
 
-@twin
 def carried_error(direction: Direction, start: State, end: State) -> tuple[Array, Array, Array]:
     """Error (M, 6) of the carried field over a step and its Jacobians (M, 6, 18) at both ends.
 

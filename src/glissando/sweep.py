@@ -1,4 +1,4 @@
-"""Factors by the interval between time nodes they lie in: summed, and judged at a solution.
+"""Factors by the interval between time nodes they lie in: summed, spread out and judged.
 
 A time node has D numbers, those of its N nodes and then E of unknowns; an interval has those of
 both its ends, 2 D.
@@ -13,7 +13,6 @@ import numpy as np
 from glissando.grid import Index
 from glissando.linear import Factors
 from glissando.se3 import Array
-from glissando.slabs import Marginals
 from glissando.sums import by_nodes
 from glissando.twins import twin
 
@@ -62,21 +61,27 @@ def add_factors(batch: Factors, layout: Layout, blocks: Array, pulls: Array) -> 
 
 
 @twin
-def squared_innovations(
-    batch: Factors, layout: Layout, steps: Array, marginals: Marginals
-) -> Array:
-    """Squared innovations (M,) of a batch at a solution, each against all other factors.
+def spread_out(batch: Factors, layout: Layout, count: int) -> tuple[Array, Array]:
+    """Whitened residuals (M, r) and Jacobians (M, r, count · D) with respect to `count` time nodes.
 
-    `steps` (K, D) lead from where it is linearised to the solution, `marginals` are its
-    covariances. A residual e there that keeps the share S = 1 − J P Jᵀ of its variance stands for
-    the innovation S⁻¹ e, whose square in units of its covariance is eᵀ S⁻¹ e.
+    Not robustly weighted.
     """
-    k, columns = layout.places(batch, batch.nodes, len(steps))
-    slab, column = np.divmod(columns + k[:, None] * layout.size, layout.size)
-    slab = np.minimum(slab, len(steps) - 1)  # unknowns after the last node have no weight
+    k, columns = layout.places(batch, batch.nodes, count)
     residual, jacobian = batch.whitened(robust=False)
-    residual = residual + np.einsum("mrq,mq->mr", jacobian, steps[slab, column])
-    cov = marginals.joint(slab, column)
-    share = np.eye(residual.shape[1]) - jacobian @ cov @ np.swapaxes(jacobian, -1, -2)
-    share += 1e-9 * np.eye(residual.shape[1])
-    return np.sum(residual * np.linalg.solve(share, residual[..., None])[..., 0], axis=1)
+    m, r = residual.shape
+    out = np.zeros((m, r, (count + 1) * layout.size))  # one for unknowns after the last: no weight
+    at = (k[:, None] * layout.size + columns)[:, None]
+    np.put_along_axis(out, np.broadcast_to(at, jacobian.shape), jacobian, axis=2)
+    return residual, out[..., : count * layout.size]
+
+
+@twin
+def squared_innovations(residual: Array, known: Array) -> Array:
+    """Squared innovations (M,) of residuals at a solution, each against all other factors.
+
+    `residual` (M, r) is white with its own factor left out; of its unit covariance the solution
+    explains J P Jᵀ = Y Yᵀ, `known` being Y (M, r, …). A residual e that keeps a share S = 1 − Y Yᵀ
+    stands for the innovation S⁻¹ e, whose square in units of its covariance is eᵀ S⁻¹ e.
+    """
+    share = (1.0 + 1e-9) * np.eye(residual.shape[1]) - known @ np.swapaxes(known, 1, 2)
+    return np.einsum("mr,mr->m", residual, np.linalg.solve(share, residual[..., None])[..., 0])

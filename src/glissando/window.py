@@ -24,7 +24,7 @@ from glissando.readings import Readings
 from glissando.se3 import Array
 from glissando.slabs import BlockTridiagonal, Marginals
 from glissando.state import POSE, State
-from glissando.sweep import Layout, add_factors, squared_innovations
+from glissando.sweep import Layout, add_factors, spread_out, squared_innovations
 from glissando.unknowns import Unknown, Unknowns
 
 
@@ -230,25 +230,28 @@ class Window:
             cov[k] = 0.5 * (block + block.T)
         return Marginals(cov, cross)
 
-    def judge(self, fresh: Sequence[Index]) -> list[Judged]:
-        """Squared innovations of the `fresh` rows of every stream, each against all the others."""
+    def judge(self, fresh: Sequence[int]) -> list[Judged]:
+        """Squared innovations of each stream's rows from `fresh` on, each against all others."""
         kept = [
-            (stream, rows[mine], batch.take(mine))
+            (stream, rows[new], batch.take(new))
             for stream, rows, batch in self._factors
-            if np.any(mine := np.isin(rows, fresh[stream]))
+            if (new := rows >= fresh[stream]).any()
         ]
         if not kept:
             return []
-        n_count, count = self.arclength.size, len(self.nodes) - self._first
-        begin = min(int(batch.nodes.min()) // n_count for _, _, batch in kept)
-        begin = max(0, min(begin, count - 2))  # unknowns are those of an interval
-        marginals = self.marginals(self._first + begin)
-        steps = np.array([node.step for node in self.nodes[self._first + begin :]])
-        out = []
-        for stream, rows, batch in kept:
-            batch = replace(batch, nodes=batch.nodes - begin * n_count)
-            nis = squared_innovations(batch, self._layout, steps, marginals)
-            out.append(Judged(stream, rows, nis, batch.terms.residual.shape[1]))
+        n_count, all_nodes = self.arclength.size, self.nodes[self._first :]
+        begin = min(int(batch.nodes[:, 0].min()) for _, _, batch in kept) // n_count
+        begin = max(0, min(begin, len(all_nodes) - 2))  # unknowns are those of an interval
+        nodes, out, first = all_nodes[begin:], [], 0
+        steps = np.concatenate([node.step for node in nodes])
+        batches = (replace(batch, nodes=batch.nodes - begin * n_count) for _, _, batch in kept)
+        spread = [spread_out(batch, self._layout, len(nodes)) for batch in batches]
+        known = _forward(nodes, np.concatenate([j.reshape(-1, steps.size) for _, j in spread]))
+        for (stream, rows, _), (residual, jacobian) in zip(kept, spread, strict=True):
+            mine = known[first : first + residual.size].reshape(jacobian.shape)
+            nis = squared_innovations(residual + jacobian @ steps, mine)
+            out.append(Judged(stream, rows, nis, residual.shape[1]))
+            first += residual.size
         return out
 
     def newest(self) -> tuple[State, Array]:
@@ -280,3 +283,13 @@ def _stacked(states: Sequence[State]) -> State:
     """States (K, N) of K states (N,)."""
     fields = zip(*(state.fields() for state in states), strict=True)
     return State(*(np.array(field) for field in fields))
+
+
+def _forward(nodes: Sequence[Node], jacobian: Array) -> Array:
+    """Y (R, K · D) with J P Jᵀ = Y Yᵀ, by substitution through the last K nodes."""
+    rows = jacobian.reshape(-1, len(nodes), nodes[0].step.size)
+    out = np.empty_like(rows)
+    for k, node in enumerate(nodes):
+        row = rows[:, k] - out[:, k - 1] @ nodes[k - 1].ahead if k else rows[:, k]
+        out[:, k] = row @ node.inverse.T
+    return out.reshape(jacobian.shape)

@@ -15,9 +15,9 @@ from glissando.compiled import process
 from glissando.compiled import se3 as lie
 from glissando.compiled import steps as stepped
 from glissando.compiled import sweep as swept
+from glissando.grid import Index
 from glissando.linear import Factors, Residuals
 from glissando.se3 import Array
-from glissando.slabs import Marginals
 from glissando.state import State
 from glissando.steps import ARCLENGTH, Direction
 from glissando.sweep import Layout
@@ -47,8 +47,8 @@ def prepare() -> None:
     at, psd = State(pose, x, x), np.ones((1, 6))
     process_covariances(x, one, psd, psd, rigid=True)
     inside = bridge(x, one, 0.5 * one, psd, psd, rigid=True)
-    pair_error(ARCLENGTH, at, at, one)
-    carried_error(ARCLENGTH, at, at)
+    ends, densities = np.zeros((1, 2), np.intp), (psd, psd, psd)
+    weighted_steps(ARCLENGTH, at, at, ends, one, one, densities)
     between(ARCLENGTH, at, at, one, 0.5 * one, inside)
     batch = Factors(
         np.zeros((1, 1), np.intp),
@@ -58,8 +58,7 @@ def prepare() -> None:
     )
     layout, block = Layout(1, 6, 0), np.zeros((1, 12, 12))
     add_factors(batch, layout, block, block[0])
-    marginals = Marginals(block[:, :6, :6].copy(), block[:0, :6, :6].copy())
-    squared_innovations(batch, layout, x, marginals)
+    squared_innovations(*spread_out(batch, layout, 1))
 
 
 def exp(x: Array) -> Array:
@@ -151,24 +150,23 @@ def pair_sqrt_information(cov: Array) -> Array:
     return process.pair_sqrt_information(_items(cov, cov.shape[:-2], 12, 12)).reshape(cov.shape)
 
 
-def pair_error(
-    direction: Direction, start: State, end: State, step: Array
-) -> tuple[Array, Array, Array]:
-    """Twin of that in steps."""
-    lead = start.pose.shape[:-2]
-    poses = (_items(at.pose, lead, 4, 4) for at in (start, end))
-    rates = (_items(direction.rate_of(at), lead, 6) for at in (start, end))
-    error, j0, j1 = stepped.pair_error(*poses, *rates, _items(step, lead), direction.rate.start)
-    return error.reshape(*lead, 12), j0.reshape(*lead, 12, 18), j1.reshape(*lead, 12, 18)
-
-
-def carried_error(direction: Direction, start: State, end: State) -> tuple[Array, Array, Array]:
-    """Twin of that in steps."""
-    lead = start.pose.shape[:-2]
-    poses = (_items(at.pose, lead, 4, 4) for at in (start, end))
-    fields = (_items(direction.carried_of(at), lead, 6) for at in (start, end))
-    error, j0, j1 = stepped.carried_error(*poses, *fields, direction.carried.start, direction.rigid)
-    return error.reshape(*lead, 6), j0.reshape(*lead, 6, 18), j1.reshape(*lead, 6, 18)
+def weighted_steps(
+    direction: Direction,
+    flat: State,
+    about: State,
+    nodes: Index,
+    step: Array,
+    weight: Array,
+    densities: tuple[Array, Array, Array],
+) -> tuple[tuple[Array, Array, Array], tuple[Array, Array, Array]]:
+    """Twin of that in kinematic."""
+    fields = flat.pose, direction.rate_of(flat), direction.carried_of(flat)
+    spread = (_whole(each) for each in densities)
+    found = stepped.weighted_steps(
+        *map(_whole, fields), _whole(direction.rate_of(about)), _whole(nodes), _whole(step),
+        _whole(weight), *spread, direction.rate.start, direction.carried.start, direction.rigid,
+    )  # fmt: skip
+    return found[:3], found[3:]
 
 
 def between(
@@ -203,11 +201,12 @@ def add_factors(batch: Factors, layout: Layout, blocks: Array, pulls: Array) -> 
     swept.add_factors(*given, weights, extras, *shape, blocks, pulls)
 
 
-def squared_innovations(
-    batch: Factors, layout: Layout, steps: Array, marginals: Marginals
-) -> Array:
+def spread_out(batch: Factors, layout: Layout, count: int) -> tuple[Array, Array]:
     """Twin of that in sweep."""
     shape = layout.nodes, layout.dof, layout.size
-    return swept.squared_innovations(
-        *_factors(batch), *shape, steps, marginals.cov, marginals.cross
-    )
+    return swept.spread_out(*_factors(batch), *shape, count)
+
+
+def squared_innovations(residual: Array, known: Array) -> Array:
+    """Twin of that in sweep."""
+    return swept.squared_innovations(_whole(residual), _whole(known))

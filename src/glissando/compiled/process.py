@@ -149,21 +149,27 @@ def sqrt_information(cov):
 
 
 @jit
+def pair_whiten_into(cov, out):
+    """Whitener (12, 12) of a covariance whose last block is diagonal, into zeros."""
+    corner, root = np.empty((6, 6)), np.empty((6, 6))
+    for i in range(6):
+        for j in range(6):
+            corner[i, j] = cov[i, j]
+            for k in range(6):
+                corner[i, j] -= cov[i, 6 + k] * cov[j, 6 + k] / cov[6 + k, 6 + k]
+    whiten_into(corner, root)
+    for i in range(6):
+        for j in range(6):
+            out[i, j] = root[i, j]
+            for k in range(6):
+                out[i, 6 + j] -= root[i, k] * cov[k, 6 + j] / cov[6 + j, 6 + j]
+        out[6 + i, 6 + i] = 1.0 / sqrt(cov[6 + i, 6 + i])
+
+
+@jit
 def pair_sqrt_information(cov):
     """Whiteners (M, 12, 12) of covariances whose last block is diagonal."""
     out = np.zeros(cov.shape)
-    corner, root = np.empty((6, 6)), np.empty((6, 6))
     for n in range(len(cov)):
-        for i in range(6):
-            for j in range(6):
-                corner[i, j] = cov[n, i, j]
-                for k in range(6):
-                    corner[i, j] -= cov[n, i, 6 + k] * cov[n, j, 6 + k] / cov[n, 6 + k, 6 + k]
-        whiten_into(corner, root)
-        for i in range(6):
-            for j in range(6):
-                out[n, i, j] = root[i, j]
-                for k in range(6):
-                    out[n, i, 6 + j] -= root[i, k] * cov[n, k, 6 + j] / cov[n, 6 + j, 6 + j]
-            out[n, 6 + i, 6 + i] = 1.0 / sqrt(cov[n, 6 + i, 6 + i])
+        pair_whiten_into(cov[n], out[n])
     return out

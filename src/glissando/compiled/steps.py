@@ -17,7 +17,7 @@ from glissando.compiled.lie import (
     right_jacobian_inverse_into,
     times_into,
 )
-from glissando.compiled.process import matmul_into
+from glissando.compiled.process import matmul_into, pair_whiten_into, process_into, whiten_into
 
 
 @jit
@@ -47,21 +47,6 @@ def _pair(start, end, rate0, rate1, step, error, back, pull, spread):
         for j in range(6):
             back[i, j] *= -1.0
             pull[i, j] *= -step
-
-
-@jit
-def pair_error(start, end, rate0, rate1, step, at):
-    """Errors (M, 12) of pose and rate, Jacobians (M, 12, 18) at both ends."""
-    m = len(step)
-    error, j0, j1 = np.empty((m, 12)), np.zeros((m, 12, 18)), np.zeros((m, 12, 18))
-    back, pull, spread = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
-    for n in range(m):
-        _pair(start[n], end[n], rate0[n], rate1[n], step[n], error[n], back, pull, spread)
-        for i in range(6):
-            for j in range(6):
-                j0[n, i, j], j0[n, i, at + j], j1[n, i, j] = back[i, j], pull[i, j], spread[i, j]
-            j0[n, 6 + i, at + i], j1[n, 6 + i, at + i] = -1.0, 1.0
-    return error, j0, j1
 
 
 @jit
@@ -97,13 +82,40 @@ def _carried(start, end, field0, field1, at, rigid, error, j0, j1):
 
 
 @jit
-def carried_error(start, end, field0, field1, at, rigid):
-    """Errors (M, 6) of the carried field, Jacobians (M, 6, 18)."""
-    m = len(start)
-    error, j0, j1 = np.empty((m, 6)), np.empty((m, 6, 18)), np.empty((m, 6, 18))
+def weighted_steps(
+    pose, rates, fields, about, nodes, step, weight, psd, carried_psd, jump, at, carried_at, rigid
+):
+    """Errors of pair and carried, Jacobians (M, r, 2, 18) and whiteners (M, r, r)."""
+    m = len(step)
+    error, lost = np.empty((m, 12)), np.empty((m, 6))
+    slopes, lost_slopes = np.zeros((m, 12, 2, 18)), np.empty((m, 6, 2, 18))
+    info, lost_info = np.zeros((m, 12, 12)), np.empty((m, 6, 6))
+    back, pull, spread = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
+    c0, c1, middle = np.empty((6, 18)), np.empty((6, 18)), np.empty(6)
+    cov, carried_cov = np.empty((12, 12)), np.empty((6, 6))
     for n in range(m):
-        _carried(start[n], end[n], field0[n], field1[n], at, rigid, error[n], j0[n], j1[n])
-    return error, j0, j1
+        a, b, h = nodes[n, 0], nodes[n, 1], step[n]
+        _pair(pose[a], pose[b], rates[a], rates[b], h, error[n], back, pull, spread)
+        _carried(pose[a], pose[b], fields[a], fields[b], carried_at, rigid, lost[n], c0, c1)
+        for i in range(6):
+            for j in range(6):
+                slopes[n, i, 0, j], slopes[n, i, 0, at + j] = back[i, j], pull[i, j]
+                slopes[n, i, 1, j] = spread[i, j]
+            slopes[n, 6 + i, 0, at + i], slopes[n, 6 + i, 1, at + i] = -1.0, 1.0
+            for j in range(18):
+                lost_slopes[n, i, 0, j], lost_slopes[n, i, 1, j] = c0[i, j], c1[i, j]
+            share = 0.5 * h * psd[n, i] / (h * psd[n, i] + jump[n, i])
+            middle[i] = about[a, i] + share * (about[b, i] - about[a, i])
+        process_into(middle, h, psd[n], carried_psd[n], jump[n], rigid, cov, carried_cov)
+        pair_whiten_into(cov, info[n])
+        whiten_into(carried_cov, lost_info[n])
+        for i in range(12):
+            for j in range(12):
+                info[n, i, j] *= weight[n]
+        for i in range(6):
+            for j in range(6):
+                lost_info[n, i, j] *= weight[n]
+    return error, slopes, info, lost, lost_slopes, lost_info
 
 
 @jit

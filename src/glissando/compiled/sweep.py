@@ -63,35 +63,36 @@ def add_factors(
 
 
 @jit
-def squared_innovations(
-    nodes, first_dof, jacobian, residual, sqrt_info, extras, n_count, dof, size, steps, cov, cross
-):
-    """Squared innovations (M,) of a batch at a solution."""
+def spread_out(nodes, first_dof, jacobian, residual, sqrt_info, extras, n_count, dof, size, count):
+    """Whitened residuals (M, r) and Jacobians (M, r, count · D) with respect to all time nodes."""
     m, r, c, d = jacobian.shape
-    q, last = c * d + extras.shape[2], len(steps) - 1
-    columns, row, joint = np.empty(q, np.int64), np.empty((r, q)), np.empty((q, q))
-    out, x, slab = np.empty(m), np.empty(q), np.empty(q, np.int64)
+    q = c * d + extras.shape[2]
+    columns, row, white = np.empty(q, np.int64), np.empty((r, q)), np.empty((r, q))
+    out, miss = np.zeros((m, r, count * size)), np.empty((m, r))
     for i in range(m):
         k = _columns(
-            nodes[i], first_dof, d, extras.shape[2] // 2, n_count, dof, size, len(steps), columns
+            nodes[i], first_dof, d, extras.shape[2] // 2, n_count, dof, size, count, columns
         )
         _side_by_side(jacobian[i], extras[i], row)
+        np.dot(sqrt_info[i], row, white)
+        miss[i] = np.dot(sqrt_info[i], residual[i])
         for a in range(q):
-            later = columns[a] >= size
-            slab[a], columns[a] = min(k + later, last), columns[a] - later * size
-            x[a] = steps[slab[a], columns[a]]
-        for a in range(q):
-            ka, ca = slab[a], columns[a]
-            for b in range(q):
-                kb, cb = slab[b], columns[b]
-                if ka == kb:
-                    joint[a, b] = cov[ka, ca, cb]
-                elif ka < kb:
-                    joint[a, b] = cross[ka, ca, cb]
-                else:
-                    joint[a, b] = cross[kb, cb, ca]
-        white = np.dot(sqrt_info[i], row)
-        miss = np.dot(sqrt_info[i], residual[i]) + np.dot(white, x)
-        share = (1.0 + 1e-9) * np.eye(r) - np.dot(white, np.dot(joint, white.T))
-        out[i] = np.dot(miss, np.linalg.solve(share, miss))
+            at = k * size + columns[a]
+            if at < count * size:  # unknowns after the last node have no weight
+                for b in range(r):
+                    out[i, b, at] = white[b, a]
+    return miss, out
+
+
+@jit
+def squared_innovations(residual, known):
+    """Squared innovations (M,) of residuals (M, r) of which `known` (M, r, …) is explained."""
+    m, r = residual.shape
+    out, share = np.empty(m), np.empty((r, r))
+    for i in range(m):
+        np.dot(known[i], known[i].T, share)
+        for a in range(r):
+            for b in range(r):
+                share[a, b] = (1.0 + 1e-9) * (a == b) - share[a, b]
+        out[i] = np.dot(residual[i], np.linalg.solve(share, residual[i]))
     return out
