@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from glissando import compiled, se3
+from glissando.chains import Chains
 from glissando.linear import Factors, Residuals
 from glissando.noise import GemanMcClure
 from glissando.state import State
@@ -39,7 +41,7 @@ def same(found, expected, tolerance=1e-9):
         assert len(found) == len(expected)
         for mine, its in zip(found, expected, strict=True):
             same(mine, its, tolerance)
-    elif isinstance(expected, State | Bridge):
+    elif isinstance(expected, State | Bridge | Chains):
         for name, its in vars(expected).items():
             if its is not None:
                 same(getattr(found, name), its, tolerance)
@@ -101,6 +103,33 @@ def weighted(rng, lead):
     return (direction, states(rng, (7,)), states(rng, (7,)), nodes, step, weight, densities), {}
 
 
+def still(rng, lead):
+    (_, flat, _, nodes, step, _, (psd, _, jump)), _ = weighted(rng, lead)
+    return (flat, nodes, step, psd, jump), {}
+
+
+def pairs(rng, lead):
+    direction = (ARCLENGTH, TIME)[rng.integers(2)]
+    return (direction, states(rng, lead), states(rng, lead), rng.uniform(0.01, 0.3, lead)), {}
+
+
+def rated(rng, lead):
+    ends = (replace(states(rng, lead), strain_rate=sixes(rng, lead)) for _ in range(2))
+    return (*ends, rng.uniform(0.01, 0.3, lead)), {}
+
+
+def inside_rated(rng, lead):
+    (*ends, step), _ = rated(rng, lead)
+    gain, rest = rng.standard_normal((*lead, 12, 12)), tuple(rng.standard_normal((2, *lead, 12)))
+    return (*ends, step, 0.4 * step, 0.1 * gain, rest), {}
+
+
+def chains(rng, lead):
+    m = int(np.prod(lead))
+    lower = rng.standard_normal((m, 3, 12, 12))
+    return (spd(rng, (m, 4), 12) + 100.0 * np.eye(12), lower), {}
+
+
 def explained(rng, lead):
     m = int(np.prod(lead))
     return (rng.standard_normal((m, 4)), 0.05 * rng.standard_normal((m, 4, 20))), {}
@@ -125,12 +154,17 @@ ARGUMENTS = dict(
     "pair_sqrt_information": covariances(12),
     "weighted_steps": weighted,
     "squared_innovations": explained,
+    "pair_error": pairs,
+    "still_steps": still,
+    "interval_error": rated,
+    "interval_between": inside_rated,
+    "factor_chains": chains,
     "between": inside_steps,
 }
 
 
 def test_every_twin_is_tested_here():
-    assert set(TWINS) == {*ARGUMENTS, "add_factors", "spread_out"}
+    assert set(TWINS) == {*ARGUMENTS, "add_factors", "spread_out", "add_to_neighbours"}
 
 
 @pytest.mark.parametrize("lead", SHAPES, ids=str)
@@ -198,6 +232,20 @@ def test_factors_spread_out_agree(count, extras):
     for batch in batches(rng, layout, count, extras):
         given_ = batch, layout, count
         same(compiled.spread_out(*given_), TWINS["spread_out"](*given_))
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_sums_over_neighbours_agree(count):
+    rng = np.random.default_rng(count)
+    layout = Layout(4, 18, 0)
+    for batch in batches(rng, layout, count, extras=False):
+        sums = []
+        for function in (TWINS["add_to_neighbours"], compiled.add_to_neighbours):
+            blocks = tuple(np.zeros((count - k, 4, 18, 18)) for k in (0, 0, 1, 1, 1))
+            right = np.zeros((4 * count, 18))
+            function(batch, layout.nodes, blocks, right)
+            sums.append((*blocks, right))
+        same(sums[1], sums[0])
 
 
 def test_without_numba_the_definitions_are_used():

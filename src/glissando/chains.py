@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from glissando.se3 import Array
+from glissando.twins import twin
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,7 @@ class Chains:
         return np.swapaxes(cov, 0, 1), np.swapaxes(cross, 0, 1)
 
 
+@twin
 def factor_chains(diagonal: Array, lower: Array) -> Chains:
     """Factors of chains with blocks (S, N, d, d), and (S, N−1, d, d) below the diagonal.
 

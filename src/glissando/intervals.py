@@ -12,6 +12,7 @@ import numpy as np
 from glissando import se3
 from glissando.se3 import Array
 from glissando.state import POSE, STRAIN, STRAIN_RATE, VELOCITY, State
+from glissando.twins import twin
 
 RATED = 24
 """Degrees of freedom of a node that knows its strain rate."""
@@ -45,6 +46,7 @@ def place_error(pose: Array, strain: Array, at: State) -> tuple[Array, Array]:
     return error, jacobian
 
 
+@twin
 def interval_error(start: State, end: State, step: Array) -> tuple[Array, Array, Array]:
     """Error [r; ṙ] (M, 24) of intervals of length `step` (M,), Jacobians (M, 24, 24) at both ends.
 
@@ -85,6 +87,7 @@ def interval_error(start: State, end: State, step: Array) -> tuple[Array, Array,
     return error, j0, j1
 
 
+@twin
 def interval_between(
     start: State, end: State, step: Array, offset: Array, gain: Array, rest: tuple[Array, Array]
 ) -> tuple[State, Array, Array]:

@@ -22,6 +22,7 @@ from glissando.state import State
 from glissando.steps import ARCLENGTH, pair_error
 from glissando.sums import NeighbourSums
 from glissando.transitions import process_covariances
+from glissando.twins import twin
 
 StaticPrior = KinematicPrior | SeparablePrior
 """A prior that says what shapes are at a single moment."""
@@ -90,17 +91,13 @@ def prior_of_moments(prior: StaticPrior, grid: Grid, state: State) -> Iterator[F
     k_count, n_count = grid.shape
     node = np.arange(k_count * n_count).reshape(k_count, n_count)
     if n_count > 1:
-        ends = state.take(np.s_[:, :-1]).flatten(), state.take(np.s_[:, 1:]).flatten()
+        nodes = np.stack([node[:, :-1].ravel(), node[:, 1:].ravel()], axis=1)
         spread = by_interval(grid.arclength, prior.psd_strain_arclength, prior.joints, prior.jumps)
         psd, jump = (np.tile(values, (k_count, 1)) for values in spread)
         step = np.tile(np.diff(grid.arclength), k_count)
-        error, j0, j1 = pair_error(ARCLENGTH, *ends, step)
+        error, jacobian, info = still_steps(state.flatten(), nodes, step, psd, jump)
         error = error - np.tile(prior.rest.interval_errors(grid.arclength), (k_count, 1))
-        rate = interval_strain(ends[0].strain, ends[1].strain, step, (psd, jump))
-        cov, _ = process_covariances(rate, step, psd, psd, rigid=False, jump=jump)
-        nodes = np.stack([node[:, :-1].ravel(), node[:, 1:].ravel()], axis=1)
-        jacobian = np.stack([j0[..., _DOFS], j1[..., _DOFS]], axis=2)
-        yield Factors(nodes, _DOFS, jacobian, Residuals(error, pair_sqrt_information(cov)))
+        yield Factors(nodes, _DOFS, jacobian, Residuals(error, info))
     if prior.base is not None:
         base = state.take(np.s_[:, 0])
         xi = se3.log(se3.inverse(prior.base_pose) @ base.pose)
@@ -111,6 +108,22 @@ def prior_of_moments(prior: StaticPrior, grid: Grid, state: State) -> Iterator[F
         firm = np.diag(np.concatenate([prior.base.pose, prior.base.strain]) ** -0.5)
         info = np.broadcast_to(firm, (k_count, STILL, STILL))
         yield Factors(node[:, :1], _DOFS, jacobian, Residuals(error, info))
+
+
+@twin
+def still_steps(
+    flat: State, nodes: Index, step: Array, psd: Array, jump: Array
+) -> tuple[Array, Array, Array]:
+    """Errors (M, 12) of steps between `nodes` (M, 2) of a list of states that hold still.
+
+    With Jacobian (M, 12, 2, 12) and whitener (M, 12, 12). Source: equation (2').
+    """
+    start, end = flat.take(nodes[:, 0]), flat.take(nodes[:, 1])
+    error, j0, j1 = pair_error(ARCLENGTH, start, end, step)
+    rate = interval_strain(start.strain, end.strain, step, (psd, jump))
+    cov, _ = process_covariances(rate, step, psd, psd, rigid=False, jump=jump)
+    jacobian = np.stack([j0[..., _DOFS], j1[..., _DOFS]], axis=2)
+    return error, jacobian, pair_sqrt_information(cov)
 
 
 def chosen(where: NDArray[np.bool_], one: State, other: State) -> State:

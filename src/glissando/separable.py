@@ -223,6 +223,8 @@ class SeparablePrior:
             at, j0, j1, time_left = self._along_time(early[0], late[0], t, points.arclength)
             jacobian = np.concatenate([_chained(j0, early[2]), _chained(j1, late[2])], axis=2)
             nodes = np.concatenate([early[1], late[1]], axis=1)
+        if crossing is None and time_left is None:  # on nodes
+            return Interpolation(at, nodes, jacobian, np.zeros((k.size, DOF, DOF)))
         left = np.zeros((k.size, RATED, RATED))
         if crossing is not None:
             left += _kron(matern.stationary(self.time_scale), crossing.cov)
@@ -316,8 +318,8 @@ def _chained(outer: Array, inner: Array) -> Array:
 
 
 def _in_body(at: State, left: Array) -> Array:
-    """Covariance (M, 18, 18) of the body's velocity from that of the pose's rate."""
-    lean = np.zeros_like(left)
-    lean[...] = np.eye(DOF)
-    lean[..., VELOCITY, POSE] = se3.ad(at.velocity)
-    return lean @ left @ _transposed(lean)
+    """Covariance (M, 18, 18) of the body's velocity from that of the pose's rate, in place."""
+    curl = se3.ad(at.velocity)
+    left[..., VELOCITY, :] += curl @ left[..., POSE, :]
+    left[..., VELOCITY] += left[..., POSE] @ _transposed(curl)
+    return left

@@ -46,6 +46,7 @@ ARCLENGTH = Direction("arclength", STRAIN, VELOCITY, rigid=True)
 TIME = Direction("time", VELOCITY, STRAIN, rigid=False)
 
 
+@twin
 def pair_error(
     direction: Direction, start: State, end: State, step: Array
 ) -> tuple[Array, Array, Array]:

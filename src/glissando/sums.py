@@ -8,6 +8,9 @@ from glissando.grid import Grid, Index
 from glissando.linear import Factors
 from glissando.se3 import Array
 from glissando.slabs import BlockTridiagonal
+from glissando.twins import twin
+
+_AHEAD = ((0, 0), (0, 1), (1, -1), (1, 0), (1, 1))  # in (time, arclength), of neighbours
 
 
 def slab_shape(grid: Grid, dof: int, extras: int = 0) -> tuple[int, ...]:
@@ -32,10 +35,7 @@ class NeighbourSums:
     def __init__(self, grid: Grid, dof: int, extras: int = 0) -> None:
         k, n = grid.shape
         self._grid, self._dof, self._extras = grid, dof, extras
-        self._blocks = {
-            ahead: np.zeros((k - ahead[0], n, dof, dof))
-            for ahead in ((0, 0), (0, 1), (1, -1), (1, 0), (1, 1))
-        }
+        self._blocks = {ahead: np.zeros((k - ahead[0], n, dof, dof)) for ahead in _AHEAD}
         self._nodes_right = np.zeros((k * n, dof))
         self._crossed = {ahead: np.zeros((k, n, extras, dof)) for ahead in (-1, 0, 1)}
         self._extra_blocks = {ahead: np.zeros((k - ahead, extras, extras)) for ahead in (0, 1)}
@@ -43,20 +43,17 @@ class NeighbourSums:
 
     def add(self, batch: Factors) -> None:
         """Add a batch of factors."""
+        if batch.extras is None:
+            blocks = tuple(self._blocks.values())
+            add_to_neighbours(batch, self._grid.arclength.size, blocks, self._nodes_right)
+            return
         nodes, hessian, pull = by_nodes(batch)
-        count = nodes.shape[1]
-        d = batch.jacobian.shape[-1]
+        wide = nodes.shape[1] * batch.jacobian.shape[-1]
         slab, inner = np.divmod(nodes, self._grid.arclength.size)
-        for a, b in np.ndindex(count, count):
-            ahead = (int(slab[0, a] - slab[0, b]), int(inner[0, a] - inner[0, b]))
-            if ahead in self._blocks:
-                at = (slab[:, b], inner[:, b], batch.dofs, batch.dofs)
-                rows, columns = slice(a * d, a * d + d), slice(b * d, b * d + d)
-                self._blocks[ahead][at] += hessian[:, rows, columns]
-        for a in range(count):
-            self._nodes_right[nodes[:, a], batch.dofs] -= pull[:, a * d : a * d + d]
-        if batch.extras is not None:
-            self._add_extras(batch, slab, inner, hessian[:, count * d :], pull[:, count * d :])
+        blocks = tuple(self._blocks.values())
+        _add_blocks(slab, inner, batch.dofs, hessian[:, :wide, :wide], blocks)
+        _add_pulls(nodes, batch.dofs, pull[:, :wide], self._nodes_right)
+        self._add_extras(batch, slab, inner, hessian[:, wide:], pull[:, wide:])
 
     def _add_extras(
         self, batch: Factors, slab: Index, inner: Index, hessian: Array, pull: Array
@@ -126,6 +123,38 @@ class NeighbourSums:
                 lower[:, extras, at] = self._crossed[1][: k_count - 1, n]
                 lower[:, at, extras] = np.swapaxes(self._crossed[-1][1:, n], -1, -2)
         return BlockTridiagonal(diagonal, lower)
+
+
+@twin
+def add_to_neighbours(
+    batch: Factors, n_count: int, blocks: tuple[Array, ...], right: Array
+) -> None:
+    """Add Jᵀ J to `blocks` by how far rows are _AHEAD of columns, and −Jᵀ r to `right` (K N, d).
+
+    A block (K, N, d, d) is that of the column's node. The batch has no extras.
+    """
+    nodes, hessian, pull = by_nodes(batch)
+    slab, inner = np.divmod(nodes, n_count)
+    _add_blocks(slab, inner, batch.dofs, hessian, blocks)
+    _add_pulls(nodes, batch.dofs, pull, right)
+
+
+def _add_blocks(
+    slab: Index, inner: Index, dofs: slice, hessian: Array, blocks: tuple[Array, ...]
+) -> None:
+    count, d = slab.shape[1], dofs.stop - dofs.start
+    for a, b in np.ndindex(count, count):
+        ahead = (int(slab[0, a] - slab[0, b]), int(inner[0, a] - inner[0, b]))
+        if ahead in _AHEAD:
+            at = (slab[:, b], inner[:, b], dofs, dofs)
+            rows, columns = slice(a * d, a * d + d), slice(b * d, b * d + d)
+            blocks[_AHEAD.index(ahead)][at] += hessian[:, rows, columns]
+
+
+def _add_pulls(nodes: Index, dofs: slice, pull: Array, right: Array) -> None:
+    d = dofs.stop - dofs.start
+    for a in range(nodes.shape[1]):
+        right[nodes[:, a], dofs] -= pull[:, a * d : a * d + d]
 
 
 def by_nodes(batch: Factors) -> tuple[Index, Array, Array]:

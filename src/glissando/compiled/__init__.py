@@ -11,6 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from glissando.chains import Chains
+from glissando.compiled import chains as chained
+from glissando.compiled import intervals as rated
 from glissando.compiled import process
 from glissando.compiled import se3 as lie
 from glissando.compiled import steps as stepped
@@ -150,6 +153,17 @@ def pair_sqrt_information(cov: Array) -> Array:
     return process.pair_sqrt_information(_items(cov, cov.shape[:-2], 12, 12)).reshape(cov.shape)
 
 
+def pair_error(
+    direction: Direction, start: State, end: State, step: Array
+) -> tuple[Array, Array, Array]:
+    """Twin of that in steps."""
+    lead = start.pose.shape[:-2]
+    poses = (_items(at.pose, lead, 4, 4) for at in (start, end))
+    rates = (_items(direction.rate_of(at), lead, 6) for at in (start, end))
+    error, j0, j1 = stepped.pair_error(*poses, *rates, _items(step, lead), direction.rate.start)
+    return error.reshape(*lead, 12), j0.reshape(*lead, 12, 18), j1.reshape(*lead, 12, 18)
+
+
 def weighted_steps(
     direction: Direction,
     flat: State,
@@ -210,3 +224,52 @@ def spread_out(batch: Factors, layout: Layout, count: int) -> tuple[Array, Array
 def squared_innovations(residual: Array, known: Array) -> Array:
     """Twin of that in sweep."""
     return swept.squared_innovations(_whole(residual), _whole(known))
+
+
+def add_to_neighbours(
+    batch: Factors, n_count: int, blocks: tuple[Array, ...], right: Array
+) -> None:
+    """Twin of that in sums."""
+    *given, _ = _factors(batch)
+    swept.add_to_neighbours(*given, batch.terms.robust_weights(), n_count, blocks, right)
+
+
+def factor_chains(diagonal: Array, lower: Array) -> Chains:
+    """Twin of that in chains."""
+    return Chains(*chained.factor_chains(_whole(diagonal), _whole(lower)))
+
+
+def _rated(at: State, lead: tuple[int, ...]) -> tuple[Array, Array]:
+    """Poses of nodes that know their strain rate, and their other fields side by side (M, 18)."""
+    return _items(at.pose, lead, 4, 4), _items(np.concatenate(at.fields()[1:], -1), lead, 18)
+
+
+def interval_error(start: State, end: State, step: Array) -> tuple[Array, Array, Array]:
+    """Twin of that in intervals."""
+    lead = start.pose.shape[:-2]
+    (pose0, fields0), (pose1, fields1) = (_rated(at, lead) for at in (start, end))
+    found = rated.interval_error(pose0, pose1, fields0, fields1, _items(step, lead))
+    error, j0, j1 = (each.reshape(*lead, *each.shape[1:]) for each in found)
+    return error, j0, j1
+
+
+def interval_between(
+    start: State, end: State, step: Array, offset: Array, gain: Array, rest: tuple[Array, Array]
+) -> tuple[State, Array, Array]:
+    """Twin of that in intervals."""
+    lead = start.pose.shape[:-2]
+    (pose0, fields0), (pose1, fields1) = (_rated(at, lead) for at in (start, end))
+    places, known = (_items(each, lead) for each in (step, offset)), _items(gain, lead, 12, 12)
+    at_rest = (_items(each, lead, 12) for each in rest)
+    found = rated.interval_between(pose0, pose1, fields0, fields1, *places, known, *at_rest)
+    pose, fields, j0, j1 = (each.reshape(*lead, *each.shape[1:]) for each in found)
+    return State(pose, fields[..., :6], fields[..., 6:12], fields[..., 12:]), j0, j1
+
+
+def still_steps(
+    flat: State, nodes: Index, step: Array, psd: Array, jump: Array
+) -> tuple[Array, Array, Array]:
+    """Twin of that in moments."""
+    given = (_whole(each) for each in (flat.pose, flat.strain, nodes, step, psd, jump))
+    error, jacobian, info = stepped.still_steps(*given)
+    return error, jacobian, info

@@ -58,7 +58,7 @@ def _bc_slopes(q):
 
 
 @jit
-def bc_curves(q):
+def _bc_curves(q):
     """Second derivatives of B and C by q."""
     if q < BELOW:
         return _series(_CURVES[0], q), _series(_CURVES[1], q)
@@ -70,7 +70,7 @@ def bc_curves(q):
 
 
 @jit
-def square(x):
+def squared_angle(x):
     """The squared angle of a six-vector."""
     return x[3] * x[3] + x[4] * x[4] + x[5] * x[5]
 
@@ -83,7 +83,7 @@ def _cross(ax, ay, az, bx, by, bz):
 @jit
 def exp_into(x, out):
     """Pose (4, 4) of a six-vector, into `out`."""
-    q = square(x)
+    q = squared_angle(x)
     a, b, c = _abc(q)
     x3, x4, x5 = x[3], x[4], x[5]
     diagonal = 1.0 - b * q
@@ -131,7 +131,7 @@ def _rotation_log(r, out):
 def log_into(pose, out):
     """Six-vector of a pose, into `out`."""
     _rotation_log(pose, out)
-    d, _ = _d_and_slope(square(out))
+    d, _ = _d_and_slope(squared_angle(out))
     px, py, pz = pose[0, 3], pose[1, 3], pose[2, 3]
     u, v, w = _cross(out[3], out[4], out[5], px, py, pz)
     uu, vv, ww = _cross(out[3], out[4], out[5], u, v, w)
@@ -162,7 +162,7 @@ def ahead_into(a, b, out):
 
 
 @jit
-def _fill(out):
+def fill(out):
     """The lower half of [A B; 0 A]."""
     for i in range(3):
         for j in range(3):
@@ -178,7 +178,7 @@ def adjoint_into(pose, out):
             out[i, j] = pose[i, j]
         u, v, w = _cross(pose[0, 3], pose[1, 3], pose[2, 3], pose[0, j], pose[1, j], pose[2, j])
         out[0, 3 + j], out[1, 3 + j], out[2, 3 + j] = u, v, w
-    _fill(out)
+    fill(out)
 
 
 @jit
@@ -189,7 +189,7 @@ def adjoint_back_into(pose, out):
             out[i, j] = pose[j, i]
         u, v, w = _cross(pose[0, 3], pose[1, 3], pose[2, 3], pose[0, i], pose[1, i], pose[2, i])
         out[i, 3], out[i, 4], out[i, 5] = u, v, w
-    _fill(out)
+    fill(out)
 
 
 @jit
@@ -201,7 +201,7 @@ def ad_into(x, out):
         out[0, first + 1], out[1, first] = -x[k + 2], x[k + 2]
         out[0, first + 2], out[2, first] = x[k + 1], -x[k + 1]
         out[1, first + 2], out[2, first + 1] = -x[k], x[k]
-    _fill(out)
+    fill(out)
 
 
 @jit
@@ -214,7 +214,7 @@ def times_into(a, b, out):
                 top += a[i, k] * b[k, j]
                 corner += a[i, k] * b[k, 3 + j] + a[i, 3 + k] * b[k, j]
             out[i, j], out[i, 3 + j] = top, corner
-    _fill(out)
+    fill(out)
 
 
 @jit
@@ -227,13 +227,13 @@ def _polynomial(x, c1, c2, c3, c4, out):
         for j in range(6):
             tail[i, j] = c3 * m[i, j] + c4 * m2[i, j]
         tail[i, i] += c2
-    _fill(tail)
+    fill(tail)
     times_into(m2, tail, out)
     for i in range(3):
         for j in range(6):
             out[i, j] += c1 * m[i, j]
         out[i, i] += 1.0
-    _fill(out)
+    fill(out)
 
 
 @jit
@@ -246,13 +246,39 @@ def jacobian_coefficients(q):
 @jit
 def right_jacobian_into(x, out):
     """Right Jacobian (6, 6), into `out`."""
-    c1, c2, c3, c4 = jacobian_coefficients(square(x))
+    c1, c2, c3, c4 = jacobian_coefficients(squared_angle(x))
     _polynomial(x, c1, c2, c3, c4, out)
 
 
 @jit
 def right_jacobian_inverse_into(x, out):
     """Its inverse (6, 6), into `out`."""
-    q = square(x)
+    q = squared_angle(x)
     d, slope = _d_and_slope(q)
     _polynomial(x, 0.5, d - q * slope, 0.0, -slope, out)
+
+
+@jit
+def slope_into(x, w, out):
+    """Derivative (6, 6) of J_r(x) w by x, into `out`."""
+    m, by_x, fresh = np.empty((6, 6)), np.zeros((6, 6)), np.empty((6, 6))
+    power, next_ = w.copy(), np.empty(6)
+    q = squared_angle(x)
+    coefficients = jacobian_coefficients(q)
+    b2, c2 = _bc_curves(q)
+    slopes = (q * b2, -q * c2, b2, -c2)
+    ad_into(x, m)
+    out[:] = 0.0
+    for i in range(4):
+        times_into(m, by_x, fresh)
+        ad_into(power, by_x)
+        for r in range(6):
+            next_[r] = 0.0
+            for k in range(6):
+                next_[r] += m[r, k] * power[k]
+                by_x[r, k] = fresh[r, k] - by_x[r, k]
+                out[r, k] += coefficients[i] * by_x[r, k]
+        power[:] = next_
+        for r in range(6):
+            for k in range(3):
+                out[r, 3 + k] += 2.0 * slopes[i] * power[r] * x[3 + k]

@@ -7,7 +7,16 @@ from math import sqrt
 import numpy as np
 
 from glissando.compiled.jit import jit
-from glissando.compiled.lie import adjoint_into, exp_into, right_jacobian_into
+from glissando.compiled.lie import (
+    ad_into,
+    adjoint_into,
+    exp_into,
+    fill,
+    jacobian_coefficients,
+    right_jacobian_into,
+    squared_angle,
+    times_into,
+)
 from glissando.transitions import NODES, WEIGHTS
 
 
@@ -20,6 +29,15 @@ def matmul_into(a, b, out):
         for k in range(a.shape[1]):
             for j in range(b.shape[1]):
                 out[i, j] += a[i, k] * b[k, j]
+
+
+@jit
+def apply_into(matrix, vector, out):
+    """The product of a matrix and a vector, into `out`."""
+    for i in range(matrix.shape[0]):
+        out[i] = 0.0
+        for k in range(matrix.shape[1]):
+            out[i] += matrix[i, k] * vector[k]
 
 
 @jit
@@ -52,32 +70,53 @@ def whiten_into(cov, out):
 def process_into(rate, step, psd, carried_psd, jump, rigid, cov, carried):
     """Noise of an interval; `cov` (12, 12) and `carried` (6, 6) are written."""
     cov[:], carried[:] = 0.0, 0.0
-    x = np.empty(6)
-    lever, ride, pose = np.empty((6, 6)), np.empty((6, 6)), np.empty((4, 4))
+    m, m2, m3, m4 = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
+    lever, ride, angle = np.empty((6, 6)), np.empty((6, 6)), squared_angle(rate)
+    ad_into(rate, m)
+    times_into(m, m, m2)
+    times_into(m2, m, m3)
+    times_into(m2, m2, m4)
     for n in range(len(NODES)):
         u, weight = step * NODES[n], step * WEIGHTS[n]
-        for i in range(6):
-            x[i] = u * rate[i]
-        right_jacobian_into(x, lever)
-        if rigid:
-            exp_into(-x, pose)
-            adjoint_into(pose, ride)
-        for i in range(6):
+        c1, c2, c3, c4 = jacobian_coefficients(u * u * angle)
+        c1, c2, c3, c4 = c1 * u, c2 * u**2, c3 * u**3, c4 * u**4
+        for i in range(3):
             for j in range(6):
+                lever[i, j] = c1 * m[i, j] + c2 * m2[i, j] + c3 * m3[i, j] + c4 * m4[i, j]
+            lever[i, i] += 1.0
+        fill(lever)
+        if rigid:  # exp(−u ad) = 1 − u ad J_r(u rate)
+            times_into(m, lever, ride)
+            for i in range(6):
+                for j in range(6):
+                    ride[i, j] = (i == j) - u * ride[i, j]
+        for i in range(6):
+            for j in range(i + 1):
                 value = other = 0.0
                 for k in range(6):
                     value += lever[i, k] * psd[k] * lever[j, k]
-                    other += ride[i, k] * carried_psd[k] * ride[j, k]
+                    if rigid:
+                        other += ride[i, k] * carried_psd[k] * ride[j, k]
                 cov[i, j] += weight * u * u * value
+                carried[i, j] += weight * other
+            for j in range(6):
                 cov[i, 6 + j] += weight * u * lever[i, j] * psd[j]
-                if rigid:
-                    carried[i, j] += weight * other
     for i in range(6):
         for j in range(6):
             cov[6 + j, i] = cov[i, 6 + j]
+            if j > i:
+                cov[i, j], carried[i, j] = cov[j, i], carried[j, i]
         cov[6 + i, 6 + i] = step * psd[i] + jump[i]
         if not rigid:
             carried[i, i] = step * carried_psd[i]
+
+
+@jit
+def middle_into(rate0, rate1, step, psd, jump, out):
+    """The rate (6,) about which a step is linearised: the mean, less the jump at its end."""
+    for i in range(6):
+        share = 0.5 * step * psd[i] / (step * psd[i] + jump[i])
+        out[i] = rate0[i] + share * (rate1[i] - rate0[i])
 
 
 @jit
@@ -151,19 +190,23 @@ def sqrt_information(cov):
 @jit
 def pair_whiten_into(cov, out):
     """Whitener (12, 12) of a covariance whose last block is diagonal, into zeros."""
-    corner, root = np.empty((6, 6)), np.empty((6, 6))
+    corner, root, slope = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
+    for j in range(6):
+        spread = 1.0 / cov[6 + j, 6 + j]
+        out[6 + j, 6 + j] = sqrt(spread)
+        for i in range(6):
+            slope[i, j] = cov[i, 6 + j] * spread
     for i in range(6):
-        for j in range(6):
+        for j in range(i + 1):
             corner[i, j] = cov[i, j]
             for k in range(6):
-                corner[i, j] -= cov[i, 6 + k] * cov[j, 6 + k] / cov[6 + k, 6 + k]
+                corner[i, j] -= slope[i, k] * cov[j, 6 + k]
     whiten_into(corner, root)
     for i in range(6):
         for j in range(6):
             out[i, j] = root[i, j]
-            for k in range(6):
-                out[i, 6 + j] -= root[i, k] * cov[k, 6 + j] / cov[6 + j, 6 + j]
-        out[6 + i, 6 + i] = 1.0 / sqrt(cov[6 + i, 6 + i])
+            for k in range(i + 1):
+                out[i, 6 + j] -= root[i, k] * slope[k, j]
 
 
 @jit

@@ -6,16 +6,12 @@ import numpy as np
 
 from glissando.compiled.jit import jit
 from glissando.compiled.lie import (
-    ad_into,
     adjoint_into,
-    bc_curves,
     exp_into,
-    jacobian_coefficients,
     log_into,
     right_jacobian_into,
     right_jacobian_inverse_into,
-    square,
-    times_into,
+    slope_into,
 )
 
 
@@ -67,32 +63,9 @@ def right_jacobian_inverse(x):
 @jit
 def right_jacobian_slope(x, w):
     """Derivatives (M, 6, 6) of J_r(x) w by x, both (M, 6)."""
-    out = np.zeros((len(x), 6, 6))
-    m, by_x, fresh = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
-    power, next_ = np.empty(6), np.empty(6)
-    c = np.empty(4)
-    slopes = np.empty(4)
-    for n in range(len(x)):
-        q = square(x[n])
-        c[0], c[1], c[2], c[3] = jacobian_coefficients(q)
-        b2, c2 = bc_curves(q)
-        slopes[0], slopes[1], slopes[2], slopes[3] = q * b2, -q * c2, b2, -c2
-        ad_into(x[n], m)
-        by_x[:] = 0.0
-        power[:] = w[n]
-        for i in range(4):
-            times_into(m, by_x, fresh)
-            ad_into(power, by_x)
-            for r in range(6):
-                next_[r] = 0.0
-                for k in range(6):
-                    next_[r] += m[r, k] * power[k]
-                    by_x[r, k] = fresh[r, k] - by_x[r, k]
-                    out[n, r, k] += c[i] * by_x[r, k]
-            power[:] = next_
-            for r in range(6):
-                for k in range(3):
-                    out[n, r, 3 + k] += 2.0 * slopes[i] * power[r] * x[n, 3 + k]
+    out = np.empty((len(x), 6, 6))
+    for i in range(len(x)):
+        slope_into(x[i], w[i], out[i])
     return out
 
 

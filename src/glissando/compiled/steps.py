@@ -17,7 +17,14 @@ from glissando.compiled.lie import (
     right_jacobian_inverse_into,
     times_into,
 )
-from glissando.compiled.process import matmul_into, pair_whiten_into, process_into, whiten_into
+from glissando.compiled.process import (
+    apply_into,
+    matmul_into,
+    middle_into,
+    pair_whiten_into,
+    process_into,
+    whiten_into,
+)
 
 
 @jit
@@ -50,11 +57,39 @@ def _pair(start, end, rate0, rate1, step, error, back, pull, spread):
 
 
 @jit
-def _ridden(ride, field, out):
-    for i in range(6):
-        out[i] = 0.0
-        for k in range(6):
-            out[i] += ride[i, k] * field[k]
+def pair_error(start, end, rate0, rate1, step, at):
+    """Errors (M, 12) of pose and rate, Jacobians (M, 12, 18) at both ends."""
+    m = len(step)
+    error, j0, j1 = np.empty((m, 12)), np.zeros((m, 12, 18)), np.zeros((m, 12, 18))
+    back, pull, spread = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
+    for n in range(m):
+        _pair(start[n], end[n], rate0[n], rate1[n], step[n], error[n], back, pull, spread)
+        for i in range(6):
+            for j in range(6):
+                j0[n, i, j], j0[n, i, at + j], j1[n, i, j] = back[i, j], pull[i, j], spread[i, j]
+            j0[n, 6 + i, at + i], j1[n, 6 + i, at + i] = -1.0, 1.0
+    return error, j0, j1
+
+
+@jit
+def still_steps(pose, strain, nodes, step, psd, jump):
+    """Errors (M, 12) of steps that hold still, Jacobians (M, 12, 2, 12), whiteners (M, 12, 12)."""
+    m = len(step)
+    error, jacobian, info = np.empty((m, 12)), np.zeros((m, 12, 2, 12)), np.zeros((m, 12, 12))
+    back, pull, spread = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
+    middle, cov, unused = np.empty(6), np.empty((12, 12)), np.empty((6, 6))
+    for n in range(m):
+        a, b, h = nodes[n, 0], nodes[n, 1], step[n]
+        _pair(pose[a], pose[b], strain[a], strain[b], h, error[n], back, pull, spread)
+        out = jacobian[n]
+        for i in range(6):
+            for j in range(6):
+                out[i, 0, j], out[i, 0, 6 + j], out[i, 1, j] = back[i, j], pull[i, j], spread[i, j]
+            out[6 + i, 0, 6 + i], out[6 + i, 1, 6 + i] = -1.0, 1.0
+        middle_into(strain[a], strain[b], h, psd[n], jump[n], middle)
+        process_into(middle, h, psd[n], psd[n], jump[n], False, cov, unused)
+        pair_whiten_into(cov, info[n])
+    return error, jacobian, info
 
 
 @jit
@@ -71,7 +106,7 @@ def _carried(start, end, field0, field1, at, rigid, error, j0, j1):
     ridden = np.empty(6)
     ahead_into(end, start, pose)
     adjoint_into(pose, ride)
-    _ridden(ride, field0, ridden)
+    apply_into(ride, field0, ridden)
     ad_into(field0, curl)
     times_into(ride, curl, lean)
     ad_into(ridden, curl)
@@ -104,8 +139,7 @@ def weighted_steps(
             slopes[n, 6 + i, 0, at + i], slopes[n, 6 + i, 1, at + i] = -1.0, 1.0
             for j in range(18):
                 lost_slopes[n, i, 0, j], lost_slopes[n, i, 1, j] = c0[i, j], c1[i, j]
-            share = 0.5 * h * psd[n, i] / (h * psd[n, i] + jump[n, i])
-            middle[i] = about[a, i] + share * (about[b, i] - about[a, i])
+        middle_into(about[a], about[b], h, psd[n], jump[n], middle)
         process_into(middle, h, psd[n], carried_psd[n], jump[n], rigid, cov, carried_cov)
         pair_whiten_into(cov, info[n])
         whiten_into(carried_cov, lost_info[n])
@@ -211,7 +245,7 @@ def between(
             continue
         ahead_into(pose[n], start[n], there)
         adjoint_into(there, a)
-        _ridden(a, field0[n], scaled)
+        apply_into(a, field0[n], scaled)
         ad_into(field0[n], b)
         times_into(a, b, back)
         for i in range(6):

@@ -1,4 +1,4 @@
-"""Sums over factors and their innovations: twins of sweep.py."""
+"""Sums over factors and their innovations: twins of sweep.py and sums.py."""
 
 from __future__ import annotations
 
@@ -96,3 +96,38 @@ def squared_innovations(residual, known):
                 share[a, b] = (1.0 + 1e-9) * (a == b) - share[a, b]
         out[i] = np.dot(residual[i], np.linalg.solve(share, residual[i]))
     return out
+
+
+@jit
+def add_to_neighbours(
+    nodes, first_dof, jacobian, residual, sqrt_info, weights, n_count, blocks, right
+):
+    """Add a batch of factors to blocks of neighbouring nodes."""
+    m, r, c, d = jacobian.shape
+    white, square = np.empty((r, c * d)), np.empty((c * d, c * d))
+    for i in range(m):
+        np.dot(sqrt_info[i], jacobian[i].reshape(r, c * d), white)
+        miss = np.dot(sqrt_info[i], residual[i])
+        np.dot(white.T, white, square)
+        for b in range(c):
+            slab, inner = divmod(nodes[i, b], n_count)
+            for j in range(d):
+                pull = 0.0
+                for k in range(r):
+                    pull += white[k, b * d + j] * miss[k]
+                right[nodes[i, b], first_dof + j] -= weights[i] * pull
+            for a in range(c):
+                later, further = divmod(nodes[i, a], n_count)
+                later, further = later - slab, further - inner
+                which = -1
+                if later == 0 and (further == 0 or further == 1):
+                    which = further
+                elif later == 1 and -1 <= further <= 1:
+                    which = 3 + further
+                if which >= 0:
+                    block = blocks[which][slab, inner]
+                    for j in range(d):
+                        for k in range(d):
+                            block[first_dof + j, first_dof + k] += (
+                                weights[i] * square[a * d + j, b * d + k]
+                            )
