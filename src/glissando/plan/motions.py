@@ -10,8 +10,9 @@ from glissando import se3
 from glissando.errors import GlissandoError
 from glissando.grid import Grid
 from glissando.plan.judge import judge_of
+from glissando.plan.known import Course
 from glissando.plan.objectives import Objective
-from glissando.plan.outlook import Course, Outlook
+from glissando.plan.outlook import Outlook
 from glissando.plan.zones import Zone
 from glissando.prior import Prior
 from glissando.se3 import Array

@@ -8,8 +8,9 @@ from dataclasses import dataclass, field, replace
 from glissando.errors import GlissandoError
 from glissando.online import FixedLag
 from glissando.plan.judge import judge_of
+from glissando.plan.known import Course
 from glissando.plan.objectives import Objective, Trace
-from glissando.plan.outlook import Course, foresee
+from glissando.plan.outlook import foresee
 from glissando.plan.sensor import SlidingSensor
 from glissando.plan.slide import Plan, plan_slide
 from glissando.plan.track import Track
