@@ -62,17 +62,27 @@ class Judge:
 
         A cubic through four places of the lattice, with a continuous slope (Catmull and Rom).
         """
-        lattice, table = self.outlook.lattice, self.outlook.rows
+        lattice, table = self.outlook.lattice, self._table
         step = lattice[1] - lattice[0]
         place = (arclength[:, None] - self.outlook.sensor.behind - lattice[0]) / step
         lower = np.clip(np.floor(place).astype(np.intp), 0, lattice.size - 2)
-        weights, slopes = _cubic(place - lower)
-        near, edges = lower[..., None] + np.arange(-1, 3), (0, lattice.size - 1)
-        weights, slopes = (_at_edges(w, near, edges) for w in (weights, slopes))
-        picked = table[np.arange(arclength.size)[:, None, None], np.clip(near, *edges)]
+        weights = _cubic(place - lower)
+        weights[..., 1, :] /= step
+        at = np.arange(arclength.size)[:, None, None], lower[..., None] + np.arange(4)
+        found = weights @ table[at].reshape(*lower.shape, 4, -1)
         shape = arclength.size, -1, table.shape[-1]
-        rows = np.einsum("tcw,tcwij->tcij", weights, picked).reshape(shape)
-        return rows, np.einsum("tcw,tcwij->tcij", slopes / step, picked).reshape(shape)
+        return found[..., 0, :].reshape(shape), found[..., 1, :].reshape(shape)
+
+    @cached_property
+    def _table(self) -> Array:
+        """Rows at the places of the lattice and one more at each end, (T, L + 2, r, 2 d).
+
+        A parabola through the three places next to it leads there.
+        """
+        rows = self.outlook.rows
+        low, high = rows[:, :3], rows[:, :-4:-1]
+        beyond = [3.0 * end[:, :1] - 3.0 * end[:, 1:2] + end[:, 2:] for end in (low, high)]
+        return np.concatenate([beyond[0], rows, beyond[1]], axis=1)
 
     def _known(self, rows: Array) -> tuple[Cholesky, Marginals]:
         """Factor and covariances of the modes after readings with these rows (T, q, 2 d)."""
@@ -142,7 +152,7 @@ class Judge:
         ends = slice(0, size), slice(size, wide)
         first, last = (turned[:, end] @ _transposed(reached[:, end]) for end in ends)
         back = -(_transposed(chol.inverse[:-1]) @ chol.coupling)
-        forth = _transposed(np.linalg.solve(marginals.cov[:-1], marginals.cross))
+        forth = _transposed(np.asarray(np.linalg.solve(marginals.cov[:-1], marginals.cross)))
         later = np.zeros_like(back)  # at k + 1, from cells after k
         for k in reversed(range(cells - 1)):
             later[k] = first[k + 1] + back[k + 1] @ later[k + 1] @ back[k + 1].T
@@ -189,21 +199,9 @@ def by_cell(rows: Array, inside: int) -> Array:
     return rows.reshape(cells, -1, rows.shape[-1])
 
 
-def _cubic(x: Array) -> tuple[Array, Array]:
-    """Weights (…, 4) of the neighbours of a place x in [0, 1] between the middle two; slopes."""
+def _cubic(x: Array) -> Array:
+    """Weights (…, 2, 4) of the neighbours of a place x in [0, 1] between the middle two; slopes."""
     basis = 0.5 * np.array([[0, -1, 2, -1], [2, 0, -5, 3], [0, 1, 4, -3], [0, 0, -1, 1]])
-    powers = x[..., None] ** np.arange(4)
-    slopes = np.arange(4) * x[..., None] ** np.maximum(np.arange(4) - 1, 0)
-    return powers @ basis.T, slopes @ basis.T
-
-
-def _at_edges(weights: Array, near: Index, edges: tuple[int, int]) -> Array:
-    """Weights (…, 4) with those beyond the ends of the lattice given to a parabola inside it."""
-    out = weights.copy()
-    for beyond, own, share in ((0, 1, 3.0), (0, 2, -3.0), (0, 3, 1.0)):
-        out[..., own] += share * np.where(near[..., beyond] < edges[0], weights[..., beyond], 0.0)
-    for beyond, own, share in ((3, 2, 3.0), (3, 1, -3.0), (3, 0, 1.0)):
-        out[..., own] += share * np.where(near[..., beyond] > edges[1], weights[..., beyond], 0.0)
-    out[..., 0] = np.where(near[..., 0] < edges[0], 0.0, out[..., 0])
-    out[..., 3] = np.where(near[..., 3] > edges[1], 0.0, out[..., 3])
-    return out
+    order = np.arange(4)
+    powers = np.stack([x[..., None] ** order, order * x[..., None] ** np.maximum(order - 1, 0)], -2)
+    return np.asarray(powers @ basis.T)

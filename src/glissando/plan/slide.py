@@ -19,8 +19,8 @@ from glissando.threads import one_thread
 
 _RANDOM, _DWELLING = 4, 20  # random starts, and such that dwell
 _ALIKE = 0.05  # of the track, within which two paths are one start
-_TRIED, _BRIEFLY = 6, 5  # starts that are improved, each for so many iterations
-_ITERATIONS = 25  # of the one that became best
+_TRIED, _BRIEFLY = 5, 3  # starts that are improved, each for so many iterations
+_ITERATIONS = 12  # of the one that became best
 _DRAWN = 0.1  # share of the way to the middle of all paths that a start is drawn, to be inside
 
 
