@@ -19,27 +19,32 @@ from glissando.plan.compare import Foretold, blind_paths, everywhere, foretell
 from glissando.plan.design import Design, is_best, sweep
 from glissando.plan.greedy import plan_greedily
 from glissando.plan.judge import Judge, judge_of
+from glissando.plan.known import Snapshot, snapshot
 from glissando.plan.motions import choose_motion, course_of
 from glissando.plan.objectives import Chance, LogDet, Objective, Trace, Worst, objective_named
 from glissando.plan.outlook import Outlook, foresee
+from glissando.plan.planners import Elsewhere
 from glissando.plan.replan import Replanner
 from glissando.plan.sensor import SlidingSensor, sliding_sensor
 from glissando.plan.slide import Plan, plan_slide
 from glissando.plan.track import Track, track_of
-from glissando.plan.zones import Zone, read_zone
+from glissando.plan.zones import Moving, Zone, read_zone
 
 __all__ = [
     "Ahead",
     "Chance",
     "Design",
+    "Elsewhere",
     "Foretold",
     "Judge",
     "LogDet",
+    "Moving",
     "Objective",
     "Outlook",
     "Plan",
     "Replanner",
     "SlidingSensor",
+    "Snapshot",
     "Trace",
     "Track",
     "Worst",
@@ -57,6 +62,7 @@ __all__ = [
     "plan_slide",
     "read_zone",
     "sliding_sensor",
+    "snapshot",
     "sweep",
     "track_of",
 ]
