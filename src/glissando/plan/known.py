@@ -101,8 +101,9 @@ def snapshot(known: Robot | Posterior | FixedLag | Snapshot, start: float = 0.0)
         nodes, step = known.arclength_nodes, 1.0 / known.time_rate
         return Snapshot(known.prior, nodes, start, step, known.unknowns)
     if isinstance(known, FixedLag):
-        known.newest()  # which says so when there is none
         window = known._window  # a posterior of it would take ten times as long
+        if not window.nodes:
+            known.newest()  # says what to do
         (shape, cov), unknowns = window.newest(), window.unknowns
         prior, grid = window.prior, window.grid(max(0, len(window.nodes) - 2))
     else:
