@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from draws import generators
-from glissando import FixedLag, Grid, Unknown, estimate, se3
+from glissando import FixedLag, Grid, Unknown, estimate
 from glissando.errors import GlissandoError
 from glissando.plan import (
     Chance,
@@ -19,8 +19,6 @@ from glissando.plan import (
     Track,
     Worst,
     Zone,
-    choose_motion,
-    course_of,
     everywhere,
     foresee,
     foretell,
@@ -294,40 +292,6 @@ def test_motion_of_the_sensor_is_spared_as_its_weight_grows():
     assert values[0] <= 1.02 * values[1] <= 1.02**2 * values[2]
 
 
-def bending(rate):
-    """A robot that curls by `rate` rad/m a second."""
-
-    def shape(arclength, time):
-        strain = np.zeros((*np.broadcast(arclength, time).shape, 6))
-        strain[..., 2], strain[..., 3] = 1.0, rate * time
-        return se3.exp(arclength[..., None] * strain), strain
-
-    return shape
-
-
-@kinds
-def test_the_motion_that_leaves_least_uncertain_is_chosen(kind):
-    robot = ROBOTS[kind]
-    outlooks = [
-        small_outlook(kind, course=course_of(bending(rate), robot.prior, robot.arclength_nodes))
-        for rate in (0.0, 1.0, 2.0)
-    ]
-    path = wiggle(outlooks[0])
-    chosen, values = choose_motion(outlooks, [ZONE], Trace(), path)
-    whole = [foretell(outlook, [ZONE], Trace(), path).value for outlook in outlooks]
-    assert chosen == int(np.argmin(values)) == int(np.argmin(whole))
-    assert np.ptp(whole) > 0.01 * np.mean(whole)
-
-
-def test_a_course_gives_the_rates_of_its_shapes():
-    prior, nodes = ROBOTS["separable"].prior, ROBOTS["separable"].arclength_nodes
-    at = course_of(bending(1.0), prior, nodes)(np.array([0.5, 1.0]))
-    ahead = course_of(bending(1.0), prior, nodes)(np.array([0.5, 1.0]) + 1e-4)
-    turned = se3.log(se3.inverse(at.pose) @ ahead.pose) / 1e-4
-    np.testing.assert_allclose(at.velocity, turned, atol=1e-4)
-    np.testing.assert_allclose(at.strain_rate[..., 3], 1.0, atol=1e-9)
-
-
 def test_the_same_seed_gives_the_same_plan_and_more_starts_never_a_worse_one():
     outlook = small_outlook("kinematic")
     track, judge = small_track(outlook), judge_of(outlook, [ZONE], Trace())
@@ -352,5 +316,3 @@ def test_what_cannot_be_foreseen_is_told_in_a_sentence():
     outlook = small_outlook()
     with pytest.raises(GlissandoError, match="give both the same"):
         plan_slide(judge_of(outlook, [ZONE], Trace()), replace(small_track(outlook), steps=9))
-    with pytest.raises(GlissandoError, match="no motion to choose"):
-        choose_motion([], [ZONE], Trace(), wiggle(outlook))

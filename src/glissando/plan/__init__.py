@@ -20,7 +20,14 @@ from glissando.plan.design import Design, is_best, sweep
 from glissando.plan.greedy import plan_greedily
 from glissando.plan.judge import Judge, judge_of
 from glissando.plan.known import Snapshot, snapshot
-from glissando.plan.motions import choose_motion, course_of
+from glissando.plan.motions import (
+    Reshaping,
+    Together,
+    choose_motion,
+    course_of,
+    draw_motions,
+    plan_together,
+)
 from glissando.plan.objectives import Chance, LogDet, Objective, Trace, Worst, objective_named
 from glissando.plan.outlook import Outlook, foresee
 from glissando.plan.planners import Elsewhere
@@ -43,8 +50,10 @@ __all__ = [
     "Outlook",
     "Plan",
     "Replanner",
+    "Reshaping",
     "SlidingSensor",
     "Snapshot",
+    "Together",
     "Trace",
     "Track",
     "Worst",
@@ -52,6 +61,7 @@ __all__ = [
     "blind_paths",
     "choose_motion",
     "course_of",
+    "draw_motions",
     "everywhere",
     "foresee",
     "foretell",
@@ -60,6 +70,7 @@ __all__ = [
     "objective_named",
     "plan_greedily",
     "plan_slide",
+    "plan_together",
     "read_zone",
     "sliding_sensor",
     "snapshot",
