@@ -163,7 +163,8 @@ def test_a_late_plan_is_not_taken_up_and_makes_the_next_begin_later():
     assert replanner.lead == pytest.approx(1.5 * (1.7 - 1.0))
     assert slow.task.start == pytest.approx(1.7 + replanner.lead)
     slow.done = True
-    assert replanner.next(smoother, 2.2) is not first
+    assert replanner.next(smoother, 1.8) is not first
+    assert replanner.lead == 0.3  # it was there soon
 
 
 @pytest.mark.slow

@@ -106,7 +106,7 @@ class Replanner:
     and as fast as the path is then that is followed till then: limits hold from one to the next,
     and each comes to rest on its slide in the end. It is made at once, or `Elsewhere` if that is
     the `planner`; then `lead` is to be longer than that takes. What comes too late is not taken up,
-    and makes it longer.
+    and makes it longer until plans come sooner again.
     """
 
     sensor: SlidingSensor
@@ -121,11 +121,12 @@ class Replanner:
     route: Route = field(init=False)
     _due: float | None = field(default=None, init=False)
     _asked: float = field(default=0.0, init=False)
+    _least: float = field(init=False)
     _gone: bool = field(default=False, init=False)
     _said: set[str] = field(default_factory=set, init=False)
 
     def __post_init__(self) -> None:
-        self.route = Route(self.track.start)
+        self.route, self._least = Route(self.track.start), self.lead
 
     @property
     def plan(self) -> Plan | None:
@@ -182,9 +183,9 @@ class Replanner:
         if plan is None:
             return
         self._due = None
+        longer = max(_SPARE * (now - self._asked), _LONGER * self.lead if late else self._least)
+        self.lead = min(longer, max(self._least, 0.5 * self.track.lasts))
         if late:
-            longer = max(_LONGER * self.lead, _SPARE * (now - self._asked))
-            self.lead = min(longer, 0.5 * self.track.lasts)
             return
         kept = self.route.since(now - self.track.lasts)
         self.route = replace(kept, plans=(*kept.plans, plan))
