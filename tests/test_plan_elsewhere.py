@@ -3,6 +3,7 @@
 import pickle
 import warnings
 from dataclasses import replace
+from time import thread_time
 
 import numpy as np
 import pytest
@@ -83,6 +84,31 @@ def test_what_will_be_known_later_is_what_the_smoother_knows_then(kind, slack):
     then = snapshot(smoother_of(robot, 1.5))
     assert (later.time, later.before) == (then.time, then.before)
     np.testing.assert_allclose(np.diag(later.cov), np.diag(then.cov), rtol=slack)
+
+
+class Sink:
+    """Takes tasks as another process would, and makes nothing of them."""
+
+    def ask(self, task):
+        self.parcel = pickle.dumps(task)
+
+    def answer(self):
+        return None
+
+
+@kinds
+def test_handing_over_takes_a_fraction_of_an_update(kind):
+    robot, took = ROBOTS[kind], []
+    smoother = smoother_of(robot)
+    for time in np.arange(1.5, 11.0, 0.5):
+        smoother.add(read_straight(sliding_sensor(robot), lambda t: 0.65 + 0 * t, time - 0.5, time))
+        clock = [thread_time()]
+        smoother.advance(time)
+        clock.append(thread_time())
+        replanner_of(robot, planner=Sink(), lead=0.5).next(smoother)
+        took.append(np.diff([*clock, thread_time()]))
+    update, handed = np.median(took, axis=0)
+    assert handed < 0.15 * update
 
 
 @kinds
