@@ -127,10 +127,9 @@ def loop_lines(rounds, seconds):
             for _ in range(rounds):
                 found["none"].append(loop(robot, stage, seconds))
                 found["elsewhere"].append(loop(robot, stage, seconds, planner, LEAD))
-                while not planner.ready(60.0):
-                    pass
-                planner.answer()  # what the last loop did not wait for
-                found["in the loop"].append(loop(robot, stage, seconds, lead=LEAD))
+                if planner.ready(10.0):
+                    planner.answer()  # what the last loop did not wait for
+                found["in the loop"].append(loop(robot, stage, 0.25 * seconds, lead=LEAD))
         alone = np.quantile(np.concatenate([f for f, _ in found["none"]]), [0.5, 0.99], axis=0)
         for planned, runs in found.items():
             times = np.concatenate([f for f, _ in runs])
@@ -140,7 +139,7 @@ def loop_lines(rounds, seconds):
                 rows[-1] += [f"{number(half[clock])} / {number(most[clock])}"]
                 ratios = half[clock] / alone[0, clock], most[clock] / alone[1, clock]
                 rows[-1] += [" / ".join(f"{ratio:.2f}" for ratio in ratios)]
-            last = f"{half[2]:.2g} / {most[2]:.2g}" if planned != "none" else ""
+            last = f"{number(half[2])} / {number(most[2])}" if planned != "none" else ""
             rows[-1].append(last)
     heads = "prior", "plans are made", "updates", "plans", "by the clock (ms)", "× none"
     heads += "in the thread (ms)", "× none", "`next` (ms)"
