@@ -1,25 +1,37 @@
-"""What planning 10 s ahead costs: paths of 100 steps, 10 arclength nodes, one thread.
+"""Write into docs/planning.md what planning costs, and what it does to a loop that is running.
 
-Processor seconds, the least of some runs. Usage: plan.py [RUNS]
+Usage: plan.py [RUNS [SECONDS]], SECONDS of each loop in each of RUNS rounds.
 """
 
 import os
 import sys
 import time
+import warnings
 from dataclasses import replace
+from datetime import date
 
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ[name] = "1"
 
 import numpy as np
-from rich.box import MARKDOWN
-from rich.console import Console
-from rich.table import Table
 
-from glissando import BaseVariance, SeparablePrior, load_robot
-from glissando.plan import Trace, Zone, foresee, judge_of, plan_greedily, plan_slide, track_of
+from glissando import BaseVariance, CoilReadings, FixedLag, SeparablePrior, load_robot
+from glissando.errors import PlanWarning
+from glissando.plan import (
+    Elsewhere,
+    Replanner,
+    Trace,
+    Zone,
+    foresee,
+    judge_of,
+    plan_greedily,
+    plan_slide,
+    sliding_sensor,
+    track_of,
+)
 from glissando.robot import robot_file
 from glissando.simulate import load_bench
+from plan_page import number, table, write
 
 LENGTH, HORIZON = 0.7, 10.0
 ZONES = [Zone((0.5, 0.6))]
@@ -33,6 +45,8 @@ SEPARABLE = replace(
         BaseVariance(np.full(6, 1e-6), np.array([1e-4, 1e-4, 1e-4, 5, 5, 0.1])),
     ),
 )
+ROBOTS = {"separable": SEPARABLE, "kinematic": KINEMATIC}
+TICK, LEAD = 0.1, 0.5  # s between updates of the loop, and that a plan begins ahead
 
 
 def clocked(work):
@@ -56,25 +70,94 @@ def costs(robot, stage):
     return [ahead + ready, planned, both, value, slope, greedy], outlook.rows.shape[-1] // 2
 
 
-def main(runs=5):
-    """Print a row a prior and a stage."""
-    bench = load_bench(robot_file("sliding700"))
-    table = Table("prior", "stroke (mm)", "numbers a node", "outlook (ms)", box=MARKDOWN)
-    for heading in ("plan (ms)", "both (ms)", "a value (ms)", "a gradient (ms)", "greedy (ms)"):
-        table.add_column(heading)
-    for name, robot in (("separable", SEPARABLE), ("kinematic", KINEMATIC)):
+def cost_lines(runs):
+    """A row a prior and a stage."""
+    bench, rows = load_bench(robot_file("sliding700")), []
+    for name, robot in ROBOTS.items():
         for stage in (bench.slide, bench.full_slide):
             found = [costs(robot, stage) for _ in range(runs)]
             least = np.min([f[0] for f in found], axis=0)
-            stroke = f"{1e3 * stage.stroke:g}"
-            table.add_row(
-                name,
-                stroke,
-                str(found[0][1]),
-                *(f"{x:.1f}" if x < 10 else f"{x:.0f}" for x in least),
-            )
-    Console(width=140).print(table)
+            rows.append([name, f"{1e3 * stage.stroke:g}", found[0][1], *map(number, least)])
+    heads = "prior", "stroke (mm)", "numbers a node", "outlook (ms)", "plan (ms)", "both (ms)"
+    heads += "a value (ms)", "a gradient (ms)", "greedy (ms)"
+    return [
+        f"`benchmarks/plan.py`, {date.today()}: {HORIZON:g} s ahead, paths of 100 steps, 10 "
+        f"arclength nodes, 10 (separable) or 20 time steps; milliseconds of processor time on one "
+        f"thread, the least of {runs} runs on a machine that others used as well.",
+        "",
+        *table(heads, rows),
+    ]
+
+
+def loop(robot, stage, seconds, planner=None, lead=0.0):
+    """Milliseconds (updates, 3) of updates by the clock, in the thread, and of `next` alone."""
+    track = track_of(stage, LENGTH, LENGTH, 0.5 * HORIZON)
+    given = {} if planner is None else {"planner": planner}
+    sensor = sliding_sensor(robot)
+    replanner = Replanner(sensor, track, ZONES, node_step=0.5, lead=lead, **given)
+    smoother = FixedLag(robot.prior, robot.arclength_nodes, window=4)
+    out, plans, begin = [], set(), time.perf_counter()
+    for tick in range(round(seconds / TICK)):
+        now = tick * TICK
+        time.sleep(max(0.0, begin + now - time.perf_counter()))
+        taken = now - TICK + TICK * np.arange(1, 5) / 4.0
+        place = replanner.at(taken)[0]
+        seen = np.tile(np.eye(4), (4, 1, 1))
+        seen[:, 2, 3] = place
+        coil = CoilReadings(time=taken, arclength=place, values=seen, cov=sensor.cov, name="coil")
+        clocks = [(time.perf_counter(), time.thread_time())]
+        smoother.add(coil)
+        smoother.advance(now)
+        middle = time.thread_time()
+        if planner is not None or lead:
+            plans.add(id(replanner.next(smoother, time.perf_counter() - begin)))
+        clocks.append((time.perf_counter(), time.thread_time()))
+        (wall, own), (wall_end, own_end) = clocks
+        out.append([wall_end - wall, own_end - own, own_end - middle])
+    return 1e3 * np.array(out)[5:], len(plans)
+
+
+def loop_lines(rounds, seconds):
+    """Three loops in turn: one that does not plan, one whose plans are made elsewhere, or in it."""
+    stage, rows = load_bench(robot_file("sliding700")).full_slide, []
+    warnings.simplefilter("ignore", PlanWarning)  # here, each plan is late
+    for name, robot in ROBOTS.items():
+        found = {"none": [], "elsewhere": [], "in the loop": []}
+        with Elsewhere() as planner:
+            for _ in range(rounds):
+                found["none"].append(loop(robot, stage, seconds))
+                found["elsewhere"].append(loop(robot, stage, seconds, planner, LEAD))
+                if planner.ready(10.0):
+                    planner.answer()  # what the last loop did not wait for
+                found["in the loop"].append(loop(robot, stage, 0.25 * seconds, lead=LEAD))
+        alone = np.quantile(np.concatenate([f for f, _ in found["none"]]), [0.5, 0.99], axis=0)
+        for planned, runs in found.items():
+            times = np.concatenate([f for f, _ in runs])
+            half, most = np.quantile(times, [0.5, 0.99], axis=0)
+            rows.append([name, planned, len(times), sum(n for _, n in runs)])
+            for clock in (0, 1):
+                rows[-1] += [f"{number(half[clock])} / {number(most[clock])}"]
+                ratios = half[clock] / alone[0, clock], most[clock] / alone[1, clock]
+                rows[-1] += [" / ".join(f"{ratio:.2f}" for ratio in ratios)]
+            last = f"{number(half[2])} / {number(most[2])}" if planned != "none" else ""
+            rows[-1].append(last)
+    heads = "prior", "plans are made", "updates", "plans", "by the clock (ms)", "× none"
+    heads += "in the thread (ms)", "× none", "`next` (ms)"
+    return [
+        f"`benchmarks/plan.py`, {date.today()}: {1.0 / TICK:g} updates a second with 4 readings "
+        f"each in real time, 10 arclength nodes, {0.5 * HORIZON:g} s ahead with a full stroke; "
+        f"median / 99 % of what an update takes, all of it and its own thread's share, and what "
+        f"`next` takes of the latter.",
+        "",
+        *table(heads, rows),
+    ]
+
+
+def main(runs=5, seconds=20.0):
+    """Both tables."""
+    write("costs", cost_lines(int(runs)))
+    write("loop", loop_lines(2, seconds))
 
 
 if __name__ == "__main__":
-    main(*(int(a) for a in sys.argv[1:2]))
+    main(*(float(a) for a in sys.argv[1:3]))

@@ -26,7 +26,7 @@ for name in ("planned", "oscillating"):
     smoother = FixedLag(robot.prior, robot.arclength_nodes, window=6)
     for now in np.arange(0.0, lasts, 0.5):
         time = now + np.linspace(-0.475, 0.0, 20)[-20 if now else -1 :]
-        place = replanner.plan.at(time)[0] if replanner.plan else 0.7 - blind.at(time)
+        place = replanner.at(time)[0] if name == "planned" else 0.7 - blind.at(time)
         noise = np.pad(std * rng.standard_normal((time.size, 5)), ((0, 0), (0, 1)))
         seen = motion.at(place, time).pose @ se3.exp(noise)
         smoother.add(CoilReadings(time=time, arclength=place, values=seen, cov=std**2, name="coil"))

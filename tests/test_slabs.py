@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from threadpoolctl import threadpool_info
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from draws import generators, law
 from glissando.errors import UnobservableError
@@ -135,5 +135,13 @@ def test_a_matrix_that_is_no_information_at_all_is_refused(spoiled):
 
 
 def test_blas_keeps_to_one_thread_around_the_blocks():
-    with one_thread():
-        assert all(p["num_threads"] == 1 for p in threadpool_info() if p["user_api"] == "blas")
+    def threads():
+        return {p["num_threads"] for p in threadpool_info() if p["user_api"] == "blas"}
+
+    with threadpool_limits(2, user_api="blas"):
+        before = threads()
+        with one_thread():
+            with one_thread():
+                assert threads() == {1}
+            assert threads() == {1}  # the inner one does not end it
+        assert threads() == before

@@ -54,6 +54,26 @@ def test_a_path_is_followed_to_its_end_within_half_a_millimetre():
     assert len(readings) == pytest.approx(50 * path.duration, rel=0.05)
 
 
+def test_a_path_that_changes_on_the_way_is_pursued_and_a_goal_outside_the_stroke_stops_it():
+    world = World(start=0.01)
+
+    def wanted(into):  # a plan, and from the third second on another
+        return 0.01 + 0.01 * min(into, 3.0) - 0.005 * max(into - 3.0, 0.0)
+
+    with together(world):
+        slide = home(world)
+        readings = list(slide.pursue(wanted, 4.0))
+        begun = readings[0].time
+        off = [r.travel - wanted(r.time - begun) for r in readings[:-1]]
+        assert np.abs(off).max() < 1e-3
+        with pytest.raises(DeviceError, match="outside the stroke"):
+            list(slide.pursue(lambda into: 0.035 + 0.01 * into, 9.0))
+        here = world.screw.travel
+        assert slide.read().speed == 0.0
+        assert slide.read().travel == pytest.approx(here, abs=2 * TICK)
+    assert here < 0.0605
+
+
 def test_home_is_found_at_the_mechanical_stop():
     world = World(start=0.035, play=1e-4, ends=(-0.002, 0.062))
     with together(world), Slide("world", STAGE) as slide:

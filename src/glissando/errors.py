@@ -35,3 +35,7 @@ class DeviceError(GlissandoError):
 
 class NotConvergedWarning(UserWarning):
     """The estimate stopped before its step became small: do not trust it."""
+
+
+class PlanWarning(UserWarning):
+    """A plan of the sensor's path came too late or not at all: the last one goes on."""

@@ -2,13 +2,25 @@
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 from threadpoolctl import ThreadpoolController
 
 _threads = ThreadpoolController()
+_held = threading.local()
 
 
-def one_thread() -> AbstractContextManager[object]:
-    """Hold BLAS to one thread while the context lasts."""
-    return _threads.limit(limits=1, user_api="blas")
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Hold BLAS to one thread while the context lasts; inside another it costs nothing."""
+    if getattr(_held, "already", False):
+        yield
+        return
+    _held.already = True
+    try:
+        with _threads.limit(limits=1, user_api="blas"):
+            yield
+    finally:
+        _held.already = False

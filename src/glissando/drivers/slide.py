@@ -7,7 +7,7 @@ the servo's own watchdog listens: silence of the host, for whatever reason, stop
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from time import monotonic, sleep
@@ -21,7 +21,6 @@ from glissando.drivers.dynamixel import NoAnswerError, Servo
 from glissando.drivers.homing import touch
 from glissando.drivers.stage import Stage
 from glissando.errors import DeviceError
-from glissando.se3 import Array
 
 _PACE = 0.01  # s between the readings of a move
 _PATIENCE = 2.0  # s after a move should have ended
@@ -159,32 +158,37 @@ class Slide:
         the watchdog's time stops the stage. Raises DeviceError for a path outside the stroke or
         above the speed, and when the stage lags behind.
         """
-        self._require_home()
-        if rate * self.stage.watchdog < 2.0:
-            raise DeviceError(
-                f"Goals at {rate:g} Hz are too few for a watchdog of {self.stage.watchdog:g} s; "
-                f"give a rate of {2.0 / self.stage.watchdog:g} Hz or more."
-            )
+        self._require_paced(rate)
         times, places = self.stage.path(time, travel)
         self.move(float(places[0]))
+        yield from self.pursue(lambda t: np.interp(t, times, places), times[-1], rate=rate)
+
+    def pursue(
+        self, wanted: Callable[[float], float], lasts: float, *, rate: float = 50.0
+    ) -> Iterator[SlideReading]:
+        """Follow a travel that is decided on the way, from where the stage is, yielding readings.
+
+        `wanted` says for `lasts` seconds, and three periods more, which travel in metres is to be
+        at a time from now; in the end it rests. Raises DeviceError as `follow` does, as it comes.
+        """
+        self._require_paced(rate)
         with self._moving():
             reading = self.read()
             begun = beat = monotonic()
-            while (now := monotonic()) - begun < times[-1]:
-                self._chase(times, places, now - begun, reading, now, _AHEAD / rate)
+            while (now := monotonic()) - begun < lasts:
+                self._chase(wanted(now - begun + _AHEAD / rate), reading, now, _AHEAD / rate)
                 reading = self.read()
-                self._require_near(reading, float(np.interp(reading.time - begun, times, places)))
+                self._require_near(reading, wanted(reading.time - begun))
                 yield reading
                 beat = max(beat + 1.0 / rate, now)
                 sleep(max(beat - monotonic(), 0.0))
-            self._aim(float(places[-1]), self.stage.speed_units(self.stage.speed), 0)
-            yield from self._until_rest(float(places[-1]), 0.0)
+            last = wanted(lasts)
+            self._aim(last, self.stage.speed_units(self.stage.speed), 0)
+            yield from self._until_rest(last, 0.0)
 
-    def _chase(
-        self, times: Array, places: Array, into: float, last: SlideReading, now: float, ahead: float
-    ) -> None:
+    def _chase(self, aim: float, last: SlideReading, now: float, ahead: float) -> None:
         """Aim a little ahead on the path, at the speed that gets there in time from here."""
-        aim = float(np.interp(into + ahead, times, places))
+        self.stage.require_inside(aim)
         here = last.travel + last.speed * (now - last.time)
         # Up to a tenth faster than allowed on a path, to catch up with it.
         speed = min(abs(aim - here) / ahead, 1.1 * self.stage.speed)
@@ -214,6 +218,14 @@ class Slide:
                 "switched off. Home it first with home_here(travel) or home_at_stop()."
             )
         return self._zero
+
+    def _require_paced(self, rate: float) -> None:
+        self._require_home()
+        if rate * self.stage.watchdog < 2.0:
+            raise DeviceError(
+                f"Goals at {rate:g} Hz are too few for a watchdog of {self.stage.watchdog:g} s; "
+                f"give a rate of {2.0 / self.stage.watchdog:g} Hz or more."
+            )
 
     def _require_near(self, reading: SlideReading, wanted: float) -> None:
         behind = abs(reading.travel - wanted)

@@ -19,27 +19,41 @@ from glissando.plan.compare import Foretold, blind_paths, everywhere, foretell
 from glissando.plan.design import Design, is_best, sweep
 from glissando.plan.greedy import plan_greedily
 from glissando.plan.judge import Judge, judge_of
-from glissando.plan.motions import choose_motion, course_of
+from glissando.plan.known import Snapshot, snapshot
+from glissando.plan.motions import (
+    Reshaping,
+    Together,
+    choose_motion,
+    course_of,
+    draw_motions,
+    plan_together,
+)
 from glissando.plan.objectives import Chance, LogDet, Objective, Trace, Worst, objective_named
 from glissando.plan.outlook import Outlook, foresee
+from glissando.plan.planners import Elsewhere
 from glissando.plan.replan import Replanner
 from glissando.plan.sensor import SlidingSensor, sliding_sensor
 from glissando.plan.slide import Plan, plan_slide
 from glissando.plan.track import Track, track_of
-from glissando.plan.zones import Zone, read_zone
+from glissando.plan.zones import Moving, Zone, read_zone
 
 __all__ = [
     "Ahead",
     "Chance",
     "Design",
+    "Elsewhere",
     "Foretold",
     "Judge",
     "LogDet",
+    "Moving",
     "Objective",
     "Outlook",
     "Plan",
     "Replanner",
+    "Reshaping",
     "SlidingSensor",
+    "Snapshot",
+    "Together",
     "Trace",
     "Track",
     "Worst",
@@ -47,6 +61,7 @@ __all__ = [
     "blind_paths",
     "choose_motion",
     "course_of",
+    "draw_motions",
     "everywhere",
     "foresee",
     "foretell",
@@ -55,8 +70,10 @@ __all__ = [
     "objective_named",
     "plan_greedily",
     "plan_slide",
+    "plan_together",
     "read_zone",
     "sliding_sensor",
+    "snapshot",
     "sweep",
     "track_of",
 ]

@@ -8,6 +8,7 @@ say, were the robot to move as expected.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -53,7 +54,7 @@ class Ahead:
     system: BlockTridiagonal
     marginals: Marginals
 
-    @property
+    @cached_property
     def still(self) -> bool:
         """Whether the robot is expected to hold its shape."""
         return all(bool(np.all(field == field[:1])) for field in self.mean.fields())
@@ -97,8 +98,12 @@ class Ahead:
         return rows, left
 
     def _placed(self, sensor: SlidingSensor, arclength: Array, time: Array) -> PlacedReadings:
-        at = states_at(self.prior, self.grid, self.mean, arclength, time)
-        readings: list[Readings] = [sensor.readings(at.pose, arclength, time)]
+        place, when, same = arclength, time, np.arange(time.size)
+        if self.still and time.size:
+            place, same = np.unique(arclength, return_inverse=True)
+            when = np.full(place.size, time[0])
+        pose = states_at(self.prior, self.grid, self.mean, place, when).pose[same]
+        readings: list[Readings] = [sensor.readings(pose, arclength, time)]
         return PlacedReadings(self.grid, readings, self.unknowns.each, keep_all=True)
 
     def _room(self, count: int, rows: int) -> Rows:

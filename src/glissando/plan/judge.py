@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -41,38 +42,47 @@ class Judge:
         """Value of a path (T,), and its slope (T,) by every place."""
         rows, slopes = self.readings(arclength)
         chol, marginals = self._known(rows)
-        value, slope = self.objective(self._cov(marginals), self.weight)
-        turned = self._passed(chol, marginals, self._spread(slope))
+        reached, cov = self._zones(marginals)
+        value, slope = self.objective(cov, self.weight)
         seen, moved = (by_cell(part, self.outlook.inside) for part in (rows, slopes))
-        by_row = np.einsum("kij,kij->ki", seen @ turned, moved).ravel()
+        by_row = self._passed(chol, marginals, reached, slope, seen, moved).ravel()
         by_step = by_row[: rows[..., 0].size].reshape(len(rows), -1)
         return value, -2.0 * by_step.sum(axis=1)
 
     def value(self, arclength: Array) -> float:
         """Value of a path (T,)."""
-        marginals = self._known(self.readings(arclength)[0])[1]
-        return self.objective(self._cov(marginals), self.weight)[0]
+        return self.objective(self.cov(arclength), self.weight)[0]
 
     def cov(self, arclength: Array) -> Array:
         """Covariance (Z, p, p) of the zones' points after a path (T,)."""
-        return self._cov(self._known(self.readings(arclength)[0])[1])
+        return self._zones(self._known(self.readings(arclength)[0])[1])[1]
 
     def readings(self, arclength: Array) -> tuple[Array, Array]:
         """Rows (T, C r, 2 d) of all coils' readings, and their slopes by the place.
 
         A cubic through four places of the lattice, with a continuous slope (Catmull and Rom).
         """
-        lattice, table = self.outlook.lattice, self.outlook.rows
+        lattice, table = self.outlook.lattice, self._table
         step = lattice[1] - lattice[0]
         place = (arclength[:, None] - self.outlook.sensor.behind - lattice[0]) / step
         lower = np.clip(np.floor(place).astype(np.intp), 0, lattice.size - 2)
-        weights, slopes = _cubic(place - lower)
-        near, edges = lower[..., None] + np.arange(-1, 3), (0, lattice.size - 1)
-        weights, slopes = (_at_edges(w, near, edges) for w in (weights, slopes))
-        picked = table[np.arange(arclength.size)[:, None, None], np.clip(near, *edges)]
+        weights = _cubic(place - lower)
+        weights[..., 1, :] /= step
+        at = np.arange(arclength.size)[:, None, None], lower[..., None] + np.arange(4)
+        found = weights @ table[at].reshape(*lower.shape, 4, -1)
         shape = arclength.size, -1, table.shape[-1]
-        rows = np.einsum("tcw,tcwij->tcij", weights, picked).reshape(shape)
-        return rows, np.einsum("tcw,tcwij->tcij", slopes / step, picked).reshape(shape)
+        return found[..., 0, :].reshape(shape), found[..., 1, :].reshape(shape)
+
+    @cached_property
+    def _table(self) -> Array:
+        """Rows at the places of the lattice and one more at each end, (T, L + 2, r, 2 d).
+
+        A parabola through the three places next to it leads there.
+        """
+        rows = self.outlook.rows
+        low, high = rows[:, :3], rows[:, :-4:-1]
+        beyond = [3.0 * end[:, :1] - 3.0 * end[:, 1:2] + end[:, 2:] for end in (low, high)]
+        return np.concatenate([beyond[0], rows, beyond[1]], axis=1)
 
     def _known(self, rows: Array) -> tuple[Cholesky, Marginals]:
         """Factor and covariances of the modes after readings with these rows (T, q, 2 d)."""
@@ -86,43 +96,72 @@ class Judge:
         chol = factor(BlockTridiagonal(diagonal, lower))
         return chol, chol.marginals()
 
-    def _cov(self, marginals: Marginals) -> Array:
-        gained = (self.outlook.modes.pair - _pairs(marginals))[self.cell]
-        return symmetrize(self.before - self.rows @ gained @ np.swapaxes(self.rows, -1, -2))
+    @cached_property
+    def _slot(self) -> Index:
+        """Where each point (Z,) is among those of its time cell."""
+        return np.arange(self.cell.size) - np.searchsorted(self.cell, self.cell)
 
-    def _spread(self, slope: Array) -> Array:
-        """M (K−1, 2 d, 2 d) of each time cell, from the slopes (Z, p, p) of points in it."""
-        out = np.zeros_like(self.outlook.modes.pair)
-        each = np.swapaxes(self.rows, -1, -2) @ (slope @ self.rows)
-        starts = np.flatnonzero(np.diff(self.cell, prepend=-1))
-        out[self.cell[starts]] = np.add.reduceat(each, starts)
+    @cached_property
+    def _points(self) -> Array:
+        """Rows (K−1, m, p, 2 d) of each time cell's points, filled up with nothing."""
+        most = int(self._slot.max()) + 1
+        out = np.zeros((len(self.outlook.modes.pair), most, *self.rows.shape[1:]))
+        out[self.cell, self._slot] = self.rows
         return out
 
-    @staticmethod
-    def _passed(chol: Cholesky, marginals: Marginals, slope: Array) -> Array:
-        """Blocks (K−1, 2 d, 2 d) of P M P, M being given by its part in each time cell.
+    @cached_property
+    def _left(self) -> Array:
+        """Covariance (Z, p, p) of the points that the modes leave open."""
+        told = self.rows @ self.outlook.modes.pair[self.cell] @ _transposed(self.rows)
+        return symmetrize(self.before - told)
 
-        What is known at one time depends on what lies beyond a neighbouring time only through it:
-        P(k, later) = G_k P(k+1, later), G_k = −S_k⁻¹ U_k, and P(k+1, earlier) = F_k P(k, earlier).
+    def _zones(self, marginals: Marginals) -> tuple[Array, Array]:
+        """Covariance (K−1, 2 d, m p) of the modes with each cell's points, and theirs (Z, p, p)."""
+        cells, count, p, wide = self._points.shape
+        rows, size = self._points.reshape(cells, count * p, wide), wide // 2
+        early, late = _transposed(rows[..., :size]), _transposed(rows[..., size:])
+        reached = np.empty((cells, wide, count * p))
+        reached[:, :size] = marginals.cov[:-1] @ early + marginals.cross @ late
+        reached[:, size:] = _transposed(marginals.cross) @ early + marginals.cov[1:] @ late
+        own = reached.reshape(cells, wide, count, p).transpose(0, 2, 1, 3)
+        told = (self._points @ own)[self.cell, self._slot]
+        return reached, self._left + symmetrize(told)
+
+    def _passed(
+        self,
+        chol: Cholesky,
+        marginals: Marginals,
+        reached: Array,
+        slope: Array,
+        seen: Array,
+        moved: Array,
+    ) -> Array:
+        """Diagonals (K−1, q) of seen X movedᵀ, rows (K−1, q, 2 d) of cells, by X = P M P there.
+
+        M is given by its slopes (Z, p, p) at points. What is known at one time depends on what lies
+        beyond a neighbouring time only through it: P(k, later) = G_k P(k+1, later),
+        G_k = −S_k⁻¹ U_k, and P(k+1, earlier) = F_k P(k, earlier).
         """
-        cov, cross = marginals.cov, marginals.cross
-        size = cov.shape[1]
-        back = -np.swapaxes(chol.inverse[:-1], -1, -2) @ chol.coupling
-        forth = np.linalg.solve(cov[:-1], cross).swapaxes(-1, -2)
-        pairs = _pairs(marginals)
-        out = pairs @ slope @ pairs
-        later = np.zeros_like(cov)  # at k, from cells at and after k
-        for k in reversed(range(len(back))):
-            later[k] = out[k, :size, :size] + back[k] @ later[k + 1] @ back[k].T
-        earlier = np.zeros_like(cov)  # at k, from cells before k
-        for k, gain in enumerate(forth):
-            earlier[k + 1] = out[k, size:, size:] + gain @ earlier[k] @ gain.T
-        eye = np.broadcast_to(np.eye(size), cross.shape)
-        for lift, part in (
-            (np.concatenate([back, eye], axis=1), later[1:]),
-            (np.concatenate([eye, forth], axis=1), earlier[:-1]),
-        ):
-            out += lift @ part @ np.swapaxes(lift, -1, -2)
+        cells, count, p, wide = self._points.shape
+        size = wide // 2
+        by_point = np.zeros((cells, count, p, p))
+        by_point[self.cell, self._slot] = slope
+        own = reached.reshape(cells, wide, count, p).transpose(0, 2, 1, 3)
+        turned = (own @ by_point).transpose(0, 2, 1, 3).reshape(reached.shape)
+        out = _products(seen @ turned, moved @ reached)
+        ends = slice(0, size), slice(size, wide)
+        first, last = (turned[:, end] @ _transposed(reached[:, end]) for end in ends)
+        back = -(_transposed(chol.inverse[:-1]) @ chol.coupling)
+        forth = _transposed(np.asarray(np.linalg.solve(marginals.cov[:-1], marginals.cross)))
+        later = np.zeros_like(back)  # at k + 1, from cells after k
+        for k in reversed(range(cells - 1)):
+            later[k] = first[k + 1] + back[k + 1] @ later[k + 1] @ back[k + 1].T
+        earlier = np.zeros_like(forth)  # at k, from cells before k
+        for k in range(1, cells):
+            earlier[k] = last[k - 1] + forth[k - 1] @ earlier[k - 1] @ forth[k - 1].T
+        for near, far, gain, beyond in ((*ends, back, later), (*ends[::-1], forth, earlier)):
+            to, by = (part[..., far] + part[..., near] @ gain for part in (seen, moved))
+            out += _products(to @ beyond, by)
         return out
 
 
@@ -140,14 +179,13 @@ def judge_of(outlook: Outlook, zones: Sequence[Zone], objective: Objective) -> J
     return Judge(outlook, objective, cell, rows[:, :p], cov[:, :p, :p], weight[order])
 
 
-def _pairs(marginals: Marginals) -> Array:
-    """Joint covariance (K−1, 2 d, 2 d) of neighbouring times."""
-    cov, cross = marginals.cov, marginals.cross
-    size = cov.shape[1]
-    out = np.empty((len(cross), 2 * size, 2 * size))
-    out[:, :size, :size], out[:, size:, size:] = cov[:-1], cov[1:]
-    out[:, :size, size:], out[:, size:, :size] = cross, np.swapaxes(cross, -1, -2)
-    return out
+def _products(left: Array, right: Array) -> Array:
+    """Products (…, q) of rows with rows."""
+    return np.einsum("...i,...i->...", left, right)
+
+
+def _transposed(matrix: Array) -> Array:
+    return np.swapaxes(matrix, -1, -2)
 
 
 def by_cell(rows: Array, inside: int) -> Array:
@@ -161,21 +199,9 @@ def by_cell(rows: Array, inside: int) -> Array:
     return rows.reshape(cells, -1, rows.shape[-1])
 
 
-def _cubic(x: Array) -> tuple[Array, Array]:
-    """Weights (…, 4) of the neighbours of a place x in [0, 1] between the middle two; slopes."""
+def _cubic(x: Array) -> Array:
+    """Weights (…, 2, 4) of the neighbours of a place x in [0, 1] between the middle two; slopes."""
     basis = 0.5 * np.array([[0, -1, 2, -1], [2, 0, -5, 3], [0, 1, 4, -3], [0, 0, -1, 1]])
-    powers = x[..., None] ** np.arange(4)
-    slopes = np.arange(4) * x[..., None] ** np.maximum(np.arange(4) - 1, 0)
-    return powers @ basis.T, slopes @ basis.T
-
-
-def _at_edges(weights: Array, near: Index, edges: tuple[int, int]) -> Array:
-    """Weights (…, 4) with those beyond the ends of the lattice given to a parabola inside it."""
-    out = weights.copy()
-    for beyond, own, share in ((0, 1, 3.0), (0, 2, -3.0), (0, 3, 1.0)):
-        out[..., own] += share * np.where(near[..., beyond] < edges[0], weights[..., beyond], 0.0)
-    for beyond, own, share in ((3, 2, 3.0), (3, 1, -3.0), (3, 0, 1.0)):
-        out[..., own] += share * np.where(near[..., beyond] > edges[1], weights[..., beyond], 0.0)
-    out[..., 0] = np.where(near[..., 0] < edges[0], 0.0, out[..., 0])
-    out[..., 3] = np.where(near[..., 3] > edges[1], 0.0, out[..., 3])
-    return out
+    order = np.arange(4)
+    powers = np.stack([x[..., None] ** order, order * x[..., None] ** np.maximum(order - 1, 0)], -2)
+    return np.asarray(powers @ basis.T)

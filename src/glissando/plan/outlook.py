@@ -8,8 +8,7 @@ that a sensor can tell, so that a path is judged in milliseconds. Source: equati
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,26 +16,22 @@ from glissando.errors import GlissandoError
 from glissando.grid import Grid, Index
 from glissando.noise import sqrt_information
 from glissando.online import FixedLag
-from glissando.plan.ahead import Ahead, Rows, look_ahead, prior_information
+from glissando.plan.ahead import Ahead, Rows, look_ahead
+from glissando.plan.known import Course, Snapshot, snapshot
 from glissando.plan.modes import Modes, reduced, telling_weights, with_rates
 from glissando.plan.sensor import SlidingSensor, sliding_sensor
 from glissando.posterior import Posterior
-from glissando.prior import Prior
 from glissando.robot import Robot
 from glissando.se3 import Array
-from glissando.state import State
 from glissando.threads import one_thread
 from glissando.transitions import symmetrize
-from glissando.unknowns import Unknown, Unknowns
+from glissando.unknowns import Unknowns
 
-_BETWEEN = 6  # places between two arclength nodes at which readings are linearised
+_BETWEEN = 4  # places between two arclength nodes at which readings are linearised
 _FEWEST = 6  # of them over the whole reach
-_LEAST, _MOST = 0.1, 24  # standard deviations of a reading that modes may leave; modes at most
+_LEAST, _MOST = 0.1, 16  # standard deviations of a reading that modes may leave; modes at most
 _ROUNDING = 0.1  # of a reading's variance that may be lost to it
 _NODES = 100  # time steps of the grid ahead, if the estimate's are finer
-
-Course = Callable[[Array], State]
-"""The motion that is expected: a State (K, N) at times (K,) and the prior's arclength nodes."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +106,7 @@ class Outlook:
 
 
 def foresee(
-    known: Robot | Posterior | FixedLag,
+    known: Robot | Posterior | FixedLag | Snapshot,
     reach: tuple[float, float],
     horizon: float,
     sensor: SlidingSensor | None = None,
@@ -123,17 +118,18 @@ def foresee(
 ) -> Outlook:
     """What is known of the next `horizon` seconds, and what a sensor could add to it.
 
-    `known` is a robot (its prior alone, from time `start` on), or a posterior or running smoother:
-    all that it knows at its newest time. The first coil moves between the arclengths `reach`, m.
-    The robot holds its shape (that at rest, or that of the newest time) unless `course` says how it
-    moves. `step` is that of paths, `node_step` about that of the estimate's time nodes: by default
-    what it was, unless that makes more than 100. Raises GlissandoError for what cannot be.
+    `known` is a robot (its prior alone, from time `start` on), or a posterior, running smoother or
+    snapshot: all that it knows at its newest time. The first coil moves between the arclengths
+    `reach`, m. The robot holds its shape (that at rest, or that of the newest time) unless `course`
+    says how it moves. `step` is that of paths, `node_step` about that of the estimate's time nodes:
+    by default what it was, unless that makes more than 100. Raises GlissandoError for what cannot
+    be.
 
     >>> from glissando import load_robot
     >>> foresee(load_robot("sliding700"), (0.64, 0.7), 5.0).steps
     50
     """
-    now = _now(known, start)
+    now = snapshot(known, start)
     if sensor is None and isinstance(known, Robot):
         sensor = sliding_sensor(known)
     if sensor is None:
@@ -149,55 +145,8 @@ def foresee(
     grid = Grid(now.arclength, now.time + inside * step * np.arange(cells + 1), now.before)
     mean = now.held(grid) if course is None else course(grid.time)
     with one_thread():
-        ahead = look_ahead(now.prior, grid, mean, Unknowns(grid, now.unknowns), now.belief)
+        ahead = look_ahead(now.prior, grid, mean, Unknowns(grid, now.unknowns), now.belief())
         return _seen(ahead, sensor, reach, step, steps, inside)
-
-
-@dataclass(frozen=True)
-class _Now:
-    """What is known as the time ahead begins: `shape` (N,) and information `belief` (D, D), if any.
-
-    The belief is without what the prior says of the newest node by itself, which depends on the
-    time it stands for: from the node `before` it to the one that follows.
-    """
-
-    prior: Prior
-    arclength: Array
-    time: float
-    node_step: float
-    unknowns: Sequence[Unknown]
-    shape: State | None = None
-    belief: Array | None = None
-    before: float | None = None
-
-    def held(self, grid: Grid) -> State:
-        """The shape at all times of a grid, at rest."""
-        rest = self.prior.rest_state(grid)
-        if self.shape is None:
-            return rest
-        pose, strain = self.shape.pose, self.shape.strain
-        return replace(
-            rest,
-            pose=np.broadcast_to(pose, rest.pose.shape),
-            strain=np.broadcast_to(strain, rest.strain.shape),
-        )
-
-
-def _now(known: Robot | Posterior | FixedLag, start: float) -> _Now:
-    if isinstance(known, Robot):
-        nodes, step = known.arclength_nodes, 1.0 / known.time_rate
-        return _Now(known.prior, nodes, start, step, known.unknowns)
-    posterior = known.posterior() if isinstance(known, FixedLag) else known
-    prior, grid = posterior.prior, posterior.grid
-    before = float(grid.time[-2]) if grid.time.size > 1 else grid.before
-    newest = Grid(grid.arclength, grid.time[-1:], before)
-    unknowns = [unknown for unknown, _ in posterior.unknowns]
-    state = posterior.state.take(slice(-1, None))
-    own = prior_information(prior, newest, state, Unknowns(newest, unknowns))
-    belief = symmetrize(np.linalg.inv(posterior.marginals.cov[-1])) - own.diagonal[0]
-    time = float(grid.time[-1])
-    step = 0.0 if before is None else time - before
-    return _Now(prior, grid.arclength, time, step, unknowns, state.take(0), belief, before)
 
 
 def _require_reach(

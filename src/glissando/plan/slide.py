@@ -19,8 +19,9 @@ from glissando.threads import one_thread
 
 _RANDOM, _DWELLING = 4, 20  # random starts, and such that dwell
 _ALIKE = 0.05  # of the track, within which two paths are one start
-_TRIED, _BRIEFLY = 6, 5  # starts that are improved, each for so many iterations
-_ITERATIONS = 25  # of the one that became best
+_TRIED = 5  # starts that are improved a little
+_ITERATIONS, _STEPS = 12, 8  # of the one that became best: at least, and steps of its path for each
+_BRIEFLY = 4  # times fewer for each of the others
 _DRAWN = 0.1  # share of the way to the middle of all paths that a start is drawn, to be inside
 
 
@@ -72,7 +73,7 @@ def plan_slide(
     wear: float = 0.0,
     seed: int = 0,
     tried: int = _TRIED,
-    iterations: int = _ITERATIONS,
+    iterations: int | None = None,
     before: Array | None = None,
 ) -> Plan:
     """The path of least value by a judge among those that a track allows.
@@ -80,8 +81,8 @@ def plan_slide(
     The `zones` tell where it may pay to start; `wear` weighs the mean square speed, in s² times the
     objective's unit; `before` is a path (T + 2,) of control points to start from as well. Of the
     best starts that differ, `tried` are improved a little, the best of these for up to
-    `iterations`; the result is never worse than any start. Raises GlissandoError when the track has
-    not the outlook's steps.
+    `iterations`, by default more for a longer path; the result is never worse than any start.
+    Raises GlissandoError when the track has not the outlook's steps.
     """
     outlook = judge.outlook
     if (track.steps, track.step) != (outlook.steps, outlook.step):
@@ -95,6 +96,8 @@ def plan_slide(
     paths = track.follow(np.stack(list(wanted.values())))
     with one_thread():
         values = [_worth(judge, track, path, wear) for path in paths]
+        if iterations is None:
+            iterations = max(_ITERATIONS, track.steps // _STEPS)
         control, value = _searched(judge, track, paths, values, wear, tried, iterations)
     told = dict(zip(wanted, map(float, values), strict=True))
     return Plan(outlook.times, track.places(control), control, track, float(value), told)
@@ -160,11 +163,10 @@ def _searched(
     centre, apart = _middle(track), _ALIKE * (track.upper - track.lower)
     found = [(paths[order[0]], values[order[0]])]
     found += [
-        _improve(judge, track, path, centre, wear, min(iterations, _BRIEFLY))
+        _improve(judge, track, path, centre, wear, max(1, iterations // _BRIEFLY))
         for path in _different(paths[order], apart, tried)
     ]
-    if iterations > _BRIEFLY:
-        found.append(_improve(judge, track, _best(found)[0], centre, wear, iterations))
+    found.append(_improve(judge, track, _best(found)[0], centre, wear, iterations))
     return _best(found)
 
 

@@ -64,6 +64,11 @@ class Track:
         return np.asarray((np.arange(self.steps) + 0.5) * self.step)
 
     @property
+    def lasts(self) -> float:
+        """How long a path is, seconds."""
+        return self.steps * self.step
+
+    @property
     def control_times(self) -> Array:
         """Times (T + 2,) that control points stand for."""
         return np.asarray((np.arange(self.steps + 2) - 0.5) * self.step)

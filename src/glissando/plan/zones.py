@@ -22,11 +22,29 @@ Interval = tuple[float, float]
 
 
 @dataclass(frozen=True)
+class Moving:
+    """Both ends of a zone that moves evenly from one interval to another, in an interval of time.
+
+    >>> Moving((0.0, 10.0), (0.1, 0.2), (0.5, 0.6))(np.array([5.0]))
+    (array([0.3]), array([0.4]))
+    """
+
+    time: Interval
+    first: Interval
+    last: Interval
+
+    def __call__(self, time: Array) -> tuple[Array, Array]:
+        """Lower and upper end (K,) at times (K,)."""
+        low, high = (np.interp(time, self.time, e) for e in zip(self.first, self.last, strict=True))
+        return low, high
+
+
+@dataclass(frozen=True)
 class Zone:
     """Arclengths (m) from `arclength[0]` to `arclength[1]` during `time` (s), with a `weight`.
 
-    A zone that moves gives `arclength` as a function of times (K,) that returns both ends (K,). No
-    `time` means always. Raises GlissandoError for intervals that are empty.
+    A zone that moves gives `arclength` as a function of times (K,) that returns both ends (K,), for
+    instance `Moving`. No `time` means always. Raises GlissandoError for intervals that are empty.
 
     >>> Zone((0.6, 0.7)).points(np.array([3.0]))[0]
     array([0.61, 0.63, 0.65, 0.67, 0.69])
@@ -132,8 +150,4 @@ def read_zone(text: str) -> Zone:
     if time is None or time[1] <= time[0]:
         raise GlissandoError(f"Zone {text!r} moves, so it needs times: add @T0:T1.")
     Zone((low, high)), Zone((low2, high2), time)  # their ends are in order
-
-    def moving(at: Array) -> tuple[Array, Array]:
-        return np.interp(at, time, (low, low2)), np.interp(at, time, (high, high2))
-
-    return Zone(moving, time, given)
+    return Zone(Moving(time, (low, high), (low2, high2)), time, given)
