@@ -24,7 +24,8 @@ from glissando.inbox import Inbox
 from glissando.posterior import Estimate, Posterior
 from glissando.prior import Prior
 from glissando.readings import Readings
-from glissando.state import DOF
+from glissando.se3 import Array
+from glissando.state import State
 from glissando.threads import one_thread
 from glissando.twins import prepare
 from glissando.unknowns import Unknown, corrected
@@ -189,8 +190,7 @@ class FixedLag:
         """The newest state at the nodes (N,) with covariance (N, 18, 18)."""
         if not self._window.nodes:
             raise OutsideGridError("There is no estimate yet; call advance(time) first.")
-        state, cov = self._window.newest()
-        return Estimate(state.pose, state.strain, state.velocity, cov[:, :DOF, :DOF])
+        return self._window.newest_nodes()
 
     def posterior(self) -> Posterior:
         """The window as a posterior, to query, draw and save like any other."""
@@ -231,6 +231,26 @@ class FixedLag:
                 self._window.solve(0, self._since(0))
                 moved = max(float(np.abs(node.step).max()) for node in self._window.nodes)
         return rounds
+
+    def newest_node(self) -> tuple[State, Array, Grid]:
+        """The newest time by itself: what a plan or another estimate goes on from.
+
+        Estimate (N,), covariance (D, D) of its nodes' numbers and then the unknowns', and a grid
+        of it alone, which knows what came before.
+        """
+        self.newest()  # says what to do where there is none
+        state, cov = self._window.newest()
+        return state, cov, self._window.grid(len(self._window.nodes) - 1)
+
+    @property
+    def prior(self) -> Prior:
+        """The prior of the motion."""
+        return self._window.prior
+
+    @property
+    def unknowns(self) -> tuple[Unknown, ...]:
+        """What of the sensors is estimated, in the order of its numbers."""
+        return self._window.unknowns
 
     @property
     def dropped(self) -> dict[str, Counter[str]]:

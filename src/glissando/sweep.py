@@ -6,6 +6,7 @@ both its ends, 2 D.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -85,3 +86,16 @@ def squared_innovations(residual: Array, known: Array) -> Array:
     """
     share = (1.0 + 1e-9) * np.eye(residual.shape[1]) - known @ np.swapaxes(known, 1, 2)
     return np.einsum("mr,mr->m", residual, np.linalg.solve(share, residual[..., None])[..., 0])
+
+
+def substituted(jacobian: Array, inverses: Sequence[Array], aheads: Sequence[Array]) -> Array:
+    """Y (R, K · D) with J P Jᵀ = Y Yᵀ, by substitution through a factor of the information.
+
+    `inverses` (D, D) of its diagonal blocks, and `aheads` (D, D) what couples each with the next.
+    """
+    rows = jacobian.reshape(len(jacobian), len(inverses), -1)
+    out = np.empty_like(rows)
+    for k, inverse in enumerate(inverses):
+        row = rows[:, k] - out[:, k - 1] @ aheads[k - 1] if k else rows[:, k]
+        out[:, k] = row @ inverse.T
+    return out.reshape(jacobian.shape)

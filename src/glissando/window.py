@@ -18,13 +18,13 @@ from glissando.errors import UnobservableError
 from glissando.grid import Grid, Index
 from glissando.linear import Factors
 from glissando.placed import PlacedReadings
-from glissando.posterior import Posterior, Solve
+from glissando.posterior import Estimate, Posterior, Solve
 from glissando.prior import Prior
 from glissando.readings import Readings
 from glissando.se3 import Array
 from glissando.slabs import BlockTridiagonal, Marginals
-from glissando.state import POSE, State
-from glissando.sweep import Layout, add_factors, spread_out, squared_innovations
+from glissando.state import DOF, POSE, State
+from glissando.sweep import Layout, add_factors, spread_out, squared_innovations, substituted
 from glissando.unknowns import Unknown, Unknowns
 
 
@@ -246,7 +246,8 @@ class Window:
         steps = np.concatenate([node.step for node in nodes])
         batches = (replace(batch, nodes=batch.nodes - begin * n_count) for _, _, batch in kept)
         spread = [spread_out(batch, self._layout, len(nodes)) for batch in batches]
-        known = _forward(nodes, np.concatenate([j.reshape(-1, steps.size) for _, j in spread]))
+        rows = np.concatenate([j.reshape(-1, steps.size) for _, j in spread])
+        known = substituted(rows, [n.inverse for n in nodes], [n.ahead for n in nodes])
         for (stream, rows, _), (residual, jacobian) in zip(kept, spread, strict=True):
             mine = known[first : first + residual.size].reshape(jacobian.shape)
             nis = squared_innovations(residual + jacobian @ steps, mine)
@@ -255,11 +256,19 @@ class Window:
         return out
 
     def newest(self) -> tuple[State, Array]:
-        """Estimate (N,) at the newest time; covariance (N, dof, dof) of each node there."""
+        """Estimate (N,) of the newest time and its covariance (D, D)."""
+        inverse = self.nodes[-1].inverse
+        return self._estimate(self.nodes[-1])[0], inverse.T @ inverse
+
+    def newest_nodes(self) -> Estimate:
+        """The newest time at the nodes (N,), each with its own covariance (N, 18, 18)."""
         newest, layout = self.nodes[-1], self._layout
         own = newest.inverse[:, : layout.nodes * layout.dof]
-        halves = np.ascontiguousarray(own.T).reshape(layout.nodes, layout.dof, -1)
-        return self._estimate(newest)[0], halves @ np.swapaxes(halves, 1, 2)
+        halves = np.ascontiguousarray(own.T).reshape(layout.nodes, layout.dof, -1)[:, :DOF]
+        state = self._estimate(newest)[0]
+        return Estimate(
+            state.pose, state.strain, state.velocity, halves @ np.swapaxes(halves, 1, 2)
+        )
 
     def posterior(self) -> Posterior:
         """All that the window knows, as an estimate of a recording gives it."""
@@ -283,13 +292,3 @@ def _stacked(states: Sequence[State]) -> State:
     """States (K, N) of K states (N,)."""
     fields = zip(*(state.fields() for state in states), strict=True)
     return State(*(np.array(field) for field in fields))
-
-
-def _forward(nodes: Sequence[Node], jacobian: Array) -> Array:
-    """Y (R, K · D) with J P Jᵀ = Y Yᵀ, by substitution through the last K nodes."""
-    rows = jacobian.reshape(-1, len(nodes), nodes[0].step.size)
-    out = np.empty_like(rows)
-    for k, node in enumerate(nodes):
-        row = rows[:, k] - out[:, k - 1] @ nodes[k - 1].ahead if k else rows[:, k]
-        out[:, k] = row @ node.inverse.T
-    return out.reshape(jacobian.shape)

@@ -101,11 +101,8 @@ def snapshot(known: Robot | Posterior | FixedLag | Snapshot, start: float = 0.0)
         nodes, step = known.arclength_nodes, 1.0 / known.time_rate
         return Snapshot(known.prior, nodes, start, step, known.unknowns)
     if isinstance(known, FixedLag):
-        window = known._window  # a posterior of it would take ten times as long
-        if not window.nodes:
-            known.newest()  # says what to do
-        (shape, cov), unknowns = window.newest(), window.unknowns
-        prior, grid = window.prior, window.grid(max(0, len(window.nodes) - 2))
+        prior, unknowns = known.prior, known.unknowns
+        shape, cov, grid = known.newest_node()  # a posterior of it would take ten times as long
     else:
         prior, grid, cov = known.prior, known.grid, known.marginals.cov[-1]
         shape, unknowns = known.state.take(-1), tuple(u for u, _ in known.unknowns)
