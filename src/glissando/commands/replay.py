@@ -28,7 +28,8 @@ from glissando.online import FixedLag
 from glissando.replay import Replay, replay
 from glissando.report import write_states
 from glissando.robot import Robot
-from glissando.view.live import Live, follow
+from glissando.view import Live, Rerun
+from glissando.view.live import View, follow
 
 _HELP = """\
 Run a recording through the online estimator as if it were live: at the robot's rate it is given the
@@ -64,6 +65,8 @@ def add_to(commands: Commands) -> None:
     add("--lag", type=float, metavar="S", help=lag)
     add("--out", type=Path, metavar="DIR", help="write log, replay.json, newest.csv, figure here")
     add("--live", action="store_true", help="show it in a browser as it goes (needs viser)")
+    rerun_help = "tell Rerun as it goes: a .rrd file, or its viewer's address (needs rerun-sdk)"
+    add("--rerun", metavar="TARGET", help=rerun_help)
     add("--json", action="store_true", help="print one JSON object and nothing else")
 
 
@@ -85,12 +88,12 @@ def _replay(options: argparse.Namespace) -> int:
     ):
         task = bar.add_task(f"replaying {escape(recording.name)}", total=None)
 
-        live = _live(robot, stack) if options.live else None
+        views = _views(options, robot, stack)
 
         def watch(done: int, total: int, smoother: FixedLag) -> None:
             bar.update(task, completed=done, total=total)
-            if live is not None:
-                follow(live, smoother)
+            for view in views:
+                follow(view, smoother)
 
         found = replay(
             recording,
@@ -110,11 +113,16 @@ def _replay(options: argparse.Namespace) -> int:
     return 0
 
 
-def _live(robot: Robot, stack: ExitStack) -> Live:
-    """A browser's view of the robot while the stack lasts."""
-    live = stack.enter_context(Live(np.linspace(0.0, robot.length, _POINTS)))
-    print(f"Look at {live.address}", file=sys.stderr)
-    return live
+def _views(options: argparse.Namespace, robot: Robot, stack: ExitStack) -> list[View]:
+    """What shows the robot as it goes, while the stack lasts."""
+    arclength, views = np.linspace(0.0, robot.length, _POINTS), list[View]()
+    if options.live:
+        live = stack.enter_context(Live(arclength))
+        print(f"Look at {live.address}", file=sys.stderr)
+        views.append(live)
+    if options.rerun:
+        views.append(stack.enter_context(Rerun(arclength, options.rerun)))
+    return views
 
 
 def _write(found: Replay, folder: Path) -> list[Path]:

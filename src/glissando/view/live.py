@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import time as clock
-from typing import Any
+from collections.abc import Iterator
+from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from glissando.animation.frames import _tube
 from glissando.errors import GlissandoError
@@ -106,11 +107,8 @@ class Live:
     def _add(self, rings: tuple[int, int]) -> None:
         """Put the parts into the picture that updates move."""
         scene, count = self._server.scene, self.arclength.size
-        here = np.arange(rings[0] * rings[1]).reshape(rings)
-        on = np.roll(here, -1, axis=1)
-        a, b, c, d = here[:-1], on[:-1], here[1:], on[1:]
-        faces = np.stack([a, b, c, b, d, c], axis=-1).reshape(-1, 3)
-        flat = np.zeros((here.size, 3), dtype=np.float32)
+        faces = faces_between(*rings)
+        flat = np.zeros((rings[0] * rings[1], 3), dtype=np.float32)
         look = {"color": _TUBE, "opacity": 0.3, "side": "double", "cast_shadow": False}
         self._tube = scene.add_mesh_simple("/tube", flat, faces.astype(np.uint32), **look)
         ends = np.zeros((count - 1, 2, 3), dtype=np.float32)
@@ -129,25 +127,52 @@ class Live:
         self.close()
 
 
+def faces_between(rings: int, around: int) -> NDArray[np.intp]:
+    """Triangles (F, 3) of a tube of rings that have as many points each."""
+    here = np.arange(rings * around).reshape(rings, around)
+    on = np.roll(here, -1, axis=1)
+    a, b, c, d = here[:-1], on[:-1], here[1:], on[1:]
+    return np.stack([a, b, c, b, d, c], axis=-1).reshape(-1, 3)
+
+
+class View(Protocol):
+    """Whatever shows, or keeps, one state after another at its arclengths (N,)."""
+
+    arclength: Array
+
+    def update(
+        self, time: float, centres: Array, frames: Array, cov: Array, coil: float | None = None
+    ) -> None:
+        """Show a state in the world: `centres` (N, 3), `frames` (N, 4, 4), `cov` (N, 3, 3)."""
+        ...
+
+
 def play(scene: Scene, port: int) -> None:
     """Show a scene again and again at its own pace until interrupted."""
     std = np.linalg.norm(scene.root, axis=(-2, -1))
-    cov = scene.root @ scene.root
+    pause = max(np.diff(scene.time).mean(), 0.02) if scene.time.size > 1 else 0.5
     with Live(scene.arclength, top=float(np.quantile(std, 0.99)), port=port) as shown:
         print(f"Playing at {shown.address}; Ctrl-C ends it.", flush=True)
         while True:
-            for k, moment in enumerate(scene.time):
-                seen = scene.place[k][np.isfinite(scene.place[k])]
-                coil = float(seen[0]) if seen.size else None
-                pose = scene.pose[k]
-                shown.update(float(moment), pose[:, :3, 3], pose, cov[k], coil)
-                clock.sleep(max(np.diff(scene.time).mean(), 0.02) if scene.time.size > 1 else 0.5)
+            for _ in each_moment(scene, shown):
+                clock.sleep(pause)
 
 
-def follow(live: Live, smoother: FixedLag) -> None:
+def each_moment(scene: Scene, view: View) -> Iterator[float]:
+    """Show a scene once, one moment after another; their times."""
+    cov = scene.root @ scene.root
+    for k, moment in enumerate(scene.time):
+        seen = scene.place[k][np.isfinite(scene.place[k])]
+        coil = float(seen[0]) if seen.size else None
+        pose = scene.pose[k]
+        view.update(float(moment), pose[:, :3, 3], pose, cov[k], coil)
+        yield float(moment)
+
+
+def follow(view: View, smoother: FixedLag) -> None:
     """Show a smoother's newest state."""
     time = smoother.time or 0.0
-    at = smoother.at(live.arclength, time)
+    at = smoother.at(view.arclength, time)
     turn = at.pose[:, :3, :3]
     cov = turn @ at.cov[:, :3, :3] @ np.swapaxes(turn, -1, -2)
-    live.update(time, at.position, at.pose, cov)
+    view.update(time, at.position, at.pose, cov)
