@@ -101,12 +101,10 @@ class Window:
         self.nodes.append(self._node(time, state.retract(ahead), extras))
 
     def _node(self, time: float, state: State, extras: Array) -> Node:
-        size = self.arclength.size * state.dof + self._extras.size
-        none, flat = np.zeros((size, size)), np.zeros(size)
-        return Node(
-            time, state, extras, flat, (none, flat), np.zeros((2 * size, 2 * size)),
-            np.zeros(2 * size), none, none, flat,
-        )  # fmt: skip
+        step = np.zeros(self.arclength.size * state.dof + self._extras.size)
+        nothing = np.zeros(1)  # until it is linearised and eliminated
+        none = nothing, nothing
+        return Node(time, state, extras, step, none, *none, *none, nothing)
 
     def _estimate(self, node: Node) -> tuple[State, Array]:
         of_nodes = self.arclength.size * node.state.dof
