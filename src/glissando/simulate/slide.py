@@ -179,7 +179,7 @@ class SlidePath:
             there = turn * stroke
             move = _trapezoid(place, there, limits.speed, limits.acceleration)
             lasts = float(move[0].sum()) + _REST
-            if spent + lasts > duration:
+            if spent + lasts >= duration:
                 break
             pieces += [move, _still(_REST)]
             place, spent = there, spent + lasts
