@@ -26,10 +26,11 @@ from glissando.sessions import read_session
 from glissando.slabs import factor
 from glissando.tables import Table
 
-SURE = 1e-4  # chance that a true law fails, each side
-SEEDS = 20
-READINGS = 80
+SURE = 1e-3  # chance that a true law fails, each side
+SEEDS = 5
+READINGS = 100
 ROBOT = rigs.robot(2.0)
+TOLD = [k for k, name in enumerate(PARAMETERS) if not name.endswith(("rate", "backlash"))]
 ZERO, DELAY, LATE_SLIDE = (PARAMETERS.index(p) for p in ("zero", "tracker delay", "slide delay"))
 
 
@@ -48,28 +49,42 @@ def error_of(made, known):
 
 
 @pytest.mark.slow
-def test_over_many_rigs_errors_are_as_large_as_their_covariance_says():
-    squares, errors = [], []
-    for seed in range(SEEDS):
-        made, known, _ = found(seed)
-        assert made.rig.direction == known.direction
-        off = error_of(made, known)
-        errors.append(off)
-        squares.append(off @ np.linalg.solve(made.cov, off))
-    low, high = chi2.ppf([SURE, 1.0 - SURE], SEEDS * len(PARAMETERS))
-    assert low < np.sum(squares) < high
-    errors = np.abs(errors)
-    assert np.all(errors[:, DELAY] < 2e-3)
-    assert np.all(errors[:, ZERO] < 3e-4)
-    places = chi2.ppf([SURE, 1.0 - SURE], SEEDS)
-    for column in (ZERO, DELAY):
-        each = [e[column] / found(k)[0].std[column] for k, e in enumerate(errors)]
-        assert np.sum(np.square(each)) < places[1]
+def test_a_session_as_the_page_asks_for_gives_clocks_to_2_ms_and_zero_to_03_mm():
+    trials = [rigs.trial(seed) for seed in rigs.REPORT[:2]]  # benchmarks/calibration.py takes all
+    for trial in trials:
+        assert np.all(np.abs(trial.off[[DELAY, LATE_SLIDE]]) < 2e-3)
+        assert abs(trial.off[ZERO]) < 3e-4
+        assert np.all(trial.std[[DELAY, LATE_SLIDE]] < 0.8e-3)
+        assert trial.told == ()
+    low, high = chi2.ppf([SURE, 1.0 - SURE], len(trials) * len(PARAMETERS))
+    assert low < sum(t.nees for t in trials) < high
+
+
+@cache
+def squares(stated=1.0):
+    """Sum of normalised squares over short sessions, of what a session and no belief tells."""
+    total = 0.0
+    for seed in rigs.DEVELOPMENT[:SEEDS]:
+        data, known = rigs.drawn(seed)
+        made = calibrate(rigs.misstated(data, stated), ROBOT, readings=READINGS)
+        off = error_of(made, rigs.at_epoch(known, made.rig.epoch))[TOLD]
+        total += off @ np.linalg.solve(made.cov[np.ix_(TOLD, TOLD)], off)
+    return total
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("stated", "sound"), [(1.0, True), (1.5, False), (1.0 / 1.5, False)], ids=["so", "more", "less"]
+)
+def test_errors_are_as_large_as_is_said_and_not_where_noise_is_misstated(stated, sound):
+    low, high = chi2.ppf([SURE, 1.0 - SURE], SEEDS * len(TOLD))
+    print(f"{squares(stated):.0f} of {low:.0f} to {high:.0f}")
+    assert (low < squares(stated) < high) == sound
 
 
 @pytest.mark.slow
 def test_the_coil_is_where_the_calibration_says_at_any_time_of_the_session():
-    for seed in range(4):
+    for seed in range(2):
         made, known, data = found(seed)
         time = np.linspace(1.0, rigs.DURATION - 1.0, 50)
         places = [rig.arclength(time, data.slide_time, data.travel) for rig in (made.rig, known)]
@@ -169,6 +184,33 @@ def test_slopes_of_the_coil_by_the_rig_are_right():
         slope = (ideal.residual(known.moved(nudge)) - ideal.residual(known.moved(-nudge))) / 2e-5
         assert np.abs(slope).max() > 1e-3
         assert np.allclose(slope, jacobian[:, k], atol=1e-4 * np.abs(slope).max())
+
+
+def test_the_covariance_of_a_bunch_is_that_of_the_mean_of_its_readings():
+    model, known = small_model()
+    data, _ = rigs.drawn(0)
+    assert data.bunch == 5
+    model = replace(model, data=data.at(np.arange(100, 500)).bunches(5, 10), bunch=5)
+    each = replace(model, bunch=1).covariance(known)
+    assert np.allclose(
+        model.residual(known),
+        replace(model, bunch=1).residual(known).reshape(-1, 5, 5).mean(axis=1).ravel(),
+    )
+    mean = np.kron(np.kron(np.eye(10), np.full((1, 5), 0.2)), np.eye(5))
+    there, said = mean @ each @ mean.T, model.covariance(known)
+    scale = np.sqrt(said.diagonal())
+    assert np.abs((said - there) / np.outer(scale, scale)).max() < 0.3
+
+
+def test_bunches_are_of_readings_that_follow_each_other_closely():
+    data, _ = rigs.drawn(0)
+    gone = np.delete(np.arange(400), np.arange(100, 140))  # a second
+    some = data.at(gone).bunches(5, 1000)
+    lasts = some.coil_time.reshape(-1, 5)[:, -1] - some.coil_time.reshape(-1, 5)[:, 0]
+    assert np.all(lasts < 0.15)
+    assert some.coil_time.size >= 350
+    assert data.bunches(5, 7).coil_time.size == 35
+    assert data.at(np.arange(0, 400, 5)).bunch == 1
 
 
 def test_joint_errors_of_the_shape_are_those_of_the_dense_inverse():

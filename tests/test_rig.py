@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -99,10 +100,15 @@ def test_devices_change_nothing_a_recording_of_them_is_estimated_as_one_without(
     assert cli.main(["record", "--simulate", "--cycles", "3", "--out", str(folder)]) == 0
     assert "was never seen" not in capsys.readouterr().out
     frames = read_session(folder / "session.mcap").topics["/tracker/coil"].column("frame")
-    lost = int(np.sum(np.diff(frames) - 1))
-    print(f"{frames.size} frames while the slide moved, {lost} lost")
+    gaps = np.sort(np.diff(frames) - 1)
+    print(
+        f"{frames.size} frames while the slide moved, {np.sum(gaps):g} lost, {gaps[-1]:g} at once"
+    )
     assert frames.size > 600
-    assert lost <= 0.05 * frames.size  # none on an idle host; a busy one may sleep through some
+    # Beside four busy processes on two cores most runs lose none; a shared host may stand still for
+    # a moment, which the longest gap is forgiven for (benchmarks/frames.py says what it was).
+    assert np.sum(gaps[:-1]) <= 0.005 * frames.size
+    assert gaps[-1] < 20
     recording = load_recording(folder)
     place = recording.streams["coil"].rows.arclength
     assert place.min() == pytest.approx(0.64, abs=5e-4)
@@ -146,6 +152,41 @@ def test_recorded_calibrated_estimated_the_frame_is_found_and_the_shape_as_good(
     known, calibrated = judged(load_recording(folder)), judged(load_recording(made))
     print("frame known", known, "calibrated", calibrated)
     assert np.all(calibrated[:2] < 1.2 * known[:2])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "faults", ["unplug=3,replug=4.5", "cut=3,mended=4.5"], ids=["coil", "link"]
+)
+def test_unplugged_in_mid_session_it_goes_on_and_the_gap_is_told(tmp_path, capsys, faults):
+    folder = tmp_path / "session"
+    call = ["record", "--simulate", "--cycles", "2", "--faults", faults, "--out", str(folder)]
+    assert cli.main(call) == 0
+    told = capsys.readouterr().out
+    gaps = re.findall(r"coil was not seen from ([\d.]+) to ([\d.]+) s", told)
+    assert len(gaps) == 1, told
+    start, stop = map(float, gaps[0])
+    assert 1.0 < stop - start < 4.0
+    rows = load_recording(folder).streams["coil"].rows
+    assert np.sum(rows.time < start + 0.1) > 40
+    assert np.sum(rows.time > stop - 0.1) > 40
+    assert not np.any((rows.time > start + 0.1) & (rows.time < stop - 0.1))
+    bench = load_bench(robot_file("sliding700"))
+    motion = bench.move(bench.shape("S"), bench.flaws, 0)
+    true = motion.at(rows.arclength, rows.time).pose[:, :3, 3]
+    off = np.linalg.norm(rows.values[:, :3, 3] - true, axis=1)
+    assert np.median(off[rows.time > stop]) < 2.0 * np.median(off[rows.time < start]) < 4e-3
+
+
+@pytest.mark.slow
+def test_unplugged_for_good_it_keeps_what_came_and_the_slide_runs_to_its_end(tmp_path, capsys):
+    folder = tmp_path / "session"
+    call = ["record", "--simulate", "--cycles", "1", "--faults", "unplug=3", "--out", str(folder)]
+    assert cli.main(call) == 0
+    recording = load_recording(folder)
+    last = recording.streams["coil"].rows.time[-1]
+    assert f"coil was not seen from {last:.1f} to" in capsys.readouterr().out
+    assert recording.streams["mocap_700"].rows.time[-1] > last + 1.0
 
 
 @pytest.mark.slow

@@ -62,6 +62,24 @@ def test_oscillations_return_as_often_as_asked_within_every_limit(stage, cycles,
 
 
 @settings(max_examples=40, deadline=None)
+@given(stages, st.floats(1.0, 100.0), st.floats(0.1, 1.0))
+def test_a_path_to_calibrate_by_rests_at_every_turn_and_lasts_as_long_as_asked(stage, lasts, share):
+    path = SlidePath.calibrate(lasts, share * stage.stroke, stage)
+    require_within(path, stage)
+    assert path.duration == pytest.approx(lasts)
+    at_rest = (path.speed[1:] == 0.0) & (path.speed[:-1] == 0.0)
+    assert np.all(np.diff(path.time)[at_rest][:-1] > 0.5)
+
+
+def test_a_path_to_calibrate_by_goes_all_over_the_stroke_and_turns_often():
+    path = SlidePath.calibrate(45.0, 0.06, STAGE)
+    assert (path.displacement.min(), path.displacement.max()) == pytest.approx((0.0, 0.06))
+    ways = np.sign(np.diff(path.displacement[path.speed == 0.0]))
+    assert np.sum(np.diff(ways[ways != 0.0]) != 0.0) > 12
+    assert np.mean(path.speed_at(np.arange(0.0, 45.0, 0.01)) == 0.0) > 0.3
+
+
+@settings(max_examples=40, deadline=None)
 @given(st.lists(st.floats(0.0, 0.06), min_size=2, max_size=5), st.floats(1.0, 3.0))
 def test_waypoints_are_met_at_their_times_within_every_limit(places, slack):
     longest = np.abs(np.diff(places)).max() / STAGE.speed + STAGE.speed / STAGE.acceleration
@@ -104,6 +122,7 @@ def test_waypoints_are_read_from_a_file_without_speeds(tmp_path):
         (lambda: SlidePath.oscillate(1, 0.05, STAGE, speed=0.0), "at 0 m/s cannot be"),
         (lambda: SlidePath.oscillate(0, 0.05, STAGE), "0 cycles cannot be"),
         (lambda: SlidePath.oscillate(1, -0.05, STAGE), "stroke of -0.05 m cannot be"),
+        (lambda: SlidePath.calibrate(20.0, 0.08, STAGE), "stroke would be 0.08 m"),
         (lambda: SlidePath.hold(-0.01, 1.0, STAGE), "10 mm beyond the tip"),
         (lambda: SlidePath.hold(0.0, 0.0, STAGE), "slide of 0 s cannot be"),
         (lambda: SlidePath.waypoints([0, 1], [0, 0.05], STAGE), "takes 1.41 s. Give it more time"),

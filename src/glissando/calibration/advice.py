@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -40,7 +40,8 @@ _GROUPS: dict[str, tuple[slice, str]] = {
     "the lead scale": (slice(11, 12), "slide the coil, over as much of the stroke as there is"),
     "the backlash": (
         slice(12, 13),
-        "slide to and fro at two speeds, one slow: at one speed play looks like a late clock",
+        "let the slide rest wherever it turns, as record --slide calibrate does: while it moves "
+        "at one speed, play looks like a late clock",
     ),
     "the tracker's delay": (
         slice(13, 14),
@@ -56,8 +57,8 @@ _GROUPS: dict[str, tuple[slice, str]] = {
 class StreamFit:
     """How well readings fit: RMS of their residuals [m, rad], and of the whitened ones (1 if true).
 
-    Whitened is what is left after all other readings for the coil, after the fit for a body, which
-    is below one as it has pulled the shape to itself.
+    Whitened is what is left of bunches after all others for the coil, after the fit for a body,
+    which is below one as it has pulled the shape to itself.
     """
 
     name: str
@@ -69,7 +70,7 @@ class StreamFit:
 def fits(found: Found) -> tuple[StreamFit, ...]:
     """How well the coil and every body fit."""
     model = found.model
-    left = model.residual(found.rig).reshape(-1, ROWS)
+    left = replace(model, bunch=1).residual(found.rig).reshape(-1, ROWS)
     whitened = float(np.sqrt(np.mean(innovations(found) ** 2)))
     out = [StreamFit(model.data.coil_name, len(left), _rms(left), whitened)]
     shape = model.shape

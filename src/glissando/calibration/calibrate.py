@@ -28,7 +28,7 @@ from glissando.robot import Robot
 from glissando.se3 import Array
 from glissando.slabs import factor
 
-READINGS = 300  # of the coil that are used: more of them read the same places again
+READINGS = 400  # bunches of them that are used: more of them read the same places again
 _FIRST = 60  # of these that tell one direction from the other
 _OUTLIER = float(chi2.isf(1e-6, ROWS))  # squared innovation of a reading that is left out
 _WORST, _MOST_OUT = 0.1, 0.2  # of the largest square go at once, and of all readings at most
@@ -40,9 +40,9 @@ _DOUBT = 3.0  # of log odds, below which a direction that is stated counts for m
 def calibrate(data: RigData, robot: Robot, *, readings: int = READINGS) -> Calibration:
     """What a session says of a rig, with its joint covariance and what it does not say.
 
-    Uses at most so many `readings` of the coil. Without motion capture only slide against tracker
-    is found. Raises RecordingError when there are too few coil readings, or none at a time when
-    slide and motion capture ran too.
+    Uses at most so many `readings` of the coil, each the mean of what came within a tenth of a
+    second. Without motion capture only slide against tracker is found. Raises RecordingError when
+    there are too few coil readings, or none at a time when slide and motion capture ran too.
     """
     data, notes = usable(data)
     expected = Rig(np.eye(4), data.direction or 1, data.coil_arclength, _middle(data))
@@ -51,14 +51,15 @@ def calibrate(data: RigData, robot: Robot, *, readings: int = READINGS) -> Calib
         rig, cov = against_slide(data, expected, std)
         told = notes + advice(data, cov, std)
         return Calibration(rig, cov, data.coil_name, np.inf, (), told)
-    thin = data.thinned(readings)
     shape = shape_of(data, robot)
-    model = Model(thin, shape, factor(shape.system))
+    model = Model(data, shape, factor(shape.system))
     best, expected, odds = _directed(model, expected, std)
     model = _inside(model, best)
     sound = replace(model, data=model.data.at(agreeing(model, best)))
-    found = _without_outliers(refine(sound, best, expected, std), expected, std)
-    left_out = model.data.coil_time.size - found.model.data.coil_time.size
+    bunched = _bunched(sound, readings)
+    found = _without_outliers(refine(bunched, best, expected, std), expected, std)
+    left_out = model.data.coil_time.size - sound.data.coil_time.size
+    left_out += bunched.data.coil_time.size - found.model.data.coil_time.size
     notes += _doubts(data, found, odds, left_out)
     told = notes + advice(data, found.cov, std)
     return Calibration(found.rig, found.cov, data.coil_name, odds, fits(found), told)
@@ -109,6 +110,15 @@ def _inside(model: Model, rig: Rig) -> Model:
     return replace(model, data=data.at(_enough(data, np.flatnonzero(kept))))
 
 
+def _bunched(model: Model, count: int) -> Model:
+    """The model with so many bunches of readings at most, of single ones where they are few."""
+    size = model.data.bunch
+    data = model.data.bunches(size, count)
+    if data.coil_time.size < FEWEST * size:
+        return replace(model, data=model.data.thinned(count))
+    return replace(model, data=data, bunch=size)
+
+
 def _enough(data: RigData, rows: NDArray[np.intp]) -> NDArray[np.intp]:
     """The rows. Raises RecordingError when they are too few."""
     if rows.size < FEWEST:
@@ -124,14 +134,13 @@ def _without_outliers(found: Found, expected: Rig, std: Array) -> Found:
 
     The worst go first: they make their neighbours look bad.
     """
-    count = found.model.data.coil_time.size
+    count = len(innovations(found))
     while True:
         squares = np.sum(innovations(found) ** 2, axis=1)
         kept = np.flatnonzero(squares <= max(_OUTLIER, _WORST * float(squares.max())))
         if kept.size == squares.size or kept.size < (1.0 - _MOST_OUT) * count:
             return found
-        model = replace(found.model, data=found.model.data.at(kept))
-        found = refine(model, found.rig, expected, std)
+        found = refine(found.model.at(kept), found.rig, expected, std)
 
 
 def _doubts(data: RigData, found: Found, odds: float, left_out: int) -> tuple[str, ...]:

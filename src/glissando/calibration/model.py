@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from glissando import se3
 from glissando.calibration.rig import PARAMETERS, Rig, RigData
@@ -28,12 +29,19 @@ ROWS = CoilReadings.rows
 class Model:
     """A coil's readings `data`, in the order of time, against the `shape` of the robot.
 
-    `chol` is the factor of the shape's information.
+    `chol` is the factor of the shape's information. Every `bunch` readings, an odd number that
+    followed each other closely, count as one by their mean: errors but the white ones are alike.
     """
 
     data: RigData
     shape: Posterior
     chol: Cholesky
+    bunch: int = 1
+
+    def at(self, bunches: NDArray[np.intp]) -> Model:
+        """The model with some of the bunches."""
+        rows = bunches[:, None] * self.bunch + np.arange(self.bunch)
+        return replace(self, data=self.data.at(rows.ravel()))
 
     def where(self, rig: Rig) -> tuple[Array, Array]:
         """Arclength and time (M,) of the readings, as far as the robot and its shape reach."""
@@ -65,11 +73,20 @@ class Model:
         )
 
     def residual(self, rig: Rig) -> Array:
-        """Expected minus measured (M·5,) in the coil's frame, roll left out."""
-        return self.readings(rig).residual(self.states(rig)).ravel()
+        """Expected minus measured (B·5,) in the coil's frame, roll left out, by bunch."""
+        return self._bunched(self.readings(rig).residual(self.states(rig)))
+
+    def _bunched(self, rows: Array) -> Array:
+        """Means (B·5,) over each bunch of rows (M, 5)."""
+        return rows.reshape(-1, self.bunch, ROWS).mean(axis=1).ravel()
+
+    def middles(self) -> Model:
+        """The middle reading of every bunch alone."""
+        rows = np.arange(self.bunch // 2, self.data.coil_time.size, self.bunch)
+        return replace(self, data=self.data.at(rows), bunch=1)
 
     def jacobian(self, rig: Rig) -> Array:
-        """Slopes (M·5, 17) of the residual by the rig's parameters, were readings without noise.
+        """Slopes (B·5, 17) of the residual by the rig's parameters, were readings without noise.
 
         Noise would turn the coil's axes this way and that, and pass for bends that show what is
         not to be seen. Slopes of the shape by arclength and time are found once and carried on by
@@ -96,11 +113,15 @@ class Model:
             change = moved[0].residual(states) - moved[1].residual(states)
             change += by_place * (moved[0].arclength - moved[1].arclength)[:, None]
             change += by_time * (moved[0].time - moved[1].time)[:, None]
-            columns.append(change.ravel() / (2.0 * _NUDGE))
+            columns.append(self._bunched(change) / (2.0 * _NUDGE))
         return np.stack(columns, axis=-1)
 
     def covariance(self, rig: Rig) -> Array:
-        """Covariance (M·5, M·5) of the residual at the true rig."""
+        """Covariance (B·5, B·5) of the residual at the true rig, as in each bunch's middle."""
+        if self.bunch > 1:
+            noise = replace(self.data.noise, coil=self.data.noise.coil / np.sqrt(self.bunch))
+            middles = self.middles()
+            return replace(middles, data=replace(middles.data, noise=noise)).covariance(rig)
         readings, states, noise = self.readings(rig), self.states(rig), self.data.noise
         arclength, time = self.where(rig)
         by_state = readings.jacobian(states)

@@ -23,6 +23,7 @@ PARAMETERS = (
 """What is estimated, in the order of every covariance: m, rad, s, and 1 for lead and rates."""
 MOUNT = np.array([0, 1, 3, 4])
 """Of a twist, what a coil without roll shows of its mount; along z it is the slide's zero."""
+_BUNCH = 0.1  # s in which errors but the white ones stay alike
 
 
 def _vector(*values: float) -> Array:
@@ -91,6 +92,23 @@ class RigData:
             return self
         rows = np.unique(np.linspace(0, self.coil_time.size - 1, count).round().astype(int))
         return self.at(rows)
+
+    @property
+    def bunch(self) -> int:
+        """How many coil readings, an odd number, follow each other within a tenth of a second."""
+        if self.coil_time.size < 2:
+            return 1
+        step = float(np.median(np.diff(self.coil_time)))
+        return 2 * int(0.505 * _BUNCH / step) + 1  # a little more, for a clock that runs slow
+
+    def bunches(self, size: int, count: int) -> RigData:
+        """The same with at most `count` bunches of `size` readings without gaps, evenly chosen."""
+        first = np.arange(0, self.coil_time.size - size + 1, size)
+        lasts = self.coil_time[first + size - 1] - self.coil_time[first]
+        first = first[lasts < 1.5 * _BUNCH]
+        if first.size > count:
+            first = first[np.linspace(0, first.size - 1, count).round().astype(int)]
+        return self.at((first[:, None] + np.arange(size)).ravel())
 
     def at(self, rows: NDArray[np.intp]) -> RigData:
         """The same with some of the coil's readings."""

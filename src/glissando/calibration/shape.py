@@ -21,6 +21,7 @@ from glissando.separable import SeparablePrior
 from glissando.slabs import Cholesky
 
 _FINE, _MARGIN = 0.03, 1e-3  # m: between nodes where the coil slides, and of its reach
+_RATE, _MOST = 8.0, 500  # Hz of nodes in time where the robot's are fewer, and at most so many
 _MOVES = 3.0  # standard deviations of its noise by which a body that moves does so
 _ANYWHERE = 1.0  # m² and rad²: a base that bodies place
 
@@ -49,7 +50,8 @@ def shape_of(data: RigData, robot: Robot) -> Posterior:
     """
     readings = body_readings(data)
     start, stop = span(data)
-    grid = replace(robot, arclength_nodes=_nodes(data, robot)).grid(start, stop)
+    rate = max(robot.time_rate, min(_RATE, _MOST / (stop - start)))
+    grid = replace(robot, arclength_nodes=_nodes(data, robot), time_rate=rate).grid(start, stop)
     if keeps_still(data):
         middle = np.array([0.5 * (start + stop)])
         grid = Grid(grid.arclength, middle)
@@ -81,8 +83,9 @@ def _nodes(data: RigData, robot: Robot) -> Array:
     travel = np.append(data.travel, 0.0)
     reach = np.concatenate([data.coil_arclength + travel, data.coil_arclength - travel])
     low, high = np.clip([reach.min(), reach.max()], 0.0, robot.length)
-    fixed = [0.0, robot.length, *robot.prior.joints, *(b.arclength for b in data.bodies.values())]
-    ends = np.unique(np.round(fixed, 9))
+    fixed = [0.0, robot.length, low, high, *robot.prior.joints]
+    fixed += [body.arclength for body in data.bodies.values()]
+    ends = np.unique(np.round(fixed, 3))
     widest = float(np.diff(robot.arclength_nodes).max())
     out = [ends[:1]]
     for first, last in pairwise(ends):

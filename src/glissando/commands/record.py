@@ -39,6 +39,7 @@ examples:
   glissando record --setup bench.toml --slide oscillate --cycles 3 --stroke 0.06 --speed 0.024 \\
       --out session
   glissando record --setup bench.toml --slide hold --duration 15 --out fixed
+  glissando record --setup bench.toml --slide calibrate --out session
   glissando calibrate session --out calibration.toml
   glissando estimate session --out results
 
@@ -59,12 +60,14 @@ def add_to(commands: Commands) -> None:
     add("--robot", default="sliding700", metavar="FILE|NAME", help="that is simulated")
     add("--shape", default="S", metavar="NAME|FILE", help="of the simulated robot (default S)")
     add("--seed", type=int, default=0, metavar="N", help="of the simulated noise (default 0)")
-    slides = "oscillate, hold or a CSV file, as glissando plan writes"
+    faults = "what goes wrong with the simulated tracker: unplug=5,replug=7"
+    add("--faults", default="", metavar="NAME=NUMBER,…", help=faults)
+    slides = "oscillate, calibrate, hold or a CSV file, as glissando plan writes"
     add("--slide", default="oscillate", metavar="NAME|FILE", help=slides)
     add("--cycles", type=int, default=3, metavar="N", help="there and back (default 3)")
     add("--stroke", type=float, metavar="M", help="of a cycle (default: the stage's)")
     add("--speed", type=float, metavar="M/S", help="of the slide (default: the stage's)")
-    add("--duration", type=float, default=15.0, metavar="S", help="of hold (default 15)")
+    add("--duration", type=float, metavar="S", help="of hold (15) and calibrate (45)")
     add("--live", action="store_true", help="show the shape in a browser as it goes (needs viser)")
     add("--out", type=Path, required=True, metavar="SESSION", help="new folder to write")
 
@@ -78,7 +81,7 @@ def _record(options: argparse.Namespace) -> int:
         options.out.rmdir()
     with ExitStack() as stack:
         if options.simulate:
-            chosen = options.robot, options.shape, options.seed
+            chosen = options.robot, options.shape, options.seed, options.faults
             rig = stack.enter_context(simulated_rig(*chosen))
         else:
             rig = load_rig(options.setup)
@@ -106,14 +109,16 @@ def _path(options: argparse.Namespace, rig: Rig) -> SlidePath:
     stage = rig.stage
     limits = _limits(stage) if stage else SlideLimits(1.0, 1.0, 1.0)
     if options.slide == "hold" or stage is None:
-        return SlidePath.hold(0.0, options.duration, limits)
+        return SlidePath.hold(0.0, options.duration or 15.0, limits)
+    stroke = limits.stroke if options.stroke is None else options.stroke
     if options.slide == "oscillate":
-        stroke = limits.stroke if options.stroke is None else options.stroke
         return SlidePath.oscillate(options.cycles, stroke, limits, speed=options.speed)
+    if options.slide == "calibrate":
+        return SlidePath.calibrate(options.duration or 45.0, stroke, limits)
     if not Path(options.slide).is_file():
         raise GlissandoError(
-            f"There is no slide named {options.slide!r} and no such file; give oscillate, hold or "
-            f"a CSV file."
+            f"There is no slide named {options.slide!r} and no such file; give oscillate, "
+            f"calibrate, hold or a CSV file."
         )
     drawn_out = next((c.arclength for c in rig.coils if c.slides), None)
     return read_slide(Path(options.slide), limits, drawn_out)

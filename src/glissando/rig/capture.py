@@ -1,7 +1,8 @@
 """One experiment: the slide follows its path while every device is listened to.
 
-Each device has a thread that writes what it says to the session log; the slide is driven from the
-caller's. Whatever ends the experiment – its end, an exception, Ctrl-C – stops the slide first.
+Each device has a thread that writes what it says to the session log, the tracker a process too that
+asks it; the slide is driven from the caller's thread. Whatever ends the experiment – its end, an
+exception, Ctrl-C – stops the slide first.
 """
 
 from __future__ import annotations
@@ -19,9 +20,10 @@ from typing import Any
 import numpy as np
 
 from glissando import se3
-from glissando.drivers import Aurora, Slide, SlideReading, ViconStream
-from glissando.drivers.link import SilentError
+from glissando.drivers import Slide, SlideReading, ViconStream
+from glissando.drivers.aurora_setup import Tool
 from glissando.errors import DeviceError
+from glissando.rig.listening import Listening, listening
 from glissando.rig.online import Hear
 from glissando.rig.setup import Coil, Rig
 from glissando.se3 import Array
@@ -85,9 +87,9 @@ def capture(
         log = _Log(writer, progress, hear)
         listeners = []
         if rig.tracker is not None:
-            tracker = stack.enter_context(Aurora(rig.tracker, baud=rig.baud))
-            coils = _plugged(tracker, rig.coils)
-            listeners.append(lambda: _hear_tracker(tracker, coils, log))
+            tracker = stack.enter_context(listening(rig.tracker, rig.baud))
+            names = _known_by(tracker.tools, _plugged(tracker.tools, rig.coils))
+            listeners.append(lambda: _hear_tracker(tracker, names, log))
         if rig.mocap is not None:
             mocap = stack.enter_context(ViconStream(rig.mocap, timeout=_PATIENCE))
             listeners.append(lambda: _hear_mocap(mocap, rig, log))
@@ -177,10 +179,10 @@ def _log_slide(reading: SlideReading, log: _Log) -> None:
     log.write("/slide", _SLIDE, message, reading.time, said)
 
 
-def _plugged(tracker: Aurora, coils: tuple[Coil, ...]) -> dict[int, str]:
+def _plugged(tools: list[Tool], coils: tuple[Coil, ...]) -> dict[int, str]:
     """Names of the coils by their handles. Raises DeviceError when they do not match."""
-    serials = {tool.serial: tool.handle for tool in tracker.tools}
-    free = [tool.handle for tool in tracker.tools]
+    serials = {tool.serial: tool.handle for tool in tools}
+    free = [tool.handle for tool in tools]
     found = {}
     for coil in coils:
         if coil.serial and coil.serial not in serials:
@@ -191,7 +193,7 @@ def _plugged(tracker: Aurora, coils: tuple[Coil, ...]) -> dict[int, str]:
         handle = serials[coil.serial] if coil.serial else next(iter(free), None)
         if handle not in free:
             raise DeviceError(
-                f"{len(tracker.tools)} coils are plugged in and the setup names {len(coils)}; plug "
+                f"{len(tools)} coils are plugged in and the setup names {len(coils)}; plug "
                 f"{coil.name} in, or leave it out."
             )
         free.remove(handle)
@@ -199,12 +201,31 @@ def _plugged(tracker: Aurora, coils: tuple[Coil, ...]) -> dict[int, str]:
     return found
 
 
-def _hear_tracker(tracker: Aurora, coils: dict[int, str], log: _Log) -> None:
-    """Log the next frame."""
-    try:
-        frame = tracker.read(_PATIENCE)
-    except SilentError:
+def _known_by(tools: list[Tool], names: dict[int, str]) -> dict[str, str]:
+    """Names of the coils by serial number, if no other has it, and by place on the plugs.
+
+    A coil that is unplugged and comes back may have another handle, or not tell its number.
+    """
+    serials = Counter(tool.serial for tool in tools)
+    known = {}
+    for tool in tools:
+        if tool.handle in names:
+            known[_place(tool)] = names[tool.handle]
+            if tool.serial and serials[tool.serial] == 1:
+                known[tool.serial] = names[tool.handle]
+    return known
+
+
+def _place(tool: Tool) -> str:
+    return f"port {tool.port}, channel {tool.channel}"
+
+
+def _hear_tracker(tracker: Listening, names: dict[str, str], log: _Log) -> None:
+    """Log the next frame; that none comes is told by what is not in the log."""
+    frame = tracker.read(_PATIENCE)
+    if frame is None:
         return
+    coils = {t.handle: names.get(t.serial) or names.get(_place(t)) for t in tracker.tools}
     for port in frame.ports:
         name = coils.get(port.handle)
         if name is None:
@@ -213,7 +234,7 @@ def _hear_tracker(tracker: Aurora, coils: dict[int, str], log: _Log) -> None:
         said = {"time": frame.time, "frame": frame.number, "error": port.quality}
         message = {**said, "status": port.status or 0, **pose}
         log.write(f"/tracker/{name}", _TRACKER, message, frame.arrival, _told(pose["position"]))
-    counts = {f"tracker {k}": str(n) for k, n in vars(tracker.counts).items() if n}
+    counts = {f"tracker {k}": str(n) for k, n in tracker.counts.items() if n}
     log.progress.problems.update(counts)
 
 

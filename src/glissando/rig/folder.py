@@ -16,6 +16,7 @@ from glissando.se3 import Array
 from glissando.sessions import RawSession, Topic
 from glissando.streams import Rows, write_named
 
+_GAP = 0.5  # s unseen that is worth a word
 _MOCAP_STD = [3e-4, 3e-4, 3e-4, 5e-3, 5e-3, 5e-3]  # m, rad: a marker body of some centimetres
 
 
@@ -38,6 +39,7 @@ def write_recording(session: RawSession, rig: Rig, folder: Path) -> list[str]:
         if not time.size:
             amiss.append(f"{coil.name} was never seen")
             continue
+        amiss += _gaps(coil.name, time, span, zero)
         place = np.clip(coil.places(travel), 0.0, length)
         rows = Rows("coil", time - zero, place, poses, {})
         write_named(folder / f"{coil.name}.csv", rows)
@@ -47,6 +49,7 @@ def write_recording(session: RawSession, rig: Rig, folder: Path) -> list[str]:
         if not time.size:
             amiss.append(f"{body.name} was never seen")
             continue
+        amiss += _gaps(body.name, time, span, zero)
         rows = Rows("pose", time - zero, np.full(time.size, body.arclength), poses, {})
         write_named(folder / f"{body.name}.csv", rows)
         streams.append(
@@ -81,6 +84,15 @@ def _seen(topic: Topic | None, span: tuple[float, float]) -> tuple[Array, Array]
     poses[:, :3, :3] = se3.rotation_from_quaternion(quaternion[order])
     poses[:, :3, 3] = position[order]
     return time[order], poses
+
+
+def _gaps(name: str, time: Array, span: tuple[float, float], zero: float) -> list[str]:
+    """A sentence on each stretch of the recording in which something was not seen."""
+    ends = np.concatenate([span[:1], time, span[1:]]) if np.isfinite(span[0]) else time
+    return [
+        f"{name} was not seen from {ends[k] - zero:.1f} to {ends[k + 1] - zero:.1f} s"
+        for k in np.flatnonzero(np.diff(ends) > _GAP)
+    ]
 
 
 def _described(rig: Rig, streams: list[dict[str, Any]]) -> str:

@@ -23,11 +23,14 @@ _SCENE_RATE = 20.0  # Hz at which a moving robot's shapes are handed to the devi
 
 
 @contextmanager
-def simulated_rig(robot: str = "sliding700", shape: str = "S", seed: int = 0) -> Iterator[Rig]:
+def simulated_rig(
+    robot: str = "sliding700", shape: str = "S", seed: int = 0, faults: str = ""
+) -> Iterator[Rig]:
     """A rig whose devices are simulated while the context lasts.
 
-    The robot's physics, tracker and stage are those of its file's [physics]. Raises SimulationError
-    for a robot or a shape that there is not.
+    The robot's physics, tracker and stage are those of its file's [physics]; `faults` the
+    tracker's, as its --help lists them. Raises SimulationError for a robot, a shape or a fault that
+    there is not.
     """
     bench = load_bench(robot_file(robot))
     motion = bench.move(bench.shape(shape), bench.flaws, seed)
@@ -48,9 +51,8 @@ def simulated_rig(robot: str = "sliding700", shape: str = "S", seed: int = 0) ->
         file = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "scene.npz"
         scene.save(file)
         epoch = ("--epoch", repr(time.monotonic()), "--scene", str(file))
-        tracker = stack.enter_context(
-            started("aurora", *epoch, "--tcp", "0", "--travel", str(travel))
-        )
+        told = ("--tcp", "0", "--travel", str(travel), "--faults", faults)
+        tracker = stack.enter_context(started("aurora", *epoch, *told))
         servo = stack.enter_context(started("servo", "--travel", f"127.0.0.1:{travel}"))
         to = ("--to", f"127.0.0.1:{mocap}", "--bodies", placed, "--seed", str(seed), "--hold")
         stack.enter_context(started("vicon", *epoch, *to))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import cycle, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +17,7 @@ from glissando.simulate.rod import SimulationError
 _SLACK = 1e-6  # of a limit, for rounding
 _MOST = 1e9  # s, m or m/s, beyond which nothing is meant
 _CYCLES = 100_000
+_REST = 0.6  # s at each turn of a path to calibrate by
 _NO_WAY = 1e-9  # m, a move too short to be one
 
 
@@ -167,6 +168,24 @@ class SlidePath:
         return SlidePath.moves([0.0, *[stroke, 0.0] * int(cycles)], limits, speed=speed)
 
     @staticmethod
+    def calibrate(duration: float, stroke: float, limits: SlideLimits) -> SlidePath:
+        """To and fro over a stroke, at the limits' speed, with a rest at each turn.
+
+        Lateness shifts a sensor by as much as it is fast, play at rest just as much.
+        """
+        SlidePath.hold(0.0, duration, limits), SlidePath.oscillate(1, stroke, limits)  # may it?
+        pieces, place, spent = [], 0.0, 0.0
+        for turn in cycle([0.5, 0.25, 0.75, 0.5, 1.0, 0.5, 0.75, 0.25, 0.5, 0.0]):
+            there = turn * stroke
+            move = _trapezoid(place, there, limits.speed, limits.acceleration)
+            lasts = float(move[0].sum()) + _REST
+            if spent + lasts >= duration:
+                break
+            pieces += [move, _still(_REST)]
+            place, spent = there, spent + lasts
+        return SlidePath._joined(0.0, [*pieces, _still(duration - spent)], limits)
+
+    @staticmethod
     def waypoints(time: ArrayLike, displacement: ArrayLike, limits: SlideLimits) -> SlidePath:
         """Through places (K,) at times (K,), at rest at each, as gently as the time allows."""
         times, places = np.asarray(time, dtype=float), np.asarray(displacement, dtype=float)
@@ -184,7 +203,7 @@ class SlidePath:
             cruise = 2.0 * abs(way) / (span + np.sqrt(square))
             SlidePath._require("speed", "m/s", cruise, limits.speed)
             if abs(way) < _NO_WAY:
-                pieces.append((np.array([span]), np.array([0.0]), np.array([0.0])))
+                pieces.append(_still(span))
             else:
                 pieces.append(_trapezoid(places[k], places[k + 1], cruise, most))
         path = SlidePath._joined(float(places[0]), pieces, limits)
@@ -209,6 +228,10 @@ class SlidePath:
 def _require_increasing(time: Array) -> None:
     if time.size < 2 or not np.all(np.isfinite(time)) or np.any(np.diff(time) <= 0.0):
         raise SimulationError("The times of a slide path must be two or more, and increase.")
+
+
+def _still(duration: float) -> tuple[Array, Array, Array]:
+    return np.array([duration]), np.zeros(1), np.zeros(1)
 
 
 def _trapezoid(low: float, high: float, cruise: float, most: float) -> tuple[Array, Array, Array]:

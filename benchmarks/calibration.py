@@ -1,0 +1,95 @@
+"""How far off calibrations are, and how far off they say they may be, over simulated sessions.
+
+Run it as `python benchmarks/calibration.py` for the table of docs/calibration.md, from seeds by
+which nothing was chosen; with `--development` for those by which motion, noise and method were, and
+with `--motions` for what motions of a session leave unknown, by the Fisher information.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+from scipy.stats import chi2
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+
+import rigs_drawn as rigs
+from glissando import load_robot
+from glissando.calibration import PARAMETERS, calibrate
+
+SHOWN = {  # of the parameters: what it is called, 1 / unit, what is asked for
+    "tracker delay": ("tracker's delay, ms", 1e3, 2.0),
+    "slide delay": ("slide's delay, ms", 1e3, 2.0),
+    "zero": ("slide's zero, mm", 1e3, 0.3),
+    "backlash": ("play, mm", 1e3, np.inf),
+    "lead": ("lead, %", 1e2, np.inf),
+}
+
+
+MOTIONS = (  # bends, slide, s
+    ("waving", "even", 15.0),
+    ("waving", "two speeds", 15.0),
+    ("posed", "calibrate", 15.0),
+    ("posed", "calibrate", 30.0),
+    ("posed", "calibrate", 45.0),
+    ("posed", "calibrate", 60.0),
+)
+
+
+def motions() -> None:
+    """Print what is left unknown of one rig by each motion, with play among what is sought."""
+    shown = [SHOWN[name] for name in SHOWN]
+    print("| bends | slide | s | " + " | ".join(told for told, _, _ in shown) + " |")
+    print("|---|---|---|" + "---|" * len(shown))
+    for (bends, slide, lasts), robot in [
+        *((motion, rigs.robot()) for motion in MOTIONS),
+        (MOTIONS[4], load_robot("sliding700")),
+    ]:
+        rigs.LONGER = lasts
+        rigs.motion.cache_clear()
+        data, _ = rigs.drawn(0, bends, sliding=slide)
+        std = calibrate(data, robot).std
+        each = [f"{SHOWN[name][1] * std[PARAMETERS.index(name)]:.2g}" for name in SHOWN]
+        shipped = robot.prior.psd_velocity_time[0] > 5e-5
+        what = "the same, with the shipped robot's prior | " if shipped else f"{bends} | {slide}"
+        print(f"| {what} | {lasts:g} | " + " | ".join(each) + " |", flush=True)
+
+
+def main() -> int:
+    """Print the table; the exit status is 1 when something is not as asked for."""
+    if "--motions" in sys.argv:
+        motions()
+        return 0
+    seeds = rigs.DEVELOPMENT if "--development" in sys.argv else rigs.REPORT
+    trials = []
+    for seed in seeds:
+        trials.append(rigs.trial(seed))
+        print(f"seed {seed}: NEES {trials[-1].nees:.1f}", file=sys.stderr, flush=True)
+    off, std = (np.array([getattr(t, name) for t in trials]) for name in ("off", "std"))
+    count, size = off.shape
+    print(f"{count} sessions, seeds {seeds[0]} to {seeds[-1]}, {rigs.LONGER:g} s each\n")
+    print("| | RMS of errors | largest | stated std | squares by stated |\n|---|---|---|---|---|")
+    good = True
+    for name, (told, unit, most) in SHOWN.items():
+        k = PARAMETERS.index(name)
+        each, said = unit * off[:, k], unit * np.sqrt(np.mean(std[:, k] ** 2))
+        ratio = np.mean((off[:, k] / std[:, k]) ** 2)
+        rms, largest = np.sqrt(np.mean(each**2)), np.abs(each).max()
+        good &= bool(largest < most)
+        print(f"| {told} | {rms:.2g} | {largest:.2g} | {said:.2g} | {ratio:.2f} |")
+    nees = np.mean([t.nees for t in trials]) / size
+    print(f"\nNEES by dimension {nees:.2f}; of such means", end="")
+    for share in (0.95, 0.998):
+        tails = 0.5 - 0.5 * share, 0.5 + 0.5 * share
+        low, high = chi2.ppf(tails, count * size) / (count * size)
+        print(
+            f" {100 * share:g} % lie in {low:.2f} to {high:.2f}",
+            end=", " if share < 0.99 else ".\n",
+        )
+    return 0 if good and low < nees < high else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

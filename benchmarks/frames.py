@@ -1,0 +1,45 @@
+"""How many of the tracker's frames are lost while the slide moves, on this machine as it is.
+
+`python benchmarks/frames.py [RUNS]` records so many sessions on simulated devices, three cycles of
+60 mm each, which are 670 frames at 40 Hz.
+"""
+
+import os
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from glissando.rig import capture, simulated_rig
+from glissando.rig.capture import LOG
+from glissando.sessions import read_session
+from glissando.simulate import SlideLimits, SlidePath
+
+
+def gaps_and_frames(folder: Path) -> tuple[list[int], int]:
+    """How many frames were lost in each gap of one session, and how many came."""
+    with simulated_rig() as rig:
+        assert rig.stage is not None
+        limits = SlideLimits(rig.stage.stroke[1], rig.stage.speed, rig.stage.acceleration)
+        capture(rig, SlidePath.oscillate(3, 0.06, limits), folder)
+    frames = read_session(folder / LOG).topics["/tracker/coil"].column("frame")
+    lost = np.diff(frames).astype(int) - 1
+    return lost[lost > 0].tolist(), frames.size
+
+
+def main() -> None:
+    """Record and count."""
+    runs = int(sys.argv[1]) if len(sys.argv) > 1 else 6
+    lost = total = 0
+    for run in range(runs):
+        with tempfile.TemporaryDirectory() as folder:
+            gaps, came = gaps_and_frames(Path(folder) / "session")
+        lost, total = lost + sum(gaps), total + came + sum(gaps)
+        said = f"gaps of {', '.join(map(str, gaps))}" if gaps else "no gap"
+        print(f"run {run}: {came} came, {said}; load {os.getloadavg()[0]:.1f}", flush=True)
+    print(f"{lost} of {total} frames lost in {runs} sessions, on {os.cpu_count()} cores")
+
+
+if __name__ == "__main__":
+    main()
