@@ -128,16 +128,29 @@ def factor(matrix: BlockTridiagonal, room: Cholesky | None = None) -> Cholesky:
             chol, failed = lapack.dpotrf(schur, lower=1, clean=1)
             if failed:
                 raise _unobservable(k)
-            inverse = lapack.dtrtri(chol, lower=1, overwrite_c=1)[0]
+            inverse = inverse_of_triangle(chol)
             inverses[k] = inverse
             if k < len(couplings):
-                coupling = blas.dgemm(1.0, inverse, matrix.lower[k].T)
+                coupling = blas.dtrmm(1.0, inverse, matrix.lower[k].T, lower=1)
                 couplings[k] = coupling
     pivots = np.einsum("kii->ki", inverses) ** -2.0
     sound = pivots >= _PIVOT_FLOOR * np.einsum("kii->ki", matrix.diagonal)
     if not np.all(sound):  # so that NaN counts as vanished
         raise _unobservable(int(np.argmin(np.all(sound, axis=1))))
     return Cholesky(inverses, couplings, float(np.sum(np.log(pivots))))
+
+
+def inverse_of_triangle(lower: Array) -> Array:
+    """Inverse (n, n) of a lower triangle, in Fortran's order.
+
+    By halves: products of the parts are several times as fast as LAPACK's inversion of the whole.
+    """
+    n = len(lower) // 2
+    out = np.zeros_like(lower, order="F")
+    out[:n, :n] = lapack.dtrtri(lower[:n, :n], lower=1)[0]
+    out[n:, n:] = lapack.dtrtri(lower[n:, n:], lower=1)[0]
+    out[n:, :n] = -out[n:, n:] @ (lower[n:, :n] @ out[:n, :n])
+    return out
 
 
 def _unobservable(k: int) -> UnobservableError:

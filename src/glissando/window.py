@@ -22,7 +22,7 @@ from glissando.posterior import Estimate, Posterior, Solve
 from glissando.prior import Prior
 from glissando.readings import Readings
 from glissando.se3 import Array
-from glissando.slabs import BlockTridiagonal, Marginals
+from glissando.slabs import BlockTridiagonal, Marginals, inverse_of_triangle
 from glissando.state import DOF, POSE, State
 from glissando.sweep import Layout, add_factors, spread_out, squared_innovations, substituted
 from glissando.unknowns import Unknown, Unknowns
@@ -204,7 +204,7 @@ class Window:
                     f"Prior and readings leave a direction of the state at {node.time:g} s "
                     f"undetermined. Give the robot a [base], or use a stream that fixes it."
                 )
-            node.inverse = lapack.dtrtri(chol, lower=1)[0]
+            node.inverse = inverse_of_triangle(chol)
             node.solved = node.inverse @ (node.pull[own] + node.carried[1])
             if i + 1 < len(self.nodes):
                 node.ahead = node.inverse @ node.block[own, next_]
