@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from glissando import se3
+from glissando import descriptions
 from glissando.errors import RecordingError
 from glissando.folders import new_folder
 from glissando.readings import Readings
@@ -157,19 +156,14 @@ def save_recording(recording: Recording, folder: Path, robot: str = "") -> None:
     holds something.
     """
     with new_folder(folder, RecordingError) as building:
-        head = [f"name = {json.dumps(recording.name)}"]
-        lines = [*head, *([f"robot = {json.dumps(robot)}"] if robot else [])]
+        parts = [descriptions.head(recording.name, robot)]
         for stream in recording.streams.values():
             write_named(building / f"{stream.name}.csv", stream.rows)
-            lines += ["", "[[streams]]", f"name = {json.dumps(stream.name)}"]
-            lines += [f'kind = "{stream.rows.kind}"', f"truth = {json.dumps(stream.truth)}"]
-            lines += [f"keep_repeats = {json.dumps(stream.keep_repeats)}"]
-            lines += [] if stream.std is None else [f"std = {stream.std.tolist()}"]
-            lines += [f"{key} = {value.tolist()}" for key, value in stream.extra.items()]
-            quaternion = se3.quaternion(stream.mount[:3, :3]).tolist()
-            lines += ["[streams.mount]", f"position = {stream.mount[:3, 3].tolist()}"]
-            lines += [f"quaternion = {quaternion}"]
-        (building / "recording.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
+            fields = {"name": stream.name, "kind": stream.rows.kind, "truth": stream.truth}
+            fields |= {"keep_repeats": stream.keep_repeats}
+            fields |= ({} if stream.std is None else {"std": stream.std}) | stream.extra
+            parts.append(descriptions.stream(fields, stream.mount))
+        (building / "recording.toml").write_text("".join(parts), encoding="utf-8")
 
 
 def _fitting_robot(streams: dict[str, Stream]) -> Robot | None:

@@ -7,7 +7,6 @@ other, whose streams stand in order of arrival.
 
 from __future__ import annotations
 
-import json
 import os
 import time
 from pathlib import Path
@@ -15,7 +14,7 @@ from typing import BinaryIO, Self
 
 import numpy as np
 
-from glissando import se3
+from glissando import descriptions
 from glissando.dataset import KINDS
 from glissando.errors import RecordingError, SensorError
 from glissando.readings import Readings
@@ -43,7 +42,7 @@ class Journal:
                     f"{self.folder} holds something else; give the journal a new folder."
                 )
             self.folder.mkdir(parents=True, exist_ok=True)
-            self._describe(f"name = {json.dumps(name)}\njournal = true\n")
+            self._describe(descriptions.head(name, journal=True))
         for path in self.folder.glob("*.csv"):
             _cut_unfinished(path)
 
@@ -115,16 +114,11 @@ def _entry(readings: Readings, kind: str) -> str:
             f"{readings.label}: a journal keeps one standard deviation a row and one mount for a "
             f"whole stream; give `cov` as variances (rows,)."
         )
-    quaternion = se3.quaternion(readings.mount[:3, :3]).tolist()
-    std = np.sqrt(np.diagonal(cov)).tolist()
-    lines = ["", "[[streams]]", f"name = {json.dumps(readings.label)}", f'kind = "{kind}"']
-    lines += ["keep_repeats = true"]
+    std = np.sqrt(np.diagonal(cov))
+    fields = {"name": readings.label, "kind": kind, "keep_repeats": True}
     if kind == "fbg":
-        cores = ("core_radius", "core_angle")
-        lines += [f"{key} = {np.asarray(getattr(readings, key)).tolist()}" for key in cores]
-    lines += [f"std = {std[:1] if kind == 'fbg' else std}", "[streams.mount]"]
-    lines += [f"position = {readings.mount[:3, 3].tolist()}", f"quaternion = {quaternion}"]
-    return "\n".join(lines) + "\n"
+        fields |= {k: np.asarray(getattr(readings, k)) for k in ("core_radius", "core_angle")}
+    return descriptions.stream({**fields, "std": std[:1] if kind == "fbg" else std}, readings.mount)
 
 
 def _cut_unfinished(path: Path) -> None:

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tomli_w
 
+from glissando import descriptions
 from glissando.errors import RecordingError
 from glissando.folders import new_folder
 from glissando.interchange.tracks import Track
@@ -126,23 +126,19 @@ def _line(track: Track, rows: Rows) -> str:
 
 def _description(folder: Path, building: Path, tracks: Sequence[Track], choices: Choices) -> str:
     """The text of recording.toml; a robot file of the user's own is copied beside it."""
-    table: dict[str, Any] = {"name": folder.resolve().name}
-    if choices.robot:
-        load_robot(choices.robot)
-        table["robot"] = choices.robot
-        if choices.robot not in shipped_robots():
-            shutil.copy(robot_file(choices.robot), building / "robot.toml")
-            table["robot"] = "robot.toml"
-    text = tomli_w.dumps(table)
+    robot = choices.robot or ""
+    if robot:
+        load_robot(robot)
+        if robot not in shipped_robots():
+            shutil.copy(robot_file(robot), building / "robot.toml")
+            robot = "robot.toml"
+    text = descriptions.head(folder.resolve().name, robot)
     frames = sorted({t.frame for t in tracks} - {"world"})
     if frames:
-        origin = {"position": [0.0, 0.0, 0.0], "quaternion": [1.0, 0.0, 0.0, 0.0]}
-        text += "\n" + _FRAMES + tomli_w.dumps({"frames": dict.fromkeys(frames, origin)})
+        text += "\n" + _FRAMES + "".join(descriptions.frame(name, np.eye(4)) for name in frames)
     for track in tracks:
-        entry: dict[str, Any] = {
-            "name": track.name,
-            "kind": choices.kind.get(track.name, track.kind),
-        }
-        entry |= {"frame": track.frame, "truth": track.name in choices.truth}
-        text += "\n[[streams]]\n" + tomli_w.dumps({**entry, "keep_repeats": track.numbered})
+        kind = choices.kind.get(track.name, track.kind)
+        fields: dict[str, Any] = {"name": track.name, "kind": kind, "frame": track.frame}
+        fields |= {"truth": track.name in choices.truth, "keep_repeats": track.numbered}
+        text += descriptions.stream(fields)
     return text

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from glissando import se3
+from glissando import descriptions, se3
 from glissando.errors import RecordingError
 from glissando.rig.setup import Rig
 from glissando.robot import load_robot, robot_file, shipped_robots
@@ -97,17 +96,8 @@ def _gaps(name: str, time: Array, span: tuple[float, float], zero: float) -> lis
 
 def _described(rig: Rig, streams: list[dict[str, Any]]) -> str:
     robot = rig.robot if rig.robot in shipped_robots() else str(Path(rig.robot).resolve())
-    lines = [f"name = {json.dumps(rig.name)}", f"robot = {json.dumps(robot)}", ""]
-    lines += ["[frames.tracker]", *_pose(rig.frame), ""]
+    parts = [descriptions.head(rig.name, robot), descriptions.frame("tracker", rig.frame)]
     for stream in streams:
         mount = stream.pop("mount", None)
-        lines += ["[[streams]]", *(f"{key} = {json.dumps(value)}" for key, value in stream.items())]
-        if mount is not None:
-            lines += ["[streams.mount]", *_pose(mount)]
-        lines.append("")
-    return "\n".join(lines)
-
-
-def _pose(pose: Array) -> list[str]:
-    quaternion = se3.quaternion(pose[:3, :3]).tolist()
-    return [f"position = {pose[:3, 3].tolist()}", f"quaternion = {quaternion}"]
+        parts.append(descriptions.stream(stream, mount))
+    return "".join(parts)

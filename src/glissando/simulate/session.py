@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from glissando import se3
+from glissando import descriptions
 from glissando.folders import new_folder
 from glissando.se3 import Array
 from glissando.simulate.bench import Bench
@@ -109,19 +108,11 @@ def write_session(session: Session, folder: Path, robot: str | Path) -> list[Pat
 
 def _description(session: Session, robot: str) -> str:
     """The recording.toml: the coil is in the tracker's frame, motion capture is the truth."""
-    position = session.T_wt[:3, 3].tolist()
-    quaternion = se3.quaternion(session.T_wt[:3, :3]).tolist()
-    lines = [f"name = {_quoted(session.name)}", f"robot = {_quoted(robot)}", ""]
-    lines += ["[frames.tracker]", f"position = {position}", f"quaternion = {quaternion}", ""]
-    lines += ["[[streams]]", 'name = "coil"', 'kind = "coil"', 'frame = "tracker"']
-    lines += ["keep_repeats = true"]  # a still coil without noise says the same again and again
+    parts = [descriptions.head(session.name, robot), descriptions.frame("tracker", session.T_wt)]
+    # A still coil without noise says the same again and again.
+    coil = {"name": "coil", "kind": "coil", "frame": "tracker", "keep_repeats": True}
+    parts.append(descriptions.stream(coil))
     for name in session.mocap:
-        lines += ["", "[[streams]]", f'name = "{name}"', 'kind = "pose"', "truth = true"]
-        lines += [f"std = {session.mocap_std.tolist()}", "keep_repeats = true"]
-    return "\n".join(lines) + "\n"
-
-
-def _quoted(text: str) -> str:
-    """A TOML string; what UTF-8 has no letter for becomes a question mark."""
-    plain = text.encode("utf-8", "replace").decode().replace("\x7f", "?")
-    return json.dumps(plain, ensure_ascii=False)
+        seen = {"name": name, "kind": "pose", "truth": True, "std": session.mocap_std}
+        parts.append(descriptions.stream({**seen, "keep_repeats": True}))
+    return "".join(parts)
