@@ -72,8 +72,8 @@ where the base's tracker may drift; free space speaks against them.
 What is left. At the tip, where a tracker sits, tracker and motion capture themselves disagree by
 4.0 and 3.1 mm in the two windows, with the frame and mounts of slow motion. Motion capture is 20 ms
 late in `slow_free_space` and 2 ms in `fast_contact`: no constant of the laboratory, so it is not
-put right. In 10 to 20 s bending gathers beside the base as it never does in slow motion, and the body
-there is what confidence misses. In 20 to 30 s the impact upsets the tracker, and looser shapes
+put right. In 10 to 20 s bending gathers beside the base as it never does in slow motion, and the
+body there is what confidence misses. In 20 to 30 s the impact upsets the tracker, and looser shapes
 buckle to follow it.
 """
 
