@@ -187,6 +187,21 @@ def test_what_was_learned_is_a_robot_file_that_estimate_takes(recording, tmp_pat
     assert json.loads(capsys.readouterr().out)["robot"] == "tdcr466"
 
 
+def test_constants_found_jointly_are_written_as_known_without_the_truths_delay(
+    recording, tmp_path, capsys, in_process
+):
+    out = tmp_path / "learned.toml"
+    options = ["--robot", recording / "few.toml", "--out", out, *WINDOW, "--steps", 1, "--json"]
+    more = ["--truth", "truth2,truth4", "--joint", "--only", "gyro noise"]
+    assert run("learn", recording, *options, *more) == 0
+    told = json.loads(capsys.readouterr().out)
+    names = ["truth frame", "truth2 mount", "truth4 mount"]
+    assert [c["name"] for c in told["constants"]] == [*names, "truth delay"]
+    robot = load_robot(out)
+    assert [u.name for u in robot.unknowns] == names
+    assert all(u.known for u in robot.unknowns)
+
+
 def test_without_json_a_table_is_printed_that_names_the_numbers(
     recording, tmp_path, capsys, in_process
 ):
@@ -202,7 +217,9 @@ def test_without_json_a_table_is_printed_that_names_the_numbers(
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
-        (["--calibrate"], "name it with --truth"),
+        (["--calibrate"], "--calibrate finds where the truth is mounted: name it with --truth"),
+        (["--joint"], "--joint finds where the truth is mounted: name it with --truth"),
+        (["--joint", "--calibrate", "--truth", "truth2"], "give one of them"),
         (["--only", "nonsense"], "There is nothing to learn with --only nonsense"),
         (["--steps", 0], "There is nothing to learn with --only"),
         (["--truth", "sonar"], "'sonar'"),

@@ -10,6 +10,7 @@ from glissando import estimate, load_robot, predictive, se3, uniform_grid
 from glissando.predictive import constants_of, predict
 from glissando.sensors import PoseReadings
 from glissando.state import State
+from glissando.unknowns import Unknown
 from learn_drawn import readings
 from scenes import LENGTH
 
@@ -81,3 +82,16 @@ def test_the_frame_of_the_truth_and_the_mounts_of_its_bodies_are_found():
         np.testing.assert_allclose(one.value[:3], each[:3], atol=1e-3)
         np.testing.assert_allclose(one.value[3:], each[3:], atol=5e-3)
     assert predict(posterior, off, found.constants, free=False).score == found.score
+
+
+def test_truth_that_is_known_to_be_late_is_asked_for_when_it_was_made():
+    posterior, late = posterior_of_the_arc(), 0.3
+    truth = readings(PoseReadings, "a", LENGTH, TIMES[:4], std=np.full(6, 3e-4), seed=1)
+    stamped = replace(truth, time=truth.time + late)
+    delay = Unknown("late", "delay", ("a",), np.array([late]), np.zeros(1))
+    found = predict(posterior, [stamped], [delay], free=False)
+    assert found.score == pytest.approx(predict(posterior, [truth], (), free=False).score)
+    assert found.score > predict(posterior, [stamped], (), free=False).score + 2.0
+    assert found.constants == (delay,)
+    early = replace(truth, time=truth.time + 0.5 * late)  # its first rows were made before the grid
+    assert predict(posterior, [early], [delay], free=False).samples < found.samples

@@ -1,10 +1,12 @@
 import numpy as np
 import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
 
 from glissando import Huber, RecordingError, RobotFileError, load_robot, se3
 from glissando.dataset import load_recording
 from glissando.robot import parse_robot, shipped_robots
-from glissando.streams import Rows, clean, read_named, write_named
+from glissando.streams import Rows, clean, read_named, steady, write_named
 from glissando.tables import read_toml
 from scenes import LENGTH, arc
 
@@ -76,6 +78,41 @@ def test_repeats_of_a_tracker_are_dropped_and_counted():
     rows = clean(Rows("pose", np.arange(5.0), np.zeros(5), values, {}))
     assert rows.dropped == {"repeated": 2}
     assert rows.time.tolist() == [0, 2, 4]
+
+
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    off=st.floats(-1.8e-3, 1.8e-3),
+    asked=st.floats(0.008, 0.02),
+    phase=st.floats(0.0, 1.0),
+)
+def test_a_steady_tracker_asked_too_fast_gets_its_own_times_back(seed, off, asked, phase):
+    """However both clocks stand, and with frames that were never picked up."""
+    rng = np.random.default_rng(seed)
+    made = (np.arange(1000) + phase) * 0.025 * (1.0 + off)
+    made = made[rng.random(made.size) > 0.02]
+    host = np.arange(made[0] + 0.03, made[-1], asked)
+    newest = np.searchsorted(made, host, side="right") - 1
+    values = np.tile(np.eye(4), (host.size, 1, 1))
+    values[:, 0, 3] = newest
+    rows = clean(Rows("pose", host, np.zeros(host.size), values, {}))
+    assume(host.size > 1.1 * rows.time.size)
+    late = rows.time - made[rows.values[:, 0, 3].astype(int)]
+    better = steady(rows, 40.0).time - made[rows.values[:, 0, 3].astype(int)]
+    np.testing.assert_allclose(better[1:], late.mean(), atol=1.5e-3)  # the first may be old
+    assert better[1:].std() < 0.25 * late[1:].std()
+
+
+def test_rows_that_were_not_asked_for_too_fast_keep_their_times():
+    rows = Rows("pose", np.arange(5.0), np.zeros(5), np.tile(np.eye(4), (5, 1, 1)), {})
+    assert steady(rows, 40.0) is rows
+
+
+def test_stamps_of_no_steady_device_are_said_to_be_none():
+    time = np.cumsum(np.random.default_rng(0).uniform(0.005, 0.2, 400))
+    rows = Rows("pose", time, np.zeros(400), np.tile(np.eye(4), (400, 1, 1)), {"repeated": 1})
+    with pytest.raises(RecordingError, match="measures 40 times a second; correct or leave out"):
+        steady(rows, 40.0)
 
 
 def test_clipped_gyro_samples_are_dropped_and_counted():

@@ -25,7 +25,15 @@ from glissando.sensors import (
     PositionReadings,
     StrainReadings,
 )
-from glissando.streams import TRUTH_KINDS, Rows, clean, read_named, read_public, write_named
+from glissando.streams import (
+    TRUTH_KINDS,
+    Rows,
+    clean,
+    read_named,
+    read_public,
+    steady,
+    write_named,
+)
 from glissando.tables import Table, read_toml
 
 _TRUTH_STD = 1e-6  # noise of a truth stream that states none: negligible against any posterior
@@ -92,6 +100,8 @@ class Recording:
                 )
             stream = self.streams[name]
             rows = clean(stream.rows, robot.clip, stream.keep_repeats)
+            if not as_truth and rows.kind in robot.sensor_rate:
+                rows = steady(rows, robot.sensor_rate[rows.kind])
             _require_on_robot(name, rows, robot)
             found = _as_readings(replace(stream, rows=rows), robot, as_truth)
             inside = (found.time >= window[0]) & (found.time <= window[1])

@@ -93,8 +93,8 @@ class Judge:
 
     cases: Sequence[Case]
     calibrate: bool
+    constants: tuple[Unknown, ...] = ()
     _starts: dict[int, State] = field(default_factory=dict)
-    _constants: tuple[Unknown, ...] = ()
 
     def score(self, document: Document) -> Score:
         """The objective: log-likelihood per degree of freedom of truth, else of the readings."""
@@ -110,11 +110,11 @@ class Judge:
     def _foretold(self, found: Sequence[Posterior], truths: Sequence[list[Readings]]) -> Score:
         """Truth of all cases; constants are calibrated on the longest and hold for all."""
         longest = max(range(len(truths)), key=lambda i: sum(map(len, truths[i])))
-        constants: tuple[Unknown, ...] = ()
+        constants = self.constants
         if self.calibrate:
-            constants = self._constants or constants_of(truths[longest])
+            constants = constants or constants_of(truths[longest])
             constants = predict(found[longest], truths[longest], constants, free=True).constants
-            self._constants = self._constants or constants
+            self.constants = self.constants or constants
         told_all = [
             predict(posterior, truth, constants, free=False)
             for posterior, truth in zip(found, truths, strict=True)
@@ -167,21 +167,22 @@ def learn(
     cases: Sequence[Case],
     *,
     calibrate: bool = False,
+    constants: tuple[Unknown, ...] = (),
     steps: int = 20,
     watch: Watch | None = None,
 ) -> Learned:
     """Scale the parameters of an expanded document until the cases are most likely.
 
-    With `calibrate` the truth's frame and mounts are found as well. Raises what the first estimate
-    raises: a start must at least be possible.
+    `constants` of the truth are put right; with `calibrate` its frame and mounts are found, from
+    these or from none. Raises what the first estimate raises: a start must at least be possible.
     """
     parameters = list(parameters)
-    judge = Judge(cases, calibrate)
+    judge = Judge(cases, calibrate, constants)
     before = judge.score(document)
     workers = min(os.cpu_count() or 1, 1 + len(parameters))
     spawned = get_context("spawn")
     with ProcessPoolExecutor(
-        workers, spawned, _prepare, (Judge(cases, calibrate), document)
+        workers, spawned, _prepare, (Judge(cases, calibrate, constants), document)
     ) as pool:
         search = _Search(document, parameters, pool, watch, steps)
         limits = [(-_REACH, _REACH)] * len(parameters)

@@ -44,16 +44,21 @@ def constants_of(truth: Sequence[Readings]) -> tuple[Unknown, ...]:
 def predict(
     posterior: Posterior, truth: Sequence[Readings], constants: Sequence[Unknown], *, free: bool
 ) -> Prediction:
-    """Judge a posterior by truth streams; with `free` the constants are calibrated, else held."""
-    sparse = [_apart(t) for t in truth if len(t)]
+    """Judge a posterior by truth streams; with `free` the constants are calibrated, else held.
+
+    Those that move readings, as a delay does, are always held.
+    """
+    moving = [c for c in constants if c.moves]
+    there = [corrected(t, moving).inside(posterior.grid) for t in truth]
+    sparse = [_apart(t) for t in there if len(t)]
     found = [posterior.at(t.arclength, t.time) for t in sparse]
-    constants = tuple(constants)
+    constants = tuple(c for c in constants if not c.moves)
     for _ in range(_ROUNDS * free):
         constants = _improved(sparse, found, constants)
     terms = [_normalised(t, at, constants) for t, at in zip(sparse, found, strict=True)]
     total = sum(float(np.sum(cost)) for cost, _ in terms)
     count = sum(size for _, size in terms)
-    return Prediction(-total / max(count, 1), count, constants)
+    return Prediction(-total / max(count, 1), count, (*constants, *moving))
 
 
 def _apart(truth: Readings) -> Readings:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +33,8 @@ class Robot:
 
     `length` in metres, `arclength_nodes` (N,) in metres, `time_rate` nodes a second, `prior`,
     `sensor_std` standard deviations and `sensor_loss` robust losses by kind of sensor, `clip` the
-    gyro's range in rad/s or None, `unknowns` what is not known exactly of streams by name.
+    gyro's range in rad/s or None, `unknowns` what is not known exactly of streams by name,
+    `sensor_rate` how often a second kinds of tracker measure that are polled faster than that.
     """
 
     name: str
@@ -45,6 +46,7 @@ class Robot:
     sensor_loss: dict[str, Loss]
     clip: float | None = None
     unknowns: tuple[Unknown, ...] = ()
+    sensor_rate: dict[str, float] = field(default_factory=dict)
 
     def grid(self, start: float, stop: float) -> Grid:
         """The robot's grid over the times [start, stop] in seconds."""
@@ -95,11 +97,11 @@ def parse_robot(table: Table) -> Robot:
         raise table.fail("[prior]", f"has a joint at {prior.joints[-1]:g} m, beyond the tip.")
     nodes, rate = _grid(table, length)
     nodes = np.sort(np.concatenate([nodes, _missing(prior.joints, nodes)]))
-    std, loss, clip = _sensors(table)
+    std, loss, clip, rates = _sensors(table)
     unknowns = tuple(_unknown(entry) for entry in table.tables("unknowns"))
     table.skip("physics")  # of the simulator, which checks it
     table.close()
-    return Robot(name, length, nodes, rate, prior, std, loss, clip, unknowns)
+    return Robot(name, length, nodes, rate, prior, std, loss, clip, unknowns, rates)
 
 
 def _grid(table: Table, length: float) -> tuple[Array, float]:
@@ -204,13 +206,16 @@ def _unknown(table: Table) -> Unknown:
     return Unknown(name, kind, streams, value, std, memory)
 
 
-def _sensors(table: Table) -> tuple[dict[str, Array], dict[str, Loss], float | None]:
+def _sensors(
+    table: Table,
+) -> tuple[dict[str, Array], dict[str, Loss], float | None, dict[str, float]]:
     std: dict[str, Array] = {}
     losses: dict[str, Loss] = {}
+    rates: dict[str, float] = {}
     clip = None
     sensors = table.table("sensors")
     if sensors is None:
-        return std, losses, clip
+        return std, losses, clip, rates
     for kind in sensors.names():
         if kind not in ROWS:
             raise sensors.fail(kind, f"is not a kind of sensor; known: {', '.join(ROWS)}.")
@@ -220,9 +225,11 @@ def _sensors(table: Table) -> tuple[dict[str, Array], dict[str, Loss], float | N
         if kind == "gyro":
             limit = sensor.number("clip", 1e9)
             clip = limit if limit < 1e9 else None
+        if sensor.peek("rate") is not None:
+            rates[kind] = sensor.number("rate")
         name = sensor.text("loss", "none", choices=("none", *_LOSSES))
         if name != "none":
             loss = _LOSSES[name]
             losses[kind] = loss(sensor.number("threshold", loss().threshold))
         sensor.close()
-    return std, losses, clip
+    return std, losses, clip, rates

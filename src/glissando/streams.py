@@ -6,7 +6,7 @@ own (one header line of named columns). Problems are reported with the file and 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +29,7 @@ COLUMNS = {
 _PUBLIC_KINDS = {"aurora": ("pose", False), "vicon": ("pose", True), "gyro": ("gyro", False)}
 TRUTH_KINDS = _TRACKERS = ("pose", "coil", "position", "orientation")
 _NEAR_CLIP = 0.99  # a gyro within 1 % of its range is taken as clipped
+_OFF_RATE = 2e-3  # share by which two clocks may differ
 
 
 @dataclass(frozen=True)
@@ -158,6 +159,33 @@ def clean(rows: Rows, clip: float | None = None, keep_repeats: bool = False) -> 
         return rows
     dropped = {**rows.dropped, **({reason: int(bad.sum())} if bad.any() else {})}
     return Rows(rows.kind, rows.time[~bad], rows.arclength[~bad], rows.values[~bad], dropped)
+
+
+def steady(rows: Rows, rate: float) -> Rows:
+    """Rows at the times of a device that measures `rate` times a second, very nearly steadily.
+
+    A host that asks faster than a tracker measures stamps a value when it is picked up, up to one
+    of its own periods after it was there. Such rows are numbered by the device's period, found
+    within 0.2 %, and a straight line through the stamps is their time; on average no stamp moves.
+    Rows none of which was repeated were not asked for too fast, and are left alone. Raises
+    RecordingError when the stamps do not fit such a device.
+    """
+    if "repeated" not in rows.dropped or len(rows.time) < 3:
+        return rows
+    elapsed = rows.time - rows.time[0]
+    count = int(np.ceil(8.0 * _OFF_RATE * rate * elapsed[-1])) + 2
+    near = rate * np.linspace(1.0 - _OFF_RATE, 1.0 + _OFF_RATE, count)
+    turns = np.array([np.mean(np.exp(2j * np.pi * f * elapsed)) for f in near])
+    best = int(np.argmax(np.abs(turns)))
+    number = np.round(near[best] * elapsed - np.angle(turns[best]) / (2.0 * np.pi))
+    time = np.polyval(np.polyfit(number, rows.time, 1), number)
+    late = float(np.abs(rows.time - time).max())
+    if np.any(np.diff(number) < 1.0) or late > 1.0 / rate:
+        raise RecordingError(
+            f"A {rows.kind} stream's stamps are up to {1e3 * late:.3g} ms from those of a device "
+            f"that measures {rate:g} times a second; correct or leave out its rate."
+        )
+    return replace(rows, time=time)
 
 
 def _oriented(path: Path, values: Array, first: int) -> Array:

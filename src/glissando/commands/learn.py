@@ -16,12 +16,14 @@ from rich.table import Table as Grid
 from glissando.commands.shared import Commands, add_command, names
 from glissando.dataset import Recording, load_recording
 from glissando.errors import GlissandoError, RecordingError
+from glissando.lab import lasting, locate
 from glissando.learn import Learned, RecordingCase, learn
 from glissando.metrics import pool
 from glissando.parameters import Document, expanded, learnable
 from glissando.report import checked_window, run_estimate
 from glissando.robot import load_robot, parse_robot, robot_file
 from glissando.tables import Table, read_document
+from glissando.unknowns import Unknown
 
 _HELP = """\
 Learn the numbers of a robot file from recordings: densities, time scale, strength by segment,
@@ -53,6 +55,8 @@ def add_to(commands: Commands) -> None:
     add("--hold-out", type=names, metavar="NAME,…", help="truth to judge by, never learned from")
     calibrate = "find the frame of the truth and the mounts of its bodies, and write them as known"
     add("--calibrate", action="store_true", help=calibrate)
+    joint = "find them first, with the mounts of uncertain sensors, from sensors and truth at once"
+    add("--joint", action="store_true", help=joint)
     add("--window", nargs=2, type=float, metavar=("T0", "T1"), help="seconds to learn from")
     only = "learn only numbers whose names hold one of these words (default: all)"
     add("--only", type=names, metavar="WORD,…", help=only)
@@ -66,8 +70,13 @@ def _learn(options: argparse.Namespace) -> int:
     document = expanded(read_document(robot_file(options.robot)))
     _require_writable(options)
     truth = options.truth or []
-    if options.calibrate and not truth:
-        raise GlissandoError("--calibrate finds where the truth is mounted: name it with --truth.")
+    for flag in ("calibrate", "joint"):
+        if getattr(options, flag) and not truth:
+            raise GlissandoError(
+                f"--{flag} finds where the truth is mounted: name it with --truth."
+            )
+    if options.calibrate and options.joint:
+        raise GlissandoError("--joint and --calibrate find the same constants; give one of them.")
     cases = [_case(recording, options, truth) for recording in recordings]
     kinds = [
         r.streams[name].rows.kind for r, c in zip(recordings, cases, strict=True) for name in c.use
@@ -81,12 +90,16 @@ def _learn(options: argparse.Namespace) -> int:
             f"--steps {options.steps}; the numbers are: "
             f"{'; '.join(p.label for p in learnable(document, kinds))}."
         )
+    constants: tuple[Unknown, ...] = ()
+    if options.joint:
+        document, constants = locate(document, recordings[0], cases[0].window, cases[0].use, truth)
     with _watched(options.steps) as (progress, task):
         found = learn(
             document,
             parameters,
             cases,
             calibrate=options.calibrate,
+            constants=constants,
             steps=options.steps,
             watch=lambda step, value: progress.update(
                 task, completed=step, description=f"learning: {value:.4f} a degree of freedom"
@@ -159,7 +172,7 @@ def _with_constants(found: Learned) -> Document:
     document = dict(found.document)
     known = [
         {"name": c.name, "kind": c.kind, "streams": list(c.streams), "value": c.value.tolist()}
-        for c in found.after.constants
+        for c in lasting(found.after.constants)
     ]
     kept = [u for u in document.get("unknowns", []) if u["name"] not in [k["name"] for k in known]]
     if kept or known:

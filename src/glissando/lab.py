@@ -1,0 +1,80 @@
+"""A laboratory's constants, from a recording in which truth and sensors tell of one motion.
+
+Where truth's bodies are mounted and how the sensors sit is found with the shape, from all of them
+at once. Found from the errors of an estimate without truth, as `predict` finds them, what a wrong
+sensor mount does to that estimate would pass for a mount of the truth.
+"""
+
+from __future__ import annotations
+
+import copy
+import warnings
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from glissando.dataset import Recording
+from glissando.errors import GlissandoError, NotConvergedWarning
+from glissando.estimate import Options, estimate
+from glissando.parameters import Document
+from glissando.predictive import constants_of
+from glissando.robot import parse_robot
+from glissando.tables import Table
+from glissando.unknowns import Unknown
+
+_OF_A_RECORDING = ("delay", "bias")  # kinds that the next recording has its own of
+_LOOSE = {"world": (3e-3, 0.01), "mount": (2e-3, 0.05)}  # m, rad: how far off truth may be
+_LATE = 0.02  # s: how late its stamps may be
+_OPTIONS = Options(max_iterations=25)
+
+
+def locate(
+    document: Document,
+    recording: Recording,
+    window: tuple[float, float],
+    use: Sequence[str],
+    truth: Sequence[str],
+) -> tuple[Document, tuple[Unknown, ...]]:
+    """The robot file with its sensors' constants known, and the constants (known) of the truth.
+
+    Truth counts as a sensor of the robot file's noise here, late by one delay. Unknowns of the file
+    that drift, and delays and biases, belong to a recording and stay as they are.
+    """
+    robot = parse_robot(Table(document, "located", GlissandoError))
+    readings, _ = recording.readings([*use, *truth], robot, window)
+    loose = [
+        replace(c, std=np.repeat(_LOOSE[c.kind], 3))
+        for c in constants_of([r for r in readings if r.name in truth])
+    ]
+    late = Unknown("truth delay", "delay", tuple(truth), np.zeros(1), np.array([_LATE]))
+    shift = 2.0 * _LATE  # no reading may be moved off the grid
+    inner = [
+        r.select((r.time > window[0] + shift) & (r.time < window[1] - shift)) for r in readings
+    ]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotConvergedWarning)
+        posterior = estimate(
+            robot.prior,
+            robot.grid(*window),
+            inner,
+            unknowns=[*robot.unknowns, *loose, late],
+            options=_OPTIONS,
+        )
+
+    def found(unknown: Unknown) -> Unknown:
+        values, _ = posterior.unknown(unknown.name)
+        return replace(unknown, value=values[len(values) // 2], std=0.0 * unknown.std)
+
+    known = copy.deepcopy(document)
+    for entry, unknown in zip(known.get("unknowns", []), robot.unknowns, strict=True):
+        holds = np.isinf(unknown.correlation_time) and unknown.kind not in _OF_A_RECORDING
+        if holds and not unknown.known:
+            entry["value"] = found(unknown).value.tolist()
+            del entry["std"]
+    return known, tuple(found(u) for u in [*loose, late])
+
+
+def lasting(constants: Sequence[Unknown]) -> tuple[Unknown, ...]:
+    """Those constants that hold for other recordings as well."""
+    return tuple(c for c in constants if c.kind not in _OF_A_RECORDING)
