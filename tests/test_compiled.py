@@ -248,14 +248,28 @@ def test_sums_over_neighbours_agree(count):
         same(sums[1], sums[0])
 
 
-def test_without_numba_the_definitions_are_used():
+USE = """
+import os, sys
+os.environ['GLISSANDO_COMPILED'] = {wanted!r}
+import numpy as np
+from glissando import se3, twins
+print(se3.exp(np.full(6, 0.1))[0, 3])
+assert 'numba' not in sys.modules
+twins.use_compiled()
+print(se3.exp(np.full(6, 0.1))[0, 3])
+assert ('numba' in sys.modules) is {used}
+"""
+
+
+@pytest.mark.parametrize(("wanted", "used"), [("0", False), ("1", True)])
+def test_only_who_estimates_imports_numba_and_only_if_wanted(wanted, used):
     """In a process of its own, as the choice is made once."""
-    code = (
-        "import os; os.environ['GLISSANDO_COMPILED'] = '0'\n"
-        "import sys, numpy as np\n"
-        "from glissando import se3\n"
-        "print(se3.exp(np.full(6, 0.1))[0, 3])\n"
-        "assert 'numba' not in sys.modules"
-    )
+    code = USE.format(wanted=wanted, used=used)
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert float(run.stdout) == pytest.approx(se3.exp(np.full(6, 0.1))[0, 3], abs=1e-15)
+    expected = se3.exp(np.full(6, 0.1))[0, 3]
+    assert [float(said) for said in run.stdout.split()] == pytest.approx([expected] * 2, abs=1e-15)
+
+
+def test_simulated_devices_do_not_wait_for_numba():
+    code = "import sys\nimport glissando.simulate.devices\nassert 'numba' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True)

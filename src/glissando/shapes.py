@@ -25,6 +25,7 @@ from glissando.readings import Readings
 from glissando.se3 import Array
 from glissando.state import DOF, State
 from glissando.threads import one_thread
+from glissando.twins import use_compiled
 
 _DOFS = slice(0, STILL)
 _WORTHWHILE, _ROUNDING = 1e-3, 1e-11  # as for a recording
@@ -113,6 +114,7 @@ def estimate_shapes(
         count = 1 + int(max((r.time.max() for r in given), default=0.0))
     grid = Grid.apart(arclength, count)
     start = prior.rest_state(grid)
+    use_compiled()
     with one_thread():
         placed = PlacedReadings(grid, given)
         soft = prior.softened()

@@ -2,7 +2,7 @@
 
 The functions marked `twin` are exact definitions in numpy, batched; on a handful of items most of
 their time is numpy's calls. `glissando.compiled` has a function of the same name and arguments for
-each, which is used instead unless numba is missing or GLISSANDO_COMPILED is 0.
+each, which estimators use instead unless numba is missing or GLISSANDO_COMPILED is 0.
 """
 
 from __future__ import annotations
@@ -22,34 +22,42 @@ TWINS: dict[str, Callable[..., Any]] = {}
 """The definitions in numpy of all functions that have a compiled twin, by name."""
 
 
+_rooms: list[ModuleType] = []
+
+
 @cache
-def compiled() -> ModuleType | None:
-    """The room of compiled functions, None where it is not to be used."""
-    if os.environ.get("GLISSANDO_COMPILED") == "0" or find_spec("numba") is None:
-        return None
-    return import_module("glissando.compiled")  # at the first call: numba takes long to import
+def use_compiled() -> None:
+    """From now on use compiled functions in this process, where there are any to use.
 
-
-def twin(slow: Callable[P, R]) -> Callable[P, R]:
-    """The function, or its compiled twin where there is one to use.
-
-    The definition itself stays at hand in TWINS.
+    Whoever estimates calls this first. Nothing else does: numba takes a second to import, which a
+    device's process or thread cannot wait for.
     """
-    TWINS[slow.__name__] = slow
-    chosen: list[Callable[P, R]] = []
-
-    @wraps(slow)
-    def either(*args: P.args, **kwargs: P.kwargs) -> R:
-        if not chosen:
-            chosen.append(getattr(compiled(), slow.__name__, slow))
-        return chosen[0](*args, **kwargs)
-
-    return either
+    if os.environ.get("GLISSANDO_COMPILED") != "0" and find_spec("numba") is not None:
+        _rooms.append(import_module("glissando.compiled"))
 
 
 @cache
 def prepare() -> None:
     """Have all compiled functions at hand, so that no later call has to wait for them."""
-    room = compiled()
-    if room is not None:
+    use_compiled()
+    for room in _rooms:
         room.prepare()
+
+
+def twin(slow: Callable[P, R]) -> Callable[P, R]:
+    """The function, or its compiled twin once those are in use.
+
+    The definition itself stays at hand in TWINS.
+    """
+    TWINS[slow.__name__] = slow
+    fast: list[Callable[P, R]] = []
+
+    @wraps(slow)
+    def either(*args: P.args, **kwargs: P.kwargs) -> R:
+        if not _rooms:
+            return slow(*args, **kwargs)
+        if not fast:
+            fast.append(getattr(_rooms[0], slow.__name__))
+        return fast[0](*args, **kwargs)
+
+    return either

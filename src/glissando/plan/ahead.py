@@ -23,6 +23,7 @@ from glissando.slabs import BlockTridiagonal, Marginals, factor
 from glissando.state import State
 from glissando.sums import NeighbourSums, slab_shape
 from glissando.threads import one_thread
+from glissando.twins import use_compiled
 from glissando.unknowns import Unknowns
 
 
@@ -173,6 +174,7 @@ def look_ahead(
     `belief` (D, D) is information of the first time node, from what lies before. Raises
     UnobservableError when prior and belief leave a direction undetermined.
     """
+    use_compiled()
     with one_thread():
         system = prior_information(prior, grid, mean, unknowns)
         if belief is not None:
