@@ -30,8 +30,7 @@ from glissando.se3 import Array
 from glissando.slabs import Cholesky, factor
 from glissando.state import State
 from glissando.sums import slab_shape
-from glissando.threads import one_thread
-from glissando.twins import use_compiled
+from glissando.twins import estimating
 from glissando.unknowns import Unknown, corrected
 
 _WORTHWHILE = 1e-3  # share of the predicted fall in cost below which a step is refused
@@ -93,8 +92,7 @@ def estimate(
             "Nothing fixes the base: the robot has no [base] and no pose, coil or position stream "
             "is used. Give the robot a [base], or use a stream that fixes it."
         )
-    use_compiled()
-    with one_thread():
+    with estimating():
         unmoved = [u for u in unknowns if u.known]
         placed = PlacedReadings(grid, [corrected(r, unmoved) for r in readings], unknowns)
         start, before = initial, 0

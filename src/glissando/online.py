@@ -26,8 +26,7 @@ from glissando.prior import Prior
 from glissando.readings import Readings
 from glissando.se3 import Array
 from glissando.state import State
-from glissando.threads import one_thread
-from glissando.twins import prepare
+from glissando.twins import estimating, prepare
 from glissando.unknowns import Unknown, corrected
 from glissando.window import Window
 
@@ -92,7 +91,7 @@ class FixedLag:
         """
         if not np.isfinite(time):
             raise OutsideGridError(f"The time to advance to is {time}; give seconds.")
-        with one_thread():
+        with estimating():
             window = self._window
             if not window.nodes:
                 at = Grid(self.arclength, [time])
@@ -195,7 +194,7 @@ class FixedLag:
     def posterior(self) -> Posterior:
         """The window as a posterior, to query, draw and save like any other."""
         self.newest()
-        with one_thread():
+        with estimating():
             return self._window.posterior()
 
     def at(self, arclength: ArrayLike, time: ArrayLike) -> Estimate:
@@ -215,14 +214,14 @@ class FixedLag:
             least = 0.0 if before is None else _CLOSEST * (newest - before)
             window.append(max(latest, newest + least))
             first = max(0, len(window.nodes) - 2)
-            with one_thread():
+            with estimating():
                 window.solve(first, self._inbox.since(window.nodes[first].time))
-        with one_thread():
+        with estimating():
             return window.posterior().at(arclength, time)
 
     def settle(self, tolerance: float = 1e-9, most: int = 50) -> int:
         """Linearise the whole window again until no number moves by more; returns the rounds."""
-        with one_thread():
+        with estimating():
             rounds = 0
             moved = np.inf
             while moved >= tolerance and rounds < most:

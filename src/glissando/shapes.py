@@ -24,8 +24,7 @@ from glissando.posterior import Estimate
 from glissando.readings import Readings
 from glissando.se3 import Array
 from glissando.state import DOF, State
-from glissando.threads import one_thread
-from glissando.twins import use_compiled
+from glissando.twins import estimating
 
 _DOFS = slice(0, STILL)
 _WORTHWHILE, _ROUNDING = 1e-3, 1e-11  # as for a recording
@@ -62,7 +61,8 @@ class Shapes:
         pose, strain = np.empty((s.size, 4, 4)), np.empty((s.size, 6))
         cov = np.zeros((s.size, DOF, DOF))
         for points in sort_points(self.grid, s, k):
-            found = self.prior.interpolate(self.grid, self.state, self.state, points)
+            with estimating():
+                found = self.prior.interpolate(self.grid, self.state, self.state, points)
             jacobian = found.jacobian[:, :STILL, :, :STILL].reshape(len(found.nodes), STILL, -1)
             pose[points.rows], strain[points.rows] = found.state.pose, found.state.strain
             spread = jacobian @ self._joint(found.nodes) @ np.swapaxes(jacobian, -1, -2)
@@ -114,8 +114,7 @@ def estimate_shapes(
         count = 1 + int(max((r.time.max() for r in given), default=0.0))
     grid = Grid.apart(arclength, count)
     start = prior.rest_state(grid)
-    use_compiled()
-    with one_thread():
+    with estimating():
         placed = PlacedReadings(grid, given)
         soft = prior.softened()
         if soft is not prior:

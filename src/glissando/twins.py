@@ -8,12 +8,16 @@ each, which estimators use instead unless numba is missing or GLISSANDO_COMPILED
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache, wraps
 from importlib import import_module
 from importlib.util import find_spec
 from types import ModuleType
 from typing import Any, ParamSpec, TypeVar
+
+from glissando.threads import one_thread
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -22,42 +26,53 @@ TWINS: dict[str, Callable[..., Any]] = {}
 """The definitions in numpy of all functions that have a compiled twin, by name."""
 
 
-_rooms: list[ModuleType] = []
+_here = threading.local()
 
 
 @cache
-def use_compiled() -> None:
-    """From now on use compiled functions in this process, where there are any to use.
+def _compiled() -> ModuleType | None:
+    """The room of compiled functions; None where it is not wanted or numba is missing."""
+    if os.environ.get("GLISSANDO_COMPILED") == "0" or find_spec("numba") is None:
+        return None
+    return import_module("glissando.compiled")
 
-    Whoever estimates calls this first. Nothing else does: numba takes a second to import, which a
-    device's process or thread cannot wait for.
+
+@contextmanager
+def estimating() -> Iterator[None]:
+    """Compiled functions where there are any, and BLAS on one thread, while the context lasts.
+
+    In this thread alone: numba takes a second to import, which a device's process or thread cannot
+    wait for, and what is simulated is to be the same whether something was estimated before or not.
     """
-    if os.environ.get("GLISSANDO_COMPILED") != "0" and find_spec("numba") is not None:
-        _rooms.append(import_module("glissando.compiled"))
+    before = getattr(_here, "room", None)
+    _here.room = _compiled()
+    try:
+        with one_thread():
+            yield
+    finally:
+        _here.room = before
 
 
 @cache
 def prepare() -> None:
     """Have all compiled functions at hand, so that no later call has to wait for them."""
-    use_compiled()
-    for room in _rooms:
-        room.prepare()
+    room = _compiled()
+    if room is not None:
+        with estimating():
+            room.prepare()
 
 
 def twin(slow: Callable[P, R]) -> Callable[P, R]:
-    """The function, or its compiled twin once those are in use.
+    """The function, or its compiled twin while something is estimated.
 
     The definition itself stays at hand in TWINS.
     """
     TWINS[slow.__name__] = slow
-    fast: list[Callable[P, R]] = []
 
     @wraps(slow)
     def either(*args: P.args, **kwargs: P.kwargs) -> R:
-        if not _rooms:
-            return slow(*args, **kwargs)
-        if not fast:
-            fast.append(getattr(_rooms[0], slow.__name__))
-        return fast[0](*args, **kwargs)
+        room = getattr(_here, "room", None)
+        function = slow if room is None else getattr(room, slow.__name__)
+        return function(*args, **kwargs)
 
     return either

@@ -22,8 +22,10 @@ _NEAR = 2.0  # trace of a rotation above which its sine says all
 
 @jit
 def _series(coefficients, q):
-    value = 0.0
-    for m in range(coefficients.size - 1, -1, -1):
+    """Σ c_m q^m for q < 1, with no more terms than q asks for."""
+    terms = 5 if q < 1e-3 else 7 if q < 0.05 else coefficients.size
+    value = coefficients[terms - 1]
+    for m in range(terms - 2, -1, -1):
         value = value * q + coefficients[m]
     return value
 

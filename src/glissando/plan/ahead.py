@@ -22,8 +22,7 @@ from glissando.se3 import Array
 from glissando.slabs import BlockTridiagonal, Marginals, factor
 from glissando.state import State
 from glissando.sums import NeighbourSums, slab_shape
-from glissando.threads import one_thread
-from glissando.twins import use_compiled
+from glissando.twins import estimating
 from glissando.unknowns import Unknowns
 
 
@@ -162,7 +161,7 @@ class Ahead:
         system = BlockTridiagonal(
             self.system.diagonal + told.diagonal, self.system.lower + told.lower
         )
-        with one_thread():
+        with estimating():
             return replace(self, system=system, marginals=factor(system).marginals(consume=True))
 
 
@@ -174,8 +173,7 @@ def look_ahead(
     `belief` (D, D) is information of the first time node, from what lies before. Raises
     UnobservableError when prior and belief leave a direction undetermined.
     """
-    use_compiled()
-    with one_thread():
+    with estimating():
         system = prior_information(prior, grid, mean, unknowns)
         if belief is not None:
             system.diagonal[0] += belief

@@ -14,8 +14,7 @@ from typing import Protocol
 
 from glissando.errors import GlissandoError
 from glissando.plan.slide import Plan
-from glissando.threads import one_thread
-from glissando.twins import use_compiled
+from glissando.twins import estimating
 
 _READY, _END = 120.0, 5.0  # s that the process may take to begin and to end
 _NICE = 10  # how far it stands back behind the loop
@@ -125,9 +124,8 @@ def _work(tasks: Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the loop says when to end
     if hasattr(os, "nice"):
         os.nice(_NICE)
-    use_compiled()  # before it says that it is ready
-    tasks.send(None)
-    with one_thread(), suppress(EOFError, OSError):
+    with estimating(), suppress(EOFError, OSError):
+        tasks.send(None)  # ready
         while True:
             task: Task = tasks.recv()
             try:
