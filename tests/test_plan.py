@@ -108,13 +108,9 @@ def test_foresight_goes_on_from_a_running_smoother_with_its_unknowns():
 
 
 @pytest.mark.parametrize(("kind", "slack"), [("separable", 0.01), ("kinematic", 0.1)])
-@pytest.mark.parametrize(
-    ("reach", "horizon", "more"),
-    [(REACH, 3.0, 1.0), ((0.1, LENGTH), 3.0, 3.0), (REACH, 1.1, 1.0)],
-)
-def test_a_few_modes_judge_a_path_almost_as_the_whole_does(kind, slack, reach, horizon, more):
-    """Also if the time ahead ends within a time step of the estimate; less so for a long slide."""
-    slack = min(more * slack, 0.1)
+@pytest.mark.parametrize(("reach", "horizon"), [(REACH, 3.0), ((0.1, LENGTH), 3.0), (REACH, 1.1)])
+def test_a_few_modes_judge_a_path_almost_as_the_whole_does(kind, slack, reach, horizon):
+    """Also if the time ahead ends within a time step of the estimate."""
     outlook = small_outlook(kind, horizon, reach, node_step=0.5)
     judge = judge_of(outlook, [ZONE], Trace())
     for path in (wiggle(outlook, reach), np.full(outlook.steps, 0.6)):

@@ -99,7 +99,7 @@ def test_the_example_on_simulated_devices_closes_the_loop():
     script = Path(__file__).parents[1] / "examples" / "closed_loop_rig.py"
     command = [sys.executable, "-W", "ignore", str(script), "6"]
     ran = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
-    if "did not answer" in ran.stderr or "had no new frame" in ran.stderr:
+    if "did not answer" in ran.stderr:
         pytest.skip("the host is too busy for devices that keep time")
     assert ran.returncode == 0, ran.stderr
     known = [float(sigma) for sigma in re.findall(r"± ([\d.]+) mm", ran.stdout)]

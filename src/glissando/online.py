@@ -187,13 +187,17 @@ class FixedLag:
 
     def newest(self) -> Estimate:
         """The newest state at the nodes (N,) with covariance (N, 18, 18)."""
+        self._any()
+        with estimating():
+            return self._window.newest_nodes()
+
+    def _any(self) -> None:
         if not self._window.nodes:
             raise OutsideGridError("There is no estimate yet; call advance(time) first.")
-        return self._window.newest_nodes()
 
     def posterior(self) -> Posterior:
         """The window as a posterior, to query, draw and save like any other."""
-        self.newest()
+        self._any()
         with estimating():
             return self._window.posterior()
 
@@ -203,7 +207,7 @@ class FixedLag:
         Raises OutsideGridError for a point off the robot or before the window.
         """
         latest = float(np.max(time, initial=-np.inf))
-        self.newest()
+        self._any()
         window = self._window
         if latest > window.nodes[-1].time:
             window = copy(window)
@@ -237,8 +241,9 @@ class FixedLag:
         Estimate (N,), covariance (D, D) of its nodes' numbers and then the unknowns', and a grid
         of it alone, which knows what came before.
         """
-        self.newest()  # says what to do where there is none
-        state, cov = self._window.newest()
+        self._any()
+        with estimating():
+            state, cov = self._window.newest()
         return state, cov, self._window.grid(len(self._window.nodes) - 1)
 
     @property

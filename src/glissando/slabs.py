@@ -18,6 +18,7 @@ from glissando.se3 import Array
 from glissando.threads import one_thread
 
 _PIVOT_FLOOR = 1e-13  # a pivot this small against its diagonal entry carries no information
+_HALVED = 32  # rows of the halves of a triangle from which on it is inverted by them
 
 
 @dataclass(frozen=True)
@@ -101,12 +102,12 @@ class Cholesky:
         cross = self.coupling if consume else np.empty_like(self.coupling)
         with one_thread():
             for k in reversed(range(len(cov))):
-                inverse = half = self.inverse[k]
+                inverse = self.inverse[k]
+                block = inverse.T @ inverse
                 if k + 1 < len(cov):
-                    ahead = self.coupling[k] @ cov[k + 1]
-                    half = inverse + ahead @ (self.coupling[k].T @ inverse)
-                    cross[k] = -(inverse.T @ ahead)
-                block = inverse.T @ half
+                    gain = -(inverse.T @ self.coupling[k])
+                    cross[k] = gain @ cov[k + 1]
+                    block += cross[k] @ gain.T
                 cov[k] = 0.5 * (block + block.T)
         return Marginals(cov, cross)
 
@@ -143,9 +144,13 @@ def factor(matrix: BlockTridiagonal, room: Cholesky | None = None) -> Cholesky:
 def inverse_of_triangle(lower: Array) -> Array:
     """Inverse (n, n) of a lower triangle, in Fortran's order.
 
-    By halves: products of the parts are several times as fast as LAPACK's inversion of the whole.
+    By halves if large: products of the parts are much faster than LAPACK's inversion of the whole.
     """
     n = len(lower) // 2
+    if n < _HALVED:
+        return np.asarray(lapack.dtrtri(lower, lower=1)[0])
+    if n < _HALVED:
+        return np.asarray(lapack.dtrtri(lower, lower=1)[0])
     out = np.zeros_like(lower, order="F")
     out[:n, :n] = lapack.dtrtri(lower[:n, :n], lower=1)[0]
     out[n:, n:] = lapack.dtrtri(lower[n:, n:], lower=1)[0]

@@ -139,30 +139,34 @@ class Judge:
         """Diagonals (K−1, q) of seen X movedᵀ, rows (K−1, q, 2 d) of cells, by X = P M P there.
 
         M is given by its slopes (Z, p, p) at points. What is known at one time depends on what lies
-        beyond a neighbouring time only through it: P(k, later) = G_k P(k+1, later),
-        G_k = −S_k⁻¹ U_k, and P(k+1, earlier) = F_k P(k, earlier).
+        beyond a neighbouring time only through it: P(j, later) = G_j P(j+1, later) with the gain
+        G_j = −S_j⁻¹ U_j, hence also P(earlier j, k) = G_j … G_k−1 P(k, k).
         """
         cells, count, p, wide = self._points.shape
-        size = wide // 2
+        first, last = slice(0, wide // 2), slice(wide // 2, wide)
         by_point = np.zeros((cells, count, p, p))
         by_point[self.cell, self._slot] = slope
         own = reached.reshape(cells, wide, count, p).transpose(0, 2, 1, 3)
         turned = (own @ by_point).transpose(0, 2, 1, 3).reshape(reached.shape)
-        out = _products(seen @ turned, moved @ reached)
-        ends = slice(0, size), slice(size, wide)
-        first, last = (turned[:, end] @ _transposed(reached[:, end]) for end in ends)
-        back = -(_transposed(chol.inverse[:-1]) @ chol.coupling)
-        forth = _transposed(np.asarray(np.linalg.solve(marginals.cov[:-1], marginals.cross)))
-        later = np.zeros_like(back)  # at k + 1, from cells after k
+        gain = -(_transposed(chol.inverse[:-1]) @ chol.coupling)
+        ends = self._points[..., first] @ gain[:, None] + self._points[..., last]
+        weighed, ends = (part.reshape(cells, count * p, -1) for part in (by_point @ ends, ends))
+        after = turned[:, first] @ _transposed(reached[:, first])
+        before = _transposed(ends) @ weighed
+        later = np.zeros_like(gain)  # P M P at k + 1, of cells after k
         for k in reversed(range(cells - 1)):
-            later[k] = first[k + 1] + back[k + 1] @ later[k + 1] @ back[k + 1].T
-        earlier = np.zeros_like(forth)  # at k, from cells before k
+            later[k] = after[k + 1] + gain[k + 1] @ later[k + 1] @ gain[k + 1].T
+        earlier = np.zeros_like(gain)  # what P(k, k) makes P M P there, of cells before k
         for k in range(1, cells):
-            earlier[k] = last[k - 1] + forth[k - 1] @ earlier[k - 1] @ forth[k - 1].T
-        for near, far, gain, beyond in ((*ends, back, later), (*ends[::-1], forth, earlier)):
-            to, by = (part[..., far] + part[..., near] @ gain for part in (seen, moved))
-            out += _products(to @ beyond, by)
-        return out
+            earlier[k] = before[k - 1] + gain[k - 1].T @ earlier[k - 1] @ gain[k - 1]
+        cov, cross = marginals.cov[:-1], _transposed(marginals.cross)
+        to_later = [rows[..., first] @ gain + rows[..., last] for rows in (seen, moved)]
+        to_earlier = [rows[..., first] @ cov + rows[..., last] @ cross for rows in (seen, moved)]
+        return (
+            _products(seen @ turned, moved @ reached)
+            + _products(to_later[0] @ later, to_later[1])
+            + _products(to_earlier[0] @ earlier, to_earlier[1])
+        )
 
 
 def judge_of(outlook: Outlook, zones: Sequence[Zone], objective: Objective) -> Judge:

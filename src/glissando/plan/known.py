@@ -21,8 +21,8 @@ from glissando.prior import Prior
 from glissando.robot import Robot
 from glissando.se3 import Array
 from glissando.state import State
-from glissando.threads import one_thread
 from glissando.transitions import symmetrize
+from glissando.twins import estimating
 from glissando.unknowns import Unknown, Unknowns
 
 Course = Callable[[Array], State]
@@ -84,7 +84,7 @@ class Snapshot:
         mean = self.held(grid) if course is None else course(grid.time)
         count = max(1, round(lasts * sensor.rate))
         taken = np.asarray(self.time + (np.arange(count) + 0.5) * (lasts / count))
-        with one_thread():
+        with estimating():
             ahead = look_ahead(self.prior, grid, mean, Unknowns(grid, self.unknowns), self.belief())
             cov = ahead.after(sensor, path(taken), taken).marginals.cov[-1]
         return replace(self, time=time, shape=mean.take(-1), cov=cov, before=self.time)

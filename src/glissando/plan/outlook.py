@@ -23,13 +23,13 @@ from glissando.plan.sensor import SlidingSensor, sliding_sensor
 from glissando.posterior import Posterior
 from glissando.robot import Robot
 from glissando.se3 import Array
-from glissando.threads import one_thread
 from glissando.transitions import symmetrize
+from glissando.twins import estimating
 from glissando.unknowns import Unknowns
 
 _BETWEEN = 4  # places between two arclength nodes at which readings are linearised
 _FEWEST = 6  # of them over the whole reach
-_LEAST, _MOST = 0.1, 16  # standard deviations of a reading that modes may leave; modes at most
+_LEAST, _MOST = 0.1, 24  # standard deviations of a reading that modes may leave; modes at most
 _ROUNDING = 0.1  # of a reading's variance that may be lost to it
 _NODES = 100  # time steps of the grid ahead, if the estimate's are finer
 
@@ -144,7 +144,7 @@ def foresee(
     cells = -(-steps // inside)
     grid = Grid(now.arclength, now.time + inside * step * np.arange(cells + 1), now.before)
     mean = now.held(grid) if course is None else course(grid.time)
-    with one_thread():
+    with estimating():
         ahead = look_ahead(now.prior, grid, mean, Unknowns(grid, now.unknowns), now.belief())
         return _seen(ahead, sensor, reach, step, steps, inside)
 
