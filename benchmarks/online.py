@@ -21,6 +21,7 @@ from estimate import arc
 from glissando import CoilReadings, FixedLag, PoseReadings, load_robot
 from glissando.dataset import load_recording
 from glissando.replay import replay
+from glissando.unknowns import Unknown
 
 # Published for the reference implementation's window of four nodes and its filter: tip RMSE (mm)
 # and milliseconds an update, median and 99 % (one thread of a 2.5 GHz Xeon core).
@@ -34,6 +35,7 @@ SIZES = [(5, 4), (5, 1), (10, 10)]
 DOF = 18
 LENGTH = load_robot("tdcr466").length
 TRACKER_RATE = 40.0  # Hz, of the tracker that was asked 50 times a second
+LATE = {"slow_free_space": 0.02, "fast_contact": 0.002}  # s, motion capture after the tracker
 
 HEAD = """\
 # Online
@@ -101,6 +103,10 @@ def settings(data, learned):
             "published settings": recording.robot,
             "the tracker's own rate": replace(recording.robot, sensor_rate={"pose": TRACKER_RATE}),
         }
+        late = Unknown("truth", "delay", ("vicon4",), np.array([LATE[name]]), np.zeros(1))
+        robots["and motion capture's delay"] = replace(
+            robots["the tracker's own rate"], unknowns=(*recording.robot.unknowns, late)
+        )
         if learned is not None:
             robots["learned and calibrated"] = load_robot(learned)
         for what, robot in robots.items():
@@ -204,8 +210,11 @@ def main():
         "Its stamps are up to 20 ms late: the tracker measures 40 times a second and was asked 50 "
         "times. With `rate` in the robot file they are made steady "
         "([how](recordings.md#a-robot-file)), which the newest state of a fast tip needs most. "
-        "The learned file is that of [the real robot](confidence.md#the-real-robot). RMSE of the "
-        "tip in mm:",
+        "Motion capture, which is taken for the truth, is late too, by another time in each "
+        "recording ([found](confidence.md#the-real-robot) from it and the sensors at once): "
+        + " and ".join(f"{1e3 * late:g} ms in `{name}`" for name, late in LATE.items())
+        + ". An estimate that is itself late comes closer to it. The learned file is that of "
+        "[the real robot](confidence.md#the-real-robot). RMSE of the tip in mm:",
         "",
         "| window | | newest | lagged | published |",
         "|---|---|---|---|---|",
