@@ -1,0 +1,96 @@
+"""Unknowns that make no sense, and those of robot files."""
+
+import numpy as np
+import pytest
+
+from glissando import RobotFileError, SensorError, estimate, load_robot
+from glissando.robot import robot_file
+from glissando.unknowns import Unknown
+from scenes import sliding_scene
+from unknown_scenes import unknown
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"kind": "colour"}, "is a 'colour'; choose one of world, mount, bias, slide, delay"),
+        ({"value": np.zeros(2)}, "value is .* give 3 numbers"),
+        ({"std": np.zeros(6)}, "std is .* give 3 numbers"),
+        ({"std": 0.1}, "std is .* give 3 numbers"),
+        ({"value": np.full(3, np.nan)}, "value is .* give 3 numbers"),
+        ({"std": np.r_[0.1, -0.1, 0.1]}, "must not be negative"),
+        ({"correlation_time": -1.0}, "must not be negative"),
+        ({"correlation_time": 0.0}, "correlation time"),
+        ({"correlation_time": np.nan}, "correlation time"),
+    ],
+)
+def test_an_unknown_that_makes_no_sense_is_one_sentence(changes, sentence):
+    right = {"kind": "bias", "streams": ("gyro",), "value": np.zeros(3), "std": np.full(3, 0.1)}
+    Unknown("mine", **right)
+    with pytest.raises(SensorError, match=sentence) as caught:
+        Unknown("mine", **{**right, **changes})
+    assert str(caught.value).startswith("Unknown 'mine'")
+
+
+@pytest.mark.parametrize("std", [0.0, 0.1])
+def test_a_bias_of_a_pose_is_refused_and_named(std):
+    rods, grid, readings = sliding_scene(nodes=3, rate=5.0)
+    bias = unknown("bias", "coil", value=np.full(3, 0.1), std=std)
+    with pytest.raises(SensorError, match="Unknown 'bias': a CoilReadings has no bias"):
+        estimate(rods, grid, readings, unknowns=[bias])
+
+
+def robot_with(tmp_path, lines):
+    path = tmp_path / "mine.toml"
+    path.write_text(f"{robot_file('tdcr466').read_text()}\n[[unknowns]]\n{lines}\n")
+    return load_robot(path)
+
+
+GOOD = {"name": '"drift"', "kind": '"bias"', "streams": '["gyro"]', "std": "[0.1, 0.1, 0.1]",
+        "correlation_time": "2.5"}  # fmt: skip
+
+
+def as_lines(entries):
+    return "\n".join(f"{key} = {value}" for key, value in entries.items())
+
+
+def test_a_robot_file_may_state_unknowns(tmp_path):
+    (found,) = robot_with(tmp_path, as_lines(GOOD)).unknowns
+    assert (found.name, found.kind, found.streams) == ("drift", "bias", ("gyro",))
+    assert found.correlation_time == 2.5
+    assert not found.known
+    np.testing.assert_array_equal(found.std, 0.1)
+    frame = {"name": '"f"', "kind": '"world"', "streams": '["a", "b"]', "std": "[0.01, 0.1]"}
+    (found,) = robot_with(tmp_path, as_lines(frame)).unknowns
+    np.testing.assert_array_equal(found.std, [0.01] * 3 + [0.1] * 3)
+    value = {k: v for k, v in frame.items() if k != "std"} | {"value": "[1, 2, 3, 0, 0, 1]"}
+    (found,) = robot_with(tmp_path, as_lines(value)).unknowns
+    assert found.known
+    np.testing.assert_array_equal(found.value, [1, 2, 3, 0, 0, 1])
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"kind": '"colour"'}, "kind is 'colour'; give one of world, mount, bias, slide, delay"),
+        ({"std": "[0.1, 0.1]"}, "std is .*; give 3 numbers"),
+        ({"std": "[0.1, -0.1, 0.1]"}, "std is .*; give numbers above zero"),
+        ({"value": "[1, 2]"}, "value is .*; give 3 numbers"),
+        ({"streams": '"gyro"'}, "streams is 'gyro'; give a list of texts"),
+        ({"streams": "[]"}, r"streams is \[\]; give a list of texts"),
+        ({"correlation_time": "-1"}, "correlation_time is -1; give a number above zero"),
+        ({"correlation_time": "0"}, "correlation_time is 0; give a number above zero"),
+        ({"corelation_time": "1"}, "is not a key of this table; did you mean 'correlation_time'"),
+        ({"name": "3"}, "name is 3; give a text"),
+    ],
+)
+def test_a_mistake_in_a_robots_unknowns_names_file_entry_and_key(tmp_path, changes, sentence):
+    with pytest.raises(RobotFileError, match=rf"mine.toml \[\[unknowns\]\] 1: .*{sentence}"):
+        robot_with(tmp_path, as_lines({**GOOD, **changes}))
+
+
+def test_unknowns_must_be_tables(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(f"unknowns = 3\n{robot_file('tdcr466').read_text()}")
+    with pytest.raises(RobotFileError, match=r"\[\[unknowns\]\] must be an array of tables"):
+        load_robot(path)
