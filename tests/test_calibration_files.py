@@ -1,0 +1,98 @@
+"""Calibration files, sessions, and the command."""
+
+import json
+import tomllib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import rigs_drawn as rigs
+from glissando import GlissandoError, load_robot, se3
+from glissando.calibration import PARAMETERS, apply, load_calibration, rig_data
+from glissando.calibration.refine import apart
+from glissando.cli import main
+from glissando.robot import parse_robot, robot_file
+from glissando.sessions import read_session
+from glissando.tables import Table
+
+
+def test_what_is_saved_comes_back_and_serves_a_robot_file(tmp_path):
+    made, _, _ = rigs.found(0, "bent")
+    made.save(tmp_path / "rig.toml")
+    again = load_calibration(tmp_path / "rig.toml")
+    assert np.allclose(apart(again.rig, made.rig), 0.0, atol=1e-12)
+    assert np.array_equal(again.cov, made.cov)
+    assert again.rig.direction == made.rig.direction
+    assert again.warnings == made.warnings
+    document = tomllib.loads((tmp_path / "rig.toml").read_text())
+    robot = tomllib.loads(robot_file("sliding700").read_text())
+    known = parse_robot(Table({**robot, "unknowns": document["unknowns"]}, "r", GlissandoError))
+    assert all(u.known for u in known.unknowns)
+    assert np.allclose(se3.exp(known.unknowns[0].value), made.rig.T_wt, atol=1e-9)
+
+
+def test_a_calibration_file_with_a_wrong_key_is_refused_with_its_name(tmp_path):
+    made, _, _ = rigs.found(0, "bent")
+    made.save(tmp_path / "rig.toml")
+    text = (tmp_path / "rig.toml").read_text()
+    for right, wrong in (("lead = ", "laed = "), ("glissando calibration 1", "something")):
+        (tmp_path / "bad.toml").write_text(text.replace(right, wrong))
+        with pytest.raises(GlissandoError, match=r"lead|format"):
+            load_calibration(tmp_path / "bad.toml")
+
+
+def test_an_applied_calibration_puts_the_coil_on_the_robot_in_the_world():
+    data, known = rigs.drawn(1)
+    made = replace(rigs.found(0, "bent")[0], rig=known)
+    recording = apply(made, data, load_robot("sliding700"))
+    readings, _ = recording.readings(["coil"], recording.robot, recording.span())
+    truth = rigs.motion("waving", 1).at(readings[0].arclength, readings[0].time).pose
+    off = truth @ known.coil_mount - readings[0].values
+    assert np.sqrt(np.mean(off[:, :3, 3] ** 2)) < 5e-4
+    assert recording.streams["tip"].truth
+
+
+def test_a_session_log_holds_all_that_calibration_needs(tmp_path):
+    data, _ = rigs.drawn(0, "bent")
+    again = rig_data(read_session(rigs.write(tmp_path / "a.mcap", data)))
+    kept = np.arange(len(data.coil_time))
+    assert np.allclose(again.coil_time, data.coil_time[kept])  # frames that came twice count once
+    assert np.allclose(again.coil, data.coil[kept], atol=1e-9)
+    assert np.array_equal(again.travel, data.travel)
+    for name, body in data.bodies.items():
+        assert np.allclose(again.bodies[name].poses, body.poses, atol=1e-9)
+        assert np.allclose(again.bodies[name].mount, body.mount, atol=1e-9)
+    assert again.noise.backlash == data.noise.backlash
+
+
+@pytest.mark.parametrize(
+    ("without", "setup", "sentence"),
+    [
+        (("tracker",), {}, "no topic /tracker/NAME"),
+        ((), {"bodies": {}}, "does not say where it sits"),
+        ((), {"direction": 3}, "direction is 3"),
+        ((), {"coil_arclength": "tip"}, "coil_arclength"),
+    ],
+)
+def test_what_a_session_lacks_is_said(tmp_path, capsys, without, setup, sentence):
+    data, _ = rigs.drawn(0, "bent")
+    data = replace(data, bodies={"tip": data.bodies["tip"]})
+    path = rigs.write(tmp_path / "a.mcap", data.at(np.arange(40)), without=without, setup=setup)
+    assert main(["calibrate", str(path), "--out", str(tmp_path / "rig.toml")]) == 2
+    assert sentence in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("without", [(), ("slide",), ("mocap",), ("slide", "mocap")])
+def test_the_command_calibrates_what_can_be(tmp_path, capsys, without):
+    data, known = rigs.drawn(0, "bent", direction=1)
+    path = rigs.write(tmp_path / "a.mcap", data.at(np.arange(0, 500, 4)), without=without)
+    out = tmp_path / "rig.toml"
+    assert main(["calibrate", str(path), "--out", str(out), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert set(told["values"]) == set(PARAMETERS)
+    assert told["warnings"]
+    assert load_calibration(out).rig.direction == known.direction == 1
+    if not without:
+        assert main(["calibrate", str(path), "--out", str(out)]) == 0
+        assert "whitened" in capsys.readouterr().out

@@ -1,0 +1,146 @@
+"""The parts of a calibration, each against its definition."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+import rigs_drawn as rigs
+from glissando import se3
+from glissando.calibration import PARAMETERS, Rig
+from glissando.calibration.calibrate import LATEST
+from glissando.calibration.model import Model
+from glissando.calibration.rig import side
+from glissando.calibration.rough import registration, slide_lag
+from glissando.calibration.shape import shape_covariance, shape_of
+from glissando.points import sort_points
+from glissando.posterior import Posterior
+from glissando.slabs import factor
+
+ROBOT = rigs.robot(2.0)
+
+
+@cache
+def small_model():
+    data, known = rigs.drawn(0)
+    return Model(data.thinned(12), shape := shape_of(data, ROBOT), factor(shape.system)), known
+
+
+def test_slopes_of_the_coil_by_the_rig_are_right():
+    model, known = small_model()
+    said = se3.inverse(known.T_wt) @ model.states(known).pose @ known.coil_mount
+    ideal = replace(model, data=replace(model.data, coil=said))
+    jacobian = ideal.jacobian(known)
+    for k, nudge in enumerate(1e-5 * np.eye(len(PARAMETERS))):
+        slope = (ideal.residual(known.moved(nudge)) - ideal.residual(known.moved(-nudge))) / 2e-5
+        assert np.abs(slope).max() > 1e-3
+        assert np.allclose(slope, jacobian[:, k], atol=1e-4 * np.abs(slope).max())
+
+
+def test_the_covariance_of_a_bunch_is_that_of_the_mean_of_its_readings():
+    model, known = small_model()
+    data, _ = rigs.drawn(0)
+    assert data.bunch == 5
+    model = replace(model, data=data.at(np.arange(100, 500)).bunches(5, 10), bunch=5)
+    each = replace(model, bunch=1).covariance(known)
+    assert np.allclose(
+        model.residual(known),
+        replace(model, bunch=1).residual(known).reshape(-1, 5, 5).mean(axis=1).ravel(),
+    )
+    mean = np.kron(np.kron(np.eye(10), np.full((1, 5), 0.2)), np.eye(5))
+    there, said = mean @ each @ mean.T, model.covariance(known)
+    scale = np.sqrt(said.diagonal())
+    assert np.abs((said - there) / np.outer(scale, scale)).max() < 0.3
+
+
+def test_bunches_are_of_readings_that_follow_each_other_closely():
+    data, _ = rigs.drawn(0)
+    gone = np.delete(np.arange(400), np.arange(100, 140))  # a second
+    some = data.at(gone).bunches(5, 1000)
+    lasts = some.coil_time.reshape(-1, 5)[:, -1] - some.coil_time.reshape(-1, 5)[:, 0]
+    assert np.all(lasts < 0.15)
+    assert some.coil_time.size >= 350
+    assert data.bunches(5, 7).coil_time.size == 35
+    assert data.at(np.arange(0, 400, 5)).bunch == 1
+
+
+def test_joint_errors_of_the_shape_are_those_of_the_dense_inverse():
+    data, _ = rigs.drawn(0)
+    short = {n: replace(b, time=b.time[:30], poses=b.poses[:30]) for n, b in data.bodies.items()}
+    shape = shape_of(replace(data, bodies=short, travel=np.zeros(2)), ROBOT)
+    rng = np.random.default_rng(0)
+    time = np.sort(rng.uniform(*shape.grid.time[[0, -1]], 7))
+    place = rng.uniform(0.0, 0.7, 7)
+    by_state = rng.standard_normal((7, 5, 18))
+    joint = shape_covariance(shape, factor(shape.system), place, time, by_state)
+    exact = shape.at(place, time).cov
+    for i in range(7):
+        block = joint[5 * i : 5 * i + 5, 5 * i : 5 * i + 5]
+        assert np.allclose(block, by_state[i] @ exact[i] @ by_state[i].T, rtol=1e-6)
+    assert np.linalg.eigvalsh(joint)[0] > 0.0
+    assert np.allclose(_dense(shape, place, time, by_state), joint, rtol=1e-5, atol=1e-9)
+
+
+def _dense(shape: Posterior, place, time, by_state):
+    """The slow twin: the whole information matrix, inverted."""
+    system = shape.system
+    count, width = system.diagonal.shape[:2]
+    whole = np.zeros((count * width,) * 2)
+    for k in range(count):
+        at = slice(k * width, (k + 1) * width)
+        whole[at, at] = system.diagonal[k]
+        if k + 1 < count:
+            ahead = slice((k + 1) * width, (k + 2) * width)
+            whole[ahead, at] = system.lower[k]
+            whole[at, ahead] = system.lower[k].T
+    scale = 1.0 / np.sqrt(whole.diagonal())
+    cov = scale[:, None] * np.linalg.inv(scale[:, None] * whole * scale) * scale
+    rows, own = [], []
+    for i in range(len(time)):
+        (points,) = sort_points(shape.grid, place[i : i + 1], time[i : i + 1])
+        at = shape.prior.interpolate(shape.grid, shape.state, shape.state, points)
+        row = np.zeros((18, count * width))
+        for c, node in enumerate(at.nodes[0]):
+            row[:, node * at.dof : (node + 1) * at.dof] += at.jacobian[0, :, c]
+        rows.append(by_state[i] @ row)
+        own.append(by_state[i] @ at.cov[0] @ by_state[i].T)
+    stacked = np.vstack(rows)
+    out = stacked @ cov @ stacked.T
+    for i, block in enumerate(own):
+        out[5 * i : 5 * i + 5, 5 * i : 5 * i + 5] += block
+    return out
+
+
+def test_registration_undoes_any_motion_whatever_the_roll():
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        there = se3.exp(rng.standard_normal((8, 6)))
+        T_wt = se3.exp(2.0 * rng.standard_normal(6))
+        roll = np.zeros((8, 6))
+        roll[:, 5] = rng.uniform(-np.pi, np.pi, 8)
+        frame = registration(there, se3.inverse(T_wt) @ there @ se3.exp(roll))
+        assert np.allclose(frame, T_wt, atol=1e-9)
+
+
+def test_the_slides_lag_is_found_by_speeds_alone():
+    for seed in range(3):
+        data, known = rigs.drawn(seed, "bent")
+        late = known.slide_clock[0] - known.tracker_clock[0]
+        assert slide_lag(data) == pytest.approx(late, abs=0.05)
+        assert abs(slide_lag(data)) <= LATEST
+
+
+def test_play_is_taken_up_before_the_coil_follows():
+    travel = np.array([0.0, 2e-5, 1e-3, 9.8e-4, 0.0])
+    expected = np.array([0.0, 0.4, 1.0, 0.6, -1.0])
+    assert np.allclose(side(travel), expected)
+
+
+def test_a_clocks_delay_and_rate_are_those_of_the_definition():
+    rig = Rig(np.eye(4), 1, 0.0, 5.0, tracker_clock=np.array([0.2, 1e-3]))
+    rig = replace(rig, slide_clock=rig.tracker_clock)
+    time = np.linspace(0.0, 10.0, 5)
+    stamps = rig.slide_stamps(time)
+    assert np.allclose(rig.true_time(stamps), time)
+    assert np.allclose(stamps, rigs.stamps(time, rig.slide_clock, rig.epoch))
