@@ -81,12 +81,12 @@ def main() -> int:
         print(f"| {told} | {rms:.2g} | {largest:.2g} | {said:.2g} | {ratio:.2f} |")
     nees = np.mean([t.nees for t in trials]) / size
     print(f"\nNEES by dimension {nees:.2f}; of such means", end="")
-    for share in (0.95, 0.998):
+    for share in (0.998, 0.95):
         tails = 0.5 - 0.5 * share, 0.5 + 0.5 * share
         low, high = chi2.ppf(tails, count * size) / (count * size)
         print(
             f" {100 * share:g} % lie in {low:.2f} to {high:.2f}",
-            end=", " if share < 0.99 else ".\n",
+            end=", " if share > 0.99 else ".\n",
         )
     return 0 if good and low < nees < high else 1
 
