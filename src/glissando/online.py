@@ -100,7 +100,7 @@ class FixedLag:
                 window.append(time)
             fresh, earliest = self._inbox.arrive(window.nodes[0].time, window.nodes[-1].time)
             if not fresh and time < window.nodes[-1].time:
-                return self.newest()
+                return window.newest_nodes()
             if not self._started and fresh:
                 self._start()
             renewed = _RENEWED if self._missed > _CLOSE else 1
@@ -115,8 +115,8 @@ class FixedLag:
             while len(window.nodes) > self.lag:
                 window.drop()
             self._inbox.forget(window.nodes[0].time)
-        self.updates += 1
-        return self.newest()
+            self.updates += 1
+            return window.newest_nodes()
 
     def _restart(self) -> None:
         """Begin again from rest: foretold for too long without readings, states are absurd."""

@@ -149,8 +149,6 @@ def inverse_of_triangle(lower: Array) -> Array:
     n = len(lower) // 2
     if n < _HALVED:
         return np.asarray(lapack.dtrtri(lower, lower=1)[0])
-    if n < _HALVED:
-        return np.asarray(lapack.dtrtri(lower, lower=1)[0])
     out = np.zeros_like(lower, order="F")
     out[:n, :n] = lapack.dtrtri(lower[:n, :n], lower=1)[0]
     out[n:, n:] = lapack.dtrtri(lower[n:, n:], lower=1)[0]

@@ -172,7 +172,7 @@ class Window:
         if self._extras.size:
             self._chain(grid, values, blocks, pulls)
         for node, block, pull in zip(nodes, blocks, pulls, strict=True):
-            node.block, node.pull = block.copy(), pull.copy()  # not a hold on its neighbours too
+            node.block, node.pull = block, pull
 
     def _chain(self, grid: Grid, values: Array, blocks: Array, pulls: Array) -> None:
         """Add what ties unknowns of one time node to those of the next, and to what is expected."""
