@@ -186,15 +186,11 @@ def endurance(hours):
     return len(latency), early, resident(), medians
 
 
-def main():
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    beside = Path(__file__).parents[1] / ".." / "shared" / "data" / "spacetime"
-    parser.add_argument("--data", type=Path, default=beside)
-    parser.add_argument("--learned", help="a robot file learned as docs/confidence.md shows")
-    parser.add_argument("--hours", type=float, default=1.0)
-    options = parser.parse_args()
-    text = [HEAD, "## On the public recordings", ""]
-    text += [
+def public(data, learned):
+    """Latencies and errors on the public recordings."""
+    return [
+        "## On the public recordings",
+        "",
         f"Published settings, 30 updates a second, one thread, {platform.machine()}, "
         f"{date.today()}. Latencies are milliseconds, median / 99 %; RMSE of the tip in mm. The "
         "newest estimate of an interval has seen readings up to its end, the lagged one all up to "
@@ -205,7 +201,7 @@ def main():
         "| window | nodes | time nodes | latency | theirs | newest tip | lagged tip | theirs "
         "| × real time |",
         "|---|---|---|---|---|---|---|---|---|",
-        *recordings(options.data),
+        *recordings(data),
         "",
         "Its stamps are up to 20 ms late: the tracker measures 40 times a second and was asked 50 "
         "times. With `rate` in the robot file they are made steady "
@@ -218,8 +214,14 @@ def main():
         "",
         "| window | | newest | lagged | published |",
         "|---|---|---|---|---|",
-        *settings(options.data, options.learned),
+        *settings(data, learned),
         "",
+    ]
+
+
+def limits():
+    """What an update's arithmetic would take."""
+    text = [
         "What the arithmetic alone would take, were every operation as fast as a product of "
         "matrices of that size on this machine:",
         "",
@@ -229,22 +231,37 @@ def main():
     for nodes in (5, 10):
         millions, least = arithmetic(nodes)
         text.append(f"| {nodes} | {millions:.0f} | {least:.1f} |")
-    text += [
+    return [
+        *text,
         "",
         "The rest is the cost of calls on arrays too small to fill them, the innermost compiled "
         "(`pip install glissando[fast]`); it hardly grows with the number of nodes.",
         "",
     ]
-    updates, early, late, (first, last) = endurance(options.hours)
-    text += [
+
+
+def hours_on(hours):
+    """Memory and latency over a long time."""
+    updates, early, late, (first, last) = endurance(hours)
+    return [
         "## For hours",
         "",
-        f"{options.hours:g} h of a coil sliding at 40 readings a second, {updates:,} updates at "
+        f"{hours:g} h of a coil sliding at 40 readings a second, {updates:,} updates at "
         f"maximum rate: {early:.0f} MB after the first minute and {late:.0f} MB at the end "
         f"({100 * (late / early - 1):+.1f} %); median latency {first:.2f} ms in the first twelfth, "
         f"{last:.2f} ms in the last.",
         "",
     ]
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    beside = Path(__file__).parents[1] / ".." / "shared" / "data" / "spacetime"
+    parser.add_argument("--data", type=Path, default=beside)
+    parser.add_argument("--learned", help="a robot file learned as docs/confidence.md shows")
+    parser.add_argument("--hours", type=float, default=1.0)
+    options = parser.parse_args()
+    text = [HEAD, *public(options.data, options.learned), *limits(), *hours_on(options.hours)]
     page = Path(__file__).parents[1] / "docs" / "online.md"
     page.write_text("\n".join(text), encoding="utf-8")
     print(page)
