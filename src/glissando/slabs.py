@@ -105,7 +105,7 @@ class Cholesky:
                 inverse = self.inverse[k]
                 block = inverse.T @ inverse
                 if k + 1 < len(cov):
-                    gain = -(inverse.T @ self.coupling[k])
+                    gain = blas.dtrmm(-1.0, inverse.T, self.coupling[k].T, side=1, trans_a=1).T
                     cross[k] = gain @ cov[k + 1]
                     block += cross[k] @ gain.T
                 cov[k] = 0.5 * (block + block.T)

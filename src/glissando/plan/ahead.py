@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -137,11 +138,10 @@ class Ahead:
         for lower in np.unique(rows.lower):
             at = np.flatnonzero(rows.lower == lower)
             own = self.corners(int(lower))[:half]
-            k = rows.cell[at, None, None], own[:, None], own
-            later = k[0] + 1, own[:, None], own
-            out[at, early, early], out[at, late, late] = cov[k], cov[later]
-            out[at, early, late] = cross[k]
-            out[at, late, early] = np.swapaxes(cross[k], -1, -2)
+            first, then = (_square(rows.cell[at] + i, own) for i in (0, 1))
+            out[at, early, early], out[at, late, late] = cov[first], cov[then]
+            out[at, early, late] = cross[first]
+            out[at, late, early] = np.swapaxes(out[at, early, late], -1, -2)
         return out
 
     def cov_pose(self, arclength: Array, time: Array) -> Array:
@@ -163,6 +163,13 @@ class Ahead:
         )
         with estimating():
             return replace(self, system=system, marginals=factor(system).marginals(consume=True))
+
+
+def _square(k: Index, own: Index) -> tuple[Any, ...]:
+    """What picks (M, q, q) of blocks (K, D, D): a stretch, where it is one, is copied faster."""
+    if own[-1] - own[0] == own.size - 1:
+        return k, *2 * (slice(own[0], own[-1] + 1),)
+    return np.ix_(k, own, own)
 
 
 def look_ahead(

@@ -1,10 +1,10 @@
-"""A body's shape in few numbers: the modes that the sensor can tell, and their rates.
+"""A body's shape in few numbers: what the sensor can tell of it, now and soon.
 
 Of all numbers of a time node those combinations are kept that move some reading by more than its
-noise, before any reading of the time ahead, and their rates of change. They are a Markov chain of
-their own: exactly for a still shape under the separable prior, where every linear functional with
-its rate is one; else the chain with the same covariance at neighbouring nodes. What modes leave
-uncertain stays where it matters, at readings and at queries.
+noise, before any reading of the time ahead: a reading at that node, or what is expected of one at a
+neighbouring node, so that what links the times is kept as well. They are taken for a Markov chain
+of their own, with their true covariance at neighbouring nodes. What they leave uncertain stays
+where it matters, at readings and at queries.
 """
 
 from __future__ import annotations
@@ -35,35 +35,30 @@ class Modes:
     system: BlockTridiagonal
 
 
+def near_in_time(marginals: Marginals, k: int, rows: Array) -> Array:
+    """Rows of the state at time node k: these (R, D), and what it says of them nearby.
+
+    That is what is expected of the same readings one time node later, and one earlier if there is.
+    """
+    near = [marginals.cross[k]] if k == 0 else [marginals.cross[k], marginals.cross[k - 1].T]
+    gains = np.split(np.linalg.solve(marginals.cov[k], np.hstack(near)), len(near), axis=1)
+    return np.vstack([rows, *(rows @ gain.T for gain in gains)])
+
+
 def telling_weights(cov: Array, rows: Array, least: float, most: int) -> Array:
-    """Weights (D, m) of the combinations that readings can tell of a node's covariance (D, D).
+    """Weights (D, d) of the combinations that readings can tell of a node's covariance (D, D).
 
     `rows` (R, D) are whitened Jacobians of readings everywhere; the components that are left out
     move them by `least` standard deviations of their noise at most, in the root mean square, unless
     there are more than `most`.
     """
-    variance, modes = np.linalg.eigh(rows @ cov @ rows.T)
+    few = np.asarray(np.linalg.qr(rows, mode="r"))  # the same squares in D rows at most
+    variance, modes = np.linalg.eigh(few @ cov @ few.T)
     left = np.cumsum(np.maximum(variance, 0.0)) / len(rows)
     kept = (left > least**2) & (variance > _FLOOR * variance[-1])
     kept[:-most] = False
     kept[-1] = True
-    return rows.T @ (modes[:, kept] / np.sqrt(variance[kept]))
-
-
-def with_rates(weights: Array, cov: Array, nodes: int, dof: int) -> Array:
-    """Weights (D, d) of a node's values by `weights` (D, m), of their rates, and of every extra.
-
-    Rates that say the same of a covariance (D, D) are kept once.
-    """
-    size = len(weights)
-    rated = (np.arange(nodes)[:, None] * dof + np.arange(dof - 12)).ravel()
-    rates = np.zeros_like(weights)
-    rates[rated + 12] = weights[rated]
-    rates /= np.sqrt(np.einsum("im,ij,jm->m", rates, cov, rates)) + 1e-300
-    variance, modes = np.linalg.eigh(rates.T @ cov @ rates)
-    kept = variance > _FLOOR * variance[-1]
-    rates = rates @ (modes[:, kept] / np.sqrt(variance[kept]))
-    return np.hstack([weights, rates, np.eye(size)[:, nodes * dof :]])
+    return few.T @ (modes[:, kept] / np.sqrt(variance[kept]))
 
 
 def reduced(marginals: Marginals, weights: Array) -> Modes:

@@ -18,7 +18,7 @@ from glissando.noise import sqrt_information
 from glissando.online import FixedLag
 from glissando.plan.ahead import Ahead, Rows, look_ahead
 from glissando.plan.known import Course, Snapshot, snapshot
-from glissando.plan.modes import Modes, reduced, telling_weights, with_rates
+from glissando.plan.modes import Modes, near_in_time, reduced, telling_weights
 from glissando.plan.sensor import SlidingSensor, sliding_sensor
 from glissando.posterior import Posterior
 from glissando.robot import Robot
@@ -29,7 +29,7 @@ from glissando.unknowns import Unknowns
 
 _BETWEEN = 4  # places between two arclength nodes at which readings are linearised
 _FEWEST = 6  # of them over the whole reach
-_LEAST, _MOST = 0.1, 24  # standard deviations of a reading that modes may leave; modes at most
+_LEAST, _MOST = 0.1, 32  # standard deviations of a reading that modes may leave; modes at most
 _ROUNDING = 0.1  # of a reading's variance that may be lost to it
 _NODES = 100  # time steps of the grid ahead, if the estimate's are finer
 
@@ -185,8 +185,8 @@ def _seen(
         wide[i][:, ahead.corners(int(lower))] = at.jacobian[i]
     cov = ahead.marginals.cov[middle]
     own = wide[..., : ahead.size].reshape(-1, ahead.size)
-    weights = telling_weights(cov, own, _LEAST, _MOST)
-    modes = reduced(ahead.marginals, with_rates(weights, cov, nodes.size, ahead.mean.dof))
+    telling = near_in_time(ahead.marginals, middle, own)
+    modes = reduced(ahead.marginals, telling_weights(cov, telling, _LEAST, _MOST))
     rows = _reading_rows(ahead, modes, sensor, lattice, step, inside)
     scale = np.sqrt(step * sensor.rate)
     return Outlook(ahead, sensor, modes, step, steps, lattice, scale * rows)
