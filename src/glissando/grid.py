@@ -19,8 +19,10 @@ def _spans(nodes: Array) -> Array:
     """Half the distance to both neighbours (half spans at the ends); 1 for a lone node."""
     if nodes.size == 1:
         return np.ones(1)
-    steps = np.diff(nodes)
-    return 0.5 * (np.append(steps, 0.0) + np.append(0.0, steps))
+    spans, halves = np.zeros(nodes.size), 0.5 * (nodes[1:] - nodes[:-1])
+    spans[:-1] += halves
+    spans[1:] += halves
+    return spans
 
 
 @dataclass(frozen=True)
@@ -35,6 +37,16 @@ class Cells:
     step: Array
     offset: Array
 
+    @property
+    def share(self) -> Array:
+        """How far into the interval (M,), from 0 to 1."""
+        return np.asarray(self.offset / np.where(self.step > 0.0, self.step, 1.0))
+
+    @property
+    def nearest(self) -> Index:
+        """The node (M,) of points that lie on one."""
+        return np.asarray(self.lower + ((self.offset >= self.step) & (self.step > 0.0)))
+
     def take(self, rows: Index) -> Cells:
         """The cells of some of the points."""
         return Cells(self.lower[rows], self.step[rows], self.offset[rows])
@@ -44,9 +56,10 @@ def _locate(nodes: Array, values: Array) -> Cells:
     if nodes.size == 1:
         zero = np.zeros(values.shape)
         return Cells(np.zeros(values.shape, dtype=np.intp), zero, zero)
-    lower = np.clip(np.searchsorted(nodes, values, side="right") - 1, 0, nodes.size - 2)
-    step = nodes[lower + 1] - nodes[lower]
-    offset = np.clip(values - nodes[lower], 0.0, step)
+    lower = np.searchsorted(nodes[1:-1], values, side="right")
+    below = nodes[lower]
+    step = nodes[lower + 1] - below
+    offset = np.minimum(np.maximum(values - below, 0.0), step)
     offset = np.where(offset < _TOLERANCE * step, 0.0, offset)
     offset = np.where(step - offset < _TOLERANCE * step, step, offset)
     return Cells(lower, step, offset)
@@ -74,10 +87,11 @@ class Grid:
     def __init__(self, arclength: ArrayLike, time: ArrayLike, before: float | None = None) -> None:
         for name, given in (("arclength", arclength), ("time", time)):
             nodes = np.atleast_1d(np.asarray(given, dtype=float))
-            if nodes.ndim != 1 or nodes.size == 0 or not np.all(np.isfinite(nodes)):
+            if nodes.ndim != 1 or nodes.size == 0 or not np.isfinite(nodes).all():
                 raise OutsideGridError(f"Grid {name} must be a list of finite numbers: {given!r}.")
-            if np.any(np.diff(nodes) <= 0.0):
-                at = int(np.argmax(np.diff(nodes) <= 0.0))
+            stays = nodes[1:] <= nodes[:-1]
+            if stays.any():
+                at = int(np.argmax(stays))
                 raise OutsideGridError(
                     f"Grid {name} must increase, but node {at + 1} ({nodes[at + 1]:g}) does not "
                     f"exceed node {at} ({nodes[at]:g}). Sort the nodes and drop repeats."

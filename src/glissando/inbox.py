@@ -41,7 +41,8 @@ class Inbox:
         faults.append(("repeated", self._repeated(readings)))
         kept = np.ones(len(readings), dtype=bool)
         for reason, bad in faults:
-            kept &= self._gate.refuse(name, reason, kept & bad)
+            if bad.any():
+                kept &= self._gate.refuse(name, reason, kept & bad)
         readings = readings.select(kept)
         if len(readings):
             waiting = self._waiting.get(name)
@@ -51,7 +52,8 @@ class Inbox:
         """Rows that have a stamp of before; at one moment a stream may read several places."""
         time, place = readings.time, readings.arclength
         again = np.zeros(len(readings), dtype=bool)
-        again[1:] = (time[1:] == time[:-1]) & (place[1:] == place[:-1])
+        if len(readings) > 1:
+            again[1:] = (time[1:] == time[:-1]) & (place[1:] == place[:-1])
         for other in (self.held.get(readings.label), self._waiting.get(readings.label)):
             if other is not None and len(other) and time.min(initial=np.inf) <= other.time.max():
                 same = (time[:, None] == other.time) & (place[:, None] == other.arclength)

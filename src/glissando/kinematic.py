@@ -113,10 +113,10 @@ class KinematicPrior:
         """
         if direction is ARCLENGTH:
             psd, jump = self._intervals(arclength)
-            return psd[at], np.broadcast_to(self.psd_velocity_arclength, (at.size, 6)), jump[at]
+            return psd[at], np.full((at.size, 6), self.psd_velocity_arclength), jump[at]
         shape = at.size, 6
         moving, carried = self.psd_velocity_time, self.psd_strain_time
-        return np.broadcast_to(moving, shape), np.broadcast_to(carried, shape), np.zeros(shape)
+        return np.full(shape, moving), np.full(shape, carried), np.zeros(shape)
 
     def _intervals(self, arclength: Array) -> tuple[Array, Array]:
         return by_interval(arclength, self.psd_strain_arclength, self.joints, self.jumps)
@@ -221,17 +221,15 @@ def _interpolate(
 ) -> Interpolation:
     n_count = grid.arclength.size
     s, t = points.along, points.through
-    on_node_s = s.lower + (s.offset >= s.step) * (s.step > 0.0)
-    on_node_t = t.lower + (t.offset >= t.step) * (t.step > 0.0)
     flat = state.flatten()
-    share = (s.offset / np.where(s.step > 0.0, s.step, 1.0))[:, None]
     above = np.minimum(s.lower + 1, n_count - 1)
 
     def along_arclength(k: Index) -> Interpolation:
         if not points.inside_arclength:
-            nodes = (k * n_count + on_node_s)[:, None]
-            eye = np.broadcast_to(np.eye(DOF)[:, None, :], (k.size, DOF, 1, DOF))
-            return Interpolation(flat.take(nodes[:, 0]), nodes, eye, np.zeros((k.size, DOF, DOF)))
+            node = k * n_count + s.nearest
+            eye, none = np.zeros((2, k.size, DOF, DOF))
+            np.einsum("mii->mi", eye)[...] = 1.0
+            return Interpolation(flat.take(node), node[:, None], eye[:, :, None], none)
         nodes = (k * n_count + s.lower)[:, None] + np.arange(2)
         start, end = flat.take(nodes[:, 0]), flat.take(nodes[:, 1])
         psd, carried, jump = prior.densities(ARCLENGTH, grid.arclength, s.lower)
@@ -244,10 +242,10 @@ def _interpolate(
         return Interpolation(at, nodes, np.stack([j0, j1], axis=2), cov)
 
     if not points.inside_time:
-        return along_arclength(on_node_t)
+        return along_arclength(t.nearest)
     early, late = along_arclength(t.lower), along_arclength(t.lower + 1)
     mean = 0.5 * (about.velocity[t.lower] + about.velocity[t.lower + 1])
-    rows = np.arange(len(share))
+    rows, share = np.arange(s.lower.size), s.share[:, None]
     rate = (1.0 - share) * mean[rows, s.lower] + share * mean[rows, above]
     span = np.interp(points.arclength, grid.arclength, grid.arclength_spans)[:, None]
     psd, carried, jump = prior.densities(TIME, grid.arclength, s.lower)

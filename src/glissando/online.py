@@ -147,27 +147,30 @@ class FixedLag:
 
     def _update(self, first: int, fresh: Counter[str]) -> None:
         """Solve from a node on, more than once if far; refuse what nothing else agrees with."""
+        streams = self._since(first)
         for _ in range(_MOST):
             self._window.relinearize(first)
-            self._window.solve(first, self._since(first))
+            self._window.solve(first, streams)
             self._missed = self._window.miss(first)
             if self._missed < _MISS:
                 break
         for again in range(_MOST if fresh else 0):
-            if not self._judged(first, fresh, first_look=not again):
+            if not self._judged(streams, fresh, first_look=not again):
                 break
-            self._window.solve(first, self._since(first))
+            streams = self._since(first)
+            self._window.solve(first, streams)
 
     def _since(self, first: int) -> list[Readings]:
         """Readings at and after a node, a stream each."""
         return self._inbox.since(self._window.nodes[first].time)
 
-    def _judged(self, first: int, fresh: Counter[str], *, first_look: bool) -> bool:
+    def _judged(
+        self, streams: Sequence[Readings], fresh: Counter[str], *, first_look: bool
+    ) -> bool:
         """Refuse the new reading that fits the others least, if it is beyond belief.
 
         One at a time, as a wrong one makes its neighbours look wrong. Returns whether there was.
         """
-        streams = self._since(first)
         worst = (1.0, "", 0.0, 0.0)
         for judged in self._window.judge([len(r) - fresh[r.label] for r in streams]):
             stream = streams[judged.stream]

@@ -93,12 +93,14 @@ class PlacedReadings:
         for i in range(len(self.blocks)):
             here = np.flatnonzero(block_of == i)
             for points in sort_points(self.grid, arclength[here], time[here]):
-                mine, rows = owner[here[points.rows]], row[here[points.rows]]
-                taken = [(j, rows[mine == j]) for j in np.unique(mine)]
-                split = [
-                    (int(j), at, r if at.size == len(r := readings[j]) else r.select(at))
-                    for j, at in taken
-                ]
+                own = here[points.rows]
+                ends = np.cumsum(np.bincount(owner[own], minlength=len(readings)))
+                split, first = [], 0
+                for j, (r, end) in enumerate(zip(readings, ends, strict=True)):
+                    if end > first:
+                        at = row[own[first:end]]
+                        split.append((j, at, r if at.size == len(r) else r.select(at)))
+                    first = end
                 parts[i].append(_Part(points, split))
         return parts
 
@@ -185,10 +187,9 @@ class PlacedReadings:
             extras = (by_extras[:, :, None] * weights[:, None]).reshape(*residual.shape, -1)
         m, c, _ = (*at.nodes.shape, DOF)
         by_nodes = (by_state @ at.jacobian.reshape(m, DOF, -1)).reshape(m, -1, c, at.dof)
-        touched = np.flatnonzero(np.any(by_nodes != 0.0, axis=(0, 1, 2)))
+        touched = np.flatnonzero(by_nodes.reshape(-1, at.dof).any(axis=0))
         dofs = slice(int(touched[0]), int(touched[-1]) + 1) if touched.size else slice(0, 1)
-        info = sqrt_information(np.broadcast_to(cov, (m, *cov.shape[-2:])))
-        terms = Residuals(residual, info, shifted.loss)
+        terms = Residuals(residual, sqrt_information(cov), shifted.loss)
         return Factors(at.nodes, dofs, by_nodes[..., dofs], terms, extras)
 
     def _by_unknowns(
@@ -259,7 +260,7 @@ def _sound(readings: Readings, at: Interpolation) -> tuple[Array, Array]:
             f"{readings.label}: residual(at) returns shape {residual.shape}; return "
             f"{(m, readings.row_count)}, a row for each reading."
         )
-    if not np.all(np.isfinite(residual)):
+    if not np.isfinite(residual).all():
         if not np.all(np.isfinite(at.state.pose)):
             raise np.linalg.LinAlgError("the state is not finite")
         row = int(np.argwhere(~np.isfinite(residual))[0, 0])

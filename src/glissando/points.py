@@ -63,9 +63,7 @@ def sort_points(grid: Grid, arclength: Array, time: Array) -> Iterator[Points]:
     off_s = (s.offset > 0.0) & (s.offset < s.step)
     off_t = (t.offset > 0.0) & (t.offset < t.step)
     part = 2 * off_s + off_t
-    for inside_s in (False, True):
-        for inside_t in (False, True):
-            rows = np.flatnonzero(part == 2 * inside_s + inside_t)
-            if rows.size:
-                cells = s.take(rows), t.take(rows)
-                yield Points(rows, arclength[rows], time[rows], *cells, inside_s, inside_t)
+    for kind in np.flatnonzero(np.bincount(part, minlength=1)):
+        rows = np.flatnonzero(part == kind)
+        cells = s.take(rows), t.take(rows)
+        yield Points(rows, arclength[rows], time[rows], *cells, bool(kind & 2), bool(kind & 1))

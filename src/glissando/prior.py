@@ -73,7 +73,7 @@ def by_interval(arclength: Array, psd: Array, joints: Array, jumps: Array) -> Sp
     """
     jump = np.zeros((arclength.size - 1, 6))
     if psd.ndim == 1:
-        return np.broadcast_to(psd, jump.shape), jump
+        return np.full(jump.shape, psd), jump
     for joint, variance in zip(joints, jumps, strict=True):
         at = int(np.argmin(np.abs(arclength - joint)))
         if abs(arclength[at] - joint) > 1e-9:

@@ -16,9 +16,14 @@ from glissando.state import DOF, POSE, STRAIN, State
 _ANGULAR_VELOCITY = slice(15, 18)
 
 
-def _mounted(readings: Readings, at: State) -> tuple[Array, Array]:
-    """Pose T_wc (M, 4, 4) of the sensor and Ad(T_bc⁻¹) (…, 6, 6), which takes body to sensor."""
-    return at.pose @ readings.mount, se3.adjoint(se3.inverse(readings.mount))
+def _mounted(readings: Readings, at: State) -> Array:
+    """Pose T_wc (M, 4, 4) of the sensor."""
+    return at.pose @ readings.mount
+
+
+def _to_sensor(readings: Readings) -> Array:
+    """Ad(T_bc⁻¹) (…, 6, 6), which takes body to sensor."""
+    return se3.adjoint(se3.inverse(readings.mount))
 
 
 def _columns(block: Array, where: slice) -> Array:
@@ -37,12 +42,12 @@ class PoseReadings(Readings):
 
     def residual(self, at: State) -> Array:
         """log(T_meas⁻¹ T T_bc), [linear, angular] in the sensor's frame."""
-        return se3.log(se3.inverse(self.values) @ _mounted(self, at)[0])
+        return se3.log(se3.inverse(self.values) @ _mounted(self, at))
 
     def jacobian(self, at: State) -> Array:
         """J_r⁻¹(e) Ad(T_bc⁻¹) on the pose."""
-        to_sensor = _mounted(self, at)[1]
-        return _columns(se3.right_jacobian_inverse(self.residual(at)) @ to_sensor, POSE)
+        turned = se3.right_jacobian_inverse(self.residual(at))
+        return _columns(turned @ _to_sensor(self), POSE)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +64,7 @@ class CoilReadings(Readings):
     fixes_base: ClassVar[bool] = True
 
     def _error(self, at: State) -> Array:
-        apart = se3.inverse(self.values) @ _mounted(self, at)[0]
+        apart = se3.inverse(self.values) @ _mounted(self, at)
         q = se3.quaternion(apart[..., :3, :3])
         roll = np.zeros((*q.shape[:-1], 6))
         roll[..., 5] = -2.0 * np.arctan2(q[..., 3], q[..., 0])
@@ -72,7 +77,7 @@ class CoilReadings(Readings):
     def jacobian(self, at: State) -> Array:
         """The pose's Jacobian less the roll that follows it."""
         error = self._error(at)
-        full = se3.right_jacobian_inverse(error) @ _mounted(self, at)[1]
+        full = se3.right_jacobian_inverse(error) @ _to_sensor(self)
         by_roll = se3.left_jacobian_inverse(error)[..., :, 5]
         follow = full[..., 5:, :] / by_roll[..., 5, None, None]
         return _columns(full[..., :5, :] - by_roll[..., :5, None] * follow, POSE)
@@ -88,12 +93,12 @@ class PositionReadings(Readings):
 
     def residual(self, at: State) -> Array:
         """Position of the sensor minus the reading, world frame."""
-        return _mounted(self, at)[0][..., :3, 3] - self.values
+        return _mounted(self, at)[..., :3, 3] - self.values
 
     def jacobian(self, at: State) -> Array:
         """R_wc times the linear half of Ad(T_bc⁻¹)."""
-        pose, to_sensor = _mounted(self, at)
-        return _columns(pose[..., :3, :3] @ to_sensor[..., :3, :], POSE)
+        rotation = _mounted(self, at)[..., :3, :3]
+        return _columns(rotation @ _to_sensor(self)[..., :3, :], POSE)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,7 +110,7 @@ class OrientationReadings(Readings):
 
     def residual(self, at: State) -> Array:
         """log(R_measᵀ R_wc), a rotation vector in radians."""
-        rotation = _mounted(self, at)[0][..., :3, :3]
+        rotation = _mounted(self, at)[..., :3, :3]
         return se3.so3_log(np.swapaxes(self.values, -1, -2) @ rotation)
 
     def jacobian(self, at: State) -> Array:
@@ -113,7 +118,7 @@ class OrientationReadings(Readings):
         turn = np.zeros((len(self), 6))
         turn[:, 3:] = self.residual(at)
         spread = se3.right_jacobian_inverse(turn)[..., 3:, 3:]
-        return _columns(spread @ _mounted(self, at)[1][..., 3:, :], POSE)
+        return _columns(spread @ _to_sensor(self)[..., 3:, :], POSE)
 
 
 @dataclass(frozen=True, kw_only=True)

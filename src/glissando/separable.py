@@ -210,8 +210,8 @@ class SeparablePrior:
         cross-section, Σ_s and Σ_t what the bridges along arclength and along time leave.
         """
         s, t = points.along, points.through
-        k = t.lower if points.inside_time else t.lower + (t.offset >= t.step) * (t.step > 0.0)
-        n = s.lower if points.inside_arclength else s.lower + (s.offset >= s.step) * (s.step > 0.0)
+        k = t.lower if points.inside_time else t.nearest
+        n = s.lower if points.inside_arclength else s.nearest
         crossing = self._crossing(grid, about, k, s) if points.inside_arclength else None
         rest = self._rest_within(grid, s) if points.inside_arclength else None
 

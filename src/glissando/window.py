@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import lapack
+from scipy.linalg import blas, lapack
 
 from glissando.errors import UnobservableError
 from glissando.grid import Grid, Index
@@ -207,7 +207,7 @@ class Window:
             node.inverse = inverse_of_triangle(chol)
             node.solved = node.inverse @ (node.pull[own] + node.carried[1])
             if i + 1 < len(self.nodes):
-                node.ahead = node.inverse @ node.block[own, next_]
+                node.ahead = blas.dtrmm(1.0, node.inverse, node.block[next_, own].T, lower=1)
                 self.nodes[i + 1].carried = (
                     node.block[next_, next_] - node.ahead.T @ node.ahead,
                     node.pull[next_] - node.ahead.T @ node.solved,
@@ -231,7 +231,7 @@ class Window:
     def judge(self, fresh: Sequence[int]) -> list[Judged]:
         """Squared innovations of each stream's rows from `fresh` on, each against all others."""
         kept = [
-            (stream, rows[new], batch.take(new))
+            (stream, rows, batch) if new.all() else (stream, rows[new], batch.take(new))
             for stream, rows, batch in self._factors
             if (new := rows >= fresh[stream]).any()
         ]
