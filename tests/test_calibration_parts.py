@@ -9,11 +9,11 @@ import pytest
 import rigs_drawn as rigs
 from glissando import se3
 from glissando.calibration import PARAMETERS, Rig
-from glissando.calibration.calibrate import LATEST
+from glissando.calibration.calibrate import LATEST, _either_way
 from glissando.calibration.model import Model
 from glissando.calibration.rig import side
 from glissando.calibration.rough import registration, slide_lag
-from glissando.calibration.shape import shape_covariance, shape_of
+from glissando.calibration.shape import _moves, shape_covariance, shape_of
 from glissando.points import sort_points
 from glissando.posterior import Posterior
 from glissando.slabs import factor
@@ -36,6 +36,40 @@ def test_slopes_of_the_coil_by_the_rig_are_right():
         slope = (ideal.residual(known.moved(nudge)) - ideal.residual(known.moved(-nudge))) / 2e-5
         assert np.abs(slope).max() > 1e-3
         assert np.allclose(slope, jacobian[:, k], atol=1e-4 * np.abs(slope).max())
+
+
+def test_a_coil_beyond_the_robots_end_is_told_from_one_at_it():
+    """Else a zero near the tip would be known where it cannot be."""
+    model, known = small_model()
+    beyond = known.zero - model.where(known)[0].max() + model.shape.grid.arclength[-1]
+    ends = [replace(known, zero=beyond + far) for far in (0.004, 0.002, 0.0)]
+    there, nearer, at = (model.states(rig).pose[:, :3, 3] for rig in ends)
+    outside = model.where(ends[1])[0] > model.shape.grid.arclength[-1]
+    assert outside.any()
+    np.testing.assert_allclose(np.linalg.norm(there - nearer, axis=1), 0.002, rtol=0.02)
+    np.testing.assert_allclose(np.linalg.norm(nearer - at, axis=1), 0.002, rtol=0.02)
+    assert np.linalg.eigvalsh(model.covariance(ends[0])).min() > 0.0
+
+
+def test_a_lead_that_has_turned_over_is_the_other_directions():
+    model, known = small_model()
+    std = np.full(len(PARAMETERS), 0.02)
+    away = -known.direction
+    starts = {known.direction: known, away: replace(known, direction=away, lead=-known.lead)}
+    for direction in starts:
+        found = _either_way(model, starts, direction, std)
+        assert found.rig.direction == known.direction
+        assert found.rig.lead == pytest.approx(known.lead, rel=0.02)
+    assert _either_way(model, {away: starts[away]}, away, std).rig.direction == away
+
+
+def test_a_robot_that_holds_is_known_better_while_it_does():
+    data, _ = rigs.drawn(0, "posed", sliding="calibrate")
+    time = np.arange(0.0, 40.0, 0.05) + 0.025
+    held = time % 5.0 < 3.0
+    moves = _moves(data, time)
+    assert moves[~held & (time % 5.0 > 3.3) & (time % 5.0 < 4.7)].mean() > 0.95
+    assert moves[held & (time % 5.0 > 0.5) & (time % 5.0 < 2.5)].mean() < 0.02
 
 
 def test_the_covariance_of_a_bunch_is_that_of_the_mean_of_its_readings():

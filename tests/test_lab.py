@@ -8,9 +8,10 @@ import pytest
 from glissando import se3
 from glissando.dataset import Recording, Stream
 from glissando.errors import GlissandoError
-from glissando.lab import lasting, locate
+from glissando.lab import in_motion, lasting, locate
 from glissando.parameters import expanded
 from glissando.robot import parse_robot
+from glissando.sensors import PoseReadings
 from glissando.streams import Rows
 from glissando.tables import Table
 from glissando.unknowns import corrected
@@ -90,3 +91,24 @@ def test_what_belongs_to_a_recording_is_not_carried_to_the_next(found):
     assert {c.kind for c in constants} == {"world", "mount", "delay"}
     assert {c.kind for c in lasting(constants)} == {"world", "mount"}
     assert all(c.known for c in constants)
+
+
+def test_truth_counts_while_any_of_it_moves():
+    """Both rest for two seconds, then one moves: of both the stretches are kept that it changed."""
+    time = np.arange(0.05, 3.95, 0.05)
+    moves = np.where(time < 2.0, 0.0, 3.0 * (time - 2.0))
+    rest, swing = (
+        PoseReadings(
+            time=time,
+            arclength=np.full(time.size, place),
+            values=arc(np.full(time.size, place), moves),
+            cov=1e-6,
+            name=name,
+        )
+        for name, place in (("low", 0.0), ("high", LENGTH))
+    )
+    none = rest.select(slice(0, 0))
+    low, nothing, high = in_motion([rest, none, swing], [none, rest, swing])
+    assert len(nothing) == 0
+    for body in (low, high):
+        np.testing.assert_allclose(body.time, time[(time < 0.49) | (time > 2.49)])

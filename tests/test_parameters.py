@@ -64,6 +64,23 @@ def test_a_factor_acts_on_the_named_entries_only():
     assert document["prior"]["psd"] == [1.0, 2.0, 3.0, 4.0]
 
 
+def test_what_segments_have_each_is_scaled_together_where_they_are_alike():
+    document = expanded(shipped("tdcr466-segments"))
+    (number,) = (
+        p
+        for p in learnable(document, [], alike=True)
+        if p.label.startswith("strain arclength") and p.label.endswith("bending")
+    )
+    rows = document["prior"]["psd_strain_arclength"]
+    assert number.of(document) == pytest.approx(np.prod([r[3] * r[4] for r in rows]) ** 0.25)
+    there = moved(document, [number], np.log([3.0]))["prior"]["psd_strain_arclength"]
+    for row, was in zip(there, rows, strict=True):
+        assert row == pytest.approx([*was[:3], 3.0 * was[3], 3.0 * was[4], was[5]])
+    apart = [p.label for p in learnable(document, [])]
+    together = [p.label for p in learnable(document, [], alike=True)]
+    assert len(apart) - len(together) == 2
+
+
 def test_a_number_that_is_zero_cannot_be_learned_and_is_left_out():
     document = expanded(shipped("tdcr466-segments"))
     before = len(learnable(document, []))

@@ -8,11 +8,11 @@ from scipy.stats import multivariate_normal
 
 from glissando import estimate, load_robot, predictive, se3, uniform_grid
 from glissando.predictive import constants_of, predict
-from glissando.sensors import PoseReadings
+from glissando.sensors import PoseReadings, PositionReadings
 from glissando.state import State
 from glissando.unknowns import Unknown
 from learn_drawn import readings
-from scenes import LENGTH
+from scenes import LENGTH, arc
 
 
 def posterior_of_the_arc():
@@ -28,7 +28,7 @@ TIMES = np.linspace(0.0, 1.0, 6)
 
 
 def test_the_score_is_the_gaussian_log_likelihood(monkeypatch):
-    monkeypatch.setattr(predictive, "_APART", 0.1)
+    monkeypatch.setattr(predictive, "APART", 0.1)
     posterior = posterior_of_the_arc()
     std = np.r_[1e-3, 2e-3, 1e-3, 1e-2, 2e-2, 1e-2]
     truth = [
@@ -46,6 +46,24 @@ def test_the_score_is_the_gaussian_log_likelihood(monkeypatch):
     assert found.score == pytest.approx(total / found.samples, rel=1e-9)
     none = [t.select(slice(0, 0)) for t in truth]
     assert predict(posterior, [*truth, *none], (), free=False).score == found.score
+
+
+def test_truth_that_rests_counts_once_and_what_moves_counts_each_time():
+    time = np.linspace(0.0, 9.9, 100)
+    rests, moves = np.repeat(0.0, 100), np.linspace(0.0, 4.0, 100)
+    tip = {"arclength": np.full(100, LENGTH), "cov": np.full(6, 1e-6)}
+    still, swung = (
+        PoseReadings(time=time, values=arc(LENGTH, when), name="tip", **tip)
+        for when in (rests, moves)
+    )
+    half = replace(swung, values=np.concatenate([still.values[:50], swung.values[50:]]))
+    base = replace(swung, arclength=np.zeros(100), values=arc(0.0, moves))
+    found = [len(predictive.telling(truth)) for truth in (still, swung, half, base)]
+    assert found == [1, 20, 11, 1]
+    place = PositionReadings(
+        time=time, values=still.values[:, :3, 3], name="p", **tip | {"cov": 1e-6}
+    )
+    assert len(predictive.telling(place)) == 20  # of what is no pose nothing is known to be alike
 
 
 def test_the_frame_of_the_truth_and_the_mounts_of_its_bodies_are_found():

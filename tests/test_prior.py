@@ -1,11 +1,14 @@
 """What the prior weighs, against Van Loan's covariances and the span each node stands for."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from draws import motion, prior, sixes
 from glissando import se3
 from glissando.grid import Grid
+from glissando.points import sort_points
 from oracles import dense
 
 GRID = Grid([0.0, 0.1, 0.25, 0.4], [0.0, 0.1, 0.25])
@@ -53,6 +56,35 @@ def test_a_step_is_weighed_by_its_process_noise_over_the_span_it_stands_for(whic
         np.testing.assert_allclose(root @ cov @ root.T, np.eye(len(cov)), rtol=0.0, atol=1e-8)
         log_det += np.linalg.slogdet(cov)[1]
     assert found.terms.log_det_cov() == pytest.approx(log_det, abs=1e-6)
+
+
+def test_a_pace_multiplies_densities_along_time_while_it_lasts():
+    paced = replace(prior(), pace=np.array([0.01, 4.0]), pace_times=GRID.time[1:2])
+    plain, found, slow = batches(), batches(paced), slice(0, GRID.shape[1])
+    for which in (PAIR_T, CARRIED_T):
+        ratio = found[which].terms.sqrt_info[:, 0, 0] / plain[which].terms.sqrt_info[:, 0, 0]
+        np.testing.assert_allclose(ratio[slow], 10.0)
+        np.testing.assert_allclose(ratio[slow.stop :], 0.5)
+    for which in (PAIR_S, CARRIED_S, BASE):
+        np.testing.assert_array_equal(found[which].terms.sqrt_info, plain[which].terms.sqrt_info)
+
+
+def test_between_nodes_a_pace_is_that_of_its_time_step():
+    """Each half of a motion with a pace is the half of a motion whose densities are so much."""
+    times = np.array([0.03, 0.2])
+    place = np.full(2, 0.17)
+    (points,) = sort_points(GRID, place, times)
+    paced = replace(prior(), pace=np.array([0.01, 4.0]), pace_times=GRID.time[1:2])
+    found = paced.interpolate(GRID, STATE, ABOUT, points)
+    for i, factor in enumerate(paced.pace):
+        scaled = replace(
+            prior(),
+            psd_velocity_time=factor * prior().psd_velocity_time,
+            psd_strain_time=factor * prior().psd_strain_time,
+        )
+        alone = scaled.interpolate(GRID, STATE, ABOUT, points)
+        np.testing.assert_allclose(found.cov[i], alone.cov[i], rtol=1e-12)
+        np.testing.assert_allclose(found.jacobian[i], alone.jacobian[i], rtol=1e-12)
 
 
 def test_the_base_is_weighed_by_the_time_it_is_watched():

@@ -51,7 +51,9 @@ class KinematicPrior:
     `rest_strain` (6,) and `base_pose` (4, 4) are where the robot rests and stands; `base` says how
     firmly, and may be None when readings fix the base. A robot of S segments gives
     `psd_strain_arclength` (S, 6), the `joints` (S−1,) between them in metres, and `jumps`
-    (S−1, 6), variance · second of the strain's jump there. Source: equations (2'), (3'), (4), (5).
+    (S−1, 6), variance · second of the strain's jump there. For a robot that now moves and now
+    holds, `pace` (P + 1,) multiplies the densities along time before, between and after
+    `pace_times` (P,), which are time nodes. Source: equations (2'), (3'), (4), (5).
     """
 
     psd_velocity_time: Array
@@ -63,6 +65,8 @@ class KinematicPrior:
     base_pose: Array = field(default_factory=lambda: np.eye(4))
     joints: Array = field(default_factory=lambda: np.zeros(0))
     jumps: Array = field(default_factory=lambda: np.zeros((0, 6)))
+    pace: Array = field(default_factory=lambda: np.ones(1))
+    pace_times: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
     def rest(self) -> RestShape:
@@ -104,19 +108,23 @@ class KinematicPrior:
             pose[:, n + 1] = pose[:, n] @ se3.exp(h * strain[:, n])
         return replace(moved, pose=pose)
 
-    def densities(
-        self, direction: Direction, arclength: Array, at: Index
-    ) -> tuple[Array, Array, Array]:
-        """Densities of steps along a direction: of the moving field, the carried, and a jump.
+    def along_arclength(self, arclength: Array, at: Index) -> tuple[Array, Array, Array]:
+        """Densities (M, 6) of steps from the nodes `at` (M,) of `arclength` (N,).
 
-        Steps begin at the nodes `at` (M,) of `arclength` (N,); each result is (M, 6).
+        Of strain, of the velocity that is carried along, and of strain's jump at the end.
         """
-        if direction is ARCLENGTH:
-            psd, jump = self._intervals(arclength)
-            return psd[at], np.full((at.size, 6), self.psd_velocity_arclength), jump[at]
-        shape = at.size, 6
-        moving, carried = self.psd_velocity_time, self.psd_strain_time
-        return np.full(shape, moving), np.full(shape, carried), np.zeros(shape)
+        psd, jump = self._intervals(arclength)
+        return psd[at], np.full((at.size, 6), self.psd_velocity_arclength), jump[at]
+
+    def along_time(self, time: Array) -> tuple[Array, Array, Array]:
+        """Densities (M, 6) of steps with middles at times (M,): of velocity, strain, and a jump."""
+        moving, carried = (
+            np.full((time.size, 6), psd) for psd in (self.psd_velocity_time, self.psd_strain_time)
+        )
+        if self.pace_times.size:
+            pace = self.pace[np.searchsorted(self.pace_times, time), None]
+            moving, carried = pace * moving, pace * carried
+        return moving, carried, np.zeros(moving.shape)
 
     def _intervals(self, arclength: Array) -> tuple[Array, Array]:
         return by_interval(arclength, self.psd_strain_arclength, self.joints, self.jumps)
@@ -134,13 +142,15 @@ class KinematicPrior:
             ends = (here[:, :-1].ravel(), here[:, 1:].ravel())
             step = np.broadcast_to(np.diff(grid.arclength), (len(here), n_count - 1)).ravel()
             span = np.repeat(grid.time_spans[times], n_count - 1)
-            yield from self._along(ARCLENGTH, grid, flat, about, ends, step, span)
+            densities = self.along_arclength(grid.arclength, ends[0] % n_count)
+            yield from self._along(ARCLENGTH, flat, about, ends, step, span, densities)
         if k_count > 1 and times.start < k_count - 1:
             starts = node[:-1][times]
             ends = (starts.ravel(), starts.ravel() + n_count)
             step = np.repeat(np.diff(grid.time)[times], n_count)
             span = np.broadcast_to(grid.arclength_spans, starts.shape).ravel()
-            yield from self._along(TIME, grid, flat, about, ends, step, span)
+            densities = self.along_time(grid.time[ends[0] // n_count] + 0.5 * step)
+            yield from self._along(TIME, flat, about, ends, step, span, densities)
         if self.base is not None:
             yield self._base(grid.time_spans[times], flat, here[:, :1])
 
@@ -156,15 +166,14 @@ class KinematicPrior:
     def _along(
         self,
         direction: Direction,
-        grid: Grid,
         flat: State,
         about: State,
         ends: tuple[Index, Index],
         step: Array,
         span: Array,
+        densities: tuple[Array, Array, Array],
     ) -> Iterator[Factors]:
         nodes = np.stack(ends, axis=1)
-        densities = self.densities(direction, grid.arclength, ends[0] % grid.arclength.size)
         found = weighted_steps(direction, flat, about, nodes, step, np.sqrt(span), densities)
         dofs = (
             (_POSE_STRAIN if direction is ARCLENGTH else _ALL),
@@ -232,7 +241,7 @@ def _interpolate(
             return Interpolation(flat.take(node), node[:, None], eye[:, :, None], none)
         nodes = (k * n_count + s.lower)[:, None] + np.arange(2)
         start, end = flat.take(nodes[:, 0]), flat.take(nodes[:, 1])
-        psd, carried, jump = prior.densities(ARCLENGTH, grid.arclength, s.lower)
+        psd, carried, jump = prior.along_arclength(grid.arclength, s.lower)
         ends = about.strain[k, s.lower], about.strain[k, above]
         rate = interval_strain(*ends, s.step, (psd, jump))
         weight = grid.time_spans[k, None]
@@ -248,7 +257,7 @@ def _interpolate(
     rows, share = np.arange(s.lower.size), s.share[:, None]
     rate = (1.0 - share) * mean[rows, s.lower] + share * mean[rows, above]
     span = np.interp(points.arclength, grid.arclength, grid.arclength_spans)[:, None]
-    psd, carried, jump = prior.densities(TIME, grid.arclength, s.lower)
+    psd, carried, jump = prior.along_time(grid.time[t.lower] + 0.5 * t.step)
     found = bridge(rate, t.step, t.offset, psd / span, carried / span, jump, rigid=False)
     at, j0, j1, cov = between(TIME, early.state, late.state, t.step, t.offset, found)
     if points.inside_arclength:

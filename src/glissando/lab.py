@@ -18,7 +18,8 @@ from glissando.dataset import Recording
 from glissando.errors import GlissandoError, NotConvergedWarning
 from glissando.estimate import Options, estimate
 from glissando.parameters import Document
-from glissando.predictive import constants_of
+from glissando.predictive import APART, constants_of, telling
+from glissando.readings import Readings
 from glissando.robot import parse_robot
 from glissando.tables import Table
 from glissando.unknowns import Unknown
@@ -42,11 +43,9 @@ def locate(
     that drift, and delays and biases, belong to a recording and stay as they are.
     """
     robot = parse_robot(Table(document, "located", GlissandoError))
-    readings, _ = recording.readings([*use, *truth], robot, window)
-    loose = [
-        replace(c, std=np.repeat(_LOOSE[c.kind], 3))
-        for c in constants_of([r for r in readings if r.name in truth])
-    ]
+    sensors, bodies = (recording.readings(names, robot, window)[0] for names in (use, truth))
+    loose = [replace(c, std=np.repeat(_LOOSE[c.kind], 3)) for c in constants_of(bodies)]
+    readings = in_motion([*sensors, *bodies], bodies)
     late = Unknown("truth delay", "delay", tuple(truth), np.zeros(1), np.array([_LATE]))
     shift = 2.0 * _LATE  # no reading may be moved off the grid
     inner = [
@@ -73,6 +72,16 @@ def locate(
             entry["value"] = found(unknown).value.tolist()
             del entry["std"]
     return known, tuple(found(u) for u in [*loose, late])
+
+
+def in_motion(readings: Sequence[Readings], truth: Sequence[Readings]) -> list[Readings]:
+    """Readings without the stretches of time in which no truth is elsewhere than before.
+
+    Of a robot that rests they say the same again; what drifts meanwhile would pass for constant,
+    and so would what the prior expects of that one shape.
+    """
+    told = np.concatenate([np.unique(telling(t).time // APART) for t in truth if len(t)])
+    return [r.select(np.isin(r.time // APART, told)) for r in readings]
 
 
 def lasting(constants: Sequence[Unknown]) -> tuple[Unknown, ...]:

@@ -23,40 +23,44 @@ _RATES = ("psd_velocity_time", "psd_velocity_arclength")
 
 @dataclass(frozen=True)
 class Parameter:
-    """Entries of one vector (or a number) of a robot file that are scaled, or shifted, together.
+    """Entries of vectors (or a number) of a robot file that are scaled, or shifted, together.
 
-    `path` leads to the vector, `entries` are those of it that are meant, none for a number. With a
-    `unit` they are shifted by so much, and may have either sign.
+    `path` leads to the vector, and `likewise` to others of the same kind; `entries` are those that
+    are meant, none for a number. With a `unit` they are shifted by so much, and may have either
+    sign.
     """
 
     label: str
     path: tuple[str | int, ...]
     entries: tuple[int, ...]
     unit: float | None = None
+    likewise: tuple[tuple[str | int, ...], ...] = ()
+
+    def _values(self, document: Document) -> Array:
+        paths = (self.path, *self.likewise)
+        return np.array([np.take(_follow(document, p), self.entries or 0) for p in paths])
 
     def of(self, document: Document) -> float:
         """The number, or the mean of the entries: geometric where they are scaled."""
-        value = _follow(document, self.path)
-        if self.unit is not None:
-            return float(np.mean(np.take(value, self.entries)))
-        return float(np.exp(np.mean(np.log(np.take(value, self.entries or 0)))))
+        values = self._values(document)
+        return float(np.exp(np.mean(np.log(values))) if self.unit is None else np.mean(values))
 
     def is_sound(self, document: Document) -> bool:
         """Whether all entries are above zero, as what is scaled must be."""
-        value = np.take(_follow(document, self.path), self.entries or 0)
-        return self.unit is not None or bool(np.all(value > 0.0))
+        return self.unit is not None or bool(np.all(self._values(document) > 0.0))
 
     def move(self, document: Document, x: float) -> None:
         """Multiply the entries by exp(x), or add x units, in place."""
         factor = float(np.exp(x))
-        parent = _follow(document, self.path[:-1])
-        if not self.entries:
-            parent[self.path[-1]] = float(parent[self.path[-1]] * factor)
-            return
-        vector = parent[self.path[-1]]
-        for i in self.entries:
-            moved = vector[i] * factor if self.unit is None else vector[i] + x * self.unit
-            vector[i] = float(moved)
+        for *way, last in (self.path, *self.likewise):
+            parent = _follow(document, way)
+            if not self.entries:
+                parent[last] = float(parent[last] * factor)
+                continue
+            vector = parent[last]
+            for i in self.entries:
+                moved = vector[i] * factor if self.unit is None else vector[i] + x * self.unit
+                vector[i] = float(moved)
 
 
 def _follow(document: Any, path: Sequence[str | int]) -> Any:
@@ -88,12 +92,15 @@ def _six(value: Sequence[float]) -> list[float]:
     return [float(v) for v in (np.repeat(value, 3) if len(value) == 2 else value)]
 
 
-def learnable(document: Document, kinds: Sequence[str]) -> list[Parameter]:
-    """What of an expanded document may be learned from sensors of these kinds."""
-    return [p for p in _all(document, kinds) if p.is_sound(document)]
+def learnable(document: Document, kinds: Sequence[str], *, alike: bool = False) -> list[Parameter]:
+    """What of an expanded document may be learned from sensors of these kinds.
+
+    With `alike` what segments of a robot have each is scaled together, as if built in the same way.
+    """
+    return [p for p in _all(document, kinds, alike) if p.is_sound(document)]
 
 
-def _all(document: Document, kinds: Sequence[str]) -> Iterator[Parameter]:
+def _all(document: Document, kinds: Sequence[str], alike: bool) -> Iterator[Parameter]:
     prior = document["prior"]
     yield from _rest(document)
     if "time_scale" in prior:
@@ -102,12 +109,10 @@ def _all(document: Document, kinds: Sequence[str]) -> Iterator[Parameter]:
         for key, value in document.get(table, {}).items():
             name = key.split("_", 1)[-1].replace("_", " ") + (" of the base" * (table == "base"))
             if key in _STRAINS + _JUMPS:
-                rows = range(len(value)) if isinstance(value[0], list) else [None]
-                for row in rows:
-                    for part in ("bending", "torsion"):
-                        where = "" if row is None else f" {row + 1}"
-                        to = (table, key, *([] if row is None else [row]))
-                        yield Parameter(f"{name}{where}, {part}", to, _PARTS[part])
+                paths: list[tuple[str | int, ...]] = [(table, key)]
+                if isinstance(value[0], list):
+                    paths = [(table, key, row) for row in range(len(value))]
+                yield from _by_segment(name, paths, alike)
             elif key in _RATES:
                 for part, entries in _HALVES.items():
                     yield Parameter(f"{name}, {part}", (table, key), entries)
@@ -126,6 +131,15 @@ def _all(document: Document, kinds: Sequence[str]) -> Iterator[Parameter]:
             halves = _HALVES if size == 6 else {"": tuple(range(size))}
             for part, entries in halves.items():
                 yield Parameter(f"{unknown['name']} spread {part}".strip(), to, entries)
+
+
+def _by_segment(name: str, paths: list[tuple[str | int, ...]], alike: bool) -> Iterator[Parameter]:
+    """Bending and torsion of every segment, or of all together."""
+    numbers = [f" {i + 1}" for i in range(len(paths))] if len(paths[0]) > 2 else [""]
+    for number, path in [("", paths[0])] if alike else zip(numbers, paths, strict=True):
+        for part in ("bending", "torsion"):
+            others = tuple(paths[1:]) if alike else ()
+            yield Parameter(f"{name}{number}, {part}", path, _PARTS[part], likewise=others)
 
 
 def _rest(document: Document) -> Iterator[Parameter]:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from glissando import se3
 from glissando.posterior import Estimate, Posterior
 from glissando.readings import Readings
 from glissando.se3 import Array
@@ -20,7 +21,9 @@ from glissando.unknowns import SIZES, Unknown, corrected
 _LOOSE = {"world": (0.005, 0.03), "mount": (0.005, 0.05)}  # m, rad: how far off it may be
 _ROUNDS = 2  # Gauss-Newton steps towards the constants; they begin where the last try ended
 _NUDGE = 1e-6
-_APART = 0.5  # s between samples that are judged: closer ones are much alike
+APART = 0.5
+"""Seconds between samples that are judged: closer ones are much alike."""
+_MOVED = 5e-3, 0.05  # m, rad: by which a body moves between them, for the same reason
 
 
 @dataclass(frozen=True)
@@ -50,7 +53,7 @@ def predict(
     """
     moving = [c for c in constants if c.moves]
     there = [corrected(t, moving).inside(posterior.grid) for t in truth]
-    sparse = [_apart(t) for t in there if len(t)]
+    sparse = [telling(t) for t in there if len(t)]
     found = [posterior.at(t.arclength, t.time) for t in sparse]
     constants = tuple(c for c in constants if not c.moves)
     for _ in range(_ROUNDS * free):
@@ -61,11 +64,27 @@ def predict(
     return Prediction(-total / max(count, 1), count, (*constants, *moving))
 
 
-def _apart(truth: Readings) -> Readings:
-    """The first sample of every stretch of time; all that share one moment."""
-    stretch = np.floor(truth.time / _APART)
+def telling(truth: Readings) -> Readings:
+    """The first moment of each stretch of time, if truth has moved since the last that was taken.
+
+    What rests says the same again: samples of it would count for more than they tell.
+    """
+    stretch = np.floor(truth.time / APART)
     begins = truth.time[np.append(True, np.diff(stretch) > 0.0)]
-    return truth.select(np.isin(truth.time, begins))
+    taken: list[Readings] = []
+    for moment in (truth.select(truth.time == begin) for begin in begins):
+        if not taken or _moved_between(taken[-1], moment):
+            taken.append(moment)
+    return truth.select(np.isin(truth.time, [float(moment.time[0]) for moment in taken]))
+
+
+def _moved_between(before: Readings, after: Readings) -> bool:
+    """Whether truth is elsewhere than before, at any place; also if that cannot be compared."""
+    poses = after.values.shape[1:] == (4, 4)
+    if not poses or not np.array_equal(before.arclength, after.arclength):
+        return True
+    way = se3.log(se3.inverse(before.values) @ after.values).reshape(-1, 2, 3)
+    return bool(np.any(np.linalg.norm(way, axis=-1) > _MOVED))
 
 
 def _normalised(truth: Readings, at: Estimate, constants: Sequence[Unknown]) -> tuple[Array, int]:

@@ -84,19 +84,30 @@ def _directed(model: Model, expected: Rig, std: Array) -> tuple[Rig, Rig, float]
     data = model.data
     lag = slide_lag(data) if data.slides else 0.0
     few = replace(model, data=data.thinned(_FIRST))
-    starts = [
-        rough_start(few, replace(expected, direction=direction), lag)
+    starts = {
+        direction: rough_start(few, replace(expected, direction=direction), lag)
         for direction in ((1, -1) if data.slides else (1,))
-    ]
-    better = min(starts, key=lambda rig: float(np.median(strays(few, rig))))
+    }
+    better = min(starts.values(), key=lambda rig: float(np.median(strays(few, rig))))
     few = replace(few, data=few.data.at(agreeing(few, better)))
-    tried = [(refine(few, start, start, std, rounds=1), start) for start in starts]
-    tried.sort(key=lambda each: -each[0].log_evidence)
-    odds = tried[0][0].log_evidence - tried[-1][0].log_evidence if data.slides else np.inf
+    tried = [_either_way(few, starts, direction, std) for direction in starts]
+    tried.sort(key=lambda found: -found.log_evidence)
+    best = tried[0].rig.direction
+    others = [found for found in tried if found.rig.direction != best]
+    odds = tried[0].log_evidence - others[0].log_evidence if others else np.inf
     odds = odds if not data.slides or np.ptp(data.travel) > _WAY else 0.0
-    if odds < _DOUBT and data.direction == tried[-1][0].rig.direction:
-        tried.reverse()
-    return tried[0][0].rig, tried[0][1], float(odds)
+    if odds < _DOUBT and others and data.direction == -best:
+        tried = others
+    return tried[0].rig, starts[tried[0].rig.direction], float(odds)
+
+
+def _either_way(model: Model, starts: dict[int, Rig], direction: int, std: Array) -> Found:
+    """The rig found from a direction's start; one whose lead has turned over is the other's."""
+    found = refine(model, starts[direction], starts[direction], std, rounds=1)
+    if found.rig.lead > 0.0 or -direction not in starts:
+        return found
+    turned = replace(found.rig, direction=-direction, lead=-found.rig.lead)
+    return refine(model, turned, starts[-direction], std, rounds=1)
 
 
 def _inside(model: Model, rig: Rig) -> Model:

@@ -44,24 +44,27 @@ class Model:
         return replace(self, data=self.data.at(rows.ravel()))
 
     def where(self, rig: Rig) -> tuple[Array, Array]:
-        """Arclength and time (M,) of the readings, as far as the robot and its shape reach."""
+        """Arclength and time (M,) of the readings, which may be beyond the robot's ends."""
         time = rig.true_time(self.data.coil_time)
-        arclength = rig.arclength(time, self.data.slide_time, self.data.travel)
-        return self._inside(arclength, time)
+        return rig.arclength(time, self.data.slide_time, self.data.travel), time
 
-    def _inside(self, arclength: Array, time: Array) -> tuple[Array, Array]:
-        grid = self.shape.grid
-        return (
-            np.clip(arclength, grid.arclength[0], grid.arclength[-1]),
-            np.clip(time, grid.time[0], grid.time[-1]),
-        )
+    def _on_robot(self, arclength: Array) -> Array:
+        return np.clip(arclength, *self.shape.grid.arclength[[0, -1]])
 
     def states(self, rig: Rig) -> State:
         """The robot's states (M,) where the coil was."""
         return self._states(*self.where(rig))
 
     def _states(self, arclength: Array, time: Array) -> State:
-        return states_at(self.shape.prior, self.shape.grid, self.shape.state, arclength, time)
+        """The robot's states; beyond its ends it goes on as it is bent there.
+
+        Were it cut off, a coil might be anywhere beyond, and all places there would be alike.
+        """
+        grid, inside = self.shape.grid, self._on_robot(arclength)
+        time = np.clip(time, grid.time[0], grid.time[-1])
+        found = states_at(self.shape.prior, grid, self.shape.state, inside, time)
+        beyond = (arclength - inside)[:, None] * found.strain
+        return replace(found, pose=found.pose @ se3.exp(beyond))
 
     def readings(self, rig: Rig) -> CoilReadings:
         """The coil's readings in the world, by this rig."""
@@ -98,7 +101,7 @@ class Model:
         ideal = replace(self, data=replace(self.data, coil=said))
         here = ideal.readings(rig)
         ends = [
-            self._states(*self._inside(arclength + ds, time + dt))
+            self._states(arclength + ds, time + dt)
             for ds, dt in _NUDGE * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
         ]
         by_state = here.jacobian(states)
@@ -125,7 +128,8 @@ class Model:
         readings, states, noise = self.readings(rig), self.states(rig), self.data.noise
         arclength, time = self.where(rig)
         by_state = readings.jacobian(states)
-        out = shape_covariance(self.shape, self.chol, arclength, time, by_state)
+        inside = self._on_robot(arclength), np.clip(time, *self.shape.grid.time[[0, -1]])
+        out = shape_covariance(self.shape, self.chol, *inside, by_state)
         size = len(time) * ROWS
         out[np.arange(size), np.arange(size)] += np.tile(readings.cov.diagonal(), len(time))
         place = self.data.coil[:, :3, 3]

@@ -6,6 +6,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from glissando import se3
 from glissando.calibration.rig import RigData
@@ -21,9 +22,12 @@ from glissando.separable import SeparablePrior
 from glissando.slabs import Cholesky
 
 _FINE, _MARGIN = 0.03, 1e-3  # m: between nodes where the coil slides, and of its reach
-_RATE, _MOST = 8.0, 500  # Hz of nodes in time where the robot's are fewer, and at most so many
+_RATE, _MOST = 16.0, 1000  # Hz of nodes in time where the robot's are fewer, and at most so many
+_SPARSE = 2  # of these one is kept while the robot holds
 _MOVES = 3.0  # standard deviations of its noise by which a body that moves does so
 _ANYWHERE = 1.0  # m² and rad²: a base that bodies place
+_LAPSE, _SEEN = 0.3, 4.0  # s before and after which are compared, and standard deviations that tell
+_HOLDS = 1e-3  # of the densities along time, what is left while the robot holds
 
 
 def body_readings(data: RigData) -> list[PoseReadings]:
@@ -52,11 +56,46 @@ def shape_of(data: RigData, robot: Robot) -> Posterior:
     start, stop = span(data)
     rate = max(robot.time_rate, min(_RATE, _MOST / (stop - start)))
     grid = replace(robot, arclength_nodes=_nodes(data, robot), time_rate=rate).grid(start, stop)
+    prior = _loose(robot, data)
     if keeps_still(data):
         middle = np.array([0.5 * (start + stop)])
         grid = Grid(grid.arclength, middle)
         readings = [r.changed(time=np.repeat(middle, len(r))) for r in readings]
-    return estimate(_loose(robot, data), grid, readings)
+    elif isinstance(prior, KinematicPrior):
+        prior, grid = _paced(prior, data, grid)
+    return estimate(prior, grid, readings)
+
+
+def _paced(prior: KinematicPrior, data: RigData, grid: Grid) -> tuple[KinematicPrior, Grid]:
+    """The prior with a pace and a grid for it: those of a robot that holds from time to time.
+
+    Were it as restless at all times, what it does while it holds would be uncertain; and were its
+    nodes as sparse while it moves, what it does between them.
+    """
+    moves = _moves(data, 0.5 * (grid.time[1:] + grid.time[:-1]))
+    kept = np.arange(grid.time.size) % _SPARSE == 0
+    kept[:-1] |= moves
+    kept[1:] |= moves
+    kept[-1] = True
+    first = np.flatnonzero(kept)[:-1]
+    time = grid.time[kept]
+    pace = np.where(moves[first], 1.0, _HOLDS)
+    return replace(prior, pace=pace, pace_times=time[1:-1]), Grid(grid.arclength, time)
+
+
+def _moves(data: RigData, time: Array) -> NDArray[np.bool_]:
+    """At which times (K,) a body is not where it was a moment before, by what its noise allows."""
+    std, found = np.repeat(data.noise.mocap, 3), np.zeros(time.size, dtype=bool)
+    for body in data.bodies.values():
+        at = np.searchsorted(body.time, [time - _LAPSE, time, time + _LAPSE])
+        for k, (first, now, last) in enumerate(at.T):
+            count = min(now - first, last - now)
+            if count:
+                step = se3.log(se3.inverse(body.poses[now]) @ body.poses[first:last])
+                way = step[now - first :].mean(axis=0) - step[: now - first].mean(axis=0)
+                spread = std * np.sqrt(1.0 / (now - first) + 1.0 / (last - now))
+                found[k] |= bool(np.any(np.abs(way) > _SEEN * spread))
+    return found
 
 
 def span(data: RigData) -> tuple[float, float]:

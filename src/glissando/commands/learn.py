@@ -60,6 +60,8 @@ def add_to(commands: Commands) -> None:
     add("--window", nargs=2, type=float, metavar=("T0", "T1"), help="seconds to learn from")
     only = "learn only numbers whose names hold one of these words (default: all)"
     add("--only", type=names, metavar="WORD,…", help=only)
+    alike = "segments are built alike: scale what each has together"
+    add("--alike", action="store_true", help=alike)
     add("--steps", type=int, default=20, metavar="N", help="steps at most (default: 20)")
     add("--json", action="store_true", help="print one JSON object and nothing else")
 
@@ -81,14 +83,14 @@ def _learn(options: argparse.Namespace) -> int:
     kinds = [
         r.streams[name].rows.kind for r, c in zip(recordings, cases, strict=True) for name in c.use
     ]
-    parameters = learnable(document, kinds)
+    parameters = everything = learnable(document, kinds, alike=options.alike)
     if options.only:
         parameters = [p for p in parameters if any(word in p.label for word in options.only)]
     if not parameters or options.steps < 1:
         raise GlissandoError(
             f"There is nothing to learn with --only {','.join(options.only or [])} and "
             f"--steps {options.steps}; the numbers are: "
-            f"{'; '.join(p.label for p in learnable(document, kinds))}."
+            f"{'; '.join(p.label for p in everything)}."
         )
     constants: tuple[Unknown, ...] = ()
     if options.joint:
