@@ -25,7 +25,7 @@ TUNED_ON = ("slow_free_space", (19.0, 45.0))
 REPORTED_ON = (
     ("fast_contact", (10.0, 20.0), 8.5, 4.1),
     ("fast_contact", (20.0, 30.0), 11.3, 5.6),
-    ("fast_contact", (30.0, 34.0), "–", "–"),  # first estimated when the files were learned
+    ("fast_contact", (30.0, 34.0), "–", "–"),
 )  # window, and position (mm) and rotation (deg) of the reference implementation
 LEARN = (
     "glissando learn {data}/slow_free_space --window 0 45 --robot benchmarks/real.toml "

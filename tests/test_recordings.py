@@ -98,6 +98,7 @@ def test_a_steady_tracker_asked_too_fast_gets_its_own_times_back(seed, off, aske
     rows = clean(Rows("pose", host, np.zeros(host.size), values, {}))
     assume(host.size > 1.1 * rows.time.size)
     late = rows.time - made[rows.values[:, 0, 3].astype(int)]
+    assume(np.ptp(late[1:200]) > 0.9 * asked)  # in step with the tracker, all are as late for long
     better = steady(rows, 40.0).time - made[rows.values[:, 0, 3].astype(int)]
     np.testing.assert_allclose(better[1:], late.mean(), atol=1.5e-3)  # the first may be old
     assert better[1:].std() < 0.25 * late[1:].std()
