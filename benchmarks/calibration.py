@@ -43,17 +43,15 @@ def motions() -> None:
     shown = [SHOWN[name] for name in SHOWN]
     print("| bends | slide | s | " + " | ".join(told for told, _, _ in shown) + " |")
     print("|---|---|---|" + "---|" * len(shown))
-    for (bends, slide, lasts), robot in [
-        *((motion, rigs.robot()) for motion in MOTIONS),
-        (MOTIONS[4], load_robot("sliding700")),
-    ]:
+    trials = [(f"{motion[0]} | {motion[1]}", motion, rigs.robot()) for motion in MOTIONS]
+    shipped = load_robot("sliding700")
+    trials.append(("the same, with the shipped robot's prior | ", MOTIONS[4], shipped))
+    for what, (bends, slide, lasts), robot in trials:
         rigs.LONGER = lasts
         rigs.motion.cache_clear()
         data, _ = rigs.drawn(0, bends, sliding=slide)
         std = calibrate(data, robot).std
         each = [f"{SHOWN[name][1] * std[PARAMETERS.index(name)]:.2g}" for name in SHOWN]
-        own = robot.prior.psd_velocity_time[0] < 7e-5  # learned of such sessions
-        what = f"{bends} | {slide}" if own else "the same, with the shipped robot's prior | "
         print(f"| {what} | {lasts:g} | " + " | ".join(each) + " |", flush=True)
 
 

@@ -54,7 +54,7 @@ On the recording it was learned on, 19 to 29 s: {tuned_line}; and before anythin
 `fast_contact` 0 to 10 s: {free_line}.
 
 The robot rests for nineteen of the 45 s. What rests says the same again and again, so it counts once
-in what is learned and not at all in where things are mounted: counted as often as it was seen, it
+in what is learned, and half a second of it in where things are mounted: counted as often as it was seen, it
 makes a robot file that is too sure of itself. Both segments are built alike and have one density of
 bending (`--alike`): with one for each, the lower, which hardly moves in free space, is believed to be
 stiffer than contact finds it. The tip accelerates at {slow:.1f} m/s² (RMS) where densities were

@@ -63,7 +63,7 @@ def test_a_lead_that_has_turned_over_is_the_other_directions():
     assert _either_way(model, {away: starts[away]}, away, std).rig.direction == away
 
 
-def test_a_robot_that_holds_is_known_better_while_it_does():
+def test_bodies_are_seen_to_move_and_to_hold():
     data, _ = rigs.drawn(0, "posed", sliding="calibrate")
     time = np.arange(0.0, 40.0, 0.05) + 0.025
     held = time % 5.0 < 3.0

@@ -87,7 +87,12 @@ def test_repeats_of_a_tracker_are_dropped_and_counted():
     phase=st.floats(0.0, 1.0),
 )
 def test_a_steady_tracker_asked_too_fast_gets_its_own_times_back(seed, off, asked, phase):
-    """However both clocks stand, and with frames that were never picked up."""
+    """However both clocks stand, and with frames that were never picked up.
+
+    Unless it is asked in step with it: lateness then drifts as slowly as clocks do.
+    """
+    ticks = asked / (0.025 * (1.0 + off)) * np.arange(1, 7)
+    assume(np.abs(ticks - np.round(ticks)).min() > 0.003)
     rng = np.random.default_rng(seed)
     made = (np.arange(1000) + phase) * 0.025 * (1.0 + off)
     made = made[rng.random(made.size) > 0.02]
@@ -98,7 +103,6 @@ def test_a_steady_tracker_asked_too_fast_gets_its_own_times_back(seed, off, aske
     rows = clean(Rows("pose", host, np.zeros(host.size), values, {}))
     assume(host.size > 1.1 * rows.time.size)
     late = rows.time - made[rows.values[:, 0, 3].astype(int)]
-    assume(np.ptp(late[1:200]) > 0.9 * asked)  # in step with the tracker, all are as late for long
     better = steady(rows, 40.0).time - made[rows.values[:, 0, 3].astype(int)]
     np.testing.assert_allclose(better[1:], late.mean(), atol=1.5e-3)  # the first may be old
     assert better[1:].std() < 0.25 * late[1:].std()

@@ -167,7 +167,9 @@ def steady(rows: Rows, rate: float) -> Rows:
     A host that asks faster than a tracker measures stamps a value when it is picked up, up to one
     of its own periods after it was there. Such rows are numbered by the device's period, found
     within 0.2 %, and a straight line through the stamps is their time; on average no stamp moves.
-    Rows none of which was repeated were not asked for too fast, and are left alone. Raises
+    Rows none of which was repeated were not asked for too fast, and are left alone. Where the host
+    asks in step with the device (to 0.3 % a simple fraction of its period) how late it is drifts as
+    slowly as a clock does and passes for one: times are then off by up to the host's period. Raises
     RecordingError when the stamps do not fit such a device.
     """
     if "repeated" not in rows.dropped or len(rows.time) < 3:

@@ -48,8 +48,10 @@ class Model:
         time = rig.true_time(self.data.coil_time)
         return rig.arclength(time, self.data.slide_time, self.data.travel), time
 
-    def _on_robot(self, arclength: Array) -> Array:
-        return np.clip(arclength, *self.shape.grid.arclength[[0, -1]])
+    def _inside(self, arclength: Array, time: Array) -> tuple[Array, Array]:
+        """The nearest places and times (M,) that the robot and its shape reach."""
+        grid = self.shape.grid
+        return np.clip(arclength, *grid.arclength[[0, -1]]), np.clip(time, *grid.time[[0, -1]])
 
     def states(self, rig: Rig) -> State:
         """The robot's states (M,) where the coil was."""
@@ -60,9 +62,9 @@ class Model:
 
         Were it cut off, a coil might be anywhere beyond, and all places there would be alike.
         """
-        grid, inside = self.shape.grid, self._on_robot(arclength)
-        time = np.clip(time, grid.time[0], grid.time[-1])
-        found = states_at(self.shape.prior, grid, self.shape.state, inside, time)
+        shape = self.shape
+        inside, time = self._inside(arclength, time)
+        found = states_at(shape.prior, shape.grid, shape.state, inside, time)
         beyond = (arclength - inside)[:, None] * found.strain
         return replace(found, pose=found.pose @ se3.exp(beyond))
 
@@ -128,7 +130,7 @@ class Model:
         readings, states, noise = self.readings(rig), self.states(rig), self.data.noise
         arclength, time = self.where(rig)
         by_state = readings.jacobian(states)
-        inside = self._on_robot(arclength), np.clip(time, *self.shape.grid.time[[0, -1]])
+        inside = self._inside(arclength, time)
         out = shape_covariance(self.shape, self.chol, *inside, by_state)
         size = len(time) * ROWS
         out[np.arange(size), np.arange(size)] += np.tile(readings.cov.diagonal(), len(time))
