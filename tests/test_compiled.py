@@ -143,6 +143,21 @@ def inside_steps(rng, lead):
     return (direction, start, end, step, 0.4 * step, bridge), {}
 
 
+def sensed(rng, lead):
+    at = se3.exp(sixes(rng, lead, rng.choice(ANGLES[:-2])))
+    pose, mount = se3.exp(sixes(rng, lead, rng.uniform(0.0, 3.0))), se3.exp(sixes(rng, ()))
+    rolls = bool(rng.integers(2))
+    values = pose @ mount @ se3.inverse(at)
+    if rolls:
+        values = values @ se3.exp(np.array([0.0, 0.0, 0.0, 0.0, 0.0, rng.uniform(-3.0, 3.0)]))
+    return (values, pose, mount), {"rolls": rolls}
+
+
+def missed(rng, lead):
+    options = {"rolls": bool(rng.integers(2))}
+    return (sixes(rng, lead, rng.choice(ANGLES)), se3.exp(sixes(rng, ()))), options
+
+
 ARGUMENTS = dict(
     of_se3(name, name in ("log", "inverse", "adjoint"))
     for name in ("exp", "log", "inverse", "adjoint", "right_jacobian", "right_jacobian_inverse")
@@ -152,6 +167,8 @@ ARGUMENTS = dict(
     "bridge": inside_intervals,
     "sqrt_information": covariances(5),
     "pair_sqrt_information": covariances(12),
+    "pose_miss": sensed,
+    "pose_slope": missed,
     "weighted_steps": weighted,
     "squared_innovations": explained,
     "pair_error": pairs,

@@ -11,6 +11,7 @@ from glissando.gate import Gate
 from glissando.readings import Readings
 
 _AHEAD = 2.0  # s: stamps further ahead of the newest node are a clock's fault
+_SPARE = 32  # old readings of a stream that are held before they are let go of at once
 
 
 class Inbox:
@@ -72,11 +73,13 @@ class Inbox:
             if not due.any():
                 continue
             now = waiting.select(due)
-            now = now.select(self._gate.refuse(name, "late", now.time < oldest))
-            if due.all():
+            if now is waiting:
                 del self._waiting[name]
             else:
                 self._waiting[name] = waiting.select(~due)
+            late = now.time < oldest
+            if late.any():
+                now = now.select(self._gate.refuse(name, "late", late))
             if len(now) == 0:
                 continue
             held = self.held.get(name)
@@ -96,7 +99,7 @@ class Inbox:
         self.held[name] = held.select(self._gate.refuse(name, "gated", out))
 
     def forget(self, oldest: float) -> None:
-        """Let go of what is older."""
+        """Let go of what is older, of many at once."""
         for name, held in self.held.items():
-            if len(held) and held.time.min() < oldest:
+            if np.count_nonzero(held.time < oldest) > _SPARE:
                 self.held[name] = held.select(held.time >= oldest)

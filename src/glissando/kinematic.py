@@ -228,46 +228,65 @@ def weighted_steps(
 def _interpolate(
     prior: KinematicPrior, grid: Grid, state: State, about: State, points: Points
 ) -> Interpolation:
-    n_count = grid.arclength.size
     s, t = points.along, points.through
-    flat = state.flatten()
-    above = np.minimum(s.lower + 1, n_count - 1)
-
-    def along_arclength(k: Index) -> Interpolation:
-        if not points.inside_arclength:
-            node = k * n_count + s.nearest
-            eye, none = np.zeros((2, k.size, DOF, DOF))
-            np.einsum("mii->mi", eye)[...] = 1.0
-            return Interpolation(flat.take(node), node[:, None], eye[:, :, None], none)
-        nodes = (k * n_count + s.lower)[:, None] + np.arange(2)
-        start, end = flat.take(nodes[:, 0]), flat.take(nodes[:, 1])
-        psd, carried, jump = prior.along_arclength(grid.arclength, s.lower)
-        ends = about.strain[k, s.lower], about.strain[k, above]
-        rate = interval_strain(*ends, s.step, (psd, jump))
-        weight = grid.time_spans[k, None]
-        densities = psd / weight, carried / weight, jump / weight
-        found = bridge(rate, s.step, s.offset, *densities, rigid=True)
-        at, j0, j1, cov = between(ARCLENGTH, start, end, s.step, s.offset, found)
-        return Interpolation(at, nodes, np.stack([j0, j1], axis=2), cov)
-
+    flat, n_count = state.flatten(), grid.arclength.size
     if not points.inside_time:
-        return along_arclength(t.nearest)
-    early, late = along_arclength(t.lower), along_arclength(t.lower + 1)
-    mean = 0.5 * (about.velocity[t.lower] + about.velocity[t.lower + 1])
-    rows, share = np.arange(s.lower.size), s.share[:, None]
-    rate = (1.0 - share) * mean[rows, s.lower] + share * mean[rows, above]
-    span = np.interp(points.arclength, grid.arclength, grid.arclength_spans)[:, None]
-    psd, carried, jump = prior.along_time(grid.time[t.lower] + 0.5 * t.step)
-    found = bridge(rate, t.step, t.offset, psd / span, carried / span, jump, rigid=False)
-    at, j0, j1, cov = between(TIME, early.state, late.state, t.step, t.offset, found)
-    if points.inside_arclength:
-        for jacobian, corner in ((j0, early), (j1, late)):
-            cov = cov + jacobian @ corner.cov @ np.swapaxes(jacobian, -1, -2)
-        j0, j1 = _chain(j0, early.jacobian), _chain(j1, late.jacobian)
-    else:  # both ends are nodes
-        j0, j1 = j0[:, :, None], j1[:, :, None]
+        if points.inside_arclength:
+            return _along_arclength(prior, grid, flat, about, points, t.nearest)
+        node = t.nearest * n_count + s.nearest
+        eye, none = np.zeros((2, node.size, DOF, DOF))
+        np.einsum("mii->mi", eye)[...] = 1.0
+        return Interpolation(flat.take(node), node[:, None], eye[:, :, None], none)
+    if not points.inside_arclength:  # both ends are nodes
+        nodes = (t.lower * n_count + s.nearest)[:, None] + np.array([0, n_count])
+        start, end = flat.take(nodes[:, 0]), flat.take(nodes[:, 1])
+        at, j0, j1, cov = _between_times(prior, grid, about, points, start, end)
+        return Interpolation(at, nodes, np.stack([j0, j1], axis=2), cov)
+    early, late = (
+        _along_arclength(prior, grid, flat, about, points, k) for k in (t.lower, t.lower + 1)
+    )
+    at, j0, j1, cov = _between_times(prior, grid, about, points, early.state, late.state)
+    for jacobian, corner in ((j0, early), (j1, late)):
+        cov = cov + jacobian @ corner.cov @ np.swapaxes(jacobian, -1, -2)
+    j0, j1 = _chain(j0, early.jacobian), _chain(j1, late.jacobian)
     nodes = np.concatenate([early.nodes, late.nodes], axis=1)
     return Interpolation(at, nodes, np.concatenate([j0, j1], axis=2), cov)
+
+
+def _along_arclength(
+    prior: KinematicPrior, grid: Grid, flat: State, about: State, points: Points, k: Index
+) -> Interpolation:
+    """Between two nodes of the times `k` (M,)."""
+    s = points.along
+    nodes = (k * grid.arclength.size + s.lower)[:, None] + np.arange(2)
+    start, end = flat.take(nodes[:, 0]), flat.take(nodes[:, 1])
+    psd, carried, jump = prior.along_arclength(grid.arclength, s.lower)
+    ends = about.strain[k, s.lower], about.strain[k, s.lower + 1]
+    rate = interval_strain(*ends, s.step, (psd, jump))
+    weight = grid.time_spans[k, None]
+    densities = psd / weight, carried / weight, jump / weight
+    found = bridge(rate, s.step, s.offset, *densities, rigid=True)
+    at, j0, j1, cov = between(ARCLENGTH, start, end, s.step, s.offset, found)
+    return Interpolation(at, nodes, np.stack([j0, j1], axis=2), cov)
+
+
+def _between_times(
+    prior: KinematicPrior, grid: Grid, about: State, points: Points, start: State, end: State
+) -> tuple[State, Array, Array, Array]:
+    """Between two states at the times of nodes: what `between` gives."""
+    s, t = points.along, points.through
+    velocity, later = about.velocity, t.lower + 1
+    if points.inside_arclength:
+        mean = 0.5 * (velocity[t.lower] + velocity[later])
+        rows, share = np.arange(s.lower.size), s.share[:, None]
+        rate = (1.0 - share) * mean[rows, s.lower] + share * mean[rows, s.lower + 1]
+        span = np.interp(points.arclength, grid.arclength, grid.arclength_spans)[:, None]
+    else:
+        rate = 0.5 * (velocity[t.lower, s.nearest] + velocity[later, s.nearest])
+        span = grid.arclength_spans[s.nearest, None]
+    psd, carried, jump = prior.along_time(grid.time[t.lower] + 0.5 * t.step)
+    found = bridge(rate, t.step, t.offset, psd / span, carried / span, jump, rigid=False)
+    return between(TIME, start, end, t.step, t.offset, found)
 
 
 def _chain(outer: Array, inner: Array) -> Array:

@@ -21,6 +21,7 @@ from glissando.estimate import Options, estimate
 from glissando.gate import Gate
 from glissando.grid import Grid
 from glissando.inbox import Inbox
+from glissando.placed import PlacedReadings
 from glissando.posterior import Estimate, Posterior
 from glissando.prior import Prior
 from glissando.readings import Readings
@@ -126,12 +127,12 @@ class FixedLag:
         window.begin(time, rest)
         window.before = None
         self._inbox.forget(time)
-        window.solve(0, self._since(0))
+        window.solve(0, self._placed(0))
 
     def _start(self) -> None:
         """The first readings: estimate all there is from rest, as a recording is."""
         window = self._window
-        readings = self._since(0)
+        readings = self._inbox.since(window.nodes[0].time)
         unknowns, options = window.unknowns, Options(max_iterations=30)
         try:
             with warnings.catch_warnings():
@@ -147,45 +148,43 @@ class FixedLag:
 
     def _update(self, first: int, fresh: Counter[str]) -> None:
         """Solve from a node on, more than once if far; refuse what nothing else agrees with."""
-        streams = self._since(first)
+        placed = self._placed(first)
         for _ in range(_MOST):
             self._window.relinearize(first)
-            self._window.solve(first, streams)
+            self._window.solve(first, placed)
             self._missed = self._window.miss(first)
             if self._missed < _MISS:
                 break
         for again in range(_MOST if fresh else 0):
-            if not self._judged(streams, fresh, first_look=not again):
+            if not self._judged(placed, fresh, first_look=not again):
                 break
-            streams = self._since(first)
-            self._window.solve(first, streams)
+            placed = self._placed(first)
+            self._window.solve(first, placed)
 
-    def _since(self, first: int) -> list[Readings]:
-        """Readings at and after a node, a stream each."""
-        return self._inbox.since(self._window.nodes[first].time)
+    def _placed(self, first: int) -> PlacedReadings:
+        """Readings at and after a node."""
+        return self._window.place(first, self._inbox.since(self._window.nodes[first].time))
 
-    def _judged(
-        self, streams: Sequence[Readings], fresh: Counter[str], *, first_look: bool
-    ) -> bool:
+    def _judged(self, placed: PlacedReadings, fresh: Counter[str], *, first_look: bool) -> bool:
         """Refuse the new reading that fits the others least, if it is beyond belief.
 
         One at a time, as a wrong one makes its neighbours look wrong. Returns whether there was.
         """
-        worst = (1.0, "", 0.0, 0.0)
+        worst, wrong = 1.0, None
+        streams = [stream for _, stream in placed.streams]
         for judged in self._window.judge([len(r) - fresh[r.label] for r in streams]):
             stream = streams[judged.stream]
             if first_look:
                 self._gate.note(stream.label, judged.nis, judged.dof)
-            row = judged.rows[int(np.argmax(judged.nis))]
             excess = self._gate.excess(stream.label, judged.nis, judged.dof)
-            place = float(stream.time[row]), float(stream.arclength[row])
-            worst = max(worst, (excess, stream.label, *place))
-        _, name, time, arclength = worst
-        if not name:
+            if excess > worst:
+                worst, wrong = excess, (stream, judged.rows[int(np.argmax(judged.nis))])
+        if wrong is None:
             return False
-        self._gate.strike(name)
-        self._inbox.discard(name, time, arclength)
-        fresh[name] -= 1
+        stream, row = wrong
+        self._gate.strike(stream.label)
+        self._inbox.discard(stream.label, float(stream.time[row]), float(stream.arclength[row]))
+        fresh[stream.label] -= 1
         return True
 
     def newest(self) -> Estimate:
@@ -222,7 +221,8 @@ class FixedLag:
             window.append(max(latest, newest + least))
             first = max(0, len(window.nodes) - 2)
             with estimating():
-                window.solve(first, self._inbox.since(window.nodes[first].time))
+                readings = self._inbox.since(window.nodes[first].time)
+                window.solve(first, window.place(first, readings))
         with estimating():
             return window.posterior().at(arclength, time)
 
@@ -234,7 +234,7 @@ class FixedLag:
             while moved >= tolerance and rounds < most:
                 rounds += 1
                 self._window.relinearize(0)
-                self._window.solve(0, self._since(0))
+                self._window.solve(0, self._placed(0))
                 moved = max(float(np.abs(node.step).max()) for node in self._window.nodes)
         return rounds
 

@@ -112,7 +112,7 @@ class PlacedReadings:
 
     def moved(self, step: Array) -> PlacedReadings:
         """The readings where unknowns moved by `step` (K, E) put them."""
-        if not self.unknowns.size:
+        if not step.any():
             return self
         there = copy.copy(self)
         there.values = self.values + step

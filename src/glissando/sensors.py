@@ -12,6 +12,7 @@ from glissando.errors import SensorError
 from glissando.readings import Readings
 from glissando.se3 import Array
 from glissando.state import DOF, POSE, STRAIN, State
+from glissando.twins import twin
 
 _ANGULAR_VELOCITY = slice(15, 18)
 
@@ -24,6 +25,33 @@ def _mounted(readings: Readings, at: State) -> Array:
 def _to_sensor(readings: Readings) -> Array:
     """Ad(T_bc⁻¹) (…, 6, 6), which takes body to sensor."""
     return se3.adjoint(se3.inverse(readings.mount))
+
+
+@twin
+def pose_miss(values: Array, pose: Array, mount: Array, *, rolls: bool = False) -> Array:
+    """log(T_meas⁻¹ T T_bc) (M, 6); if the sensor `rolls`, its roll is first turned to agree.
+
+    The turn about z is all of q_z against q_w of the quaternion, here from the matrix.
+    """
+    apart = se3.inverse(values) @ (pose @ mount)
+    if rolls:
+        turn = np.zeros((*apart.shape[:-2], 6))
+        turn[..., 5] = -np.arctan2(
+            apart[..., 1, 0] - apart[..., 0, 1], apart[..., 0, 0] + apart[..., 1, 1]
+        )
+        apart = se3.exp(turn) @ apart
+    return se3.log(apart)
+
+
+@twin
+def pose_slope(miss: Array, mount: Array, *, rolls: bool = False) -> Array:
+    """Slope of `pose_miss` by the pose, (M, 6, 6); if it `rolls`, (M, 5, 6) less what follows."""
+    full = se3.right_jacobian_inverse(miss) @ se3.adjoint(se3.inverse(mount))
+    if not rolls:
+        return full
+    by_roll = se3.left_jacobian_inverse(miss)[..., :, 5]
+    follow = full[..., 5:, :] / by_roll[..., 5, None, None]
+    return full[..., :5, :] - by_roll[..., :5, None] * follow
 
 
 def _columns(block: Array, where: slice) -> Array:
@@ -42,12 +70,11 @@ class PoseReadings(Readings):
 
     def residual(self, at: State) -> Array:
         """log(T_meas⁻¹ T T_bc), [linear, angular] in the sensor's frame."""
-        return se3.log(se3.inverse(self.values) @ _mounted(self, at))
+        return pose_miss(self.values, at.pose, self.mount)
 
     def jacobian(self, at: State) -> Array:
         """J_r⁻¹(e) Ad(T_bc⁻¹) on the pose."""
-        turned = se3.right_jacobian_inverse(self.residual(at))
-        return _columns(turned @ _to_sensor(self), POSE)
+        return _columns(pose_slope(self.residual(at), self.mount), POSE)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,24 +90,14 @@ class CoilReadings(Readings):
     value_shape: ClassVar[tuple[int, ...] | None] = (4, 4)
     fixes_base: ClassVar[bool] = True
 
-    def _error(self, at: State) -> Array:
-        apart = se3.inverse(self.values) @ _mounted(self, at)
-        q = se3.quaternion(apart[..., :3, :3])
-        roll = np.zeros((*q.shape[:-1], 6))
-        roll[..., 5] = -2.0 * np.arctan2(q[..., 3], q[..., 0])
-        return se3.log(se3.exp(roll) @ apart)
-
     def residual(self, at: State) -> Array:
         """First five components of log(T_rolled⁻¹ T T_bc); the sixth is zero by construction."""
-        return self._error(at)[..., :5]
+        return pose_miss(self.values, at.pose, self.mount, rolls=True)[..., :5]
 
     def jacobian(self, at: State) -> Array:
         """The pose's Jacobian less the roll that follows it."""
-        error = self._error(at)
-        full = se3.right_jacobian_inverse(error) @ _to_sensor(self)
-        by_roll = se3.left_jacobian_inverse(error)[..., :, 5]
-        follow = full[..., 5:, :] / by_roll[..., 5, None, None]
-        return _columns(full[..., :5, :] - by_roll[..., :5, None] * follow, POSE)
+        miss = pose_miss(self.values, at.pose, self.mount, rolls=True)
+        return _columns(pose_slope(miss, self.mount, rolls=True), POSE)
 
 
 @dataclass(frozen=True, kw_only=True)

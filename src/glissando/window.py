@@ -126,12 +126,14 @@ class Window:
             node.state, node.extras = self._estimate(node)
             node.step = np.zeros_like(node.step)
 
-    def solve(self, first: int, readings: Sequence[Readings]) -> None:
-        """Linearise all that begins at the nodes from `first` on, eliminate, find every step.
+    def place(self, first: int, readings: Sequence[Readings]) -> PlacedReadings:
+        """Readings of the nodes from `first` on and of the intervals after them, on their grid."""
+        values = np.array([node.extras for node in self.nodes[first:]])
+        return PlacedReadings(self.grid(first), readings, self.unknowns, values, keep_all=True)
 
-        `readings` are those of these nodes and the intervals after them.
-        """
-        self._linearize(first, readings)
+    def solve(self, first: int, placed: PlacedReadings) -> None:
+        """Linearise all that begins at the nodes from `first` on, eliminate, find every step."""
+        self._linearize(first, placed)
         self._eliminate(first)
         ahead = None
         for node in reversed(self.nodes):
@@ -153,11 +155,11 @@ class Window:
         turn = np.abs(free.reshape(-1, dof)[:, 3:6]).max()
         return float(0.5 * turn * length[:, POSE].max())
 
-    def _linearize(self, first: int, readings: Sequence[Readings]) -> None:
-        nodes, grid = self.nodes[first:], self.grid(first)
+    def _linearize(self, first: int, placed: PlacedReadings) -> None:
+        nodes, grid = self.nodes[first:], placed.grid
         state = _stacked([node.state for node in nodes])
         values = np.array([node.extras for node in nodes])
-        placed = PlacedReadings(grid, readings, self.unknowns, values, keep_all=True)
+        placed = placed.moved(values - placed.values)
         layout, size = self._layout, self._layout.size
         blocks = np.zeros((len(nodes), 2 * size, 2 * size))
         pulls = np.zeros((len(nodes), 2 * size))
@@ -242,7 +244,9 @@ class Window:
         begin = max(0, min(begin, len(all_nodes) - 2))  # unknowns are those of an interval
         nodes, out, first = all_nodes[begin:], [], 0
         steps = np.concatenate([node.step for node in nodes])
-        batches = (replace(batch, nodes=batch.nodes - begin * n_count) for _, _, batch in kept)
+        batches = [batch for _, _, batch in kept]
+        if begin:
+            batches = [replace(batch, nodes=batch.nodes - begin * n_count) for batch in batches]
         spread = [spread_out(batch, self._layout, len(nodes)) for batch in batches]
         rows = np.concatenate([j.reshape(-1, steps.size) for _, j in spread])
         known = substituted(rows, [n.inverse for n in nodes], [n.ahead for n in nodes])

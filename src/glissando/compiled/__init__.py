@@ -16,6 +16,7 @@ from glissando.compiled import chains as chained
 from glissando.compiled import intervals as rated
 from glissando.compiled import process
 from glissando.compiled import se3 as lie
+from glissando.compiled import sensors as sensed
 from glissando.compiled import steps as stepped
 from glissando.compiled import sweep as swept
 from glissando.grid import Index
@@ -47,6 +48,7 @@ def prepare() -> None:
     exp(x), right_jacobian(x), right_jacobian_inverse(x), right_jacobian_slope(x, x)
     log(pose), inverse(pose), adjoint(pose)
     sqrt_information(cov), pair_sqrt_information(cov)
+    pose_slope(pose_miss(pose, pose, pose), pose)
     at, psd = State(pose, x, x), np.ones((1, 6))
     process_covariances(x, one, psd, psd, rigid=True)
     inside = bridge(x, one, 0.5 * one, psd, psd, rigid=True)
@@ -151,6 +153,20 @@ def sqrt_information(cov: Array) -> Array:
 def pair_sqrt_information(cov: Array) -> Array:
     """Twin of that in noise."""
     return process.pair_sqrt_information(_items(cov, cov.shape[:-2], 12, 12)).reshape(cov.shape)
+
+
+def pose_miss(values: Array, pose: Array, mount: Array, *, rolls: bool = False) -> Array:
+    """Twin of that in sensors."""
+    lead = pose.shape[:-2]
+    given = (_items(each, lead, 4, 4) for each in (values, pose, mount))
+    return sensed.pose_miss(*given, rolls).reshape(*lead, 6)
+
+
+def pose_slope(miss: Array, mount: Array, *, rolls: bool = False) -> Array:
+    """Twin of that in sensors."""
+    lead = miss.shape[:-1]
+    out = sensed.pose_slope(_items(miss, lead, 6), _items(mount, lead, 4, 4), rolls)
+    return out.reshape(*lead, *out.shape[1:])
 
 
 def pair_error(

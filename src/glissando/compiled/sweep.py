@@ -28,11 +28,20 @@ def _columns(nodes, first_dof, d, extras, n_count, dof, size, count, out):
 
 
 @jit
-def _side_by_side(jacobian, extras, out):
-    """The Jacobian (r, c, d) of one factor as a matrix (r, q), its extras last."""
-    wide = jacobian.shape[1] * jacobian.shape[2]
-    out[:, :wide] = jacobian.reshape(len(out), wide)
-    out[:, wide:] = extras
+def _whitened(sqrt_info, jacobian, extras, residual, white, miss):
+    """White Jacobian (r, q) of one factor, its extras last, and white residual (r,)."""
+    r, wide = len(miss), jacobian.shape[1] * jacobian.shape[2]
+    rows = jacobian.reshape(r, wide)
+    white[:], miss[:] = 0.0, 0.0
+    for i in range(r):
+        for k in range(r):
+            share = sqrt_info[i, k]
+            if share != 0.0:
+                miss[i] += share * residual[k]
+                for j in range(wide):
+                    white[i, j] += share * rows[k, j]
+                for j in range(extras.shape[1]):
+                    white[i, wide + j] += share * extras[k, j]
 
 
 @jit
@@ -42,24 +51,25 @@ def add_factors(
 ):  # fmt: skip
     """Add a batch of factors to the blocks of intervals."""
     m, r, c, d = jacobian.shape
-    q = c * d + extras.shape[2]
-    columns, white, row = np.empty(q, np.int64), np.empty((r, q)), np.empty((r, q))
-    square = np.empty((q, q))
+    wide, q = c * d, c * d + extras.shape[2]
+    columns, white, miss, line = np.empty(q, np.int64), np.empty((r, q)), np.empty(r), np.empty(q)
     for i in range(m):
         k = _columns(
             nodes[i], first_dof, d, extras.shape[2] // 2, n_count, dof, size, len(blocks), columns
         )
-        _side_by_side(jacobian[i], extras[i], row)
-        np.dot(sqrt_info[i], row, white)
-        miss = np.dot(sqrt_info[i], residual[i])
-        np.dot(white.T, white, square)
+        _whitened(sqrt_info[i], jacobian[i], extras[i], residual[i], white, miss)
         for a in range(q):
-            pull = 0.0
+            line[:], row = 0.0, blocks[k, columns[a]]
             for b in range(r):
-                pull += white[b, a] * miss[b]
-            pulls[k, columns[a]] -= weights[i] * pull
-            for b in range(q):
-                blocks[k, columns[a], columns[b]] += weights[i] * square[a, b]
+                share = weights[i] * white[b, a]
+                pulls[k, columns[a]] -= share * miss[b]
+                for j in range(q):
+                    line[j] += share * white[b, j]
+            for first in range(0, wide, d):  # the numbers of a node stand side by side
+                for j in range(d):
+                    row[columns[first] + j] += line[first + j]
+            for j in range(wide, q):
+                row[columns[j]] += line[j]
 
 
 @jit
@@ -67,15 +77,13 @@ def spread_out(nodes, first_dof, jacobian, residual, sqrt_info, extras, n_count,
     """Whitened residuals (M, r) and Jacobians (M, r, count · D) with respect to all time nodes."""
     m, r, c, d = jacobian.shape
     q = c * d + extras.shape[2]
-    columns, row, white = np.empty(q, np.int64), np.empty((r, q)), np.empty((r, q))
+    columns, white = np.empty(q, np.int64), np.empty((r, q))
     out, miss = np.zeros((m, r, count * size)), np.empty((m, r))
     for i in range(m):
         k = _columns(
             nodes[i], first_dof, d, extras.shape[2] // 2, n_count, dof, size, count, columns
         )
-        _side_by_side(jacobian[i], extras[i], row)
-        np.dot(sqrt_info[i], row, white)
-        miss[i] = np.dot(sqrt_info[i], residual[i])
+        _whitened(sqrt_info[i], jacobian[i], extras[i], residual[i], white, miss[i])
         for a in range(q):
             at = k * size + columns[a]
             if at < count * size:  # unknowns after the last node have no weight
@@ -104,10 +112,10 @@ def add_to_neighbours(
 ):
     """Add a batch of factors to blocks of neighbouring nodes."""
     m, r, c, d = jacobian.shape
-    white, square = np.empty((r, c * d)), np.empty((c * d, c * d))
+    white, square, miss = np.empty((r, c * d)), np.empty((c * d, c * d)), np.empty(r)
+    none = np.empty((r, 0))
     for i in range(m):
-        np.dot(sqrt_info[i], jacobian[i].reshape(r, c * d), white)
-        miss = np.dot(sqrt_info[i], residual[i])
+        _whitened(sqrt_info[i], jacobian[i], none, residual[i], white, miss)
         np.dot(white.T, white, square)
         for b in range(c):
             slab, inner = divmod(nodes[i, b], n_count)
