@@ -103,6 +103,33 @@ def test_foretelling_truth_better_is_what_truth_is_for(in_process):
     assert values == sorted(values)
 
 
+def test_a_number_of_which_readings_say_nothing_stays_where_it_was(in_process):
+    document = start(noise=3.0)
+    numbers = [p for p in learnable(document, ["pose", "gyro"]) if "noise" in p.label]
+    assert numbers[-1].label == "gyro noise"
+    found = learn(document, numbers, [Arc()], steps=6)
+    assert abs(found.moved[-1]) < 1e-3
+    assert found.std[-1] == pytest.approx(np.log(3.0), rel=1e-3)
+    assert np.all(found.std[:-1] < 0.3)
+    before, after = (d["sensors"]["gyro"]["std"] for d in (document, found.document))
+    assert after == pytest.approx(before, rel=1e-3)
+
+
+def test_places_that_err_together_count_as_one(in_process):
+    @dataclass(frozen=True)
+    class Twice(Arc):
+        def truth(self, robot):
+            (tip,) = super().truth(robot)
+            time = tip.time
+            return [tip, readings(PoseReadings, "mid", LENGTH / 2, time, std=np.full(6, 1e-4))]
+
+    once, twice = (learning.Judge([case], False).score(start()) for case in (
+        Arc(judged=True), Twice(judged=True)
+    ))  # fmt: skip
+    assert (once.samples, once.independent) == (18, 18)
+    assert (twice.samples, twice.independent) == (36, 18)
+
+
 @pytest.mark.parametrize("far", [1e6, 1e-6])
 def test_a_start_that_is_far_off_in_noise_is_no_crash(in_process, far):
     document = start(noise=far)
@@ -167,7 +194,7 @@ def test_what_was_learned_is_a_robot_file_that_estimate_takes(recording, tmp_pat
     out = tmp_path / "learned.toml"
     more = ["--truth", "truth2,truth4", "--calibrate", "--hold-out", "truth3", "--json"]
     arguments = ["--robot", recording / "few.toml", "--out", out, *WINDOW, "--steps", 1, *more]
-    assert run("learn", recording, *arguments, "--only", "coil noise") == 0
+    assert run("learn", recording, *arguments, "--only", "noise coil") == 0
     told = json.loads(capsys.readouterr().out)
     assert {p["name"] for p in told["parameters"]} == {
         "coil noise, linear", "coil noise, angular"

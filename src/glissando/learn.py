@@ -2,8 +2,9 @@
 
 What is maximised is the Laplace log marginal likelihood of the readings (equation 22) or, where
 truth is given, the predictive log-likelihood of it. Numbers are scaled by exponentials, so they
-stay positive; a try that cannot be estimated is a bad one, not an end. Gradients are differences,
-tried on all cores.
+stay positive, and are expected where they start, one standard deviation being a factor of three:
+what a recording says nothing of stays there. A try that cannot be estimated is a bad one, not an
+end. Gradients are differences, tried on all cores.
 """
 
 from __future__ import annotations
@@ -40,6 +41,7 @@ _NUDGE = 0.05  # of a logarithm, for differences
 _WORTH = 1e-3  # gain a degree of freedom below which a step was idle
 _IDLE = 3  # idle steps in a row that end the search
 _REACH = np.log(1e4)  # how far a number may move
+_EXPECTED = np.log(3.0)  # standard deviation of a logarithm before anything is learned
 
 
 class Case(Protocol):
@@ -60,10 +62,14 @@ class Case(Protocol):
 
 @dataclass(frozen=True)
 class Score:
-    """What a robot file is worth on all cases: the objective per degree of freedom."""
+    """What a robot file is worth on all cases: the objective per degree of freedom.
+
+    Of `samples` degrees of freedom so many are `independent`: all places of the robot err together.
+    """
 
     value: float
     samples: int
+    independent: float
     constants: tuple[Unknown, ...] = ()
 
 
@@ -75,7 +81,8 @@ Watch = Callable[[int, float], None]
 class Learned:
     """What was learned: the document, what it was worth before and after, and how sure.
 
-    `std` (P,) is how far each parameter's logarithm may be off, the others held.
+    `std` (P,) is how far each parameter's logarithm may be off, the others held: ln 3 for one of
+    which nothing was learned.
     """
 
     document: Document
@@ -104,7 +111,7 @@ class Judge:
         if not any(truths):
             counts = [sum(r.values.shape[0] * r.row_count for r in rs) for _, rs in found]
             total = sum(posterior.solve.log_evidence for posterior, _ in found)
-            return Score(total / sum(counts), sum(counts))
+            return Score(total / sum(counts), sum(counts), sum(counts))
         return self._foretold([posterior for posterior, _ in found], truths)
 
     def _foretold(self, found: Sequence[Posterior], truths: Sequence[list[Readings]]) -> Score:
@@ -123,7 +130,8 @@ class Judge:
         if not samples:
             raise RecordingError("There is no truth in the window; choose another.")
         value = sum(t.score * t.samples for t in told_all) / samples
-        return Score(value, samples, constants)
+        independent = sum(t.independent for t in told_all)
+        return Score(value, samples, independent, constants)
 
     def _estimate(self, i: int, case: Case, robot: Robot) -> tuple[Posterior, list[Readings]]:
         readings = case.readings(robot)
@@ -171,7 +179,7 @@ def learn(
     steps: int = 20,
     watch: Watch | None = None,
 ) -> Learned:
-    """Scale the parameters of an expanded document until the cases are most likely.
+    """Scale the parameters of an expanded document until they are most likely, given the cases.
 
     `constants` of the truth are put right; with `calibrate` its frame and mounts are found, from
     these or from none. Raises what the first estimate raises: a start must at least be possible.
@@ -184,7 +192,7 @@ def learn(
     with ProcessPoolExecutor(
         workers, spawned, _prepare, (Judge(cases, calibrate, constants), document)
     ) as pool:
-        search = _Search(document, parameters, pool, watch, steps)
+        search = _Search(document, parameters, pool, watch, steps, before.independent)
         limits = [(-_REACH, _REACH)] * len(parameters)
         with suppress(_EnoughError):
             minimize(
@@ -192,7 +200,7 @@ def learn(
                 bounds=limits, options={"maxfun": steps, "ftol": 1e-5, "maxls": 8},
             )  # fmt: skip
         best = search.best[1]
-        std = search.spread(best, before.samples)
+        std = search.spread(best)
     learned = moved(document, parameters, best)
     after = judge.score(learned)
     return Learned(learned, parameters, best, std, before, after, search.count)
@@ -203,7 +211,7 @@ class _EnoughError(Exception):
 
 
 class _Search:
-    """The objective and its slope by differences, all tries at once."""
+    """The objective, less what numbers are expected to be, and its slope; all tries at once."""
 
     def __init__(
         self,
@@ -212,8 +220,9 @@ class _Search:
         pool: ProcessPoolExecutor,
         watch: Watch | None,
         steps: int,
+        independent: float,
     ) -> None:
-        self._steps = steps
+        self._steps, self._independent = steps, independent
         self._document, self._parameters = document, parameters
         self._pool, self._watch = pool, watch
         self.best = (np.inf, np.zeros(len(parameters)))
@@ -221,7 +230,8 @@ class _Search:
 
     def _all(self, points: Sequence[Array]) -> Array:
         documents = [moved(self._document, self._parameters, x) for x in points]
-        return np.array(list(self._pool.map(_tried, documents)))
+        surprise = 0.5 * np.sum((np.array(points) / _EXPECTED) ** 2, axis=1)
+        return np.array(list(self._pool.map(_tried, documents))) + surprise / self._independent
 
     def with_slope(self, x: Array) -> tuple[float, Array]:
         """The objective and its gradient (P,)."""
@@ -239,12 +249,12 @@ class _Search:
         slope = np.where(values[1:] < _BAD, (values[1:] - values[0]) / _NUDGE, 0.0)
         return float(values[0]), slope
 
-    def spread(self, x: Array, samples: int) -> Array:
-        """Standard deviation (P,) of each number, from the curvature; infinite where it is flat."""
+    def spread(self, x: Array) -> Array:
+        """Standard deviation (P,) of each number, from the curvature; infinite without any."""
         nudges = 4.0 * _NUDGE * np.eye(x.size)
         values = self._all([x, *(x + nudges), *(x - nudges)])
         ahead, behind = values[1 : 1 + x.size], values[1 + x.size :]
-        curvature = (ahead + behind - 2.0 * values[0]) / (4.0 * _NUDGE) ** 2 * samples
+        curvature = (ahead + behind - 2.0 * values[0]) / (4.0 * _NUDGE) ** 2 * self._independent
         return np.where(curvature > 0.0, np.maximum(curvature, 1e-12) ** -0.5, np.inf)
 
 

@@ -28,10 +28,14 @@ _MOVED = 5e-3, 0.05  # m, rad: by which a body moves between them, for the same 
 
 @dataclass(frozen=True)
 class Prediction:
-    """Log-likelihood of the truth, per sample and degree of freedom, and the constants found."""
+    """Log-likelihood of the truth, per sample and degree of freedom, and the constants found.
+
+    Of `samples` degrees of freedom so many are `independent`: all places of a robot err together.
+    """
 
     score: float
     samples: int
+    independent: float
     constants: tuple[Unknown, ...]
 
 
@@ -61,7 +65,9 @@ def predict(
     terms = [_normalised(t, at, constants) for t, at in zip(sparse, found, strict=True)]
     total = sum(float(np.sum(cost)) for cost, _ in terms)
     count = sum(size for _, size in terms)
-    return Prediction(-total / max(count, 1), count, (*constants, *moving))
+    stretches = np.concatenate([np.zeros(0), *(t.time // APART for t in sparse)])
+    independent = count * np.unique(stretches).size / max(stretches.size, 1)
+    return Prediction(-total / max(count, 1), count, independent, (*constants, *moving))
 
 
 def telling(truth: Readings) -> Readings:

@@ -179,6 +179,63 @@ def _lean(curl, at, rows):
 
 
 @jit
+def _onward(start, rate, offset, delta, pose, turn, back, pull):
+    """Pose at `offset` along a rate from `start` and then bent by `delta` (6,), and its slopes.
+
+    By the bend (`turn`), the start (`back`) and the rate (`pull`), all (6, 6).
+    """
+    ahead, bend, there = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
+    unbend, a = np.empty((6, 6)), np.empty((6, 6))
+    scaled = offset * rate
+    exp_into(scaled, ahead)
+    exp_into(delta, bend)
+    compose_into(start, ahead, there)
+    compose_into(there, bend, pose)
+    right_jacobian_into(delta, turn)
+    adjoint_back_into(bend, unbend)
+    adjoint_back_into(ahead, a)
+    times_into(unbend, a, back)
+    right_jacobian_into(scaled, a)
+    times_into(unbend, a, pull)
+    pull *= offset
+
+
+@jit
+def _spread(turn, gain, e, carried_gain, c, at, carried_at, d, out):
+    """Slope (18, 18) at the point by one end, through the errors of the step, into zeros."""
+    matmul_into(gain, e, d)
+    for i in range(6):
+        for k in range(6):
+            for j in range(18):
+                out[i, j] += turn[i, k] * d[k, j]
+                out[carried_at + i, j] += carried_gain[i, k] * c[k, j]
+        for j in range(18):
+            out[at + i, j] += d[6 + i, j]
+
+
+@jit
+def _ride(pose, start, field0, at, field, j0, j1, left):
+    """Add the field that rides from the start of a step to a pose, which turns it."""
+    there, ride = np.empty((4, 4)), np.empty((6, 6))
+    curl, lean, ridden = np.empty((6, 6)), np.empty((6, 6)), np.empty(6)
+    ahead_into(pose, start, there)
+    adjoint_into(there, ride)
+    apply_into(ride, field0, ridden)
+    ad_into(field0, curl)
+    times_into(ride, curl, lean)
+    for i in range(6):
+        field[i] += ridden[i]
+        for j in range(6):
+            j0[at + i, j] -= lean[i, j]
+            j0[at + i, at + j] += ride[i, j]
+    ad_into(ridden, curl)
+    _lean(curl, at, j0)
+    _lean(curl, at, j1)
+    _lean(curl, at, left)
+    _lean(curl, at, left.T)
+
+
+@jit
 def between(
     start, end, rate0, rate1, field0, field1, step, offset, gain, cov, carried_gain, carried_cov,
     at, carried_at, rigid,
@@ -187,75 +244,33 @@ def between(
     m = len(step)
     pose, rate, field = np.empty((m, 4, 4)), np.empty((m, 6)), np.empty((m, 6))
     j0, j1, left = np.zeros((m, 18, 18)), np.zeros((m, 18, 18)), np.zeros((m, 18, 18))
-    error, lost, delta, scaled = np.empty(12), np.empty(6), np.empty(12), np.empty(6)
-    back, pull, spread = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
+    error, lost, delta, d = np.empty(12), np.empty(6), np.empty(12), np.empty((12, 18))
+    back, pull, turn = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
     e0, e1 = np.zeros((12, 18)), np.zeros((12, 18))
     c0, c1 = np.empty((6, 18)), np.empty((6, 18))
-    d0, d1 = np.empty((12, 18)), np.empty((12, 18))
-    ahead, bend, there = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
-    turn, unbend, a, b = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
     for n in range(m):
-        _pair(start[n], end[n], rate0[n], rate1[n], step[n], error, back, pull, spread)
+        _pair(start[n], end[n], rate0[n], rate1[n], step[n], error, back, pull, turn)
         for i in range(6):
             for j in range(6):
-                e0[i, j], e0[i, at + j], e1[i, j] = back[i, j], pull[i, j], spread[i, j]
+                e0[i, j], e0[i, at + j], e1[i, j] = back[i, j], pull[i, j], turn[i, j]
             e0[6 + i, at + i], e1[6 + i, at + i] = -1.0, 1.0
         _carried(start[n], end[n], field0[n], field1[n], carried_at, rigid, lost, c0, c1)
-        for i in range(12):
-            delta[i] = 0.0
-            for k in range(12):
-                delta[i] += gain[n, i, k] * error[k]
-        matmul_into(gain[n], e0, d0)
-        matmul_into(gain[n], e1, d1)
+        apply_into(gain[n], error, delta)
+        apply_into(carried_gain[n], lost, field[n])
+        _onward(start[n], rate0[n], offset[n], delta[:6], pose[n], turn, back, pull)
+        _spread(turn, gain[n], e0, carried_gain[n], c0, at, carried_at, d, j0[n])
+        _spread(turn, gain[n], e1, carried_gain[n], c1, at, carried_at, d, j1[n])
         for i in range(6):
-            scaled[i] = offset[n] * rate0[n, i]
-        exp_into(scaled, ahead)
-        exp_into(delta[:6], bend)
-        compose_into(start[n], ahead, there)
-        compose_into(there, bend, pose[n])
-        right_jacobian_into(delta[:6], turn)
-        adjoint_back_into(bend, unbend)
-        adjoint_back_into(ahead, a)
-        times_into(unbend, a, back)
-        right_jacobian_into(scaled, a)
-        times_into(unbend, a, pull)
-        for i in range(6):
-            for k in range(6):
-                for j in range(18):
-                    j0[n, i, j] += turn[i, k] * d0[k, j]
-                    j1[n, i, j] += turn[i, k] * d1[k, j]
-                    j0[n, carried_at + i, j] += carried_gain[n, i, k] * c0[k, j]
-                    j1[n, carried_at + i, j] += carried_gain[n, i, k] * c1[k, j]
+            rate[n, i] = rate0[n, i] + delta[6 + i]
             for j in range(6):
                 j0[n, i, j] += back[i, j]
-                j0[n, i, at + j] += offset[n] * pull[i, j]
-            for j in range(18):
-                j0[n, at + i, j] += d0[6 + i, j]
-                j1[n, at + i, j] += d1[6 + i, j]
+                j0[n, i, at + j] += pull[i, j]
             j0[n, at + i, at + i] += 1.0
-            rate[n, i] = rate0[n, i] + delta[6 + i]
-            field[n, i] = 0.0
-            for k in range(6):
-                field[n, i] += carried_gain[n, i, k] * lost[k]
         _spread_out(turn, cov[n], carried_cov[n], at, carried_at, left[n])
-        if not rigid:
-            for i in range(6):
-                field[n, i] += field0[n, i]
-                j0[n, carried_at + i, carried_at + i] += 1.0
+        if rigid:
+            _ride(pose[n], start[n], field0[n], carried_at, field[n], j0[n], j1[n], left[n])
             continue
-        ahead_into(pose[n], start[n], there)
-        adjoint_into(there, a)
-        apply_into(a, field0[n], scaled)
-        ad_into(field0[n], b)
-        times_into(a, b, back)
         for i in range(6):
-            field[n, i] += scaled[i]
-            for j in range(6):
-                j0[n, carried_at + i, j] -= back[i, j]
-                j0[n, carried_at + i, carried_at + j] += a[i, j]
-        ad_into(scaled, b)
-        _lean(b, carried_at, j0[n])
-        _lean(b, carried_at, j1[n])
-        _lean(b, carried_at, left[n])
-        _lean(b, carried_at, left[n].T)
+            field[n, i] += field0[n, i]
+            j0[n, carried_at + i, carried_at + i] += 1.0
     return pose, rate, field, j0, j1, left
