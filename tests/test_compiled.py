@@ -138,9 +138,8 @@ def explained(rng, lead):
 def inside_steps(rng, lead):
     direction = (ARCLENGTH, TIME)[rng.integers(2)]
     start, end, step = states(rng, lead), states(rng, lead), rng.uniform(0.01, 0.3, lead)
-    gains = rng.standard_normal((*lead, 12, 12)), rng.standard_normal((*lead, 6, 6))
-    bridge = Bridge(gains[0], spd(rng, lead, 12), gains[1], spd(rng, lead, 6))
-    return (direction, start, end, step, 0.4 * step, bridge), {}
+    about, (psd, carried, jump) = sixes(rng, lead), rng.uniform(0.1, 2.0, (3, *lead, 6))
+    return (direction, start, end, step, 0.4 * step, about, (psd, carried, jump)), {}
 
 
 def sensed(rng, lead):
@@ -158,6 +157,13 @@ def missed(rng, lead):
     return (sixes(rng, lead, rng.choice(ANGLES)), se3.exp(sixes(rng, ()))), options
 
 
+def seen_between(rng, lead):
+    m, r = int(np.prod(lead)), int(rng.integers(1, 7))
+    by_state = rng.standard_normal((m, r, 18)) * (rng.random(18) < 0.4)
+    jacobian, cov = rng.standard_normal((m, 18, 2, 24)), spd(rng, (m,) * int(rng.integers(2)), r)
+    return (by_state, jacobian, spd(rng, (m,), 18), cov), {}
+
+
 ARGUMENTS = dict(
     of_se3(name, name in ("log", "inverse", "adjoint"))
     for name in ("exp", "log", "inverse", "adjoint", "right_jacobian", "right_jacobian_inverse")
@@ -169,6 +175,7 @@ ARGUMENTS = dict(
     "pair_sqrt_information": covariances(12),
     "pose_miss": sensed,
     "pose_slope": missed,
+    "by_nodes_of": seen_between,
     "weighted_steps": weighted,
     "squared_innovations": explained,
     "pair_error": pairs,

@@ -22,7 +22,7 @@ from glissando.rest import STRAIGHT, RestShape
 from glissando.se3 import Array
 from glissando.state import DOF, POSE, STRAIN, VELOCITY, State, rest_state
 from glissando.steps import ARCLENGTH, TIME, Direction, between, carried_error, pair_error
-from glissando.transitions import bridge, process_covariances
+from glissando.transitions import process_covariances
 from glissando.twins import twin
 
 _POSE_STRAIN, _ALL = slice(0, 12), slice(0, DOF)
@@ -265,8 +265,7 @@ def _along_arclength(
     rate = interval_strain(*ends, s.step, (psd, jump))
     weight = grid.time_spans[k, None]
     densities = psd / weight, carried / weight, jump / weight
-    found = bridge(rate, s.step, s.offset, *densities, rigid=True)
-    at, j0, j1, cov = between(ARCLENGTH, start, end, s.step, s.offset, found)
+    at, j0, j1, cov = between(ARCLENGTH, start, end, s.step, s.offset, rate, densities)
     return Interpolation(at, nodes, np.stack([j0, j1], axis=2), cov)
 
 
@@ -285,8 +284,7 @@ def _between_times(
         rate = 0.5 * (velocity[t.lower, s.nearest] + velocity[later, s.nearest])
         span = grid.arclength_spans[s.nearest, None]
     psd, carried, jump = prior.along_time(grid.time[t.lower] + 0.5 * t.step)
-    found = bridge(rate, t.step, t.offset, psd / span, carried / span, jump, rigid=False)
-    return between(TIME, start, end, t.step, t.offset, found)
+    return between(TIME, start, end, t.step, t.offset, rate, (psd / span, carried / span, jump))
 
 
 def _chain(outer: Array, inner: Array) -> Array:

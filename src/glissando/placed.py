@@ -17,6 +17,7 @@ from glissando.prior import Prior
 from glissando.readings import Readings
 from glissando.se3 import Array
 from glissando.state import DOF, State
+from glissando.twins import twin
 from glissando.unknowns import Unknown, Unknowns
 
 _NUDGE = 1e-5  # by which unknowns are moved to find how readings depend on them
@@ -174,7 +175,7 @@ class PlacedReadings:
             if not unknown.moves:
                 shifted = unknown.shift(shifted, now[:, columns])
         residual, by_state = _sound(shifted, at)
-        cov = shifted.cov + by_state @ at.cov @ np.swapaxes(by_state, -1, -2)
+        cov = shifted.cov
         if "arclength" in slopes:
             along = np.einsum("mrd,md->mr", by_state, slopes["arclength"])
             var = np.broadcast_to(shifted.arclength_std**2, along.shape[:1])
@@ -185,11 +186,10 @@ class PlacedReadings:
             _, weights, left = self.unknowns.between(readings.time)
             cov = cov + (by_extras * left[:, None]) @ np.swapaxes(by_extras, -1, -2)
             extras = (by_extras[:, :, None] * weights[:, None]).reshape(*residual.shape, -1)
-        m, c, _ = (*at.nodes.shape, DOF)
-        by_nodes = (by_state @ at.jacobian.reshape(m, DOF, -1)).reshape(m, -1, c, at.dof)
+        by_nodes, whitener = by_nodes_of(by_state, at.jacobian, at.cov, cov)
         touched = np.flatnonzero(by_nodes.reshape(-1, at.dof).any(axis=0))
         dofs = slice(int(touched[0]), int(touched[-1]) + 1) if touched.size else slice(0, 1)
-        terms = Residuals(residual, sqrt_information(cov), shifted.loss)
+        terms = Residuals(residual, whitener, shifted.loss)
         return Factors(at.nodes, dofs, by_nodes[..., dofs], terms, extras)
 
     def _by_unknowns(
@@ -218,6 +218,18 @@ class PlacedReadings:
                     ends.append(moved.residual(at.state))
                 out[..., columns.start + i] = (ends[0] - ends[1]) / (2.0 * _NUDGE)
         return out
+
+
+@twin
+def by_nodes_of(by_state: Array, jacobian: Array, left: Array, cov: Array) -> tuple[Array, Array]:
+    """Slopes (M, r, c, d) of residuals by nodes, and what whitens them (M, r, r).
+
+    `by_state` (M, r, 18) is their slope by the state between the nodes, which has slopes `jacobian`
+    (M, 18, c, d) and what nodes `left` uncertain (M, 18, 18), added to `cov`, (r, r) or (M, r, r).
+    """
+    (m, dof, c, d), r = jacobian.shape, by_state.shape[1]
+    whitener = sqrt_information(cov + by_state @ left @ np.swapaxes(by_state, -1, -2))
+    return (by_state @ jacobian.reshape(m, dof, c * d)).reshape(m, r, c, d), whitener
 
 
 def _ways(readings: Readings, unknowns: Sequence[Unknown]) -> list[str]:

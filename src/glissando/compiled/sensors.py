@@ -1,4 +1,4 @@
-"""Poses that were measured, with or without their roll: twins of sensors.py."""
+"""Readings: twins of sensors.py, poses with or without their roll, and of placed.py."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from glissando.compiled.lie import (
     right_jacobian_inverse_into,
     times_into,
 )
+from glissando.compiled.process import whiten_into
 
 
 @jit
@@ -52,3 +53,30 @@ def pose_slope(miss, mount, rolls):
             for j in range(6):
                 out[n, i, j] = whole[i, j] - follow * whole[5, j]
     return out
+
+
+@jit
+def by_nodes_of(by_state, jacobian, left, cov):
+    """Slopes (M, r, c, d) of residuals by nodes and whiteners (M, r, r)."""
+    m, r, dof = by_state.shape
+    c, d = jacobian.shape[2:]
+    out, whitener = np.zeros((m, r, c, d)), np.empty((m, r, r))
+    half, whole = np.empty((r, dof)), np.empty((r, r))
+    for n in range(m):
+        half[:] = 0.0
+        for i in range(r):
+            for k in range(dof):
+                share = by_state[n, i, k]
+                if share != 0.0:  # a sensor sees little of a state
+                    for j in range(dof):
+                        half[i, j] += share * left[n, k, j]
+                    for a in range(c):
+                        for j in range(d):
+                            out[n, i, a, j] += share * jacobian[n, k, a, j]
+        for i in range(r):
+            for j in range(r):
+                whole[i, j] = cov[n, i, j]
+                for k in range(dof):
+                    whole[i, j] += half[i, k] * by_state[n, j, k]
+        whiten_into(whole, whitener[n])
+    return out, whitener
