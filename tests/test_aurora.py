@@ -53,18 +53,23 @@ def require_true(frames, epoch, rate):
 
 
 def stalls(tracker, monkeypatch):
-    """A list that grows by each time (s) that the host keeps the tracker waiting for nothing."""
-    found, poll = [], tracker._poll
+    """A list that grows by each time (s) that the host keeps the tracker waiting for nothing.
+
+    In a poll, or from one to the next, but for what it meant to sleep.
+    """
+    found, poll, asked, polled = [], tracker._poll, [], [time.monotonic()]
 
     def sleep(wait):
-        start = time.monotonic()
+        asked.append(wait)
         time.sleep(wait)
-        found.append(time.monotonic() - start - wait)
 
     def timed_poll():
         start = time.monotonic()
+        found.append(start - polled[-1] - sum(asked))
         reply = poll()
-        found.append(time.monotonic() - start)
+        asked.clear()
+        polled.append(time.monotonic())
+        found.append(polled[-1] - start)
         return reply
 
     monkeypatch.setattr(aurora, "time", SimpleNamespace(sleep=sleep, monotonic=time.monotonic))

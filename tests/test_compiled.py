@@ -183,7 +183,7 @@ ARGUMENTS = dict(
     "interval_error": rated,
     "interval_between": inside_rated,
     "factor_chains": chains,
-    "between": inside_steps,
+    "bridged": inside_steps,
 }
 
 

@@ -20,6 +20,7 @@ from glissando.sensors import GyroReadings, PoseReadings, PositionReadings, Stra
 from glissando.state import DOF, State
 from glissando.steps import ARCLENGTH, TIME, between
 from glissando.sums import slab_shape
+from glissando.transitions import bridge as bridge_into
 from oracles import dense
 
 GRID = Grid([0.0, 0.1, 0.25, 0.4], [0.0, 0.1, 0.25])
@@ -194,15 +195,15 @@ def test_a_point_in_a_cell_is_two_steps_along_arclength_and_one_along_time(rng):
         middle = 0.5 * (ends[0].strain + ends[1].strain)
         weight = GRID.time_spans[k]
         densities = soft.psd_strain_arclength / weight, soft.psd_velocity_arclength / weight
-        given_ = middle, (*densities, np.zeros(6))
-        steps.append(between(ARCLENGTH, *ends, length, offset, *given_))
+        bridge = bridge_into(middle, length, offset, *densities, rigid=True)
+        steps.append(between(ARCLENGTH, *ends, length, offset, bridge))
     (early, *of_early, cov_early), (late, *of_late, cov_late) = steps
     span = np.interp([0.3], GRID.arclength, GRID.arclength_spans)
     mean = 0.5 * (state.velocity[1] + state.velocity[2])
     rate = (2.0 * mean[2:3] + mean[3:4]) / 3.0
     densities = soft.psd_velocity_time / span, soft.psd_strain_time / span
-    given_ = rate, (*densities, np.zeros(6))
-    expected, j0, j1, cov = between(TIME, early, late, wait, elapsed, *given_)
+    bridge = bridge_into(rate, wait, elapsed, *densities, rigid=False)
+    expected, j0, j1, cov = between(TIME, early, late, wait, elapsed, bridge)
     cov = cov + j0 @ cov_early @ j0.swapaxes(1, 2) + j1 @ cov_late @ j1.swapaxes(1, 2)
     jacobian = np.stack([j0 @ j for j in of_early] + [j1 @ j for j in of_late], axis=2)
 

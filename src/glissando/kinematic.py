@@ -21,7 +21,7 @@ from glissando.prior import by_interval, interval_strain, is_soft, soften
 from glissando.rest import STRAIGHT, RestShape
 from glissando.se3 import Array
 from glissando.state import DOF, POSE, STRAIN, VELOCITY, State, rest_state
-from glissando.steps import ARCLENGTH, TIME, Direction, between, carried_error, pair_error
+from glissando.steps import ARCLENGTH, TIME, Direction, bridged, carried_error, pair_error
 from glissando.transitions import process_covariances
 from glissando.twins import twin
 
@@ -265,14 +265,14 @@ def _along_arclength(
     rate = interval_strain(*ends, s.step, (psd, jump))
     weight = grid.time_spans[k, None]
     densities = psd / weight, carried / weight, jump / weight
-    at, j0, j1, cov = between(ARCLENGTH, start, end, s.step, s.offset, rate, densities)
+    at, j0, j1, cov = bridged(ARCLENGTH, start, end, s.step, s.offset, rate, densities)
     return Interpolation(at, nodes, np.stack([j0, j1], axis=2), cov)
 
 
 def _between_times(
     prior: KinematicPrior, grid: Grid, about: State, points: Points, start: State, end: State
 ) -> tuple[State, Array, Array, Array]:
-    """Between two states at the times of nodes: what `between` gives."""
+    """Between two states at the times of nodes: what `bridged` gives."""
     s, t = points.along, points.through
     velocity, later = about.velocity, t.lower + 1
     if points.inside_arclength:
@@ -284,7 +284,7 @@ def _between_times(
         rate = 0.5 * (velocity[t.lower, s.nearest] + velocity[later, s.nearest])
         span = grid.arclength_spans[s.nearest, None]
     psd, carried, jump = prior.along_time(grid.time[t.lower] + 0.5 * t.step)
-    return between(TIME, start, end, t.step, t.offset, rate, (psd / span, carried / span, jump))
+    return bridged(TIME, start, end, t.step, t.offset, rate, (psd / span, carried / span, jump))
 
 
 def _chain(outer: Array, inner: Array) -> Array:

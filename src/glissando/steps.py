@@ -93,30 +93,20 @@ def carried_error(direction: Direction, start: State, end: State) -> tuple[Array
     return field1 - ridden, j0, j1
 
 
-@twin
 def between(
-    direction: Direction,
-    start: State,
-    end: State,
-    step: Array,
-    offset: Array,
-    about: Array,
-    densities: tuple[Array, Array, Array],
+    direction: Direction, start: State, end: State, step: Array, offset: Array, bridge: Bridge
 ) -> tuple[State, Array, Array, Array]:
     """State at `offset` into a step, its Jacobians (M, 18, 18) at both ends, and bridge covariance.
 
     T(u) = T₀ exp(u rate₀) exp(δ), with [δ; δ_rate] = gain e. The covariance (M, 18, 18) is what
-    stays uncertain when both ends are known, in the body frame. Both come from the rate `about`
-    (M, 6) and the `densities` of the moving field, the carried and a jump at the end (M, 6).
-    Source: equations (2'), (10), (12).
+    stays uncertain when both ends are known, in the body frame. Source: equations (2'), (10), (12).
     """
-    found = bridge(about, step, offset, *densities, rigid=direction.rigid)
-    pose, rate, j0, j1, turn = pair_between(direction, start, end, step, offset, found.gain)
+    pose, rate, j0, j1, turn = pair_between(direction, start, end, step, offset, bridge.gain)
     error, e0, e1 = carried_error(direction, start, end)
-    j0[..., direction.carried, :] = found.carried_gain @ e0
-    j1[..., direction.carried, :] = found.carried_gain @ e1
-    carried = np.einsum("...ij,...j->...i", found.carried_gain, error)
-    cov = _bridge_covariance(direction, found, turn)
+    j0[..., direction.carried, :] = bridge.carried_gain @ e0
+    j1[..., direction.carried, :] = bridge.carried_gain @ e1
+    carried = np.einsum("...ij,...j->...i", bridge.carried_gain, error)
+    cov = _bridge_covariance(direction, bridge, turn)
     field0 = direction.carried_of(start)
     if not direction.rigid:
         j0[..., direction.carried, direction.carried] += np.eye(6)
@@ -130,6 +120,24 @@ def between(
     lean[..., direction.carried, POSE] = se3.ad(ridden)
     cov = lean @ cov @ np.swapaxes(lean, -1, -2)
     return direction.build(pose, rate, ridden + carried), lean @ j0, lean @ j1, cov
+
+
+@twin
+def bridged(
+    direction: Direction,
+    start: State,
+    end: State,
+    step: Array,
+    offset: Array,
+    about: Array,
+    densities: tuple[Array, Array, Array],
+) -> tuple[State, Array, Array, Array]:
+    """What `between` gives with the bridge about a rate (M, 6).
+
+    `densities` are those of the moving field, of the carried, and of a jump at the end (M, 6).
+    """
+    found = bridge(about, step, offset, *densities, rigid=direction.rigid)
+    return between(direction, start, end, step, offset, found)
 
 
 def pair_between(
@@ -159,12 +167,12 @@ def pair_between(
     return start.pose @ ahead @ bend, rate0 + delta[..., 6:], j0, j1, turn
 
 
-def _bridge_covariance(direction: Direction, left: Bridge, turn: Array) -> Array:
+def _bridge_covariance(direction: Direction, bridge: Bridge, turn: Array) -> Array:
     cov = np.zeros((*turn.shape[:-2], DOF, DOF))
-    corner = turn @ left.cov[..., :6, 6:]
-    cov[..., POSE, POSE] = turn @ left.cov[..., :6, :6] @ np.swapaxes(turn, -1, -2)
+    corner = turn @ bridge.cov[..., :6, 6:]
+    cov[..., POSE, POSE] = turn @ bridge.cov[..., :6, :6] @ np.swapaxes(turn, -1, -2)
     cov[..., POSE, direction.rate] = corner
     cov[..., direction.rate, POSE] = np.swapaxes(corner, -1, -2)
-    cov[..., direction.rate, direction.rate] = left.cov[..., 6:, 6:]
-    cov[..., direction.carried, direction.carried] = left.carried_cov
+    cov[..., direction.rate, direction.rate] = bridge.cov[..., 6:, 6:]
+    cov[..., direction.carried, direction.carried] = bridge.carried_cov
     return cov

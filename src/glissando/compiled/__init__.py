@@ -43,7 +43,7 @@ def prepare() -> None:
     bridge(x, one, 0.5 * one, psd, psd, rigid=True)
     ends, densities = np.zeros((1, 2), np.intp), (psd, psd, psd)
     weighted_steps(ARCLENGTH, at, at, ends, one, one, densities)
-    between(ARCLENGTH, at, at, one, 0.5 * one, x, densities)
+    bridged(ARCLENGTH, at, at, one, 0.5 * one, x, densities)
     batch = Factors(
         np.zeros((1, 1), np.intp),
         slice(0, 6),
@@ -195,7 +195,7 @@ def weighted_steps(
     return found[:3], found[3:]
 
 
-def between(
+def bridged(
     direction: Direction,
     start: State,
     end: State,

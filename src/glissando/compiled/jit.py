@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +19,9 @@ def forget_stale() -> None:
     folder = Path(__file__).parent
     newest = max(source.stat().st_mtime for source in folder.glob("*.py"))
     for kept in (folder / "__pycache__").glob("*.nbi"):
-        if kept.stat().st_mtime < newest:
-            kept.unlink(missing_ok=True)
+        with suppress(FileNotFoundError):  # another process drops it at the same time
+            if kept.stat().st_mtime < newest:
+                kept.unlink()
 
 
 forget_stale()
