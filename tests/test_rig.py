@@ -23,6 +23,8 @@ from glissando.sessions import SessionWriter, read_session
 from glissando.simulate import SlidePath, load_bench
 from glissando.simulate.session import simulate_session, write_session
 
+pytestmark = pytest.mark.alone
+
 SETUP = """
 name = "bench"
 robot = "sliding700"

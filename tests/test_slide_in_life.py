@@ -19,6 +19,8 @@ from glissando.errors import DeviceError
 from glissando.simulate.devices import started
 from slide_world import STAGE
 
+pytestmark = pytest.mark.alone
+
 
 class Ear:
     """Listens to the stage's true travel."""
