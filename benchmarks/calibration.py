@@ -17,7 +17,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 import rigs_drawn as rigs
 from glissando import load_robot
-from glissando.calibration import PARAMETERS, calibrate
+from glissando.calibration.rig import PARAMETERS, calibrate
 
 SHOWN = {  # of the parameters: what it is called, 1 / unit, what is asked for
     "tracker delay": ("tracker's delay, ms", 1e3, 2.0),

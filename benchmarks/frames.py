@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from glissando.rig import capture, simulated_rig
-from glissando.rig.capture import LOG
-from glissando.sessions import read_session
-from glissando.simulate import SlideLimits, SlidePath
+from glissando.hardware.capture import capture, simulated_rig
+from glissando.hardware.capture.capture import LOG
+from glissando.io.session_log import read_session
+from glissando.simulation import SlideLimits, SlidePath
 
 
 def gaps_and_frames(folder: Path) -> tuple[list[int], int]:

@@ -16,8 +16,8 @@ from glissando import (
     KinematicPrior,
     SeparablePrior,
     estimate,
-    se3,
 )
+from glissando.geometry import se3
 
 LENGTH, RATE, SCALE = 0.5, 40.0, 2.0
 SHAPE = np.array([0.0, 0.0, 1.0, 1.5, -1.0, 0.5])

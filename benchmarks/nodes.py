@@ -20,9 +20,9 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 import numpy as np
 
 from glissando import NotConvergedWarning, estimate, load_robot
-from glissando.dataset import load_recording
-from glissando.metrics import errors_against, pool
-from glissando.unknowns import corrected
+from glissando.evaluation.metrics import errors_against, pool
+from glissando.io.recording import load_recording
+from glissando.model.sensors.parameters import corrected
 
 DATA = Path("../shared/data/spacetime")
 RECORDING, WINDOW = "fast_contact", (10.0, 20.0)

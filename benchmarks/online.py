@@ -19,9 +19,9 @@ import numpy as np
 
 from estimate import arc
 from glissando import CoilReadings, FixedLag, PoseReadings, load_robot
-from glissando.dataset import load_recording
-from glissando.replay import replay
-from glissando.unknowns import Unknown
+from glissando.evaluation.replay import replay
+from glissando.io.recording import load_recording
+from glissando.model.sensors.parameters import Unknown
 
 # Published for the reference implementation's window of four nodes and its filter: tip RMSE (mm)
 # and milliseconds an update, median and 99 % (one thread of a 2.5 GHz Xeon core).

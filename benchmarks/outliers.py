@@ -18,12 +18,13 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 
 import numpy as np
 
-from glissando import NotConvergedWarning, estimate, load_robot, se3
-from glissando.dataset import load_recording
+from glissando import NotConvergedWarning, estimate, load_robot
 from glissando.errors import GlissandoError
-from glissando.metrics import errors_against, pool
-from glissando.noise import GemanMcClure, Huber
-from glissando.unknowns import corrected
+from glissando.evaluation.metrics import errors_against, pool
+from glissando.geometry import se3
+from glissando.io.recording import load_recording
+from glissando.model.noise import GemanMcClure, Huber
+from glissando.model.sensors.parameters import corrected
 
 DATA = Path("../shared/data/spacetime")
 RECORDING = "fast_contact"

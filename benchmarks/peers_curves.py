@@ -4,8 +4,8 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 from scipy.optimize import least_squares
 
-from glissando import se3
-from glissando.rest import STRAIGHT
+from glissando.geometry import se3
+from glissando.model.priors.rest_shape import STRAIGHT
 
 
 def knots(problem, shape):

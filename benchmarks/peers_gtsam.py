@@ -8,7 +8,7 @@ from itertools import pairwise
 import gtsam
 import numpy as np
 
-from glissando.rest import STRAIGHT
+from glissando.model.priors.rest_shape import STRAIGHT
 from peers_curves import between, knots
 
 SWAP = np.array([3, 4, 5, 0, 1, 2])

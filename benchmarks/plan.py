@@ -17,7 +17,8 @@ import numpy as np
 
 from glissando import BaseVariance, CoilReadings, FixedLag, SeparablePrior, load_robot
 from glissando.errors import PlanWarning
-from glissando.plan import (
+from glissando.io.robot_file import robot_file
+from glissando.planning import (
     Elsewhere,
     Replanner,
     Trace,
@@ -30,9 +31,8 @@ from glissando.plan import (
     sliding_sensor,
     track_of,
 )
-from glissando.plan.slide import starts
-from glissando.robot import robot_file
-from glissando.simulate import load_bench
+from glissando.planning.plan_slide import starts
+from glissando.simulation import load_bench
 from plan_page import number, table, write
 
 LENGTH, HORIZON = 0.7, 10.0

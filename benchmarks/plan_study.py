@@ -21,7 +21,8 @@ import numpy as np
 from scipy.stats import chi2
 
 from glissando import CoilReadings, NotConvergedWarning, estimate, load_robot
-from glissando.plan import (
+from glissando.io.robot_file import robot_file
+from glissando.planning import (
     Trace,
     Zone,
     blind_paths,
@@ -33,8 +34,7 @@ from glissando.plan import (
     plan_slide,
     track_of,
 )
-from glissando.robot import robot_file
-from glissando.simulate import SlidePath, load_bench, simulate_session
+from glissando.simulation import SlidePath, load_bench, simulate_session
 from plan_page import table, write
 
 LASTS, ZONE = 20.0, Zone((0.5, 0.6))

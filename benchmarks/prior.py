@@ -16,10 +16,10 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from glissando.evaluation.metrics import pool
 from glissando.experiments import scenes
 from glissando.experiments.scenes import TUNED_ON
 from glissando.experiments.studies import table_arms
-from glissando.metrics import pool
 
 FACTORS = (0.3, 1.0, 3.0)
 ARMS = ("fixed", "oscillating", "traverse fast")

@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 
 from glissando import load_robot
-from glissando.consistency import check
-from glissando.dataset import load_recording
-from glissando.metrics import pool
-from glissando.report import run_estimate
+from glissando.evaluation.consistency import check
+from glissando.evaluation.metrics import pool
+from glissando.evaluation.run import run_estimate
+from glissando.io.recording import load_recording
 
 DATA = Path("../shared/data/spacetime")
 TRUTH = [f"vicon{i}" for i in range(5)]

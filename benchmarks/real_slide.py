@@ -26,11 +26,12 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 import numpy as np
 from scipy.stats import chi2
 
-from glissando import CoilReadings, NotConvergedWarning, estimate, load_robot, se3
-from glissando.dataset import load_recording
-from glissando.estimate import Options
-from glissando.metrics import Errors, errors_against, pool
-from glissando.unknowns import corrected
+from glissando import CoilReadings, NotConvergedWarning, estimate, load_robot
+from glissando.estimation.batch import Options
+from glissando.evaluation.metrics import Errors, errors_against, pool
+from glissando.geometry import se3
+from glissando.io.recording import load_recording
+from glissando.model.sensors.parameters import corrected
 
 DATA = Path("../shared/data/spacetime")
 WINDOWS = [("slow_free_space", (19.0, 45.0)), ("fast_contact", (10.0, 30.0))]

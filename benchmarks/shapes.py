@@ -15,13 +15,14 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from glissando import CoilReadings, Grid, PositionReadings, estimate, se3
+from glissando import CoilReadings, Grid, PositionReadings, estimate
+from glissando.calibration.robot.hyperparameters import expanded, learnable
+from glissando.calibration.robot.learn import learn
 from glissando.errors import GlissandoError
-from glissando.learn import learn
-from glissando.metrics import errors_against
-from glissando.parameters import expanded, learnable
-from glissando.robot import parse_robot
-from glissando.tables import Table
+from glissando.evaluation.metrics import errors_against
+from glissando.geometry import se3
+from glissando.io.robot_file import parse_robot
+from glissando.io.toml_table import Table
 from sorosim import FILE
 
 TUNED_ON = range(0, 250, 2)  # every second of shapes 1 to 250 of the file

@@ -13,8 +13,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from glissando.robot import robot_file
-from glissando.simulate import Loads, SlidePath, Wrench, load_bench, simulate_session, solve_shape
+from glissando.io.robot_file import robot_file
+from glissando.simulation import Loads, SlidePath, Wrench, load_bench, simulate_session, solve_shape
 
 
 def shapes(count, friction, seed=0):

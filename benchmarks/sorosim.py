@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from glissando.simulate import Loads, Rod, Wrench, solve_shape
+from glissando.simulation import Loads, Rod, Wrench, solve_shape
 
 FILE = Path("../shared/data/sorosim/spring_steel_statics.csv")
 

@@ -16,10 +16,10 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 
 import numpy as np
 
-from glissando.study.cell import outcome
-from glissando.study.plan import Study
-from glissando.study.run import cluster, run_cells
-from glissando.study.store import Store
+from glissando.experiments.study.cell import outcome
+from glissando.experiments.study.plan import Study
+from glissando.experiments.study.run import cluster, run_cells
+from glissando.experiments.study.store import Store
 
 
 def loop(cells):

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from glissando import se3
-from glissando.streams import Rows, write_named
+from glissando.geometry import se3
+from glissando.io.csv_stream import Rows, write_named
 
 LENGTH, DURATION, STROKE, PERIOD = 0.466, 8.0, 0.06, 5.0
 COIL_STD, GYRO_STD = np.array([7e-4, 7e-4, 7e-4, 6e-3, 6e-3]), np.full(3, 2e-3)

@@ -7,10 +7,11 @@ import sys
 
 import numpy as np
 
-from glissando import CoilReadings, FixedLag, load_robot, se3
-from glissando.plan import Replanner, Zone, sliding_sensor, track_of
-from glissando.robot import robot_file
-from glissando.simulate import SlidePath, load_bench
+from glissando import CoilReadings, FixedLag, load_robot
+from glissando.geometry import se3
+from glissando.io.robot_file import robot_file
+from glissando.planning import Replanner, Zone, sliding_sensor, track_of
+from glissando.simulation import SlidePath, load_bench
 
 robot, bench = load_robot("sliding700"), load_bench(robot_file("sliding700"))
 lasts = float(sys.argv[1]) if len(sys.argv) > 1 else 20.0

@@ -12,12 +12,12 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from glissando import CoilReadings, FixedLag, load_robot
-from glissando.drivers import Aurora, Slide
-from glissando.plan import Elsewhere, Moving, Replanner, Zone, sliding_sensor, track_of
-from glissando.plan.replan import Route
-from glissando.rig.simulated import simulated_rig
-from glissando.robot import robot_file
-from glissando.simulate import load_bench
+from glissando.hardware.capture.simulated import simulated_rig
+from glissando.hardware.drivers import Aurora, Slide
+from glissando.io.robot_file import robot_file
+from glissando.planning import Elsewhere, Moving, Replanner, Zone, sliding_sensor, track_of
+from glissando.planning.replan import Route
+from glissando.simulation import load_bench
 
 TICK, STREAMED, TIP = 0.25, 0.3, 0.7  # s between updates; s that a path is settled ahead; m
 

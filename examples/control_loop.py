@@ -4,7 +4,8 @@ import sys
 
 import numpy as np
 
-from glissando import CoilReadings, FixedLag, load_robot, se3
+from glissando import CoilReadings, FixedLag, load_robot
+from glissando.geometry import se3
 
 robot = load_robot("tdcr466")
 smoother = FixedLag(robot.prior, robot.arclength_nodes, window=4)

@@ -5,9 +5,9 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from glissando.simulate.devices import started
-from glissando.simulate.devices.scene import Coil, Scene
-from glissando.simulate.imperfections import Imperfections
+from glissando.hardware.simulated_devices import started
+from glissando.hardware.simulated_devices.scene import Coil, Scene
+from glissando.simulation.imperfections import Imperfections
 
 SPEED = 0.02  # m/s at which everything moves along the tracker's x
 QUIET = Imperfections(roll="minimal").without("jitter", "bias")

@@ -4,9 +4,9 @@ import numpy as np
 from hypothesis import settings
 from hypothesis import strategies as st
 
-from glissando import se3
-from glissando.kinematic import BaseDensity, KinematicPrior
-from glissando.state import State
+from glissando.geometry import se3
+from glissando.model.priors.white_noise import BaseDensity, KinematicPrior
+from glissando.model.state import State
 
 law = settings(deadline=None, derandomize=True, max_examples=50)
 generators = st.integers(0, 2**32 - 1).map(np.random.default_rng)

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from glissando import se3
-from glissando.robot import robot_file
-from glissando.tables import read_document
+from glissando.geometry import se3
+from glissando.io.robot_file import robot_file
+from glissando.io.toml_table import read_document
 from scenes import arc
 
 NOISE = np.r_[2e-3, 2e-3, 2e-3, 1e-2, 1e-2, 1e-2]

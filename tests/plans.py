@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from glissando import BaseVariance, SeparablePrior, load_robot
-from glissando.plan import Track, Zone, foresee, sliding_sensor
+from glissando.planning import Track, Zone, foresee, sliding_sensor
 
 LENGTH = 0.7
 KINEMATIC = replace(load_robot("sliding700"), arclength_nodes=np.linspace(0.0, LENGTH, 5))

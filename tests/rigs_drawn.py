@@ -6,14 +6,14 @@ from functools import cache
 
 import numpy as np
 
-from glissando import se3
-from glissando.calibration import Body, Noise, Rig, RigData, calibrate
-from glissando.calibration.refine import apart
-from glissando.robot import load_robot, robot_file
-from glissando.sessions import INTEGER, NUMBER, SessionWriter, numbers, schema
-from glissando.simulate import SlidePath, Tendon
-from glissando.simulate.bench import Actuation, load_bench
-from glissando.simulate.tracker import coil_rows, mocap_rows
+from glissando.calibration.rig import Body, Noise, Rig, RigData, calibrate
+from glissando.calibration.rig.refine import apart
+from glissando.geometry import se3
+from glissando.io.robot_file import load_robot, robot_file
+from glissando.io.session_log import INTEGER, NUMBER, SessionWriter, numbers, schema
+from glissando.simulation import SlidePath, Tendon
+from glissando.simulation.bench import Actuation, load_bench
+from glissando.simulation.tracker import coil_rows, mocap_rows
 
 DURATION, LONGER = 15.0, 45.0  # s; of a session as docs/calibration.md asks for
 CLEAN = {"mocap": 1.5e-4, "mocap_angle": 1.5e-3, "registration": 0.0, "registration_angle": 0.0}

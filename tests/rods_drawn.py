@@ -4,13 +4,7 @@ import numpy as np
 from hypothesis import settings
 
 from draws import directions, law, poses, sixes
-from glissando.simulate import (
-    Loads,
-    Rod,
-    Tendon,
-    Wrench,
-    solve_shape,
-)
+from glissando.simulation import Loads, Rod, Tendon, Wrench, solve_shape
 from oracles import rods
 
 LOADS = ("parallel", "helical", "gravity", "tip", "middle")

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from glissando import CoilReadings, GyroReadings, PoseReadings, load_robot, se3, uniform_grid
+from glissando import CoilReadings, GyroReadings, PoseReadings, load_robot, uniform_grid
+from glissando.geometry import se3
 
 LENGTH = 0.466
 

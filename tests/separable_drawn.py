@@ -3,8 +3,8 @@
 import numpy as np
 from scipy.linalg import expm
 
-from glissando import se3
-from glissando.transitions import process_covariances
+from glissando.geometry import se3
+from glissando.model.priors.transitions import process_covariances
 
 
 def draw_motion(

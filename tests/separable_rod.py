@@ -12,7 +12,7 @@ import pytest
 
 from draws import motion, sixes
 from glissando import Grid
-from glissando.separable import BaseVariance, SeparablePrior
+from glissando.model.priors.separable import BaseVariance, SeparablePrior
 
 GRID = Grid([0.0, 0.1, 0.25, 0.4], [0.0, 0.1, 0.25])
 NODES = 12

@@ -1,7 +1,7 @@
 """A host of the simulated servo that is never wrong, with a clock of its own."""
 
-from glissando.simulate.devices.dynamixel import ALERT, Bus, Do, crc16, packed
-from glissando.simulate.devices.xl430 import Xl430
+from glissando.hardware.simulated_devices.dynamixel import ALERT, Bus, Do, crc16, packed
+from glissando.hardware.simulated_devices.xl430 import Xl430
 
 
 def words(*pairs):

@@ -9,11 +9,11 @@ from unittest import mock
 
 from dynamixel_sdk import PacketHandler
 
-from glissando.drivers import dynamixel, homing, slide
-from glissando.simulate.devices.screw import Screw
-from glissando.simulate.devices.servo import Stage as Simulated
-from glissando.simulate.devices.servo_faults import Faults, Line
-from glissando.simulate.devices.xl430 import Xl430
+from glissando.hardware.drivers import dynamixel, homing, slide
+from glissando.hardware.simulated_devices.screw import Screw
+from glissando.hardware.simulated_devices.servo import Stage as Simulated
+from glissando.hardware.simulated_devices.servo_faults import Faults, Line
+from glissando.hardware.simulated_devices.xl430 import Xl430
 
 _SENDING, _WAITING = 0.0015, 0.001  # s
 

@@ -1,7 +1,7 @@
 """A stage to drive in a world without waiting, and worlds that meddle and interrupt."""
 
-from glissando.drivers import Slide, Stage
-from glissando.simulate.devices.dynamixel import Do
+from glissando.hardware.drivers import Slide, Stage
+from glissando.hardware.simulated_devices.dynamixel import Do
 from servo_world import World
 
 STAGE = Stage(lead=0.0254, stroke=(0.0, 0.06), home=-0.002)

@@ -6,7 +6,7 @@ import pytest
 from PIL import Image
 
 from glissando import GlissandoError, Grid, PoseReadings, PositionReadings, estimate
-from glissando.animation import film, frames_at, save_animation
+from glissando.visualization.film import film, frames_at, save_animation
 from scenes import LENGTH, arc, sliding_scene
 
 SMALL = {"seconds": 0.5, "rate": 6.0, "width": 200}  # three frames

@@ -15,12 +15,11 @@ import serial
 from sksurgerynditracker.nditracker import NDITracker
 
 from aurora_bench import SPEED, simulated, tell_tale, told_time
-from glissando.drivers import Aurora, aurora
-from glissando.drivers.link import Link, LostError, SilentError
-from glissando.errors import DeviceError
-from glissando.simulate.devices import started
-from glissando.simulate.devices.travel import MESSAGE
-from glissando.simulate.rod import SimulationError
+from glissando.errors import DeviceError, SimulationError
+from glissando.hardware.drivers import Aurora, aurora
+from glissando.hardware.drivers.link import Link, LostError, SilentError
+from glissando.hardware.simulated_devices import started
+from glissando.hardware.simulated_devices.travel import MESSAGE
 
 FAST = ("--rate", "200")
 

@@ -8,15 +8,15 @@ from hypothesis import given
 
 from aurora_bench import QUIET, SPEED, tell_tale
 from draws import generators, law, sixes
-from glissando import se3
-from glissando.drivers.aurora_protocol import frame_command, parse_bx, parse_tx
-from glissando.simulate.devices.aurora_device import Device, Nature
-from glissando.simulate.devices.faults import Dice, Faults
-from glissando.simulate.devices.scene import Coil, Scene
-from glissando.simulate.devices.sensing import Sensing
-from glissando.simulate.devices.travel import MESSAGE, Travel
-from glissando.simulate.imperfections import Imperfections
-from glissando.simulate.rod import SimulationError
+from glissando.errors import SimulationError
+from glissando.geometry import se3
+from glissando.hardware.drivers.aurora_protocol import frame_command, parse_bx, parse_tx
+from glissando.hardware.simulated_devices.aurora_device import Device, Nature
+from glissando.hardware.simulated_devices.faults import Dice, Faults
+from glissando.hardware.simulated_devices.scene import Coil, Scene
+from glissando.hardware.simulated_devices.sensing import Sensing
+from glissando.hardware.simulated_devices.travel import MESSAGE, Travel
+from glissando.simulation.imperfections import Imperfections
 
 
 def device(faults="", scene=None, seed=0, **nature):

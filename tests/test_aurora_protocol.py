@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from draws import generators, law
-from glissando.drivers.aurora_protocol import (
+from glissando.hardware.drivers.aurora_protocol import (
     bx_length,
     crc16,
     frame_command,
@@ -17,8 +17,14 @@ from glissando.drivers.aurora_protocol import (
     parse_handles,
     parse_tx,
 )
-from glissando.drivers.aurora_reply import ERRORS, GarbledError, RefusedError
-from glissando.simulate.devices.aurora_wire import Told, bx_reply, crc, text_reply, tx_reply
+from glissando.hardware.drivers.aurora_reply import ERRORS, GarbledError, RefusedError
+from glissando.hardware.simulated_devices.aurora_wire import (
+    Told,
+    bx_reply,
+    crc,
+    text_reply,
+    tx_reply,
+)
 
 A_REPORT = 15  # mutated replies of each report
 many = settings(law, max_examples=200)  # with four tests, 12,000 of them

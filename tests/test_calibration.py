@@ -9,8 +9,8 @@ from scipy.stats import chi2
 
 import rigs_drawn as rigs
 from glissando import RecordingError
-from glissando.calibration import PARAMETERS, calibrate
-from glissando.calibration.refine import apart
+from glissando.calibration.rig import PARAMETERS, calibrate
+from glissando.calibration.rig.refine import apart
 
 SURE = 1e-3  # chance that a true law fails, each side
 SEEDS = 5

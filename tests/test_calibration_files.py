@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 import rigs_drawn as rigs
-from glissando import GlissandoError, load_robot, se3
-from glissando.calibration import PARAMETERS, apply, load_calibration, rig_data
-from glissando.calibration.refine import apart
-from glissando.cli import main
-from glissando.robot import parse_robot, robot_file
-from glissando.sessions import read_session
-from glissando.tables import Table
+from glissando import GlissandoError, load_robot
+from glissando.calibration.rig import PARAMETERS, apply, load_calibration, rig_data
+from glissando.calibration.rig.refine import apart
+from glissando.cli.main import main
+from glissando.geometry import se3
+from glissando.io.robot_file import parse_robot, robot_file
+from glissando.io.session_log import read_session
+from glissando.io.toml_table import Table
 
 
 def test_what_is_saved_comes_back_and_serves_a_robot_file(tmp_path):

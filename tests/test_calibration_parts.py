@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 
 import rigs_drawn as rigs
-from glissando import se3
-from glissando.calibration import PARAMETERS, Rig
-from glissando.calibration.calibrate import LATEST, _either_way
-from glissando.calibration.model import Model
-from glissando.calibration.rig import side
-from glissando.calibration.rough import registration, slide_lag
-from glissando.calibration.shape import _moves, shape_covariance, shape_of
-from glissando.points import sort_points
-from glissando.posterior import Posterior
-from glissando.slabs import factor
+from glissando.calibration.rig import PARAMETERS, Rig
+from glissando.calibration.rig.calibrate import LATEST, _either_way
+from glissando.calibration.rig.model import Model
+from glissando.calibration.rig.rig import side
+from glissando.calibration.rig.rough import registration, slide_lag
+from glissando.calibration.rig.shape import _moves, shape_covariance, shape_of
+from glissando.estimation.posterior import Posterior
+from glissando.geometry import se3
+from glissando.model.interpolation import sort_points
+from glissando.solver.block_tridiagonal import factor
 
 ROBOT = rigs.robot(2.0)
 

@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from glissando import cli
-from glissando.consistency import LEVELS, Consistency, check, effective_samples
-from glissando.metrics import Errors
+from glissando.cli.main import main
+from glissando.evaluation.consistency import LEVELS, Consistency, check, effective_samples
+from glissando.evaluation.metrics import Errors
 
 
 def series(rng, count, rho, scale=1.0):
@@ -74,12 +74,12 @@ def test_sites_are_judged_alone_and_together_and_what_is_missing_is_left_out():
 def recording(tmp_path_factory):
     folder = tmp_path_factory.mktemp("check") / "C"
     options = ["--shape", "C", "--slide", "oscillate", "--cycles", "1"]
-    assert cli.main(["simulate", *options, "--out", str(folder)]) == 0
+    assert main(["simulate", *options, "--out", str(folder)]) == 0
     return folder
 
 
 def run(*arguments):
-    return cli.main([str(a) for a in arguments])
+    return main([str(a) for a in arguments])
 
 
 def test_a_recording_and_its_saved_posterior_are_judged_alike(recording, tmp_path, capsys):

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from glissando import cli
+from glissando.cli.main import main
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "closed_form_motion.py"
 
@@ -20,7 +20,7 @@ def recording(tmp_path_factory):
 
 
 def run(*arguments):
-    return cli.main([str(a) for a in arguments])
+    return main([str(a) for a in arguments])
 
 
 def test_a_recording_becomes_a_table_a_report_a_posterior_and_figures(recording, tmp_path, capsys):
@@ -163,7 +163,7 @@ def test_a_missing_recording_is_one_sentence(tmp_path, capsys):
 def test_nothing_that_fixes_the_base_exits_2(recording, tmp_path, capsys):
     from importlib.resources import files
 
-    text = (files("glissando") / "robots" / "tdcr466.toml").read_text()
+    text = (files("glissando") / "io" / "robots" / "tdcr466.toml").read_text()
     start, end = text.index("[base]"), text.index("[prior]")
     robot = tmp_path / "free.toml"
     robot.write_text(text[:start] + text[end:])
@@ -173,11 +173,13 @@ def test_nothing_that_fixes_the_base_exits_2(recording, tmp_path, capsys):
 
 
 def test_not_converging_exits_1_and_says_what_to_try(recording, capsys, monkeypatch):
-    from glissando import Options, report
+    from glissando import Options, evaluation
 
-    original = report.estimate
+    original = evaluation.run.estimate
     monkeypatch.setattr(
-        report, "estimate", lambda *a, **k: original(*a, **k, options=Options(max_iterations=1))
+        evaluation.run,
+        "estimate",
+        lambda *a, **k: original(*a, **k, options=Options(max_iterations=1)),
     )
     assert run("estimate", recording, "--window", 0, 1) == 1
     assert "not converged: 1 iterations" in capsys.readouterr().err.replace("\n", " ")
@@ -186,7 +188,7 @@ def test_not_converging_exits_1_and_says_what_to_try(recording, capsys, monkeypa
 def test_help_teaches(capsys):
     for arguments in (["--help"], ["estimate", "--help"]):
         with pytest.raises(SystemExit) as stopped:
-            cli.main(arguments)
+            main(arguments)
         assert stopped.value.code == 0
     assert "examples:" in capsys.readouterr().out
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 
 from draws import generators, law
-from glissando.drivers.clock import ClockFit
+from glissando.hardware.drivers.clock import ClockFit
 
 PERIOD = 0.025
 DELAYS = {

@@ -9,14 +9,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from glissando import compiled, se3
-from glissando.chains import Chains
-from glissando.linear import Factors, Residuals
-from glissando.noise import GemanMcClure
-from glissando.state import State
-from glissando.steps import ARCLENGTH, TIME
-from glissando.sweep import Layout
-from glissando.transitions import Bridge
+from glissando._kernels import glue as _kernels
+from glissando.estimation.interval_system import Layout
+from glissando.geometry import se3
+from glissando.model.factors import Factors, Residuals
+from glissando.model.noise import GemanMcClure
+from glissando.model.priors.steps import ARCLENGTH, TIME
+from glissando.model.priors.transitions import Bridge
+from glissando.model.state import State
+from glissando.solver.block_tridiagonal_batch import Chains
 from glissando.twins import TWINS
 
 SHAPES = [(), (1,), (5,), (2, 3), (0,)]
@@ -196,21 +197,21 @@ def test_every_twin_is_tested_here():
 def test_a_compiled_function_agrees_with_its_definition(name, lead):
     for seed in range(10):
         given_, options = ARGUMENTS[name](np.random.default_rng(seed), lead)
-        same(getattr(compiled, name)(*given_, **options), TWINS[name](*given_, **options))
+        same(getattr(_kernels, name)(*given_, **options), TWINS[name](*given_, **options))
 
 
 @given(st.sampled_from([n for n in ARGUMENTS if n in vars(se3)]), st.integers(0, 2**32 - 1))
 @settings(max_examples=150, deadline=None)
 def test_motions_agree_at_any_angle(name, seed):
     given_, _ = ARGUMENTS[name](np.random.default_rng(seed), (3,))
-    same(getattr(compiled, name)(*given_), TWINS[name](*given_))
+    same(getattr(_kernels, name)(*given_), TWINS[name](*given_))
 
 
 @pytest.mark.parametrize("name", ["sqrt_information", "pair_sqrt_information"])
 def test_both_refuse_what_is_no_covariance(name):
     cov = np.broadcast_to(np.eye(12), (2, 12, 12)).copy()
     cov[1, 0, 0] = -1.0
-    for function in (TWINS[name], getattr(compiled, name)):
+    for function in (TWINS[name], getattr(_kernels, name)):
         with pytest.raises(np.linalg.LinAlgError):
             function(cov)
 
@@ -240,7 +241,7 @@ def test_sums_over_intervals_agree(count, extras):
     layout = Layout(4, 18, 5)
     for batch in batches(rng, layout, count, extras):
         sums = []
-        for function in (TWINS["add_factors"], compiled.add_factors):
+        for function in (TWINS["add_factors"], _kernels.add_factors):
             blocks = np.zeros((count, 2 * layout.size, 2 * layout.size))
             pulls = np.zeros((count, 2 * layout.size))
             function(batch, layout, blocks, pulls)
@@ -255,7 +256,7 @@ def test_factors_spread_out_agree(count, extras):
     layout = Layout(4, 18, 5)
     for batch in batches(rng, layout, count, extras):
         given_ = batch, layout, count
-        same(compiled.spread_out(*given_), TWINS["spread_out"](*given_))
+        same(_kernels.spread_out(*given_), TWINS["spread_out"](*given_))
 
 
 @pytest.mark.parametrize("count", [1, 3])
@@ -264,7 +265,7 @@ def test_sums_over_neighbours_agree(count):
     layout = Layout(4, 18, 0)
     for batch in batches(rng, layout, count, extras=False):
         sums = []
-        for function in (TWINS["add_to_neighbours"], compiled.add_to_neighbours):
+        for function in (TWINS["add_to_neighbours"], _kernels.add_to_neighbours):
             blocks = tuple(np.zeros((count - k, 4, 18, 18)) for k in (0, 0, 1, 1, 1))
             right = np.zeros((4 * count, 18))
             function(batch, layout.nodes, blocks, right)
@@ -295,5 +296,7 @@ def test_compiled_functions_are_used_while_something_is_estimated_if_wanted(want
 
 
 def test_simulated_devices_do_not_wait_for_numba():
-    code = "import sys\nimport glissando.simulate.devices\nassert 'numba' not in sys.modules"
+    code = (
+        "import sys\nimport glissando.hardware.simulated_devices\nassert 'numba' not in sys.modules"
+    )
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -18,10 +18,10 @@ from glissando import (
     PoseReadings,
     State,
     estimate,
-    se3,
 )
-from glissando.state import DOF
-from glissando.transitions import process_covariances
+from glissando.geometry import se3
+from glissando.model.priors.transitions import process_covariances
+from glissando.model.state import DOF
 
 LENGTH, FINE, TRIALS = 0.5, 40, 200
 PSD_STRAIN = np.array([1e-5, 1e-5, 1e-5, 2.0, 2.0, 0.5])

@@ -9,8 +9,9 @@ from importlib.metadata import version
 import numpy as np
 import pytest
 
-from glissando import cli, system
-from glissando.commands.doctor import told
+from glissando.cli.doctor import told
+from glissando.cli.main import main
+from glissando.evaluation import environment
 
 PORT = {
     "device": "/dev/ttyUSB0",
@@ -34,7 +35,7 @@ def found(**changes):
 
 
 def test_json_is_one_object_with_everything(capsys):
-    assert cli.main(["doctor", "--json"]) == 0
+    assert main(["doctor", "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
     assert set(printed) == set(found())
     assert printed["versions"]["numpy"] == np.__version__
@@ -46,7 +47,7 @@ def test_json_is_one_object_with_everything(capsys):
 
 
 def test_text_says_the_same_and_ends_with_0(capsys):
-    assert cli.main(["doctor"]) == 0
+    assert main(["doctor"]) == 0
     printed = capsys.readouterr().out
     assert f"numpy {np.__version__}" in printed
     assert "serial devices" in printed or "/dev/" in printed
@@ -59,17 +60,19 @@ def test_a_missing_package_is_told_with_the_extra_that_brings_it(monkeypatch):
         "no-such-test; platform_system != 'Windows' and extra == 'test'",
         'glissando[view]; extra == "all"',
     ]
-    monkeypatch.setattr(system, "requires", lambda name: stated)
-    assert system.optional() == [{"package": "no-such-thing", "version": None, "extra": "view"}]
-    lines = told(found(optional=system.optional()))
+    monkeypatch.setattr(environment, "requires", lambda name: stated)
+    assert environment.optional() == [
+        {"package": "no-such-thing", "version": None, "extra": "view"}
+    ]
+    lines = told(found(optional=environment.optional()))
     assert any("no-such-thing (view): missing: pip install 'glissando\\[view]'" in x for x in lines)
 
 
 def test_the_latency_timer_is_read_where_linux_states_one(tmp_path):
     (tmp_path / "ttyUSB0").mkdir()
     (tmp_path / "ttyUSB0" / "latency_timer").write_text("16\n")
-    assert system.latency_ms("/dev/ttyUSB0", tmp_path) == 16
-    assert system.latency_ms("/dev/ttyS0", tmp_path) is None
+    assert environment.latency_ms("/dev/ttyUSB0", tmp_path) == 16
+    assert environment.latency_ms("/dev/ttyS0", tmp_path) is None
 
 
 @pytest.mark.parametrize(
@@ -90,7 +93,7 @@ def test_a_port_that_would_not_do_is_told_with_what_to_do(changes, advice):
 
 def test_without_pyserial_devices_are_unknown_not_none(monkeypatch):
     monkeypatch.setitem(sys.modules, "serial.tools.list_ports", None)
-    assert system.serial_devices() is None
+    assert environment.serial_devices() is None
     assert "unknown, pyserial is missing" in told(found(serial=None))[-1]
     assert told(found())[-1] == "serial devices: none"
 
@@ -120,18 +123,18 @@ def completed(script, *words):
 )
 def test_bash_completes_commands_options_and_robots(capsys, words, offered):
     with pytest.raises(SystemExit) as ended:
-        cli.main(["--print-completion", "bash"])
+        main(["--print-completion", "bash"])
     assert ended.value.code == 0
     assert completed(capsys.readouterr().out, *words) == offered
 
 
 def test_zsh_reads_it_through_its_emulation_of_bash(capsys):
     with pytest.raises(SystemExit):
-        cli.main(["--print-completion", "zsh"])
+        main(["--print-completion", "zsh"])
     script = capsys.readouterr().out
     assert "bashcompinit && bashcompinit\n_glissando() {" in script
     if shutil.which("zsh"):
         subprocess.run(["zsh", "-fc", script], check=True)
     with pytest.raises(SystemExit) as ended:
-        cli.main(["--print-completion", "fish"])
+        main(["--print-completion", "fish"])
     assert ended.value.code == 2

@@ -17,9 +17,9 @@ from glissando import (
     UnobservableError,
     estimate,
     load_robot,
-    se3,
     uniform_grid,
 )
+from glissando.geometry import se3
 from scenes import LENGTH, arc, sliding_scene
 
 TIGHT = Options(tolerance=1e-5, max_iterations=200)

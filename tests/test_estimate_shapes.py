@@ -24,13 +24,13 @@ from glissando import (
     estimate,
     estimate_shapes,
     load_robot,
-    se3,
 )
-from glissando import shapes as method
-from glissando.chains import factor_chains
-from glissando.estimate import Options
-from glissando.metrics import errors_against
-from glissando.rest import STRAIGHT
+from glissando.estimation import static as method
+from glissando.estimation.batch import Options
+from glissando.evaluation.metrics import errors_against
+from glissando.geometry import se3
+from glissando.model.priors.rest_shape import STRAIGHT
+from glissando.solver.block_tridiagonal_batch import factor_chains
 
 EXACT = Options(tolerance=1e-4)
 PRIORS = {

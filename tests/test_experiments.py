@@ -6,13 +6,13 @@ import os
 import numpy as np
 import pytest
 
-from glissando import cli
+from glissando.cli.main import main
 from glissando.experiments import scenes, trials
 from glissando.experiments.claims import Claim, ClaimsError, Verdict, judge, load_claims
 from glissando.experiments.confidence import nearest_minimum
 from glissando.experiments.scenes import REPORTED_ON, TUNED_ON, Scene
 from glissando.experiments.trials import run_trials, summary
-from glissando.robot import load_robot
+from glissando.io.robot_file import load_robot
 
 BODY = np.linspace(0.0, 0.7, 701)
 
@@ -101,7 +101,7 @@ def test_claims_of_the_paper_are_all_there():
 def test_a_file_of_claims_that_cannot_be_is_one_sentence(tmp_path, capsys, text, sentence):
     (tmp_path / "claims.toml").write_text(text)
     options = ["--claims", str(tmp_path / "claims.toml"), "--out", str(tmp_path / "out")]
-    assert cli.main(["reproduce", *options]) == 2
+    assert main(["reproduce", *options]) == 2
     assert sentence in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
@@ -124,7 +124,7 @@ def test_the_same_seeds_give_the_same_numbers_on_one_core_and_on_two(monkeypatch
 
 @pytest.mark.slow
 def test_the_quick_run_computes_judges_and_draws_every_claim(tmp_path, capsys):
-    assert cli.main(["reproduce", "--quick", "--out", str(tmp_path)]) == 0
+    assert main(["reproduce", "--quick", "--out", str(tmp_path)]) == 0
     printed = capsys.readouterr().out
     assert "FAILS" not in printed
     record = json.loads((tmp_path / "results.json").read_text())
@@ -144,7 +144,7 @@ def test_a_claim_that_fails_ends_with_status_1(tmp_path, capsys, monkeypatch):
 
     failing = Verdict(claim(), "3.0", 3.0, "FAILS")
     monkeypatch.setattr(run, "reproduce", lambda *_, **__: ([failing], []))
-    assert cli.main(["reproduce", "--out", str(tmp_path)]) == 1
+    assert main(["reproduce", "--out", str(tmp_path)]) == 1
     assert "FAILS" in capsys.readouterr().out
 
 

@@ -7,11 +7,12 @@ import pytest
 from mcap.reader import make_reader
 from scipy.spatial.transform import Rotation
 
-from glissando import Posterior, cli, estimate
+from glissando import Posterior, estimate
+from glissando.cli.main import main
 from glissando.errors import GlissandoError, OutsideGridError
-from glissando.interchange import export
-from glissando.interchange.trajectories import SCHEMAS
-from glissando.report import QUERY_COLUMNS
+from glissando.evaluation.run import QUERY_COLUMNS
+from glissando.io.foreign import export
+from glissando.io.foreign.trajectories import SCHEMAS
 from scenes import LENGTH, sliding_scene
 
 
@@ -124,8 +125,8 @@ def test_the_command_exports_what_estimate_saved(posterior, tmp_path, capsys):
     saved, out = tmp_path / "posterior.nc", tmp_path / "out" / "tip.tum"
     posterior.save(saved)
     arguments = ["export", str(saved), "--out", str(out), "--arclength", "0.466", "--rate", "10"]
-    assert cli.main(arguments) == 0
+    assert main(arguments) == 0
     assert "11 times" in capsys.readouterr().out
     assert np.loadtxt(out).shape == (11, 8)
-    assert cli.main([*arguments[:-3], "tip", "--rate", "10"]) == 2
+    assert main([*arguments[:-3], "tip", "--rate", "10"]) == 2
     assert "--arclength 'tip' is not a number" in capsys.readouterr().err

@@ -4,14 +4,15 @@ import numpy as np
 import pytest
 
 from draws import motion, prior
-from glissando import placed, se3
-from glissando.factors import PlacedReadings, linearize
-from glissando.grid import Grid
-from glissando.noise import GemanMcClure, Huber
-from glissando.sensors import CoilReadings, GyroReadings, PositionReadings
-from glissando.slabs import factor
-from glissando.state import DOF
-from glissando.sums import slab_shape
+from glissando.geometry import se3
+from glissando.model.grid import Grid
+from glissando.model.noise import GemanMcClure, Huber
+from glissando.model.sensors.sensors import CoilReadings, GyroReadings, PositionReadings
+from glissando.model.state import DOF
+from glissando.solver import measurement_factors
+from glissando.solver.block_tridiagonal import factor
+from glissando.solver.linearize import PlacedReadings, linearize
+from glissando.solver.normal_equations import slab_shape
 from oracles import dense
 
 GRID = Grid([0.0, 0.1, 0.25, 0.4], [0.0, 0.1, 0.25, 0.3])
@@ -125,7 +126,7 @@ def test_readings_of_nothing_are_nothing():
 def test_how_time_is_cut_into_blocks_does_not_matter(monkeypatch, most):
     readings = scattered(np.random.default_rng(70), 30)
     whole = equations(readings)
-    monkeypatch.setattr(placed, "_FACTORS", most)
+    monkeypatch.setattr(measurement_factors, "_FACTORS", most)
     assert len(PlacedReadings(GRID, readings).blocks) > 1
     same(equations(readings), whole)
 

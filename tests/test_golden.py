@@ -9,9 +9,9 @@ import csv
 import numpy as np
 import pytest
 
-from glissando import se3
-from glissando.dataset import load_recording
-from glissando.report import run_estimate
+from glissando.evaluation.run import run_estimate
+from glissando.geometry import se3
+from glissando.io.recording import load_recording
 from oracles import published
 
 WINDOW = (19.0, 29.0)

@@ -5,8 +5,8 @@ from hypothesis import strategies as st
 
 from draws import generators, law
 from glissando.errors import OutsideGridError
-from glissando.grid import Grid, uniform_grid
-from glissando.points import sort_points
+from glissando.model.grid import Grid, uniform_grid
+from glissando.model.interpolation import sort_points
 
 GRID = Grid([0.0, 0.1, 0.25, 0.4], [1.0, 1.1, 1.25])
 

@@ -5,9 +5,10 @@ import pytest
 
 gtsam_wnoa = pytest.importorskip("oracles.gtsam_wnoa")
 
-from glissando import State, se3  # noqa: E402
-from glissando.steps import ARCLENGTH, between, pair_error  # noqa: E402
-from glissando.transitions import bridge, process_covariances  # noqa: E402
+from glissando import State  # noqa: E402
+from glissando.geometry import se3  # noqa: E402
+from glissando.model.priors.steps import ARCLENGTH, between, pair_error  # noqa: E402
+from glissando.model.priors.transitions import bridge, process_covariances  # noqa: E402
 
 
 def random_step(rng, scale, h):

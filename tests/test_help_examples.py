@@ -10,16 +10,16 @@ from pathlib import Path
 
 import pytest
 
-from glissando import cli
-from glissando.dataset import load_recording
-from glissando.report import run_estimate
-from glissando.robot import robot_file
-from glissando.simulate import SlidePath, load_bench, simulate_session, write_session
+from glissando.cli.main import build_parser, main
+from glissando.evaluation.run import run_estimate
+from glissando.io.recording import load_recording
+from glissando.io.robot_file import robot_file
+from glissando.simulation import SlidePath, load_bench, simulate_session, write_session
 
 
 def commands():
     """Parsers by the names of their commands."""
-    parser = cli.build_parser()
+    parser = build_parser()
     (sub,) = (a for a in parser._actions if isinstance(a, argparse._SubParsersAction))
     return sub.choices
 
@@ -91,7 +91,7 @@ def test_every_example_can_be_typed(name, line):
     words = shlex.split(line)[1:]
     if words[0] not in commands():
         pytest.skip(f"the command {words[0]} is not part of this version")
-    cli.build_parser().parse_args(words)
+    build_parser().parse_args(words)
 
 
 def test_every_command_has_examples_of_its_own():
@@ -108,7 +108,7 @@ def test_an_example_of_every_command_runs(name, bench, monkeypatch, capsys):
     line = next(line for line in examples(name) if part in line)
     monkeypatch.chdir(bench)
     words = shlex.split(f"{line} {quick}")[1:]
-    assert cli.main(words) == 0
+    assert main(words) == 0
     for flag, file in pairwise(words):
         if flag in ("--out", "--html"):
             assert Path(file).exists()

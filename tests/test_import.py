@@ -8,14 +8,15 @@ import pytest
 
 from draws import poses
 from foreign_files import ndi_csv, tracker_csv
-from glissando import cli, se3
-from glissando.dataset import load_recording
-from glissando.interchange import Choices, Track, write_recording
-from glissando.robot import robot_file
+from glissando.cli.main import main
+from glissando.geometry import se3
+from glissando.io.foreign import Choices, Track, write_recording
+from glissando.io.recording import load_recording
+from glissando.io.robot_file import robot_file
 
 
 def run(*arguments):
-    return cli.main([str(a) for a in arguments])
+    return main([str(a) for a in arguments])
 
 
 def track(name, **more):

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from draws import generators, law, poses
 from foreign_files import hole, ndi_csv, tracker_csv
 from glissando.errors import GlissandoError, RecordingError
-from glissando.interchange import read_tracks
+from glissando.io.foreign import read_tracks
 
 
 @law

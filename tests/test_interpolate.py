@@ -10,17 +10,22 @@ import pytest
 from hypothesis import given
 
 from draws import generators, law, motion, prior
-from glissando import se3
 from glissando.errors import OutsideGridError
-from glissando.estimate import Options, estimate
-from glissando.factors import PlacedReadings, linearize
-from glissando.grid import Grid
-from glissando.points import sort_points
-from glissando.sensors import GyroReadings, PoseReadings, PositionReadings, StrainReadings
-from glissando.state import DOF, State
-from glissando.steps import ARCLENGTH, TIME, between
-from glissando.sums import slab_shape
-from glissando.transitions import bridge as bridge_into
+from glissando.estimation.batch import Options, estimate
+from glissando.geometry import se3
+from glissando.model.grid import Grid
+from glissando.model.interpolation import sort_points
+from glissando.model.priors.steps import ARCLENGTH, TIME, between
+from glissando.model.priors.transitions import bridge as bridge_into
+from glissando.model.sensors.sensors import (
+    GyroReadings,
+    PoseReadings,
+    PositionReadings,
+    StrainReadings,
+)
+from glissando.model.state import DOF, State
+from glissando.solver.linearize import PlacedReadings, linearize
+from glissando.solver.normal_equations import slab_shape
 from oracles import dense
 
 GRID = Grid([0.0, 0.1, 0.25, 0.4], [0.0, 0.1, 0.25])

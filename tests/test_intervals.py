@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given
 
 from draws import generators, law, sixes, states
-from glissando import State, se3
-from glissando.intervals import RATED, interval_between, interval_end, interval_error
+from glissando import State
+from glissando.geometry import se3
+from glissando.model.priors.intervals import RATED, interval_between, interval_end, interval_error
 from separable_rod import GRID, moving, rated, separable
 from slope import slope_test
 

@@ -5,14 +5,15 @@ import pytest
 from scipy.linalg import block_diag
 
 from draws import motion, poses, prior, sixes, spd, states
-from glissando import se3, sensors
-from glissando.factors import PlacedReadings
-from glissando.grid import Grid
-from glissando.points import sort_points
-from glissando.readings import numerical_jacobian
-from glissando.state import DOF, State
-from glissando.steps import ARCLENGTH, TIME, between, carried_error, pair_error
-from glissando.transitions import Bridge
+from glissando.geometry import se3
+from glissando.model.grid import Grid
+from glissando.model.interpolation import sort_points
+from glissando.model.priors.steps import ARCLENGTH, TIME, between, carried_error, pair_error
+from glissando.model.priors.transitions import Bridge
+from glissando.model.sensors import sensors
+from glissando.model.sensors.readings import numerical_jacobian
+from glissando.model.state import DOF, State
+from glissando.solver.linearize import PlacedReadings
 from oracles import dense
 from slope import slope_test
 

@@ -5,16 +5,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from glissando import se3
-from glissando.dataset import Recording, Stream
+from glissando.calibration.robot.hyperparameters import expanded
+from glissando.calibration.robot.joint_calibration import in_motion, lasting, locate
 from glissando.errors import GlissandoError
-from glissando.lab import in_motion, lasting, locate
-from glissando.parameters import expanded
-from glissando.robot import parse_robot
-from glissando.sensors import PoseReadings
-from glissando.streams import Rows
-from glissando.tables import Table
-from glissando.unknowns import corrected
+from glissando.geometry import se3
+from glissando.io.csv_stream import Rows
+from glissando.io.recording import Recording, Stream
+from glissando.io.robot_file import parse_robot
+from glissando.io.toml_table import Table
+from glissando.model.sensors.parameters import corrected
+from glissando.model.sensors.sensors import PoseReadings
 from learn_drawn import shipped
 from scenes import LENGTH, arc
 

@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from glissando import GlissandoError, cli, load_robot, uniform_grid
-from glissando import learn as learning
-from glissando.learn import learn
-from glissando.parameters import expanded, learnable
-from glissando.robot import robot_file
-from glissando.sensors import PoseReadings
+from glissando import GlissandoError, load_robot, uniform_grid
+from glissando.calibration.robot import learn as learning
+from glissando.calibration.robot.hyperparameters import expanded, learnable
+from glissando.calibration.robot.learn import learn
+from glissando.cli.main import main
+from glissando.io.robot_file import robot_file
+from glissando.model.sensors.sensors import PoseReadings
 from learn_drawn import NOISE, readings, shipped
 from scenes import LENGTH
 
@@ -184,7 +185,7 @@ def recording(tmp_path_factory):
 
 
 def run(*arguments):
-    return cli.main([str(a) for a in arguments])
+    return main([str(a) for a in arguments])
 
 
 WINDOW = ["--window", 0, 1]

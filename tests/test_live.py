@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from browser import Told, chromium
-from glissando import FixedLag, GlissandoError, cli, estimate
-from glissando.view import Live, scene_of
-from glissando.view import live as live_module
+from glissando import FixedLag, GlissandoError, estimate
+from glissando.cli.main import main
+from glissando.visualization.page import Live, scene_of
+from glissando.visualization.page import live as live_module
 from scenes import sliding_scene
 
 pytest.importorskip("viser", reason="viser is not installed")
@@ -82,7 +83,7 @@ def test_the_command_plays_until_it_is_interrupted(posterior, tmp_path, monkeypa
 
     monkeypatch.setattr(live_module.clock, "sleep", stop)
     monkeypatch.chdir(tmp_path)
-    assert cli.main(["view", "posterior.nc", "--live", "--port", "0"]) == 130
+    assert main(["view", "posterior.nc", "--live", "--port", "0"]) == 130
     assert "Playing at http://127.0.0.1:" in capsys.readouterr().out
     assert seen == pytest.approx([0.05] * 3)
     assert not (tmp_path / "view.html").exists()

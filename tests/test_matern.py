@@ -8,7 +8,7 @@ from hypothesis import given
 from scipy.linalg import expm
 
 from draws import generators, law
-from glissando import matern
+from glissando.model.priors import matern
 from oracles import separable as oracle
 
 

@@ -7,9 +7,9 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from draws import generators, law, poses, sixes
-from glissando import se3
-from glissando.simulate.mesh import Mesh, magnus
-from glissando.simulate.statics import resample
+from glissando.geometry import se3
+from glissando.simulation.mesh import Mesh, magnus
+from glissando.simulation.statics import resample
 from oracles import dense
 from rods_drawn import STRAIGHT, few
 

@@ -15,7 +15,7 @@ from glissando import (
     SensorError,
     estimate,
 )
-from glissando.metrics import errors_against
+from glissando.evaluation.metrics import errors_against
 from scenes import sliding_scene
 
 SCENE = sliding_scene()

@@ -14,11 +14,12 @@ from scipy.stats import chi2
 
 import test_separable_consistency as drawn
 from draws import generators, law
-from glissando import Grid, PoseReadings, State, estimate, load_robot, se3
+from glissando import Grid, PoseReadings, State, estimate, load_robot
 from glissando.errors import OutsideGridError, SensorError
-from glissando.estimate import Options
-from glissando.online import FixedLag
-from glissando.unknowns import Unknown
+from glissando.estimation.batch import Options
+from glissando.estimation.fixed_lag import FixedLag
+from glissando.geometry import se3
+from glissando.model.sensors.parameters import Unknown
 from scenes import LENGTH, arc, sliding_scene
 
 EXACT = Options(tolerance=1e-7)

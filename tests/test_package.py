@@ -36,7 +36,7 @@ def test_the_wheel_holds_all_that_is_imported_or_read(tmp_path):
         held = set(archive.namelist())
     wanted = {path.relative_to(SOURCE.parent).as_posix() for path in MODULES}
     wanted |= {
-        f"glissando/robots/{name}.toml" for name in ("tdcr466", "sliding700", "extensible1m")
+        f"glissando/io/robots/{name}.toml" for name in ("tdcr466", "sliding700", "extensible1m")
     }
     wanted |= {"glissando/py.typed", "glissando/experiments/claims.toml"}
     assert wanted <= held

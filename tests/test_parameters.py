@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from glissando import GlissandoError, load_robot
-from glissando.parameters import Parameter, expanded, learnable, moved
-from glissando.robot import parse_robot, shipped_robots
-from glissando.sensors import ROWS
-from glissando.tables import Table
+from glissando.calibration.robot.hyperparameters import Parameter, expanded, learnable, moved
+from glissando.io.robot_file import parse_robot, shipped_robots
+from glissando.io.toml_table import Table
+from glissando.model.sensors.sensors import ROWS
 from learn_drawn import shipped
 
 

@@ -9,8 +9,9 @@ from hypothesis import given, settings
 pytest.importorskip("gtsam")
 
 from draws import generators, law
-from glissando import BaseDensity, Grid, PoseReadings, State, estimate, se3
-from glissando.estimate import Options
+from glissando import BaseDensity, Grid, PoseReadings, State, estimate
+from glissando.estimation.batch import Options
+from glissando.geometry import se3
 from slope import slope_test
 
 gtsam = pytest.importorskip("gtsam")

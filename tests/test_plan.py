@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from draws import generators
 from glissando import FixedLag, Grid, Unknown, estimate
 from glissando.errors import GlissandoError
-from glissando.plan import (
+from glissando.planning import (
     Chance,
     LogDet,
     SlidingSensor,
@@ -24,10 +24,10 @@ from glissando.plan import (
     plan_slide,
     sliding_sensor,
 )
-from glissando.plan.compare import blind_paths
-from glissando.plan.greedy import Belief
-from glissando.plan.judge import by_cell
-from glissando.simulate import SlideLimits
+from glissando.planning.compare import blind_paths
+from glissando.planning.greedy import Belief
+from glissando.planning.path_objective import by_cell
+from glissando.simulation import SlideLimits
 from plans import LENGTH, REACH, ROBOTS, ZONE, small_outlook, small_track, wiggle
 from slope import slope_test
 

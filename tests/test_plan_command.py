@@ -5,13 +5,14 @@ import json
 import numpy as np
 import pytest
 
-from glissando import CoilReadings, cli, estimate, load_robot
-from glissando.dataset import load_recording
-from glissando.plan import Design, is_best
+from glissando import CoilReadings, estimate, load_robot
+from glissando.cli.main import main
+from glissando.io.recording import load_recording
+from glissando.planning import Design, is_best
 
 
 def run(*arguments):
-    return cli.main([str(a) for a in arguments])
+    return main([str(a) for a in arguments])
 
 
 def test_a_planned_path_is_written_and_simulated_as_planned(tmp_path, capsys):

@@ -10,8 +10,8 @@ import pytest
 
 from glissando import FixedLag
 from glissando.errors import GlissandoError, PlanWarning
-from glissando.plan import Elsewhere, Replanner, Track, Zone, sliding_sensor, snapshot
-from glissando.plan.zones import read_zone
+from glissando.planning import Elsewhere, Replanner, Track, Zone, sliding_sensor, snapshot
+from glissando.planning.zones import read_zone
 from plans import LENGTH, ROBOTS, SEPARABLE
 
 REACH, SPEED, ACCELERATION = (0.3, LENGTH), 0.06, 0.3

@@ -5,9 +5,9 @@ import pickle
 import numpy as np
 import pytest
 
-from glissando import se3
 from glissando.errors import GlissandoError
-from glissando.plan import (
+from glissando.geometry import se3
+from glissando.planning import (
     Trace,
     choose_motion,
     course_of,

@@ -7,8 +7,8 @@ from scipy.stats import chi2
 
 from draws import generators
 from glissando.errors import GlissandoError
-from glissando.plan import Chance, LogDet, Trace, Worst, Zone, objective_named, read_zone
-from glissando.plan.zones import zone_points
+from glissando.planning import Chance, LogDet, Trace, Worst, Zone, objective_named, read_zone
+from glissando.planning.zones import zone_points
 from slope import slope_test
 
 OBJECTIVES = {

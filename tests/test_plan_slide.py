@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from glissando.plan import (
+from glissando.planning import (
     Chance,
     LogDet,
     Trace,
@@ -19,7 +19,7 @@ from glissando.plan import (
     plan_greedily,
     plan_slide,
 )
-from glissando.simulate import SlideLimits
+from glissando.simulation import SlideLimits
 from plans import LENGTH, ROBOTS, ZONE, small_outlook, small_track
 
 OBJECTIVES = {"trace": Trace(), "logdet": LogDet(), "max": Worst(), "chance": Chance(0.02)}

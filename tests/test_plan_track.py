@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 
 from draws import generators
 from glissando.errors import GlissandoError
-from glissando.plan import Track, track_of
-from glissando.plan.descend import descend
-from glissando.plan.slide import Plan
-from glissando.simulate import SlideLimits
+from glissando.planning import Track, track_of
+from glissando.planning.optimize import descend
+from glissando.planning.plan_slide import Plan
+from glissando.simulation import SlideLimits
 from test_slide import require_within
 
 TIP = 0.7

@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from glissando import GlissandoError, OutsideGridError, Posterior, estimate
-from glissando.files import COMPONENTS
-from glissando.points import sort_points
-from glissando.state import DOF
+from glissando.io.netcdf import COMPONENTS
+from glissando.model.interpolation import sort_points
+from glissando.model.state import DOF
 from scenes import LENGTH, sliding_scene
 
 

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from glissando import estimate, load_robot, predictive, se3, uniform_grid
-from glissando.predictive import constants_of, predict
-from glissando.sensors import PoseReadings, PositionReadings
-from glissando.state import State
-from glissando.unknowns import Unknown
+from glissando import estimate, load_robot, uniform_grid
+from glissando.calibration.robot import predictive
+from glissando.calibration.robot.predictive import constants_of, predict
+from glissando.geometry import se3
+from glissando.model.sensors.parameters import Unknown
+from glissando.model.sensors.sensors import PoseReadings, PositionReadings
+from glissando.model.state import State
 from learn_drawn import readings
 from scenes import LENGTH, arc
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from draws import motion, prior, sixes
-from glissando import se3
-from glissando.grid import Grid
-from glissando.points import sort_points
+from glissando.geometry import se3
+from glissando.model.grid import Grid
+from glissando.model.interpolation import sort_points
 from oracles import dense
 
 GRID = Grid([0.0, 0.1, 0.25, 0.4], [0.0, 0.1, 0.25])

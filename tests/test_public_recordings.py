@@ -5,10 +5,11 @@ import json
 import numpy as np
 import pytest
 
-from glissando import cli, load_robot
-from glissando.dataset import load_recording
-from glissando.replay import replay
-from glissando.report import run_estimate
+from glissando import load_robot
+from glissando.cli.main import main
+from glissando.evaluation.replay import replay
+from glissando.evaluation.run import run_estimate
+from glissando.io.recording import load_recording
 
 # Position RMSE (mm) of the published code's batch estimator by arclength of the site (m).
 PUBLISHED = [
@@ -82,7 +83,7 @@ def test_published_settings_come_back_from_the_densities():
 
 def test_the_command_prints_one_json_object(spacetime, capsys):
     folder = str(spacetime / "extensible")
-    assert cli.main(["estimate", folder, "--window", "0", "1", "--json"]) == 0
+    assert main(["estimate", folder, "--window", "0", "1", "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
     assert printed["status"] == "converged"
     assert printed["overall"]["position_rmse"] < 2.6e-3

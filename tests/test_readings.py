@@ -7,17 +7,17 @@ from hypothesis import strategies as st
 
 from draws import generators, law, spd
 from glissando.errors import SensorError
-from glissando.estimate import estimate
-from glissando.grid import Grid
-from glissando.kinematic import BaseDensity, KinematicPrior
-from glissando.noise import (
+from glissando.estimation.batch import estimate
+from glissando.model.grid import Grid
+from glissando.model.noise import (
     GemanMcClure,
     Huber,
     covariance_matrix,
     pair_sqrt_information,
     sqrt_information,
 )
-from glissando.sensors import (
+from glissando.model.priors.white_noise import BaseDensity, KinematicPrior
+from glissando.model.sensors.sensors import (
     CoilReadings,
     FbgReadings,
     GyroReadings,

@@ -3,11 +3,12 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from glissando import Huber, RecordingError, RobotFileError, load_robot, se3
-from glissando.dataset import load_recording
-from glissando.robot import parse_robot, shipped_robots
-from glissando.streams import Rows, clean, read_named, steady, write_named
-from glissando.tables import read_toml
+from glissando import Huber, RecordingError, RobotFileError, load_robot
+from glissando.geometry import se3
+from glissando.io.csv_stream import Rows, clean, read_named, steady, write_named
+from glissando.io.recording import load_recording
+from glissando.io.robot_file import parse_robot, shipped_robots
+from glissando.io.toml_table import read_toml
 from scenes import LENGTH, arc
 
 PUBLIC = "sensor type:,aurora\ntime (s),arclength (m),data\n"
@@ -275,7 +276,7 @@ def test_shipped_robots_load(name):
 def test_a_bad_robot_file_names_the_key(tmp_path, old, new, sentence):
     from importlib.resources import files
 
-    text = (files("glissando") / "robots" / "tdcr466.toml").read_text()
+    text = (files("glissando") / "io" / "robots" / "tdcr466.toml").read_text()
     assert old in text
     path = tmp_path / "robot.toml"
     path.write_text(text.replace(old, new, 1))
@@ -286,7 +287,7 @@ def test_a_bad_robot_file_names_the_key(tmp_path, old, new, sentence):
 def test_a_robust_loss_is_set_in_the_robot_file(tmp_path):
     from importlib.resources import files
 
-    text = (files("glissando") / "robots" / "tdcr466.toml").read_text()
+    text = (files("glissando") / "io" / "robots" / "tdcr466.toml").read_text()
     path = tmp_path / "robot.toml"
     path.write_text(text.replace("clip = 5.0", 'clip = 5.0\nloss = "huber"\nthreshold = 2.0'))
     robot = load_robot(path)

@@ -10,7 +10,7 @@ import pytest
 
 from glissando import FixedLag
 from glissando.errors import PlanWarning
-from glissando.plan import Replanner, Track, Zone, sliding_sensor
+from glissando.planning import Replanner, Track, Zone, sliding_sensor
 from plans import LENGTH, ROBOTS, SEPARABLE
 
 REACH, SPEED, ACCELERATION, EVERY = (0.3, LENGTH), 0.06, 0.3, 0.5

@@ -15,12 +15,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from draws import generators, law
-from glissando import cli, load_robot, se3
-from glissando.dataset import KINDS, load_recording
+from glissando import load_robot
+from glissando.cli.main import main
 from glissando.errors import RecordingError, SensorError
-from glissando.journal import Journal
-from glissando.replay import replay
-from glissando.report import run_estimate
+from glissando.evaluation.replay import replay
+from glissando.evaluation.run import run_estimate
+from glissando.geometry import se3
+from glissando.io.journal import Journal
+from glissando.io.recording import KINDS, load_recording
 from scenes import LENGTH, arc, sliding_scene
 
 ROBOT = """
@@ -160,7 +162,7 @@ def test_with_a_window_as_long_as_the_recording_what_is_lagged_is_what_the_batch
 def test_the_command_tells_latencies_and_errors_and_leaves_files(recorded, tmp_path, capsys):
     out = tmp_path / "live"
     call = ["replay", str(recorded.folder), "--lag", "0.3", "--out", str(out)]
-    assert cli.main([*call, "--json"]) == 0
+    assert main([*call, "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["updates"] == 21
     assert told["nodes"] == 4
@@ -174,19 +176,19 @@ def test_the_command_tells_latencies_and_errors_and_leaves_files(recorded, tmp_p
     assert {n: len(s.rows.time) for n, s in log.streams.items()} == {
         n: len(s.rows.time) for n, s in recorded.streams.items() if not s.truth
     }
-    assert cli.main(call) == 2
+    assert main(call) == 2
     assert "holds a finished run" in capsys.readouterr().err
-    assert cli.main(["replay", str(recorded.folder), "--lag", "0"]) == 0
+    assert main(["replay", str(recorded.folder), "--lag", "0"]) == 0
     assert "1 time nodes" in capsys.readouterr().out
-    assert cli.main(["replay", str(recorded.folder), "--lag", "nan"]) == 2
-    assert cli.main(["replay", str(recorded.folder), "--window", "5", "6"]) == 2
+    assert main(["replay", str(recorded.folder), "--lag", "nan"]) == 2
+    assert main(["replay", str(recorded.folder), "--window", "5", "6"]) == 2
     assert "holds no readings" in capsys.readouterr().err
 
 
 def test_it_can_be_watched_as_it_goes(recorded, capsys):
     pytest.importorskip("viser")
     call = ["replay", str(recorded.folder), "--window", "0", "0.5", "--live"]
-    assert cli.main(call) == 0
+    assert main(call) == 0
     assert "Look at http://127.0.0.1:" in capsys.readouterr().err
 
 
@@ -201,8 +203,8 @@ import sys
 import tempfile
 import time as clock
 from pathlib import Path
-from glissando.dataset import load_recording
-from glissando.replay import replay
+from glissando.io.recording import load_recording
+from glissando.evaluation.replay import replay
 recording = load_recording(sys.argv[1])
 def watch(done, total, smoother):
     print(done, smoother.time, flush=True)

@@ -8,13 +8,14 @@ import pytest
 from PIL import Image
 
 from browser import Told, chromium, wait_until
-from glissando import cli, estimate
-from glissando.dataset import Recording
-from glissando.metrics import errors_against
-from glissando.report import Run
-from glissando.robot import load_robot
-from glissando.sensors import PoseReadings
-from glissando.view import save_view, svg
+from glissando import estimate
+from glissando.cli.main import main
+from glissando.evaluation.metrics import errors_against
+from glissando.evaluation.run import Run
+from glissando.io.recording import Recording
+from glissando.io.robot_file import load_robot
+from glissando.model.sensors.sensors import PoseReadings
+from glissando.visualization.page import save_view, svg
 from scenes import LENGTH, arc, sliding_scene
 from test_view import OUTSIDE
 
@@ -59,7 +60,7 @@ def runs(tmp_path_factory):
 def html(runs):
     above, _ = runs
     folders = [str(above / "fixed"), str(above / "sliding")]
-    assert cli.main(["report", *folders, "--out", str(above / "report.html")]) == 0
+    assert main(["report", *folders, "--out", str(above / "report.html")]) == 0
     return (above / "report.html").read_text(encoding="utf-8")
 
 
@@ -146,7 +147,7 @@ def test_one_run_without_truth_or_scene_is_still_a_report(runs, tmp_path):
     bare = {**told["fixed"], "sites": [], "overall": None}
     bare["consistency"] = [c for c in bare["consistency"] if c["quantity"] == "innovation"]
     (tmp_path / "report.json").write_text(json.dumps(bare))
-    assert cli.main(["report", str(tmp_path), "--out", str(tmp_path / "r.html")]) == 0
+    assert main(["report", str(tmp_path), "--out", str(tmp_path / "r.html")]) == 0
     html = (tmp_path / "r.html").read_text()
     assert "No truth was given" in html
     assert "<iframe" not in html
@@ -156,7 +157,7 @@ def test_a_scene_is_made_of_a_posterior_where_none_was_written(runs, tmp_path):
     above, told = runs
     (tmp_path / "report.json").write_text(json.dumps(told["fixed"]))
     (tmp_path / "posterior.nc").write_bytes((above / "fixed" / "posterior.nc").read_bytes())
-    assert cli.main(["report", str(tmp_path), "--out", str(tmp_path / "r.html")]) == 0
+    assert main(["report", str(tmp_path), "--out", str(tmp_path / "r.html")]) == 0
     assert "<iframe" in (tmp_path / "r.html").read_text()
 
 
@@ -166,7 +167,7 @@ def test_runs_of_one_name_are_told_apart(runs, tmp_path):
         (tmp_path / name / "out").mkdir(parents=True)
         (tmp_path / name / "out" / "report.json").write_text(json.dumps(told["fixed"]))
     folders = [str(tmp_path / name / "out") for name in ("one", "two")]
-    assert cli.main(["report", *folders, "--out", str(tmp_path / "r.html")]) == 0
+    assert main(["report", *folders, "--out", str(tmp_path / "r.html")]) == 0
     assert "<title>one/out, two/out</title>" in (tmp_path / "r.html").read_text()
 
 
@@ -182,7 +183,7 @@ def test_runs_of_one_name_are_told_apart(runs, tmp_path):
 def test_a_folder_that_is_no_run_is_one_sentence(tmp_path, capsys, text, sentence):
     if text:
         (tmp_path / "report.json").write_text(text)
-    assert cli.main(["report", str(tmp_path), "--out", str(tmp_path / "r.html")]) == 2
+    assert main(["report", str(tmp_path), "--out", str(tmp_path / "r.html")]) == 2
     told = capsys.readouterr().err
     assert sentence in told
     assert told.count("\n") == 1
@@ -191,7 +192,7 @@ def test_a_folder_that_is_no_run_is_one_sentence(tmp_path, capsys, text, sentenc
 
 def test_a_run_given_twice_is_one_sentence(runs, capsys):
     folder = str(runs[0] / "fixed")
-    assert cli.main(["report", folder, folder + "/", "--out", folder + ".html"]) == 2
+    assert main(["report", folder, folder + "/", "--out", folder + ".html"]) == 2
     assert "A run is given twice" in capsys.readouterr().err
 
 

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from glissando import GlissandoError, cli, estimate
-from glissando.view import Rerun
+from glissando import GlissandoError, estimate
+from glissando.cli.main import main
+from glissando.visualization.page import Rerun
 from scenes import sliding_scene
 
 rerun = pytest.importorskip("rerun", reason="rerun-sdk is not installed")
@@ -35,7 +36,7 @@ def test_a_file_holds_every_moment_with_body_coil_and_spread(posterior, tmp_path
 def test_the_command_tells_rerun_of_a_posterior(posterior, tmp_path, capsys):
     posterior.save(tmp_path / "posterior.nc")
     target = tmp_path / "told.rrd"
-    assert cli.main(["view", str(tmp_path / "posterior.nc"), "--rerun", str(target)]) == 0
+    assert main(["view", str(tmp_path / "posterior.nc"), "--rerun", str(target)]) == 0
     assert "moments" in capsys.readouterr().out
     assert target.stat().st_size > 10_000
 

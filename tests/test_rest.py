@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from draws import sixes
-from glissando import Grid, StrainReadings, estimate, load_robot, se3
+from glissando import Grid, StrainReadings, estimate, load_robot
 from glissando.errors import RobotFileError
-from glissando.rest import RestShape
-from glissando.separable import BaseVariance, SeparablePrior
+from glissando.geometry import se3
+from glissando.model.priors.rest_shape import RestShape
+from glissando.model.priors.separable import BaseVariance, SeparablePrior
 
 LENGTH, JOINT = 0.4, 0.15
 STRAIN = np.array([[0, 0, 1, 2.0, -3.0, 0.5], [0, 0, 1.02, -1.0, 4.0, 0.2]])

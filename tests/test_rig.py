@@ -12,16 +12,16 @@ from urllib.request import urlopen
 import numpy as np
 import pytest
 
-from glissando import cli
-from glissando.dataset import load_recording
+from glissando.cli.main import main
 from glissando.errors import DeviceError, RecordingError
-from glissando.report import run_estimate
-from glissando.rig import Body, Coil, Rig, load_rig, write_recording
-from glissando.rig.online import followed
-from glissando.robot import robot_file
-from glissando.sessions import SessionWriter, read_session
-from glissando.simulate import SlidePath, load_bench
-from glissando.simulate.session import simulate_session, write_session
+from glissando.evaluation.run import run_estimate
+from glissando.hardware.capture import Body, Coil, Rig, load_rig, write_recording
+from glissando.hardware.capture.online import followed
+from glissando.io.recording import load_recording
+from glissando.io.robot_file import robot_file
+from glissando.io.session_log import SessionWriter, read_session
+from glissando.simulation import SlidePath, load_bench
+from glissando.simulation.simulated_session import simulate_session, write_session
 
 pytestmark = pytest.mark.alone
 
@@ -89,7 +89,7 @@ def test_a_wrong_setup_is_one_sentence(tmp_path, old, new, sentence):
 
 
 def recorded(folder, *options, **popen):
-    command = [sys.executable, "-m", "glissando.cli", "record", "--simulate", "--out", folder]
+    command = [sys.executable, "-m", "glissando.cli.main", "record", "--simulate", "--out", folder]
     return subprocess.Popen(
         [*map(str, command), *options], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         **popen,
@@ -99,7 +99,7 @@ def recorded(folder, *options, **popen):
 @pytest.mark.slow
 def test_devices_change_nothing_a_recording_of_them_is_estimated_as_one_without(tmp_path, capsys):
     folder = tmp_path / "session"
-    assert cli.main(["record", "--simulate", "--cycles", "3", "--out", str(folder)]) == 0
+    assert main(["record", "--simulate", "--cycles", "3", "--out", str(folder)]) == 0
     assert "was never seen" not in capsys.readouterr().out
     frames = read_session(folder / "session.mcap").topics["/tracker/coil"].column("frame")
     gaps = np.sort(np.diff(frames) - 1)
@@ -141,10 +141,10 @@ def judged(recording):
 def test_recorded_calibrated_estimated_the_frame_is_found_and_the_shape_as_good(tmp_path, capsys):
     folder, made = tmp_path / "session", tmp_path / "calibrated"
     call = ["--simulate", "--shape", "C-to-S", "--cycles", "3", "--out", str(folder)]
-    assert cli.main(["record", *call]) == 0
+    assert main(["record", *call]) == 0
     call = ["--out", str(tmp_path / "rig.toml"), "--recording", str(made), "--json"]
     capsys.readouterr()
-    assert cli.main(["calibrate", str(folder), *call]) == 0
+    assert main(["calibrate", str(folder), *call]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["direction"] == -1
     truth = load_bench(robot_file("sliding700")).tracker[:3, 3]
@@ -163,7 +163,7 @@ def test_recorded_calibrated_estimated_the_frame_is_found_and_the_shape_as_good(
 def test_unplugged_in_mid_session_it_goes_on_and_the_gap_is_told(tmp_path, capsys, faults):
     folder = tmp_path / "session"
     call = ["record", "--simulate", "--cycles", "2", "--faults", faults, "--out", str(folder)]
-    assert cli.main(call) == 0
+    assert main(call) == 0
     told = capsys.readouterr().out
     gaps = re.findall(r"coil was not seen from ([\d.]+) to ([\d.]+) s", told)
     assert len(gaps) == 1, told
@@ -184,7 +184,7 @@ def test_unplugged_in_mid_session_it_goes_on_and_the_gap_is_told(tmp_path, capsy
 def test_unplugged_for_good_it_keeps_what_came_and_the_slide_runs_to_its_end(tmp_path, capsys):
     folder = tmp_path / "session"
     call = ["record", "--simulate", "--cycles", "1", "--faults", "unplug=3", "--out", str(folder)]
-    assert cli.main(call) == 0
+    assert main(call) == 0
     recording = load_recording(folder)
     last = recording.streams["coil"].rows.time[-1]
     assert f"coil was not seen from {last:.1f} to" in capsys.readouterr().out
@@ -256,10 +256,10 @@ def test_what_was_not_seen_is_said_and_an_empty_session_refused(tmp_path):
 
 
 def test_a_record_command_without_a_rig_is_one_sentence(tmp_path, capsys):
-    assert cli.main(["record", "--out", str(tmp_path / "s")]) == 2
+    assert main(["record", "--out", str(tmp_path / "s")]) == 2
     assert "--setup FILE" in capsys.readouterr().err
     file = tmp_path / "bench.toml"
     file.write_text(SETUP)
-    assert cli.main(["record", "--setup", str(file), "--out", str(tmp_path / "s")]) == 2
+    assert main(["record", "--setup", str(file), "--out", str(tmp_path / "s")]) == 2
     assert "/dev/ttyUSB0" in capsys.readouterr().err
     assert not (tmp_path / "s").exists()

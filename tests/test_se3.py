@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from draws import directions, generators, law, poses, sixes
-from glissando import se3
+from glissando.geometry import se3
 from oracles import dense
 from slope import slope_test
 

@@ -18,9 +18,9 @@ from glissando import (
     Posterior,
     State,
     estimate,
-    se3,
 )
-from glissando.separable import BaseVariance, SeparablePrior
+from glissando.geometry import se3
+from glissando.model.priors.separable import BaseVariance, SeparablePrior
 
 EXACT = Options(tolerance=1e-8)
 PRIORS = {

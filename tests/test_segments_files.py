@@ -3,13 +3,8 @@
 import numpy as np
 import pytest
 
-from glissando import (
-    KinematicPrior,
-    RobotFileError,
-    estimate,
-    load_robot,
-)
-from glissando.separable import SeparablePrior
+from glissando import KinematicPrior, RobotFileError, estimate, load_robot
+from glissando.model.priors.separable import SeparablePrior
 
 ROBOT = """
 name = "two"

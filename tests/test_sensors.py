@@ -7,12 +7,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from draws import generators, law, motion, poses, prior, sixes, states
-from glissando import se3
 from glissando.errors import SensorError
-from glissando.estimate import Options, estimate
-from glissando.grid import Grid
-from glissando.readings import numerical_jacobian
-from glissando.sensors import (
+from glissando.estimation.batch import Options, estimate
+from glissando.geometry import se3
+from glissando.model.grid import Grid
+from glissando.model.sensors.readings import numerical_jacobian
+from glissando.model.sensors.sensors import (
     CoilReadings,
     FbgReadings,
     GyroReadings,
@@ -22,7 +22,7 @@ from glissando.sensors import (
     Readings,
     StrainReadings,
 )
-from glissando.state import State
+from glissando.model.state import State
 
 M = 8
 

@@ -8,10 +8,11 @@ import pytest
 from hypothesis import given
 
 from draws import generators, law, poses, sixes
-from glissando import matern, se3
-from glissando.intervals import RATED
-from glissando.points import sort_points
-from glissando.state import DOF
+from glissando.geometry import se3
+from glissando.model.interpolation import sort_points
+from glissando.model.priors import matern
+from glissando.model.priors.intervals import RATED
+from glissando.model.state import DOF
 from oracles import dense
 from oracles import separable as oracle
 from separable_rod import GRID, JOINT, NODES, PRIORS, PSD, SCALE, TWO, moving, process_of, separable

@@ -9,18 +9,11 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from glissando import (
-    CoilReadings,
-    Grid,
-    GyroReadings,
-    PoseReadings,
-    State,
-    estimate,
-    se3,
-)
-from glissando.metrics import errors_against
-from glissando.separable import BaseVariance, SeparablePrior
-from glissando.state import POSE, STRAIN, VELOCITY
+from glissando import CoilReadings, Grid, GyroReadings, PoseReadings, State, estimate
+from glissando.evaluation.metrics import errors_against
+from glissando.geometry import se3
+from glissando.model.priors.separable import BaseVariance, SeparablePrior
+from glissando.model.state import POSE, STRAIN, VELOCITY
 from separable_drawn import draw_motion
 
 LENGTH, FINE_S, DURATION, FINE_T = 0.5, 40, 1.0, 32

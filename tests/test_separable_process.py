@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from glissando import Grid, GyroReadings, Options, PoseReadings, State, estimate, se3
-from glissando.state import DOF
+from glissando import Grid, GyroReadings, Options, PoseReadings, State, estimate
+from glissando.geometry import se3
+from glissando.model.state import DOF
 from oracles import separable as oracle
 from separable_rod import GRID, PRIORS, REST, SCALE, process_of, separable
 

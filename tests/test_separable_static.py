@@ -3,16 +3,9 @@
 import numpy as np
 import pytest
 
-from glissando import (
-    BaseDensity,
-    CoilReadings,
-    Grid,
-    KinematicPrior,
-    OutsideGridError,
-    estimate,
-    se3,
-)
-from glissando.separable import BaseVariance, SeparablePrior
+from glissando import BaseDensity, CoilReadings, Grid, KinematicPrior, OutsideGridError, estimate
+from glissando.geometry import se3
+from glissando.model.priors.separable import BaseVariance, SeparablePrior
 from oracles import separable as oracle
 
 LENGTH, WATCHED = 0.5, np.array([0.125, 0.25, 0.35, 0.5])

@@ -7,9 +7,9 @@ import time
 import numpy as np
 import pytest
 
-from glissando.simulate import SimulationError
-from glissando.simulate.devices import started
-from glissando.simulate.devices.dynamixel import Fault
+from glissando.hardware.simulated_devices import started
+from glissando.hardware.simulated_devices.dynamixel import Fault
+from glissando.simulation import SimulationError
 from servo_host import words
 
 

@@ -3,10 +3,10 @@
 import pytest
 
 from glissando.errors import DeviceError
-from glissando.simulate.devices.dynamixel import Do, crc16, packed
-from glissando.simulate.devices.servo import Stage
-from glissando.simulate.devices.servo_faults import Faults, Line
-from glissando.simulate.devices.xl430 import Xl430
+from glissando.hardware.simulated_devices.dynamixel import Do, crc16, packed
+from glissando.hardware.simulated_devices.servo import Stage
+from glissando.hardware.simulated_devices.servo_faults import Faults, Line
+from glissando.hardware.simulated_devices.xl430 import Xl430
 
 
 def line(*faults, seed=1):

@@ -6,10 +6,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from draws import law
-from glissando.simulate.devices.dynamixel import ALERT, Do, Fault, packed
-from glissando.simulate.devices.profile import at_speed, to
-from glissando.simulate.devices.screw import Screw
-from glissando.simulate.devices.xl430 import ACCELERATION_UNIT, OVERLOAD, SPEED_UNIT, Xl430
+from glissando.hardware.simulated_devices.dynamixel import ALERT, Do, Fault, packed
+from glissando.hardware.simulated_devices.profile import at_speed, to
+from glissando.hardware.simulated_devices.screw import Screw
+from glissando.hardware.simulated_devices.xl430 import (
+    ACCELERATION_UNIT,
+    OVERLOAD,
+    SPEED_UNIT,
+    Xl430,
+)
 from servo_host import Host, words
 
 

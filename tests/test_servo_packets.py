@@ -5,8 +5,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from draws import law
-from glissando.simulate.devices.dynamixel import BROADCAST, Bus, Do, Fault, crc16, packed
-from glissando.simulate.devices.xl430 import Xl430
+from glissando.hardware.simulated_devices.dynamixel import BROADCAST, Bus, Do, Fault, crc16, packed
+from glissando.hardware.simulated_devices.xl430 import Xl430
 from servo_host import Host, words
 
 VECTORS = {  # from the e-Manual

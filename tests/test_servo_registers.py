@@ -2,8 +2,8 @@
 
 import pytest
 
-from glissando.simulate.devices.dynamixel import BROADCAST, Do, Fault, packed
-from glissando.simulate.devices.xl430 import Xl430
+from glissando.hardware.simulated_devices.dynamixel import BROADCAST, Do, Fault, packed
+from glissando.hardware.simulated_devices.xl430 import Xl430
 from servo_host import Host, words
 
 

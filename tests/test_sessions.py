@@ -14,7 +14,7 @@ from mcap.reader import make_reader
 
 from draws import law
 from glissando.errors import GlissandoError, RecordingError
-from glissando.sessions import (
+from glissando.io.session_log import (
     INTEGER,
     NUMBER,
     TEXT,
@@ -151,7 +151,7 @@ def test_a_disk_left_with_zeros_behind_the_last_chunk_is_read(tmp_path):
 
 KILLED = """
 import sys, time
-from glissando.sessions import SessionWriter, schema
+from glissando.io.session_log import SessionWriter, schema
 log = SessionWriter(sys.argv[1])
 log.add_topic("t", schema("t"))
 k = 0
@@ -206,7 +206,7 @@ def test_threads_may_write_at_once(tmp_path):
 FULL = """
 import resource, sys, numpy as np
 from glissando.errors import GlissandoError
-from glissando.sessions import SessionWriter, schema
+from glissando.io.session_log import SessionWriter, schema
 resource.setrlimit(resource.RLIMIT_FSIZE, (30_000, 30_000))
 try:
     with SessionWriter(sys.argv[1]) as log:

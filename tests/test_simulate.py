@@ -5,18 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from glissando import se3
-from glissando.robot import robot_file
-from glissando.simulate import (
+from glissando.errors import SimulationError
+from glissando.geometry import se3
+from glissando.io.robot_file import robot_file
+from glissando.simulation import (
     Actuation,
     Imperfections,
-    SimulationError,
     SlidePath,
     load_bench,
     simulate_session,
 )
-from glissando.simulate.imperfections import PARTS, SmoothField
-from glissando.simulate.tracker import coil_rows, mocap_rows
+from glissando.simulation.imperfections import PARTS, SmoothField
+from glissando.simulation.tracker import coil_rows, mocap_rows
 
 BENCH = load_bench(robot_file("sliding700"))
 PURE = BENCH.flaws.without("all")

@@ -6,13 +6,13 @@ import json
 import numpy as np
 import pytest
 
-from glissando import cli
-from glissando.dataset import load_recording
-from glissando.robot import robot_file
+from glissando.cli.main import main
+from glissando.io.recording import load_recording
+from glissando.io.robot_file import robot_file
 
 
 def run(*arguments):
-    return cli.main([str(a) for a in arguments])
+    return main([str(a) for a in arguments])
 
 
 def simulate(folder, *more):

@@ -5,9 +5,9 @@ from hypothesis import strategies as st
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from draws import generators, law
+from glissando._kernels.threads import one_thread
 from glissando.errors import UnobservableError
-from glissando.slabs import BlockTridiagonal, factor
-from glissando.threads import one_thread
+from glissando.solver.block_tridiagonal import BlockTridiagonal, factor
 
 counts, sizes = st.integers(1, 6), st.integers(1, 9)
 

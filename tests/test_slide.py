@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from glissando.simulate import SimulationError, SlideLimits, SlidePath, read_slide
+from glissando.errors import SimulationError
+from glissando.simulation import SlideLimits, SlidePath, read_slide
 
 STAGE = SlideLimits(stroke=0.06, speed=0.024, acceleration=0.1)
 stages = st.builds(

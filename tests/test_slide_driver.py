@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from glissando.drivers import Slide
 from glissando.errors import DeviceError
-from glissando.simulate import SlideLimits, SlidePath
+from glissando.hardware.drivers import Slide
+from glissando.simulation import SlideLimits, SlidePath
 from servo_world import World, together
 from slide_world import STAGE, TICK, Fused, Interrupted, Meddled, home
 

@@ -6,9 +6,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from glissando.drivers import Slide
 from glissando.errors import DeviceError
-from glissando.simulate.devices.dynamixel import Do, packed
+from glissando.hardware.drivers import Slide
+from glissando.hardware.simulated_devices.dynamixel import Do, packed
 from servo_world import World, together
 from slide_world import STAGE, TICK, Fused, Interrupted, Meddled, home, moved_from_zero
 

@@ -14,9 +14,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from glissando.drivers import Slide
 from glissando.errors import DeviceError
-from glissando.simulate.devices import started
+from glissando.hardware.drivers import Slide
+from glissando.hardware.simulated_devices import started
 from slide_world import STAGE
 
 pytestmark = pytest.mark.alone
@@ -71,7 +71,7 @@ def simulated(ear, *more):
 
 PROGRAM = """
     import sys
-    from glissando.drivers import Slide, Stage
+    from glissando.hardware.drivers import Slide, Stage
 
     stage = Stage(lead=0.0254, stroke=(0.0, 0.06), speed=0.01, watchdog=1.0, lag=0.02)
     with Slide(sys.argv[1], stage) as slide:

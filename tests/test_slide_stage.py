@@ -9,11 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from draws import law
-from glissando.drivers import Slide, Stage
-from glissando.drivers.dynamixel import WRAP, hardware_error, unwrapped
 from glissando.errors import DeviceError
-from glissando.simulate.devices.xl430 import OVERLOAD
-from glissando.tables import Table
+from glissando.hardware.drivers import Slide, Stage
+from glissando.hardware.drivers.dynamixel import WRAP, hardware_error, unwrapped
+from glissando.hardware.simulated_devices.xl430 import OVERLOAD
+from glissando.io.toml_table import Table
 from servo_world import World, together
 from slide_world import STAGE, TICK, home
 

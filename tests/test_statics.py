@@ -9,15 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from draws import generators, law, poses
-from glissando import se3
-from glissando.simulate import (
-    Loads,
-    NoShapeError,
-    Rod,
-    Tendon,
-    Wrench,
-    solve_shape,
-)
+from glissando.geometry import se3
+from glissando.simulation import Loads, NoShapeError, Rod, Tendon, Wrench, solve_shape
 from oracles import rods
 from rods_drawn import LOADS, STRAIGHT, any_robot, beam
 from sorosim import differences

@@ -7,14 +7,8 @@ from hypothesis import strategies as st
 from scipy.integrate import trapezoid
 
 from draws import generators, law, poses
-from glissando.simulate import (
-    Loads,
-    Rod,
-    SimulationError,
-    Tendon,
-    Wrench,
-    solve_shape,
-)
+from glissando.errors import SimulationError
+from glissando.simulation import Loads, Rod, Tendon, Wrench, solve_shape
 from oracles import rods
 from rods_drawn import any_solved, beam, few
 

@@ -13,15 +13,16 @@ from threadpoolctl import threadpool_info, threadpool_limits
 pytest.importorskip("pyarrow", reason="studies need pyarrow")
 
 from draws import generators, law
-from glissando import GlissandoError, __version__, cli
+from glissando import GlissandoError, __version__
+from glissando.cli.main import main
 from glissando.experiments import scenes
-from glissando.study import cell as cells
-from glissando.study import store as stores
-from glissando.study.cell import METRICS, failure, outcome
-from glissando.study.figures import study_figure
-from glissando.study.plan import SETTINGS, Study, StudyError, load_study
-from glissando.study.store import TABLE, Store, parquet
-from glissando.study.summary import summarise
+from glissando.experiments.study import cell as cells
+from glissando.experiments.study import store as stores
+from glissando.experiments.study.cell import METRICS, failure, outcome
+from glissando.experiments.study.figures import study_figure
+from glissando.experiments.study.plan import SETTINGS, Study, StudyError, load_study
+from glissando.experiments.study.store import TABLE, Store, parquet
+from glissando.experiments.study.summary import summarise
 from studies import write_study
 
 NOISE = "noise = [0.5, 2]"
@@ -109,7 +110,7 @@ def test_a_mistake_in_the_file_is_one_sentence(tmp_path, capsys, change, sentenc
     file = write_study(tmp_path, NOISE)
     assert change[0] in file.read_text()
     file.write_text(file.read_text().replace(*change))
-    assert cli.main(["study", str(file), "--out", str(tmp_path / "out")]) == 2
+    assert main(["study", str(file), "--out", str(tmp_path / "out")]) == 2
     with pytest.raises(GlissandoError, match=sentence):
         load_study(file).cells()
     told = capsys.readouterr().err

@@ -16,12 +16,13 @@ pytest.importorskip("distributed", reason="studies need dask")
 
 import dask
 
-from glissando import GlissandoError, cli
-from glissando.study import run as runs
-from glissando.study.cell import failure, outcome
-from glissando.study.plan import load_study
-from glissando.study.run import cluster, run_cells
-from glissando.study.store import TABLE, Store, parquet
+from glissando import GlissandoError
+from glissando.cli.main import main
+from glissando.experiments.study import run as runs
+from glissando.experiments.study.cell import failure, outcome
+from glissando.experiments.study.plan import load_study
+from glissando.experiments.study.run import cluster, run_cells
+from glissando.experiments.study.store import TABLE, Store, parquet
 from studies import write_study
 
 PATIENCE = 300.0  # s, for whatever should take a few
@@ -117,7 +118,7 @@ def test_a_cluster_by_address_does_the_cells_and_keeps_what_failed(loopback, tmp
     assert os.getpid() not in pids
     out = tmp_path / "out"
     arguments = ["study", str(file), "--out", str(out), "--scheduler", loopback]
-    assert cli.main(arguments) == 1
+    assert main(arguments) == 1
     printed = capsys.readouterr()
     assert "12 cells, 6 failed" in printed.out
     assert printed.err == ""
@@ -126,9 +127,9 @@ def test_a_cluster_by_address_does_the_cells_and_keeps_what_failed(loopback, tmp
         alone = outcome(cell.scene, cell.seed)
         assert {name: row[name] for name in alone} == alone
         assert (row["error"] is not None) == (row["shape"] == "buckled.toml")
-    assert cli.main([*arguments, "--resume"]) == 1  # nothing to do: failed cells stay as they are
+    assert main([*arguments, "--resume"]) == 1  # nothing to do: failed cells stay as they are
     assert len(kept_cells(out)) == 12
-    assert cli.main([*arguments, "--retry"]) == 1
+    assert main([*arguments, "--retry"]) == 1
     assert len(kept_cells(out)) == 12 + 6
 
 
@@ -172,7 +173,7 @@ def test_a_scheduler_that_is_not_there_is_one_sentence(tmp_path, monkeypatch, ca
     file = write_study(tmp_path, "")
     address = "tcp://127.0.0.1:1"
     arguments = ["study", str(file), "--out", str(tmp_path / "out"), "--scheduler", address]
-    assert cli.main(arguments) == 2
+    assert main(arguments) == 2
     assert f"No scheduler answers at {address}" in capsys.readouterr().err
 
 
@@ -196,5 +197,5 @@ def test_no_process_is_left_behind(tmp_path):
 def test_workers_and_a_scheduler_at_once_are_refused(tmp_path, capsys):
     file = write_study(tmp_path, "")
     for more in (["--workers", "0"], ["--workers", "2", "--scheduler", "tcp://127.0.0.1:1"]):
-        assert cli.main(["study", str(file), *more]) == 2
+        assert main(["study", str(file), *more]) == 2
         assert "give one or more, and no --scheduler" in capsys.readouterr().err

@@ -4,8 +4,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from draws import generators, law, sixes
-from glissando import se3
-from glissando.transitions import bridge, process_covariances, symmetrize, transition
+from glissando.geometry import se3
+from glissando.model.priors.transitions import bridge, process_covariances, symmetrize, transition
 from oracles import dense
 
 PSD = np.array([1e-3, 1.2e-3, 2e-3, 3.0, 4.0, 2.0])

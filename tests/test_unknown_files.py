@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from glissando import RobotFileError, SensorError, estimate, load_robot
-from glissando.robot import robot_file
-from glissando.unknowns import Unknown
+from glissando.io.robot_file import robot_file
+from glissando.model.sensors.parameters import Unknown
 from scenes import sliding_scene
 from unknown_scenes import unknown
 

@@ -7,10 +7,10 @@ import pytest
 
 from draws import motion, prior
 from glissando import PositionReadings, SensorError, State, estimate
-from glissando.factors import linearize
-from glissando.placed import PlacedReadings, states_at
-from glissando.separable import BaseVariance, SeparablePrior
-from glissando.sums import slab_shape
+from glissando.model.priors.separable import BaseVariance, SeparablePrior
+from glissando.solver.linearize import linearize
+from glissando.solver.measurement_factors import PlacedReadings, states_at
+from glissando.solver.normal_equations import slab_shape
 from scenes import LENGTH, arc, sliding_scene
 from unknown_scenes import COARSE, GRID, SOFT, consistent, scattered, tracker, unknown
 

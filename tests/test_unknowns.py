@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from glissando import GlissandoError, GyroReadings, PositionReadings, estimate, se3
-from glissando.posterior import Posterior
-from glissando.unknowns import SIZES
+from glissando import GlissandoError, GyroReadings, PositionReadings, estimate
+from glissando.estimation.posterior import Posterior
+from glissando.geometry import se3
+from glissando.model.sensors.parameters import SIZES
 from scenes import LENGTH, angular_velocity, arc, sliding_scene
 from unknown_scenes import COARSE, SOFT, STEADY, TIMES, consistent, tracker, unknown
 

@@ -12,12 +12,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from draws import generators, law, poses
-from glissando import se3
-from glissando.drivers import ViconStream
-from glissando.drivers.vicon import parse_packet
 from glissando.errors import DeviceError
-from glissando.simulate import SimulationError
-from glissando.simulate.devices import vicon as sender
+from glissando.geometry import se3
+from glissando.hardware.drivers import ViconStream
+from glissando.hardware.drivers.vicon import parse_packet
+from glissando.hardware.simulated_devices import vicon as sender
+from glissando.simulation import SimulationError
 
 
 def turn(axis, angle):
@@ -189,7 +189,12 @@ def scene_file(folder, duration=2.0):
 
 
 def running(*options):
-    command = [sys.executable, "-m", "glissando.simulate.devices.vicon", *map(str, options)]
+    command = [
+        sys.executable,
+        "-m",
+        "glissando.hardware.simulated_devices.vicon",
+        *map(str, options),
+    ]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 

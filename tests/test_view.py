@@ -11,10 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
-from glissando import GlissandoError, Grid, OutsideGridError, PoseReadings, cli, estimate, se3
-from glissando.view import Scene, page, save_view, scene_of
-from glissando.view.page import SIGMAS, packed
-from glissando.view.scene import moments, symmetric_root
+from glissando import GlissandoError, Grid, OutsideGridError, PoseReadings, estimate
+from glissando.cli.main import main
+from glissando.geometry import se3
+from glissando.visualization.page import Scene, page, save_view, scene_of
+from glissando.visualization.page.page import SIGMAS, packed
+from glissando.visualization.page.scene import moments, symmetric_root
 from scenes import LENGTH, arc, sliding_scene
 
 OUTSIDE = re.compile(r"https?:|\bsrc=\"(?!data:)|\bhref=|@import|\burl\(|\bimport\(|\bfetch\(")
@@ -223,7 +225,7 @@ def test_the_command_shows_a_posterior_with_the_sensors_and_truth_of_its_recordi
         (recording / f"{name}.csv").write_text(text + "\n")
     out = tmp_path / "out.html"
     arguments = ["view", tmp_path / "run", "--recording", recording, "--html", out]
-    assert cli.main([str(a) for a in [*arguments, "--window", 0, 0.5]]) == 0
+    assert main([str(a) for a in [*arguments, "--window", 0, 0.5]]) == 0
     assert f"Wrote {out}; open it" in capsys.readouterr().out
     told = carried(out.read_text())
     assert (told["sensors"], told["sites"]) == (["coil"], ["seen"])
@@ -243,7 +245,7 @@ def test_the_command_shows_a_posterior_with_the_sensors_and_truth_of_its_recordi
 def test_a_mistake_is_one_sentence_and_status_2(tmp_path, capsys, arguments, sentence):
     (tmp_path / "page").write_text("in the way")
     given_ = [a.replace("{here}", str(tmp_path)) for a in arguments]
-    assert cli.main(["view", *given_]) == 2
+    assert main(["view", *given_]) == 2
     told = capsys.readouterr().err
     assert sentence in told
     assert told.startswith("glissando: ")
@@ -254,8 +256,8 @@ def test_a_mistake_is_one_sentence_and_status_2(tmp_path, capsys, arguments, sen
 def test_a_simulated_15_s_run_is_a_page_of_less_than_5_mb(tmp_path, capsys):
     recording, out = tmp_path / "recording", tmp_path / "out"
     simulated = ["--shape", "S", "--slide", "oscillate", "--duration", 15, "--out", recording]
-    assert cli.main(["simulate", *map(str, simulated)]) == 0
-    assert cli.main(["estimate", str(recording), "--view", "--out", str(out)]) == 0
+    assert main(["simulate", *map(str, simulated)]) == 0
+    assert main(["estimate", str(recording), "--view", "--out", str(out)]) == 0
     html = (out / "view.html").read_text()
     print(f"15 s: {len(html.encode()) / 1e6:.2f} MB")
     assert len(html.encode()) < 5e6

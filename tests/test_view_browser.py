@@ -8,9 +8,9 @@ from PIL import Image
 
 from browser import Told, chromium, wait_until
 from glissando import estimate
-from glissando.animation.frames import _tube
-from glissando.view import save_view, scene_of
-from glissando.view.page import SIGMAS
+from glissando.visualization.film.frames import _tube
+from glissando.visualization.page import save_view, scene_of
+from glissando.visualization.page.page import SIGMAS
 from scenes import LENGTH, sliding_scene
 from test_view import carried, unpacked
 

@@ -13,10 +13,10 @@ from glissando import (
     PoseReadings,
     PositionReadings,
     load_robot,
-    se3,
     uniform_grid,
 )
-from glissando.unknowns import SIZES, Unknown
+from glissando.geometry import se3
+from glissando.model.sensors.parameters import SIZES, Unknown
 from scenes import LENGTH, arc
 
 GRID = Grid([0.0, 0.1, 0.25, 0.4], [0.0, 0.1, 0.25, 0.35])

@@ -26,15 +26,19 @@ from glissando.errors import (
     SensorError,
     UnobservableError,
 )
-from glissando.estimate import Options, estimate
-from glissando.grid import Grid, uniform_grid
-from glissando.kinematic import BaseDensity, KinematicPrior
-from glissando.noise import GemanMcClure, Huber
-from glissando.online import FixedLag
-from glissando.posterior import Estimate, Posterior
-from glissando.readings import Readings
-from glissando.robot import Robot, load_robot
-from glissando.sensors import (
+from glissando.estimation.batch import Options, estimate
+from glissando.estimation.fixed_lag import FixedLag
+from glissando.estimation.posterior import Estimate, Posterior
+from glissando.estimation.static import Shapes, estimate_shapes
+from glissando.geometry import se3 as se3
+from glissando.io.robot_file import Robot, load_robot
+from glissando.model.grid import Grid, uniform_grid
+from glissando.model.noise import GemanMcClure, Huber
+from glissando.model.priors.separable import BaseVariance, SeparablePrior
+from glissando.model.priors.white_noise import BaseDensity, KinematicPrior
+from glissando.model.sensors.parameters import Unknown
+from glissando.model.sensors.readings import Readings
+from glissando.model.sensors.sensors import (
     CoilReadings,
     FbgReadings,
     GyroReadings,
@@ -43,10 +47,7 @@ from glissando.sensors import (
     PositionReadings,
     StrainReadings,
 )
-from glissando.separable import BaseVariance, SeparablePrior
-from glissando.shapes import Shapes, estimate_shapes
-from glissando.state import State
-from glissando.unknowns import Unknown
+from glissando.model.state import State
 
 __all__ = [
     "BaseDensity",

@@ -2,6 +2,6 @@
 
 import sys
 
-from glissando.cli import main
+from glissando.cli.main import main
 
 sys.exit(main())

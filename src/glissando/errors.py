@@ -29,6 +29,10 @@ class SensorError(GlissandoError):
     """Readings have wrong shapes, or a sensor's derivative does not fit its residual."""
 
 
+class SimulationError(GlissandoError):
+    """What was asked of the simulator cannot be: a tendon off its disk, a shape unknown."""
+
+
 class DeviceError(GlissandoError):
     """A device does not answer, or answers what it should not."""
 

@@ -1,7 +1,7 @@
 """A compiled function in place of one of numpy's, where numba is installed.
 
 The functions marked `twin` are exact definitions in numpy, batched; on a handful of items most of
-their time is numpy's calls. `glissando.compiled` has a function of the same name and arguments for
+their time is numpy's calls. `glissando._kernels` has a function of the same name and arguments for
 each, which estimators use instead unless numba is missing or GLISSANDO_COMPILED is 0.
 """
 
@@ -17,7 +17,7 @@ from importlib.util import find_spec
 from types import ModuleType
 from typing import Any, ParamSpec, TypeVar
 
-from glissando.threads import one_thread
+from glissando._kernels.threads import one_thread
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -34,7 +34,7 @@ def _compiled() -> ModuleType | None:
     """The room of compiled functions; None where it is not wanted or numba is missing."""
     if os.environ.get("GLISSANDO_COMPILED") == "0" or find_spec("numba") is None:
         return None
-    return import_module("glissando.compiled")
+    return import_module("glissando._kernels.glue")
 
 
 @contextmanager

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag, expm, logm
 
-from glissando.linear import Factors
-from glissando.state import DOF
+from glissando.model.factors import Factors
+from glissando.model.state import DOF
 
 Array = NDArray[np.float64]
 

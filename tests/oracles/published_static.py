@@ -11,10 +11,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from glissando import KinematicPrior, State, se3
-from glissando.grid import Grid
-from glissando.linear import Factors, Residuals
-from glissando.noise import sqrt_information
+from glissando import KinematicPrior, State
+from glissando.geometry import se3
+from glissando.model.factors import Factors, Residuals
+from glissando.model.grid import Grid
+from glissando.model.noise import sqrt_information
 
 
 class PublishedStatic(KinematicPrior):

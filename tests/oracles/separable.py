@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from glissando.linear import Factors
+from glissando.model.factors import Factors
 from oracles import dense
 
 Array = NDArray[np.float64]

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from glissando.errors import GlissandoError
-from glissando.tables import Table, read_toml
+from glissando.io.toml_table import Table, read_toml
 
 CLAIMS = Path(__file__).parent / "claims.toml"
 _DIRECTIONS = ("below", "above", "report")

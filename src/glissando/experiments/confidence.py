@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from glissando.experiments.scenes import Scene, Trial, bench, path, trial
-from glissando.se3 import Array
+from glissando.geometry.se3 import Array
 
 _INSTANTS = 0.35  # s between instants, which fall on and between time nodes
 _POINTS = 701  # places along the body at which confidence is asked for

@@ -10,7 +10,7 @@ import numpy as np
 from glissando.experiments.confidence import std_along
 from glissando.experiments.figures_space import COIL, Bodies, explain_bodies
 from glissando.experiments.scenes import Scene, Trial, bench, path
-from glissando.plot import _MM, _canvas, _legend
+from glissando.visualization.figures import _MM, _canvas, _legend
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from glissando.plot import _MM, _canvas, _legend
+from glissando.visualization.figures import _MM, _canvas, _legend
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -10,8 +10,16 @@ from typing import Any
 import numpy as np
 
 from glissando.experiments.scenes import Trial
-from glissando.plot import _AXES, _DOT, _MM, _draw_ellipsoids, _draw_truth, _legend, _places
-from glissando.se3 import Array
+from glissando.geometry.se3 import Array
+from glissando.visualization.figures import (
+    _AXES,
+    _DOT,
+    _MM,
+    _draw_ellipsoids,
+    _draw_truth,
+    _legend,
+    _places,
+)
 
 COIL: dict[str, Any] = {"marker": "o", "color": "#FFD92F", "edgecolor": "black", "linewidth": 1.3}
 """How a scatter draws the coil, in space and on curves."""

@@ -85,7 +85,7 @@ def _record(
 
 def _animate(folder: Path, quick: bool, progress: Progress) -> Path:
     """The robot moves C → S while the coil slides its whole length, with its confidence tube."""
-    from glissando.animation import save_animation
+    from glissando.visualization.film import save_animation
 
     scene = Scene("C-to-S", "traverse", 12.0, speed=0.4, stroke=0.7, cycles=3)
     found = trial(scene, seed=0)

@@ -12,17 +12,18 @@ from pathlib import Path
 
 import numpy as np
 
-from glissando.dataset import Recording, Stream
 from glissando.errors import RobotFileError
-from glissando.estimate import estimate
-from glissando.grid import Grid
-from glissando.kinematic import KinematicPrior
-from glissando.metrics import Errors, errors_against
-from glissando.posterior import Posterior
-from glissando.readings import Readings
-from glissando.robot import Robot, load_robot, robot_file
-from glissando.separable import SeparablePrior
-from glissando.simulate import (
+from glissando.estimation.batch import estimate
+from glissando.estimation.posterior import Posterior
+from glissando.evaluation.metrics import Errors, errors_against
+from glissando.io.recording import Recording, Stream
+from glissando.io.robot_file import Robot, load_robot, robot_file
+from glissando.model.grid import Grid
+from glissando.model.priors.separable import SeparablePrior
+from glissando.model.priors.white_noise import KinematicPrior
+from glissando.model.sensors.parameters import corrected
+from glissando.model.sensors.readings import Readings
+from glissando.simulation import (
     Actuation,
     Bench,
     Imperfections,
@@ -33,7 +34,6 @@ from glissando.simulate import (
     load_bench,
     simulate_session,
 )
-from glissando.unknowns import corrected
 
 ROBOT = "sliding700"
 TUNED_ON: dict[str, Sequence[Sequence[float]]] = {

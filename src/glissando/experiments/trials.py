@@ -14,9 +14,9 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from glissando.errors import NotConvergedWarning
+from glissando.evaluation.metrics import pool
 from glissando.experiments.scenes import Scene, trial
-from glissando.metrics import pool
-from glissando.se3 import Array
+from glissando.geometry.se3 import Array
 
 COLUMNS = ("position", "rotation", "nees", "coverage", "converged")
 """What a trial leaves: RMSE over the body (m, rad), NEES per dof, share inside 95 %, 1 or 0."""

@@ -1,0 +1,179 @@
+"""Intervals that know their rates, and points inside them: twins of intervals.py."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from glissando._kernels.jit import jit
+from glissando._kernels.lie import (
+    ad_into,
+    adjoint_back_into,
+    ahead_into,
+    compose_into,
+    exp_into,
+    log_into,
+    right_jacobian_into,
+    right_jacobian_inverse_into,
+    slope_into,
+    times_into,
+)
+from glissando._kernels.process import apply_into, matmul_into
+
+
+@jit
+def _put(out, row, column, matrix, sign):
+    """Write ± a matrix (6, 6) into its place."""
+    for i in range(6):
+        for j in range(6):
+            out[row + i, column + j] = sign * matrix[i, j]
+
+
+@jit
+def _error(pose0, pose1, fields0, fields1, step, error, j0, j1):
+    """Error [r; ṙ] (24,) of an interval between nodes of `fields` (18,); Jacobians into zeros."""
+    x, drawn, carried = np.empty(6), np.empty(6), np.empty(6)
+    ahead, miss, pose = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
+    spread, stretch, pull = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
+    back, unmiss, slope = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
+    by_miss, by_ahead = np.empty((6, 6)), np.empty((6, 6))
+    a, b = np.empty((6, 6)), np.empty((6, 6))
+    strain0, velocity0, rate0 = fields0[:6], fields0[6:12], fields0[12:]
+    ahead_into(pose0, pose1, ahead)
+    scaled = step * strain0
+    exp_into(-scaled, pose)
+    compose_into(pose, ahead, miss)
+    xi, xi_rate = error[:6], error[12:18]
+    log_into(miss, xi)
+    right_jacobian_inverse_into(xi, spread)
+    right_jacobian_into(scaled, stretch)
+    adjoint_back_into(ahead, back)
+    adjoint_back_into(miss, unmiss)
+    times_into(unmiss, stretch, pull)
+    for i in range(6):
+        for j in range(6):
+            pull[i, j] *= step
+    apply_into(back, velocity0, carried)
+    apply_into(pull, rate0, drawn)
+    for i in range(6):
+        x[i] = fields1[6 + i] - carried[i] - drawn[i]
+        error[6 + i] = fields1[i] - strain0[i]
+        error[18 + i] = fields1[12 + i] - rate0[i]
+    apply_into(spread, x, xi_rate)
+
+    times_into(spread, back, a)
+    _put(j0, 0, 0, a, -1.0)
+    _put(j0, 12, 12, a, -1.0)
+    times_into(spread, pull, a)
+    _put(j0, 0, 6, a, -1.0)
+    _put(j0, 12, 18, a, -1.0)
+    _put(j1, 0, 0, spread, 1.0)
+    _put(j1, 12, 12, spread, 1.0)
+    slope_into(xi, xi_rate, slope)
+    matmul_into(spread, slope, a)
+    matmul_into(a, spread, by_miss)
+    ad_into(drawn, b)
+    times_into(spread, b, a)
+    by_miss[:] = -by_miss - a
+    ad_into(carried, b)
+    times_into(spread, b, a)
+    by_ahead[:] = by_miss - a
+    _put(j1, 12, 0, by_ahead, 1.0)
+    matmul_into(by_ahead, back, a)
+    _put(j0, 12, 0, a, -1.0)
+    slope_into(scaled, rate0, slope)
+    times_into(spread, unmiss, a)
+    matmul_into(a, slope, b)
+    matmul_into(by_miss, pull, a)
+    a[:] = a + step * step * b
+    _put(j0, 12, 6, a, -1.0)
+    for i in range(6):
+        j0[6 + i, 6 + i] = j0[18 + i, 18 + i] = -1.0
+        j1[6 + i, 6 + i] = j1[18 + i, 18 + i] = 1.0
+
+
+@jit
+def interval_error(pose0, pose1, fields0, fields1, step):
+    """Errors (M, 24) of intervals, Jacobians (M, 24, 24) at both ends."""
+    m = len(step)
+    error, j0, j1 = np.empty((m, 24)), np.zeros((m, 24, 24)), np.zeros((m, 24, 24))
+    for n in range(m):
+        _error(pose0[n], pose1[n], fields0[n], fields1[n], step[n], error[n], j0[n], j1[n])
+    return error, j0, j1
+
+
+@jit
+def _spread(gain, turn, curl, e, d, out):
+    """Jacobian (24, 24) at the point with respect to one end, through the interval's error."""
+    for half in (0, 12):
+        matmul_into(gain, e[half : half + 12], d[half : half + 12])
+    for i in range(6):
+        for j in range(24):
+            out[6 + i, j], out[18 + i, j] = d[6 + i, j], d[18 + i, j]
+            pose = rate = 0.0
+            for k in range(6):
+                pose += turn[i, k] * d[k, j]
+                rate += curl[i, k] * d[k, j] + turn[i, k] * d[12 + k, j]
+            out[i, j], out[12 + i, j] = pose, rate
+
+
+@jit
+def interval_between(pose0, pose1, fields0, fields1, step, offset, gain, whole, part):
+    """Poses, fields (M, 18) and Jacobians (M, 24, 24) at both ends, of points in intervals."""
+    m = len(step)
+    pose, fields = np.empty((m, 4, 4)), np.empty((m, 18))
+    j0, j1 = np.empty((m, 24, 24)), np.empty((m, 24, 24))
+    error, e0, e1, d = np.empty(24), np.zeros((24, 24)), np.zeros((24, 24)), np.empty((24, 24))
+    still, moving, carried = np.empty(12), np.empty(12), np.empty(6)
+    x, after = np.empty(6), np.empty(6)
+    ahead, bend, there = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
+    stretch, turn, curl = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
+    back, unbend, slope = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
+    a, b = np.empty((6, 6)), np.empty((6, 6))
+    for n in range(m):
+        u, strain0, rate0 = offset[n], fields0[n, :6], fields0[n, 12:]
+        _error(pose0[n], pose1[n], fields0[n], fields1[n], step[n], error, e0, e1)
+        apply_into(gain[n], error[:12] - whole[n], still)
+        still += part[n]
+        apply_into(gain[n], error[12:], moving)
+        scaled = u * strain0
+        exp_into(scaled, ahead)
+        exp_into(still[:6], bend)
+        compose_into(pose0[n], ahead, there)
+        compose_into(there, bend, pose[n])
+        right_jacobian_into(scaled, stretch)
+        stretch *= u
+        right_jacobian_into(still[:6], turn)
+        adjoint_back_into(ahead, back)
+        adjoint_back_into(bend, unbend)
+        apply_into(back, fields0[n, 6:12], carried)
+        apply_into(stretch, rate0, x)
+        apply_into(unbend, carried + x, after)
+        apply_into(turn, moving[:6], x)
+        for i in range(6):
+            fields[n, i] = strain0[i] + still[6 + i]
+            fields[n, 6 + i] = after[i] + x[i]
+            fields[n, 12 + i] = rate0[i] + moving[6 + i]
+        ad_into(after, a)
+        times_into(a, turn, curl)
+        slope_into(still[:6], moving[:6], slope)
+        curl += slope
+        _spread(gain[n], turn, curl, e0, d, j0[n])
+        _spread(gain[n], turn, curl, e1, d, j1[n])
+
+        ad_into(carried, a)
+        times_into(a, stretch, b)
+        slope_into(scaled, rate0, slope)
+        b += u * u * slope
+        matmul_into(unbend, b, slope)
+        times_into(unbend, back, a)
+        times_into(unbend, stretch, b)
+        for i in range(6):
+            for j in range(6):
+                j0[n, i, j] += a[i, j]
+                j0[n, 12 + i, 12 + j] += a[i, j]
+                j0[n, i, 6 + j] += b[i, j]
+                j0[n, 12 + i, 18 + j] += b[i, j]
+                j0[n, 12 + i, 6 + j] += slope[i, j]
+            j0[n, 6 + i, 6 + i] += 1.0
+            j0[n, 18 + i, 18 + i] += 1.0
+    return pose, fields, j0, j1

@@ -1,0 +1,286 @@
+"""SE(3) for one item: what the compiled loops are made of.
+
+Matrices of the form [A B; 0 A], as adjoints and Jacobians of SE(3) are, are multiplied by blocks.
+"""
+
+from __future__ import annotations
+
+from math import asin, atan2, cos, sin, sqrt, tan
+
+import numpy as np
+
+from glissando._kernels.jit import jit
+from glissando.geometry import series
+
+BELOW = series.BELOW
+_ABC, _CURVES, _SLOPES, _D = (
+    np.ascontiguousarray(table[..., 0].T)
+    for table in (series.ABC, series.BC_CURVES, series.BC_SLOPES, series.D_SLOPE)
+)
+_NEAR = 2.0  # trace of a rotation above which its sine says all
+
+
+@jit
+def _series(coefficients, q):
+    """Σ c_m q^m for q < 1, with no more terms than q asks for."""
+    terms = 5 if q < 1e-3 else 7 if q < 0.05 else coefficients.size
+    value = coefficients[terms - 1]
+    for m in range(terms - 2, -1, -1):
+        value = value * q + coefficients[m]
+    return value
+
+
+@jit
+def _abc(q):
+    if q < BELOW:
+        return _series(_ABC[0], q), _series(_ABC[1], q), _series(_ABC[2], q)
+    theta = sqrt(q)
+    a = sin(theta) / theta
+    return a, (1.0 - cos(theta)) / q, (1.0 - a) / q
+
+
+@jit
+def _d_and_slope(q):
+    if q < BELOW:
+        return _series(_D[0], q), _series(_D[1], q)
+    half = 0.5 * sqrt(q)
+    g = half / tan(half)
+    d = (1.0 - g) / q
+    return d, (-(g - (half / sin(half)) ** 2) / (2.0 * q) - d) / q
+
+
+@jit
+def _bc_slopes(q):
+    if q < BELOW:
+        b, c = _series(_SLOPES[0], q), _series(_SLOPES[1], q)
+        return b, c, _series(_SLOPES[2], q), _series(_SLOPES[3], q)
+    a, b, c = _abc(q)
+    a_slope = (cos(sqrt(q)) - a) / (2.0 * q)
+    return b, c, (0.5 * a - b) / q, (-a_slope - c) / q
+
+
+@jit
+def _bc_curves(q):
+    """Second derivatives of B and C by q."""
+    if q < BELOW:
+        return _series(_CURVES[0], q), _series(_CURVES[1], q)
+    a, _, _ = _abc(q)
+    _, _, b_slope, c_slope = _bc_slopes(q)
+    a_slope = (cos(sqrt(q)) - a) / (2.0 * q)
+    a_curve = -(0.5 * a + 3.0 * a_slope) / (2.0 * q)
+    return (0.5 * a_slope - 2.0 * b_slope) / q, -(a_curve + 2.0 * c_slope) / q
+
+
+@jit
+def squared_angle(x):
+    """The squared angle of a six-vector."""
+    return x[3] * x[3] + x[4] * x[4] + x[5] * x[5]
+
+
+@jit
+def _cross(ax, ay, az, bx, by, bz):
+    return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+
+
+@jit
+def exp_into(x, out):
+    """Pose (4, 4) of a six-vector, into `out`."""
+    q = squared_angle(x)
+    a, b, c = _abc(q)
+    x3, x4, x5 = x[3], x[4], x[5]
+    diagonal = 1.0 - b * q
+    out[0, 0], out[1, 1], out[2, 2] = diagonal + b * x3 * x3, diagonal + b * x4 * x4, 0.0
+    out[2, 2] = diagonal + b * x5 * x5
+    out[0, 1], out[1, 0] = b * x3 * x4 - a * x5, b * x3 * x4 + a * x5
+    out[0, 2], out[2, 0] = b * x3 * x5 + a * x4, b * x3 * x5 - a * x4
+    out[1, 2], out[2, 1] = b * x4 * x5 - a * x3, b * x4 * x5 + a * x3
+    u, v, w = _cross(x3, x4, x5, x[0], x[1], x[2])
+    uu, vv, ww = _cross(x3, x4, x5, u, v, w)
+    out[0, 3] = x[0] + b * u + c * uu
+    out[1, 3] = x[1] + b * v + c * vv
+    out[2, 3] = x[2] + b * w + c * ww
+    out[3, 0] = out[3, 1] = out[3, 2] = 0.0
+    out[3, 3] = 1.0
+
+
+@jit
+def _rotation_log(r, out):
+    """Rotation vector into out[3:6]."""
+    x, y, z = r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]
+    trace = r[0, 0] + r[1, 1] + r[2, 2]
+    if trace > _NEAR:
+        sine = max(0.5 * sqrt(x * x + y * y + z * z), 1e-9)
+        scale = 0.5 * asin(min(sine, 1.0)) / sine
+        out[3], out[4], out[5] = scale * x, scale * y, scale * z
+        return
+    best = max(trace, r[0, 0], r[1, 1], r[2, 2])
+    if best == trace:
+        w = 1.0 + trace
+    elif best == r[0, 0]:
+        w, x, y, z = x, 1.0 + r[0, 0] - r[1, 1] - r[2, 2], r[0, 1] + r[1, 0], r[0, 2] + r[2, 0]
+    elif best == r[1, 1]:
+        w, x, y, z = y, r[0, 1] + r[1, 0], 1.0 - r[0, 0] + r[1, 1] - r[2, 2], r[1, 2] + r[2, 1]
+    else:
+        w, x, y, z = z, r[0, 2] + r[2, 0], r[1, 2] + r[2, 1], 1.0 - r[0, 0] - r[1, 1] + r[2, 2]
+    if w < 0.0:
+        w, x, y, z = -w, -x, -y, -z
+    length = sqrt(x * x + y * y + z * z)
+    scale = 2.0 * atan2(length, w) / length
+    out[3], out[4], out[5] = scale * x, scale * y, scale * z
+
+
+@jit
+def log_into(pose, out):
+    """Six-vector of a pose, into `out`."""
+    _rotation_log(pose, out)
+    d, _ = _d_and_slope(squared_angle(out))
+    px, py, pz = pose[0, 3], pose[1, 3], pose[2, 3]
+    u, v, w = _cross(out[3], out[4], out[5], px, py, pz)
+    uu, vv, ww = _cross(out[3], out[4], out[5], u, v, w)
+    out[0], out[1], out[2] = px - 0.5 * u + d * uu, py - 0.5 * v + d * vv, pz - 0.5 * w + d * ww
+
+
+@jit
+def compose_into(a, b, out):
+    """The pose a b, into `out`."""
+    for i in range(3):
+        for j in range(4):
+            out[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
+        out[i, 3] += a[i, 3]
+    out[3, 0] = out[3, 1] = out[3, 2] = 0.0
+    out[3, 3] = 1.0
+
+
+@jit
+def ahead_into(a, b, out):
+    """The pose a⁻¹ b."""
+    x, y, z = b[0, 3] - a[0, 3], b[1, 3] - a[1, 3], b[2, 3] - a[2, 3]
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = a[0, i] * b[0, j] + a[1, i] * b[1, j] + a[2, i] * b[2, j]
+        out[i, 3] = a[0, i] * x + a[1, i] * y + a[2, i] * z
+    out[3, 0] = out[3, 1] = out[3, 2] = 0.0
+    out[3, 3] = 1.0
+
+
+@jit
+def fill(out):
+    """The lower half of [A B; 0 A]."""
+    for i in range(3):
+        for j in range(3):
+            out[3 + i, j] = 0.0
+            out[3 + i, 3 + j] = out[i, j]
+
+
+@jit
+def adjoint_into(pose, out):
+    """Adjoint (6, 6) of a pose, into `out`."""
+    for j in range(3):
+        for i in range(3):
+            out[i, j] = pose[i, j]
+        u, v, w = _cross(pose[0, 3], pose[1, 3], pose[2, 3], pose[0, j], pose[1, j], pose[2, j])
+        out[0, 3 + j], out[1, 3 + j], out[2, 3 + j] = u, v, w
+    fill(out)
+
+
+@jit
+def adjoint_back_into(pose, out):
+    """Ad(T⁻¹) = [Rᵀ, −Rᵀ p^; 0, Rᵀ], whose rows i are R's columns and p × them."""
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = pose[j, i]
+        u, v, w = _cross(pose[0, 3], pose[1, 3], pose[2, 3], pose[0, i], pose[1, i], pose[2, i])
+        out[i, 3], out[i, 4], out[i, 5] = u, v, w
+    fill(out)
+
+
+@jit
+def ad_into(x, out):
+    """Derivative (6, 6) of the adjoint, into `out`."""
+    for first in (0, 3):
+        k = 3 - first
+        out[0, first] = out[1, first + 1] = out[2, first + 2] = 0.0
+        out[0, first + 1], out[1, first] = -x[k + 2], x[k + 2]
+        out[0, first + 2], out[2, first] = x[k + 1], -x[k + 1]
+        out[1, first + 2], out[2, first + 1] = -x[k], x[k]
+    fill(out)
+
+
+@jit
+def times_into(a, b, out):
+    """Product of matrices [A B; 0 A]."""
+    for i in range(3):
+        for j in range(3):
+            top = corner = 0.0
+            for k in range(3):
+                top += a[i, k] * b[k, j]
+                corner += a[i, k] * b[k, 3 + j] + a[i, 3 + k] * b[k, j]
+            out[i, j], out[i, 3 + j] = top, corner
+    fill(out)
+
+
+@jit
+def _polynomial(x, c1, c2, c3, c4, out):
+    """1 + Σ c_i ad(x)^i."""
+    m, m2, tail = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
+    ad_into(x, m)
+    times_into(m, m, m2)
+    for i in range(3):
+        for j in range(6):
+            tail[i, j] = c3 * m[i, j] + c4 * m2[i, j]
+        tail[i, i] += c2
+    fill(tail)
+    times_into(m2, tail, out)
+    for i in range(3):
+        for j in range(6):
+            out[i, j] += c1 * m[i, j]
+        out[i, i] += 1.0
+    fill(out)
+
+
+@jit
+def jacobian_coefficients(q):
+    """Those of ad(x)^i in J_r(x), i from 1 to 4."""
+    b, c, b_slope, c_slope = _bc_slopes(q)
+    return q * b_slope - b, c - q * c_slope, b_slope, -c_slope
+
+
+@jit
+def right_jacobian_into(x, out):
+    """Right Jacobian (6, 6), into `out`."""
+    c1, c2, c3, c4 = jacobian_coefficients(squared_angle(x))
+    _polynomial(x, c1, c2, c3, c4, out)
+
+
+@jit
+def right_jacobian_inverse_into(x, out):
+    """Its inverse (6, 6), into `out`."""
+    q = squared_angle(x)
+    d, slope = _d_and_slope(q)
+    _polynomial(x, 0.5, d - q * slope, 0.0, -slope, out)
+
+
+@jit
+def slope_into(x, w, out):
+    """Derivative (6, 6) of J_r(x) w by x, into `out`."""
+    m, by_x, fresh = np.empty((6, 6)), np.zeros((6, 6)), np.empty((6, 6))
+    power, next_ = w.copy(), np.empty(6)
+    q = squared_angle(x)
+    coefficients = jacobian_coefficients(q)
+    b2, c2 = _bc_curves(q)
+    slopes = (q * b2, -q * c2, b2, -c2)
+    ad_into(x, m)
+    out[:] = 0.0
+    for i in range(4):
+        times_into(m, by_x, fresh)
+        ad_into(power, by_x)
+        for r in range(6):
+            next_[r] = 0.0
+            for k in range(6):
+                next_[r] += m[r, k] * power[k]
+                by_x[r, k] = fresh[r, k] - by_x[r, k]
+                out[r, k] += coefficients[i] * by_x[r, k]
+        power[:] = next_
+        for r in range(6):
+            for k in range(3):
+                out[r, 3 + k] += 2.0 * slopes[i] * power[r] * x[3 + k]

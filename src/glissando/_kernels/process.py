@@ -1,0 +1,218 @@
+"""Noise of intervals, bridges, whitening: twins of transitions.py and noise.py."""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+
+from glissando._kernels.jit import jit
+from glissando._kernels.lie import (
+    ad_into,
+    adjoint_into,
+    exp_into,
+    fill,
+    jacobian_coefficients,
+    right_jacobian_into,
+    squared_angle,
+    times_into,
+)
+from glissando.model.priors.transitions import NODES, WEIGHTS
+
+
+@jit
+def matmul_into(a, b, out):
+    """The product a b, into `out`."""
+    for i in range(a.shape[0]):
+        for j in range(b.shape[1]):
+            out[i, j] = 0.0
+        for k in range(a.shape[1]):
+            for j in range(b.shape[1]):
+                out[i, j] += a[i, k] * b[k, j]
+
+
+@jit
+def apply_into(matrix, vector, out):
+    """The product of a matrix and a vector, into `out`."""
+    for i in range(matrix.shape[0]):
+        out[i] = 0.0
+        for k in range(matrix.shape[1]):
+            out[i] += matrix[i, k] * vector[k]
+
+
+@jit
+def whiten_into(cov, out):
+    """W with Wᵀ W = cov⁻¹, lower triangular: the inverse of the Cholesky factor."""
+    n = len(cov)
+    for j in range(n):
+        for i in range(j):
+            out[i, j] = 0.0
+        for i in range(j, n):
+            value = cov[i, j]
+            for k in range(j):
+                value -= out[i, k] * out[j, k]
+            if i == j:
+                if not value > 0.0:
+                    raise np.linalg.LinAlgError("Matrix is not positive definite")
+                out[j, j] = sqrt(value)
+            else:
+                out[i, j] = value / out[j, j]
+    for j in range(n):
+        out[j, j] = 1.0 / out[j, j]
+        for i in range(j + 1, n):
+            value = 0.0
+            for k in range(j, i):
+                value -= out[i, k] * out[k, j]
+            out[i, j] = value / out[i, i]
+
+
+@jit
+def process_into(rate, step, psd, carried_psd, jump, rigid, cov, carried):
+    """Noise of an interval; `cov` (12, 12) and `carried` (6, 6) are written."""
+    cov[:], carried[:] = 0.0, 0.0
+    m, m2, m3, m4 = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
+    lever, ride, angle = np.empty((6, 6)), np.empty((6, 6)), squared_angle(rate)
+    ad_into(rate, m)
+    times_into(m, m, m2)
+    times_into(m2, m, m3)
+    times_into(m2, m2, m4)
+    for n in range(len(NODES)):
+        u, weight = step * NODES[n], step * WEIGHTS[n]
+        c1, c2, c3, c4 = jacobian_coefficients(u * u * angle)
+        c1, c2, c3, c4 = c1 * u, c2 * u**2, c3 * u**3, c4 * u**4
+        for i in range(3):
+            for j in range(6):
+                lever[i, j] = c1 * m[i, j] + c2 * m2[i, j] + c3 * m3[i, j] + c4 * m4[i, j]
+            lever[i, i] += 1.0
+        fill(lever)
+        if rigid:  # exp(−u ad) = 1 − u ad J_r(u rate)
+            times_into(m, lever, ride)
+            for i in range(6):
+                for j in range(6):
+                    ride[i, j] = (i == j) - u * ride[i, j]
+        for i in range(6):
+            for j in range(i + 1):
+                value = other = 0.0
+                for k in range(6):
+                    value += lever[i, k] * psd[k] * lever[j, k]
+                    if rigid:
+                        other += ride[i, k] * carried_psd[k] * ride[j, k]
+                cov[i, j] += weight * u * u * value
+                carried[i, j] += weight * other
+            for j in range(6):
+                cov[i, 6 + j] += weight * u * lever[i, j] * psd[j]
+    for i in range(6):
+        for j in range(6):
+            cov[6 + j, i] = cov[i, 6 + j]
+            if j > i:
+                cov[i, j], carried[i, j] = cov[j, i], carried[j, i]
+        cov[6 + i, 6 + i] = step * psd[i] + jump[i]
+        if not rigid:
+            carried[i, i] = step * carried_psd[i]
+
+
+@jit
+def middle_into(rate0, rate1, step, psd, jump, out):
+    """The rate (6,) about which a step is linearised: the mean, less the jump at its end."""
+    for i in range(6):
+        share = 0.5 * step * psd[i] / (step * psd[i] + jump[i])
+        out[i] = rate0[i] + share * (rate1[i] - rate0[i])
+
+
+@jit
+def process_covariances(rate, step, psd, carried_psd, jump, rigid):
+    """Noise (M, 12, 12) and (M, 6, 6) of intervals."""
+    cov, carried = np.empty((len(rate), 12, 12)), np.empty((len(rate), 6, 6))
+    for i in range(len(rate)):
+        process_into(rate[i], step[i], psd[i], carried_psd[i], jump[i], rigid, cov[i], carried[i])
+    return cov, carried
+
+
+@jit
+def _condition(near, cross, whole, root, half, gain, cov):
+    """Gain = crossᵀ whole⁻¹ and cov = near − gain cross."""
+    n = len(near)
+    whiten_into(whole, root)
+    matmul_into(root, cross, half)
+    for i in range(n):
+        for j in range(n):
+            left = given = 0.0
+            for k in range(n):
+                left += half[k, i] * half[k, j]
+                given += half[k, i] * root[k, j]
+            gain[i, j], cov[i, j] = given, near[i, j] - left
+
+
+@jit
+def bridge(rate, step, offset, psd, carried_psd, jump, rigid):
+    """What intervals know inside: gains and covariances of pair and carried."""
+    m = len(rate)
+    gain, cov = np.empty((m, 12, 12)), np.empty((m, 12, 12))
+    carried_gain, carried_cov = np.empty((m, 6, 6)), np.empty((m, 6, 6))
+    none, x, pose = np.zeros(6), np.empty(6), np.empty((4, 4))
+    phi, ride = np.eye(12), np.eye(6)
+    near, near6 = np.empty((12, 12)), np.empty((6, 6))
+    whole, whole6 = np.empty((12, 12)), np.empty((6, 6))
+    cross, cross6 = np.empty((12, 12)), np.empty((6, 6))
+    root, root6 = np.empty((12, 12)), np.empty((6, 6))
+    half, half6 = np.empty((12, 12)), np.empty((6, 6))
+    lever, turned = np.empty((6, 6)), np.empty((6, 6))
+    for i in range(m):
+        rest = step[i] - offset[i]
+        for j in range(6):
+            x[j] = rest * rate[i, j]
+        right_jacobian_into(x, lever)
+        exp_into(-x, pose)
+        adjoint_into(pose, turned)
+        for j in range(6):
+            for k in range(6):
+                phi[j, k], phi[j, 6 + k] = turned[j, k], rest * lever[j, k]
+        if rigid:
+            ride[:] = turned
+        process_into(rate[i], offset[i], psd[i], carried_psd[i], none, rigid, near, near6)
+        process_into(rate[i], step[i], psd[i], carried_psd[i], jump[i], rigid, whole, whole6)
+        matmul_into(phi, near, cross)
+        matmul_into(ride, near6, cross6)
+        _condition(near, cross, whole, root, half, gain[i], cov[i])
+        _condition(near6, cross6, whole6, root6, half6, carried_gain[i], carried_cov[i])
+    return gain, cov, carried_gain, carried_cov
+
+
+@jit
+def sqrt_information(cov):
+    """Whiteners (M, r, r) of covariances."""
+    out = np.empty(cov.shape)
+    for i in range(len(cov)):
+        whiten_into(cov[i], out[i])
+    return out
+
+
+@jit
+def pair_whiten_into(cov, out):
+    """Whitener (12, 12) of a covariance whose last block is diagonal, into zeros."""
+    corner, root, slope = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
+    for j in range(6):
+        spread = 1.0 / cov[6 + j, 6 + j]
+        out[6 + j, 6 + j] = sqrt(spread)
+        for i in range(6):
+            slope[i, j] = cov[i, 6 + j] * spread
+    for i in range(6):
+        for j in range(i + 1):
+            corner[i, j] = cov[i, j]
+            for k in range(6):
+                corner[i, j] -= slope[i, k] * cov[j, 6 + k]
+    whiten_into(corner, root)
+    for i in range(6):
+        for j in range(6):
+            out[i, j] = root[i, j]
+            for k in range(i + 1):
+                out[i, 6 + j] -= root[i, k] * slope[k, j]
+
+
+@jit
+def pair_sqrt_information(cov):
+    """Whiteners (M, 12, 12) of covariances whose last block is diagonal."""
+    out = np.zeros(cov.shape)
+    for n in range(len(cov)):
+        pair_whiten_into(cov[n], out[n])
+    return out

@@ -1,6 +1,0 @@
-"""A film of a posterior: the robot in its 3σ tube, and how sure it is along the body."""
-
-from glissando.animation.film import save_animation
-from glissando.animation.frames import Frames, frames_at
-
-__all__ = ["Frames", "frames_at", "save_animation"]

@@ -1,0 +1,188 @@
+"""What calibration found, as numbers, as a TOML file, and applied to a session."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import tomli_w
+
+from glissando.calibration.rig.rig import MOUNT, PARAMETERS, Rig, RigData
+from glissando.errors import GlissandoError, RecordingError
+from glissando.geometry import se3
+from glissando.geometry.se3 import Array
+from glissando.io.csv_stream import Rows
+from glissando.io.recording import Recording, Stream
+from glissando.io.robot_file import Robot
+from glissando.io.toml_table import Table, read_toml
+from glissando.model.sensors.parameters import Unknown
+
+if TYPE_CHECKING:
+    from glissando.calibration.rig.advice import StreamFit
+
+FORMAT = "glissando calibration 1"
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What is known of a rig: values, their joint covariance, how sure the direction is.
+
+    `cov` (17, 17) is in the order of PARAMETERS: twist of the tracker's frame [m, rad] on its
+    right, mount x, y [m] and tilts [rad], zero [m], lead, backlash [m], and delay [s] and rate of
+    both clocks. `log_odds` are those of the direction. `fits` say how well each stream fits,
+    `warnings` are sentences.
+    """
+
+    rig: Rig
+    cov: Array
+    coil_name: str
+    log_odds: float
+    fits: tuple[StreamFit, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def std(self) -> Array:
+        """Standard deviations (17,) in the order of PARAMETERS."""
+        return np.sqrt(self.cov.diagonal())
+
+    def values(self) -> dict[str, tuple[float, float]]:
+        """Value and standard deviation by parameter; of the frame the value is its position."""
+        rig = self.rig
+        frame = [*rig.T_wt[:3, 3], *se3.so3_log(rig.T_wt[:3, :3])]
+        rest = [rig.zero, rig.lead, rig.backlash, *rig.tracker_clock, *rig.slide_clock]
+        numbers = [*frame, *rig.mount, *rest]
+        return {
+            name: (float(value), float(std))
+            for name, value, std in zip(PARAMETERS, numbers, self.std, strict=True)
+        }
+
+    def unknowns(self) -> tuple[Unknown, ...]:
+        """The frame, mount and delay as known unknowns of the coil, for a robot file.
+
+        They are for recordings whose coil is in the tracker's frame and time but has arclengths.
+        """
+        twist = np.zeros(6)
+        twist[MOUNT] = self.rig.mount
+        parts = {
+            "world": se3.log(self.rig.T_wt),
+            "mount": twist,
+            "delay": self.rig.tracker_clock[:1],
+        }
+        streams = (self.coil_name,)
+        return tuple(
+            Unknown(f"{self.coil_name} {kind}", kind, streams, value, np.zeros(value.size))
+            for kind, value in parts.items()
+        )
+
+    def save(self, path: Path) -> None:
+        """Write the TOML file that `load_calibration` reads, laid out as docs/calibration.md."""
+        rig, std = self.rig, self.std
+        document: dict[str, Any] = {
+            "format": FORMAT,
+            "epoch": rig.epoch,
+            "log_odds": float(self.log_odds),
+            "frames": {"tracker": {**_pose(rig.T_wt), "std": std[:6].tolist()}},
+            "coil": {
+                "name": self.coil_name,
+                "mount": {**_pose(rig.coil_mount), "std": std[6:10].tolist()},
+                "clock": _clock(rig.tracker_clock, std[13:15]),
+            },
+            "slide": {
+                "zero": rig.zero,
+                "direction": rig.direction,
+                "lead": rig.lead,
+                "backlash": rig.backlash,
+                "std": std[10:13].tolist(),
+                "clock": _clock(rig.slide_clock, std[15:17]),
+            },
+            "warnings": list(self.warnings),
+            "covariance": {"order": list(PARAMETERS), "rows": self.cov.tolist()},
+            "unknowns": [
+                {
+                    "name": u.name,
+                    "kind": u.kind,
+                    "streams": list(u.streams),
+                    "value": u.value.tolist(),
+                }
+                for u in self.unknowns()
+            ],
+        }
+        path.write_text(tomli_w.dumps(document), encoding="utf-8")
+
+
+def _pose(pose: Array) -> dict[str, Any]:
+    quaternion = se3.quaternion(pose[:3, :3])
+    return {"position": pose[:3, 3].tolist(), "quaternion": quaternion.tolist()}
+
+
+def _clock(clock: Array, std: Array) -> dict[str, Any]:
+    return {"delay": float(clock[0]), "rate": float(clock[1]), "std": std.tolist()}
+
+
+def load_calibration(path: str | Path) -> Calibration:
+    """Read what `Calibration.save` wrote. Raises GlissandoError with the key that is wrong."""
+    table = read_toml(Path(path), GlissandoError)
+    table.text("format", choices=(FORMAT,))
+    frames, coil, slide, covariance = (
+        _of(table, key) for key in ("frames", "coil", "slide", "covariance")
+    )
+    epoch = table.number("epoch", positive=False)
+    odds = table.peek("log_odds")
+    mount = _of(coil, "mount")
+    direction = slide.number("direction", positive=False)
+    if direction not in (1.0, -1.0):
+        raise slide.fail("direction", f"is {direction:g}; give 1 or -1.")
+    rig = Rig(
+        _of(frames, "tracker").pose(),
+        int(direction),
+        slide.number("zero", positive=False),
+        epoch,
+        se3.log(mount.pose())[MOUNT],
+        slide.number("lead"),
+        slide.number("backlash", positive=False),
+        _clock_of(coil),
+        _clock_of(slide),
+    )
+    cov = covariance.matrix("rows", len(PARAMETERS))
+    warnings = table.peek("warnings") or []
+    return Calibration(rig, cov, coil.text("name"), float(odds or 0.0), (), tuple(warnings))
+
+
+def _of(table: Table, key: str) -> Table:
+    found = table.table(key, required=True)
+    assert found is not None
+    return found
+
+
+def _clock_of(device: Table) -> Array:
+    clock = _of(device, "clock")
+    return np.array([clock.number(key, positive=False) for key in ("delay", "rate")])
+
+
+def apply(calibration: Calibration, data: RigData, robot: Robot | None = None) -> Recording:
+    """A session as a recording: coil in the world with its true times, arclengths and mount.
+
+    Motion capture bodies become its truth. Coil readings at times when the slide said nothing, or
+    off the robot by a millimetre or more, are left out. Raises RecordingError when none is left.
+    """
+    rig = calibration.rig
+    time = rig.true_time(data.coil_time)
+    arclength = rig.arclength(time, data.slide_time, data.travel)
+    kept = np.ones(time.size, dtype=bool)
+    if data.slides:
+        stamps = rig.slide_stamps(time)
+        kept = (stamps >= data.slide_time[0]) & (stamps <= data.slide_time[-1])
+    if robot is not None:
+        kept &= (arclength > -1e-3) & (arclength < robot.length + 1e-3)
+        arclength = np.clip(arclength, 0.0, robot.length)
+    if not kept.any():
+        raise RecordingError("No coil reading is on the robot while the slide ran; is it this rig?")
+    rows = Rows("coil", time[kept], arclength[kept], rig.T_wt @ data.coil[kept], {})
+    streams = {data.coil_name: Stream(data.coil_name, rows, False, None, rig.coil_mount, {}, True)}
+    std = np.repeat(data.noise.mocap, 3)
+    for name, b in data.bodies.items():
+        rows = Rows("pose", b.time, np.full(b.time.size, b.arclength), b.poses, {})
+        streams[name] = Stream(name, rows, True, std, b.mount, {}, True)
+    return Recording("session", Path(), streams, robot, None)

@@ -1,0 +1,155 @@
+"""Rig data from a raw session log."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from glissando.calibration.rig.rig import Body, Noise, RigData
+from glissando.errors import RecordingError
+from glissando.geometry import se3
+from glissando.geometry.se3 import Array
+from glissando.io.session_log import RawSession, Topic
+from glissando.io.toml_table import Table
+
+_NOISE = {
+    "mocap": "mocap_std",
+    "coil": "coil_std",
+    "bias": "coil_bias",
+    "play": "play",
+    "backlash": "backlash",
+}  # of the setup, by part of the noise
+_TRACKER, _MOCAP, _SLIDE = "/tracker/", "/mocap/", "/slide"
+
+
+def rig_data(session: RawSession) -> RigData:
+    """What a session's devices said, as its metadata 'setup' explains it.
+
+    Frames that came twice count once, poses that were not seen are left out. Raises RecordingError
+    with what is missing or wrong: the setup, a tracker topic, more than one unless the setup's
+    `coil` names it, a body without its place.
+    """
+    setup = _setup(session)
+    name, time, coil = _coil(session, setup)
+    slide_time, travel = _slide(session)
+    coil_arclength = setup.number("coil_arclength", positive=False)
+    direction = setup.number("direction", 0.0, positive=False)
+    if direction not in (-1.0, 0.0, 1.0):
+        raise setup.fail("direction", f"is {direction:g}; give 1, -1, or 0 for not known.")
+    return RigData(
+        coil_name=name,
+        coil_time=time,
+        coil=coil,
+        slide_time=slide_time,
+        travel=travel,
+        bodies=_bodies(session, setup),
+        coil_arclength=coil_arclength,
+        coil_arclength_std=setup.number("coil_arclength_std"),
+        direction=int(direction),
+        noise=_noise(setup),
+        robot=setup.text("robot", ""),
+    )
+
+
+def _setup(session: RawSession) -> Table:
+    text = session.metadata.get("setup")
+    if text is None:
+        raise RecordingError(
+            "The session has no 'setup' in its metadata; it says where coil and bodies sit, see "
+            "docs/calibration.md."
+        )
+    try:
+        found = json.loads(text)
+    except ValueError as problem:
+        raise RecordingError(f"The session's setup is no JSON ({problem}); correct it.") from None
+    if not isinstance(found, dict):
+        raise RecordingError("The session's setup is no JSON object; give one, {…}.")
+    return Table(found, "setup", RecordingError)
+
+
+def _noise(setup: Table) -> Noise:
+    """What the setup says of noise; what it does not is as usual."""
+    usual = Noise()
+    given: dict[str, Any] = {}
+    for part, key in _NOISE.items():
+        known = getattr(usual, part)
+        if isinstance(known, float):
+            given[part] = setup.number(key, known)
+        else:
+            given[part] = setup.vector(key, known.size, known, positive=True)
+    return replace(usual, **given)
+
+
+def _coil(session: RawSession, setup: Table) -> tuple[str, Array, Array]:
+    names = [topic.removeprefix(_TRACKER) for topic in session.topics if topic.startswith(_TRACKER)]
+    if not names:
+        raise RecordingError(
+            f"The session has no topic {_TRACKER}NAME: without the tracker there is nothing to "
+            f"calibrate; record it too."
+        )
+    wanted = setup.peek("coil")
+    if wanted is None and len(names) > 1:
+        raise RecordingError(
+            f"The session has coils {', '.join(sorted(names))}; say which one slides: "
+            f'"coil": NAME in the setup.'
+        )
+    name = names[0] if wanted is None else setup.text("coil", choices=names)
+    time, poses = _poses(session.topics[_TRACKER + name])
+    return name, time, poses
+
+
+def _poses(topic: Topic) -> tuple[Array, Array]:
+    """Times (M,) and poses (M, 4, 4) of what was seen, in the order of time, each frame once."""
+    time, frame = topic.column("time"), topic.column("frame")
+    position, quaternion = topic.column("position"), topic.column("quaternion")
+    if position.ndim != 2 or quaternion.ndim != 2:  # nothing was ever seen
+        return np.zeros(0), np.zeros((0, 4, 4))
+    if position.shape[1] != 3 or quaternion.shape[1] != 4:
+        raise RecordingError(
+            f"Topic {topic.name!r}: give positions of 3 numbers and quaternions [w, x, y, z]."
+        )
+    seen = np.isfinite(time) & np.all(np.isfinite(np.hstack([position, quaternion])), axis=1)
+    seen &= np.abs(np.linalg.norm(quaternion, axis=1) - 1.0) < 0.01
+    rows = np.flatnonzero(seen)
+    rows = rows[np.argsort(time[rows], kind="stable")]
+    again = np.append(False, frame[rows][1:] == frame[rows][:-1]) if rows.size else rows > 0
+    rows = rows[~again]
+    poses = np.tile(np.eye(4), (rows.size, 1, 1))
+    poses[:, :3, :3] = se3.rotation_from_quaternion(quaternion[rows])
+    poses[:, :3, 3] = position[rows]
+    return time[rows], poses
+
+
+def _slide(session: RawSession) -> tuple[Array, Array]:
+    topic = session.topics.get(_SLIDE)
+    if topic is None:
+        return np.zeros(0), np.zeros(0)
+    time, travel = topic.column("time"), topic.column("travel")
+    rows = np.flatnonzero(np.isfinite(time) & np.isfinite(travel))
+    time, kept = np.unique(time[rows], return_index=True)
+    return time, travel[rows][kept]
+
+
+def _bodies(session: RawSession, setup: Table) -> dict[str, Body]:
+    given = setup.table("bodies")
+    known = given.names() if given else []
+    out = {}
+    for topic in session.topics.values():
+        name = topic.name.removeprefix(_MOCAP)
+        if not topic.name.startswith(_MOCAP):
+            continue
+        if given is None or name not in known:
+            raise RecordingError(
+                f"Motion capture saw {name!r}, and the setup does not say where it sits; add it to "
+                f"its bodies with arclength, position and quaternion."
+            )
+        entry = given.table(name, required=True)
+        assert entry is not None
+        arclength, mount = entry.number("arclength", positive=False), entry.pose()
+        time, poses = _poses(topic)
+        if time.size:
+            out[name] = Body(arclength, mount, time, poses)
+    return out

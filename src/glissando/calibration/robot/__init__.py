@@ -1,0 +1,1 @@
+"""Constants of a robot file and of a laboratory, learned from recordings."""

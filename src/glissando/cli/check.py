@@ -1,0 +1,129 @@
+"""`glissando check`: judges whether the confidence of an estimate is true."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from glissando.cli.shared import (
+    Commands,
+    add_choices,
+    add_command,
+    chosen_robot,
+    estimate_watched,
+    require_writable,
+    streams_of,
+)
+from glissando.errors import GlissandoError, RecordingError
+from glissando.estimation.posterior import Posterior
+from glissando.evaluation.consistency import LEVELS, Consistency, check, check_readings
+from glissando.evaluation.metrics import errors_against
+from glissando.io.recording import load_recording
+
+_HELP = """\
+Check whether the confidence of an estimate is true: errors against truth in units of their own
+covariance (NEES, 1 per degree of freedom when true) and the share of errors inside the 50, 90, 95
+and 99 % ellipsoids, by site, for position and rotation; and innovations of the readings (NIS), each
+against what all others foretell.
+
+RECORDING is estimated first. A posterior.nc of an earlier estimate needs --recording for its truth.
+Bounds hold for 95 % of honest estimates, and count neighbouring errors that are alike as one.
+"""
+_EXAMPLES = """\
+examples:
+  glissando check my_recording --out results
+  glissando check results/posterior.nc --recording my_recording --truth mocap_tip
+  glissando check my_recording --json | python -m json.tool
+
+exit status: 0 done, whatever the verdict; 1 the estimate did not converge; 2 something given was
+wrong.
+"""
+
+
+def add_to(commands: Commands) -> None:
+    """Add the command to the parser's."""
+    texts = _HELP, _EXAMPLES
+    parser = add_command(commands, "check", "check whether confidence is true", texts, _check)
+    add = parser.add_argument
+    add("target", type=Path, metavar="RECORDING|POSTERIOR", help="folder, or a posterior.nc")
+    add("--recording", type=Path, metavar="FOLDER", help="where the truth of a posterior is")
+    add_choices(parser)
+    add("--out", type=Path, metavar="DIR", help="write check.json and calibration.png here")
+    add("--json", action="store_true", help="print one JSON object and nothing else")
+
+
+def _check(options: argparse.Namespace) -> int:
+    if options.out:
+        require_writable(options.out)
+    found, name, complaint = _judged(options)
+    if not found:
+        raise RecordingError(
+            f"{name} has no truth inside the window; name streams with --truth, or another window."
+        )
+    told = {"name": name, "checks": [c.as_json() for c in found]}
+    if options.json:
+        print(json.dumps(told))
+    else:
+        for quantity in dict.fromkeys(c.quantity for c in found):
+            Console().print(_table(quantity, [c for c in found if c.quantity == quantity]))
+    if options.out:
+        from glissando.visualization.consistency_figure import calibration_figure
+
+        options.out.mkdir(parents=True, exist_ok=True)
+        text = json.dumps(told, indent=2)
+        (options.out / "check.json").write_text(text + "\n", encoding="utf-8")
+        calibration_figure(found).savefig(options.out / "calibration.png", dpi=150)
+    return complaint
+
+
+def _judged(options: argparse.Namespace) -> tuple[list[Consistency], str, int]:
+    """Every check, none without truth, the name of what is checked, and the exit status so far."""
+    if options.target.is_dir():
+        recording = load_recording(options.target)
+        robot = chosen_robot(recording, options.robot)
+        run, complaint = estimate_watched(recording, robot, options)
+        found = run.consistency() if run.errors else []
+        return found, recording.name, 1 if complaint else 0
+    if not options.target.is_file():
+        raise GlissandoError(
+            f"There is no recording folder or posterior {str(options.target)!r}; give one."
+        )
+    if options.recording is None:
+        raise GlissandoError(
+            "A posterior holds no truth: give the folder that does with --recording FOLDER."
+        )
+    posterior = Posterior.load(options.target)
+    recording = load_recording(options.recording)
+    readings, truth = streams_of(posterior, recording, options)
+    status = 0 if posterior.solve.converged else 1
+    found = check([errors_against(posterior, t) for t in truth])
+    if found:
+        found += check_readings(posterior, readings)
+    return found, options.target.name, status
+
+
+def _table(quantity: str, found: Sequence[Consistency]) -> Table:
+    title = f"{quantity}: squared error per dof in units of its variance, and share inside"
+    table = Table(
+        title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False, collapse_padding=True
+    )
+    table.add_column("site", no_wrap=True)
+    headings = ["s (m)", "NEES", "if true", *(f"{100 * level:g} %" for level in LEVELS), "worth"]
+    for heading in headings:
+        table.add_column(heading, justify="right", no_wrap=True)
+    table.add_column("confidence", no_wrap=True)
+    for c in found:
+        low, high = c.mean_bounds()
+        place = "" if math.isnan(c.arclength) else f"{c.arclength:.3f}"
+        shares = [f"{100 * c.coverage(level):.0f}" for level in LEVELS]
+        numbers = [f"{c.mean:.2f}", f"{low:.2f}…{high:.2f}", *shares, f"{c.effective:.0f}"]
+        table.add_row(escape(c.site), place, *numbers, c.verdict)
+    return table

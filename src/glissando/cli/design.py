@@ -1,0 +1,110 @@
+"""`glissando design`: what a slide's stroke, speed, rate and coils are worth to a zone."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
+
+from glissando.cli.plan import add_limits, stage_of
+from glissando.cli.shared import Commands, add_command, require_writable
+from glissando.errors import GlissandoError
+from glissando.io.robot_file import load_robot, shipped_robots
+from glissando.planning import Design, is_best, objective_named, read_zone, sweep
+from glissando.planning.objectives import OBJECTIVES
+
+_HELP = """\
+Compare designs of a sliding sensor before one is built: strokes, speeds, rates, numbers of coils.
+
+Every combination is judged on its own best path, by what the estimator will say of each zone. Those
+are marked that no other comes near with less stroke, speed or coils.
+"""
+_EXAMPLES = """\
+examples:
+  glissando design --zone 0.5:0.6 --strokes 0.03,0.06,0.12 --out design
+  glissando design --robot my_robot.toml --zone 0.2:0.3 --zone 0.6:0.7 --coils 1,2 --rates 20,40
+
+What is not given is that of the robot file. Several coils follow each other a stroke apart.
+
+exit status: 0 done; 2 something given was wrong.
+"""
+
+
+def add_to(commands: Commands) -> None:
+    """Add the command to the parser's."""
+    texts = _HELP, _EXAMPLES
+    parser = add_command(commands, "design", "compare designs of the slide", texts, _design)
+    add = parser.add_argument
+    robots = ", ".join(shipped_robots())
+    add("--robot", default="sliding700", metavar="FILE|NAME", help=f"robot file, or of {robots}")
+    add("--zone", action="append", required=True, metavar="S0:S1[@T0:T1]", help="may be repeated")
+    add("--strokes", type=_numbers, metavar="M,…", help="default: half, one and two of the stage's")
+    add("--speeds", type=_numbers, metavar="M/S,…", help="default: half and all of the stage's")
+    add("--rates", type=_numbers, default=[20.0, 40.0], metavar="HZ,…", help="default 20,40")
+    add("--coils", type=_numbers, default=[1, 2], metavar="N,…", help="default 1,2")
+    add_limits(parser)
+    add("--horizon", type=float, default=10.0, metavar="S", help="seconds ahead (default 10)")
+    add("--objective", default="trace", choices=OBJECTIVES, help="default trace")
+    add("--bound", type=float, default=5e-3, metavar="M", help="error of chance (default 0.005)")
+    add("--out", type=Path, metavar="DIR", help="write design.json and design.png here")
+    add("--json", action="store_true", help="print one JSON object and nothing else")
+
+
+def _numbers(text: str) -> list[float]:
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is no list of numbers") from None
+
+
+def _design(options: argparse.Namespace) -> int:
+    if options.out:
+        require_writable(options.out)
+    if any(count != int(count) for count in options.coils):
+        raise GlissandoError(f"--coils {options.coils}: give whole numbers.")
+    stage, upper = stage_of(options)
+    strokes = [part * stage.stroke for part in (0.5, 1.0, 2.0)]
+    found = sweep(
+        load_robot(options.robot),
+        [read_zone(text) for text in options.zone],
+        strokes=options.strokes or [s for s in strokes if s <= upper],
+        speeds=options.speeds or [0.5 * stage.speed, stage.speed],
+        rates=options.rates,
+        coils=[int(count) for count in options.coils],
+        acceleration=stage.acceleration,
+        upper=upper,
+        horizon=options.horizon,
+        objective=objective_named(options.objective, options.bound),
+    )
+    designs = list(found)
+    best = is_best(designs)
+    told = [{**asdict(d), "best": bool(b)} for d, b in zip(designs, best, strict=True)]
+    if options.json:
+        print(json.dumps({"zones": options.zone, "designs": told}))
+    else:
+        Console().print(_table(designs, best.tolist(), options.zone))
+    if options.out:
+        from glissando.visualization.planning_figures import design_figure
+
+        options.out.mkdir(parents=True, exist_ok=True)
+        text = json.dumps({"zones": options.zone, "designs": told}, indent=2)
+        (options.out / "design.json").write_text(text + "\n", encoding="utf-8")
+        design_figure(designs).savefig(options.out / "design.png", dpi=150)
+    return 0
+
+
+def _table(designs: list[Design], best: list[bool], zones: list[str]) -> Table:
+    table = Table(title="position σ (mm) in each zone", title_justify="left", box=SIMPLE_HEAD)
+    for heading in ("stroke (mm)", "speed (mm/s)", "rate (Hz)", "coils", *zones):
+        table.add_column(heading, justify="right")
+    table.add_column("worth it")
+    for design, mark in zip(designs, best, strict=True):
+        costs = f"{1e3 * design.stroke:g}", f"{1e3 * design.speed:g}", f"{design.rate:g}"
+        std = (f"{1e3 * value:.2f}" for value in design.std)
+        table.add_row(*costs, str(design.coils), *std, "*" if mark else "")
+    return table

@@ -1,0 +1,192 @@
+"""`glissando plan`: the path of the slide that leaves a zone known best."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+import numpy as np
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from glissando.cli.shared import Commands, add_command, require_writable
+from glissando.errors import GlissandoError, RobotFileError, SimulationError
+from glissando.estimation.posterior import Posterior
+from glissando.io.robot_file import load_robot, robot_file, shipped_robots
+from glissando.planning import (
+    Foretold,
+    Outlook,
+    Plan,
+    Zone,
+    blind_paths,
+    foresee,
+    foretell,
+    judge_of,
+    objective_named,
+    plan_slide,
+    read_zone,
+    sliding_sensor,
+    track_of,
+)
+from glissando.planning.objectives import OBJECTIVES
+from glissando.simulation import SlideLimits, load_bench
+
+_HELP = """\
+Plan where a sliding sensor goes so that zones of the body are known best.
+
+What a reading tells depends on where and when it is taken, not on what it says, so the best path is
+found before it is taken: from a robot file alone, or from the end of an estimate. The path is
+compared with one that oscillates and one that stays, by what the estimator will say after each.
+"""
+_EXAMPLES = """\
+examples:
+  glissando plan --robot sliding700 --zone 0.5:0.6 --out plan
+  glissando simulate --shape S --slide plan/path.csv --out s_planned
+  glissando plan --zone 0.3:0.4@0:5 --zone 0.65:0.7@5:10*2 --limits 0.7,0.1,0.2 --objective max
+  glissando plan --zone 0.2:0.3..0.6:0.7@0:20 --horizon 20 --limits 0.7,0.1,0.2 --json
+  glissando plan --from results/posterior.nc --zone 0.5:0.6 --out next
+
+A zone is S0:S1 in metres, always or @T0:T1 in seconds; S0:S1..S2:S3@T0:T1 moves from one place to
+another; *W weighs it against others. path.csv has the columns time,arclength,speed.
+
+exit status: 0 done; 2 something given was wrong.
+"""
+
+
+def add_to(commands: Commands) -> None:
+    """Add the command to the parser's."""
+    parser = add_command(commands, "plan", "plan the slide's path", (_HELP, _EXAMPLES), _plan)
+    add = parser.add_argument
+    robots = ", ".join(shipped_robots())
+    add("--robot", default="sliding700", metavar="FILE|NAME", help=f"robot file, or of {robots}")
+    add("--from", dest="posterior", type=Path, metavar="POSTERIOR", help="go on from its end")
+    add("--zone", action="append", required=True, metavar="S0:S1[@T0:T1]", help="may be repeated")
+    add("--horizon", type=float, default=10.0, metavar="S", help="seconds ahead (default 10)")
+    add("--objective", default="trace", choices=OBJECTIVES, help="default trace")
+    add("--bound", type=float, default=5e-3, metavar="M", help="error of chance (default 0.005)")
+    add_limits(parser)
+    add("--start", type=float, metavar="M", help="arclength now (default: drawn out)")
+    add("--rate", type=float, default=40.0, metavar="HZ", help="readings a second (default 40)")
+    add("--node-step", type=float, metavar="S", help="between time nodes (default: the robot's)")
+    add("--wear", type=float, default=0.0, metavar="S²", help="weight of the mean square speed")
+    add("--seed", type=int, default=0, metavar="N", help="of random starts (default 0)")
+    add("--out", type=Path, metavar="DIR", help="write path.csv, plan.json and plan.png here")
+    add("--animate", action="store_true", help="also write plan.gif, the same in time, in DIR")
+    add("--json", action="store_true", help="print one JSON object and nothing else")
+
+
+def add_limits(parser: argparse.ArgumentParser) -> None:
+    """The option that says what the stage can do."""
+    parser.add_argument(
+        "--limits",
+        metavar="STROKE,SPEED,ACCEL",
+        help="m, m/s, m/s² (default: [physics.slide] of the robot file)",
+    )
+
+
+def stage_of(options: argparse.Namespace) -> tuple[SlideLimits, float]:
+    """The stage, and the sensor's arclength when it is drawn out."""
+    file = robot_file(options.robot)
+    length = load_robot(file).length
+    try:
+        bench = load_bench(file)
+        stage, upper = bench.slide, length + bench.coil_offset
+    except SimulationError as problem:
+        if not options.limits:
+            raise RobotFileError(
+                f"{file.name} does not say what its stage can do: give --limits "
+                f"STROKE,SPEED,ACCEL, or [physics] with a [physics.slide] ({problem})"
+            ) from None
+        stage, upper = SlideLimits(1.0, 1.0, 1.0), length
+    if options.limits:
+        try:
+            stage = SlideLimits(*map(float, options.limits.split(",")))
+        except (TypeError, ValueError) as problem:
+            if isinstance(problem, GlissandoError):
+                raise
+            raise GlissandoError(
+                f"--limits {options.limits}: give STROKE,SPEED,ACCEL, three numbers in m, m/s, "
+                f"m/s²."
+            ) from None
+    return stage, upper
+
+
+def _plan(options: argparse.Namespace) -> int:
+    if options.out:
+        require_writable(options.out)
+    elif options.animate:
+        raise GlissandoError("--animate writes into a folder: give --out DIR.")
+    zones = [read_zone(text) for text in options.zone]
+    objective = objective_named(options.objective, options.bound)
+    robot = load_robot(options.robot)
+    stage, upper = stage_of(options)
+    start = upper if options.start is None else options.start
+    known = Posterior.load(options.posterior) if options.posterior else robot
+    sensor = sliding_sensor(robot, rate=options.rate)
+    reach = upper - stage.stroke, upper
+    outlook = foresee(known, reach, options.horizon, sensor, node_step=options.node_step)
+    track = track_of(stage, upper, start, options.horizon)
+    plan = plan_slide(
+        judge_of(outlook, zones, objective), track, zones, wear=options.wear, seed=options.seed
+    )
+    blind = blind_paths(stage, upper, start, track.times, options.seed)
+    paths = {"planned": plan.arclength, **blind}
+    told = {name: foretell(outlook, zones, objective, path) for name, path in paths.items()}
+    report = {
+        "robot": robot.name,
+        "objective": options.objective,
+        "zones": options.zone,
+        "limits": vars(stage),
+        "start": start,
+        "paths": {name: found.as_json() for name, found in told.items()},
+        "starts": plan.starts,
+    }
+    if options.json:
+        print(json.dumps(report))
+    else:
+        Console().print(_table(options.objective, told))
+    if options.out:
+        _write(options.out, plan, outlook, told, zones, report, animate=options.animate)
+        print(f"Wrote {options.out / 'path.csv'}") if not options.json else None
+    return 0
+
+
+def _table(objective: str, told: dict[str, Foretold]) -> Table:
+    table = Table(title="foretold of the zones", title_justify="left", box=SIMPLE_HEAD)
+    table.add_column("path")
+    for heading in ("σ (mm)", "worst (mm)", objective, "variance against oscillating"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    against = told["oscillating"].std ** 2
+    for name, found in told.items():
+        change = f"{100 * (found.std**2 / against - 1):+.1f} %"
+        numbers = f"{1e3 * found.std:.2f}", f"{1e3 * found.worst:.2f}", f"{found.value:.4g}"
+        table.add_row(escape(name), *numbers, "" if name == "oscillating" else change)
+    return table
+
+
+def _write(
+    folder: Path,
+    plan: Plan,
+    outlook: Outlook,
+    told: dict[str, Foretold],
+    zones: list[Zone],
+    report: dict[str, object],
+    *,
+    animate: bool,
+) -> None:
+    """Write path.csv, plan.json and plan.png, and plan.gif if asked."""
+    from glissando.visualization.planning_figures import plan_figure, save_plan_film
+
+    folder.mkdir(parents=True, exist_ok=True)
+    table = np.column_stack(plan.knots())
+    head = "time,arclength,speed"
+    np.savetxt(folder / "path.csv", table, "%.15g", ",", header=head, comments="")
+    text = json.dumps(report, indent=2)
+    (folder / "plan.json").write_text(text + "\n", encoding="utf-8")
+    drawn = {name: told[name].arclength for name in ("planned", "oscillating", "fixed")}
+    plan_figure(outlook, drawn, zones).savefig(folder / "plan.png", dpi=150)
+    if animate:
+        save_plan_film(outlook, drawn, zones, folder / "plan.gif")

@@ -1,0 +1,185 @@
+"""`glissando record`: one experiment with every device at once, and the recording it makes."""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import sys
+import time
+from contextlib import ExitStack
+from pathlib import Path
+
+from rich.console import Console
+from rich.live import Live
+from rich.markup import escape
+from rich.table import Table
+
+from glissando.cli.shared import Commands, add_command, require_writable
+from glissando.errors import DeviceError, GlissandoError
+from glissando.hardware.capture import (
+    Progress,
+    Rig,
+    capture,
+    load_rig,
+    simulated_rig,
+    write_recording,
+)
+from glissando.hardware.capture.capture import LOG
+from glissando.hardware.capture.online import Hear, followed
+from glissando.hardware.drivers import Stage
+from glissando.io.atomic_folder import require_new
+from glissando.io.session_log import read_session
+from glissando.model.slide_path import read_slide
+from glissando.simulation import SlideLimits, SlidePath
+
+_HELP = """\
+Run an experiment: the slide follows its path while tracker, slide and motion capture are recorded
+together. The raw log, session.mcap, is whole up to the last second whatever happens; when the slide
+stands again it becomes a recording in the same folder, which `estimate` takes.
+
+--simulate starts every device as a process of its own, for a rig that one does not have.
+"""
+_EXAMPLES = """\
+examples:
+  glissando record --simulate --shape S --out session
+  glissando record --simulate --live --out session
+  glissando record --setup bench.toml --slide oscillate --cycles 3 --stroke 0.06 --speed 0.024 \\
+      --out session
+  glissando record --setup bench.toml --slide hold --duration 15 --out fixed
+  glissando record --setup bench.toml --slide calibrate --out session
+  glissando calibrate session --out calibration.toml
+  glissando estimate session --out results
+
+Ctrl-C stops the slide and keeps what was recorded.
+
+exit status: 0 done; 1 stopped early; 2 a device or something given was wrong.
+"""
+_REFRESH = 0.2  # s between pictures of the table
+
+
+def add_to(commands: Commands) -> None:
+    """Add the command to the parser's."""
+    texts = _HELP, _EXAMPLES
+    parser = add_command(commands, "record", "record an experiment", texts, _record)
+    add = parser.add_argument
+    add("--setup", type=Path, metavar="FILE", help="the rig's devices and what rides where")
+    add("--simulate", action="store_true", help="start simulated devices instead")
+    add("--robot", default="sliding700", metavar="FILE|NAME", help="that is simulated")
+    add("--shape", default="S", metavar="NAME|FILE", help="of the simulated robot (default S)")
+    add("--seed", type=int, default=0, metavar="N", help="of the simulated noise (default 0)")
+    faults = "what goes wrong with the simulated tracker: unplug=5,replug=7"
+    add("--faults", default="", metavar="NAME=NUMBER,…", help=faults)
+    slides = "oscillate, calibrate, hold or a CSV file, as glissando plan writes"
+    add("--slide", default="oscillate", metavar="NAME|FILE", help=slides)
+    add("--cycles", type=int, default=3, metavar="N", help="there and back (default 3)")
+    add("--stroke", type=float, metavar="M", help="of a cycle (default: the stage's)")
+    add("--speed", type=float, metavar="M/S", help="of the slide (default: the stage's)")
+    add("--duration", type=float, metavar="S", help="of hold (15) and calibrate (45)")
+    add("--live", action="store_true", help="show the shape in a browser as it goes (needs viser)")
+    add("--out", type=Path, required=True, metavar="SESSION", help="new folder to write")
+
+
+def _record(options: argparse.Namespace) -> int:
+    if bool(options.setup) == options.simulate:
+        raise GlissandoError("Give --setup FILE for a real rig, or --simulate for none.")
+    require_writable(options.out.parent)
+    require_new(options.out, GlissandoError)
+    if options.out.exists():
+        options.out.rmdir()
+    with ExitStack() as stack:
+        if options.simulate:
+            chosen = options.robot, options.shape, options.seed, options.faults
+            rig = stack.enter_context(simulated_rig(*chosen))
+        else:
+            rig = load_rig(options.setup)
+        path = _path(options, rig)
+        try:
+            hear = None
+            if options.live:
+                address, hear = stack.enter_context(followed(rig))
+                print(f"Look at {address}", file=sys.stderr)
+            _watched(rig, path, options.out, hear)
+            status = 0
+        except KeyboardInterrupt:
+            print("Stopped; what was recorded is kept.")
+            status = 1
+        except DeviceError:
+            if (options.out / LOG).exists():
+                _keep(rig, options, quietly=True)
+            raise
+    _keep(rig, options)
+    return status
+
+
+def _path(options: argparse.Namespace, rig: Rig) -> SlidePath:
+    """The slide's path as asked for, within the stage's limits."""
+    stage = rig.stage
+    limits = _limits(stage) if stage else SlideLimits(1.0, 1.0, 1.0)
+    if options.slide == "hold" or stage is None:
+        return SlidePath.hold(0.0, options.duration or 15.0, limits)
+    stroke = limits.stroke if options.stroke is None else options.stroke
+    if options.slide == "oscillate":
+        return SlidePath.oscillate(options.cycles, stroke, limits, speed=options.speed)
+    if options.slide == "calibrate":
+        return SlidePath.calibrate(options.duration or 45.0, stroke, limits)
+    if not Path(options.slide).is_file():
+        raise GlissandoError(
+            f"There is no slide named {options.slide!r} and no such file; give oscillate, "
+            f"calibrate, hold or a CSV file."
+        )
+    drawn_out = next((c.arclength for c in rig.coils if c.slides), None)
+    return read_slide(Path(options.slide), limits, drawn_out)
+
+
+def _limits(stage: Stage) -> SlideLimits:
+    return SlideLimits(stage.stroke[1], stage.speed, stage.acceleration)
+
+
+def _watched(rig: Rig, path: SlidePath, folder: Path, hear: Hear | None) -> Progress:
+    """Run it behind a live table on stderr, where somebody looks."""
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        return capture(rig, path, folder, hear=hear)
+    with Live(console=console, auto_refresh=False, transient=True) as live:
+        shown = 0.0
+
+        def watch(progress: Progress) -> None:
+            nonlocal shown
+            if time.monotonic() - shown > _REFRESH:
+                live.update(_table(progress), refresh=True)
+                shown = time.monotonic()
+
+        return capture(rig, path, folder, watch=watch, hear=hear)
+
+
+def _table(progress: Progress) -> Table:
+    into = min(time.monotonic() - progress.began, progress.total)
+    table = Table("stream", "Hz", "messages", "last", title=f"{into:.0f} of {progress.total:.0f} s")
+    for topic, count in progress.count.items():
+        table.add_row(topic, f"{progress.rate(topic):.1f}", str(count), progress.last[topic])
+    for what, said in progress.problems.items():
+        table.add_row(escape(what), "", escape(said), "")
+    return table
+
+
+def _keep(rig: Rig, options: argparse.Namespace, *, quietly: bool = False) -> None:
+    """Make the log a recording and say what is in it."""
+    folder = options.out
+    session = read_session(folder / LOG)
+    if quietly and not any(topic.messages for topic in session.topics.values()):
+        shutil.rmtree(folder)  # nothing began
+        return
+    try:
+        amiss = write_recording(session, rig, folder)
+    except GlissandoError:
+        if not quietly:
+            raise
+        return
+    if options.setup:
+        shutil.copy(options.setup, folder / "setup.toml")
+    if quietly:
+        return
+    counts = ", ".join(f"{len(t.messages)} {name}" for name, t in session.topics.items())
+    print(f"Wrote {folder}: {counts}. Now: glissando estimate {folder} --out results")
+    for what in amiss:
+        print(f"  but {what}")

@@ -1,0 +1,169 @@
+"""`glissando replay`: a recording run through the online estimator as if it were live."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from glissando.cli.shared import Commands, add_choices, add_command, chosen_robot, require_writable
+from glissando.errors import GlissandoError
+from glissando.estimation.fixed_lag import FixedLag
+from glissando.evaluation.replay import Replay, replay
+from glissando.evaluation.run import write_states
+from glissando.io.recording import load_recording
+from glissando.io.robot_file import Robot
+from glissando.visualization.page import Live, Rerun
+from glissando.visualization.page.live import View, follow
+
+_HELP = """\
+Run a recording through the online estimator as if it were live: at the robot's rate it is given the
+readings up to now and says what it knows. Its newest states are judged against truth, and so are
+the lagged ones that are about to leave its window.
+
+With --out every reading is written to DIR/log before it is used. If the run is killed, the same
+command goes on from there.
+"""
+_EXAMPLES = """\
+examples:
+  glissando replay slow_free_space --window 19 29
+  glissando replay my_recording --robot my_robot.toml --lag 0.5 --out live
+  glissando replay my_recording --rate real --live            # takes as long as it took
+  glissando replay my_recording --json | python -m json.tool
+
+exit status: 0 done; 2 something given was wrong.
+"""
+
+_POINTS = 41  # along the robot that is shown live
+
+
+def add_to(commands: Commands) -> None:
+    """Add the command to the parser's."""
+    texts = _HELP, _EXAMPLES
+    parser = add_command(commands, "replay", "estimate a recording as if live", texts, _replay)
+    add = parser.add_argument
+    add("recording", type=Path, metavar="RECORDING", help="folder of the recording")
+    add_choices(parser)
+    rates = "as fast as it goes (max, the default), or as it was (real)"
+    add("--rate", choices=("real", "max"), default="max", help=rates)
+    lag = "seconds the estimator looks back (default: four time nodes; 0 is a filter)"
+    add("--lag", type=float, metavar="S", help=lag)
+    add("--out", type=Path, metavar="DIR", help="write log, replay.json, newest.csv, figure here")
+    add("--live", action="store_true", help="show it in a browser as it goes (needs viser)")
+    rerun_help = "tell Rerun as it goes: a .rrd file, or its viewer's address (needs rerun-sdk)"
+    add("--rerun", metavar="TARGET", help=rerun_help)
+    add("--json", action="store_true", help="print one JSON object and nothing else")
+
+
+def _replay(options: argparse.Namespace) -> int:
+    if options.lag is not None and not (np.isfinite(options.lag) and options.lag >= 0.0):
+        raise GlissandoError(f"--lag is {options.lag:g} s; give seconds, 0 or more.")
+    recording = load_recording(options.recording)
+    robot = chosen_robot(recording, options.robot)
+    if options.out:
+        require_writable(options.out)
+        if (options.out / "replay.json").exists():
+            raise GlissandoError(f"{options.out} holds a finished run; give another --out.")
+    console = Console(stderr=True)
+    columns = TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn()
+    hidden = not console.is_terminal
+    with (
+        Progress(*columns, console=console, transient=True, disable=hidden) as bar,
+        ExitStack() as stack,
+    ):
+        task = bar.add_task(f"replaying {escape(recording.name)}", total=None)
+
+        views = _views(options, robot, stack)
+
+        def watch(done: int, total: int, smoother: FixedLag) -> None:
+            bar.update(task, completed=done, total=total)
+            for view in views:
+                follow(view, smoother)
+
+        found = replay(
+            recording,
+            robot,
+            window=tuple(options.window) if options.window else None,
+            lag=options.lag,
+            use=options.use,
+            truth=options.truth,
+            real_time=options.rate == "real",
+            journal=options.out / "log" if options.out else None,
+            watch=watch,
+        )
+    print(json.dumps(found.as_json())) if options.json else _print(found, Console())
+    written = _write(found, options.out) if options.out else []
+    if written and not options.json:
+        Console().print("Wrote " + ", ".join(map(str, written)), markup=False)
+    return 0
+
+
+def _views(options: argparse.Namespace, robot: Robot, stack: ExitStack) -> list[View]:
+    """What shows the robot as it goes, while the stack lasts."""
+    arclength, views = np.linspace(0.0, robot.length, _POINTS), list[View]()
+    if options.live:
+        live = stack.enter_context(Live(arclength))
+        print(f"Look at {live.address}", file=sys.stderr)
+        views.append(live)
+    if options.rerun:
+        views.append(stack.enter_context(Rerun(arclength, options.rerun)))
+    return views
+
+
+def _write(found: Replay, folder: Path) -> list[Path]:
+    from glissando.visualization.replay_figure import replay_figure
+
+    report, newest, figure = (folder / n for n in ("replay.json", "newest.csv", "replay.png"))
+    report.write_text(json.dumps(found.as_json(), indent=2) + "\n", encoding="utf-8")
+    nodes = found.robot.arclength_nodes
+    pairs = zip(found.time, found.states, strict=True)
+    write_states(((np.full(nodes.size, t), nodes, at) for t, at in pairs), newest)
+    replay_figure(found).savefig(figure, dpi=150)
+    return [folder / "log", report, newest, figure]
+
+
+def _print(found: Replay, console: Console) -> None:
+    told = found.as_json()
+    latency = ", ".join(f"{name} {1e3 * s:.1f} ms" for name, s in told["latency"].items())
+    nis = "–" if told["nis"] is None else f"{told['nis']:.2f}"
+    console.print(
+        f"[bold]{escape(told['recording'])}[/bold] on {escape(told['robot'])}: {told['updates']} "
+        f"updates of {told['nodes']} time nodes, {latency} each, {told['real_time_factor']:.1f} × "
+        f"real time; NIS {nis}"
+    )
+    for name, reasons in told["dropped"].items():
+        counted = ", ".join(f"{count} {reason}" for reason, count in reasons.items())
+        console.print(f"  {escape(name)}: {counted} readings not used")
+    if told["restarts"]:
+        console.print(f"  began again {told['restarts']} times after it was lost")
+    if told["newest"] is None:
+        console.print("No truth streams: nothing to compare with. Name some with --truth.")
+        return
+    table = Table("site", title="RMSE against truth: the newest states, and those that leave")
+    headings = ("newest (mm)", "(deg)", "inside 95 %", "lagged (mm)", "(deg)", "inside 95 %")
+    for heading in headings:
+        table.add_column(heading, justify="right")
+    for name in [*(e.name for e in found.newest), ""]:
+        cells = [_cells(told[kind], name) for kind in ("newest", "lagged")]
+        if not name:
+            table.add_section()
+        table.add_row(escape(name or "overall"), *cells[0], *cells[1])
+    console.print(table)
+
+
+def _cells(judged: dict[str, Any] | None, name: str) -> list[str]:
+    sites = {s["name"]: s for s in judged["sites"]} if judged else {}
+    of = sites.get(name) if name or not judged else judged["overall"]
+    position, rotation = ("position_rmse", 1e3, ".2f"), ("rotation_rmse", 180 / np.pi, ".2f")
+    keys = position, rotation, ("coverage95_position", 100.0, ".1f")
+    values = [(of[key] if of else None, scale, shape) for key, scale, shape in keys]
+    return ["–" if v is None else f"{scale * v:{shape}}" for v, scale, shape in values]

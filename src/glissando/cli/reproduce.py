@@ -1,0 +1,74 @@
+"""`glissando reproduce`: the paper's claims, computed, judged and drawn."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from glissando.cli.shared import Commands, add_command, require_writable
+from glissando.experiments.claims import CLAIMS, Verdict, load_claims
+
+_HELP = """\
+Reproduce "Sliding Sensors: Configurable Confidence in State Estimation for Continuum Robots" on
+independent physics: every claim with the paper's number, ours, and whether it holds.
+
+Writes results.json, the figures and an animation. The same seeds give the same table.
+"""
+_EXAMPLES = """\
+examples:
+  glissando reproduce --out results            # everything, minutes on two cores
+  glissando reproduce --quick --out results    # a small version of every claim, under a minute
+
+exit status: 0 every claim holds; 1 one does not; 2 something given was wrong.
+"""
+
+
+def add_to(commands: Commands) -> None:
+    """Add the command to the parser's."""
+    texts = _HELP, _EXAMPLES
+    parser = add_command(
+        commands, "reproduce", "compute and judge the paper's claims", texts, _reproduce
+    )
+    add = parser.add_argument
+    add("--quick", action="store_true", help="fewer seeds and scenes, under a minute")
+    add("--claims", type=Path, default=CLAIMS, metavar="FILE", help="claims to judge (TOML)")
+    add("--out", type=Path, default=Path("results"), metavar="DIR", help="default: results")
+
+
+def _reproduce(options: argparse.Namespace) -> int:
+    claims = load_claims(options.claims)
+    require_writable(options.out)
+    from glissando.experiments.run import reproduce  # loads the robot: not for other commands
+
+    console = Console(stderr=True)
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()
+    with Progress(*columns, TimeElapsedColumn(), console=console, transient=True) as bar:
+        task = bar.add_task("starting", total=None)
+
+        def show(doing: str, done: int, whole: int) -> None:
+            bar.update(task, description=doing, completed=done, total=whole)
+
+        verdicts, written = reproduce(claims, options.out, quick=options.quick, progress=show)
+    print_verdicts(verdicts, Console())
+    Console().print("Wrote " + ", ".join(str(path) for path in written), markup=False)
+    return 1 if any(verdict.fails for verdict in verdicts) else 0
+
+
+def print_verdicts(verdicts: Sequence[Verdict], console: Console) -> None:
+    """The table claim | paper | ours | verdict; what goes beyond the paper in a section below."""
+    table = Table("claim", "paper", "ours", "verdict", title="Sliding Sensors, reproduced")
+    before = False
+    for found in verdicts:
+        if found.claim.beyond and not before:
+            table.add_section()
+        before = found.claim.beyond
+        colour = {"holds": "green", "FAILS": "bold red"}.get(found.verdict)
+        verdict = f"[{colour}]{found.verdict}[/]" if colour else "–"
+        table.add_row(escape(found.claim.says), found.claim.paper, escape(found.ours), verdict)
+    console.print(table)

@@ -1,0 +1,122 @@
+"""`glissando simulate`: physics and imperfect sensors become a recording folder."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from glissando.cli.shared import Commands, add_command, names, require_writable
+from glissando.errors import SimulationError
+from glissando.io.atomic_folder import require_new
+from glissando.io.robot_file import load_robot, robot_file, shipped_robots
+from glissando.model.slide_path import read_slide
+from glissando.simulation import SlidePath
+from glissando.simulation.bench import Bench, load_bench
+from glissando.simulation.imperfections import PARTS
+from glissando.simulation.simulated_session import simulate_session, write_session
+
+_HELP = """\
+Simulate a tendon-driven robot with a sliding coil, and write what its sensors would record.
+
+The robot's shapes are static Cosserat rods, so slow motions only. The coil reports five degrees of
+freedom with noise, bias that depends on place, drop-outs, and the slide's own errors; motion
+capture stands beside as truth. The folder is estimated like any other recording.
+"""
+_EXAMPLES = """\
+examples:
+  glissando simulate --shape S --slide oscillate --out s_oscillating
+  glissando estimate s_oscillating --out results
+  glissando simulate --shape C --slide hold --at 0.06 --without bias,dropouts --out c_fixed
+  glissando simulate --shape C-to-S --slide traverse --speed 0.1 --seed 7 --out moving
+  glissando simulate --shape my_shape.toml --slide my_path.csv --out mine
+
+A shape file is TOML: tensions = [10, 20] in newtons, or one such row for each of time = [0, 20];
+gravity = [0, 0, 9.81] and [[loads]] with arclength, force and moment may follow. A slide file is
+CSV: time,displacement (at rest at each row), or time,displacement,speed; arclength may stand in the
+place of displacement, as `glissando plan` writes it.
+
+exit status: 0 done; 1 the physics has no static shape there; 2 something given was wrong.
+"""
+
+
+def add_to(commands: Commands) -> None:
+    """Add the command to the parser's."""
+    texts = _HELP, _EXAMPLES
+    parser = add_command(commands, "simulate", "simulate a recording", texts, _simulate)
+    add = parser.add_argument
+    robots = ", ".join(shipped_robots())
+    add("--robot", default="sliding700", metavar="FILE|NAME", help=f"robot file, or of {robots}")
+    add("--shape", default="S", metavar="NAME|FILE", help="straight, C, S, C-to-S or a TOML file")
+    slides = "hold, oscillate, traverse (a stage as long as the robot) or a CSV file"
+    add("--slide", default="oscillate", metavar="NAME|FILE", help=slides)
+    add("--cycles", type=int, metavar="N", help="there and back (default 3; traverse 1)")
+    add("--stroke", type=float, metavar="M", help="of a cycle (default: the stage's)")
+    add("--speed", type=float, metavar="M/S", help="of the slide (default: the stage's)")
+    add("--at", type=float, metavar="M", help="displacement of hold, from the tip (default 0)")
+    add("--duration", type=float, metavar="S", help="seconds (default: until at rest; hold 15)")
+    parts = ", ".join((*PARTS, "all"))
+    add("--without", type=names, default=[], metavar="NAME,…", help=f"switch off: {parts}")
+    add("--seed", type=int, default=0, metavar="N", help="of all noise (default 0)")
+    add("--out", type=Path, required=True, metavar="RECORDING", help="folder to write")
+
+
+def _simulate(options: argparse.Namespace) -> int:
+    if options.seed < 0:
+        raise SimulationError(f"Seed {options.seed} cannot be; give a whole number from 0 up.")
+    file = robot_file(options.robot)
+    load_robot(file)  # what cannot be estimated is not worth simulating
+    bench = load_bench(file)
+    flaws = bench.flaws.without(*options.without)
+    actuation = bench.shape(options.shape)
+    path = _path(options, bench)
+    require_writable(options.out.parent)
+    require_new(options.out, SimulationError)
+    session = simulate_session(
+        bench,
+        bench.move(actuation, flaws, options.seed),
+        path,
+        seed=options.seed,
+        duration=options.duration,
+        flaws=flaws,
+        name=options.out.resolve().name,
+    )
+    shipped = options.robot in shipped_robots()
+    write_session(session, options.out, options.robot if shipped else file)
+    rows, lasts = len(session.coil.time), session.duration
+    print(
+        f"Wrote {options.out}: {lasts:.3g} s, {rows} readings of the coil, {len(session.mocap)} "
+        f"motion capture frames. Now: glissando estimate {options.out} --out results"
+    )
+    return 0
+
+
+_SETS = {
+    "hold": ("at",),
+    "oscillate": ("cycles", "stroke", "speed"),
+    "traverse": ("cycles", "stroke", "speed"),
+}
+"""Options that each named slide takes; a file takes none."""
+
+
+def _path(options: argparse.Namespace, bench: Bench) -> SlidePath:
+    """The slide path that the options ask for, on the stage that it needs."""
+    kind, stage = options.slide, bench.slide
+    if kind not in _SETS and not Path(kind).is_file():
+        raise SimulationError(
+            f"There is no slide named {kind!r} and no such file; give hold, oscillate, traverse or "
+            f"a CSV file."
+        )
+    for name in ("at", "cycles", "stroke", "speed"):
+        if getattr(options, name) is not None and name not in _SETS.get(kind, ()):
+            raise SimulationError(
+                f"--{name} says nothing to --slide {kind}; leave it out or choose another slide."
+            )
+    if kind == "hold":
+        lasts = 15.0 if options.duration is None else options.duration
+        return SlidePath.hold(options.at or 0.0, lasts, stage)
+    if kind not in _SETS:
+        return read_slide(Path(kind), stage, bench.rod.length + bench.coil_offset)
+    stage, usual = (bench.full_slide, 1) if kind == "traverse" else (stage, 3)
+    cycles = usual if options.cycles is None else options.cycles
+    stroke = stage.stroke if options.stroke is None else options.stroke
+    return SlidePath.oscillate(cycles, stroke, stage, speed=options.speed)

@@ -1,0 +1,123 @@
+"""`glissando study FILE.toml`: every combination of settings, simulated, estimated and checked."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    Task,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+from rich.text import Text
+
+from glissando.cli.shared import Commands, add_command, require_writable
+from glissando.errors import GlissandoError
+from glissando.experiments.study.plan import Cell, load_study
+from glissando.experiments.study.run import cluster, run_cells
+from glissando.experiments.study.store import TABLE, Store
+from glissando.experiments.study.summary import print_summary, summarise
+
+_HELP = """\
+Simulate, estimate and check every combination of settings that a TOML file names, over many seeds,
+on all cores or on a Dask cluster; one table of everything, and error and coverage by each axis.
+
+FILE.toml has seeds = N, [grid] with lists of values to combine, and [fixed] with settings that all
+share. Results are kept as they come: after whatever stopped it, the same command with --resume goes
+on, and ends with the same table.
+"""
+_EXAMPLES = """\
+examples:
+  glissando study sweep.toml --out results
+  glissando study sweep.toml --out results --resume      # goes on; --retry: failed cells, too
+  glissando study sweep.toml --scheduler tcp://10.0.0.1:8786
+
+exit status: 0 done; 1 some cells failed, the table says why; 2 something given was wrong.
+"""
+
+
+def add_to(commands: Commands) -> None:
+    """Add the command to the parser's."""
+    texts = _HELP, _EXAMPLES
+    parser = add_command(commands, "study", "sweep settings over many seeds", texts, _study)
+    add = parser.add_argument
+    add("file", type=Path, metavar="FILE.toml", help="what to sweep")
+    add("--scheduler", metavar="ADDRESS", help="of a Dask cluster (default: local processes)")
+    add("--workers", type=int, metavar="N", help="local processes (default: one a core)")
+    add("--resume", action="store_true", help="go on with what --out holds")
+    add("--retry", action="store_true", help="the same, and run failed cells again")
+    add("--out", type=Path, metavar="DIR", help="default: results/ and the name of FILE")
+    add("--json", action="store_true", help="print one JSON object and nothing else")
+
+
+def _study(options: argparse.Namespace) -> int:
+    if options.workers is not None and (options.workers < 1 or options.scheduler):
+        raise GlissandoError(
+            f"--workers {options.workers} cannot be; give one or more, and no --scheduler."
+        )
+    study = load_study(options.file)
+    cells = study.cells()
+    folder = options.out or Path("results") / options.file.stem
+    require_writable(folder)
+    resume = options.resume or options.retry
+    store = Store(study, folder, resume=resume)
+    todo = [c for c in cells if _is_left(store, c, retry=options.retry)]
+    if todo:
+        _run(options, todo, store, f"{study.name}: {len(cells) - len(todo):,} kept, now")
+    told = summarise(study, store.join(cells).to_pylist())
+    written = [folder / TABLE, *_write(told, folder)]
+    if options.json:
+        print(json.dumps(told))
+    else:
+        print_summary(told, Console())
+        Console().print("Wrote " + ", ".join(str(path) for path in written), markup=False)
+    return 1 if told["failed"] else 0
+
+
+def _is_left(store: Store, cell: Cell, *, retry: bool) -> bool:
+    row = store.rows.get(cell.id)
+    return row is None or (retry and row["error"] is not None)
+
+
+def _run(options: argparse.Namespace, todo: list[Cell], store: Store, doing: str) -> None:
+    console = Console(stderr=True)
+    columns = (
+        *(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), _Rate("")),
+        *(TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn()),
+    )
+    with (
+        cluster(options.scheduler, options.workers) as client,
+        Progress(*columns, console=console, disable=not console.is_terminal) as bar,
+    ):
+        task = bar.add_task(escape(doing), total=len(todo))
+
+        def show(done: int, failed: int) -> None:
+            note = f", {failed} failed" if failed else ""
+            bar.update(task, completed=done, description=escape(doing + note))
+
+        run_cells(client, todo, store, show)
+
+
+class _Rate(TextColumn):
+    """Cells a second."""
+
+    def render(self, task: Task) -> Text:
+        return Text("" if task.speed is None else f"{task.speed:.1f} cells/s")
+
+
+def _write(told: dict[str, Any], folder: Path) -> list[Path]:
+    from glissando.experiments.study.figures import study_figure
+
+    summary, picture = folder / "summary.json", folder / "study.png"
+    summary.write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
+    study_figure(told).savefig(picture, dpi=150)
+    return [summary, picture]

@@ -1,0 +1,110 @@
+"""`glissando view`: the robot over time with its confidence, as a page or live in a browser."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import Progress
+
+from glissando.cli.shared import (
+    Commands,
+    add_choices,
+    add_command,
+    chosen_robot,
+    estimate_watched,
+    require_writable,
+    streams_of,
+)
+from glissando.errors import GlissandoError
+from glissando.estimation.posterior import Posterior
+from glissando.io.recording import load_recording
+from glissando.model.sensors.readings import Readings
+from glissando.visualization.page import Rerun, page, scene_of, subtitle
+from glissando.visualization.page.live import each_moment, play
+
+_HELP = """\
+Show the robot over time in a browser: its shape with the 95 % tube and ellipsoids, the sliding
+sensor, truth, and confidence along the body as colour, with a slider for time.
+
+The page is one file that works without a network. RECORDING is estimated first; POSTERIOR is a
+posterior.nc of an earlier estimate, or the folder it is in, and takes sensors and truth from
+--recording.
+"""
+_EXAMPLES = """\
+examples:
+  glissando view results --recording my_recording
+  glissando view my_recording --window 19 29 --html slide.html
+  glissando view results --live
+  glissando view results --rerun slide.rrd                    # for the viewer of rerun.io
+
+exit status: 0 done; 1 the estimate did not converge; 2 something given was wrong.
+"""
+
+
+def add_to(commands: Commands) -> None:
+    """Add the command to the parser's."""
+    parser = add_command(commands, "view", "show the robot over time", (_HELP, _EXAMPLES), _view)
+    add = parser.add_argument
+    add("target", type=Path, metavar="RECORDING|POSTERIOR", help="folder, or a posterior.nc")
+    add("--recording", type=Path, metavar="FOLDER", help="sensors and truth of a posterior")
+    add_choices(parser)
+    page_help = "page to write (default: view.html)"
+    add("--html", type=Path, metavar="FILE", default=Path("view.html"), help=page_help)
+    add("--live", action="store_true", help="play it from a server instead (needs viser)")
+    rerun_help = "tell Rerun instead: a .rrd file, or the address of its viewer (needs rerun-sdk)"
+    add("--rerun", metavar="TARGET", help=rerun_help)
+    add("--port", type=int, default=8080, metavar="N", help="of the live server (default 8080)")
+
+
+def _view(options: argparse.Namespace) -> int:
+    require_writable(options.html.parent)
+    posterior, readings, truth, title, complaint = _shown(options)
+    window = tuple(options.window) if options.window else None
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("asking the posterior")
+        scene = scene_of(
+            posterior,
+            readings,
+            truth,
+            window=window,
+            progress=lambda done, of: bar.update(task, completed=done, total=of),
+        )
+    if options.live:
+        play(scene, options.port)
+    elif options.rerun:
+        with Rerun(scene.arclength, options.rerun) as view:
+            moments = list(each_moment(scene, view))
+        print(f"Told {options.rerun} of {len(moments)} moments; `rerun FILE` opens a file.")
+    else:
+        options.html.write_text(page(scene, title, subtitle(posterior, scene)), encoding="utf-8")
+        print(f"Wrote {options.html}; open it in a browser.")
+    if complaint:
+        print(f"glissando: {complaint}", file=sys.stderr)
+    return 0 if posterior.solve.converged else 1
+
+
+def _shown(
+    options: argparse.Namespace,
+) -> tuple[Posterior, list[Readings], list[Readings], str, str]:
+    """The posterior, its readings and truth, a title, and the sentence of a warning, if any."""
+    target: Path = options.target
+    inside = target / "posterior.nc"
+    if target.is_dir() and not inside.is_file():
+        recording = load_recording(target)
+        robot = chosen_robot(recording, options.robot)
+        run, complaint = estimate_watched(recording, robot, options)
+        return run.posterior, run.readings, run.truth, recording.name, complaint
+    target = inside if target.is_dir() else target
+    if not target.is_file():
+        raise GlissandoError(
+            f"There is no recording folder or posterior {str(target)!r}; give one."
+        )
+    posterior = Posterior.load(target)
+    if options.recording is None:
+        return posterior, [], [], options.target.resolve().name, ""
+    recording = load_recording(options.recording)
+    return posterior, *streams_of(posterior, recording, options), recording.name, ""

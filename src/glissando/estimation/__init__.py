@@ -1,0 +1,1 @@
+"""Readings in, posterior out: batch, fixed-lag, static shapes."""

@@ -1,0 +1,192 @@
+"""What is known after an estimate: mean and covariance at any arclength and time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from glissando.errors import GlissandoError
+from glissando.geometry import se3
+from glissando.geometry.se3 import Array
+from glissando.model.grid import Grid
+from glissando.model.interpolation import sort_points
+from glissando.model.priors.prior import Prior
+from glissando.model.priors.transitions import symmetrize
+from glissando.model.sensors.parameters import Unknown
+from glissando.model.state import DOF, POSE, State
+from glissando.solver.block_tridiagonal import BlockTridiagonal, Marginals, factor
+
+if TYPE_CHECKING:
+    import xarray
+
+_CHUNK = 500  # queries at a time: more ask for new memory faster than it is given
+
+
+@dataclass(frozen=True)
+class Solve:
+    """How the estimate was reached: status, size, cost, evidence and seconds of processor time.
+
+    `log_evidence` is the Laplace log marginal likelihood up to a constant (equation 22);
+    `suspects` counts readings a robust loss gave less than half their weight.
+    """
+
+    status: str
+    iterations: int
+    unknowns: int
+    cost: float
+    log_evidence: float
+    suspects: int
+    seconds: dict[str, float]
+
+    @property
+    def converged(self) -> bool:
+        """Whether the last step was shorter than the tolerance."""
+        return self.status == "converged"
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """State and covariance at queried points, with the leading shape of the query.
+
+    `pose` (…, 4, 4), `strain` (…, 6), `velocity` (…, 6) and `cov` (…, 18, 18) of
+    [pose, strain, velocity], each [linear, angular], in the body frame (pose on the right).
+    """
+
+    pose: Array
+    strain: Array
+    velocity: Array
+    cov: Array
+
+    @property
+    def position(self) -> Array:
+        """Position (…, 3) in the world, metres."""
+        return self.pose[..., :3, 3]
+
+    @property
+    def quaternion(self) -> Array:
+        """Orientation (…, 4) as [w, x, y, z], body to world."""
+        return se3.quaternion(self.pose[..., :3, :3])
+
+    @property
+    def cov_position_world(self) -> Array:
+        """Covariance (…, 3, 3) of the position, turned into the world frame."""
+        rotation = self.pose[..., :3, :3]
+        return rotation @ self.cov[..., :3, :3] @ np.swapaxes(rotation, -1, -2)
+
+    @property
+    def std_position(self) -> Array:
+        """Root of the total position variance (…), metres."""
+        return np.sqrt(np.einsum("...ii->...", self.cov[..., :3, :3]))
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """Gaussian posterior over the whole motion, continuous in arclength and time.
+
+    `state` is the mean at the nodes, `system` the information matrix of the nodes in time order,
+    `marginals` the blocks of its inverse that any query needs, `solve` how it was reached,
+    `unknowns` of the sensors with their estimated values (K, size) at the time nodes.
+    """
+
+    prior: Prior
+    grid: Grid
+    state: State
+    system: BlockTridiagonal
+    marginals: Marginals
+    solve: Solve
+    unknowns: Sequence[tuple[Unknown, Array]] = ()
+
+    def at(self, arclength: ArrayLike, time: ArrayLike) -> Estimate:
+        """State with its 18×18 covariance at points; arclength and time broadcast together.
+
+        Raises OutsideGridError for a point off the grid. Source: equations (10) to (12).
+        """
+        s, t = np.broadcast_arrays(
+            np.asarray(arclength, dtype=float), np.asarray(time, dtype=float)
+        )
+        shape, s, t = s.shape, s.ravel(), t.ravel()
+        self.grid.require(s, t, "Query")
+        out = Estimate(
+            np.empty((s.size, 4, 4)),
+            np.empty((s.size, 6)),
+            np.empty((s.size, 6)),
+            np.empty((s.size, DOF, DOF)),
+        )
+        for first in range(0, s.size, _CHUNK):
+            here = slice(first, first + _CHUNK)
+            for points in sort_points(self.grid, s[here], t[here]):
+                found = self.prior.interpolate(self.grid, self.state, self.state, points)
+                jacobian = found.jacobian.reshape(points.rows.size, DOF, -1)
+                joint = self._joint(found.nodes)
+                rows = first + points.rows
+                out.pose[rows] = found.state.pose
+                out.strain[rows] = found.state.strain
+                out.velocity[rows] = found.state.velocity
+                cov = jacobian @ joint @ np.swapaxes(jacobian, -1, -2) + found.cov
+                out.cov[rows] = symmetrize(cov)
+        return Estimate(
+            *(
+                a.reshape(*shape, *a.shape[1:])
+                for a in (out.pose, out.strain, out.velocity, out.cov)
+            )
+        )
+
+    def _joint(self, nodes: np.ndarray) -> Array:
+        """Joint covariance (M, c·dof, c·dof) of the touched nodes (M, c)."""
+        slab, inner = np.divmod(nodes, self.grid.arclength.size)
+        (m, c), dof = nodes.shape, self.state.dof
+        at = (inner[:, :, None] * dof + np.arange(dof)).reshape(m, c * dof)
+        slab = np.repeat(slab, dof, axis=1)
+        return self.marginals.joint(slab, at)
+
+    def sample(self, rng: np.random.Generator, size: int = 1) -> State:
+        """Joint draws of the whole motion at the nodes, leading shape (size, K, N)."""
+        chol = factor(self.system)
+        of_nodes = self.grid.arclength.size * self.state.dof
+        steps = np.array([chol.sample(rng)[:, :of_nodes] for _ in range(size)])
+        return self.state.retract(steps.reshape(size, *self.grid.shape, self.state.dof))
+
+    def std_pose(self) -> Array:
+        """Standard deviations (K, N, 6) of the pose at the nodes, body frame."""
+        k, n = self.grid.shape
+        of_nodes = np.einsum("kii->ki", self.marginals.cov)[:, : n * self.state.dof]
+        variance = of_nodes.reshape(k, n, -1)
+        return np.sqrt(variance[..., POSE])
+
+    def unknown(self, name: str) -> tuple[Array, Array]:
+        """Values (K, size) of an estimated unknown and their covariance (K, size, size).
+
+        Raises GlissandoError when no unknown of that name was estimated.
+        """
+        first = self.grid.arclength.size * self.state.dof
+        for unknown, values in self.unknowns:
+            at = slice(first, first + unknown.size)
+            if unknown.name == name:
+                return values, self.marginals.cov[:, at, at]
+            first += unknown.size
+        known = ", ".join(u.name for u, _ in self.unknowns) or "none"
+        raise GlissandoError(f"No unknown {name!r} was estimated; those that were: {known}.")
+
+    def to_xarray(self) -> xarray.Dataset:
+        """The posterior at the nodes as an xarray Dataset with names and units."""
+        from glissando.io.netcdf import to_xarray
+
+        return to_xarray(self)
+
+    def save(self, path: str | Path) -> None:
+        """Write everything to a NetCDF-4 (HDF5) file that `Posterior.load` reads back."""
+        from glissando.io.netcdf import save
+
+        save(self, Path(path))
+
+    @staticmethod
+    def load(path: str | Path) -> Posterior:
+        """Read a posterior written by `save`; covariances are recomputed from its information."""
+        from glissando.io.netcdf import load
+
+        return load(Path(path))

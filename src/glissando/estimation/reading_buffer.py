@@ -1,0 +1,105 @@
+"""Readings on their way into an online estimator: those that wait, and those it holds."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+
+from glissando.errors import SensorError
+from glissando.estimation.innovation_gate import Gate
+from glissando.model.sensors.readings import Readings
+
+_AHEAD = 2.0  # s: stamps further ahead of the newest node are a clock's fault
+_SPARE = 32  # old readings of a stream that are held before they are let go of at once
+
+
+class Inbox:
+    """Readings by stream on a robot of some `length`; what is refused is counted by the `gate`.
+
+    `held` are those in the window, in order of arrival; others wait until time reaches them.
+    """
+
+    def __init__(self, length: float, gate: Gate) -> None:
+        self.held: dict[str, Readings] = {}
+        self._waiting: dict[str, Readings] = {}
+        self._length, self._gate = length, gate
+
+    def take(self, readings: Readings, span: tuple[float, float] | None) -> None:
+        """Let readings of one stream wait; `span` is from the oldest to the newest node.
+
+        Those off the robot, before the span, absurdly far after it, or there already are refused.
+        Raises SensorError when the stream changed its kind.
+        """
+        name = readings.label
+        before = self._waiting.get(name, self.held.get(name))
+        if before is not None and type(before) is not type(readings):
+            raise SensorError(f"{name} was {type(before).__name__}; name each stream by itself.")
+        slack, time, place = 1e-9 * self._length, readings.time, readings.arclength
+        faults = [("off the robot", (place < -slack) | (place > self._length + slack))]
+        if span is not None:
+            faults += [("late", time < span[0]), ("ahead", time > span[1] + _AHEAD)]
+        faults.append(("repeated", self._repeated(readings)))
+        kept = np.ones(len(readings), dtype=bool)
+        for reason, bad in faults:
+            if bad.any():
+                kept &= self._gate.refuse(name, reason, kept & bad)
+        readings = readings.select(kept)
+        if len(readings):
+            waiting = self._waiting.get(name)
+            self._waiting[name] = readings if waiting is None else waiting.joined(readings)
+
+    def _repeated(self, readings: Readings) -> np.ndarray:
+        """Rows that have a stamp of before; at one moment a stream may read several places."""
+        time, place = readings.time, readings.arclength
+        again = np.zeros(len(readings), dtype=bool)
+        if len(readings) > 1:
+            again[1:] = (time[1:] == time[:-1]) & (place[1:] == place[:-1])
+        for other in (self.held.get(readings.label), self._waiting.get(readings.label)):
+            if other is not None and len(other) and time.min(initial=np.inf) <= other.time.max():
+                same = (time[:, None] == other.time) & (place[:, None] == other.arclength)
+                again |= same.any(axis=1)
+        return again
+
+    def arrive(self, oldest: float, until: float) -> tuple[Counter[str], float]:
+        """Hold what waits up to a time; how many rows of each stream are new, and their earliest.
+
+        New rows are the last that are held of a stream.
+        """
+        fresh: Counter[str] = Counter()
+        earliest = np.inf
+        for name, waiting in list(self._waiting.items()):
+            due = waiting.time <= until
+            if not due.any():
+                continue
+            now = waiting.select(due)
+            if now is waiting:
+                del self._waiting[name]
+            else:
+                self._waiting[name] = waiting.select(~due)
+            late = now.time < oldest
+            if late.any():
+                now = now.select(self._gate.refuse(name, "late", late))
+            if len(now) == 0:
+                continue
+            held = self.held.get(name)
+            self.held[name] = now if held is None or not len(held) else held.joined(now)
+            fresh[name], earliest = len(now), min(earliest, float(now.time.min()))
+        return fresh, earliest
+
+    def since(self, begin: float) -> list[Readings]:
+        """Held readings at and after a time, a stream each."""
+        found = [r.select(r.time >= begin) for r in self.held.values()]
+        return [r for r in found if len(r)]
+
+    def discard(self, name: str, time: float, arclength: float) -> None:
+        """Let go of a reading that is beyond belief."""
+        held = self.held[name]
+        out = (held.time == time) & (held.arclength == arclength)
+        self.held[name] = held.select(self._gate.refuse(name, "gated", out))
+
+    def forget(self, oldest: float) -> None:
+        """Let go of what is older, of many at once."""
+        for name, held in self.held.items():
+            if np.count_nonzero(held.time < oldest) > _SPARE:
+                self.held[name] = held.select(held.time >= oldest)

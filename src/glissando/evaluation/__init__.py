@@ -1,0 +1,1 @@
+"""Errors against truth, and whether confidence is true."""

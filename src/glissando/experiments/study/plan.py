@@ -1,0 +1,226 @@
+"""What a study asks: settings as a TOML file names them, and a cell for every combination."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from itertools import product
+from math import ceil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from glissando.errors import GlissandoError
+from glissando.experiments.scenes import ROBOT, Scene, bench, grid, known_robot, path, prior
+from glissando.io.robot_file import shipped_robots
+from glissando.io.toml_table import Table, read_toml
+from glissando.simulation.imperfections import PARTS
+
+Value = str | float | int | bool | None
+"""Of a setting; None is left to the robot file."""
+
+_MOST = 1_000_000  # cells
+_DURATION = 15.0  # s
+
+
+class StudyError(GlissandoError):
+    """A study's file, or the folder it is to fill, is not as it should be."""
+
+
+def _text(table: Table, key: str) -> Value:
+    return table.text(key)
+
+
+def _choice(table: Table, key: str) -> Value:
+    return table.text(key, choices=("hold", "oscillate", "traverse"))
+
+
+def _number(table: Table, key: str, *, positive: bool = True) -> Value:
+    value = table.number(key, positive=positive)
+    if value < 0.0:
+        raise table.fail(key, f"is {value:g}; give a number from zero up.")
+    return value
+
+
+def _count(table: Table, key: str, usual: int | None = None, *, least: int = 1) -> int:
+    value = table.number(key, usual, positive=False)
+    if value != int(value) or value < least:
+        raise table.fail(key, f"is {value:g}; give a whole number from {least} up.")
+    return int(value)
+
+
+def _flag(table: Table, key: str) -> Value:
+    return table.flag(key)
+
+
+_FACTOR = partial(_number, positive=False)
+_SCALED = [part for part in PARTS if part != "roll"]
+_NOISE = [part for part in _SCALED if part not in ("mocap", "set")]
+
+SETTINGS: dict[str, tuple[Callable[[Table, str], Value], Value]] = {
+    "robot": (_text, ROBOT),
+    "prior": (_text, ""),
+    "shape": (_text, "C"),
+    "slide": (_choice, "oscillate"),
+    "at": (_FACTOR, 0.0),
+    "stroke": (_number, None),
+    "speed": (_number, None),
+    "cycles": (_count, None),
+    "duration": (_number, _DURATION),
+    "nodes": (partial(_count, least=2), None),
+    "time_rate": (_number, None),
+    "still": (_flag, False),
+    "noise": (_FACTOR, 1.0),
+    **dict.fromkeys(_SCALED, (_FACTOR, 1.0)),
+}
+"""What a study may set: how each is read, and its value unless given.
+
+`robot` is simulated and `prior`, unless empty the same, a robot file estimated with. Lengths m,
+times s. `noise` scales every imperfection of the coil, and those after it one part each.
+"""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One combination: `settings` by name, its `seed`, and the `scene` that they make.
+
+    `id` depends on what the settings mean, files' contents included, and on nothing else.
+    """
+
+    id: str
+    settings: dict[str, Value]
+    seed: int
+    scene: Scene
+
+
+@dataclass(frozen=True)
+class Study:
+    """A sweep: `axes` with the values that are combined, `fixed` settings, and seeds of each.
+
+    Seeds are those of robot and noise, the same in every combination, so that combinations are
+    compared on the same draws.
+    """
+
+    name: str
+    axes: dict[str, list[Value]]
+    fixed: dict[str, Value]
+    seeds: range
+    folder: Path
+
+    def __len__(self) -> int:
+        """The number of cells."""
+        return int(np.prod([len(values) for values in self.axes.values()])) * len(self.seeds)
+
+    def cells(self) -> list[Cell]:
+        """Every cell, seeds varying fastest. Raises GlissandoError for a scene that cannot be."""
+        return [cell for settings in self._combinations() for cell in self._of(settings)]
+
+    def _combinations(self) -> Iterator[dict[str, Value]]:
+        usual = {name: value for name, (_, value) in SETTINGS.items()} | self.fixed
+        for values in product(*self.axes.values()):
+            yield usual | dict(zip(self.axes, values, strict=True))
+
+    def _of(self, settings: dict[str, Value]) -> Iterator[Cell]:
+        scene = scene_of(settings, self.folder)
+        files = {key: _content(getattr(scene, key)) for key in ("robot", "prior", "shape")}
+        for seed in self.seeds:
+            text = json.dumps({**vars(scene), **files, "seed": seed}, sort_keys=True)
+            cell = hashlib.sha256(text.encode()).hexdigest()[:16]
+            yield Cell(cell, settings, seed, scene)
+
+
+def load_study(file: Path) -> Study:
+    """The study of a TOML file. Raises StudyError naming the key that is wrong."""
+    table = read_toml(file, StudyError)
+    name = table.text("name", file.stem)
+    first, seeds = _count(table, "first_seed", 0, least=0), _count(table, "seeds", 1)
+    fixed, axes = table.table("fixed"), table.table("grid")
+    read = _fixed(fixed) if fixed else {}
+    swept = _axes(axes) if axes else {}
+    table.close()
+    both = sorted(set(read) & set(swept))
+    if both:
+        raise table.fail(both[0], "is in [fixed] and in [grid]; leave one of them.")
+    study = Study(name, swept, read, range(first, first + seeds), file.resolve().parent)
+    if len(study) > _MOST:
+        raise StudyError(f"{file.name} asks for {len(study):,} cells; ask for {_MOST:,} at most.")
+    return study
+
+
+def _fixed(table: Table) -> dict[str, Value]:
+    found = {key: read(table, key) for key, (read, _) in SETTINGS.items() if key in table.names()}
+    _close(table)
+    return found
+
+
+def _axes(table: Table) -> dict[str, list[Value]]:
+    out: dict[str, list[Value]] = {}
+    for key in [name for name in table.names() if name in SETTINGS]:
+        values = table.peek(key)
+        if not isinstance(values, list) or not values:
+            raise table.fail(key, f"is {values!r}; give a list of values to combine.")
+        table.skip(key)
+        read = SETTINGS[key][0]
+        out[key] = [read(Table({key: value}, table.where, StudyError), key) for value in values]
+        if len(set(out[key])) < len(out[key]):
+            raise table.fail(key, f"is {values!r}; give each value once.")
+    _close(table)
+    return out
+
+
+def _close(table: Table) -> None:
+    """Raise for a key that is no setting, with the setting that it resembles."""
+    for name in SETTINGS:
+        table.skip(name)
+    table.close()
+
+
+def scene_of(settings: dict[str, Value], folder: Path) -> Scene:
+    """The scene of settings, whose files are found from `folder`; raises GlissandoError for none.
+
+    What is not given is the robot's: stroke and speed of its stage, and as many cycles as last.
+    """
+    given: dict[str, Any] = dict(settings)
+    for key in ("robot", "prior"):
+        if given[key] not in shipped_robots():
+            given[key] = _found(given[key], folder)
+    known = bench(given["robot"])
+    if given["shape"] not in known.shapes:
+        given["shape"] = _found(given["shape"], folder)
+    duration, noise = given["duration"], given.pop("noise")
+    stage = known.full_slide if given["slide"] == "traverse" else known.slide
+    given["stroke"] = given["stroke"] or stage.stroke
+    given["speed"] = given["speed"] or stage.speed
+    lasting = ceil(duration * given["speed"] / (2.0 * given["stroke"]))
+    given["cycles"] = given["cycles"] or max(1, lasting)
+    factors = []
+    for part in _SCALED:
+        factor = given.pop(part) * (noise if part in _NOISE else 1.0)
+        if factor != 1.0:
+            factors += [(field, factor) for field in PARTS[part]]
+    scene = Scene(**given, flaws=tuple(factors))
+    known.shape(scene.shape)
+    path(scene)
+    prior(scene)
+    grid(scene)
+    if known_robot(scene).length != known.rod.length:
+        raise StudyError(
+            f"prior {settings['prior']!r} is of a robot of {known_robot(scene).length:g} m and "
+            f"robot {settings['robot']!r} of {known.rod.length:g} m; give one of the same length."
+        )
+    return scene
+
+
+def _found(name: str, folder: Path) -> str:
+    """A file beside the study by its whole path, anything else as it is."""
+    return str(folder / name) if name and (folder / name).is_file() else name
+
+
+def _content(name: str) -> str:
+    """A digest of a file, so that a cell is another when its robot is; a name as it is."""
+    file = Path(name)
+    return hashlib.sha256(file.read_bytes()).hexdigest() if file.is_file() else name

@@ -1,0 +1,1 @@
+"""SE(3) on arrays: exponential, logarithm, adjoints, Jacobians."""

@@ -1,0 +1,1 @@
+"""Drivers, simulated devices, and the capture of all of them together."""

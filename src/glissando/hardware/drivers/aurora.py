@@ -1,0 +1,266 @@
+"""Reads an NDI Aurora: each of its frames once, with the time it was measured."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from glissando.errors import DeviceError
+from glissando.hardware.drivers import aurora_setup as setup
+from glissando.hardware.drivers.aurora_protocol import (
+    BX_HEADER,
+    bx_length,
+    frame_command,
+    parse_ascii,
+    parse_bx,
+    parse_tx,
+)
+from glissando.hardware.drivers.aurora_reply import Counts, Frame, GarbledError, RefusedError, Reply
+from glissando.hardware.drivers.clock import ClockFit
+from glissando.hardware.drivers.link import Link, LostError, SilentError
+
+_WITH_OUT_OF_VOLUME = "0801"
+_FIRMWARE_WITHOUT_BX = ("AURORA Rev 007", "AURORA Rev 008")
+_EARLY = 2e-3  # s at least before a frame is due that asking for it begins
+_PAUSE = 5e-4  # s between asking and asking again
+_REPLY, _REST = 0.2, 0.05  # s that a reply may take to begin, and its rest to follow
+_SILENCE = 2.0  # s without a whole reply after which the link is taken for lost
+_BETWEEN = 0.3  # s between attempts to connect again
+_TELLS_STATE = (0x0C, 0x10)  # errors that say it is not tracking, or was reset
+_GARBLED = (0x02, 0x03, 0x04, 0x05)  # errors that say the command came damaged
+_ABSENT = ("unoccupied", "disabled")
+
+
+class Aurora:
+    """An NDI Aurora at a serial path or tcp://host:port that tracks while the context lasts.
+
+    `baud` of a serial line after starting at 9600; `srom` a file for coils that have no memory of
+    their own; `rate` frames a second; `latency` s, known to `std_latency`, from measuring a frame
+    to being able to ask for it, which no arrival can tell. `reconnect` s to go on trying when the
+    link is lost, 0 not to; `patience` s that the device may take to reset and to initialise.
+
+    Raises DeviceError with what to do, at entering when the device cannot be used, and in `read`.
+
+        with Aurora("/dev/ttyUSB0") as tracker:
+            for frame in tracker:
+                print(frame.time, frame.ports[0].pose)
+    """
+
+    def __init__(
+        self,
+        address: str,
+        *,
+        baud: int = 115200,
+        srom: Path | None = None,
+        rate: float = 40.0,
+        latency: float = 0.0,
+        std_latency: float = 0.0,
+        reconnect: float = 20.0,
+        patience: float = 12.0,
+    ):
+        if baud not in setup.BAUD_CODES:
+            known = ", ".join(map(str, sorted(setup.BAUD_CODES)))
+            raise DeviceError(f"An Aurora has no rate of {baud} baud; give one of {known}.")
+        self.address, self.counts = address, Counts()
+        self.clock = ClockFit(1.0 / rate, 2**32, latency=latency, std_latency=std_latency)
+        self.version, self.tools = "", list[setup.Tool]()
+        self._baud, self._srom, self._period = baud, srom, 1.0 / rate
+        self._latency, self._reconnect, self._patience = latency, reconnect, patience
+        self._link: Link | None = None
+        self._binary, self._last, self._heard = True, -1, 0.0
+        self._status, self._absent = 0, frozenset[int]()
+        self._early, self._in_vain = self._period, False
+        self._stale: int | None = None
+
+    def __enter__(self) -> Aurora:
+        self._connect()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Frames without end; what `read` raises ends them."""
+        while True:
+            yield self.read()
+
+    def close(self) -> None:
+        """Stop tracking, if it can still be told to, and close the link."""
+        if self._link is not None:
+            with contextlib.suppress(DeviceError):
+                setup.end_tracking(self._link)
+            self._link.close()
+            self._link = None
+
+    def read(self, timeout: float = 1.0) -> Frame:
+        """The next frame, as soon as the tracker has it.
+
+        Raises SilentError when none comes within `timeout` s (connecting again not counted), and
+        LostError when the link is lost and does not come back.
+        """
+        if self._link is None:
+            raise DeviceError(
+                "The Aurora is not connected; read inside 'with Aurora(…) as tracker'."
+            )
+        deadline = time.monotonic() + timeout
+        while time.monotonic() < deadline:
+            self._wait_until_due()
+            try:
+                reply = self._poll()
+            except LostError as loss:
+                self._connect_again(loss)
+                deadline = time.monotonic() + timeout
+                continue
+            frame = self._taken(reply) if reply else None
+            if frame:
+                return frame
+        raise SilentError(
+            f"The Aurora at {self.address} had no new frame for {timeout:.3g} s ({self.counts}); "
+            f"check that a coil is plugged in."
+        )
+
+    def _connect(self) -> None:
+        self._link = link = Link(self.address)
+        try:
+            self.version = setup.start_up(link, self._baud, self._patience)
+            self._binary = not any(tag in self.version for tag in _FIRMWARE_WITHOUT_BX)
+            self.tools, faulty = setup.enable_tools(link, self._srom)
+            if faulty:
+                raise DeviceError(faulty[0])
+            if not self.tools:
+                raise DeviceError(
+                    f"No coil is plugged in at the Aurora at {self.address}; plug one in."
+                )
+            setup.begin_tracking(link)
+        except BaseException:
+            self.close()
+            raise
+        self._heard, self._status, self._absent = time.monotonic(), 0, frozenset()
+        self._stale = None
+
+    def _connect_again(self, loss: LostError) -> None:
+        deadline = time.monotonic() + self._reconnect
+        why: DeviceError = loss
+        self.close()
+        while time.monotonic() < deadline:
+            time.sleep(_BETWEEN)
+            try:
+                self._connect()
+            except DeviceError as problem:
+                why = problem
+                continue
+            self.counts.reconnects += 1
+            self.clock.restart()
+            self._last = -1
+            return
+        raise LostError(f"{why} It did not come back within {self._reconnect:g} s.")
+
+    def _wait_until_due(self) -> None:
+        """Not to ask needlessly: until shortly before the next frame can be there.
+
+        A frame that is there when first asked for says little of when it came; so after such a
+        one the next is asked for earlier.
+        """
+        if self._last < 0:
+            time.sleep(_PAUSE)
+            return
+        due = self.clock.time(self._last + 1) + self._latency
+        wait = due - self._early - time.monotonic()
+        late = -wait > self._period
+        time.sleep(min(wait, self._period) if wait > 0.0 else self._period / 4 if late else _PAUSE)
+
+    def _poll(self) -> Reply | None:
+        """One reply, or None when it was spoilt or refused for the moment. Raises LostError."""
+        try:
+            reply = self._asked()
+        except (GarbledError, SilentError) as problem:
+            if isinstance(problem, GarbledError):
+                self.counts.bad_crc += 1
+            else:
+                self.counts.silent += 1
+            if time.monotonic() - self._heard > _SILENCE:
+                raise LostError(f"The Aurora has fallen silent: {problem}") from None
+            return None
+        except RefusedError as refusal:
+            self._refused(refusal)
+            return None
+        self._heard = time.monotonic()
+        return reply
+
+    def _asked(self) -> Reply:
+        link = self._open_link()
+        wire = 4000.0 / link.baud if link.baud else 0.0  # s that 400 bytes take
+        name = "BX:" if self._binary else "TX:"
+        link.write(frame_command(name + _WITH_OUT_OF_VOLUME))
+        head = link.read(BX_HEADER, _REPLY + wire)
+        if self._binary and not head.isalnum():  # what is text can only say no
+            return parse_bx(head + link.read(bx_length(head), _REST + wire))
+        raw = head + (b"" if b"\r" in head else link.read_until(b"\r", _REST + wire))
+        if raw.startswith(b"RESET") and parse_ascii(raw):
+            raise LostError("The Aurora was reset.")
+        return parse_tx(raw)
+
+    def _refused(self, refusal: RefusedError) -> None:
+        if refusal.code in _GARBLED:
+            self.counts.bad_crc += 1
+        elif refusal.code in _TELLS_STATE:
+            raise LostError(f"The Aurora has stopped tracking. {refusal}")
+        elif self._binary:
+            self._binary = False
+        else:
+            raise refusal
+
+    def _open_link(self) -> Link:
+        assert self._link is not None
+        return self._link
+
+    def _taken(self, reply: Reply) -> Frame | None:
+        """The frame of a reply if it is new; ports plugged in or out are seen to first."""
+        arrival = self._open_link().arrived
+        absent = frozenset(p.handle for p in reply.ports if p.condition in _ABSENT)
+        changed = reply.hot_plugged and reply.status & ~self._status
+        if changed or absent - self._absent:
+            self._plug_anew()
+        self._status, self._absent = reply.status, absent
+        numbers = [p.number for p in reply.ports if p.number is not None and p.handle not in absent]
+        if self._stale is None and numbers:
+            self._stale = numbers[0]  # there already when first asked for: since when is unknown
+        if not numbers or (self._last < 0 and numbers[0] == self._stale):
+            return None
+        restarts, last = self.clock.restarts, self._last
+        count = self.clock.add(numbers[0], arrival)
+        jumped = self.clock.restarts > restarts
+        self.counts.clock_restarts += jumped
+        if count == last and not jumped:
+            self.counts.duplicates += 1
+            self._in_vain = True
+            return None
+        early = 0.9 * self._early if self._in_vain else 2.0 * self._early
+        self._early, self._in_vain = min(max(early, _EARLY), self._period), False
+        if last >= 0 and not jumped:
+            self.counts.dropped += count - last - 1
+        self._last = count
+        return self._frame(count, numbers[0], arrival, reply)
+
+    def _frame(self, count: int, number: int, arrival: float, reply: Reply) -> Frame:
+        # All ports of a reply are of one frame [inferred]; another's would have a wrong time.
+        ports = tuple(p for p in reply.ports if p.number in (None, number))
+        self.counts.frames += 1
+        self.counts.missing += sum(p.missing for p in ports)
+        self.counts.out_of_volume += sum(p.out_of_volume for p in ports)
+        moment, std = self.clock.time(count), self.clock.std_time(count)
+        return Frame(count, moment, std, arrival, ports)
+
+    def _plug_anew(self) -> None:
+        """Free what is gone, initialise what is new; the others miss a few frames meanwhile."""
+        link = self._open_link()
+        self.counts.hot_plugs += 1
+        try:
+            setup.end_tracking(link)
+            self.tools, faulty = setup.enable_tools(link, self._srom)
+            setup.begin_tracking(link)
+        except DeviceError as problem:
+            raise LostError(f"After a coil was plugged in or out: {problem}") from None
+        self.counts.faulty += len(faulty)

@@ -1,0 +1,188 @@
+"""From a cold start to tracking: what an Aurora is told before it says where its coils are."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from glissando.errors import DeviceError
+from glissando.hardware.drivers.aurora_protocol import frame_command, parse_ascii, parse_handles
+from glissando.hardware.drivers.aurora_reply import GarbledError, RefusedError
+from glissando.hardware.drivers.link import Link, SilentError
+
+BAUD_CODES = {9600: "0", 14400: "1", 19200: "2", 38400: "3", 57600: "4", 115200: "5"}
+BAUD_CODES |= {921600: "6", 1228739: "7", 230400: "A"}
+"""Baud rates of the device, and how COMM calls them."""
+
+_TRIES = 3  # of a command whose reply comes damaged
+_REPLY = 5.0  # s that a command may take
+_SETTLE = 0.2  # s on both sides of a change of the baud rate
+_REFUSED = 1.0  # s to wait for RESET after something was refused
+_ROUNDS = 4  # of initialising: a coil may show another on the same plug
+_SROM, _WRITE = 1024, 64  # bytes of a virtual SROM, and of one write
+_NO_SROM = 0x13
+_WRONG_MODE = 0x0C
+
+
+@dataclass(frozen=True)
+class Tool:
+    """A coil that is plugged in: `handle`, `serial` number, `port` and `channel` on its plug."""
+
+    handle: int
+    serial: str
+    port: str
+    channel: str
+
+
+def ask(link: Link, command: str, timeout: float = _REPLY, tries: int = _TRIES) -> str:
+    """The reply to a command; again when it is damaged or does not come.
+
+    Raises GarbledError, SilentError, RefusedError.
+    """
+    for left in reversed(range(tries)):
+        link.write(frame_command(command))
+        try:
+            return parse_ascii(link.read_until(b"\r", timeout))
+        except (GarbledError, SilentError):
+            if not left:
+                raise
+    raise AssertionError("at least one try")
+
+
+def start_up(link: Link, baud: int, patience: float) -> str:
+    """Reset, initialise and speed up; returns the device's description of itself.
+
+    Resetting and initialising may take up to `patience` seconds each. Raises DeviceError.
+    """
+    _reset(link, patience)
+    answer = ask(link, "INIT:", patience)
+    if answer != "OKAY":
+        raise DeviceError(
+            f"{link.address} answered INIT with {answer[:40]!r}, which no Aurora does; give the "
+            f"address of an Aurora."
+        )
+    time.sleep(0.1 if link.baud else 0.0)  # as NDI asks after INIT
+    if link.baud is not None and baud != link.baud:
+        _speed_up(link, baud)
+    return ask(link, "VER:0")
+
+
+def _reset(link: Link, patience: float) -> None:
+    """BREAK where there is one, else a command; some devices know neither, and go on."""
+    if link.baud is not None:
+        link.set_baud(9600)
+    if not link.send_break():
+        link.write(b"\r" + frame_command("RESET:"))
+    deadline = time.monotonic() + patience
+    while True:
+        try:
+            said = link.read_until(b"\r", deadline - time.monotonic())
+            if b"RESET" in said or parse_ascii(said) == "OKAY":
+                return
+        except GarbledError:
+            continue  # the end of something older
+        except RefusedError:  # of the lone carriage return, or of RESET itself
+            deadline = min(deadline, time.monotonic() + _REFUSED)
+        except SilentError:
+            return  # INIT will tell
+
+
+def _speed_up(link: Link, baud: int) -> None:
+    # A damaged reply may have been said at either rate; the next command tells.
+    with contextlib.suppress(GarbledError, SilentError):
+        ask(link, f"COMM:{BAUD_CODES[baud]}0000", tries=1)
+    time.sleep(_SETTLE)
+    link.set_baud(baud)
+    time.sleep(_SETTLE)
+
+
+def enable_tools(link: Link, srom: Path | None) -> tuple[list[Tool], list[str]]:
+    """Initialise and enable every coil that is plugged in; the tools, and what went wrong."""
+    for handle in parse_handles(ask(link, "PHSR:01")):
+        try:
+            ask(link, f"PHF:{handle:02X}")
+        except RefusedError:
+            continue  # freed already, by a try whose reply was damaged
+    faulty: dict[int, str] = {}
+    for _ in range(_ROUNDS):
+        waiting = [h for h in parse_handles(ask(link, "PHSR:02")) if h not in faulty]
+        for handle in waiting:
+            try:
+                _initialise(link, handle, srom)
+            except RefusedError as refusal:
+                faulty[handle] = _why_faulty(handle, refusal, srom)
+        if not waiting:
+            break
+    for handle in parse_handles(ask(link, "PHSR:03")):
+        ask(link, f"PENA:{handle:02X}D")
+    enabled = parse_handles(ask(link, "PHSR:04"))
+    return [_describe(link, handle) for handle in enabled], list(faulty.values())
+
+
+def _initialise(link: Link, handle: int, srom: Path | None) -> None:
+    """PINIT; for a coil without a memory of its own, with a file or the default in its place."""
+    try:
+        ask(link, f"PINIT:{handle:02X}")
+        return
+    except RefusedError as refusal:
+        if refusal.code != _NO_SROM:
+            raise
+    if srom is None:
+        ask(link, f"TTCFG:{handle:02X}")
+    else:
+        image = read_srom(srom)
+        for at in range(0, _SROM, _WRITE):
+            ask(link, f"PVWR:{handle:02X}{at:04X}{image[at : at + _WRITE].hex().upper()}")
+    ask(link, f"PINIT:{handle:02X}")
+
+
+def read_srom(path: Path) -> bytes:
+    """The image of a virtual SROM, filled up to its 1024 bytes. Raises DeviceError."""
+    try:
+        image = path.read_bytes()
+    except OSError as problem:
+        raise DeviceError(f"SROM file {path} cannot be read ({problem}); give another.") from None
+    if not 0 < len(image) <= _SROM:
+        raise DeviceError(
+            f"SROM file {path} has {len(image)} bytes; give the .rom of a coil, 1 to {_SROM} bytes."
+        )
+    return image.ljust(_SROM, b"\0")
+
+
+def _why_faulty(handle: int, refusal: RefusedError, srom: Path | None) -> str:
+    if refusal.code not in (_NO_SROM, 0x01):
+        return f"Coil {handle:02X} cannot be used. {refusal}"
+    tried = "with the default configuration" if srom is None else f"with the SROM file {srom}"
+    return (
+        f"Coil {handle:02X} says nothing of itself (ERROR13: its SROM is absent or damaged), "
+        f"and was refused {tried} too; give srom= the .rom file of the coil, or unplug it."
+    )
+
+
+def _describe(link: Link, handle: int) -> Tool:
+    """Serial number and place from PHINF, empty where it will not say."""
+    try:
+        text = ask(link, f"PHINF:{handle:02X}0021")
+    except RefusedError:
+        text = ""
+    return Tool(handle, text[23:31].strip(), text[43:45], text[45:47])
+
+
+def begin_tracking(link: Link) -> None:
+    """TSTART; that it tracks already is as good. Raises DeviceError."""
+    try:
+        ask(link, "TSTART:")
+    except RefusedError as refusal:
+        if refusal.code != _WRONG_MODE:
+            raise
+
+
+def end_tracking(link: Link) -> None:
+    """TSTOP; that it does not track is as good. Raises DeviceError."""
+    try:
+        ask(link, "TSTOP:", timeout=1.0)
+    except RefusedError as refusal:
+        if refusal.code != _WRONG_MODE:
+            raise

@@ -1,0 +1,155 @@
+"""A device's counter and the host's clock: when the device counted n."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from glissando.geometry.se3 import Array
+
+_BLOCKS = 32  # readings, or least-late readings of as many stretches, that the line is laid through
+_LARGEST = 64  # readings a stretch holds at most
+_DRIFT = 1e-4  # standard deviation of a counter's rate about the nominal, relative
+_JITTER = 2e-3  # s of delay expected before any has been seen; counts as two readings
+_STEP = 0.1  # s off the line that is no delay: the counter has jumped
+_PATIENCE = 40  # readings in a row that must be late before the counter is taken to have jumped
+_REACH = 3.0  # standard deviations at which a reading counts a quarter
+
+
+class ClockFit:
+    """Maps a counter that wraps at `modulus` to the host's monotonic clock, in bounded memory.
+
+    One count lasts `period` seconds, nearly. A reading arrives `latency` (known to `std_latency`)
+    after it was made, and then late by something that is never negative. So of stretches of
+    readings the least late is kept, and a robust line laid through those; the smallest of many
+    delays is nearly exponential, with a mean equal to its standard deviation, by which the line is
+    lowered. A constant delay cannot be seen from arrivals: it is what `latency` is for.
+
+    time(n) = `offset` + `period` (n − `origin`) − latency, with `cov` (2, 2) of offset and period.
+
+    >>> clock = ClockFit(period=0.025, modulus=2**32)
+    >>> for n in range(400):
+    ...     _ = clock.add(n, host=10.0 + 0.025 * n + 0.003 * (n % 7))
+    >>> round(clock.time(400), 3), clock.std_time(400) < 1e-3
+    (20.0, True)
+    """
+
+    def __init__(
+        self, period: float, modulus: int, *, latency: float = 0.0, std_latency: float = 0.0
+    ):
+        self._nominal, self._modulus = period, modulus
+        self._latency, self._std_latency = latency, std_latency
+        self.restarts = -1
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget everything, as after a reset of the device; counted in `restarts`."""
+        self.restarts += 1
+        self._last: int | None = None
+        self._first = self._host = 0.0
+        self._count: list[float] = []  # of the least late of each stretch, from the first
+        self._delay: list[float] = []  # its arrival against the nominal rate
+        self._open: tuple[float, float] | None = None
+        self._inside, self._size, self._late = 0, 1, 0
+        self.origin, self.offset, self.period = 0.0, 0.0, self._nominal
+        self.cov: Array = np.diag([_JITTER, _DRIFT * self._nominal]) ** 2
+
+    def add(self, number: int, host: float) -> int:
+        """Take in that counter `number` arrived at `host` s; returns the number unwrapped.
+
+        A number that is the last again adds nothing. One that is less, or that arrived before it
+        could be measured, starts everything anew: the device was reset.
+        """
+        count = self._unwrapped(number, host)
+        if count == self._last:
+            return count
+        if self._last is not None and (count < self._last or self._jumped(count, host)):
+            self.restart()
+            count = number
+        if self._last is None:
+            self._first, self._host = float(count), host
+            self.origin, self.offset = float(count), host
+        self._last = count
+        steps = count - self._first
+        self._take(steps, host - self._host - self._nominal * steps)
+        return count
+
+    def time(self, count: float) -> float:
+        """When an unwrapped number was measured, seconds of the host's monotonic clock."""
+        return self.offset + self.period * (count - self.origin) - self._latency
+
+    def std_time(self, count: float) -> float:
+        """Standard deviation of `time(count)`, seconds."""
+        row = np.array([1.0, count - self.origin])
+        return float(np.sqrt(row @ self.cov @ row + self._std_latency**2))
+
+    def count_at(self, time: float) -> float:
+        """The unwrapped number, between whole ones, at a time in seconds."""
+        return self.origin + (time + self._latency - self.offset) / self.period
+
+    def _unwrapped(self, number: int, host: float) -> int:
+        if self._last is None:
+            return number
+        expected = self.count_at(host - self._latency)
+        return number + self._modulus * round((expected - number) / self._modulus)
+
+    def _jumped(self, count: int, host: float) -> bool:
+        late = host - self.time(count) - self._latency
+        self._late = self._late + 1 if late > _STEP else 0
+        return late < -_STEP or self._late >= _PATIENCE
+
+    def _take(self, steps: float, delay: float) -> None:
+        if self._open is None or delay < self._open[1]:
+            self._open = (steps, delay)
+        self._inside += 1
+        if self._inside < self._size:
+            return
+        self._count.append(self._open[0])
+        self._delay.append(self._open[1])
+        self._open, self._inside = None, 0
+        if len(self._count) == _BLOCKS:
+            self._fold()
+        self._fit()
+
+    def _fold(self) -> None:
+        """Make room: of each two stretches one, or forget the oldest."""
+        if self._size == _LARGEST:
+            self._count, self._delay = self._count[1:], self._delay[1:]
+            return
+        later = np.argmin(np.reshape(self._delay, (-1, 2)), axis=1)
+        kept = 2 * np.arange(_BLOCKS // 2) + later
+        self._count = [self._count[k] for k in kept]
+        self._delay = [self._delay[k] for k in kept]
+        self._size *= 2
+
+    def _fit(self) -> None:
+        """The robust line: Geman-McClure's weights, the rate held near the nominal."""
+        count, delay = np.array(self._count), np.array(self._delay)
+        middle = float(count.mean())
+        x = self._nominal * (count - middle)
+        known = np.array([0.0, _DRIFT**-2])
+        rows = np.stack([np.ones_like(x), x], axis=-1)
+        held = self.offset - self._host + self.period * (middle + self._first - self.origin)
+        held -= self._nominal * middle
+        line = np.array([held, self.period / self._nominal - 1.0])
+        if count.size < 5:
+            line = np.array([float(np.median(delay)), 0.0])
+        for _ in range(6):
+            off = delay - rows @ line
+            centred = off - np.median(off)
+            scale = max(1.4826 * float(np.median(np.abs(centred))), 1e-6)
+            weight = 1.0 / (1.0 + (centred / (_REACH * scale)) ** 2) ** 2
+            variance = (2.0 * (_JITTER / self._size) ** 2 + np.sum(weight * off**2)) / (
+                2.0 + np.sum(weight)
+            )
+            normal = (rows.T * weight) @ rows / variance + np.diag(known)
+            line = np.linalg.solve(normal, rows.T @ (weight * delay) / variance)
+        std = float(np.sqrt(variance))
+        # The weights cut tails off that the covariance should know of, and the lowering is known
+        # about half as well as it is large.
+        cov = 1.5 * np.linalg.inv(normal)
+        cov[0, 0] += (0.5 * std) ** 2
+        turn = np.diag([1.0, self._nominal])
+        self.origin = middle + self._first
+        self.offset = self._host + self._nominal * middle + float(line[0]) - std
+        self.period = self._nominal * (1.0 + float(line[1]))
+        self.cov = turn @ cov @ turn

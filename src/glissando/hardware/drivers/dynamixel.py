@@ -1,0 +1,289 @@
+"""A servo's registers through the official SDK: retries, counts, sentences, and when it was asked.
+
+The SDK takes a late answer to one question for the answer to the next; here such are found out.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from time import monotonic
+
+from glissando.errors import DeviceError
+from glissando.hardware.drivers.sdk import lost_port, opened
+
+WRAP = 32768  # ms, where the servo's clock begins again
+DRIVE_MODE, OPERATING_MODE, HOMING_OFFSET = 10, 11, 20
+TORQUE, HARDWARE_ERROR, WATCHDOG = 64, 70, 98
+PWM_LIMIT, GOAL_PWM, PROFILE, TICK = 36, 100, 108, 120
+
+XL430 = 1060  # model number
+_EXTENDED_POSITION = 4  # operating mode
+_MODEST = 150  # ticks the place may change by when torque comes on
+_ATTEMPTS = 4
+_QUIET = 0.03  # s without a byte after which no late answer is expected any more
+_NO_REPLY, _CORRUPT, _RESEND = -3001, -3002, 3
+_ALERT = 0x80
+_REFUSED = {
+    1: "it could not do it",
+    2: "it does not know the instruction",
+    4: "a value is out of range",
+    5: "a value has the wrong length",
+    6: "a value is beyond a limit set in its registers",
+    7: "the register cannot be written now",
+}
+_HARDWARE = {
+    0x01: "its supply voltage is outside its limits; check the power supply",
+    0x04: "it is too hot; let it cool",
+    0x08: "its encoder has failed; replace it",
+    0x10: "its electronics had a shock or too little power; check the power supply",
+    0x20: "it was overloaded; free the carriage",
+}
+
+
+class NoAnswerError(DeviceError):
+    """A servo was asked a few times in a row and was not heard."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Bytes that a servo sent, and the host's times (monotonic s) around the exchange."""
+
+    data: bytes
+    asked: float
+    answered: float
+
+    def signed(self, offset: int, size: int) -> int:
+        """An integer in it; the SDK gives negative ones as unsigned."""
+        return int.from_bytes(self.data[offset : offset + size], "little", signed=True)
+
+
+@dataclass(frozen=True)
+class State:
+    """What one read of tick to position says, in the servo's units.
+
+    `time` s of the host, the middle of the exchange; `clock` s of the servo, never wrapping;
+    `load` in 0.1 %, `velocity` in 0.229 rpm, `place` in ticks.
+    """
+
+    time: float
+    clock: float
+    load: int
+    velocity: int
+    place: int
+
+
+def hardware_error(bits: int) -> str:
+    """What the hardware-error status (70) says, in words.
+
+    >>> hardware_error(0x24)
+    'it is too hot; let it cool, and it was overloaded; free the carriage'
+    """
+    found = [words for bit, words in _HARDWARE.items() if bits & bit]
+    return ", and ".join(found) or f"it reports the unknown error {bits:#04x}"
+
+
+def unwrapped(last: int, tick: int, elapsed: float) -> int:
+    """A tick of 0…32767 ms as one that never wraps, `elapsed` s after the unwrapped `last`.
+
+    Right when `elapsed` is known to better than 16 s.
+
+    >>> unwrapped(32_700, 40, elapsed=0.1), unwrapped(32_700, 40, elapsed=33.0)
+    (32808, 65576)
+    """
+    expected = last + round(1e3 * elapsed)
+    return expected + (tick - expected + WRAP // 2) % WRAP - WRAP // 2
+
+
+class Servo:
+    """The registers of one servo at a serial `address`.
+
+    `counts` says how many answers were missing, corrupt, refused by the servo for a bad CRC or
+    stale. Raises DeviceError when it does not answer, refuses, or reports a hardware error.
+    """
+
+    def __init__(self, address: str, identity: int, baud: int) -> None:
+        self.address, self.identity, self.baud = address, identity, baud
+        self.counts: Counter[str] = Counter()
+        self._port, self._handler = opened(address, baud)
+        self._clock: tuple[int, Answer] | None = None  # unwrapped ms of the last state, and it
+
+    def close(self) -> None:
+        """Let go of the port."""
+        try:
+            self._port.closePort()
+        except OSError:  # it is gone already
+            self._port.is_open = False
+
+    def _pinged(self) -> tuple[list[int], int, int]:
+        model, result, error = self._handler.ping(self._port, self.identity)
+        return [model & 0xFF, model >> 8], result, error
+
+    def read(self, address: int, size: int, *, heed: bool = True) -> Answer:
+        """Registers from an address on. Pending hardware errors raise DeviceError if `heed`."""
+
+        def ask() -> tuple[list[int], int, int]:
+            data, result, error = self._handler.readTxRx(self._port, self.identity, address, size)
+            short = result == 0 and not error & ~_ALERT and len(data) != size
+            return data, _CORRUPT if short else result, error
+
+        return self._asked(f"read {size} bytes at {address}", ask, heed=heed)
+
+    def write(self, address: int, *values: tuple[int, int], heed: bool = True) -> None:
+        """Write values, each (number, bytes), one after the other from an address on."""
+        data = b"".join((n % (1 << 8 * size)).to_bytes(size, "little") for n, size in values)
+
+        def ask() -> tuple[list[int], int, int]:
+            send = self._handler.writeTxRx
+            return [], *send(self._port, self.identity, address, len(data), list(data))
+
+        shown = ", ".join(str(number) for number, _ in values)
+        self._asked(f"write {shown} at {address}", ask, heed=heed)
+
+    def reboot(self) -> None:
+        """Restart it: clears hardware errors, and loses the number of turns."""
+        self._asked(
+            "reboot", lambda: ([], *self._handler.reboot(self._port, self.identity)), heed=False
+        )
+        self._clock = None
+
+    def prepare(self) -> None:
+        """Registers as they must be. Those of the EEPROM are written only where they differ."""
+        model = self._asked("ping it", self._pinged).signed(0, 2)
+        if model != XL430:
+            raise DeviceError(
+                f"The servo {self.identity} at {self.address} is of model {model}; the slide knows "
+                f"the XL430-W250, {XL430}."
+            )
+        for address in (TORQUE, WATCHDOG):
+            self.write(address, (0, 1), heed=False)
+        # Drive mode 0: not reversed, profiles by speed, no torque by a goal alone. With a homing
+        # offset some firmware runs away when its watchdog bites (reported to DynamixelSDK in 2022).
+        wanted = (
+            (OPERATING_MODE, _EXTENDED_POSITION, 1),
+            (DRIVE_MODE, 0, 1),
+            (HOMING_OFFSET, 0, 4),
+        )
+        for address, value, size in wanted:
+            if self.read(address, size, heed=False).signed(0, size) != value:
+                self.write(address, (value, size), heed=False)
+
+    def state(self, *, heed: bool = True) -> State:
+        """Clock, load, velocity and place, in one read.
+
+        An answer whose tick cannot be from now is a late one to an earlier question, and is asked
+        for again; when that does not help, the servo has restarted and DeviceError is raised.
+        """
+        for _ in range(_ATTEMPTS):
+            answer = self.read(TICK, 16, heed=heed)
+            tick = int.from_bytes(answer.data[:2], "little")
+            if (now := self._placed(tick, answer)) is not None:
+                self._clock = now, answer
+                middle = 0.5 * (answer.asked + answer.answered)
+                load, velocity, place = (answer.signed(*at) for at in ((6, 2), (8, 4), (12, 4)))
+                return State(middle, 1e-3 * now, load, velocity, place)
+            self.counts["stale"] += 1
+            self._drain()
+        raise DeviceError(
+            f"The clock of the servo at {self.address} jumped: it lost power for a moment, and "
+            f"its place with it. Check the supply, then home again."
+        )
+
+    def aim(self, goal: int, *, speed: int, acceleration: int = 0, heed: bool = True) -> None:
+        """Acceleration, speed and goal in one packet: no goal goes out without its limits.
+
+        In the servo's units; acceleration 0 means at once, speed 0 as fast as it can.
+        """
+        self.write(PROFILE, (acceleration, 4), (speed, 4), (goal, 4), heed=heed)
+
+    def power(self) -> None:
+        """Torque on, where it stands. Some firmware miscounts turns here, so that is looked at."""
+        self._clock = None  # whatever it told before: home is sought anew
+        before = self.state().place
+        self.aim(before, speed=0)
+        self.write(TORQUE, (1, 1))
+        moved = self.state().place - before
+        if abs(moved) > _MODEST:
+            raise DeviceError(
+                f"The servo at {self.address} moved or miscounted by {moved} ticks when its torque "
+                f"came on; look at the carriage and home again."
+            )
+
+    def bitten(self) -> bool:
+        """Whether the watchdog has stopped it; false too when it does not answer."""
+        try:
+            return self.read(WATCHDOG, 1, heed=False).signed(0, 1) < 0
+        except DeviceError:
+            return False
+
+    def halt(self) -> bool:
+        """Hold where it is, or else switch the torque off; whether it holds."""
+        try:
+            self.aim(self.state(heed=False).place, speed=0, heed=False)
+            held = True
+        except NoAnswerError:
+            held = False
+        except DeviceError:
+            held = self.bitten()  # then goals are refused, and it stands already
+        if not held:
+            self.write(TORQUE, (0, 1), heed=False)
+        self.write(WATCHDOG, (0, 1), heed=False)  # not before it stands
+        return held
+
+    def _placed(self, tick: int, answer: Answer) -> int | None:
+        """The tick unwrapped; None if it was not taken between question and answer."""
+        if self._clock is None:
+            return tick
+        last, before = self._clock
+        elapsed = 0.5 * (answer.asked + answer.answered - before.asked - before.answered)
+        now = unwrapped(last, tick, elapsed)
+        slack = 0.003 + 0.02 * elapsed  # s: a tick either way, and how far its clock may be off
+        least, most = answer.asked - before.answered, answer.answered - before.asked
+        return now if least - slack <= 1e-3 * (now - last) <= most + slack else None
+
+    def _asked(
+        self, what: str, ask: Callable[[], tuple[list[int], int, int]], *, heed: bool = True
+    ) -> Answer:
+        """The first sound answer of a few attempts."""
+        for _ in range(_ATTEMPTS):
+            self._port.is_using = False  # an exception inside the SDK leaves it set
+            asked = monotonic()
+            try:
+                data, result, error = ask()
+            except lost_port() as problem:
+                raise DeviceError(
+                    f"The port {self.address} is gone ({problem}); plug the adapter in again."
+                ) from None
+            answered = monotonic()
+            if result == 0 and error & ~_ALERT != _RESEND:
+                self._require_sound(what, error, heed=heed)
+                return Answer(bytes(data), asked, answered)
+            kinds = {_NO_REPLY: "missing", _CORRUPT: "corrupt"}
+            self.counts["refused" if result == 0 else kinds.get(result, "failed")] += 1
+            self._drain()
+        raise NoAnswerError(
+            f"The servo {self.identity} at {self.address} did not answer {_ATTEMPTS} times in a "
+            f"row at {self.baud} baud (could not {what}); check its power, cable, baud rate and id."
+        )
+
+    def _require_sound(self, what: str, error: int, *, heed: bool) -> None:
+        if error & _ALERT and heed:
+            bits = self.read(HARDWARE_ERROR, 1, heed=False).data[0]
+            raise DeviceError(
+                f"The servo at {self.address} has switched off: {hardware_error(bits)}. Then "
+                f"reboot() it and home again."
+            )
+        if error & ~_ALERT:
+            why = _REFUSED.get(error & ~_ALERT, f"error {error}")
+            raise DeviceError(f"The servo at {self.address} would not {what}: {why}.")
+
+    def _drain(self) -> None:
+        """Wait until the line is quiet, so that a late answer is not taken for the next one."""
+        quiet_since = begun = monotonic()
+        while monotonic() < min(quiet_since + _QUIET, begun + 4.0 * _QUIET):
+            try:
+                if self._port.readPort(1024):
+                    quiet_since = monotonic()
+            except lost_port():
+                return

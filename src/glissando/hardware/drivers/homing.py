@@ -1,0 +1,79 @@
+"""Finding a mechanical stop by touch: gently, twice, and only if both agree."""
+
+from __future__ import annotations
+
+from collections import deque
+from time import monotonic, sleep
+
+from glissando.errors import DeviceError
+from glissando.hardware.drivers.dynamixel import Servo
+from glissando.hardware.drivers.stage import Stage
+
+_STALL = 0.3  # s over which a standing carriage has met something
+_CRAWL = 0.1  # of the speed asked for: slower is standing
+_BACK = 2e-3  # m, back from the stop before the second touch
+_AGREE = 2e-4  # m between the two touches
+_PACE = 0.01  # s between looks
+
+
+def touch(servo: Servo, stage: Stage, speed: float, pwm: float) -> int:
+    """The place in ticks where the carriage meets its stop, at `speed` m/s.
+
+    It must stand while the load says that it pushes, come back when asked to, and stand again at
+    the same place [inferred: thresholds are to be tried on the real stage]. Raises DeviceError.
+    """
+    assert stage.home is not None
+    low, high = stage.stroke
+    side = -1.0 if stage.home <= low else 1.0
+    farthest = high if side < 0.0 else low
+    reach = side * (1.1 * abs(farthest - stage.home) + _BACK)
+    first = _press(servo, stage, reach, speed, pwm)
+    back = first - round(stage.ticks(side * _BACK))
+    _retreat(servo, stage, back, speed, pwm)
+    second = _press(servo, stage, side * 2.0 * _BACK, speed, pwm)
+    apart = abs(stage.travel(second - first))
+    if apart > _AGREE:
+        raise DeviceError(
+            f"Two touches of the stop differ by {1e3 * apart:.2g} mm; tighten the stage, or try "
+            f"another pwm or speed."
+        )
+    return second
+
+
+def _press(servo: Servo, stage: Stage, way: float, speed: float, pwm: float) -> int:
+    """Go until the carriage stands although it is pushed, and let go; where it stands."""
+    start = servo.state().place
+    goal = start + round(stage.ticks(way))
+    servo.aim(goal, speed=stage.speed_units(speed))
+    trail: deque[tuple[float, int]] = deque()
+    while True:
+        state = servo.state()
+        now, place = state.time, state.place
+        trail.append((now, place))
+        while len(trail) > 1 and now - trail[1][0] >= _STALL:
+            trail.popleft()
+        went = abs(stage.travel(place - trail[0][1]))
+        if now - trail[0][0] >= _STALL and went < _CRAWL * speed * _STALL:
+            break
+        sleep(_PACE)
+    load = abs(1e-3 * state.load)
+    servo.aim(place, speed=stage.speed_units(speed))
+    if abs(place - goal) < abs(stage.ticks(_AGREE)) or load < 0.5 * pwm:
+        raise DeviceError(
+            f"No stop was met: the carriage stands after {1e3 * stage.travel(place - start):.3g} "
+            f"mm with a load of {100 * load:.0f} %. Check `home`, `direction` and `lead`."
+        )
+    return place
+
+
+def _retreat(servo: Servo, stage: Stage, goal: int, speed: float, pwm: float) -> None:
+    """Come back from the stop: a carriage that only stuck would not."""
+    servo.aim(goal, speed=stage.speed_units(speed))
+    end = monotonic() + 2.0 * _BACK / speed + 1.0
+    while abs(stage.travel(servo.state().place - goal)) > _AGREE:
+        if monotonic() > end:
+            raise DeviceError(
+                f"The carriage stuck and does not come back with {100 * pwm:.0f} % of the motor's "
+                f"voltage; give more `pwm`, and look for what holds it."
+            )
+        sleep(_PACE)

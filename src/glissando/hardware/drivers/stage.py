@@ -1,0 +1,205 @@
+"""What a stage is: its screw, its limits, where home is, and the servo's units for all of it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from glissando.errors import DeviceError
+from glissando.geometry.se3 import Array
+from glissando.io.toml_table import Table, read_toml
+
+TICKS = 4096  # a revolution
+_RPM = 0.229  # a unit of speed
+_RPM2 = 214.577  # rev/min², a unit of acceleration
+_MOST_UNITS = 265  # speed: 60.7 rpm
+_MOST_ACCELERATION = 32767
+_MOST_TICKS = 1_000_000  # of the servo's ±1,048,575 in extended position mode
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A carriage on a lead screw that an XL430-W250 turns.
+
+    `lead` m a revolution; `stroke` m, the travels (low, high) that a command may ask for;
+    `direction` 1 if travel grows while the servo turns counter-clockwise, else −1; `home` m, the
+    travel at a mechanical stop outside the stroke, if there is one; `speed` m/s and `acceleration`
+    m/s², the most that is commanded; `hold` keeps the torque on at the end; `lag` m, how far behind
+    a path is too far; `watchdog` s of silence after which a moving servo stops by itself. Raises
+    DeviceError for what cannot be, such as a speed above the servo's 60.7 rpm.
+
+    >>> Stage(lead=0.002, stroke=(0.0, 0.06))
+    Traceback (most recent call last):
+    glissando.errors.DeviceError: 24 mm/s would turn the screw of 2 mm lead at 720 rpm; the servo
+    does 60.7 rpm, 2.02 mm/s. Ask for less, or fit a screw of at least 23.7 mm lead.
+    """
+
+    lead: float
+    stroke: tuple[float, float]
+    direction: float = 1
+    home: float | None = None
+    speed: float = 0.024
+    acceleration: float = 0.1
+    hold: bool = False
+    lag: float = 0.005
+    watchdog: float = 0.2
+    id: int = 1
+    baud: int = 57600
+
+    def __post_init__(self) -> None:
+        low, high = self.stroke
+        numbers = (self.lead, low, high, self.speed, self.acceleration, self.lag, self.watchdog)
+        if not all(map(math.isfinite, numbers)):
+            raise DeviceError(f"{self} holds something that is no number; correct it.")
+        if self.lead <= 0.0 or self.direction not in (1, -1):
+            raise DeviceError(
+                f"A lead of {self.lead:g} m and a direction of {self.direction:g} cannot be; give "
+                f"metres a revolution above zero, and 1 or -1."
+            )
+        if not low < high or (high - low) / self.lead * TICKS > _MOST_TICKS:
+            raise DeviceError(
+                f"A stroke from {low:g} to {high:g} m cannot be; give a lower and a higher end, in "
+                f"all at most {_MOST_TICKS // TICKS} revolutions."
+            )
+        if self.home is not None and not (self.home <= low or self.home >= high):
+            raise DeviceError(
+                f"Home, a mechanical stop at {self.home:g} m, lies inside the stroke from {low:g} "
+                f"to {high:g} m; shorten the stroke or leave home out."
+            )
+        if not 0 <= self.id <= 252:
+            raise DeviceError(f"A servo with id {self.id} cannot be; give 0 to 252.")
+        if not (0.02 <= self.watchdog <= 2.54 and self.lag > 0.0):
+            raise DeviceError(
+                f"A watchdog of {self.watchdog:g} s and a lag of {self.lag:g} m cannot be; give "
+                f"0.02 to 2.54 s, and metres above zero."
+            )
+        self.require_speed(self.speed)
+        self.require_acceleration(self.acceleration)
+
+    @classmethod
+    def load(cls, path: Path, key: str = "slide") -> Self:
+        """From the table [slide] of a TOML file. Raises DeviceError."""
+        table = read_toml(path, DeviceError).table(key, required=True)
+        assert table is not None
+        return cls.from_table(table)
+
+    @classmethod
+    def from_table(cls, table: Table) -> Self:
+        """From a TOML table with the names of this class; lead and stroke are required."""
+        stroke = table.vector("stroke", 2)
+        if table.peek("home") is None:
+            table.skip("home")
+            home = None
+        else:
+            home = table.number("home", positive=False)
+        found = cls(
+            lead=table.number("lead"),
+            stroke=(float(stroke[0]), float(stroke[1])),
+            direction=table.number("direction", 1, positive=False),
+            home=home,
+            speed=table.number("speed", cls.speed),
+            acceleration=table.number("acceleration", cls.acceleration),
+            hold=table.flag("hold"),
+            lag=table.number("lag", cls.lag),
+            watchdog=table.number("watchdog", cls.watchdog),
+            id=int(table.number("id", cls.id, positive=False)),
+            baud=int(table.number("baud", cls.baud)),
+        )
+        table.close()
+        return found
+
+    @property
+    def fastest(self) -> float:
+        """What the servo's 60.7 rpm make of this lead, m/s."""
+        return _MOST_UNITS * _RPM / 60.0 * self.lead
+
+    def require_speed(self, speed: float) -> None:
+        """Raise DeviceError unless the servo can turn this fast, and some."""
+        if not 0.0 < speed <= self.fastest:
+            rpm = 60.0 * speed / self.lead
+            if not speed > 0.0:
+                raise DeviceError(f"A speed of {speed:g} m/s cannot be; give one above zero.")
+            raise DeviceError(
+                f"{1e3 * speed:.4g} mm/s would turn the screw of {1e3 * self.lead:g} mm lead at "
+                f"{rpm:.4g} rpm; the servo does {_MOST_UNITS * _RPM:.1f} rpm, "
+                f"{1e3 * self.fastest:.3g} mm/s. Ask for less, or fit a screw of at least "
+                f"{60e3 * speed / (_MOST_UNITS * _RPM):.3g} mm lead."
+            )
+
+    def require_acceleration(self, acceleration: float) -> None:
+        """Raise DeviceError unless the servo's register can hold this acceleration."""
+        unit = _RPM2 / 3600.0 * self.lead
+        if not 0.5 * unit <= acceleration <= _MOST_ACCELERATION * unit:
+            raise DeviceError(
+                f"An acceleration of {acceleration:g} m/s² cannot be with a lead of "
+                f"{1e3 * self.lead:g} mm; give {0.5 * unit:.2g} to "
+                f"{_MOST_ACCELERATION * unit:.4g} m/s²."
+            )
+
+    def require_inside(self, travel: float) -> None:
+        """Raise DeviceError unless a travel lies within the stroke."""
+        low, high = self.stroke
+        if not low - 1e-9 <= travel <= high + 1e-9:
+            raise DeviceError(
+                f"A travel of {1e3 * travel:.4g} mm lies outside the stroke from {1e3 * low:g} to "
+                f"{1e3 * high:g} mm; stay inside, or widen the stroke if the stage allows it."
+            )
+
+    def require_allowed(self, speed: float) -> None:
+        """Raise DeviceError unless the servo can go and the stage may go this fast."""
+        self.require_speed(speed)
+        if speed > self.speed * (1.0 + 1e-6):
+            raise DeviceError(
+                f"{1e3 * speed:.4g} mm/s is asked for; this stage allows {1e3 * self.speed:g} "
+                f"mm/s. Ask for less, or raise its `speed`."
+            )
+
+    def path(self, time: ArrayLike, travel: ArrayLike) -> tuple[Array, Array]:
+        """A path's times, beginning at zero, and its travels. Raises DeviceError if it may not."""
+        times, places = np.asarray(time, dtype=float), np.asarray(travel, dtype=float)
+        if times.ndim != 1 or times.size < 2 or times.shape != places.shape:
+            raise DeviceError(
+                f"A path of times {times.shape} and travels {places.shape} cannot be; give two or "
+                f"more of each."
+            )
+        if not np.all(np.isfinite([times, places])) or np.any(np.diff(times) <= 0.0):
+            raise DeviceError("The times of a path must increase, and all its numbers be finite.")
+        for place in (places.min(), places.max()):
+            self.require_inside(float(place))
+        speed = float(np.abs(np.diff(places) / np.diff(times)).max())
+        if speed > 0.0:
+            self.require_allowed(speed)
+        return times - times[0], places
+
+    # What the servo counts in: ticks, speed units, acceleration units.
+
+    def ticks(self, travel: float) -> float:
+        """Ticks that a travel in metres is worth, signed."""
+        return self.direction * travel / self.lead * TICKS
+
+    def travel(self, ticks: float) -> float:
+        """Metres that ticks are worth, signed."""
+        return self.direction * ticks / TICKS * self.lead
+
+    def speed_units(self, speed: float) -> int:
+        """The register for a speed in m/s; 1 at least, for 0 would mean no limit."""
+        return int(np.clip(round(speed / self.lead * 60.0 / _RPM), 1, _MOST_UNITS))
+
+    def speed_of(self, units: float) -> float:
+        """m/s that a number of speed units is, signed."""
+        return self.direction * units * _RPM / 60.0 * self.lead
+
+    def acceleration_units(self, acceleration: float) -> int:
+        """The register for an acceleration in m/s²; 1 at least, for 0 would mean no limit."""
+        units = acceleration / self.lead * 3600.0 / _RPM2
+        return int(np.clip(round(units), 1, _MOST_ACCELERATION))
+
+    def lasting(self, way: float, speed: float, acceleration: float) -> float:
+        """Seconds from rest to rest: a trapezoid, or a triangle where the way is short."""
+        way, top = abs(way), min(speed, math.sqrt(abs(way) * acceleration))
+        return way / top + top / acceleration if way else 0.0

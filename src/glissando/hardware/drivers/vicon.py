@@ -1,0 +1,199 @@
+"""Motion capture as it comes: Vicon Tracker's UDP object stream.
+
+A datagram, little-endian: frame number u32, count of items u8; an item: kind u8 (0 an object), size
+u16 (72), name of 24 bytes padded with NUL, translation in mm and Euler angles XYZ in rad, six
+float64. Layout: several independent public parsers agree. [inferred], to be verified on hardware:
+angles are intrinsic, R = Rx Ry Rz; an object that is not seen has six zeros or is absent; what
+follows the last item is padding; a frame that does not fit one datagram comes in several with the
+same number.
+"""
+
+from __future__ import annotations
+
+import socket
+import struct
+import time
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Self
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from glissando.errors import DeviceError
+from glissando.geometry.se3 import Array
+
+PORT = 51001
+_FRAME, _ITEM, _OBJECT = struct.Struct("<IB"), struct.Struct("<BH"), struct.Struct("<24s6d")
+_OBJECT_KIND = 0
+_FARTHEST_MM = 1e6  # a kilometre: no volume is as large, so the bytes are no pose
+_BACK, _AHEAD = 100, 10_000  # frames: a jump longer than these is a Tracker started again
+_BUFFER = 1 << 20  # bytes the system may keep while the reader is busy
+
+
+@dataclass(frozen=True)
+class ViconFrame:
+    """Objects of one datagram: their poses T_wo (4, 4) in metres, by name; who was not seen.
+
+    `received` is the host's monotonic time in seconds; it lags exposure by Tracker's latency.
+    """
+
+    number: int
+    received: float
+    poses: dict[str, Array]
+    missing: tuple[str, ...] = ()
+    problems: Counter[str] = field(default_factory=Counter)
+
+
+def parse_packet(data: bytes, received: float) -> ViconFrame | None:
+    """The frame in a datagram, None when it holds no header; what is wrong with it is counted.
+
+    `problems` counts 'truncated' (bytes end too early), 'unknown' items and 'malformed' objects.
+    """
+    if len(data) < _FRAME.size:
+        return None
+    number, count = _FRAME.unpack_from(data)
+    poses: dict[str, Array] = {}
+    missing: list[str] = []
+    problems: Counter[str] = Counter()
+    at = _FRAME.size
+    for _ in range(count):
+        if at + _ITEM.size > len(data):
+            problems["truncated"] += 1
+            break
+        kind, size = _ITEM.unpack_from(data, at)
+        item = data[at + _ITEM.size : at + _ITEM.size + size]
+        at += _ITEM.size + size
+        if len(item) < size:
+            problems["truncated"] += 1
+            break
+        if kind != _OBJECT_KIND:
+            problems["unknown"] += 1
+            continue
+        name, values = _object(item)
+        if not name or name in poses or name in missing:
+            problems["malformed"] += 1
+        elif not values.any():
+            missing.append(name)
+        else:
+            poses[name] = _pose(values)
+    return ViconFrame(number, received, poses, tuple(missing), problems)
+
+
+def _object(item: bytes) -> tuple[str, Array]:
+    """Name and six numbers of an object; no name when the bytes cannot be one."""
+    if len(item) != _OBJECT.size:
+        return "", np.zeros(6)
+    label, *numbers = _OBJECT.unpack(item)
+    values = np.array(numbers)
+    if not np.all(np.isfinite(values)) or np.abs(values).max() > _FARTHEST_MM:
+        return "", values
+    return label.split(b"\0", 1)[0].decode("utf-8", "replace").strip(), values
+
+
+def _pose(values: Array) -> Array:
+    out = np.eye(4)
+    out[:3, :3] = Rotation.from_euler("XYZ", values[3:]).as_matrix()
+    out[:3, 3] = 1e-3 * values[:3]
+    return out
+
+
+class ViconStream:
+    """Frames as they come on a UDP port: a context manager, and an iterator over ViconFrame.
+
+    `counts` says what went wrong so far: datagrams 'malformed', items 'truncated', 'unknown' or
+    'malformed', frames 'lost', 'out of order' (dropped) or 'repeated' (dropped), and 'restarted'
+    for a frame number that jumped. Port 0 takes any free one. Raises DeviceError when the port is
+    taken, and when nothing useful comes for `timeout` seconds.
+    """
+
+    def __init__(self, port: int = PORT, *, host: str = "0.0.0.0", timeout: float = 2.0) -> None:
+        self.port, self.host, self.timeout = port, host, timeout
+        self.counts: Counter[str] = Counter()
+        self._socket: socket.socket | None = None
+        self._last: int | None = None
+        self._seen: set[str] = set()  # objects of the last frame
+
+    def __enter__(self) -> Self:
+        opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
+            opened.bind((self.host, self.port))
+        except (OSError, OverflowError) as problem:
+            opened.close()
+            why = getattr(problem, "strerror", None) or problem
+            raise DeviceError(
+                f"UDP port {self.port} cannot be listened to ({why}); close the other program that "
+                f"does, or choose another port here and in Tracker."
+            ) from None
+        self.port = opened.getsockname()[1]
+        self._socket = opened
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._socket:
+            self._socket.close()
+        self._socket = None
+
+    def __iter__(self) -> Iterator[ViconFrame]:
+        while True:
+            yield self.read()
+
+    def read(self) -> ViconFrame:
+        """The next frame that is newer than the last. Raises DeviceError after `timeout` s."""
+        deadline = time.monotonic() + self.timeout
+        refused = 0
+        while (data := self._receive(deadline)) is not None:
+            found = parse_packet(data, time.monotonic())
+            if found is None:
+                self.counts["malformed"] += 1
+            else:
+                self.counts += found.problems
+            if found is None or (found.problems and not found.poses and not found.missing):
+                refused += 1
+            elif self._in_order(found):
+                return found
+            if time.monotonic() > deadline:
+                break
+        raise DeviceError(self._silence(refused))
+
+    def _receive(self, deadline: float) -> bytes | None:
+        """A datagram, None when there is none in time."""
+        if self._socket is None:
+            raise DeviceError("The Vicon stream is closed; use it inside `with ViconStream(port)`.")
+        self._socket.settimeout(max(deadline - time.monotonic(), 0.0))
+        try:
+            return self._socket.recv(65536)
+        except (TimeoutError, BlockingIOError):
+            return None
+
+    def _in_order(self, frame: ViconFrame) -> bool:
+        """Whether the frame is new; counts what its number says was lost."""
+        names = {*frame.poses, *frame.missing}
+        if self._last is None:
+            ahead = 1
+        else:
+            ahead = (frame.number - self._last + (1 << 31)) % (1 << 32) - (1 << 31)
+        if not -_BACK < ahead < _AHEAD:
+            self.counts["restarted"] += 1
+            ahead = 1
+        if ahead < 0:
+            self.counts["out of order"] += 1
+            return False
+        if ahead == 0 and (names <= self._seen):
+            self.counts["repeated"] += 1
+            return False
+        if ahead > 1:
+            self.counts["lost"] += ahead - 1
+        self._last = frame.number
+        self._seen = names if ahead else self._seen | names
+        return True
+
+    def _silence(self, refused: int) -> str:
+        what = f"{refused} datagrams came, but no Vicon objects" if refused else "Nothing came"
+        return (
+            f"{what} on UDP port {self.port} for {self.timeout:g} s; check in Tracker that the UDP "
+            f"object stream is on and names this computer's address and port {self.port}, that an "
+            f"object is switched on, and that no firewall is between."
+        )

@@ -1,0 +1,84 @@
+"""A simulated NDI Aurora in a process of its own.
+
+python -m glissando.hardware.simulated_devices.aurora --scene FILE --tcp 0
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+import time
+from pathlib import Path
+
+from glissando.errors import SimulationError
+from glissando.hardware.simulated_devices.aurora_device import Device, Nature
+from glissando.hardware.simulated_devices.faults import Dice, Faults
+from glissando.hardware.simulated_devices.scene import Scene
+from glissando.hardware.simulated_devices.sensing import Sensing
+from glissando.hardware.simulated_devices.serving import Serving
+from glissando.hardware.simulated_devices.travel import Travel
+
+_OLD = ("Rev 007", "Rev 008")  # whose BX clients avoid
+_HELP = """\
+A simulated NDI Aurora that answers with the device's bytes, for any client of one. Prints its
+address as one line when ready; ends when standard input closes or at SIGTERM.
+"""
+
+
+def _options(arguments: list[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser("aurora", description=_HELP, epilog=Faults.__doc__)
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    add = parser.add_argument
+    add("--scene", type=Path, required=True, metavar="FILE", help="NPZ with robot and coils")
+    add("--tcp", type=int, metavar="PORT", help="serve TCP on this port, 0 for any")
+    add("--pty", type=Path, metavar="LINK", help="serve a pseudo-terminal that this leads to")
+    add("--travel", type=int, metavar="PORT", help="UDP port the slide's travel comes to")
+    add("--epoch", type=float, metavar="S", help="time.monotonic() when the scene begins")
+    add("--faults", default="", metavar="NAME=NUMBER,…", help="what goes wrong, listed below")
+    add("--rate", type=float, default=40.0, metavar="HZ", help="frames a second (default 40)")
+    add("--skew", type=float, default=0.0, metavar="PPM", help="by how much its clock is slow")
+    add("--latency", type=float, default=0.0, metavar="S", help="from measuring to telling")
+    add("--wired", action="store_true", help="replies take what the baud rate gives them")
+    add("--firmware", default="AURORA Rev 013", metavar="TAG", help="008 ends the use of BX")
+    add("--seed", type=int, metavar="N", help="of faults (default: the scene's)")
+    return parser.parse_args(arguments)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Serve until told to end; returns the exit status."""
+    options = _options(arguments)
+    try:
+        _serve(options)
+    except SimulationError as problem:
+        print(problem, file=sys.stderr)
+        return 2
+    return 0
+
+
+def _serve(options: argparse.Namespace) -> None:
+    if options.tcp is None and options.pty is None:
+        raise SimulationError("Nobody could connect: give --tcp PORT or --pty LINK.")
+    if not (math.isfinite(options.rate) and 0.0 < options.rate <= 1e4):
+        raise SimulationError(f"A rate of {options.rate:g} Hz cannot be; give 1 to 10000 Hz.")
+    scene = Scene.load(options.scene)
+    dice = Dice(Faults.parse(options.faults), scene.seed if options.seed is None else options.seed)
+    born = time.monotonic()
+    epoch = born if options.epoch is None else options.epoch
+    rate = options.rate / (1.0 + 1e-6 * options.skew)
+    bx = not any(old in options.firmware for old in _OLD)
+    nature = Nature(born, rate, options.latency, options.firmware, bx, options.wired)
+    travel = None if options.travel is None else Travel(options.travel)
+    sensing = Sensing(scene, dice, travel, born, epoch, rate)
+    device = Device(scene, sensing, dice, nature)
+    serving = Serving(device.hear, device.cut)
+    addresses = []
+    if options.tcp is not None:
+        addresses.append(serving.listen(options.tcp))
+    if options.pty is not None:
+        addresses.append(serving.open_terminal(options.pty))
+    serving.run(*addresses)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

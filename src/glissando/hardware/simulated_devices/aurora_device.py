@@ -1,0 +1,247 @@
+"""A simulated Aurora: commands in, replies out, with the device's states and faults."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from glissando.hardware.simulated_devices.aurora_ports import Port, Ports, RefusedError
+from glissando.hardware.simulated_devices.aurora_wire import (
+    Told,
+    bx_reply,
+    crc,
+    text_reply,
+    tx_reply,
+)
+from glissando.hardware.simulated_devices.faults import Dice
+from glissando.hardware.simulated_devices.scene import Scene
+from glissando.hardware.simulated_devices.sensing import Sensing
+
+_BAUD = {"0": 9600, "1": 14400, "2": 19200, "3": 38400, "4": 57600, "5": 115200, "6": 921600}
+_BAUD |= {"7": 1228739, "A": 230400}
+_VERSION = (
+    "Aurora Control Firmware\nNDI S/N: D4-00000\nCharacterization Date: 2016-12-21\n"
+    "Freeze Tag: {}\nFreeze Date: 2013-07-25\n(C) Northern Digital Inc.\n"
+)
+_OUT, _PARTLY, _BROKEN = 0x40, 0x80, 0x100
+_PLUGGED, _UNPLUGGED = 0x0040, 0x0080  # by ndicapi's numbering; NDI's sample has it one bit off
+_HEAD = 6  # bytes of a reply that a serial line delivers first
+_WIDE = 0x0800  # option: out-of-volume poses too
+_PORT_COMMANDS = {
+    "PHF": "free",
+    "PVWR": "write",
+    "TTCFG": "configure",
+    "PINIT": "initialise",
+    "PENA": "enable",
+    "PDIS": "disable",
+}
+
+
+@dataclass(frozen=True)
+class Nature:
+    """What a device is: its frame `rate` Hz, when it was switched on (`born`), its firmware.
+
+    A frame can be asked for `latency` s after it was measured. `bx` is whether it knows that
+    command, `wired` whether replies take the time that the serial line's baud rate gives them.
+    """
+
+    born: float
+    rate: float = 40.0
+    latency: float = 0.0
+    firmware: str = "AURORA Rev 013"
+    bx: bool = True
+    wired: bool = False
+
+
+class Device:
+    """The state machine; `hear` is all it does. Times are of time.monotonic()."""
+
+    def __init__(self, scene: Scene, sensing: Sensing, dice: Dice, nature: Nature):
+        self._sensing, self._dice, self._nature = sensing, dice, nature
+        faults = dice.faults
+        without = {int(faults.srom), int(faults.bad_srom)}
+        self._ports = Ports(scene.coils, without, int(faults.bad_srom))
+        self._tracked: float | None = None  # when tracking began first
+        self._zero = -int(faults.counter)  # the index whose number is 0
+        self._replies, self._before = 0, b""
+        self._plugs = [(faults.unplug, _UNPLUGGED), (faults.replug, _PLUGGED)]
+        self._reset_due = True
+        self._news = 0
+        self._baud = 9600
+        self._clear(initialised=False)
+
+    def _clear(self, *, initialised: bool) -> None:
+        self._initialised, self._tracking = initialised, False
+        self._ports.clear()
+
+    def hear(self, held: bytearray, now: float) -> list[tuple[float, bytes]]:
+        """Take whole commands out of what has come; when (s) to send what."""
+        answers = []
+        while (end := held.find(b"\r")) >= 0:
+            line, held[:] = bytes(held[:end]).strip(b"\n"), held[end + 1 :]
+            if line:
+                answers += self._answer(line, now)
+        if len(held) > 4096:
+            held.clear()
+        return [answer for answer in answers if answer[1]]
+
+    def cut(self, now: float) -> bool:
+        """Whether the link is cut just now."""
+        since = self._since(now)
+        return self._dice.faults.cut <= since < self._dice.faults.mended
+
+    def _since(self, now: float) -> float:
+        return -math.inf if self._tracked is None else now - self._tracked
+
+    def _answer(self, line: bytes, now: float) -> list[tuple[float, bytes]]:
+        """What to send when: on a serial line the beginning of a reply comes before its end."""
+        byte = 10.0 / self._baud if self._nature.wired else 0.0  # s
+        now += (len(line) + 1) * byte
+        tracking, name = self._tracking, ""
+        try:
+            name, text = _command(line)
+            reply = self._obey(name, text, now)
+        except RefusedError as refusal:
+            reply = text_reply(f"ERROR{refusal.args[0]:02X}")
+        now += self._dice.faults.slow_init if name == "INIT" else 0.0
+        self._replies += 1
+        reply = self._spoilt(reply, tracking)
+        if not byte:
+            return [(now, reply)]
+        return [(now + _HEAD * byte, reply[:_HEAD]), (now + len(reply) * byte, reply[_HEAD:])]
+
+    def _spoilt(self, reply: bytes, tracking: bool) -> bytes:
+        dice, k = self._dice, self._replies
+        if not tracking:
+            return dice.spoil(reply, "crc_setup", k)
+        if dice("repeat", k) and self._before:
+            reply = self._before
+        self._before = reply
+        reply = dice.spoil(reply, "crc", k)
+        if dice("truncate", k):
+            reply = reply[: int(dice.draw("end", k) * len(reply))]
+        return b"" if dice("quiet", k) else reply
+
+    def _obey(self, name: str, text: str, now: float) -> bytes:
+        if name in ("TX", "BX"):
+            self._require(tracking=True)
+            return self._report(name, text, now)
+        if name == "RESET":
+            self._baud = 9600
+            self._clear(initialised=False)
+            return text_reply("RESET")
+        if name == "INIT":  # while tracking too, which then ends [inferred]
+            self._clear(initialised=True)
+            return text_reply("OKAY")
+        if name == "BEEP":
+            return text_reply("1")
+        if name == "TSTOP":
+            self._require(tracking=True)
+            self._tracking = False
+            return text_reply("OKAY")
+        if name not in (*_PORT_COMMANDS, "COMM", "VER", "PHSR", "PHINF", "TSTART", "VSEL"):
+            raise RefusedError(0x01)
+        if name != "COMM":
+            self._require(tracking=False)
+        return text_reply(self._set_up(name, text, now))
+
+    def _require(self, *, tracking: bool) -> None:
+        if not self._initialised:
+            raise RefusedError(0x10)
+        if self._tracking != tracking:
+            raise RefusedError(0x0C)
+
+    def _set_up(self, name: str, text: str, now: float) -> str:
+        """The reply to a command of the set-up mode."""
+        if name == "VER":
+            if text not in ("0", "4", "5"):
+                raise RefusedError(0x23)
+            return "013" if text == "5" else _VERSION.format(self._nature.firmware)
+        if name == "PHSR":
+            ports = self._ports.listed(_whole(text or "00"))
+            return f"{len(ports):02X}" + "".join(f"{p.handle:02X}{p.status:03X}" for p in ports)
+        if name == "PHINF":
+            return self._ports.describe(text)
+        if name == "COMM":
+            if len(text) != 5 or text[0].upper() not in _BAUD or text[1:] != "0000":
+                raise RefusedError(0x06)
+            self._baud = _BAUD[text[0].upper()]
+        elif name == "TSTART":
+            self._start(text, now)
+        elif name in _PORT_COMMANDS:
+            getattr(self._ports, _PORT_COMMANDS[name])(text)
+            if name == "PINIT" and self._dice.faults.warning:
+                return "WARNING01"
+        return "OKAY"
+
+    def _start(self, text: str, now: float) -> None:
+        if text not in ("", "40", "80"):
+            raise RefusedError(0x23)
+        if text == "80":
+            self._zero = self._index(now)
+        self._tracking = True
+        if self._tracked is None:
+            self._tracked = now
+
+    def _index(self, now: float) -> int:
+        """The newest frame that is not left out."""
+        nature = self._nature
+        index = math.floor((now - nature.born - nature.latency) * nature.rate)
+        while self._dice("drop", index):
+            index -= 1
+        return index
+
+    def _report(self, name: str, text: str, now: float) -> bytes:
+        if name == "BX" and not self._nature.bx:
+            raise RefusedError(0x01)
+        options = _whole(text or "0001")
+        if options & ~(0x0001 | _WIDE):
+            raise RefusedError(0x23)
+        self._happen(now)
+        index = self._index(now)
+        told = [self._told(p, index, options) for p in self._ports.all if p.enabled]
+        frame, status, self._news = (index - self._zero) % 2**32, self._news, 0
+        if name == "BX":
+            return bx_reply(told, frame, status)
+        return tx_reply(told, frame, status, bool(self._dice.faults.bare))
+
+    def _happen(self, now: float) -> None:
+        """What befalls the device at its time: a coil unplugged or plugged in, a counter reset."""
+        since = self._since(now)
+        while self._plugs and since >= self._plugs[0][0]:
+            _, event = self._plugs.pop(0)
+            (self._ports.unplug if event == _UNPLUGGED else self._ports.plug)(0)
+            self._news |= event
+        if self._reset_due and since >= self._dice.faults.reset:
+            self._zero, self._reset_due = self._index(now), False
+
+    def _told(self, port: Port, index: int, options: int) -> Told:
+        coil, dice = port.coil, self._dice
+        if not port.occupied:
+            return Told(port.handle, port.status, None, "UNOCCUPIED")
+        out, broken = dice("out", index, coil), coil == int(dice.faults.broken)
+        status = port.status | out * _OUT | dice("partly", index, coil) * _PARTLY | broken * _BROKEN
+        unseen = dice.missing(index, coil) or broken or (out and not options & _WIDE)
+        values = None if unseen else self._sensing.values(index)[coil]
+        return Told(port.handle, status, values)
+
+
+def _command(line: bytes) -> tuple[str, str]:
+    """Name and arguments of 'NAME:arguments' with a CRC, or 'NAME arguments' without."""
+    if not line.isascii():
+        raise RefusedError(0x04 if b":" in line else 0x01)
+    text = line.decode("ascii")
+    name, colon, rest = text.partition(":")
+    if colon and " " not in name:
+        if len(rest) < 4 or f"{crc(line[:-4]):04X}" != rest[-4:].upper():
+            raise RefusedError(0x04)
+        return name.upper(), rest[:-4]
+    name, _, rest = text.partition(" ")
+    return name.upper(), rest.strip()
+
+
+def _whole(digits: str) -> int:
+    try:
+        return int(digits, 16)
+    except ValueError:
+        raise RefusedError(0x07) from None

@@ -1,0 +1,160 @@
+"""The ports of a simulated Aurora: handles given out, initialised, enabled, freed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from glissando.hardware.simulated_devices.scene import Coil
+
+
+class RefusedError(Exception):
+    """The device says no, with the number of its error."""
+
+
+@dataclass
+class Port:
+    """A handle and the coil (by its number in the scene) that is plugged in there."""
+
+    handle: int
+    coil: int
+    place: Coil
+    occupied: bool = True
+    initialised: bool = False
+    enabled: bool = False
+    memory: int = 0
+    """Bytes of a virtual SROM written so far; below zero if it needs none."""
+
+    @property
+    def status(self) -> int:
+        """Bits of PHSR and PHINF."""
+        return self.occupied * 0x01 | self.initialised * 0x10 | self.enabled * 0x20
+
+    @property
+    def lists(self) -> tuple[int, int]:
+        """The lists of PHSR that it is in."""
+        if not self.occupied:
+            return 0, 1
+        return 0, 4 if self.enabled else 3 if self.initialised else 2
+
+
+class Ports:
+    """All handles, in the order they were given out."""
+
+    def __init__(self, coils: Sequence[Coil], without_memory: set[int], hopeless: int):
+        self._coils, self._without, self._hopeless = coils, without_memory, hopeless
+        self.clear()
+
+    def clear(self) -> None:
+        """Give handles out anew, from 0A, as after a reset."""
+        self.all: list[Port] = []
+        for coil in range(len(self._coils)):
+            self.plug(coil)
+
+    def plug(self, coil: int) -> None:
+        """Plug a coil in: it has a new handle."""
+        taken = {port.handle for port in self.all}
+        handle = next(h for h in range(0x0A, 0x80) if h not in taken)
+        memory = 0 if coil in self._without else -1
+        self.all.append(Port(handle, coil, self._coils[coil], memory=memory))
+
+    def unplug(self, coil: int) -> None:
+        """Pull a coil out: its handle stays, until it is freed."""
+        for port in self.all:
+            if port.coil == coil:
+                port.occupied = False
+
+    def listed(self, which: int) -> list[Port]:
+        """Those of PHSR: 0 all, 1 to free, 2 to initialise, 3 to enable, 4 enabled."""
+        if which not in range(5):
+            raise RefusedError(0x23)
+        return [port for port in self.all if self._shown(port) and which in port.lists]
+
+    def _shown(self, port: Port) -> bool:
+        """Whether it is known of: the second coil of a port is, once the first is initialised."""
+        return port.place.channel == 0 or any(
+            other.initialised and other.place.port == port.place.port
+            for other in self.all
+            if other.place.channel == 0
+        )
+
+    def at(self, digits: str) -> Port:
+        """The port of a handle in two hexadecimal digits."""
+        try:
+            handle = int(digits[:2], 16)
+        except ValueError:
+            raise RefusedError(0x08) from None
+        for port in self.all:
+            if port.handle == handle and self._shown(port):
+                return port
+        raise RefusedError(0x08)
+
+    def free(self, digits: str) -> None:
+        """PHF: a coil that is still plugged in is given a handle anew."""
+        port = self.at(digits)
+        self.all.remove(port)
+        if port.occupied:
+            self.plug(port.coil)
+
+    def write(self, text: str) -> None:
+        """PVWR: 64 bytes of a virtual SROM."""
+        port = self.at(text)
+        if len(text) != 2 + 4 + 128:
+            raise RefusedError(0x03 if len(text) < 134 else 0x02)
+        if port.memory >= 0 and port.coil != self._hopeless:
+            port.memory += 64
+
+    def configure(self, digits: str) -> None:
+        """TTCFG: the default configuration in place of a memory."""
+        port = self.at(digits)
+        if port.memory >= 0 and port.coil != self._hopeless:
+            port.memory = 1024
+
+    def initialise(self, digits: str) -> None:
+        """PINIT."""
+        port = self.at(digits)
+        if not port.occupied:
+            raise RefusedError(0x2C)
+        if 0 <= port.memory < 1024:
+            raise RefusedError(0x13)
+        port.initialised = True
+
+    def enable(self, text: str) -> None:
+        """PENA."""
+        port = self.at(text)
+        if text[2:].upper() not in ("", "S", "D", "B"):
+            raise RefusedError(0x23)
+        if not port.occupied:
+            raise RefusedError(0x2C)
+        if not port.initialised:
+            raise RefusedError(0x0E)
+        port.enabled = True
+
+    def disable(self, digits: str) -> None:
+        """PDIS."""
+        port = self.at(digits)
+        if not port.enabled:
+            raise RefusedError(0x0F)
+        port.enabled = False
+
+    def describe(self, text: str) -> str:
+        """PHINF, the parts asked for in the order of their bits."""
+        port = self.at(text)
+        try:
+            asked = int(text[2:] or "0001", 16)
+        except ValueError:
+            raise RefusedError(0x07) from None
+        if not port.occupied:
+            return "UNOCCUPIED"
+        # 5-DOF coils are probes (02) here; the maker's name fills 12, the serial number 8 places.
+        serial = f"{0x3A000000 + port.coil:08X}"
+        parts = {
+            0x01: f"02100000{'SIMULATED':<12}001{serial}{port.status:02X}".ljust(33),
+            0x02: "00000000",
+            0x04: f"{f'COIL-{port.coil}':<20}",
+            0x08: "00",
+            0x10: "00",
+            0x20: f"{'AURORA-0':<8}00{port.place.port + 1:02d}{port.place.channel:02d}",
+            0x40: "00",
+        }
+        return "".join(part for bit, part in parts.items() if asked & bit)

@@ -1,0 +1,78 @@
+"""Bytes an Aurora sends: text replies, TX and BX."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from glissando.geometry.se3 import Array
+
+
+@dataclass(frozen=True)
+class Told:
+    """What is told of one handle.
+
+    `values` (8,) are quaternion [w, x, y, z], place in mm and quality; None for a coil that is
+    missing. `condition` is '' or what is told instead: 'DISABLED' or 'UNOCCUPIED'.
+    """
+
+    handle: int
+    status: int
+    values: Array | None
+    condition: str = ""
+
+
+def crc(data: bytes) -> int:
+    """CRC-16/ARC, bit by bit."""
+    value = 0
+    for byte in data:
+        value ^= byte
+        for _ in range(8):
+            value = value >> 1 ^ 0xA001 * (value & 1)
+    return value
+
+
+def text_reply(text: str) -> bytes:
+    """Text, CRC, carriage return."""
+    body = text.encode("ascii")
+    return body + f"{crc(body):04X}\r".encode()
+
+
+def tx_reply(told: Sequence[Told], frame: int, status: int, bare: bool) -> bytes:
+    """A TX reply; `bare` leaves status and frame out for coils that are not there."""
+    text = f"{len(told):02X}"
+    for one in told:
+        text += f"{one.handle:02X}{one.condition or _digits(one.values)}"
+        if not (bare and one.condition):
+            text += f"{one.status:08X}{frame:08X}"
+        text += "\n"
+    return text_reply(text + f"{status:04X}")
+
+
+def _digits(values: Array | None) -> str:
+    if values is None:
+        return "MISSING"
+    whole = np.rint(values / np.repeat([1e-4, 1e-2, 1e-4], [4, 3, 1])).astype(int)
+    widths = [5] * 4 + [6] * 3 + [5]
+    return "".join(
+        f"{np.clip(number, 1 - 10**width, 10**width - 1):+0{width + 1}d}"
+        for number, width in zip(whole, widths, strict=True)
+    )
+
+
+def bx_reply(told: Sequence[Told], frame: int, status: int) -> bytes:
+    """A BX reply: header with its CRC, body with its own."""
+    body = bytes([len(told)])
+    for one in told:
+        kind = 0x04 if one.condition else 0x02 if one.values is None else 0x01
+        body += bytes([one.handle, kind])
+        if one.values is not None and not one.condition:
+            body += struct.pack("<8f", *one.values)
+        if not one.condition:
+            body += struct.pack("<II", one.status, frame)
+    body += struct.pack("<H", status)
+    head = b"\xc4\xa5" + struct.pack("<H", len(body))
+    return head + struct.pack("<H", crc(head)) + body + struct.pack("<H", crc(body))

@@ -1,0 +1,1 @@
+"""Files in and out: recordings, robot files, posteriors, session logs, foreign formats."""

@@ -1,0 +1,125 @@
+"""CSV files of NDI's Track and ToolBox, and of programs that write the same columns.
+
+A block a tool: Port …, Frame, Time [sec], Face, State, Q0 Qx Qy Qz, Tx Ty Tz (mm), Error, and for
+optical tools the markers; or one block without a Port. A tool that was not seen has a State that is
+not OK, empty cells, or the device's huge negative number. [inferred]: State is OK when all is well,
+an empty or absent State says nothing against the row; a tool with one coil reports its direction
+only, so rows are read as a 'coil', which ignores roll, unless the user says otherwise.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from glissando.errors import RecordingError
+from glissando.geometry import se3
+from glissando.geometry.se3 import Array
+from glissando.io.foreign.tracks import (
+    Track,
+    as_numbers,
+    plain_name,
+    poses,
+    require_ahead,
+    text_lines,
+)
+
+_VALUES = ["q0", "qx", "qy", "qz", "tx", "ty", "tz"]
+_FRAMES, _STATES = ("frame#", "frame"), ("state", "transformstatus", "status")
+_TIMES = ("time [sec]", "time")
+_WELL = ("", "OK", "ENABLED", "VALID")  # [inferred] beyond OK
+
+
+def is_ndi_header(line: str) -> bool:
+    """Whether a first line names the columns of an NDI file."""
+    return set(_VALUES) <= {cell.strip().lower() for cell in line.split(",")}
+
+
+def read_ndi_csv(path: Path, rate: float | None) -> list[Track]:
+    """Tools of an NDI CSV file, in the tracker's frame.
+
+    With `rate` (Hz), times count frames from the file's first; without, its own time column does.
+    Raises RecordingError when there is neither.
+    """
+    lines = text_lines(path)
+    heads = [cell.strip() for cell in lines[0].split(",")]
+    starts = [c for c, head in enumerate(heads) if head.lower().startswith("port")] or [0]
+    rows = [
+        (number, [cell.strip() for cell in line.split(",")])
+        for number, line in enumerate(lines[1:], start=2)
+        if line.strip(" ,")
+    ]
+    if not rows:
+        raise RecordingError(f"{path.name} holds no rows; record some.")
+    return [_tool(path, heads, *span, rows, rate) for span in pairwise([*starts, len(heads)])]
+
+
+def _tool(
+    path: Path,
+    heads: list[str],
+    start: int,
+    end: int,
+    rows: list[tuple[int, list[str]]],
+    rate: float | None,
+) -> Track:
+    labels = [head.lower() for head in heads[start:end]]
+    missing_heads = [name for name in _VALUES if name not in labels]
+    if missing_heads:
+        raise RecordingError(
+            f"{path.name}: {heads[start]!r} lacks the columns {', '.join(missing_heads)}; export "
+            f"quaternions and positions."
+        )
+    at = [start + labels.index(name) for name in _VALUES]
+    clock, absolute = _clock(path, labels, rate)
+    state = next((start + labels.index(s) for s in _STATES if s in labels), None)
+    times, values, missing = [], [], 0
+    first = before = -np.inf
+    for line, cells in rows:
+        cells += [""] * (len(heads) - len(cells))
+        tick = as_numbers(path, line, [cells[start + clock]])
+        if tick is None or tick[0] == before:  # not there, or polled faster than it measures
+            missing += tick is None
+            continue
+        require_ahead(path, line, before, tick[0])
+        before, first = tick[0], tick[0] if first == -np.inf else first
+        found = as_numbers(path, line, [cells[c] for c in at])
+        well = state is None or cells[state].upper() in _WELL
+        if found is None or not well or not found[:4].any():
+            missing += 1
+            continue
+        times.append(tick[0] if absolute else (tick[0] - first) / (rate or 1.0))
+        values.append(found)
+    name = _tool_name(heads[start], rows[0][1][start], path)
+    return Track(
+        name, "coil", np.array(times), _poses(values), missing, "tracker", absolute=absolute
+    )
+
+
+def _clock(path: Path, labels: list[str], rate: float | None) -> tuple[int, bool]:
+    """The column that tells time, and whether it counts seconds from 1970 rather than frames."""
+    frame = next((labels.index(name) for name in _FRAMES if name in labels), None)
+    if rate is not None and frame is not None:
+        return frame, False
+    clock = next((labels.index(name) for name in _TIMES if name in labels), None)
+    if clock is None:
+        raise RecordingError(
+            f"{path.name} has no times; give the rate at which its frames count with --rate HZ (an "
+            f"Aurora's is 40)."
+        )
+    return clock, True
+
+
+def _poses(values: list[Array]) -> Array:
+    table = np.array(values).reshape(-1, 7)
+    return poses(se3.rotation_from_quaternion(table[:, :4]), 1e-3 * table[:, 4:])
+
+
+def _tool_name(head: str, cell: str, path: Path) -> str:
+    """A tool's name: 'Port 0x01: Tip coil  s/n:3E' is Tip_coil, 'Port 1' is Port_1."""
+    if not head.lower().startswith("port"):
+        return plain_name(path.stem)
+    told = cell if cell.lower().startswith("port") else head
+    name = told.partition(":")[2].partition("s/n:")[0].strip()
+    return plain_name(name or told)

@@ -1,0 +1,85 @@
+"""ROS 1 and ROS 2 bags: topics of stamped poses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from glissando.errors import GlissandoError, RecordingError
+from glissando.geometry import se3
+from glissando.io.foreign.tracks import Track, plain_name, poses
+
+_KINDS = {
+    "geometry_msgs/msg/PoseStamped": lambda m: (m.pose.position, m.pose.orientation),
+    "geometry_msgs/msg/PoseWithCovarianceStamped": lambda m: (
+        m.pose.pose.position,
+        m.pose.pose.orientation,
+    ),
+    "geometry_msgs/msg/TransformStamped": lambda m: (
+        m.transform.translation,
+        m.transform.rotation,
+    ),
+}
+_WORLDS = ("", "world", "map")
+
+
+def read_bag(path: Path, topics: Sequence[str]) -> list[Track]:
+    """Pose topics of a ROS 1 bag file or a ROS 2 bag folder: all of them, or those named.
+
+    Times are the headers' stamps, or the bag's where a header has none. Raises RecordingError, and
+    GlissandoError without rosbags.
+    """
+    try:
+        from rosbags.highlevel import AnyReader, AnyReaderError
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError:
+        raise GlissandoError(
+            "Reading ROS bags needs the package rosbags; run pip install 'glissando[ros]'."
+        ) from None
+    known = get_typestore(Stores.ROS2_HUMBLE)  # for bags that do not carry their types
+    try:
+        with AnyReader([path], default_typestore=known) as bag:
+            chosen = _chosen(path, {c.topic: c.msgtype for c in bag.connections}, topics)
+            return [_track(bag, topic) for topic in chosen]
+    except (AnyReaderError, OSError) as problem:
+        raise RecordingError(f"{path} cannot be read as a ROS bag ({problem}).") from None
+
+
+def _chosen(path: Path, types: dict[str, str], topics: Sequence[str]) -> list[str]:
+    wrong = [topic for topic in topics if types.get(topic) not in _KINDS]
+    usable = [topic for topic, kind in types.items() if kind in _KINDS]
+    if wrong or not usable:
+        shown = ", ".join(usable) or "none"
+        raise RecordingError(
+            f"{path.name} has {'no pose topic ' + wrong[0] if wrong else 'no pose topics'}; those "
+            f"with stamped poses or transforms are: {shown}."
+        )
+    return list(topics) or usable
+
+
+def _track(bag: Any, topic: str) -> Track:
+    """Poses of a topic in order of their stamps; the first of those that share one."""
+    connections = [c for c in bag.connections if c.topic == topic]
+    rows: dict[int, list[float]] = {}
+    frame, missing = "", 0
+    for connection, logged, raw in bag.messages(connections):
+        message = bag.deserialize(raw, connection.msgtype)
+        p, q = _KINDS[connection.msgtype](message)
+        stamp = message.header.stamp
+        at = int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec) or logged
+        frame = frame or message.header.frame_id
+        numbers = [q.w, q.x, q.y, q.z, p.x, p.y, p.z]
+        if np.all(np.isfinite(numbers)) and np.linalg.norm(numbers[:4]) > 0.5:
+            rows.setdefault(at, numbers)
+        else:
+            missing += 1
+    stamps = sorted(rows)
+    table = np.array([rows[t] for t in stamps]).reshape(-1, 7)
+    pose = poses(se3.rotation_from_quaternion(table[:, :4]), table[:, 4:])
+    name = plain_name(topic.replace("/", "_").strip("_"))
+    frame = "world" if frame.strip("/") in _WORLDS else plain_name(frame)
+    time = np.array([1e-9 * t for t in stamps])
+    return Track(name, "pose", time, pose, missing, frame, absolute=True, numbered=False)

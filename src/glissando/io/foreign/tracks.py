@@ -1,0 +1,86 @@
+"""What every reader of a foreign file hands over, and what they share."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from glissando.errors import RecordingError
+from glissando.geometry.se3 import Array
+
+_NO_NUMBER = 1e20  # NDI's devices write -3.697314e28 for what they do not know
+LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+"""Metres of a unit as files name it."""
+
+
+@dataclass(frozen=True)
+class Track:
+    """One object of a foreign file, SI units; where on the robot it sits, the file does not say.
+
+    `time` (M,) s increases; `values` (M, 4, 4) of a 'pose' or a 'coil', (M, 3) of a 'position', in
+    the frame named `frame`. `missing` counts the rows in which it was not seen. `absolute` times
+    count from 1970. `numbered` rows have frame numbers, so rows alike are readings alike.
+    """
+
+    name: str
+    kind: str
+    time: Array
+    values: Array
+    missing: int = 0
+    frame: str = "world"
+    absolute: bool = False
+    numbered: bool = True
+
+
+def plain_name(text: str) -> str:
+    """A name that may stand in a file's name: letters, digits and _ . - only.
+
+    >>> plain_name("Snake:Tip marker")
+    'Snake_Tip_marker'
+    """
+    return re.sub(r"[^\w.-]+", "_", text).strip("_.") or "unnamed"
+
+
+def text_lines(path: Path) -> list[str]:
+    """Lines of a text file; letters that are not UTF-8 are replaced."""
+    try:
+        return path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
+    except OSError as problem:
+        raise RecordingError(f"{path} cannot be read ({problem.strerror}).") from None
+
+
+def as_numbers(path: Path, line: int, cells: Sequence[str]) -> Array | None:
+    """The cells of a line as numbers, None when one is empty or none: the object was not seen.
+
+    Raises RecordingError, with the line, for a cell that is no number.
+    """
+    if any(not cell.strip() for cell in cells):
+        return None
+    try:
+        values = np.array([float(cell) for cell in cells])
+    except ValueError:
+        shown = ",".join(cells)[:60]
+        raise RecordingError(
+            f"{path.name} line {line}: {shown!r} is not all numbers; correct or delete that line."
+        ) from None
+    return values if np.all(np.abs(values) < _NO_NUMBER) else None
+
+
+def require_ahead(path: Path, line: int, before: float, frame: float) -> None:
+    """Raise RecordingError unless frame numbers go up."""
+    if not frame > before:
+        raise RecordingError(
+            f"{path.name} line {line}: frame {frame:g} follows frame {before:g}; the device was "
+            f"started again there, make it two files."
+        )
+
+
+def poses(rotation: Array, position: Array) -> Array:
+    """Poses (M, 4, 4) of rotations (M, 3, 3) and positions (M, 3)."""
+    out = np.tile(np.eye(4), (len(position), 1, 1))
+    out[:, :3, :3], out[:, :3, 3] = rotation, position
+    return out

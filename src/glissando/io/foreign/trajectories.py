@@ -1,0 +1,134 @@
+"""A posterior as a trajectory that other programs read: TUM, CSV, MCAP."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from glissando.errors import GlissandoError
+from glissando.estimation.posterior import Estimate, Posterior
+from glissando.evaluation.run import write_query
+from glissando.geometry.se3 import Array
+from glissando.io.session_log import NUMBER, TEXT, SessionWriter, numbers, schema
+
+_VECTOR = schema("foxglove.Vector3", x=NUMBER, y=NUMBER, z=NUMBER)
+_QUATERNION = schema("foxglove.Quaternion", x=NUMBER, y=NUMBER, z=NUMBER, w=NUMBER)
+_POSE = schema("foxglove.Pose", position=_VECTOR, orientation=_QUATERNION)
+_TIME = schema("time", sec={"type": "integer"}, nsec={"type": "integer"})
+_STAMPED = {"timestamp": _TIME, "frame_id": TEXT}
+_MANY = {"type": "array"}
+_CHUNK = 200  # times at once, to bound memory
+SCHEMAS = {
+    "/shape": schema("foxglove.PosesInFrame", **_STAMPED, poses={**_MANY, "items": _POSE}),
+    "/tip": schema("foxglove.PoseInFrame", **_STAMPED, pose=_POSE),
+    "/estimate": schema(
+        "glissando.Estimate",
+        time=NUMBER,  # s
+        arclength={**_MANY, "items": NUMBER},  # m, one a pose
+        position={**_MANY, "items": numbers(3)},  # m, world frame
+        quaternion={**_MANY, "items": numbers(4)},  # w, x, y, z; body to world
+        cov_pose={**_MANY, "items": {**_MANY, "items": numbers(6)}},  # [linear, angular], body
+    ),
+}
+"""Topics of an exported MCAP file and the JSON schemas of their messages."""
+
+
+def export(
+    posterior: Posterior,
+    out: str | Path,
+    *,
+    arclength: Array | None = None,
+    rate: float | None = None,
+) -> int:
+    """Write poses of a posterior to a .tum (.txt), .csv or .mcap file; returns how many times.
+
+    At `arclength` (N,) m, by default the tip for TUM and the nodes otherwise, `rate` times a
+    second, by default at the time nodes. Raises GlissandoError for another suffix or a rate that
+    cannot be, OutsideGridError for an arclength off the robot.
+    """
+    out = Path(out)
+    writers = {".tum": _write_tum, ".txt": _write_tum, ".csv": _write_csv, ".mcap": _write_mcap}
+    if out.suffix not in writers:
+        raise GlissandoError(
+            f"{out.name} says no format; give --out a name in {', '.join(writers)}."
+        )
+    nodes = posterior.grid.arclength
+    if arclength is None:
+        arclength = nodes[-1:] if writers[out.suffix] is _write_tum else nodes
+    arclength = np.asarray(arclength, dtype=float)
+    time = _times(posterior.grid.time, rate)
+    posterior.grid.require(arclength, np.full_like(arclength, time[0]), "Export")
+    out.parent.mkdir(parents=True, exist_ok=True)
+    writers[out.suffix](posterior, out, time, arclength)
+    return time.size
+
+
+def _times(nodes: Array, rate: float | None) -> Array:
+    if rate is None:
+        return nodes
+    count = np.ptp(nodes) * rate
+    if not (rate > 0.0 and count < 1e7):
+        raise GlissandoError(f"A rate of {rate:g} Hz cannot be; give poses a second.")
+    return np.minimum(nodes[0] + np.arange(int(count + 1e-9) + 1) / rate, nodes[-1])
+
+
+def _write_tum(posterior: Posterior, out: Path, time: Array, arclength: Array) -> None:
+    """Lines of `t x y z qx qy qz qw`, which is what evo and other SLAM tools read."""
+    if arclength.size != 1:
+        raise GlissandoError(
+            f"A TUM file holds one trajectory; give one --arclength, not {arclength.size}."
+        )
+    at = posterior.at(arclength[0], time)
+    table = np.column_stack([time, at.position, np.roll(at.quaternion, -1, axis=1)])
+    np.savetxt(out, table, "%.15g")
+
+
+def _write_csv(posterior: Posterior, out: Path, time: Array, arclength: Array) -> None:
+    when, where = (a.ravel() for a in np.meshgrid(time, arclength, indexing="ij"))
+    write_query(posterior, (when, where), out)
+
+
+def _write_mcap(posterior: Posterior, out: Path, time: Array, arclength: Array) -> None:
+    if time[0] < 0.0:
+        raise GlissandoError(
+            f"MCAP has no times before zero, and the posterior begins at {time[0]:g} s."
+        )
+    out.unlink(missing_ok=True)
+    clocks = {"format": "glissando posterior 1", "monotonic_ns": "0", "wall_ns": "0"}
+    with SessionWriter(out, clocks) as log:
+        for topic, described in SCHEMAS.items():
+            log.add_topic(topic, described)
+        for some in np.array_split(time, time.size // _CHUNK + 1):
+            found = posterior.at(arclength, some[:, None])
+            for k, t in enumerate(some.tolist()):
+                now = round(1e9 * t)
+                for topic, message in _messages(found, k, t, arclength).items():
+                    log.write(topic, message, now)
+
+
+def _messages(found: Estimate, k: int, time: float, arclength: Array) -> dict[str, dict[str, Any]]:
+    """What is told at the k-th time of an estimate (K, N), by topic."""
+    at = Estimate(found.pose[k], found.strain[k], found.velocity[k], found.cov[k])
+    now = round(1e9 * time)
+    stamp = {"timestamp": {"sec": now // 10**9, "nsec": now % 10**9}, "frame_id": "world"}
+    poses = [
+        {
+            "position": dict(zip("xyz", p, strict=True)),
+            "orientation": dict(zip("wxyz", q, strict=True)),
+        }
+        for p, q in zip(at.position.tolist(), at.quaternion.tolist(), strict=True)
+    ]
+    estimate = {
+        "time": time,
+        "arclength": arclength,
+        "position": at.position,
+        "quaternion": at.quaternion,
+        "cov_pose": at.cov[:, :6, :6],
+    }
+    return {
+        "/shape": {**stamp, "poses": poses},
+        "/tip": {**stamp, "pose": poses[int(np.argmax(arclength))]},
+        "/estimate": estimate,
+    }

@@ -1,0 +1,157 @@
+"""CSV files of Vicon Tracker (objects) and Nexus (segments, trajectories).
+
+A section: its title, a number, names, labels, units, a row a frame, an empty line. [inferred], to
+be verified on an export of one's own: an object that was not seen has empty cells, a short row or
+six zeros; rotations are helical (the rotation vector, its length the angle), which is what Tracker
+exports unless told otherwise and what the file does not say; frame 1 is time 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from glissando.errors import RecordingError
+from glissando.geometry import se3
+from glissando.geometry.se3 import Array
+from glissando.io.foreign.tracks import (
+    LENGTHS,
+    Track,
+    as_numbers,
+    plain_name,
+    poses,
+    require_ahead,
+    text_lines,
+)
+
+TITLES = ("Objects", "Segments", "Trajectories")
+_RATE_IS_TOLD = ("Segments", "Trajectories")  # of Tracker's line 2 sources disagree what it is
+_POSE, _POINT = ["RX", "RY", "RZ", "TX", "TY", "TZ"], ["X", "Y", "Z"]
+_UNITS = {**LENGTHS, "rad": 1.0, "deg": np.pi / 180.0}
+
+
+@dataclass(frozen=True)
+class _Section:
+    """Cells of a section: its head and its rows with their line numbers."""
+
+    title: str
+    number: str
+    names: list[str]
+    labels: list[str]
+    units: list[str]
+    rows: list[tuple[int, list[str]]]
+
+
+def read_vicon_csv(path: Path, rate: float | None) -> list[Track]:
+    """Objects, segments and markers of a Tracker or Nexus CSV file.
+
+    `rate` (Hz) overrides the file's; a Tracker file's own cannot be trusted. Raises RecordingError.
+    """
+    tracks: list[Track] = []
+    for section in _sections(path):
+        hz = _rate(path, section, rate)
+        frames, rows = _frames(path, section)
+        tracks += [_track(path, section, c, frames / hz, rows) for c in _columns(section)]
+    if not tracks:
+        raise RecordingError(
+            f"{path.name} holds no objects, segments or trajectories; export some of them."
+        )
+    return tracks
+
+
+def _sections(path: Path) -> Iterator[_Section]:
+    lines = [
+        (number, [cell.strip() for cell in line.split(",")])
+        for number, line in enumerate(text_lines(path), start=1)
+    ]
+    at = 0
+    while at < len(lines):
+        title = lines[at][1][0]
+        end = at + 1
+        while end < len(lines) and any(lines[end][1]):
+            end += 1
+        if title in TITLES:
+            if end - at < 5:
+                raise RecordingError(
+                    f"{path.name} line {at + 1}: {title} end before their units; export it again."
+                )
+            (number, names, labels, units) = (lines[at + k][1] for k in range(1, 5))
+            yield _Section(title, number[0], names, labels, units, lines[at + 5 : end])
+        at = end + 1
+
+
+def _rate(path: Path, section: _Section, given: float | None) -> float:
+    if given is not None:
+        return given
+    try:
+        told = float(section.number)
+    except ValueError:
+        told = 0.0
+    if section.title not in _RATE_IS_TOLD or not 0.0 < told < np.inf:
+        raise RecordingError(
+            f"{path.name}: its frame rate cannot be trusted (line 2 says {section.number!r}); give "
+            f"the one that was set in Tracker or Nexus with --rate HZ."
+        )
+    return told
+
+
+def _frames(path: Path, section: _Section) -> tuple[Array, list[tuple[int, list[str]]]]:
+    """Frames since the first of the trial, and the rows that are whole frames."""
+    frames: list[float] = []
+    rows = []
+    for line, cells in section.rows:
+        number = as_numbers(path, line, cells[:2] if len(cells) > 1 and cells[1] else cells[:1])
+        if number is None or (number.size == 2 and number[1] != 0.0):
+            continue
+        require_ahead(path, line, frames[-1] + 1.0 if frames else -np.inf, number[0])
+        frames.append(number[0] - 1.0)
+        rows.append((line, cells))
+    return np.array(frames), rows
+
+
+def _columns(section: _Section) -> list[tuple[str, list[int]]]:
+    """Names of the section's objects, and the columns of their numbers in our order."""
+    starts = [c for c, name in enumerate(section.names) if name and c >= 2]
+    found = []
+    for start, end in pairwise([*starts, len(section.labels)]):
+        labels = section.labels[start:end]
+        wanted = _POSE if "RX" in labels else _POINT
+        if all(label in labels for label in wanted):
+            found.append((section.names[start], [start + labels.index(w) for w in wanted]))
+    return found
+
+
+def _track(
+    path: Path,
+    section: _Section,
+    column: tuple[str, list[int]],
+    time: Array,
+    rows: list[tuple[int, list[str]]],
+) -> Track:
+    name, at = column
+    try:
+        scale = np.array([_UNITS[section.units[c]] for c in at])
+    except (KeyError, IndexError):
+        raise RecordingError(
+            f"{path.name}: the units of {name!r} are not {', '.join(_UNITS)}; export in mm."
+        ) from None
+    values, seen = np.empty((len(rows), len(at))), np.zeros(len(rows), dtype=bool)
+    for k, (line, cells) in enumerate(rows):
+        found = as_numbers(path, line, [cells[c] for c in at]) if len(cells) > max(at) else None
+        if found is not None and np.any(found != 0.0):
+            values[k], seen[k] = scale * found, True
+    values, missing = values[seen], int(np.sum(~seen))
+    if len(at) == 3:
+        return Track(_name(name), "position", time[seen], values, missing)
+    pose = poses(se3.so3_exp(values[:, :3]), values[:, 3:])
+    return Track(_name(name), "pose", time[seen], pose, missing)
+
+
+def _name(text: str) -> str:
+    """An object's name: 'Global Angle Tip:Tip' is Tip, 'Snake:Tip' is Snake_Tip."""
+    subject, _, part = text.removeprefix("Global Angle ").partition(":")
+    return plain_name(subject if part in ("", subject) else f"{subject}_{part}")

@@ -1,0 +1,169 @@
+"""Reading a session log: whole, cut off anywhere, or with damage inside."""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from io import BytesIO
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glissando.errors import GlissandoError, RecordingError
+from glissando.geometry.se3 import Array
+
+_MAGIC = b"\x89MCAP0\r\n"
+_HEAD = struct.Struct("<BQ")  # of a record: its kind and the length of its body
+_FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _METADATA = 2, 3, 4, 5, 6, 12
+
+
+@dataclass(frozen=True)
+class Topic:
+    """Messages of one stream in the order they were written, `time_ns` (M,) when they came."""
+
+    name: str
+    schema: dict[str, Any]
+    metadata: dict[str, str]
+    time_ns: NDArray[np.int64]
+    messages: list[dict[str, Any]]
+
+    def column(self, key: str) -> Array:
+        """One property of every message as numbers (M, …), NaN where it is null or absent.
+
+        Raises RecordingError when it is no number, or lists of unlike length.
+        """
+        rows = [message.get(key) for message in self.messages]
+        like = next((row for row in rows if row is not None), None)
+        none = np.full(np.shape(like), np.nan) if isinstance(like, list) else np.nan
+        try:
+            return np.array([none if row is None else row for row in rows], dtype=float)
+        except (TypeError, ValueError):
+            raise RecordingError(
+                f"Topic {self.name!r}: {key!r} is not a number, or as many, a message."
+            ) from None
+
+
+@dataclass(frozen=True)
+class RawSession:
+    """A session log as it was read: its topics by name and its metadata.
+
+    `complete` when it was closed properly; `damaged` counts records that could not be read.
+    """
+
+    topics: dict[str, Topic]
+    metadata: dict[str, str]
+    complete: bool
+    damaged: int
+
+    def wall_time(self, time_ns: NDArray[np.int64]) -> Array:
+        """Seconds since 1970 of monotonic log times, by both clocks at the session's start."""
+        offset = int(self.metadata["wall_ns"]) - int(self.metadata["monotonic_ns"])
+        return (np.asarray(time_ns) + offset) * np.float64(1e-9)
+
+
+def read_session(path: str | Path) -> RawSession:
+    """Read a session log, whole, cut off anywhere, or with damage inside.
+
+    Raises RecordingError when it cannot be opened or is no MCAP file, GlissandoError without mcap.
+    """
+    try:
+        import mcap.records  # noqa: F401
+    except ImportError:
+        raise GlissandoError(
+            "Reading MCAP files needs the package mcap; run pip install 'glissando[hardware]'."
+        ) from None
+    found = _Found()
+    try:
+        with Path(path).open("rb") as file:
+            for kind, body in _records(file, path):
+                try:
+                    found.take(kind, body)
+                except Exception:  # whatever damaged bytes make a decoder raise
+                    found.damaged += 1
+    except OSError as problem:
+        raise RecordingError(f"{path} cannot be read ({problem.strerror}).") from None
+    topics = {channel.topic: found.topic(channel) for channel in found.channels.values()}
+    return RawSession(topics, found.metadata, found.complete, found.damaged)
+
+
+def _records(file: BinaryIO, path: str | Path) -> Iterator[tuple[int, bytes]]:
+    """Kinds and bodies of the records that are there from first to last byte."""
+    magic = file.read(len(_MAGIC))
+    if not _MAGIC.startswith(magic):
+        raise RecordingError(f"{path} is no MCAP file; give one that SessionWriter wrote.")
+    size = file.seek(0, os.SEEK_END)
+    file.seek(len(_MAGIC))
+    while len(head := file.read(_HEAD.size)) == _HEAD.size:
+        kind, length = _HEAD.unpack(head)
+        if kind == 0 or file.tell() + length > size:
+            return
+        yield kind, file.read(length)
+        if kind == _FOOTER:
+            return
+
+
+@dataclass
+class _Found:
+    """What a log's records have said so far; messages by channel, not yet decoded."""
+
+    schemas: dict[int, Any] = field(default_factory=dict)
+    channels: dict[int, Any] = field(default_factory=dict)
+    messages: dict[int, list[Any]] = field(default_factory=dict)
+    metadata: dict[str, str] = field(default_factory=dict)
+    complete: bool = False
+    damaged: int = 0
+
+    def take(self, kind: int, body: bytes) -> None:
+        """One record; kinds that say nothing new are passed over."""
+        from mcap import records
+        from mcap.data_stream import ReadDataStream
+        from mcap.stream_reader import breakup_chunk
+
+        stream = ReadDataStream(BytesIO(body))
+        if kind == _CHUNK:
+            for part in breakup_chunk(records.Chunk.read(stream), validate_crc=True):
+                self.keep(part)
+        elif kind == _MESSAGE:
+            self.keep(records.Message.read(stream, len(body)))
+        elif kind in (_SCHEMA, _CHANNEL):
+            self.keep((records.Schema if kind == _SCHEMA else records.Channel).read(stream))
+        elif kind == _METADATA:
+            found = records.Metadata.read(stream)
+            self.metadata |= found.metadata if found.name == "session" else {}
+        self.complete |= kind == _FOOTER
+
+    def keep(self, record: Any) -> None:
+        """A schema, a channel or a message."""
+        from mcap.records import Channel, Schema
+
+        if isinstance(record, Schema):
+            self.schemas.setdefault(record.id, record)
+        elif isinstance(record, Channel):
+            self.channels.setdefault(record.id, record)
+        else:
+            self.messages.setdefault(record.channel_id, []).append(record)
+
+    def topic(self, channel: Any) -> Topic:
+        """The topic of a channel with all that came on it and can be read."""
+        rows = self.messages.get(channel.id, [])
+        rows = [(row.log_time, self._decoded(row.data)) for row in rows]
+        rows = [row for row in rows if row[1] is not None]
+        made = self.schemas.get(channel.schema_id)
+        described = (self._decoded(made.data) if made else None) or {}
+        times = np.array([t for t, _ in rows], dtype=np.int64)
+        return Topic(channel.topic, described, channel.metadata, times, [m for _, m in rows])
+
+    def _decoded(self, data: bytes) -> dict[str, Any] | None:
+        try:
+            found = json.loads(data)
+        except ValueError:
+            found = None
+        if not isinstance(found, dict):
+            self.damaged += 1
+            return None
+        return found

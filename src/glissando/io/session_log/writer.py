@@ -1,0 +1,147 @@
+"""Writing a session log so that what came before a crash is there after it."""
+
+from __future__ import annotations
+
+import json
+import os
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, Self
+
+from glissando.errors import GlissandoError
+from glissando.io.session_log.messages import encoded
+
+FORMAT = "glissando session 1"
+_SAFE_EVERY = 0.5  # s: what a crash may take, half of what is promised
+_CHUNK_BYTES = 256 * 1024
+
+
+class SessionWriter:
+    """Writes messages as they come; what is a second old survives whatever happens.
+
+    A context manager, and safe to write to from several threads. A thread of its own ends a chunk
+    and has the disk keep it twice a second. Raises GlissandoError when the file is there already,
+    when the disk refuses, and when mcap is not installed.
+    """
+
+    def __init__(self, path: str | Path, metadata: Mapping[str, str] | None = None) -> None:
+        try:
+            from mcap.writer import Writer
+        except ImportError:
+            raise GlissandoError(
+                "Writing MCAP files needs the package mcap; run pip install 'glissando[hardware]'."
+            ) from None
+        self.path = Path(path)
+        try:
+            self._file = self.path.open("xb")
+        except FileExistsError:
+            raise GlissandoError(f"{path} is there already; give a new name.") from None
+        except OSError as problem:
+            raise GlissandoError(f"{path} cannot be written ({problem.strerror}).") from None
+        self._writer = Writer(self._file, chunk_size=_CHUNK_BYTES)
+        self._channels: dict[str, int] = {}
+        self._count: dict[str, int] = {}
+        self._lock = threading.Lock()
+        self._closing = threading.Event()
+        self._failure: OSError | None = None
+        self._flushed = 0.0
+        clocks = {"monotonic_ns": str(time.monotonic_ns()), "wall_ns": str(time.time_ns())}
+        with self._sound():
+            self._writer.start(profile="", library="glissando")
+            self._writer.add_metadata("session", {"format": FORMAT, **clocks, **(metadata or {})})
+        self.sync()
+        self._keeper = threading.Thread(target=self._keep_safe, name="session", daemon=True)
+        self._keeper.start()
+
+    def add_topic(self, topic: str, message: Mapping[str, Any], **metadata: str) -> None:
+        """Declare a topic, with the JSON schema of its messages. A second time changes nothing."""
+        text = json.dumps(message).encode()
+        with self._sound():
+            if topic not in self._channels:
+                made = self._writer.register_schema(message.get("title", topic), "jsonschema", text)
+                channel = self._writer.register_channel(topic, "json", made, metadata)
+                self._channels[topic], self._count[topic] = channel, 0
+
+    def write(self, topic: str, message: Mapping[str, Any], time_ns: int | None = None) -> None:
+        """Write a message; `time_ns` is when it came, by default now, monotonic.
+
+        Numbers, texts, lists, dicts and arrays. Raises GlissandoError for an infinite number, a
+        topic that was not declared, a log that is closed, and once the disk has refused.
+        """
+        data = encoded(topic, message)
+        now = time.monotonic_ns() if time_ns is None else time_ns
+        with self._sound():
+            if topic not in self._channels:
+                raise GlissandoError(f"Topic {topic!r} is not declared; call add_topic first.")
+            if not 0 <= now < 1 << 63:
+                raise GlissandoError(f"Log time {now} ns cannot be; give nanoseconds from 0 up.")
+            self._count[topic] += 1
+            self._writer.add_message(self._channels[topic], now, data, now, self._count[topic])
+            if time.monotonic() - self._flushed > _SAFE_EVERY:  # the thread waits for a slow disk
+                self._flush()
+
+    def sync(self) -> None:
+        """Have the disk keep everything written so far."""
+        with self._sound():
+            self._flush()
+            at = os.dup(self._file.fileno())  # the lock is not held while the disk is slow
+        try:
+            os.fsync(at)
+        except OSError as problem:
+            raise self._refused(problem) from None
+        finally:
+            os.close(at)
+
+    def close(self) -> None:
+        """Write the index and close. Raises GlissandoError when the disk has refused."""
+        self._closing.set()
+        self._keeper.join()
+        if self._file.closed:
+            return
+        try:
+            with self._sound():
+                self._writer.finish()
+                self._file.flush()
+                os.fsync(self._file.fileno())
+        finally:
+            with suppress(OSError):
+                self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _flush(self) -> None:
+        """Hand everything to the operating system, which keeps it when this process is killed."""
+        self._writer.flush()
+        self._flushed = time.monotonic()
+
+    def _keep_safe(self) -> None:
+        with suppress(GlissandoError):  # who writes next, or closes, is told
+            while not self._closing.wait(_SAFE_EVERY):
+                self.sync()
+
+    @contextmanager
+    def _sound(self) -> Iterator[None]:
+        """Hold the log while it can be written to; a disk that refuses is remembered."""
+        with self._lock:
+            if self._failure is None and self._file.closed:
+                raise GlissandoError(f"{self.path} is closed; write before close().")
+            try:
+                if self._failure is not None:
+                    raise self._failure
+                yield
+            except OSError as problem:
+                raise self._refused(problem) from None
+
+    def _refused(self, problem: OSError) -> GlissandoError:
+        self._failure = problem
+        return GlissandoError(
+            f"{self.path} could not be written on ({problem.strerror}); make room. What came "
+            f"before is kept."
+        )

@@ -1,0 +1,167 @@
+"""Nodes over arclength × time, the span each node stands for, and the cell of a point."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from glissando.errors import OutsideGridError
+from glissando.geometry.se3 import Array
+
+Index = NDArray[np.intp]
+
+_TOLERANCE = 1e-9  # relative to the length: how far outside the ends still counts as the end
+
+
+def _spans(nodes: Array) -> Array:
+    """Half the distance to both neighbours (half spans at the ends); 1 for a lone node."""
+    if nodes.size == 1:
+        return np.ones(1)
+    spans, halves = np.zeros(nodes.size), 0.5 * (nodes[1:] - nodes[:-1])
+    spans[:-1] += halves
+    spans[1:] += halves
+    return spans
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Where points lie: the lower node, the step of the interval and the place inside it.
+
+    `lower` (M,) index of the node below, `step` (M,) interval length, `offset` (M,) distance
+    from that node (0 ≤ offset ≤ step). A grid of one node has step and offset zero.
+    """
+
+    lower: Index
+    step: Array
+    offset: Array
+
+    @property
+    def share(self) -> Array:
+        """How far into the interval (M,), from 0 to 1."""
+        return np.asarray(self.offset / np.where(self.step > 0.0, self.step, 1.0))
+
+    @property
+    def nearest(self) -> Index:
+        """The node (M,) of points that lie on one."""
+        return np.asarray(self.lower + ((self.offset >= self.step) & (self.step > 0.0)))
+
+    def take(self, rows: Index) -> Cells:
+        """The cells of some of the points."""
+        return Cells(self.lower[rows], self.step[rows], self.offset[rows])
+
+
+def _locate(nodes: Array, values: Array) -> Cells:
+    if nodes.size == 1:
+        zero = np.zeros(values.shape)
+        return Cells(np.zeros(values.shape, dtype=np.intp), zero, zero)
+    lower = np.searchsorted(nodes[1:-1], values, side="right")
+    below = nodes[lower]
+    step = nodes[lower + 1] - below
+    offset = np.minimum(np.maximum(values - below, 0.0), step)
+    offset = np.where(offset < _TOLERANCE * step, 0.0, offset)
+    offset = np.where(step - offset < _TOLERANCE * step, step, offset)
+    return Cells(lower, step, offset)
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Nodes over arclength (N,) in metres and time (K,) in seconds, both increasing.
+
+    A node (k, n) stands for the time span `time_spans[k]` and the arclength span
+    `arclength_spans[n]`; prior densities are divided by them. A grid of a single time (a static
+    shape) or a single arclength gives that direction span 1. A grid that continues another says
+    which time node came `before` its first.
+
+    >>> Grid([0.0, 0.5, 1.0], [0.0, 0.1]).arclength_spans
+    array([0.25, 0.5 , 0.25])
+    """
+
+    arclength: Array
+    time: Array
+    before: float | None = None
+    arclength_spans: Array = field(init=False, repr=False)
+    time_spans: Array = field(init=False, repr=False)
+
+    def __init__(self, arclength: ArrayLike, time: ArrayLike, before: float | None = None) -> None:
+        for name, given in (("arclength", arclength), ("time", time)):
+            nodes = np.atleast_1d(np.asarray(given, dtype=float))
+            if nodes.ndim != 1 or nodes.size == 0 or not np.isfinite(nodes).all():
+                raise OutsideGridError(f"Grid {name} must be a list of finite numbers: {given!r}.")
+            stays = nodes[1:] <= nodes[:-1]
+            if stays.any():
+                at = int(np.argmax(stays))
+                raise OutsideGridError(
+                    f"Grid {name} must increase, but node {at + 1} ({nodes[at + 1]:g}) does not "
+                    f"exceed node {at} ({nodes[at]:g}). Sort the nodes and drop repeats."
+                )
+            object.__setattr__(self, name, nodes)
+            object.__setattr__(self, f"{name}_spans", _spans(nodes))
+        object.__setattr__(self, "before", before)
+        if before is not None:
+            if not before < self.time[0]:
+                raise OutsideGridError(
+                    f"The node before the grid, {before:g} s, must lie before {self.time[0]:g} s."
+                )
+            object.__setattr__(self, "time_spans", _spans(np.append(before, self.time))[1:])
+
+    @staticmethod
+    def apart(arclength: ArrayLike, count: int) -> Grid:
+        """A grid of `count` single moments that know nothing of each other, of span 1 each.
+
+        Their times are their numbers.
+        """
+        grid = Grid(arclength, np.arange(count))
+        object.__setattr__(grid, "time_spans", np.ones(count))
+        return grid
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(K, N): time nodes, arclength nodes."""
+        return self.time.size, self.arclength.size
+
+    def contains(self, arclength: Array, time: Array) -> NDArray[np.bool_]:
+        """Which points (M,) lie on the grid, ends included."""
+        inside = np.ones(np.broadcast(arclength, time).shape, dtype=bool)
+        for nodes, values in ((self.arclength, arclength), (self.time, time)):
+            slack = _TOLERANCE * max(1.0, float(nodes[-1] - nodes[0]))
+            inside &= (values >= nodes[0] - slack) & (values <= nodes[-1] + slack)
+        return inside
+
+    def require(self, arclength: Array, time: Array, what: str) -> None:
+        """Raise OutsideGridError, naming up to three rows, unless all points are inside."""
+        outside = np.flatnonzero(~self.contains(arclength, time))
+        if outside.size == 0:
+            return
+        first = outside[:3]
+        s = np.broadcast_to(arclength, np.broadcast(arclength, time).shape)
+        t = np.broadcast_to(time, s.shape)
+        in_length = self.contains(s, np.full_like(s, self.time[0]))
+        if np.all(in_length[outside]):
+            name, values, nodes, unit = "time", t, self.time, "s"
+        else:
+            first = outside[~in_length[outside]][:3]
+            name, values, nodes, unit = "arclength", s, self.arclength, "m"
+        shown = ", ".join(f"{values[i]:.4g}" for i in first)
+        rows = f"row {first[0]} has" if first.size == 1 else f"rows {_listed(first)} have"
+        excess = np.maximum(values[outside] - nodes[-1], nodes[0] - values[outside]).max()
+        raise OutsideGridError(
+            f"{what}: {outside.size} of {s.size} rows lie outside the grid; {rows} {name} {shown} "
+            f"{unit}, up to {excess:.3g} {unit} outside [{nodes[0]:.4g}, {nodes[-1]:.4g}] {unit}. "
+            f"Correct them, widen the grid, or drop them (readings.inside(grid) does)."
+        )
+
+    def locate(self, arclength: Array, time: Array) -> tuple[Cells, Cells]:
+        """Cells of the points (M,) along arclength and along time."""
+        return _locate(self.arclength, arclength), _locate(self.time, time)
+
+
+def _listed(rows: Index) -> str:
+    return ", ".join(map(str, rows))
+
+
+def uniform_grid(length: float, nodes: int, start: float, stop: float, rate: float) -> Grid:
+    """Evenly spaced grid: `nodes` over [0, length] m, about `rate` a second over [start, stop]."""
+    count = max(2, round((stop - start) * rate) + 1)
+    return Grid(np.linspace(0.0, length, nodes), np.linspace(start, stop, count))

@@ -1,0 +1,119 @@
+"""Covariances to whiten with, and losses that forgive outliers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from glissando.errors import SensorError
+from glissando.geometry.se3 import Array
+from glissando.twins import twin
+
+
+def covariance_matrix(given: ArrayLike, rows: int, what: str) -> Array:
+    """A covariance (rows, rows) or (M, rows, rows) from a matrix, variances (rows,) or a scalar.
+
+    Raises SensorError when the shape does not fit or it is not positive definite.
+    """
+    try:
+        cov = np.asarray(given, dtype=float)
+    except (TypeError, ValueError):
+        raise SensorError(f"{what}: covariance is {given!r}; give numbers.") from None
+    if not np.all(np.isfinite(cov)):
+        raise SensorError(f"{what}: covariance is not finite; give every row a finite variance.")
+    if cov.ndim == 0:
+        cov = cov * np.eye(rows)
+    elif cov.ndim == 1 and cov.size == rows:
+        cov = np.diag(cov)
+    if cov.shape[-2:] != (rows, rows) or cov.ndim > 3:
+        raise SensorError(
+            f"{what}: covariance has shape {np.shape(given)}; give a variance, {rows} variances, "
+            f"or a {rows}×{rows} matrix (one, or one a reading)."
+        )
+    symmetric = np.allclose(cov, np.swapaxes(cov, -1, -2), rtol=1e-9, atol=0.0)
+    if not symmetric or not np.all(np.linalg.eigvalsh(cov) > 0.0):
+        raise SensorError(
+            f"{what}: covariance is not symmetric positive definite; "
+            f"give every row a variance above zero."
+        )
+    return cov
+
+
+@twin
+def sqrt_information(cov: Array) -> Array:
+    """W (…, r, r) with Wᵀ W = cov⁻¹, so that W @ residual is white."""
+    whitener: Array = np.linalg.inv(np.linalg.cholesky(cov))
+    return whitener
+
+
+@twin
+def pair_sqrt_information(cov: Array) -> Array:
+    """W (…, 12, 12) with Wᵀ W = cov⁻¹ for a covariance whose last 6×6 block is diagonal.
+
+    Eliminating the diagonal half first leaves a 6×6 Cholesky factor, a quarter of the work.
+    """
+    spread = 1.0 / np.einsum("...ii->...i", cov[..., 6:, 6:])
+    slope = cov[..., :6, 6:] * spread[..., None, :]
+    corner = sqrt_information(cov[..., :6, :6] - slope @ cov[..., 6:, :6])
+    out = np.zeros_like(cov)
+    out[..., :6, :6] = corner
+    out[..., :6, 6:] = -corner @ slope
+    np.einsum("...ii->...i", out[..., 6:, 6:])[...] = np.sqrt(spread)
+    return out
+
+
+class Loss(Protocol):
+    """A robust loss: how much a reading of whitened length `norm` still counts."""
+
+    def weight(self, norm: Array) -> Array:
+        """Weight (M,) of the squared residual, 1 for a trusted reading, towards 0 for outliers."""
+        ...
+
+    def cost(self, norm: Array) -> Array:
+        """Loss (M,) of a whitened residual norm, ½ norm² when it is small."""
+        ...
+
+
+def _require_positive(threshold: float) -> None:
+    if not threshold > 0.0:
+        raise SensorError(f"The threshold of a loss is {threshold}; give one above zero.")
+
+
+@dataclass(frozen=True)
+class Huber:
+    """Quadratic up to `threshold` standard deviations, linear beyond (Huber 1964)."""
+
+    threshold: float = 3.0
+
+    def __post_init__(self) -> None:
+        _require_positive(self.threshold)
+
+    def weight(self, norm: Array) -> Array:
+        """Weight threshold / norm beyond the threshold."""
+        return np.minimum(1.0, self.threshold / np.maximum(norm, 1e-300))
+
+    def cost(self, norm: Array) -> Array:
+        """½ norm², then threshold · norm − ½ threshold²."""
+        linear = self.threshold * (norm - 0.5 * self.threshold)
+        return np.where(norm <= self.threshold, 0.5 * norm**2, linear)
+
+
+@dataclass(frozen=True)
+class GemanMcClure:
+    """A loss that saturates: gross outliers lose all influence (Geman and McClure 1987)."""
+
+    threshold: float = 5.0
+
+    def __post_init__(self) -> None:
+        _require_positive(self.threshold)
+
+    def weight(self, norm: Array) -> Array:
+        """Weight 1 / (1 + (norm / threshold)²)²."""
+        return 1.0 / (1.0 + (norm / self.threshold) ** 2) ** 2
+
+    def cost(self, norm: Array) -> Array:
+        """½ norm² / (1 + (norm / threshold)²)."""
+        return 0.5 * norm**2 / (1.0 + (norm / self.threshold) ** 2)

@@ -1,0 +1,98 @@
+"""What the method asks of a prior, and how strain may vary along a body made of segments."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Protocol, Self
+
+import numpy as np
+
+from glissando.errors import OutsideGridError
+from glissando.geometry.se3 import Array
+from glissando.model.factors import Factors
+from glissando.model.grid import Grid
+from glissando.model.interpolation import Interpolation, Points
+from glissando.model.state import State
+
+Spread = tuple[Array, Array]
+"""Of intervals: the density of strain (…, 6) inside them, and the variance (…, 6) of its jump."""
+
+_SOFT = 0.022**2  # m², of strain density over curvature density
+_STIFF = 10.0  # times softer than a prior must be to be worth a start of its own
+
+
+class Prior(Protocol):
+    """A Gaussian prior over arclength × time: factors between nodes, and what lies between them."""
+
+    @property
+    def fixes_base(self) -> bool:
+        """Whether the prior alone says where the robot stands."""
+        ...
+
+    def softened(self) -> Self:
+        """The prior with soft shear and extension, a start for this one; itself if not stiff."""
+        ...
+
+    def rest_state(self, grid: Grid) -> State:
+        """The robot at rest on the grid, from which an estimate starts."""
+        ...
+
+    def bent(self, grid: Grid, state: State, step: Array) -> State:
+        """The state moved by `step` (K, N, dof) so that poses still follow from the strains."""
+        ...
+
+    def factors(self, grid: Grid, state: State, about: State, times: slice) -> Iterator[Factors]:
+        """Factors that begin at the time nodes `times`, linearised at `state`.
+
+        Their weights come from the rates of `about`, a state on the same grid.
+        """
+        ...
+
+    def interpolate(self, grid: Grid, state: State, about: State, points: Points) -> Interpolation:
+        """State at points between the nodes, conditional on the nodes."""
+        ...
+
+
+def soften(psd: Array) -> Array:
+    """Strain densities (…, 6) whose linear part is large enough beside their bending part."""
+    bending = np.mean(psd[..., 3:5], axis=-1, keepdims=True)
+    return np.concatenate([np.maximum(psd[..., :3], _SOFT * bending), psd[..., 3:]], axis=-1)
+
+
+def is_soft(psd: Array, softened: Array) -> bool:
+    """Whether softening changed so little that a start of its own would not pay."""
+    return bool(np.all(softened <= _STIFF * psd))
+
+
+def by_interval(arclength: Array, psd: Array, joints: Array, jumps: Array) -> Spread:
+    """Density of strain (N−1, 6) of every interval between nodes, and of its jump at the end.
+
+    `psd` is (6,), or (S, 6) for S segments that meet at `joints` (S−1,), where strain may jump by
+    a variance `jumps` (S−1, 6); the strain of a node at a joint is the one beyond it. Raises
+    OutsideGridError when a joint is no node of the grid.
+    """
+    jump = np.zeros((arclength.size - 1, 6))
+    if psd.ndim == 1:
+        return np.full(jump.shape, psd), jump
+    for joint, variance in zip(joints, jumps, strict=True):
+        at = int(np.argmin(np.abs(arclength - joint)))
+        if abs(arclength[at] - joint) > 1e-9:
+            raise OutsideGridError(
+                f"The robot has a joint at {joint:g} m, which is no arclength node of the grid "
+                f"(the nearest is {arclength[at]:g} m); add it to the nodes."
+            )
+        if at:
+            jump[at - 1] = variance
+    middle = 0.5 * (arclength[1:] + arclength[:-1])
+    return psd[np.searchsorted(joints, middle)], jump
+
+
+def interval_strain(strain0: Array, strain1: Array, length: Array, spread: Spread) -> Array:
+    """Strain (…, 6) about which intervals are linearised: the mean, less the jump at their end.
+
+    Of the difference between both ends, the jump has its share of the variance; `spread` is what
+    `by_interval` gives for these intervals of `length` (…).
+    """
+    psd, jump = spread
+    drift = length[..., None] * psd
+    return strain0 + 0.5 * drift / (drift + jump) * (strain1 - strain0)

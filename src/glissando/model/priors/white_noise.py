@@ -1,0 +1,299 @@
+"""The kinematic space-time prior: white noise on the rates, exact transitions between nodes.
+
+White noise drives ∂ϖ/∂t, ∂ε/∂s and ∂ε/∂t (equations 3 to 5). Its strengths are densities over
+arclength AND time: a node's factor is weighted by the span the node stands for, so that refining
+the grid does not repeat the prior as if it were news.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from glissando.geometry import se3
+from glissando.geometry.se3 import Array
+from glissando.model.factors import Factors, Residuals
+from glissando.model.grid import Grid, Index
+from glissando.model.interpolation import Interpolation, Points
+from glissando.model.noise import pair_sqrt_information, sqrt_information
+from glissando.model.priors.prior import by_interval, interval_strain, is_soft, soften
+from glissando.model.priors.rest_shape import STRAIGHT, RestShape
+from glissando.model.priors.steps import (
+    ARCLENGTH,
+    TIME,
+    Direction,
+    bridged,
+    carried_error,
+    pair_error,
+)
+from glissando.model.priors.transitions import process_covariances
+from glissando.model.state import DOF, POSE, STRAIN, VELOCITY, State, rest_state
+from glissando.twins import twin
+
+_POSE_STRAIN, _ALL = slice(0, 12), slice(0, DOF)
+
+
+@dataclass(frozen=True)
+class BaseDensity:
+    """How firmly pose, strain and velocity are known at s = 0; each (6,), variance · second.
+
+    A time node that stands for Δt seconds knows its base with covariance density / Δt. With a
+    single time node (a static shape) Δt counts as one second, so these are plain variances.
+    """
+
+    pose: Array
+    strain: Array
+    velocity: Array
+
+
+@dataclass(frozen=True)
+class KinematicPrior:
+    """Gaussian prior on pose, strain and velocity over arclength × time.
+
+    Densities are (6,), [linear, angular], of white noise over arclength and time:
+    `psd_strain_arclength` on ∂ε/∂s and `psd_velocity_arclength` on ∂ϖ/∂s (weighted by time spans),
+    `psd_velocity_time` on ∂ϖ/∂t and `psd_strain_time` on ∂ε/∂t (weighted by arclength spans).
+    `rest_strain` (6,) and `base_pose` (4, 4) are where the robot rests and stands; `base` says how
+    firmly, and may be None when readings fix the base. A robot of S segments gives
+    `psd_strain_arclength` (S, 6), the `joints` (S−1,) between them in metres, and `jumps`
+    (S−1, 6), variance · second of the strain's jump there. For a robot that now moves and now
+    holds, `pace` (P + 1,) multiplies the densities along time before, between and after
+    `pace_times` (P,), which are time nodes. Source: equations (2'), (3'), (4), (5).
+    """
+
+    psd_velocity_time: Array
+    psd_strain_arclength: Array
+    psd_strain_time: Array
+    psd_velocity_arclength: Array
+    base: BaseDensity | None
+    rest_strain: Array = field(default_factory=STRAIGHT.copy)
+    base_pose: Array = field(default_factory=lambda: np.eye(4))
+    joints: Array = field(default_factory=lambda: np.zeros(0))
+    jumps: Array = field(default_factory=lambda: np.zeros((0, 6)))
+    pace: Array = field(default_factory=lambda: np.ones(1))
+    pace_times: Array = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def rest(self) -> RestShape:
+        """The shape at rest, of one strain."""
+        return RestShape(self.rest_strain[None], np.zeros((1, 6)), np.zeros(0))
+
+    @property
+    def fixes_base(self) -> bool:
+        """Whether the prior alone says where the robot stands."""
+        return self.base is not None
+
+    def softened(self) -> KinematicPrior:
+        """The prior with shear and extension as soft as bending over 2 cm, or itself if not far.
+
+        Its estimates bend easily, which makes them a start for the stiffer one.
+        """
+        names = ("psd_strain_arclength", "psd_strain_time")
+        soft = {name: soften(getattr(self, name)) for name in names}
+        base = self.base
+        if base is not None:
+            base = replace(base, strain=soften(base.strain))
+        if all(is_soft(getattr(self, name), soft[name]) for name in names):
+            return self
+        return replace(self, **soft, base=base)
+
+    def rest_state(self, grid: Grid) -> State:
+        """The robot at rest on the grid, from which an estimate starts."""
+        return rest_state(grid, self.base_pose, self.rest_strain)
+
+    def bent(self, grid: Grid, state: State, step: Array) -> State:
+        """The state moved by `step` (K, N, 18), with poses that follow from the strains."""
+        moved = state.retract(step)
+        lengths = np.diff(grid.arclength)
+        strain = interval_strain(
+            moved.strain[:, :-1], moved.strain[:, 1:], lengths, self._intervals(grid.arclength)
+        )
+        pose = moved.pose.copy()
+        for n, h in enumerate(lengths):
+            pose[:, n + 1] = pose[:, n] @ se3.exp(h * strain[:, n])
+        return replace(moved, pose=pose)
+
+    def along_arclength(self, arclength: Array, at: Index) -> tuple[Array, Array, Array]:
+        """Densities (M, 6) of steps from the nodes `at` (M,) of `arclength` (N,).
+
+        Of strain, of the velocity that is carried along, and of strain's jump at the end.
+        """
+        psd, jump = self._intervals(arclength)
+        return psd[at], np.full((at.size, 6), self.psd_velocity_arclength), jump[at]
+
+    def along_time(self, time: Array) -> tuple[Array, Array, Array]:
+        """Densities (M, 6) of steps with middles at times (M,): of velocity, strain, and a jump."""
+        moving, carried = (
+            np.full((time.size, 6), psd) for psd in (self.psd_velocity_time, self.psd_strain_time)
+        )
+        if self.pace_times.size:
+            pace = self.pace[np.searchsorted(self.pace_times, time), None]
+            moving, carried = pace * moving, pace * carried
+        return moving, carried, np.zeros(moving.shape)
+
+    def _intervals(self, arclength: Array) -> tuple[Array, Array]:
+        return by_interval(arclength, self.psd_strain_arclength, self.joints, self.jumps)
+
+    def factors(self, grid: Grid, state: State, about: State, times: slice) -> Iterator[Factors]:
+        """Prior factors that begin at the time nodes `times`, linearised at `state`.
+
+        Along arclength at each of those times, along time to the next, and at the base. Their
+        weights come from the rates of `about`, a state on the same grid.
+        """
+        k_count, n_count = grid.shape
+        node = np.arange(k_count * n_count).reshape(k_count, n_count)
+        here, flat, about = node[times], state.flatten(), about.flatten()
+        if n_count > 1:
+            ends = (here[:, :-1].ravel(), here[:, 1:].ravel())
+            step = np.broadcast_to(np.diff(grid.arclength), (len(here), n_count - 1)).ravel()
+            span = np.repeat(grid.time_spans[times], n_count - 1)
+            densities = self.along_arclength(grid.arclength, ends[0] % n_count)
+            yield from self._along(ARCLENGTH, flat, about, ends, step, span, densities)
+        if k_count > 1 and times.start < k_count - 1:
+            starts = node[:-1][times]
+            ends = (starts.ravel(), starts.ravel() + n_count)
+            step = np.repeat(np.diff(grid.time)[times], n_count)
+            span = np.broadcast_to(grid.arclength_spans, starts.shape).ravel()
+            densities = self.along_time(grid.time[ends[0] // n_count] + 0.5 * step)
+            yield from self._along(TIME, flat, about, ends, step, span, densities)
+        if self.base is not None:
+            yield self._base(grid.time_spans[times], flat, here[:, :1])
+
+    def interpolate(self, grid: Grid, state: State, about: State, points: Points) -> Interpolation:
+        """State at points between the nodes, conditional on the nodes. Source: (10) to (12).
+
+        Inside a cell: along arclength at both times, then along time. Gains and bridge covariances
+        come from the rates of `about`, a state on the same grid, as the weights of the factors do;
+        they are constants to the Jacobian.
+        """
+        return _interpolate(self, grid, state, about, points)
+
+    def _along(
+        self,
+        direction: Direction,
+        flat: State,
+        about: State,
+        ends: tuple[Index, Index],
+        step: Array,
+        span: Array,
+        densities: tuple[Array, Array, Array],
+    ) -> Iterator[Factors]:
+        nodes = np.stack(ends, axis=1)
+        found = weighted_steps(direction, flat, about, nodes, step, np.sqrt(span), densities)
+        dofs = (
+            (_POSE_STRAIN if direction is ARCLENGTH else _ALL),
+            _ALL if direction.rigid else STRAIN,
+        )
+        for columns, (error, jacobian, info) in zip(dofs, found, strict=True):
+            yield Factors(nodes, columns, jacobian[..., columns], Residuals(error, info))
+
+    def _base(self, spans: Array, flat: State, nodes: Index) -> Factors:
+        assert self.base is not None
+        state = flat.take(nodes[:, 0])
+        xi = se3.log(se3.inverse(self.base_pose) @ state.pose)
+        residual = np.concatenate([xi, state.strain - self.rest_strain, state.velocity], axis=-1)
+        jacobian = np.zeros((nodes.size, DOF, 1, DOF))
+        jacobian[:, POSE, 0, POSE] = se3.right_jacobian_inverse(xi)
+        jacobian[:, STRAIN, 0, STRAIN] = jacobian[:, VELOCITY, 0, VELOCITY] = np.eye(6)
+        density = np.concatenate([self.base.pose, self.base.strain, self.base.velocity])
+        info = np.sqrt(spans)[:, None, None] * np.diag(1.0 / np.sqrt(density))
+        return Factors(nodes, _ALL, jacobian, Residuals(residual, info))
+
+
+@twin
+def weighted_steps(
+    direction: Direction,
+    flat: State,
+    about: State,
+    nodes: Index,
+    step: Array,
+    weight: Array,
+    densities: tuple[Array, Array, Array],
+) -> tuple[tuple[Array, Array, Array], tuple[Array, Array, Array]]:
+    """Errors of steps between `nodes` (M, 2) of a list of states, of the pair and of the carried.
+
+    Each with Jacobian (M, r, 2, 18) and whitener (M, r, r), times `weight` (M,), which come from
+    the rates of `about` and the `densities` of the moving field, the carried and a jump (M, 6).
+    """
+    start, end = flat.take(nodes[:, 0]), flat.take(nodes[:, 1])
+    rates, (psd, carried_psd, jump) = direction.rate_of(about), densities
+    middle = interval_strain(rates[nodes[:, 0]], rates[nodes[:, 1]], step, (psd, jump))
+    cov, carried_cov = process_covariances(
+        middle, step, psd, carried_psd, rigid=direction.rigid, jump=jump
+    )
+    pair, carried = pair_error(direction, start, end, step), carried_error(direction, start, end)
+    whiteners = pair_sqrt_information(cov), sqrt_information(carried_cov)
+    first, second = (
+        (error, np.stack(jacobians, axis=2), weight[:, None, None] * whitener)
+        for (error, *jacobians), whitener in zip((pair, carried), whiteners, strict=True)
+    )
+    return first, second
+
+
+def _interpolate(
+    prior: KinematicPrior, grid: Grid, state: State, about: State, points: Points
+) -> Interpolation:
+    s, t = points.along, points.through
+    flat, n_count = state.flatten(), grid.arclength.size
+    if not points.inside_time:
+        if points.inside_arclength:
+            return _along_arclength(prior, grid, flat, about, points, t.nearest)
+        node = t.nearest * n_count + s.nearest
+        eye, none = np.zeros((2, node.size, DOF, DOF))
+        np.einsum("mii->mi", eye)[...] = 1.0
+        return Interpolation(flat.take(node), node[:, None], eye[:, :, None], none)
+    if not points.inside_arclength:  # both ends are nodes
+        nodes = (t.lower * n_count + s.nearest)[:, None] + np.array([0, n_count])
+        start, end = flat.take(nodes[:, 0]), flat.take(nodes[:, 1])
+        at, j0, j1, cov = _between_times(prior, grid, about, points, start, end)
+        return Interpolation(at, nodes, np.stack([j0, j1], axis=2), cov)
+    early, late = (
+        _along_arclength(prior, grid, flat, about, points, k) for k in (t.lower, t.lower + 1)
+    )
+    at, j0, j1, cov = _between_times(prior, grid, about, points, early.state, late.state)
+    for jacobian, corner in ((j0, early), (j1, late)):
+        cov = cov + jacobian @ corner.cov @ np.swapaxes(jacobian, -1, -2)
+    j0, j1 = _chain(j0, early.jacobian), _chain(j1, late.jacobian)
+    nodes = np.concatenate([early.nodes, late.nodes], axis=1)
+    return Interpolation(at, nodes, np.concatenate([j0, j1], axis=2), cov)
+
+
+def _along_arclength(
+    prior: KinematicPrior, grid: Grid, flat: State, about: State, points: Points, k: Index
+) -> Interpolation:
+    """Between two nodes of the times `k` (M,)."""
+    s = points.along
+    nodes = (k * grid.arclength.size + s.lower)[:, None] + np.arange(2)
+    start, end = flat.take(nodes[:, 0]), flat.take(nodes[:, 1])
+    psd, carried, jump = prior.along_arclength(grid.arclength, s.lower)
+    ends = about.strain[k, s.lower], about.strain[k, s.lower + 1]
+    rate = interval_strain(*ends, s.step, (psd, jump))
+    weight = grid.time_spans[k, None]
+    densities = psd / weight, carried / weight, jump / weight
+    at, j0, j1, cov = bridged(ARCLENGTH, start, end, s.step, s.offset, rate, densities)
+    return Interpolation(at, nodes, np.stack([j0, j1], axis=2), cov)
+
+
+def _between_times(
+    prior: KinematicPrior, grid: Grid, about: State, points: Points, start: State, end: State
+) -> tuple[State, Array, Array, Array]:
+    """Between two states at the times of nodes: what `bridged` gives."""
+    s, t = points.along, points.through
+    velocity, later = about.velocity, t.lower + 1
+    if points.inside_arclength:
+        mean = 0.5 * (velocity[t.lower] + velocity[later])
+        rows, share = np.arange(s.lower.size), s.share[:, None]
+        rate = (1.0 - share) * mean[rows, s.lower] + share * mean[rows, s.lower + 1]
+        span = np.interp(points.arclength, grid.arclength, grid.arclength_spans)[:, None]
+    else:
+        rate = 0.5 * (velocity[t.lower, s.nearest] + velocity[later, s.nearest])
+        span = grid.arclength_spans[s.nearest, None]
+    psd, carried, jump = prior.along_time(grid.time[t.lower] + 0.5 * t.step)
+    return bridged(TIME, start, end, t.step, t.offset, rate, (psd / span, carried / span, jump))
+
+
+def _chain(outer: Array, inner: Array) -> Array:
+    m, r, c, d = inner.shape
+    return (outer @ inner.reshape(m, r, c * d)).reshape(m, r, c, d)

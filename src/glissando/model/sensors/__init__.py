@@ -1,0 +1,1 @@
+"""The sensors: readings, what each expects of a state, parameters not known exactly."""

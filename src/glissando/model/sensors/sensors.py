@@ -1,0 +1,226 @@
+"""The sensors: what a reading of each kind expects of the state where it was taken."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from glissando.errors import SensorError
+from glissando.geometry import se3
+from glissando.geometry.se3 import Array
+from glissando.model.sensors.readings import Readings
+from glissando.model.state import DOF, POSE, STRAIN, State
+from glissando.twins import twin
+
+_ANGULAR_VELOCITY = slice(15, 18)
+
+
+def _mounted(readings: Readings, at: State) -> Array:
+    """Pose T_wc (M, 4, 4) of the sensor."""
+    return at.pose @ readings.mount
+
+
+def _to_sensor(readings: Readings) -> Array:
+    """Ad(T_bc⁻¹) (…, 6, 6), which takes body to sensor."""
+    return se3.adjoint(se3.inverse(readings.mount))
+
+
+@twin
+def pose_miss(values: Array, pose: Array, mount: Array, *, rolls: bool = False) -> Array:
+    """log(T_meas⁻¹ T T_bc) (M, 6); if the sensor `rolls`, its roll is first turned to agree.
+
+    The turn about z is all of q_z against q_w of the quaternion, here from the matrix.
+    """
+    apart = se3.inverse(values) @ (pose @ mount)
+    if rolls:
+        turn = np.zeros((*apart.shape[:-2], 6))
+        turn[..., 5] = -np.arctan2(
+            apart[..., 1, 0] - apart[..., 0, 1], apart[..., 0, 0] + apart[..., 1, 1]
+        )
+        apart = se3.exp(turn) @ apart
+    return se3.log(apart)
+
+
+@twin
+def pose_slope(miss: Array, mount: Array, *, rolls: bool = False) -> Array:
+    """Slope of `pose_miss` by the pose, (M, 6, 6); if it `rolls`, (M, 5, 6) less what follows."""
+    full = se3.right_jacobian_inverse(miss) @ se3.adjoint(se3.inverse(mount))
+    if not rolls:
+        return full
+    by_roll = se3.left_jacobian_inverse(miss)[..., :, 5]
+    follow = full[..., 5:, :] / by_roll[..., 5, None, None]
+    return full[..., :5, :] - by_roll[..., :5, None] * follow
+
+
+def _columns(block: Array, where: slice) -> Array:
+    out = np.zeros((*block.shape[:-1], DOF))
+    out[..., where] = block
+    return out
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoseReadings(Readings):
+    """A six-degree-of-freedom tracker: `values` (M, 4, 4) poses T_wc. Source: equation (14)."""
+
+    rows: ClassVar[int] = 6
+    value_shape: ClassVar[tuple[int, ...] | None] = (4, 4)
+    fixes_base: ClassVar[bool] = True
+
+    def residual(self, at: State) -> Array:
+        """log(T_meas⁻¹ T T_bc), [linear, angular] in the sensor's frame."""
+        return pose_miss(self.values, at.pose, self.mount)
+
+    def jacobian(self, at: State) -> Array:
+        """J_r⁻¹(e) Ad(T_bc⁻¹) on the pose."""
+        return _columns(pose_slope(self.residual(at), self.mount), POSE)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CoilReadings(Readings):
+    """A five-degree-of-freedom coil, roll about its z unseen: `values` (M, 4, 4) poses T_wc.
+
+    The reported roll is arbitrary and is turned to agree with the prediction before the roll row
+    is dropped, so that no roll however large leaks into the other rows. Its `cov` (5) should treat
+    the coil's x and y alike. Source: equation (15).
+    """
+
+    rows: ClassVar[int] = 5
+    value_shape: ClassVar[tuple[int, ...] | None] = (4, 4)
+    fixes_base: ClassVar[bool] = True
+
+    def residual(self, at: State) -> Array:
+        """First five components of log(T_rolled⁻¹ T T_bc); the sixth is zero by construction."""
+        return pose_miss(self.values, at.pose, self.mount, rolls=True)[..., :5]
+
+    def jacobian(self, at: State) -> Array:
+        """The pose's Jacobian less the roll that follows it."""
+        miss = pose_miss(self.values, at.pose, self.mount, rolls=True)
+        return _columns(pose_slope(miss, self.mount, rolls=True), POSE)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PositionReadings(Readings):
+    """A point seen in the world: `values` (M, 3) positions in metres. Source: (17)."""
+
+    rows: ClassVar[int] = 3
+    value_shape: ClassVar[tuple[int, ...] | None] = (3,)
+    fixes_base: ClassVar[bool] = True
+
+    def residual(self, at: State) -> Array:
+        """Position of the sensor minus the reading, world frame."""
+        return _mounted(self, at)[..., :3, 3] - self.values
+
+    def jacobian(self, at: State) -> Array:
+        """R_wc times the linear half of Ad(T_bc⁻¹)."""
+        rotation = _mounted(self, at)[..., :3, :3]
+        return _columns(rotation @ _to_sensor(self)[..., :3, :], POSE)
+
+
+@dataclass(frozen=True, kw_only=True)
+class OrientationReadings(Readings):
+    """An orientation in the world: `values` (M, 3, 3) rotations R_wc. Source: (17)."""
+
+    rows: ClassVar[int] = 3
+    value_shape: ClassVar[tuple[int, ...] | None] = (3, 3)
+
+    def residual(self, at: State) -> Array:
+        """log(R_measᵀ R_wc), a rotation vector in radians."""
+        rotation = _mounted(self, at)[..., :3, :3]
+        return se3.so3_log(np.swapaxes(self.values, -1, -2) @ rotation)
+
+    def jacobian(self, at: State) -> Array:
+        """The angular block of J_r⁻¹ times the mount's rotation."""
+        turn = np.zeros((len(self), 6))
+        turn[:, 3:] = self.residual(at)
+        spread = se3.right_jacobian_inverse(turn)[..., 3:, 3:]
+        return _columns(spread @ _to_sensor(self)[..., 3:, :], POSE)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GyroReadings(Readings):
+    """Angular velocity in the sensor's own frame: `values` (M, 3) in rad/s. Source: (17)."""
+
+    rows: ClassVar[int] = 3
+    value_shape: ClassVar[tuple[int, ...] | None] = (3,)
+
+    def residual(self, at: State) -> Array:
+        """R_bcᵀ times the body's angular velocity, minus the reading."""
+        return (
+            np.einsum("...i,...ij->...j", at.velocity[..., 3:], self.mount[..., :3, :3])
+            - self.values
+        )
+
+    def jacobian(self, at: State) -> Array:
+        """R_bcᵀ on the angular velocity."""
+        turn = np.broadcast_to(np.swapaxes(self.mount[..., :3, :3], -1, -2), (len(self), 3, 3))
+        return _columns(turn, _ANGULAR_VELOCITY)
+
+
+@dataclass(frozen=True, kw_only=True)
+class StrainReadings(Readings):
+    """All six strains of the cross-section: `values` (M, 6), [linear, angular]. Source: (17)."""
+
+    rows: ClassVar[int] = 6
+    value_shape: ClassVar[tuple[int, ...] | None] = (6,)
+
+    def residual(self, at: State) -> Array:
+        """Strain minus the reading."""
+        return at.strain - self.values
+
+    def jacobian(self, at: State) -> Array:
+        """Identity on the strain."""
+        return _columns(np.broadcast_to(np.eye(6), (len(self), 6, 6)), STRAIN)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FbgReadings(Readings):
+    """Fibre Bragg grating cores: `values` (M, C) axial strains, dimensionless. Source: (17).
+
+    Core i runs at radius `core_radius[i]` (m) and angle `core_angle[i]` (rad), at
+    c = [a cos θ, a sin θ, 0] in the cross-section; a centre core has radius zero.
+    """
+
+    core_radius: Array
+    core_angle: Array
+
+    @property
+    def row_count(self) -> int:
+        """One row a core."""
+        return int(np.size(self.core_radius))
+
+    @property
+    def expected_shape(self) -> tuple[int, ...]:
+        """One strain a core. Raises SensorError when radii and angles differ in number."""
+        if np.ndim(self.core_radius) != 1 or np.shape(self.core_radius) != np.shape(
+            self.core_angle
+        ):
+            raise SensorError(
+                f"{self.label}: core radii {np.shape(self.core_radius)} and angles "
+                f"{np.shape(self.core_angle)} must be lists of one length; give one of each a core."
+            )
+        return (len(self.core_radius),)
+
+    def _tangents(self, at: State) -> tuple[Array, Array]:
+        """Core tangents ν + u × c (M, C, 3) and places c (C, 3)."""
+        angle = np.asarray(self.core_angle)
+        unit = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=-1)
+        place = np.asarray(self.core_radius)[:, None] * unit
+        return at.strain[..., None, :3] + np.cross(at.strain[..., None, 3:], place), place
+
+    def residual(self, at: State) -> Array:
+        """Core length per length of backbone, minus one, minus the reading."""
+        return np.linalg.norm(self._tangents(at)[0], axis=-1) - 1.0 - self.values
+
+    def jacobian(self, at: State) -> Array:
+        """Unit tangent t on ν, and c × t on u."""
+        tangents, place = self._tangents(at)
+        unit = tangents / np.linalg.norm(tangents, axis=-1, keepdims=True)
+        return _columns(np.concatenate([unit, np.cross(place, unit)], axis=-1), STRAIN)
+
+
+ROWS = {
+    "pose": 6, "coil": 5, "position": 3, "orientation": 3, "gyro": 3, "strain": 6, "fbg": 1
+}  # fmt: skip
+"""Kinds of sensor by the name files use, and how many standard deviations each takes."""

@@ -1,0 +1,86 @@
+"""The state at the nodes: pose, strain and velocity, index order [time, arclength]."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from glissando.geometry import se3
+from glissando.geometry.se3 import Array
+from glissando.model.grid import Grid
+
+DOF = 18
+"""Numbers of a state that a sensor or a user sees, in the order pose, strain, velocity."""
+
+POSE, STRAIN, VELOCITY, STRAIN_RATE = (slice(i, i + 6) for i in (0, 6, 12, 18))
+
+
+@dataclass(frozen=True)
+class State:
+    """Pose T_wb, strain and velocity at points; any leading shape, (K, N) on a grid.
+
+    `pose` (…, 4, 4); `strain` (…, 6) with dT/ds = T strain^ (1/m on the angular half);
+    `velocity` (…, 6) with dT/dt = T velocity^; both in the body frame, [linear, angular].
+    `strain_rate` (…, 6) = ∂strain/∂t at the nodes of a prior that needs it, else None.
+    Source: equation (1).
+    """
+
+    pose: Array
+    strain: Array
+    velocity: Array
+    strain_rate: Array | None = None
+
+    @property
+    def dof(self) -> int:
+        """Degrees of freedom of a point: 18, or 24 with a strain rate."""
+        return DOF if self.strain_rate is None else DOF + 6
+
+    def _others(self) -> list[Array]:
+        """All fields but the pose, in the order of the degrees of freedom."""
+        rate = [] if self.strain_rate is None else [self.strain_rate]
+        return [self.strain, self.velocity, *rate]
+
+    def fields(self) -> list[Array]:
+        """Pose, then all other fields, in the order of the degrees of freedom."""
+        return [self.pose, *self._others()]
+
+    def retract(self, step: Array) -> State:
+        """The state moved by `step` (…, dof): poses on the right, the rest by addition."""
+        pose = self.pose @ se3.exp(step[..., POSE])
+        moved = (f + step[..., 6 + 6 * i : 12 + 6 * i] for i, f in enumerate(self._others()))
+        return State(pose, *moved)
+
+    def difference(self, other: State) -> Array:
+        """The step (…, dof) that takes `other` to this state: self = other.retract(step)."""
+        turn = se3.log(se3.inverse(other.pose) @ self.pose)
+        fields = zip(self._others(), other._others(), strict=True)
+        return np.concatenate([turn, *(mine - its for mine, its in fields)], axis=-1)
+
+    def take(self, index: Any) -> State:
+        """The state at leading indices, as numpy would index an array of points."""
+        return State(self.pose[index], *(f[index] for f in self._others()))
+
+    def reshape(self, *shape: int) -> State:
+        """The state with another leading shape; it shares memory as numpy's reshape does."""
+        fields = (f.reshape(*shape, 6) for f in self._others())
+        return State(self.pose.reshape(*shape, 4, 4), *fields)
+
+    def flatten(self) -> State:
+        """The state as one list of points (M,), sharing memory."""
+        return self.reshape(-1)
+
+
+def rest_state(grid: Grid, base_pose: Array, rest_strain: Array) -> State:
+    """The robot at rest on every node: constant strain from the base, no velocity.
+
+    `base_pose` (4, 4), `rest_strain` (6,). This is where an estimate starts unless told otherwise.
+    """
+    k, n = grid.shape
+    pose = base_pose @ se3.exp(grid.arclength[:, None] * rest_strain)
+    return State(
+        np.broadcast_to(pose, (k, n, 4, 4)).copy(),
+        np.broadcast_to(rest_strain, (k, n, 6)).copy(),
+        np.zeros((k, n, 6)),
+    )

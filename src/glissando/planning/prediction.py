@@ -1,0 +1,211 @@
+"""The time ahead at full size: prior and belief on a grid, linearised at the expected motion.
+
+All of it is the estimator's own: the prior's factors, a reading's Jacobian with the bridge's noise,
+what is known between the nodes. What is foretold for a path is therefore what the estimator will
+say, were the robot to move as expected.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from glissando.geometry.se3 import Array
+from glissando.model.grid import Grid, Index
+from glissando.model.interpolation import sort_points
+from glissando.model.priors.prior import Prior
+from glissando.model.sensors.parameters import Unknowns
+from glissando.model.sensors.readings import Readings
+from glissando.model.state import State
+from glissando.planning.sliding_sensor import SlidingSensor
+from glissando.solver.block_tridiagonal import BlockTridiagonal, Marginals, factor
+from glissando.solver.measurement_factors import PlacedReadings, states_at
+from glissando.solver.normal_equations import NeighbourSums, slab_shape
+from glissando.twins import estimating
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Linear functions (M, r) of the state, each of the corners of one cell.
+
+    `cell` (M,) is the time step and `lower` (M,) the arclength node below; the columns of
+    `jacobian` (M, r, q) are those of `Ahead.corners(lower)`.
+    """
+
+    cell: Index
+    lower: Index
+    jacobian: Array
+
+
+@dataclass(frozen=True)
+class Ahead:
+    """What is known of the time ahead: information `system` and its inverse's `marginals`.
+
+    On `grid`, of two time nodes or more, and linearised at `mean`, which is `still` if it is the
+    same at all times.
+    """
+
+    prior: Prior
+    grid: Grid
+    mean: State
+    unknowns: Unknowns
+    system: BlockTridiagonal
+    marginals: Marginals
+
+    @cached_property
+    def still(self) -> bool:
+        """Whether the robot is expected to hold its shape."""
+        return all(bool(np.all(field == field[:1])) for field in self.mean.fields())
+
+    @property
+    def size(self) -> int:
+        """Numbers of a time node: those of its arclength nodes, then the unknowns'."""
+        return self.grid.shape[1] * self.mean.dof + self.unknowns.size
+
+    def corners(self, lower: int) -> Index:
+        """Columns (q,) of two neighbouring time nodes that cells above `lower` touch."""
+        dof, n_count = self.mean.dof, self.grid.shape[1]
+        nodes = np.arange(lower, min(lower + 2, n_count))
+        own = (nodes[:, None] * dof + np.arange(dof)).ravel()
+        own = np.append(own, np.arange(n_count * dof, self.size))
+        return np.append(own, own + self.size)
+
+    def seen(self, sensor: SlidingSensor, arclength: Array, time: Array) -> Rows:
+        """Whitened rows of readings at places and times (M,), one coil of the sensor each."""
+        placed = self._placed(sensor, arclength, time)
+        rows = self._room(arclength.size, placed.streams[0][1].row_count)
+        for block in range(len(placed.blocks)):
+            batches = placed.factors(self.prior, self.mean, self.mean, block)
+            for (_, at), batch in zip(placed.rows(block), batches, strict=True):
+                whitened = batch.whitened(robust=False)[1]
+                count, d = batch.nodes.shape[1], batch.jacobian.shape[-1]
+                jacobian = np.zeros((*whitened.shape[:2], count, self.mean.dof))
+                jacobian[..., batch.dofs] = whitened[..., : count * d].reshape(
+                    *whitened.shape[:2], count, d
+                )
+                self._fill(rows, at, batch.nodes, jacobian, whitened[..., count * d :])
+        return rows
+
+    def points(self, arclength: Array, time: Array) -> tuple[Rows, Array]:
+        """Rows (M, 6) of poses at points of the grid, and what nodes leave open (M, 6, 6)."""
+        rows, left = self._room(arclength.size, 6), np.empty((arclength.size, 6, 6))
+        for points in sort_points(self.grid, arclength, time):
+            at = self.prior.interpolate(self.grid, self.mean, self.mean, points)
+            self._fill(rows, points.rows, at.nodes, at.jacobian[:, :6], None)
+            left[points.rows] = at.cov[:, :6, :6]
+        return rows, left
+
+    def _placed(self, sensor: SlidingSensor, arclength: Array, time: Array) -> PlacedReadings:
+        place, when, same = arclength, time, np.arange(time.size)
+        if self.still and time.size:
+            place, same = np.unique(arclength, return_inverse=True)
+            when = np.full(place.size, time[0])
+        pose = states_at(self.prior, self.grid, self.mean, place, when).pose[same]
+        readings: list[Readings] = [sensor.readings(pose, arclength, time)]
+        return PlacedReadings(self.grid, readings, self.unknowns.each, keep_all=True)
+
+    def _room(self, count: int, rows: int) -> Rows:
+        cell, lower = np.empty((2, count), dtype=np.intp)
+        return Rows(cell, lower, np.zeros((count, rows, self.corners(0).size)))
+
+    def _fill(
+        self, rows: Rows, at: Index, nodes: Index, jacobian: Array, extras: Array | None
+    ) -> None:
+        """Put Jacobians (M, r, c, dof) of nodes (M, c) where the cells' corners have them."""
+        (k_count, n_count), dof, e = self.grid.shape, self.mean.dof, self.unknowns.size
+        slab, inner = np.divmod(nodes, n_count)
+        rows.cell[at] = np.minimum(slab[:, 0], k_count - 2)
+        rows.lower[at] = np.minimum(inner[:, 0], max(n_count - 2, 0))
+        half = rows.jacobian.shape[-1] // 2
+        first = (slab - rows.cell[at, None]) * half + (inner - rows.lower[at, None]) * dof
+        for corner in range(nodes.shape[1]):
+            columns = first[:, corner, None] + np.arange(dof)
+            for row in range(jacobian.shape[1]):
+                rows.jacobian[at[:, None], row, columns] = jacobian[:, row, corner]
+        if extras is not None and e:
+            own = np.append(np.arange(half - e, half), np.arange(2 * half - e, 2 * half))
+            rows.jacobian[at[:, None], :, own] = np.swapaxes(extras, -1, -2)
+
+    def pairs(self, rows: Rows) -> Array:
+        """Covariance (M, q, q) of the corners that rows touch."""
+        out = np.empty((rows.cell.size, *2 * rows.jacobian.shape[-1:]))
+        cov, cross = self.marginals.cov, self.marginals.cross
+        half = out.shape[1] // 2
+        early, late = slice(0, half), slice(half, None)
+        for lower in np.unique(rows.lower):
+            at = np.flatnonzero(rows.lower == lower)
+            own = self.corners(int(lower))[:half]
+            first, then = (_square(rows.cell[at] + i, own) for i in (0, 1))
+            out[at, early, early], out[at, late, late] = cov[first], cov[then]
+            out[at, early, late] = cross[first]
+            out[at, late, early] = np.swapaxes(out[at, early, late], -1, -2)
+        return out
+
+    def cov_pose(self, arclength: Array, time: Array) -> Array:
+        """Covariance (M, 6, 6) of the pose at points, in the body frame."""
+        rows, left = self.points(arclength, time)
+        return rows.jacobian @ self.pairs(rows) @ np.swapaxes(rows.jacobian, -1, -2) + left
+
+    def after(self, sensor: SlidingSensor, arclength: Array, time: Array) -> Ahead:
+        """What will be known after readings at these places and times (M,) of the first coil."""
+        sums = NeighbourSums(self.grid, self.mean.dof, self.unknowns.size)
+        place = np.add.outer(-sensor.behind, arclength).ravel()
+        placed = self._placed(sensor, place, np.tile(time, sensor.coils))
+        for block in range(len(placed.blocks)):
+            for batch in placed.factors(self.prior, self.mean, self.mean, block):
+                sums.add(batch)
+        told = _slabs(sums, self.grid, self.mean, self.unknowns)
+        system = BlockTridiagonal(
+            self.system.diagonal + told.diagonal, self.system.lower + told.lower
+        )
+        with estimating():
+            return replace(self, system=system, marginals=factor(system).marginals(consume=True))
+
+
+def _square(k: Index, own: Index) -> tuple[Any, ...]:
+    """What picks (M, q, q) of blocks (K, D, D): a stretch, where it is one, is copied faster."""
+    if own[-1] - own[0] == own.size - 1:
+        return k, *2 * (slice(own[0], own[-1] + 1),)
+    return np.ix_(k, own, own)
+
+
+def look_ahead(
+    prior: Prior, grid: Grid, mean: State, unknowns: Unknowns, belief: Array | None
+) -> Ahead:
+    """The time ahead before any reading of it.
+
+    `belief` (D, D) is information of the first time node, from what lies before. Raises
+    UnobservableError when prior and belief leave a direction undetermined.
+    """
+    with estimating():
+        system = prior_information(prior, grid, mean, unknowns)
+        if belief is not None:
+            system.diagonal[0] += belief
+        marginals = factor(system).marginals(consume=True)
+    return Ahead(prior, grid, mean, unknowns, system, marginals)
+
+
+def prior_information(
+    prior: Prior, grid: Grid, mean: State, unknowns: Unknowns
+) -> BlockTridiagonal:
+    """Information of a prior, and of what is expected of unknowns, on a grid.
+
+    If the grid goes on from another, it is what comes on top.
+    """
+    sums = NeighbourSums(grid, mean.dof, unknowns.size)
+    for times in PlacedReadings(grid, []).blocks:
+        for batch in prior.factors(grid, mean, mean, times):
+            sums.add(batch)
+    if unknowns.size:
+        decay, spread = unknowns.chain()
+        if grid.before is not None:
+            spread[0] = np.inf
+        sums.add_chain(decay, spread, np.zeros_like(spread))
+    return _slabs(sums, grid, mean, unknowns)
+
+
+def _slabs(sums: NeighbourSums, grid: Grid, mean: State, unknowns: Unknowns) -> BlockTridiagonal:
+    return sums.slabs(np.empty(slab_shape(grid, mean.dof, unknowns.size)))

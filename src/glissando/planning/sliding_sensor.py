@@ -1,0 +1,87 @@
+"""The sensor that slides: what kind of reading, how noisy, how often, and how many at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from glissando.errors import GlissandoError, RobotFileError
+from glissando.geometry.se3 import Array
+from glissando.io.robot_file import Robot
+from glissando.model.sensors.readings import Readings
+from glissando.model.sensors.sensors import CoilReadings, PoseReadings, PositionReadings
+
+_KINDS: dict[str, type[Readings]] = {
+    "coil": CoilReadings,
+    "pose": PoseReadings,
+    "position": PositionReadings,
+}
+
+
+@dataclass(frozen=True)
+class SlidingSensor:
+    """What rides on the slide: `coils` of one kind, `rate` readings a second each.
+
+    `kind` is coil, pose or position, `cov` what `Readings` take; the coils follow each other at
+    `spacing` metres, the first at the arclength that the slide's path names. `name` is that of
+    its stream, by which unknowns of sensors are found. Raises GlissandoError for what cannot be.
+    """
+
+    cov: Array
+    rate: float = 40.0
+    kind: str = "coil"
+    coils: int = 1
+    spacing: float = 0.0
+    name: str = "coil"
+    mount: Array = field(default_factory=lambda: np.eye(4))
+    arclength_std: float = 0.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "cov", np.asarray(self.cov, dtype=float))
+        if self.kind not in _KINDS:
+            raise GlissandoError(
+                f"A {self.kind!r} cannot slide; choose one of {', '.join(_KINDS)}."
+            )
+        if not (np.isfinite(self.rate) and self.rate > 0.0):
+            raise GlissandoError(
+                f"A sensor at {self.rate:g} Hz reads nothing; give a rate above 0."
+            )
+        if self.coils < 1 or self.spacing < 0.0 or (self.coils > 1 and self.spacing == 0.0):
+            raise GlissandoError(
+                f"{self.coils} coils at {self.spacing:g} m cannot be; give 1 or more, apart."
+            )
+
+    @property
+    def behind(self) -> Array:
+        """How far each coil (C,) is behind the first, towards the base, metres."""
+        return np.asarray(self.spacing * np.arange(self.coils))
+
+    def readings(self, pose: Array, arclength: Array, time: Array) -> Readings:
+        """Readings (M,) that agree exactly with poses (M, 4, 4) of the body."""
+        seen = pose @ self.mount
+        given: dict[str, Any] = {
+            "values": seen[:, :3, 3] if self.kind == "position" else seen,
+            "cov": self.cov,
+            "mount": self.mount,
+            "name": self.name,
+            "arclength_std": self.arclength_std,
+        }
+        return _KINDS[self.kind](arclength=arclength, time=time, **given)
+
+
+def sliding_sensor(robot: Robot, kind: str = "coil", **given: Any) -> SlidingSensor:
+    """The sensor of that kind as a robot file states its noise; `given` says the rest.
+
+    Raises RobotFileError when the robot file has no such sensor.
+
+    >>> from glissando import load_robot
+    >>> sliding_sensor(load_robot("sliding700"), rate=20.0).rate
+    20.0
+    """
+    if kind not in robot.sensor_std:
+        raise RobotFileError(
+            f"Robot {robot.name} states no noise of a {kind}; add [sensors.{kind}] with a std."
+        )
+    return SlidingSensor(robot.sensor_std[kind] ** 2, kind=kind, **given)

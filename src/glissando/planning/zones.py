@@ -1,0 +1,153 @@
+"""Zones: where along the body and when confidence is wanted, fixed or moving, several, weighted."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from glissando.errors import GlissandoError
+from glissando.geometry.se3 import Array
+
+_PLACES = 5  # points of a zone across its arclengths
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_TEXT = re.compile(
+    rf"({_NUMBER}):({_NUMBER})(?:\.\.({_NUMBER}):({_NUMBER}))?"
+    rf"(?:@({_NUMBER}):({_NUMBER}))?(?:\*({_NUMBER}))?"
+)
+
+Interval = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Moving:
+    """Both ends of a zone that moves evenly from one interval to another, in an interval of time.
+
+    >>> Moving((0.0, 10.0), (0.1, 0.2), (0.5, 0.6))(np.array([5.0]))
+    (array([0.3]), array([0.4]))
+    """
+
+    time: Interval
+    first: Interval
+    last: Interval
+
+    def __call__(self, time: Array) -> tuple[Array, Array]:
+        """Lower and upper end (K,) at times (K,)."""
+        low, high = (np.interp(time, self.time, e) for e in zip(self.first, self.last, strict=True))
+        return low, high
+
+
+@dataclass(frozen=True)
+class Zone:
+    """Arclengths (m) from `arclength[0]` to `arclength[1]` during `time` (s), with a `weight`.
+
+    A zone that moves gives `arclength` as a function of times (K,) that returns both ends (K,), for
+    instance `Moving`. No `time` means always. Raises GlissandoError for intervals that are empty.
+
+    >>> Zone((0.6, 0.7)).points(np.array([3.0]))[0]
+    array([0.61, 0.63, 0.65, 0.67, 0.69])
+    """
+
+    arclength: Interval | Callable[[Array], tuple[Array, Array]]
+    time: Interval | None = None
+    weight: float = 1.0
+
+    def __post_init__(self) -> None:
+        intervals = [self.time] + ([] if callable(self.arclength) else [self.arclength])
+        for interval in (i for i in intervals if i is not None):
+            if not (np.all(np.isfinite(interval)) and interval[0] <= interval[1]):
+                raise GlissandoError(
+                    f"A zone from {interval[0]:g} to {interval[1]:g} is empty; give the lower end "
+                    f"first."
+                )
+        if not (np.isfinite(self.weight) and self.weight > 0.0):
+            raise GlissandoError(f"A zone of weight {self.weight:g} cannot be; give one above 0.")
+
+    def ends(self, time: Array) -> tuple[Array, Array]:
+        """Both ends (K,) at times (K,)."""
+        ends = self.arclength(time) if callable(self.arclength) else self.arclength
+        low, high = (np.broadcast_to(np.asarray(end, dtype=float), time.shape) for end in ends)
+        return low, high
+
+    def middle(self, time: Array) -> Array:
+        """Where the zone's middle is (K,), also at times when it does not count."""
+        low, high = self.ends(time)
+        return 0.5 * (low + high)
+
+    def during(self, first: float, last: float) -> Interval | None:
+        """The part of its time that lies between two times, if any."""
+        if self.time is None:
+            return first, last
+        begin, end = max(self.time[0], first), min(self.time[1], last)
+        return (begin, end) if begin <= end else None
+
+    def points(self, time: Array) -> tuple[Array, Array]:
+        """Arclengths and times (M,) of points that stand for the zone at times (K,)."""
+        low, high = self.ends(time)
+        count = _PLACES if np.any(high > low) else 1
+        share = (np.arange(count) + 0.5) / count
+        return (low[:, None] + share * (high - low)[:, None]).ravel(), np.repeat(time, count)
+
+
+def zone_points(
+    zones: Sequence[Zone], time: Array, span: Interval, length: float
+) -> tuple[Array, Array, Array]:
+    """Arclengths, times and weights (M,) of all zones' points, at those of times (K,) they last.
+
+    A zone's weight is shared by its points; all add up to one. Raises GlissandoError when there is
+    no zone, or one leaves the body of that `length` or the time ahead, `span`.
+    """
+    if not zones:
+        raise GlissandoError(
+            f"No zone counts between {span[0]:g} and {span[1]:g} s; give one that does."
+        )
+    found = []
+    for zone in zones:
+        during = zone.during(*span)
+        if during is None:
+            assert zone.time is not None
+            raise GlissandoError(
+                f"A zone lasts from {zone.time[0]:g} to {zone.time[1]:g} s, the time ahead from "
+                f"{span[0]:g} to {span[1]:g} s. Plan farther ahead, or give another time."
+            )
+        inside = time[(time >= during[0]) & (time <= during[1])]
+        place, at = zone.points(inside if inside.size else np.array([0.5 * sum(during)]))
+        found.append((place, at, np.full(at.size, zone.weight / at.size)))
+    place, at, weight = (np.concatenate(part) for part in zip(*found, strict=True))
+    if place.min() < -1e-9 or place.max() > length + 1e-9:
+        raise GlissandoError(
+            f"A zone reaches from {place.min():g} to {place.max():g} m; the body from 0 to "
+            f"{length:g} m. Give arclengths on it."
+        )
+    return np.clip(place, 0.0, length), at, weight / weight.sum()
+
+
+def read_zone(text: str) -> Zone:
+    """A zone from S0:S1, S0:S1@T0:T1, with ..S2:S3 for where it moves to and *W for its weight.
+
+    Raises GlissandoError for anything else.
+
+    >>> read_zone("0.1:0.2..0.5:0.6@0:10").middle(np.array([5.0]))
+    array([0.35])
+    """
+    match = _TEXT.fullmatch(text.strip())
+    if match is None:
+        raise GlissandoError(
+            f"Zone {text!r} is not understood; give S0:S1, S0:S1@T0:T1 or, if it moves, "
+            f"S0:S1..S2:S3@T0:T1, in metres and seconds, with *WEIGHT if it has one."
+        )
+    low, high, low2, high2, start, stop, weight = (
+        None if part is None else float(part) for part in match.groups()
+    )
+    assert low is not None
+    assert high is not None
+    time = None if start is None or stop is None else (start, stop)
+    given = 1.0 if weight is None else weight
+    if low2 is None or high2 is None:
+        return Zone((low, high), time, given)
+    if time is None or time[1] <= time[0]:
+        raise GlissandoError(f"Zone {text!r} moves, so it needs times: add @T0:T1.")
+    Zone((low, high)), Zone((low2, high2), time)  # their ends are in order
+    return Zone(Moving(time, (low, high), (low2, high2)), time, given)

@@ -1,0 +1,125 @@
+"""What is not as it should be, of robot and sensors, and smooth random fields to draw it from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
+
+import numpy as np
+
+from glissando.errors import SimulationError
+from glissando.geometry.se3 import Array
+
+_LENGTHS = ("bias_length", "field_size", "set_length")  # which cannot be zero
+_MOST = 1e6
+_WAVES = 64  # plane waves a random field is made of
+ROLLS = ("arbitrary", "minimal", "true")
+
+
+@dataclass(frozen=True)
+class Imperfections:
+    """Everything that keeps robot and sensors from what they should be; zero switches a part off.
+
+    Lengths in m, angles in rad, both RMS over all directions they have, or at most where said so.
+    `jitter`, `jitter_angle` white noise of the coil; `bias`, `bias_angle` errors that vary over
+    `bias_length` in space; all four grow by 1 + (d / `field_size`)² with the distance d from
+    `field_centre` (3,), given in the world. `registration`, `registration_angle` one error a
+    session between tracker and world, about the field's centre. `play` the radial clearance of the
+    inner tube, which touches the wall somewhere. `backlash` between motor and coil; `encoder` noise
+    of the motor's place. `dropouts` a second, each as long as a uniform draw from
+    `dropout_duration` (2,) s. `roll` that the tracker reports: 'arbitrary' (one a session),
+    'minimal' (the smallest rotation in the tracker's frame) or 'true'. `mocap`, `mocap_angle` white
+    noise of motion capture. `set_curvature` rad/m that the tubes keep when unloaded, about each
+    axis, smooth over `set_length` along the body.
+    """
+
+    jitter: float = 1.2e-4
+    jitter_angle: float = 1e-3
+    bias: float = 7.5e-4
+    bias_angle: float = 7e-3
+    bias_length: float = 0.1
+    field_centre: Array = field(default_factory=lambda: np.zeros(3))
+    field_size: float = 1.0
+    registration: float = 1e-3
+    registration_angle: float = 5e-3
+    play: float = 3e-4
+    backlash: float = 2e-4
+    encoder: float = 1e-5
+    dropouts: float = 0.05
+    dropout_duration: Array = field(default_factory=lambda: np.array([0.14, 0.34]))
+    roll: str = "arbitrary"
+    mocap: float = 1.5e-4
+    mocap_angle: float = 1.5e-3
+    set_curvature: float = 0.3
+    set_length: float = 0.15
+
+    def __post_init__(self) -> None:
+        for entry in fields(self):
+            value = getattr(self, entry.name)
+            if entry.type != "float":
+                continue
+            least = 1e-6 if entry.name in _LENGTHS else 0.0
+            if not (isinstance(value, (int, float, np.number)) and least <= value <= _MOST):
+                raise SimulationError(
+                    f"{entry.name} is {value}; give a number from {least:g} to {_MOST:g}, SI units."
+                )
+        low, high = self.dropout_duration
+        if not 0.0 <= low <= high:
+            raise SimulationError(
+                f"dropout_duration is {low:g} to {high:g} s; give the shortest and the longest."
+            )
+        if self.roll not in ROLLS:
+            raise SimulationError(f"roll is {self.roll!r}; give one of {', '.join(ROLLS)}.")
+
+    def without(self, *names: str) -> Imperfections:
+        """The same with the named parts off; 'all' switches every one off, motion capture's too.
+
+        An error and its angle go together. Raises SimulationError for a name that is not a part.
+        """
+        for name in names:
+            if name not in (*PARTS, "all"):
+                raise SimulationError(f"{name!r} is no imperfection; name some of {_LISTED}.")
+        parts = [*PARTS] if "all" in names else names
+        off: dict[str, Any] = {key: 0.0 for name in parts for key in PARTS[name] if key != "roll"}
+        return replace(self, **off, roll="true" if "roll" in parts else self.roll)
+
+
+PARTS = {
+    "jitter": ("jitter", "jitter_angle"),
+    "bias": ("bias", "bias_angle"),
+    "registration": ("registration", "registration_angle"),
+    "play": ("play",),
+    "backlash": ("backlash",),
+    "encoder": ("encoder",),
+    "dropouts": ("dropouts",),
+    "roll": ("roll",),
+    "mocap": ("mocap", "mocap_angle"),
+    "set": ("set_curvature",),
+}
+"""What `Imperfections.without` can switch off, and the fields that are then zero."""
+_LISTED = ", ".join((*PARTS, "all"))
+
+
+@dataclass(frozen=True)
+class SmoothField:
+    """A random function of place, unit variance a component, smooth over `length` metres.
+
+    A sum of plane waves with random directions: a Gaussian random field with a squared exponential
+    covariance, as their number grows.
+    """
+
+    waves: Array
+    phase: Array
+
+    @staticmethod
+    def draw(
+        rng: np.random.Generator, dimensions: int, components: int, length: float
+    ) -> SmoothField:
+        """A field over `dimensions` with `components` that are independent of each other."""
+        waves = rng.standard_normal((components, _WAVES, dimensions)) / max(length, 1e-9)
+        return SmoothField(waves, rng.uniform(0.0, 2.0 * np.pi, (components, _WAVES)))
+
+    def __call__(self, place: Array) -> Array:
+        """Values (M, C) at places (M, D)."""
+        argument = np.einsum("cwd,md->mcw", self.waves, place) + self.phase
+        return np.sqrt(2.0 / _WAVES) * np.sum(np.cos(argument), axis=-1)

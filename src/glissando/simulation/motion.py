@@ -1,0 +1,97 @@
+"""A robot in slow motion: one static shape after another, continuous in time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.interpolate import CubicSpline
+
+from glissando.geometry.se3 import Array
+from glissando.simulation.mesh import Mesh
+from glissando.simulation.rod import Loads, Rod, Tendon
+from glissando.simulation.shape import Section, Shape, require_on
+from glissando.simulation.statics import resample, solve_shape
+
+_CHUNK = 500  # queries at a time, to bound memory
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Shapes at times `time` (K,) s with a cubic spline of their strains (K, G, 6) between.
+
+    At `rests` (B,), some of these times, the robot is at rest; each stretch between two of them has
+    a spline of its own. Before the first time and after the last the robot holds still.
+    """
+
+    rod: Rod
+    mesh: Mesh
+    time: Array
+    strain: Array
+    rests: Array
+
+    def at(self, arclength: ArrayLike, time: ArrayLike) -> Section:
+        """Cross-sections at arclengths (m) and times (s), which broadcast together.
+
+        Raises SimulationError off the rod.
+        """
+        s, t = np.broadcast_arrays(
+            np.asarray(arclength, dtype=float), np.asarray(time, dtype=float)
+        )
+        require_on(self.rod, s)
+        shape, s, t = s.shape, s.ravel(), np.clip(t.ravel(), self.time[0], self.time[-1])
+        pose, strain = np.empty((s.size, 4, 4)), np.empty((s.size, 6))
+        for first in range(0, s.size, _CHUNK):
+            rows = slice(first, first + _CHUNK)
+            instants, which = np.unique(t[rows], return_inverse=True)
+            strains = self._strain(instants)
+            edges = self.mesh.roll_out(strains, self.rod.base)[1][which]
+            pose[rows] = self.mesh.pose_at(strains[which], edges, s[rows])
+            strain[rows] = self.mesh.interpolate(strains[which], s[rows])
+        wrench = self.rod.stiffness * (strain - self.rod.rest(s))
+        return Section(
+            pose.reshape(*shape, 4, 4), strain.reshape(*shape, 6), wrench.reshape(*shape, 6)
+        )
+
+    def _strain(self, time: Array) -> Array:
+        if self.time.size == 1:
+            return np.broadcast_to(self.strain, (time.size, *self.strain.shape[1:]))
+        out = np.empty((time.size, *self.strain.shape[1:]))
+        for start, stop in pairwise(np.searchsorted(self.time, self.rests)):
+            inside = (time >= self.time[start]) & (time <= self.time[stop])
+            knots = slice(start, stop + 1)
+            spline = CubicSpline(self.time[knots], self.strain[knots], bc_type="clamped")
+            out[inside] = spline(time[inside])
+        return out
+
+
+def solve_motion(
+    rod: Rod,
+    tendons: Sequence[Tendon],
+    loads_at: Callable[[float], Loads],
+    time: ArrayLike,
+    rests: ArrayLike,
+) -> Motion:
+    """The shapes under loads that change slowly, at times (K,) in seconds, each from the last.
+
+    At `rests` (B,), the first and the last of the times among them, the loads come to rest.
+    Raises SimulationError for impossible loads, NoShapeError where the rod buckles.
+    """
+    times = np.atleast_1d(np.asarray(time, dtype=float))
+    shapes: list[Shape] = []
+    for t in times:
+        start = shapes[-1] if shapes else None
+        shapes.append(solve_shape(rod, tendons, loads_at(float(t)), start=start))
+    finest = max((shape.mesh for shape in shapes), key=lambda mesh: mesh.points.size)
+    strain = np.array(
+        [
+            s.strain
+            if s.mesh.points.size == finest.points.size
+            else resample(s.mesh, s.strain, finest)
+            for s in shapes
+        ]
+    )
+    return Motion(rod, finest, times, strain, np.atleast_1d(np.asarray(rests, dtype=float)))

@@ -1,0 +1,213 @@
+"""What a robot is made of and what pulls on it: rod, tendons, loads."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from glissando.errors import SimulationError
+from glissando.geometry.se3 import Array
+
+Field = Callable[[Array], Array]
+"""A function of arclength (M,) in metres; its values have a row for each."""
+
+
+STRAIGHT = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+"""Strain of a straight rod at its own length."""
+
+
+class NoShapeError(Exception):
+    """The physics has no stable static shape under these loads that continues the unloaded one."""
+
+
+def _require_finite(name: str, value: Array, shape: tuple[int, ...]) -> None:
+    if value.shape != shape or not np.all(np.isfinite(value)):
+        raise SimulationError(
+            f"{name} is {value.tolist()}; give an array {shape} of finite numbers."
+        )
+
+
+@dataclass(frozen=True)
+class Rod:
+    """A linear-elastic Cosserat rod.
+
+    `length` m; `stiffness` (6,) of [shear x, shear y, extension] in N and [bending x, bending y,
+    twist] in N m²; `rest_strain` (6,), or a function of arclength (M,) → (M, 6) for initial
+    curvature; `mass_per_length` kg/m; `base` (4, 4) is T_wb at s = 0. Source: Rucker and Webster
+    2011, equations (1) to (9).
+    """
+
+    length: float
+    stiffness: Array
+    rest_strain: Array | Field = field(default_factory=STRAIGHT.copy)
+    mass_per_length: float = 0.0
+    base: Array = field(default_factory=lambda: np.eye(4))
+
+    def __post_init__(self) -> None:
+        for name, shape in (("stiffness", (6,)), ("base", (4, 4))):
+            object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=float))
+            _require_finite(name, getattr(self, name), shape)
+        if not (np.isfinite(self.length) and self.length > 0.0):
+            raise SimulationError(f"A rod of length {self.length:g} m cannot be; give metres > 0.")
+        if not np.all(self.stiffness > 0.0):
+            raise SimulationError(
+                f"A rod's stiffness is {self.stiffness.tolist()}; give six numbers above zero: "
+                f"shear, shear, extension (N), bending, bending, twist (N m²)."
+            )
+        if not (np.isfinite(self.mass_per_length) and self.mass_per_length >= 0.0):
+            raise SimulationError(
+                f"A rod of {self.mass_per_length:g} kg/m cannot be; give zero or more."
+            )
+        _require_finite("rest_strain", self.rest(np.zeros(1)), (1, 6))
+
+    def rest(self, arclength: Array) -> Array:
+        """Strain (M, 6) of the unloaded rod at arclengths (M,)."""
+        if callable(self.rest_strain):
+            return np.asarray(self.rest_strain(arclength), dtype=float)
+        strain = np.asarray(self.rest_strain, dtype=float)
+        _require_finite("rest_strain", strain, (6,))
+        return np.broadcast_to(strain, (arclength.size, 6))
+
+    @staticmethod
+    def of_tubes(
+        length: float,
+        diameters: Sequence[tuple[float, float]],
+        *,
+        young: float,
+        poisson: float,
+        density: float = 0.0,
+        rest_strain: Array | Field = STRAIGHT,
+        base: Array | None = None,
+    ) -> Rod:
+        """Concentric tubes of one material that bend together; (outer, inner) diameters in m.
+
+        `young` Pa, `density` kg/m³. Raises SimulationError for an inner diameter that is not
+        smaller than its outer one.
+
+        >>> Rod.of_tubes(0.7, [(2e-3, 1.8e-3)], young=60e9, poisson=0.33).stiffness[3].round(4)
+        np.float64(0.0162)
+        """
+        if not -1.0 < poisson <= 0.5:
+            raise SimulationError(f"A Poisson's ratio of {poisson:g} cannot be; give −1 to 0.5.")
+        area = inertia = 0.0
+        for outer, inner in diameters:
+            if not 0.0 <= inner < outer:
+                raise SimulationError(
+                    f"A tube of outer diameter {outer:g} m and inner {inner:g} m cannot be; give "
+                    f"outer > inner ≥ 0."
+                )
+            area += np.pi / 4.0 * (outer**2 - inner**2)
+            inertia += np.pi / 64.0 * (outer**4 - inner**4)
+        shear = young / (2.0 * (1.0 + poisson))
+        stiffness = [shear * area, shear * area, young * area]
+        stiffness += [young * inertia, young * inertia, 2.0 * shear * inertia]
+        return Rod(
+            length,
+            np.array(stiffness),
+            rest_strain,
+            density * area,
+            np.eye(4) if base is None else base,
+        )
+
+
+@dataclass(frozen=True)
+class Tendon:
+    """A tendon through holes in the disks, from the base to `end` (m), where it is tied.
+
+    `offset` is where it runs in the cross-section: two numbers in m, or a function of arclength
+    (M,) → (M, 2) for any other routing. With a coefficient of `friction` μ its tension falls from
+    the base by exp(−μ Θ), Θ the angle the backbone has bent it by, as when it is being pulled
+    (Capstan; Kato et al. 2015).
+    """
+
+    offset: Array | Field
+    end: float
+    friction: float = 0.0
+
+    def path(self, arclength: Array) -> tuple[Array, Array]:
+        """Places r (M, 3) in the cross-section and their slopes dr/ds (M, 3)."""
+        place, slope = np.zeros((arclength.size, 3)), np.zeros((arclength.size, 3))
+        if not callable(self.offset):
+            offset = np.asarray(self.offset, dtype=float)
+            _require_finite("A tendon's offset", offset, (2,))
+            place[:, :2] = offset
+            return place, slope
+        step = 1e-4 * self.end  # a five-point difference: exact to 1e-12 for smooth routings
+        at = np.clip(arclength, 2.0 * step, self.end - 2.0 * step)
+        place[:, :2] = self.offset(np.minimum(arclength, self.end))
+        near = np.asarray(self.offset(at + step)) - self.offset(at - step)
+        far = np.asarray(self.offset(at + 2 * step)) - self.offset(at - 2 * step)
+        slope[:, :2] = (8.0 * near - far) / (12.0 * step)
+        return place, slope
+
+    @staticmethod
+    def helical(
+        radius: float, angle: float, pitch: float, end: float, friction: float = 0.0
+    ) -> Tendon:
+        """A tendon that winds round the backbone, once every `pitch` metres, from `angle` (rad)."""
+
+        def offset(arclength: Array) -> Array:
+            turn = angle + 2.0 * np.pi * arclength / pitch
+            return radius * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+
+        return Tendon(offset, end, friction)
+
+
+@dataclass(frozen=True)
+class Wrench:
+    """A dead load at `arclength` (m): `force` (3,) N and `moment` (3,) N m in the world frame."""
+
+    arclength: float
+    force: ArrayLike = (0.0, 0.0, 0.0)
+    moment: ArrayLike = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Loads:
+    """All that acts on a rod from outside: tendon `tensions` (N), `gravity` (m/s²), `wrenches`."""
+
+    tensions: ArrayLike = ()
+    gravity: ArrayLike = (0.0, 0.0, 0.0)
+    wrenches: Sequence[Wrench] = ()
+
+    def scaled(self, share: float) -> Loads:
+        """A share of these loads."""
+        wrenches = [
+            Wrench(w.arclength, share * np.asarray(w.force), share * np.asarray(w.moment))
+            for w in self.wrenches
+        ]
+        return Loads(share * np.asarray(self.tensions), share * np.asarray(self.gravity), wrenches)
+
+
+def require_possible(rod: Rod, tendons: Sequence[Tendon], loads: Loads) -> None:
+    """Raise SimulationError unless tendons and loads are on the rod and tensions can be."""
+    tensions = np.atleast_1d(np.asarray(loads.tensions, dtype=float))
+    if tensions.shape != (len(tendons),):
+        raise SimulationError(
+            f"{tensions.size} tensions for {len(tendons)} tendons; give one a tendon, in newtons."
+        )
+    if not np.all(np.isfinite(tensions)) or np.any(tensions < 0.0):
+        raise SimulationError(
+            f"Tensions {tensions.tolist()} N cannot be: a tendon only pulls; give numbers ≥ 0."
+        )
+    for tendon in tendons:
+        if not (np.isfinite(tendon.friction) and tendon.friction >= 0.0):
+            raise SimulationError(
+                f"A tendon's friction of {tendon.friction:g} cannot be; give a coefficient ≥ 0."
+            )
+        if not 0.0 < tendon.end <= rod.length + 1e-12:
+            raise SimulationError(
+                f"A tendon ends at {tendon.end:g} m, off a rod of {rod.length:g} m; end it on it."
+            )
+    for wrench in loads.wrenches:
+        if not 0.0 <= wrench.arclength <= rod.length + 1e-12:
+            raise SimulationError(
+                f"A load acts at {wrench.arclength:g} m, off a rod of {rod.length:g} m; move it."
+            )
+    given = [loads.gravity, *(v for w in loads.wrenches for v in (w.force, w.moment))]
+    for vector in given:
+        if np.shape(vector) != (3,) or not np.all(np.isfinite(np.asarray(vector, dtype=float))):
+            raise SimulationError(f"A load is {vector}; give three finite numbers x, y, z.")

@@ -1,0 +1,121 @@
+"""A simulated session: the streams its sensors record, and the recording folder they make."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from glissando.errors import SimulationError
+from glissando.geometry.se3 import Array
+from glissando.io import recording_toml
+from glissando.io.atomic_folder import new_folder
+from glissando.io.csv_stream import Rows, write_named
+from glissando.model.slide_path import SlidePath
+from glissando.simulation.bench import Bench
+from glissando.simulation.imperfections import Imperfections
+from glissando.simulation.motion import Motion
+from glissando.simulation.tracker import coil_rows, mocap_rows
+
+COIL_RATE, MOCAP_RATE = 40.0, 10.0  # Hz
+_LONGEST = 100_000.0  # s
+
+
+@dataclass(frozen=True)
+class Session:
+    """Streams of one run: the coil in the tracker's frame T_wt, motion capture in the world.
+
+    Lasts `duration` seconds; `mocap_std` (6,) is what motion capture's noise is, [linear, angular].
+    """
+
+    name: str
+    duration: float
+    motion: Motion
+    path: SlidePath
+    coil: Rows
+    mocap: dict[str, Rows]
+    T_wt: Array
+    mocap_std: Array
+
+
+def simulate_session(
+    bench: Bench,
+    motion: Motion,
+    path: SlidePath,
+    *,
+    seed: int,
+    duration: float | None = None,
+    flaws: Imperfections | None = None,
+    name: str = "simulated",
+) -> Session:
+    """What the bench's sensors record of a motion while the coil slides along a path.
+
+    Lasts `duration` seconds, unless given until both have come to rest. The same seed gives the
+    same noise, and switching one of the `flaws` off leaves the others' draws as they were.
+    """
+    flaws = bench.flaws if flaws is None else flaws
+    lasts = max(path.duration, float(motion.time[-1])) if duration is None else duration
+    if not 1.0 / COIL_RATE <= lasts <= _LONGEST:
+        raise SimulationError(
+            f"A session of {lasts:g} s cannot be; give {1.0 / COIL_RATE:g} to {_LONGEST:,.0f} s."
+        )
+    if seed < 0:
+        raise SimulationError(f"Seed {seed} cannot be; give a whole number from 0 up.")
+    _require_coil_on_robot(bench, path)
+    coil_noise, *mocap_noise = np.random.default_rng(seed).spawn(1 + bench.truth.size)
+    time = np.arange(0.0, lasts + 1e-9, 1.0 / COIL_RATE)
+    coil = coil_rows(motion, path, time, bench.coil_offset, bench.tracker, flaws, coil_noise)
+    time = np.arange(0.0, lasts + 1e-9, 1.0 / MOCAP_RATE)
+    mocap = {
+        f"mocap_{1e3 * s:g}": mocap_rows(motion, float(s), time, flaws, noise)
+        for s, noise in zip(bench.truth, mocap_noise, strict=True)
+    }
+    if not all(np.all(np.isfinite(rows.values)) for rows in (coil, *mocap.values())):
+        raise SimulationError("Imperfections so large leave readings that are no numbers.")
+    std = np.repeat(np.maximum([flaws.mocap, flaws.mocap_angle], 1e-6), 3) / np.sqrt(3.0)
+    return Session(name, lasts, motion, path, coil, mocap, bench.tracker, std)
+
+
+def _require_coil_on_robot(bench: Bench, path: SlidePath) -> None:
+    length = bench.rod.length
+    farthest = float(path.at(path.time).max())
+    if bench.coil_offset > 0.0 or length - farthest + bench.coil_offset < -1e-9:
+        raise SimulationError(
+            f"The coil would leave the robot: {length:g} m − {farthest:g} m of slide "
+            f"{bench.coil_offset:+g} m of offset; slide less far."
+        )
+
+
+def write_session(session: Session, folder: Path, robot: str | Path) -> list[Path]:
+    """Write a recording folder, whole or not at all; returns its files.
+
+    `robot` is the name of a shipped robot or a robot file, which is copied into the folder. Raises
+    SimulationError when the folder holds something already.
+    """
+    with new_folder(folder, SimulationError) as building:
+        streams = {"coil": session.coil, **session.mocap}
+        for name, rows in streams.items():
+            write_named(building / f"{name}.csv", rows)
+        session.path.write(building / "slide_path.csv")
+        if isinstance(robot, Path):
+            shutil.copy(robot, building / "robot.toml")
+            robot = "robot.toml"
+        (building / "recording.toml").write_text(_description(session, robot), encoding="utf-8")
+    return sorted(folder.iterdir())
+
+
+def _description(session: Session, robot: str) -> str:
+    """The recording.toml: the coil is in the tracker's frame, motion capture is the truth."""
+    parts = [
+        recording_toml.head(session.name, robot),
+        recording_toml.frame("tracker", session.T_wt),
+    ]
+    # A still coil without noise says the same again and again.
+    coil = {"name": "coil", "kind": "coil", "frame": "tracker", "keep_repeats": True}
+    parts.append(recording_toml.stream(coil))
+    for name in session.mocap:
+        seen = {"name": name, "kind": "pose", "truth": True, "std": session.mocap_std}
+        parts.append(recording_toml.stream({**seen, "keep_repeats": True}))
+    return "".join(parts)

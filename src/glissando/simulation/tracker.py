@@ -1,0 +1,137 @@
+"""What the sensors say: an electromagnetic coil on a slide, and motion capture to judge by.
+
+A tracker's error is mostly not white: it depends on where in the field the coil is, so that reading
+the same place again does not average it away.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from glissando.geometry import se3
+from glissando.geometry.se3 import Array
+from glissando.io.csv_stream import Rows
+from glissando.model.slide_path import SlidePath
+from glissando.simulation.imperfections import Imperfections, SmoothField
+from glissando.simulation.motion import Motion
+
+
+def coil_rows(
+    motion: Motion,
+    path: SlidePath,
+    time: Array,
+    offset: float,
+    T_wt: Array,
+    flaws: Imperfections,
+    rng: np.random.Generator,
+) -> Rows:
+    """What a coil on the slide reports at times (M,), in the tracker's frame T_wt (4, 4).
+
+    `offset` is where the coil is when the displacement is zero, metres from the tip. The rows'
+    arclengths are what the motor's encoder makes of them.
+    """
+    streams = iter(rng.spawn(7))  # a stream a part: switching one off leaves the others as they are
+    commanded = path.at(time)
+    real = _follow(commanded, flaws.backlash)
+    told = commanded + flaws.encoder * next(streams).standard_normal(time.size)
+    length = motion.rod.length
+    place, named = (np.clip(length - d + offset, 0.0, length) for d in (real, told))
+    pose = motion.at(place, time).pose @ _play(next(streams), place, flaws.play)
+    pose = pose @ se3.exp(_tracker_error(next(streams), next(streams), pose, flaws))
+    centre = np.eye(4)
+    centre[:3, 3] = flaws.field_centre
+    slip = centre @ se3.exp(_registration(next(streams), flaws)) @ se3.inverse(centre)
+    seen = rolled(se3.inverse(T_wt) @ slip @ pose, flaws.roll, next(streams))
+    kept = _kept(next(streams), time, flaws)
+    return Rows("coil", time[kept], named[kept], seen[kept], {})
+
+
+def _follow(commanded: Array, width: float) -> Array:
+    """Where the coil is when it follows the motor with play of `width` metres between them."""
+    real = np.array(commanded)
+    for k in range(1, real.size):
+        real[k] = np.clip(real[k - 1], commanded[k] - 0.5 * width, commanded[k] + 0.5 * width)
+    return real
+
+
+def _play(rng: np.random.Generator, arclength: Array, clearance: float) -> Array:
+    """Poses (M, 4, 4) of the inner tube in the outer one, which it touches along a smooth line."""
+    around = SmoothField.draw(rng, 1, 1, 0.15)
+    start = rng.uniform(0.0, 2.0 * np.pi)
+
+    def touch(s: Array) -> Array:
+        angle = start + 2.0 * around(s[:, None])[:, 0]
+        return clearance * np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=-1)
+
+    slope = (touch(arclength + 1e-5) - touch(arclength - 1e-5)) / 2e-5
+    lean = np.stack([-slope[:, 1], slope[:, 0], np.zeros(arclength.size)], axis=-1)
+    out = np.zeros((arclength.size, 4, 4))
+    out[:, :3, :3], out[:, :3, 3], out[:, 3, 3] = se3.so3_exp(lean), touch(arclength), 1.0
+    return out
+
+
+def _tracker_error(
+    white: np.random.Generator, spatial: np.random.Generator, pose: Array, flaws: Imperfections
+) -> Array:
+    """Twists (M, 6) of white noise and of bias."""
+    noise = white.standard_normal((len(pose), 5))
+    return error_twists(noise, SmoothField.draw(spatial, 3, 5, flaws.bias_length), pose, flaws)
+
+
+def error_twists(noise: Array, field: SmoothField, pose: Array, flaws: Imperfections) -> Array:
+    """Twists (M, 6) by which the tracker errs at poses (M, 4, 4); tilts only, roll is not seen.
+
+    White `noise` (M, 5) and the bias's `field` of place are of unit variance.
+    """
+    place = pose[:, :3, 3]
+    white, bias = np.zeros((2, len(pose), 6))
+    white[:, :5], bias[:, :5] = noise, field(place)
+    size = np.repeat(np.sqrt([1.0 / 3.0, 1.0 / 2.0]), 3)
+    white *= size * np.repeat([flaws.jitter, flaws.jitter_angle], 3)
+    bias *= size * np.repeat([flaws.bias, flaws.bias_angle], 3)
+    distance = np.linalg.norm(place - flaws.field_centre, axis=1, keepdims=True)
+    # the noise is stated in the tracker's axes or the coil's alike; bias belongs to the place
+    bias[:, :3] = np.einsum("mji,mj->mi", pose[:, :3, :3], bias[:, :3])
+    return (1.0 + (distance / flaws.field_size) ** 2) * (white + bias)
+
+
+def _registration(rng: np.random.Generator, flaws: Imperfections) -> Array:
+    error = rng.standard_normal(6) / np.sqrt(3.0)
+    return error * np.repeat([flaws.registration, flaws.registration_angle], 3)
+
+
+def rolled(pose: Array, roll: str, rng: np.random.Generator) -> Array:
+    """Poses (M, 4, 4) in the tracker's frame with the roll that it reports."""
+    if roll == "true":
+        return pose
+    if roll == "arbitrary":
+        turn = np.zeros(6)
+        turn[5] = rng.uniform(-np.pi, np.pi)
+        return pose @ se3.exp(turn)
+    axis = pose[:, :3, 2]  # least rotation that takes the tracker's z onto the coil's
+    lean = np.stack([-axis[:, 1], axis[:, 0], np.zeros(len(axis))], axis=-1)
+    sine = np.linalg.norm(lean, axis=1, keepdims=True)
+    angle = np.arctan2(sine, axis[:, 2:])
+    lean = np.where(sine > 1e-12, angle * lean / np.maximum(sine, 1e-12), [1.0, 0.0, 0.0] * angle)
+    out = np.array(pose)
+    out[:, :3, :3] = se3.so3_exp(lean)
+    return out
+
+
+def _kept(rng: np.random.Generator, time: Array, flaws: Imperfections) -> np.ndarray:
+    """Which rows (M,) are not lost in a drop-out."""
+    kept = np.ones(time.size, dtype=bool)
+    span = float(np.ptp(time))
+    for start in rng.uniform(time[0], time[-1], rng.poisson(flaws.dropouts * span)):
+        kept &= ~((time >= start) & (time < start + rng.uniform(*flaws.dropout_duration)))
+    return kept if kept.any() else np.arange(time.size) == 0
+
+
+def mocap_rows(
+    motion: Motion, arclength: float, time: Array, flaws: Imperfections, rng: np.random.Generator
+) -> Rows:
+    """What motion capture says of the frame at one arclength (m) at times (M,), in the world."""
+    place = np.full(time.size, arclength)
+    noise = rng.standard_normal((time.size, 6)) / np.sqrt(3.0)
+    noise *= np.repeat([flaws.mocap, flaws.mocap_angle], 3)
+    return Rows("pose", time, place, motion.at(place, time).pose @ se3.exp(noise), {})

@@ -1,0 +1,300 @@
+"""Three figures of a posterior: the robot in space, its confidence everywhere, its errors.
+
+Lengths are drawn in millimetres. matplotlib is imported when a figure is asked for, not before;
+figures carry their own Agg canvas, so no window opens and no global plotting state changes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from glissando.errors import GlissandoError
+from glissando.estimation.posterior import Estimate, Posterior
+from glissando.geometry.se3 import Array, adjoint, inverse
+from glissando.model.grid import Grid
+from glissando.model.sensors.readings import Readings
+from glissando.model.sensors.sensors import CoilReadings, PoseReadings, PositionReadings
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_MM = 1e3
+_SIGMAS = 3.0
+_NEAR = 0.1  # s: a truth sample this close to a drawn time is drawn with it
+_FIXED_SITES = 12  # a stream at more arclengths than this slides and is one row of errors
+_SAMPLES = 1000  # truth samples drawn a site
+_AXES = {"x": "#D55E00", "y": "#009E73", "z": "#0072B2"}  # Okabe and Ito: told apart by all eyes
+_SENSORS = ("#E69F00", "#56B4E9", "#FFFFFF", "#CC79A7", "#D55E00", "#000000", "#F0E442", "#009E73")
+_MARKERS = "osD^vP*X"
+_POSITIONED = PoseReadings | CoilReadings | PositionReadings  # streams that see a position
+_DOT: dict[str, Any] = {"color": "black", "depthshade": False}
+_STYLE: dict[Any, Any] = {
+    "font.size": 11,
+    "axes.titlesize": 11,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "figure.constrained_layout.w_pad": 0.1,
+    "grid.color": "0.85",
+    "legend.frameon": False,
+}
+
+
+@contextmanager
+def _canvas(width: float, height: float) -> Iterator[Figure]:
+    """An empty figure of that size in inches on its own canvas, and our look while it is filled."""
+    try:
+        import matplotlib
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ImportError as missing:
+        raise GlissandoError(
+            "Figures need matplotlib, which is not installed: run pip install 'glissando[plot]'."
+        ) from missing
+    with matplotlib.rc_context(_STYLE):
+        yield FigureCanvasAgg(Figure(figsize=(width, height), layout="constrained")).figure
+
+
+def _legend(figure: Figure, entries: dict[str, Any], **look: Any) -> None:
+    """A legend outside the axes, in which a tuple of lines is one entry."""
+    from matplotlib.legend_handler import HandlerTuple
+
+    look["handler_map"] = {tuple: HandlerTuple(ndivide=None, pad=0.4)}
+    figure.legend(list(entries.values()), list(entries), **look)
+
+
+def _places(streams: Sequence[Readings], grid: Grid, kind: Any = _POSITIONED) -> list[Readings]:
+    """The streams of a kind, inside the grid and in time order, one batch a site.
+
+    A stream at a few fixed arclengths is split into them; one that slides stays whole.
+    """
+    out: list[Readings] = []
+    for stream in (s for s in streams if isinstance(s, kind)):
+        kept: Readings = stream.inside(grid)
+        kept = kept.select(np.argsort(kept.time, kind="stable"))
+        near = kept.arclength.round(6)
+        if np.unique(near).size > _FIXED_SITES:
+            near[:] = 0.0
+        out.extend(kept.select(near == site) for site in np.unique(near))
+    return out
+
+
+def _seen(readings: Readings) -> Array:
+    """Positions (M, 3) in the world that a batch of `_places` reports, metres."""
+    return readings.values[:, :3, 3] if readings.values.ndim == 3 else readings.values
+
+
+def shape_figure(
+    posterior: Posterior, truth: Sequence[Readings], times: Sequence[float] | None = None
+) -> Figure:
+    """The robot in space at several times, with 3σ ellipsoids and the truth.
+
+    World frame, millimetres. `times` in seconds, five across the grid unless given; `truth`
+    streams of poses become triads and of positions points where they have a sample within 0.1 s.
+    Raises OutsideGridError for a time off the grid, GlissandoError without matplotlib.
+    """
+    grid = posterior.grid
+    if times is None:
+        times = np.unique(np.linspace(grid.time[0], grid.time[-1], 5)).tolist()
+    dense, few = (np.linspace(grid.arclength[0], grid.arclength[-1], n) for n in (100, 6))
+    lines = [posterior.at(dense, time).position * _MM for time in times]
+    sites = _places(truth, grid)
+    with _canvas(8.0, 7.6) as figure:
+        from matplotlib import colormaps
+
+        axes: Any = figure.add_subplot(projection="3d", elev=20, azim=-60, computed_zorder=False)
+        colours = colormaps["viridis"](np.linspace(0.0, 0.88, len(times)))
+        reach = 0.06 * np.ptp(np.concatenate(lines), axis=0).max()
+        corners = [*lines]
+        for time, line, colour in zip(times, lines, colours, strict=True):
+            corners += _draw_ellipsoids(axes, posterior.at(few, time), colour)
+            axes.plot(*line.T, color=colour, linewidth=2.8, zorder=3, label=f"{time:.4g} s")
+        corners += [_draw_truth(axes, site, time, reach) for time in times for site in sites]
+        base = np.stack([line[0] for line in lines]).T
+        axes.scatter(*base, **_DOT, s=90, marker="s", zorder=5, label="base")
+        _frame(axes, np.concatenate(corners))
+        _explain(figure, axes, sites)
+    return figure
+
+
+def _draw_ellipsoids(axes: Any, at: Estimate, colour: Any) -> list[Array]:
+    """Draw the 3σ position ellipsoids of the points (M,); their bounding corners in mm."""
+    around, down = np.meshgrid(np.linspace(0.0, 2.0 * np.pi, 25), np.linspace(0.0, np.pi, 15))
+    ball = np.stack([np.cos(around) * np.sin(down), np.sin(around) * np.sin(down), np.cos(down)])
+    variance, directions = np.linalg.eigh(at.cov_position_world)
+    stretch = _SIGMAS * _MM * np.sqrt(np.maximum(variance, 0.0))[:, None, :] * directions
+    centre = at.position * _MM
+    for place, axis in zip(centre, stretch, strict=True):
+        x, y, z = place[:, None, None] + np.einsum("ij,jkl->ikl", axis, ball)
+        axes.plot_surface(x, y, z, color=colour, alpha=0.12, linewidth=0, shade=False, zorder=2)
+    half = np.linalg.norm(stretch, axis=-1)
+    return [centre - half, centre + half]
+
+
+def _draw_truth(axes: Any, site: Readings, time: float, reach: float) -> Array:
+    """Draw a site's sample nearest in time, if near; the points drawn (…, 3) in mm."""
+    row = int(np.argmin(np.abs(site.time - time)))
+    if abs(site.time[row] - time) > _NEAR:
+        return np.empty((0, 3))
+    origin = _seen(site)[row] * _MM
+    if site.values.ndim == 2:
+        axes.scatter(*origin[:, None], **_DOT, s=24, zorder=4, label="truth: point")
+        return origin[None]
+    tips: Array = origin + reach * site.values[row, :3, :3].T  # a row an axis
+    for tip, colour in zip(tips, _AXES.values(), strict=True):
+        axes.plot(*np.stack([origin, tip]).T, color=colour, linewidth=1.8, zorder=4)
+    return tips
+
+
+def _frame(axes: Any, points: Array) -> None:
+    """Equal scales around all points (M, 3) in millimetres, and labels."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    half = 0.53 * np.maximum(high - low, 0.4 * (high - low).max() + 1e-6)  # never a thin slab
+    ends = np.stack([0.5 * (low + high) - half, 0.5 * (low + high) + half], axis=1)
+    axes.set(xlim=ends[0], ylim=ends[1], zlim=ends[2])
+    for i, axis in enumerate((axes.xaxis, axes.yaxis, axes.zaxis)):
+        axis.get_major_locator().set_params(nbins=round(6 * half[i] / half.max()), prune="both")
+        axis.set_label_text(f"{'xyz'[i]} (mm)")
+        axis.labelpad = 16 if i == 2 else 10
+        axis.set_pane_color((0.97, 0.97, 0.97, 1.0))
+    axes.tick_params(axis="z", pad=7)
+    axes.set_box_aspect(half, zoom=1.06)
+
+
+def _explain(figure: Figure, axes: Any, sites: Sequence[Readings]) -> None:
+    """The legend of the shape: a line a time, the base, the ellipsoids, and what truth there is."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    entries = dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))
+    entries["3σ of position"] = Patch(color="0.5", alpha=0.35, linewidth=0)
+    if any(site.values.ndim == 3 for site in sites):
+        entries["truth: x, y, z"] = tuple(Line2D([], [], color=c) for c in _AXES.values())
+    _legend(figure, entries, loc="outside right upper")
+
+
+def confidence_figure(posterior: Posterior, readings: Sequence[Readings]) -> Figure:
+    """How sure the position is at every arclength and time, and where each sensor was.
+
+    Colour is the root of the total position variance, millimetres, at the grid's own times if
+    they are 100 or more, else between them too. `readings` are the streams that were used.
+    Raises GlissandoError without matplotlib.
+    """
+    grid = posterior.grid
+    time, time_drawn = _fill(grid.time, 120)
+    arclength, arclength_drawn = _fill(grid.arclength, 80)
+    std = posterior.at(arclength[:, None], time).std_position * _MM
+    top = float(np.quantile(std, 0.99))
+    over: Any = "max" if std.max() > 1.02 * top else "neither"
+    used = [stream for stream in (r.inside(grid) for r in readings) if len(stream)]
+    with _canvas(10.0, 5.2) as figure:
+        axes: Any = figure.add_subplot()
+        at = time_drawn, arclength_drawn * _MM
+        shade = axes.pcolormesh(*at, std, vmin=0.0, vmax=top, cmap="viridis", shading="gouraud")
+        figure.colorbar(shade, label="position standard deviation (mm)", pad=0.015, extend=over)
+        for order, stream in enumerate(used):
+            _draw_path(axes, stream, order, len(used))
+        axes.set(xlabel="time (s)", ylabel="arclength (mm)")
+        axes.margins(0.0)
+        if used:
+            figure.legend(loc="outside upper center", ncols=min(len(used), 5))
+    return figure
+
+
+def _fill(nodes: Array, count: int) -> tuple[Array, Array]:
+    """Where to query and draw: up to 200 of many nodes, else cells cut alike to about `count`."""
+    if nodes.size == 1:  # drawn with a width of 1
+        return nodes[[0, 0]], nodes[0] + np.array([-0.5, 0.5])
+    cuts = max(1, round(count / (nodes.size - 1)))
+    places = np.arange(cuts * (nodes.size - 1) + 1) / cuts
+    if nodes.size >= 100:
+        places = np.unique(np.linspace(0, nodes.size - 1, 200).round())
+    at = np.interp(places, np.arange(nodes.size), nodes)
+    return at, at
+
+
+def _draw_path(axes: Any, stream: Readings, order: int, count: int) -> None:
+    """One sensor's way over time and arclength; markers of sensors in one place take turns."""
+    stream = stream.select(np.argsort(stream.time, kind="stable"))
+    time, arclength = stream.time, stream.arclength * _MM
+    wanted = time[0] + (time[-1] - time[0]) * (np.arange(16) + (order + 0.5) / count) / 16
+    at = np.unique(np.searchsorted(time, wanted).clip(0, time.size - 1))
+    thin = slice(None, None, -(-time.size // 2000))
+    colour, marker = _SENSORS[order % len(_SENSORS)], _MARKERS[order % len(_MARKERS)]
+    look = {"mfc": colour, "mec": "black", "mew": 0.8, "ms": 7.5, "clip_on": False, "zorder": 5}
+    axes.plot(time[thin], arclength[thin], color="white", lw=1.0, alpha=0.7)
+    axes.plot(time[at], arclength[at], marker, **look, label=stream.label)
+
+
+def error_figure(posterior: Posterior, truth: Sequence[Readings]) -> Figure:
+    """Position errors at every truth site over time, each component in its ±3σ band.
+
+    World frame, millimetres, estimate minus truth; the band is of the estimate and the truth
+    together. Raises GlissandoError when no truth position lies on the grid, or without matplotlib.
+    """
+    sites = _places(truth, posterior.grid)
+    if not sites:
+        raise GlissandoError("No truth position lies on the grid: give a stream that overlaps it.")
+    with _canvas(11.0, 0.9 + 1.75 * len(sites)) as figure:
+        table: Any = figure.subplots(len(sites), 3, sharex=True, sharey="row", squeeze=False)
+        for row, site in zip(table, sites, strict=True):
+            _draw_errors(row, posterior, site)
+        for name, top, bottom in zip(_AXES, table[0], table[-1], strict=True):
+            top.set_title(name, loc="right", fontweight="bold", fontsize=13)
+            bottom.set_xlabel("time (s)")
+        drawn = [axes.get_legend_handles_labels()[0] for axes in table[0]]
+        entries = {"±3σ": drawn[0][0], "estimate − truth": tuple(keys[1] for keys in drawn)}
+        _legend(figure, entries, loc="outside upper right", ncols=2)
+    return figure
+
+
+def _draw_errors(row: Sequence[Any], posterior: Posterior, site: Readings) -> None:
+    """One site's three components, with its name, arclength and RMSE as the title."""
+    drawn = site.select(slice(None, None, -(-len(site) // _SAMPLES)))
+    found = posterior.at(drawn.arclength, drawn.time)
+    at = found.pose @ drawn.mount
+    error = (at[:, :3, 3] - _seen(drawn)) * _MM
+    lever = at[:, :3, :3] @ adjoint(inverse(drawn.mount))[:3]
+    told = drawn.cov[..., :3, :3]
+    if drawn.values.ndim == 3:
+        told = at[:, :3, :3] @ told @ np.swapaxes(at[:, :3, :3], -1, -2)
+    cov = lever @ found.cov[:, :6, :6] @ np.swapaxes(lever, -1, -2) + told
+    band = _SIGMAS * _MM * np.sqrt(np.einsum("mii->mi", cov))
+    steps = np.diff(drawn.time, prepend=drawn.time[0])
+    gaps = np.flatnonzero(steps > 8.0 * np.median(steps))
+    time = np.insert(drawn.time, gaps, np.nan)
+    line, wide = (np.insert(values, gaps, np.nan, axis=0) for values in (error, band))
+    if time.size == 1:  # drawn 1 s wide
+        time, line, wide = time + np.array([-0.5, 0.5]), line.repeat(2, 0), wide.repeat(2, 0)
+    for i, (axes, colour) in enumerate(zip(row, _AXES.values(), strict=True)):
+        axes.fill_between(time, -wide[:, i], wide[:, i], color="0.87", linewidth=0, label="±3σ")
+        axes.axhline(0.0, color="0.55", linewidth=0.8)
+        axes.plot(time, line[:, i], color=colour, linewidth=1.5, label="estimate − truth")
+        axes.margins(x=0.0)
+        axes.locator_params(axis="y", nbins=5)
+    few = "" if len(drawn) == len(site) else f" ({len(drawn)} of {len(site)} samples)"
+    rmse = np.sqrt(np.mean(np.sum(error**2, axis=1)))
+    ends = dict.fromkeys(f"{s:.4g}" for s in _MM * np.sort(site.arclength)[[0, -1]])
+    row[0].set_title(f"{site.label}, {' to '.join(ends)} mm: RMSE {rmse:.2f} mm{few}", loc="left")
+    row[0].set_ylabel("error (mm)")
+
+
+def save_figures(
+    posterior: Posterior, readings: Sequence[Readings], truth: Sequence[Readings], folder: Path
+) -> list[Path]:
+    """Write shape.png, confidence.png and, given truth positions, error.png; their paths.
+
+    `folder` is made if it is missing. Raises GlissandoError without matplotlib.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    figures = {"shape": shape_figure(posterior, truth)}
+    figures["confidence"] = confidence_figure(posterior, readings)
+    if _places(truth, posterior.grid):
+        figures["error"] = error_figure(posterior, truth)
+    for name, figure in figures.items():
+        figure.savefig(folder / f"{name}.png", dpi=150)
+    return [folder / f"{name}.png" for name in figures]

@@ -1,0 +1,6 @@
+"""A film of a posterior: the robot in its 3σ tube, and how sure it is along the body."""
+
+from glissando.visualization.film.film import save_animation
+from glissando.visualization.film.frames import Frames, frames_at
+
+__all__ = ["Frames", "frames_at", "save_animation"]

@@ -1,0 +1,127 @@
+"""What the frames of an animation show, as numbers: nothing is drawn here."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glissando.estimation.posterior import Posterior
+from glissando.geometry.se3 import Array
+from glissando.model.grid import Index
+from glissando.model.sensors.readings import Readings
+from glissando.visualization.figures import _MM, _NEAR, _SIGMAS, _places, _seen
+
+_DROPPED = 0.25  # s: without a reading this near, a sensor is not shown
+_ALONG, _AROUND, _CAP = 64, 24, 5  # points of the tube; rings that round off each end
+
+
+@dataclass(frozen=True)
+class Frames:
+    """What F frames show, world frame, millimetres; NaN where there is nothing to show.
+
+    `time` (F,) s, `arclength` (N,), `line` (F, N, 3) the backbone, `std` (F, N) of its position,
+    `tube` (F, R, A, 3) rings of the 3σ surface across it and `shade` (F, R) the deviation there;
+    `sensors` (S) labels, `place` (F, S) their arclengths, `dot` (F, S, 3) and `dot_std` (F, S);
+    `triad` (F, C, 4, 3) true origins and tips of x, y, z; `point` (F, P, 3) true positions.
+    """
+
+    time: Array
+    arclength: Array
+    line: Array
+    std: Array
+    tube: Array
+    shade: Array
+    sensors: list[str]
+    place: Array
+    dot: Array
+    dot_std: Array
+    triad: Array
+    point: Array
+
+
+def frames_at(
+    posterior: Posterior, readings: Sequence[Readings], truth: Sequence[Readings], times: Array
+) -> Frames:
+    """What to draw at `times` (F,) in seconds, found in one query of the posterior.
+
+    A sensor is where its reading nearest in time says, within 0.25 s; truth is the sample nearest
+    in time, within 0.1 s. Raises OutsideGridError for a time off the grid.
+    """
+    grid = posterior.grid
+    sites = _places(readings, grid, Readings)
+    shown = [_nearest(site, times, _DROPPED) for site in sites]
+    place = np.full((times.size, len(sites)), np.nan)
+    for column, site, (rows, near) in zip(place.T, sites, shown, strict=True):
+        column[near] = site.arclength[rows[near]]
+    body = np.linspace(grid.arclength[0], grid.arclength[-1], _ALONG)
+    asked = np.nan_to_num(np.hstack([np.tile(body, (times.size, 1)), place]), nan=body[0])
+    at = posterior.at(asked, times[:, None])
+    std, hidden = at.std_position * _MM, np.where(np.isnan(place), np.nan, _MM)
+    of_body = np.s_[:, : body.size]
+    tube, ring = _tube(at.pose[of_body], at.cov[of_body][..., :3, :3], _SIGMAS)
+    true = _places(truth, grid)
+    reach = 0.05 * (body[-1] - body[0])
+    return Frames(
+        time=times,
+        arclength=body * _MM,
+        line=at.position[:, : body.size] * _MM,
+        std=std[:, : body.size],
+        tube=tube,
+        shade=std[:, ring],
+        sensors=[site.label for site in sites],
+        place=place * _MM,
+        dot=at.position[:, body.size :] * hidden[..., None],
+        dot_std=at.std_position[:, body.size :] * hidden,
+        triad=_true([s for s in true if s.values.ndim == 3], times, reach),
+        point=_true([s for s in true if s.values.ndim == 2], times, reach)[:, :, 0],
+    )
+
+
+def _nearest(site: Readings, times: Array, within: float) -> tuple[Index, NDArray[np.bool_]]:
+    """Rows of the readings nearest to times (F,), and whether they are near enough."""
+    after = np.searchsorted(site.time, times).clip(1, max(site.time.size - 1, 1))
+    nodes = np.append(site.time, np.inf)
+    rows = after - (times - nodes[after - 1] <= nodes[after] - times)
+    return rows, np.abs(nodes[rows] - times) <= within
+
+
+def _true(sites: Sequence[Readings], times: Array, reach: float) -> Array:
+    """Origins and tips of the true axes (F, C, 4, 3) in mm, NaN without a sample near."""
+    out = np.full((times.size, len(sites), 4, 3), np.nan)
+    for i, site in enumerate(sites):
+        rows, near = _nearest(site, times, _NEAR)
+        origin = _seen(site)[rows[near]]
+        out[near, i] = origin[:, None]
+        if site.values.ndim == 3:
+            out[near, i, 1:] += reach * np.swapaxes(site.values[rows[near], :3, :3], -1, -2)
+    return out * _MM
+
+
+def _tube(pose: Array, cov: Array, sigmas: float) -> tuple[Array, Index]:
+    """Rings (F, R, A, 3) in mm of the confidence surface of poses (F, N, 4, 4); R their points.
+
+    `cov` (F, N, 3, 3) of the position in the body frame, `sigmas` the size of the surface.
+
+    Across the body a ring is the ellipse of the lateral 2×2 block of the covariance, turned by its
+    symmetric root, which is smooth where principal axes would flip; both ends are rounded off.
+    """
+    count = pose.shape[1]
+    rest = np.linspace(0.0, 0.5 * np.pi, _CAP, endpoint=False)
+    tilt = np.concatenate([rest - 0.5 * np.pi, np.zeros(count), 0.5 * np.pi - rest[::-1]])
+    ring = np.concatenate([[0] * _CAP, np.arange(count), [count - 1] * _CAP])
+    flat = cov[..., :2, :2]
+    product = np.sqrt(np.maximum(np.linalg.det(flat), 0.0))
+    total = np.sqrt(np.einsum("...ii->...", flat) + 2.0 * product + 1e-24)
+    root = (flat + product[..., None, None] * np.eye(2)) / total[..., None, None]
+    angle = np.linspace(0.0, 2.0 * np.pi, _AROUND, endpoint=False)
+    across = np.cos(tilt)[:, None, None] * (np.stack([np.cos(angle), np.sin(angle)], -1))
+    along = np.sin(tilt) * np.sqrt(np.maximum(cov[:, ring, 2, 2], 0.0))
+    body = np.empty((*along.shape, _AROUND, 3))
+    body[..., :2] = across @ root[:, ring]
+    body[..., 2] = along[..., None]
+    pose = pose[:, ring]
+    turned = body @ np.swapaxes(pose[..., :3, :3], -1, -2)
+    return (pose[..., None, :3, 3] + sigmas * turned) * _MM, ring

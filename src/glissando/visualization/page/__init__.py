@@ -1,0 +1,8 @@
+"""The robot over time in a browser: a page that works without a network, or a running estimate."""
+
+from glissando.visualization.page.live import Live
+from glissando.visualization.page.page import page, save_view, subtitle
+from glissando.visualization.page.rerun import Rerun
+from glissando.visualization.page.scene import Scene, scene_of
+
+__all__ = ["Live", "Rerun", "Scene", "page", "save_view", "scene_of", "subtitle"]

@@ -1,0 +1,178 @@
+"""A running estimate in a browser: a small server that is told the newest state."""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Iterator
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from glissando.errors import GlissandoError
+from glissando.estimation.fixed_lag import FixedLag
+from glissando.geometry.se3 import Array
+from glissando.visualization.figures import _MM
+from glissando.visualization.film.frames import _tube
+from glissando.visualization.page.page import SIGMAS
+from glissando.visualization.page.scene import Scene
+
+_TUBE, _COIL = (130, 160, 190), (230, 159, 0)
+
+
+class Live:
+    """The robot with its 95 % tube at an address that any browser on this machine opens.
+
+    `arclength` (N,) of the points that updates give; `top` the position standard deviation, in
+    metres, that the colours end at; port 0 is any free one. A context manager. Raises
+    GlissandoError without viser.
+    """
+
+    def __init__(self, arclength: ArrayLike, *, top: float = 0.02, port: int = 8080) -> None:
+        try:
+            import viser
+            from matplotlib import colormaps
+        except ImportError as missing:
+            raise GlissandoError(
+                f"A live view needs {missing.name}, which is not installed: run pip install "
+                f"'glissando[view]'."
+            ) from missing
+        self.arclength, self.top = np.asarray(arclength, dtype=float), top
+        shades = colormaps["viridis"](np.linspace(0.0, 1.0, 256))[:, :3]
+        self._shades = (255 * shades).astype(np.uint8)
+        self._long = float(np.ptp(self.arclength))
+        self._server: Any = viser.ViserServer(
+            host="127.0.0.1", port=port, label="glissando", verbose=False
+        )
+        self._server.scene.set_up_direction("+z")
+        self._server.scene.add_frame(
+            "/world", axes_length=0.1 * self._long, axes_radius=0.003 * self._long
+        )
+        self._told = self._server.gui.add_markdown("Waiting for the first estimate.")
+        self._server.gui.add_markdown(
+            f"Tube: 95 %. Body: dark is sure, yellow ± {_MM * top:.3g} mm or more."
+        )
+        self._look_at(np.zeros(3))  # who looks before the first update sees the base's place
+        self._body: Any = None
+
+    @property
+    def address(self) -> str:
+        """What to open in a browser."""
+        return f"http://127.0.0.1:{self._server.get_port()}"
+
+    def update(
+        self, time: float, centres: Array, frames: Array, cov: Array, coil: float | None = None
+    ) -> None:
+        """Show a state: `centres` (N, 3), `frames` (N, 4, 4) and position `cov` (N, 3, 3).
+
+        World frame, metres, seconds; `coil` is its arclength, None while it is not seen. Takes
+        milliseconds, and never waits for a browser. Raises GlissandoError for other shapes.
+        """
+        self._require(centres, frames, cov)
+        std = np.sqrt(np.einsum("nii->n", cov))
+        turn = frames[:, :3, :3]
+        rings, _ = _tube(frames[None], (np.swapaxes(turn, -1, -2) @ cov @ turn)[None], SIGMAS)
+        shade = self._shades[np.minimum(255 * std / self.top, 255).astype(int)]
+        if self._body is None:
+            self._look_at(centres.mean(axis=0))
+            self._add(rings[0].shape[:2])
+        with self._server.atomic():
+            self._tube.vertices = (rings[0] / _MM).reshape(-1, 3).astype(np.float32)
+            self._body.points = np.stack([centres[:-1], centres[1:]], 1).astype(np.float32)
+            self._body.colors = np.stack([shade[:-1], shade[1:]], axis=1)
+            place = np.nan if coil is None else coil
+            self._coil.visible = bool(np.isfinite(place))
+            if np.isfinite(place):
+                self._coil.position = [np.interp(place, self.arclength, c) for c in centres.T]
+        said = f", coil at {_MM * place:.0f} mm" if np.isfinite(place) else ""
+        self._told.content = (
+            f"**{time:.2f} s**: tip ± {_MM * std[-1]:.1f} mm, least sure ± "
+            f"{_MM * std.max():.1f} mm{said}"
+        )
+
+    def _require(self, centres: Array, frames: Array, cov: Array) -> None:
+        count = self.arclength.size
+        wanted = (count, 3), (count, 4, 4), (count, 3, 3)
+        seen = tuple(np.shape(a) for a in (centres, frames, cov))
+        if seen != wanted:
+            raise GlissandoError(
+                f"An update of shapes {seen} does not fit {count} arclengths; give {wanted}."
+            )
+
+    def _look_at(self, centre: Array) -> None:
+        camera = self._server.initial_camera
+        camera.look_at = centre
+        camera.position = centre + self._long * np.array([0.6, -0.75, 0.35])
+
+    def _add(self, rings: tuple[int, int]) -> None:
+        """Put the parts into the picture that updates move."""
+        scene, count = self._server.scene, self.arclength.size
+        faces = faces_between(*rings)
+        flat = np.zeros((rings[0] * rings[1], 3), dtype=np.float32)
+        look = {"color": _TUBE, "opacity": 0.3, "side": "double", "cast_shadow": False}
+        self._tube = scene.add_mesh_simple("/tube", flat, faces.astype(np.uint32), **look)
+        ends = np.zeros((count - 1, 2, 3), dtype=np.float32)
+        colours = np.zeros(ends.shape, dtype=np.uint8)
+        self._body = scene.add_line_segments("/body", ends, colours, thickness=0.01 * self._long)
+        self._coil = scene.add_icosphere("/coil", 0.012 * self._long, color=_COIL)
+
+    def close(self) -> None:
+        """Stop the server."""
+        self._server.stop()
+
+    def __enter__(self) -> Live:
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        self.close()
+
+
+def faces_between(rings: int, around: int) -> NDArray[np.intp]:
+    """Triangles (F, 3) of a tube of rings that have as many points each."""
+    here = np.arange(rings * around).reshape(rings, around)
+    on = np.roll(here, -1, axis=1)
+    a, b, c, d = here[:-1], on[:-1], here[1:], on[1:]
+    return np.stack([a, b, c, b, d, c], axis=-1).reshape(-1, 3)
+
+
+class View(Protocol):
+    """Whatever shows, or keeps, one state after another at its arclengths (N,)."""
+
+    arclength: Array
+
+    def update(
+        self, time: float, centres: Array, frames: Array, cov: Array, coil: float | None = None
+    ) -> None:
+        """Show a state in the world: `centres` (N, 3), `frames` (N, 4, 4), `cov` (N, 3, 3)."""
+        ...
+
+
+def play(scene: Scene, port: int) -> None:
+    """Show a scene again and again at its own pace until interrupted."""
+    std = np.linalg.norm(scene.root, axis=(-2, -1))
+    pause = max(np.diff(scene.time).mean(), 0.02) if scene.time.size > 1 else 0.5
+    with Live(scene.arclength, top=float(np.quantile(std, 0.99)), port=port) as shown:
+        print(f"Playing at {shown.address}; Ctrl-C ends it.", flush=True)
+        while True:
+            for _ in each_moment(scene, shown):
+                clock.sleep(pause)
+
+
+def each_moment(scene: Scene, view: View) -> Iterator[float]:
+    """Show a scene once, one moment after another; their times."""
+    cov = scene.root @ scene.root
+    for k, moment in enumerate(scene.time):
+        seen = scene.place[k][np.isfinite(scene.place[k])]
+        coil = float(seen[0]) if seen.size else None
+        pose = scene.pose[k]
+        view.update(float(moment), pose[:, :3, 3], pose, cov[k], coil)
+        yield float(moment)
+
+
+def follow(view: View, smoother: FixedLag) -> None:
+    """Show a smoother's newest state."""
+    time = smoother.time or 0.0
+    at = smoother.at(view.arclength, time)
+    turn = at.pose[:, :3, :3]
+    cov = turn @ at.cov[:, :3, :3] @ np.swapaxes(turn, -1, -2)
+    view.update(time, at.position, at.pose, cov)

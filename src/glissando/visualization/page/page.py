@@ -1,0 +1,123 @@
+"""A scene as one HTML file that needs nothing else: no network, no library, no server."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Sequence
+from html import escape
+from importlib.resources import files
+from pathlib import Path
+from string import Template
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2
+
+from glissando.estimation.posterior import Posterior
+from glissando.geometry import se3
+from glissando.geometry.se3 import Array
+from glissando.model.sensors.readings import Readings
+from glissando.visualization.page.scene import Progress, Scene, scene_of
+
+_MM = 1e3
+_NOTHING = 65535  # stands for NaN
+_SIX = np.triu_indices(3)
+SIGMAS = float(np.sqrt(chi2.ppf(0.95, 3)))
+"""Standard deviations to the surface of an ellipsoid that holds 95 % of positions."""
+
+
+def save_view(
+    posterior: Posterior,
+    path: str | Path,
+    *,
+    readings: Sequence[Readings] = (),
+    truth: Sequence[Readings] = (),
+    title: str = "Posterior",
+    window: tuple[float, float] | None = None,
+    progress: Progress | None = None,
+) -> Path:
+    """Write the robot over time with its confidence as one self-contained HTML file; its path.
+
+    `readings` say where sensors are, `truth` is drawn beside the estimate, both in the world frame;
+    `window` takes a part, in seconds. Raises OutsideGridError for a window off the grid and
+    GlissandoError for a grid of a single arclength.
+    """
+    scene = scene_of(posterior, readings, truth, window=window, progress=progress)
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(page(scene, title, subtitle(posterior, scene)), encoding="utf-8")
+    return path
+
+
+def subtitle(posterior: Posterior, scene: Scene) -> str:
+    """When, and how the estimate was reached."""
+    solve, time = posterior.solve, scene.time
+    return f"{time[0]:g} to {time[-1]:g} s; estimate {solve.status}, {solve.iterations} iterations"
+
+
+def page(scene: Scene, title: str, subtitle: str) -> str:
+    """The HTML of a scene. Coordinates are rounded to a step that the page states."""
+    from glissando import __version__
+
+    content = contents(scene)
+    coarse = 0.5 * _MM * max(content[name]["step"] for name in ("centre", "root"))
+    scripts = ("scene.js", "stage.js", "panels.js", "page.js", "hands.js")
+    footer = (
+        f"glissando {__version__}. World frame, parallel view; positions and deviations are rounded"
+        f" by up to {coarse:.2g} mm."
+    )
+    return Template(asset("page.html")).substitute(
+        title=escape(title),
+        subtitle=escape(subtitle),
+        footer=escape(footer),
+        style=asset("page.css"),
+        scene=json.dumps(content, separators=(",", ":")).replace("<", "\\u003c"),
+        script="\n".join(asset(name) for name in scripts),
+    )
+
+
+def asset(name: str) -> str:
+    """The text of a file of the page."""
+    return (files("glissando.visualization.page") / "web" / name).read_text(encoding="utf-8")
+
+
+def contents(scene: Scene) -> dict[str, Any]:
+    """What a page carries of a scene: arrays packed, bounds, and the top of the colours (m)."""
+    centre = scene.pose[..., :3, 3]
+    std = np.linalg.norm(scene.root, axis=(-2, -1))
+    top = max(float(np.quantile(std, 0.99)), 1e-9)
+    misses = scene.miss[np.isfinite(scene.miss)]
+    tall = 1.08 * max(float(std.max()), top, float(np.quantile(misses, 0.99)) if misses.size else 0)
+    return {
+        "sigmas": SIGMAS,
+        "top": top,
+        "tall": min(tall, 4.0 * top),
+        "low": centre.min(axis=(0, 1)).tolist(),
+        "high": centre.max(axis=(0, 1)).tolist(),
+        "time": scene.time.round(6).tolist(),
+        "arclength": scene.arclength.tolist(),
+        "centre": packed(centre),
+        "quaternion": packed(se3.quaternion(scene.pose[..., :3, :3])),
+        "root": packed(scene.root[..., *_SIX]),
+        "sensors": scene.sensors,
+        "place": packed(scene.place),
+        "sites": scene.sites,
+        "site_place": packed(scene.site_place),
+        "truth": packed(scene.truth),
+        "miss": packed(scene.miss),
+        "nees": packed(np.minimum(scene.nees, 1e3)),
+    }
+
+
+def packed(values: Array) -> dict[str, Any]:
+    """An array in 16 bits a number: value = low + step q, and q = 65535 for NaN; base64.
+
+    Rounding is half a step at most, a step 1/65534 of the array's range.
+    """
+    known = values[np.isfinite(values)]
+    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
+    step = (high - low) / (_NOTHING - 1)
+    whole = np.nan_to_num(np.round((values - low) / (step or 1.0)), nan=_NOTHING)
+    data = base64.b64encode(whole.astype("<u2").tobytes()).decode("ascii")
+    return {"shape": list(values.shape), "low": low, "step": step, "data": data}

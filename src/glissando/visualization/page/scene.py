@@ -1,0 +1,139 @@
+"""What a page shows, as numbers: the robot, its confidence, sensors and truth over time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from glissando.errors import GlissandoError, OutsideGridError
+from glissando.estimation.posterior import Posterior
+from glissando.evaluation.metrics import errors_against
+from glissando.geometry.se3 import Array
+from glissando.model.sensors.readings import Readings
+from glissando.visualization.figures import _MM, _NEAR, _places
+from glissando.visualization.film.frames import _DROPPED, _nearest, _true
+
+Progress = Callable[[int, int], None]  # moments done, moments in all
+
+_RATE = 20.0  # Hz: a coarser grid is asked between its nodes as well
+_ALONG = 49  # points along the body
+_MOST = 1500  # moments a page holds, which bounds its size
+_CHUNK = 100  # moments a query, to bound memory
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What F moments show, world frame, SI units; NaN where there is nothing to show.
+
+    `time` (F,), `arclength` (N,), `pose` (F, N, 4, 4) and `root` (F, N, 3, 3), the symmetric square
+    root of the position's covariance. `sensors` (S) labels and `place` (F, S) their arclengths.
+    `sites` (C) labels of truth, `site_place` (F, C), `truth` (F, C, 4, 3) origins and tips of true
+    axes, `miss` (F, C) the distance from the estimate and `nees` (F, C) its square in units of its
+    covariance, of three degrees of freedom.
+    """
+
+    time: Array
+    arclength: Array
+    pose: Array
+    root: Array
+    sensors: list[str]
+    place: Array
+    sites: list[str]
+    site_place: Array
+    truth: Array
+    miss: Array
+    nees: Array
+
+
+def scene_of(
+    posterior: Posterior,
+    readings: Sequence[Readings] = (),
+    truth: Sequence[Readings] = (),
+    *,
+    window: tuple[float, float] | None = None,
+    progress: Progress | None = None,
+) -> Scene:
+    """The posterior at its time nodes, and between them where they are below 20 Hz.
+
+    Every moment is asked of the posterior: nothing is interpolated afterwards. Sensors are where
+    their nearest reading within 0.25 s says, truth is the nearest sample within 0.1 s. `window`
+    takes a part, in seconds. Raises OutsideGridError for one off the grid, and GlissandoError for a
+    grid of a single arclength.
+    """
+    grid = posterior.grid
+    if grid.arclength.size == 1:
+        raise GlissandoError("A grid of a single arclength has no body to show; give two.")
+    times = moments(grid.time, window)
+    body = np.linspace(grid.arclength[0], grid.arclength[-1], _ALONG)
+    pose, root = np.empty((times.size, _ALONG, 4, 4)), np.empty((times.size, _ALONG, 3, 3))
+    for first in range(0, times.size, _CHUNK):
+        part = slice(first, first + _CHUNK)
+        at = posterior.at(body, times[part, None])
+        pose[part], root[part] = at.pose, symmetric_root(at.cov_position_world)
+        if progress:
+            progress(min(first + _CHUNK, times.size), times.size)
+    used, true = _places(readings, grid, Readings), _places(truth, grid)
+    misses = [_misses(posterior, site, times) for site in true]
+    found = np.array(misses).reshape(len(true), 3, times.size).T
+    return Scene(
+        time=times,
+        arclength=body,
+        pose=pose,
+        root=root,
+        sensors=[site.label for site in used],
+        place=np.array([_place(site, times) for site in used]).reshape(-1, times.size).T,
+        sites=[site.label for site in true],
+        site_place=found[:, 0],
+        truth=_true(true, times, 0.05 * (body[-1] - body[0])) / _MM,
+        miss=found[:, 1],
+        nees=found[:, 2],
+    )
+
+
+def moments(nodes: Array, window: tuple[float, float] | None) -> Array:
+    """Times to show: nodes (K,) and between, at least at 20 Hz, at most 1500 of them.
+
+    Raises OutsideGridError for a window, in seconds, that is empty or off the nodes.
+    """
+    first, last = window or (nodes[0], nodes[-1])
+    if not nodes[0] <= first <= last <= nodes[-1]:
+        raise OutsideGridError(
+            f"The window {first:g} to {last:g} s is not inside the estimate, {nodes[0]:g} to "
+            f"{nodes[-1]:g} s; give one that is."
+        )
+    nodes = nodes[(nodes >= first) & (nodes <= last)]
+    nodes = np.unique(np.concatenate([[first], nodes, [last]]))
+    steps = nodes.size - 1
+    finer = max(1, int(np.ceil(_RATE * (last - first) / steps - 1e-9))) if steps else 1
+    if steps * finer + 1 > _MOST:
+        return np.linspace(first, last, _MOST)
+    return np.interp(np.arange(steps * finer + 1) / finer, np.arange(steps + 1), nodes)
+
+
+def symmetric_root(cov: Array) -> Array:
+    """The symmetric S (…, 3, 3) with S S = cov; negative variances of rounding count as none.
+
+    >>> symmetric_root(np.diag([4.0, 9.0, 0.0])).diagonal().tolist()
+    [2.0, 3.0, 0.0]
+    """
+    variance, axes = np.linalg.eigh(cov)
+    return (axes * np.sqrt(np.maximum(variance, 0.0))[..., None, :]) @ np.swapaxes(axes, -1, -2)
+
+
+def _place(site: Readings, times: Array) -> Array:
+    rows, near = _nearest(site, times, _DROPPED)
+    return np.where(near, site.arclength[rows], np.nan)
+
+
+def _misses(posterior: Posterior, site: Readings, times: Array) -> Array:
+    """Arclength, distance and its squared normalised size (3, F) of the samples shown."""
+    rows, near = _nearest(site, times, _NEAR)
+    out = np.full((3, times.size), np.nan)
+    shown, back = np.unique(rows[near], return_inverse=True)
+    if shown.size:
+        errors = errors_against(posterior, site.select(shown))
+        found = np.stack([errors.arclength, errors.position, errors.nees_position])
+        out[:, near] = found[:, back]
+    return out

@@ -1,0 +1,136 @@
+"""Figures of a plan and of a sweep of designs; lengths in millimetres.
+
+matplotlib is imported when a figure is asked for, not before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from glissando.geometry.se3 import Array
+from glissando.planning.design import NUMBERS, Design, is_best
+from glissando.planning.planning_problem import Outlook
+from glissando.planning.zones import Zone
+from glissando.visualization.figures import _SENSORS, _canvas
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_MM = 1e3
+_PLACES, _TIMES = 60, 81  # points of a map along the body and in time
+_LINES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
+
+
+def plan_figure(outlook: Outlook, paths: Mapping[str, Array], zones: Sequence[Zone]) -> Figure:
+    """Foretold confidence over arclength and time for each path (T,), side by side.
+
+    Colour is the root of the total position variance, millimetres; white is the sensor's way, a
+    dashed outline a zone. Raises GlissandoError without matplotlib.
+    """
+    place, time, maps = _maps(outlook, paths)
+    top = float(np.quantile(np.stack(list(maps.values())), 0.97))
+    with _canvas(4.6 * len(maps) + 0.8, 4.8) as figure:
+        row: Any = figure.subplots(1, len(maps), sharey=True, squeeze=False)[0]
+        for axes, (name, std) in zip(row, maps.items(), strict=True):
+            look = {"vmin": 0.0, "vmax": top, "cmap": "viridis", "shading": "gouraud"}
+            shade = axes.pcolormesh(time, place * _MM, std, **look)
+            axes.plot(outlook.times, paths[name] * _MM, color="white", lw=2.0)
+            for zone in zones:
+                _outline(axes, zone, outlook)
+            axes.set_title(name, loc="left", fontweight="bold")
+            axes.set(xlabel="time (s)", xlim=time[[0, -1]], ylim=place[[0, -1]] * _MM)
+        row[0].set_ylabel("arclength (mm)")
+        over: Any = "max"
+        figure.colorbar(
+            shade, ax=row, label="position standard deviation (mm)", pad=0.015, extend=over
+        )
+    return figure
+
+
+def _maps(outlook: Outlook, paths: Mapping[str, Array]) -> tuple[Array, Array, dict[str, Array]]:
+    """Arclengths (P,), times (T,) and foretold position deviations (P, T) in mm of each path."""
+    nodes = outlook.ahead.grid.arclength
+    place = np.linspace(nodes[0], nodes[-1], _PLACES)
+    time = np.linspace(outlook.start, outlook.last, _TIMES)
+    where, when = (grid.ravel() for grid in np.meshgrid(place, time, indexing="ij"))
+    maps = {}
+    for name, path in paths.items():
+        cov = outlook.told(path).cov_pose(where, when)
+        std = _MM * np.sqrt(np.einsum("zii->z", cov[:, :3, :3]))
+        maps[name] = std.reshape(_PLACES, _TIMES)
+    return place, time, maps
+
+
+def save_plan_film(
+    outlook: Outlook, paths: Mapping[str, Array], zones: Sequence[Zone], file: Path
+) -> None:
+    """Write a GIF: confidence along the body as time goes on, a line and a sensor each path.
+
+    Zones that count at the moment are shaded. Raises GlissandoError without matplotlib.
+    """
+    place, time, maps = _maps(outlook, paths)
+    top = float(np.quantile(np.stack(list(maps.values())), 0.97))
+    with _canvas(7.0, 4.2) as figure:
+        from matplotlib.animation import PillowWriter
+
+        axes: Any = figure.subplots()
+        writer = PillowWriter(fps=max(1, round(_TIMES / (outlook.last - outlook.start))))
+        with writer.saving(figure, file, dpi=90):
+            for k, now in enumerate(time):
+                axes.clear()
+                for zone in zones:
+                    during = zone.during(outlook.start, outlook.last)
+                    if during is not None and during[0] <= now <= during[1]:
+                        low, high = (float(end[0]) for end in zone.ends(np.array([now])))
+                        axes.axvspan(low * _MM, high * _MM, color="#E69F00", alpha=0.2, lw=0)
+                for (name, std), colour in zip(maps.items(), _LINES, strict=False):
+                    axes.plot(place * _MM, std[:, k], color=colour, label=name)
+                    at = float(np.interp(now, outlook.times, paths[name]))
+                    axes.plot(at * _MM, 0.02 * top, "^", color=colour, clip_on=False)
+                axes.set(xlim=place[[0, -1]] * _MM, ylim=(0.0, top), xlabel="arclength (mm)")
+                axes.set_ylabel("position standard deviation (mm)")
+                axes.set_title(f"{now - outlook.start:.1f} s", loc="left")
+                axes.legend(loc="upper left", ncols=len(maps))
+                writer.grab_frame()
+
+
+def _outline(axes: Any, zone: Zone, outlook: Outlook) -> None:
+    during = zone.during(outlook.start, outlook.last)
+    if during is None:
+        return
+    time = np.linspace(*during, 100)
+    low, high = zone.ends(time)
+    around = np.concatenate([low, high[::-1], low[:1]])
+    look = {"color": "#E69F00", "lw": 1.6, "ls": "--"}
+    axes.plot(np.concatenate([time, time[::-1], time[:1]]), around * _MM, **look)
+
+
+def design_figure(designs: Sequence[Design]) -> Figure:
+    """Confidence of every design against what it costs; a line joins the best of each.
+
+    A panel each for stroke, speed, rate and number of coils; large marks are worth what they cost.
+    Raises GlissandoError without matplotlib.
+    """
+    best = is_best(designs)
+    std = _MM * np.array([d.std for d in designs])
+    with _canvas(3.6 * len(NUMBERS), 4.6) as figure:
+        row: Any = figure.subplots(1, len(NUMBERS), sharey=True)
+        for axes, (name, (unit, scale)) in zip(row, NUMBERS.items(), strict=True):
+            cost = scale * np.array([float(getattr(d, name)) for d in designs])
+            for zone, colour in zip(range(std.shape[1]), _SENSORS, strict=False):
+                axes.plot(cost, std[:, zone], "o", color=colour, ms=4, alpha=0.5)
+                label = f"zone {zone + 1}, worth its cost"
+                look = {"mfc": colour, "mec": "black", "ms": 7, "label": label}
+                axes.plot(cost[best], std[best, zone], "o", **look)
+                levels = np.unique(cost)
+                floor = [std[cost == level, zone].min() for level in levels]
+                axes.plot(levels, floor, color=colour, lw=1.2)
+            axes.set_xlabel(f"{name} ({unit})" if unit else name)
+        row[0].set_ylabel("position standard deviation (mm)")
+        handles, labels = row[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside upper center", ncols=4)
+    return figure
