@@ -13,8 +13,8 @@ from glissando import (
     BaseVariance,
     CoilReadings,
     Grid,
-    KinematicPrior,
     SeparablePrior,
+    WhiteNoisePrior,
     estimate,
 )
 from glissando.geometry import se3
@@ -25,7 +25,7 @@ PSD = np.array([1e-5, 1e-5, 1e-5, 2.0, 2.0, 0.5])
 POSE, STRAIN = np.full(6, 1e-6), np.array([1e-5, 1e-5, 1e-5, 2.0, 2.0, 0.1])
 COIL_COV = [1e-6] * 3 + [1e-4] * 2
 SEPARABLE = SeparablePrior(PSD, SCALE, BaseVariance(POSE, STRAIN), rest_strain=SHAPE)
-KINEMATIC = KinematicPrior(
+KINEMATIC = WhiteNoisePrior(
     PSD,
     PSD,
     PSD,

@@ -50,7 +50,9 @@ def solved(robot, recording):
     readings, _ = recording.readings(use, robot, WINDOW)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", NotConvergedWarning)
-        return estimate(robot.prior, robot.grid(*WINDOW), readings, unknowns=robot.unknowns)
+        return estimate(
+            robot.prior, robot.grid(*WINDOW), readings, sensor_parameters=robot.sensor_parameters
+        )
 
 
 def judged(posterior, robot, known, recording):
@@ -96,7 +98,7 @@ def main():
         return
     recording = load_recording(options.folder / RECORDING)
     robots = [load_robot(name) for name in options.robots]
-    known = robots[1].unknowns  # of the truth: both are judged by the same
+    known = robots[1].sensor_parameters  # of the truth: both are judged by the same
 
     one, other = robots
     alike = replace(one, prior=other.prior)  # the same sensors, nothing of them unknown

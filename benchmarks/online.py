@@ -18,10 +18,10 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 import numpy as np
 
 from estimate import arc
-from glissando import CoilReadings, FixedLag, PoseReadings, load_robot
+from glissando import CoilReadings, FixedLagSmoother, PoseReadings, load_robot
 from glissando.evaluation.replay import replay
 from glissando.io.recording import load_recording
-from glissando.model.sensors.parameters import Unknown
+from glissando.model.sensors.parameters import SensorParameter
 
 # Published for the reference implementation's window of four nodes and its filter: tip RMSE (mm)
 # and milliseconds an update, median and 99 % (one thread of a 2.5 GHz Xeon core).
@@ -41,7 +41,7 @@ LATE = {"slow_free_space": 0.02, "fast_contact": 0.002}  # s, motion capture aft
 HEAD = """\
 # Online
 
-`FixedLag` estimates the last time nodes together and keeps what is older as a prior on them.
+`FixedLagSmoother` estimates the last time nodes together; what is older is a prior on them.
 `smoother.add(readings)` takes readings of any stream, late, repeated or out of order;
 `smoother.advance(time)` returns the newest state at the nodes with its covariance;
 `smoother.at(arclength, time)` answers inside the window and a little ahead of it. What was not
@@ -113,9 +113,10 @@ def settings(data, learned):
             "published settings": recording.robot,
             "the tracker's own rate": replace(recording.robot, sensor_rate={"pose": TRACKER_RATE}),
         }
-        late = Unknown("truth", "delay", ("vicon4",), np.array([LATE[name]]), np.zeros(1))
+        late = SensorParameter("truth", "delay", ("vicon4",), np.array([LATE[name]]), np.zeros(1))
         robots["and motion capture's delay"] = replace(
-            robots["the tracker's own rate"], unknowns=(*recording.robot.unknowns, late)
+            robots["the tracker's own rate"],
+            sensor_parameters=(*recording.robot.sensor_parameters, late),
         )
         if learned is not None:
             robots["learned and calibrated"] = load_robot(learned)
@@ -181,7 +182,7 @@ def resident():
 def endurance(hours):
     """Memory (MB) after the first minute and at the end; median latency (ms) early and late."""
     robot = load_robot("tdcr466")
-    smoother = FixedLag(robot.prior, robot.arclength_nodes, window=4)
+    smoother = FixedLagSmoother(robot.prior, robot.arclength_nodes, window=4)
     latency, early = [], 0.0
     for now, readings in sliding(3600.0 * hours):
         start = time.perf_counter()

@@ -86,7 +86,10 @@ def outcome(robot, window, readings, truth, loss):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", NotConvergedWarning)
             posterior = estimate(
-                robot.prior, robot.grid(*window), readings, unknowns=robot.unknowns
+                robot.prior,
+                robot.grid(*window),
+                readings,
+                sensor_parameters=robot.sensor_parameters,
             )
     except (GlissandoError, np.linalg.LinAlgError) as problem:
         return Outcome(np.nan, 0, 0, f"{type(problem).__name__}: {problem}")
@@ -106,7 +109,7 @@ def rows(recording, robot, window, seeds):
     use, truth = recording.choose(None, None)
     readings, _ = recording.readings(use, robot, window)
     judges, _ = recording.readings(truth, robot, window, as_truth=True)
-    judges = [corrected(t, robot.unknowns) for t in judges]
+    judges = [corrected(t, robot.sensor_parameters) for t in judges]
     trackers = sum(len(r) for r in readings if r.name in TRACKERS)
     bare = None
     for label, loss in LOSSES.items():

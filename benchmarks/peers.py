@@ -25,9 +25,9 @@ from scipy.stats import chi2
 import peers_curves
 import peers_gtsam
 import shapes
-from glissando import BaseVariance, PoseReadings, SeparablePrior, estimate_shapes, load_robot
+from glissando import BaseVariance, PoseReadings, SeparablePrior, estimate_static, load_robot
 from glissando.errors import GlissandoError
-from glissando.estimation.batch import Options
+from glissando.estimation.batch import SolverOptions
 from glissando.io.robot_file import parse_robot
 from glissando.io.toml_table import Table
 from peers_page import TEXT, draw, ratios
@@ -66,7 +66,7 @@ def ours(problem, numbers, nodes=None, prior=None, options=None):
         values=problem.reading_pose,
         cov=numbers.noise**2,
     )
-    found = estimate_shapes(
+    found = estimate_static(
         prior or uniform(problem, numbers),
         problem.nodes if nodes is None else nodes,
         [poses],
@@ -192,7 +192,7 @@ def refinements(problem):
 
 def distances(problem):
     """How far each grid's answer is from the limit: the largest of means (mm) and of std (%)."""
-    numbers, exact = Numbers.of(np.array(COMMON)), Options(tolerance=1e-6)
+    numbers, exact = Numbers.of(np.array(COMMON)), SolverOptions(tolerance=1e-6)
     fine = peers_gtsam.refine(problem.stations, 2)
     place, cov = ours(problem, numbers, fine, options=exact)
     std = np.sqrt(np.einsum("mii->mi", cov))

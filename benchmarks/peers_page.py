@@ -10,7 +10,7 @@ TEXT = """\
 Every number on this page is printed by `benchmarks/peers.py`, which writes it.
 
 A robot is read in a few places; told is where it is between them. Each shape is static and known to
-nothing but its own readings; ours are solved together with `estimate_shapes`, GTSAM's ({gtsam}) one
+nothing but its own readings; ours are solved together with `estimate_static`, GTSAM's ({gtsam}) one
 graph after another, on one thread, in one process, taking turns. Times are processor seconds from
 arrays of readings to mean and covariance at all places asked for.
 

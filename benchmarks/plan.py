@@ -15,19 +15,19 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 
 import numpy as np
 
-from glissando import BaseVariance, CoilReadings, FixedLag, SeparablePrior, load_robot
+from glissando import BaseVariance, CoilReadings, FixedLagSmoother, SeparablePrior, load_robot
 from glissando.errors import PlanWarning
 from glissando.io.robot_file import robot_file
 from glissando.planning import (
-    Elsewhere,
+    ProcessPlanner,
     Replanner,
     Trace,
     Zone,
-    foresee,
-    foretell,
+    evaluate_path,
     judge_of,
     plan_greedily,
     plan_slide,
+    predict_information,
     sliding_sensor,
     track_of,
 )
@@ -62,7 +62,7 @@ def clocked(work):
 def costs(robot, stage):
     """Milliseconds: outlook, plan, both, one value, one gradient, the greedy path; numbers kept."""
     reach = LENGTH - stage.stroke, LENGTH
-    ahead, outlook = clocked(lambda: foresee(robot, reach, HORIZON))
+    ahead, outlook = clocked(lambda: predict_information(robot, reach, HORIZON))
     ready, judge = clocked(lambda: judge_of(outlook, ZONES, Trace()))
     track = track_of(stage, LENGTH, LENGTH, HORIZON)
     planned, plan = clocked(lambda: plan_slide(judge, track, ZONES))
@@ -75,14 +75,14 @@ def costs(robot, stage):
 
 def error(robot, stage):
     """Per cent by which deviations that plans are judged by miss those at full size: RMS, most."""
-    outlook = foresee(robot, (LENGTH - stage.stroke, LENGTH), HORIZON)
+    outlook = predict_information(robot, (LENGTH - stage.stroke, LENGTH), HORIZON)
     track, misses = track_of(stage, LENGTH, LENGTH, HORIZON), []
     for zones in JUDGED:
         judge = judge_of(outlook, zones, Trace())
         paths = np.stack(list(starts(track, zones, 0.0, 0).values())[::4])
         for control in track.follow(paths):
             path = track.places(control)
-            whole = foretell(outlook, zones, Trace(), path).std
+            whole = evaluate_path(outlook, zones, Trace(), path).std
             misses.append(100.0 * (np.sqrt(judge.value(path)) / whole - 1.0))
     return np.sqrt(np.mean(np.square(misses))), np.abs(misses).max()
 
@@ -115,7 +115,7 @@ def loop(robot, stage, seconds, planner=None, lead=0.0):
     given = {} if planner is None else {"planner": planner}
     sensor = sliding_sensor(robot)
     replanner = Replanner(sensor, track, ZONES, node_step=0.5, lead=lead, **given)
-    smoother = FixedLag(robot.prior, robot.arclength_nodes, window=4)
+    smoother = FixedLagSmoother(robot.prior, robot.arclength_nodes, window=4)
     out, plans, begin = [], set(), time.perf_counter()
     for tick in range(round(seconds / TICK)):
         now = tick * TICK
@@ -143,7 +143,7 @@ def loop_lines(rounds, seconds):
     warnings.simplefilter("ignore", PlanWarning)  # here, each plan is late
     for name, robot in ROBOTS.items():
         found = {"none": [], "elsewhere": [], "in the loop": []}
-        with Elsewhere() as planner:
+        with ProcessPlanner() as planner:
             for _ in range(rounds):
                 found["none"].append(loop(robot, stage, seconds))
                 found["elsewhere"].append(loop(robot, stage, seconds, planner, LEAD))

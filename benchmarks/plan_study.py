@@ -25,13 +25,13 @@ from glissando.io.robot_file import robot_file
 from glissando.planning import (
     Trace,
     Zone,
-    blind_paths,
+    baseline_paths,
     course_of,
+    evaluate_path,
     everywhere,
-    foresee,
-    foretell,
     judge_of,
     plan_slide,
+    predict_information,
     track_of,
 )
 from glissando.simulation import SlidePath, load_bench, simulate_session
@@ -70,7 +70,7 @@ def paths_of(outlook, stage):
         "oscillating": SlidePath.oscillate(cycles, stage.stroke, stage),
         "fixed": SlidePath.hold(0.0, LASTS, stage),
     }
-    assert set(slides) < {"planned", *blind_paths(stage, TIP, TIP, track.times)}
+    assert set(slides) < {"planned", *baseline_paths(stage, TIP, TIP, track.times)}
     return {name: (slide, TIP - slide.at(outlook.times)) for name, slide in slides.items()}
 
 
@@ -95,11 +95,13 @@ def study(shape, stage, robots, draws):
     """By path: what is foretold (m), and claimed variance, squared error, coverage of each run."""
     course = expected(moved(shape, None))
     reach = TIP - stage.stroke, TIP
-    outlook = foresee(ROBOT, reach, LASTS, course=course, node_step=1.0 / ROBOT.time_rate)
+    outlook = predict_information(
+        ROBOT, reach, LASTS, course=course, node_step=1.0 / ROBOT.time_rate
+    )
     told, runs = {"everywhere": everywhere(outlook, [ZONE], Trace()).std}, {}
     paths = paths_of(outlook, stage)
     for name, (_, path) in paths.items():
-        told[name], runs[name] = foretell(outlook, [ZONE], Trace(), path).std, []
+        told[name], runs[name] = evaluate_path(outlook, [ZONE], Trace(), path).std, []
     for robot in range(robots):
         motion, state = moved(shape, robot), None
         for name, (slide, _) in paths.items():

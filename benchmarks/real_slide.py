@@ -27,7 +27,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from glissando import CoilReadings, NotConvergedWarning, estimate, load_robot
-from glissando.estimation.batch import Options
+from glissando.estimation.batch import SolverOptions
 from glissando.evaluation.metrics import Errors, errors_against, pool
 from glissando.geometry import se3
 from glissando.io.recording import load_recording
@@ -65,7 +65,7 @@ class Bodies:
 def load_bodies(recording, robot, window):
     """The bodies with frames and mounts put right, their noise as stated here."""
     found, _ = recording.readings(BODIES, robot, window, as_truth=True)
-    streams = [replace(corrected(r, robot.unknowns), cov=STD**2) for r in found]
+    streams = [replace(corrected(r, robot.sensor_parameters), cov=STD**2) for r in found]
     time = np.unique(np.concatenate([s.time for s in streams]))
     row = np.full((len(streams), time.size), -1)
     for body, stream in enumerate(streams):
@@ -132,8 +132,8 @@ def trial(bodies, robot, window, swing, period):
             robot.prior,
             robot.grid(*window),
             [readings],
-            unknowns=robot.unknowns,
-            options=Options(max_iterations=ITERATIONS),
+            sensor_parameters=robot.sensor_parameters,
+            options=SolverOptions(max_iterations=ITERATIONS),
         )
     return Arm(read, [errors_against(posterior, s) for s in bodies.streams], posterior.solve)
 

@@ -22,8 +22,8 @@ from glissando import (
     BaseDensity,
     CoilReadings,
     Grid,
-    KinematicPrior,
     PoseReadings,
+    WhiteNoisePrior,
     estimate,
     load_robot,
 )
@@ -71,7 +71,7 @@ def bent_rod_std(nodes):
         np.full(6, 1e-14), np.array([8e-6, 8e-6, 8e-6, 14, 14, 1e-8]), np.full(6, 1e-6)
     )
     psd = np.array([5.1e-4, 5.1e-4, 5.1e-4, 4, 4, 0.45])
-    prior = KinematicPrior(psd, psd, psd, psd, base, rest_strain=strain)
+    prior = WhiteNoisePrior(psd, psd, psd, psd, base, rest_strain=strain)
     tip = CoilReadings(
         time=np.zeros(1),
         arclength=np.full(1, 0.7),

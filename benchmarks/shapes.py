@@ -139,7 +139,7 @@ def relearn(poses):
 
 
 @dataclass(frozen=True)
-class Judged:
+class Innovations:
     """Errors (M, 7) in metres at the unread stations, ours with its NEES, and Hermite's."""
 
     error: np.ndarray
@@ -156,7 +156,7 @@ def judge(document, shapes):
         errors = errors_against(posterior, *shape.truth(robot))
         beyond = shape.unread > shape.stops[-1]
         found.append((errors.position, errors.nees_position, hermite(shape), beyond))
-    return Judged(*(np.array(column) for column in zip(*found, strict=True)))
+    return Innovations(*(np.array(column) for column in zip(*found, strict=True)))
 
 
 def hermite(shape):

@@ -7,7 +7,7 @@ import sys
 
 import numpy as np
 
-from glissando import CoilReadings, FixedLag, load_robot
+from glissando import CoilReadings, FixedLagSmoother, load_robot
 from glissando.geometry import se3
 from glissando.io.robot_file import robot_file
 from glissando.planning import Replanner, Zone, sliding_sensor, track_of
@@ -24,7 +24,7 @@ for name in ("planned", "oscillating"):
     rng, found = np.random.default_rng(0), []
     track = track_of(bench.full_slide, upper=0.7, start=0.7, horizon=5.0)
     replanner = Replanner(sliding_sensor(robot), track, [zone])
-    smoother = FixedLag(robot.prior, robot.arclength_nodes, window=6)
+    smoother = FixedLagSmoother(robot.prior, robot.arclength_nodes, window=6)
     for now in np.arange(0.0, lasts, 0.5):
         time = now + np.linspace(-0.475, 0.0, 20)[-20 if now else -1 :]
         place = replanner.at(time)[0] if name == "planned" else 0.7 - blind.at(time)

@@ -11,11 +11,11 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from glissando import CoilReadings, FixedLag, load_robot
+from glissando import CoilReadings, FixedLagSmoother, load_robot
 from glissando.hardware.capture.simulated import simulated_rig
 from glissando.hardware.drivers import Aurora, Slide
 from glissando.io.robot_file import robot_file
-from glissando.planning import Elsewhere, Moving, Replanner, Zone, sliding_sensor, track_of
+from glissando.planning import Moving, ProcessPlanner, Replanner, Zone, sliding_sensor, track_of
 from glissando.planning.replan import Route
 from glissando.simulation import load_bench
 
@@ -27,8 +27,8 @@ def estimate(seen, travels, routes, lasts):
     robot, bench = load_robot("sliding700"), load_bench(robot_file("sliding700"))
     zone = Zone(Moving((0.0, lasts), (0.62, 0.68), (0.52, 0.58)))
     sensor, track = sliding_sensor(robot), track_of(bench.slide, TIP, TIP, horizon=5.0)
-    smoother, slide = FixedLag(robot.prior, robot.arclength_nodes, window=6), [(0.0, 0.0)]
-    with Elsewhere() as planner:
+    smoother, slide = FixedLagSmoother(robot.prior, robot.arclength_nodes, window=6), [(0.0, 0.0)]
+    with ProcessPlanner() as planner:
         replanner = Replanner(sensor, track, [zone], node_step=0.5, lead=0.7, planner=planner)
         routes.send("ready")
         begin = routes.recv()

@@ -5,7 +5,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 
 from glissando.geometry import se3
-from glissando.model.priors.white_noise import BaseDensity, KinematicPrior
+from glissando.model.priors.white_noise import BaseDensity, WhiteNoisePrior
 from glissando.model.state import State
 
 law = settings(deadline=None, derandomize=True, max_examples=50)
@@ -60,7 +60,7 @@ def prior(*, base=True, **changes):
         "psd_velocity_arclength": 3.0 * rise[::-1],
         "base": firmness if base else None,
     }
-    return KinematicPrior(**{**settings, **changes})
+    return WhiteNoisePrior(**{**settings, **changes})
 
 
 def spd(rng, *shape, size):

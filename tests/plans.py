@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from glissando import BaseVariance, SeparablePrior, load_robot
-from glissando.planning import Track, Zone, foresee, sliding_sensor
+from glissando.planning import PathSpace, Zone, predict_information, sliding_sensor
 
 LENGTH = 0.7
 KINEMATIC = replace(load_robot("sliding700"), arclength_nodes=np.linspace(0.0, LENGTH, 5))
@@ -25,11 +25,11 @@ ZONE = Zone((0.4, 0.5))
 def small_outlook(kind="separable", horizon=3.0, reach=REACH, known=None, **given):
     robot = ROBOTS[kind]
     sensor = sliding_sensor(robot, **{k: given.pop(k) for k in ("coils", "spacing") if k in given})
-    return foresee(robot if known is None else known, reach, horizon, sensor, **given)
+    return predict_information(robot if known is None else known, reach, horizon, sensor, **given)
 
 
 def small_track(outlook, start=LENGTH, speed=0.06, acceleration=0.2, reach=REACH):
-    return Track(*reach, speed, acceleration, outlook.step, outlook.steps, start)
+    return PathSpace(*reach, speed, acceleration, outlook.step, outlook.steps, start)
 
 
 def wiggle(outlook, reach=REACH):

@@ -29,8 +29,8 @@ def test_what_is_saved_comes_back_and_serves_a_robot_file(tmp_path):
     document = tomllib.loads((tmp_path / "rig.toml").read_text())
     robot = tomllib.loads(robot_file("sliding700").read_text())
     known = parse_robot(Table({**robot, "unknowns": document["unknowns"]}, "r", GlissandoError))
-    assert all(u.known for u in known.unknowns)
-    assert np.allclose(se3.exp(known.unknowns[0].value), made.rig.T_wt, atol=1e-9)
+    assert all(u.known for u in known.sensor_parameters)
+    assert np.allclose(se3.exp(known.sensor_parameters[0].value), made.rig.T_wt, atol=1e-9)
 
 
 def test_a_calibration_file_with_a_wrong_key_is_refused_with_its_name(tmp_path):

@@ -173,13 +173,13 @@ def test_nothing_that_fixes_the_base_exits_2(recording, tmp_path, capsys):
 
 
 def test_not_converging_exits_1_and_says_what_to_try(recording, capsys, monkeypatch):
-    from glissando import Options, evaluation
+    from glissando import SolverOptions, evaluation
 
     original = evaluation.run.estimate
     monkeypatch.setattr(
         evaluation.run,
         "estimate",
-        lambda *a, **k: original(*a, **k, options=Options(max_iterations=1)),
+        lambda *a, **k: original(*a, **k, options=SolverOptions(max_iterations=1)),
     )
     assert run("estimate", recording, "--window", 0, 1) == 1
     assert "not converged: 1 iterations" in capsys.readouterr().err.replace("\n", " ")

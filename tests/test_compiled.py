@@ -17,7 +17,7 @@ from glissando.model.noise import GemanMcClure
 from glissando.model.priors.steps import ARCLENGTH, TIME
 from glissando.model.priors.transitions import Bridge
 from glissando.model.state import State
-from glissando.solver.block_tridiagonal_batch import Chains
+from glissando.solver.block_tridiagonal_batch import BatchCholesky
 from glissando.twins import TWINS
 
 SHAPES = [(), (1,), (5,), (2, 3), (0,)]
@@ -42,7 +42,7 @@ def same(found, expected, tolerance=1e-9):
         assert len(found) == len(expected)
         for mine, its in zip(found, expected, strict=True):
             same(mine, its, tolerance)
-    elif isinstance(expected, State | Bridge | Chains):
+    elif isinstance(expected, State | Bridge | BatchCholesky):
         for name, its in vars(expected).items():
             if its is not None:
                 same(getattr(found, name), its, tolerance)
@@ -180,10 +180,10 @@ ARGUMENTS = dict(
     "weighted_steps": weighted,
     "squared_innovations": explained,
     "pair_error": pairs,
-    "still_steps": still,
+    "static_steps": still,
     "interval_error": rated,
     "interval_between": inside_rated,
-    "factor_chains": chains,
+    "factor_batch": chains,
     "bridged": inside_steps,
 }
 

@@ -14,9 +14,9 @@ from glissando import (
     CoilReadings,
     Grid,
     GyroReadings,
-    KinematicPrior,
     PoseReadings,
     State,
+    WhiteNoisePrior,
     estimate,
 )
 from glissando.geometry import se3
@@ -31,7 +31,7 @@ BASE = BaseDensity(
     np.array([1e-5] * 3 + [2.0, 2.0, 0.1]),
     np.array([1e-4] * 3 + [1e-2] * 3),
 )
-PRIOR = KinematicPrior(PSD_STRAIN, PSD_STRAIN, PSD_STRAIN, PSD_VELOCITY, BASE)
+PRIOR = WhiteNoisePrior(PSD_STRAIN, PSD_STRAIN, PSD_STRAIN, PSD_VELOCITY, BASE)
 COIL_COV = np.array([1e-6] * 3 + [1e-4] * 2)
 POSE_COV = np.array([4e-6] * 3 + [4e-4] * 3)
 GYRO_COV = np.full(3, 1e-4)

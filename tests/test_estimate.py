@@ -10,9 +10,9 @@ from glissando import (
     GemanMcClure,
     Huber,
     NotConvergedWarning,
-    Options,
     OutsideGridError,
     PoseReadings,
+    SolverOptions,
     State,
     UnobservableError,
     estimate,
@@ -22,7 +22,7 @@ from glissando import (
 from glissando.geometry import se3
 from scenes import LENGTH, arc, sliding_scene
 
-TIGHT = Options(tolerance=1e-5, max_iterations=200)
+TIGHT = SolverOptions(tolerance=1e-5, max_iterations=200)
 
 
 def difference(a, b):
@@ -88,7 +88,7 @@ def test_a_slid_sensor_leaves_less_uncertainty_than_a_fixed_one():
 def test_adding_readings_never_raises_a_marginal_variance():
     prior, grid, (base, coil, gyro) = sliding_scene()
     start = estimate(prior, grid, [base, coil, gyro]).state
-    once = Options(max_iterations=1, tolerance=np.inf)  # one linearisation point for both
+    once = SolverOptions(max_iterations=1, tolerance=np.inf)  # one linearisation point for both
     few = estimate(prior, grid, [base, gyro], initial=start, options=once)
     many = estimate(prior, grid, [base, gyro, coil], initial=start, options=once)
     ratio = np.einsum("kii->ki", many.marginals.cov) / np.einsum("kii->ki", few.marginals.cov)
@@ -148,7 +148,7 @@ def test_an_absurd_start_ends_well_or_shows_that_it_did_not(seed):
 def test_not_converging_is_never_silent():
     prior, grid, readings = sliding_scene()
     with pytest.warns(NotConvergedWarning, match="not converged: 1 iterations.*Try"):
-        posterior = estimate(prior, grid, readings, options=Options(max_iterations=1))
+        posterior = estimate(prior, grid, readings, options=SolverOptions(max_iterations=1))
     assert not posterior.solve.converged
 
 
@@ -231,7 +231,7 @@ def test_progress_is_told_of_every_iteration():
     seen = []
     posterior = estimate(prior, grid, readings, progress=lambda *told: seen.append(told))
     assert [number for number, _, _ in seen] == list(range(1, posterior.solve.iterations + 1))
-    assert seen[-1][2] < Options().tolerance
+    assert seen[-1][2] < SolverOptions().tolerance
 
 
 def test_a_warm_start_needs_fewer_iterations():

@@ -22,17 +22,17 @@ from glissando import (
     StrainReadings,
     UnobservableError,
     estimate,
-    estimate_shapes,
+    estimate_static,
     load_robot,
 )
 from glissando.estimation import static as method
-from glissando.estimation.batch import Options
+from glissando.estimation.batch import SolverOptions
 from glissando.evaluation.metrics import errors_against
 from glissando.geometry import se3
 from glissando.model.priors.rest_shape import STRAIGHT
-from glissando.solver.block_tridiagonal_batch import factor_chains
+from glissando.solver.block_tridiagonal_batch import factor_batch
 
-EXACT = Options(tolerance=1e-4)
+EXACT = SolverOptions(tolerance=1e-4)
 PRIORS = {
     "kinematic": load_robot("sliding700").prior,
     "separable": replace(load_robot("tdcr466-segments").prior, base_pose=se3.exp(np.full(6, 0.1))),
@@ -103,7 +103,7 @@ def assert_same(together, one, shape, places):
 def test_shapes_together_are_each_by_itself(kind, rng):
     count, prior, nodes = int(rng.integers(1, 5)), PRIORS[kind], nodes_of(kind)
     readings = readings_of(rng, kind, count)
-    together = estimate_shapes(prior, nodes, readings, count=count, options=EXACT)
+    together = estimate_static(prior, nodes, readings, count=count, options=EXACT)
     assert together.converged.all()
     places = np.sort(LENGTHS[kind] * rng.uniform(size=4))
     for shape in range(count):
@@ -116,9 +116,9 @@ def test_shapes_do_not_know_of_each_other():
     rng = np.random.default_rng(0)
     prior, nodes = PRIORS["separable"], nodes_of("separable")
     readings = readings_of(rng, "separable", 6)
-    whole = estimate_shapes(prior, nodes, readings, options=EXACT)
+    whole = estimate_static(prior, nodes, readings, options=EXACT)
     third = [r.select(r.time == 2) for r in readings]
-    single = estimate_shapes(prior, nodes, third, count=9, options=EXACT)
+    single = estimate_static(prior, nodes, third, count=9, options=EXACT)
     found, wanted = (s.at(nodes, 2) for s in (single, whole))
     np.testing.assert_allclose(found.pose, wanted.pose, atol=1e-6)
     np.testing.assert_allclose(found.std_position, wanted.std_position, rtol=1e-5)
@@ -126,7 +126,7 @@ def test_shapes_do_not_know_of_each_other():
 
 def test_a_shape_that_nobody_read_is_as_uncertain_as_the_prior():
     prior, nodes = PRIORS["separable"], nodes_of("separable")
-    together = estimate_shapes(prior, nodes, [], count=2)
+    together = estimate_static(prior, nodes, [], count=2)
     one = estimate(prior, Grid(nodes, [0.0]), [])
     assert_same(together, one, 1, np.array([0.05, 0.466]))
 
@@ -155,7 +155,7 @@ def test_nearly_rigid_shear_and_right_angles_converge_from_rest(monkeypatch):
         time=np.arange(count), arclength=np.full(count, length), values=tips, cov=1e-5
     )
     nodes = np.linspace(0.0, length, 6)
-    assert estimate_shapes(prior, nodes, [tip]).converged.all()
+    assert estimate_static(prior, nodes, [tip]).converged.all()
 
 
 def test_a_shape_that_steps_do_not_lead_to_is_left_to_the_estimator_of_recordings(monkeypatch):
@@ -163,15 +163,15 @@ def test_a_shape_that_steps_do_not_lead_to_is_left_to_the_estimator_of_recording
     rng = np.random.default_rng(2)
     prior, nodes = PRIORS["separable"], nodes_of("separable")
     readings = readings_of(rng, "separable", 3)
-    known = estimate_shapes(prior, nodes, readings, options=EXACT)
+    known = estimate_static(prior, nodes, readings, options=EXACT)
     monkeypatch.setattr(method, "_WORTHWHILE", np.inf)
-    left = estimate_shapes(prior, nodes, readings, options=EXACT)
+    left = estimate_static(prior, nodes, readings, options=EXACT)
     for shape in range(3):
         found, wanted = (which.at(nodes, shape) for which in (left, known))
         np.testing.assert_allclose(found.pose, wanted.pose, atol=1e-6)
         np.testing.assert_allclose(found.std_position, wanted.std_position, rtol=1e-5)
     with pytest.warns(NotConvergedWarning):
-        hasty = estimate_shapes(prior, nodes, readings, options=Options(max_iterations=1))
+        hasty = estimate_static(prior, nodes, readings, options=SolverOptions(max_iterations=1))
     assert not hasty.converged.any()
 
 
@@ -179,7 +179,7 @@ def test_truth_judges_shapes_by_their_numbers():
     rng = np.random.default_rng(3)
     prior, nodes = PRIORS["separable"], nodes_of("separable")
     readings = readings_of(rng, "separable", 4)
-    together = estimate_shapes(prior, nodes, readings, options=EXACT)
+    together = estimate_static(prior, nodes, readings, options=EXACT)
     found = errors_against(together, readings[1])
     for shape in range(4):
         mine = readings[1].select(readings[1].time == shape)
@@ -193,17 +193,17 @@ def test_mistakes_are_one_sentence():
     prior, nodes = PRIORS["separable"], nodes_of("separable")
     at = {"time": [0, 0.5], "arclength": [0.1, 0.1]}
     with pytest.raises(OutsideGridError, match=r"row 1 is of shape 0.5; shapes are numbered"):
-        estimate_shapes(prior, nodes, [PositionReadings(**at, values=np.zeros((2, 3)), cov=1.0)])
+        estimate_static(prior, nodes, [PositionReadings(**at, values=np.zeros((2, 3)), cov=1.0)])
     at = {"time": [0, 1], "arclength": [0.1, 0.1]}
     with pytest.raises(SensorError, match="spin: a shape that holds still has no velocity"):
-        estimate_shapes(
+        estimate_static(
             prior, nodes, [GyroReadings(**at, values=np.zeros((2, 3)), cov=1.0, name="spin")]
         )
     free = replace(PRIORS["kinematic"], base=None)
     with pytest.raises(UnobservableError, match="leave a direction of a shape undetermined"):
-        estimate_shapes(free, nodes, [PositionReadings(**at, values=np.zeros((2, 3)), cov=1.0)])
+        estimate_static(free, nodes, [PositionReadings(**at, values=np.zeros((2, 3)), cov=1.0)])
     with pytest.raises(OutsideGridError, match="Query"):
-        estimate_shapes(prior, nodes, [], count=2).at(0.1, 2)
+        estimate_static(prior, nodes, [], count=2).at(0.1, 2)
 
 
 @law
@@ -219,7 +219,7 @@ def test_chains_are_solved_as_dense_matrices_are(rng):
     every = np.arange(nodes)
     diagonal = np.moveaxis(blocks[:, every, :, every], 0, 1)
     lower = np.moveaxis(blocks[:, every[1:], :, every[:-1]], 0, 1)
-    chains = factor_chains(diagonal, lower)
+    chains = factor_batch(diagonal, lower)
     right = rng.standard_normal((shapes, nodes, d))
     wanted = np.linalg.solve(dense, right.reshape(shapes, -1, 1)).reshape(right.shape)
     np.testing.assert_allclose(chains.solve(right), wanted, rtol=1e-8, atol=1e-12)

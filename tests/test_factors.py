@@ -11,7 +11,7 @@ from glissando.model.sensors.sensors import CoilReadings, GyroReadings, Position
 from glissando.model.state import DOF
 from glissando.solver import measurement_factors
 from glissando.solver.block_tridiagonal import factor
-from glissando.solver.linearize import PlacedReadings, linearize
+from glissando.solver.linearize import MeasurementFactors, linearize
 from glissando.solver.normal_equations import slab_shape
 from oracles import dense
 
@@ -38,7 +38,7 @@ def scattered(rng, count, *, loss=None):
 
 
 def equations(readings, *, state=STATE, about=ABOUT, held=None):
-    placed = PlacedReadings(GRID, readings)
+    placed = MeasurementFactors(GRID, readings)
     return linearize(prior(), placed, state, about, np.empty(slab_shape(GRID, 18)), held)
 
 
@@ -62,7 +62,7 @@ def same(one, other, tolerance=1e-12):
 def test_the_slabs_hold_what_dense_assembly_finds(loss):
     readings = scattered(np.random.default_rng(62), 60, loss=loss)
     found = equations(readings)
-    placed = PlacedReadings(GRID, readings)
+    placed = MeasurementFactors(GRID, readings)
     batches = [*prior().factors(GRID, STATE, ABOUT, slice(0, K))]
     batches += [*placed.factors(prior(), STATE, ABOUT, 0)]
     assert sum(len(b.nodes) for b in batches[5:]) == 180
@@ -127,7 +127,7 @@ def test_how_time_is_cut_into_blocks_does_not_matter(monkeypatch, most):
     readings = scattered(np.random.default_rng(70), 30)
     whole = equations(readings)
     monkeypatch.setattr(measurement_factors, "_FACTORS", most)
-    assert len(PlacedReadings(GRID, readings).blocks) > 1
+    assert len(MeasurementFactors(GRID, readings).blocks) > 1
     same(equations(readings), whole)
 
 
@@ -135,7 +135,7 @@ def test_the_bridge_widens_a_readings_covariance_only_between_nodes():
     s, t = np.array([0.1, 0.17]), np.array([0.1, 0.1])
     where = {"time": t, "arclength": s}
     reading = PositionReadings(**where, values=np.zeros((2, 3)), cov=1e-6)
-    on_node, between_nodes = PlacedReadings(GRID, [reading]).factors(prior(), STATE, ABOUT, 0)
+    on_node, between_nodes = MeasurementFactors(GRID, [reading]).factors(prior(), STATE, ABOUT, 0)
     np.testing.assert_allclose(on_node.terms.sqrt_info[0], 1e3 * np.eye(3), rtol=1e-12, atol=1e-9)
     root = np.linalg.inv(between_nodes.terms.sqrt_info[0])
     assert np.linalg.eigvalsh(root @ root.T - 1e-6 * np.eye(3))[0] > 0.0

@@ -11,7 +11,7 @@ from hypothesis import given
 
 from draws import generators, law, motion, prior
 from glissando.errors import OutsideGridError
-from glissando.estimation.batch import Options, estimate
+from glissando.estimation.batch import SolverOptions, estimate
 from glissando.geometry import se3
 from glissando.model.grid import Grid
 from glissando.model.interpolation import sort_points
@@ -24,12 +24,12 @@ from glissando.model.sensors.sensors import (
     StrainReadings,
 )
 from glissando.model.state import DOF, State
-from glissando.solver.linearize import PlacedReadings, linearize
+from glissando.solver.linearize import MeasurementFactors, linearize
 from glissando.solver.normal_equations import slab_shape
 from oracles import dense
 
 GRID = Grid([0.0, 0.1, 0.25, 0.4], [0.0, 0.1, 0.25])
-EXACT = Options(tolerance=1e-7, max_iterations=100)
+EXACT = SolverOptions(tolerance=1e-7, max_iterations=100)
 STRAIGHT = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 TWIST = np.array([0.03, -0.02, 0.02, 0.7, -0.5, 0.6])
 SHEAR = np.array([0.01, 0.02, -0.01, 0.5, 0.8, -0.4])
@@ -224,7 +224,7 @@ def test_covariance_anywhere_is_that_of_the_dense_inverse():
     s, t = rng.uniform(0.0, 0.4, 12), rng.uniform(0.0, 0.25, 12)
     s[:6:2], t[1:9:3] = GRID.arclength[1], GRID.time[1]  # on nodes and lines as well
     posterior = estimate(prior(), GRID, [])
-    soft, placed, state = prior(), PlacedReadings(GRID, []), posterior.state
+    soft, placed, state = prior(), MeasurementFactors(GRID, []), posterior.state
     equations = linearize(soft, placed, state, state, np.empty(slab_shape(GRID, 18)))
     assert np.abs(equations.right).max() < 1e-9
     whole = dense.assemble(soft.factors(GRID, state, state, slice(0, 3)), 12).cov

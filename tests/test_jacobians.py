@@ -13,7 +13,7 @@ from glissando.model.priors.transitions import Bridge
 from glissando.model.sensors import sensors
 from glissando.model.sensors.readings import numerical_jacobian
 from glissando.model.state import DOF, State
-from glissando.solver.linearize import PlacedReadings
+from glissando.solver.linearize import MeasurementFactors
 from oracles import dense
 from slope import slope_test
 
@@ -226,7 +226,7 @@ def test_readings_inside_cells_pull_on_the_nodes_as_their_jacobian_says(sensor):
     where = {"arclength": rng.uniform(0.0, 0.4, M), "time": rng.uniform(0.0, 0.25, M)}
     (points,) = sort_points(GRID, where["arclength"], where["time"])
     at = prior().interpolate(GRID, state, state, points).state
-    placed = PlacedReadings(GRID, [readings_of(sensor, rng, at, **where)])
+    placed = MeasurementFactors(GRID, [readings_of(sensor, rng, at, **where)])
     (batch,) = placed.factors(prior(), state, state, 0)
 
     def moved(step):

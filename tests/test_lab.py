@@ -62,7 +62,7 @@ def poses(found, name, constants):
     """What a stream says of its cross-section once constants are put right."""
     robot = parse_robot(Table(found[0], "found", GlissandoError))
     stream = recording().readings([name], robot, WINDOW)[0][0]
-    known = [u for u in robot.unknowns if u.known]
+    known = [u for u in robot.sensor_parameters if u.known]
     right = corrected(stream, [*known, *constants])
     return right.time, right.values @ se3.inverse(right.mount)
 

@@ -209,8 +209,12 @@ def test_what_was_learned_is_a_robot_file_that_estimate_takes(recording, tmp_pat
         old = before.sensor_std["coil"][where]
         np.testing.assert_allclose(robot.sensor_std["coil"][where] / old, p["factor"])
     np.testing.assert_array_equal(robot.sensor_std["gyro"], before.sensor_std["gyro"])
-    assert [u.name for u in robot.unknowns] == ["truth frame", "truth2 mount", "truth4 mount"]
-    assert all(u.known for u in robot.unknowns)
+    assert [u.name for u in robot.sensor_parameters] == [
+        "truth frame",
+        "truth2 mount",
+        "truth4 mount",
+    ]
+    assert all(u.known for u in robot.sensor_parameters)
     assert run("estimate", recording, "--robot", out, *WINDOW, "--json") == 0
     assert json.loads(capsys.readouterr().out)["robot"] == "tdcr466"
 
@@ -226,8 +230,8 @@ def test_constants_found_jointly_are_written_as_known_without_the_truths_delay(
     names = ["truth frame", "truth2 mount", "truth4 mount"]
     assert [c["name"] for c in told["constants"]] == [*names, "truth delay"]
     robot = load_robot(out)
-    assert [u.name for u in robot.unknowns] == names
-    assert all(u.known for u in robot.unknowns)
+    assert [u.name for u in robot.sensor_parameters] == names
+    assert all(u.known for u in robot.sensor_parameters)
 
 
 def test_without_json_a_table_is_printed_that_names_the_numbers(

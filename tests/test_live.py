@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from browser import Told, chromium
-from glissando import FixedLag, GlissandoError, estimate
+from glissando import FixedLagSmoother, GlissandoError, estimate
 from glissando.cli.main import main
 from glissando.visualization.page import Live, scene_of
 from glissando.visualization.page import live as live_module
@@ -48,7 +48,7 @@ def test_an_update_moves_the_body_the_tube_and_the_coil(posterior, shown):
 
 def test_a_smoother_feeds_it_as_it_is():
     prior, grid, readings = sliding_scene(duration=0.3)
-    smoother = FixedLag(prior, grid.arclength)
+    smoother = FixedLagSmoother(prior, grid.arclength)
     with Live(grid.arclength, port=0) as live:
         for time in grid.time:
             for stream in readings:

@@ -16,20 +16,20 @@ import test_separable_consistency as drawn
 from draws import generators, law
 from glissando import Grid, PoseReadings, State, estimate, load_robot
 from glissando.errors import OutsideGridError, SensorError
-from glissando.estimation.batch import Options
-from glissando.estimation.fixed_lag import FixedLag
+from glissando.estimation.batch import SolverOptions
+from glissando.estimation.fixed_lag import FixedLagSmoother
 from glissando.geometry import se3
-from glissando.model.sensors.parameters import Unknown
+from glissando.model.sensors.parameters import SensorParameter
 from scenes import LENGTH, arc, sliding_scene
 
-EXACT = Options(tolerance=1e-7)
+EXACT = SolverOptions(tolerance=1e-7)
 PRIORS = {
     "kinematic": load_robot("tdcr466").prior,
     "separable": replace(drawn.PRIOR, time_scale=0.5),
 }
 UNKNOWNS = [
-    Unknown("bias", "bias", ("gyro",), np.zeros(3), np.full(3, 0.1), 0.5),
-    Unknown("frame", "world", ("coil",), np.zeros(6), np.full(6, 0.01)),
+    SensorParameter("bias", "bias", ("gyro",), np.zeros(3), np.full(3, 0.1), 0.5),
+    SensorParameter("frame", "world", ("coil",), np.zeros(6), np.full(6, 0.01)),
 ]
 
 
@@ -46,23 +46,25 @@ def fed(smoother, grid, readings):
     return newest
 
 
-@pytest.mark.parametrize("unknowns", [[], UNKNOWNS], ids=["known", "unknowns"])
+@pytest.mark.parametrize("sensor_parameters", [[], UNKNOWNS], ids=["known", "unknowns"])
 @pytest.mark.parametrize("kind", PRIORS)
-def test_a_window_as_long_as_the_recording_is_the_batch_estimate(kind, unknowns):
+def test_a_window_as_long_as_the_recording_is_the_batch_estimate(kind, sensor_parameters):
     _, grid, readings = sliding_scene(duration=1.0)
     prior = PRIORS[kind]
-    smoother = FixedLag(prior, grid.arclength, window=99, unknowns=unknowns, gate=None)
+    smoother = FixedLagSmoother(
+        prior, grid.arclength, window=99, sensor_parameters=sensor_parameters, gate=None
+    )
     fed(smoother, grid, readings)
-    smoother.settle()
+    smoother.iterate()
     found = smoother.posterior()
-    batch = estimate(prior, grid, readings, unknowns=unknowns, options=EXACT)
+    batch = estimate(prior, grid, readings, sensor_parameters=sensor_parameters, options=EXACT)
     assert np.abs(found.state.difference(batch.state)).max() < 1e-6
     mine, its = (np.einsum("kii->ki", p.marginals.cov) ** 0.5 for p in (found, batch))
     np.testing.assert_allclose(mine, its, rtol=1e-5)
     scale = np.abs(batch.system.diagonal).max()
     assert np.abs(found.system.diagonal - batch.system.diagonal).max() < 1e-6 * scale
     assert np.abs(found.system.lower - batch.system.lower).max() < 1e-6 * scale
-    for unknown in unknowns:
+    for unknown in sensor_parameters:
         for mine, its in zip(found.unknown(unknown.name), batch.unknown(unknown.name), strict=True):
             np.testing.assert_allclose(mine, its, atol=1e-6)
     for s, t in ((0.3, 0.55), (LENGTH, 1.0)):
@@ -81,7 +83,7 @@ def test_a_linear_problem_loses_nothing_to_a_short_window(kind):
     grid = Grid(np.linspace(0.0, LENGTH, 4), time)
     found = {}
     for window in (1, 3, 99):
-        smoother = FixedLag(PRIORS[kind], grid.arclength, window=window)
+        smoother = FixedLagSmoother(PRIORS[kind], grid.arclength, window=window)
         found[window] = fed(smoother, grid, [tip])[-1]
     for window in (1, 3):
         mine, its = (np.einsum("nii->ni", found[w].cov) ** 0.5 for w in (window, 99))
@@ -93,7 +95,7 @@ def test_a_linear_problem_loses_nothing_to_a_short_window(kind):
 @given(generators)
 def test_the_order_in_which_readings_come_does_not_matter_inside_the_window(rng):
     prior, grid, readings = sliding_scene(duration=0.5)
-    smoothers = [FixedLag(prior, grid.arclength, window=99, gate=None) for _ in range(2)]
+    smoothers = [FixedLagSmoother(prior, grid.arclength, window=99, gate=None) for _ in range(2)]
     fed(smoothers[0], grid, readings)
     delay = [rng.uniform(0.0, 0.2, len(r)) for r in readings]
     for time in np.append(grid.time, grid.time[-1] + 0.2):
@@ -111,7 +113,7 @@ def test_the_order_in_which_readings_come_does_not_matter_inside_the_window(rng)
     smoothers[1].advance(grid.time[-1])
     means = []
     for smoother in smoothers:
-        smoother.settle()
+        smoother.iterate()
         means.append(smoother.posterior().state)
     assert np.abs(means[0].difference(means[1])).max() < 1e-6
     again = sum(count["repeated"] for count in smoothers[1].dropped.values())
@@ -120,7 +122,7 @@ def test_the_order_in_which_readings_come_does_not_matter_inside_the_window(rng)
 
 def test_prediction_grows_less_sure_and_goes_on_as_it_moved():
     prior, grid, readings = sliding_scene()
-    smoother = FixedLag(prior, grid.arclength, window=4)
+    smoother = FixedLagSmoother(prior, grid.arclength, window=4)
     newest = fed(smoother, grid, readings)[-1]
     np.testing.assert_allclose(smoother.at(LENGTH, 1.0).cov, newest.cov[-1], rtol=1e-6, atol=1e-12)
     ahead = [smoother.at(LENGTH, 1.0 + wait) for wait in (0.01, 0.05, 0.2)]
@@ -133,17 +135,17 @@ def test_prediction_grows_less_sure_and_goes_on_as_it_moved():
 
 def test_a_gross_outlier_is_refused_counted_and_leaves_no_trace():
     prior, grid, readings = sliding_scene()
-    calm = FixedLag(prior, grid.arclength, window=4)
+    calm = FixedLagSmoother(prior, grid.arclength, window=4)
     clean = fed(calm, grid, readings)[-1]
     assert calm.fits
     base, coil, gyro = readings
     bad = coil.values.copy()
     bad[[10, 25], 0, 3] += 0.3
-    smoother = FixedLag(prior, grid.arclength, window=4)
+    smoother = FixedLagSmoother(prior, grid.arclength, window=4)
     found = fed(smoother, grid, [base, replace(coil, values=bad), gyro])[-1]
     assert smoother.dropped["coil"]["gated"] == 2
     assert np.abs(found.position - clean.position).max() < 2e-3
-    open_to_all = FixedLag(prior, grid.arclength, window=4, gate=None)
+    open_to_all = FixedLagSmoother(prior, grid.arclength, window=4, gate=None)
     fed(open_to_all, grid, [base, replace(coil, values=bad), gyro])
     assert not open_to_all.dropped
     assert not smoother.fits  # what was refused counts against the model
@@ -155,7 +157,7 @@ def test_a_stream_that_was_right_all_along_is_believed_in_the_end():
     coil = coil.select(slice(None, None, 4))  # one an update: several at once would agree
     moved = coil.values.copy()
     moved[6:, 0, 3] += 0.2
-    smoother = FixedLag(prior, grid.arclength, window=4)
+    smoother = FixedLagSmoother(prior, grid.arclength, window=4)
     tip = fed(smoother, grid, [base, replace(coil, values=moved), gyro])[-1].position[-1]
     assert 1 <= smoother.dropped["coil"]["gated"] <= 10
     assert abs(tip[0] - arc(LENGTH, 2.0)[0, 3] - 0.2) < 0.05
@@ -182,7 +184,7 @@ def through_a_bad_day(prior, seed):
     rng = np.random.default_rng(seed)
     _, grid, readings = sliding_scene(seed, duration=6.0, rate=20.0)
     day = [faulty(rng, stream) for stream in readings]
-    smoother = FixedLag(prior, grid.arclength, window=5)
+    smoother = FixedLagSmoother(prior, grid.arclength, window=5)
     spread, miss = [], []
     for k, time in enumerate(grid.time):
         since = grid.time[k - 1] if k else -np.inf
@@ -217,7 +219,7 @@ def test_a_bad_day_of_losses_blackout_outliers_disorder_and_a_wrong_clock(kind):
 
 def test_times_and_readings_that_make_no_sense_are_counted_and_nothing_breaks():
     prior, grid, (base, coil, _) = sliding_scene()
-    smoother = FixedLag(prior, grid.arclength, window=3)
+    smoother = FixedLagSmoother(prior, grid.arclength, window=3)
     with pytest.raises(OutsideGridError, match=r"call advance\(time\) first"):
         smoother.newest()
     fed(smoother, grid, [base, coil])
@@ -235,7 +237,7 @@ def test_times_and_readings_that_make_no_sense_are_counted_and_nothing_breaks():
     with pytest.raises(SensorError, match="was CoilReadings"):
         smoother.add(replace(base, name="coil"))
     with pytest.raises(OutsideGridError, match="window of 0"):
-        FixedLag(prior, grid.arclength, window=0)
+        FixedLagSmoother(prior, grid.arclength, window=0)
 
 
 def newest_errors(window, trials):
@@ -244,7 +246,7 @@ def newest_errors(window, trials):
     for _ in range(trials):
         truth = drawn.draw(rng)
         readings = [r.select(np.argsort(r.time)) for r in drawn.read(rng, truth, 1.0)]
-        smoother = FixedLag(drawn.PRIOR, drawn.GRID.arclength, window=window, gate=None)
+        smoother = FixedLagSmoother(drawn.PRIOR, drawn.GRID.arclength, window=window, gate=None)
         nees = []
         for k, at in enumerate(fed(smoother, drawn.GRID, readings)):
             true = truth.take((drawn.ON_NODES[k], drawn.FINE_S))
@@ -275,7 +277,7 @@ def test_the_example_loop_runs_and_is_sure_of_what_it_says():
 @pytest.mark.slow
 def test_memory_does_not_grow_while_it_runs():
     prior, _, readings = sliding_scene(duration=40.0)
-    smoother = FixedLag(prior, np.linspace(0.0, LENGTH, 4), window=4)
+    smoother = FixedLagSmoother(prior, np.linspace(0.0, LENGTH, 4), window=4)
     held = []
     tracemalloc.start()
     try:

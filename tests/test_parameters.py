@@ -25,7 +25,7 @@ def test_writing_pairs_out_leaves_a_robot_as_it_was(name):
         np.testing.assert_array_equal(value, other)
     for kind, std in given.sensor_std.items():
         np.testing.assert_array_equal(std, written.sensor_std[kind])
-    for one, other in zip(given.unknowns, written.unknowns, strict=True):
+    for one, other in zip(given.sensor_parameters, written.sensor_parameters, strict=True):
         assert {k: str(v) for k, v in vars(one).items()} == {
             k: str(v) for k, v in vars(other).items()
         }

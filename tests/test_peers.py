@@ -10,7 +10,7 @@ pytest.importorskip("gtsam")
 
 from draws import generators, law
 from glissando import BaseDensity, Grid, PoseReadings, State, estimate
-from glissando.estimation.batch import Options
+from glissando.estimation.batch import SolverOptions
 from glissando.geometry import se3
 from slope import slope_test
 
@@ -82,7 +82,7 @@ def test_the_same_factors_give_gtsam_and_us_the_same_posterior(refined, rng):
         values=problem.reading_pose,
         cov=NUMBERS.noise**2,
     )
-    exact = Options(tolerance=1e-7)
+    exact = SolverOptions(tolerance=1e-7)
     ours = estimate(published(problem), Grid(nodes, [0.0]), [poses], options=exact)
     found = peers_gtsam.optimised(*peers_gtsam.posed(problem, NUMBERS, nodes, 0), tight=True)
     graph, _ = peers_gtsam.posed(problem, NUMBERS, nodes, 0)
@@ -99,9 +99,9 @@ def test_the_same_factors_give_gtsam_and_us_the_same_posterior(refined, rng):
 
 def test_gtsam_on_more_and_more_nodes_comes_to_what_we_say_on_few():
     problem = problem_of(np.random.default_rng(0))
-    place, cov = peers.ours(problem, NUMBERS, options=Options(tolerance=1e-6))
+    place, cov = peers.ours(problem, NUMBERS, options=SolverOptions(tolerance=1e-6))
     fine = peers_gtsam.refine(STATIONS, 2)
-    limit, spread = peers.ours(problem, NUMBERS, fine, options=Options(tolerance=1e-6))
+    limit, spread = peers.ours(problem, NUMBERS, fine, options=SolverOptions(tolerance=1e-6))
     assert np.abs(place - limit).max() < 5e-5
     assert np.abs(std(cov) / std(spread) - 1.0).max() < 5e-3
     far = []

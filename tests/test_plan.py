@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from draws import generators
-from glissando import FixedLag, Grid, Unknown, estimate
+from glissando import FixedLagSmoother, Grid, SensorParameter, estimate
 from glissando.errors import GlissandoError
 from glissando.planning import (
     Chance,
@@ -17,14 +17,14 @@ from glissando.planning import (
     Trace,
     Worst,
     Zone,
+    evaluate_path,
     everywhere,
-    foresee,
-    foretell,
     judge_of,
     plan_slide,
+    predict_information,
     sliding_sensor,
 )
-from glissando.planning.compare import blind_paths
+from glissando.planning.compare import baseline_paths
 from glissando.planning.greedy import Belief
 from glissando.planning.path_objective import by_cell
 from glissando.simulation import SlideLimits
@@ -92,9 +92,11 @@ def test_foresight_from_an_estimate_goes_on_from_all_that_it_knows(kind, slack):
 
 def test_foresight_goes_on_from_a_running_smoother_with_its_unknowns():
     robot, past = ROBOTS["separable"], small_outlook(horizon=2.0)
-    drift = Unknown("frame", "world", ("coil",), np.zeros(6), np.full(6, 2e-3), 3.0)
+    drift = SensorParameter("frame", "world", ("coil",), np.zeros(6), np.full(6, 2e-3), 3.0)
     before = read_along(past, wiggle(past))
-    smoother = FixedLag(robot.prior, robot.arclength_nodes, window=99, unknowns=[drift], gate=None)
+    smoother = FixedLagSmoother(
+        robot.prior, robot.arclength_nodes, window=99, sensor_parameters=[drift], gate=None
+    )
     smoother.add(before)
     for time in past.ahead.grid.time:
         smoother.advance(time)
@@ -102,7 +104,7 @@ def test_foresight_goes_on_from_a_running_smoother_with_its_unknowns():
     path = wiggle(outlook)
     grid = Grid(robot.arclength_nodes, np.append(past.ahead.grid.time, outlook.ahead.grid.time[1:]))
     both = before.joined(read_along(outlook, path))
-    whole = estimate(robot.prior, grid, [both], unknowns=[drift])
+    whole = estimate(robot.prior, grid, [both], sensor_parameters=[drift])
     mine = outlook.told(path).cov_pose(AT, np.full(AT.size, 2.7))
     np.testing.assert_allclose(mine, cov_of(whole, 2.7), rtol=1e-3, atol=1e-9)
 
@@ -114,7 +116,7 @@ def test_a_few_modes_judge_a_path_almost_as_the_whole_does(kind, slack, reach, h
     outlook = small_outlook(kind, horizon, reach, node_step=0.5)
     judge = judge_of(outlook, [ZONE], Trace())
     for path in (wiggle(outlook, reach), np.full(outlook.steps, 0.6)):
-        whole = foretell(outlook, [ZONE], Trace(), path)
+        whole = evaluate_path(outlook, [ZONE], Trace(), path)
         assert np.sqrt(judge.value(path)) == pytest.approx(whole.std, rel=slack)
 
 
@@ -170,21 +172,21 @@ def test_no_path_knows_more_than_a_sensor_everywhere_at_once(kind):
     outlook = small_outlook(kind)
     most = everywhere(outlook, [ZONE], Trace())
     limits = SlideLimits(REACH[1] - REACH[0], 0.06, 0.2)
-    for path in blind_paths(limits, LENGTH, 0.65, outlook.times).values():
-        assert foretell(outlook, [ZONE], Trace(), path).value > most.value
+    for path in baseline_paths(limits, LENGTH, 0.65, outlook.times).values():
+        assert evaluate_path(outlook, [ZONE], Trace(), path).value > most.value
 
 
 def test_what_cannot_be_foreseen_is_told_in_a_sentence():
     robot = ROBOTS["separable"]
     known = estimate(robot.prior, robot.grid(0.0, 1.0), [])
     with pytest.raises(GlissandoError, match="does not say what slides"):
-        foresee(known, REACH, 3.0)
+        predict_information(known, REACH, 3.0)
     with pytest.raises(GlissandoError, match="shorten the stroke"):
-        foresee(robot, (0.6, 0.8), 3.0)
+        predict_information(robot, (0.6, 0.8), 3.0)
     with pytest.raises(GlissandoError, match="bring the coils closer"):
-        foresee(robot, REACH, 3.0, sliding_sensor(robot, coils=3, spacing=0.3))
+        predict_information(robot, REACH, 3.0, sliding_sensor(robot, coils=3, spacing=0.3))
     with pytest.raises(GlissandoError, match="give two steps or more"):
-        foresee(robot, REACH, 0.1)
+        predict_information(robot, REACH, 0.1)
     with pytest.raises(GlissandoError, match="cannot slide"):
         SlidingSensor(np.ones(3), kind="gyro")
     outlook = small_outlook()

@@ -8,7 +8,7 @@ import pytest
 from glissando import CoilReadings, estimate, load_robot
 from glissando.cli.main import main
 from glissando.io.recording import load_recording
-from glissando.planning import Design, is_best
+from glissando.planning import Design, pareto_front
 
 
 def run(*arguments):
@@ -76,7 +76,7 @@ def test_a_design_that_costs_more_for_the_same_is_not_worth_it():
         return Design(stroke, 0.024, 40.0, coils, 0.0, (std,))
 
     designs = [made(0.03, 1, 9.0), made(0.06, 1, 6.0), made(0.06, 2, 5.95), made(0.03, 2, 9.5)]
-    assert is_best(designs).tolist() == [True, True, False, False]
+    assert pareto_front(designs).tolist() == [True, True, False, False]
 
 
 @pytest.mark.parametrize(

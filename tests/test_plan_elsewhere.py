@@ -8,9 +8,9 @@ from time import thread_time
 import numpy as np
 import pytest
 
-from glissando import FixedLag
+from glissando import FixedLagSmoother
 from glissando.errors import GlissandoError, PlanWarning
-from glissando.planning import Elsewhere, Replanner, Track, Zone, sliding_sensor, snapshot
+from glissando.planning import PathSpace, ProcessPlanner, Replanner, Zone, belief_of, sliding_sensor
 from glissando.planning.zones import read_zone
 from plans import LENGTH, ROBOTS, SEPARABLE
 
@@ -21,7 +21,7 @@ kinds = pytest.mark.parametrize("kind", ROBOTS)
 
 
 def replanner_of(robot=SEPARABLE, zones=ZONES, **given):
-    track = Track(*REACH, SPEED, ACCELERATION, 0.1, 30, LENGTH)
+    track = PathSpace(*REACH, SPEED, ACCELERATION, 0.1, 30, LENGTH)
     return Replanner(sliding_sensor(robot), track, zones, node_step=0.5, **given)
 
 
@@ -34,7 +34,7 @@ def read_straight(sensor, path, since, until):
 
 
 def smoother_of(robot=SEPARABLE, until=1.0, path=lambda time: 0.7 - 0.05 * time):
-    smoother = FixedLag(robot.prior, robot.arclength_nodes, window=9, gate=None)
+    smoother = FixedLagSmoother(robot.prior, robot.arclength_nodes, window=9, gate=None)
     for time in np.arange(0.0, until + 1e-9, 0.5):
         smoother.add(read_straight(sliding_sensor(robot), path, time - 0.5, time))
         smoother.advance(time)
@@ -61,14 +61,14 @@ class Slow:
 
 @pytest.fixture(scope="module")
 def elsewhere():
-    with Elsewhere() as planner:
+    with ProcessPlanner() as planner:
         yield planner
 
 
 @kinds
 def test_a_snapshot_of_a_smoother_is_that_of_its_posterior_and_small(kind):
     smoother = smoother_of(ROBOTS[kind])
-    taken, other = snapshot(smoother), snapshot(smoother.posterior())
+    taken, other = belief_of(smoother), belief_of(smoother.posterior())
     assert len(pickle.dumps(taken)) < 9 * taken.cov.size + 10_000
     np.testing.assert_allclose(taken.cov, other.cov, rtol=1e-9, atol=1e-15)
     np.testing.assert_array_equal(taken.shape.pose, other.shape.pose)
@@ -80,8 +80,8 @@ def test_a_snapshot_of_a_smoother_is_that_of_its_posterior_and_small(kind):
 def test_what_will_be_known_later_is_what_the_smoother_knows_then(kind, slack):
     robot = ROBOTS[kind]
     smoother = smoother_of(robot)
-    later = snapshot(smoother).later(1.5, sliding_sensor(robot), lambda time: 0.7 - 0.05 * time)
-    then = snapshot(smoother_of(robot, 1.5))
+    later = belief_of(smoother).later(1.5, sliding_sensor(robot), lambda time: 0.7 - 0.05 * time)
+    then = belief_of(smoother_of(robot, 1.5))
     assert (later.time, later.before) == (then.time, then.before)
     np.testing.assert_allclose(np.diag(later.cov), np.diag(then.cov), rtol=slack)
 
@@ -153,7 +153,7 @@ def test_zones_that_cannot_be_sent_are_refused_with_a_remedy(elsewhere):
 
 def test_a_planner_that_dies_leaves_the_last_plan_in_force_and_says_so_once():
     smoother = smoother_of()
-    with Elsewhere() as planner:
+    with ProcessPlanner() as planner:
         replanner = replanner_of(lead=0.5, planner=planner)
         replanner.next(smoother)
         assert planner.ready(WAIT)
@@ -204,7 +204,7 @@ def test_plans_that_come_when_they_may_join_without_a_jump_within_the_limits(kin
     now, plans, told = 1.0, set(), []
     while now < 7.0:
         slow.done = rng.random() < 0.6
-        plans.add(id(replanner.next(replace(snapshot(smoother), time=now), now)))
+        plans.add(id(replanner.next(replace(belief_of(smoother), time=now), now)))
         step = rng.uniform(0.05, 0.17)
         times = now + np.arange(0.0, step, 0.01)
         told.append([times, *replanner.at(times)])

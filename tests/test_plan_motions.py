@@ -9,14 +9,14 @@ from glissando.errors import GlissandoError
 from glissando.geometry import se3
 from glissando.planning import (
     Trace,
+    belief_of,
     choose_motion,
     course_of,
     draw_motions,
-    foresee,
-    foretell,
+    evaluate_path,
     plan_together,
+    predict_information,
     sliding_sensor,
-    snapshot,
 )
 from plans import REACH, ROBOTS, ZONE, small_outlook, small_track, wiggle
 
@@ -43,7 +43,7 @@ def test_the_motion_that_leaves_least_uncertain_is_chosen(kind):
     ]
     path = wiggle(outlooks[0])
     chosen, values = choose_motion(outlooks, [ZONE], Trace(), path)
-    whole = [foretell(outlook, [ZONE], Trace(), path).value for outlook in outlooks]
+    whole = [evaluate_path(outlook, [ZONE], Trace(), path).value for outlook in outlooks]
     assert chosen == int(np.argmin(values)) == int(np.argmin(whole))
     assert np.ptp(whole) > 0.01 * np.mean(whole)
 
@@ -87,14 +87,14 @@ def test_the_chosen_motion_with_its_plan_is_no_worse_than_holding_still(kind):
     ranked = plan_together(robot, courses, track, [ZONE], sliding_sensor(robot))
     still = small_outlook(kind, 2.0)
     nominal = next(found for found in ranked if found.course is None)
-    told = foretell(still, [ZONE], Trace(), nominal.plan.arclength).value
+    told = evaluate_path(still, [ZONE], Trace(), nominal.plan.arclength).value
     assert nominal.told.value == pytest.approx(told)
     assert ranked[0].told.value <= told
     assert ranked[0].course is not None  # a bent body tells a coil more
     assert len(ranked) == 4
-    best = foresee(robot, REACH, 2.0, course=ranked[0].course)
+    best = predict_information(robot, REACH, 2.0, course=ranked[0].course)
     path = ranked[0].plan.arclength
-    assert foretell(best, [ZONE], Trace(), path).value == pytest.approx(ranked[0].told.value)
+    assert evaluate_path(best, [ZONE], Trace(), path).value == pytest.approx(ranked[0].told.value)
 
 
 def test_motions_that_cannot_be_are_refused_in_a_sentence():
@@ -102,4 +102,4 @@ def test_motions_that_cannot_be_are_refused_in_a_sentence():
     with pytest.raises(GlissandoError, match="no motion to choose"):
         choose_motion([], [ZONE], Trace(), wiggle(small_outlook()))
     with pytest.raises(GlissandoError, match=r"give \(S, 5, 6\), one or more"):
-        draw_motions(snapshot(robot), bent(robot, 1.0)[:, :4], 3, 2.0)
+        draw_motions(belief_of(robot), bent(robot, 1.0)[:, :4], 3, 2.0)

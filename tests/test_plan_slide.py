@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from glissando.planning import (
     Chance,
     LogDet,
+    PathSpace,
     Trace,
-    Track,
     Worst,
     Zone,
-    foretell,
+    evaluate_path,
     judge_of,
     plan_greedily,
     plan_slide,
@@ -97,7 +97,7 @@ def test_the_plan_is_within_one_percent_of_the_best_of_all_paths(kind, name, zon
     reach, unit = (0.4, LENGTH), 0.05
     outlook = small_outlook(kind, 7.0, reach, step=1.0, node_step=1.0)
     judge = judge_of(outlook, [zone], OBJECTIVES[name])
-    track = Track(*reach, 2.0 * unit, unit, 1.0, outlook.steps, start)
+    track = PathSpace(*reach, 2.0 * unit, unit, 1.0, outlook.steps, start)
     plan = plan_slide(judge, track, [zone])
     best = exhaustive(judge, track, unit, 2)
     assert plan.value <= best + 0.01 * abs(best)
@@ -118,9 +118,9 @@ def test_a_moving_zone_is_followed_almost_as_well_as_if_it_were_still(kind, shar
     zone = Zone(moving)
     track = small_track(outlook, 0.65, speed, 0.2, reach)
     plan = plan_slide(judge_of(outlook, [zone], Trace()), track, [zone])
-    followed = foretell(outlook, [zone], Trace(), plan.arclength).std
+    followed = evaluate_path(outlook, [zone], Trace(), plan.arclength).std
     still = [
-        foretell(outlook, [Zone((s - 0.02, s + 0.02))], Trace(), np.full(outlook.steps, s)).std
+        evaluate_path(outlook, [Zone((s - 0.02, s + 0.02))], Trace(), np.full(outlook.steps, s)).std
         for s in 0.65 - way * np.linspace(0.0, 1.0, 4)
     ]
     assert followed <= 1.25 * np.mean(still)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from draws import generators
 from glissando.errors import GlissandoError
-from glissando.planning import Track, track_of
+from glissando.planning import PathSpace, track_of
 from glissando.planning.optimize import descend
 from glissando.planning.plan_slide import Plan
 from glissando.simulation import SlideLimits
@@ -54,7 +54,7 @@ def test_a_path_can_be_left_at_any_knot_for_another_within_the_limits(stage, rng
     track = track_of(stage, TIP, TIP - 0.3 * stage.stroke, horizon=6.0)
     time, place, speed = track.knots(track.follow(wishes(rng, track)))
     at = int(rng.integers(1, 50))
-    begun = Track(
+    begun = PathSpace(
         track.lower, track.upper, track.speed, track.acceleration, 0.1, 60,
         float(np.clip(place[at], track.lower, track.upper)), float(speed[at]),
     )  # fmt: skip
@@ -69,7 +69,7 @@ def test_a_path_can_be_left_at_any_knot_for_another_within_the_limits(stage, rng
 
 
 def test_a_wish_that_can_be_met_is_met():
-    track = Track(0.6, 0.7, 0.05, 0.2, 0.1, 60, 0.7)
+    track = PathSpace(0.6, 0.7, 0.05, 0.2, 0.1, 60, 0.7)
     held = track.follow(np.full(62, 0.65))
     assert held[-1] == pytest.approx(0.65, abs=1e-6)
     assert np.all(np.diff(held) <= 1e-12)  # without overshooting
@@ -77,11 +77,11 @@ def test_a_wish_that_can_be_met_is_met():
 
 def test_a_start_that_cannot_stop_is_refused_in_a_sentence():
     with pytest.raises(GlissandoError, match="cannot stop within its limits"):
-        Track(0.6, 0.7, 0.05, 0.2, 0.1, 60, 0.6999, 0.05)
+        PathSpace(0.6, 0.7, 0.05, 0.2, 0.1, 60, 0.6999, 0.05)
     with pytest.raises(GlissandoError, match=r"0.5 m, off its slide from 0.6 to 0.7 m"):
-        Track(0.6, 0.7, 0.05, 0.2, 0.1, 60, 0.5)
+        PathSpace(0.6, 0.7, 0.05, 0.2, 0.1, 60, 0.5)
     with pytest.raises(GlissandoError, match="nowhere to go"):
-        Track(0.6, 0.7, 0.0, 0.2, 0.1, 60, 0.65)
+        PathSpace(0.6, 0.7, 0.0, 0.2, 0.1, 60, 0.65)
 
 
 @settings(max_examples=20, deadline=None)

@@ -16,7 +16,7 @@ from glissando.model.noise import (
     pair_sqrt_information,
     sqrt_information,
 )
-from glissando.model.priors.white_noise import BaseDensity, KinematicPrior
+from glissando.model.priors.white_noise import BaseDensity, WhiteNoisePrior
 from glissando.model.sensors.sensors import (
     CoilReadings,
     FbgReadings,
@@ -86,7 +86,7 @@ class DeafReadings(Readings):
 
 def test_a_sensor_that_hears_nothing_changes_nothing():
     stiff = np.full(6, 1e-3)
-    prior = KinematicPrior(stiff, stiff, stiff, stiff, BaseDensity(stiff, stiff, stiff))
+    prior = WhiteNoisePrior(stiff, stiff, stiff, stiff, BaseDensity(stiff, stiff, stiff))
     grid = Grid([0.0, 0.1], [0.0, 1.0])
     deaf = DeafReadings(time=ZERO, arclength=ZERO, values=ZERO, cov=1.0)
     with_it, without = (estimate(prior, grid, readings) for readings in ([deaf], []))

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from glissando import FixedLag
+from glissando import FixedLagSmoother
 from glissando.errors import PlanWarning
-from glissando.planning import Replanner, Track, Zone, sliding_sensor
+from glissando.planning import PathSpace, Replanner, Zone, sliding_sensor
 from plans import LENGTH, ROBOTS, SEPARABLE
 
 REACH, SPEED, ACCELERATION, EVERY = (0.3, LENGTH), 0.06, 0.3, 0.5
@@ -26,9 +26,9 @@ def read_straight(replanner, since, until):
 
 def followed(robot, zone, until, every=EVERY):
     """Times, places and speeds of the sensor every 20 ms, planned anew after every update."""
-    track = Track(*REACH, SPEED, ACCELERATION, 0.1, 30, LENGTH)
+    track = PathSpace(*REACH, SPEED, ACCELERATION, 0.1, 30, LENGTH)
     replanner = Replanner(sliding_sensor(robot), track, [zone], node_step=0.5)
-    smoother = FixedLag(robot.prior, robot.arclength_nodes, window=3, gate=None)
+    smoother = FixedLagSmoother(robot.prior, robot.arclength_nodes, window=3, gate=None)
     out = []
     for update in np.arange(0.0, until, every):
         smoother.add(read_straight(replanner, update - every, update))
@@ -61,9 +61,9 @@ def test_plans_that_follow_each_other_keep_every_limit_and_follow_the_zone(kind,
 
 
 def test_a_plan_that_comes_late_goes_on_and_comes_to_rest_on_the_slide():
-    track = Track(*REACH, SPEED, ACCELERATION, 0.1, 30, LENGTH)
+    track = PathSpace(*REACH, SPEED, ACCELERATION, 0.1, 30, LENGTH)
     replanner = Replanner(sliding_sensor(SEPARABLE), track, [Zone((0.3, 0.4))], node_step=0.5)
-    smoother = FixedLag(SEPARABLE.prior, SEPARABLE.arclength_nodes, gate=None)
+    smoother = FixedLagSmoother(SEPARABLE.prior, SEPARABLE.arclength_nodes, gate=None)
     smoother.advance(0.0)
     plan = replanner.next(smoother)
     place, speed = plan.at([plan.start + 3.0, plan.start + 99.0])
@@ -73,9 +73,9 @@ def test_a_plan_that_comes_late_goes_on_and_comes_to_rest_on_the_slide():
 
 
 def test_zones_that_are_over_are_told_in_a_sentence():
-    track = Track(*REACH, SPEED, ACCELERATION, 0.1, 30, LENGTH)
+    track = PathSpace(*REACH, SPEED, ACCELERATION, 0.1, 30, LENGTH)
     replanner = Replanner(sliding_sensor(SEPARABLE), track, [Zone((0.3, 0.4), (0.0, 1.0))])
-    smoother = FixedLag(SEPARABLE.prior, SEPARABLE.arclength_nodes, gate=None)
+    smoother = FixedLagSmoother(SEPARABLE.prior, SEPARABLE.arclength_nodes, gate=None)
     smoother.advance(5.0)
     with pytest.warns(PlanWarning, match="No zone counts between 5 and 8 s"):
         assert replanner.next(smoother) is None

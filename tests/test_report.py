@@ -102,7 +102,7 @@ def test_the_page_tells_the_numbers_of_the_runs_and_changes_in_per_cent(runs, ht
     assert [row[0] for row in innovations] == ["base", "gyro", "coil"]
     assert innovations[2][1:3] == ["–", "–"]  # the first run had no coil
     rows = {row[0]: row[1:] for row in settings}
-    assert rows["prior"] == ["kinematic", "kinematic"]
+    assert rows["prior"] == ["white-noise", "white-noise"]
     assert rows["nodes"] == ["6 times × 4 arclengths"] * 2
     assert [unescape(cell) for cell in rows["recording"]] == ["<fixed>", "<sliding>"]
     assert rows["readings of coil"] == ["–", str(told["sliding"]["readings"]["coil"])]

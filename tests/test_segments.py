@@ -11,18 +11,18 @@ from glissando import (
     BaseDensity,
     Grid,
     GyroReadings,
-    KinematicPrior,
-    Options,
     OutsideGridError,
     PoseReadings,
     Posterior,
+    SolverOptions,
     State,
+    WhiteNoisePrior,
     estimate,
 )
 from glissando.geometry import se3
 from glissando.model.priors.separable import BaseVariance, SeparablePrior
 
-EXACT = Options(tolerance=1e-8)
+EXACT = SolverOptions(tolerance=1e-8)
 PRIORS = {
     "kinematic": kinematic(),
     "separable": SeparablePrior(
@@ -163,7 +163,7 @@ def body(kind, *, segments):
         return SeparablePrior(psd, 1.0, BaseVariance(FIRM, FIRST), **more)
     firm = BaseDensity(FIRM, FIRST, np.ones(6))
     one = np.ones(6)
-    return KinematicPrior(one, psd, one, one, firm, **more)
+    return WhiteNoisePrior(one, psd, one, one, firm, **more)
 
 
 def draw(rng):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from glissando import KinematicPrior, RobotFileError, estimate, load_robot
+from glissando import RobotFileError, WhiteNoisePrior, estimate, load_robot
 from glissando.model.priors.separable import SeparablePrior
 
 ROBOT = """
@@ -48,7 +48,7 @@ def robot_of(folder, text):
 def test_a_robot_file_states_joints_and_what_differs_between_segments(parts, tmp_path):
     robot = robot_of(tmp_path, ROBOT.format(**parts))
     prior = robot.prior
-    assert isinstance(prior, SeparablePrior if parts is SEPARABLE else KinematicPrior)
+    assert isinstance(prior, SeparablePrior if parts is SEPARABLE else WhiteNoisePrior)
     np.testing.assert_array_equal(prior.joints, [0.15, 0.3])
     psd = [[1e-3] * 3 + [10] * 3, [2e-3] * 3 + [20] * 3, [1e-3, 1e-3, 2e-3, 5, 6, 7]]
     np.testing.assert_array_equal(prior.psd_strain_arclength, psd)

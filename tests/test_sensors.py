@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from draws import generators, law, motion, poses, prior, sixes, states
 from glissando.errors import SensorError
-from glissando.estimation.batch import Options, estimate
+from glissando.estimation.batch import SolverOptions, estimate
 from glissando.geometry import se3
 from glissando.model.grid import Grid
 from glissando.model.sensors.readings import numerical_jacobian
@@ -78,7 +78,9 @@ def test_the_roll_of_every_coil_changes_nothing_in_the_estimate():
     found = []
     for roll in (np.zeros(6), rng.uniform(-np.pi, np.pi, 6)):
         coil = CoilReadings(**where, values=rolled(seen, roll), cov=1e-5)
-        found.append(estimate(soft, grid, [coil], initial=truth, options=Options(tolerance=0.01)))
+        found.append(
+            estimate(soft, grid, [coil], initial=truth, options=SolverOptions(tolerance=0.01))
+        )
     one, other = (posterior.at(0.3, 0.05) for posterior in found)
     np.testing.assert_allclose(other.pose, one.pose, rtol=0.0, atol=1e-10)
     np.testing.assert_allclose(other.cov, one.cov, rtol=0.0, atol=1e-10 * np.abs(one.cov).max())
@@ -182,7 +184,7 @@ def test_a_sensor_of_fifteen_lines_can_be_estimated_with():
     where = {"time": grid.time, "arclength": np.full(2, 0.4)}
     string = StringReadings(**where, values=length, cov=1e-10, anchor=anchor)
     soft = prior()
-    tip = estimate(soft, grid, [string], options=Options(tolerance=1e-3)).at(0.4, grid.time)
+    tip = estimate(soft, grid, [string], options=SolverOptions(tolerance=1e-3)).at(0.4, grid.time)
     np.testing.assert_allclose(np.linalg.norm(tip.position - anchor, axis=-1), length, atol=1e-5)
 
 

@@ -2,14 +2,14 @@
 
 import numpy as np
 
-from glissando import Grid, GyroReadings, Options, PoseReadings, State, estimate
+from glissando import Grid, GyroReadings, PoseReadings, SolverOptions, State, estimate
 from glissando.geometry import se3
 from glissando.model.state import DOF
 from oracles import separable as oracle
 from separable_rod import GRID, PRIORS, REST, SCALE, process_of, separable
 
 TINY = 1e-6  # deviations in standard deviations, so small that nothing bends
-EXACT = Options(tolerance=1e-4 * TINY)
+EXACT = SolverOptions(tolerance=1e-4 * TINY)
 POSE_COV = np.array([1e-4, 1e-4, 1e-4, 1e-3, 1e-3, 1e-3])
 GYRO_COV = np.full(3, 1e-2)
 READ_S, READ_T = np.array([0.4, 0.1, 0.25, 0.4, 0.0, 0.4]), np.array([0, 0.4, 0.4, 0.8, 1.2, 1.6])
@@ -102,7 +102,7 @@ def moving_scene(bend):
 
 def change_by_inserting(pieces, steps, *, arclength=(), time=(), bend=1.0):
     """What unmeasured nodes change anywhere, in standard deviations: means, covariances."""
-    found, options = [], Options(tolerance=1e-7)
+    found, options = [], SolverOptions(tolerance=1e-7)
     s = np.append([0.05, 0.1, 0.17, 0.2, 0.3, 0.36, 0.4], arclength)
     s, t = map(np.ravel, np.meshgrid(s, np.append([0.37, 0.8, 1.25], time)))
     for more_s, more_t in (((), ()), (arclength, time)):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from glissando import BaseDensity, CoilReadings, Grid, KinematicPrior, OutsideGridError, estimate
+from glissando import BaseDensity, CoilReadings, Grid, OutsideGridError, WhiteNoisePrior, estimate
 from glissando.geometry import se3
 from glissando.model.priors.separable import BaseVariance, SeparablePrior
 from oracles import separable as oracle
@@ -22,7 +22,7 @@ def watched(kind, *, nodes=5, rate=40.0, span=(0.0, 1.0), readings=41, read=(0.0
     if kind == "separable":
         prior = SeparablePrior(STATIC_PSD, 2.0, STATIC_BASE)
     else:  # as wide as the other one for a still shape watched for one second
-        prior = KinematicPrior(
+        prior = WhiteNoisePrior(
             psd_velocity_time=np.array([0.05] * 3 + [2.5] * 3),
             psd_strain_arclength=STATIC_PSD,
             psd_strain_time=0.1 * STATIC_PSD,

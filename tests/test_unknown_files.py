@@ -5,7 +5,7 @@ import pytest
 
 from glissando import RobotFileError, SensorError, estimate, load_robot
 from glissando.io.robot_file import robot_file
-from glissando.model.sensors.parameters import Unknown
+from glissando.model.sensors.parameters import SensorParameter
 from scenes import sliding_scene
 from unknown_scenes import unknown
 
@@ -26,9 +26,9 @@ from unknown_scenes import unknown
 )
 def test_an_unknown_that_makes_no_sense_is_one_sentence(changes, sentence):
     right = {"kind": "bias", "streams": ("gyro",), "value": np.zeros(3), "std": np.full(3, 0.1)}
-    Unknown("mine", **right)
+    SensorParameter("mine", **right)
     with pytest.raises(SensorError, match=sentence) as caught:
-        Unknown("mine", **{**right, **changes})
+        SensorParameter("mine", **{**right, **changes})
     assert str(caught.value).startswith("Unknown 'mine'")
 
 
@@ -37,7 +37,7 @@ def test_a_bias_of_a_pose_is_refused_and_named(std):
     rods, grid, readings = sliding_scene(nodes=3, rate=5.0)
     bias = unknown("bias", "coil", value=np.full(3, 0.1), std=std)
     with pytest.raises(SensorError, match="Unknown 'bias': a CoilReadings has no bias"):
-        estimate(rods, grid, readings, unknowns=[bias])
+        estimate(rods, grid, readings, sensor_parameters=[bias])
 
 
 def robot_with(tmp_path, lines):
@@ -55,16 +55,16 @@ def as_lines(entries):
 
 
 def test_a_robot_file_may_state_unknowns(tmp_path):
-    (found,) = robot_with(tmp_path, as_lines(GOOD)).unknowns
+    (found,) = robot_with(tmp_path, as_lines(GOOD)).sensor_parameters
     assert (found.name, found.kind, found.streams) == ("drift", "bias", ("gyro",))
     assert found.correlation_time == 2.5
     assert not found.known
     np.testing.assert_array_equal(found.std, 0.1)
     frame = {"name": '"f"', "kind": '"world"', "streams": '["a", "b"]', "std": "[0.01, 0.1]"}
-    (found,) = robot_with(tmp_path, as_lines(frame)).unknowns
+    (found,) = robot_with(tmp_path, as_lines(frame)).sensor_parameters
     np.testing.assert_array_equal(found.std, [0.01] * 3 + [0.1] * 3)
     value = {k: v for k, v in frame.items() if k != "std"} | {"value": "[1, 2, 3, 0, 0, 1]"}
-    (found,) = robot_with(tmp_path, as_lines(value)).unknowns
+    (found,) = robot_with(tmp_path, as_lines(value)).sensor_parameters
     assert found.known
     np.testing.assert_array_equal(found.value, [1, 2, 3, 0, 0, 1])
 

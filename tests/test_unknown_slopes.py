@@ -9,7 +9,7 @@ from draws import motion, prior
 from glissando import PositionReadings, SensorError, State, estimate
 from glissando.model.priors.separable import BaseVariance, SeparablePrior
 from glissando.solver.linearize import linearize
-from glissando.solver.measurement_factors import PlacedReadings, states_at
+from glissando.solver.measurement_factors import MeasurementFactors, states_at
 from glissando.solver.normal_equations import slab_shape
 from scenes import LENGTH, arc, sliding_scene
 from unknown_scenes import COARSE, GRID, SOFT, consistent, scattered, tracker, unknown
@@ -41,9 +41,9 @@ def test_system_and_right_hand_side_are_those_of_the_residuals_slopes(kind):
     if kind == "separable":
         rate = rng.standard_normal(state.strain.shape)
         state, rods = State(state.pose, state.strain, state.velocity, rate), SEPARABLE
-    placed = PlacedReadings(GRID, scattered(rng), all_kinds(rng))
-    extras, wander = placed.unknowns.size, np.ones((K, 1))
-    constant = placed.unknowns.memory > 1e3
+    placed = MeasurementFactors(GRID, scattered(rng), all_kinds(rng))
+    extras, wander = placed.sensor_parameters.size, np.ones((K, 1))
+    constant = placed.sensor_parameters.memory > 1e3
     wander = np.where(constant, wander, rng.uniform(0.5, 1.5, (K, extras)))
     placed = placed.moved(1e-3 * wander * rng.standard_normal(extras))
     room = np.empty(slab_shape(GRID, state.dof, extras))
@@ -60,7 +60,7 @@ def test_system_and_right_hand_side_are_those_of_the_residuals_slopes(kind):
     of_nodes = N * state.dof
     size = of_nodes + extras
     directions = []
-    for columns in placed.unknowns.columns:  # a constant moves as one: its chain is stiff
+    for columns in placed.sensor_parameters.columns:  # a constant moves as one: its chain is stiff
         way, mine = np.zeros((K, size)), np.zeros((K, extras))
         mine[:, columns] = rng.standard_normal((K, columns.stop - columns.start))
         way[:, of_nodes:] = np.where(constant, mine[:1], mine)
@@ -134,7 +134,7 @@ def test_an_uncertain_arclength_adds_the_slope_along_the_robot_to_the_covariance
 
     def system(readings):
         room = np.empty(slab_shape(GRID, state.dof))
-        found = linearize(prior(), PlacedReadings(GRID, readings), state, state, room)
+        found = linearize(prior(), MeasurementFactors(GRID, readings), state, state, room)
         return [found.system.diagonal, found.system.lower, found.right]
 
     told = system([replace(r, arclength_std=spread) for r in plain])

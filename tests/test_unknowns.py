@@ -63,7 +63,7 @@ def calibrations():
     found, start = [], None
     for seed in range(20):
         readings = miscalibrated(np.random.default_rng(seed))
-        found.append(estimate(STEADY, COARSE, readings, unknowns=ASKED, initial=start))
+        found.append(estimate(STEADY, COARSE, readings, sensor_parameters=ASKED, initial=start))
         start = found[0].state
     return found
 
@@ -138,8 +138,10 @@ def test_a_drift_must_be_estimated_for_the_confidence_to_be_true():
         tip = PositionReadings(time=time, arclength=place, values=seen, cov=9e-8, name="tip")
         readings = [tracker(rng, "base", 0.0), tip]
         drift = unknown("bias", "tip", std=std, memory=memory)
-        for unknowns, squares in (([drift], with_drift), ([], without)):
-            at = estimate(SOFT, COARSE, readings, unknowns=unknowns).at(LENGTH, 0.4)
+        for sensor_parameters, squares in (([drift], with_drift), ([], without)):
+            at = estimate(SOFT, COARSE, readings, sensor_parameters=sensor_parameters).at(
+                LENGTH, 0.4
+            )
             error = at.position - arc(LENGTH, 0.4)[:3, 3]
             squares.append(error @ np.linalg.solve(at.cov_position_world, error))
     assert consistent(with_drift, 3 * seeds)
@@ -149,7 +151,12 @@ def test_a_drift_must_be_estimated_for_the_confidence_to_be_true():
 def test_a_memory_far_longer_than_the_recording_is_a_constant():
     readings = miscalibrated(np.random.default_rng(1))
     constant, long, short = (
-        estimate(STEADY, COARSE, readings, unknowns=[replace(u, correlation_time=t) for u in ASKED])
+        estimate(
+            STEADY,
+            COARSE,
+            readings,
+            sensor_parameters=[replace(u, correlation_time=t) for u in ASKED],
+        )
         for t in (np.inf, 3e6, 1.0)
     )
     for kind in SIZES:
@@ -179,9 +186,9 @@ def test_what_is_known_is_put_right_and_not_estimated():
         replace(slid, arclength=slid.arclength + TRUE["slide"]),
         replace(late, time=late.time - TRUE["delay"]),
     ]
-    told = estimate(STEADY, COARSE, readings, unknowns=known)
+    told = estimate(STEADY, COARSE, readings, sensor_parameters=known)
     plain = estimate(STEADY, COARSE, by_hand)
-    assert told.unknowns == [] or len(told.unknowns) == 0
+    assert told.sensor_parameters == [] or len(told.sensor_parameters) == 0
     assert np.abs(told.state.difference(plain.state)).max() < 1e-12
     np.testing.assert_allclose(told.marginals.cov, plain.marginals.cov, rtol=1e-9, atol=1e-15)
     off = estimate(STEADY, COARSE, readings)
@@ -191,12 +198,12 @@ def test_what_is_known_is_put_right_and_not_estimated():
 def test_unknowns_of_streams_that_are_not_there_change_nothing():
     rods, grid, readings = sliding_scene(nodes=3, rate=5.0)
     strangers = [unknown(kind, "nobody") for kind in SIZES]
-    plain, other = estimate(rods, grid, readings), estimate(rods, grid, readings,
-                                                            unknowns=strangers)  # fmt: skip
+    plain = estimate(rods, grid, readings)
+    other = estimate(rods, grid, readings, sensor_parameters=strangers)
     for field in ("pose", "strain", "velocity"):
         np.testing.assert_array_equal(getattr(plain.state, field), getattr(other.state, field))
     np.testing.assert_array_equal(plain.marginals.cov, other.marginals.cov)
-    assert len(other.unknowns) == 0
+    assert len(other.sensor_parameters) == 0
     assert plain.solve.log_evidence == other.solve.log_evidence
 
 
@@ -208,11 +215,15 @@ def test_a_posterior_with_unknowns_is_read_back_as_it_was_written(calibrations, 
         STEADY,
         COARSE,
         miscalibrated(np.random.default_rng(4)),
-        unknowns=[replace(u, correlation_time=2.0) if u.kind == "bias" else u for u in ASKED],
+        sensor_parameters=[
+            replace(u, correlation_time=2.0) if u.kind == "bias" else u for u in ASKED
+        ],
     )
     posterior.save(tmp_path / "posterior.nc")
     again = Posterior.load(tmp_path / "posterior.nc")
-    for (was, values), (now, same) in zip(posterior.unknowns, again.unknowns, strict=True):
+    for (was, values), (now, same) in zip(
+        posterior.sensor_parameters, again.sensor_parameters, strict=True
+    ):
         assert (was.name, was.kind, was.streams) == (now.name, now.kind, now.streams)
         assert was.correlation_time == now.correlation_time
         np.testing.assert_array_equal(was.std, now.std)
@@ -232,4 +243,4 @@ def test_an_unknown_that_was_not_estimated_is_answered_with_those_that_were(cali
     with pytest.raises(GlissandoError, match=f"No unknown 'nose' was estimated; .*: {names}"):
         calibrations[0].unknown("nose")
     with pytest.raises(GlissandoError, match=r"those that were: none\."):
-        replace(calibrations[0], unknowns=()).unknown("nose")
+        replace(calibrations[0], sensor_parameters=()).unknown("nose")

@@ -16,7 +16,7 @@ from glissando import (
     uniform_grid,
 )
 from glissando.geometry import se3
-from glissando.model.sensors.parameters import SIZES, Unknown
+from glissando.model.sensors.parameters import SIZES, SensorParameter
 from scenes import LENGTH, arc
 
 GRID = Grid([0.0, 0.1, 0.25, 0.4], [0.0, 0.1, 0.25, 0.35])
@@ -36,7 +36,7 @@ def consistent(squares, dof):
 
 def unknown(kind, *streams, value=None, std=0.05, memory=np.inf, name=None):
     value = np.zeros(SIZES[kind]) if value is None else value
-    return Unknown(name or kind, kind, streams, value, np.full(SIZES[kind], std), memory)
+    return SensorParameter(name or kind, kind, streams, value, np.full(SIZES[kind], std), memory)
 
 
 def scattered(rng, count=6):

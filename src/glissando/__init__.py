@@ -26,17 +26,17 @@ from glissando.errors import (
     SensorError,
     UnobservableError,
 )
-from glissando.estimation.batch import Options, estimate
-from glissando.estimation.fixed_lag import FixedLag
-from glissando.estimation.posterior import Estimate, Posterior
-from glissando.estimation.static import Shapes, estimate_shapes
+from glissando.estimation.batch import SolverOptions, estimate
+from glissando.estimation.fixed_lag import FixedLagSmoother
+from glissando.estimation.posterior import Posterior, StateEstimate
+from glissando.estimation.static import StaticPosterior, estimate_static
 from glissando.geometry import se3 as se3
 from glissando.io.robot_file import Robot, load_robot
 from glissando.model.grid import Grid, uniform_grid
 from glissando.model.noise import GemanMcClure, Huber
 from glissando.model.priors.separable import BaseVariance, SeparablePrior
-from glissando.model.priors.white_noise import BaseDensity, KinematicPrior
-from glissando.model.sensors.parameters import Unknown
+from glissando.model.priors.white_noise import BaseDensity, WhiteNoisePrior
+from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.sensors.readings import Readings
 from glissando.model.sensors.sensors import (
     CoilReadings,
@@ -53,17 +53,14 @@ __all__ = [
     "BaseDensity",
     "BaseVariance",
     "CoilReadings",
-    "Estimate",
     "FbgReadings",
-    "FixedLag",
+    "FixedLagSmoother",
     "GemanMcClure",
     "GlissandoError",
     "Grid",
     "GyroReadings",
     "Huber",
-    "KinematicPrior",
     "NotConvergedWarning",
-    "Options",
     "OrientationReadings",
     "OutsideGridError",
     "PoseReadings",
@@ -74,14 +71,17 @@ __all__ = [
     "Robot",
     "RobotFileError",
     "SensorError",
+    "SensorParameter",
     "SeparablePrior",
-    "Shapes",
+    "SolverOptions",
     "State",
+    "StateEstimate",
+    "StaticPosterior",
     "StrainReadings",
-    "Unknown",
     "UnobservableError",
+    "WhiteNoisePrior",
     "estimate",
-    "estimate_shapes",
+    "estimate_static",
     "load_robot",
     "uniform_grid",
 ]

@@ -11,14 +11,14 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from glissando import KinematicPrior, State
+from glissando import State, WhiteNoisePrior
 from glissando.geometry import se3
 from glissando.model.factors import Factors, Residuals
 from glissando.model.grid import Grid
 from glissando.model.noise import sqrt_information
 
 
-class PublishedStatic(KinematicPrior):
+class PublishedStatic(WhiteNoisePrior):
     """A kinematic prior of single moments with the published factors along arclength."""
 
     def factors(self, grid: Grid, state: State, about: State, times: slice) -> Iterator[Factors]:

@@ -10,7 +10,7 @@ from glissando._kernels.arrays import whole
 from glissando.estimation.interval_system import Layout
 from glissando.geometry.se3 import Array
 from glissando.model.factors import Factors
-from glissando.solver.block_tridiagonal_batch import Chains
+from glissando.solver.block_tridiagonal_batch import BatchCholesky
 
 
 def _factors(batch: Factors) -> tuple[Array | int, ...]:
@@ -47,6 +47,6 @@ def add_to_neighbours(
     swept.add_to_neighbours(*given, batch.terms.robust_weights(), n_count, blocks, right)
 
 
-def factor_chains(diagonal: Array, lower: Array) -> Chains:
+def factor_batch(diagonal: Array, lower: Array) -> BatchCholesky:
     """Twin of that in chains."""
-    return Chains(*chained.factor_chains(whole(diagonal), whole(lower)))
+    return BatchCholesky(*chained.factor_batch(whole(diagonal), whole(lower)))

@@ -9,7 +9,7 @@ from glissando._kernels.process import whiten_into
 
 
 @jit
-def factor_chains(diagonal, lower):
+def factor_batch(diagonal, lower):
     """Inverses (N, S, d, d) of the factors' blocks, and what couples them (N−1, S, d, d)."""
     s_count, n_count, d, _ = diagonal.shape
     inverse = np.empty((n_count, s_count, d, d))

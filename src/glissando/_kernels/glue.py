@@ -23,7 +23,7 @@ from glissando._kernels.batches import (
     add_to_neighbours as add_to_neighbours,
 )
 from glissando._kernels.batches import (
-    factor_chains as factor_chains,
+    factor_batch as factor_batch,
 )
 from glissando.estimation.interval_system import Layout
 from glissando.geometry.se3 import Array
@@ -251,10 +251,10 @@ def interval_between(
     return State(pose, fields[..., :6], fields[..., 6:12], fields[..., 12:]), j0, j1
 
 
-def still_steps(
+def static_steps(
     flat: State, nodes: Index, step: Array, psd: Array, jump: Array
 ) -> tuple[Array, Array, Array]:
     """Twin of that in moments."""
     given = (whole(each) for each in (flat.pose, flat.strain, nodes, step, psd, jump))
-    error, jacobian, info = stepped.still_steps(*given)
+    error, jacobian, info = stepped.static_steps(*given)
     return error, jacobian, info

@@ -72,7 +72,7 @@ def pair_error(start, end, rate0, rate1, step, at):
 
 
 @jit
-def still_steps(pose, strain, nodes, step, psd, jump):
+def static_steps(pose, strain, nodes, step, psd, jump):
     """Errors (M, 12) of steps that hold still, Jacobians (M, 12, 2, 12), whiteners (M, 12, 12)."""
     m = len(step)
     error, jacobian, info = np.empty((m, 12)), np.zeros((m, 12, 2, 12)), np.zeros((m, 12, 12))

@@ -15,7 +15,7 @@ from glissando.cli.plan import add_limits, stage_of
 from glissando.cli.shared import Commands, add_command, require_writable
 from glissando.errors import GlissandoError
 from glissando.io.robot_file import load_robot, shipped_robots
-from glissando.planning import Design, is_best, objective_named, read_zone, sweep
+from glissando.planning import Design, objective_named, pareto_front, read_zone, sweep
 from glissando.planning.objectives import OBJECTIVES
 
 _HELP = """\
@@ -82,7 +82,7 @@ def _design(options: argparse.Namespace) -> int:
         objective=objective_named(options.objective, options.bound),
     )
     designs = list(found)
-    best = is_best(designs)
+    best = pareto_front(designs)
     told = [{**asdict(d), "best": bool(b)} for d, b in zip(designs, best, strict=True)]
     if options.json:
         print(json.dumps({"zones": options.zone, "designs": told}))

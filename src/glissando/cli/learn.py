@@ -23,7 +23,7 @@ from glissando.evaluation.run import checked_window, run_estimate
 from glissando.io.recording import Recording, load_recording
 from glissando.io.robot_file import load_robot, parse_robot, robot_file
 from glissando.io.toml_table import Table, read_document
-from glissando.model.sensors.parameters import Unknown
+from glissando.model.sensors.parameters import SensorParameter
 
 _HELP = """\
 Learn the numbers of a robot file from recordings: densities, time scale, strength by segment,
@@ -93,7 +93,7 @@ def _learn(options: argparse.Namespace) -> int:
             f"--steps {options.steps}; the numbers are: "
             f"{'; '.join(p.label for p in everything)}."
         )
-    constants: tuple[Unknown, ...] = ()
+    constants: tuple[SensorParameter, ...] = ()
     if options.joint:
         document, constants = locate(document, recordings[0], cases[0].window, cases[0].use, truth)
     with _watched(options.steps) as (progress, task):

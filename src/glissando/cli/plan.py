@@ -18,15 +18,15 @@ from glissando.estimation.posterior import Posterior
 from glissando.io.robot_file import load_robot, robot_file, shipped_robots
 from glissando.planning import (
     Foretold,
-    Outlook,
     Plan,
+    PlanningProblem,
     Zone,
-    blind_paths,
-    foresee,
-    foretell,
+    baseline_paths,
+    evaluate_path,
     judge_of,
     objective_named,
     plan_slide,
+    predict_information,
     read_zone,
     sliding_sensor,
     track_of,
@@ -127,14 +127,16 @@ def _plan(options: argparse.Namespace) -> int:
     known = Posterior.load(options.posterior) if options.posterior else robot
     sensor = sliding_sensor(robot, rate=options.rate)
     reach = upper - stage.stroke, upper
-    outlook = foresee(known, reach, options.horizon, sensor, node_step=options.node_step)
+    outlook = predict_information(
+        known, reach, options.horizon, sensor, node_step=options.node_step
+    )
     track = track_of(stage, upper, start, options.horizon)
     plan = plan_slide(
         judge_of(outlook, zones, objective), track, zones, wear=options.wear, seed=options.seed
     )
-    blind = blind_paths(stage, upper, start, track.times, options.seed)
+    blind = baseline_paths(stage, upper, start, track.times, options.seed)
     paths = {"planned": plan.arclength, **blind}
-    told = {name: foretell(outlook, zones, objective, path) for name, path in paths.items()}
+    told = {name: evaluate_path(outlook, zones, objective, path) for name, path in paths.items()}
     report = {
         "robot": robot.name,
         "objective": options.objective,
@@ -170,7 +172,7 @@ def _table(objective: str, told: dict[str, Foretold]) -> Table:
 def _write(
     folder: Path,
     plan: Plan,
-    outlook: Outlook,
+    outlook: PlanningProblem,
     told: dict[str, Foretold],
     zones: list[Zone],
     report: dict[str, object],

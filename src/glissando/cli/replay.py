@@ -17,7 +17,7 @@ from rich.table import Table
 
 from glissando.cli.shared import Commands, add_choices, add_command, chosen_robot, require_writable
 from glissando.errors import GlissandoError
-from glissando.estimation.fixed_lag import FixedLag
+from glissando.estimation.fixed_lag import FixedLagSmoother
 from glissando.evaluation.replay import Replay, replay
 from glissando.evaluation.run import write_states
 from glissando.io.recording import load_recording
@@ -84,7 +84,7 @@ def _replay(options: argparse.Namespace) -> int:
 
         views = _views(options, robot, stack)
 
-        def watch(done: int, total: int, smoother: FixedLag) -> None:
+        def watch(done: int, total: int, smoother: FixedLagSmoother) -> None:
             bar.update(task, completed=done, total=total)
             for view in views:
                 follow(view, smoother)

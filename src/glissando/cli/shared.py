@@ -80,7 +80,7 @@ def streams_of(
     used, judges = recording.choose(options.use, options.truth)
     readings, _ = recording.readings(used, robot, window)
     truth, _ = recording.readings(judges, robot, window, as_truth=True)
-    return readings, [corrected(t, robot.unknowns) for t in truth if len(t)]
+    return readings, [corrected(t, robot.sensor_parameters) for t in truth if len(t)]
 
 
 def estimate_watched(

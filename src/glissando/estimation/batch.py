@@ -15,16 +15,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from glissando.errors import NotConvergedWarning, OutsideGridError, SensorError, UnobservableError
-from glissando.estimation.posterior import Posterior, Solve
+from glissando.estimation.posterior import Posterior, SolveReport
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
 from glissando.model.priors.prior import Prior
-from glissando.model.sensors.parameters import Unknown, corrected
+from glissando.model.sensors.parameters import SensorParameter, corrected
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
 from glissando.solver.block_tridiagonal import Cholesky, factor
 from glissando.solver.linearize import NormalEquations, linearize
-from glissando.solver.measurement_factors import PlacedReadings
+from glissando.solver.measurement_factors import MeasurementFactors
 from glissando.solver.normal_equations import slab_shape
 from glissando.twins import estimating
 
@@ -43,7 +43,7 @@ Progress = Callable[[int, float, float], None]
 
 
 @dataclass(frozen=True)
-class Options:
+class SolverOptions:
     """When to stop: after `max_iterations`, or when a step is shorter than `tolerance`.
 
     A step's length is in posterior standard deviations, over the whole state at once, so that the
@@ -59,15 +59,15 @@ def estimate(
     grid: Grid,
     readings: Sequence[Readings],
     *,
-    unknowns: Sequence[Unknown] = (),
+    sensor_parameters: Sequence[SensorParameter] = (),
     initial: State | None = None,
-    options: Options = Options(),
+    options: SolverOptions = SolverOptions(),
     progress: Progress | None = None,
 ) -> Posterior:
     """Posterior over pose, strain and velocity on `grid` given a prior and readings.
 
-    `unknowns` of the sensors, matched by the readings' names, are estimated with them where they
-    are uncertain, and put right where they are known.
+    `sensor_parameters`, matched by the readings' names, are estimated with the states where they
+    are uncertain, and applied where they are known.
     Starts from `initial`, else from the robot at rest, first with shear and extension softened
     where they are stiff: stiff ones make a bend a long walk along a narrow valley. Warns
     NotConvergedWarning when it stops early (the posterior says so too); raises OutsideGridError for
@@ -88,8 +88,10 @@ def estimate(
             "is used. Give the robot a [base], or use a stream that fixes it."
         )
     with estimating():
-        unmoved = [u for u in unknowns if u.known]
-        placed = PlacedReadings(grid, [corrected(r, unmoved) for r in readings], unknowns)
+        unmoved = [u for u in sensor_parameters if u.known]
+        placed = MeasurementFactors(
+            grid, [corrected(r, unmoved) for r in readings], sensor_parameters
+        )
         start, before = initial, 0
         if start is None:
             start, placed, before = _rough(prior, placed, progress, clock)
@@ -118,15 +120,17 @@ def _counted(progress: Progress | None, before: int) -> Progress | None:
 
 
 def _rough(
-    prior: Prior, placed: PlacedReadings, progress: Progress | None, clock: Stopwatch
-) -> tuple[State, PlacedReadings, int]:
+    prior: Prior, placed: MeasurementFactors, progress: Progress | None, clock: Stopwatch
+) -> tuple[State, MeasurementFactors, int]:
     """Where to start: at rest, or where steps with a softer prior lead from there; how many."""
     rest = prior.rest_state(placed.grid)
     soft = prior.softened()
     if soft is prior:
         return rest, placed, 0
     size = rest.strain[..., 0].size * rest.dof
-    options = Options(max_iterations=_ROUGH_ITERATIONS, tolerance=_ROUGH * float(np.sqrt(size)))
+    options = SolverOptions(
+        max_iterations=_ROUGH_ITERATIONS, tolerance=_ROUGH * float(np.sqrt(size))
+    )
     found = _iterate(soft, placed, rest, options, progress, clock)
     return found.state, found.placed, found.iterations
 
@@ -159,35 +163,35 @@ class _Found:
     """Where the iteration ended, and the factored system its covariance comes from."""
 
     state: State
-    placed: PlacedReadings
+    placed: MeasurementFactors
     at: NormalEquations
     chol: Cholesky
     status: str
     iterations: int
 
-    def solve(self, clock: Stopwatch) -> Solve:
+    def solve(self, clock: Stopwatch) -> SolveReport:
         """The record of the solve that goes with the posterior."""
         cost = self.at.cost_of(self.at)
         noise = sum(terms.log_det_cov() for terms in self.at.terms)
         evidence = -cost - 0.5 * (noise + self.chol.log_det)
         suspects = sum(int(np.sum(terms.robust_weights() < 0.5)) for terms in self.at.terms)
-        unknowns = self.at.right.size
-        return Solve(
-            self.status, self.iterations, unknowns, cost, evidence, suspects, clock.total()
+        sensor_parameters = self.at.right.size
+        return SolveReport(
+            self.status, self.iterations, sensor_parameters, cost, evidence, suspects, clock.total()
         )
 
 
 def _iterate(
     prior: Prior,
-    placed: PlacedReadings,
+    placed: MeasurementFactors,
     start: State,
-    options: Options,
+    options: SolverOptions,
     progress: Progress | None,
     clock: Stopwatch,
 ) -> _Found:
     """Gauss-Newton steps, damped when the cost does not fall (Marquardt's scaling)."""
     # Room for every system: fresh memory would cost more than the sums.
-    room = np.empty(slab_shape(placed.grid, start.dof, placed.unknowns.size))
+    room = np.empty(slab_shape(placed.grid, start.dof, placed.sensor_parameters.size))
 
     def at(to: _Where, held: NormalEquations | None = None) -> NormalEquations:
         about, terms = (to[0], None) if held is None else (held.about, held.terms)
@@ -227,7 +231,7 @@ def _step(
     return chol, step, length, 0.5 * float(np.sum(step * (here.right + extra * step)))
 
 
-_Where = tuple[State, PlacedReadings]
+_Where = tuple[State, MeasurementFactors]
 """A state, and the readings where the unknowns that go with it put them."""
 
 

@@ -17,18 +17,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from glissando.errors import NotConvergedWarning, OutsideGridError, UnobservableError
-from glissando.estimation.batch import Options, estimate
-from glissando.estimation.innovation_gate import Gate
-from glissando.estimation.posterior import Estimate, Posterior
-from glissando.estimation.reading_buffer import Inbox
-from glissando.estimation.sliding_window import Window
+from glissando.estimation.batch import SolverOptions, estimate
+from glissando.estimation.innovation_gate import InnovationGate
+from glissando.estimation.posterior import Posterior, StateEstimate
+from glissando.estimation.reading_buffer import ReadingBuffer
+from glissando.estimation.sliding_window import SlidingWindow
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
 from glissando.model.priors.prior import Prior
-from glissando.model.sensors.parameters import Unknown, corrected
+from glissando.model.sensors.parameters import SensorParameter, corrected
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
-from glissando.solver.measurement_factors import PlacedReadings
+from glissando.solver.measurement_factors import MeasurementFactors
 from glissando.twins import estimating, prepare
 
 _RENEWED = 2  # intervals before the newest node that an update linearises again
@@ -38,10 +38,10 @@ _MOST = 5  # steps an update
 _CLOSEST = 0.2  # of the last interval: no node is put nearer to the newest one to look ahead
 
 
-class FixedLag:
+class FixedLagSmoother:
     """A smoother over the last `window` time nodes of a prior on `arclength` nodes (N,).
 
-    `unknowns` of the sensors are put right where they are known and estimated where they are not.
+    `sensor_parameters` are applied where they are known and estimated where they are not.
     A reading is refused when its innovation would come by chance once in 1 / `gate` times, unless
     its stream has been refused for long. `window` 1 is a filter. The first one ever made on a
     machine takes half a minute where numba compiles for it. Raises OutsideGridError for an empty
@@ -54,7 +54,7 @@ class FixedLag:
         arclength: ArrayLike,
         *,
         window: int = 4,
-        unknowns: Sequence[Unknown] = (),
+        sensor_parameters: Sequence[SensorParameter] = (),
         gate: float | None = 1e-6,
     ) -> None:
         if window < 1:
@@ -63,10 +63,10 @@ class FixedLag:
         self.arclength = np.asarray(arclength, dtype=float)
         self.lag = window
         self.updates = self.restarts = 0
-        self._known = [u for u in unknowns if u.known]
-        self._window = Window(prior, self.arclength, unknowns)
-        self._gate = Gate(gate)
-        self._inbox = Inbox(float(self.arclength[-1]), self._gate)
+        self._known = [u for u in sensor_parameters if u.known]
+        self._window = SlidingWindow(prior, self.arclength, sensor_parameters)
+        self._gate = InnovationGate(gate)
+        self._inbox = ReadingBuffer(float(self.arclength[-1]), self._gate)
         self._started, self._missed = False, np.inf
 
     @property
@@ -84,7 +84,7 @@ class FixedLag:
         span = (nodes[0].time, nodes[-1].time) if nodes else None
         self._inbox.take(corrected(readings, self._known), span)
 
-    def advance(self, time: float) -> Estimate:
+    def advance(self, time: float) -> StateEstimate:
         """Go on to `time` with all readings up to then; the newest state at the nodes (N,).
 
         A time that is not after the newest node's changes nothing but brings in what came late.
@@ -133,12 +133,16 @@ class FixedLag:
         """The first readings: estimate all there is from rest, as a recording is."""
         window = self._window
         readings = self._inbox.since(window.nodes[0].time)
-        unknowns, options = window.unknowns, Options(max_iterations=30)
+        sensor_parameters, options = window.sensor_parameters, SolverOptions(max_iterations=30)
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", NotConvergedWarning)
                 found = estimate(
-                    window.prior, window.grid(), readings, unknowns=unknowns, options=options
+                    window.prior,
+                    window.grid(),
+                    readings,
+                    sensor_parameters=sensor_parameters,
+                    options=options,
                 )
         except UnobservableError:
             return  # not yet: some other sensor will fix the base
@@ -161,11 +165,11 @@ class FixedLag:
             placed = self._placed(first)
             self._window.solve(first, placed)
 
-    def _placed(self, first: int) -> PlacedReadings:
+    def _placed(self, first: int) -> MeasurementFactors:
         """Readings at and after a node."""
         return self._window.place(first, self._inbox.since(self._window.nodes[first].time))
 
-    def _judged(self, placed: PlacedReadings, fresh: Counter[str], *, first_look: bool) -> bool:
+    def _judged(self, placed: MeasurementFactors, fresh: Counter[str], *, first_look: bool) -> bool:
         """Refuse the new reading that fits the others least, if it is beyond belief.
 
         One at a time, as a wrong one makes its neighbours look wrong. Returns whether there was.
@@ -187,7 +191,7 @@ class FixedLag:
         fresh[stream.label] -= 1
         return True
 
-    def newest(self) -> Estimate:
+    def newest(self) -> StateEstimate:
         """The newest state at the nodes (N,) with covariance (N, 18, 18)."""
         self._any()
         with estimating():
@@ -203,7 +207,7 @@ class FixedLag:
         with estimating():
             return self._window.posterior()
 
-    def at(self, arclength: ArrayLike, time: ArrayLike) -> Estimate:
+    def at(self, arclength: ArrayLike, time: ArrayLike) -> StateEstimate:
         """State and covariance inside the window, or ahead of it as the prior foretells.
 
         Raises OutsideGridError for a point off the robot or before the window.
@@ -226,7 +230,7 @@ class FixedLag:
         with estimating():
             return window.posterior().at(arclength, time)
 
-    def settle(self, tolerance: float = 1e-9, most: int = 50) -> int:
+    def iterate(self, tolerance: float = 1e-9, most: int = 50) -> int:
         """Linearise the whole window again until no number moves by more; returns the rounds."""
         with estimating():
             rounds = 0
@@ -255,9 +259,9 @@ class FixedLag:
         return self._window.prior
 
     @property
-    def unknowns(self) -> tuple[Unknown, ...]:
+    def sensor_parameters(self) -> tuple[SensorParameter, ...]:
         """What of the sensors is estimated, in the order of its numbers."""
-        return self._window.unknowns
+        return self._window.sensor_parameters
 
     @property
     def dropped(self) -> dict[str, Counter[str]]:

@@ -21,7 +21,7 @@ def _beyond(chance: float, dof: int) -> float:
     return float(chi2.isf(chance, dof))
 
 
-class Gate:
+class InnovationGate:
     """Counts readings that are refused, and judges innovations.
 
     A reading is beyond belief when its squared innovation would come by chance once in 1 / `chance`

@@ -17,7 +17,7 @@ from glissando.model.grid import Grid
 from glissando.model.interpolation import sort_points
 from glissando.model.priors.prior import Prior
 from glissando.model.priors.transitions import symmetrize
-from glissando.model.sensors.parameters import Unknown
+from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.state import DOF, POSE, State
 from glissando.solver.block_tridiagonal import BlockTridiagonal, Marginals, factor
 
@@ -28,7 +28,7 @@ _CHUNK = 500  # queries at a time: more ask for new memory faster than it is giv
 
 
 @dataclass(frozen=True)
-class Solve:
+class SolveReport:
     """How the estimate was reached: status, size, cost, evidence and seconds of processor time.
 
     `log_evidence` is the Laplace log marginal likelihood up to a constant (equation 22);
@@ -50,7 +50,7 @@ class Solve:
 
 
 @dataclass(frozen=True)
-class Estimate:
+class StateEstimate:
     """State and covariance at queried points, with the leading shape of the query.
 
     `pose` (…, 4, 4), `strain` (…, 6), `velocity` (…, 6) and `cov` (…, 18, 18) of
@@ -90,7 +90,7 @@ class Posterior:
 
     `state` is the mean at the nodes, `system` the information matrix of the nodes in time order,
     `marginals` the blocks of its inverse that any query needs, `solve` how it was reached,
-    `unknowns` of the sensors with their estimated values (K, size) at the time nodes.
+    `sensor_parameters` of the sensors with their estimated values (K, size) at the time nodes.
     """
 
     prior: Prior
@@ -98,10 +98,10 @@ class Posterior:
     state: State
     system: BlockTridiagonal
     marginals: Marginals
-    solve: Solve
-    unknowns: Sequence[tuple[Unknown, Array]] = ()
+    solve: SolveReport
+    sensor_parameters: Sequence[tuple[SensorParameter, Array]] = ()
 
-    def at(self, arclength: ArrayLike, time: ArrayLike) -> Estimate:
+    def at(self, arclength: ArrayLike, time: ArrayLike) -> StateEstimate:
         """State with its 18×18 covariance at points; arclength and time broadcast together.
 
         Raises OutsideGridError for a point off the grid. Source: equations (10) to (12).
@@ -111,7 +111,7 @@ class Posterior:
         )
         shape, s, t = s.shape, s.ravel(), t.ravel()
         self.grid.require(s, t, "Query")
-        out = Estimate(
+        out = StateEstimate(
             np.empty((s.size, 4, 4)),
             np.empty((s.size, 6)),
             np.empty((s.size, 6)),
@@ -129,7 +129,7 @@ class Posterior:
                 out.velocity[rows] = found.state.velocity
                 cov = jacobian @ joint @ np.swapaxes(jacobian, -1, -2) + found.cov
                 out.cov[rows] = symmetrize(cov)
-        return Estimate(
+        return StateEstimate(
             *(
                 a.reshape(*shape, *a.shape[1:])
                 for a in (out.pose, out.strain, out.velocity, out.cov)
@@ -164,12 +164,12 @@ class Posterior:
         Raises GlissandoError when no unknown of that name was estimated.
         """
         first = self.grid.arclength.size * self.state.dof
-        for unknown, values in self.unknowns:
+        for unknown, values in self.sensor_parameters:
             at = slice(first, first + unknown.size)
             if unknown.name == name:
                 return values, self.marginals.cov[:, at, at]
             first += unknown.size
-        known = ", ".join(u.name for u, _ in self.unknowns) or "none"
+        known = ", ".join(u.name for u, _ in self.sensor_parameters) or "none"
         raise GlissandoError(f"No unknown {name!r} was estimated; those that were: {known}.")
 
     def to_xarray(self) -> xarray.Dataset:

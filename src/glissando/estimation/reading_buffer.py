@@ -7,20 +7,20 @@ from collections import Counter
 import numpy as np
 
 from glissando.errors import SensorError
-from glissando.estimation.innovation_gate import Gate
+from glissando.estimation.innovation_gate import InnovationGate
 from glissando.model.sensors.readings import Readings
 
 _AHEAD = 2.0  # s: stamps further ahead of the newest node are a clock's fault
 _SPARE = 32  # old readings of a stream that are held before they are let go of at once
 
 
-class Inbox:
+class ReadingBuffer:
     """Readings by stream on a robot of some `length`; what is refused is counted by the `gate`.
 
     `held` are those in the window, in order of arrival; others wait until time reaches them.
     """
 
-    def __init__(self, length: float, gate: Gate) -> None:
+    def __init__(self, length: float, gate: InnovationGate) -> None:
         self.held: dict[str, Readings] = {}
         self._waiting: dict[str, Readings] = {}
         self._length, self._gate = length, gate

@@ -22,16 +22,16 @@ from glissando.estimation.interval_system import (
     squared_innovations,
     substituted,
 )
-from glissando.estimation.posterior import Estimate, Posterior, Solve
+from glissando.estimation.posterior import Posterior, SolveReport, StateEstimate
 from glissando.geometry.se3 import Array
 from glissando.model.factors import Factors
 from glissando.model.grid import Grid, Index
 from glissando.model.priors.prior import Prior
-from glissando.model.sensors.parameters import Unknown, Unknowns
+from glissando.model.sensors.parameters import EstimatedParameters, SensorParameter
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import DOF, POSE, State
 from glissando.solver.block_tridiagonal import BlockTridiagonal, Marginals, inverse_of_triangle
-from glissando.solver.measurement_factors import PlacedReadings
+from glissando.solver.measurement_factors import MeasurementFactors
 
 
 @dataclass
@@ -57,7 +57,7 @@ class Node:
 
 
 @dataclass(frozen=True)
-class Judged:
+class Innovations:
     """Readings of one stream at the solution: which rows, and their squared innovations (M,)."""
 
     stream: int
@@ -66,15 +66,17 @@ class Judged:
     dof: int
 
 
-class Window:
-    """Time nodes of a prior on `arclength` (N,), and `unknowns` of sensors, solved together."""
+class SlidingWindow:
+    """Time nodes of a prior on `arclength` (N,), solved together with `sensor_parameters`."""
 
-    def __init__(self, prior: Prior, arclength: Array, unknowns: Sequence[Unknown] = ()) -> None:
+    def __init__(
+        self, prior: Prior, arclength: Array, sensor_parameters: Sequence[SensorParameter] = ()
+    ) -> None:
         self.prior, self.arclength = prior, arclength
-        self.unknowns = tuple(u for u in unknowns if not u.known)
+        self.sensor_parameters = tuple(u for u in sensor_parameters if not u.known)
         self.nodes: list[Node] = []
         self.before: float | None = None
-        self._extras = Unknowns(Grid(arclength, [0.0]), self.unknowns)
+        self._extras = EstimatedParameters(Grid(arclength, [0.0]), self.sensor_parameters)
         self._factors: list[tuple[int, Index, Factors]] = []
         self._first = 0
 
@@ -132,12 +134,14 @@ class Window:
             node.state, node.extras = self._estimate(node)
             node.step = np.zeros_like(node.step)
 
-    def place(self, first: int, readings: Sequence[Readings]) -> PlacedReadings:
+    def place(self, first: int, readings: Sequence[Readings]) -> MeasurementFactors:
         """Readings of the nodes from `first` on and of the intervals after them, on their grid."""
         values = np.array([node.extras for node in self.nodes[first:]])
-        return PlacedReadings(self.grid(first), readings, self.unknowns, values, keep_all=True)
+        return MeasurementFactors(
+            self.grid(first), readings, self.sensor_parameters, values, keep_all=True
+        )
 
-    def solve(self, first: int, placed: PlacedReadings) -> None:
+    def solve(self, first: int, placed: MeasurementFactors) -> None:
         """Linearise all that begins at the nodes from `first` on, eliminate, find every step."""
         self._linearize(first, placed)
         self._eliminate(first)
@@ -161,7 +165,7 @@ class Window:
         turn = np.abs(free.reshape(-1, dof)[:, 3:6]).max()
         return float(0.5 * turn * length[:, POSE].max())
 
-    def _linearize(self, first: int, placed: PlacedReadings) -> None:
+    def _linearize(self, first: int, placed: MeasurementFactors) -> None:
         nodes, grid = self.nodes[first:], placed.grid
         state = _stacked([node.state for node in nodes])
         values = np.array([node.extras for node in nodes])
@@ -184,7 +188,7 @@ class Window:
 
     def _chain(self, grid: Grid, values: Array, blocks: Array, pulls: Array) -> None:
         """Add what ties unknowns of one time node to those of the next, and to what is expected."""
-        decay, spread = Unknowns(grid, self.unknowns).chain()
+        decay, spread = EstimatedParameters(grid, self.sensor_parameters).chain()
         size = blocks.shape[1] // 2
         at = np.arange(size - self._extras.size, size)
         off = values - self._extras.mean
@@ -236,7 +240,7 @@ class Window:
             cov[k] = 0.5 * (block + block.T)
         return Marginals(cov, cross)
 
-    def judge(self, fresh: Sequence[int]) -> list[Judged]:
+    def judge(self, fresh: Sequence[int]) -> list[Innovations]:
         """Squared innovations of each stream's rows from `fresh` on, each against all others."""
         kept = [
             (stream, rows, batch) if new.all() else (stream, rows[new], batch.take(new))
@@ -259,7 +263,7 @@ class Window:
         for (stream, rows, _), (residual, jacobian) in zip(kept, spread, strict=True):
             mine = known[first : first + residual.size].reshape(jacobian.shape)
             nis = squared_innovations(residual + jacobian @ steps, mine)
-            out.append(Judged(stream, rows, nis, residual.shape[1]))
+            out.append(Innovations(stream, rows, nis, residual.shape[1]))
             first += residual.size
         return out
 
@@ -268,13 +272,13 @@ class Window:
         inverse = self.nodes[-1].inverse
         return self._estimate(self.nodes[-1])[0], inverse.T @ inverse
 
-    def newest_nodes(self) -> Estimate:
+    def newest_nodes(self) -> StateEstimate:
         """The newest time at the nodes (N,), each with its own covariance (N, 18, 18)."""
         newest, layout = self.nodes[-1], self._layout
         own = newest.inverse[:, : layout.nodes * layout.dof]
         halves = np.ascontiguousarray(own.T).reshape(layout.nodes, layout.dof, -1)[:, :DOF]
         state = self._estimate(newest)[0]
-        return Estimate(
+        return StateEstimate(
             state.pose, state.strain, state.velocity, halves @ np.swapaxes(halves, 1, 2)
         )
 
@@ -288,10 +292,13 @@ class Window:
             diagonal[k + 1] += node.block[size:, size:]
         lower = np.array([node.block[size:, :size] for node in self.nodes[:-1]])
         system = BlockTridiagonal(diagonal, lower.reshape(-1, size, size))
-        solve = Solve("online", 1, diagonal[:, 0].size, 0.0, 0.0, 0, {})
-        ends = np.cumsum([0, *(u.size for u in self.unknowns)])
+        solve = SolveReport("online", 1, diagonal[:, 0].size, 0.0, 0.0, 0, {})
+        ends = np.cumsum([0, *(u.size for u in self.sensor_parameters)])
         extras = np.array([extra for _, extra in found])
-        known = [(u, extras[:, a : a + u.size]) for u, a in zip(self.unknowns, ends, strict=False)]
+        known = [
+            (u, extras[:, a : a + u.size])
+            for u, a in zip(self.sensor_parameters, ends, strict=False)
+        ]
         state = _stacked([state for state, _ in found])
         return Posterior(self.prior, self.grid(), state, system, self.marginals(), solve, known)
 

@@ -14,22 +14,22 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from glissando.errors import OutsideGridError, UnobservableError
-from glissando.estimation.batch import Options, estimate
-from glissando.estimation.posterior import Estimate
+from glissando.estimation.batch import SolverOptions, estimate
+from glissando.estimation.posterior import StateEstimate
 from glissando.estimation.static_factors import (
     STILL,
-    Moments,
+    StaticEquations,
     StaticPrior,
     chosen,
-    linearize_moments,
+    linearize_static,
 )
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid, Index
 from glissando.model.interpolation import sort_points
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import DOF, State
-from glissando.solver.block_tridiagonal_batch import Chains, factor_chains
-from glissando.solver.measurement_factors import PlacedReadings
+from glissando.solver.block_tridiagonal_batch import BatchCholesky, factor_batch
+from glissando.solver.measurement_factors import MeasurementFactors
 from glissando.twins import estimating
 
 _DOFS = slice(0, STILL)
@@ -39,7 +39,7 @@ _ROUGH_ITERATIONS = 15
 
 
 @dataclass(frozen=True)
-class Shapes:
+class StaticPosterior:
     """Posterior of S static shapes: mean and covariance of pose and strain at any arclength.
 
     `state` (S, N) is the mean at the nodes of `grid`, whose times are the shapes' numbers; `cov`
@@ -53,7 +53,7 @@ class Shapes:
     cross: Array
     converged: NDArray[np.bool_]
 
-    def at(self, arclength: ArrayLike, shape: ArrayLike) -> Estimate:
+    def at(self, arclength: ArrayLike, shape: ArrayLike) -> StateEstimate:
         """State with covariance at arclengths (m) of shapes by number, which broadcast together.
 
         Velocity is zero, and sure: shapes hold still. Raises OutsideGridError off the grid.
@@ -75,7 +75,7 @@ class Shapes:
             spread += found.cov[:, _DOFS, _DOFS]
             cov[points.rows, _DOFS, _DOFS] = 0.5 * (spread + np.swapaxes(spread, -1, -2))
         arrays = (pose, strain, np.zeros_like(strain), cov)
-        return Estimate(*(a.reshape(*whole, *a.shape[1:]) for a in arrays))
+        return StateEstimate(*(a.reshape(*whole, *a.shape[1:]) for a in arrays))
 
     def _joint(self, nodes: Index) -> Array:
         """Joint covariance (M, c·12, c·12) of a node, or of it and the next (M, c)."""
@@ -86,14 +86,14 @@ class Shapes:
         return np.block([[self.cov[k, n], cross], [np.swapaxes(cross, -1, -2), self.cov[k, n + 1]]])
 
 
-def estimate_shapes(
+def estimate_static(
     prior: StaticPrior,
     arclength: ArrayLike,
     readings: Sequence[Readings],
     *,
     count: int | None = None,
-    options: Options | None = None,
-) -> Shapes:
+    options: SolverOptions | None = None,
+) -> StaticPosterior:
     """Posterior of static shapes that know nothing of each other, solved together.
 
     The `time` of a reading is the number of its shape, 0 to `count` − 1 (the largest there is
@@ -108,12 +108,12 @@ def estimate_shapes(
     >>> tips[:, :3, 3] = [[0.05, 0.0, 0.46], [0.0, -0.1, 0.45]]  # two shapes, a reading each
     >>> coil = CoilReadings(time=[0, 1], arclength=[0.466, 0.466], values=tips,
     ...                     cov=[1e-6, 1e-6, 1e-6, 1, 1])
-    >>> shapes = estimate_shapes(robot.prior, robot.arclength_nodes, [coil])
+    >>> shapes = estimate_static(robot.prior, robot.arclength_nodes, [coil])
     >>> np.round(shapes.at(0.233, [0, 1]).position, 3) + 0.0
     array([[ 0.012,  0.   ,  0.232],
            [ 0.   , -0.025,  0.231]])
     """
-    given, options = [r for r in readings if len(r)], options or Options()
+    given, options = [r for r in readings if len(r)], options or SolverOptions()
     for r in given:
         _require_whole(r.time, r.label)
     if count is None:
@@ -121,11 +121,13 @@ def estimate_shapes(
     grid = Grid.apart(arclength, count)
     start = prior.rest_state(grid)
     with estimating():
-        placed = PlacedReadings(grid, given)
+        placed = MeasurementFactors(grid, given)
         soft = prior.softened()
         if soft is not prior:
             size = np.sqrt(grid.arclength.size * STILL)
-            start = _settled(soft, placed, start, Options(_ROUGH_ITERATIONS, _ROUGH * size))[0]
+            start = _settled(soft, placed, start, SolverOptions(_ROUGH_ITERATIONS, _ROUGH * size))[
+                0
+            ]
         state, (cov, cross), left = _settled(prior, placed, start, options)
     converged = np.ones(count, dtype=bool)
     for k in np.flatnonzero(left):
@@ -138,18 +140,18 @@ def estimate_shapes(
         whole = one.marginals.cov[0].reshape(every.size, one.state.dof, every.size, -1)
         whole = whole[:, _DOFS, :, _DOFS]
         cov[k], cross[k] = whole[every, :, every], whole[every[:-1], :, every[1:]]
-    return Shapes(prior, grid, state, cov, cross, converged)
+    return StaticPosterior(prior, grid, state, cov, cross, converged)
 
 
 def _settled(
-    prior: StaticPrior, placed: PlacedReadings, start: State, options: Options
+    prior: StaticPrior, placed: MeasurementFactors, start: State, options: SolverOptions
 ) -> tuple[State, tuple[Array, Array], NDArray[np.bool_]]:
     """Gauss-Newton steps of all shapes, straight on or bent: states, marginals, and who is left.
 
     A shape that neither way brings down is left, at rest, to those who can shorten and damp steps.
     """
     grid = placed.grid
-    here = linearize_moments(prior, placed, start)
+    here = linearize_static(prior, placed, start)
     going, left = np.ones((2, grid.time.size), dtype=bool)
     left[:] = False
     for _ in range(options.max_iterations):
@@ -162,21 +164,21 @@ def _settled(
         straight = here.state.retract(step)
         if not np.any(going):
             return straight, chains.marginals(), left
-        there = linearize_moments(prior, placed, straight)
+        there = linearize_static(prior, placed, straight)
         refused = going & ~_worthwhile(here, there, promise)
         if np.any(refused):
             bent = prior.bent(grid, here.state, step)
-            there = linearize_moments(prior, placed, chosen(refused, bent, straight))
+            there = linearize_static(prior, placed, chosen(refused, bent, straight))
             refused &= ~_worthwhile(here, there, promise)
         if np.any(refused):
             left, going = left | refused, going & ~refused
             state = chosen(refused, prior.rest_state(grid), there.state)
-            there = linearize_moments(prior, placed, state)
+            there = linearize_static(prior, placed, state)
         here = there
     return here.state, _factored(here).marginals(), left | going
 
 
-def _worthwhile(here: Moments, there: Moments, promise: Array) -> NDArray[np.bool_]:
+def _worthwhile(here: StaticEquations, there: StaticEquations, promise: Array) -> NDArray[np.bool_]:
     """Which costs fell by a fair share of half the `promise` (S,), if that is worth anything."""
     cost = here.costs(here)
     gain = cost - here.costs(there)
@@ -184,9 +186,9 @@ def _worthwhile(here: Moments, there: Moments, promise: Array) -> NDArray[np.boo
     return nothing | (gain > _WORTHWHILE * 0.5 * promise)
 
 
-def _factored(here: Moments) -> Chains:
+def _factored(here: StaticEquations) -> BatchCholesky:
     try:
-        return factor_chains(here.diagonal, here.lower)
+        return factor_batch(here.diagonal, here.lower)
     except np.linalg.LinAlgError:
         raise UnobservableError(
             "Prior and readings leave a direction of a shape undetermined. Give the robot a "

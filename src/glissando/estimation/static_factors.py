@@ -18,13 +18,13 @@ from glissando.model.priors.prior import by_interval, interval_strain
 from glissando.model.priors.separable import SeparablePrior
 from glissando.model.priors.steps import ARCLENGTH, pair_error
 from glissando.model.priors.transitions import process_covariances
-from glissando.model.priors.white_noise import KinematicPrior
+from glissando.model.priors.white_noise import WhiteNoisePrior
 from glissando.model.state import State
-from glissando.solver.measurement_factors import PlacedReadings
-from glissando.solver.normal_equations import NeighbourSums
+from glissando.solver.measurement_factors import MeasurementFactors
+from glissando.solver.normal_equations import NormalEquationsBuilder
 from glissando.twins import twin
 
-StaticPrior = KinematicPrior | SeparablePrior
+StaticPrior = WhiteNoisePrior | SeparablePrior
 """A prior that says what shapes are at a single moment."""
 
 STILL = 12
@@ -33,7 +33,7 @@ _DOFS = slice(0, STILL)
 
 
 @dataclass(frozen=True)
-class Moments:
+class StaticEquations:
     """S moments linearised at `state` (S, N): a chain each, system · step = right.
 
     `diagonal` (S, N, 12, 12), `lower` (S, N−1, 12, 12) and `right` (S, N, 12); `terms` are the
@@ -46,7 +46,7 @@ class Moments:
     right: Array
     terms: list[tuple[Index, Residuals]]
 
-    def costs(self, other: Moments) -> Array:
+    def costs(self, other: StaticEquations) -> Array:
         """Costs (S,) of another state's residuals under the weights of this one."""
         out = np.zeros(len(self.right))
         for (owner, mine), (_, theirs) in zip(self.terms, other.terms, strict=True):
@@ -56,22 +56,24 @@ class Moments:
         return out
 
 
-def linearize_moments(prior: StaticPrior, placed: PlacedReadings, state: State) -> Moments:
+def linearize_static(
+    prior: StaticPrior, placed: MeasurementFactors, state: State
+) -> StaticEquations:
     """Prior and readings of every moment of the grid at `state`, weights from its own rates.
 
     Raises SensorError for readings of a velocity, which a moment does not have.
     """
     grid = placed.grid
-    sums = NeighbourSums(grid, STILL)
+    sums = NormalEquationsBuilder(grid, STILL)
     terms: list[tuple[Index, Residuals]] = []
     for batch in _all_factors(prior, placed, state):
         sums.add(batch)
         terms.append((batch.nodes[:, 0] // grid.arclength.size, batch.terms))
-    return Moments(state, *sums.chains(), terms)
+    return StaticEquations(state, *sums.chains(), terms)
 
 
-def _all_factors(prior: StaticPrior, placed: PlacedReadings, state: State) -> Iterator[Factors]:
-    yield from prior_of_moments(prior, placed.grid, state)
+def _all_factors(prior: StaticPrior, placed: MeasurementFactors, state: State) -> Iterator[Factors]:
+    yield from static_prior_factors(prior, placed.grid, state)
     for block in range(len(placed.blocks)):
         batches = placed.factors(prior, state, state, block)
         for (stream, _), batch in zip(placed.rows(block), batches, strict=True):
@@ -83,7 +85,7 @@ def _all_factors(prior: StaticPrior, placed: PlacedReadings, state: State) -> It
             yield batch
 
 
-def prior_of_moments(prior: StaticPrior, grid: Grid, state: State) -> Iterator[Factors]:
+def static_prior_factors(prior: StaticPrior, grid: Grid, state: State) -> Iterator[Factors]:
     """What a prior says of pose and strain at single moments: intervals, then the base.
 
     Source: equations (2') and (5).
@@ -95,7 +97,7 @@ def prior_of_moments(prior: StaticPrior, grid: Grid, state: State) -> Iterator[F
         spread = by_interval(grid.arclength, prior.psd_strain_arclength, prior.joints, prior.jumps)
         psd, jump = (np.tile(values, (k_count, 1)) for values in spread)
         step = np.tile(np.diff(grid.arclength), k_count)
-        error, jacobian, info = still_steps(state.flatten(), nodes, step, psd, jump)
+        error, jacobian, info = static_steps(state.flatten(), nodes, step, psd, jump)
         error = error - np.tile(prior.rest.interval_errors(grid.arclength), (k_count, 1))
         yield Factors(nodes, _DOFS, jacobian, Residuals(error, info))
     if prior.base is not None:
@@ -111,7 +113,7 @@ def prior_of_moments(prior: StaticPrior, grid: Grid, state: State) -> Iterator[F
 
 
 @twin
-def still_steps(
+def static_steps(
     flat: State, nodes: Index, step: Array, psd: Array, jump: Array
 ) -> tuple[Array, Array, Array]:
     """Errors (M, 12) of steps between `nodes` (M, 2) of a list of states that hold still.

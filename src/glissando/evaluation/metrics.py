@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from scipy.stats import chi2
 
 from glissando.errors import SensorError
-from glissando.estimation.posterior import Estimate, Posterior
+from glissando.estimation.posterior import Posterior, StateEstimate
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.interpolation import sort_points
@@ -73,7 +73,7 @@ def _rms(values: Array) -> float | None:
 class Answers(Protocol):
     """What can be asked for the state at any arclength and time: a posterior, a smoother."""
 
-    def at(self, arclength: ArrayLike, time: ArrayLike) -> Estimate:
+    def at(self, arclength: ArrayLike, time: ArrayLike) -> StateEstimate:
         """State and covariance at points (M,)."""
 
 
@@ -123,7 +123,7 @@ def innovations(posterior: Posterior, readings: Readings) -> Array:
     of freedom as a reading has rows, and no reading need be left out to find it. Unknowns are taken
     at their estimates and as if they were sure.
     """
-    middle = [(u, values[len(values) // 2]) for u, values in posterior.unknowns]
+    middle = [(u, values[len(values) // 2]) for u, values in posterior.sensor_parameters]
     readings = corrected(readings, [replace(u, value=value) for u, value in middle])
     grid = posterior.grid
     readings = replace(

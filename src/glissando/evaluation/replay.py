@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from glissando.errors import RecordingError
-from glissando.estimation.fixed_lag import FixedLag
-from glissando.estimation.posterior import Estimate
+from glissando.estimation.fixed_lag import FixedLagSmoother
+from glissando.estimation.posterior import StateEstimate
 from glissando.evaluation.metrics import Answers, Errors, errors_against, joined, pool
 from glissando.evaluation.run import checked_window, site_summary
 from glissando.geometry.se3 import Array
@@ -26,7 +26,7 @@ from glissando.model.sensors.readings import Readings
 _NODES = 4  # in the window, unless a lag is asked for
 _MEMORY = 30.0  # s of a journal that are gone through again before going on
 
-Watch = Callable[[int, int, FixedLag], None]
+Watch = Callable[[int, int, FixedLagSmoother], None]
 """Called after each update with its number, how many there will be, and the smoother."""
 
 
@@ -42,10 +42,10 @@ class Replay:
     robot: Robot
     window: tuple[float, float]
     nodes: int
-    smoother: FixedLag
+    smoother: FixedLagSmoother
     time: Array
     latency: Array
-    states: list[Estimate]
+    states: list[StateEstimate]
     nis: Array
     newest: list[Errors]
     lagged: list[Errors]
@@ -92,7 +92,7 @@ def replay(
     journal: Path | None = None,
     watch: Watch | None = None,
 ) -> Replay:
-    """Run a window of a recording through `FixedLag` at the robot's rate of time nodes.
+    """Run a window of a recording through `FixedLagSmoother` at the robot's rate of time nodes.
 
     The estimator's window spans `lag` seconds, four nodes unless given; `real_time` waits until
     each update is due. Readings go to a `journal` folder before they are used; if it
@@ -106,8 +106,10 @@ def replay(
     true, _ = recording.readings(judges, robot, (first, last), as_truth=True)
     times = np.linspace(first, last, max(2, round((last - first) * robot.time_rate) + 1))
     nodes = _NODES if lag is None else max(1, round(lag * robot.time_rate) + 1)
-    smoother = FixedLag(robot.prior, robot.arclength_nodes, window=nodes, unknowns=robot.unknowns)
-    run = _Run(smoother, [corrected(t, robot.unknowns) for t in true if len(t)], watch)
+    smoother = FixedLagSmoother(
+        robot.prior, robot.arclength_nodes, window=nodes, sensor_parameters=robot.sensor_parameters
+    )
+    run = _Run(smoother, [corrected(t, robot.sensor_parameters) for t in true if len(t)], watch)
     if journal is None:
         run.through(readings, times, real_time=real_time)
     else:
@@ -121,7 +123,7 @@ def replay(
 
 
 def _continued(
-    smoother: FixedLag, journal: Path, name: str, readings: list[Readings], times: Array
+    smoother: FixedLagSmoother, journal: Path, name: str, readings: list[Readings], times: Array
 ) -> tuple[list[Readings], Array]:
     """Tell the smoother what a journal holds; the readings and times that are still to come."""
     if not (journal / "recording.toml").exists():
@@ -157,11 +159,11 @@ def _as_before(readings: Readings, rows: Rows) -> Readings:
 class _Run:
     """A smoother on its way through readings, and what was seen of it."""
 
-    smoother: FixedLag
+    smoother: FixedLagSmoother
     truth: list[Readings]
     watch: Watch | None
     latency: list[float] = field(default_factory=list)
-    states: list[Estimate] = field(default_factory=list)
+    states: list[StateEstimate] = field(default_factory=list)
     nis: list[float] = field(default_factory=list)
     _newest: list[list[Errors]] = field(default_factory=list)
     _lagged: list[list[Errors]] = field(default_factory=list)

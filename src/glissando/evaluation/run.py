@@ -16,14 +16,14 @@ from rich.table import Table
 
 from glissando.errors import GlissandoError, RecordingError
 from glissando.estimation.batch import Progress, estimate
-from glissando.estimation.posterior import Estimate, Posterior
+from glissando.estimation.posterior import Posterior, StateEstimate
 from glissando.evaluation.consistency import Consistency, check, check_readings
 from glissando.evaluation.environment import versions
 from glissando.evaluation.metrics import Errors, errors_against, pool
 from glissando.geometry.se3 import Array
 from glissando.io.recording import Recording
 from glissando.io.robot_file import Robot
-from glissando.model.sensors.parameters import Unknown, corrected
+from glissando.model.sensors.parameters import SensorParameter, corrected
 from glissando.model.sensors.readings import Readings
 
 QUERY_COLUMNS = [
@@ -58,12 +58,14 @@ class Run:
             "recording": self.recording.name,
             "robot": self.robot.name,
             "window": list(self.window),
-            "prior": type(self.posterior.prior).__name__.removesuffix("Prior").lower(),
+            "prior": self.posterior.prior.kind,
             "nodes": list(self.posterior.grid.shape),
             "status": solve.status,
             "iterations": solve.iterations,
             "unknowns": solve.unknowns,
-            "calibration": [_unknown(self.posterior, u) for u, _ in self.posterior.unknowns],
+            "calibration": [
+                _unknown(self.posterior, u) for u, _ in self.posterior.sensor_parameters
+            ],
             "readings": {r.label: len(r) for r in self.readings},
             "log_evidence": solve.log_evidence,
             "suspects": solve.suspects,
@@ -76,7 +78,7 @@ class Run:
         }
 
 
-def _unknown(posterior: Posterior, unknown: Unknown) -> dict[str, Any]:
+def _unknown(posterior: Posterior, unknown: SensorParameter) -> dict[str, Any]:
     """Value and standard deviation of an unknown at mid recording."""
     values, cov = posterior.unknown(unknown.name)
     middle = len(values) // 2
@@ -138,9 +140,11 @@ def run_estimate(
             f"from {span[0]:.3f} to {span[1]:.3f} s. Choose a window inside it."
         )
     true, _ = recording.readings(truth_names, robot, window, as_truth=True)
-    true = [corrected(t, robot.unknowns) for t in true if len(t)]
+    true = [corrected(t, robot.sensor_parameters) for t in true if len(t)]
     grid = robot.grid(*window)
-    posterior = estimate(robot.prior, grid, readings, unknowns=robot.unknowns, progress=progress)
+    posterior = estimate(
+        robot.prior, grid, readings, sensor_parameters=robot.sensor_parameters, progress=progress
+    )
     errors = [errors_against(posterior, t) for t in true]
     return Run(recording, robot, window, readings, true, dropped, posterior, errors)
 
@@ -157,7 +161,7 @@ def print_table(run: Run, console: Console) -> None:
     for name, reasons in run.dropped.items():
         counted = ", ".join(f"{count} {reason}" for reason, count in reasons.items())
         console.print(f"  {escape(name)}: {counted} rows dropped in the whole recording")
-    for found in (_unknown(run.posterior, u) for u, _ in run.posterior.unknowns):
+    for found in (_unknown(run.posterior, u) for u, _ in run.posterior.sensor_parameters):
         pairs = zip(found["value"], found["std"], strict=True)
         told = ", ".join(f"{value:.3g} ± {std:.2g}" for value, std in pairs)
         console.print(f"  {escape(found['name'])} ({found['kind']}): {told}")
@@ -246,7 +250,7 @@ def write_query(posterior: Posterior, query: tuple[Array, Array], path: Path) ->
     write_states([(time, arclength, posterior.at(arclength, time))], path)
 
 
-def write_states(states: Iterable[tuple[Array, Array, Estimate]], path: Path) -> None:
+def write_states(states: Iterable[tuple[Array, Array, StateEstimate]], path: Path) -> None:
     """Write estimates at times and arclengths (M,) each, one after another, as CSV."""
     rows = []
     for time, arclength, at in states:

@@ -20,7 +20,7 @@ from glissando.io.recording import Recording, Stream
 from glissando.io.robot_file import Robot, load_robot, robot_file
 from glissando.model.grid import Grid
 from glissando.model.priors.separable import SeparablePrior
-from glissando.model.priors.white_noise import KinematicPrior
+from glissando.model.priors.white_noise import WhiteNoisePrior
 from glissando.model.sensors.parameters import corrected
 from glissando.model.sensors.readings import Readings
 from glissando.simulation import (
@@ -162,7 +162,7 @@ class Trial:
     errors: list[Errors]
 
 
-def trial(scene: Scene, seed: int, other: KinematicPrior | None = None) -> Trial:
+def trial(scene: Scene, seed: int, other: WhiteNoisePrior | None = None) -> Trial:
     """Simulate a scene with a seed, estimate it (with an `other` prior), judge it by mocap."""
     known = known_robot(scene)
     recorded = recording(session(scene, seed), known)
@@ -170,9 +170,9 @@ def trial(scene: Scene, seed: int, other: KinematicPrior | None = None) -> Trial
     used, judges = recorded.choose(None, None)
     readings, _ = recorded.readings(used, known, window)
     truth, _ = recorded.readings(judges, known, window, as_truth=True)
-    truth = [corrected(t, known.unknowns) for t in truth]
+    truth = [corrected(t, known.sensor_parameters) for t in truth]
     believed = other or prior(scene)
-    posterior = estimate(believed, grid(scene), readings, unknowns=known.unknowns)
+    posterior = estimate(believed, grid(scene), readings, sensor_parameters=known.sensor_parameters)
     return Trial(readings, truth, posterior, [errors_against(posterior, t) for t in truth])
 
 
@@ -187,7 +187,7 @@ def grid(scene: Scene) -> Grid:
     return known.grid(0.0, scene.duration)
 
 
-def prior(scene: Scene) -> KinematicPrior | SeparablePrior:
+def prior(scene: Scene) -> WhiteNoisePrior | SeparablePrior:
     """The robot file's prior, firmer over time if it is known that the robot holds still.
 
     Raises RobotFileError where a separable prior, which has a time scale, is asked to hold still.
@@ -195,7 +195,7 @@ def prior(scene: Scene) -> KinematicPrior | SeparablePrior:
     known = known_robot(scene).prior
     if not scene.still:
         return known
-    if not isinstance(known, KinematicPrior):
+    if not isinstance(known, WhiteNoisePrior):
         raise RobotFileError(
             "A separable prior has a time_scale to say how still a robot is; leave still out."
         )

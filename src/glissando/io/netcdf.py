@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from glissando.errors import GlissandoError
-from glissando.estimation.posterior import Posterior, Solve
+from glissando.estimation.posterior import Posterior, SolveReport
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
 from glissando.model.priors.prior import Prior
 from glissando.model.priors.separable import BaseVariance, SeparablePrior
-from glissando.model.priors.white_noise import BaseDensity, KinematicPrior
-from glissando.model.sensors.parameters import Unknown
+from glissando.model.priors.white_noise import BaseDensity, WhiteNoisePrior
+from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.state import State
 from glissando.solver.block_tridiagonal import BlockTridiagonal, factor
 
@@ -104,7 +104,7 @@ def save(posterior: Posterior, path: Path) -> None:
     dataset["information_below"] = (("time_step", "slab", "slab_"), posterior.system.lower)
     dataset.attrs["prior"] = json.dumps(_as_table(posterior.prior))
     dataset.attrs["unknowns"] = json.dumps(
-        [_plain({**vars(u), "values": values}) for u, values in posterior.unknowns]
+        [_plain({**vars(u), "values": values}) for u, values in posterior.sensor_parameters]
     )
     dataset.attrs["solve"] = json.dumps(vars(posterior.solve))
     packed = {"zlib": True, "complevel": 4, "shuffle": True}
@@ -116,7 +116,7 @@ def save(posterior: Posterior, path: Path) -> None:
 
 
 _PRIORS: dict[str, tuple[type[Any], type[Any]]] = {
-    "kinematic": (KinematicPrior, BaseDensity),
+    "kinematic": (WhiteNoisePrior, BaseDensity),
     "separable": (SeparablePrior, BaseVariance),
 }
 
@@ -136,10 +136,10 @@ def _plain(table: dict[str, Any]) -> dict[str, Any]:
     return {k: None if v == np.inf else v for k, v in plain.items()}
 
 
-def _as_unknown(table: dict[str, Any]) -> tuple[Unknown, Array]:
+def _as_unknown(table: dict[str, Any]) -> tuple[SensorParameter, Array]:
     values, memory = np.array(table.pop("values")), table.pop("correlation_time")
     memory = np.inf if memory is None else memory
-    return Unknown(
+    return SensorParameter(
         **{**table, "streams": tuple(table["streams"]), "correlation_time": memory}
     ), values
 
@@ -170,8 +170,8 @@ def load(path: Path) -> Posterior:
     names = [n for n in _FIELDS if n in dataset]
     fields = (dataset[name].values for name in names)
     system = BlockTridiagonal(dataset["information"].values, dataset["information_below"].values)
-    solve = Solve(**json.loads(dataset.attrs["solve"]))
-    unknowns = [_as_unknown(u) for u in json.loads(dataset.attrs.get("unknowns", "[]"))]
+    solve = SolveReport(**json.loads(dataset.attrs["solve"]))
+    sensor_parameters = [_as_unknown(u) for u in json.loads(dataset.attrs.get("unknowns", "[]"))]
     return Posterior(
         _as_prior(json.loads(dataset.attrs["prior"])),
         grid,
@@ -179,5 +179,5 @@ def load(path: Path) -> Posterior:
         system,
         factor(system).marginals(consume=True),
         solve,
-        unknowns,
+        sensor_parameters,
     )

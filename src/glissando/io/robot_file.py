@@ -15,8 +15,8 @@ from glissando.model.grid import Grid
 from glissando.model.noise import GemanMcClure, Huber, Loss
 from glissando.model.priors.rest_shape import STRAIGHT
 from glissando.model.priors.separable import BaseVariance, SeparablePrior
-from glissando.model.priors.white_noise import BaseDensity, KinematicPrior
-from glissando.model.sensors.parameters import SIZES, Unknown
+from glissando.model.priors.white_noise import BaseDensity, WhiteNoisePrior
+from glissando.model.sensors.parameters import SIZES, SensorParameter
 from glissando.model.sensors.sensors import ROWS
 
 _LOSSES: dict[str, type[Huber] | type[GemanMcClure]] = {
@@ -33,7 +33,7 @@ class Robot:
 
     `length` in metres, `arclength_nodes` (N,) in metres, `time_rate` nodes a second, `prior`,
     `sensor_std` standard deviations and `sensor_loss` robust losses by kind of sensor, `clip` the
-    gyro's range in rad/s or None, `unknowns` what is not known exactly of streams by name,
+    gyro's range in rad/s or None, `sensor_parameters` what is not known exactly of streams by name,
     `sensor_rate` how often a second kinds of tracker measure that are polled faster than that.
     """
 
@@ -41,11 +41,11 @@ class Robot:
     length: float
     arclength_nodes: Array
     time_rate: float
-    prior: KinematicPrior | SeparablePrior
+    prior: WhiteNoisePrior | SeparablePrior
     sensor_std: dict[str, Array]
     sensor_loss: dict[str, Loss]
     clip: float | None = None
-    unknowns: tuple[Unknown, ...] = ()
+    sensor_parameters: tuple[SensorParameter, ...] = ()
     sensor_rate: dict[str, float] = field(default_factory=dict)
 
     def grid(self, start: float, stop: float) -> Grid:
@@ -98,10 +98,10 @@ def parse_robot(table: Table) -> Robot:
     nodes, rate = _grid(table, length)
     nodes = np.sort(np.concatenate([nodes, _missing(prior.joints, nodes)]))
     std, loss, clip, rates = _sensors(table)
-    unknowns = tuple(_unknown(entry) for entry in table.tables("unknowns"))
+    sensor_parameters = tuple(_unknown(entry) for entry in table.tables("unknowns"))
     table.skip("physics")  # of the simulator, which checks it
     table.close()
-    return Robot(name, length, nodes, rate, prior, std, loss, clip, unknowns, rates)
+    return Robot(name, length, nodes, rate, prior, std, loss, clip, sensor_parameters, rates)
 
 
 def _grid(table: Table, length: float) -> tuple[Array, float]:
@@ -133,7 +133,7 @@ def _missing(joints: Array, nodes: Array) -> Array:
     return joints[[np.abs(nodes - joint).min() > 1e-9 for joint in joints]]
 
 
-def _prior(table: Table) -> KinematicPrior | SeparablePrior:
+def _prior(table: Table) -> WhiteNoisePrior | SeparablePrior:
     """The prior, of the kind its table says, with the base it starts from."""
     prior = table.table("prior", required=True)
     assert prior is not None
@@ -146,7 +146,7 @@ def _prior(table: Table) -> KinematicPrior | SeparablePrior:
         common |= {"joints": joints, "jumps": prior.rows(name, joints.size, 6, positive=False)}
     base = table.table("base", required=kind == "separable")
     common["base_pose"] = base.pose() if base else np.eye(4)
-    made: KinematicPrior | SeparablePrior
+    made: WhiteNoisePrior | SeparablePrior
     if kind == "separable":
         assert base is not None
         variances = (base.vector(f"var_{part}", 6, positive=True) for part in ("pose", "strain"))
@@ -157,7 +157,7 @@ def _prior(table: Table) -> KinematicPrior | SeparablePrior:
         firm = [base.vector(f"psd_{part}", 6, positive=True) for part in parts] if base else None
         names = ("psd_velocity_time", "psd_strain_time", "psd_velocity_arclength")
         common |= {name: prior.vector(name, 6, positive=True) for name in names}
-        made = KinematicPrior(base=BaseDensity(*firm) if firm else None, **common)
+        made = WhiteNoisePrior(base=BaseDensity(*firm) if firm else None, **common)
     if base:
         base.close()
     prior.close()
@@ -193,7 +193,7 @@ def _segments(prior: Table) -> tuple[Array, Array]:
     return joints, prior.rows("psd_strain_arclength", joints.size + 1, 6)
 
 
-def _unknown(table: Table) -> Unknown:
+def _unknown(table: Table) -> SensorParameter:
     """One [[unknowns]]: known, and held as it is, when it states no std."""
     name, kind = table.text("name"), table.text("kind", choices=SIZES)
     size = SIZES[kind]
@@ -203,7 +203,7 @@ def _unknown(table: Table) -> Unknown:
     memory = table.number("correlation_time") if drifts else np.inf
     streams = tuple(table.texts("streams"))
     table.close()
-    return Unknown(name, kind, streams, value, std, memory)
+    return SensorParameter(name, kind, streams, value, std, memory)
 
 
 def _sensors(

@@ -12,25 +12,25 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from glissando.estimation.fixed_lag import FixedLag
+from glissando.estimation.fixed_lag import FixedLagSmoother
 from glissando.estimation.posterior import Posterior
 from glissando.geometry.se3 import Array
 from glissando.io.robot_file import Robot
 from glissando.model.grid import Grid
 from glissando.model.priors.prior import Prior
 from glissando.model.priors.transitions import symmetrize
-from glissando.model.sensors.parameters import Unknown, Unknowns
+from glissando.model.sensors.parameters import EstimatedParameters, SensorParameter
 from glissando.model.state import State
 from glissando.planning.prediction import look_ahead, prior_information
 from glissando.planning.sliding_sensor import SlidingSensor
 from glissando.twins import estimating
 
-Course = Callable[[Array], State]
+ExpectedMotion = Callable[[Array], State]
 """The motion that is expected: a State (K, N) at times (K,) and the prior's arclength nodes."""
 
 
 @dataclass(frozen=True)
-class Snapshot:
+class Belief:
     """The newest node of an estimate at `time`: its `shape` (N,) and covariance `cov` (D, D).
 
     Both are None where only the `prior` is known. `node_step` is that of the estimate, `before` the
@@ -41,7 +41,7 @@ class Snapshot:
     arclength: Array
     time: float
     node_step: float
-    unknowns: Sequence[Unknown]
+    sensor_parameters: Sequence[SensorParameter]
     shape: State | None = None
     cov: Array | None = None
     before: float | None = None
@@ -68,13 +68,15 @@ class Snapshot:
             return None
         grid = Grid(self.arclength, [self.time], self.before)
         state = State(*(field[None] for field in self.shape.fields()))
-        own = prior_information(self.prior, grid, state, Unknowns(grid, self.unknowns))
+        own = prior_information(
+            self.prior, grid, state, EstimatedParameters(grid, self.sensor_parameters)
+        )
         return symmetrize(np.asarray(np.linalg.inv(self.cov))) - own.diagonal[0]
 
     def later(
         self, time: float, sensor: SlidingSensor, path: Callable[[Array], Array],
-        course: Course | None = None,
-    ) -> Snapshot:  # fmt: skip
+        course: ExpectedMotion | None = None,
+    ) -> Belief:  # fmt: skip
         """What will be known at a later time, the sensor on a path of arclengths till then.
 
         The robot holds its shape unless `course` says how it moves.
@@ -85,28 +87,37 @@ class Snapshot:
         count = max(1, round(lasts * sensor.rate))
         taken = np.asarray(self.time + (np.arange(count) + 0.5) * (lasts / count))
         with estimating():
-            ahead = look_ahead(self.prior, grid, mean, Unknowns(grid, self.unknowns), self.belief())
+            ahead = look_ahead(
+                self.prior,
+                grid,
+                mean,
+                EstimatedParameters(grid, self.sensor_parameters),
+                self.belief(),
+            )
             cov = ahead.after(sensor, path(taken), taken).marginals.cov[-1]
         return replace(self, time=time, shape=mean.take(-1), cov=cov, before=self.time)
 
 
-def snapshot(known: Robot | Posterior | FixedLag | Snapshot, start: float = 0.0) -> Snapshot:
+def belief_of(known: Robot | Posterior | FixedLagSmoother | Belief, start: float = 0.0) -> Belief:
     """The newest of what is known: of a robot its prior alone, at time `start`.
 
     Of a running smoother it is taken in less than a millisecond.
     """
-    if isinstance(known, Snapshot):
+    if isinstance(known, Belief):
         return known
     if isinstance(known, Robot):
         nodes, step = known.arclength_nodes, 1.0 / known.time_rate
-        return Snapshot(known.prior, nodes, start, step, known.unknowns)
-    if isinstance(known, FixedLag):
-        prior, unknowns = known.prior, known.unknowns
+        return Belief(known.prior, nodes, start, step, known.sensor_parameters)
+    if isinstance(known, FixedLagSmoother):
+        prior, sensor_parameters = known.prior, known.sensor_parameters
         shape, cov, grid = known.newest_node()  # a posterior of it would take ten times as long
     else:
         prior, grid, cov = known.prior, known.grid, known.marginals.cov[-1]
-        shape, unknowns = known.state.take(-1), tuple(u for u, _ in known.unknowns)
+        shape, sensor_parameters = (
+            known.state.take(-1),
+            tuple(u for u, _ in known.sensor_parameters),
+        )
     time = float(grid.time[-1])
     before = float(grid.time[-2]) if grid.time.size > 1 else grid.before
     step = 0.0 if before is None else time - before
-    return Snapshot(prior, grid.arclength, time, step, unknowns, shape, cov, before)
+    return Belief(prior, grid.arclength, time, step, sensor_parameters, shape, cov, before)

@@ -10,8 +10,8 @@ import numpy as np
 from glissando.geometry.se3 import Array
 from glissando.model.slide_path import SlideLimits, SlidePath
 from glissando.planning.objectives import Objective
-from glissando.planning.planning_problem import Outlook
-from glissando.planning.prediction import Ahead
+from glissando.planning.planning_problem import PlanningProblem
+from glissando.planning.prediction import PredictedInformation
 from glissando.planning.zones import Zone, zone_points
 
 _TURNS = 6  # stops of a random path
@@ -35,7 +35,7 @@ class Foretold:
         return {"value": self.value, "std": self.std, "worst": self.worst}
 
 
-def blind_paths(
+def baseline_paths(
     limits: SlideLimits, upper: float, start: float, time: Array, seed: int = 0
 ) -> dict[str, Array]:
     """Arclengths (T,) at times (T,) from the start: oscillating from there, fixed there, random.
@@ -58,14 +58,14 @@ def blind_paths(
     return {name: upper - path.at(time) for name, path in paths.items()}
 
 
-def foretell(
-    outlook: Outlook, zones: Sequence[Zone], objective: Objective, arclength: Array
+def evaluate_path(
+    outlook: PlanningProblem, zones: Sequence[Zone], objective: Objective, arclength: Array
 ) -> Foretold:
     """What is foretold after a path (T,) of the outlook's steps."""
     return _judged(outlook, outlook.told(arclength), zones, objective, arclength)
 
 
-def everywhere(outlook: Outlook, zones: Sequence[Zone], objective: Objective) -> Foretold:
+def everywhere(outlook: PlanningProblem, zones: Sequence[Zone], objective: Objective) -> Foretold:
     """What a sensor at every place at once would leave: no path can do better.
 
     Coils a quarter of a node apart, or at both ends and the middle of a shorter reach, read at full
@@ -81,7 +81,11 @@ def everywhere(outlook: Outlook, zones: Sequence[Zone], objective: Objective) ->
 
 
 def _judged(
-    outlook: Outlook, known: Ahead, zones: Sequence[Zone], objective: Objective, path: Array
+    outlook: PlanningProblem,
+    known: PredictedInformation,
+    zones: Sequence[Zone],
+    objective: Objective,
+    path: Array,
 ) -> Foretold:
     length, span = float(known.grid.arclength[-1]), (outlook.start, outlook.last)
     place, time, weight = zone_points(zones, outlook.middles, span, length)

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from glissando.errors import GlissandoError
 from glissando.io.robot_file import Robot
-from glissando.planning.compare import foretell
+from glissando.planning.compare import evaluate_path
 from glissando.planning.objectives import Objective, Trace
 from glissando.planning.path_objective import judge_of
-from glissando.planning.path_space import Track
+from glissando.planning.path_space import PathSpace
 from glissando.planning.plan_slide import plan_slide
-from glissando.planning.planning_problem import foresee
+from glissando.planning.planning_problem import predict_information
 from glissando.planning.sliding_sensor import sliding_sensor
 from glissando.planning.zones import Zone
 
@@ -70,18 +70,18 @@ def sweep(
             most = (upper - stroke) / (count - 1)
             apart = min(most, stroke if spacing is None else spacing)
         sensor = sliding_sensor(robot, rate=rate, coils=count, spacing=apart)
-        outlook = foresee(robot, (upper - stroke, upper), horizon, sensor)
+        outlook = predict_information(robot, (upper - stroke, upper), horizon, sensor)
         judge = judge_of(outlook, zones, objective)
         for speed in speeds:
-            track = Track(
+            track = PathSpace(
                 upper - stroke, upper, speed, acceleration, outlook.step, outlook.steps, upper
             )  # fmt: skip
             plan = plan_slide(judge, track, zones)
-            told = [foretell(outlook, [zone], objective, plan.arclength).std for zone in zones]
+            told = [evaluate_path(outlook, [zone], objective, plan.arclength).std for zone in zones]
             yield Design(stroke, speed, rate, count, plan.value, tuple(told))
 
 
-def is_best(designs: Sequence[Design]) -> NDArray[np.bool_]:
+def pareto_front(designs: Sequence[Design]) -> NDArray[np.bool_]:
     """Which designs (D,) are worth what they cost: the Pareto front of costs and confidence.
 
     Not one that another is as sure as within 2 %, over all zones, for less of a stroke, speed or

@@ -14,8 +14,8 @@ import numpy as np
 
 from glissando._kernels.threads import one_thread
 from glissando.geometry.se3 import Array
-from glissando.planning.path_objective import Judge, by_cell
-from glissando.planning.path_space import Track
+from glissando.planning.path_objective import PathObjective, by_cell
+from glissando.planning.path_space import PathSpace
 from glissando.solver.block_tridiagonal import BlockTridiagonal
 
 
@@ -23,11 +23,11 @@ from glissando.solver.block_tridiagonal import BlockTridiagonal
 class Belief:
     """Covariance (K d, K d) of the modes at all times, updated reading by reading."""
 
-    judge: Judge
+    judge: PathObjective
     cov: Array
 
     @staticmethod
-    def before(judge: Judge) -> Belief:
+    def before(judge: PathObjective) -> Belief:
         """What is known before any reading of the time ahead."""
         return Belief(judge, np.asarray(np.linalg.inv(_dense(judge.outlook.modes.system))))
 
@@ -60,7 +60,7 @@ class Belief:
         return judge.objective(cov - told @ np.swapaxes(told, -1, -2), judge.weight)[0]
 
 
-def plan_greedily(judge: Judge, track: Track, places: int = 8) -> tuple[Array, float]:
+def plan_greedily(judge: PathObjective, track: PathSpace, places: int = 8) -> tuple[Array, float]:
     """Control points (T + 2,) of a path through stops chosen one by one, and its value.
 
     A stop is one of `places` of the track, for the length of a time cell; the sensor can be at rest
@@ -92,7 +92,9 @@ def plan_greedily(judge: Judge, track: Track, places: int = 8) -> tuple[Array, f
         return control, judge.value(track.places(control))
 
 
-def _reachable(track: Track, chosen: dict[int, float], cell: int, stop: float, inside: int) -> bool:
+def _reachable(
+    track: PathSpace, chosen: dict[int, float], cell: int, stop: float, inside: int
+) -> bool:
     """Whether the sensor can rest there during a cell and at the stops chosen before and after."""
     for other, place in chosen.items():  # the start counts as the cell before the first
         way, span = abs(place - stop), (abs(other - cell) - 1) * inside * track.step
@@ -104,7 +106,7 @@ def _reachable(track: Track, chosen: dict[int, float], cell: int, stop: float, i
     return True
 
 
-def _through(track: Track, chosen: dict[int, float], inside: int) -> Array:
+def _through(track: PathSpace, chosen: dict[int, float], inside: int) -> Array:
     """Where a path through the stops wants to be (T + 2,)."""
     cells = sorted(c for c in chosen if c >= 0)
     ends = [[c * inside * track.step, (c + 1) * inside * track.step - 1e-9] for c in cells]

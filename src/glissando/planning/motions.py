@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from glissando.errors import GlissandoError
-from glissando.estimation.fixed_lag import FixedLag
+from glissando.estimation.fixed_lag import FixedLagSmoother
 from glissando.estimation.posterior import Posterior
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
@@ -17,13 +17,13 @@ from glissando.io.robot_file import Robot
 from glissando.model.grid import Grid
 from glissando.model.priors.prior import Prior
 from glissando.model.state import State
-from glissando.planning.belief import Course, Snapshot, snapshot
-from glissando.planning.compare import Foretold, foretell
+from glissando.planning.belief import Belief, ExpectedMotion, belief_of
+from glissando.planning.compare import Foretold, evaluate_path
 from glissando.planning.objectives import Objective, Trace
 from glissando.planning.path_objective import judge_of
-from glissando.planning.path_space import Track
+from glissando.planning.path_space import PathSpace
 from glissando.planning.plan_slide import Plan, plan_slide
-from glissando.planning.planning_problem import Outlook, foresee
+from glissando.planning.planning_problem import PlanningProblem, predict_information
 from glissando.planning.sliding_sensor import SlidingSensor
 from glissando.planning.zones import Zone
 
@@ -35,8 +35,8 @@ Shape = Callable[[Array, Array], tuple[Array, Array]]
 """Poses (…, 4, 4) and strains (…, 6) at arclengths and times that broadcast together."""
 
 
-def course_of(shape: Shape, prior: Prior, arclength: Array) -> Course:
-    """The motion whose shapes a function gives, as `foresee` takes it; rates by differences.
+def course_of(shape: Shape, prior: Prior, arclength: Array) -> ExpectedMotion:
+    """The motion whose shapes a function gives, its rates by differences.
 
     `arclength` (N,) are the nodes of the estimate.
     """
@@ -54,12 +54,15 @@ def course_of(shape: Shape, prior: Prior, arclength: Array) -> Course:
 
 
 def choose_motion(
-    outlooks: Sequence[Outlook], zones: Sequence[Zone], objective: Objective, arclength: Array
+    outlooks: Sequence[PlanningProblem],
+    zones: Sequence[Zone],
+    objective: Objective,
+    arclength: Array,
 ) -> tuple[int, Array]:
     """Which of several motions leaves least uncertainty of the zones, and the value (C,) of each.
 
-    An outlook is one motion's, `foresee(…, course=…)`; `arclength` (T,) is the path of the sensor,
-    or (C, T) one a motion. Raises GlissandoError when there is none to choose.
+    An outlook is one motion's, `predict_information(…, course=…)`; `arclength` (T,) is the path of
+    the sensor, or (C, T) one a motion. Raises GlissandoError when there is none to choose.
     """
     if not outlooks:
         raise GlissandoError("There is no motion to choose; give one outlook or more.")
@@ -78,7 +81,7 @@ class Reshaping:
     """The motion from one strain (N, 6) to another, on a base at `base` (4, 4) that stays there.
 
     It begins at time `begin` and lasts `lasts` seconds, at rest before and after. A course, as
-    `foresee` takes it.
+    `predict_information` takes it.
     """
 
     prior: Prior
@@ -107,19 +110,19 @@ class Reshaping:
 
 
 def draw_motions(
-    known: Robot | Posterior | FixedLag | Snapshot,
+    known: Robot | Posterior | FixedLagSmoother | Belief,
     shapes: ArrayLike,
     count: int,
     horizon: float,
     seed: int = 0,
-) -> list[Course]:
+) -> list[ExpectedMotion]:
     """Motions from the present shape to others between it and `shapes`, in the time ahead.
 
     `shapes` (S, N, 6) are strains at the nodes, of shapes that the robot can take: each motion goes
     towards a random mixture of them and the present one, for a random part of `horizon` seconds.
     Raises GlissandoError for other nodes.
     """
-    now, rng = snapshot(known), np.random.default_rng(seed)
+    now, rng = belief_of(known), np.random.default_rng(seed)
     held = now.held(Grid(now.arclength, [now.time])).take(0)
     given = np.asarray(shapes, dtype=float)
     if given.shape[1:] != held.strain.shape or not len(given):
@@ -128,7 +131,7 @@ def draw_motions(
             f"more at the nodes."
         )
     ways = given - held.strain
-    out: list[Course] = []
+    out: list[ExpectedMotion] = []
     for _ in range(count):
         share = rng.dirichlet(np.ones(len(ways) + 1))[1:]
         aim = held.strain + np.tensordot(share, ways, 1)
@@ -141,35 +144,35 @@ def draw_motions(
 
 
 @dataclass(frozen=True)
-class Together:
+class JointPlan:
     """A motion of the robot, None for none, with the sensor's plan for it and what both leave."""
 
-    course: Course | None
+    course: ExpectedMotion | None
     plan: Plan
     told: Foretold
 
 
 def plan_together(
-    known: Robot | Posterior | FixedLag | Snapshot,
-    courses: Sequence[Course],
-    track: Track,
+    known: Robot | Posterior | FixedLagSmoother | Belief,
+    courses: Sequence[ExpectedMotion],
+    track: PathSpace,
     zones: Sequence[Zone],
     sensor: SlidingSensor | None = None,
     objective: Objective | None = None,
     node_step: float | None = None,
-) -> list[Together]:
+) -> list[JointPlan]:
     """The slide planned for each motion and for none, by what each is foretold to leave.
 
     The first leaves least, and so no more than a robot that holds its shape. Zones, `sensor` and
-    `node_step` are those of `foresee` and `plan_slide`.
+    `node_step` are those of `predict_information` and `plan_slide`.
     """
     objective, out = objective or Trace(), []
     for course in (None, *courses):
-        outlook = foresee(
+        outlook = predict_information(
             known, (track.lower, track.upper), track.lasts, sensor,
             course=course, step=track.step, node_step=node_step,
         )  # fmt: skip
         plan = plan_slide(judge_of(outlook, zones, objective), track, zones)
-        told = foretell(outlook, zones, objective, plan.arclength)
-        out.append(Together(course, plan, told))
+        told = evaluate_path(outlook, zones, objective, plan.arclength)
+        out.append(JointPlan(course, plan, told))
     return sorted(out, key=lambda found: found.told.value)

@@ -18,20 +18,20 @@ from glissando.geometry.se3 import Array
 from glissando.model.grid import Index
 from glissando.model.priors.transitions import symmetrize
 from glissando.planning.objectives import Objective
-from glissando.planning.planning_problem import Outlook
+from glissando.planning.planning_problem import PlanningProblem
 from glissando.planning.zones import Zone, zone_points
 from glissando.solver.block_tridiagonal import BlockTridiagonal, Cholesky, Marginals, factor
 
 
 @dataclass(frozen=True)
-class Judge:
+class PathObjective:
     """Judges paths of an outlook by an objective over zones: call it with arclengths (T,).
 
     `cell` (Z,), `rows` (Z, p, 2 d), `before` (Z, p, p) and `weight` (Z,) are of the zones' points,
     in order of their time cells.
     """
 
-    outlook: Outlook
+    outlook: PlanningProblem
     objective: Objective
     cell: Index
     rows: Array
@@ -169,7 +169,9 @@ class Judge:
         )
 
 
-def judge_of(outlook: Outlook, zones: Sequence[Zone], objective: Objective) -> Judge:
+def judge_of(
+    outlook: PlanningProblem, zones: Sequence[Zone], objective: Objective
+) -> PathObjective:
     """The judge of an outlook's paths by an objective over zones.
 
     Zones count at the middles of the outlook's time cells. Raises GlissandoError for zones off the
@@ -180,7 +182,7 @@ def judge_of(outlook: Outlook, zones: Sequence[Zone], objective: Objective) -> J
     order = np.argsort(time, kind="stable")
     cell, rows, cov = outlook.points(place[order], time[order])
     p = objective.rows
-    return Judge(outlook, objective, cell, rows[:, :p], cov[:, :p, :p], weight[order])
+    return PathObjective(outlook, objective, cell, rows[:, :p], cov[:, :p, :p], weight[order])
 
 
 def _products(left: Array, right: Array) -> Array:

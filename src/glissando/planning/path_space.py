@@ -21,7 +21,7 @@ _KEPT = 1.0 - 1e-7  # of a limit, so that rounding does not break it
 
 
 @dataclass(frozen=True)
-class Track:
+class PathSpace:
     """Paths of `steps` pieces of `step` seconds from arclength `start` at `start_speed` m/s.
 
     The sensor stays between the arclengths `lower` and `upper`, m, no faster and no sharper than
@@ -154,11 +154,11 @@ class Track:
 
 def track_of(
     limits: SlideLimits, upper: float, start: float, horizon: float, step: float = 0.1
-) -> Track:
+) -> PathSpace:
     """What a stage can do in `horizon` seconds with the sensor at `upper` m when drawn out."""
     steps = max(2, round(horizon / step))
     lower = upper - limits.stroke
-    return Track(lower, upper, limits.speed, limits.acceleration, step, steps, start)
+    return PathSpace(lower, upper, limits.speed, limits.acceleration, step, steps, start)
 
 
 def _stoppable(room: Array, sharpest: float) -> Array:

@@ -13,8 +13,8 @@ from glissando.errors import GlissandoError
 from glissando.geometry.se3 import Array
 from glissando.model.slide_path import SlideLimits, SlidePath
 from glissando.planning.optimize import descend, strictly_inside
-from glissando.planning.path_objective import Judge
-from glissando.planning.path_space import Track
+from glissando.planning.path_objective import PathObjective
+from glissando.planning.path_space import PathSpace
 from glissando.planning.zones import Zone
 
 _RANDOM, _DWELLING = 4, 20  # random starts, and such that dwell
@@ -37,7 +37,7 @@ class Plan:
     times: Array
     arclength: Array
     control: Array
-    track: Track
+    track: PathSpace
     value: float
     starts: dict[str, float]
 
@@ -66,8 +66,8 @@ class Plan:
 
 
 def plan_slide(
-    judge: Judge,
-    track: Track,
+    judge: PathObjective,
+    track: PathSpace,
     zones: Sequence[Zone] = (),
     *,
     wear: float = 0.0,
@@ -103,7 +103,7 @@ def plan_slide(
     return Plan(outlook.times, track.places(control), control, track, float(value), told)
 
 
-def starts(track: Track, zones: Sequence[Zone], begin: float, seed: int) -> dict[str, Array]:
+def starts(track: PathSpace, zones: Sequence[Zone], begin: float, seed: int) -> dict[str, Array]:
     """Where first paths want to be (T + 2,), by name; the time ahead begins at `begin` seconds.
 
     Fixed, oscillating and sweeping over all of the track, where the zones are, at random, and
@@ -136,11 +136,11 @@ def starts(track: Track, zones: Sequence[Zone], begin: float, seed: int) -> dict
     return out
 
 
-def _worth(judge: Judge, track: Track, control: Array, wear: float) -> float:
+def _worth(judge: PathObjective, track: PathSpace, control: Array, wear: float) -> float:
     return judge.value(track.places(control)) + wear * _mean_square_speed(track, control)[0]
 
 
-def _mean_square_speed(track: Track, control: Array) -> tuple[float, Array]:
+def _mean_square_speed(track: PathSpace, control: Array) -> tuple[float, Array]:
     """Mean square speed of a path at its knots, and its slope (T + 2,) by the control points."""
     speed = np.diff(control) / track.step
     slope = np.zeros(control.size)
@@ -150,8 +150,8 @@ def _mean_square_speed(track: Track, control: Array) -> tuple[float, Array]:
 
 
 def _searched(
-    judge: Judge,
-    track: Track,
+    judge: PathObjective,
+    track: PathSpace,
     paths: Array,
     values: list[float],
     wear: float,
@@ -184,7 +184,12 @@ def _different(paths: Array, apart: float, count: int) -> list[Array]:
 
 
 def _improve(
-    judge: Judge, track: Track, control: Array, centre: Array, wear: float, iterations: int
+    judge: PathObjective,
+    track: PathSpace,
+    control: Array,
+    centre: Array,
+    wear: float,
+    iterations: int,
 ) -> tuple[Array, float]:
     """A better path from one that keeps the limits, with its value; `centre` keeps them easily."""
     inside = strictly_inside(control[2:-1], centre[2:-1], track.body, _DRAWN)
@@ -201,13 +206,13 @@ def _improve(
     return track.whole(free), best
 
 
-def _middle(track: Track) -> Array:
+def _middle(track: PathSpace) -> Array:
     """A path (T + 2,) that keeps all limits with something to spare: gently to the middle."""
     room = 0.02 * (track.upper - track.lower)
     aim = np.clip(track.start, track.lower + 5 * room, track.upper - 5 * room)
     for ease in (0.5, 0.9, 0.99):
         try:
-            gentle = Track(
+            gentle = PathSpace(
                 track.lower, track.upper, ease * track.speed, ease * track.acceleration,
                 track.step, track.steps, track.start, track.start_speed,
             )  # fmt: skip

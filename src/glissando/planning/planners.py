@@ -42,7 +42,7 @@ class Planner(Protocol):
         ...
 
 
-class Here:
+class InlinePlanner:
     """Plans in the loop's own thread, as soon as it is asked for the answer."""
 
     def __init__(self) -> None:
@@ -58,7 +58,7 @@ class Here:
         return None if task is None else task()
 
 
-class Elsewhere:
+class ProcessPlanner:
     """Plans in a process of its own while the context lasts, on one thread and behind the loop.
 
     The process is started afresh ("spawn"), so a script that uses it needs the usual
@@ -66,7 +66,7 @@ class Elsewhere:
     GlissandoError when it does not start.
     """
 
-    def __enter__(self) -> Elsewhere:
+    def __enter__(self) -> ProcessPlanner:
         context = multiprocessing.get_context("spawn")
         self._mine, theirs = context.Pipe()
         self.process = context.Process(target=_work, args=(theirs,), daemon=True)

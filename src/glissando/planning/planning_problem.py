@@ -13,17 +13,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from glissando.errors import GlissandoError
-from glissando.estimation.fixed_lag import FixedLag
+from glissando.estimation.fixed_lag import FixedLagSmoother
 from glissando.estimation.posterior import Posterior
 from glissando.geometry.se3 import Array
 from glissando.io.robot_file import Robot
 from glissando.model.grid import Grid, Index
 from glissando.model.noise import sqrt_information
 from glissando.model.priors.transitions import symmetrize
-from glissando.model.sensors.parameters import Unknowns
-from glissando.planning.belief import Course, Snapshot, snapshot
+from glissando.model.sensors.parameters import EstimatedParameters
+from glissando.planning.belief import Belief, ExpectedMotion, belief_of
 from glissando.planning.modes import Modes, near_in_time, reduced, telling_weights
-from glissando.planning.prediction import Ahead, Rows, look_ahead
+from glissando.planning.prediction import PredictedInformation, Rows, look_ahead
 from glissando.planning.sliding_sensor import SlidingSensor, sliding_sensor
 from glissando.twins import estimating
 
@@ -35,7 +35,7 @@ _NODES = 100  # time steps of the grid ahead, if the estimate's are finer
 
 
 @dataclass(frozen=True)
-class Outlook:
+class PlanningProblem:
     """The time ahead as a planner sees it.
 
     `ahead` is all of it, `modes` what a sensor can tell of it. A reading is taken in the middle of
@@ -44,7 +44,7 @@ class Outlook:
     The last time cell may have steps to spare.
     """
 
-    ahead: Ahead
+    ahead: PredictedInformation
     sensor: SlidingSensor
     modes: Modes
     step: float
@@ -93,7 +93,9 @@ class Outlook:
         nodes = self.ahead.grid.time
         return np.asarray(0.5 * (nodes[:-1] + np.minimum(nodes[1:], self.last)))
 
-    def told(self, arclength: Array, known: Ahead | None = None) -> Ahead:
+    def told(
+        self, arclength: Array, known: PredictedInformation | None = None
+    ) -> PredictedInformation:
         """What the estimator will know after a path (T,), at full size, a reading at a time.
 
         Before it, `known` is; all that is known of the time ahead unless given.
@@ -105,17 +107,17 @@ class Outlook:
         return (known or self.ahead).after(self.sensor, place, time)
 
 
-def foresee(
-    known: Robot | Posterior | FixedLag | Snapshot,
+def predict_information(
+    known: Robot | Posterior | FixedLagSmoother | Belief,
     reach: tuple[float, float],
     horizon: float,
     sensor: SlidingSensor | None = None,
     *,
-    course: Course | None = None,
+    course: ExpectedMotion | None = None,
     start: float = 0.0,
     step: float = 0.1,
     node_step: float | None = None,
-) -> Outlook:
+) -> PlanningProblem:
     """What is known of the next `horizon` seconds, and what a sensor could add to it.
 
     `known` is a robot (its prior alone, from time `start` on), or a posterior, running smoother or
@@ -126,10 +128,10 @@ def foresee(
     be.
 
     >>> from glissando import load_robot
-    >>> foresee(load_robot("sliding700"), (0.64, 0.7), 5.0).steps
+    >>> predict_information(load_robot("sliding700"), (0.64, 0.7), 5.0).steps
     50
     """
-    now = snapshot(known, start)
+    now = belief_of(known, start)
     if sensor is None and isinstance(known, Robot):
         sensor = sliding_sensor(known)
     if sensor is None:
@@ -145,7 +147,9 @@ def foresee(
     grid = Grid(now.arclength, now.time + inside * step * np.arange(cells + 1), now.before)
     mean = now.held(grid) if course is None else course(grid.time)
     with estimating():
-        ahead = look_ahead(now.prior, grid, mean, Unknowns(grid, now.unknowns), now.belief())
+        ahead = look_ahead(
+            now.prior, grid, mean, EstimatedParameters(grid, now.sensor_parameters), now.belief()
+        )
         return _seen(ahead, sensor, reach, step, steps, inside)
 
 
@@ -165,13 +169,13 @@ def _require_reach(
 
 
 def _seen(
-    ahead: Ahead,
+    ahead: PredictedInformation,
     sensor: SlidingSensor,
     reach: tuple[float, float],
     step: float,
     steps: int,
     inside: int,
-) -> Outlook:
+) -> PlanningProblem:
     """The outlook: modes from readings everywhere, then every reading as a function of them."""
     nodes = ahead.grid.arclength
     low, high = max(reach[0] - sensor.behind[-1], nodes[0]), min(reach[1], nodes[-1])
@@ -189,11 +193,16 @@ def _seen(
     modes = reduced(ahead.marginals, telling_weights(cov, telling, _LEAST, _MOST))
     rows = _reading_rows(ahead, modes, sensor, lattice, step, inside)
     scale = np.sqrt(step * sensor.rate)
-    return Outlook(ahead, sensor, modes, step, steps, lattice, scale * rows)
+    return PlanningProblem(ahead, sensor, modes, step, steps, lattice, scale * rows)
 
 
 def _reading_rows(
-    ahead: Ahead, modes: Modes, sensor: SlidingSensor, lattice: Array, step: float, inside: int
+    ahead: PredictedInformation,
+    modes: Modes,
+    sensor: SlidingSensor,
+    lattice: Array,
+    step: float,
+    inside: int,
 ) -> Array:
     """Whitened rows (cells · inside, L, r, 2 d) of one reading in every step at every place.
 
@@ -224,7 +233,9 @@ def _reading_rows(
     return out.reshape(starts.size * inside, lattice.size, r, d2)
 
 
-def _left(ahead: Ahead, modes: Modes, rows: Array, lifted: Array, lower: int) -> Array:
+def _left(
+    ahead: PredictedInformation, modes: Modes, rows: Array, lifted: Array, lower: int
+) -> Array:
     """Covariance (cells, M, r, r) of readings that the modes leave open."""
     cells, (_, count, r, q) = len(modes.lift), rows.shape
     index = np.arange(cells)

@@ -17,13 +17,13 @@ from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid, Index
 from glissando.model.interpolation import sort_points
 from glissando.model.priors.prior import Prior
-from glissando.model.sensors.parameters import Unknowns
+from glissando.model.sensors.parameters import EstimatedParameters
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
 from glissando.planning.sliding_sensor import SlidingSensor
 from glissando.solver.block_tridiagonal import BlockTridiagonal, Marginals, factor
-from glissando.solver.measurement_factors import PlacedReadings, states_at
-from glissando.solver.normal_equations import NeighbourSums, slab_shape
+from glissando.solver.measurement_factors import MeasurementFactors, states_at
+from glissando.solver.normal_equations import NormalEquationsBuilder, slab_shape
 from glissando.twins import estimating
 
 
@@ -32,7 +32,7 @@ class Rows:
     """Linear functions (M, r) of the state, each of the corners of one cell.
 
     `cell` (M,) is the time step and `lower` (M,) the arclength node below; the columns of
-    `jacobian` (M, r, q) are those of `Ahead.corners(lower)`.
+    `jacobian` (M, r, q) are those of `PredictedInformation.corners(lower)`.
     """
 
     cell: Index
@@ -41,7 +41,7 @@ class Rows:
 
 
 @dataclass(frozen=True)
-class Ahead:
+class PredictedInformation:
     """What is known of the time ahead: information `system` and its inverse's `marginals`.
 
     On `grid`, of two time nodes or more, and linearised at `mean`, which is `still` if it is the
@@ -51,7 +51,7 @@ class Ahead:
     prior: Prior
     grid: Grid
     mean: State
-    unknowns: Unknowns
+    sensor_parameters: EstimatedParameters
     system: BlockTridiagonal
     marginals: Marginals
 
@@ -63,7 +63,7 @@ class Ahead:
     @property
     def size(self) -> int:
         """Numbers of a time node: those of its arclength nodes, then the unknowns'."""
-        return self.grid.shape[1] * self.mean.dof + self.unknowns.size
+        return self.grid.shape[1] * self.mean.dof + self.sensor_parameters.size
 
     def corners(self, lower: int) -> Index:
         """Columns (q,) of two neighbouring time nodes that cells above `lower` touch."""
@@ -98,14 +98,14 @@ class Ahead:
             left[points.rows] = at.cov[:, :6, :6]
         return rows, left
 
-    def _placed(self, sensor: SlidingSensor, arclength: Array, time: Array) -> PlacedReadings:
+    def _placed(self, sensor: SlidingSensor, arclength: Array, time: Array) -> MeasurementFactors:
         place, when, same = arclength, time, np.arange(time.size)
         if self.still and time.size:
             place, same = np.unique(arclength, return_inverse=True)
             when = np.full(place.size, time[0])
         pose = states_at(self.prior, self.grid, self.mean, place, when).pose[same]
         readings: list[Readings] = [sensor.readings(pose, arclength, time)]
-        return PlacedReadings(self.grid, readings, self.unknowns.each, keep_all=True)
+        return MeasurementFactors(self.grid, readings, self.sensor_parameters.each, keep_all=True)
 
     def _room(self, count: int, rows: int) -> Rows:
         cell, lower = np.empty((2, count), dtype=np.intp)
@@ -115,7 +115,7 @@ class Ahead:
         self, rows: Rows, at: Index, nodes: Index, jacobian: Array, extras: Array | None
     ) -> None:
         """Put Jacobians (M, r, c, dof) of nodes (M, c) where the cells' corners have them."""
-        (k_count, n_count), dof, e = self.grid.shape, self.mean.dof, self.unknowns.size
+        (k_count, n_count), dof, e = self.grid.shape, self.mean.dof, self.sensor_parameters.size
         slab, inner = np.divmod(nodes, n_count)
         rows.cell[at] = np.minimum(slab[:, 0], k_count - 2)
         rows.lower[at] = np.minimum(inner[:, 0], max(n_count - 2, 0))
@@ -149,15 +149,15 @@ class Ahead:
         rows, left = self.points(arclength, time)
         return rows.jacobian @ self.pairs(rows) @ np.swapaxes(rows.jacobian, -1, -2) + left
 
-    def after(self, sensor: SlidingSensor, arclength: Array, time: Array) -> Ahead:
+    def after(self, sensor: SlidingSensor, arclength: Array, time: Array) -> PredictedInformation:
         """What will be known after readings at these places and times (M,) of the first coil."""
-        sums = NeighbourSums(self.grid, self.mean.dof, self.unknowns.size)
+        sums = NormalEquationsBuilder(self.grid, self.mean.dof, self.sensor_parameters.size)
         place = np.add.outer(-sensor.behind, arclength).ravel()
         placed = self._placed(sensor, place, np.tile(time, sensor.coils))
         for block in range(len(placed.blocks)):
             for batch in placed.factors(self.prior, self.mean, self.mean, block):
                 sums.add(batch)
-        told = _slabs(sums, self.grid, self.mean, self.unknowns)
+        told = _slabs(sums, self.grid, self.mean, self.sensor_parameters)
         system = BlockTridiagonal(
             self.system.diagonal + told.diagonal, self.system.lower + told.lower
         )
@@ -173,39 +173,45 @@ def _square(k: Index, own: Index) -> tuple[Any, ...]:
 
 
 def look_ahead(
-    prior: Prior, grid: Grid, mean: State, unknowns: Unknowns, belief: Array | None
-) -> Ahead:
+    prior: Prior,
+    grid: Grid,
+    mean: State,
+    sensor_parameters: EstimatedParameters,
+    belief: Array | None,
+) -> PredictedInformation:
     """The time ahead before any reading of it.
 
     `belief` (D, D) is information of the first time node, from what lies before. Raises
     UnobservableError when prior and belief leave a direction undetermined.
     """
     with estimating():
-        system = prior_information(prior, grid, mean, unknowns)
+        system = prior_information(prior, grid, mean, sensor_parameters)
         if belief is not None:
             system.diagonal[0] += belief
         marginals = factor(system).marginals(consume=True)
-    return Ahead(prior, grid, mean, unknowns, system, marginals)
+    return PredictedInformation(prior, grid, mean, sensor_parameters, system, marginals)
 
 
 def prior_information(
-    prior: Prior, grid: Grid, mean: State, unknowns: Unknowns
+    prior: Prior, grid: Grid, mean: State, sensor_parameters: EstimatedParameters
 ) -> BlockTridiagonal:
     """Information of a prior, and of what is expected of unknowns, on a grid.
 
     If the grid goes on from another, it is what comes on top.
     """
-    sums = NeighbourSums(grid, mean.dof, unknowns.size)
-    for times in PlacedReadings(grid, []).blocks:
+    sums = NormalEquationsBuilder(grid, mean.dof, sensor_parameters.size)
+    for times in MeasurementFactors(grid, []).blocks:
         for batch in prior.factors(grid, mean, mean, times):
             sums.add(batch)
-    if unknowns.size:
-        decay, spread = unknowns.chain()
+    if sensor_parameters.size:
+        decay, spread = sensor_parameters.chain()
         if grid.before is not None:
             spread[0] = np.inf
         sums.add_chain(decay, spread, np.zeros_like(spread))
-    return _slabs(sums, grid, mean, unknowns)
+    return _slabs(sums, grid, mean, sensor_parameters)
 
 
-def _slabs(sums: NeighbourSums, grid: Grid, mean: State, unknowns: Unknowns) -> BlockTridiagonal:
-    return sums.slabs(np.empty(slab_shape(grid, mean.dof, unknowns.size)))
+def _slabs(
+    sums: NormalEquationsBuilder, grid: Grid, mean: State, sensor_parameters: EstimatedParameters
+) -> BlockTridiagonal:
+    return sums.slabs(np.empty(slab_shape(grid, mean.dof, sensor_parameters.size)))

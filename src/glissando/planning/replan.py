@@ -14,16 +14,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from glissando.errors import GlissandoError, PlanWarning
-from glissando.estimation.fixed_lag import FixedLag
+from glissando.estimation.fixed_lag import FixedLagSmoother
 from glissando.estimation.posterior import Posterior
 from glissando.geometry.se3 import Array
-from glissando.planning.belief import Course, Snapshot, snapshot
+from glissando.planning.belief import Belief, ExpectedMotion, belief_of
 from glissando.planning.objectives import Objective, Trace
 from glissando.planning.path_objective import judge_of
-from glissando.planning.path_space import Track
+from glissando.planning.path_space import PathSpace
 from glissando.planning.plan_slide import Plan, plan_slide
-from glissando.planning.planners import GoneError, Here, Planner
-from glissando.planning.planning_problem import foresee
+from glissando.planning.planners import GoneError, InlinePlanner, Planner
+from glissando.planning.planning_problem import predict_information
 from glissando.planning.sliding_sensor import SlidingSensor
 from glissando.planning.zones import Zone
 
@@ -65,23 +65,23 @@ class Stretch:
     It begins at `start`, until when the sensor follows the `route`; the rest is a `Replanner`'s.
     """
 
-    known: Snapshot
+    known: Belief
     route: Route
     start: float
-    track: Track
+    track: PathSpace
     sensor: SlidingSensor
     zones: Sequence[Zone]
     objective: Objective
     wear: float
     node_step: float | None
-    course: Course | None
+    course: ExpectedMotion | None
 
     def __call__(self) -> Plan:
         """The plan. Raises GlissandoError when no zone counts in the time ahead."""
         known, track = self.known, self.track
         if self.start - known.time > _NOW * known.node_step:
             known = known.later(self.start, self.sensor, self._place, self.course)
-        outlook = foresee(
+        outlook = predict_information(
             replace(known, time=self.start), (track.lower, track.upper), track.lasts,
             self.sensor, course=self.course, step=track.step, node_step=self.node_step,
         )  # fmt: skip
@@ -102,22 +102,22 @@ class Replanner:
 
     The `track` says what its slide can do, how far ahead to plan, and where the sensor is before
     the first plan. Zones are in absolute time and may move; `wear` weighs the mean square speed;
-    `node_step` and `course` are those of `foresee`. Each plan begins `lead` seconds ahead, where
-    and as fast as the path is then that is followed till then: limits hold from one to the next,
-    and each comes to rest on its slide in the end. It is made at once, or `Elsewhere` if that is
-    the `planner`; then `lead` is to be longer than that takes. What comes too late is not taken up,
-    and makes it longer until plans come sooner again.
+    `node_step` and `course` are those of `predict_information`. Each plan begins `lead` seconds
+    ahead, where and as fast as the path is then that is followed till then: limits hold from one to
+    the next, and each comes to rest on its slide in the end. It is made at once, or by
+    `ProcessPlanner` if that is the `planner`; then `lead` is to be longer than that takes. What
+    comes too late is not taken up, and makes it longer until plans come sooner again.
     """
 
     sensor: SlidingSensor
-    track: Track
+    track: PathSpace
     zones: Sequence[Zone]
     objective: Objective = field(default_factory=Trace)
     wear: float = 0.0
     node_step: float | None = None
-    course: Course | None = None
+    course: ExpectedMotion | None = None
     lead: float = 0.0
-    planner: Planner = field(default_factory=Here)
+    planner: Planner = field(default_factory=InlinePlanner)
     route: Route = field(init=False)
     _due: float | None = field(default=None, init=False)
     _asked: float = field(default=0.0, init=False)
@@ -137,7 +137,9 @@ class Replanner:
         """Arclength (…) and speed (…) of the path at absolute times, past and to come."""
         return self.route.at(time)
 
-    def next(self, known: FixedLag | Posterior | Snapshot, now: float | None = None) -> Plan | None:
+    def next(
+        self, known: FixedLagSmoother | Posterior | Belief, now: float | None = None
+    ) -> Plan | None:
         """Take up a plan that has come, ask for another if none is being made; the newest plan.
 
         The path up to `now` has been followed, the newest time that is known unless given, and
@@ -149,11 +151,11 @@ class Replanner:
             now = -np.inf if newest is None else float(newest)
         self._take(now)
         if self._due is None and not self._gone:
-            self._ask(snapshot(known), now)
+            self._ask(belief_of(known), now)
             self._take(now)
         return self.plan
 
-    def _ask(self, known: Snapshot, now: float) -> None:
+    def _ask(self, known: Belief, now: float) -> None:
         start = max(now, known.time) + self.lead
         place, speed = (float(x) for x in self.route.at(start))
         try:

@@ -15,7 +15,7 @@ from glissando.twins import twin
 
 
 @dataclass(frozen=True)
-class Chains:
+class BatchCholesky:
     """Cholesky factors of S chains of N blocks.
 
     `inverse` (N, S, d, d) of the factors' diagonal blocks, `coupling` (N−1, S, d, d) as in
@@ -53,7 +53,7 @@ class Chains:
 
 
 @twin
-def factor_chains(diagonal: Array, lower: Array) -> Chains:
+def factor_batch(diagonal: Array, lower: Array) -> BatchCholesky:
     """Factors of chains with blocks (S, N, d, d), and (S, N−1, d, d) below the diagonal.
 
     Raises LinAlgError when any chain is not positive definite.
@@ -68,7 +68,7 @@ def factor_chains(diagonal: Array, lower: Array) -> Chains:
         inverse[n] = np.linalg.inv(np.linalg.cholesky(schur))
         if n + 1 < count:
             coupling[n] = inverse[n] @ _turned(lower[:, n])
-    return Chains(inverse, coupling)
+    return BatchCholesky(inverse, coupling)
 
 
 def _turned(matrix: Array) -> Array:

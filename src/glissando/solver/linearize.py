@@ -13,8 +13,8 @@ from glissando.model.priors.prior import Prior
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
 from glissando.solver.block_tridiagonal import BlockTridiagonal
-from glissando.solver.measurement_factors import PlacedReadings
-from glissando.solver.normal_equations import NeighbourSums
+from glissando.solver.measurement_factors import MeasurementFactors
+from glissando.solver.normal_equations import NormalEquationsBuilder
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class NormalEquations:
     """
 
     state: State
-    placed: PlacedReadings
+    placed: MeasurementFactors
     about: State
     system: BlockTridiagonal
     right: Array
@@ -47,7 +47,7 @@ class NormalEquations:
 
 def linearize(
     prior: Prior,
-    placed: PlacedReadings,
+    placed: MeasurementFactors,
     state: State,
     about: State,
     room: Array,
@@ -60,8 +60,8 @@ def linearize(
 
     `room` is an array of `slab_shape(grid, dof, extras)`, to be used again: it is the largest.
     """
-    extras = placed.unknowns.size
-    sums = NeighbourSums(placed.grid, state.dof, extras)
+    extras = placed.sensor_parameters.size
+    sums = NormalEquationsBuilder(placed.grid, state.dof, extras)
     terms: list[Residuals] = []
     for times in placed.blocks:
         for batch in prior.factors(placed.grid, state, about, times):
@@ -79,8 +79,8 @@ def linearize(
             whole.residual[rows] = batch.terms.residual
             whole.sqrt_info[rows] = batch.terms.sqrt_info
     if extras:
-        decay, spread = placed.unknowns.chain()
-        off = placed.values - placed.unknowns.mean
+        decay, spread = placed.sensor_parameters.chain()
+        off = placed.values - placed.sensor_parameters.mean
         residual = np.concatenate([off[:1], off[1:] - decay * off[:-1]])
         sums.add_chain(decay, spread, residual)
         terms.append(Residuals(residual, (1.0 / spread)[:, :, None] * np.eye(extras)))

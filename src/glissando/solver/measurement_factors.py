@@ -15,7 +15,7 @@ from glissando.model.grid import Grid, Index
 from glissando.model.interpolation import Interpolation, Points, sort_points
 from glissando.model.noise import sqrt_information
 from glissando.model.priors.prior import Prior
-from glissando.model.sensors.parameters import Unknown, Unknowns
+from glissando.model.sensors.parameters import EstimatedParameters, SensorParameter
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import DOF, State
 from glissando.twins import twin
@@ -39,11 +39,11 @@ class _Part:
     readings: list[tuple[int, Index, Readings]]
 
 
-class PlacedReadings:
+class MeasurementFactors:
     """All readings, sorted by block of time and by the part of a cell they fall in.
 
-    Readings of all sensors that touch equally many nodes are interpolated together. `unknowns` of
-    sensors shift them by `values` (K, E); those that no sensor has are left out unless `keep_all`.
+    Readings of all sensors that touch equally many nodes are interpolated together. `values` (K, E)
+    of `sensor_parameters` shift them; those that no sensor has are left out unless `keep_all`.
     Raises OutsideGridError for readings off the grid.
     """
 
@@ -51,7 +51,7 @@ class PlacedReadings:
         self,
         grid: Grid,
         readings: Sequence[Readings],
-        unknowns: Sequence[Unknown] = (),
+        sensor_parameters: Sequence[SensorParameter] = (),
         values: Array | None = None,
         *,
         keep_all: bool = False,
@@ -59,9 +59,13 @@ class PlacedReadings:
         self.grid = grid
         self.blocks = blocks_of_time(grid)
         self._given = [r for r in readings if len(r)]
-        used = [u for u in unknowns if keep_all or any(r.name in u.streams for r in self._given)]
-        self.unknowns = Unknowns(grid, used)
-        self.values = self.unknowns.expected() if values is None else values
+        used = [
+            u
+            for u in sensor_parameters
+            if keep_all or any(r.name in u.streams for r in self._given)
+        ]
+        self.sensor_parameters = EstimatedParameters(grid, used)
+        self.values = self.sensor_parameters.expected() if values is None else values
         self._require_inside()
         self._parts = self._placed()
 
@@ -111,13 +115,13 @@ class PlacedReadings:
             for stream, rows, _ in part.readings:
                 yield stream, rows
 
-    def moved(self, step: Array) -> PlacedReadings:
+    def moved(self, step: Array) -> MeasurementFactors:
         """The readings where unknowns moved by `step` (K, E) put them."""
         if not step.any():
             return self
         there = copy.copy(self)
         there.values = self.values + step
-        if any(u.moves for u in self.unknowns.each):
+        if any(u.moves for u in self.sensor_parameters.each):
             there._parts = there._placed()
         return there
 
@@ -136,21 +140,21 @@ class PlacedReadings:
             time=np.clip(readings.time, grid.time[0], grid.time[-1]),
         )
 
-    def _of(self, readings: Readings) -> list[tuple[Unknown, slice]]:
-        pairs = zip(self.unknowns.each, self.unknowns.columns, strict=True)
+    def _of(self, readings: Readings) -> list[tuple[SensorParameter, slice]]:
+        pairs = zip(self.sensor_parameters.each, self.sensor_parameters.columns, strict=True)
         return [(u, at) for u, at in pairs if readings.name in u.streams]
 
     def _now(self, time: Array) -> Array:
         """The unknowns (M, E) at these times."""
         time = np.clip(time, self.grid.time[0], self.grid.time[-1])
-        lower, weights, _ = self.unknowns.between(time)
+        lower, weights, _ = self.sensor_parameters.between(time)
         upper = np.minimum(lower + 1, len(self.values) - 1)
-        off = self.values - self.unknowns.mean
-        return self.unknowns.mean + weights[:, 0] * off[lower] + weights[:, 1] * off[upper]
+        off = self.values - self.sensor_parameters.mean
+        return self.sensor_parameters.mean + weights[:, 0] * off[lower] + weights[:, 1] * off[upper]
 
-    def known_now(self) -> list[tuple[Unknown, Array]]:
+    def known_now(self) -> list[tuple[SensorParameter, Array]]:
         """The unknowns that are estimated with their values (K, size) at the time nodes."""
-        pairs = zip(self.unknowns.each, self.unknowns.columns, strict=True)
+        pairs = zip(self.sensor_parameters.each, self.sensor_parameters.columns, strict=True)
         return [(u, self.values[:, at]) for u, at in pairs]
 
     def factors(self, prior: Prior, state: State, about: State, block: int) -> Iterator[Factors]:
@@ -183,7 +187,7 @@ class PlacedReadings:
         extras = None
         if mine:
             by_extras = self._by_unknowns(readings, at, by_state, slopes, now)
-            _, weights, left = self.unknowns.between(readings.time)
+            _, weights, left = self.sensor_parameters.between(readings.time)
             cov = cov + (by_extras * left[:, None]) @ np.swapaxes(by_extras, -1, -2)
             extras = (by_extras[:, :, None] * weights[:, None]).reshape(*residual.shape, -1)
         by_nodes, whitener = by_nodes_of(by_state, at.jacobian, at.cov, cov)
@@ -201,7 +205,7 @@ class PlacedReadings:
         now: Array,
     ) -> Array:
         """Jacobian (M, r, E) of residuals with respect to the unknowns at the readings' times."""
-        out = np.zeros((*by_state.shape[:2], self.unknowns.size))
+        out = np.zeros((*by_state.shape[:2], self.sensor_parameters.size))
         for unknown, columns in self._of(readings):
             if unknown.moves:
                 sign, way = (1.0, "arclength") if unknown.kind == "slide" else (-1.0, "time")
@@ -232,9 +236,9 @@ def by_nodes_of(by_state: Array, jacobian: Array, left: Array, cov: Array) -> tu
     return (by_state @ jacobian.reshape(m, dof, c * d)).reshape(m, r, c, d), whitener
 
 
-def _ways(readings: Readings, unknowns: Sequence[Unknown]) -> list[str]:
+def _ways(readings: Readings, sensor_parameters: Sequence[SensorParameter]) -> list[str]:
     """Which slopes of the state readings need: along arclength, along time."""
-    kinds = {u.kind for u in unknowns}
+    kinds = {u.kind for u in sensor_parameters}
     ways = ["arclength"] if "slide" in kinds or np.any(readings.arclength_std) else []
     return ways + ["time"] * ("delay" in kinds)
 

@@ -23,7 +23,7 @@ def slab_shape(grid: Grid, dof: int, extras: int = 0) -> tuple[int, ...]:
     return 2 * k_count - 1, size, size
 
 
-class NeighbourSums:
+class NormalEquationsBuilder:
     """Jᵀ J summed by pairs of neighbouring nodes, and −Jᵀ r by nodes.
 
     Factors touch a node and its neighbours only, so a block is kept for each node and, by how far

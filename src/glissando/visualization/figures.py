@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from glissando.errors import GlissandoError
-from glissando.estimation.posterior import Estimate, Posterior
+from glissando.estimation.posterior import Posterior, StateEstimate
 from glissando.geometry.se3 import Array, adjoint, inverse
 from glissando.model.grid import Grid
 from glissando.model.sensors.readings import Readings
@@ -121,7 +121,7 @@ def shape_figure(
     return figure
 
 
-def _draw_ellipsoids(axes: Any, at: Estimate, colour: Any) -> list[Array]:
+def _draw_ellipsoids(axes: Any, at: StateEstimate, colour: Any) -> list[Array]:
     """Draw the 3σ position ellipsoids of the points (M,); their bounding corners in mm."""
     around, down = np.meshgrid(np.linspace(0.0, 2.0 * np.pi, 25), np.linspace(0.0, np.pi, 15))
     ball = np.stack([np.cos(around) * np.sin(down), np.sin(around) * np.sin(down), np.cos(down)])

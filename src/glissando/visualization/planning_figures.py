@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from glissando.geometry.se3 import Array
-from glissando.planning.design import NUMBERS, Design, is_best
-from glissando.planning.planning_problem import Outlook
+from glissando.planning.design import NUMBERS, Design, pareto_front
+from glissando.planning.planning_problem import PlanningProblem
 from glissando.planning.zones import Zone
 from glissando.visualization.figures import _SENSORS, _canvas
 
@@ -25,7 +25,9 @@ _PLACES, _TIMES = 60, 81  # points of a map along the body and in time
 _LINES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
 
 
-def plan_figure(outlook: Outlook, paths: Mapping[str, Array], zones: Sequence[Zone]) -> Figure:
+def plan_figure(
+    outlook: PlanningProblem, paths: Mapping[str, Array], zones: Sequence[Zone]
+) -> Figure:
     """Foretold confidence over arclength and time for each path (T,), side by side.
 
     Colour is the root of the total position variance, millimetres; white is the sensor's way, a
@@ -51,7 +53,9 @@ def plan_figure(outlook: Outlook, paths: Mapping[str, Array], zones: Sequence[Zo
     return figure
 
 
-def _maps(outlook: Outlook, paths: Mapping[str, Array]) -> tuple[Array, Array, dict[str, Array]]:
+def _maps(
+    outlook: PlanningProblem, paths: Mapping[str, Array]
+) -> tuple[Array, Array, dict[str, Array]]:
     """Arclengths (P,), times (T,) and foretold position deviations (P, T) in mm of each path."""
     nodes = outlook.ahead.grid.arclength
     place = np.linspace(nodes[0], nodes[-1], _PLACES)
@@ -66,7 +70,7 @@ def _maps(outlook: Outlook, paths: Mapping[str, Array]) -> tuple[Array, Array, d
 
 
 def save_plan_film(
-    outlook: Outlook, paths: Mapping[str, Array], zones: Sequence[Zone], file: Path
+    outlook: PlanningProblem, paths: Mapping[str, Array], zones: Sequence[Zone], file: Path
 ) -> None:
     """Write a GIF: confidence along the body as time goes on, a line and a sensor each path.
 
@@ -98,7 +102,7 @@ def save_plan_film(
                 writer.grab_frame()
 
 
-def _outline(axes: Any, zone: Zone, outlook: Outlook) -> None:
+def _outline(axes: Any, zone: Zone, outlook: PlanningProblem) -> None:
     during = zone.during(outlook.start, outlook.last)
     if during is None:
         return
@@ -115,7 +119,7 @@ def design_figure(designs: Sequence[Design]) -> Figure:
     A panel each for stroke, speed, rate and number of coils; large marks are worth what they cost.
     Raises GlissandoError without matplotlib.
     """
-    best = is_best(designs)
+    best = pareto_front(designs)
     std = _MM * np.array([d.std for d in designs])
     with _canvas(3.6 * len(NUMBERS), 4.6) as figure:
         row: Any = figure.subplots(1, len(NUMBERS), sharey=True)

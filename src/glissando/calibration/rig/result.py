@@ -17,7 +17,7 @@ from glissando.io.csv_stream import Rows
 from glissando.io.recording import Recording, Stream
 from glissando.io.robot_file import Robot
 from glissando.io.toml_table import Table, read_toml
-from glissando.model.sensors.parameters import Unknown
+from glissando.model.sensors.parameters import SensorParameter
 
 if TYPE_CHECKING:
     from glissando.calibration.rig.advice import StreamFit
@@ -58,7 +58,7 @@ class Calibration:
             for name, value, std in zip(PARAMETERS, numbers, self.std, strict=True)
         }
 
-    def unknowns(self) -> tuple[Unknown, ...]:
+    def sensor_parameters(self) -> tuple[SensorParameter, ...]:
         """The frame, mount and delay as known unknowns of the coil, for a robot file.
 
         They are for recordings whose coil is in the tracker's frame and time but has arclengths.
@@ -72,7 +72,7 @@ class Calibration:
         }
         streams = (self.coil_name,)
         return tuple(
-            Unknown(f"{self.coil_name} {kind}", kind, streams, value, np.zeros(value.size))
+            SensorParameter(f"{self.coil_name} {kind}", kind, streams, value, np.zeros(value.size))
             for kind, value in parts.items()
         )
 
@@ -106,7 +106,7 @@ class Calibration:
                     "streams": list(u.streams),
                     "value": u.value.tolist(),
                 }
-                for u in self.unknowns()
+                for u in self.sensor_parameters()
             ],
         }
         path.write_text(tomli_w.dumps(document), encoding="utf-8")

@@ -17,7 +17,7 @@ from glissando.io.robot_file import Robot
 from glissando.model.grid import Grid
 from glissando.model.interpolation import sort_points
 from glissando.model.priors.separable import SeparablePrior
-from glissando.model.priors.white_noise import KinematicPrior
+from glissando.model.priors.white_noise import WhiteNoisePrior
 from glissando.model.sensors.sensors import PoseReadings
 from glissando.solver.block_tridiagonal import Cholesky
 
@@ -61,12 +61,12 @@ def shape_of(data: RigData, robot: Robot) -> Posterior:
         middle = np.array([0.5 * (start + stop)])
         grid = Grid(grid.arclength, middle)
         readings = [r.changed(time=np.repeat(middle, len(r))) for r in readings]
-    elif isinstance(prior, KinematicPrior):
+    elif isinstance(prior, WhiteNoisePrior):
         prior, grid = _paced(prior, data, grid)
     return estimate(prior, grid, readings)
 
 
-def _paced(prior: KinematicPrior, data: RigData, grid: Grid) -> tuple[KinematicPrior, Grid]:
+def _paced(prior: WhiteNoisePrior, data: RigData, grid: Grid) -> tuple[WhiteNoisePrior, Grid]:
     """The prior with a pace and a grid for it: those of a robot that holds from time to time.
 
     Were it as restless at all times, what it does while it holds would be uncertain; and were its
@@ -134,7 +134,7 @@ def _nodes(data: RigData, robot: Robot) -> Array:
     return np.concatenate(out)
 
 
-def _loose(robot: Robot, data: RigData) -> KinematicPrior | SeparablePrior:
+def _loose(robot: Robot, data: RigData) -> WhiteNoisePrior | SeparablePrior:
     """The robot's prior with its base where the bodies put it, if there are two or more.
 
     Where the base stands in motion capture's world is seldom known to the fraction of a millimetre

@@ -17,17 +17,17 @@ import numpy as np
 from glissando.calibration.robot.hyperparameters import Document
 from glissando.calibration.robot.predictive import APART, constants_of, telling
 from glissando.errors import GlissandoError, NotConvergedWarning
-from glissando.estimation.batch import Options, estimate
+from glissando.estimation.batch import SolverOptions, estimate
 from glissando.io.recording import Recording
 from glissando.io.robot_file import parse_robot
 from glissando.io.toml_table import Table
-from glissando.model.sensors.parameters import Unknown
+from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.sensors.readings import Readings
 
 _OF_A_RECORDING = ("delay", "bias")  # kinds that the next recording has its own of
 _LOOSE = {"world": (3e-3, 0.01), "mount": (2e-3, 0.05)}  # m, rad: how far off truth may be
 _LATE = 0.02  # s: how late its stamps may be
-_OPTIONS = Options(max_iterations=25)
+_OPTIONS = SolverOptions(max_iterations=25)
 
 
 def locate(
@@ -36,7 +36,7 @@ def locate(
     window: tuple[float, float],
     use: Sequence[str],
     truth: Sequence[str],
-) -> tuple[Document, tuple[Unknown, ...]]:
+) -> tuple[Document, tuple[SensorParameter, ...]]:
     """The robot file with its sensors' constants known, and the constants (known) of the truth.
 
     Truth counts as a sensor of the robot file's noise here, late by one delay. Unknowns of the file
@@ -46,7 +46,7 @@ def locate(
     sensors, bodies = (recording.readings(names, robot, window)[0] for names in (use, truth))
     loose = [replace(c, std=np.repeat(_LOOSE[c.kind], 3)) for c in constants_of(bodies)]
     readings = in_motion([*sensors, *bodies], bodies)
-    late = Unknown("truth delay", "delay", tuple(truth), np.zeros(1), np.array([_LATE]))
+    late = SensorParameter("truth delay", "delay", tuple(truth), np.zeros(1), np.array([_LATE]))
     shift = 2.0 * _LATE  # no reading may be moved off the grid
     inner = [
         r.select((r.time > window[0] + shift) & (r.time < window[1] - shift)) for r in readings
@@ -57,16 +57,16 @@ def locate(
             robot.prior,
             robot.grid(*window),
             inner,
-            unknowns=[*robot.unknowns, *loose, late],
+            sensor_parameters=[*robot.sensor_parameters, *loose, late],
             options=_OPTIONS,
         )
 
-    def found(unknown: Unknown) -> Unknown:
+    def found(unknown: SensorParameter) -> SensorParameter:
         values, _ = posterior.unknown(unknown.name)
         return replace(unknown, value=values[len(values) // 2], std=0.0 * unknown.std)
 
     known = copy.deepcopy(document)
-    for entry, unknown in zip(known.get("unknowns", []), robot.unknowns, strict=True):
+    for entry, unknown in zip(known.get("unknowns", []), robot.sensor_parameters, strict=True):
         holds = np.isinf(unknown.correlation_time) and unknown.kind not in _OF_A_RECORDING
         if holds and not unknown.known:
             entry["value"] = found(unknown).value.tolist()
@@ -84,6 +84,6 @@ def in_motion(readings: Sequence[Readings], truth: Sequence[Readings]) -> list[R
     return [r.select(np.isin(r.time // APART, told)) for r in readings]
 
 
-def lasting(constants: Sequence[Unknown]) -> tuple[Unknown, ...]:
+def lasting(constants: Sequence[SensorParameter]) -> tuple[SensorParameter, ...]:
     """Those constants that hold for other recordings as well."""
     return tuple(c for c in constants if c.kind not in _OF_A_RECORDING)

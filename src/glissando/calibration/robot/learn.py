@@ -24,18 +24,18 @@ from scipy.optimize import minimize
 from glissando.calibration.robot.hyperparameters import Document, Parameter, moved
 from glissando.calibration.robot.predictive import constants_of, predict
 from glissando.errors import GlissandoError, NotConvergedWarning, RecordingError
-from glissando.estimation.batch import Options, estimate
+from glissando.estimation.batch import SolverOptions, estimate
 from glissando.estimation.posterior import Posterior
 from glissando.geometry.se3 import Array
 from glissando.io.recording import Recording
 from glissando.io.robot_file import Robot, parse_robot
 from glissando.io.toml_table import Table
 from glissando.model.grid import Grid
-from glissando.model.sensors.parameters import Unknown
+from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
 
-_TIGHT = Options(max_iterations=10, tolerance=0.3)
+_TIGHT = SolverOptions(max_iterations=10, tolerance=0.3)
 _BAD = 1e3  # objective of a try that cannot be estimated
 _NUDGE = 0.05  # of a logarithm, for differences
 _WORTH = 1e-3  # gain a degree of freedom below which a step was idle
@@ -70,7 +70,7 @@ class Score:
     value: float
     samples: int
     independent: float
-    constants: tuple[Unknown, ...] = ()
+    constants: tuple[SensorParameter, ...] = ()
 
 
 Watch = Callable[[int, float], None]
@@ -100,7 +100,7 @@ class Judge:
 
     cases: Sequence[Case]
     calibrate: bool
-    constants: tuple[Unknown, ...] = ()
+    constants: tuple[SensorParameter, ...] = ()
     _starts: dict[int, State] = field(default_factory=dict)
 
     def score(self, document: Document) -> Score:
@@ -143,7 +143,7 @@ class Judge:
                 robot.prior,
                 case.grid(robot),
                 readings,
-                unknowns=robot.unknowns,
+                sensor_parameters=robot.sensor_parameters,
                 initial=self._starts.get(i),
                 options=_TIGHT,
             )
@@ -175,7 +175,7 @@ def learn(
     cases: Sequence[Case],
     *,
     calibrate: bool = False,
-    constants: tuple[Unknown, ...] = (),
+    constants: tuple[SensorParameter, ...] = (),
     steps: int = 20,
     watch: Watch | None = None,
 ) -> Learned:
@@ -265,7 +265,7 @@ class RecordingCase:
     recording: Recording
     window: tuple[float, float]
     use: Sequence[str]
-    foretell: Sequence[str] = ()
+    evaluate_path: Sequence[str] = ()
 
     def grid(self, robot: Robot) -> Grid:
         """The robot's grid over the window."""
@@ -277,5 +277,5 @@ class RecordingCase:
 
     def truth(self, robot: Robot) -> list[Readings]:
         """The streams to foretell, inside the window."""
-        found, _ = self.recording.readings(self.foretell, robot, self.window, as_truth=True)
+        found, _ = self.recording.readings(self.evaluate_path, robot, self.window, as_truth=True)
         return [stream for stream in found if len(stream)]

@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from glissando.estimation.posterior import Estimate, Posterior
+from glissando.estimation.posterior import Posterior, StateEstimate
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
-from glissando.model.sensors.parameters import SIZES, Unknown, corrected
+from glissando.model.sensors.parameters import SIZES, SensorParameter, corrected
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
 
@@ -36,20 +36,24 @@ class Prediction:
     score: float
     samples: int
     independent: float
-    constants: tuple[Unknown, ...]
+    constants: tuple[SensorParameter, ...]
 
 
-def constants_of(truth: Sequence[Readings]) -> tuple[Unknown, ...]:
+def constants_of(truth: Sequence[Readings]) -> tuple[SensorParameter, ...]:
     """One frame for all truth streams and a mount for each, expected to be nothing."""
     names = tuple(t.name for t in truth)
     made = [("truth frame", "world", names)]
     made += [(f"{name} mount", "mount", (name,)) for name in names]
     zero = np.zeros(6)
-    return tuple(Unknown(name, kind, streams, zero, zero) for name, kind, streams in made)
+    return tuple(SensorParameter(name, kind, streams, zero, zero) for name, kind, streams in made)
 
 
 def predict(
-    posterior: Posterior, truth: Sequence[Readings], constants: Sequence[Unknown], *, free: bool
+    posterior: Posterior,
+    truth: Sequence[Readings],
+    constants: Sequence[SensorParameter],
+    *,
+    free: bool,
 ) -> Prediction:
     """Judge a posterior by truth streams; with `free` the constants are calibrated, else held.
 
@@ -93,7 +97,9 @@ def _moved_between(before: Readings, after: Readings) -> bool:
     return bool(np.any(np.linalg.norm(way, axis=-1) > _MOVED))
 
 
-def _normalised(truth: Readings, at: Estimate, constants: Sequence[Unknown]) -> tuple[Array, int]:
+def _normalised(
+    truth: Readings, at: StateEstimate, constants: Sequence[SensorParameter]
+) -> tuple[Array, int]:
     """Minus log-likelihood (M,) of truth samples, and their degrees of freedom altogether."""
     residual, cov = _miss(corrected(truth, constants), at)
     solved = np.linalg.solve(cov, residual[..., None])[..., 0]
@@ -103,7 +109,7 @@ def _normalised(truth: Readings, at: Estimate, constants: Sequence[Unknown]) -> 
     return cost, residual.size
 
 
-def _miss(truth: Readings, at: Estimate) -> tuple[Array, Array]:
+def _miss(truth: Readings, at: StateEstimate) -> tuple[Array, Array]:
     """Residual (M, r) of truth samples and its covariance (M, r, r), the truth's own included."""
     state = State(at.pose, at.strain, at.velocity)
     jacobian = truth.jacobian(state)
@@ -112,8 +118,10 @@ def _miss(truth: Readings, at: Estimate) -> tuple[Array, Array]:
 
 
 def _improved(
-    truth: Sequence[Readings], found: Sequence[Estimate], constants: tuple[Unknown, ...]
-) -> tuple[Unknown, ...]:
+    truth: Sequence[Readings],
+    found: Sequence[StateEstimate],
+    constants: tuple[SensorParameter, ...],
+) -> tuple[SensorParameter, ...]:
     """The constants after one Gauss-Newton step towards the most likely truth."""
     size = SIZES["world"]
     total = size * len(constants)
@@ -144,7 +152,9 @@ def _improved(
     return constants
 
 
-def _moved(constants: tuple[Unknown, ...], i: int, step: Array) -> tuple[Unknown, ...]:
+def _moved(
+    constants: tuple[SensorParameter, ...], i: int, step: Array
+) -> tuple[SensorParameter, ...]:
     there = list(constants)
     there[i] = replace(there[i], value=there[i].value + step)
     return tuple(there)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from glissando.errors import GlissandoError
-from glissando.estimation.fixed_lag import FixedLag
+from glissando.estimation.fixed_lag import FixedLagSmoother
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.hardware.capture.setup import Coil, Rig
@@ -61,7 +61,9 @@ def followed(rig: Rig) -> Iterator[tuple[str, Hear]]:
 def _work(rig: Rig, messages: Any, address: Any) -> None:
     robot = load_robot(robot_file(rig.robot))
     coils = {f"/tracker/{c.name}": c for c in rig.coils}
-    smoother = FixedLag(robot.prior, robot.arclength_nodes, unknowns=robot.unknowns)
+    smoother = FixedLagSmoother(
+        robot.prior, robot.arclength_nodes, sensor_parameters=robot.sensor_parameters
+    )
     step, due, travel = 1.0 / robot.time_rate, -np.inf, np.zeros(1)
     with Live(np.linspace(0.0, robot.length, 41)) as live:
         address.put(live.address)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from glissando.errors import GlissandoError
-from glissando.estimation.posterior import Estimate, Posterior
+from glissando.estimation.posterior import Posterior, StateEstimate
 from glissando.evaluation.run import write_query
 from glissando.geometry.se3 import Array
 from glissando.io.session_log import NUMBER, TEXT, SessionWriter, numbers, schema
@@ -108,9 +108,11 @@ def _write_mcap(posterior: Posterior, out: Path, time: Array, arclength: Array) 
                     log.write(topic, message, now)
 
 
-def _messages(found: Estimate, k: int, time: float, arclength: Array) -> dict[str, dict[str, Any]]:
+def _messages(
+    found: StateEstimate, k: int, time: float, arclength: Array
+) -> dict[str, dict[str, Any]]:
     """What is told at the k-th time of an estimate (K, N), by topic."""
-    at = Estimate(found.pose[k], found.strain[k], found.velocity[k], found.cov[k])
+    at = StateEstimate(found.pose[k], found.strain[k], found.velocity[k], found.cov[k])
     now = round(1e9 * time)
     stamp = {"timestamp": {"sec": now // 10**9, "nsec": now % 10**9}, "frame_id": "world"}
     poses = [

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Protocol, Self
+from typing import ClassVar, Protocol, Self
 
 import numpy as np
 
@@ -23,6 +23,8 @@ _STIFF = 10.0  # times softer than a prior must be to be worth a start of its ow
 
 class Prior(Protocol):
     """A Gaussian prior over arclength × time: factors between nodes, and what lies between them."""
+
+    kind: ClassVar[str]
 
     @property
     def fixes_base(self) -> bool:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -68,6 +69,7 @@ class SeparablePrior:
     joints: Array = field(default_factory=lambda: np.zeros(0))
     jumps: Array = field(default_factory=lambda: np.zeros((0, 6)))
     rest_slope: Array = field(default_factory=lambda: np.zeros(6))
+    kind: ClassVar[str] = "separable"
 
     @property
     def rest(self) -> RestShape:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -49,7 +50,7 @@ class BaseDensity:
 
 
 @dataclass(frozen=True)
-class KinematicPrior:
+class WhiteNoisePrior:
     """Gaussian prior on pose, strain and velocity over arclength × time.
 
     Densities are (6,), [linear, angular], of white noise over arclength and time:
@@ -72,6 +73,7 @@ class KinematicPrior:
     base_pose: Array = field(default_factory=lambda: np.eye(4))
     joints: Array = field(default_factory=lambda: np.zeros(0))
     jumps: Array = field(default_factory=lambda: np.zeros((0, 6)))
+    kind: ClassVar[str] = "white-noise"
     pace: Array = field(default_factory=lambda: np.ones(1))
     pace_times: Array = field(default_factory=lambda: np.zeros(0))
 
@@ -85,7 +87,7 @@ class KinematicPrior:
         """Whether the prior alone says where the robot stands."""
         return self.base is not None
 
-    def softened(self) -> KinematicPrior:
+    def softened(self) -> WhiteNoisePrior:
         """The prior with shear and extension as soft as bending over 2 cm, or itself if not far.
 
         Its estimates bend easily, which makes them a start for the stiffer one.
@@ -233,7 +235,7 @@ def weighted_steps(
 
 
 def _interpolate(
-    prior: KinematicPrior, grid: Grid, state: State, about: State, points: Points
+    prior: WhiteNoisePrior, grid: Grid, state: State, about: State, points: Points
 ) -> Interpolation:
     s, t = points.along, points.through
     flat, n_count = state.flatten(), grid.arclength.size
@@ -261,7 +263,7 @@ def _interpolate(
 
 
 def _along_arclength(
-    prior: KinematicPrior, grid: Grid, flat: State, about: State, points: Points, k: Index
+    prior: WhiteNoisePrior, grid: Grid, flat: State, about: State, points: Points, k: Index
 ) -> Interpolation:
     """Between two nodes of the times `k` (M,)."""
     s = points.along
@@ -277,7 +279,7 @@ def _along_arclength(
 
 
 def _between_times(
-    prior: KinematicPrior, grid: Grid, about: State, points: Points, start: State, end: State
+    prior: WhiteNoisePrior, grid: Grid, about: State, points: Points, start: State, end: State
 ) -> tuple[State, Array, Array, Array]:
     """Between two states at the times of nodes: what `bridged` gives."""
     s, t = points.along, points.through

@@ -58,7 +58,7 @@ _FOR = {"world": ((4, 4), (3, 3), (3,)), "bias": ((3,),)}  # kinds of value each
 
 
 @dataclass(frozen=True)
-class Unknown:
+class SensorParameter:
     """Something about the sensors `streams` that is not known exactly.
 
     `kind` is world (the transform (6,) from their frame to the world, as a logarithm), mount (a
@@ -118,19 +118,19 @@ class Unknown:
         return _SHIFTS[self.kind](readings, np.atleast_2d(x))
 
 
-def corrected(readings: Readings, unknowns: Sequence[Unknown]) -> Readings:
+def corrected(readings: Readings, sensor_parameters: Sequence[SensorParameter]) -> Readings:
     """The readings with every unknown of theirs at its expected value."""
-    for unknown in unknowns:
+    for unknown in sensor_parameters:
         if readings.name in unknown.streams and np.any(unknown.value != 0.0):
             readings = unknown.shift(readings, unknown.value)
     return readings
 
 
-class Unknowns:
+class EstimatedParameters:
     """Those unknowns that are estimated, side by side as E numbers a time node."""
 
-    def __init__(self, grid: Grid, unknowns: Sequence[Unknown]) -> None:
-        self.each = tuple(u for u in unknowns if not u.known)
+    def __init__(self, grid: Grid, sensor_parameters: Sequence[SensorParameter]) -> None:
+        self.each = tuple(u for u in sensor_parameters if not u.known)
         self.grid = grid
         ends = np.cumsum([0, *(u.size for u in self.each)])
         self.columns = [slice(a, b) for a, b in pairwise(ends)]

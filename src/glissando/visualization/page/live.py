@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from glissando.errors import GlissandoError
-from glissando.estimation.fixed_lag import FixedLag
+from glissando.estimation.fixed_lag import FixedLagSmoother
 from glissando.geometry.se3 import Array
 from glissando.visualization.figures import _MM
 from glissando.visualization.film.frames import _tube
@@ -169,7 +169,7 @@ def each_moment(scene: Scene, view: View) -> Iterator[float]:
         yield float(moment)
 
 
-def follow(view: View, smoother: FixedLag) -> None:
+def follow(view: View, smoother: FixedLagSmoother) -> None:
     """Show a smoother's newest state."""
     time = smoother.time or 0.0
     at = smoother.at(view.arclength, time)
