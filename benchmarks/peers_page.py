@@ -24,8 +24,9 @@ so soft that GTSAM can factor dense grids. GTSAM's factor takes the six componen
 independent, ours is the step's exact transition, so theirs needs many nodes for the answer that
 ours has on as many as there are readings. Distances are the largest over shapes and places, from
 the limit of many nodes. With GTSAM's factors in our estimator both agree on every grid to 1e-6 in
-the mean and far better than 1 % in the standard deviation (`tests/test_peers.py`). GTSAM starts
-from curves through the readings, ours from a straight robot.
+the mean and far better than 1 % in the standard deviation
+(`tests/project/test_peers.py`). GTSAM starts from curves through the readings, ours from a straight
+robot.
 
 | | nodes | mean, largest distance (mm) | std, largest distance | ms a shape |
 |---|---|---|---|---|

@@ -151,7 +151,7 @@ few modes in each of two segments and its files have four decimals; none is fart
 A rod of 0.70 m bent to 2 rad/m, base known, a five-degree-of-freedom coil read once at the tip:
 position standard deviation (mm) at mid-length. White noise on independent components, the published
 form with second-order rows, gives 16.12, 13.46, 12.87, 12.73, 12.69 on the same grids (from GTSAM's
-factors, in `tests/test_gtsam.py`).
+factors, in `tests/estimation/test_gtsam.py`).
 
 | 5 nodes | 9 | 17 | 33 | 65 |
 |---|---|---|---|---|

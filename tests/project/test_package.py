@@ -12,7 +12,7 @@ import pytest
 
 import glissando
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 SOURCE = ROOT / "src" / "glissando"
 MODULES = sorted(SOURCE.rglob("*.py"))
 PAGES = [

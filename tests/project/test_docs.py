@@ -11,7 +11,7 @@ import tutorials
 from glissando.experiments.claims import judge, load_claims
 from glissando.experiments.page import page as page_of
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 SCRIPTS = [
     page

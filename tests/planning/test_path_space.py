@@ -11,7 +11,7 @@ from glissando.planning import PathSpace, track_of
 from glissando.planning.optimize import descend
 from glissando.planning.plan_slide import Plan
 from glissando.simulation import SlideLimits
-from test_slide import require_within
+from slide_paths import require_within
 
 TIP = 0.7
 stages = st.builds(

@@ -11,8 +11,8 @@ from glissando import estimate
 from glissando.visualization.film.frames import _tube
 from glissando.visualization.page import save_view, scene_of
 from glissando.visualization.page.page import SIGMAS
+from pages import carried, unpacked
 from scenes import LENGTH, sliding_scene
-from test_view import carried, unpacked
 
 SIZE = {"width": 1000, "height": 900}
 

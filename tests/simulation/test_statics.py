@@ -15,7 +15,7 @@ from oracles import rods
 from rods_drawn import LOADS, STRAIGHT, any_robot, beam
 from sorosim import differences
 
-DATA = Path(__file__).parents[1] / ".." / "shared" / "data"
+DATA = Path(__file__).parents[2] / ".." / "shared" / "data"
 
 
 @pytest.fixture(scope="session")

@@ -85,7 +85,7 @@ def test_zones_that_are_over_are_told_in_a_sentence():
 
 @pytest.mark.slow
 def test_the_example_of_a_closed_loop_runs_and_gains_on_a_sensor_that_oscillates():
-    script = Path(__file__).parents[1] / "examples" / "closed_loop.py"
+    script = Path(__file__).parents[2] / "examples" / "closed_loop.py"
     assert len(script.read_text().splitlines()) <= 40
     command = [sys.executable, str(script), "4"]
     out = subprocess.run(command, check=True, capture_output=True, text=True).stdout
@@ -96,7 +96,7 @@ def test_the_example_of_a_closed_loop_runs_and_gains_on_a_sensor_that_oscillates
 
 @pytest.mark.slow
 def test_the_example_on_simulated_devices_closes_the_loop():
-    script = Path(__file__).parents[1] / "examples" / "closed_loop_rig.py"
+    script = Path(__file__).parents[2] / "examples" / "closed_loop_rig.py"
     command = [sys.executable, "-W", "ignore", str(script), "6"]
     ran = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     if "did not answer" in ran.stderr:

@@ -9,7 +9,7 @@ import pytest
 
 from glissando.cli.main import main
 
-EXAMPLE = Path(__file__).parents[1] / "examples" / "closed_form_motion.py"
+EXAMPLE = Path(__file__).parents[2] / "examples" / "closed_form_motion.py"
 
 
 @pytest.fixture(scope="module")

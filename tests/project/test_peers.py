@@ -25,7 +25,7 @@ from peers_problems import REPORTED_ON, Numbers, Problem  # noqa: E402
 NUMBERS = Numbers.of(np.array([-3.0, 0.0, -0.5, -3.0, 1.4, 0.0, -3.15, -2.15]))
 STATIONS = np.linspace(0.0, 0.6, 13)
 READ, ASKED = [3, 6, 9, 12], [1, 2, 4, 5, 7, 8, 10, 11]
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 
 
 def problem_of(rng, count=3, bend=2.0, noise=1.0):

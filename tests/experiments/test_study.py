@@ -265,7 +265,7 @@ def test_study_needs_no_file_to_be_made(tmp_path):
 
 
 def test_the_study_of_the_page_is_one(tmp_path):
-    page = Path(__file__).parents[1] / "docs" / "studies.md"
+    page = Path(__file__).parents[2] / "docs" / "studies.md"
     text = page.read_text(encoding="utf-8")
     file = tmp_path / "sweep.toml"
     file.write_text(re.findall(r"```toml\n(.*?)```", text, flags=re.DOTALL)[0])

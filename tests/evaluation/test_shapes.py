@@ -11,7 +11,7 @@ from sorosim import FILE
 
 @pytest.fixture(scope="module")
 def poses():
-    file = Path(__file__).parents[1] / FILE
+    file = Path(__file__).parents[2] / FILE
     if not file.is_file():
         pytest.skip("SoroSim's shapes are not beside the checkout")
     return shapes.load_shapes(file)

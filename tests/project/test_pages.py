@@ -10,7 +10,7 @@ import pytest
 
 import glissando
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 MATH = (DOCS / "math.md").read_text(encoding="utf-8")
 LINKED = re.findall(r"\[`([\w.]+)`\]\(\.\./src/(glissando/[\w/]+)\.py\)", MATH)

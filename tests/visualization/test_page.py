@@ -1,7 +1,5 @@
 """What a page of the robot over time carries, and that it needs nothing else."""
 
-import base64
-import json
 import re
 from dataclasses import replace
 
@@ -17,22 +15,8 @@ from glissando.geometry import se3
 from glissando.visualization.page import Scene, page, save_view, scene_of
 from glissando.visualization.page.page import SIGMAS, packed
 from glissando.visualization.page.scene import moments, symmetric_root
+from pages import OUTSIDE, carried, unpacked
 from scenes import LENGTH, arc, sliding_scene
-
-OUTSIDE = re.compile(r"https?:|\bsrc=\"(?!data:)|\bhref=|@import|\burl\(|\bimport\(|\bfetch\(")
-
-
-def unpacked(entry):
-    """The obvious decoder."""
-    whole = np.frombuffer(base64.b64decode(entry["data"]), dtype="<u2").astype(float)
-    values = np.where(whole == 65535, np.nan, entry["low"] + entry["step"] * whole)
-    return values.reshape(entry["shape"])
-
-
-def carried(html):
-    """The scene that a page carries."""
-    (text,) = re.findall(r'<script type="application/json" id="scene">(.*?)</script>', html)
-    return json.loads(text)
 
 
 @pytest.fixture(scope="module")

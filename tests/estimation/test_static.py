@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-import test_separable_consistency as drawn
+import separable_sessions as drawn
 from draws import generators, law
 from glissando import (
     CoilReadings,

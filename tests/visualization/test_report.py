@@ -16,8 +16,8 @@ from glissando.io.recording import Recording
 from glissando.io.robot_file import load_robot
 from glissando.model.sensors.sensors import PoseReadings
 from glissando.visualization.page import save_view, svg
+from pages import OUTSIDE
 from scenes import LENGTH, arc, sliding_scene
-from test_view import OUTSIDE
 
 
 def written(folder, name, keep):

@@ -19,7 +19,7 @@ from glissando.model.sensors.sensors import PoseReadings
 from learn_drawn import NOISE, readings, shipped
 from scenes import LENGTH
 
-EXAMPLE = Path(__file__).parents[1] / "examples" / "closed_form_motion.py"
+EXAMPLE = Path(__file__).parents[2] / "examples" / "closed_form_motion.py"
 
 
 @dataclass(frozen=True)

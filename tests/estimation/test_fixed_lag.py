@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from scipy.stats import chi2
 
-import test_separable_consistency as drawn
+import separable_sessions as drawn
 from draws import generators, law
 from glissando import Grid, PoseReadings, State, estimate, load_robot
 from glissando.errors import OutsideGridError, SensorError
@@ -267,7 +267,7 @@ def test_the_newest_state_errs_as_much_as_it_says(window):
 
 
 def test_the_example_loop_runs_and_is_sure_of_what_it_says():
-    script = Path(__file__).parents[1] / "examples" / "control_loop.py"
+    script = Path(__file__).parents[2] / "examples" / "control_loop.py"
     assert len(script.read_text().splitlines()) <= 30
     command = [sys.executable, str(script), "1"]
     out = subprocess.run(command, check=True, capture_output=True, text=True).stdout

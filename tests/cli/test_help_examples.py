@@ -44,12 +44,12 @@ RUNS = {  # what must stand in the line that is run, and what makes it quick; or
     "study": ("--out results", "--workers 1"),
     "view": ("view results --recording my_recording", ""),
     "report": ("report results/fixed", ""),
-    "record": "its devices take as long as real ones: tests/test_rig.py runs it",
-    "calibrate": "it wants a recorded session: tests/test_rig.py runs it",
+    "record": "its devices take as long as real ones: tests/hardware/test_rig.py runs it",
+    "calibrate": "it wants a recorded session: tests/hardware/test_rig.py runs it",
     "import": ("take3.csv --rate", ""),
     "export": ("--out tip.tum", ""),
     "doctor": ("--json", ""),
-    "reproduce": "even --quick takes long: tests/test_experiments.py runs it",
+    "reproduce": "even --quick takes long: tests/experiments/test_experiments.py runs it",
 }
 """A command that is new says here what runs."""
 
