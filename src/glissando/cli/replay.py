@@ -22,8 +22,8 @@ from glissando.evaluation.replay import Replay, replay
 from glissando.evaluation.run import write_states
 from glissando.io.recording import load_recording
 from glissando.io.robot_file import Robot
-from glissando.visualization.page import Live, Rerun
-from glissando.visualization.page.live import View, follow
+from glissando.visualization.page import Live
+from glissando.visualization.page.live import follow
 
 _HELP = """\
 Run a recording through the online estimator as if it were live: at the robot's rate it is given the
@@ -59,8 +59,6 @@ def add_to(commands: Commands) -> None:
     add("--lag", type=float, metavar="S", help=lag)
     add("--out", type=Path, metavar="DIR", help="write log, replay.json, newest.csv, figure here")
     add("--live", action="store_true", help="show it in a browser as it goes (needs viser)")
-    rerun_help = "tell Rerun as it goes: a .rrd file, or its viewer's address (needs rerun-sdk)"
-    add("--rerun", metavar="TARGET", help=rerun_help)
     add("--json", action="store_true", help="print one JSON object and nothing else")
 
 
@@ -81,12 +79,11 @@ def _replay(options: argparse.Namespace) -> int:
         ExitStack() as stack,
     ):
         task = bar.add_task(f"replaying {escape(recording.name)}", total=None)
-
-        views = _views(options, robot, stack)
+        view = _live_view(robot, stack) if options.live else None
 
         def watch(done: int, total: int, smoother: FixedLagSmoother) -> None:
             bar.update(task, completed=done, total=total)
-            for view in views:
+            if view is not None:
                 follow(view, smoother)
 
         found = replay(
@@ -107,16 +104,11 @@ def _replay(options: argparse.Namespace) -> int:
     return 0
 
 
-def _views(options: argparse.Namespace, robot: Robot, stack: ExitStack) -> list[View]:
-    """What shows the robot as it goes, while the stack lasts."""
-    arclength, views = np.linspace(0.0, robot.length, _POINTS), list[View]()
-    if options.live:
-        live = stack.enter_context(Live(arclength))
-        print(f"Look at {live.address}", file=sys.stderr)
-        views.append(live)
-    if options.rerun:
-        views.append(stack.enter_context(Rerun(arclength, options.rerun)))
-    return views
+def _live_view(robot: Robot, stack: ExitStack) -> Live:
+    """A view of the robot in a browser, served while the stack lasts."""
+    view = stack.enter_context(Live(np.linspace(0.0, robot.length, _POINTS)))
+    print(f"Look at {view.address}", file=sys.stderr)
+    return view
 
 
 def _write(found: Replay, folder: Path) -> list[Path]:

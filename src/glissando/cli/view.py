@@ -22,8 +22,8 @@ from glissando.errors import GlissandoError
 from glissando.estimation.posterior import Posterior
 from glissando.io.recording import load_recording
 from glissando.model.sensors.readings import Readings
-from glissando.visualization.page import Rerun, page, scene_of, subtitle
-from glissando.visualization.page.live import each_moment, play
+from glissando.visualization.page import page, scene_of, subtitle
+from glissando.visualization.page.live import play
 
 _HELP = """\
 Show the robot over time in a browser: its shape with the 95 % tube and ellipsoids, the sliding
@@ -38,7 +38,6 @@ examples:
   glissando view results --recording my_recording
   glissando view my_recording --window 19 29 --html slide.html
   glissando view results --live
-  glissando view results --rerun slide.rrd                    # for the viewer of rerun.io
 
 exit status: 0 done; 1 the estimate did not converge; 2 something given was wrong.
 """
@@ -54,8 +53,6 @@ def add_to(commands: Commands) -> None:
     page_help = "page to write (default: view.html)"
     add("--html", type=Path, metavar="FILE", default=Path("view.html"), help=page_help)
     add("--live", action="store_true", help="play it from a server instead (needs viser)")
-    rerun_help = "tell Rerun instead: a .rrd file, or the address of its viewer (needs rerun-sdk)"
-    add("--rerun", metavar="TARGET", help=rerun_help)
     add("--port", type=int, default=8080, metavar="N", help="of the live server (default 8080)")
 
 
@@ -75,10 +72,6 @@ def _view(options: argparse.Namespace) -> int:
         )
     if options.live:
         play(scene, options.port)
-    elif options.rerun:
-        with Rerun(scene.arclength, options.rerun) as view:
-            moments = list(each_moment(scene, view))
-        print(f"Told {options.rerun} of {len(moments)} moments; `rerun FILE` opens a file.")
     else:
         options.html.write_text(page(scene, title, subtitle(posterior, scene)), encoding="utf-8")
         print(f"Wrote {options.html}; open it in a browser.")

@@ -2,7 +2,6 @@
 
 from glissando.visualization.page.live import Live
 from glissando.visualization.page.page import page, save_view, subtitle
-from glissando.visualization.page.rerun import Rerun
 from glissando.visualization.page.scene import Scene, scene_of
 
-__all__ = ["Live", "Rerun", "Scene", "page", "save_view", "scene_of", "subtitle"]
+__all__ = ["Live", "Scene", "page", "save_view", "scene_of", "subtitle"]

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Iterator
-from typing import Any, Protocol
+from itertools import cycle
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -135,41 +135,21 @@ def faces_between(rings: int, around: int) -> NDArray[np.intp]:
     return np.stack([a, b, c, b, d, c], axis=-1).reshape(-1, 3)
 
 
-class View(Protocol):
-    """Whatever shows, or keeps, one state after another at its arclengths (N,)."""
-
-    arclength: Array
-
-    def update(
-        self, time: float, centres: Array, frames: Array, cov: Array, coil: float | None = None
-    ) -> None:
-        """Show a state in the world: `centres` (N, 3), `frames` (N, 4, 4), `cov` (N, 3, 3)."""
-        ...
-
-
 def play(scene: Scene, port: int) -> None:
     """Show a scene again and again at its own pace until interrupted."""
-    std = np.linalg.norm(scene.root, axis=(-2, -1))
+    std, cov = np.linalg.norm(scene.root, axis=(-2, -1)), scene.root @ scene.root
     pause = max(np.diff(scene.time).mean(), 0.02) if scene.time.size > 1 else 0.5
     with Live(scene.arclength, top=float(np.quantile(std, 0.99)), port=port) as shown:
         print(f"Playing at {shown.address}; Ctrl-C ends it.", flush=True)
-        while True:
-            for _ in each_moment(scene, shown):
-                clock.sleep(pause)
+        for k in cycle(range(scene.time.size)):
+            sensors = scene.place[k][np.isfinite(scene.place[k])]
+            coil = float(sensors[0]) if sensors.size else None
+            pose = scene.pose[k]
+            shown.update(float(scene.time[k]), pose[:, :3, 3], pose, cov[k], coil)
+            clock.sleep(pause)
 
 
-def each_moment(scene: Scene, view: View) -> Iterator[float]:
-    """Show a scene once, one moment after another; their times."""
-    cov = scene.root @ scene.root
-    for k, moment in enumerate(scene.time):
-        seen = scene.place[k][np.isfinite(scene.place[k])]
-        coil = float(seen[0]) if seen.size else None
-        pose = scene.pose[k]
-        view.update(float(moment), pose[:, :3, 3], pose, cov[k], coil)
-        yield float(moment)
-
-
-def follow(view: View, smoother: FixedLagSmoother) -> None:
+def follow(view: Live, smoother: FixedLagSmoother) -> None:
     """Show a smoother's newest state."""
     time = smoother.time or 0.0
     at = smoother.at(view.arclength, time)
