@@ -31,11 +31,12 @@ from glissando.estimation.fixed_lag import FixedLagSmoother
 from glissando.estimation.posterior import Posterior, StateEstimate
 from glissando.estimation.static import StaticPosterior, estimate_static
 from glissando.geometry import se3 as se3
-from glissando.io.robot_file import Robot, load_robot
+from glissando.io.robot_file import load_robot
 from glissando.model.grid import Grid, uniform_grid
 from glissando.model.noise import GemanMcClure, Huber
 from glissando.model.priors.separable import BaseVariance, SeparablePrior
 from glissando.model.priors.white_noise import BaseDensity, WhiteNoisePrior
+from glissando.model.robot import Robot
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.sensors.readings import Readings
 from glissando.model.sensors.sensors import (

@@ -7,7 +7,7 @@ from glissando import GlissandoError, load_robot
 from glissando.calibration.robot.hyperparameters import Parameter, expanded, learnable, moved
 from glissando.io.robot_file import parse_robot, shipped_robots
 from glissando.io.toml_table import Table
-from glissando.model.sensors.sensors import ROWS
+from glissando.model.sensors.sensors import sensor_kinds
 from learn_drawn import shipped
 
 
@@ -34,7 +34,7 @@ def test_writing_pairs_out_leaves_a_robot_as_it_was(name):
 @pytest.mark.parametrize("name", shipped_robots())
 def test_every_learnable_number_of_a_shipped_robot_is_scaled_alone_and_parsed_again(name):
     document = expanded(shipped(name))
-    numbers = learnable(document, list(ROWS))
+    numbers = learnable(document, sensor_kinds())
     assert len({p.label for p in numbers}) == len(numbers) > 5
     assert moved(document, numbers, np.zeros(len(numbers))) == document
     before = np.array([p.of(document) for p in numbers])

@@ -9,8 +9,8 @@ from glissando.calibration.robot.hyperparameters import expanded
 from glissando.calibration.robot.joint_calibration import in_motion, lasting, locate
 from glissando.errors import GlissandoError
 from glissando.geometry import se3
-from glissando.io.csv_stream import Rows
-from glissando.io.recording import Recording, Stream
+from glissando.io.csv_stream import Rows, Stream
+from glissando.io.recording import Recording
 from glissando.io.robot_file import parse_robot
 from glissando.io.toml_table import Table
 from glissando.model.sensors.parameters import corrected
@@ -43,7 +43,7 @@ def recording():
             pose = pose @ se3.exp(TILT)
         pose = pose @ se3.exp(rng.standard_normal((time.size, 6)) * np.repeat([2e-4, 2e-3], 3))
         rows = Rows("pose", time, np.full(time.size, place), pose, {})
-        streams[name] = Stream(name, rows, truth, None, np.eye(4), {})
+        streams[name] = Stream(name, rows, truth)
     return Recording("arc", Path(), streams, None, None)
 
 

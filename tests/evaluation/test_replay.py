@@ -22,7 +22,7 @@ from glissando.evaluation.replay import replay
 from glissando.evaluation.run import run_estimate
 from glissando.geometry import se3
 from glissando.io.journal import Journal
-from glissando.io.recording import KINDS, load_recording
+from glissando.io.recording import load_recording
 from scenes import LENGTH, arc, sliding_scene
 
 ROBOT = """
@@ -58,7 +58,7 @@ def some_readings(rng, kind, count):
     extra = {"core_radius": np.array([0.0, 1e-4]), "core_angle": np.array([0.0, 1.0])}
     rows = {"pose": 6, "coil": 5, "strain": 6, "fbg": 2}.get(kind, 3)
     cov = np.full(rows, 1e-4) if kind == "fbg" else rng.uniform(1e-4, 1.0, rows)
-    return KINDS[kind](
+    return sensor_class(kind)(
         **noise, values=values, cov=cov, mount=se3.exp(rng.uniform(-1, 1, 6)), name=kind,
         **(extra if kind == "fbg" else {}),
     )  # fmt: skip
@@ -67,7 +67,7 @@ def some_readings(rng, kind, count):
 @law
 @given(generators)
 def test_a_journal_gives_back_what_was_written_sorted_by_time(rng):
-    given_ = [some_readings(rng, kind, 6) for kind in KINDS]
+    given_ = [some_readings(rng, kind, 6) for kind in sensor_kinds()]
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "log"
         for half in (slice(0, 4), slice(4, 6)):  # closed and opened again
@@ -77,7 +77,7 @@ def test_a_journal_gives_back_what_was_written_sorted_by_time(rng):
         (path / "arc.toml").write_text(ROBOT)
         recording = load_recording(path)
         assert recording.name == "a run"
-        found, _ = recording.readings(list(KINDS), load_robot(path / "arc.toml"), (0.0, 9.0))
+        found, _ = recording.readings(sensor_kinds(), load_robot(path / "arc.toml"), (0.0, 9.0))
     for mine, its in zip(given_, found, strict=True):
         mine = mine.select(np.argsort(mine.time, kind="stable"))
         np.testing.assert_array_equal(mine.time, its.time)

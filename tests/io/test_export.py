@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 from glissando import Posterior, estimate
 from glissando.cli.main import main
 from glissando.errors import GlissandoError, OutsideGridError
-from glissando.evaluation.run import QUERY_COLUMNS
 from glissando.io.foreign import export
 from glissando.io.foreign.trajectories import SCHEMAS
+from glissando.io.query_csv import QUERY_COLUMNS
 from scenes import LENGTH, sliding_scene
 
 

@@ -18,8 +18,9 @@ from glissando.errors import RecordingError, RobotFileError
 from glissando.hardware.capture.capture import LOG
 from glissando.io.atomic_folder import require_new
 from glissando.io.recording import save_recording
-from glissando.io.robot_file import Robot, load_robot, shipped_robots
+from glissando.io.robot_file import load_robot, shipped_robots
 from glissando.io.session_log import read_session
+from glissando.model.robot import Robot
 
 _HELP = """\
 Find what must be known of a rig before a sliding sensor is estimated: the clocks of tracker and

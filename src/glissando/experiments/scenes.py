@@ -16,11 +16,13 @@ from glissando.errors import RobotFileError
 from glissando.estimation.batch import estimate
 from glissando.estimation.posterior import Posterior
 from glissando.evaluation.metrics import Errors, errors_against
-from glissando.io.recording import Recording, Stream
-from glissando.io.robot_file import Robot, load_robot, robot_file
+from glissando.io.csv_stream import Stream
+from glissando.io.recording import Recording
+from glissando.io.robot_file import load_robot, robot_file
 from glissando.model.grid import Grid
 from glissando.model.priors.separable import SeparablePrior
 from glissando.model.priors.white_noise import WhiteNoisePrior
+from glissando.model.robot import Robot
 from glissando.model.sensors.parameters import corrected
 from glissando.model.sensors.readings import Readings
 from glissando.simulation import (
@@ -146,9 +148,9 @@ def session(scene: Scene, seed: int) -> Session:
 def recording(recorded: Session, known: Robot | None = None) -> Recording:
     """A session as the recording, of the robot as it is known, that its folder would be read as."""
     coil = replace(recorded.coil, values=recorded.T_wt @ recorded.coil.values)
-    streams = {"coil": Stream("coil", coil, False, None, np.eye(4), {}, True)}
+    streams = {"coil": Stream("coil", coil, keep_repeats=True)}
     for name, rows in recorded.mocap.items():
-        streams[name] = Stream(name, rows, True, recorded.mocap_std, np.eye(4), {}, True)
+        streams[name] = Stream(name, rows, True, recorded.mocap_std, keep_repeats=True)
     return Recording(recorded.name, Path(), streams, known or robot(), None)
 
 

@@ -1,4 +1,4 @@
-"""One CSV file, one stream of rows: read, checked row by row, and cleaned of what repeats.
+"""One CSV file, one stream of rows: read, checked row by row, and cleaned of repeats.
 
 Two dialects: the public space-time files (two header lines, pose rows as se(3) logarithms) and our
 own (one header line of named columns). Problems are reported with the file and the line.
@@ -6,7 +6,8 @@ own (one header line of named columns). Problems are reported with the file and 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,29 +15,26 @@ import numpy as np
 from glissando.errors import RecordingError
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
-
-COLUMNS = {
-    "pose": ["x", "y", "z", "qw", "qx", "qy", "qz"],
-    "coil": ["x", "y", "z", "qw", "qx", "qy", "qz"],
-    "position": ["x", "y", "z"],
-    "orientation": ["qw", "qx", "qy", "qz"],
-    "gyro": ["wx", "wy", "wz"],
-    "strain": ["nu_x", "nu_y", "nu_z", "u_x", "u_y", "u_z"],
-    "fbg": [],
-}
-"""Value columns of each kind of stream, after time and arclength; fbg has one a core."""
+from glissando.model.sensors.readings import Readings
+from glissando.model.sensors.sensors import sensor_class
 
 _PUBLIC_KINDS = {"aurora": ("pose", False), "vicon": ("pose", True), "gyro": ("gyro", False)}
-TRUTH_KINDS = _TRACKERS = ("pose", "coil", "position", "orientation")
-_NEAR_CLIP = 0.99  # a gyro within 1 % of its range is taken as clipped
+_QUATERNION = ["qw", "qx", "qy", "qz"]
+_NEAR_CLIP = 0.99  # a value within 1 % of its sensor's range is taken as clipped
 _OFF_RATE = 2e-3  # share by which two clocks may differ
 
 
 @dataclass(frozen=True)
 class Rows:
-    """What a file holds: `time` (M,) s, `arclength` (M,) m, `values` (M, …) in SI units.
+    """Readings of one stream as a file holds them, without noise.
 
-    Poses are (M, 4, 4), orientations (M, 3, 3). `dropped` counts rows left out, by reason.
+    Attributes:
+        kind: Kind of sensor.
+        time: Times (M,), s.
+        arclength: Arclengths (M,), m.
+        values: Values (M, …) as the kind's readings take them, SI units.
+        dropped: Number of rows left out, by reason.
+        settings: Settings of the stream that the kind declares.
     """
 
     kind: str
@@ -44,12 +42,69 @@ class Rows:
     arclength: Array
     values: Array
     dropped: dict[str, int]
+    settings: Mapping[str, Array] = field(default_factory=dict)
+
+    @property
+    def sensor(self) -> type[Readings]:
+        """The class that declares the kind."""
+        return sensor_class(self.kind)
+
+    @property
+    def columns(self) -> list[str]:
+        """Names of a file's columns."""
+        return ["time", "arclength", *self.sensor.value_columns(self.settings)]
+
+    def table(self) -> Array:
+        """The rows as numbers (M, C) in the order of `columns`, SI units."""
+        return np.column_stack([self.time, self.arclength, self.sensor.to_columns(self.values)])
+
+
+@dataclass(frozen=True)
+class Stream:
+    """One sensor's rows and their description.
+
+    Attributes:
+        name: Name of the stream and of its file.
+        rows: The rows.
+        truth: Whether estimates are judged by it.
+        std: Standard deviations, which override those of the robot file; None to take those.
+        mount: Pose T_bc (4, 4) of the sensor in the cross-section.
+        keep_repeats: Whether rows that repeat the one before are readings of their own.
+        frame: Frame of the rows; streams of a loaded recording are in the world frame.
+    """
+
+    name: str
+    rows: Rows
+    truth: bool = False
+    std: Array | None = None
+    mount: Array = field(default_factory=lambda: np.eye(4))
+    keep_repeats: bool = False
+    frame: str = "world"
+
+
+def scale_of(unit: str, length: float, angle: float) -> float:
+    """Factor to SI of a declared unit in a file whose lengths and angles are scaled.
+
+    Args:
+        unit: Unit in m, rad, 1 and quotients of these.
+        length: Metres of the file's unit of length.
+        angle: Radians of the file's unit of angle.
+
+    >>> scale_of("rad/m", length=1e-3, angle=1.0)
+    1000.0
+    """
+    scales = {"m": length, "rad": angle}
+    above, _, below = unit.partition("/")
+    return scales.get(above, 1.0) / scales.get(below, 1.0)
 
 
 def read_public(path: Path) -> tuple[Rows, bool]:
     """A stream of the public space-time recordings, and whether it is ground truth.
 
     Rows are `time, arclength, values`; poses are logarithms [rho, phi] of T_wb.
+
+    Raises:
+        RecordingError: The file is not one of those, with the line.
     """
     lines = _lines(path)
     head = [part.strip() for part in lines[0].split(",")] if lines else []
@@ -73,104 +128,98 @@ def read_public(path: Path) -> tuple[Rows, bool]:
 def read_named(
     path: Path,
     kind: str,
-    cores: int,
-    length_unit: float,
-    angle_unit: float,
+    settings: Mapping[str, Array] | None = None,
     *,
+    length_unit: float = 1.0,
+    angle_unit: float = 1.0,
     journal: bool = False,
 ) -> Rows:
-    """A stream with one header line of column names, in any order; units as factors to SI.
+    """A stream with one header line of column names, in any order.
 
-    Rows of a `journal` may go back in time and end in a line that was not finished; they are
-    sorted, and there may be none.
+    Args:
+        path: CSV file.
+        kind: Kind of sensor.
+        settings: Settings of the stream, SI units.
+        length_unit: Metres of the file's unit of length.
+        angle_unit: Radians of the file's unit of angle.
+        journal: Whether rows may go back in time, be none, and end in an unfinished line.
+
+    Raises:
+        RecordingError: A column, a number or the file is missing or wrong, with the line.
     """
     lines = _lines(path, whole=journal)
     if not lines:
         raise RecordingError(f"{path.name} is empty; record some rows or leave the stream out.")
-    wanted = ["time", "arclength", *columns_of(kind, cores)]
-    found = [part.strip() for part in lines[0].split(",")]
-    twice = [name for name in wanted if found.count(name) > 1]
+    sensor, settings = sensor_class(kind), settings or {}
+    units = {"time": "s", "arclength": "m", **sensor.value_columns(settings)}
+    header = [part.strip() for part in lines[0].split(",")]
+    twice = [name for name in units if header.count(name) > 1]
     if twice:
         raise RecordingError(f"{path.name} line 1: column {twice[0]} stands there twice; keep one.")
-    missing = [name for name in wanted if name not in found]
+    missing = [name for name in units if name not in header]
     if missing:
         raise RecordingError(
-            f"{path.name} line 1: a {kind} stream needs the columns {', '.join(wanted)}; "
+            f"{path.name} line 1: a {kind} stream needs the columns {', '.join(units)}; "
             f"{', '.join(missing)} is missing."
         )
-    clock = found.index("time")
-    table = _numbers(path, lines, 1, len(found), None if journal else clock)
+    clock = header.index("time")
+    table = _numbers(path, lines, 1, len(header), None if journal else clock)
     if journal:
         table = table[np.argsort(table[:, clock], kind="stable")]
-    table = table[:, [found.index(name) for name in wanted]]
-    time, arclength, values = table[:, 0], table[:, 1] * length_unit, table[:, 2:]
-    if kind in ("pose", "coil", "position"):
-        values[:, :3] *= length_unit
-    if kind == "gyro":
-        values = values * angle_unit
-    if kind == "strain":
-        values[:, 3:] *= angle_unit / length_unit
-    if kind in ("pose", "coil", "orientation"):
-        values = _oriented(path, values, first=1)
-    return Rows(kind, time, arclength, values, {})
-
-
-def columns_of(kind: str, cores: int) -> list[str]:
-    """Value columns of a kind of stream; `cores` counts those of a fibre."""
-    return COLUMNS[kind] or [f"strain_{i}" for i in range(cores)]
-
-
-def table_of(rows: Rows) -> Array:
-    """Rows as numbers (M, 2 + columns) in the order of their columns, SI units."""
-    values = rows.values.reshape(len(rows.time), -1)
-    if rows.kind in ("pose", "coil"):
-        quaternion = se3.quaternion(rows.values[:, :3, :3])
-        values = np.hstack([rows.values[:, :3, 3], quaternion])
-    elif rows.kind == "orientation":
-        values = se3.quaternion(rows.values)
-    return np.column_stack([rows.time, rows.arclength, values])
+    table = table[:, [header.index(name) for name in units]]
+    table *= [scale_of(unit, length_unit, angle_unit) for unit in units.values()]
+    if set(_QUATERNION) <= units.keys():
+        _require_unit(path, table[:, [list(units).index(name) for name in _QUATERNION]])
+    values = sensor.from_columns(table[:, 2:])
+    return Rows(kind, table[:, 0], table[:, 1], values, {}, settings)
 
 
 def write_named(path: Path, rows: Rows) -> None:
     """Write rows as one header line of column names and a line a row, SI units."""
-    table = table_of(rows)
-    header = ",".join(["time", "arclength", *columns_of(rows.kind, table.shape[1] - 2)])
-    np.savetxt(path, table, "%.12g", ",", header=header, comments="")
+    header = ",".join(rows.columns)
+    np.savetxt(path, rows.table(), "%.12g", ",", header=header, comments="")
 
 
 def clean(rows: Rows, clip: float | None = None, keep_repeats: bool = False) -> Rows:
-    """Rows without a tracker's repeats and a gyro's clipped samples, which are counted.
+    """Rows without a tracker's repeats and without clipped samples, which are counted.
 
     A tracker polled faster than it measures returns the same values again; counted twice they
-    would be information twice, and at a sensor's next place they would be wrong as well. A gyro at
-    the end of its range only gives a bound. `keep_repeats` leaves a tracker's rows alone.
+    would be information twice, and at a sensor's next place they would be wrong as well. A value
+    at the end of its sensor's range is only a bound.
+
+    Args:
+        rows: The rows.
+        clip: Largest value that the sensor can report; None if any.
+        keep_repeats: Whether a tracker's rows are left alone.
     """
-    if len(rows.time) == 0 or (rows.kind in _TRACKERS and keep_repeats):
+    if len(rows.time) == 0 or (rows.sensor.tracker and keep_repeats):
         return rows
-    flat = rows.values.reshape(len(rows.time), -1)
-    if rows.kind in _TRACKERS:
-        same = np.all(np.diff(flat, axis=0) == 0.0, axis=1)
-        if rows.kind == "orientation":  # a straight robot has one orientation at many places
-            same &= np.diff(rows.arclength) == 0.0
-        reason, bad = "repeated", np.append(False, same)[: len(flat)]
-    elif rows.kind == "gyro" and clip is not None:
+    if rows.sensor.tracker:
+        reason, bad = "repeated", rows.sensor.repeated(rows.values, rows.arclength)
+    elif clip is not None:
+        flat = rows.values.reshape(len(rows.time), -1)
         reason, bad = "clipped", np.any(np.abs(flat) >= _NEAR_CLIP * clip, axis=1)
     else:
         return rows
-    dropped = {**rows.dropped, **({reason: int(bad.sum())} if bad.any() else {})}
-    return Rows(rows.kind, rows.time[~bad], rows.arclength[~bad], rows.values[~bad], dropped)
+    if not bad.any():
+        return rows
+    dropped = {**rows.dropped, reason: int(bad.sum())}
+    time, arclength, values = (a[~bad] for a in (rows.time, rows.arclength, rows.values))
+    return Rows(rows.kind, time, arclength, values, dropped, rows.settings)
 
 
 def steady(rows: Rows, rate: float) -> Rows:
     """Rows at the times of a device that measures `rate` times a second, very nearly steadily.
 
-    A host that asks faster than a tracker measures stamps a value when it is picked up, up to one
-    of its own periods after it was there. Such rows are numbered by the device's period, found
-    within 0.2 %, and a straight line through the stamps is their time; on average no stamp moves.
-    Rows none of which was repeated were not asked for too fast, and are left alone. Where the host
-    asks in step with the device (to 0.3 % a simple fraction of its period) how late it is drifts as
-    slowly as a clock does and passes for one: times are then off by up to the host's period. Raises
-    RecordingError when the stamps do not fit such a device.
+    A host that polls faster than a tracker measures stamps a value up to one of its own periods
+    late. Such rows are numbered by the device's period, found within 0.2 %, and a straight line
+    through the stamps is their time; the mean of the stamps stays. Rows of which none was repeated
+    keep their stamps. Where the host polls in step with the device (to 0.3 % a simple fraction of
+    its period) the lateness drifts as slowly as a clock does and cannot be told from one: times
+    are then off by up to the host's period.
+
+    Raises:
+        RecordingError: The stamps do not fit such a device.
     """
     if "repeated" not in rows.dropped or len(rows.time) < 3:
         return rows
@@ -190,21 +239,15 @@ def steady(rows: Rows, rate: float) -> Rows:
     return replace(rows, time=time)
 
 
-def _oriented(path: Path, values: Array, first: int) -> Array:
-    """Poses (M, 4, 4) or rotations (M, 3, 3) from rows that end in a quaternion [w, x, y, z]."""
-    norm = np.linalg.norm(values[:, -4:], axis=1)
+def _require_unit(path: Path, quaternion: Array) -> None:
+    """Raise RecordingError, with the line, unless every quaternion (M, 4) has norm one."""
+    norm = np.linalg.norm(quaternion, axis=1)
     if np.any(np.abs(norm - 1.0) > 0.01):
         row = int(np.argmax(np.abs(norm - 1.0)))
         raise RecordingError(
-            f"{path.name} line {row + first + 1}: the quaternion has norm {norm[row]:.3g}; give a "
+            f"{path.name} line {row + 2}: the quaternion has norm {norm[row]:.3g}; give a "
             f"unit quaternion qw, qx, qy, qz."
         )
-    rotation = se3.rotation_from_quaternion(values[:, -4:])
-    if values.shape[1] == 4:
-        return rotation
-    pose = np.tile(np.eye(4), (len(values), 1, 1))
-    pose[:, :3, :3], pose[:, :3, 3] = rotation, values[:, :3]
-    return pose
 
 
 def _lines(path: Path, *, whole: bool = False) -> list[str]:

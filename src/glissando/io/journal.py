@@ -1,8 +1,8 @@
 """A journal: readings on disk before they are used, as a recording that only grows.
 
 Each call ends with the rows handed to the operating system, so a process that is killed loses none
-of them; the disk is told to keep them once a second. What is left is a recording folder like any
-other, whose streams stand in order of arrival.
+of them; they are flushed to disk once a second. The result is a recording folder like any other,
+with the rows of a stream in order of arrival.
 """
 
 from __future__ import annotations
@@ -15,18 +15,23 @@ from typing import BinaryIO, Self
 import numpy as np
 
 from glissando.errors import RecordingError, SensorError
-from glissando.io import recording_toml
-from glissando.io.csv_stream import Rows, columns_of, table_of
-from glissando.io.recording import KINDS
-from glissando.model.sensors.readings import Readings
+from glissando.geometry.se3 import Array
+from glissando.io.csv_stream import Rows, Stream
+from glissando.io.recording_writer import describe_recording, describe_stream
+from glissando.model.sensors.readings import SENSORS, Readings
 
-_SYNC = 1.0  # s between asking the disk to keep what it has
+_SYNC = 1.0  # s between flushes to disk
 
 
 class Journal:
-    """Appends readings to a recording folder, new or left by a journal before.
+    """Appends readings to a recording folder, new or of an earlier journal.
 
-    A new one is called `name`. Raises RecordingError for a folder that holds something else.
+    Args:
+        folder: The folder.
+        name: Name of a new recording.
+
+    Raises:
+        RecordingError: The folder holds something else.
     """
 
     def __init__(self, folder: str | Path, name: str = "journal") -> None:
@@ -42,24 +47,27 @@ class Journal:
                     f"{self.folder} holds something else; give the journal a new folder."
                 )
             self.folder.mkdir(parents=True, exist_ok=True)
-            self._describe(recording_toml.head(name, journal=True))
+            self._describe(describe_recording(name, journal=True))
         for path in self.folder.glob("*.csv"):
             _cut_unfinished(path)
 
     def write(self, readings: Readings) -> None:
         """Append readings of one stream, told apart by name.
 
-        Raises SensorError for a kind that recordings do not have, and for noise or a mount that
-        differs from reading to reading, or noise that is correlated.
+        Raises:
+            SensorError: The sensor declares no kind, the noise or the mount differs from reading to
+                reading, or the noise is correlated.
         """
-        kind = next((k for k, cls in KINDS.items() if type(readings) is cls), None)
-        if kind is None:
+        if not readings.kind:
             raise SensorError(
-                f"{readings.label}: a {type(readings).__name__} has no place in a recording; use "
-                f"one of {', '.join(cls.__name__ for cls in KINDS.values())}."
+                f"{readings.label}: a {type(readings).__name__} declares no kind and has no place "
+                f"in a recording; use one of {', '.join(c.__name__ for c in SENSORS.values())}."
             )
-        file = self._files.get(readings.label) or self._begin(readings, kind)
-        table = table_of(Rows(kind, readings.time, readings.arclength, readings.values, {}))
+        settings = {key: np.asarray(getattr(readings, key)) for key in readings.settings}
+        at = readings.time, readings.arclength
+        rows = Rows(readings.kind, *at, readings.values, {}, settings)
+        file = self._files.get(readings.label) or self._begin(readings, rows)
+        table = rows.table()
         lines = (",".join(map(repr, row)) for row in table.tolist())
         file.write(("\n".join(lines) + "\n" if len(table) else "").encode())
         file.flush()
@@ -67,13 +75,13 @@ class Journal:
             self.sync()
 
     def sync(self) -> None:
-        """Wait until the disk has all of it."""
+        """Wait until all of it is on disk."""
         for file in self._files.values():
             os.fsync(file.fileno())
         self._synced = time.monotonic()
 
     def close(self) -> None:
-        """Keep everything and close the files."""
+        """Flush everything and close the files."""
         self.sync()
         for file in self._files.values():
             file.close()
@@ -85,17 +93,17 @@ class Journal:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _begin(self, readings: Readings, kind: str) -> BinaryIO:
+    def _begin(self, readings: Readings, rows: Rows) -> BinaryIO:
         """The stream's file, described in recording.toml unless it was before."""
         name = readings.label
         path = self.folder / f"{name}.csv"
         if path.parent != self.folder or not name.isprintable():
             raise SensorError(f"A stream named {name!r} cannot be a file; name it plainly.")
         if not path.exists():
-            described = self._described.read_text(encoding="utf-8")
-            columns = columns_of(kind, readings.values.reshape(len(readings), -1).shape[1])
-            path.write_text(",".join(["time", "arclength", *columns]) + "\n", encoding="utf-8")
-            self._describe(described + _entry(readings, kind))
+            stream = Stream(name, rows, False, _std(readings), readings.mount, keep_repeats=True)
+            described = self._described.read_text(encoding="utf-8") + describe_stream(stream)
+            path.write_text(",".join(rows.columns) + "\n", encoding="utf-8")
+            self._describe(described)
         self._files[name] = file = path.open("ab")
         return file
 
@@ -106,21 +114,15 @@ class Journal:
         building.replace(self._described)
 
 
-def _entry(readings: Readings, kind: str) -> str:
-    """What recording.toml says of the stream."""
+def _std(readings: Readings) -> Array:
+    """The standard deviations of the stream, which must be alike for all of its readings."""
     cov = readings.cov
     if cov.ndim != 2 or np.any(cov != np.diag(np.diagonal(cov))) or readings.mount.ndim != 2:
         raise SensorError(
             f"{readings.label}: a journal keeps one standard deviation a row and one mount for a "
             f"whole stream; give `cov` as variances (rows,)."
         )
-    std = np.sqrt(np.diagonal(cov))
-    fields = {"name": readings.label, "kind": kind, "keep_repeats": True}
-    if kind == "fbg":
-        fields |= {k: np.asarray(getattr(readings, k)) for k in ("core_radius", "core_angle")}
-    return recording_toml.stream(
-        {**fields, "std": std[:1] if kind == "fbg" else std}, readings.mount
-    )
+    return np.sqrt(np.diagonal(cov))[: readings.rows]
 
 
 def _cut_unfinished(path: Path) -> None:

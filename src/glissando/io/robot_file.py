@@ -2,61 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from glissando.errors import OutsideGridError, RobotFileError
+from glissando.errors import RobotFileError
 from glissando.geometry.se3 import Array
 from glissando.io.toml_table import Table, read_toml
-from glissando.model.grid import Grid
 from glissando.model.noise import GemanMcClure, Huber, Loss
 from glissando.model.priors.rest_shape import STRAIGHT
 from glissando.model.priors.separable import BaseVariance, SeparablePrior
 from glissando.model.priors.white_noise import BaseDensity, WhiteNoisePrior
+from glissando.model.robot import Robot
 from glissando.model.sensors.parameters import SIZES, SensorParameter
-from glissando.model.sensors.sensors import ROWS
+from glissando.model.sensors.sensors import sensor_class, sensor_kinds
 
 _LOSSES: dict[str, type[Huber] | type[GemanMcClure]] = {
     "huber": Huber,
     "geman-mcclure": GemanMcClure,
 }
-_MOST_NODES = 1_000_000
 _SHIPPED = Path(__file__).parent / "robots"
-
-
-@dataclass(frozen=True)
-class Robot:
-    """What is known of a robot before any reading.
-
-    `length` in metres, `arclength_nodes` (N,) in metres, `time_rate` nodes a second, `prior`,
-    `sensor_std` standard deviations and `sensor_loss` robust losses by kind of sensor, `clip` the
-    gyro's range in rad/s or None, `sensor_parameters` what is not known exactly of streams by name,
-    `sensor_rate` how often a second kinds of tracker measure that are polled faster than that.
-    """
-
-    name: str
-    length: float
-    arclength_nodes: Array
-    time_rate: float
-    prior: WhiteNoisePrior | SeparablePrior
-    sensor_std: dict[str, Array]
-    sensor_loss: dict[str, Loss]
-    clip: float | None = None
-    sensor_parameters: tuple[SensorParameter, ...] = ()
-    sensor_rate: dict[str, float] = field(default_factory=dict)
-
-    def grid(self, start: float, stop: float) -> Grid:
-        """The robot's grid over the times [start, stop] in seconds."""
-        count = max(2, round((stop - start) * self.time_rate) + 1)
-        if count > _MOST_NODES:
-            raise OutsideGridError(
-                f"{start:g} to {stop:g} s at {self.time_rate:g} nodes a second would be {count:,} "
-                f"time nodes; choose a shorter window or a lower time_rate."
-            )
-        return Grid(self.arclength_nodes, np.linspace(start, stop, count))
 
 
 def shipped_robots() -> list[str]:
@@ -97,11 +63,11 @@ def parse_robot(table: Table) -> Robot:
         raise table.fail("[prior]", f"has a joint at {prior.joints[-1]:g} m, beyond the tip.")
     nodes, rate = _grid(table, length)
     nodes = np.sort(np.concatenate([nodes, _missing(prior.joints, nodes)]))
-    std, loss, clip, rates = _sensors(table)
+    sensors = _sensors(table)
     sensor_parameters = tuple(_unknown(entry) for entry in table.tables("unknowns"))
     table.skip("physics")  # of the simulator, which checks it
     table.close()
-    return Robot(name, length, nodes, rate, prior, std, loss, clip, sensor_parameters, rates)
+    return Robot(name, length, nodes, rate, prior, *sensors, sensor_parameters)
 
 
 def _grid(table: Table, length: float) -> tuple[Array, float]:
@@ -208,23 +174,23 @@ def _unknown(table: Table) -> SensorParameter:
 
 def _sensors(
     table: Table,
-) -> tuple[dict[str, Array], dict[str, Loss], float | None, dict[str, float]]:
+) -> tuple[dict[str, Array], dict[str, Loss], dict[str, float], dict[str, float]]:
+    """Standard deviations, losses, ranges and rates by kind of sensor."""
     std: dict[str, Array] = {}
     losses: dict[str, Loss] = {}
+    ranges: dict[str, float] = {}
     rates: dict[str, float] = {}
-    clip = None
     sensors = table.table("sensors")
-    if sensors is None:
-        return std, losses, clip, rates
-    for kind in sensors.names():
-        if kind not in ROWS:
-            raise sensors.fail(kind, f"is not a kind of sensor; known: {', '.join(ROWS)}.")
+    for kind in sensors.names() if sensors else []:
+        assert sensors is not None
+        if kind not in sensor_kinds():
+            known = ", ".join(sensor_kinds())
+            raise sensors.fail(kind, f"is not a kind of sensor; known: {known}.")
         sensor = sensors.table(kind, required=True)
         assert sensor is not None
-        std[kind] = sensor.std(ROWS[kind])
-        if kind == "gyro":
-            limit = sensor.number("clip", 1e9)
-            clip = limit if limit < 1e9 else None
+        std[kind] = sensor.std(sensor_class(kind).rows)
+        if sensor.peek("clip") is not None and not sensor_class(kind).tracker:
+            ranges[kind] = sensor.number("clip")
         if sensor.peek("rate") is not None:
             rates[kind] = sensor.number("rate")
         name = sensor.text("loss", "none", choices=("none", *_LOSSES))
@@ -232,4 +198,4 @@ def _sensors(
             loss = _LOSSES[name]
             losses[kind] = loss(sensor.number("threshold", loss().threshold))
         sensor.close()
-    return std, losses, clip, rates
+    return std, losses, ranges, rates

@@ -15,10 +15,10 @@ import numpy as np
 from glissando.estimation.fixed_lag import FixedLagSmoother
 from glissando.estimation.posterior import Posterior
 from glissando.geometry.se3 import Array
-from glissando.io.robot_file import Robot
 from glissando.model.grid import Grid
 from glissando.model.priors.prior import Prior
 from glissando.model.priors.transitions import symmetrize
+from glissando.model.robot import Robot
 from glissando.model.sensors.parameters import EstimatedParameters, SensorParameter
 from glissando.model.state import State
 from glissando.planning.prediction import look_ahead, prior_information

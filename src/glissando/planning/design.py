@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glissando.errors import GlissandoError
-from glissando.io.robot_file import Robot
+from glissando.model.robot import Robot
 from glissando.planning.compare import evaluate_path
 from glissando.planning.objectives import Objective, Trace
 from glissando.planning.path_objective import judge_of

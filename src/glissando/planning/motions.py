@@ -13,9 +13,9 @@ from glissando.estimation.fixed_lag import FixedLagSmoother
 from glissando.estimation.posterior import Posterior
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
-from glissando.io.robot_file import Robot
 from glissando.model.grid import Grid
 from glissando.model.priors.prior import Prior
+from glissando.model.robot import Robot
 from glissando.model.state import State
 from glissando.planning.belief import Belief, ExpectedMotion, belief_of
 from glissando.planning.compare import Foretold, evaluate_path

@@ -16,10 +16,10 @@ from glissando.errors import GlissandoError
 from glissando.estimation.fixed_lag import FixedLagSmoother
 from glissando.estimation.posterior import Posterior
 from glissando.geometry.se3 import Array
-from glissando.io.robot_file import Robot
 from glissando.model.grid import Grid, Index
 from glissando.model.noise import sqrt_information
 from glissando.model.priors.transitions import symmetrize
+from glissando.model.robot import Robot
 from glissando.model.sensors.parameters import EstimatedParameters
 from glissando.planning.belief import Belief, ExpectedMotion, belief_of
 from glissando.planning.modes import Modes, near_in_time, reduced, telling_weights

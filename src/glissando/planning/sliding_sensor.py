@@ -9,15 +9,18 @@ import numpy as np
 
 from glissando.errors import GlissandoError, RobotFileError
 from glissando.geometry.se3 import Array
-from glissando.io.robot_file import Robot
-from glissando.model.sensors.readings import Readings
-from glissando.model.sensors.sensors import CoilReadings, PoseReadings, PositionReadings
+from glissando.model.robot import Robot
+from glissando.model.sensors.readings import SENSORS, Readings
+from glissando.model.sensors.sensors import sensor_class
 
-_KINDS: dict[str, type[Readings]] = {
-    "coil": CoilReadings,
-    "pose": PoseReadings,
-    "position": PositionReadings,
-}
+
+def _sliding_kinds() -> list[str]:
+    """Kinds of sensor that declare their values at a pose."""
+    return [
+        kind
+        for kind, sensor in SENSORS.items()
+        if any("values_at" in vars(base) for base in sensor.__mro__ if base is not Readings)
+    ]
 
 
 @dataclass(frozen=True)
@@ -40,9 +43,9 @@ class SlidingSensor:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "cov", np.asarray(self.cov, dtype=float))
-        if self.kind not in _KINDS:
+        if self.kind not in _sliding_kinds():
             raise GlissandoError(
-                f"A {self.kind!r} cannot slide; choose one of {', '.join(_KINDS)}."
+                f"A {self.kind!r} cannot slide; choose one of {', '.join(_sliding_kinds())}."
             )
         if not (np.isfinite(self.rate) and self.rate > 0.0):
             raise GlissandoError(
@@ -60,15 +63,16 @@ class SlidingSensor:
 
     def readings(self, pose: Array, arclength: Array, time: Array) -> Readings:
         """Readings (M,) that agree exactly with poses (M, 4, 4) of the body."""
-        seen = pose @ self.mount
-        given: dict[str, Any] = {
-            "values": seen[:, :3, 3] if self.kind == "position" else seen,
-            "cov": self.cov,
-            "mount": self.mount,
-            "name": self.name,
-            "arclength_std": self.arclength_std,
-        }
-        return _KINDS[self.kind](arclength=arclength, time=time, **given)
+        sensor = sensor_class(self.kind)
+        return sensor(
+            time=time,
+            arclength=arclength,
+            values=sensor.values_at(pose @ self.mount),
+            cov=self.cov,
+            mount=self.mount,
+            name=self.name,
+            arclength_std=self.arclength_std,
+        )
 
 
 def sliding_sensor(robot: Robot, kind: str = "coil", **given: Any) -> SlidingSensor:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,9 +9,9 @@ import numpy as np
 
 from glissando.errors import SimulationError
 from glissando.geometry.se3 import Array
-from glissando.io import recording_toml
 from glissando.io.atomic_folder import new_folder
-from glissando.io.csv_stream import Rows, write_named
+from glissando.io.csv_stream import Rows, Stream
+from glissando.io.recording_writer import write_streams
 from glissando.model.slide_path import SlidePath
 from glissando.simulation.bench import Bench
 from glissando.simulation.imperfections import Imperfections
@@ -94,28 +93,13 @@ def write_session(session: Session, folder: Path, robot: str | Path) -> list[Pat
     `robot` is the name of a shipped robot or a robot file, which is copied into the folder. Raises
     SimulationError when the folder holds something already.
     """
-    with new_folder(folder, SimulationError) as building:
-        streams = {"coil": session.coil, **session.mocap}
-        for name, rows in streams.items():
-            write_named(building / f"{name}.csv", rows)
-        session.path.write(building / "slide_path.csv")
-        if isinstance(robot, Path):
-            shutil.copy(robot, building / "robot.toml")
-            robot = "robot.toml"
-        (building / "recording.toml").write_text(_description(session, robot), encoding="utf-8")
-    return sorted(folder.iterdir())
-
-
-def _description(session: Session, robot: str) -> str:
-    """The recording.toml: the coil is in the tracker's frame, motion capture is the truth."""
-    parts = [
-        recording_toml.head(session.name, robot),
-        recording_toml.frame("tracker", session.T_wt),
+    streams = [Stream("coil", session.coil, keep_repeats=True, frame="tracker")]
+    streams += [
+        Stream(name, rows, True, session.mocap_std, keep_repeats=True)
+        for name, rows in session.mocap.items()
     ]
-    # A still coil without noise says the same again and again.
-    coil = {"name": "coil", "kind": "coil", "frame": "tracker", "keep_repeats": True}
-    parts.append(recording_toml.stream(coil))
-    for name in session.mocap:
-        seen = {"name": name, "kind": "pose", "truth": True, "std": session.mocap_std}
-        parts.append(recording_toml.stream({**seen, "keep_repeats": True}))
-    return "".join(parts)
+    with new_folder(folder, SimulationError) as building:
+        frames = {"tracker": session.T_wt}
+        write_streams(building, session.name, streams, robot=robot, frames=frames)
+        session.path.write(building / "slide_path.csv")
+    return sorted(folder.iterdir())

@@ -18,7 +18,7 @@ from glissando.calibration.rig.rough import FEWEST, LATEST, agreeing, rough_star
 from glissando.calibration.rig.shape import shape_of, span
 from glissando.errors import RecordingError
 from glissando.geometry.se3 import Array
-from glissando.io.robot_file import Robot
+from glissando.model.robot import Robot
 from glissando.solver.block_tridiagonal import factor
 
 READINGS = 400  # bunches of them that are used: more of them read the same places again

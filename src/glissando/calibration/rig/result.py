@@ -13,10 +13,10 @@ from glissando.calibration.rig.rig import MOUNT, PARAMETERS, Rig, RigData
 from glissando.errors import GlissandoError, RecordingError
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
-from glissando.io.csv_stream import Rows
-from glissando.io.recording import Recording, Stream
-from glissando.io.robot_file import Robot
+from glissando.io.csv_stream import Rows, Stream
+from glissando.io.recording import Recording
 from glissando.io.toml_table import Table, read_toml
+from glissando.model.robot import Robot
 from glissando.model.sensors.parameters import SensorParameter
 
 if TYPE_CHECKING:
@@ -180,9 +180,9 @@ def apply(calibration: Calibration, data: RigData, robot: Robot | None = None) -
     if not kept.any():
         raise RecordingError("No coil reading is on the robot while the slide ran; is it this rig?")
     rows = Rows("coil", time[kept], arclength[kept], rig.T_wt @ data.coil[kept], {})
-    streams = {data.coil_name: Stream(data.coil_name, rows, False, None, rig.coil_mount, {}, True)}
+    streams = {data.coil_name: Stream(data.coil_name, rows, False, None, rig.coil_mount, True)}
     std = np.repeat(data.noise.mocap, 3)
     for name, b in data.bodies.items():
         rows = Rows("pose", b.time, np.full(b.time.size, b.arclength), b.poses, {})
-        streams[name] = Stream(name, rows, True, std, b.mount, {}, True)
+        streams[name] = Stream(name, rows, True, std, b.mount, True)
     return Recording("session", Path(), streams, robot, None)

@@ -13,11 +13,11 @@ from glissando.estimation.batch import estimate
 from glissando.estimation.posterior import Posterior
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
-from glissando.io.robot_file import Robot
 from glissando.model.grid import Grid
 from glissando.model.interpolation import sort_points
 from glissando.model.priors.separable import SeparablePrior
 from glissando.model.priors.white_noise import WhiteNoisePrior
+from glissando.model.robot import Robot
 from glissando.model.sensors.sensors import PoseReadings
 from glissando.solver.block_tridiagonal import Cholesky
 

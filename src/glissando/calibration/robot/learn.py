@@ -28,9 +28,10 @@ from glissando.estimation.batch import SolverOptions, estimate
 from glissando.estimation.posterior import Posterior
 from glissando.geometry.se3 import Array
 from glissando.io.recording import Recording
-from glissando.io.robot_file import Robot, parse_robot
+from glissando.io.robot_file import parse_robot
 from glissando.io.toml_table import Table
 from glissando.model.grid import Grid
+from glissando.model.robot import Robot
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import State

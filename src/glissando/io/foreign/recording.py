@@ -2,32 +2,35 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from glissando.errors import RecordingError
-from glissando.evaluation.run import read_query
 from glissando.geometry.se3 import Array
-from glissando.io import recording_toml
 from glissando.io.atomic_folder import new_folder
-from glissando.io.csv_stream import Rows, write_named
+from glissando.io.csv_stream import Rows, Stream
 from glissando.io.foreign.tracks import Track
+from glissando.io.query_csv import read_query
+from glissando.io.recording_writer import write_streams
 from glissando.io.robot_file import load_robot, robot_file, shipped_robots
 
-_FRAMES = "# Fill in where each frame stands in the world; quaternions are w, x, y, z.\n"
+_FRAMES = "Fill in where each frame stands in the world; quaternions are w, x, y, z."
+_KINDS = ("pose", "coil", "position")
 
 
 @dataclass(frozen=True)
 class Choices:
-    """What foreign files do not say, by track name.
+    """What the user adds to foreign files, by track name.
 
-    `arclength` is metres, or a CSV file with the columns time,arclength of a sensor that slides.
-    `shift` is added to a track's times, seconds. `kind` is pose, coil or position.
+    Attributes:
+        arclength: Metres, or a CSV file with the columns time,arclength of a sensor that slides.
+        truth: Tracks that estimates are judged by.
+        shift: Seconds added to a track's times.
+        kind: pose, coil or position.
+        robot: Name of a shipped robot, or a robot file.
     """
 
     arclength: Mapping[str, float | Path]
@@ -38,34 +41,49 @@ class Choices:
 
 
 def write_recording(tracks: Sequence[Track], folder: Path, choices: Choices) -> list[str]:
-    """Write a recording folder, whole or not at all; returns a line a track on what became of it.
+    """Write a recording folder, whole or not at all; tracks without an arclength are left out.
 
-    Tracks without an arclength are left out. Raises RecordingError for a name that no track has,
-    when no track has an arclength, and when the folder holds something already.
+    Args:
+        tracks: Tracks of foreign files.
+        folder: Folder to make.
+        choices: What the user adds.
+
+    Returns:
+        A line a track: its rows, or why it was left out.
+
+    Raises:
+        RecordingError: No track has a name that was given, no track has an arclength, or the folder
+            holds something.
     """
     tracks = _distinct(tracks)
     _require_known(tracks, choices)
     start = min((float(t.time[0]) for t in tracks if t.absolute and t.time.size), default=0.0)
-    streams, told = {}, []
+    streams, lines = [], []
     for track in tracks:
         rows = _placed(track, choices, start)
         if rows is None or not rows.time.size:
             why = "no arclength was given" if rows is None else "it was never seen"
-            told.append(f"{track.name}: left out, {why}")
+            lines.append(f"{track.name}: left out, {why}")
             continue
-        streams[track.name] = track, rows
-        told.append(_line(track, rows))
+        truth = track.name in choices.truth
+        streams.append(
+            Stream(track.name, rows, truth, keep_repeats=track.numbered, frame=track.frame)
+        )
+        lines.append(_line(track, rows))
     if not streams:
         raise RecordingError(
-            f"Nothing is left to write ({'; '.join(told)}); say where on the robot each one sits "
+            f"Nothing is left to write ({'; '.join(lines)}); say where on the robot each one sits "
             f"with --arclength NAME=METRES,…"
         )
+    robot: str | Path = choices.robot or ""
+    if robot:
+        load_robot(robot)
+        robot = robot if robot in shipped_robots() else robot_file(robot)
+    frames = {name: np.eye(4) for name in sorted({s.frame for s in streams} - {"world"})}
     with new_folder(folder, RecordingError) as building:
-        for name, (_, rows) in streams.items():
-            write_named(building / f"{name}.csv", rows)
-        text = _description(folder, building, [t for t, _ in streams.values()], choices)
-        (building / "recording.toml").write_text(text, encoding="utf-8")
-    return told
+        name = folder.resolve().name
+        write_streams(building, name, streams, robot=robot, frames=frames, comment=_FRAMES)
+    return lines
 
 
 def _distinct(tracks: Sequence[Track]) -> list[Track]:
@@ -96,9 +114,7 @@ def _placed(track: Track, choices: Choices, start: float) -> Rows | None:
         return None
     time = track.time - (start if track.absolute else 0.0) + choices.shift.get(track.name, 0.0)
     kind = choices.kind.get(track.name, track.kind)
-    if (kind == "position") != (track.kind == "position") or kind not in (
-        *("pose", "coil", "position"),
-    ):
+    if (kind == "position") != (track.kind == "position") or kind not in _KINDS:
         raise RecordingError(f"{track.name} is a {track.kind}; it cannot be read as {kind!r}.")
     if not isinstance(place, Path):
         return Rows(kind, time, np.full(time.size, place), track.values, {})
@@ -122,23 +138,3 @@ def _line(track: Track, rows: Rows) -> str:
     lost = {"not seen": track.missing, **rows.dropped}
     gaps = "".join(f", {count} {why}" for why, count in lost.items() if count)
     return f"{track.name}: {rows.time.size} of {rows.kind}, {span}, at {'…'.join(places)} m{gaps}"
-
-
-def _description(folder: Path, building: Path, tracks: Sequence[Track], choices: Choices) -> str:
-    """The text of recording.toml; a robot file of the user's own is copied beside it."""
-    robot = choices.robot or ""
-    if robot:
-        load_robot(robot)
-        if robot not in shipped_robots():
-            shutil.copy(robot_file(robot), building / "robot.toml")
-            robot = "robot.toml"
-    text = recording_toml.head(folder.resolve().name, robot)
-    frames = sorted({t.frame for t in tracks} - {"world"})
-    if frames:
-        text += "\n" + _FRAMES + "".join(recording_toml.frame(name, np.eye(4)) for name in frames)
-    for track in tracks:
-        kind = choices.kind.get(track.name, track.kind)
-        fields: dict[str, Any] = {"name": track.name, "kind": kind, "frame": track.frame}
-        fields |= {"truth": track.name in choices.truth, "keep_repeats": track.numbered}
-        text += recording_toml.stream(fields)
-    return text

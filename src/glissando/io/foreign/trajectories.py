@@ -9,8 +9,8 @@ import numpy as np
 
 from glissando.errors import GlissandoError
 from glissando.estimation.posterior import Posterior, StateEstimate
-from glissando.evaluation.run import write_query
 from glissando.geometry.se3 import Array
+from glissando.io.query_csv import write_query
 from glissando.io.session_log import NUMBER, TEXT, SessionWriter, numbers, schema
 
 _VECTOR = schema("foxglove.Vector3", x=NUMBER, y=NUMBER, z=NUMBER)

@@ -1,14 +1,17 @@
-"""What every sensor shares: a batch of readings, and a derivative for those that have none.
+"""What every sensor shares: its declaration, a batch of readings, a numerical Jacobian.
 
-A sensor is a dataclass of readings with a residual, about twenty lines. Subclass `Readings`, set
-`rows`, write `residual(at)`; `jacobian(at)` is optional and is otherwise found numerically and
-checked. Every reading has its own time and arclength: sliding is the normal case.
+A sensor is a dataclass of readings with a residual, about twenty lines. Subclass `Readings` with a
+`kind`, declare `rows` and `columns`, write `residual(at)`; `jacobian(at)` is optional and is
+otherwise found numerically and checked. The class alone declares what files, plans and estimators
+must know of the sensor. Every reading has its own time and arclength: sliding is the normal case.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,17 +23,39 @@ from glissando.model.noise import Loss, covariance_matrix
 from glissando.model.state import DOF, State
 
 _EACH = ("time", "arclength", "values")
+_ONE_OR_EACH = (("cov", 2), ("mount", 2), ("arclength_std", 0))  # fields and dimensions of one
+
+SENSORS: dict[str, type[Readings]] = {}
+"""Every sensor by its kind, in the order of definition; a class definition adds itself."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Readings:
-    """M readings of one sensor: `time` (M,) s, `arclength` (M,) m, `values` (M, …), `cov`.
+    """M readings of one sensor, the base class of all sensors.
 
-    `cov` is a variance, `rows` variances, or a matrix (rows, rows) or (M, rows, rows). `mount`
-    (4, 4), or one a reading, is T_bc, the sensor in the cross-section's frame. `loss` forgives
-    outliers. `name` is used in messages, and to find the unknowns of a sensor. `arclength_std` (m,
-    one or one a reading) is how uncertain the arclength is itself (equation 16). Raises SensorError
-    when shapes differ or a value is not finite.
+    A subclass `class Mine(Readings, kind="mine")` declares the sensor: `kind` is its name in
+    recordings and robot files; without one it can be estimated with but not recorded. Units of
+    columns and settings are m, rad, 1 or quotients such as rad/s, and files may give mm and deg.
+
+    Attributes:
+        time: Times (M,), s.
+        arclength: Arclengths (M,), m.
+        values: Values (M, …), SI units and radians, in the world frame where a frame matters.
+        cov: A variance, `rows` variances, or a matrix (rows, rows) or (M, rows, rows).
+        mount: Pose T_bc (4, 4), or (M, 4, 4), of the sensor in the cross-section's frame.
+        loss: Robust loss against outliers.
+        name: The stream's name, in messages and for the sensor parameters that apply to it.
+        arclength_std: Standard deviation of the arclength, m, one or (M,) (equation 16).
+        rows: Declares the residual rows of one reading, and the numbers in a file's `std`.
+        columns: Declares the value columns of a CSV file and their units.
+        settings: Declares the fields that a whole stream shares, lists of numbers, and their units.
+        value_shape: Declares the shape of one reading's value; None for any.
+        per_reading: Declares the fields of one's own that have a row a reading.
+        fixes_base: Declares whether readings fix the robot in the world.
+        tracker: Declares a tracker: it may be truth, and repeated rows are one reading twice.
+
+    Raises:
+        SensorError: Shapes differ or a value is not finite.
     """
 
     time: Array
@@ -42,10 +67,60 @@ class Readings:
     name: str = ""
     arclength_std: Array | float = 0.0
 
+    kind: ClassVar[str] = ""
     rows: ClassVar[int]
-    value_shape: ClassVar[tuple[int, ...] | None] = None  # of one reading; None: any
+    columns: ClassVar[Mapping[str, str]] = {}
+    settings: ClassVar[Mapping[str, str]] = {}
+    value_shape: ClassVar[tuple[int, ...] | None] = None
+    per_reading: ClassVar[tuple[str, ...]] = ()
     fixes_base: ClassVar[bool] = False
-    per_reading: ClassVar[tuple[str, ...]] = ()  # fields of one's own with a row a reading
+    tracker: ClassVar[bool] = False
+
+    def __init_subclass__(cls, *, kind: str = "", **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        cls.kind = kind
+        taken = SENSORS.get(kind)
+        if taken is not None and taken.__qualname__ != cls.__qualname__:
+            raise SensorError(
+                f"Sensor kind {kind!r} is that of {taken.__name__}; give {cls.__name__} another."
+            )
+        if kind:
+            SENSORS[kind] = cls
+
+    @classmethod
+    def value_columns(cls, settings: Mapping[str, Array]) -> Mapping[str, str]:
+        """Value columns and units of a stream with these settings; by default `columns`."""
+        return cls.columns
+
+    @classmethod
+    def from_columns(cls, table: Array) -> Array:
+        """Values (M, …) from the columns (M, C) of a file, in SI units."""
+        return table.reshape(len(table), *cls.value_shape) if cls.value_shape else table
+
+    @classmethod
+    def to_columns(cls, values: Array) -> Array:
+        """Columns (M, C) from values (M, …)."""
+        return values.reshape(len(values), math.prod(values.shape[1:]))
+
+    @classmethod
+    def in_frame(cls, values: Array, pose: Array) -> Array:
+        """Values (M, …) of a tracker that stands at `pose` T_wf (4, 4), in the world frame."""
+        return values
+
+    @classmethod
+    def repeated(cls, values: Array, arclength: Array) -> NDArray[np.bool_]:
+        """Which readings (M,) of a tracker repeat the one before."""
+        same = np.all(np.diff(cls.to_columns(values), axis=0) == 0.0, axis=1)
+        return np.append(False, same)[: len(values)]
+
+    @classmethod
+    def values_at(cls, pose: Array) -> Array:
+        """Values (M, …) without noise of sensors at poses T_wc (M, 4, 4), for plans.
+
+        Raises:
+            NotImplementedError: The sensor does not declare them and cannot be planned for.
+        """
+        raise NotImplementedError(f"{cls.__name__} must define values_at(pose) to be planned for.")
 
     def __post_init__(self) -> None:
         for given in ("time", "arclength", "values"):
@@ -107,42 +182,42 @@ class Readings:
         """The readings at `rows`, a mask, indices or a slice."""
         if isinstance(rows, np.ndarray) and rows.dtype == bool and rows.all():
             return self
-        kept = {name: getattr(self, name)[rows] for name in (*_EACH, *self.per_reading)}
-        for name, single in (("cov", 2), ("mount", 2), ("arclength_std", 0)):
+        fields = {name: getattr(self, name)[rows] for name in (*_EACH, *self.per_reading)}
+        for name, single in _ONE_OR_EACH:
             value = getattr(self, name)
-            kept[name] = value[rows] if value.ndim > single else value
-        return self.changed(**kept)
+            fields[name] = value[rows] if value.ndim > single else value
+        return self.changed(**fields)
 
     def changed(self, **fields: Array) -> Self:
-        """The readings with other fields, taken to be sound: checking would cost more than use."""
+        """The readings with other fields, which are not checked again."""
         out = object.__new__(type(self))
         out.__dict__.update(self.__dict__, **fields)
         return out
 
     def joined(self, other: Self) -> Self:
         """These readings, then those of the same sensor."""
-        kept = {
+        fields = {
             name: np.concatenate([getattr(self, name), getattr(other, name)])
             for name in (*_EACH, *self.per_reading)
         }
-        for name, single in (("cov", 2), ("mount", 2), ("arclength_std", 0)):
+        for name, single in _ONE_OR_EACH:
             mine, its = getattr(self, name), getattr(other, name)
             alike = mine is its or (mine.shape == its.shape and bool(np.all(mine == its)))
             if mine.ndim == single and alike:
                 continue
-            both = [
+            each = [
                 np.broadcast_to(value, (len(part), *value.shape[value.ndim - single :]))
                 for part, value in ((self, mine), (other, its))
             ]
-            kept[name] = np.concatenate(both)
-        return self.changed(**kept)
+            fields[name] = np.concatenate(each)
+        return self.changed(**fields)
 
     def inside(self, grid: Grid) -> Self:
         """The readings whose arclength and time lie on the grid."""
         return self.select(grid.contains(self.arclength, self.time))
 
     def residual(self, at: State) -> Array:
-        """Expected minus measured (M, rows), in the units of the reading; `at` (M,) states."""
+        """Expected minus measured (M, rows) at states `at` (M,), in the units of the reading."""
         raise NotImplementedError(f"{type(self).__name__} must define residual(at).")
 
     def jacobian(self, at: State) -> Array:
@@ -167,18 +242,20 @@ def _require_rotations(label: str, values: Array) -> None:
 def numerical_jacobian(readings: Readings, at: State) -> Array:
     """Central differences of a sensor's residual (M, rows, 18), checked at two step sizes.
 
-    A residual that is constant in pieces has no slope to find; give such a sensor a smooth one.
-    Raises SensorError when the two disagree: the residual jumps or is not smooth there.
+    A piecewise constant residual has no useful slope; give such a sensor a smooth one.
+
+    Raises:
+        SensorError: The two differ, so the residual is not smooth there.
     """
-    found = []
+    jacobians = []
     for step in (1e-5, 4e-5):
         columns = []
         for move in step * np.eye(DOF):
             ahead = readings.residual(at.retract(move))
             columns.append((ahead - readings.residual(at.retract(-move))) / (2.0 * step))
-        found.append(np.stack(columns, axis=-1))
-    gap = np.abs(found[0] - found[1])
-    scale = 1.0 + np.abs(found[0]).max(axis=(-1, -2), keepdims=True)
+        jacobians.append(np.stack(columns, axis=-1))
+    gap = np.abs(jacobians[0] - jacobians[1])
+    scale = 1.0 + np.abs(jacobians[0]).max(axis=(-1, -2), keepdims=True)
     if not np.all(gap <= 1e-5 * scale):
         row = int(np.unravel_index(np.argmax(gap / scale), gap.shape)[0])
         raise SensorError(
@@ -186,4 +263,4 @@ def numerical_jacobian(readings: Readings, at: State) -> Array:
             f"(difference quotients differ by {gap[row].max():.2g}). Write jacobian(at), or a "
             f"residual without jumps (wrap angles with a logarithm)."
         )
-    return found[0]
+    return jacobians[0]

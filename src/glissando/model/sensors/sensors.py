@@ -2,19 +2,39 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from glissando.errors import SensorError
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
-from glissando.model.sensors.readings import Readings
+from glissando.model.sensors.readings import SENSORS, Readings
 from glissando.model.state import DOF, POSE, STRAIN, State
 from glissando.twins import twin
 
 _ANGULAR_VELOCITY = slice(15, 18)
+_POSITION = dict.fromkeys(("x", "y", "z"), "m")
+_QUATERNION = dict.fromkeys(("qw", "qx", "qy", "qz"), "1")
+
+
+def sensor_kinds() -> list[str]:
+    """Kinds of sensor by the name files use, a script's own included."""
+    return list(SENSORS)
+
+
+def sensor_class(kind: str) -> type[Readings]:
+    """The sensor of a kind.
+
+    Raises:
+        SensorError: No sensor has that kind.
+    """
+    if kind not in SENSORS:
+        raise SensorError(f"{kind!r} is no kind of sensor; known: {', '.join(SENSORS)}.")
+    return SENSORS[kind]
 
 
 def _mounted(readings: Readings, at: State) -> Array:
@@ -60,13 +80,43 @@ def _columns(block: Array, where: slice) -> Array:
     return out
 
 
+class _TrackedPose(Readings):
+    """What trackers share that report poses T_wc."""
+
+    columns: ClassVar[Mapping[str, str]] = {**_POSITION, **_QUATERNION}
+    value_shape: ClassVar[tuple[int, ...] | None] = (4, 4)
+    fixes_base: ClassVar[bool] = True
+    tracker: ClassVar[bool] = True
+
+    @classmethod
+    def from_columns(cls, table: Array) -> Array:
+        """Poses from positions and quaternions [w, x, y, z]."""
+        pose = np.tile(np.eye(4), (len(table), 1, 1))
+        pose[:, :3, :3] = se3.rotation_from_quaternion(table[:, 3:])
+        pose[:, :3, 3] = table[:, :3]
+        return pose
+
+    @classmethod
+    def to_columns(cls, values: Array) -> Array:
+        """Positions and quaternions [w, x, y, z] of poses."""
+        return np.hstack([values[:, :3, 3], se3.quaternion(values[:, :3, :3])])
+
+    @classmethod
+    def in_frame(cls, values: Array, pose: Array) -> Array:
+        """Poses seen from the world."""
+        return pose @ values
+
+    @classmethod
+    def values_at(cls, pose: Array) -> Array:
+        """The poses themselves."""
+        return pose
+
+
 @dataclass(frozen=True, kw_only=True)
-class PoseReadings(Readings):
+class PoseReadings(_TrackedPose, kind="pose"):
     """A six-degree-of-freedom tracker: `values` (M, 4, 4) poses T_wc. Source: equation (14)."""
 
     rows: ClassVar[int] = 6
-    value_shape: ClassVar[tuple[int, ...] | None] = (4, 4)
-    fixes_base: ClassVar[bool] = True
 
     def residual(self, at: State) -> Array:
         """log(T_meas⁻¹ T T_bc), [linear, angular] in the sensor's frame."""
@@ -78,7 +128,7 @@ class PoseReadings(Readings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class CoilReadings(Readings):
+class CoilReadings(_TrackedPose, kind="coil"):
     """A five-degree-of-freedom coil, roll about its z unseen: `values` (M, 4, 4) poses T_wc.
 
     The reported roll is arbitrary and is turned to agree with the prediction before the roll row
@@ -87,8 +137,6 @@ class CoilReadings(Readings):
     """
 
     rows: ClassVar[int] = 5
-    value_shape: ClassVar[tuple[int, ...] | None] = (4, 4)
-    fixes_base: ClassVar[bool] = True
 
     def residual(self, at: State) -> Array:
         """First five components of log(T_rolled⁻¹ T T_bc); the sixth is zero by construction."""
@@ -101,12 +149,24 @@ class CoilReadings(Readings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class PositionReadings(Readings):
+class PositionReadings(Readings, kind="position"):
     """A point seen in the world: `values` (M, 3) positions in metres. Source: (17)."""
 
     rows: ClassVar[int] = 3
+    columns: ClassVar[Mapping[str, str]] = _POSITION
     value_shape: ClassVar[tuple[int, ...] | None] = (3,)
     fixes_base: ClassVar[bool] = True
+    tracker: ClassVar[bool] = True
+
+    @classmethod
+    def in_frame(cls, values: Array, pose: Array) -> Array:
+        """Positions seen from the world."""
+        return values @ pose[:3, :3].T + pose[:3, 3]
+
+    @classmethod
+    def values_at(cls, pose: Array) -> Array:
+        """Positions of poses."""
+        return pose[:, :3, 3]
 
     def residual(self, at: State) -> Array:
         """Position of the sensor minus the reading, world frame."""
@@ -119,11 +179,39 @@ class PositionReadings(Readings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class OrientationReadings(Readings):
+class OrientationReadings(Readings, kind="orientation"):
     """An orientation in the world: `values` (M, 3, 3) rotations R_wc. Source: (17)."""
 
     rows: ClassVar[int] = 3
+    columns: ClassVar[Mapping[str, str]] = _QUATERNION
     value_shape: ClassVar[tuple[int, ...] | None] = (3, 3)
+    tracker: ClassVar[bool] = True
+
+    @classmethod
+    def from_columns(cls, table: Array) -> Array:
+        """Rotations from quaternions [w, x, y, z]."""
+        return se3.rotation_from_quaternion(table)
+
+    @classmethod
+    def to_columns(cls, values: Array) -> Array:
+        """Quaternions [w, x, y, z] of rotations."""
+        return se3.quaternion(values)
+
+    @classmethod
+    def in_frame(cls, values: Array, pose: Array) -> Array:
+        """Rotations seen from the world."""
+        return pose[:3, :3] @ values
+
+    @classmethod
+    def repeated(cls, values: Array, arclength: Array) -> NDArray[np.bool_]:
+        """Repeats at one place: a straight robot has one orientation at many places."""
+        moved = np.append(False, np.diff(arclength) != 0.0)[: len(values)]
+        return super().repeated(values, arclength) & ~moved
+
+    @classmethod
+    def values_at(cls, pose: Array) -> Array:
+        """Rotations of poses."""
+        return pose[:, :3, :3]
 
     def residual(self, at: State) -> Array:
         """log(R_measᵀ R_wc), a rotation vector in radians."""
@@ -139,10 +227,11 @@ class OrientationReadings(Readings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class GyroReadings(Readings):
+class GyroReadings(Readings, kind="gyro"):
     """Angular velocity in the sensor's own frame: `values` (M, 3) in rad/s. Source: (17)."""
 
     rows: ClassVar[int] = 3
+    columns: ClassVar[Mapping[str, str]] = dict.fromkeys(("wx", "wy", "wz"), "rad/s")
     value_shape: ClassVar[tuple[int, ...] | None] = (3,)
 
     def residual(self, at: State) -> Array:
@@ -159,10 +248,14 @@ class GyroReadings(Readings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class StrainReadings(Readings):
+class StrainReadings(Readings, kind="strain"):
     """All six strains of the cross-section: `values` (M, 6), [linear, angular]. Source: (17)."""
 
     rows: ClassVar[int] = 6
+    columns: ClassVar[Mapping[str, str]] = {
+        **dict.fromkeys(("nu_x", "nu_y", "nu_z"), "1"),
+        **dict.fromkeys(("u_x", "u_y", "u_z"), "rad/m"),
+    }
     value_shape: ClassVar[tuple[int, ...] | None] = (6,)
 
     def residual(self, at: State) -> Array:
@@ -175,7 +268,7 @@ class StrainReadings(Readings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class FbgReadings(Readings):
+class FbgReadings(Readings, kind="fbg"):
     """Fibre Bragg grating cores: `values` (M, C) axial strains, dimensionless. Source: (17).
 
     Core i runs at radius `core_radius[i]` (m) and angle `core_angle[i]` (rad), at
@@ -184,6 +277,14 @@ class FbgReadings(Readings):
 
     core_radius: Array
     core_angle: Array
+
+    rows: ClassVar[int] = 1  # in a file: one standard deviation for all cores
+    settings: ClassVar[Mapping[str, str]] = {"core_radius": "m", "core_angle": "rad"}
+
+    @classmethod
+    def value_columns(cls, settings: Mapping[str, Array]) -> Mapping[str, str]:
+        """One strain a core."""
+        return {f"strain_{i}": "1" for i in range(np.size(settings["core_radius"]))}
 
     @property
     def row_count(self) -> int:
@@ -218,9 +319,3 @@ class FbgReadings(Readings):
         tangents, place = self._tangents(at)
         unit = tangents / np.linalg.norm(tangents, axis=-1, keepdims=True)
         return _columns(np.concatenate([unit, np.cross(place, unit)], axis=-1), STRAIN)
-
-
-ROWS = {
-    "pose": 6, "coil": 5, "position": 3, "orientation": 3, "gyro": 3, "strain": 6, "fbg": 1
-}  # fmt: skip
-"""Kinds of sensor by the name files use, and how many standard deviations each takes."""

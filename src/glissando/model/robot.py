@@ -1,0 +1,59 @@
+"""A robot as it is known before any reading."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from glissando.errors import OutsideGridError
+from glissando.geometry.se3 import Array
+from glissando.model.grid import Grid
+from glissando.model.noise import Loss
+from glissando.model.priors.prior import Prior
+from glissando.model.sensors.parameters import SensorParameter
+
+_MOST_NODES = 1_000_000
+
+
+@dataclass(frozen=True)
+class Robot:
+    """A robot before any reading: its length, grid, prior and sensors.
+
+    Attributes:
+        name: Name of the robot.
+        length: Length, m.
+        arclength_nodes: Arclength nodes (N,), m.
+        time_rate: Time nodes a second.
+        prior: Prior of its motion.
+        sensor_std: Standard deviations by kind of sensor.
+        sensor_loss: Robust loss by kind of sensor.
+        sensor_range: Largest value that a kind of sensor can report, SI units.
+        sensor_rate: Readings a second of trackers that are polled faster than they measure.
+        sensor_parameters: Frames, mounts, offsets and biases of streams by name.
+    """
+
+    name: str
+    length: float
+    arclength_nodes: Array
+    time_rate: float
+    prior: Prior
+    sensor_std: dict[str, Array] = field(default_factory=dict)
+    sensor_loss: dict[str, Loss] = field(default_factory=dict)
+    sensor_range: dict[str, float] = field(default_factory=dict)
+    sensor_rate: dict[str, float] = field(default_factory=dict)
+    sensor_parameters: tuple[SensorParameter, ...] = ()
+
+    def grid(self, start: float, stop: float) -> Grid:
+        """The robot's grid over the times [start, stop] in seconds.
+
+        Raises:
+            OutsideGridError: There would be too many time nodes.
+        """
+        count = max(2, round((stop - start) * self.time_rate) + 1)
+        if count > _MOST_NODES:
+            raise OutsideGridError(
+                f"{start:g} to {stop:g} s at {self.time_rate:g} nodes a second would be {count:,} "
+                f"time nodes; choose a shorter window or a lower time_rate."
+            )
+        return Grid(self.arclength_nodes, np.linspace(start, stop, count))
