@@ -55,11 +55,11 @@ On the recording it was learned on, 19 to 29 s: {tuned_line}; and before anythin
 
 The robot rests for nineteen of the 45 s. What rests says the same again and again, so it counts once
 in what is learned, and half a second of it in where things are mounted: counted as often as it was seen, it
-makes a robot file that is too sure of itself. Both segments are built alike and have one density of
+makes a robot file that is overconfident. Both segments are built alike and have one density of
 bending (`--alike`): with one for each, the lower, which hardly moves in free space, is believed to be
 stiffer than contact finds it. How far strain may differ where segments begin, at the base and at the
 joint, is left as it was set (`--only`): pulled by tendons alone the robot bends little there, so
-learned from that it is believed small, and in contact the estimate is then too sure. What the
+learned from that it is believed small, and in contact the estimate is then overconfident. What the
 recording says little of, as the drift at the base, stays near where it starts. The tip accelerates at {slow:.1f} m/s² (RMS) where densities were
 learned, and at {fast:.1f}, {impact:.1f} and {last:.1f} m/s² in the three windows; whether inertia is what
 bends it otherwise there has not been shown.

@@ -44,8 +44,8 @@ def test_honest_confidence_is_called_true_and_errors_of_confidence_are_found(rho
         for scale in (1.0, 1.7, 1.0 / 1.7)
     }
     assert verdicts[1.0].count("true") >= 85
-    assert verdicts[1.7].count("too sure") >= 95
-    assert verdicts[1.0 / 1.7].count("too unsure") >= 95
+    assert verdicts[1.7].count("overconfident") >= 95
+    assert verdicts[1.0 / 1.7].count("underconfident") >= 95
 
 
 def test_coverage_bounds_hold_honest_coverage():

@@ -23,6 +23,7 @@ from glissando.evaluation.run import run_estimate
 from glissando.geometry import se3
 from glissando.io.journal import Journal
 from glissando.io.recording import load_recording
+from glissando.model.sensors.sensors import sensor_class, sensor_kinds
 from scenes import LENGTH, arc, sliding_scene
 
 ROBOT = """

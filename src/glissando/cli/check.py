@@ -1,4 +1,4 @@
-"""`glissando check`: judges whether the confidence of an estimate is true."""
+"""`glissando check`: whether the confidence of an estimate is true."""
 
 from __future__ import annotations
 
@@ -23,19 +23,20 @@ from glissando.cli.shared import (
     streams_of,
 )
 from glissando.errors import GlissandoError, RecordingError
-from glissando.estimation.posterior import Posterior
 from glissando.evaluation.consistency import LEVELS, Consistency, check, check_readings
 from glissando.evaluation.metrics import errors_against
+from glissando.io.netcdf import load_posterior
 from glissando.io.recording import load_recording
+from glissando.visualization.consistency_figure import calibration_figure
 
 _HELP = """\
 Check whether the confidence of an estimate is true: errors against truth in units of their own
 covariance (NEES, 1 per degree of freedom when true) and the share of errors inside the 50, 90, 95
 and 99 % ellipsoids, by site, for position and rotation; and innovations of the readings (NIS), each
-against what all others foretell.
+against the prediction by all others.
 
 RECORDING is estimated first. A posterior.nc of an earlier estimate needs --recording for its truth.
-Bounds hold for 95 % of honest estimates, and count neighbouring errors that are alike as one.
+Bounds hold for 95 % of estimates whose confidence is true, and allow for correlated errors.
 """
 _EXAMPLES = """\
 examples:
@@ -63,35 +64,32 @@ def add_to(commands: Commands) -> None:
 def _check(options: argparse.Namespace) -> int:
     if options.out:
         require_writable(options.out)
-    found, name, complaint = _judged(options)
-    if not found:
+    checks, name, status = _checks(options)
+    if not checks:
         raise RecordingError(
             f"{name} has no truth inside the window; name streams with --truth, or another window."
         )
-    told = {"name": name, "checks": [c.as_json() for c in found]}
+    document = {"name": name, "checks": [c.as_json() for c in checks]}
     if options.json:
-        print(json.dumps(told))
+        print(json.dumps(document))
     else:
-        for quantity in dict.fromkeys(c.quantity for c in found):
-            Console().print(_table(quantity, [c for c in found if c.quantity == quantity]))
+        for quantity in dict.fromkeys(c.quantity for c in checks):
+            Console().print(_table(quantity, [c for c in checks if c.quantity == quantity]))
     if options.out:
-        from glissando.visualization.consistency_figure import calibration_figure
-
         options.out.mkdir(parents=True, exist_ok=True)
-        text = json.dumps(told, indent=2)
+        text = json.dumps(document, indent=2)
         (options.out / "check.json").write_text(text + "\n", encoding="utf-8")
-        calibration_figure(found).savefig(options.out / "calibration.png", dpi=150)
-    return complaint
+        calibration_figure(checks).savefig(options.out / "calibration.png", dpi=150)
+    return status
 
 
-def _judged(options: argparse.Namespace) -> tuple[list[Consistency], str, int]:
-    """Every check, none without truth, the name of what is checked, and the exit status so far."""
+def _checks(options: argparse.Namespace) -> tuple[list[Consistency], str, int]:
+    """Every check (none without truth), the name of what is checked, and the exit status."""
     if options.target.is_dir():
         recording = load_recording(options.target)
         robot = chosen_robot(recording, options.robot)
         run, complaint = estimate_watched(recording, robot, options)
-        found = run.consistency() if run.errors else []
-        return found, recording.name, 1 if complaint else 0
+        return run.consistency() if run.errors else [], recording.name, 1 if complaint else 0
     if not options.target.is_file():
         raise GlissandoError(
             f"There is no recording folder or posterior {str(options.target)!r}; give one."
@@ -100,17 +98,17 @@ def _judged(options: argparse.Namespace) -> tuple[list[Consistency], str, int]:
         raise GlissandoError(
             "A posterior holds no truth: give the folder that does with --recording FOLDER."
         )
-    posterior = Posterior.load(options.target)
+    posterior = load_posterior(options.target)
     recording = load_recording(options.recording)
     readings, truth = streams_of(posterior, recording, options)
     status = 0 if posterior.solve.converged else 1
-    found = check([errors_against(posterior, t) for t in truth])
-    if found:
-        found += check_readings(posterior, readings)
-    return found, options.target.name, status
+    checks = check([errors_against(posterior, t) for t in truth])
+    if checks:
+        checks += check_readings(posterior, readings)
+    return checks, options.target.name, status
 
 
-def _table(quantity: str, found: Sequence[Consistency]) -> Table:
+def _table(quantity: str, checks: Sequence[Consistency]) -> Table:
     title = f"{quantity}: squared error per dof in units of its variance, and share inside"
     table = Table(
         title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False, collapse_padding=True
@@ -120,7 +118,7 @@ def _table(quantity: str, found: Sequence[Consistency]) -> Table:
     for heading in headings:
         table.add_column(heading, justify="right", no_wrap=True)
     table.add_column("confidence", no_wrap=True)
-    for c in found:
+    for c in checks:
         low, high = c.mean_bounds()
         place = "" if math.isnan(c.arclength) else f"{c.arclength:.3f}"
         shares = [f"{100 * c.coverage(level):.0f}" for level in LEVELS]

@@ -1,4 +1,4 @@
-"""`glissando estimate RECORDING`: a posterior, its table against truth, and its figures."""
+"""`glissando estimate`: a posterior, its table against truth, and its figures."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from pathlib import Path
 
 import numpy as np
 from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
 
 from glissando.cli.shared import (
     Commands,
@@ -19,17 +21,13 @@ from glissando.cli.shared import (
     require_writable,
 )
 from glissando.errors import GlissandoError
-from glissando.evaluation.run import (
-    Run,
-    checked_window,
-    print_table,
-    read_query,
-    write_query,
-    write_run,
-)
+from glissando.evaluation.metrics import Errors, pool
+from glissando.evaluation.run import Run, checked_window, write_run
 from glissando.geometry.se3 import Array
+from glissando.io.query_csv import read_query, write_query
 from glissando.io.recording import Recording, load_recording
-from glissando.io.robot_file import Robot
+from glissando.model.robot import Robot
+from glissando.visualization.figures import save_figures
 from glissando.visualization.film import save_animation
 from glissando.visualization.page import save_view
 
@@ -80,7 +78,7 @@ def _estimate(options: argparse.Namespace) -> int:
     if options.json:
         print(json.dumps(run.as_json()))
     else:
-        print_table(run, Console())
+        _print(run, Console())
     written = _write(options, run, query)
     if written and not options.json:
         Console().print("Wrote " + ", ".join(str(path) for path in written), markup=False)
@@ -89,10 +87,56 @@ def _estimate(options: argparse.Namespace) -> int:
     return 0 if run.posterior.solve.converged else 1
 
 
+_COLUMNS = (  # heading, key of the summary, scale, format
+    ("position RMSE (mm)", "position_rmse", 1e3, "{:.2f}"),
+    ("rotation RMSE (deg)", "rotation_rmse", 180.0 / np.pi, "{:.2f}"),
+    ("NEES / dof", "nees_position", 1.0, "{:.2f}"),
+    ("inside 95 %", "coverage95_position", 100.0, "{:.1f} %"),
+)
+
+
+def _print(run: Run, console: Console) -> None:
+    """Print a line on the solve, and a table with a row for each truth site and for all."""
+    solve = run.posterior.solve
+    console.print(
+        f"[bold]{escape(run.recording.name)}[/bold] on {escape(run.robot.name)}, "
+        f"{run.window[0]:g} to {run.window[1]:g} s: {solve.status}, "
+        f"{solve.iterations} iterations, {solve.unknowns:,} unknowns, "
+        f"{sum(len(r) for r in run.readings):,} readings, {solve.seconds['total']:.2f} s of CPU"
+    )
+    for name, reasons in run.dropped.items():
+        counted = ", ".join(f"{count} {reason}" for reason, count in reasons.items())
+        console.print(f"  {escape(name)}: {counted} rows dropped in the whole recording")
+    for parameter in run.sensor_parameters():
+        pairs = zip(parameter["value"], parameter["std"], strict=True)
+        numbers = ", ".join(f"{value:.3g} ± {std:.2g}" for value, std in pairs)
+        console.print(f"  {escape(parameter['name'])} ({parameter['kind']}): {numbers}")
+    if not run.errors:
+        console.print("No truth streams: nothing to compare with. Name some with --truth.")
+        return
+    table = Table("site", title="Error against truth, and whether its confidence is true")
+    for heading in ("arclength (m)", "samples", *(column[0] for column in _COLUMNS)):
+        table.add_column(heading, justify="right")
+    for errors in run.errors:
+        _add_row(table, errors, f"{np.mean(errors.arclength):.4f}")
+    table.add_section()
+    _add_row(table, pool(run.errors), "all")
+    console.print(table)
+
+
+def _add_row(table: Table, errors: Errors, place: str) -> None:
+    summary = errors.summary()
+    cells = [
+        "–" if (value := summary[key]) is None else pattern.format(scale * value)
+        for _, key, scale, pattern in _COLUMNS
+    ]
+    table.add_row(escape(errors.name), place, str(errors.arclength.size), *cells)
+
+
 def _checked_query(
     options: argparse.Namespace, recording: Recording, robot: Robot
 ) -> tuple[Array, Array]:
-    """Times and arclengths to answer; raises, before any work is done, when they cannot be."""
+    """Times and arclengths of the query, checked before any work is done."""
     time, arclength = read_query(options.query)
     window = checked_window(recording, tuple(options.window) if options.window else None)
     inside = robot.grid(*window).contains(arclength, time)
@@ -116,8 +160,10 @@ def _answers(options: argparse.Namespace) -> Path:
 
 
 def _write(options: argparse.Namespace, run: Run, query: tuple[Array, Array] | None) -> list[Path]:
-    folder = options.out
-    written = write_run(run, folder) if folder else []
+    folder, written = options.out, list[Path]()
+    if folder:
+        written += write_run(run, folder)
+        written += save_figures(run.posterior, run.readings, run.truth, folder)
     if options.animate:
         film = save_animation(run.posterior, run.readings, run.truth, folder / "shape.mp4")
         written.append(film)

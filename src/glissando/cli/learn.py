@@ -1,4 +1,4 @@
-"""`glissando learn`: finds a robot file's numbers from recordings."""
+"""`glissando learn`: the numbers of a robot file from recordings."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ from typing import Any
 
 import tomli_w
 from rich.console import Console
-from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table as Grid
 
 from glissando.calibration.robot.hyperparameters import Document, expanded, learnable
 from glissando.calibration.robot.joint_calibration import lasting, locate
 from glissando.calibration.robot.learn import Learned, RecordingCase, learn
-from glissando.cli.shared import Commands, add_command, names
+from glissando.cli.shared import Commands, add_command, names, progress_bar
 from glissando.errors import GlissandoError, RecordingError
 from glissando.evaluation.metrics import pool
 from glissando.evaluation.run import checked_window, run_estimate
 from glissando.io.recording import Recording, load_recording
-from glissando.io.robot_file import load_robot, parse_robot, robot_file
-from glissando.io.toml_table import Table, read_document
+from glissando.io.robot_file import load_robot, parse_robot, read_robot_document, robot_file
+from glissando.io.toml_table import Table
 from glissando.model.sensors.parameters import SensorParameter
 
 _HELP = """\
 Learn the numbers of a robot file from recordings: densities, time scale, strength by segment,
-noise, drifts. Without truth, what makes the readings most likely (their evidence); with truth, what
-foretells it best from the sensors alone: small errors and a confidence that is true. A number of
-which the recordings say nothing stays near where it starts; a factor of three is expected.
+noise, drifts. Without truth, the numbers that make the readings most likely (their evidence); with
+truth, those that predict it best from the sensors alone: small errors and a true confidence. A
+number that the recordings do not determine stays near its start; a factor of three is expected.
 
 The file written has the same keys and is given to estimate with --robot.
 """
@@ -52,7 +52,7 @@ def add_to(commands: Commands) -> None:
     add("--robot", required=True, metavar="FILE|NAME", help="robot file to start from")
     add("--out", required=True, type=Path, metavar="FILE", help="robot file to write")
     add("--use", type=names, metavar="NAME,…", help="streams to use (default: all but truth)")
-    add("--truth", type=names, metavar="NAME,…", help="streams to foretell (default: none)")
+    add("--truth", type=names, metavar="NAME,…", help="streams to predict (default: none)")
     add("--hold-out", type=names, metavar="NAME,…", help="truth to judge by, never learned from")
     calibrate = "find the frame of the truth and the mounts of its bodies, and write them as known"
     add("--calibrate", action="store_true", help=calibrate)
@@ -70,7 +70,7 @@ def add_to(commands: Commands) -> None:
 def _learn(options: argparse.Namespace) -> int:
     recordings = [load_recording(folder) for folder in options.recordings]
     load_robot(options.robot)  # which says what is wrong with it
-    document = expanded(read_document(robot_file(options.robot)))
+    document = expanded(read_robot_document(robot_file(options.robot)))
     _require_writable(options)
     truth = options.truth or []
     for flag in ("calibrate", "joint"):
@@ -86,7 +86,7 @@ def _learn(options: argparse.Namespace) -> int:
     ]
     parameters = everything = learnable(document, kinds, alike=options.alike)
     if options.only:
-        parameters = [p for p in parameters if _meant(p.label, options.only)]
+        parameters = [p for p in parameters if _matches(p.label, options.only)]
     if not parameters or options.steps < 1:
         raise GlissandoError(
             f"There is nothing to learn with --only {','.join(options.only or [])} and "
@@ -96,64 +96,42 @@ def _learn(options: argparse.Namespace) -> int:
     constants: tuple[SensorParameter, ...] = ()
     if options.joint:
         document, constants = locate(document, recordings[0], cases[0].window, cases[0].use, truth)
-    with _watched(options.steps) as (progress, task):
-        found = learn(
+    columns = SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn()
+    with progress_bar(*columns) as bar:
+        task = bar.add_task("learning", total=options.steps)
+        result = learn(
             document,
             parameters,
             cases,
             calibrate=options.calibrate,
             constants=constants,
             steps=options.steps,
-            watch=lambda step, value: progress.update(
+            watch=lambda step, value: bar.update(
                 task, completed=step, description=f"learning: {value:.4f} a degree of freedom"
             ),
         )
-    written = _with_constants(found)
+    written = _with_constants(result)
     options.out.write_text(_HEADER.format(options.robot) + tomli_w.dumps(written), encoding="utf-8")
-    told = _as_json(found, options.out)
+    report = _as_json(result, options.out)
     if options.hold_out:
-        told["held_out"] = [
+        report["held_out"] = [
             {"file": name, **_held_out(recording, file, options)}
             for recording in recordings
             for name, file in (("before", document), ("after", written))
         ]
     if options.json:
-        print(json.dumps(told))
+        print(json.dumps(report))
     else:
-        _print(found, told, options.out)
+        _print(result, report)
     return 0
 
 
-def _meant(label: str, only: list[str]) -> bool:
-    """Whether a number's name holds all words of one of those asked for."""
+def _matches(label: str, only: list[str]) -> bool:
+    """Whether a number's name contains all words of one of those asked for."""
     return any(all(word in label for word in words.split()) for words in only)
 
 
 _HEADER = "# Learned from recordings, beginning with {}; comments of that file are not kept.\n"
-
-
-class _watched:  # noqa: N801 - reads as a word
-    """A progress bar on stderr."""
-
-    def __init__(self, steps: int) -> None:
-        console = Console(stderr=True)
-        columns = (
-            SpinnerColumn(),
-            TextColumn("{task.description}"),
-            BarColumn(),
-            TimeElapsedColumn(),
-        )
-        self._bar = Progress(
-            *columns, console=console, transient=True, disable=not console.is_terminal
-        )
-        self._steps = steps
-
-    def __enter__(self) -> tuple[Progress, Any]:
-        self._bar.start()
-        return self._bar, self._bar.add_task("learning", total=self._steps)
-
-    def __exit__(self, *_: object) -> None:
-        self._bar.stop()
 
 
 def _require_writable(options: argparse.Namespace) -> None:
@@ -165,26 +143,27 @@ def _require_writable(options: argparse.Namespace) -> None:
 
 
 def _case(recording: Recording, options: argparse.Namespace, truth: list[str]) -> RecordingCase:
-    held = options.hold_out or []
-    both = set(truth) & set(held)
+    held_out = options.hold_out or []
+    both = set(truth) & set(held_out)
     if both:
         raise RecordingError(f"{', '.join(sorted(both))} cannot be learned from and held out.")
     marked = recording.choose(None, None)[1]
-    use, _ = recording.choose(options.use, list(dict.fromkeys([*truth, *held, *marked])))
+    use, _ = recording.choose(options.use, list(dict.fromkeys([*truth, *held_out, *marked])))
     recording.choose([], truth or None)
     return RecordingCase(recording, checked_window(recording, options.window), tuple(use), truth)
 
 
-def _with_constants(found: Learned) -> Document:
-    """The learned document with the constants of the truth as known unknowns."""
-    document = dict(found.document)
+def _with_constants(result: Learned) -> Document:
+    """The learned document with the constants of the truth as known sensor parameters."""
+    document = dict(result.document)
     known = [
         {"name": c.name, "kind": c.kind, "streams": list(c.streams), "value": c.value.tolist()}
-        for c in lasting(found.after.constants)
+        for c in lasting(result.after.constants)
     ]
-    kept = [u for u in document.get("unknowns", []) if u["name"] not in [k["name"] for k in known]]
-    if kept or known:
-        document["unknowns"] = kept + known
+    replaced = [k["name"] for k in known]
+    others = [u for u in document.get("sensor_parameters", []) if u["name"] not in replaced]
+    if others or known:
+        document["sensor_parameters"] = others + known
     return document
 
 
@@ -199,45 +178,45 @@ def _held_out(
     return {"recording": recording.name, **pool(run.errors).summary()}
 
 
-def _as_json(found: Learned, out: Path) -> dict[str, Any]:
+def _as_json(result: Learned, out: Path) -> dict[str, Any]:
     return {
         "out": str(out),
-        "objective_before": found.before.value,
-        "objective_after": found.after.value,
-        "degrees_of_freedom": found.before.samples,
-        "steps": found.steps,
+        "objective_before": result.before.value,
+        "objective_after": result.after.value,
+        "degrees_of_freedom": result.before.samples,
+        "steps": result.steps,
         "parameters": [
             {
                 "name": p.label,
-                "value": p.of(found.document),
+                "value": p.of(result.document),
                 "factor": math.exp(moved),
                 "log_std": None if math.isinf(std) else std,
             }
-            for p, moved, std in zip(found.parameters, found.moved, found.std, strict=True)
+            for p, moved, std in zip(result.parameters, result.moved, result.std, strict=True)
         ],
         "constants": [
             {"name": c.name, "kind": c.kind, "value": c.value.tolist()}
-            for c in found.after.constants
+            for c in result.after.constants
         ],
     }
 
 
-def _print(found: Learned, told: dict[str, Any], out: Path) -> None:
+def _print(result: Learned, report: dict[str, Any]) -> None:
     console = Console()
     table = Grid(title="What was learned", title_justify="left")
     table.add_column("number")
     for heading in ("value", "times", "known within"):
         table.add_column(heading, justify="right", no_wrap=True)
-    for p in told["parameters"]:
-        sure = "–" if p["log_std"] is None else f"× {math.exp(min(p['log_std'], 20.0)):.3g}"
-        table.add_row(p["name"], f"{p['value']:.4g}", f"{p['factor']:.3g}", sure)
+    for p in report["parameters"]:
+        within = "–" if p["log_std"] is None else f"× {math.exp(min(p['log_std'], 20.0)):.3g}"
+        table.add_row(p["name"], f"{p['value']:.4g}", f"{p['factor']:.3g}", within)
     console.print(table)
-    for c in found.after.constants:
+    for c in result.after.constants:
         console.print(f"  {c.name}: " + ", ".join(f"{v:.4g}" for v in c.value), markup=False)
     console.print(
-        f"{found.steps} steps; log-likelihood a degree of freedom {found.before.value:.4f} → "
-        f"{found.after.value:.4f} ({found.before.samples:,} of them)"
+        f"{result.steps} steps; log-likelihood a degree of freedom {result.before.value:.4f} → "
+        f"{result.after.value:.4f} ({result.before.samples:,} of them)"
     )
-    for held in told.get("held_out", []):
+    for held in report.get("held_out", []):
         console.print(f"held out, {held['file']}: {json.dumps(held)}", markup=False)
-    console.print(f"Wrote {out}", markup=False)
+    console.print(f"Wrote {report['out']}", markup=False)

@@ -12,26 +12,34 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from glissando.cli.shared import Commands, add_choices, add_command, chosen_robot, require_writable
+from glissando.cli.shared import (
+    Commands,
+    add_choices,
+    add_command,
+    chosen_robot,
+    progress_bar,
+    require_writable,
+)
 from glissando.errors import GlissandoError
 from glissando.estimation.fixed_lag import FixedLagSmoother
 from glissando.evaluation.replay import Replay, replay
-from glissando.evaluation.run import write_states
+from glissando.io.query_csv import write_states
 from glissando.io.recording import load_recording
-from glissando.io.robot_file import Robot
+from glissando.model.robot import Robot
 from glissando.visualization.page import Live
 from glissando.visualization.page.live import follow
+from glissando.visualization.replay_figure import replay_figure
 
 _HELP = """\
 Run a recording through the online estimator as if it were live: at the robot's rate it is given the
-readings up to now and says what it knows. Its newest states are judged against truth, and so are
+readings up to now and estimates the state. Its newest states are compared with truth, and so are
 the lagged ones that are about to leave its window.
 
 With --out every reading is written to DIR/log before it is used. If the run is killed, the same
-command goes on from there.
+command continues from there.
 """
 _EXAMPLES = """\
 examples:
@@ -71,13 +79,8 @@ def _replay(options: argparse.Namespace) -> int:
         require_writable(options.out)
         if (options.out / "replay.json").exists():
             raise GlissandoError(f"{options.out} holds a finished run; give another --out.")
-    console = Console(stderr=True)
     columns = TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn()
-    hidden = not console.is_terminal
-    with (
-        Progress(*columns, console=console, transient=True, disable=hidden) as bar,
-        ExitStack() as stack,
-    ):
+    with progress_bar(*columns) as bar, ExitStack() as stack:
         task = bar.add_task(f"replaying {escape(recording.name)}", total=None)
         view = _live_view(robot, stack) if options.live else None
 
@@ -86,7 +89,7 @@ def _replay(options: argparse.Namespace) -> int:
             if view is not None:
                 follow(view, smoother)
 
-        found = replay(
+        result = replay(
             recording,
             robot,
             window=tuple(options.window) if options.window else None,
@@ -97,8 +100,8 @@ def _replay(options: argparse.Namespace) -> int:
             journal=options.out / "log" if options.out else None,
             watch=watch,
         )
-    print(json.dumps(found.as_json())) if options.json else _print(found, Console())
-    written = _write(found, options.out) if options.out else []
+    print(json.dumps(result.as_json())) if options.json else _print(result, Console())
+    written = _write(result, options.out) if options.out else []
     if written and not options.json:
         Console().print("Wrote " + ", ".join(map(str, written)), markup=False)
     return 0
@@ -111,51 +114,50 @@ def _live_view(robot: Robot, stack: ExitStack) -> Live:
     return view
 
 
-def _write(found: Replay, folder: Path) -> list[Path]:
-    from glissando.visualization.replay_figure import replay_figure
-
+def _write(result: Replay, folder: Path) -> list[Path]:
     report, newest, figure = (folder / n for n in ("replay.json", "newest.csv", "replay.png"))
-    report.write_text(json.dumps(found.as_json(), indent=2) + "\n", encoding="utf-8")
-    nodes = found.robot.arclength_nodes
-    pairs = zip(found.time, found.states, strict=True)
+    report.write_text(json.dumps(result.as_json(), indent=2) + "\n", encoding="utf-8")
+    nodes = result.robot.arclength_nodes
+    pairs = zip(result.time, result.states, strict=True)
     write_states(((np.full(nodes.size, t), nodes, at) for t, at in pairs), newest)
-    replay_figure(found).savefig(figure, dpi=150)
+    replay_figure(result).savefig(figure, dpi=150)
     return [folder / "log", report, newest, figure]
 
 
-def _print(found: Replay, console: Console) -> None:
-    told = found.as_json()
-    latency = ", ".join(f"{name} {1e3 * s:.1f} ms" for name, s in told["latency"].items())
-    nis = "–" if told["nis"] is None else f"{told['nis']:.2f}"
+def _print(result: Replay, console: Console) -> None:
+    report = result.as_json()
+    latency = ", ".join(f"{name} {1e3 * s:.1f} ms" for name, s in report["latency"].items())
+    nis = "–" if report["nis"] is None else f"{report['nis']:.2f}"
     console.print(
-        f"[bold]{escape(told['recording'])}[/bold] on {escape(told['robot'])}: {told['updates']} "
-        f"updates of {told['nodes']} time nodes, {latency} each, {told['real_time_factor']:.1f} × "
-        f"real time; NIS {nis}"
+        f"[bold]{escape(report['recording'])}[/bold] on {escape(report['robot'])}: "
+        f"{report['updates']} updates of {report['nodes']} time nodes, {latency} each, "
+        f"{report['real_time_factor']:.1f} × real time; NIS {nis}"
     )
-    for name, reasons in told["dropped"].items():
+    for name, reasons in report["dropped"].items():
         counted = ", ".join(f"{count} {reason}" for reason, count in reasons.items())
         console.print(f"  {escape(name)}: {counted} readings not used")
-    if told["restarts"]:
-        console.print(f"  began again {told['restarts']} times after it was lost")
-    if told["newest"] is None:
+    if report["restarts"]:
+        console.print(f"  began again {report['restarts']} times after it was lost")
+    if report["newest"] is None:
         console.print("No truth streams: nothing to compare with. Name some with --truth.")
         return
     table = Table("site", title="RMSE against truth: the newest states, and those that leave")
     headings = ("newest (mm)", "(deg)", "inside 95 %", "lagged (mm)", "(deg)", "inside 95 %")
     for heading in headings:
         table.add_column(heading, justify="right")
-    for name in [*(e.name for e in found.newest), ""]:
-        cells = [_cells(told[kind], name) for kind in ("newest", "lagged")]
+    for name in [*(e.name for e in result.newest), ""]:
+        cells = [_cells(report[kind], name) for kind in ("newest", "lagged")]
         if not name:
             table.add_section()
         table.add_row(escape(name or "overall"), *cells[0], *cells[1])
     console.print(table)
 
 
-def _cells(judged: dict[str, Any] | None, name: str) -> list[str]:
-    sites = {s["name"]: s for s in judged["sites"]} if judged else {}
-    of = sites.get(name) if name or not judged else judged["overall"]
+def _cells(errors: dict[str, Any] | None, name: str) -> list[str]:
+    """RMSEs and coverage of one site, or of all where the name is empty."""
+    sites = {s["name"]: s for s in errors["sites"]} if errors else {}
+    summary = sites.get(name) if name or not errors else errors["overall"]
     position, rotation = ("position_rmse", 1e3, ".2f"), ("rotation_rmse", 180 / np.pi, ".2f")
     keys = position, rotation, ("coverage95_position", 100.0, ".1f")
-    values = [(of[key] if of else None, scale, shape) for key, scale, shape in keys]
-    return ["–" if v is None else f"{scale * v:{shape}}" for v, scale, shape in values]
+    values = [(summary[key] if summary else None, scale, form) for key, scale, form in keys]
+    return ["–" if v is None else f"{scale * v:{form}}" for v, scale, form in values]

@@ -1,24 +1,25 @@
-"""What several commands need."""
+"""Options and steps that several commands share."""
 
 from __future__ import annotations
 
 import argparse
 import os
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeAlias
 
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.progress import Progress, ProgressColumn, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from glissando.errors import GlissandoError, NotConvergedWarning, RobotFileError
 from glissando.estimation.posterior import Posterior
-from glissando.evaluation.run import Run, run_estimate
+from glissando.evaluation.run import Run, chosen_streams, run_estimate
 from glissando.io.recording import Recording
-from glissando.io.robot_file import Robot, load_robot, shipped_robots
-from glissando.model.sensors.parameters import corrected
+from glissando.io.robot_file import load_robot, shipped_robots
+from glissando.model.robot import Robot
 from glissando.model.sensors.readings import Readings
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
@@ -32,7 +33,15 @@ def add_command(
     texts: tuple[str, str],
     run: Callable[[argparse.Namespace], int],
 ) -> argparse.ArgumentParser:
-    """The parser of a new command; `texts` stand above and below its options in the help."""
+    """Add a command and return its parser.
+
+    Args:
+        commands: Where the command is added.
+        name: Name of the command.
+        summary: Its line in the list of commands.
+        texts: What stands above and below its options in the help.
+        run: Executes the command and returns its exit status.
+    """
     parser = commands.add_parser(
         name,
         help=summary,
@@ -45,12 +54,12 @@ def add_command(
 
 
 def names(text: str) -> list[str]:
-    """Names separated by commas."""
+    """The names in a list separated by commas."""
     return [name.strip() for name in text.split(",") if name.strip()]
 
 
 def add_choices(parser: argparse.ArgumentParser) -> None:
-    """Options that say what of a recording is estimated, and by what it is judged."""
+    """Add the options that choose robot, window, streams to use and truth."""
     add = parser.add_argument
     robots = ", ".join(shipped_robots())
     add("--robot", metavar="FILE|NAME", help=f"robot file, or one of {robots}")
@@ -60,7 +69,11 @@ def add_choices(parser: argparse.ArgumentParser) -> None:
 
 
 def chosen_robot(recording: Recording, name: str | None) -> Robot:
-    """The robot that was asked for, else the recording's. Raises RobotFileError without one."""
+    """The robot of that name or file, else the recording's own.
+
+    Raises:
+        RobotFileError: If there is neither.
+    """
     robot = load_robot(name) if name else recording.robot
     if robot is None:
         raise RobotFileError(
@@ -73,26 +86,31 @@ def chosen_robot(recording: Recording, name: str | None) -> Robot:
 def streams_of(
     posterior: Posterior, recording: Recording, options: argparse.Namespace
 ) -> tuple[list[Readings], list[Readings]]:
-    """Readings that were used and truth, of the recording that a posterior was estimated from."""
-    robot = chosen_robot(recording, options.robot)
-    time = posterior.grid.time
+    """The readings and the truth of the recording that a posterior was estimated from."""
+    robot, time = chosen_robot(recording, options.robot), posterior.grid.time
     window = (float(time[0]), float(time[-1]))
-    used, judges = recording.choose(options.use, options.truth)
-    readings, _ = recording.readings(used, robot, window)
-    truth, _ = recording.readings(judges, robot, window, as_truth=True)
-    return readings, [corrected(t, robot.sensor_parameters) for t in truth if len(t)]
+    return chosen_streams(recording, robot, window, options.use, options.truth)[:2]
+
+
+@contextmanager
+def progress_bar(*columns: str | ProgressColumn) -> Iterator[Progress]:
+    """A progress bar on stderr, which is shown on a terminal only and then removed."""
+    console = Console(stderr=True)
+    hidden = not console.is_terminal
+    with Progress(*columns, console=console, transient=True, disable=hidden) as bar:
+        yield bar
 
 
 def estimate_watched(
     recording: Recording, robot: Robot, options: argparse.Namespace
 ) -> tuple[Run, str]:
-    """Estimate behind a progress line on stderr; also the sentence of a warning, if any."""
-    console = Console(stderr=True)
+    """Estimate a recording behind a progress line on stderr.
+
+    Returns:
+        The run, and the sentence of a warning that it has not converged, else an empty one.
+    """
     columns = SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn()
-    with (
-        warnings.catch_warnings(record=True) as caught,
-        Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar,
-    ):
+    with warnings.catch_warnings(record=True) as caught, progress_bar(*columns) as bar:
         warnings.simplefilter("always", NotConvergedWarning)
         doing = f"estimating {escape(recording.name)}"
         task = bar.add_task(doing, total=None)
@@ -114,7 +132,11 @@ def estimate_watched(
 
 
 def require_writable(folder: Path) -> None:
-    """Raise, before any work is done, unless results can be written into the folder."""
+    """Make sure, before any work is done, that results can be written into a folder.
+
+    Raises:
+        GlissandoError: If the folder cannot be made or written to.
+    """
     above = next((p for p in (folder, *folder.absolute().parents) if p.exists()), folder)
     if not above.is_dir() or not os.access(above, os.W_OK):
         raise GlissandoError(f"--out {folder}: {above} is not a folder that can be written to.")

@@ -1,8 +1,8 @@
-"""Whether confidence is true: normalised errors and coverage, with the bounds honesty would keep.
+"""Whether confidence is true: normalised errors and coverage, with their bounds if it is.
 
-Errors of neighbouring samples are much alike, so a thousand of them may count as ten. Bounds here
-are for the effective number, from the autocorrelation of the normalised errors (Geyer's initial
-positive sequence, as in Markov chains).
+Neighbouring errors are correlated, so a thousand samples may be worth ten. All bounds are for the
+effective number of samples, from the autocorrelation of the normalised errors (initial positive
+sequence, Geyer 1992).
 """
 
 from __future__ import annotations
@@ -20,15 +20,20 @@ from glissando.geometry.se3 import Array
 from glissando.model.sensors.readings import Readings
 
 LEVELS = (0.5, 0.9, 0.95, 0.99)
-"""Nominal coverages that are judged."""
+"""Nominal coverages that are reported."""
 
 
 @dataclass(frozen=True)
 class Consistency:
     """Normalised errors of one quantity at one site, or at all of them.
 
-    `nees` (M,) squared errors in units of their covariance, of `dof` degrees of freedom;
-    `effective` the number of independent samples they are worth.
+    Attributes:
+        site: Name of the stream, or 'all'.
+        arclength: Mean arclength of the site, m; NaN for all sites.
+        quantity: 'position', 'rotation' or 'innovation'.
+        nees: Squared errors (M,) in units of their covariance.
+        dof: Degrees of freedom of each.
+        effective: Number of independent samples that they are worth.
     """
 
     site: str
@@ -44,7 +49,7 @@ class Consistency:
         return float(np.mean(self.nees)) / self.dof
 
     def mean_bounds(self, level: float = 0.95) -> tuple[float, float]:
-        """Two-sided χ² bounds that the mean keeps with probability `level` if it is true."""
+        """Two-sided χ² bounds of the mean, which hold with probability `level` if it is true."""
         freedom = self.effective * self.dof
         tail = 0.5 * (1.0 - level)
         low, high = chi2.ppf([tail, 1.0 - tail], freedom) / freedom
@@ -55,7 +60,7 @@ class Consistency:
         return float(np.mean(self.nees <= chi2.ppf(nominal, self.dof)))
 
     def coverage_bounds(self, nominal: float, level: float = 0.95) -> tuple[float, float]:
-        """Bounds that the coverage keeps with probability `level` at least if it is true."""
+        """Bounds of the coverage, which hold with probability `level` or more if it is true."""
         count = max(1, round(self.effective))
         tail = 0.5 * (1.0 - level)
         low, high = binom.ppf([tail, 1.0 - tail], count, nominal) / count
@@ -63,12 +68,14 @@ class Consistency:
 
     @property
     def verdict(self) -> str:
-        """'true', or which way the mean leaves its 95 % bounds: 'too sure', 'too unsure'."""
+        """'true', or 'overconfident' or 'underconfident' where the mean is outside its bounds."""
         low, high = self.mean_bounds()
-        return "too sure" if self.mean > high else "too unsure" if self.mean < low else "true"
+        if self.mean > high:
+            return "overconfident"
+        return "underconfident" if self.mean < low else "true"
 
     def as_json(self) -> dict[str, Any]:
-        """The numbers, with their bounds."""
+        """The statistics with their bounds, as JSON holds them."""
         levels = {
             f"{level:g}": {
                 "share": self.coverage(level),
@@ -101,41 +108,41 @@ def effective_samples(values: Array) -> float:
     rho /= rho[0]
     pairs = rho[0 : count - 1 : 2] + rho[1:count:2]
     negative = np.flatnonzero(pairs <= 0.0)
-    kept = pairs[: negative[0]] if negative.size else pairs
-    return float(np.clip(count / max(2.0 * kept.sum() - 1.0, 1e-12), 1.0, count))
+    positive = pairs[: negative[0]] if negative.size else pairs
+    return float(np.clip(count / max(2.0 * positive.sum() - 1.0, 1e-12), 1.0, count))
 
 
 def check(errors: Sequence[Errors]) -> list[Consistency]:
-    """Position and rotation at every site, then at all sites together.
+    """Consistency of position and rotation at every site, then of all sites together.
 
-    All sites together are worth as many independent samples as one of them on average: they err
-    together.
+    Errors of different sites are correlated, so all sites together count as one of them on average.
+
+    Args:
+        errors: Errors of each site.
     """
     out = []
     for quantity in ("position", "rotation"):
-        found = [c for e in errors if (c := _at_site(e, quantity)) is not None]
-        out += found
-        if len(found) > 1:
-            nees = np.concatenate([c.nees * (3.0 / c.dof) for c in found])
-            effective = float(np.mean([c.effective for c in found]))
+        sites = [c for e in errors if (c := _at_site(e, quantity)) is not None]
+        out += sites
+        if len(sites) > 1:
+            nees = np.concatenate([c.nees * (3.0 / c.dof) for c in sites])
+            effective = float(np.mean([c.effective for c in sites]))
             out.append(Consistency("all", float("nan"), quantity, nees, 3, effective))
     return out
 
 
 def check_readings(posterior: Posterior, readings: Sequence[Readings]) -> list[Consistency]:
-    """Innovations of every stream that was used: is each as far off as it should be.
+    """Consistency of the innovations of every stream that was used.
 
-    Streams with a robust loss may hold outliers, which count here.
+    Args:
+        posterior: The estimate.
+        readings: The streams it was estimated from. Outliers count, whatever the stream's loss.
     """
-    out = []
-    for stream in readings:
-        if len(stream):
-            nis = innovations(posterior, stream)
-            place = float(np.mean(stream.arclength))
-            rows = stream.row_count
-            name = stream.label
-            out.append(Consistency(name, place, "innovation", nis, rows, effective_samples(nis)))
-    return out
+    return [
+        _consistency(r.label, r.arclength, "innovation", innovations(posterior, r), r.row_count)
+        for r in readings
+        if len(r)
+    ]
 
 
 def _at_site(errors: Errors, quantity: str) -> Consistency | None:
@@ -144,5 +151,9 @@ def _at_site(errors: Errors, quantity: str) -> Consistency | None:
     if nees.size == 0:
         return None
     dof = errors.dof_rotation if quantity == "rotation" else 3
-    place = float(np.mean(errors.arclength))
-    return Consistency(errors.name, place, quantity, nees, dof, effective_samples(nees))
+    return _consistency(errors.name, errors.arclength, quantity, nees, dof)
+
+
+def _consistency(site: str, arclength: Array, quantity: str, nees: Array, dof: int) -> Consistency:
+    place = float(np.mean(arclength))
+    return Consistency(site, place, quantity, nees, dof, effective_samples(nees))

@@ -1,4 +1,4 @@
-"""What this runs on: versions, optional packages, BLAS threads, serial devices."""
+"""The installation: versions, optional packages, BLAS threads, serial devices."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from typing import Any
 
 from threadpoolctl import threadpool_info
 
+from glissando import __version__
+
 _LATENCY = Path("/sys/bus/usb-serial/devices")
 _EXTRA = re.compile(r"^([A-Za-z0-9_.-]+).*;.*extra == ['\"]([\w-]+)['\"]")
 
@@ -21,8 +23,6 @@ def versions() -> dict[str, str]:
     >>> list(versions())
     ['python', 'glissando', 'numpy', 'scipy']
     """
-    from glissando import __version__
-
     return {
         "python": platform.python_version(),
         "glissando": __version__,
@@ -31,8 +31,8 @@ def versions() -> dict[str, str]:
 
 
 def system() -> dict[str, Any]:
-    """Everything `glissando doctor` tells, as JSON holds it; nothing is opened or changed."""
-    found = [
+    """The report of `glissando doctor` as JSON holds it; nothing is opened or changed."""
+    blas = [
         {
             "library": pool["internal_api"],
             "version": pool["version"],
@@ -45,7 +45,7 @@ def system() -> dict[str, Any]:
         "versions": versions(),
         "platform": platform.platform(),
         "cores": os.cpu_count(),
-        "blas": found,
+        "blas": blas,
         "optional": optional(),
         "serial": serial_devices(),
     }
@@ -54,10 +54,10 @@ def system() -> dict[str, Any]:
 def optional() -> list[dict[str, str | None]]:
     """Optional packages: name, version (None where missing) and the extra that brings each."""
     try:
-        stated = requires("glissando") or []
+        requirements = requires("glissando") or []
     except PackageNotFoundError:  # run from a checkout that was never installed
-        stated = []
-    pairs = dict.fromkeys(m.groups() for line in stated if (m := _EXTRA.match(line)))
+        requirements = []
+    pairs = dict.fromkeys(m.groups() for line in requirements if (m := _EXTRA.match(line)))
     return [
         {"package": name, "version": _version(name), "extra": extra}
         for name, extra in pairs
@@ -75,8 +75,9 @@ def _version(name: str) -> str | None:
 def serial_devices() -> list[dict[str, Any]] | None:
     """Serial devices, their group, whether this user may open them, and latency timers.
 
-    None where pyserial is missing. A USB serial adapter holds replies back for its latency timer,
-    16 ms unless told otherwise; `latency_ms` is None for other devices and systems.
+    Returns:
+        None where pyserial is missing. A USB serial adapter delays replies by its latency timer,
+        16 ms by default; `latency_ms` is None for other devices and systems.
     """
     try:
         from serial.tools.list_ports import comports
@@ -102,7 +103,7 @@ def _group(device: str) -> str | None:
 
 
 def latency_ms(device: str, folder: Path = _LATENCY) -> int | None:
-    """The latency timer that Linux states of a USB serial device; None where it states none."""
+    """The latency timer of a USB serial device, ms; None where Linux states none."""
     try:
         return int((folder / Path(device).name / "latency_timer").read_text())
     except (OSError, ValueError):

@@ -1,10 +1,10 @@
-"""How far an estimate is from truth, and whether its confidence is true."""
+"""Errors of an estimate against truth, and innovations of its readings."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,16 +25,22 @@ from glissando.model.sensors.sensors import (
 )
 from glissando.model.state import State
 
-_JUDGES = (PoseReadings, CoilReadings, PositionReadings, OrientationReadings)
+_TRUTH = (PoseReadings, CoilReadings, PositionReadings, OrientationReadings)
 
 
 @dataclass(frozen=True)
 class Errors:
-    """Errors of an estimate at M truth samples in order of `time`; what a stream lacks is NaN.
+    """Errors of an estimate at M truth samples in order of time; what a stream lacks is NaN.
 
-    `position` (M,) metres, `rotation` (M,) radians; `nees_position` and `nees_rotation` (M,) the
-    squared errors in units of their covariance, of 3 and `dof_rotation` degrees of freedom (2 for a
-    coil, whose roll is not seen).
+    Attributes:
+        name: Name of the truth stream.
+        arclength: Where it sits (M,), m.
+        position: Distance (M,), m.
+        rotation: Angle (M,), rad.
+        nees_position: Squared position errors (M,) in units of their covariance, 3 dof.
+        nees_rotation: Squared rotation errors (M,) in units of their covariance.
+        dof_rotation: Degrees of freedom of the latter: 3, or 2 for a coil, which shows no roll.
+        time: Times (M,), s.
     """
 
     name: str
@@ -59,6 +65,15 @@ class Errors:
             "nees_rotation": _mean(self.nees_rotation / self.dof_rotation),
         }
 
+    def site_summary(self) -> dict[str, Any]:
+        """Name, mean arclength and number of samples of the site, with its summary."""
+        return {
+            "name": self.name,
+            "arclength": float(np.mean(self.arclength)),
+            "samples": int(self.arclength.size),
+            **self.summary(),
+        }
+
 
 def _mean(values: Array) -> float | None:
     known = values[~np.isnan(values)]
@@ -70,58 +85,67 @@ def _rms(values: Array) -> float | None:
     return None if square is None else float(np.sqrt(square))
 
 
-class Answers(Protocol):
-    """What can be asked for the state at any arclength and time: a posterior, a smoother."""
+class StateSource(Protocol):
+    """An estimate of the state at any arclength and time: a posterior, a smoother."""
 
     def at(self, arclength: ArrayLike, time: ArrayLike) -> StateEstimate:
         """State and covariance at points (M,)."""
 
 
-def errors_against(posterior: Answers, truth: Readings) -> Errors:
-    """Errors of the estimate at every sample of a truth stream.
+def errors_against(estimate: StateSource, truth: Readings) -> Errors:
+    """Errors of an estimate at every sample of a truth stream.
 
-    Streams of pose, coil, position or orientation will do. The truth's own covariance is added to
-    the posterior's before the error is measured in it. Raises SensorError for other kinds.
+    Args:
+        estimate: A posterior or a smoother.
+        truth: Poses, coils, positions or orientations; NEES counts their own covariance too.
+
+    Raises:
+        SensorError: For other kinds of truth.
     """
-    if not isinstance(truth, _JUDGES):
+    if not isinstance(truth, _TRUTH):
         raise SensorError(
             f"{truth.label}: a {type(truth).__name__} cannot be truth; give poses, coils, "
             f"positions or orientations."
         )
     truth = truth.select(np.argsort(truth.time, kind="stable"))
-    found = posterior.at(truth.arclength, truth.time)
-    at = found.pose @ truth.mount
-    count = len(truth)
-    position, nees, rotation, nees_rotation = np.full((4, count), np.nan)
+    body = estimate.at(truth.arclength, truth.time)
+    at = body.pose @ truth.mount
+    position, nees_position, rotation, nees_rotation = np.full((4, len(truth)), np.nan)
     dof = 2 if isinstance(truth, CoilReadings) else 3
     if not isinstance(truth, OrientationReadings):
         where = truth.values[:, :3, 3] if truth.values.ndim == 3 else truth.values
-        miss = np.einsum("mji,mj->mi", at[:, :3, :3], where - at[:, :3, 3])
+        error = np.einsum("mji,mj->mi", at[:, :3, :3], where - at[:, :3, 3])
         lever = se3.adjoint(se3.inverse(truth.mount))[:3]
         own = truth.cov[..., :3, :3]
         if isinstance(truth, PositionReadings):  # stated in the world frame
             own = np.swapaxes(at[:, :3, :3], -1, -2) @ own @ at[:, :3, :3]
-        cov = lever @ found.cov[:, :6, :6] @ lever.T + own
-        position = np.linalg.norm(miss, axis=1)
-        nees = np.einsum("mi,mi->m", miss, np.linalg.solve(cov, miss[..., None])[..., 0])
+        cov = lever @ body.cov[:, :6, :6] @ lever.T + own
+        position, nees_position = np.linalg.norm(error, axis=1), _squared(error, cov)
     if truth.values.ndim == 3:
-        miss = _turned(at[:, :3, :3], truth)
+        error = _rotation_error(at[:, :3, :3], truth)
         own = truth.cov[..., -dof:, -dof:]
         turn = truth.mount[:3, :3].T[:dof]
-        cov = turn @ found.cov[:, 3:6, 3:6] @ turn.T + own
-        rotation = np.linalg.norm(miss, axis=1)
-        nees_rotation = np.einsum("mi,mi->m", miss, np.linalg.solve(cov, miss[..., None])[..., 0])
-    found_out = position, rotation, nees, nees_rotation, dof, truth.time
-    return Errors(truth.label, truth.arclength, *found_out)
+        cov = turn @ body.cov[:, 3:6, 3:6] @ turn.T + own
+        rotation, nees_rotation = np.linalg.norm(error, axis=1), _squared(error, cov)
+    numbers = position, rotation, nees_position, nees_rotation
+    return Errors(truth.label, truth.arclength, *numbers, dof, truth.time)
+
+
+def _squared(error: Array, cov: Array) -> Array:
+    """Squared Mahalanobis lengths (M,) of errors (M, r)."""
+    return np.einsum("mi,mi->m", error, np.linalg.solve(cov, error[..., None])[..., 0])
 
 
 def innovations(posterior: Posterior, readings: Readings) -> Array:
     """Squared innovations (M,) of readings that were used, in units of their covariance.
 
-    The innovation of a reading is its distance from what all others foretell; for residual e with
-    covariance R and posterior spread H P Hᵀ its square is eᵀ (R − H P Hᵀ)⁻¹ e, of as many degrees
-    of freedom as a reading has rows, and no reading need be left out to find it. Unknowns are taken
-    at their estimates and as if they were sure.
+    The innovation of a reading is its distance from the prediction by all others. For a residual e
+    with covariance R and posterior covariance H P Hᵀ its square is eᵀ (R − H P Hᵀ)⁻¹ e, with as
+    many degrees of freedom as a reading has rows; no reading has to be left out.
+
+    Args:
+        posterior: The estimate.
+        readings: A stream it was estimated from. Sensor parameters count as known exactly.
     """
     middle = [(u, values[len(values) // 2]) for u, values in posterior.sensor_parameters]
     readings = corrected(readings, [replace(u, value=value) for u, value in middle])
@@ -131,19 +155,18 @@ def innovations(posterior: Posterior, readings: Readings) -> Array:
         arclength=np.clip(readings.arclength, grid.arclength[0], grid.arclength[-1]),
         time=np.clip(readings.time, grid.time[0], grid.time[-1]),
     )
-    found = posterior.at(readings.arclength, readings.time)
-    at = State(found.pose, found.strain, found.velocity)
-    residual, slope = readings.residual(at), readings.jacobian(at)
-    open_ = np.zeros_like(found.cov)
+    estimate = posterior.at(readings.arclength, readings.time)
+    at = State(estimate.pose, estimate.strain, estimate.velocity)
+    J_r_x = readings.jacobian(at)
+    between_nodes = np.zeros_like(estimate.cov)
     for points in sort_points(grid, readings.arclength, readings.time):
         state = posterior.state
-        open_[points.rows] = posterior.prior.interpolate(grid, state, state, points).cov
-    turned = np.swapaxes(slope, -1, -2)
-    cov = readings.cov + slope @ (2.0 * open_ - found.cov) @ turned
-    return np.einsum("mi,mi->m", residual, np.linalg.solve(cov, residual[..., None])[..., 0])
+        between_nodes[points.rows] = posterior.prior.interpolate(grid, state, state, points).cov
+    spread = J_r_x @ (2.0 * between_nodes - estimate.cov) @ np.swapaxes(J_r_x, -1, -2)
+    return _squared(readings.residual(at), readings.cov + spread)
 
 
-def _turned(estimated: Array, truth: Readings) -> Array:
+def _rotation_error(estimated: Array, truth: Readings) -> Array:
     """Rotation vectors (M, 3) from estimated to true orientation in the sensor's frame.
 
     For a coil (M, 2): the tilt of its axis, the least turn that takes one onto the other.
@@ -158,20 +181,13 @@ def _turned(estimated: Array, truth: Readings) -> Array:
 
 
 def joined(errors: Sequence[Errors]) -> Errors:
-    """Errors of one stream, one part after another."""
-    return Errors(
-        errors[0].name,
-        np.concatenate([e.arclength for e in errors]),
-        np.concatenate([e.position for e in errors]),
-        np.concatenate([e.rotation for e in errors]),
-        np.concatenate([e.nees_position for e in errors]),
-        np.concatenate([e.nees_rotation for e in errors]),
-        errors[0].dof_rotation,
-        np.concatenate([e.time for e in errors]),
-    )
+    """Errors of one stream, one part after another; its name is the first part's."""
+    arrays = ("arclength", "position", "rotation", "nees_position", "nees_rotation", "time")
+    parts: dict[str, Any] = {n: np.concatenate([getattr(e, n) for e in errors]) for n in arrays}
+    return replace(errors[0], **parts)
 
 
 def pool(errors: Sequence[Errors]) -> Errors:
-    """All samples of all sites as one; rotations count as of three degrees of freedom."""
+    """All samples of all sites as one; rotations are scaled to three degrees of freedom."""
     alike = [replace(e, nees_rotation=e.nees_rotation * (3.0 / e.dof_rotation)) for e in errors]
     return replace(joined(alike), name="overall", dof_rotation=3)

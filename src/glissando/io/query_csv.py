@@ -1,0 +1,88 @@
+"""CSV files of query points and of the estimates at them."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from glissando.errors import GlissandoError
+from glissando.estimation.posterior import Posterior, StateEstimate
+from glissando.geometry.se3 import Array
+
+QUERY_COLUMNS = [
+    *("time", "arclength", "x", "y", "z", "qw", "qx", "qy", "qz"),
+    *("nu_x", "nu_y", "nu_z", "u_x", "u_y", "u_z"),
+    *("v_x", "v_y", "v_z", "w_x", "w_y", "w_z"),
+    *(f"c_{i}_{j}" for i in range(6) for j in range(6)),
+]
+"""Columns of an estimate: point, pose, strain, velocity, covariance of the pose (body frame)."""
+
+
+def read_query(path: Path) -> tuple[Array, Array]:
+    """Read the points of a CSV file with the columns time and arclength.
+
+    Args:
+        path: The CSV file; other columns are ignored.
+
+    Returns:
+        Times (M,) in seconds and arclengths (M,) in metres.
+
+    Raises:
+        GlissandoError: If the file cannot be read, or a row is not two finite numbers.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            reader = csv.reader(file)
+            lines = [(reader.line_num, row) for row in reader if row]
+    except OSError as problem:
+        raise GlissandoError(f"Query {path} cannot be read ({problem.strerror}).") from None
+    except (UnicodeDecodeError, csv.Error):
+        raise GlissandoError(f"Query {path} is not a CSV text in UTF-8.") from None
+    head = [name.strip() for name in lines[0][1]] if lines else []
+    if "time" not in head or "arclength" not in head or len(lines) < 2:
+        raise GlissandoError(
+            f"Query {path.name} must have the columns time,arclength and a row for each point."
+        )
+    points = np.empty((len(lines) - 1, 2))
+    for point, (number, row) in zip(points, lines[1:], strict=True):
+        try:
+            point[:] = [float(row[head.index(name)]) for name in ("time", "arclength")]
+        except (IndexError, ValueError):
+            point[:] = np.nan
+        if not np.all(np.isfinite(point)):
+            raise GlissandoError(
+                f"{path.name} line {number}: give a number for time and one for arclength."
+            )
+    return points[:, 0], points[:, 1]
+
+
+def write_query(posterior: Posterior, query: tuple[Array, Array], path: Path) -> None:
+    """Write the estimate at query points as CSV.
+
+    Args:
+        posterior: The estimate.
+        query: Times (M,) in seconds and arclengths (M,) in metres.
+        path: File to write; its folder is made if it is missing.
+    """
+    time, arclength = query
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_states([(time, arclength, posterior.at(arclength, time))], path)
+
+
+def write_states(states: Iterable[tuple[Array, Array, StateEstimate]], path: Path) -> None:
+    """Write estimates one after another as CSV with the columns QUERY_COLUMNS.
+
+    Args:
+        states: Times (M,) s, arclengths (M,) m and the estimates there.
+        path: File to write.
+    """
+    rows = []
+    for time, arclength, at in states:
+        columns = [time[:, None], arclength[:, None], at.position, at.quaternion, at.strain]
+        columns += [at.velocity, at.cov[:, :6, :6].reshape(len(time), 36)]
+        rows.append(np.hstack(columns))
+    header = ",".join(QUERY_COLUMNS)
+    np.savetxt(path, np.concatenate(rows), "%.12g", ",", header=header, comments="")
