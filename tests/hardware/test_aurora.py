@@ -14,7 +14,7 @@ import pytest
 import serial
 from sksurgerynditracker.nditracker import NDITracker
 
-from aurora_bench import SPEED, simulated, tell_tale, told_time
+from aurora_bench import SPEED, measured_time, simulated, tell_tale
 from glissando.errors import DeviceError, SimulationError
 from glissando.hardware.drivers import Aurora, aurora
 from glissando.hardware.drivers.link import Link, LostError, SilentError
@@ -41,7 +41,7 @@ def readings(frames):
 def require_true(frames, epoch, rate):
     """Every pose is the truth of its frame's number, and times are better than arrivals."""
     found = readings(frames)
-    said = np.array([told_time(port.pose, epoch) for _, port in found])
+    said = np.array([measured_time(port.pose, epoch) for _, port in found])
     drift = said - np.array([frame.number for frame, _ in found]) / rate
     assert np.ptp(drift) < 1e-3  # BX is good for 0.1 ms, TX for 0.25 ms of this
     times, arrivals = np.array([(frame.time, frame.arrival) for frame, _ in found]).T
@@ -108,7 +108,7 @@ LINE = {"bad_crc": 3, "silent": 2, "duplicates": 10}
 FRAMES = {"missing": 5, "out_of_volume": 10, "dropped": 2}
 FAULTS = {
     "crc=0.1,truncate=0.03,quiet=0.02,repeat=0.3,crc_setup=0.2": LINE,
-    "missing=0.05,out=0.2,partly=0.2,sign=0.5,drop=0.05,counter=4294967250,warning=1": FRAMES,
+    "missing=0.05,out=0.2,partly=0.2,drop=0.05,counter=4294967250,warning=1": FRAMES,
     "broken=1,srom=0,slow_init=0.5": {"missing": 120},
     "reset=0.3": {"clock_restarts": 1},
     "cut=0.2,mended=0.5": {"reconnects": 1},

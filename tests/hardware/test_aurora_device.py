@@ -12,8 +12,8 @@ from glissando.errors import SimulationError
 from glissando.geometry import se3
 from glissando.hardware.drivers.aurora_protocol import frame_command, parse_bx, parse_tx
 from glissando.hardware.simulated_devices.aurora_device import Device, Nature
-from glissando.hardware.simulated_devices.faults import Dice, Faults
-from glissando.hardware.simulated_devices.scene import Coil, Scene
+from glissando.hardware.simulated_devices.faults import AuroraFaults, Dice, parse_faults
+from glissando.hardware.simulated_devices.scene import Scene, SceneCoil
 from glissando.hardware.simulated_devices.sensing import Sensing
 from glissando.hardware.simulated_devices.travel import MESSAGE, Travel
 from glissando.simulation.imperfections import Imperfections
@@ -21,8 +21,8 @@ from glissando.simulation.imperfections import Imperfections
 
 def device(faults="", scene=None, seed=0, **nature):
     scene = tell_tale() if scene is None else scene
-    dice, nature = Dice(Faults.parse(faults), seed), Nature(0.0, **nature)
-    return Device(scene, Sensing(scene, dice, None, 0.0, 0.0, nature.rate), dice, nature)
+    dice, nature = Dice(parse_faults(AuroraFaults, faults), seed), Nature(0.0, **nature)
+    return Device(scene, Sensing(scene, None, 0.0, 0.0, nature.rate), dice, nature)
 
 
 def say(dev, text, now=1.0):
@@ -58,13 +58,11 @@ def tracking(*arguments, now=1.0, **nature):
         (["INIT:"], "PINIT:55", "ERROR08"),
         (["INIT:"], "GETINFO:Features.Firmware.Version", "ERROR01"),
         (["INIT:"], "VER 3", "ERROR23"),
-        (["INIT:"], "VER 5", "013"),
         (["INIT:"], "PHSR:02", "020A0010B001"),
         (["INIT:"], "PHSR 02", "020A0010B001"),
         (["INIT:", "PINIT:0a"], "PHSR:03", "010A011"),
         (["INIT:"], "COMM:50000", "OKAY"),
         (["INIT:"], "COMM:90000", "ERROR06"),
-        (["INIT:"], "BEEP:1", "1"),
         ([*READY, "TSTART:"], "PINIT:0A", "ERROR0C"),
         ([*READY, "TSTART:"], "VER:0", "ERROR0C"),
         ([*READY, "TSTART:"], "TX:0002", "ERROR23"),
@@ -112,17 +110,13 @@ def test_a_frame_shows_the_scene_of_its_own_instant():
     assert np.isclose(port.pose[0, 3], SPEED * port.number / 40.0, atol=1e-7)
 
 
-def test_tx_and_bx_say_the_same_of_a_frame():
-    flaws = Imperfections(roll="minimal")
-    dev = tracking("out=0.3,missing=0.2", tell_tale(flaws))
+def test_tx_and_bx_report_the_same_of_a_frame():
+    dev = tracking("out=0.3,missing=0.2", tell_tale(Imperfections(roll="minimal")))
     for now in np.arange(1.0, 3.0, 0.05):
         tx, bx = parse_tx(say(dev, "TX:0801", now)), parse_bx(say(dev, "BX:0801", now))
         for one, other in zip(tx.ports, bx.ports, strict=True):
-            assert (one.number, one.status, one.condition) == (
-                other.number,
-                other.status,
-                other.condition,
-            )
+            assert all(getattr(one, k) == getattr(other, k) for k in ("number", "status"))
+            assert one.condition == other.condition
             if one.pose is not None:
                 assert np.abs(one.pose - other.pose).max() < 4e-4
                 assert np.abs(one.pose[:3, 3] - other.pose[:3, 3]).max() < 0.0051e-3
@@ -135,7 +129,7 @@ def test_without_the_option_a_coil_out_of_the_volume_is_missing():
 
 
 def test_the_second_coil_of_a_plug_shows_after_the_first_is_initialised():
-    coils = [Coil(0.1, 0.0, np.eye(4), 0), Coil(0.05, 0.0, np.eye(4), 0, channel=1)]
+    coils = [SceneCoil(0.1, 0.0, np.eye(4), 0), SceneCoil(0.05, 0.0, np.eye(4), 0, channel=1)]
     dev = device(scene=tell_tale(coils=coils))
     assert asked(dev, "INIT:", "PHSR:02", "PINIT:0A", "PHSR:02")[1::2] == ["010A001", "010B001"]
 
@@ -155,25 +149,19 @@ def test_a_counter_rolls_over():
     assert numbers == [(4294967290 + k) % 2**32 for k in range(10)]
 
 
-def test_tstart_80_resets_the_counter():
-    dev = device()
-    asked(dev, *READY, "TSTART:80", now=10.0)
-    assert parse_bx(say(dev, "BX:0801", 10.03)).ports[0].number == 1
-
-
 def test_a_wired_device_takes_the_time_its_baud_rate_gives():
     dev = device(wired=True)
     (_, head), (slow, rest) = dev.hear(bytearray(frame_command("INIT:")), 0.0)
     assert np.isclose(slow, 10 * (10 + len(head + rest)) / 9600)
     dev.hear(bytearray(frame_command("COMM:50000")), 0.0)
-    ((fast, beeped),) = dev.hear(bytearray(frame_command("BEEP:1")), 0.0)
-    assert np.isclose(fast, 10 * (11 + len(beeped)) / 115200)
+    (_, head), (fast, rest) = dev.hear(bytearray(frame_command("PHSR:02")), 0.0)
+    assert np.isclose(fast, 10 * (12 + len(head + rest)) / 115200)
 
 
 def test_a_fault_with_no_name_or_number_is_a_sentence():
     for text in ("nonsense=1", "crc", "crc=often"):
         with pytest.raises(SimulationError, match=r"\.$"):
-            Faults.parse(text)
+            parse_faults(AuroraFaults, text)
 
 
 @given(generators)
@@ -192,14 +180,9 @@ def test_a_scene_of_arcs_is_exact_between_its_nodes(rng):
         assert np.allclose(scene.pose(s, t), truth, atol=1e-9)
 
 
-def test_a_scene_holds_at_its_ends_or_begins_anew():
+def test_a_scene_holds_at_its_ends():
     held = tell_tale()
-    looped = Scene(
-        *(getattr(held, k) for k in ("time", "arclength", "T_wb", "T_wt", "coils")), QUIET, 0, True
-    )
-    far = held.time[-1] + 5.0
-    assert np.array_equal(held.pose([0.1], far), held.pose([0.1], held.time[-1]))
-    assert np.allclose(looped.pose([0.1], far), looped.pose([0.1], 5.0))
+    assert np.array_equal(held.pose([0.1], held.time[-1] + 5), held.pose([0.1], held.time[-1]))
 
 
 def test_a_saved_scene_is_the_same_scene(tmp_path):
@@ -223,39 +206,23 @@ def test_a_scene_that_is_none_is_a_sentence(tmp_path):
 @pytest.mark.parametrize("axis", [[0, 0, 1], [0, 0.6, -0.8], [0, 0, -1]])
 def test_the_reported_rotation_has_no_roll_and_keeps_the_axis(axis):
     turn = np.eye(4)
-    lean = np.cross([0, 0, 1], axis)
-    angle = np.arccos(np.clip(axis[2], -1, 1))
-    size = np.linalg.norm(lean)
-    turn[:3, :3] = se3.so3_exp(angle * (lean / size if size else np.array([1.0, 0, 0])))
-    dev = tracking("", tell_tale(coils=[Coil(0.1, 0.0, turn, k) for k in range(2)]))
+    angle = np.arctan2(-axis[1], axis[2])  # all axes are in the y-z plane
+    turn[:3, :3] = se3.so3_exp(angle * np.array([1.0, 0.0, 0.0]))
+    dev = tracking("", tell_tale(coils=[SceneCoil(0.1, 0.0, turn, k) for k in range(2)]))
     port = parse_bx(say(dev, "BX:0801")).ports[0]
     assert np.allclose(port.pose[:3, 2], axis, atol=1e-6)
     assert abs(se3.quaternion(port.pose[:3, :3])[3]) < 1e-6
 
 
 def test_noise_is_white_and_bias_belongs_to_the_place():
-    flaws = QUIET.without()
     flaws = Imperfections(roll="true", jitter=1e-4, bias=1e-3, bias_angle=0.0, jitter_angle=0.0)
-    still = Scene(
-        np.zeros(1),
-        np.array([0.0, 0.1]),
-        np.tile(np.eye(4), (1, 2, 1, 1)),
-        np.eye(4),
-        (Coil(0.0, 0.0, np.eye(4), 0),),
-        flaws,
-    )
-    sensing = Sensing(still, Dice(Faults(), 0), None, 0.0, 0.0, 40.0)
+    grid = np.zeros(1), np.array([0.0, 0.1]), np.tile(np.eye(4), (1, 2, 1, 1))
+    still = Scene(*grid, np.eye(4), (SceneCoil(0.0, 0.0, np.eye(4), 0),), flaws)
+    sensing = Sensing(still, None, 0.0, 0.0, 40.0)
     places = np.array([sensing.values(k)[0, 4:7] for k in range(400)])
     spread = np.sqrt(3.0) * places.std(axis=0).mean()
     assert 0.08 < spread < 0.12
     assert np.linalg.norm(places.mean(axis=0)) > 0.1  # a bias, not noise, is left by averaging
-
-
-def test_metal_in_the_field_moves_poses_without_a_word():
-    true, bent = (parse_bx(say(tracking(f), "BX:0801")) for f in ("", "metal=0.002"))
-    for one, other in zip(true.ports, bent.ports, strict=True):
-        assert 1e-4 < np.linalg.norm(one.pose[:3, 3] - other.pose[:3, 3]) < 1e-2
-        assert (one.status, one.condition) == (other.status, other.condition)
 
 
 def test_travel_is_interpolated_at_the_instant_and_held():

@@ -19,7 +19,7 @@ from glissando.hardware.drivers.aurora_protocol import (
 )
 from glissando.hardware.drivers.aurora_reply import ERRORS, GarbledError, RefusedError
 from glissando.hardware.simulated_devices.aurora_wire import (
-    Told,
+    PortReport,
     bx_reply,
     crc,
     text_reply,
@@ -72,7 +72,7 @@ def reports(draw):
         seen = values if kind == "" else None
         condition = kind if kind.isupper() else ""
         status = draw(st.integers(0, 2**32 - 1)) & ~0x100
-        told.append(Told(handle, status, seen, condition))
+        told.append(PortReport(handle, status, seen, condition))
     return told, draw(st.integers(0, 2**32 - 1)), draw(st.integers(0, 2**16 - 1))
 
 
@@ -194,13 +194,13 @@ def test_random_bytes_are_no_list_of_handles(raw, resealed):
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -3.697314e28, 0.0])
 def test_a_number_that_is_no_pose_is_missing(bad):
     values = np.r_[[bad] * 4, 1.0, 2.0, 3.0, 0.1]
-    (port,) = parse_bx(bx_reply([Told(10, 0x31, values)], 5, 0)).ports
+    (port,) = parse_bx(bx_reply([PortReport(10, 0x31, values)], 5, 0)).ports
     assert port.missing
     assert port.pose is None
 
 
 def test_a_coil_that_is_broken_has_no_pose():
-    told = [Told(10, 0x131, np.r_[1.0, 0, 0, 0, 1, 2, 3, 0.1])]
+    told = [PortReport(10, 0x131, np.r_[1.0, 0, 0, 0, 1, 2, 3, 0.1])]
     for port in (
         parse_bx(bx_reply(told, 5, 0)).ports[0],
         parse_tx(tx_reply(told, 5, 0, False)).ports[0],
@@ -211,7 +211,11 @@ def test_a_coil_that_is_broken_has_no_pose():
 
 def test_a_pose_out_of_the_volume_says_so():
     values = np.r_[1.0, 0, 0, 0, 1, 2, 3, 0.1]
-    told = [Told(10, 0x71, values), Told(11, 0xB1, values), Told(12, 0x31, values)]
+    told = [
+        PortReport(10, 0x71, values),
+        PortReport(11, 0xB1, values),
+        PortReport(12, 0x31, values),
+    ]
     out, partly, inside = parse_bx(bx_reply(told, 5, 0)).ports
     assert out.out_of_volume
     assert not out.good

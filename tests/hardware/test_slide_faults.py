@@ -45,11 +45,11 @@ def test_a_stale_answer_is_found_by_its_tick():
     with together(world):
         slide = home(world)
         read = packed(1, Do.READ, bytes([120, 0, 16, 0]))
-        (old,) = world.stage._bus.receive(read, world.now)
+        (old,) = world.servo.receive(read, world.now)
         world.passes(0.1)
-        say = world.stage.say
+        arrived = world.arrived
         answers = [b"", old]  # nothing when the line is cleared, then one from before
-        world.stage.say = lambda now: answers.pop(0) if answers else say(now)
+        world.arrived = lambda: answers.pop(0) if answers else arrived()
         slide.read()
     assert slide.counts["stale"] == 1
 
@@ -73,7 +73,7 @@ def test_a_servo_that_hears_but_is_not_heard_is_switched_off_soon():
             moved_from_zero(world)
         world.passes(5.0)
     assert not world.servo.table["torque_enable"]
-    lost = next(t for t, number in world.told if number > 120)
+    lost = next(t for t, number in world.answers if number > 120)
     moved = [t for (t, a), (_, b) in pairwise(world.travel) if a != b]
     assert moved[-1] - lost < 0.3  # four attempts, and off
 

@@ -1,4 +1,4 @@
-"""Scenes whose readings tell their own time, and what is said to a simulated Aurora."""
+"""A scene whose poses state their own time, for a simulated Aurora."""
 
 import time
 from contextlib import contextmanager
@@ -6,7 +6,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from glissando.hardware.simulated_devices import started
-from glissando.hardware.simulated_devices.scene import Coil, Scene
+from glissando.hardware.simulated_devices.scene import Scene, SceneCoil
 from glissando.simulation.imperfections import Imperfections
 
 SPEED = 0.02  # m/s at which everything moves along the tracker's x
@@ -19,7 +19,7 @@ def tell_tale(flaws=QUIET, seed=7, coils=None):
     T_wb = np.tile(np.eye(4), (2, 2, 1, 1))
     T_wb[1, :, 0, 3], T_wb[:, 1, 2, 3] = SPEED * lasts, length
     if coils is None:
-        coils = (Coil(length, 0.0, np.eye(4), 0), Coil(0.05, -1.0, np.eye(4), 1))
+        coils = (SceneCoil(length, 0.0, np.eye(4), 0), SceneCoil(0.05, -1.0, np.eye(4), 1))
     ends = np.array([0.0, lasts]), np.array([0.0, length])
     return Scene(*ends, T_wb, np.eye(4), tuple(coils), flaws, seed)
 
@@ -35,6 +35,6 @@ def simulated(folder, *options, scene=None):
         yield address, epoch
 
 
-def told_time(pose, epoch):
-    """When a pose of the tell-tale scene was measured, by what it says itself."""
+def measured_time(pose, epoch):
+    """When a pose of the tell-tale scene was measured, by its position."""
     return epoch + pose[0, 3] / SPEED

@@ -1,6 +1,6 @@
-"""A host of the simulated servo that is never wrong, with a clock of its own."""
+"""A host of the simulated servo that makes no mistakes, with a clock of its own."""
 
-from glissando.hardware.simulated_devices.dynamixel import ALERT, Bus, Do, crc16, packed
+from glissando.hardware.simulated_devices.dynamixel import ALERT, Do, crc16, packed
 from glissando.hardware.simulated_devices.xl430 import Xl430
 
 
@@ -10,38 +10,36 @@ def words(*pairs):
 
 
 class Host:
-    """A host that is never wrong, and a clock of its own."""
+    """A servo's host; its clock `now` moves only when the test moves it."""
 
-    def __init__(self, *servos):
-        self.servos = servos or (Xl430(),)
-        self.bus = Bus(self.servos)
+    def __init__(self, servo=None):
+        self.servo = servo or Xl430()
         self.now = 1.0
 
-    def says(self, data):
-        return self.bus.receive(data, self.now)
+    def send(self, data):
+        return self.servo.receive(data, self.now)
 
-    def tells(self, instruction, parameters=b"", identity=1):
+    def ask(self, instruction, parameters=b"", identity=1):
         """Error and parameters of the only answer."""
-        (status,) = self.says(packed(identity, instruction, parameters))
+        (status,) = self.send(packed(identity, instruction, parameters))
         assert crc16(status[:-2]) == int.from_bytes(status[-2:], "little")
         assert status[4] == identity
         body = status[8:-2].replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
         return body[0], body[1:]
 
-    def writes(self, address, value, size, identity=1):
-        return self.tells(Do.WRITE, words((address, 2), (value, size)), identity)[0]
+    def write(self, address, value, size):
+        return self.ask(Do.WRITE, words((address, 2), (value, size)))[0]
 
-    def reads(self, address, size, identity=1):
-        error, data = self.tells(Do.READ, words((address, 2), (size, 2)), identity)
+    def read(self, address, size):
+        error, data = self.ask(Do.READ, words((address, 2), (size, 2)))
         assert error & ~ALERT == 0
         assert len(data) == size
         return int.from_bytes(data, "little", signed=size == 4)
 
     def extended(self, **registers):
         """Extended position mode with torque on."""
-        assert self.writes(11, 4, 1) == 0
+        assert self.write(11, 4, 1) == 0
         for name, value in registers.items():
-            address = {"velocity": 112, "acceleration": 108, "offset": 20}[name]
-            assert self.writes(address, value, 4) == 0
-        assert self.writes(64, 1, 1) == 0
+            assert self.write({"velocity": 112, "acceleration": 108}[name], value, 4) == 0
+        assert self.write(64, 1, 1) == 0
         return self

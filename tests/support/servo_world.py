@@ -10,9 +10,9 @@ from unittest import mock
 from dynamixel_sdk import PacketHandler
 
 from glissando.hardware.drivers import dynamixel, homing, slide
+from glissando.hardware.simulated_devices.faults import parse_faults
 from glissando.hardware.simulated_devices.screw import Screw
-from glissando.hardware.simulated_devices.servo import Stage as Simulated
-from glissando.hardware.simulated_devices.servo_faults import Faults, Line
+from glissando.hardware.simulated_devices.servo import Line, ServoFaults
 from glissando.hardware.simulated_devices.xl430 import Xl430
 
 _SENDING, _WAITING = 0.0015, 0.001  # s
@@ -25,10 +25,11 @@ class World:
         self.now = 100.0
         self.screw = Screw(start=start, angle=angle, play=play, **screw)
         self.servo = Xl430(self.screw, now=self.now, tick=30_000)
-        self.stage = Simulated(self.servo, [], Line(Faults.read(faults), seed=3))
+        self.line = Line(self.servo, parse_faults(ServoFaults, ",".join(faults)), seed=3)
         self.travel = [(self.now, start)]
         self.heard = 0  # times anything was sent
-        self.told = []  # (time, answers until then)
+        self.answers = []  # (time, answers until then)
+        self._due = []  # (time, bytes) on their way to the host
         # What the SDK asks of a port.
         self.is_using = self.is_open = False
         self._bytes, self._deadline = b"", 0.0
@@ -39,21 +40,27 @@ class World:
             self.now = min(self.now + 0.005, end)
             self.travel.append((self.now, self.servo.advance(self.now)))
 
+    def arrived(self):
+        """The bytes that have come to the host by now."""
+        arrived = b"".join(data for when, data in self._due if when <= self.now)
+        self._due = [(when, data) for when, data in self._due if when > self.now]
+        return arrived
+
     def writePort(self, packet):  # noqa: N802
         self.passes(_SENDING)
         self.heard += 1
-        self.stage.hear(bytes(packet), self.now)
-        self.told.append((self.now, self.stage.line.sent))
+        self._due += self.line.hear(bytearray(packet), self.now)
+        self.answers.append((self.now, self.line.sent))
         return len(packet)
 
     def readPort(self, length):  # noqa: N802
         self.passes(_WAITING)
-        self._bytes += self.stage.say(self.now)
+        self._bytes += self.arrived()
         out, self._bytes = self._bytes[:length], self._bytes[length:]
         return list(out)
 
     def clearPort(self):  # noqa: N802
-        self.stage.say(self.now)
+        self.arrived()
         self._bytes = b""
 
     def setPacketTimeout(self, length):  # noqa: N802
@@ -73,11 +80,11 @@ def together(world):
     def clock():
         return world.now
 
-    with ExitStack() as here:
+    with ExitStack() as stack:
         port = mock.Mock(return_value=(world, PacketHandler(2.0)))
-        here.enter_context(mock.patch.object(dynamixel, "opened", port))
+        stack.enter_context(mock.patch.object(dynamixel, "opened", port))
         for module in (dynamixel, homing, slide):
-            here.enter_context(mock.patch.object(module, "monotonic", clock))
+            stack.enter_context(mock.patch.object(module, "monotonic", clock))
         for module in (homing, slide):
-            here.enter_context(mock.patch.object(module, "sleep", world.passes))
+            stack.enter_context(mock.patch.object(module, "sleep", world.passes))
         yield

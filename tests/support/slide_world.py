@@ -1,7 +1,7 @@
 """A stage to drive in a world without waiting, and worlds that meddle and interrupt."""
 
 from glissando.hardware.drivers import Slide, Stage
-from glissando.hardware.simulated_devices.dynamixel import Do
+from glissando.hardware.simulated_devices.dynamixel import Do, packed
 from servo_world import World
 
 STAGE = Stage(lead=0.0254, stroke=(0.0, 0.06), home=-0.002)
@@ -22,7 +22,7 @@ class Meddled(World):
 
     def writePort(self, packet):  # noqa: N802
         if self.heard == self.meddles:
-            self.servo.execute(Do.WRITE, bytes([64, 0, 0]), self.now)
+            self.servo.receive(packed(1, Do.WRITE, bytes([64, 0, 0])), self.now)
         return super().writePort(packet)
 
 

@@ -25,12 +25,14 @@ from glissando.hardware.capture import (
     write_recording,
 )
 from glissando.hardware.capture.capture import LOG
-from glissando.hardware.capture.online import Hear, followed
+from glissando.hardware.capture.online import OnMessage, live_estimate
 from glissando.hardware.drivers import Stage
 from glissando.io.atomic_folder import require_new
 from glissando.io.session_log import read_session
 from glissando.model.slide_path import read_slide
 from glissando.simulation import SlideLimits, SlidePath
+from glissando.visualization.page.live import Live as BrowserView
+from glissando.visualization.page.live import follow
 
 _HELP = """\
 Run an experiment: the slide follows its path while tracker, slide and motion capture are recorded
@@ -62,7 +64,7 @@ def add_to(commands: Commands) -> None:
     texts = _HELP, _EXAMPLES
     parser = add_command(commands, "record", "record an experiment", texts, _record)
     add = parser.add_argument
-    add("--setup", type=Path, metavar="FILE", help="the rig's devices and what rides where")
+    add("--setup", type=Path, metavar="FILE", help="the rig's devices and where its coils are")
     add("--simulate", action="store_true", help="start simulated devices instead")
     add("--robot", default="sliding700", metavar="FILE|NAME", help="that is simulated")
     add("--shape", default="S", metavar="NAME|FILE", help="of the simulated robot (default S)")
@@ -94,11 +96,12 @@ def _record(options: argparse.Namespace) -> int:
             rig = load_rig(options.setup)
         path = _path(options, rig)
         try:
-            hear = None
+            on_message = None
             if options.live:
-                address, hear = stack.enter_context(followed(rig))
+                view = live_estimate(rig, BrowserView, follow)
+                address, on_message = stack.enter_context(view)
                 print(f"Look at {address}", file=sys.stderr)
-            _watched(rig, path, options.out, hear)
+            _capture_shown(rig, path, options.out, on_message)
             status = 0
         except KeyboardInterrupt:
             print("Stopped; what was recorded is kept.")
@@ -135,21 +138,22 @@ def _limits(stage: Stage) -> SlideLimits:
     return SlideLimits(stage.stroke[1], stage.speed, stage.acceleration)
 
 
-def _watched(rig: Rig, path: SlidePath, folder: Path, hear: Hear | None) -> Progress:
-    """Run it behind a live table on stderr, where somebody looks."""
+def _capture_shown(rig: Rig, path: SlidePath, folder: Path, on_message: OnMessage | None) -> None:
+    """Run the experiment behind a live table on stderr, if that is a terminal."""
     console = Console(stderr=True)
     if not console.is_terminal:
-        return capture(rig, path, folder, hear=hear)
+        capture(rig, path, folder, on_message=on_message)
+        return
     with Live(console=console, auto_refresh=False, transient=True) as live:
         shown = 0.0
 
-        def watch(progress: Progress) -> None:
+        def refresh(progress: Progress) -> None:
             nonlocal shown
             if time.monotonic() - shown > _REFRESH:
                 live.update(_table(progress), refresh=True)
                 shown = time.monotonic()
 
-        return capture(rig, path, folder, watch=watch, hear=hear)
+        capture(rig, path, folder, on_progress=refresh, on_message=on_message)
 
 
 def _table(progress: Progress) -> Table:
@@ -157,20 +161,20 @@ def _table(progress: Progress) -> Table:
     table = Table("stream", "Hz", "messages", "last", title=f"{into:.0f} of {progress.total:.0f} s")
     for topic, count in progress.count.items():
         table.add_row(topic, f"{progress.rate(topic):.1f}", str(count), progress.last[topic])
-    for what, said in progress.problems.items():
-        table.add_row(escape(what), "", escape(said), "")
+    for device, problem in progress.problems.items():
+        table.add_row(escape(device), "", escape(problem), "")
     return table
 
 
 def _keep(rig: Rig, options: argparse.Namespace, *, quietly: bool = False) -> None:
-    """Make the log a recording and say what is in it."""
+    """Make a recording of the log and print a summary."""
     folder = options.out
     session = read_session(folder / LOG)
     if quietly and not any(topic.messages for topic in session.topics.values()):
         shutil.rmtree(folder)  # nothing began
         return
     try:
-        amiss = write_recording(session, rig, folder)
+        warnings = write_recording(session, rig, folder)
     except GlissandoError:
         if not quietly:
             raise
@@ -181,5 +185,5 @@ def _keep(rig: Rig, options: argparse.Namespace, *, quietly: bool = False) -> No
         return
     counts = ", ".join(f"{len(t.messages)} {name}" for name, t in session.topics.items())
     print(f"Wrote {folder}: {counts}. Now: glissando estimate {folder} --out results")
-    for what in amiss:
-        print(f"  but {what}")
+    for warning in warnings:
+        print(f"  but {warning}")

@@ -6,12 +6,5 @@ from glissando.hardware.capture.setup import Body, Coil, Rig, load_rig
 from glissando.hardware.capture.simulated import simulated_rig
 
 __all__ = [
-    "Body",
-    "Coil",
-    "Progress",
-    "Rig",
-    "capture",
-    "load_rig",
-    "simulated_rig",
-    "write_recording",
-]
+    "Body", "Coil", "Progress", "Rig", "capture", "load_rig", "simulated_rig", "write_recording",
+]  # fmt: skip

@@ -1,7 +1,7 @@
-"""One experiment: the slide follows its path while every device is listened to.
+"""One experiment: the slide follows its path while every device is recorded.
 
-Each device has a thread that writes what it says to the session log, the tracker a process too that
-asks it; the slide is driven from the caller's thread. Whatever ends the experiment – its end, an
+Each device has a thread that writes its messages to the session log; the tracker has a process that
+polls it, too. The caller's thread drives the slide. Whatever ends the experiment – its end, an
 exception, Ctrl-C – stops the slide first.
 """
 
@@ -20,11 +20,10 @@ from typing import Any
 import numpy as np
 
 from glissando.errors import DeviceError
-from glissando.geometry import se3
 from glissando.geometry.se3 import Array
-from glissando.hardware.capture.listening import Listening, listening
-from glissando.hardware.capture.online import Hear
-from glissando.hardware.capture.setup import Coil, Rig
+from glissando.hardware.capture.online import OnMessage
+from glissando.hardware.capture.remote_tracker import RemoteTracker, remote_tracker
+from glissando.hardware.capture.setup import Coil, Rig, pose_entries
 from glissando.hardware.drivers import Slide, SlideReading, ViconStream
 from glissando.hardware.drivers.aurora_setup import Tool
 from glissando.io.session_log import INTEGER, NUMBER, SessionWriter, numbers, schema
@@ -38,32 +37,35 @@ _TRACKER = schema(
 _SLIDE = schema("glissando.Slide", time=NUMBER, tick=NUMBER, travel=NUMBER, speed=NUMBER)
 _MOCAP = schema("glissando.Body", time=NUMBER, frame=INTEGER, **_POSE)
 _PATIENCE = 0.5  # s to wait for a device before looking whether the experiment is over
-_SETTLE = 0.5  # s before the slide moves, so that the tracker's clock is known
-_SAMPLES = 0.01  # s between the points of a path given to the stage
+_SETTLE = 0.5  # s before the slide moves, in which the tracker's clock converges
+_PATH_STEP = 0.01  # s between the points of a path given to the stage
 
 
 @dataclass
 class Progress:
-    """What came so far: messages by topic, when they began, the last of each, what went wrong."""
+    """State of a running experiment.
+
+    Attributes:
+        began: When its messages are counted from, monotonic s.
+        count: Messages so far, by topic.
+        last: The last message of each topic, as text.
+        problems: What went wrong, as text, by device.
+        total: Duration of the slide's path, s.
+    """
 
     began: float = field(default_factory=time.monotonic)
     count: Counter[str] = field(default_factory=Counter)
     last: dict[str, str] = field(default_factory=dict)
     problems: dict[str, str] = field(default_factory=dict)
-    total: float = 0.0  # s that the slide's path lasts
+    total: float = 0.0
 
     def rate(self, topic: str) -> float:
         """Messages a second since the beginning."""
         return self.count[topic] / max(time.monotonic() - self.began, 1e-9)
 
-    def note(self, topic: str, said: str) -> None:
-        """One more message."""
-        self.count[topic] += 1
-        self.last[topic] = said
 
-
-Watch = Callable[[Progress], None]
-"""Called a few times a second while the experiment runs."""
+OnProgress = Callable[[Progress], None]
+"""Called many times a second while the experiment runs."""
 
 
 def capture(
@@ -71,48 +73,59 @@ def capture(
     path: SlidePath,
     folder: Path,
     *,
-    watch: Watch | None = None,
-    hear: Hear | None = None,
+    on_progress: OnProgress | None = None,
+    on_message: OnMessage | None = None,
 ) -> Progress:
-    """Run an experiment and log it in a new `folder`; the log is whole up to the last second.
+    """Run an experiment and log it; after a crash the log is whole up to the last second.
 
-    Raises DeviceError when a device fails; what came before is in the log, and the slide stands.
+    Args:
+        rig: The devices.
+        path: What the slide follows.
+        folder: New folder for the log.
+        on_progress: Shows the progress, from the caller's thread.
+        on_message: Takes each message after it is logged, from the devices' threads.
+
+    Returns:
+        The progress at the end.
+
+    Raises:
+        DeviceError: A device failed. What came before is in the log, and the slide stands still.
     """
     folder.mkdir(parents=True, exist_ok=False)
     progress = Progress(total=path.duration)
     over = threading.Event()
-    failure: list[BaseException] = []
+    failures: list[BaseException] = []
     metadata = {"setup": json.dumps(rig.described())}
     with SessionWriter(folder / LOG, metadata) as writer, ExitStack() as stack:
-        log = _Log(writer, progress, hear)
-        listeners = []
+        log = _Log(writer, progress, on_message)
+        steps: list[Callable[[], None]] = []
         if rig.tracker is not None:
-            tracker = stack.enter_context(listening(rig.tracker, rig.baud))
-            names = _known_by(tracker.tools, _plugged(tracker.tools, rig.coils))
-            listeners.append(lambda: _hear_tracker(tracker, names, log))
+            tracker = stack.enter_context(remote_tracker(rig.tracker, rig.baud))
+            names = _name_by_identity(tracker.tools, _name_by_handle(tracker.tools, rig.coils))
+            steps.append(lambda: _log_tracker(tracker, names, log))
         if rig.mocap is not None:
             mocap = stack.enter_context(ViconStream(rig.mocap, timeout=_PATIENCE))
-            listeners.append(lambda: _hear_mocap(mocap, rig, log))
-        threads = [threading.Thread(target=_listen, args=(h, over, failure)) for h in listeners]
+            steps.append(lambda: _log_mocap(mocap, rig, log))
+        threads = [threading.Thread(target=_repeat, args=(s, over, failures)) for s in steps]
         stack.callback(_finish, over, threads)
         for thread in threads:
             thread.start()
         for _ in _experiment(rig, path, log):
-            if failure:
-                raise failure[0]
-            if watch is not None:
-                watch(progress)
-    if failure:
-        raise failure[0]
+            if failures:
+                raise failures[0]
+            if on_progress is not None:
+                on_progress(progress)
+    if failures:
+        raise failures[0]
     return progress
 
 
-def _listen(hear: Callable[[], None], over: threading.Event, failure: list[BaseException]) -> None:
-    while not over.is_set() and not failure:
+def _repeat(step: Callable[[], None], over: threading.Event, failures: list[BaseException]) -> None:
+    while not over.is_set() and not failures:
         try:
-            hear()
-        except BaseException as problem:  # told by whoever drives the experiment
-            failure.append(problem)
+            step()
+        except BaseException as problem:  # raised again by the thread that drives the slide
+            failures.append(problem)
 
 
 def _finish(over: threading.Event, threads: list[threading.Thread]) -> None:
@@ -123,22 +136,23 @@ def _finish(over: threading.Event, threads: list[threading.Thread]) -> None:
 
 @dataclass(frozen=True)
 class _Log:
-    """Where messages go: to the session's log, then to who counts and who listens."""
+    """Passes messages to the session log, the progress and the caller's callback."""
 
     writer: SessionWriter
     progress: Progress
-    hear: Hear | None
+    on_message: OnMessage | None
 
     def write(
-        self, topic: str, form: dict[str, Any], message: dict[str, Any], at: float, said: str
+        self, topic: str, form: dict[str, Any], message: dict[str, Any], at: float, text: str
     ) -> None:
-        """A message that came `at` a monotonic time, s, and what to show of it."""
+        """Log a message that came `at` a monotonic time, s, and is shown as `text`."""
         if topic not in self.progress.last:
             self.writer.add_topic(topic, form)
         self.writer.write(topic, message, round(1e9 * at))
-        self.progress.note(topic, said)
-        if self.hear is not None:
-            self.hear(topic, message)
+        self.progress.count[topic] += 1
+        self.progress.last[topic] = text
+        if self.on_message is not None:
+            self.on_message(topic, message)
 
 
 def _experiment(rig: Rig, path: SlidePath, log: _Log) -> Iterator[None]:
@@ -154,7 +168,7 @@ def _experiment(rig: Rig, path: SlidePath, log: _Log) -> Iterator[None]:
             slide.home_at_stop()
         else:
             slide.home_here(rig.standing)
-        times = np.append(np.arange(0.0, path.duration, _SAMPLES), path.duration)
+        times = np.append(np.arange(0.0, path.duration, _PATH_STEP), path.duration)
         for reading in slide.follow(times, path.at(times)):
             _log_slide(reading, log)
             yield
@@ -169,95 +183,82 @@ def _wait(seconds: float) -> Iterator[None]:
 
 
 def _log_slide(reading: SlideReading, log: _Log) -> None:
-    message = {
-        "time": reading.time,
-        "tick": reading.servo_time,
-        "travel": reading.travel,
-        "speed": reading.speed,
-    }
-    said = f"{1e3 * reading.travel:.1f} mm, {1e3 * reading.speed:+.1f} mm/s"
-    log.write("/slide", _SLIDE, message, reading.time, said)
+    text = f"{1e3 * reading.travel:.1f} mm, {1e3 * reading.speed:+.1f} mm/s"
+    place = {"travel": reading.travel, "speed": reading.speed}
+    message = {"time": reading.time, "tick": reading.servo_time, **place}
+    log.write("/slide", _SLIDE, message, reading.time, text)
 
 
-def _plugged(tools: list[Tool], coils: tuple[Coil, ...]) -> dict[int, str]:
+def _name_by_handle(tools: list[Tool], coils: tuple[Coil, ...]) -> dict[int, str]:
     """Names of the coils by their handles. Raises DeviceError when they do not match."""
-    serials = {tool.serial: tool.handle for tool in tools}
+    handles = {tool.serial: tool.handle for tool in tools}
     free = [tool.handle for tool in tools]
-    found = {}
+    names = {}
     for coil in coils:
-        if coil.serial and coil.serial not in serials:
+        if coil.serial and coil.serial not in handles:
             raise DeviceError(
-                f"No coil with serial number {coil.serial!r} ({coil.name}) is plugged in; there "
-                f"are {', '.join(serials)}."
+                f"No coil with serial number {coil.serial!r} ({coil.name}) is plugged in, only "
+                f"{', '.join(handles)}; plug it in, or correct `serial`."
             )
-        handle = serials[coil.serial] if coil.serial else next(iter(free), None)
+        handle = handles[coil.serial] if coil.serial else next(iter(free), None)
         if handle not in free:
             raise DeviceError(
                 f"{len(tools)} coils are plugged in and the setup names {len(coils)}; plug "
                 f"{coil.name} in, or leave it out."
             )
         free.remove(handle)
-        found[handle] = coil.name
-    return found
+        names[handle] = coil.name
+    return names
 
 
-def _known_by(tools: list[Tool], names: dict[int, str]) -> dict[str, str]:
-    """Names of the coils by serial number, if no other has it, and by place on the plugs.
+def _name_by_identity(tools: list[Tool], names: dict[int, str]) -> dict[str, str]:
+    """Names of the coils by serial number, where it is unique, and by place on the plugs.
 
-    A coil that is unplugged and comes back may have another handle, or not tell its number.
+    A coil that is unplugged and comes back may have another handle, or not report its number.
     """
+    named = [tool for tool in tools if tool.handle in names]
     serials = Counter(tool.serial for tool in tools)
-    known = {}
-    for tool in tools:
-        if tool.handle in names:
-            known[_place(tool)] = names[tool.handle]
-            if tool.serial and serials[tool.serial] == 1:
-                known[tool.serial] = names[tool.handle]
-    return known
+    unique = {t.serial: names[t.handle] for t in named if t.serial and serials[t.serial] == 1}
+    return {_plug(t): names[t.handle] for t in named} | unique
 
 
-def _place(tool: Tool) -> str:
+def _plug(tool: Tool) -> str:
     return f"port {tool.port}, channel {tool.channel}"
 
 
-def _hear_tracker(tracker: Listening, names: dict[str, str], log: _Log) -> None:
-    """Log the next frame; that none comes is told by what is not in the log."""
+def _log_tracker(tracker: RemoteTracker, names: dict[str, str], log: _Log) -> None:
+    """Log the next frame, if one comes; a gap in the log shows that none came."""
     frame = tracker.read(_PATIENCE)
     if frame is None:
         return
-    coils = {t.handle: names.get(t.serial) or names.get(_place(t)) for t in tracker.tools}
+    coils = {t.handle: names.get(t.serial) or names.get(_plug(t)) for t in tracker.tools}
     for port in frame.ports:
         name = coils.get(port.handle)
         if name is None:
             continue
-        pose = _pose(port.pose if port.good else None)
-        said = {"time": frame.time, "frame": frame.number, "error": port.quality}
-        message = {**said, "status": port.status or 0, **pose}
-        log.write(f"/tracker/{name}", _TRACKER, message, frame.arrival, _told(pose["position"]))
+        stamp = {"time": frame.time, "frame": frame.number}
+        quality = {"error": port.quality, "status": port.status or 0}
+        pose, text = _shown(port.pose if port.good else None)
+        log.write(f"/tracker/{name}", _TRACKER, stamp | quality | pose, frame.arrival, text)
     counts = {f"tracker {k}": str(n) for k, n in tracker.counts.items() if n}
     log.progress.problems.update(counts)
 
 
-def _hear_mocap(mocap: ViconStream, rig: Rig, log: _Log) -> None:
-    """Log the next frame; silence is noted, not fatal: the experiment is the robot's."""
+def _log_mocap(mocap: ViconStream, rig: Rig, log: _Log) -> None:
+    """Log the next frame; silence is noted but not fatal, for the robot needs no motion capture."""
     try:
         frame = mocap.read()
     except DeviceError as silence:
         log.progress.problems["mocap"] = str(silence)
         return
     for body in rig.bodies:
-        pose = _pose(frame.poses.get(body.name))
+        pose, text = _shown(frame.poses.get(body.name))
         message = {"time": frame.received, "frame": frame.number, **pose}
-        said = _told(pose["position"])
-        log.write(f"/mocap/{body.name}", _MOCAP, message, frame.received, said)
+        log.write(f"/mocap/{body.name}", _MOCAP, message, frame.received, text)
 
 
-def _pose(pose: Array | None) -> dict[str, list[float] | None]:
+def _shown(pose: Array | None) -> tuple[dict[str, Any], str]:
+    """A pose's entries of a message, and its position as text."""
     if pose is None:
-        return {"position": None, "quaternion": None}
-    quaternion = se3.quaternion(pose[:3, :3])
-    return {"position": pose[:3, 3].tolist(), "quaternion": quaternion.tolist()}
-
-
-def _told(position: list[float] | None) -> str:
-    return "not seen" if position is None else ", ".join(f"{1e3 * x:.1f}" for x in position) + " mm"
+        return {"position": None, "quaternion": None}, "not seen"
+    return pose_entries(pose), ", ".join(f"{1e3 * x:.1f}" for x in pose[:3, 3]) + " mm"

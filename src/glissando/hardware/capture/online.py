@@ -1,7 +1,7 @@
-"""The robot's shape in a browser while it is recorded: an online estimator in its own process.
+"""The robot's shape shown while it is recorded, estimated in a process of its own.
 
-A process and not a thread: estimating would keep the recording's threads from the devices for tens
-of milliseconds at a time, and a servo that is not heard stops.
+A process and not a thread: an estimator in a thread would hold the interpreter for tens of
+milliseconds at a time, and a moving servo that hears nothing for long enough stops.
 """
 
 from __future__ import annotations
@@ -9,8 +9,8 @@ from __future__ import annotations
 import multiprocessing
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from typing import Any
+from contextlib import AbstractContextManager, contextmanager
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
@@ -19,28 +19,52 @@ from glissando.estimation.fixed_lag import FixedLagSmoother
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.hardware.capture.setup import Coil, Rig
-from glissando.io.robot_file import Robot, load_robot, robot_file
+from glissando.io.robot_file import load_robot, robot_file
+from glissando.model.robot import Robot
 from glissando.model.sensors.sensors import CoilReadings
-from glissando.visualization.page.live import Live, follow
 
+_POINTS = 41  # along the robot that is shown
 _END = 10.0  # s that the process may take to end
 
-Hear = Callable[[str, dict[str, Any]], None]
-"""Called with the topic and the message after each is logged, and must not wait."""
+OnMessage = Callable[[str, dict[str, Any]], None]
+"""Called with topic and message after each is logged; it must not wait."""
+
+
+class _HasAddress(Protocol):
+    @property
+    def address(self) -> str: ...
+
+
+View = TypeVar("View", bound=_HasAddress)
 
 
 @contextmanager
-def followed(rig: Rig) -> Iterator[tuple[str, Hear]]:
-    """The address to look at, and what is to hear the rig's messages.
+def live_estimate(
+    rig: Rig,
+    open_view: Callable[[Array], AbstractContextManager[View]],
+    show: Callable[[View, FixedLagSmoother], None],
+) -> Iterator[tuple[str, OnMessage]]:
+    """Estimate and show the robot's shape in another process while the context lasts.
 
-    Raises GlissandoError when viser is not installed, or the robot's file states no coil's noise.
+    Args:
+        rig: The rig whose messages will come.
+        open_view: Opens a view of the robot at arclengths (N,) m. Importable by name, like `show`,
+            because the other process imports both.
+        show: Shows the newest state of a smoother in a view.
+
+    Returns:
+        The address of the view, and the callback that takes the rig's messages.
+
+    Raises:
+        GlissandoError: The view does not open, or the robot's file states no noise of coils.
     """
     robot = load_robot(robot_file(rig.robot))
     if "coil" not in robot.sensor_std:
         raise GlissandoError(f"Robot {robot.name!r} states no noise of coils; add [sensors.coil].")
     context = multiprocessing.get_context("spawn")
     messages, address = context.Queue(), context.SimpleQueue()
-    process = context.Process(target=_work, args=(rig, messages, address), daemon=True)
+    arguments = rig, open_view, show, messages, address
+    process = context.Process(target=_estimate, args=arguments, daemon=True)
     process.start()
     try:
         while address.empty():
@@ -58,25 +82,25 @@ def followed(rig: Rig) -> Iterator[tuple[str, Hear]]:
         messages.cancel_join_thread()
 
 
-def _work(rig: Rig, messages: Any, address: Any) -> None:
+def _estimate(rig: Rig, open_view: Any, show: Any, messages: Any, address: Any) -> None:
     robot = load_robot(robot_file(rig.robot))
-    coils = {f"/tracker/{c.name}": c for c in rig.coils}
+    coils = {f"/tracker/{coil.name}": coil for coil in rig.coils}
     smoother = FixedLagSmoother(
         robot.prior, robot.arclength_nodes, sensor_parameters=robot.sensor_parameters
     )
     step, due, travel = 1.0 / robot.time_rate, -np.inf, np.zeros(1)
-    with Live(np.linspace(0.0, robot.length, 41)) as live:
-        address.put(live.address)
+    with open_view(np.linspace(0.0, robot.length, _POINTS)) as view:
+        address.put(view.address)
         while (item := messages.get()) is not None:
             topic, message = item
             if topic == "/slide":
                 travel = np.array([message["travel"]])
             elif topic in coils and message["position"] is not None:
                 smoother.add(_reading(rig, robot, coils[topic], message, travel))
-                if message["time"] >= due and messages.empty():  # else behind: catch up first
+                if message["time"] >= due and messages.empty():  # else catch up first
                     smoother.advance(message["time"])
                     due = message["time"] + step
-                    follow(live, smoother)
+                    show(view, smoother)
 
 
 def _reading(
@@ -87,7 +111,7 @@ def _reading(
     pose[:3, 3] = message["position"]
     return CoilReadings(
         time=np.array([message["time"]]),
-        arclength=np.clip(coil.places(travel), 0.0, robot.length),
+        arclength=np.clip(coil.arclengths(travel), 0.0, robot.length),
         values=(rig.frame @ pose)[None],
         cov=robot.sensor_std["coil"] ** 2,
         name=coil.name,

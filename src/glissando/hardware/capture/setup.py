@@ -1,4 +1,4 @@
-"""What a rig is made of: which devices, where they are, and what rides where on the robot."""
+"""What a rig consists of: its devices, where they stand, and what is fixed to the robot where."""
 
 from __future__ import annotations
 
@@ -12,33 +12,40 @@ from glissando.errors import DeviceError
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.hardware.drivers import Stage
+from glissando.hardware.drivers.stage import optional_number
 from glissando.io.robot_file import load_robot, robot_file
 from glissando.io.toml_table import Table, read_toml
 
-_ZERO_STD = 2e-3  # m: how well one measures by hand where the coil is
+_ARCLENGTH_STD = 2e-3  # m: how well one measures by hand where the coil is
+_BAUD, _PORT = 115200, 51001
 
 
 @dataclass(frozen=True)
 class Coil:
-    """A coil of the tracker, at `arclength` m, less the slide's travel if it `slides`.
+    """A coil of the tracker on the robot.
 
-    Coils are plugged in in the order they are given, unless `serial` says which one it is.
+    Attributes:
+        name: Its name in the log and the recording.
+        arclength: Where it is at travel zero, m.
+        slides: Whether the slide's travel reduces its arclength.
+        serial: Serial number that identifies it; without one, coils are taken in plug order.
+        arclength_std: Standard deviation of `arclength`, m.
     """
 
     name: str
     arclength: float
     slides: bool = True
     serial: str = ""
-    arclength_std: float = _ZERO_STD
+    arclength_std: float = _ARCLENGTH_STD
 
-    def places(self, travel: Array) -> Array:
+    def arclengths(self, travel: Array) -> Array:
         """Arclengths (M,) m at travels (M,) m of the slide."""
         return self.arclength - travel if self.slides else np.full(travel.shape, self.arclength)
 
 
 @dataclass(frozen=True)
 class Body:
-    """A motion-capture object at `arclength` m; `mount` (4, 4) is where it sits there, T_bm."""
+    """A motion-capture object at `arclength` m with its pose there, `mount` T_bm (4, 4)."""
 
     name: str
     arclength: float
@@ -47,26 +54,36 @@ class Body:
 
 @dataclass(frozen=True)
 class Rig:
-    """The devices of an experiment by their addresses, None where there is none.
+    """The devices of an experiment; an address is None where there is no such device.
 
-    `standing` m is the slide's travel when recording begins; None homes it at its stop. `frame`
-    (4, 4) is where the tracker stands in the world, as far as that is known.
+    Attributes:
+        name: Name of the rig.
+        robot: Shipped robot, or path of a robot file.
+        tracker: Address of the Aurora.
+        coils: The tracker's coils.
+        slide: Serial path of the slide's servo.
+        stage: What that servo moves.
+        standing: Travel in m when recording begins; None homes the slide at its stop.
+        mocap: UDP port of motion capture.
+        bodies: Objects of motion capture.
+        baud: Rate of the tracker's serial line.
+        frame: T_world,tracker (4, 4), as far as it is known.
     """
 
     name: str
     robot: str
-    tracker: str | None
-    coils: tuple[Coil, ...]
-    slide: str | None
-    stage: Stage | None
-    standing: float | None
-    mocap: int | None
-    bodies: tuple[Body, ...]
-    baud: int = 115200
+    tracker: str | None = None
+    coils: tuple[Coil, ...] = ()
+    slide: str | None = None
+    stage: Stage | None = None
+    standing: float | None = None
+    mocap: int | None = None
+    bodies: tuple[Body, ...] = ()
+    baud: int = _BAUD
     frame: Array = field(default_factory=lambda: np.eye(4))
 
     def described(self) -> dict[str, Any]:
-        """What a session log says of the rig, as JSON has it."""
+        """What a session log states about the rig, in JSON's types."""
         sliding = next((c for c in self.coils if c.slides), None)
         return {
             "name": self.name,
@@ -75,18 +92,28 @@ class Rig:
             "coil_arclength": sliding.arclength if sliding else None,
             "coil_arclength_std": sliding.arclength_std if sliding else None,
             "direction": -1,
-            "frame": _placed(self.frame),
-            "bodies": {b.name: {"arclength": b.arclength, **_placed(b.mount)} for b in self.bodies},
+            "frame": pose_entries(self.frame),
+            "bodies": {
+                b.name: {"arclength": b.arclength, **pose_entries(b.mount)} for b in self.bodies
+            },
         }
 
 
-def _placed(pose: Array) -> dict[str, list[float]]:
+def pose_entries(pose: Array) -> dict[str, Any]:
+    """Position (m) and quaternion [w, x, y, z] of a pose (4, 4), as lists."""
     quaternion = se3.quaternion(pose[:3, :3])
     return {"position": pose[:3, 3].tolist(), "quaternion": quaternion.tolist()}
 
 
 def load_rig(path: str | Path) -> Rig:
-    """Read a setup file. Raises DeviceError with the key that is wrong and what to do."""
+    """Read a setup file.
+
+    Args:
+        path: TOML file, as docs/rig.md describes it.
+
+    Raises:
+        DeviceError: A key is missing, unknown or has a wrong value; the sentence names it.
+    """
     path = Path(path)
     table = read_toml(path, DeviceError)
     name, robot = table.text("name", path.stem), table.text("robot")
@@ -97,63 +124,56 @@ def load_rig(path: str | Path) -> Rig:
     table.close()
     if tracker is None and mocap is None:
         raise DeviceError(f"{path.name}: nothing to record; add [tracker], [mocap] or both.")
-    frame = tracker.pose() if tracker else np.eye(4)
-    coils, address, baud = _coils(tracker, length) if tracker else ((), None, 115200)
-    stage_at, standing, stage = _slide(slide) if slide else (None, None, None)
-    port = bodies = None
+    devices: dict[str, Any] = {}
+    if tracker:
+        devices |= {"frame": tracker.pose(), "tracker": tracker.text("address")}
+        devices |= {"baud": int(tracker.number("baud", _BAUD))}
+        devices |= {"coils": _coils(tracker, length)}
+    if slide:
+        devices |= _slide(slide)
     if mocap:
-        port = int(mocap.number("port", 51001))
-        bodies = tuple(_body(entry, length) for entry in mocap.tables("bodies"))
+        devices |= {"mocap": int(mocap.number("port", _PORT))}
+        devices |= {"bodies": tuple(_body(entry, length) for entry in mocap.tables("bodies"))}
         mocap.close()
-    return Rig(
-        name, robot, address, coils, stage_at, stage, standing, port, bodies or (), baud, frame
-    )
+    return Rig(name, robot, **devices)
 
 
-def _coils(table: Table, length: float) -> tuple[tuple[Coil, ...], str, int]:
-    address, baud = table.text("address"), int(table.number("baud", 115200))
+def _coils(table: Table, length: float) -> tuple[Coil, ...]:
     coils = []
     for entry in table.tables("coils"):
-        coils.append(
-            Coil(
-                entry.text("name"),
-                _place(entry, length),
-                not entry.flag("fixed"),
-                entry.text("serial", ""),
-                entry.number("arclength_std", _ZERO_STD),
-            )
-        )
+        name, arclength = entry.text("name"), _arclength(entry, length)
+        slides, serial = not entry.flag("fixed"), entry.text("serial", "")
+        std = entry.number("arclength_std", _ARCLENGTH_STD)
+        coils.append(Coil(name, arclength, slides, serial, std))
         entry.close()
     table.close()
     if not coils:
         raise DeviceError(f"{table.where}: no coil is named; add [[tracker.coils]].")
-    return tuple(coils), address, baud
+    return tuple(coils)
 
 
-def _slide(table: Table) -> tuple[str, float | None, Stage]:
+def _slide(table: Table) -> dict[str, Any]:
     address = table.text("address")
-    standing = None
-    if table.peek("standing") is not None:
-        standing = table.number("standing", positive=False)
-    else:
-        table.skip("standing")
+    standing = optional_number(table, "standing")
     stage = Stage.from_table(table)
     if standing is None and stage.home is None:
         raise DeviceError(
-            f"{table.where}: nobody knows where the stage is; give `home`, its mechanical stop, or "
-            f"`standing`, its travel when recording begins."
+            f"{table.where}: the position of the stage is unknown; give `home`, its mechanical "
+            f"stop, or `standing`, its travel when recording begins."
         )
-    return address, standing, stage
+    return {"slide": address, "standing": standing, "stage": stage}
 
 
 def _body(table: Table, length: float) -> Body:
-    body = Body(table.text("name"), _place(table, length), table.pose())
+    body = Body(table.text("name"), _arclength(table, length), table.pose())
     table.close()
     return body
 
 
-def _place(table: Table, length: float) -> float:
-    place = table.number("arclength", positive=False)
-    if not 0.0 <= place <= length:
-        raise table.fail("arclength", f"is {place:g} m, off the robot of {length:g} m; correct it.")
-    return place
+def _arclength(table: Table, length: float) -> float:
+    arclength = table.number("arclength", positive=False)
+    if not 0.0 <= arclength <= length:
+        raise table.fail(
+            "arclength", f"is {arclength:g} m, off the robot of {length:g} m; correct it."
+        )
+    return arclength

@@ -1,4 +1,4 @@
-"""Every device of a rig simulated, each in a process of its own, on one robot and one slide."""
+"""All devices of a rig simulated, each in a process of its own, on one robot and one slide."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ import numpy as np
 
 from glissando.hardware.capture.setup import Body, Coil, Rig
 from glissando.hardware.drivers import Stage
-from glissando.hardware.simulated_devices import scene as scenes
 from glissando.hardware.simulated_devices import started
+from glissando.hardware.simulated_devices.scene import Scene, SceneCoil
 from glissando.io.robot_file import robot_file
 from glissando.simulation import load_bench
 
 _LEAD = 0.0254  # m a revolution
-_SCENE_RATE = 20.0  # Hz at which a moving robot's shapes are handed to the devices
+_SCENE_RATE = 20.0  # Hz at which the devices are given a moving robot's shapes
 
 
 @contextmanager
@@ -28,17 +28,22 @@ def simulated_rig(
 ) -> Iterator[Rig]:
     """A rig whose devices are simulated while the context lasts.
 
-    The robot's physics, tracker and stage are those of its file's [physics]; `faults` the
-    tracker's, as its --help lists them. Raises SimulationError for a robot, a shape or a fault that
-    there is not.
+    Args:
+        robot: Shipped robot or robot file; its [physics] state the physics, tracker and stage.
+        shape: Name or file of the robot's shape, which may move.
+        seed: Of the noise.
+        faults: Of the tracker, 'name=number,…', as its --help lists them.
+
+    Raises:
+        SimulationError: Robot, shape or fault does not exist.
     """
     bench = load_bench(robot_file(robot))
     motion = bench.move(bench.shape(shape), bench.flaws, seed)
     span = float(motion.time[-1] - motion.time[0])
     times = motion.time[0] + np.linspace(0.0, span, max(1, round(span * _SCENE_RATE) + 1))
     tip = bench.rod.length + bench.coil_offset
-    coil = scenes.Coil(tip, -1.0, np.eye(4), port=0)
-    scene = scenes.Scene.of(motion, times, [coil], T_wt=bench.tracker, flaws=bench.flaws, seed=seed)
+    coil = SceneCoil(tip, -1.0, np.eye(4), port=0)
+    scene = Scene.of(motion, times, [coil], T_wt=bench.tracker, flaws=bench.flaws, seed=seed)
     limits = bench.slide
     stage = Stage(
         lead=_LEAD, stroke=(0.0, limits.stroke), speed=limits.speed,
@@ -46,29 +51,20 @@ def simulated_rig(
     )  # fmt: skip
     bodies = tuple(Body(f"mocap_{1e3 * s:g}", float(s), np.eye(4)) for s in bench.truth)
     travel, mocap = _free_port(), _free_port()
-    placed = ",".join(f"{b.name}={b.arclength!r}" for b in bodies)
+    markers = ",".join(f"{body.name}={body.arclength!r}" for body in bodies)
     with ExitStack() as stack:
         file = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "scene.npz"
         scene.save(file)
-        epoch = ("--epoch", repr(time.monotonic()), "--scene", str(file))
-        told = ("--tcp", "0", "--travel", str(travel), "--faults", faults)
-        tracker = stack.enter_context(started("aurora", *epoch, *told))
+        begin = ("--epoch", repr(time.monotonic()), "--scene", str(file))
+        options = ("--tcp", "0", "--travel", str(travel), "--faults", faults)
+        tracker = stack.enter_context(started("aurora", *begin, *options))
         servo = stack.enter_context(started("servo", "--travel", f"127.0.0.1:{travel}"))
-        to = ("--to", f"127.0.0.1:{mocap}", "--bodies", placed, "--seed", str(seed), "--hold")
-        stack.enter_context(started("vicon", *epoch, *to))
-        coils = (Coil("coil", tip),)
+        options = ("--to", f"127.0.0.1:{mocap}", "--bodies", markers, "--seed", str(seed))
+        stack.enter_context(started("vicon", *begin, *options))
         yield Rig(
-            "simulated",
-            robot,
-            tracker,
-            coils,
-            servo,
-            stage,
-            0.0,
-            mocap,
-            bodies,
+            "simulated", robot, tracker, (Coil("coil", tip),), servo, stage, 0.0, mocap, bodies,
             frame=bench.tracker,
-        )
+        )  # fmt: skip
 
 
 def _free_port() -> int:

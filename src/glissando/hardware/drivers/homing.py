@@ -17,10 +17,19 @@ _PACE = 0.01  # s between looks
 
 
 def touch(servo: Servo, stage: Stage, speed: float, pwm: float) -> int:
-    """The place in ticks where the carriage meets its stop, at `speed` m/s.
+    """The position in ticks at which the carriage meets its mechanical stop.
 
-    It must stand while the load says that it pushes, come back when asked to, and stand again at
-    the same place [inferred: thresholds are to be tried on the real stage]. Raises DeviceError.
+    It must stand while the load shows that it pushes, come back when asked to, and stand again at
+    the same position [inferred: thresholds are to be tried on the real stage].
+
+    Args:
+        servo: The servo, with torque on.
+        stage: What it moves.
+        speed: Of the approach, m/s.
+        pwm: Share of the motor's voltage that it has been allowed.
+
+    Raises:
+        DeviceError: No stop was met, the carriage stuck, or the two touches differ.
     """
     assert stage.home is not None
     low, high = stage.stroke
@@ -41,7 +50,7 @@ def touch(servo: Servo, stage: Stage, speed: float, pwm: float) -> int:
 
 
 def _press(servo: Servo, stage: Stage, way: float, speed: float, pwm: float) -> int:
-    """Go until the carriage stands although it is pushed, and let go; where it stands."""
+    """Move until the carriage stands although it is pushed; returns its position."""
     start = servo.state().place
     goal = start + round(stage.ticks(way))
     servo.aim(goal, speed=stage.speed_units(speed))

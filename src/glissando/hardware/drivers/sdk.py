@@ -1,4 +1,4 @@
-"""The official Dynamixel SDK's port: opened with sentences, and kept from burning a processor."""
+"""The official Dynamixel SDK's port: errors as sentences, and no busy waiting."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from glissando.errors import DeviceError
 
 
 def lost_port() -> tuple[type[Exception], ...]:
-    """What pyserial lets through when its port goes away."""
+    """The exceptions that pyserial raises when its port goes away."""
     try:
         import termios
     except ImportError:  # Windows
@@ -17,7 +17,7 @@ def lost_port() -> tuple[type[Exception], ...]:
 
 
 def opened(address: str, baud: int) -> tuple[Any, Any]:
-    """The SDK's port and packet handler. Raises DeviceError when the port cannot be had."""
+    """The SDK's port and packet handler. Raises DeviceError when the port does not open."""
     try:
         from dynamixel_sdk import PacketHandler, PortHandler
     except ImportError:

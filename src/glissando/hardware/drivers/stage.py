@@ -1,4 +1,4 @@
-"""What a stage is: its screw, its limits, where home is, and the servo's units for all of it."""
+"""A stage: its screw, its limits, its home, and the servo's units for all of these."""
 
 from __future__ import annotations
 
@@ -26,12 +26,21 @@ _MOST_TICKS = 1_000_000  # of the servo's ±1,048,575 in extended position mode
 class Stage:
     """A carriage on a lead screw that an XL430-W250 turns.
 
-    `lead` m a revolution; `stroke` m, the travels (low, high) that a command may ask for;
-    `direction` 1 if travel grows while the servo turns counter-clockwise, else −1; `home` m, the
-    travel at a mechanical stop outside the stroke, if there is one; `speed` m/s and `acceleration`
-    m/s², the most that is commanded; `hold` keeps the torque on at the end; `lag` m, how far behind
-    a path is too far; `watchdog` s of silence after which a moving servo stops by itself. Raises
-    DeviceError for what cannot be, such as a speed above the servo's 60.7 rpm.
+    Attributes:
+        lead: Travel a revolution, m.
+        stroke: Travels (low, high) that a command may ask for, m.
+        direction: 1 if travel grows while the servo turns counter-clockwise, else −1.
+        home: Travel at a mechanical stop outside the stroke, if there is one, m.
+        speed: Largest speed that is commanded, m/s.
+        acceleration: Largest acceleration that is commanded, m/s².
+        hold: Whether the torque stays on at the end.
+        lag: Distance from its path at which the stage is stopped, m.
+        watchdog: Silence after which a moving servo stops by itself, s.
+        id: The servo's address on its bus.
+        baud: Rate of its serial line.
+
+    Raises:
+        DeviceError: A value is impossible, such as a speed above the servo's 60.7 rpm.
 
     >>> Stage(lead=0.002, stroke=(0.0, 0.06))
     Traceback (most recent call last):
@@ -55,7 +64,7 @@ class Stage:
         low, high = self.stroke
         numbers = (self.lead, low, high, self.speed, self.acceleration, self.lag, self.watchdog)
         if not all(map(math.isfinite, numbers)):
-            raise DeviceError(f"{self} holds something that is no number; correct it.")
+            raise DeviceError(f"{self} holds a value that is no number; correct it.")
         if self.lead <= 0.0 or self.direction not in (1, -1):
             raise DeviceError(
                 f"A lead of {self.lead:g} m and a direction of {self.direction:g} cannot be; give "
@@ -83,25 +92,20 @@ class Stage:
 
     @classmethod
     def load(cls, path: Path, key: str = "slide") -> Self:
-        """From the table [slide] of a TOML file. Raises DeviceError."""
+        """The stage of a TOML file, in its table `key`. Raises DeviceError."""
         table = read_toml(path, DeviceError).table(key, required=True)
         assert table is not None
         return cls.from_table(table)
 
     @classmethod
     def from_table(cls, table: Table) -> Self:
-        """From a TOML table with the names of this class; lead and stroke are required."""
-        stroke = table.vector("stroke", 2)
-        if table.peek("home") is None:
-            table.skip("home")
-            home = None
-        else:
-            home = table.number("home", positive=False)
-        found = cls(
+        """The stage of a TOML table with the names of this class. Raises DeviceError."""
+        low, high = table.vector("stroke", 2)
+        stage = cls(
             lead=table.number("lead"),
-            stroke=(float(stroke[0]), float(stroke[1])),
+            stroke=(float(low), float(high)),
             direction=table.number("direction", 1, positive=False),
-            home=home,
+            home=optional_number(table, "home"),
             speed=table.number("speed", cls.speed),
             acceleration=table.number("acceleration", cls.acceleration),
             hold=table.flag("hold"),
@@ -111,24 +115,18 @@ class Stage:
             baud=int(table.number("baud", cls.baud)),
         )
         table.close()
-        return found
-
-    @property
-    def fastest(self) -> float:
-        """What the servo's 60.7 rpm make of this lead, m/s."""
-        return _MOST_UNITS * _RPM / 60.0 * self.lead
+        return stage
 
     def require_speed(self, speed: float) -> None:
-        """Raise DeviceError unless the servo can turn this fast, and some."""
-        if not 0.0 < speed <= self.fastest:
-            rpm = 60.0 * speed / self.lead
-            if not speed > 0.0:
-                raise DeviceError(f"A speed of {speed:g} m/s cannot be; give one above zero.")
+        """Raise DeviceError unless a speed is above zero and the servo can turn as fast."""
+        if not speed > 0.0:
+            raise DeviceError(f"A speed of {speed:g} m/s cannot be; give one above zero.")
+        rpm, most = 60.0 * speed / self.lead, _MOST_UNITS * _RPM
+        if rpm > most:
             raise DeviceError(
                 f"{1e3 * speed:.4g} mm/s would turn the screw of {1e3 * self.lead:g} mm lead at "
-                f"{rpm:.4g} rpm; the servo does {_MOST_UNITS * _RPM:.1f} rpm, "
-                f"{1e3 * self.fastest:.3g} mm/s. Ask for less, or fit a screw of at least "
-                f"{60e3 * speed / (_MOST_UNITS * _RPM):.3g} mm lead."
+                f"{rpm:.4g} rpm; the servo does {most:.1f} rpm, {1e3 * self.lead * most / 60:.3g} "
+                f"mm/s. Ask for less, or fit a screw of at least {60e3 * speed / most:.3g} mm lead."
             )
 
     def require_acceleration(self, acceleration: float) -> None:
@@ -151,7 +149,7 @@ class Stage:
             )
 
     def require_allowed(self, speed: float) -> None:
-        """Raise DeviceError unless the servo can go and the stage may go this fast."""
+        """Raise DeviceError unless the servo reaches a speed and the stage allows it."""
         self.require_speed(speed)
         if speed > self.speed * (1.0 + 1e-6):
             raise DeviceError(
@@ -160,7 +158,16 @@ class Stage:
             )
 
     def path(self, time: ArrayLike, travel: ArrayLike) -> tuple[Array, Array]:
-        """A path's times, beginning at zero, and its travels. Raises DeviceError if it may not."""
+        """A path as arrays, its times from zero.
+
+        Args:
+            time: Times (K,), s.
+            travel: Travels (K,) at these times, m.
+
+        Raises:
+            DeviceError: Shapes differ, times do not increase, or the path leaves the stroke or is
+                too fast.
+        """
         times, places = np.asarray(time, dtype=float), np.asarray(travel, dtype=float)
         if times.ndim != 1 or times.size < 2 or times.shape != places.shape:
             raise DeviceError(
@@ -176,14 +183,12 @@ class Stage:
             self.require_allowed(speed)
         return times - times[0], places
 
-    # What the servo counts in: ticks, speed units, acceleration units.
-
     def ticks(self, travel: float) -> float:
-        """Ticks that a travel in metres is worth, signed."""
+        """The ticks, signed, of a travel in metres."""
         return self.direction * travel / self.lead * TICKS
 
     def travel(self, ticks: float) -> float:
-        """Metres that ticks are worth, signed."""
+        """The travel in metres of ticks, signed."""
         return self.direction * ticks / TICKS * self.lead
 
     def speed_units(self, speed: float) -> int:
@@ -191,7 +196,7 @@ class Stage:
         return int(np.clip(round(speed / self.lead * 60.0 / _RPM), 1, _MOST_UNITS))
 
     def speed_of(self, units: float) -> float:
-        """m/s that a number of speed units is, signed."""
+        """The speed in m/s of a number of the servo's units, signed."""
         return self.direction * units * _RPM / 60.0 * self.lead
 
     def acceleration_units(self, acceleration: float) -> int:
@@ -200,6 +205,14 @@ class Stage:
         return int(np.clip(round(units), 1, _MOST_ACCELERATION))
 
     def lasting(self, way: float, speed: float, acceleration: float) -> float:
-        """Seconds from rest to rest: a trapezoid, or a triangle where the way is short."""
+        """Seconds from rest to rest over `way` m: a trapezoid, or a triangle if that is short."""
         way, top = abs(way), min(speed, math.sqrt(abs(way) * acceleration))
         return way / top + top / acceleration if way else 0.0
+
+
+def optional_number(table: Table, key: str) -> float | None:
+    """A finite number of either sign, or None where the key is absent."""
+    if table.peek(key) is None:
+        table.skip(key)
+        return None
+    return table.number(key, positive=False)

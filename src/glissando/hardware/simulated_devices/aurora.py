@@ -7,16 +7,16 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 from glissando.errors import SimulationError
 from glissando.hardware.simulated_devices.aurora_device import Device, Nature
-from glissando.hardware.simulated_devices.faults import Dice, Faults
+from glissando.hardware.simulated_devices.faults import AuroraFaults, Dice, parse_faults
 from glissando.hardware.simulated_devices.scene import Scene
 from glissando.hardware.simulated_devices.sensing import Sensing
-from glissando.hardware.simulated_devices.serving import Serving
+from glissando.hardware.simulated_devices.serving import Serving, run_device
 from glissando.hardware.simulated_devices.travel import Travel
 
 _OLD = ("Rev 007", "Rev 008")  # whose BX clients avoid
@@ -26,8 +26,8 @@ address as one line when ready; ends when standard input closes or at SIGTERM.
 """
 
 
-def _options(arguments: list[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser("aurora", description=_HELP, epilog=Faults.__doc__)
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser("aurora", description=_HELP, epilog=AuroraFaults.__doc__)
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     add = parser.add_argument
     add("--scene", type=Path, required=True, metavar="FILE", help="NPZ with robot and coils")
@@ -38,22 +38,11 @@ def _options(arguments: list[str] | None) -> argparse.Namespace:
     add("--faults", default="", metavar="NAME=NUMBER,…", help="what goes wrong, listed below")
     add("--rate", type=float, default=40.0, metavar="HZ", help="frames a second (default 40)")
     add("--skew", type=float, default=0.0, metavar="PPM", help="by how much its clock is slow")
-    add("--latency", type=float, default=0.0, metavar="S", help="from measuring to telling")
-    add("--wired", action="store_true", help="replies take what the baud rate gives them")
+    add("--latency", type=float, default=0.0, metavar="S", help="from measuring to answering")
+    add("--wired", action="store_true", help="replies take the time of the baud rate")
     add("--firmware", default="AURORA Rev 013", metavar="TAG", help="008 ends the use of BX")
     add("--seed", type=int, metavar="N", help="of faults (default: the scene's)")
-    return parser.parse_args(arguments)
-
-
-def main(arguments: list[str] | None = None) -> int:
-    """Serve until told to end; returns the exit status."""
-    options = _options(arguments)
-    try:
-        _serve(options)
-    except SimulationError as problem:
-        print(problem, file=sys.stderr)
-        return 2
-    return 0
+    return parser
 
 
 def _serve(options: argparse.Namespace) -> None:
@@ -62,15 +51,15 @@ def _serve(options: argparse.Namespace) -> None:
     if not (math.isfinite(options.rate) and 0.0 < options.rate <= 1e4):
         raise SimulationError(f"A rate of {options.rate:g} Hz cannot be; give 1 to 10000 Hz.")
     scene = Scene.load(options.scene)
-    dice = Dice(Faults.parse(options.faults), scene.seed if options.seed is None else options.seed)
+    faults = parse_faults(AuroraFaults, options.faults)
+    dice = Dice(faults, scene.seed if options.seed is None else options.seed)
     born = time.monotonic()
     epoch = born if options.epoch is None else options.epoch
     rate = options.rate / (1.0 + 1e-6 * options.skew)
     bx = not any(old in options.firmware for old in _OLD)
     nature = Nature(born, rate, options.latency, options.firmware, bx, options.wired)
     travel = None if options.travel is None else Travel(options.travel)
-    sensing = Sensing(scene, dice, travel, born, epoch, rate)
-    device = Device(scene, sensing, dice, nature)
+    device = Device(scene, Sensing(scene, travel, born, epoch, rate), dice, nature)
     serving = Serving(device.hear, device.cut)
     addresses = []
     if options.tcp is not None:
@@ -80,5 +69,10 @@ def _serve(options: argparse.Namespace) -> None:
     serving.run(*addresses)
 
 
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the simulated tracker; returns the exit status."""
+    return run_device(_parser(), _serve, arguments)
+
+
 if __name__ == "__main__":
-    sys.exit(main())
+    raise SystemExit(main())

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from glissando.hardware.simulated_devices.aurora_ports import Port, Ports, RefusedError
+from glissando.hardware.simulated_devices.aurora_ports import CommandError, Port, Ports
 from glissando.hardware.simulated_devices.aurora_wire import (
-    Told,
+    PortReport,
     bx_reply,
     crc,
     text_reply,
@@ -33,16 +33,20 @@ _PORT_COMMANDS = {
     "TTCFG": "configure",
     "PINIT": "initialise",
     "PENA": "enable",
-    "PDIS": "disable",
 }
 
 
 @dataclass(frozen=True)
 class Nature:
-    """What a device is: its frame `rate` Hz, when it was switched on (`born`), its firmware.
+    """What a device is.
 
-    A frame can be asked for `latency` s after it was measured. `bx` is whether it knows that
-    command, `wired` whether replies take the time that the serial line's baud rate gives them.
+    Attributes:
+        born: When it was switched on, s of time.monotonic().
+        rate: Frames a second.
+        latency: Seconds from measuring a frame to being able to report it.
+        firmware: What it reports as its firmware.
+        bx: Whether it knows the command BX.
+        wired: Whether replies take the time that the serial line's baud rate gives them.
     """
 
     born: float
@@ -54,7 +58,7 @@ class Nature:
 
 
 class Device:
-    """The state machine; `hear` is all it does. Times are of time.monotonic()."""
+    """The device's state machine. Times are of time.monotonic()."""
 
     def __init__(self, scene: Scene, sensing: Sensing, dice: Dice, nature: Nature):
         self._sensing, self._dice, self._nature = sensing, dice, nature
@@ -101,7 +105,7 @@ class Device:
         try:
             name, text = _command(line)
             reply = self._obey(name, text, now)
-        except RefusedError as refusal:
+        except CommandError as refusal:
             reply = text_reply(f"ERROR{refusal.args[0]:02X}")
         now += self._dice.faults.slow_init if name == "INIT" else 0.0
         self._replies += 1
@@ -113,13 +117,12 @@ class Device:
     def _spoilt(self, reply: bytes, tracking: bool) -> bytes:
         dice, k = self._dice, self._replies
         if not tracking:
-            return dice.spoil(reply, "crc_setup", k)
+            return dice.flip(reply, "crc_setup", k)
         if dice("repeat", k) and self._before:
             reply = self._before
         self._before = reply
-        reply = dice.spoil(reply, "crc", k)
-        if dice("truncate", k):
-            reply = reply[: int(dice.draw("end", k) * len(reply))]
+        reply = dice.flip(reply, "crc", k)
+        reply = dice.cut(reply, "truncate", k)
         return b"" if dice("quiet", k) else reply
 
     def _obey(self, name: str, text: str, now: float) -> bytes:
@@ -133,30 +136,28 @@ class Device:
         if name == "INIT":  # while tracking too, which then ends [inferred]
             self._clear(initialised=True)
             return text_reply("OKAY")
-        if name == "BEEP":
-            return text_reply("1")
         if name == "TSTOP":
             self._require(tracking=True)
             self._tracking = False
             return text_reply("OKAY")
-        if name not in (*_PORT_COMMANDS, "COMM", "VER", "PHSR", "PHINF", "TSTART", "VSEL"):
-            raise RefusedError(0x01)
+        if name not in (*_PORT_COMMANDS, "COMM", "VER", "PHSR", "PHINF", "TSTART"):
+            raise CommandError(0x01)
         if name != "COMM":
             self._require(tracking=False)
         return text_reply(self._set_up(name, text, now))
 
     def _require(self, *, tracking: bool) -> None:
         if not self._initialised:
-            raise RefusedError(0x10)
+            raise CommandError(0x10)
         if self._tracking != tracking:
-            raise RefusedError(0x0C)
+            raise CommandError(0x0C)
 
     def _set_up(self, name: str, text: str, now: float) -> str:
         """The reply to a command of the set-up mode."""
         if name == "VER":
-            if text not in ("0", "4", "5"):
-                raise RefusedError(0x23)
-            return "013" if text == "5" else _VERSION.format(self._nature.firmware)
+            if text not in ("0", "4"):
+                raise CommandError(0x23)
+            return _VERSION.format(self._nature.firmware)
         if name == "PHSR":
             ports = self._ports.listed(_whole(text or "00"))
             return f"{len(ports):02X}" + "".join(f"{p.handle:02X}{p.status:03X}" for p in ports)
@@ -164,7 +165,7 @@ class Device:
             return self._ports.describe(text)
         if name == "COMM":
             if len(text) != 5 or text[0].upper() not in _BAUD or text[1:] != "0000":
-                raise RefusedError(0x06)
+                raise CommandError(0x06)
             self._baud = _BAUD[text[0].upper()]
         elif name == "TSTART":
             self._start(text, now)
@@ -175,10 +176,8 @@ class Device:
         return "OKAY"
 
     def _start(self, text: str, now: float) -> None:
-        if text not in ("", "40", "80"):
-            raise RefusedError(0x23)
-        if text == "80":
-            self._zero = self._index(now)
+        if text not in ("", "40"):
+            raise CommandError(0x23)
         self._tracking = True
         if self._tracked is None:
             self._tracked = now
@@ -193,17 +192,17 @@ class Device:
 
     def _report(self, name: str, text: str, now: float) -> bytes:
         if name == "BX" and not self._nature.bx:
-            raise RefusedError(0x01)
+            raise CommandError(0x01)
         options = _whole(text or "0001")
         if options & ~(0x0001 | _WIDE):
-            raise RefusedError(0x23)
+            raise CommandError(0x23)
         self._happen(now)
         index = self._index(now)
-        told = [self._told(p, index, options) for p in self._ports.all if p.enabled]
+        reports = [self._port_report(p, index, options) for p in self._ports.all if p.enabled]
         frame, status, self._news = (index - self._zero) % 2**32, self._news, 0
         if name == "BX":
-            return bx_reply(told, frame, status)
-        return tx_reply(told, frame, status, bool(self._dice.faults.bare))
+            return bx_reply(reports, frame, status)
+        return tx_reply(reports, frame, status, bool(self._dice.faults.bare))
 
     def _happen(self, now: float) -> None:
         """What befalls the device at its time: a coil unplugged or plugged in, a counter reset."""
@@ -215,26 +214,26 @@ class Device:
         if self._reset_due and since >= self._dice.faults.reset:
             self._zero, self._reset_due = self._index(now), False
 
-    def _told(self, port: Port, index: int, options: int) -> Told:
+    def _port_report(self, port: Port, index: int, options: int) -> PortReport:
         coil, dice = port.coil, self._dice
         if not port.occupied:
-            return Told(port.handle, port.status, None, "UNOCCUPIED")
+            return PortReport(port.handle, port.status, None, "UNOCCUPIED")
         out, broken = dice("out", index, coil), coil == int(dice.faults.broken)
         status = port.status | out * _OUT | dice("partly", index, coil) * _PARTLY | broken * _BROKEN
         unseen = dice.missing(index, coil) or broken or (out and not options & _WIDE)
         values = None if unseen else self._sensing.values(index)[coil]
-        return Told(port.handle, status, values)
+        return PortReport(port.handle, status, values)
 
 
 def _command(line: bytes) -> tuple[str, str]:
     """Name and arguments of 'NAME:arguments' with a CRC, or 'NAME arguments' without."""
     if not line.isascii():
-        raise RefusedError(0x04 if b":" in line else 0x01)
+        raise CommandError(0x04 if b":" in line else 0x01)
     text = line.decode("ascii")
     name, colon, rest = text.partition(":")
     if colon and " " not in name:
         if len(rest) < 4 or f"{crc(line[:-4]):04X}" != rest[-4:].upper():
-            raise RefusedError(0x04)
+            raise CommandError(0x04)
         return name.upper(), rest[:-4]
     name, _, rest = text.partition(" ")
     return name.upper(), rest.strip()
@@ -244,4 +243,4 @@ def _whole(digits: str) -> int:
     try:
         return int(digits, 16)
     except ValueError:
-        raise RefusedError(0x07) from None
+        raise CommandError(0x07) from None

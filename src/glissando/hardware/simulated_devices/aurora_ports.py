@@ -5,25 +5,31 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from glissando.hardware.simulated_devices.scene import Coil
+from glissando.hardware.simulated_devices.scene import SceneCoil
 
 
-class RefusedError(Exception):
-    """The device says no, with the number of its error."""
+class CommandError(Exception):
+    """The device refuses a command, with the number of its error."""
 
 
 @dataclass
 class Port:
-    """A handle and the coil (by its number in the scene) that is plugged in there."""
+    """A handle and the coil that is plugged in there.
+
+    Attributes:
+        handle: Its number.
+        coil: The coil's number in the scene.
+        place: That coil.
+        memory: Bytes of a virtual SROM written so far; below zero if the coil needs none.
+    """
 
     handle: int
     coil: int
-    place: Coil
+    place: SceneCoil
     occupied: bool = True
     initialised: bool = False
     enabled: bool = False
     memory: int = 0
-    """Bytes of a virtual SROM written so far; below zero if it needs none."""
 
     @property
     def status(self) -> int:
@@ -39,9 +45,15 @@ class Port:
 
 
 class Ports:
-    """All handles, in the order they were given out."""
+    """All handles, in the order they were given out.
 
-    def __init__(self, coils: Sequence[Coil], without_memory: set[int], hopeless: int):
+    Args:
+        coils: The coils that are plugged in.
+        without_memory: Numbers of those without SROM.
+        hopeless: Number of one whose SROM cannot be replaced either.
+    """
+
+    def __init__(self, coils: Sequence[SceneCoil], without_memory: set[int], hopeless: int):
         self._coils, self._without, self._hopeless = coils, without_memory, hopeless
         self.clear()
 
@@ -67,7 +79,7 @@ class Ports:
     def listed(self, which: int) -> list[Port]:
         """Those of PHSR: 0 all, 1 to free, 2 to initialise, 3 to enable, 4 enabled."""
         if which not in range(5):
-            raise RefusedError(0x23)
+            raise CommandError(0x23)
         return [port for port in self.all if self._shown(port) and which in port.lists]
 
     def _shown(self, port: Port) -> bool:
@@ -83,11 +95,11 @@ class Ports:
         try:
             handle = int(digits[:2], 16)
         except ValueError:
-            raise RefusedError(0x08) from None
+            raise CommandError(0x08) from None
         for port in self.all:
             if port.handle == handle and self._shown(port):
                 return port
-        raise RefusedError(0x08)
+        raise CommandError(0x08)
 
     def free(self, digits: str) -> None:
         """PHF: a coil that is still plugged in is given a handle anew."""
@@ -100,7 +112,7 @@ class Ports:
         """PVWR: 64 bytes of a virtual SROM."""
         port = self.at(text)
         if len(text) != 2 + 4 + 128:
-            raise RefusedError(0x03 if len(text) < 134 else 0x02)
+            raise CommandError(0x03 if len(text) < 134 else 0x02)
         if port.memory >= 0 and port.coil != self._hopeless:
             port.memory += 64
 
@@ -114,28 +126,21 @@ class Ports:
         """PINIT."""
         port = self.at(digits)
         if not port.occupied:
-            raise RefusedError(0x2C)
+            raise CommandError(0x2C)
         if 0 <= port.memory < 1024:
-            raise RefusedError(0x13)
+            raise CommandError(0x13)
         port.initialised = True
 
     def enable(self, text: str) -> None:
         """PENA."""
         port = self.at(text)
         if text[2:].upper() not in ("", "S", "D", "B"):
-            raise RefusedError(0x23)
+            raise CommandError(0x23)
         if not port.occupied:
-            raise RefusedError(0x2C)
+            raise CommandError(0x2C)
         if not port.initialised:
-            raise RefusedError(0x0E)
+            raise CommandError(0x0E)
         port.enabled = True
-
-    def disable(self, digits: str) -> None:
-        """PDIS."""
-        port = self.at(digits)
-        if not port.enabled:
-            raise RefusedError(0x0F)
-        port.enabled = False
 
     def describe(self, text: str) -> str:
         """PHINF, the parts asked for in the order of their bits."""
@@ -143,7 +148,7 @@ class Ports:
         try:
             asked = int(text[2:] or "0001", 16)
         except ValueError:
-            raise RefusedError(0x07) from None
+            raise CommandError(0x07) from None
         if not port.occupied:
             return "UNOCCUPIED"
         # 5-DOF coils are probes (02) here; the maker's name fills 12, the serial number 8 places.

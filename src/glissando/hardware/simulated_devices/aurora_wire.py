@@ -12,11 +12,14 @@ from glissando.geometry.se3 import Array
 
 
 @dataclass(frozen=True)
-class Told:
-    """What is told of one handle.
+class PortReport:
+    """What one reply says of one handle.
 
-    `values` (8,) are quaternion [w, x, y, z], place in mm and quality; None for a coil that is
-    missing. `condition` is '' or what is told instead: 'DISABLED' or 'UNOCCUPIED'.
+    Attributes:
+        handle: The port's handle.
+        status: The port's status bits.
+        values: Quaternion [w, x, y, z], position in mm, quality (8,); None for a missing coil.
+        condition: '', or what is sent instead: 'DISABLED' or 'UNOCCUPIED'.
     """
 
     handle: int
@@ -41,13 +44,13 @@ def text_reply(text: str) -> bytes:
     return body + f"{crc(body):04X}\r".encode()
 
 
-def tx_reply(told: Sequence[Told], frame: int, status: int, bare: bool) -> bytes:
+def tx_reply(reports: Sequence[PortReport], frame: int, status: int, bare: bool) -> bytes:
     """A TX reply; `bare` leaves status and frame out for coils that are not there."""
-    text = f"{len(told):02X}"
-    for one in told:
-        text += f"{one.handle:02X}{one.condition or _digits(one.values)}"
-        if not (bare and one.condition):
-            text += f"{one.status:08X}{frame:08X}"
+    text = f"{len(reports):02X}"
+    for port in reports:
+        text += f"{port.handle:02X}{port.condition or _digits(port.values)}"
+        if not (bare and port.condition):
+            text += f"{port.status:08X}{frame:08X}"
         text += "\n"
     return text_reply(text + f"{status:04X}")
 
@@ -63,16 +66,16 @@ def _digits(values: Array | None) -> str:
     )
 
 
-def bx_reply(told: Sequence[Told], frame: int, status: int) -> bytes:
+def bx_reply(reports: Sequence[PortReport], frame: int, status: int) -> bytes:
     """A BX reply: header with its CRC, body with its own."""
-    body = bytes([len(told)])
-    for one in told:
-        kind = 0x04 if one.condition else 0x02 if one.values is None else 0x01
-        body += bytes([one.handle, kind])
-        if one.values is not None and not one.condition:
-            body += struct.pack("<8f", *one.values)
-        if not one.condition:
-            body += struct.pack("<II", one.status, frame)
+    body = bytes([len(reports)])
+    for port in reports:
+        kind = 0x04 if port.condition else 0x02 if port.values is None else 0x01
+        body += bytes([port.handle, kind])
+        if port.values is not None and not port.condition:
+            body += struct.pack("<8f", *port.values)
+        if not port.condition:
+            body += struct.pack("<II", port.status, frame)
     body += struct.pack("<H", status)
     head = b"\xc4\xa5" + struct.pack("<H", len(body))
     return head + struct.pack("<H", crc(head)) + body + struct.pack("<H", crc(body))

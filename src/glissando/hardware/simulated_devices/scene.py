@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -17,15 +18,19 @@ from glissando.geometry.se3 import Array
 from glissando.simulation.imperfections import Imperfections
 from glissando.simulation.motion import Motion
 
-_NOISE = ("jitter", "jitter_angle", "bias", "bias_angle", "bias_length")
+_NODES = 141  # along the robot of a scene of a motion
 
 
 @dataclass(frozen=True)
-class Coil:
-    """A coil at `arclength` m, moved along by `direction` times the slide's travel.
+class SceneCoil:
+    """A coil of a simulated tracker.
 
-    `T_bc` (4, 4) is its mount in the cross-section; its axis is its z. `port` and `channel` say
-    where it is plugged in: a second coil on the same port is channel 1.
+    Attributes:
+        arclength: Where it is at travel zero, m.
+        direction: Its arclength grows by this times the slide's travel.
+        T_bc: Its pose in the cross-section (4, 4); its axis is its z.
+        port: The port it is plugged in at.
+        channel: 1 for the second coil on a port.
     """
 
     arclength: float
@@ -37,21 +42,25 @@ class Coil:
 
 @dataclass(frozen=True)
 class Scene:
-    """Poses `T_wb` (K, M, 4, 4) at `time` (K,) s and `arclength` (M,) m, with coils.
+    """A robot in motion, geodesic between its nodes and at rest before and after.
 
-    Between nodes poses follow geodesics of SE(3). Time outside is held at the ends, or begins anew
-    when `loop`. `T_wt` (4, 4) is the tracker in the world; of `flaws` only the tracker's noise and
-    bias are used.
+    Attributes:
+        time: Times (K,), s.
+        arclength: Arclengths (M,), m.
+        T_wb: Poses (K, M, 4, 4) of the cross-sections in the world.
+        T_wt: The tracker in the world (4, 4).
+        coils: Its coils.
+        flaws: The tracker's noise and bias; the other flaws have no effect.
+        seed: Seed of that noise.
     """
 
     time: Array
     arclength: Array
     T_wb: Array
     T_wt: Array
-    coils: tuple[Coil, ...]
+    coils: tuple[SceneCoil, ...]
     flaws: Imperfections
     seed: int = 0
-    loop: bool = False
 
     def __post_init__(self) -> None:
         grid = (self.time.size, self.arclength.size, 4, 4)
@@ -62,17 +71,10 @@ class Scene:
                 f"{self.arclength.size} arclengths; give (times, arclengths, 4, 4), both rising."
             )
         if not all(np.all(np.isfinite(x)) for x in (self.time, self.arclength, self.T_wb)):
-            raise SimulationError("A scene has numbers that are none; leave those nodes out.")
-
-    def places(self, travel: float) -> Array:
-        """Arclengths (C,) of the coils when the slide has travelled so far, m."""
-        at = np.array([coil.arclength + coil.direction * travel for coil in self.coils])
-        return np.clip(at, self.arclength[0], self.arclength[-1])
+            raise SimulationError("A scene has numbers that are not finite; leave those nodes out.")
 
     def pose(self, arclength: ArrayLike, time: float) -> Array:
         """T_wb (C, 4, 4) at arclengths (C,) m and a time in s since the scene began."""
-        if self.loop and self.time.size > 1:
-            time = self.time[0] + (time - self.time[0]) % float(np.ptp(self.time))
         k, share = _between(self.time, np.atleast_1d(float(time)))
         n, along = _between(self.arclength, np.asarray(arclength, dtype=float))
         ends = np.stack([n, np.minimum(n + 1, self.arclength.size - 1)])
@@ -81,67 +83,79 @@ class Scene:
         return _blend(low, high, along)
 
     def coil_poses(self, time: float, travel: float) -> Array:
-        """T_tc (C, 4, 4), the coils in the tracker's frame, without any error."""
+        """T_tc (C, 4, 4), the coils in the tracker's frame, at a travel in m, without error."""
+        at = np.array([coil.arclength + coil.direction * travel for coil in self.coils])
         mounts = np.array([coil.T_bc for coil in self.coils])
-        return se3.inverse(self.T_wt) @ self.pose(self.places(travel), time) @ mounts
+        return se3.inverse(self.T_wt) @ self.pose(at, time) @ mounts
 
     def save(self, path: Path) -> None:
-        """Write the scene as NPZ."""
+        """Write the scene as NPZ: time, arclength, T_wb and, as JSON, everything else."""
+        device = {
+            "T_wt": self.T_wt.tolist(),
+            "coils": [{**vars(coil), "T_bc": coil.T_bc.tolist()} for coil in self.coils],
+            "flaws": {
+                f.name: np.asarray(getattr(self.flaws, f.name)).tolist() for f in fields(self.flaws)
+            },
+            "seed": self.seed,
+        }
+        everything_else = json.dumps(device)
         np.savez(
-            path,
-            time=self.time,
-            arclength=self.arclength,
-            T_wb=self.T_wb,
-            T_world_tracker=self.T_wt,
-            coil_arclength=[coil.arclength for coil in self.coils],
-            coil_direction=[coil.direction for coil in self.coils],
-            coil_T_bc=[coil.T_bc for coil in self.coils],
-            coil_port=[coil.port for coil in self.coils],
-            coil_channel=[coil.channel for coil in self.coils],
-            noise=[getattr(self.flaws, name) for name in _NOISE],
-            roll=self.flaws.roll,
-            field_size=self.flaws.field_size,
-            field_centre=self.flaws.field_centre,
-            seed=self.seed,
-            loop=self.loop,
+            path, time=self.time, arclength=self.arclength, T_wb=self.T_wb, device=everything_else
         )
 
     @staticmethod
     def load(path: Path) -> Scene:
-        """Read a scene; coils, tracker, noise, seed and loop may be absent from the file.
+        """Read a scene; a file of time, arclength and T_wb alone has no coils.
 
-        Raises SimulationError when it cannot be read.
+        Raises:
+            SimulationError: The file cannot be read, or is no scene.
         """
         try:
             with np.load(path, allow_pickle=False) as file:
-                given = dict(file)
-            return _scene(given)
-        except (OSError, ValueError, TypeError, BadZipFile, EOFError) as problem:
-            if isinstance(problem, SimulationError):
-                raise
-            raise SimulationError(f"Scene {path} cannot be read ({problem}).") from None
-        except KeyError as missing:
-            raise SimulationError(f"Scene {path} lacks {missing}; add it.") from None
+                time, arclength, T_wb = (
+                    np.asarray(file[name], dtype=float) for name in ("time", "arclength", "T_wb")
+                )
+                device = json.loads(str(file["device"])) if "device" in file else {}
+        except (OSError, ValueError, KeyError, BadZipFile, EOFError) as problem:
+            raise SimulationError(
+                f"Scene {path} cannot be read ({problem}); give an NPZ file with time, arclength "
+                f"and T_wb."
+            ) from None
+        flaws: dict[str, Any] = {
+            name: np.array(value) if isinstance(value, list) else value
+            for name, value in device.get("flaws", {"roll": "minimal"}).items()
+        }
+        coils = (SceneCoil(**(c | {"T_bc": np.array(c["T_bc"])})) for c in device.get("coils", ()))
+        T_wt = np.array(device.get("T_wt", np.eye(4)))
+        seed = device.get("seed", 0)
+        return Scene(time, arclength, T_wb, T_wt, tuple(coils), Imperfections(**flaws), seed)
 
     @staticmethod
     def of(
         motion: Motion,
         time: ArrayLike,
-        coils: Sequence[Coil],
+        coils: Sequence[SceneCoil],
         *,
-        nodes: int = 141,
         T_wt: Array | None = None,
         flaws: Imperfections | None = None,
         seed: int = 0,
-        loop: bool = False,
     ) -> Scene:
-        """The scene of a simulated motion at times (K,), with as many nodes along the robot."""
+        """The scene of a simulated motion.
+
+        Args:
+            motion: The robot's motion.
+            time: Times (K,) at which its shape is taken, s.
+            coils: The tracker's coils.
+            T_wt: The tracker in the world (4, 4); identity by default.
+            flaws: The tracker's noise and bias; the usual ones by default.
+            seed: Seed of that noise.
+        """
         times = np.asarray(time, dtype=float)
-        places = np.linspace(0.0, motion.rod.length, nodes)
+        places = np.linspace(0.0, motion.rod.length, _NODES)
         poses = np.array([motion.at(places, t).pose for t in times])
         flaws = Imperfections(roll="minimal") if flaws is None else flaws
         frame = np.eye(4) if T_wt is None else T_wt
-        return Scene(times, places, poses, frame, tuple(coils), flaws, seed, loop)
+        return Scene(times, places, poses, frame, tuple(coils), flaws, seed)
 
 
 def _between(nodes: Array, at: Array) -> tuple[np.ndarray, Array]:
@@ -155,35 +169,3 @@ def _between(nodes: Array, at: Array) -> tuple[np.ndarray, Array]:
 
 def _blend(start: Array, stop: Array, share: Array) -> Array:
     return start @ se3.exp(share[..., None] * se3.log(se3.inverse(start) @ stop))
-
-
-def _scene(given: dict[str, Any]) -> Scene:
-    place = np.atleast_1d(given.get("coil_arclength", np.zeros(0)))
-    count = place.size
-    usual = {
-        "coil_direction": np.zeros(count),
-        "coil_T_bc": np.tile(np.eye(4), (count, 1, 1)),
-        "coil_port": np.arange(count),
-        "coil_channel": np.zeros(count, dtype=int),
-    }
-    columns = [np.asarray(given.get(name, default)) for name, default in usual.items()]
-    direction, mount, port, channel = columns
-    coils = tuple(
-        Coil(float(place[k]), float(direction[k]), mount[k], int(port[k]), int(channel[k]))
-        for k in range(count)
-    )
-    known = dict(zip(_NOISE, given.get("noise", ()), strict=False))
-    known |= {key: given[key] for key in ("field_size", "field_centre") if key in given}
-    floats = {f.name for f in fields(Imperfections) if f.type == "float"}
-    noise: dict[str, Any] = {k: float(v) if k in floats else v for k, v in known.items()}
-    grid = [np.asarray(given[name], dtype=float) for name in ("time", "arclength", "T_wb")]
-    return Scene(
-        grid[0],
-        grid[1],
-        grid[2],
-        np.asarray(given.get("T_world_tracker", np.eye(4)), dtype=float),
-        coils,
-        Imperfections(**noise, roll=str(given.get("roll", "minimal"))),
-        int(given.get("seed", 0)),
-        bool(given.get("loop", False)),
-    )

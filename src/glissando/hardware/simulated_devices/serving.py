@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import heapq
 import os
@@ -12,40 +13,45 @@ import socket
 import sys
 import time
 import tty
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import count
 from pathlib import Path
 
-from glissando.errors import SimulationError
+from glissando.errors import GlissandoError, SimulationError
 
 Hear = Callable[[bytearray, float], list[tuple[float, bytes]]]
 """Takes whole messages out of a buffer at a time; returns what to send and when, in seconds."""
 
 
 class Serving:
-    """Serves until standard input closes or SIGTERM comes; `hear` answers for the device.
+    """Serves until standard input closes or SIGTERM comes.
 
-    While `cut` says so, network connections are closed and a pseudo-terminal stays silent.
+    Args:
+        hear: Answers for the device.
+        cut: Says whether, at a time, connections are closed and a pseudo-terminal stays silent.
+        beat: Does what the device does by itself at a time; returns when it is due again, s.
     """
 
-    def __init__(self, hear: Hear, cut: Callable[[float], bool] = lambda now: False):
-        self._hear, self._cut = hear, cut
+    def __init__(
+        self,
+        hear: Hear = lambda held, now: [],
+        cut: Callable[[float], bool] = lambda now: False,
+        beat: Callable[[float], float] = lambda now: float("inf"),
+    ):
+        self._hear, self._cut, self._beat = hear, cut, beat
         self._selector = selectors.DefaultSelector()
         self._due: list[tuple[float, int, Callable[[bytes], object], bytes]] = []
         self._order = count()
-        self._link: Path | None = None
-        self._listening: socket.socket | None = None
-        self._ends: list[int] = []
+        self._resources = contextlib.ExitStack()
 
     def listen(self, port: int) -> str:
         """Accept connections on 127.0.0.1:port, any free one for 0; returns the address."""
-        self._listening = server = socket.socket()
+        server = self._resources.enter_context(socket.socket())
         server.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             server.bind(("127.0.0.1", port))
             server.listen()
         except (OSError, OverflowError) as problem:
-            server.close()
             raise SimulationError(
                 f"TCP port {port} cannot be listened on ({problem}); give another, or 0 for any."
             ) from None
@@ -53,20 +59,23 @@ class Serving:
         self._selector.register(server, selectors.EVENT_READ, lambda: self._accept(server))
         return f"tcp://127.0.0.1:{server.getsockname()[1]}"
 
-    def open_terminal(self, link: Path) -> str:
-        """Serve a pseudo-terminal that `link` leads to; returns the link."""
+    def open_terminal(self, link: Path | None) -> str:
+        """Serve a pseudo-terminal, which `link` leads to if given; returns what to open."""
         ours, theirs = pty.openpty()
-        self._ends += [ours, theirs]  # theirs stays open, so that clients may come and go
-        for end in (ours, theirs):
+        for end in (ours, theirs):  # theirs stays open, so that clients may come and go
+            self._resources.callback(os.close, end)
             tty.setraw(end)
         os.set_blocking(ours, False)
-        if link.is_symlink():
-            link.unlink()
-        try:
-            link.symlink_to(os.ttyname(theirs))
-        except OSError as problem:
-            raise SimulationError(f"{link} cannot be made ({problem}); give another.") from None
-        self._link, held = link, bytearray()
+        path = Path(os.ttyname(theirs))
+        if link is not None:
+            try:
+                if link.is_symlink():
+                    link.unlink()
+                link.symlink_to(path)
+            except OSError as problem:
+                raise SimulationError(f"{link} cannot be made ({problem}); give another.") from None
+            self._resources.callback(link.unlink, missing_ok=True)
+        held = bytearray()
 
         def read() -> None:
             held.extend(os.read(ours, 4096))
@@ -76,7 +85,7 @@ class Serving:
             self._answer(held, now, lambda reply: os.write(ours, reply))
 
         self._selector.register(ours, selectors.EVENT_READ, read)
-        return str(link)
+        return str(link or path)
 
     def _accept(self, server: socket.socket) -> None:
         client, _ = server.accept()
@@ -84,12 +93,12 @@ class Serving:
         held = bytearray()
 
         def read() -> None:
-            came = b""
+            data = b""
             with contextlib.suppress(OSError):
-                came = client.recv(4096)
-            held.extend(came)
+                data = client.recv(4096)
+            held.extend(data)
             now = time.monotonic()
-            if not came or self._cut(now):
+            if not data or self._cut(now):
                 self._selector.unregister(client)
                 client.close()
             else:
@@ -107,16 +116,16 @@ class Serving:
         with contextlib.suppress(PermissionError):  # a file, or /dev/null: nobody closes those
             self._selector.register(sys.stdin, selectors.EVENT_READ, _end_with_input)
         print(*addresses, flush=True)
-        try:
+        beat = time.monotonic()
+        with contextlib.suppress(SystemExit, KeyboardInterrupt), self._resources:
             while True:
-                wait = max(self._due[0][0] - time.monotonic(), 0.0) if self._due else None
+                due = min(self._due[0][0] if self._due else beat, beat)
+                wait = None if due == float("inf") else max(due - time.monotonic(), 0.0)
                 for key, _ in self._selector.select(wait):
                     key.data()
                 self._send_due()
-        except (SystemExit, KeyboardInterrupt):
-            pass
-        finally:
-            self._close()
+                if (now := time.monotonic()) >= beat:
+                    beat = self._beat(now)
 
     def _send_due(self) -> None:
         while self._due and self._due[0][0] <= time.monotonic():
@@ -124,15 +133,21 @@ class Serving:
             with contextlib.suppress(OSError):  # nobody listens any more
                 send(reply)
 
-    def _close(self) -> None:
-        if self._link is not None:
-            self._link.unlink(missing_ok=True)
-        if self._listening is not None:
-            self._listening.close()
-        for end in self._ends:
-            os.close(end)
-
 
 def _end_with_input() -> None:
     if not os.read(sys.stdin.fileno(), 4096):
         sys.exit(0)
+
+
+def run_device(
+    parser: argparse.ArgumentParser,
+    serve: Callable[[argparse.Namespace], None],
+    arguments: Sequence[str] | None,
+) -> int:
+    """Serve what a command line asks for; returns the exit status, 2 after a mistake in it."""
+    try:
+        serve(parser.parse_args(arguments))
+    except (GlissandoError, OSError) as problem:
+        print(problem, file=sys.stderr)
+        return 2
+    return 0

@@ -9,106 +9,81 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import os
-import pty
-import select
-import signal
 import socket
-import struct
-import sys
 import time
-import tty
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
 
 import numpy as np
 
-from glissando.errors import DeviceError
-from glissando.hardware.simulated_devices.dynamixel import Bus
+from glissando.hardware.simulated_devices.faults import Dice, parse_faults
 from glissando.hardware.simulated_devices.screw import TICKS, Screw
-from glissando.hardware.simulated_devices.servo_faults import Faults, Line
+from glissando.hardware.simulated_devices.serving import Serving, run_device
+from glissando.hardware.simulated_devices.travel import MESSAGE
 from glissando.hardware.simulated_devices.xl430 import OVERLOAD, TICK_WRAP, Xl430
 
 _PERIOD = 0.005  # s between datagrams
 
 
-class Stage:
-    """A servo, others on its bus, and the line between them and the host."""
+@dataclass(frozen=True)
+class ServoFaults:
+    """Faults of a servo's line by name; all off.
 
-    def __init__(self, servo: Xl430, others: Sequence[Xl430], line: Line) -> None:
-        self.servo, self.line = servo, line
-        self._bus = Bus([servo, *others])
-        self._waiting: list[tuple[float, bytes]] = []
+    Shares of status packets: `corrupt` with a bit flipped, `short` cut off, `late` (share, seconds
+    of delay). Numbers of status packets: from `silent` (number, how many) on they are lost; from
+    `dead` on the servo neither hears nor answers; at `overload` it raises that hardware error, at
+    `restart` it loses power for a moment.
+    """
 
-    def hear(self, data: bytes, now: float) -> None:
-        """Bytes from the host."""
-        if self.line.dead:
-            return
-        for packet in self._bus.receive(data, now):
-            if self.line.sent == self.line.faults.overload:
+    corrupt: float = 0.0
+    short: float = 0.0
+    late: tuple[float, float] = (0.0, 0.0)
+    silent: tuple[float, float] = (float("inf"), 0.0)
+    dead: float = float("inf")
+    overload: float = float("inf")
+    restart: float = float("inf")
+
+
+class Line:
+    """The line between a servo and its host, with faults; answers keep their order.
+
+    Args:
+        servo: The servo at its end.
+        faults: What goes wrong.
+        seed: Of the faults.
+    """
+
+    def __init__(self, servo: Xl430, faults: ServoFaults | None = None, seed: int = 0) -> None:
+        self.servo, self.sent = servo, 0
+        self.faults = ServoFaults() if faults is None else faults
+        self._dice = Dice(self.faults, seed)
+        self._last = 0.0  # s when the answer before arrives
+
+    def hear(self, held: bytearray, now: float) -> list[tuple[float, bytes]]:
+        """Take bytes from the host; returns when (s) what of each answer arrives."""
+        data, answers = bytes(held), []
+        held.clear()
+        if self.sent >= self.faults.dead:
+            return []
+        for packet in self.servo.receive(data, now):
+            if self.sent == self.faults.overload:
                 self.servo.fail(OVERLOAD, now)
-            if self.line.sent == self.line.faults.restart:
+            if self.sent == self.faults.restart:
                 self.servo.restart(now)
-            self._waiting.append(self.line.spoil(packet, now))
+            answers.append(self.spoil(packet, now))
+        return answers
 
-    def say(self, now: float) -> bytes:
-        """Bytes for the host that are due, in the order of their instructions."""
-        told = b""
-        while self._waiting and self._waiting[0][0] <= now:
-            told += self._waiting.pop(0)[1]
-        return told
-
-    @property
-    def next_due(self) -> float:
-        """When there will be more to say; infinity if nothing waits."""
-        return self._waiting[0][0] if self._waiting else float("inf")
-
-
-def serve(stage: Stage, line: int, travel: tuple[str, int] | None) -> None:
-    """Answer on a pseudo-terminal's file and tell travel, until standard input ends."""
-    sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    beat = time.monotonic()
-    with sender:
-        while True:
-            wait = max(min(beat, stage.next_due) - time.monotonic(), 0.0)
-            ready, _, _ = select.select([line, sys.stdin], [], [], wait)
-            now = time.monotonic()
-            if sys.stdin in ready and not os.read(sys.stdin.fileno(), 4096):
-                return
-            if line in ready:
-                stage.hear(os.read(line, 4096), now)
-            if told := stage.say(now):
-                with contextlib.suppress(BlockingIOError):  # a host that never reads loses bytes
-                    os.write(line, told)
-            if now >= beat:
-                beat = max(beat + _PERIOD, now)
-                place = stage.servo.advance(now)
-                if travel:
-                    with contextlib.suppress(OSError):  # nobody listens yet, or any more
-                        sender.sendto(struct.pack("<dd", now, place), travel)
-
-
-@contextlib.contextmanager
-def terminal(link: Path | None) -> Iterator[tuple[int, str]]:
-    """A raw pseudo-terminal: the file to serve on and the path to open, a link to it if given."""
-    ours, theirs = pty.openpty()
-    try:
-        tty.setraw(ours)
-        tty.setraw(theirs)
-        os.set_blocking(ours, False)
-        path = os.ttyname(theirs)
-        if link:
-            link.unlink(missing_ok=True)
-            link.symlink_to(path)
-        try:
-            yield ours, str(link or path)
-        finally:
-            if link:
-                link.unlink(missing_ok=True)
-    finally:
-        os.close(ours)
-        os.close(theirs)  # kept open until now: a host may come and go
+    def spoil(self, packet: bytes, now: float) -> tuple[float, bytes]:
+        """When the next status packet arrives, and what is left of it."""
+        faults, dice, number = self.faults, self._dice, self.sent
+        self.sent += 1
+        packet = dice.cut(dice.flip(packet, "corrupt", number), "short", number)
+        if 0 <= number - faults.silent[0] < faults.silent[1]:
+            packet = b""
+        share, delay = faults.late
+        self._last = max(self._last, now + delay * (dice.draw("late", number) < share))
+        return self._last, packet
 
 
 def _address(text: str) -> tuple[str, int]:
@@ -119,11 +94,12 @@ def _address(text: str) -> tuple[str, int]:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="servo", description=__doc__)
+    parser = argparse.ArgumentParser("servo", description=__doc__, epilog=ServoFaults.__doc__)
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     add = parser.add_argument
     add("--pty", type=Path, metavar="LINK", help="make this link to the pseudo-terminal")
     add("--travel", type=_address, metavar="HOST:PORT", help="send true travel there, 200 Hz")
-    add("--faults", nargs="*", default=[], metavar="FAULT", help="see faults.py")
+    add("--faults", default="", metavar="NAME=NUMBER,…", help="what goes wrong, listed below")
     add("--seed", type=int, default=0, help="of the faults, the angle and the clock at the start")
     add("--lead", type=float, default=0.0254, help="m a revolution")
     add("--direction", type=int, default=1, choices=(1, -1))
@@ -131,47 +107,34 @@ def _parser() -> argparse.ArgumentParser:
     add("--ends", type=float, nargs=2, default=(-0.002, 0.062), help="hard stops, m")
     add("--start", type=float, default=0.0, metavar="TRAVEL", help="m")
     add("--clock", type=float, default=1.0, help="rate of the servo's clock against ours")
-    add("--ids", type=int, nargs="+", default=[1], help="servos on the bus; the first is the stage")
     return parser
 
 
-def _made(options: argparse.Namespace) -> Stage:
+def _serve(options: argparse.Namespace) -> None:
     random = np.random.default_rng(options.seed)
-    now = time.monotonic()
     screw = Screw(
-        options.lead,
-        options.direction,
-        options.backlash,
-        tuple(options.ends),
-        options.start,
+        options.lead, options.direction, options.backlash, tuple(options.ends), options.start,
         random.uniform(0.0, TICKS),
-    )
+    )  # fmt: skip
     tick = int(random.integers(TICK_WRAP))
-    first, *rest = options.ids
-    servo = Xl430(screw, identity=first, now=now, clock=options.clock, tick=tick)
-    others = [Xl430(Screw(ends=(-1.0, 1.0)), identity=identity, now=now) for identity in rest]
-    return Stage(servo, others, Line(Faults.read(options.faults), options.seed))
+    servo = Xl430(screw, now=time.monotonic(), clock=options.clock, tick=tick)
+    line = Line(servo, parse_faults(ServoFaults, options.faults), options.seed)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
 
+        def beat(now: float) -> float:
+            travel = servo.advance(now)
+            if options.travel:
+                with contextlib.suppress(OSError):  # nobody listens yet, or any more
+                    sender.sendto(MESSAGE.pack(now, travel), options.travel)
+            return now + _PERIOD
 
-def _stop(number: int, frame: FrameType | None) -> None:
-    raise SystemExit(0)
+        serving = Serving(line.hear, beat=beat)
+        serving.run(serving.open_terminal(options.pty))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the simulated stage; the exit status."""
-    signal.signal(signal.SIGTERM, _stop)
-    try:
-        options = _parser().parse_args(arguments)
-        stage = _made(options)
-        with terminal(options.pty) as (line, path):
-            print(path, flush=True)
-            serve(stage, line, options.travel)
-    except DeviceError as problem:
-        print(problem, file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        pass
-    return 0
+    """Run the simulated stage; returns the exit status."""
+    return run_device(_parser(), _serve, arguments)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""How far the slide has travelled, as another simulated device tells it by UDP."""
+"""The slide's travel as another simulated device sends it by UDP."""
 
 from __future__ import annotations
 
@@ -13,11 +13,15 @@ from glissando.errors import SimulationError
 MESSAGE = struct.Struct("<dd")
 """A datagram: time.monotonic() in s, and travel in m."""
 _HISTORY = 400
-_AHEAD = 0.02  # s that a travel may be carried on at its speed, to bridge two datagrams
+_AHEAD = 0.02  # s that a travel may be extrapolated at its speed, to bridge two datagrams
 
 
 class Travel:
-    """Listens on 127.0.0.1:`port` for (time, travel), and gives the travel at any recent time."""
+    """The travel that comes to 127.0.0.1:`port`, at any recent time.
+
+    Raises:
+        SimulationError: The port is taken.
+    """
 
     def __init__(self, port: int):
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -29,21 +33,21 @@ class Travel:
             raise SimulationError(
                 f"UDP port {port} cannot be listened on ({problem}); give another --travel."
             ) from None
-        self._heard: deque[tuple[float, float]] = deque(maxlen=_HISTORY)
+        self._points: deque[tuple[float, float]] = deque(maxlen=_HISTORY)
 
     def at(self, time: float) -> float:
-        """Travel in m at a time of time.monotonic(); 0 until told, held when no more is."""
-        self._listen()
-        if not self._heard:
+        """Travel in m at a time of time.monotonic(); 0 at first, then held after the last."""
+        self._receive()
+        if not self._points:
             return 0.0
-        times, travels = np.array(self._heard).T
+        times, travels = np.array(self._points).T
         late = time - times[-1]
         if 0.0 < late <= _AHEAD and times.size > 1:
             step = times[-1] - times[-2]
             return float(travels[-1] + late * (travels[-1] - travels[-2]) / step)
         return float(np.interp(time, times, travels))
 
-    def _listen(self) -> None:
+    def _receive(self) -> None:
         while True:
             try:
                 datagram = self.socket.recv(64)
@@ -52,6 +56,6 @@ class Travel:
             if len(datagram) != MESSAGE.size:
                 continue
             time, travel = MESSAGE.unpack(datagram)
-            newer = not self._heard or time > self._heard[-1][0]
+            newer = not self._points or time > self._points[-1][0]
             if newer and np.isfinite(time) and np.isfinite(travel):
-                self._heard.append((time, travel))
+                self._points.append((time, travel))

@@ -1,7 +1,7 @@
-"""The tracker is read in a process of its own, where nothing keeps it from asking in time.
+"""The tracker is read in a process of its own, where nothing delays the next request.
 
-In a thread it would wait for the interpreter, which the slide, the log and the table take by turns:
-a frame that is not asked for within its 25 ms is gone.
+A thread would share the interpreter with the slide, the log and the progress table, and a frame
+that is not requested within its 25 ms is lost.
 """
 
 from __future__ import annotations
@@ -19,43 +19,60 @@ from glissando.hardware.drivers.aurora_reply import Frame
 from glissando.hardware.drivers.aurora_setup import Tool
 from glissando.hardware.drivers.link import SilentError
 
-_PATIENCE = 0.5  # s without a frame after which one looks whether anybody still listens
-_START, _END = 60.0, 5.0  # s that the process may take to begin, beside the tracker's, and to end
+_PATIENCE = 0.5  # s without a frame after which the process looks whether anybody still reads
+_START, _END = 60.0, 5.0  # s the process may take to begin, beside the tracker's, and to end
 
 
-class Listening:
-    """Frames of a tracker as another process reads them.
+class RemoteTracker:
+    """Frames of a tracker that another process reads.
 
-    `tools` are the coils plugged in now, `counts` what was not as it should be. Times are of the
-    monotonic clock, which all processes of a host share.
+    Times are of the monotonic clock, which all processes of a host share.
+
+    Attributes:
+        tools: The coils that are plugged in now.
+        counts: How often something went wrong, by the name of the problem.
     """
 
     def __init__(self, pipe: Connection, tools: list[Tool]) -> None:
         self._pipe, self.tools, self.counts = pipe, tools, dict[str, int]()
 
     def read(self, timeout: float) -> Frame | None:
-        """The next frame, None when none came within `timeout` s. Raises DeviceError."""
+        """The next frame, or None when none came in time.
+
+        Args:
+            timeout: Seconds to wait.
+
+        Raises:
+            DeviceError: The tracker failed, or its process ended.
+        """
         if not self._pipe.poll(timeout):
             return None
-        said = _received(self._pipe)
-        self.tools, self.counts = said[1], said[2]
-        frame: Frame | None = said[0]
+        frame: Frame | None
+        frame, self.tools, self.counts = _receive(self._pipe)
         return frame
 
 
 @contextmanager
-def listening(address: str, baud: int) -> Iterator[Listening]:
-    """A tracker that is read while the context lasts. Raises DeviceError as `Aurora` does."""
+def remote_tracker(address: str, baud: int) -> Iterator[RemoteTracker]:
+    """A tracker that a process of its own reads while the context lasts.
+
+    Args:
+        address: Serial path, or tcp://host:port.
+        baud: Rate of a serial line.
+
+    Raises:
+        DeviceError: As `Aurora` does, or because the process does not start.
+    """
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
-    process = context.Process(target=_listen, args=(address, baud, theirs), daemon=True)
-    with _uninterrupted():
+    process = context.Process(target=_serve, args=(address, baud, theirs), daemon=True)
+    with _blocked_interrupts():
         process.start()
     theirs.close()
     try:
         if not ours.poll(_START):
             raise DeviceError(f"The process that reads {address} did not start; start it again.")
-        yield Listening(ours, _received(ours))
+        yield RemoteTracker(ours, _receive(ours))
     finally:
         ours.close()
         process.join(_END)
@@ -65,8 +82,8 @@ def listening(address: str, baud: int) -> Iterator[Listening]:
 
 
 @contextmanager
-def _uninterrupted() -> Iterator[None]:
-    """A process that is started here never hears of Ctrl-C: who started it ends it."""
+def _blocked_interrupts() -> Iterator[None]:
+    """A process that starts here never sees Ctrl-C; its parent ends it."""
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield
         return
@@ -77,17 +94,17 @@ def _uninterrupted() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _received(pipe: Connection) -> Any:
+def _receive(pipe: Connection) -> Any:
     try:
-        said = pipe.recv()
+        message = pipe.recv()
     except (EOFError, OSError):
         raise DeviceError("The process that reads the tracker has ended; record again.") from None
-    if isinstance(said, DeviceError):
-        raise said
-    return said
+    if isinstance(message, DeviceError):
+        raise message
+    return message
 
 
-def _listen(address: str, baud: int, pipe: Connection) -> None:
+def _serve(address: str, baud: int, pipe: Connection) -> None:
     """Send the tools, then frames with tools and counts, until the pipe is closed."""
     with suppress(BrokenPipeError, ConnectionError, EOFError):
         try:
@@ -99,4 +116,4 @@ def _listen(address: str, baud: int, pipe: Connection) -> None:
                         frame = tracker.read(_PATIENCE)
                     pipe.send((frame, tracker.tools, dict(vars(tracker.counts))))
         except DeviceError as problem:
-            pipe.send(DeviceError(str(problem)))  # others may not come through the pipe whole
+            pipe.send(DeviceError(str(problem)))  # its subclasses may not survive pickling
