@@ -113,7 +113,8 @@ def settings(data, learned):
             "published settings": recording.robot,
             "the tracker's own rate": replace(recording.robot, sensor_rate={"pose": TRACKER_RATE}),
         }
-        late = SensorParameter("truth", "delay", ("vicon4",), np.array([LATE[name]]), np.zeros(1))
+        late = np.array([LATE[name]])
+        late = SensorParameter("truth", "time_offset", ("vicon4",), late, np.zeros(1))
         robots["and motion capture's delay"] = replace(
             robots["the tracker's own rate"],
             sensor_parameters=(*recording.robot.sensor_parameters, late),

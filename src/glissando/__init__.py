@@ -31,6 +31,7 @@ from glissando.estimation.fixed_lag import FixedLagSmoother
 from glissando.estimation.posterior import Posterior, StateEstimate
 from glissando.estimation.static import StaticPosterior, estimate_static
 from glissando.geometry import se3 as se3
+from glissando.io.netcdf import load_posterior, save_posterior, to_xarray
 from glissando.io.robot_file import load_robot
 from glissando.model.grid import Grid, uniform_grid
 from glissando.model.noise import GemanMcClure, Huber
@@ -83,7 +84,10 @@ __all__ = [
     "WhiteNoisePrior",
     "estimate",
     "estimate_static",
+    "load_posterior",
     "load_robot",
+    "save_posterior",
+    "to_xarray",
     "uniform_grid",
 ]
 

@@ -41,5 +41,9 @@ class NotConvergedWarning(UserWarning):
     """The estimate stopped before its step became small: do not trust it."""
 
 
+class OldNameWarning(UserWarning):
+    """A file names something as it was called before; it is read, and should be renamed."""
+
+
 class PlanWarning(UserWarning):
     """A plan of the sensor's path came too late or not at all: the last one goes on."""

@@ -53,8 +53,8 @@ def found():
     document["sensors"]["pose"]["std"] = [2e-4] * 3 + [2e-3] * 3
     tilt = {"name": "tip mount", "kind": "mount", "streams": ["tip"], "std": [1e-3, 0.1]}
     drift = {**tilt, "name": "drift", "std": [1e-4, 1e-3], "correlation_time": 1.0}
-    late = {"name": "late", "kind": "delay", "streams": ["tip"], "std": [1e-3]}
-    document["unknowns"] = [tilt, drift, late]
+    late = {"name": "late", "kind": "time_offset", "streams": ["tip"], "std": [1e-3]}
+    document["sensor_parameters"] = [tilt, drift, late]
     return locate(document, recording(), WINDOW, ["base", "tip"], ["t1", "t2"])
 
 
@@ -84,12 +84,12 @@ def test_truth_and_a_tilted_tracker_at_one_place_agree_once_put_right(found):
 
 def test_what_belongs_to_a_recording_is_not_carried_to_the_next(found):
     document, constants = found
-    kept = {u["name"]: u for u in document["unknowns"]}
+    kept = {u["name"]: u for u in document["sensor_parameters"]}
     assert "std" not in kept["tip mount"]
     assert "std" in kept["drift"]
     assert "std" in kept["late"]
-    assert {c.kind for c in constants} == {"world", "mount", "delay"}
-    assert {c.kind for c in lasting(constants)} == {"world", "mount"}
+    assert {c.kind for c in constants} == {"frame", "mount", "time_offset"}
+    assert {c.kind for c in lasting(constants)} == {"frame", "mount"}
     assert all(c.known for c in constants)
 
 

@@ -108,7 +108,7 @@ def test_truth_that_is_known_to_be_late_is_asked_for_when_it_was_made():
     posterior, late = posterior_of_the_arc(), 0.3
     truth = readings(PoseReadings, "a", LENGTH, TIMES[:4], std=np.full(6, 3e-4), seed=1)
     stamped = replace(truth, time=truth.time + late)
-    delay = SensorParameter("late", "delay", ("a",), np.array([late]), np.zeros(1))
+    delay = SensorParameter("late", "time_offset", ("a",), np.array([late]), np.zeros(1))
     found = predict(posterior, [stamped], [delay], free=False)
     assert found.score == pytest.approx(predict(posterior, [truth], (), free=False).score)
     assert found.score > predict(posterior, [stamped], (), free=False).score + 2.0

@@ -12,6 +12,7 @@ import pytest
 
 from glissando.cli.main import build_parser, main
 from glissando.evaluation.run import run_estimate
+from glissando.io.netcdf import save_posterior
 from glissando.io.recording import load_recording
 from glissando.io.robot_file import robot_file
 from glissando.simulation import SlidePath, load_bench, simulate_session, write_session
@@ -81,7 +82,7 @@ def bench(tmp_path_factory):
         run = run_estimate(recording, recording.robot, window=None, use=None, truth=None)
         for out in map(Path, ("results", "results/fixed", "results/sliding")):
             out.mkdir()
-            run.posterior.save(out / "posterior.nc")
+            save_posterior(run.posterior, out / "posterior.nc")
             (out / "report.json").write_text(json.dumps(run.as_json()))
     return folder
 

@@ -7,6 +7,7 @@ import pytest
 
 from glissando import CoilReadings, estimate, load_robot
 from glissando.cli.main import main
+from glissando.io.netcdf import save_posterior
 from glissando.io.recording import load_recording
 from glissando.planning import Design, pareto_front
 
@@ -49,7 +50,8 @@ def test_a_plan_goes_on_from_an_estimate(tmp_path, capsys):
     seen = np.tile(np.eye(4), (41, 1, 1))
     seen[:, 2, 3] = 0.65
     coil = CoilReadings(time=time, arclength=np.full(41, 0.65), values=seen, cov=1e-6)
-    estimate(robot.prior, robot.grid(0.0, 2.0), [coil]).save(tmp_path / "posterior.nc")
+    posterior = estimate(robot.prior, robot.grid(0.0, 2.0), [coil])
+    save_posterior(posterior, tmp_path / "posterior.nc")
     given = "--zone", "0.5:0.6", "--horizon", 3, "--json"
     assert run("plan", *given, "--from", tmp_path / "posterior.nc") == 0
     known = json.loads(capsys.readouterr().out)["paths"]["fixed"]["std"]

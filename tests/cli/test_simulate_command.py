@@ -113,7 +113,7 @@ def shaped(text, *more):
         (changed("coil_offset = 0", "coil_offset = -0.9"), 2, "off the robot"),
         (changed("poisson = 0.33", "poisson = 5"), 2, "Poisson's ratio of 5 cannot be"),
         (changed("set_curvature =", "field_size = 0\nset_curvature ="), 2, "field_size is 0"),
-        (changed('kind = "kinematic"', 'kind = "foo"'), 2, "give one of kinematic"),
+        (changed('kind = "white-noise"', 'kind = "foo"'), 2, "give one of white-noise"),
         (changed("set_curvature", "set_curvatur"), 2, "did you mean 'set_curvature'"),
         (["--cycles", "0"], 2, "0 cycles cannot be"),
         (["--slide", "hold", "--at", "0.2"], 2, "stroke would be 0.2 m"),

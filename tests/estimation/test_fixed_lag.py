@@ -29,7 +29,7 @@ PRIORS = {
 }
 UNKNOWNS = [
     SensorParameter("bias", "bias", ("gyro",), np.zeros(3), np.full(3, 0.1), 0.5),
-    SensorParameter("frame", "world", ("coil",), np.zeros(6), np.full(6, 0.01)),
+    SensorParameter("frame", "frame", ("coil",), np.zeros(6), np.full(6, 0.01)),
 ]
 
 

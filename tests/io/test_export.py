@@ -12,6 +12,7 @@ from glissando.cli.main import main
 from glissando.errors import GlissandoError, OutsideGridError
 from glissando.io.foreign import export
 from glissando.io.foreign.trajectories import SCHEMAS
+from glissando.io.netcdf import save_posterior
 from glissando.io.query_csv import QUERY_COLUMNS
 from scenes import LENGTH, sliding_scene
 
@@ -123,7 +124,7 @@ def test_mcap_refuses_times_before_zero(tmp_path):
 
 def test_the_command_exports_what_estimate_saved(posterior, tmp_path, capsys):
     saved, out = tmp_path / "posterior.nc", tmp_path / "out" / "tip.tum"
-    posterior.save(saved)
+    save_posterior(posterior, saved)
     arguments = ["export", str(saved), "--out", str(out), "--arclength", "0.466", "--rate", "10"]
     assert main(arguments) == 0
     assert "11 times" in capsys.readouterr().out

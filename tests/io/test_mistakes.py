@@ -16,6 +16,7 @@ from glissando import (
     estimate,
 )
 from glissando.evaluation.metrics import errors_against
+from glissando.io.netcdf import save_posterior
 from scenes import sliding_scene
 
 SCENE = sliding_scene()
@@ -107,7 +108,7 @@ def test_a_gyro_cannot_be_truth():
 def test_a_posterior_that_cannot_be_written_is_one_sentence(tmp_path):
     posterior = estimate(*SCENE)
     with pytest.raises(GlissandoError, match="cannot be written"):
-        posterior.save(tmp_path / "nowhere" / "posterior.nc")
+        save_posterior(posterior, tmp_path / "nowhere" / "posterior.nc")
 
 
 def test_a_loss_without_a_threshold_is_refused():

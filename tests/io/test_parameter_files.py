@@ -9,11 +9,13 @@ from glissando.model.sensors.parameters import SensorParameter
 from scenes import sliding_scene
 from unknown_scenes import unknown
 
+KINDS = "frame, mount, bias, arclength_offset, time_offset"
+
 
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
-        ({"kind": "colour"}, "is a 'colour'; choose one of world, mount, bias, slide, delay"),
+        ({"kind": "colour"}, f"is a 'colour'; choose one of {KINDS}"),
         ({"value": np.zeros(2)}, "value is .* give 3 numbers"),
         ({"std": np.zeros(6)}, "std is .* give 3 numbers"),
         ({"std": 0.1}, "std is .* give 3 numbers"),
@@ -42,7 +44,7 @@ def test_a_bias_of_a_pose_is_refused_and_named(std):
 
 def robot_with(tmp_path, lines):
     path = tmp_path / "mine.toml"
-    path.write_text(f"{robot_file('tdcr466').read_text()}\n[[unknowns]]\n{lines}\n")
+    path.write_text(f"{robot_file('tdcr466').read_text()}\n[[sensor_parameters]]\n{lines}\n")
     return load_robot(path)
 
 
@@ -60,7 +62,7 @@ def test_a_robot_file_may_state_unknowns(tmp_path):
     assert found.correlation_time == 2.5
     assert not found.known
     np.testing.assert_array_equal(found.std, 0.1)
-    frame = {"name": '"f"', "kind": '"world"', "streams": '["a", "b"]', "std": "[0.01, 0.1]"}
+    frame = {"name": '"f"', "kind": '"frame"', "streams": '["a", "b"]', "std": "[0.01, 0.1]"}
     (found,) = robot_with(tmp_path, as_lines(frame)).sensor_parameters
     np.testing.assert_array_equal(found.std, [0.01] * 3 + [0.1] * 3)
     value = {k: v for k, v in frame.items() if k != "std"} | {"value": "[1, 2, 3, 0, 0, 1]"}
@@ -72,7 +74,7 @@ def test_a_robot_file_may_state_unknowns(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
-        ({"kind": '"colour"'}, "kind is 'colour'; give one of world, mount, bias, slide, delay"),
+        ({"kind": '"colour"'}, f"kind is 'colour'; give one of {KINDS}"),
         ({"std": "[0.1, 0.1]"}, "std is .*; give 3 numbers"),
         ({"std": "[0.1, -0.1, 0.1]"}, "std is .*; give numbers above zero"),
         ({"value": "[1, 2]"}, "value is .*; give 3 numbers"),
@@ -84,13 +86,14 @@ def test_a_robot_file_may_state_unknowns(tmp_path):
         ({"name": "3"}, "name is 3; give a text"),
     ],
 )
-def test_a_mistake_in_a_robots_unknowns_names_file_entry_and_key(tmp_path, changes, sentence):
-    with pytest.raises(RobotFileError, match=rf"mine.toml \[\[unknowns\]\] 1: .*{sentence}"):
+def test_a_mistake_in_a_sensor_parameter_names_file_entry_and_key(tmp_path, changes, sentence):
+    where = r"mine.toml \[\[sensor_parameters\]\] 1"
+    with pytest.raises(RobotFileError, match=f"{where}: .*{sentence}"):
         robot_with(tmp_path, as_lines({**GOOD, **changes}))
 
 
 def test_unknowns_must_be_tables(tmp_path):
     path = tmp_path / "mine.toml"
-    path.write_text(f"unknowns = 3\n{robot_file('tdcr466').read_text()}")
-    with pytest.raises(RobotFileError, match=r"\[\[unknowns\]\] must be an array of tables"):
+    path.write_text(f"sensor_parameters = 3\n{robot_file('tdcr466').read_text()}")
+    with pytest.raises(RobotFileError, match=r"sensor_parameters.* must be an array of tables"):
         load_robot(path)

@@ -265,7 +265,7 @@ def test_shipped_robots_load(name):
         ("arclength_nodes = 5", "arclength_nodes = [0.1, 0.466]", "must begin at 0"),
         ("psd_pose = [4e-7, 5e-6]", "psd_pose = [1, 2, 3]", "give 6 numbers, or 2 for"),
         ("psd_pose = [4e-7, 5e-6]", "psd_pose = [0, 1]", "above zero"),
-        ('kind = "kinematic"', 'kind = "magic"', "give one of kinematic"),
+        ('kind = "white-noise"', 'kind = "magic"', "give one of white-noise"),
         ("quaternion = [1, 0, 0, 0]", "quaternion = [1, 1, 0, 0]", "has norm 1.414"),
         ("clip = 5.0", 'loss = "hubris"', "loss is 'hubris'; give one of none, huber"),
         ("[sensors.gyro]", "[sensors.nose]", "nose is not a kind of sensor"),
@@ -302,7 +302,7 @@ def test_a_robot_without_a_base_is_allowed(tmp_path):
     )
     path.write_text(
         f"length = 1\n[grid]\narclength_nodes = 3\ntime_rate = 5\n[prior]\n{psd}\n"
-        'kind = "kinematic"\n'
+        'kind = "white-noise"\n'
     )
     robot = parse_robot(read_toml(path, RobotFileError))
     assert robot.prior.base is None

@@ -30,7 +30,7 @@ SEPARABLE = {
 }
 KINEMATIC = {
     "base": "psd_pose = [1e-6, 1e-4]\npsd_strain = [1e-4, 4]\npsd_velocity = [1, 1]",
-    "prior": 'kind = "kinematic"\n'
+    "prior": 'kind = "white-noise"\n'
     + "\n".join(
         f"psd_{name} = [1, 2]" for name in ("velocity_time", "strain_time", "velocity_arclength")
     ),

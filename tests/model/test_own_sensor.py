@@ -54,11 +54,13 @@ class Height(Readings, kind="height"):
 BEACON = np.array([0.3, 0.0, 0.2])
 
 
-@pytest.fixture(autouse=True, scope="module")
-def _own_sensors_leave_with_this_module():
-    yield
-    for kind in ("range", "height"):
-        del SENSORS[kind]
+OWN = {kind: SENSORS.pop(kind) for kind in ("range", "height")}  # known to this module's tests
+
+
+@pytest.fixture(autouse=True)
+def _own_sensors_are_known(monkeypatch):
+    for kind, sensor in OWN.items():
+        monkeypatch.setitem(SENSORS, kind, sensor)
 
 
 @pytest.fixture

@@ -25,12 +25,14 @@ SEPARABLE = SeparablePrior(
 def all_kinds(rng):
     small = 0.1 * rng.standard_normal((2, 6))
     return [
-        unknown("world", "pose", "coil", "point", value=small[0]),
+        unknown("frame", "pose", "coil", "point", value=small[0]),
         unknown("mount", "coil", "point", "gyro", value=small[1], memory=0.5),
         unknown("bias", "gyro", memory=0.3, name="gyro bias"),
         unknown("bias", "point", name="point bias"),
-        unknown("slide", "coil", "gyro", value=[0.003]),
-        unknown("delay", "pose", value=[0.002]),  # of nothing that drifts: that is second order
+        unknown("arclength_offset", "coil", "gyro", value=[0.003]),
+        unknown(
+            "time_offset", "pose", value=[0.002]
+        ),  # of nothing that drifts: that is second order
     ]
 
 

@@ -105,7 +105,7 @@ var_jumps = [[1e-6, 9.0]]""",
 }
 KINEMATIC = {
     "base": "psd_pose = [1, 1]\npsd_strain = [1, 1]\npsd_velocity = [1, 1]",
-    "prior": """kind = "kinematic"
+    "prior": """kind = "white-noise"
 psd_velocity_time = [1, 1]
 psd_strain_arclength = [1, 1]
 psd_strain_time = [1, 1]

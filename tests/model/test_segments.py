@@ -13,13 +13,13 @@ from glissando import (
     GyroReadings,
     OutsideGridError,
     PoseReadings,
-    Posterior,
     SolverOptions,
     State,
     WhiteNoisePrior,
     estimate,
 )
 from glissando.geometry import se3
+from glissando.io.netcdf import load_posterior, save_posterior
 from glissando.model.priors.separable import BaseVariance, SeparablePrior
 
 EXACT = SolverOptions(tolerance=1e-8)
@@ -224,8 +224,8 @@ def test_a_saved_posterior_gives_the_same_answers(kind, segments, tmp_path):
     pytest.importorskip("xarray")
     prior = in_two(PRIORS[kind], np.full((1, 6), 0.5)) if segments else PRIORS[kind]
     posterior = estimate(prior, GRID, swinging(1.0))
-    posterior.save(tmp_path / "posterior.nc")
-    again = Posterior.load(tmp_path / "posterior.nc")
+    save_posterior(posterior, tmp_path / "posterior.nc")
+    again = load_posterior(tmp_path / "posterior.nc")
     assert type(again.prior) is type(prior)
     for name in ("psd_strain_arclength", "joints", "jumps", "rest_strain", "base_pose"):
         np.testing.assert_array_equal(getattr(again.prior, name), getattr(prior, name))

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from glissando import GlissandoError, GyroReadings, PositionReadings, estimate
-from glissando.estimation.posterior import Posterior
 from glissando.geometry import se3
+from glissando.io.netcdf import load_posterior, save_posterior
 from glissando.model.sensors.parameters import SIZES
 from scenes import LENGTH, angular_velocity, arc, sliding_scene
 from unknown_scenes import COARSE, SOFT, STEADY, TIMES, consistent, tracker, unknown
@@ -24,11 +24,11 @@ def anchors(rng):
 
 
 TRUE = {
-    "world": np.r_[0.02, -0.01, 0.015, 0.05, -0.1, 0.08],
+    "frame": np.r_[0.02, -0.01, 0.015, 0.05, -0.1, 0.08],
     "mount": np.r_[-0.01, 0.01, 0.02, -0.1, 0.05, 0.2],
     "bias": np.r_[0.05, -0.1, 0.08],
-    "slide": np.r_[-0.006],
-    "delay": np.r_[0.015],
+    "arclength_offset": np.r_[-0.006],
+    "time_offset": np.r_[0.015],
 }
 
 
@@ -41,20 +41,24 @@ def miscalibrated(rng):
     place = np.full(TIMES.size, LENGTH / 2)
     rate = angular_velocity(place, TIMES) + 0.3 * rng.standard_normal((TIMES.size, 3))
     gyro = GyroReadings(time=TIMES, arclength=place, values=rate, cov=0.09, name="gyro")
-    frame, mount = se3.exp(-TRUE["world"]), se3.exp(TRUE["mount"])
+    frame, mount = se3.exp(-TRUE["frame"]), se3.exp(TRUE["mount"])
     return [
         *anchors(rng),
         replace(framed, values=frame @ framed.values),
         replace(mounted, values=mounted.values @ mount),
         replace(gyro, values=gyro.values + TRUE["bias"]),
-        replace(slid, arclength=slid.arclength - TRUE["slide"]),
-        replace(late, time=late.time + TRUE["delay"]),
+        replace(slid, arclength=slid.arclength - TRUE["arclength_offset"]),
+        replace(late, time=late.time + TRUE["time_offset"]),
     ]
 
 
 STREAM = {
-    "world": "framed", "mount": "mounted", "bias": "gyro", "slide": "slid", "delay": "late"
-}  # fmt: skip
+    "frame": "framed",
+    "mount": "mounted",
+    "bias": "gyro",
+    "arclength_offset": "slid",
+    "time_offset": "late",
+}
 ASKED = [unknown(kind, STREAM[kind], std=0.3) for kind in SIZES]
 
 
@@ -84,7 +88,12 @@ def test_what_sensors_are_off_by_is_found_as_surely_as_stated(calibrations, kind
 
 
 def test_the_stated_confidence_is_small_enough_to_mean_something(calibrations):
-    for kind, most in (("world", 0.05), ("mount", 0.05), ("bias", 0.15), ("slide", 0.003)):
+    for kind, most in (
+        ("frame", 0.05),
+        ("mount", 0.05),
+        ("bias", 0.15),
+        ("arclength_offset", 0.003),
+    ):
         cov = calibrations[0].unknown(kind)[1][2]
         assert np.sqrt(np.diagonal(cov)).max() < most
 
@@ -180,11 +189,11 @@ def test_what_is_known_is_put_right_and_not_estimated():
         base,
         middle,
         tip,
-        replace(framed, values=se3.exp(TRUE["world"]) @ framed.values),
+        replace(framed, values=se3.exp(TRUE["frame"]) @ framed.values),
         replace(mounted, mount=se3.exp(TRUE["mount"])),
         replace(gyro, values=gyro.values - TRUE["bias"]),
-        replace(slid, arclength=slid.arclength + TRUE["slide"]),
-        replace(late, time=late.time - TRUE["delay"]),
+        replace(slid, arclength=slid.arclength + TRUE["arclength_offset"]),
+        replace(late, time=late.time - TRUE["time_offset"]),
     ]
     told = estimate(STEADY, COARSE, readings, sensor_parameters=known)
     plain = estimate(STEADY, COARSE, by_hand)
@@ -219,8 +228,8 @@ def test_a_posterior_with_unknowns_is_read_back_as_it_was_written(calibrations, 
             replace(u, correlation_time=2.0) if u.kind == "bias" else u for u in ASKED
         ],
     )
-    posterior.save(tmp_path / "posterior.nc")
-    again = Posterior.load(tmp_path / "posterior.nc")
+    save_posterior(posterior, tmp_path / "posterior.nc")
+    again = load_posterior(tmp_path / "posterior.nc")
     for (was, values), (now, same) in zip(
         posterior.sensor_parameters, again.sensor_parameters, strict=True
     ):
@@ -239,7 +248,7 @@ def test_a_posterior_with_unknowns_is_read_back_as_it_was_written(calibrations, 
 
 
 def test_an_unknown_that_was_not_estimated_is_answered_with_those_that_were(calibrations):
-    names = "world, mount, bias, slide, delay"
+    names = ", ".join(SIZES)
     with pytest.raises(GlissandoError, match=f"No unknown 'nose' was estimated; .*: {names}"):
         calibrations[0].unknown("nose")
     with pytest.raises(GlissandoError, match=r"those that were: none\."):

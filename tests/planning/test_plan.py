@@ -92,7 +92,7 @@ def test_foresight_from_an_estimate_goes_on_from_all_that_it_knows(kind, slack):
 
 def test_foresight_goes_on_from_a_running_smoother_with_its_unknowns():
     robot, past = ROBOTS["separable"], small_outlook(horizon=2.0)
-    drift = SensorParameter("frame", "world", ("coil",), np.zeros(6), np.full(6, 2e-3), 3.0)
+    drift = SensorParameter("frame", "frame", ("coil",), np.zeros(6), np.full(6, 2e-3), 3.0)
     before = read_along(past, wiggle(past))
     smoother = FixedLagSmoother(
         robot.prior, robot.arclength_nodes, window=99, sensor_parameters=[drift], gate=None

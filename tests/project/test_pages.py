@@ -69,7 +69,7 @@ def test_matlab_is_told_the_variables_and_dimensions_that_the_file_has(tmp_path)
     time, place = np.linspace(0, 0.2, 4), np.full(4, robot.length)
     seen = glissando.PoseReadings(time=time, arclength=place, values=tip, cov=1e-6)
     posterior = glissando.estimate(robot.prior, robot.grid(0.0, 0.2), [seen])
-    posterior.save(tmp_path / "posterior.nc")
+    glissando.save_posterior(posterior, tmp_path / "posterior.nc")
     with xarray.open_dataset(tmp_path / "posterior.nc", engine="h5netcdf") as file:
         read = re.findall(r"(\w+) = ncread\(file, '(\w+)'\); +% ([\dKN x]*)", page)
         letters = {file.sizes["time"]: "K", file.sizes["arclength"]: "N"}
@@ -84,7 +84,7 @@ def test_matlab_is_told_the_variables_and_dimensions_that_the_file_has(tmp_path)
         for name, dimensions, units in rows:
             assert list(file[name].dims) == dimensions.split(", "), name
             assert file[name].attrs.get("units", units) == units or name in ("std", "cov")
-        assert {"prior", "unknowns", "solve"} <= set(file.attrs)
+        assert {"prior", "sensor_parameters", "solve"} <= set(file.attrs)
         assert list(file["component"].values[[0, 3, 6, 12]]) == [
             *("pose_x", "pose_rx", "strain_x", "velocity_x")
         ]

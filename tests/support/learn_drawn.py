@@ -3,15 +3,14 @@
 import numpy as np
 
 from glissando.geometry import se3
-from glissando.io.robot_file import robot_file
-from glissando.io.toml_table import read_document
+from glissando.io.robot_file import read_robot_document, robot_file
 from scenes import arc
 
 NOISE = np.r_[2e-3, 2e-3, 2e-3, 1e-2, 1e-2, 1e-2]
 
 
 def shipped(name):
-    return read_document(robot_file(name))
+    return read_robot_document(robot_file(name))
 
 
 def readings(kind, name, place, time, *, std=NOISE, cov=None, seed=0):

@@ -16,7 +16,7 @@ psd_strain = [1, 1]
 psd_velocity = [1e-2, 1]
 
 [prior]
-kind = "kinematic"
+kind = "white-noise"
 psd_velocity_time = [1, 1]
 psd_strain_arclength = [1, 1]
 psd_strain_time = [1, 1]

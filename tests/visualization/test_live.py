@@ -8,6 +8,7 @@ import pytest
 from browser import Told, chromium
 from glissando import FixedLagSmoother, GlissandoError, estimate
 from glissando.cli.main import main
+from glissando.io.netcdf import save_posterior
 from glissando.visualization.page import Live, scene_of
 from glissando.visualization.page import live as live_module
 from scenes import sliding_scene
@@ -73,7 +74,7 @@ def test_without_viser_the_extra_is_named(monkeypatch):
 
 
 def test_the_command_plays_until_it_is_interrupted(posterior, tmp_path, monkeypatch, capsys):
-    posterior.save(tmp_path / "posterior.nc")
+    save_posterior(posterior, tmp_path / "posterior.nc")
     seen = []
 
     def stop(seconds):

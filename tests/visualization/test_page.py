@@ -12,6 +12,7 @@ from hypothesis.extra.numpy import array_shapes, arrays
 from glissando import GlissandoError, Grid, OutsideGridError, PoseReadings, estimate
 from glissando.cli.main import main
 from glissando.geometry import se3
+from glissando.io.netcdf import save_posterior
 from glissando.visualization.page import Scene, page, save_view, scene_of
 from glissando.visualization.page.page import SIGMAS, packed
 from glissando.visualization.page.scene import moments, symmetric_root
@@ -190,7 +191,7 @@ def test_the_command_shows_a_posterior_with_the_sensors_and_truth_of_its_recordi
 ):
     posterior, _, truth = run
     (tmp_path / "run").mkdir()
-    posterior.save(tmp_path / "run" / "posterior.nc")
+    save_posterior(posterior, tmp_path / "run" / "posterior.nc")
     recording = tmp_path / "recording"
     recording.mkdir()
     (recording / "recording.toml").write_text(

@@ -12,6 +12,7 @@ from glissando import estimate
 from glissando.cli.main import main
 from glissando.evaluation.metrics import errors_against
 from glissando.evaluation.run import Run
+from glissando.io.netcdf import save_posterior
 from glissando.io.recording import Recording
 from glissando.io.robot_file import load_robot
 from glissando.model.sensors.sensors import PoseReadings
@@ -39,7 +40,7 @@ def written(folder, name, keep):
     run = Run(recording, robot, (0.0, 0.5), readings, truth, {}, posterior, errors)
     folder.mkdir()
     (folder / "report.json").write_text(json.dumps(run.as_json()))
-    posterior.save(folder / "posterior.nc")
+    save_posterior(posterior, folder / "posterior.nc")
     for figure in ("shape", "confidence", "error"):
         Image.new("RGB", (4, 3)).save(folder / f"{figure}.png")
     save_view(posterior, folder / "view.html", readings=readings, truth=truth, title=name)

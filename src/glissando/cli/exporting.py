@@ -9,8 +9,8 @@ import numpy as np
 
 from glissando.cli.importing import number
 from glissando.cli.shared import Commands, add_command, names, require_writable
-from glissando.estimation.posterior import Posterior
 from glissando.io.foreign import export
+from glissando.io.netcdf import load_posterior
 
 _HELP = """\
 Write poses of a posterior, which estimate made, to a file that other programs read.
@@ -43,7 +43,7 @@ def _export(options: argparse.Namespace) -> int:
     require_writable(options.out.parent)
     given = [number("--arclength", place) for place in options.arclength or ()]
     places = np.array(given) if given else None
-    posterior = Posterior.load(options.posterior)
+    posterior = load_posterior(options.posterior)
     times = export(posterior, options.out, arclength=places, rate=options.rate)
     print(f"Wrote {options.out}: {times} times.")
     return 0

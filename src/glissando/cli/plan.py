@@ -14,7 +14,7 @@ from rich.table import Table
 
 from glissando.cli.shared import Commands, add_command, require_writable
 from glissando.errors import GlissandoError, RobotFileError, SimulationError
-from glissando.estimation.posterior import Posterior
+from glissando.io.netcdf import load_posterior
 from glissando.io.robot_file import load_robot, robot_file, shipped_robots
 from glissando.planning import (
     Foretold,
@@ -124,7 +124,7 @@ def _plan(options: argparse.Namespace) -> int:
     robot = load_robot(options.robot)
     stage, upper = stage_of(options)
     start = upper if options.start is None else options.start
-    known = Posterior.load(options.posterior) if options.posterior else robot
+    known = load_posterior(options.posterior) if options.posterior else robot
     sensor = sliding_sensor(robot, rate=options.rate)
     reach = upper - stage.stroke, upper
     outlook = predict_information(

@@ -20,6 +20,7 @@ from glissando.cli.shared import (
 )
 from glissando.errors import GlissandoError
 from glissando.estimation.posterior import Posterior
+from glissando.io.netcdf import load_posterior
 from glissando.io.recording import load_recording
 from glissando.model.sensors.readings import Readings
 from glissando.visualization.page import page, scene_of, subtitle
@@ -96,7 +97,7 @@ def _shown(
         raise GlissandoError(
             f"There is no recording folder or posterior {str(target)!r}; give one."
         )
-    posterior = Posterior.load(target)
+    posterior = load_posterior(target)
     if options.recording is None:
         return posterior, [], [], options.target.resolve().name, ""
     recording = load_recording(options.recording)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,9 +18,6 @@ from glissando.model.priors.transitions import symmetrize
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.state import DOF, POSE, State
 from glissando.solver.block_tridiagonal import BlockTridiagonal, Marginals, factor
-
-if TYPE_CHECKING:
-    import xarray
 
 _CHUNK = 500  # queries at a time: more ask for new memory faster than it is given
 
@@ -171,22 +166,3 @@ class Posterior:
             first += unknown.size
         known = ", ".join(u.name for u, _ in self.sensor_parameters) or "none"
         raise GlissandoError(f"No unknown {name!r} was estimated; those that were: {known}.")
-
-    def to_xarray(self) -> xarray.Dataset:
-        """The posterior at the nodes as an xarray Dataset with names and units."""
-        from glissando.io.netcdf import to_xarray
-
-        return to_xarray(self)
-
-    def save(self, path: str | Path) -> None:
-        """Write everything to a NetCDF-4 (HDF5) file that `Posterior.load` reads back."""
-        from glissando.io.netcdf import save
-
-        save(self, Path(path))
-
-    @staticmethod
-    def load(path: str | Path) -> Posterior:
-        """Read a posterior written by `save`; covariances are recomputed from its information."""
-        from glissando.io.netcdf import load
-
-        return load(Path(path))

@@ -20,7 +20,7 @@ from glissando.io.csv_stream import Stream
 from glissando.io.recording import Recording
 from glissando.io.robot_file import load_robot, robot_file
 from glissando.model.grid import Grid
-from glissando.model.priors.separable import SeparablePrior
+from glissando.model.priors.prior import Prior
 from glissando.model.priors.white_noise import WhiteNoisePrior
 from glissando.model.robot import Robot
 from glissando.model.sensors.parameters import corrected
@@ -189,7 +189,7 @@ def grid(scene: Scene) -> Grid:
     return known.grid(0.0, scene.duration)
 
 
-def prior(scene: Scene) -> WhiteNoisePrior | SeparablePrior:
+def prior(scene: Scene) -> Prior:
     """The robot file's prior, firmer over time if it is known that the robot holds still.
 
     Raises RobotFileError where a separable prior, which has a time scale, is asked to hold still.

@@ -1,8 +1,7 @@
-"""The posterior as a NetCDF-4 (HDF5) file: names, units, and everything needed to query it again.
+"""The posterior as a NetCDF-4 (HDF5) file, with names, units, and all that queries need.
 
-xarray, MATLAB and any HDF5 reader open it. The information matrix is stored, not the covariances
-(they are denser and follow from it); standard deviations and node covariances are written too, for
-readers who only look.
+xarray, MATLAB and any HDF5 reader open it. The information matrix is stored, from which the denser
+covariances follow; standard deviations and node covariances are written too, for other programs.
 """
 
 from __future__ import annotations
@@ -17,10 +16,13 @@ from glissando.errors import GlissandoError
 from glissando.estimation.posterior import Posterior, SolveReport
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
+from glissando.io.robot_file import OLD_KINDS
+from glissando.io.toml_table import Table
 from glissando.model.grid import Grid
 from glissando.model.priors.prior import Prior
-from glissando.model.priors.separable import BaseVariance, SeparablePrior
-from glissando.model.priors.white_noise import BaseDensity, WhiteNoisePrior
+from glissando.model.priors.registry import prior_class
+from glissando.model.priors.separable import BaseVariance
+from glissando.model.priors.white_noise import BaseDensity
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.state import State
 from glissando.solver.block_tridiagonal import BlockTridiagonal, factor
@@ -50,7 +52,11 @@ def _xarray() -> Any:
 
 
 def to_xarray(posterior: Posterior) -> xarray.Dataset:
-    """Mean, standard deviation and covariance at the nodes, with names and units."""
+    """Mean, standard deviation and covariance at the nodes, with names and units.
+
+    Raises:
+        GlissandoError: xarray is not installed.
+    """
     k, n = posterior.grid.shape
     state = posterior.state
     dof = state.dof
@@ -93,17 +99,18 @@ def to_xarray(posterior: Posterior) -> xarray.Dataset:
     return dataset
 
 
-def save(posterior: Posterior, path: Path) -> None:
-    """Write the posterior; `load` gives it back with the same answers.
+def save_posterior(posterior: Posterior, path: str | Path) -> None:
+    """Write everything that `load_posterior` needs to a NetCDF-4 (HDF5) file.
 
-    Raises GlissandoError when the file cannot be written.
+    Raises:
+        GlissandoError: The file cannot be written, or xarray is not installed.
     """
     dataset = to_xarray(posterior)
     dataset["pose"] = (("time", "arclength", "row", "column"), posterior.state.pose)
     dataset["information"] = (("time", "slab", "slab_"), posterior.system.diagonal)
     dataset["information_below"] = (("time_step", "slab", "slab_"), posterior.system.lower)
-    dataset.attrs["prior"] = json.dumps(_as_table(posterior.prior))
-    dataset.attrs["unknowns"] = json.dumps(
+    dataset.attrs["prior"] = json.dumps(posterior.prior.to_table())
+    dataset.attrs["sensor_parameters"] = json.dumps(
         [_plain({**vars(u), "values": values}) for u, values in posterior.sensor_parameters]
     )
     dataset.attrs["solve"] = json.dumps(vars(posterior.solve))
@@ -115,19 +122,33 @@ def save(posterior: Posterior, path: Path) -> None:
         raise GlissandoError(f"{path} cannot be written ({problem}).") from None
 
 
-_PRIORS: dict[str, tuple[type[Any], type[Any]]] = {
-    "kinematic": (WhiteNoisePrior, BaseDensity),
-    "separable": (SeparablePrior, BaseVariance),
-}
+def load_posterior(path: str | Path) -> Posterior:
+    """Read a posterior; covariances are computed again from its information matrix.
 
-
-def _as_table(prior: Prior) -> dict[str, Any]:
-    """A prior's kind and fields, arrays as lists."""
-    kind = next(kind for kind, (made, _) in _PRIORS.items() if isinstance(prior, made))
-    table: dict[str, Any] = {"kind": kind}
-    for name, value in vars(prior).items():
-        table[name] = _plain(vars(value)) if name == "base" and value is not None else value
-    return _plain(table)
+    Raises:
+        GlissandoError: The file cannot be read or is no posterior.
+    """
+    try:
+        with _xarray().open_dataset(path, engine="h5netcdf") as opened:
+            dataset = opened.load()
+    except (OSError, ValueError) as problem:
+        raise GlissandoError(f"{path} cannot be read as NetCDF ({problem}).") from None
+    if dataset.attrs.get("format") != _FORMAT:
+        raise GlissandoError(
+            f"{path} is not a glissando posterior; give a file that save_posterior wrote."
+        )
+    attributes = dataset.attrs
+    parameters = attributes.get("sensor_parameters") or attributes.get("unknowns", "[]")
+    system = BlockTridiagonal(dataset["information"].values, dataset["information_below"].values)
+    return Posterior(
+        _as_prior(json.loads(attributes["prior"]), Path(path).name),
+        Grid(dataset["arclength"].values, dataset["time"].values),
+        State(*(dataset[name].values for name in _FIELDS if name in dataset)),
+        system,
+        factor(system).marginals(consume=True),
+        SolveReport(**json.loads(attributes["solve"])),
+        [_as_sensor_parameter(table) for table in json.loads(parameters)],
+    )
 
 
 def _plain(table: dict[str, Any]) -> dict[str, Any]:
@@ -136,48 +157,30 @@ def _plain(table: dict[str, Any]) -> dict[str, Any]:
     return {k: None if v == np.inf else v for k, v in plain.items()}
 
 
-def _as_unknown(table: dict[str, Any]) -> tuple[SensorParameter, Array]:
+def _as_sensor_parameter(table: dict[str, Any]) -> tuple[SensorParameter, Array]:
     values, memory = np.array(table.pop("values")), table.pop("correlation_time")
-    memory = np.inf if memory is None else memory
-    return SensorParameter(
-        **{**table, "streams": tuple(table["streams"]), "correlation_time": memory}
-    ), values
+    table["kind"] = OLD_KINDS.get(table["kind"], table["kind"])
+    table["streams"] = tuple(table["streams"])
+    return SensorParameter(**table, correlation_time=np.inf if memory is None else memory), values
 
 
-def _as_prior(table: dict[str, Any]) -> Prior:
-    prior, base = _PRIORS[table.pop("kind")]
-    for name, value in table.items():
-        if isinstance(value, list):
-            table[name] = np.array(value)
-        elif isinstance(value, dict):
-            table[name] = base(**{part: np.array(given) for part, given in value.items()})
-    if "jumps" in table:
-        table["jumps"] = table["jumps"].reshape(-1, 6)
-    made: Prior = prior(**table)
-    return made
+def _as_prior(document: dict[str, Any], where: str) -> Prior:
+    """The prior of a document in the form of a robot file."""
+    if "prior" not in document:
+        return _prior_of_fields(document)
+    table = Table(document, where, GlissandoError)
+    entries = table.table("prior", required=True)
+    assert entries is not None
+    return prior_class(entries.text("kind")).from_table(entries, table)
 
 
-def load(path: Path) -> Posterior:
-    """Read a posterior written by `save`. Raises GlissandoError for any other file."""
-    try:
-        with _xarray().open_dataset(path, engine="h5netcdf") as opened:
-            dataset = opened.load()
-    except (OSError, ValueError) as problem:
-        raise GlissandoError(f"{path} cannot be read as NetCDF ({problem}).") from None
-    if dataset.attrs.get("format") != _FORMAT:
-        raise GlissandoError(f"{path} is not a glissando posterior; give a file that save wrote.")
-    grid = Grid(dataset["arclength"].values, dataset["time"].values)
-    names = [n for n in _FIELDS if n in dataset]
-    fields = (dataset[name].values for name in names)
-    system = BlockTridiagonal(dataset["information"].values, dataset["information_below"].values)
-    solve = SolveReport(**json.loads(dataset.attrs["solve"]))
-    sensor_parameters = [_as_unknown(u) for u in json.loads(dataset.attrs.get("unknowns", "[]"))]
-    return Posterior(
-        _as_prior(json.loads(dataset.attrs["prior"])),
-        grid,
-        State(*fields),
-        system,
-        factor(system).marginals(consume=True),
-        solve,
-        sensor_parameters,
-    )
+def _prior_of_fields(fields: dict[str, Any]) -> Prior:
+    """The prior of a posterior that stores its fields, as all did before priors wrote tables."""
+    kind = fields.pop("kind")
+    arrays = {k: np.array(v) if isinstance(v, list) else v for k, v in fields.items()}
+    if fields.get("base"):
+        base = BaseVariance if kind == "separable" else BaseDensity
+        arrays["base"] = base(**{part: np.array(v) for part, v in fields["base"].items()})
+    if "jumps" in arrays:
+        arrays["jumps"] = arrays["jumps"].reshape(-1, 6)
+    return prior_class(OLD_KINDS.get(kind, kind))(**arrays)

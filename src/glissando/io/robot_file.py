@@ -2,22 +2,29 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from glissando.errors import RobotFileError
+from glissando.errors import OldNameWarning, RobotFileError
 from glissando.geometry.se3 import Array
-from glissando.io.toml_table import Table, read_toml
+from glissando.io.toml_table import Table, read_document
 from glissando.model.noise import GemanMcClure, Huber, Loss
-from glissando.model.priors.rest_shape import STRAIGHT
-from glissando.model.priors.separable import BaseVariance, SeparablePrior
-from glissando.model.priors.white_noise import BaseDensity, WhiteNoisePrior
+from glissando.model.priors.prior import Prior
+from glissando.model.priors.registry import prior_class, prior_kinds
 from glissando.model.robot import Robot
 from glissando.model.sensors.parameters import SIZES, SensorParameter
 from glissando.model.sensors.sensors import sensor_class, sensor_kinds
 
+OLD_KINDS = {
+    "kinematic": "white-noise",
+    "world": "frame",
+    "slide": "arclength_offset",
+    "delay": "time_offset",
+}
+"""Kinds of priors and of sensor parameters by the names of files of before."""
 _LOSSES: dict[str, type[Huber] | type[GemanMcClure]] = {
     "huber": Huber,
     "geman-mcclure": GemanMcClure,
@@ -31,7 +38,11 @@ def shipped_robots() -> list[str]:
 
 
 def robot_file(name: str | Path) -> Path:
-    """The file of a shipped robot by name, or of any robot by path. Raises RobotFileError."""
+    """The file of a shipped robot by name, or of any robot by path.
+
+    Raises:
+        RobotFileError: There is none.
+    """
     if str(name) in shipped_robots():
         return _SHIPPED / f"{name}.toml"
     path = Path(name)
@@ -46,16 +57,47 @@ def robot_file(name: str | Path) -> Path:
 def load_robot(name: str | Path) -> Robot:
     """A robot by the name of a shipped one or by the path of a robot file.
 
-    Raises RobotFileError naming the file and the offending key.
+    Raises:
+        RobotFileError: Something is wrong in the file, with its key.
 
     >>> load_robot("tdcr466").length
     0.466
     """
-    return parse_robot(read_toml(robot_file(name), RobotFileError))
+    path = robot_file(name)
+    return parse_robot(Table(read_robot_document(path), path.name, RobotFileError))
+
+
+def read_robot_document(path: Path) -> dict[str, Any]:
+    """A robot file as TOML gives it, with the names of today in the place of old ones.
+
+    Warns:
+        OldNameWarning: It uses names of before.
+
+    Raises:
+        RobotFileError: It cannot be read or parsed.
+    """
+    document, renamed = read_document(path, RobotFileError), []
+    if "unknowns" in document and "sensor_parameters" not in document:
+        document["sensor_parameters"] = document.pop("unknowns")
+        renamed.append("[[unknowns]] is now [[sensor_parameters]]")
+    entries = document.get("sensor_parameters")
+    for entry in [document.get("prior"), *(entries if isinstance(entries, list) else [])]:
+        kind = entry.get("kind") if isinstance(entry, dict) else None
+        if isinstance(kind, str) and kind in OLD_KINDS:
+            entry["kind"] = OLD_KINDS[kind]
+            renamed.append(f'kind = "{kind}" is now kind = "{OLD_KINDS[kind]}"')
+    if renamed:
+        names = "; ".join(dict.fromkeys(renamed))
+        warnings.warn(f"{path.name}: {names}; rename it.", OldNameWarning, stacklevel=3)
+    return document
 
 
 def parse_robot(table: Table) -> Robot:
-    """The robot a TOML table describes."""
+    """The robot a table describes.
+
+    Raises:
+        RobotFileError: Something is wrong in it, with its key.
+    """
     name = table.text("name", Path(table.where).stem)
     length = table.number("length")
     prior = _prior(table)
@@ -64,7 +106,9 @@ def parse_robot(table: Table) -> Robot:
     nodes, rate = _grid(table, length)
     nodes = np.sort(np.concatenate([nodes, _missing(prior.joints, nodes)]))
     sensors = _sensors(table)
-    sensor_parameters = tuple(_unknown(entry) for entry in table.tables("unknowns"))
+    sensor_parameters = tuple(
+        _sensor_parameter(entry) for entry in table.tables("sensor_parameters")
+    )
     table.skip("physics")  # of the simulator, which checks it
     table.close()
     return Robot(name, length, nodes, rate, prior, *sensors, sensor_parameters)
@@ -99,68 +143,17 @@ def _missing(joints: Array, nodes: Array) -> Array:
     return joints[[np.abs(nodes - joint).min() > 1e-9 for joint in joints]]
 
 
-def _prior(table: Table) -> WhiteNoisePrior | SeparablePrior:
-    """The prior, of the kind its table says, with the base it starts from."""
-    prior = table.table("prior", required=True)
-    assert prior is not None
-    kind = prior.text("kind", choices=["kinematic", "separable"])
-    joints, psd = _segments(prior)
-    rest = _rest(table, kind, len(joints) + 1)
-    common: dict[str, Any] = {"psd_strain_arclength": psd, **rest}
-    if joints.size:
-        name = "psd_jumps" if kind == "kinematic" else "var_jumps"
-        common |= {"joints": joints, "jumps": prior.rows(name, joints.size, 6, positive=False)}
-    base = table.table("base", required=kind == "separable")
-    common["base_pose"] = base.pose() if base else np.eye(4)
-    made: WhiteNoisePrior | SeparablePrior
-    if kind == "separable":
-        assert base is not None
-        variances = (base.vector(f"var_{part}", 6, positive=True) for part in ("pose", "strain"))
-        scale = prior.number("time_scale")
-        made = SeparablePrior(time_scale=scale, base=BaseVariance(*variances), **common)
-    else:
-        parts = ("pose", "strain", "velocity")
-        firm = [base.vector(f"psd_{part}", 6, positive=True) for part in parts] if base else None
-        names = ("psd_velocity_time", "psd_strain_time", "psd_velocity_arclength")
-        common |= {name: prior.vector(name, 6, positive=True) for name in names}
-        made = WhiteNoisePrior(base=BaseDensity(*firm) if firm else None, **common)
-    if base:
-        base.close()
-    prior.close()
-    return made
+def _prior(table: Table) -> Prior:
+    """The prior of the kind that its table names."""
+    entries = table.table("prior", required=True)
+    assert entries is not None
+    prior = prior_class(entries.text("kind", choices=prior_kinds())).from_table(entries, table)
+    entries.close()
+    return prior
 
 
-def _rest(table: Table, kind: str, segments: int) -> dict[str, Array]:
-    """The rest strain, and its slope where it is given; of each segment, or (6,) of the body."""
-    found = {}
-    varies = isinstance(table.peek("rest_strain"), list) and any(
-        isinstance(row, list) for row in table.peek("rest_strain")
-    )
-    if kind == "kinematic" and (varies or table.peek("rest_slope") is not None):
-        raise table.fail(
-            "rest_strain", 'varies along the body, which takes [prior] kind = "separable".'
-        )
-    for key in ("rest_strain", "rest_slope"):
-        value = table.peek(key)
-        if isinstance(value, list) and value and isinstance(value[0], list):
-            found[key] = table.rows(key, segments, 6, positive=False, signed=True)
-        elif key == "rest_strain" or value is not None:
-            found[key] = table.vector(key, 6, STRAIGHT)
-    return found
-
-
-def _segments(prior: Table) -> tuple[Array, Array]:
-    """Joints (S−1,), and strain densities (6,), or (S, 6) where there are joints."""
-    if prior.peek("joints") is None:
-        return np.zeros(0), prior.vector("psd_strain_arclength", 6, positive=True)
-    joints = prior.numbers("joints")
-    if np.any(np.diff(joints, prepend=0.0) <= 0.0):
-        raise prior.fail("joints", "must increase from above 0.")
-    return joints, prior.rows("psd_strain_arclength", joints.size + 1, 6)
-
-
-def _unknown(table: Table) -> SensorParameter:
-    """One [[unknowns]]: known, and held as it is, when it states no std."""
+def _sensor_parameter(table: Table) -> SensorParameter:
+    """One of [[sensor_parameters]]; without a std its value is known."""
     name, kind = table.text("name"), table.text("kind", choices=SIZES)
     size = SIZES[kind]
     value = table.vector("value", size, np.zeros(size), pairs=False)

@@ -208,7 +208,8 @@ class MeasurementFactors:
         out = np.zeros((*by_state.shape[:2], self.sensor_parameters.size))
         for unknown, columns in self._of(readings):
             if unknown.moves:
-                sign, way = (1.0, "arclength") if unknown.kind == "slide" else (-1.0, "time")
+                along = unknown.kind == "arclength_offset"
+                sign, way = (1.0, "arclength") if along else (-1.0, "time")
                 out[..., columns.start] = sign * np.einsum("mrd,md->mr", by_state, slopes[way])
                 continue
             for i, nudge in enumerate(_NUDGE * np.eye(unknown.size)):
@@ -239,8 +240,8 @@ def by_nodes_of(by_state: Array, jacobian: Array, left: Array, cov: Array) -> tu
 def _ways(readings: Readings, sensor_parameters: Sequence[SensorParameter]) -> list[str]:
     """Which slopes of the state readings need: along arclength, along time."""
     kinds = {u.kind for u in sensor_parameters}
-    ways = ["arclength"] if "slide" in kinds or np.any(readings.arclength_std) else []
-    return ways + ["time"] * ("delay" in kinds)
+    ways = ["arclength"] if "arclength_offset" in kinds or np.any(readings.arclength_std) else []
+    return ways + ["time"] * ("time_offset" in kinds)
 
 
 def slope(prior: Prior, grid: Grid, state: State, readings: Readings, way: str) -> Array:

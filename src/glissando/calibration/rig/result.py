@@ -66,9 +66,9 @@ class Calibration:
         twist = np.zeros(6)
         twist[MOUNT] = self.rig.mount
         parts = {
-            "world": se3.log(self.rig.T_wt),
+            "frame": se3.log(self.rig.T_wt),
             "mount": twist,
-            "delay": self.rig.tracker_clock[:1],
+            "time_offset": self.rig.tracker_clock[:1],
         }
         streams = (self.coil_name,)
         return tuple(
@@ -99,7 +99,7 @@ class Calibration:
             },
             "warnings": list(self.warnings),
             "covariance": {"order": list(PARAMETERS), "rows": self.cov.tolist()},
-            "unknowns": [
+            "sensor_parameters": [
                 {
                     "name": u.name,
                     "kind": u.kind,

@@ -15,6 +15,7 @@ from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
 from glissando.model.interpolation import sort_points
+from glissando.model.priors.prior import Prior
 from glissando.model.priors.separable import SeparablePrior
 from glissando.model.priors.white_noise import WhiteNoisePrior
 from glissando.model.robot import Robot
@@ -134,13 +135,15 @@ def _nodes(data: RigData, robot: Robot) -> Array:
     return np.concatenate(out)
 
 
-def _loose(robot: Robot, data: RigData) -> WhiteNoisePrior | SeparablePrior:
+def _loose(robot: Robot, data: RigData) -> Prior:
     """The robot's prior with its base where the bodies put it, if there are two or more.
 
     Where the base stands in motion capture's world is seldom known to the fraction of a millimetre
     that a robot file claims.
     """
     prior = robot.prior
+    if not isinstance(prior, WhiteNoisePrior | SeparablePrior):
+        return prior
     if len(data.bodies) < 2 or prior.base is None:
         return prior
     body = min(data.bodies.values(), key=lambda b: b.arclength)

@@ -82,7 +82,7 @@ def expanded(document: Document) -> Document:
         if len(sensor["std"]) == 2:
             each = (3, 2) if kind == "coil" else (3, 3)
             sensor["std"] = [float(v) for v in np.repeat(sensor["std"], each)]
-    for unknown in out.get("unknowns", []):
+    for unknown in out.get("sensor_parameters", []):
         if len(unknown.get("std", [])) == 2:
             unknown["std"] = _six(unknown["std"])
     return out
@@ -124,9 +124,9 @@ def _all(document: Document, kinds: Sequence[str], alike: bool) -> Iterator[Para
             yield Parameter(f"{kind} noise, angular", path, tuple(range(3, size)))
         elif size:
             yield Parameter(f"{kind} noise", path, tuple(range(size)))
-    for i, unknown in enumerate(document.get("unknowns", [])):
+    for i, unknown in enumerate(document.get("sensor_parameters", [])):
         if "correlation_time" in unknown:
-            to = ("unknowns", i, "std")
+            to = ("sensor_parameters", i, "std")
             size = len(unknown["std"])
             halves = _HALVES if size == 6 else {"": tuple(range(size))}
             for part, entries in halves.items():

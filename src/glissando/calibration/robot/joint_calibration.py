@@ -24,8 +24,8 @@ from glissando.io.toml_table import Table
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.sensors.readings import Readings
 
-_OF_A_RECORDING = ("delay", "bias")  # kinds that the next recording has its own of
-_LOOSE = {"world": (3e-3, 0.01), "mount": (2e-3, 0.05)}  # m, rad: how far off truth may be
+_OF_A_RECORDING = ("time_offset", "bias")  # kinds that the next recording has its own of
+_LOOSE = {"frame": (3e-3, 0.01), "mount": (2e-3, 0.05)}  # m, rad: how far off truth may be
 _LATE = 0.02  # s: how late its stamps may be
 _OPTIONS = SolverOptions(max_iterations=25)
 
@@ -46,7 +46,9 @@ def locate(
     sensors, bodies = (recording.readings(names, robot, window)[0] for names in (use, truth))
     loose = [replace(c, std=np.repeat(_LOOSE[c.kind], 3)) for c in constants_of(bodies)]
     readings = in_motion([*sensors, *bodies], bodies)
-    late = SensorParameter("truth delay", "delay", tuple(truth), np.zeros(1), np.array([_LATE]))
+    late = SensorParameter(
+        "truth delay", "time_offset", tuple(truth), np.zeros(1), np.array([_LATE])
+    )
     shift = 2.0 * _LATE  # no reading may be moved off the grid
     inner = [
         r.select((r.time > window[0] + shift) & (r.time < window[1] - shift)) for r in readings
@@ -66,7 +68,8 @@ def locate(
         return replace(unknown, value=values[len(values) // 2], std=0.0 * unknown.std)
 
     known = copy.deepcopy(document)
-    for entry, unknown in zip(known.get("unknowns", []), robot.sensor_parameters, strict=True):
+    entries = known.get("sensor_parameters", [])
+    for entry, unknown in zip(entries, robot.sensor_parameters, strict=True):
         holds = np.isinf(unknown.correlation_time) and unknown.kind not in _OF_A_RECORDING
         if holds and not unknown.known:
             entry["value"] = found(unknown).value.tolist()

@@ -18,7 +18,7 @@ from glissando.model.sensors.parameters import SIZES, SensorParameter, corrected
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
 
-_LOOSE = {"world": (0.005, 0.03), "mount": (0.005, 0.05)}  # m, rad: how far off it may be
+_LOOSE = {"frame": (0.005, 0.03), "mount": (0.005, 0.05)}  # m, rad: how far off it may be
 _ROUNDS = 2  # Gauss-Newton steps towards the constants; they begin where the last try ended
 _NUDGE = 1e-6
 APART = 0.5
@@ -42,7 +42,7 @@ class Prediction:
 def constants_of(truth: Sequence[Readings]) -> tuple[SensorParameter, ...]:
     """One frame for all truth streams and a mount for each, expected to be nothing."""
     names = tuple(t.name for t in truth)
-    made = [("truth frame", "world", names)]
+    made = [("truth frame", "frame", names)]
     made += [(f"{name} mount", "mount", (name,)) for name in names]
     zero = np.zeros(6)
     return tuple(SensorParameter(name, kind, streams, zero, zero) for name, kind, streams in made)
@@ -123,7 +123,7 @@ def _improved(
     constants: tuple[SensorParameter, ...],
 ) -> tuple[SensorParameter, ...]:
     """The constants after one Gauss-Newton step towards the most likely truth."""
-    size = SIZES["world"]
+    size = SIZES["frame"]
     total = size * len(constants)
     information, pull = np.zeros((total, total)), np.zeros(total)
     for i, constant in enumerate(constants):

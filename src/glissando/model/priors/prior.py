@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import ClassVar, Protocol, Self
+from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from glissando.geometry.se3 import Array
 from glissando.model.factors import Factors
 from glissando.model.grid import Grid
 from glissando.model.interpolation import Interpolation, Points
+from glissando.model.priors.prior_table import PriorTable
 from glissando.model.state import State
 
 Spread = tuple[Array, Array]
@@ -25,6 +26,20 @@ class Prior(Protocol):
     """A Gaussian prior over arclength × time: factors between nodes, and what lies between them."""
 
     kind: ClassVar[str]
+
+    @property
+    def joints(self) -> Array:
+        """Where segments meet (S−1,), m; these must be nodes of the grid."""
+        ...
+
+    @classmethod
+    def from_table(cls, prior: PriorTable, robot: PriorTable) -> Self:
+        """The prior of a robot file, from its [prior] table and the file with [base] and rest."""
+        ...
+
+    def to_table(self) -> dict[str, Any]:
+        """What a robot file says of this prior, as `from_table` reads it."""
+        ...
 
     @property
     def fixes_base(self) -> bool:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -31,6 +31,13 @@ from glissando.model.priors.intervals import (
     strain_rate_of,
 )
 from glissando.model.priors.prior import by_interval, interval_strain, is_soft, soften
+from glissando.model.priors.prior_table import (
+    PriorTable,
+    pose_table,
+    read_rest,
+    read_segments,
+    segments_table,
+)
 from glissando.model.priors.rest_shape import STRAIGHT, RestShape
 from glissando.model.priors.steps import TIME, pair_between
 from glissando.model.priors.transitions import Bridge, bridge, process_covariances, transition
@@ -70,6 +77,28 @@ class SeparablePrior:
     jumps: Array = field(default_factory=lambda: np.zeros((0, 6)))
     rest_slope: Array = field(default_factory=lambda: np.zeros(6))
     kind: ClassVar[str] = "separable"
+
+    @classmethod
+    def from_table(cls, prior: PriorTable, robot: PriorTable) -> SeparablePrior:
+        """The prior of a robot file, from its [prior] table and the file with [base] and rest."""
+        fields = read_segments(prior, "var_jumps")
+        fields |= read_rest(robot, 1 + fields["joints"].size if "joints" in fields else 1)
+        base = robot.table("base", required=True)
+        assert base is not None
+        fields["base_pose"] = base.pose()
+        parts = (base.vector(f"var_{part}", 6, positive=True) for part in ("pose", "strain"))
+        variance = BaseVariance(*parts)
+        base.close()
+        return cls(time_scale=prior.number("time_scale"), base=variance, **fields)
+
+    def to_table(self) -> dict[str, Any]:
+        """What a robot file says of this prior, as `from_table` reads it."""
+        segments = self.psd_strain_arclength, self.joints, self.jumps
+        prior = {"kind": self.kind, "time_scale": float(self.time_scale)}
+        base = pose_table(self.base_pose)
+        base |= {f"var_{part}": variance.tolist() for part, variance in vars(self.base).items()}
+        rest = {key: getattr(self, key).tolist() for key in ("rest_strain", "rest_slope")}
+        return {**rest, "prior": prior | segments_table(*segments, "var_jumps"), "base": base}
 
     @property
     def rest(self) -> RestShape:

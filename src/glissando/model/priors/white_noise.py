@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -20,6 +20,13 @@ from glissando.model.grid import Grid, Index
 from glissando.model.interpolation import Interpolation, Points
 from glissando.model.noise import pair_sqrt_information, sqrt_information
 from glissando.model.priors.prior import by_interval, interval_strain, is_soft, soften
+from glissando.model.priors.prior_table import (
+    PriorTable,
+    pose_table,
+    read_rest,
+    read_segments,
+    segments_table,
+)
 from glissando.model.priors.rest_shape import STRAIGHT, RestShape
 from glissando.model.priors.steps import (
     ARCLENGTH,
@@ -76,6 +83,44 @@ class WhiteNoisePrior:
     kind: ClassVar[str] = "white-noise"
     pace: Array = field(default_factory=lambda: np.ones(1))
     pace_times: Array = field(default_factory=lambda: np.zeros(0))
+
+    @classmethod
+    def from_table(cls, prior: PriorTable, robot: PriorTable) -> WhiteNoisePrior:
+        """The prior of a robot file, from its [prior] table and the file with [base] and rest."""
+        rest, psd = robot.peek("rest_strain"), ("pose", "strain", "velocity")
+        rows = isinstance(rest, list) and any(isinstance(row, list) for row in rest)
+        if rows or robot.peek("rest_slope") is not None:
+            raise robot.fail(
+                "rest_strain", 'varies along the body, which takes [prior] kind = "separable".'
+            )
+        names = ("psd_velocity_time", "psd_strain_time", "psd_velocity_arclength")
+        fields = read_segments(prior, "psd_jumps") | read_rest(robot, 1)
+        fields |= {name: prior.vector(name, 6, positive=True) for name in names}
+        if prior.peek("pace_times") is not None:
+            times = prior.numbers("pace_times")
+            pace = prior.vector("pace", times.size + 1, positive=True)
+            fields |= {"pace": pace, "pace_times": times}
+        base, densities = robot.table("base"), None
+        if base is not None:
+            fields["base_pose"] = base.pose()
+            if any(base.peek(f"psd_{part}") is not None for part in psd):
+                given = (base.vector(f"psd_{part}", 6, positive=True) for part in psd)
+                densities = BaseDensity(*given)
+            base.close()
+        return cls(base=densities, **fields)
+
+    def to_table(self) -> dict[str, Any]:
+        """What a robot file says of this prior, as `from_table` reads it."""
+        names = ("psd_velocity_time", "psd_strain_time", "psd_velocity_arclength")
+        segments = self.psd_strain_arclength, self.joints, self.jumps
+        prior = {"kind": self.kind, **segments_table(*segments, "psd_jumps")}
+        prior |= {name: getattr(self, name).tolist() for name in names}
+        if self.pace_times.size:
+            prior |= {"pace": self.pace.tolist(), "pace_times": self.pace_times.tolist()}
+        base = pose_table(self.base_pose)
+        for part, psd in (vars(self.base) if self.base else {}).items():
+            base[f"psd_{part}"] = psd.tolist()
+        return {"rest_strain": self.rest_strain.tolist(), "prior": prior, "base": base}
 
     @property
     def rest(self) -> RestShape:

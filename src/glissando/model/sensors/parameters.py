@@ -22,7 +22,7 @@ from glissando.model.sensors.readings import Readings
 _CONSTANT = 1e6  # times the recording: the memory of a constant, long enough to count as for ever
 
 
-def _world(r: Readings, x: Array) -> Readings:
+def _frame(r: Readings, x: Array) -> Readings:
     shift = se3.exp(x)
     if r.value_shape == (4, 4):
         return r.changed(values=shift @ r.values)
@@ -40,21 +40,25 @@ def _bias(r: Readings, x: Array) -> Readings:
     return r.changed(values=r.values - x)
 
 
-def _slide(r: Readings, x: Array) -> Readings:
+def _arclength_offset(r: Readings, x: Array) -> Readings:
     return r.changed(arclength=r.arclength + x[:, 0])
 
 
-def _delay(r: Readings, x: Array) -> Readings:
+def _time_offset(r: Readings, x: Array) -> Readings:
     return r.changed(time=r.time - x[:, 0])
 
 
 _SHIFTS: dict[str, Callable[[Readings, Array], Readings]] = {
-    "world": _world, "mount": _mount, "bias": _bias, "slide": _slide, "delay": _delay
-}  # fmt: skip
-SIZES = {"world": 6, "mount": 6, "bias": 3, "slide": 1, "delay": 1}
+    "frame": _frame,
+    "mount": _mount,
+    "bias": _bias,
+    "arclength_offset": _arclength_offset,
+    "time_offset": _time_offset,
+}
+SIZES = {"frame": 6, "mount": 6, "bias": 3, "arclength_offset": 1, "time_offset": 1}
 """Kinds of unknown and how many numbers each has."""
 
-_FOR = {"world": ((4, 4), (3, 3), (3,)), "bias": ((3,),)}  # kinds of value each is made for
+_FOR = {"frame": ((4, 4), (3, 3), (3,)), "bias": ((3,),)}  # kinds of value each is made for
 
 
 @dataclass(frozen=True)
@@ -106,7 +110,7 @@ class SensorParameter:
     @property
     def moves(self) -> bool:
         """Whether it changes where or when readings were taken."""
-        return self.kind in ("slide", "delay")
+        return self.kind in ("arclength_offset", "time_offset")
 
     def shift(self, readings: Readings, x: Array) -> Readings:
         """The readings put right, were the unknown `x` (M, size), or (size,) for all of them."""

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from glissando.errors import GlissandoError
-from glissando.estimation.posterior import Posterior
+from glissando.io.netcdf import load_posterior
 from glissando.visualization.page import svg
 from glissando.visualization.page.page import asset, page, subtitle
 from glissando.visualization.page.scene import scene_of
@@ -230,7 +230,7 @@ def _scene(run: Written) -> str:
     file = run.folder / "posterior.nc"
     if not file.is_file():
         return ""
-    posterior = Posterior.load(file)
+    posterior = load_posterior(file)
     scene = scene_of(posterior)
     return page(scene, run.label, subtitle(posterior, scene))
 

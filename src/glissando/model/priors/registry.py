@@ -1,0 +1,36 @@
+"""The priors by the kind that robot files name.
+
+A prior of one's own is a class of the `Prior` protocol; `register_prior` makes robot files and
+posteriors know it.
+"""
+
+from __future__ import annotations
+
+from glissando.errors import GlissandoError
+from glissando.model.priors.prior import Prior
+from glissando.model.priors.separable import SeparablePrior
+from glissando.model.priors.white_noise import WhiteNoisePrior
+
+_PRIORS: dict[str, type[Prior]] = {prior.kind: prior for prior in (WhiteNoisePrior, SeparablePrior)}
+
+
+def register_prior(prior: type[Prior]) -> type[Prior]:
+    """Make a prior known by its `kind`; a class decorator."""
+    _PRIORS[prior.kind] = prior
+    return prior
+
+
+def prior_kinds() -> list[str]:
+    """Kinds of prior that robot files may name."""
+    return list(_PRIORS)
+
+
+def prior_class(kind: str) -> type[Prior]:
+    """The prior of a kind.
+
+    Raises:
+        GlissandoError: No prior has that kind.
+    """
+    if kind not in _PRIORS:
+        raise GlissandoError(f"{kind!r} is no kind of prior; known: {', '.join(_PRIORS)}.")
+    return _PRIORS[kind]
