@@ -16,10 +16,9 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 
 import numpy as np
 
-from glissando.experiments.study.cell import outcome
+from glissando.experiments.runner import cluster, outcome
 from glissando.experiments.study.plan import Study
-from glissando.experiments.study.run import cluster, run_cells
-from glissando.experiments.study.store import Store
+from glissando.experiments.study.store import Store, run_cells
 
 
 def loop(cells):

@@ -10,8 +10,10 @@ import pytest
 pytest.importorskip("matplotlib")
 from mpl_toolkits.mplot3d.proj3d import proj_transform
 
-from glissando.experiments import figures
 from glissando.experiments.confidence import nearest_minimum, std_along
+from glissando.experiments.figures_bodies import coil_figure, following_figure
+from glissando.experiments.figures_numbers import causes_figure, moving_figure, table_figure
+from glissando.experiments.run import save_experiment_figures
 from glissando.experiments.scenes import Scene, bench, path, trial
 
 LENGTH = bench().rod.length
@@ -113,7 +115,7 @@ def assert_legible(figure):
 
 def test_robots_hang_at_one_scale_and_a_missing_trial_leaves_a_gap(confidence):
     told, trials = confidence
-    figure = figures.figure_a(trials, told)
+    figure = coil_figure(trials, told)
     figure.canvas.draw()
     drawn = [on_paper(axes, [0, 0, 0], [0, 0, 100], [100, 0, 100]) for axes in spaces(figure)]
     assert len(drawn) == 4  # one of which is empty: there is no "C tip"
@@ -128,7 +130,7 @@ def test_robots_hang_at_one_scale_and_a_missing_trial_leaves_a_gap(confidence):
 
 def test_dots_are_at_the_minima_of_the_curves(confidence):
     told, trials = confidence
-    straight, c = flats(figures.figure_a(trials, told))
+    straight, c = flats(coil_figure(trials, told))
     dots = [line for line in straight.lines if line.get_marker() == "o"]
     wanted = [1e3 * told[f"straight {kind}"]["minimum"] for kind in ("tip", "inside")]
     assert np.allclose([dot.get_xdata()[0] for dot in dots], wanted)
@@ -138,7 +140,7 @@ def test_dots_are_at_the_minima_of_the_curves(confidence):
 
 def test_the_coil_slides_in_from_the_tip(following):
     told, found, scene = following
-    figure = figures.figure_b(found, scene, told)
+    figure = following_figure(found, scene, told)
     assert len(spaces(figure)) == 6
     curves, way = flats(figure)
     coils = [marks.get_offsets()[0, 0] for marks in curves.collections]
@@ -155,7 +157,7 @@ def test_the_coil_slides_in_from_the_tip(following):
 
 @pytest.mark.parametrize(("scale", "panels"), [(1.0, 4), (0.15, 8)])
 def test_a_table_far_from_the_papers_is_broken_at_one_scale(scale, panels):
-    figure = figures.figure_table(table(scale))
+    figure = table_figure(table(scale))
     assert labels(figure) == {"position RMSE (cm)", "orientation RMSE (rad)"}
     assert len(figure.axes) == panels
     scales = [np.ptp(axes.get_xlim()) / axes.bbox.width for axes in figure.axes]
@@ -174,13 +176,13 @@ def hollow_(line):
 
 def test_a_table_of_a_quick_run_has_only_its_own_rows():
     arms = table(0.5)["C"]
-    figure = figures.figure_table({"C": {"fixed": arms["fixed"], "traverse": arms["traverse"]}})
+    figure = table_figure({"C": {"fixed": arms["fixed"], "traverse": arms["traverse"]}})
     names = [text.get_text() for text in figure.axes[0].get_yticklabels()]
     assert names == ["fixed at the tip", "whole length"]
 
 
 def test_a_moving_robot_is_a_column_a_duration():
-    figure = figures.figure_moving(moving())
+    figure = moving_figure(moving())
     assert len(figure.axes) == 4
     wanted = {"mean slide speed (mm/s)", "position RMSE (cm)", "orientation RMSE (rad)"}
     assert labels(figure) == wanted
@@ -197,7 +199,7 @@ def test_a_moving_robot_is_a_column_a_duration():
 
 
 def test_causes_leave_out_what_was_not_computed():
-    figure = figures.figure_causes(CAUSES)
+    figure = causes_figure(CAUSES)
     assert labels(figure) == {"change of RMSE by oscillating (%)"}
     position, rotation = figure.axes
     names = [text.get_text() for text in position.get_yticklabels()]
@@ -214,12 +216,12 @@ def test_only_figures_with_results_are_written(tmp_path, confidence, following):
     results = {"table": table(1.0), "moving": moving(), "causes": {}}
     folder = tmp_path / "new" / "folder"
     args = (confidence[1], *following[1:], folder)
-    assert figures.save_experiment_figures(results, *args) == [
+    assert save_experiment_figures(results, *args) == [
         folder / "table.png",
         folder / "moving.png",
     ]
     results |= {"confidence": confidence[0], "following": following[0], "causes": CAUSES}
-    paths = figures.save_experiment_figures(results, *args)
+    paths = save_experiment_figures(results, *args)
     names = ["confidence", "following", "table", "moving", "causes"]
     assert [path.stem for path in paths] == names
     assert all(path.read_bytes()[:4] == b"\x89PNG" for path in paths)

@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 
 from glissando.cli.main import main
-from glissando.experiments import scenes, trials
+from glissando.experiments import scenes, studies
 from glissando.experiments.claims import Claim, ClaimsError, Verdict, judge, load_claims
 from glissando.experiments.confidence import nearest_minimum
+from glissando.experiments.runner import outcome
 from glissando.experiments.scenes import REPORTED_ON, TUNED_ON, Scene
-from glissando.experiments.trials import run_trials, summary
+from glissando.experiments.statistics import COLUMNS, summary
+from glissando.experiments.studies import run_plan
 from glissando.io.robot_file import load_robot
 
 BODY = np.linspace(0.0, 0.7, 701)
@@ -112,25 +114,25 @@ def test_no_shape_is_both_tuned_on_and_reported_on():
     assert not {np.asarray(t, dtype=float).tobytes() for t in TUNED_ON.values()} & named
 
 
-def test_the_same_seeds_give_the_same_numbers_on_one_core_and_on_two(monkeypatch):
-    plan = [(Scene("C", "hold", 1.0), 6)]
-    monkeypatch.setattr(trials, "_workers", lambda: 1)
-    alone = run_trials(plan)
-    monkeypatch.setattr(trials, "_workers", lambda: 2)
-    together = run_trials(plan)
-    assert np.array_equal(alone[plan[0][0]], together[plan[0][0]])
-    assert np.unique(alone[plan[0][0]][:, 0]).size == 6
+def test_the_same_seeds_give_the_same_numbers_on_all_cores_as_in_a_plain_loop():
+    scene = Scene("C", "hold", 1.0)
+    together = run_plan([(scene, 4), (scene, 6)])[scene]
+    rows = [outcome(scene, seed) for seed in range(6)]
+    assert np.array_equal(together, [[row[name] for name in COLUMNS] for row in rows])
+    assert np.unique(together[:, 0]).size == 6
 
 
 @pytest.mark.slow
-def test_the_quick_run_computes_judges_and_draws_every_claim(tmp_path, capsys):
+def test_the_quick_run_computes_judges_and_draws_every_claim(tmp_path, capsys, monkeypatch):
+    fewer = {"table": 4, "beyond": 4, "moving": 2, "causes": 1}
+    monkeypatch.setattr(studies, "QUICK_SEEDS", fewer)
     assert main(["reproduce", "--quick", "--out", str(tmp_path)]) == 0
     printed = capsys.readouterr().out
     assert "FAILS" not in printed
     record = json.loads((tmp_path / "results.json").read_text())
     assert [entry["id"] for entry in record["claims"]] == [c.id for c in load_claims()]
     assert {"numpy", "scipy", "python", "glissando"} <= set(record["versions"])
-    assert record["seeds"]["first"] == 0
+    assert record["seeds"] == {"first": 0, **fewer}
     arm = record["results"]["table"]["C"]["fixed"]
     assert arm["seeds"] == record["seeds"]["table"]
     assert arm["converged"] == 1.0

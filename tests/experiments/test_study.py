@@ -15,10 +15,9 @@ pytest.importorskip("pyarrow", reason="studies need pyarrow")
 from draws import generators, law
 from glissando import GlissandoError, __version__
 from glissando.cli.main import main
-from glissando.experiments import scenes
-from glissando.experiments.study import cell as cells
+from glissando.experiments import runner, scenes
+from glissando.experiments.runner import METRICS, failure, outcome
 from glissando.experiments.study import store as stores
-from glissando.experiments.study.cell import METRICS, failure, outcome
 from glissando.experiments.study.figures import study_figure
 from glissando.experiments.study.plan import SETTINGS, Study, StudyError, load_study
 from glissando.experiments.study.store import TABLE, Store, parquet
@@ -134,7 +133,7 @@ def test_a_cell_keeps_to_one_thread_and_outlives_any_mistake(tmp_path, monkeypat
     def threads(*_):
         raise ZeroDivisionError(sorted({p["num_threads"] for p in threadpool_info()}))
 
-    monkeypatch.setattr(cells, "trial", threads)
+    monkeypatch.setattr(runner, "trial", threads)
     with threadpool_limits(2):
         assert outcome(cell.scene, 0) == failure("ZeroDivisionError: [1]")
 

@@ -18,11 +18,10 @@ import dask
 
 from glissando import GlissandoError
 from glissando.cli.main import main
-from glissando.experiments.study import run as runs
-from glissando.experiments.study.cell import failure, outcome
+from glissando.experiments import runner
+from glissando.experiments.runner import cluster, failure, outcome
 from glissando.experiments.study.plan import load_study
-from glissando.experiments.study.run import cluster, run_cells
-from glissando.experiments.study.store import TABLE, Store, parquet
+from glissando.experiments.study.store import TABLE, Store, parquet, run_cells
 from studies import write_study
 
 PATIENCE = 300.0  # s, for whatever should take a few
@@ -55,17 +54,17 @@ def kept_cells(folder):
 
 @pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="there is no kill -9")
-def test_a_thousand_cells_killed_half_way_and_resumed_give_the_same_table(tmp_path):
+def test_a_study_killed_half_way_and_resumed_gives_the_same_table(tmp_path):
     """The same, byte by byte, as that of a plain loop over the cells."""
-    file = write_study(tmp_path, "noise = [0.5, 1, 2, 4, 8]", seeds=200)
+    file = write_study(tmp_path, "noise = [0.5, 1, 2, 4, 8]", seeds=80)
     broken, whole = tmp_path / "broken", tmp_path / "whole"
     command = study_command(file, broken, "--workers", 2)
     with subprocess.Popen(command, start_new_session=True) as killed:
-        eventually(lambda: len(list((broken / "parts").glob("*.parquet"))) >= 4)
+        eventually(lambda: len(list((broken / "parts").glob("*.parquet"))) >= 2)
         killed.send_signal(signal.SIGKILL)
     eventually(lambda: group_is_gone(killed.pid))  # its workers end with it
     before = kept_cells(broken)
-    assert 100 < len(before) < 1000
+    assert 100 < len(before) < 400
     assert not (broken / TABLE).exists()
 
     again = study_command(file, broken, "--workers", 1, "--resume", "--json")
@@ -77,7 +76,7 @@ def test_a_thousand_cells_killed_half_way_and_resumed_give_the_same_table(tmp_pa
         printed, complaints = resumed.communicate(timeout=PATIENCE)
     assert (resumed.returncode, complaints) == (0, b"")
     told = json.loads(printed)
-    assert (told["cells"], told["failed"]) == (len(plan), 0) == (1000, 0)
+    assert (told["cells"], told["failed"]) == (len(plan), 0) == (400, 0)
     assert (broken / TABLE).read_bytes() == (whole / TABLE).read_bytes()
     assert kept_cells(broken)[: len(before)] == before
     assert set(Counter(kept_cells(broken)).values()) == {1}  # none was run twice
@@ -141,7 +140,7 @@ def die(scene, seed):
 
 
 def test_a_worker_that_dies_costs_its_cell_alone(tmp_path, monkeypatch):
-    monkeypatch.setattr(runs, "outcome", die)
+    monkeypatch.setattr(runner, "outcome", die)
     study = load_study(write_study(tmp_path, "", seeds=3))
     store = Store(study, tmp_path / "out", resume=False)
     seen = []
@@ -169,7 +168,7 @@ def test_what_is_done_is_kept_when_interrupted(tmp_path):
 
 
 def test_a_scheduler_that_is_not_there_is_one_sentence(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(runs, "_PATIENCE", 0.5)
+    monkeypatch.setattr(runner, "_PATIENCE", 0.5)
     file = write_study(tmp_path, "")
     address = "tcp://127.0.0.1:1"
     arguments = ["study", str(file), "--out", str(tmp_path / "out"), "--scheduler", address]
@@ -178,11 +177,11 @@ def test_a_scheduler_that_is_not_there_is_one_sentence(tmp_path, monkeypatch, ca
 
 
 def test_a_cluster_without_workers_and_one_of_another_version_are_refused(monkeypatch):
-    monkeypatch.setattr(runs, "_PATIENCE", 0.5)
+    monkeypatch.setattr(runner, "_PATIENCE", 0.5)
     with pytest.raises(GlissandoError, match="No worker has joined tcp://"), cluster(None, 0):
         pass
-    monkeypatch.setattr(runs, "_PATIENCE", PATIENCE)
-    monkeypatch.setattr(runs, "__version__", "99")
+    monkeypatch.setattr(runner, "_PATIENCE", PATIENCE)
+    monkeypatch.setattr(runner, "__version__", "99")
     with pytest.raises(GlissandoError, match="and this is 99; install one"), cluster(None, 1):
         pass
 

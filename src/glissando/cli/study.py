@@ -22,9 +22,9 @@ from rich.text import Text
 
 from glissando.cli.shared import Commands, add_command, require_writable
 from glissando.errors import GlissandoError
+from glissando.experiments.runner import cluster
 from glissando.experiments.study.plan import Cell, load_study
-from glissando.experiments.study.run import cluster, run_cells
-from glissando.experiments.study.store import TABLE, Store
+from glissando.experiments.study.store import TABLE, Store, run_cells
 from glissando.experiments.study.summary import print_summary, summarise
 
 _HELP = """\

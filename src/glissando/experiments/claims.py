@@ -22,9 +22,15 @@ class ClaimsError(GlissandoError):
 class Claim:
     """One claim: what the paper says, its value, and how ours is computed and judged.
 
-    `ours` is a format string over the results, `{table[C][fixed][position][value]:.3f}`; `measure`
-    the dotted path of the number that must be `direction` ('below', 'above') the `bound`, or
-    'report' for what is printed without a verdict. `beyond` marks what the paper does not claim.
+    Attributes:
+        id: Name of the claim.
+        says: The claim in a sentence.
+        paper: The paper's number.
+        ours: Format string over the results, `{table[C][fixed][position][value]:.3f}`.
+        direction: 'below' or 'above' the bound, or 'report' for what is not judged.
+        measure: Dotted path of the number that is judged.
+        bound: What it is compared with.
+        beyond: Whether the paper does not claim it.
     """
 
     id: str
@@ -66,13 +72,19 @@ def _claim(entry: Table) -> Claim:
     name = entry.text("id")
     entry.where = f"{entry.where} {name!r}"
     direction = entry.text("direction", choices=_DIRECTIONS)
-    measure, bound = "", 0.0
-    if direction != "report":
-        measure, bound = entry.text("measure"), entry.number("bound", positive=False)
-    says, paper, ours = entry.text("says"), entry.text("paper", "–"), entry.text("ours")
-    beyond = entry.flag("beyond")
+    judged = direction != "report"
+    claim = Claim(
+        id=name,
+        says=entry.text("says"),
+        paper=entry.text("paper", "–"),
+        ours=entry.text("ours"),
+        direction=direction,
+        measure=entry.text("measure") if judged else "",
+        bound=entry.number("bound", positive=False) if judged else 0.0,
+        beyond=entry.flag("beyond"),
+    )
     entry.close()
-    return Claim(name, says, paper, ours, direction, measure, bound, beyond)
+    return claim
 
 
 def judge(claims: Sequence[Claim], results: dict[str, Any]) -> list[Verdict]:

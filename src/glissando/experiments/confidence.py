@@ -10,60 +10,71 @@ from glissando.experiments.scenes import Scene, Trial, bench, path, trial
 from glissando.geometry.se3 import Array
 
 _INSTANTS = 0.35  # s between instants, which fall on and between time nodes
-_POINTS = 701  # places along the body at which confidence is asked for
+_POINTS = 701  # places along the body at which confidence is evaluated
 
 
-def std_along(found: Trial, time: float) -> tuple[Array, Array]:
-    """Arclengths (P,) and the standard deviation of position (P,) there at a time, metres."""
+def std_along(result: Trial, time: float) -> tuple[Array, Array]:
+    """Arclengths (P,) along the body and the std of position (P,) there at a time, metres."""
     arclength = np.linspace(0.0, bench().rod.length, _POINTS)
-    return arclength, found.posterior.at(arclength, time).std_position
+    return arclength, result.posterior.at(arclength, time).std_position
 
 
 def nearest_minimum(arclength: Array, std: Array, coil: float) -> float:
-    """Arclength of the local minimum nearest to the coil; the clamped base is none, the tip may be.
+    """Arclength of the local minimum of `std` nearest to the coil, NaN where there is none.
 
-    A minimum must be lower than its neighbours on both sides that exist.
+    A minimum is lower than its neighbours on both sides that exist. The clamped base is none; the
+    tip may be one.
     """
-    lower = np.diff(std) < 0.0
-    inner = np.flatnonzero(lower[:-1] & ~lower[1:]) + 1
-    minima = np.append(inner, std.size - 1) if lower[-1] else inner
+    falls = np.diff(std) < 0.0
+    minima = np.flatnonzero(falls[:-1] & ~falls[1:]) + 1
+    if falls[-1]:
+        minima = np.append(minima, std.size - 1)
     if minima.size == 0:
         return float("nan")
     return float(arclength[minima[np.argmin(np.abs(arclength[minima] - coil))]])
 
 
-def figure_a(quick: bool) -> tuple[dict[str, Any], dict[str, Trial]]:
-    """Straight, C and S, the coil at the tip and 60 mm inside: how far the minimum is from it."""
+def _minimum_near(result: Trial, time: float, coil: float) -> dict[str, float]:
+    minimum = nearest_minimum(*std_along(result, time), coil)
+    return {"coil": coil, "minimum": minimum, "distance": abs(minimum - coil)}
+
+
+def confidence_at_coil(quick: bool) -> tuple[dict[str, Any], dict[str, Trial]]:
+    """Straight, C and S, the coil at the tip and 60 mm inside: the distance of the minimum from it.
+
+    Returns:
+        Arclengths of coil and minimum and their distance (m) by name, and the `worst` distance; the
+        trials by the same names.
+    """
     results: dict[str, Any] = {}
     trials = {}
     duration = 2.0 if quick else 4.0
     for shape in ("straight", "C", "S"):
         for label, at in (("tip", 0.0), ("inside", 0.06)):
-            found = trial(Scene(shape, "hold", duration, at=at), seed=0)
-            coil = bench().rod.length - at
-            minimum = nearest_minimum(*std_along(found, 0.5 * duration), coil)
             name = f"{shape} {label}"
-            results[name] = {"coil": coil, "minimum": minimum, "distance": abs(minimum - coil)}
-            trials[name] = found
+            trials[name] = trial(Scene(shape, "hold", duration, at=at), seed=0)
+            coil = bench().rod.length - at
+            results[name] = _minimum_near(trials[name], 0.5 * duration, coil)
     return {**results, "worst": max(r["distance"] for r in results.values())}, trials
 
 
-def figure_b(quick: bool) -> tuple[dict[str, Any], Trial, Scene]:
-    """The coil slides the whole length of a C: distance from coil to minimum at several instants.
+def confidence_follows() -> tuple[dict[str, Any], Trial, Scene]:
+    """The coil slides the whole length of a C: the distance of the minimum at several instants.
 
     The base is clamped, so instants count while the coil is in the outer three quarters.
+
+    Returns:
+        The distances (m) by `instants`, and the `worst`; the trial; its scene.
     """
     length = bench().rod.length
     scene = Scene(
         "C", "traverse", 14.0, speed=0.1, stroke=length, cycles=1, nodes=22, time_rate=5.0
     )
-    found, slid = trial(scene, seed=0), path(scene)
-    results: dict[str, Any] = {}
+    result, slide = trial(scene, seed=0), path(scene)
+    instants: dict[str, Any] = {}
     for time in np.arange(0.0, scene.duration + 1e-9, _INSTANTS):
-        coil = length - float(slid.at(time))
-        if coil < 0.25 * length:
-            continue
-        minimum = nearest_minimum(*std_along(found, float(time)), coil)
-        results[f"{time:g}"] = {"coil": coil, "minimum": minimum, "distance": abs(minimum - coil)}
-    distances = [r["distance"] for r in results.values()]
-    return {"instants": results, "worst": max(distances)}, found, scene
+        coil = length - float(slide.at(time))
+        if coil >= 0.25 * length:
+            instants[f"{time:g}"] = _minimum_near(result, float(time), coil)
+    worst = max(entry["distance"] for entry in instants.values())
+    return {"instants": instants, "worst": worst}, result, scene

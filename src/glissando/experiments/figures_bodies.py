@@ -1,4 +1,8 @@
-"""Figures A and B: confidence along the body is highest where the coil is, and follows it."""
+"""Figures of confidence along the body: it is highest where the coil is, and follows it.
+
+Robots in space hang side by side at one scale. Gravity points along +z, so z is drawn downwards.
+Lengths are drawn in millimetres, times in seconds.
+"""
 
 from __future__ import annotations
 
@@ -8,154 +12,138 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from glissando.experiments.confidence import std_along
-from glissando.experiments.figures_space import COIL, Bodies, explain_bodies
 from glissando.experiments.scenes import Scene, Trial, bench, path
-from glissando.visualization.figures import _MM, _canvas, _legend
+from glissando.geometry.se3 import Array
+from glissando.visualization.figures import (
+    _AXES,
+    _DOT,
+    _MM,
+    _canvas,
+    _draw_ellipsoids,
+    _draw_truth,
+    _legend,
+    _places,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_COILS = {"tip": ("#332288", "coil at the tip"), "inside": ("#C2568F", "coil 60 mm inside")}
+_KINDS = {"tip": ("#332288", "coil at the tip"), "inside": ("#C2568F", "coil 60 mm inside")}
 _INSTANTS = 6
 _JUDGED = 0.25  # share of the length at the clamped base where no minimum is looked for
+_COIL: dict[str, Any] = {
+    "marker": "o", "color": "#FFD92F", "edgecolor": "black", "linewidth": 1.3,
+}  # fmt: skip
 _MINIMUM: dict[str, Any] = {
-    "marker": "o",
-    "mec": "black",
-    "ms": 8.0,
-    "ls": "none",
-    "clip_on": False,
-    "zorder": 5,
-}
+    "marker": "o", "mec": "black", "ms": 8.0, "ls": "none", "clip_on": False, "zorder": 5,
+}  # fmt: skip
+_DASHES: dict[str, Any] = {"lw": 1.5, "ls": (0, (3, 1.5))}
+_VIEW: dict[str, Any] = {"elev": -24, "azim": -240, "roll": 180, "proj_type": "ortho"}
+_THINNEST = 0.26  # of its longest side, a box
+_TRIAD = 26.0  # mm
 
 
-def _plane(figure: Any, rect: Sequence[float], **look: Any) -> Any:
-    """Flat axes at (left, bottom, width, height) inches."""
-    wide, high = figure.get_size_inches()
-    return figure.add_axes(np.array(rect) / [wide, high, wide, high], **look)
-
-
-def figure_a(trials: Mapping[str, Trial], confidence: Mapping[str, Any]) -> Figure:
+def coil_figure(trials: Mapping[str, Trial], confidence: Mapping[str, Any]) -> Figure:
     """Confidence is highest at the coil, wherever it is: straight, C and S robots.
 
-    `trials` and `confidence` as of `confidence.figure_a`: named by shape and 'tip' or 'inside',
-    with arclengths of coil and minimum in metres. Drawn half-way through each trial: bodies with
-    3σ ellipsoids and truth, and below the standard deviation of position, all in millimetres.
+    Drawn half-way through each trial: bodies with 3σ ellipsoids and truth, and below them the
+    standard deviation of position. `trials` and `confidence` are those of `confidence_at_coil`.
     """
+    from matplotlib.lines import Line2D
+
     shapes = list(dict.fromkeys(name.rsplit(" ", 1)[0] for name in trials))
     with _canvas(8.4, 11.3) as figure:
         figure.set_layout_engine("none")
-        bodies = Bodies(figure, len(_COILS), len(shapes))
+        bodies = _Bodies(figure, len(_KINDS), len(shapes))
         pitch = 7.5 / len(shapes)
         curves: Any = [
             _plane(figure, (0.8 + pitch * j, 1.05, pitch - 0.25, 1.75), label=shape)
             for j, shape in enumerate(shapes)
         ]
-        for name, found in trials.items():
+        for name, result in trials.items():
             shape, kind = name.rsplit(" ", 1)
-            column, row = shapes.index(shape), list(_COILS).index(kind)
-            time, coil = float(found.posterior.grid.time.mean()), confidence[name]["coil"]
-            bodies.draw(row, column, found, time, coil, _COILS[kind][0])
-            _draw_std(curves[column], found, time, confidence[name], kind)
+            column, row, colour = shapes.index(shape), list(_KINDS).index(kind), _KINDS[kind][0]
+            time, found = float(result.posterior.grid.time.mean()), confidence[name]
+            bodies.draw(row, column, result, time, found["coil"], colour)
+            arclength, std = std_along(result, time)
+            curves[column].axvline(found["coil"] * _MM, color=colour, **_DASHES, zorder=1)
+            curves[column].plot(arclength * _MM, std * _MM, color=colour, lw=2.2)
+            least = np.interp(found["minimum"], arclength, std) * _MM
+            curves[column].plot(found["minimum"] * _MM, least, mfc=colour, **_MINIMUM)
         bodies.finish((0.8, 3.35, 7.5, 7.2), (0.2, 0.05))
-        _finish_a(figure, curves, shapes)
+        top = 1.08 * max(axes.get_ylim()[1] for axes in curves)
+        for axes, shape in zip(curves, shapes, strict=True):
+            axes.set(xlim=(0.0, 1.03 * bench().rod.length * _MM), ylim=(0.0, top))
+            axes.set_xlabel("arclength (mm)")
+            axes.tick_params(labelleft=axes is curves[0])
+            middle = axes.get_position().x0 + 0.5 * axes.get_position().width
+            place = middle, 10.65 / 11.3
+            figure.text(*place, shape, ha="center", fontweight="bold", fontsize=13)
+        curves[0].set_ylabel("position std. dev. (mm)")
+        for i, (colour, label) in enumerate(_KINDS.values()):
+            look: dict[str, Any] = {"color": colour, "fontweight": "bold"}
+            at = 0.12 / 8.4, (8.8 - 3.6 * i) / 11.3
+            figure.text(*at, label, rotation=90, va="center", **look)
+        _explain_bodies(figure)
+        colours = [colour for colour, _ in _KINDS.values()]
+        entries: dict[str, Any] = {n: Line2D([], [], color=c, lw=2.2) for c, n in _KINDS.values()}
+        entries["coil"] = tuple(Line2D([], [], color=c, **_DASHES) for c in colours)
+        lows = tuple(Line2D([], [], mfc=c, **_MINIMUM) for c in colours)
+        entries["minimum nearest to it"] = lows
+        _legend(figure, entries, loc="lower center", ncols=4, columnspacing=1.5, handletextpad=0.5)
     return figure
 
 
-def _draw_std(axes: Any, found: Trial, time: float, told: Any, kind: str) -> None:
-    """One curve of figure A, with its coil and its minimum."""
-    colour, _ = _COILS[kind]
-    arclength, std = std_along(found, time)
-    axes.axvline(told["coil"] * _MM, color=colour, lw=1.5, ls=(0, (3, 1.5)), zorder=1)
-    axes.plot(arclength * _MM, std * _MM, color=colour, lw=2.2)
-    low = np.interp(told["minimum"], arclength, std)
-    axes.plot(told["minimum"] * _MM, low * _MM, mfc=colour, **_MINIMUM)
-
-
-def _finish_a(figure: Any, curves: Sequence[Any], shapes: Sequence[str]) -> None:
-    """Names of columns and rows, limits, and the legends of figure A."""
-    from matplotlib.lines import Line2D
-
-    wide, high = figure.get_size_inches()
-    top = 1.08 * max(axes.get_ylim()[1] for axes in curves)
-    for axes, shape in zip(curves, shapes, strict=True):
-        axes.set(xlim=(0.0, 1.03 * bench().rod.length * _MM), ylim=(0.0, top))
-        axes.set_xlabel("arclength (mm)")
-        axes.tick_params(labelleft=axes is curves[0])
-        middle = axes.get_position().x0 + 0.5 * axes.get_position().width
-        figure.text(middle, 10.65 / high, shape, ha="center", fontweight="bold", fontsize=13)
-    curves[0].set_ylabel("position std. dev. (mm)")
-    for i, (colour, label) in enumerate(_COILS.values()):
-        height = (8.8 - 3.6 * i) / high
-        look = {"color": colour, "fontweight": "bold", "rotation": 90, "va": "center"}
-        figure.text(0.12 / wide, height, label, **look)
-    explain_bodies(figure, loc="upper center")
-    entries: dict[str, Any] = {
-        label: Line2D([], [], color=colour, lw=2.2) for colour, label in _COILS.values()
-    }
-    entries["coil"] = tuple(
-        Line2D([], [], color=colour, lw=1.5, ls=(0, (3, 1.5))) for colour, _ in _COILS.values()
-    )
-    entries["minimum nearest to it"] = tuple(
-        Line2D([], [], mfc=colour, **_MINIMUM) for colour, _ in _COILS.values()
-    )
-    _legend(figure, entries, loc="lower center", ncols=4, columnspacing=1.5, handletextpad=0.5)
-
-
-def figure_b(trial: Trial, scene: Scene, following: Mapping[str, Any]) -> Figure:
+def following_figure(result: Trial, scene: Scene, following: Mapping[str, Any]) -> Figure:
     """The place of highest confidence follows the coil through the whole length of the body.
 
-    `trial`, `scene` and `following` as of `confidence.figure_b`: an estimate, the scene with the
-    coil's path, and distances by instant. Left the body with 3σ ellipsoids at six of the estimate's
-    nodes in time, on the way in; right the standard deviation of position along it, and the
-    arclengths of coil and minimum over time. Lengths in millimetres, times in seconds.
+    Left the body with 3σ ellipsoids at six of the estimate's nodes in time, on the coil's way in;
+    right the standard deviation of position along it, and the arclengths of coil and minimum over
+    time. The arguments are those of `confidence_follows`.
     """
     from matplotlib import colormaps
 
     with _canvas(10.4, 7.4) as figure:
         figure.set_layout_engine("none")
-        bodies = Bodies(figure, 2, _INSTANTS // 2)
+        bodies = _Bodies(figure, 2, _INSTANTS // 2)
         curves = _plane(figure, (7.55, 4.05, 2.7, 2.55), label="std")
         colours = colormaps["viridis"](np.linspace(0.0, 0.8, _INSTANTS))
-        for i, (time, coil) in enumerate(_way_in(scene, trial)):
+        for i, (time, coil) in enumerate(_way_in(scene, result)):
             row, column = divmod(i, _INSTANTS // 2)
-            bodies.draw(row, column, trial, time, coil, colours[i])
+            bodies.draw(row, column, result, time, coil, colours[i])
             place = (1.6 + 2.05 * column) / 10.4, (6.72 - 3.25 * row) / 7.4
             figure.text(*place, f"{time:.1f} s", color=colours[i], ha="center", fontweight="bold")
-            _draw_instant(curves, trial, time, coil, colours[i])
+            arclength, std = std_along(result, time)
+            height = np.interp(coil, arclength, std) * _MM
+            curves.plot(arclength * _MM, std * _MM, color=colours[i], lw=2.0)
+            look = {**_DASHES, "lw": 1.4, "color": colours[i]}
+            curves.plot([coil * _MM] * 2, [1e-9, height], **look)
+            curves.scatter(coil * _MM, height, s=55, zorder=5, **_COIL)
         bodies.finish((0.6, 0.4, 6.15, 6.5), (0.1, 0.5))
         _finish_curves(curves)
         _draw_following(_plane(figure, (7.55, 0.65, 2.7, 2.5), label="way"), scene, following)
-        explain_bodies(figure, loc="upper center")
+        _explain_bodies(figure)
     return figure
 
 
-def _way_in(scene: Scene, trial: Trial) -> list[tuple[float, float]]:
+def _way_in(scene: Scene, result: Trial) -> list[tuple[float, float]]:
     """Times in s and arclengths in m of the coil, evenly along its way in, at nodes in time."""
-    time = trial.posterior.grid.time
-    slid = path(scene).at(time)
-    slid = slid[: np.argmax(slid) + 1]
-    wanted = np.linspace(0.0, 0.85 * slid[-1], _INSTANTS)
-    rows = [int(np.argmin(np.abs(slid - place))) for place in wanted]
-    return [(float(time[row]), float(bench().rod.length - slid[row])) for row in rows]
-
-
-def _draw_instant(axes: Any, found: Trial, time: float, coil: float, colour: Any) -> None:
-    """The confidence along the body at one instant of figure B, and where the coil is."""
-    arclength, std = std_along(found, time)
-    low = np.interp(coil, arclength, std) * _MM
-    axes.plot(arclength * _MM, std * _MM, color=colour, lw=2.0)
-    axes.plot([coil * _MM] * 2, [1e-9, low], color=colour, lw=1.4, ls=(0, (3, 1.5)))
-    axes.scatter(coil * _MM, low, s=55, zorder=5, **COIL)
+    time = result.posterior.grid.time
+    slide = path(scene).at(time)
+    slide = slide[: np.argmax(slide) + 1]
+    wanted = np.linspace(0.0, 0.85 * slide[-1], _INSTANTS)
+    rows = [int(np.argmin(np.abs(slide - place))) for place in wanted]
+    return [(float(time[row]), float(bench().rod.length - slide[row])) for row in rows]
 
 
 def _finish_curves(axes: Any) -> None:
     """A logarithmic scale that covers the confidence, and names."""
     from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
-    shown = np.concatenate([line.get_ydata() for line in axes.lines])
-    shown = shown[shown > 1e-6]
+    std = np.concatenate([line.get_ydata() for line in axes.lines])
+    std = std[std > 1e-6]
     axes.set(xlabel="arclength (mm)", ylabel="position std. dev. (mm)", yscale="log")
-    axes.set(ylim=(0.7 * shown.min(), 1.3 * shown.max()), xlim=(0, 1.03 * bench().rod.length * _MM))
+    axes.set(ylim=(0.7 * std.min(), 1.3 * std.max()), xlim=(0, 1.03 * bench().rod.length * _MM))
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
     axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axes.yaxis.set_minor_formatter(NullFormatter())
@@ -165,13 +153,12 @@ def _draw_following(axes: Any, scene: Scene, following: Mapping[str, Any]) -> No
     """Coil and minimum over time."""
     from matplotlib.ticker import MaxNLocator
 
-    length = bench().rod.length * _MM
+    length, instants = bench().rod.length * _MM, following["instants"]
     time = np.linspace(0.0, scene.duration, 701)
-    told = following["instants"]
-    minima = [row["minimum"] * _MM for row in told.values()]
     axes.plot(time, length - path(scene).at(time) * _MM, color="0.45", lw=2.0, label="coil")
     look = {**_MINIMUM, "mfc": "#CC79A7", "ms": 6.5}
-    axes.plot([float(t) for t in told], minima, **look, label="minimum")
+    minima = [entry["minimum"] * _MM for entry in instants.values()]
+    axes.plot([float(t) for t in instants], minima, **look, label="minimum")
     axes.axhspan(0.0, _JUDGED * length, color="0.93", zorder=0)
     axes.text(0.25, 0.5 * _JUDGED * length, "clamped:\nnot judged", va="center", fontsize=9)
     axes.set(xlabel="time (s)", ylabel="arclength (mm)", xlim=(0.0, scene.duration))
@@ -179,3 +166,126 @@ def _draw_following(axes: Any, scene: Scene, following: Mapping[str, Any]) -> No
     axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
     axes.set_title(f"≤ {following['worst'] * _MM:.1f} mm apart at these instants", loc="left")
     axes.legend(loc="upper center", handlelength=1.2)
+
+
+def _plane(figure: Any, rect: Sequence[float], **look: Any) -> Any:
+    """Flat axes at (left, bottom, width, height) inches."""
+    return figure.add_axes(np.array(rect) / np.tile(figure.get_size_inches(), 2), **look)
+
+
+class _Bodies:
+    """A table of robots in space, at one scale; columns may differ in what they cover."""
+
+    def __init__(self, figure: Any, rows: int, columns: int) -> None:
+        self.figure = figure
+        look = {"projection": "3d", "computed_zorder": False, **_VIEW}
+        self.axes = [
+            [figure.add_axes((0, 0, 1, 1), label=f"{i} {j}", **look) for j in range(columns)]
+            for i in range(rows)
+        ]
+        self.points: list[list[Array]] = [[] for _ in range(columns)]
+
+    def draw(
+        self, row: int, column: int, result: Trial, time: float, coil: float, colour: Any
+    ) -> None:
+        """Draw the robot at a time in s, with the coil at an arclength in m."""
+        axes, posterior = self.axes[row][column], result.posterior
+        sites, ends = _places(result.truth, posterior.grid), posterior.grid.arclength
+        line = posterior.at(np.linspace(ends[0], ends[-1], 141), time).position * _MM
+        at_sites = posterior.at([site.arclength[0] for site in sites], time)
+        corners = _draw_ellipsoids(axes, at_sites, colour)
+        for ellipsoid in axes.collections:
+            ellipsoid.set_alpha(0.4)
+        axes.plot(*line.T, color=colour, linewidth=1.9, zorder=3)
+        corners += [_draw_truth(axes, site, time, _TRIAD) for site in sites]
+        axes.scatter(*line[0], **_DOT, s=50, marker="s", zorder=5)
+        place = posterior.at(coil, time).position * _MM
+        axes.scatter(*place, s=75, zorder=6, depthshade=False, **_COIL)
+        self.points[column] += [line, *corners]
+
+    def finish(self, place: tuple[float, float, float, float], gap: tuple[float, float]) -> None:
+        """Arrange all in (left, bottom, width, height) inches, with gaps in a cell for ticks."""
+        boxes = [_box(np.concatenate(points)) for points in self.points]
+        ends = [min(box[2, 0] for box in boxes), max(box[2, 1] for box in boxes)]
+        for box in boxes:
+            box[2] = ends
+        sizes = np.array([_size_on_paper(np.ptp(box, axis=1)) for box in boxes])
+        rows, paper = len(self.axes), self.figure.get_size_inches()
+        cell = np.array(place[2:]) / [len(boxes), rows]
+        scale = float(((cell - gap) / sizes.max(axis=0)).min())  # inches a mm
+        for i, line in enumerate(self.axes):
+            for j, (axes, box) in enumerate(zip(line, boxes, strict=True)):
+                middle = place[:2] + cell * [j + 0.5, rows - i - 0.5]
+                side = 1.4 * cell[1] / paper
+                axes.set_position((*(middle / paper - 0.5 * side), *side))
+                axes.patch.set_visible(False)
+                _set_box(axes, box, scale)
+                _set_ticks(axes, i == rows - 1, j == 0)
+            # beside a narrow box the axis's own place for its name is too near
+            left = place[0] + 0.5 * (cell[0] - scale * sizes[0, 0]) - 0.45
+            look = {"rotation": 90, "fontsize": 9.5, "ha": "right", "va": "center"}
+            self.figure.text(*(np.array([left, middle[1]]) / paper), "z (mm)", **look)
+
+
+def _box(points: Array) -> Array:
+    """Ends (3, 2) of a box around points (M, 3), never a thin slab."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    half = 0.5 * np.maximum(1.04 * (high - low), _THINNEST * np.ptp(points, axis=0).max())
+    middle = 0.5 * (low + high)
+    return np.stack([middle - half, middle + half], axis=1)
+
+
+def _size_on_paper(span: Array) -> Array:
+    """Width and height (2,) that a box with sides (3,) takes in our view, in its units."""
+    turn, tilt = np.radians(_VIEW["azim"]), np.radians(_VIEW["elev"])
+    flat = np.abs([[np.sin(turn), np.cos(turn)], [np.cos(turn), np.sin(turn)]]) @ span[:2]
+    return np.array([flat[0], abs(np.sin(tilt)) * flat[1] + np.cos(tilt) * span[2]])
+
+
+def _set_box(axes: Any, box: Array, scale: float) -> None:
+    """Limits (3, 2) in mm, drawn at a scale in inches a mm."""
+    from mpl_toolkits.mplot3d.proj3d import proj_transform
+
+    span = tuple(np.ptp(box, axis=1))  # matplotlib would scale an array in place
+    axes.set(xlim=box[0], ylim=box[1], zlim=box[2])
+    axes.set_box_aspect(span)
+    corners = np.stack(np.meshgrid(*box), axis=-1).reshape(-1, 3)
+    flat = proj_transform(*corners.T, axes.get_proj())[:2]
+    drawn = np.ptp(axes.transData.transform(np.stack(flat, axis=1)), axis=0) / axes.figure.dpi
+    axes.set_box_aspect(span, zoom=scale * _size_on_paper(np.array(span))[1] / drawn[1])
+
+
+def _set_ticks(axes: Any, below: bool, left: bool) -> None:
+    """Ticks of 100 or 200 mm; labels in the last row and the first column, as the rest agree."""
+    from matplotlib.ticker import MultipleLocator
+
+    wide = 100 if np.ptp(axes.get_xlim()) < 330.0 else 200
+    three = zip((axes.xaxis, axes.yaxis, axes.zaxis), (wide, 100, 200), strict=True)
+    for axis, step in three:
+        upright = axis is axes.zaxis
+        axis.set_major_locator(MultipleLocator(step))
+        axis.set_pane_color((0.97, 0.97, 0.97, 1.0))
+        axis.line.set_color("0.6")
+        axis.set_tick_params(labelsize=8.5, pad=4 if upright else -1)
+        axis.labelpad = 0
+        if not (left if upright else below):
+            axis.set_ticklabels([])
+        elif not upright:
+            axis.set_label_text(f"{axis.axis_name} (mm)", fontsize=9.5)
+
+
+def _explain_bodies(figure: Any) -> None:
+    """The legend of bodies in space."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    dot = {"marker": "o", "mfc": _COIL["color"], "mec": "black", "ms": 9, "ls": "none"}
+    entries: dict[str, Any] = {
+        "base": Line2D([], [], color="black", marker="s", ms=7, ls="none"),
+        "coil": Line2D([], [], **dot),
+        "estimate": Line2D([], [], color="0.3", lw=1.9),
+        "3σ of position": Patch(color="0.5", alpha=0.45, linewidth=0),
+        "motion capture: x, y, z": tuple(Line2D([], [], lw=2, c=c) for c in _AXES.values()),
+    }
+    look = {"ncols": len(entries), "columnspacing": 1.5, "handletextpad": 0.5}
+    _legend(figure, entries, loc="upper center", **look)

@@ -34,6 +34,8 @@ _PAPER: dict[str, dict[str, dict[str, float]]] = {
 }
 _PAPER_CHANGES = {"position": {"C": -6.1, "S": -8.4}, "rotation": {"C": -3.2, "S": -3.8}}
 _PAPER_LOOK: dict[str, Any] = {"marker": "D", "mfc": "white", "mew": 1.6, "ms": 7, "ls": "none"}
+_EDGE: dict[str, Any] = {"mec": "black", "mew": 0.8}
+_DASHES = (0, (4, 2))
 _CELL = 3.2  # inches that a panel of the table is about wide
 _BREAK = 0.5  # an axis is broken where a gap is this share of what lies on both its sides
 
@@ -42,48 +44,55 @@ def _colour(shape: str) -> str:
     return _COLOURS.get(shape, "0.4")
 
 
-def _draw_row(axes: Any, told: Mapping[str, float], row: float, unit: float, **look: Any) -> None:
+def _draw_row(axes: Any, entry: Mapping[str, float], row: float, unit: float, **look: Any) -> None:
     """A value with its interval, lying, at a height."""
-    value, low, high = (unit * told[key] for key in ("value", "low", "high"))
+    value, low, high = (unit * entry[key] for key in ("value", "low", "high"))
     axes.plot([low, high], [row, row], color=look["color"], lw=2.0, solid_capstyle="butt")
-    axes.plot(value, row, ls="none", **{"marker": "o", "ms": 7.5, "zorder": 4, **look})
+    axes.plot(value, row, ls="none", **{"marker": "o", "ms": 7.5, "zorder": 4, **_EDGE, **look})
 
 
-def _ends(values: Sequence[float], least: float = 0.0) -> tuple[float, float]:
-    """Limits around values with some air, `least` wide at the least."""
-    low, high = min(values), max(values)
-    half = max(0.7 * (high - low), 0.5 * least, 1e-9)
-    return 0.5 * (low + high) - half, 0.5 * (low + high) + half
-
-
-def figure_table(table: Mapping[str, Mapping[str, Any]]) -> Figure:
+def table_figure(table: Mapping[str, Mapping[str, Any]]) -> Figure:
     """RMSE of a robot at rest by where its coil is, with 95 % intervals and the paper's values.
 
-    `table[shape][arm]` is a summary of trials, m and rad; an arm 'still …' is of an estimator that
-    knows that the robot holds still. Drawn in cm and rad; an axis is broken between our values
-    and the paper's where they lie far apart, at one scale on both sides.
+    An axis is broken between our values and the paper's where they lie far apart, at one scale on
+    both sides.
+
+    Args:
+        table: A summary of trials (m, rad) by shape and arm; in an arm 'still …' the estimator
+            knows that the robot holds still.
+
+    Returns:
+        The figure, in cm and rad.
     """
+    from matplotlib.lines import Line2D
+
     rows = _table_rows({arm for arms in table.values() for arm in arms})
     with _canvas(10.0, 1.7 + 2 * max(1.0, 0.31 * len(rows))) as figure:
         grid = figure.add_gridspec(2, len(table))
         for i, kind in enumerate(_KINDS):
-            for j, shape in enumerate(table):
-                _draw_table_cell(figure, grid[i, j], table[shape], shape, kind, rows)
-        _explain_table(figure, [*table])
+            for j, (shape, arms) in enumerate(table.items()):
+                _draw_table_cell(figure, grid[i, j], arms, shape, kind, rows)
+        dots = [Line2D([], [], color=_colour(s), marker="o", ms=7.5, mec="black") for s in table]
+        hollow = [Line2D([], [], color=_colour(s), **_PAPER_LOOK) for s in table]
+        entries = {"ours, with 95 % interval": tuple(dots), "paper": tuple(hollow)}
+        _legend(figure, entries, loc="outside upper center", ncols=2)
     return figure
 
 
 def _table_rows(arms: set[str]) -> dict[str, str]:
     """Arms and headings from the top, each with the label of its row; a heading is no arm's."""
-    known = [arm for arm in _ARMS if arm in arms]
-    known += sorted(arm for arm in arms - {*_ARMS} if not arm.startswith(_STILL))
-    still = [f"{_STILL}{arm}" for arm in _ARMS if f"{_STILL}{arm}" in arms]
-    still += sorted(arm for arm in arms - {*still} if arm.startswith(_STILL))
-    rows = {arm: _ARMS.get(arm, arm) for arm in known}
+    known = [*_ARMS]
+
+    def rank(arm: str) -> tuple[int, str]:
+        name = arm.removeprefix(_STILL)
+        return known.index(name) if name in known else len(known), arm
+
+    names = {arm: _ARMS.get(arm.removeprefix(_STILL), arm) for arm in sorted(arms, key=rank)}
+    still = {arm: name for arm, name in names.items() if arm.startswith(_STILL)}
     if not still:
-        return rows
-    named = {arm: _ARMS.get(arm.removeprefix(_STILL), arm) for arm in still}
-    return {"": "robot may move", **rows, " ": "known to hold still", **named}
+        return names
+    free = {arm: name for arm, name in names.items() if arm not in still}
+    return {"": "robot may move", **free, " ": "known to hold still", **still}
 
 
 def _draw_table_cell(
@@ -92,18 +101,23 @@ def _draw_table_cell(
     label, unit = _KINDS[kind]
     published = _PAPER[kind].get(shape, {})
     paper = [(unit * published[a], row) for row, a in enumerate(rows) if a in published]
-    ours = [unit * told[kind][key] for told in arms.values() for key in ("low", "value", "high")]
+    ours = [unit * arm[kind][key] for arm in arms.values() for key in ("low", "value", "high")]
     parts = _parts(figure, cell, ours, [value for value, _ in paper])
     for axes in parts:
         for row, arm in enumerate(rows):
-            look = {"marker": "s" if arm.startswith(_STILL) else "o", "mec": "black", "mew": 0.8}
             if arm in arms:
-                _draw_row(axes, arms[arm][kind], row, unit, color=_colour(shape), **look)
+                marker = "s" if arm.startswith(_STILL) else "o"
+                look = {"marker": marker, "color": _colour(shape)}
+                _draw_row(axes, arms[arm][kind], row, unit, **look)
         _draw_paper(axes, paper, shape)
         axes.set_ylim(len(rows) - 0.4, -0.6)
         axes.grid(axis="x", zorder=0)
         axes.set_axisbelow(True)
-    _name_rows(parts[0], rows, cell.colspan.start == 0)
+    first = cell.colspan.start == 0
+    parts[0].set_yticks(range(len(rows)), [*rows.values()] if first else [""] * len(rows))
+    for text, arm in zip(parts[0].get_yticklabels(), rows, strict=True):
+        if not arm.strip():
+            text.set(fontweight="bold")
     parts[0].set_title(shape, loc="left", fontweight="bold", color=_colour(shape))
     parts[0].set_xlabel(label, loc="left" if len(parts) > 1 else "center")
 
@@ -111,12 +125,12 @@ def _draw_table_cell(
 def _draw_paper(axes: Any, points: Sequence[tuple[float, int]], shape: str) -> None:
     """The paper's values that lie on the axes, written out where these show nothing else."""
     low, high = axes.get_xlim()
+    alone = not axes.get_xticks().size
     for value, row in points:
         if not low < value < high:
             continue
-        apart = not axes.get_xticks().size
-        axes.plot(value, row if apart else row - 0.3, color=_colour(shape), **_PAPER_LOOK)
-        if apart:
+        axes.plot(value, row if alone else row - 0.3, color=_colour(shape), **_PAPER_LOOK)
+        if alone:
             right = value < 0.5 * (low + high)
             look: dict[str, Any] = {"xytext": (9 if right else -9, 0), "fontsize": 9.5}
             look |= {"textcoords": "offset points", "ha": "left" if right else "right"}
@@ -132,8 +146,7 @@ def _parts(figure: Any, cell: Any, ours: Sequence[float], paper: Sequence[float]
     ends = [mine]
     if paper:
         both = sorted([mine, _ends(paper, least)])
-        wide = sum(high - low for low, high in both)
-        apart = both[1][0] - both[0][1] > _BREAK * wide
+        apart = both[1][0] - both[0][1] > _BREAK * sum(high - low for low, high in both)
         ends = both if apart else [_ends([*ours, *paper])]
     widths = [high - low for low, high in ends]
     inner = cell.subgridspec(1, len(ends), width_ratios=widths, wspace=0.04)
@@ -144,44 +157,37 @@ def _parts(figure: Any, cell: Any, ours: Sequence[float], paper: Sequence[float]
         axes.xaxis.set_major_locator(MaxNLocator(max(1, int(room / 0.55)), steps=[1, 2, 5, 10]))
         axes.tick_params(axis="y", length=0)
     if len(parts) > 1:
-        _break(*parts)
+        mark = {"marker": [(-1, -1.6), (1, 1.6)], "ms": 9, "ls": "none", "color": "k", "mew": 1.2}
+        for axes, end in zip(parts, (1, 0), strict=True):
+            axes.plot([end], [0], transform=axes.transAxes, clip_on=False, **mark)
+        parts[1].spines["left"].set_visible(False)
+        parts[1].tick_params(labelleft=False)
         parts[0 if ends[0] != mine else 1].set_xticks([])
     return parts
 
 
-def _break(left: Any, right: Any) -> None:
-    """Marks of a broken axis between two axes."""
-    mark = {"marker": [(-1, -1.6), (1, 1.6)], "ms": 9, "ls": "none", "color": "k", "mew": 1.2}
-    left.plot([1], [0], transform=left.transAxes, clip_on=False, **mark)
-    right.plot([0], [0], transform=right.transAxes, clip_on=False, **mark)
-    right.spines["left"].set_visible(False)
-    right.tick_params(labelleft=False)
+def _ends(values: Sequence[float], least: float = 0.0) -> tuple[float, float]:
+    """Limits around values with some air, `least` wide at the least."""
+    low, high = min(values), max(values)
+    half = max(0.7 * (high - low), 0.5 * least, 1e-9)
+    return 0.5 * (low + high) - half, 0.5 * (low + high) + half
 
 
-def _name_rows(axes: Any, rows: Mapping[str, str], shown: bool) -> None:
-    axes.set_yticks(range(len(rows)), [*rows.values()] if shown else [""] * len(rows))
-    for text, arm in zip(axes.get_yticklabels(), rows, strict=True):
-        if not arm.strip():
-            text.set(fontweight="bold")
-
-
-def _explain_table(figure: Any, shapes: Sequence[str]) -> None:
-    from matplotlib.lines import Line2D
-
-    dots = [Line2D([], [], color=_colour(s), marker="o", ms=7.5, mec="black") for s in shapes]
-    hollow = [Line2D([], [], color=_colour(s), **_PAPER_LOOK) for s in shapes]
-    entries = {"ours, with 95 % interval": tuple(dots), "paper": tuple(hollow)}
-    _legend(figure, entries, loc="outside upper center", ncols=2)
-
-
-def figure_moving(moving: Mapping[str, Mapping[str, Any]]) -> Figure:
+def moving_figure(moving: Mapping[str, Mapping[str, Any]]) -> Figure:
     """RMSE of a robot that moves from C to S, by how fast its coil slides; 95 % intervals.
 
-    `moving[label][arm]` is a summary of trials (m, rad) with `slide_speed` m/s and `stroke` m, both
-    0 where the coil is fixed; a label is how long the motion takes. Drawn in cm, rad and mm/s:
-    a column a label, a marker a stroke, the fixed coil as a band.
+    Args:
+        moving: A summary of trials (m, rad) by duration and arm, with `slide_speed` (m/s) and
+            `stroke` (m), both 0 where the coil is fixed.
+
+    Returns:
+        The figure, in cm, rad and mm/s: a column a duration, a marker a stroke, the fixed coil as
+        a band.
     """
-    strokes = sorted({t["stroke"] for arms in moving.values() for t in arms.values()} - {0.0})
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    strokes = sorted({arm["stroke"] for arms in moving.values() for arm in arms.values()} - {0.0})
     markers = dict(zip(strokes, "ov^sDP", strict=False))
     with _canvas(10.0 if len(moving) > 1 else 7.0, 6.2) as figure:
         table: Any = figure.subplots(
@@ -195,7 +201,12 @@ def figure_moving(moving: Mapping[str, Mapping[str, Any]]) -> Figure:
             table[1, j].set_xlabel("mean slide speed (mm/s)")
         for axes, (name, _) in zip(table[:, 0], _KINDS.values(), strict=True):
             axes.set_ylabel(name)
-        _explain_moving(figure, markers)
+        line = Line2D([], [], color="0.35", lw=1.4, ls=_DASHES)
+        entries: dict[str, Any] = {"fixed at the tip": (Patch(color="0.82"), line)}
+        look: dict[str, Any] = {"color": "0.6", "mec": "black", "ms": 8, "ls": "none"}
+        for stroke, marker in markers.items():
+            entries[f"sliding by {stroke * _MM:.0f} mm"] = Line2D([], [], marker=marker, **look)
+        _legend(figure, entries, loc="outside upper center", ncols=len(entries))
     return figure
 
 
@@ -204,21 +215,19 @@ def _draw_moving(
 ) -> None:
     """One duration: a band for the fixed coil, and dots with intervals by speed and stroke."""
     unit = _KINDS[kind][1]
-    for told in arms.values():
-        if told["stroke"] == 0.0:
-            axes.axhspan(*(unit * told[kind][k] for k in ("low", "high")), color=colour, alpha=0.18)
-            axes.axhline(unit * told[kind]["value"], color=colour, lw=1.4, ls=(0, (4, 2)))
+    for arm in arms.values():
+        if arm["stroke"] == 0.0:
+            axes.axhspan(*(unit * arm[kind][k] for k in ("low", "high")), color=colour, alpha=0.18)
+            axes.axhline(unit * arm[kind]["value"], color=colour, lw=1.4, ls=_DASHES)
     for stroke, marker in markers.items():
-        sliding = [told for told in arms.values() if told["stroke"] == stroke]
-        sliding.sort(key=lambda told: told["slide_speed"])
+        sliding = [arm for arm in arms.values() if arm["stroke"] == stroke]
+        sliding.sort(key=lambda arm: arm["slide_speed"])
         if sliding:
-            speed = [told["slide_speed"] * _MM for told in sliding]
-            value, low, high = (
-                unit * np.array([told[kind][k] for told in sliding])
-                for k in ("value", "low", "high")
-            )
-            look = {"color": colour, "marker": marker, "ms": 8, "mec": "black", "mew": 0.8}
-            axes.errorbar(speed, value, [value - low, high - value], lw=1.4, elinewidth=2.0, **look)
+            speed = [arm["slide_speed"] * _MM for arm in sliding]
+            numbers = [[arm[kind][k] for k in ("value", "low", "high")] for arm in sliding]
+            value, low, high = unit * np.transpose(numbers)
+            look = {"color": colour, "marker": marker, "ms": 8, "lw": 1.4, "elinewidth": 2.0}
+            axes.errorbar(speed, value, [value - low, high - value], **look, **_EDGE)
 
 
 def _set_log(axes: Any, ticks: tuple[float, ...]) -> None:
@@ -235,25 +244,19 @@ def _set_log(axes: Any, ticks: tuple[float, ...]) -> None:
     axes.set_axisbelow(True)
 
 
-def _explain_moving(figure: Any, markers: Mapping[float, str]) -> None:
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
-    line = Line2D([], [], color="0.35", lw=1.4, ls=(0, (4, 2)))
-    entries: dict[str, Any] = {"fixed at the tip": (Patch(color="0.82"), line)}
-    look: dict[str, Any] = {"color": "0.6", "mec": "black", "ms": 8, "ls": "none"}
-    for stroke, marker in markers.items():
-        entries[f"sliding by {stroke * _MM:.0f} mm"] = Line2D([], [], marker=marker, **look)
-    _legend(figure, entries, loc="outside upper center", ncols=len(entries))
-
-
-def figure_causes(causes: Mapping[str, Mapping[str, Any]]) -> Figure:
+def causes_figure(causes: Mapping[str, Mapping[str, Any]]) -> Figure:
     """How much smaller RMSE is with an oscillating coil, by what is wrong with the sensors.
 
-    `causes[label][shape]` is a summary of trials with `position_change` and `rotation_change`, %
-    against a fixed coil. A row a label; thin lines are the paper's changes; 95 % intervals.
+    Args:
+        causes: A summary of trials with `position_change` and `rotation_change` (% against a fixed
+            coil) by cause and shape.
+
+    Returns:
+        The figure: a row a cause, 95 % intervals, the paper's changes as thin lines.
     """
-    shapes = list(dict.fromkeys(shape for told in causes.values() for shape in told))
+    from matplotlib.lines import Line2D
+
+    shapes = list(dict.fromkeys(shape for cause in causes.values() for shape in cause))
     with _canvas(10.0, 1.5 + 0.42 * len(causes)) as figure:
         pair: Any = figure.subplots(1, 2, sharey=True)
         for axes, kind, name in zip(pair, _KINDS, ("position", "orientation"), strict=True):
@@ -270,31 +273,27 @@ def figure_causes(causes: Mapping[str, Mapping[str, Any]]) -> Figure:
                 axes.axhspan(row - 0.5, row + 0.5, color="0.965", zorder=0)
         pair[0].set_yticks(range(len(causes)), [label.replace(" x ", " × ") for label in causes])
         pair[0].set_ylim(len(causes) - 0.5, -0.5)
-        _explain_causes(figure, shapes)
+        entries: dict[str, Any] = {}
+        for s in shapes:
+            look = {"c": _colour(s), "marker": _marker(s), "ms": 7.5, "lw": 2.0, **_EDGE}
+            entries[f"{s}, with 95 % interval"] = Line2D([], [], **look)
+        lines = (Line2D([], [], c=_colour(s), lw=1.2, ls=_DASHES) for s in shapes)
+        entries["paper"] = tuple(lines)
+        _legend(figure, entries, loc="outside upper center", ncols=len(entries))
     return figure
+
+
+def _marker(shape: str) -> str:
+    return "s" if shape == "S" else "o"
 
 
 def _draw_causes(
     axes: Any, causes: Mapping[str, Any], shape: str, kind: str, offset: float
 ) -> None:
-    colour = _colour(shape)
+    look: dict[str, Any] = {"color": _colour(shape)}
     if shape in _PAPER_CHANGES[kind]:
-        axes.axvline(_PAPER_CHANGES[kind][shape], color=colour, lw=1.2, ls=(0, (4, 2)), zorder=1)
-    for row, told in enumerate(causes.values()):
-        change = told.get(shape, {}).get(f"{kind}_change")
+        axes.axvline(_PAPER_CHANGES[kind][shape], lw=1.2, ls=_DASHES, zorder=1, **look)
+    for row, cause in enumerate(causes.values()):
+        change = cause.get(shape, {}).get(f"{kind}_change")
         if change is not None:
-            look = {"color": colour, "mec": "black", "mew": 0.8, "marker": "os"[shape == "S"]}
-            _draw_row(axes, change, row + offset, 1.0, **look)
-
-
-def _explain_causes(figure: Any, shapes: Sequence[str]) -> None:
-    from matplotlib.lines import Line2D
-
-    dot: dict[str, Any] = {"ms": 7.5, "mec": "black", "mew": 0.8, "lw": 2.0}
-    entries: dict[str, Any] = {
-        f"{s}, with 95 % interval": Line2D([], [], c=_colour(s), marker="os"[s == "S"], **dot)
-        for s in shapes
-    }
-    lines = [Line2D([], [], c=_colour(s), lw=1.2, ls=(0, (4, 2))) for s in shapes]
-    entries["paper"] = tuple(lines)
-    _legend(figure, entries, loc="outside upper center", ncols=len(entries))
+            _draw_row(axes, change, row + offset, 1.0, marker=_marker(shape), **look)

@@ -5,18 +5,21 @@ from __future__ import annotations
 import json
 import platform
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from glissando import __version__
 from glissando.experiments.claims import Claim, Verdict, judge
-from glissando.experiments.confidence import figure_a, figure_b
-from glissando.experiments.figures import save_experiment_figures
+from glissando.experiments.confidence import confidence_at_coil, confidence_follows
+from glissando.experiments.figures_bodies import coil_figure, following_figure
+from glissando.experiments.figures_numbers import causes_figure, moving_figure, table_figure
 from glissando.experiments.page import page
-from glissando.experiments.scenes import ROBOT, Scene, trial
+from glissando.experiments.scenes import ROBOT, Scene, Trial, trial
 from glissando.experiments.studies import Studies
+from glissando.visualization.film import save_animation
 
 Progress = Callable[[str, int, int], None]
 """Called with what is being done, how much of it is done, and how much there is."""
@@ -27,19 +30,31 @@ def reproduce(
 ) -> tuple[list[Verdict], list[Path]]:
     """Compute and judge the claims; write results.json, a page, figures and an animation.
 
-    The same numbers on any number of cores. Raises ClaimsError for a claim whose number nothing
-    computes.
+    The numbers are the same on any number of cores.
+
+    Args:
+        claims: What is judged.
+        folder: Where files are written; made if it is missing.
+        quick: Whether to run few seeds and scenes.
+        progress: Called as the run goes on.
+
+    Returns:
+        The verdicts, and the files written.
+
+    Raises:
+        ClaimsError: A claim needs a number that nothing computes.
+        GlissandoError: A trial failed, or Dask or matplotlib is not installed.
     """
     began = time.monotonic()
     folder.mkdir(parents=True, exist_ok=True)
     progress("confidence along the body", 0, 2)
-    confidence, trials = figure_a(quick)
+    confidence, trials = confidence_at_coil(quick)
     progress("confidence along the body", 1, 2)
-    following, sliding, scene = figure_b(quick)
+    following, sliding, scene = confidence_follows()
     studies = Studies(quick=quick)
     numbers = studies.run(lambda done, whole: progress("trials", done, whole))
     results = {"confidence": confidence, "following": following, **numbers}
-    file = folder / "results.json"
+    file, text = folder / "results.json", folder / "reproduction.md"
     verdicts: list[Verdict] = []
     try:
         verdicts = judge(claims, results)
@@ -47,7 +62,6 @@ def reproduce(
         record = _record(results, verdicts, studies, quick=quick)
         record["seconds"] = round(time.monotonic() - began, 1)
         file.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
-    text = folder / "reproduction.md"
     text.write_text(page(record), encoding="utf-8")
     progress("figures", 0, 1)
     written = [file, text, *save_experiment_figures(results, trials, sliding, scene, folder)]
@@ -58,41 +72,67 @@ def reproduce(
 def _record(
     results: dict[str, Any], verdicts: Sequence[Verdict], studies: Studies, *, quick: bool
 ) -> dict[str, Any]:
-    packages = ("numpy", "scipy", "matplotlib")
+    versions = {name: version(name) for name in ("numpy", "scipy", "matplotlib")}
+    claims = []
+    for verdict in verdicts:
+        claim = {key: value for key, value in asdict(verdict.claim).items() if key in _QUOTED}
+        entry = {"ours": verdict.ours, "value": verdict.value, "verdict": verdict.verdict}
+        claims.append(claim | entry)
     return {
         "robot": ROBOT,
         "quick": quick,
-        "versions": {
-            "glissando": __version__,
-            "python": platform.python_version(),
-            **{name: version(name) for name in packages},
-        },
+        "versions": {"glissando": __version__, "python": platform.python_version(), **versions},
         "seeds": {"first": 0, **studies.seeds},
-        "claims": [
-            {
-                "id": v.claim.id,
-                "says": v.claim.says,
-                "paper": v.claim.paper,
-                "ours": v.ours,
-                "value": v.value,
-                "verdict": v.verdict,
-            }
-            for v in verdicts
-        ],
+        "claims": claims,
         "results": results,
     }
 
 
+_QUOTED = ("id", "says", "paper")
+
+
+def save_experiment_figures(
+    results: Mapping[str, Any],
+    trials: Mapping[str, Trial],
+    sliding: Trial,
+    scene: Scene,
+    folder: Path,
+) -> list[Path]:
+    """Write a PNG for each section of the results that has a figure and is not empty.
+
+    Args:
+        results: Sections 'confidence', 'following', 'table', 'moving' and 'causes'.
+        trials: Trials of `confidence_at_coil`.
+        sliding: Trial of `confidence_follows`.
+        scene: Its scene.
+        folder: Where figures are written; made if it is missing.
+
+    Returns:
+        The files written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    draw: dict[str, Callable[[Any], Any]] = {
+        "confidence": lambda section: coil_figure(trials, section),
+        "following": lambda section: following_figure(sliding, scene, section),
+        "table": table_figure,
+        "moving": moving_figure,
+        "causes": causes_figure,
+    }
+    paths = []
+    for name, figure in draw.items():
+        if results.get(name):
+            paths.append(folder / f"{name}.png")
+            figure(results[name]).savefig(paths[-1], dpi=150)
+    return paths
+
+
 def _animate(folder: Path, quick: bool, progress: Progress) -> Path:
     """The robot moves C → S while the coil slides its whole length, with its confidence tube."""
-    from glissando.visualization.film import save_animation
-
-    scene = Scene("C-to-S", "traverse", 12.0, speed=0.4, stroke=0.7, cycles=3)
-    found = trial(scene, seed=0)
+    result = trial(Scene("C-to-S", "traverse", 12.0, speed=0.4, stroke=0.7, cycles=3), seed=0)
     return save_animation(
-        found.posterior,
-        found.readings,
-        found.truth,
+        result.posterior,
+        result.readings,
+        result.truth,
         folder / "sliding.gif",
         seconds=2.0 if quick else None,
         progress=lambda done, whole: progress("animation", done, whole),

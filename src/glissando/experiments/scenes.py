@@ -30,7 +30,6 @@ from glissando.simulation import (
     Bench,
     Imperfections,
     Motion,
-    Session,
     SlideLimits,
     SlidePath,
     load_bench,
@@ -55,12 +54,20 @@ _STILL = 1e-2  # share of its densities over time that the prior of a robot know
 class Scene:
     """What is simulated and estimated: everything but the seed.
 
-    `shape` a name of REPORTED_ON or TUNED_ON; `slide` 'hold', 'oscillate' or 'traverse' with `at`,
-    `stroke` in metres and `cycles`; `speed` m/s; `duration` s of the session, and of the motion if
-    the shape moves. `flaws` scales parts of the imperfections: pairs of a field and a factor.
-    `still` lets the estimator know that the robot holds still; `nodes` a length and `time_rate` a
-    second are its grid's, the robot file's unless given. `robot` is the shipped robot or robot file
-    that is simulated, and estimated with unless `prior` names another.
+    Attributes:
+        shape: A name of REPORTED_ON or TUNED_ON, or a shape file.
+        slide: 'hold', 'oscillate' or 'traverse'.
+        duration: Length of the session, and of the motion if the shape moves, s.
+        speed: Speed of the slide, m/s.
+        at: Displacement of 'hold', m.
+        stroke: Stroke of the other slides, m.
+        cycles: How often they go there and back.
+        flaws: Fields of the imperfections and factors on them.
+        still: Whether the estimator knows that the robot holds still.
+        nodes: Arclength nodes of the grid, the robot file's unless given.
+        time_rate: Time nodes a second, the robot file's unless given.
+        robot: Shipped robot or robot file that is simulated.
+        prior: The one that is estimated with, if it is another.
     """
 
     shape: str
@@ -80,13 +87,13 @@ class Scene:
 
 @lru_cache(maxsize=8)
 def bench(name: str = ROBOT) -> Bench:
-    """The robot on its bench."""
+    """The simulated robot of a name or robot file, on its bench."""
     return load_bench(robot_file(name))
 
 
 @lru_cache(maxsize=8)
 def robot(name: str = ROBOT) -> Robot:
-    """The robot as the estimator knows it."""
+    """The robot of a name or robot file as the estimator knows it."""
     return load_robot(name)
 
 
@@ -104,16 +111,18 @@ def flaws(scene: Scene) -> Imperfections:
 
 
 def motion(scene: Scene, seed: int) -> Motion:
-    """The shapes of a scene, of a robot with the set that the seed gives it."""
-    kept = flaws(scene)
-    if kept.set_curvature == 0.0:
+    """The shapes of a scene in time, of a robot with the set that the seed gives it."""
+    scaled = flaws(scene)
+    if scaled.set_curvature == 0.0:
         seed = 0  # without a set all robots are alike: one motion does for every seed
-    kinds = kept.set_curvature, kept.set_length
-    return _motion(scene.robot, scene.shape, scene.duration, kinds, seed)
+    curvature, length = scaled.set_curvature, scaled.set_length
+    return _motion(scene.robot, scene.shape, scene.duration, curvature, length, seed)
 
 
 @lru_cache(maxsize=32)
-def _motion(name: str, shape: str, duration: float, kept: tuple[float, float], seed: int) -> Motion:
+def _motion(
+    name: str, shape: str, duration: float, curvature: float, length: float, seed: int
+) -> Motion:
     known = bench(name)
     if shape in TUNED_ON:
         tensions = np.array(TUNED_ON[shape], dtype=float)
@@ -121,7 +130,7 @@ def _motion(name: str, shape: str, duration: float, kept: tuple[float, float], s
         actuation = Actuation(time, tensions, known.gravity)
     else:
         actuation = known.shape(shape).lasting(duration)
-    bent = replace(known.flaws, set_curvature=kept[0], set_length=kept[1])
+    bent = replace(known.flaws, set_curvature=curvature, set_length=length)
     return known.move(actuation, bent, seed)
 
 
@@ -136,22 +145,17 @@ def path(scene: Scene) -> SlidePath:
     return SlidePath.oscillate(scene.cycles, scene.stroke, stage, speed=scene.speed)
 
 
-def session(scene: Scene, seed: int) -> Session:
-    """What the sensors record of the scene with this seed's robot and noise."""
-    moved, slid = motion(scene, seed), path(scene)
-    known = bench(scene.robot)
-    return simulate_session(
-        known, moved, slid, seed=seed, duration=scene.duration, flaws=flaws(scene)
+def recording(scene: Scene, seed: int) -> Recording:
+    """What the sensors record of a scene with this seed's robot and noise, read into memory."""
+    moved, slide, duration = motion(scene, seed), path(scene), scene.duration
+    session = simulate_session(
+        bench(scene.robot), moved, slide, seed=seed, duration=duration, flaws=flaws(scene)
     )
-
-
-def recording(recorded: Session, known: Robot | None = None) -> Recording:
-    """A session as the recording, of the robot as it is known, that its folder would be read as."""
-    coil = replace(recorded.coil, values=recorded.T_wt @ recorded.coil.values)
+    coil = replace(session.coil, values=session.T_wt @ session.coil.values)
     streams = {"coil": Stream("coil", coil, keep_repeats=True)}
-    for name, rows in recorded.mocap.items():
-        streams[name] = Stream(name, rows, True, recorded.mocap_std, keep_repeats=True)
-    return Recording(recorded.name, Path(), streams, known or robot(), None)
+    for name, rows in session.mocap.items():
+        streams[name] = Stream(name, rows, True, session.mocap_std, keep_repeats=True)
+    return Recording(session.name, Path(), streams, known_robot(scene), None)
 
 
 @dataclass(frozen=True)
@@ -167,14 +171,13 @@ class Trial:
 def trial(scene: Scene, seed: int, other: WhiteNoisePrior | None = None) -> Trial:
     """Simulate a scene with a seed, estimate it (with an `other` prior), judge it by mocap."""
     known = known_robot(scene)
-    recorded = recording(session(scene, seed), known)
-    window = (0.0, scene.duration)
+    parameters, window = known.sensor_parameters, (0.0, scene.duration)
+    recorded = recording(scene, seed)
     used, judges = recorded.choose(None, None)
     readings, _ = recorded.readings(used, known, window)
     truth, _ = recorded.readings(judges, known, window, as_truth=True)
-    truth = [corrected(t, known.sensor_parameters) for t in truth]
-    believed = other or prior(scene)
-    posterior = estimate(believed, grid(scene), readings, sensor_parameters=known.sensor_parameters)
+    truth = [corrected(t, parameters) for t in truth]
+    posterior = estimate(other or prior(scene), grid(scene), readings, sensor_parameters=parameters)
     return Trial(readings, truth, posterior, [errors_against(posterior, t) for t in truth])
 
 
@@ -201,9 +204,5 @@ def prior(scene: Scene) -> Prior:
         raise RobotFileError(
             "A separable prior has a time_scale to say how still a robot is; leave still out."
         )
-    return replace(
-        known,
-        psd_velocity_time=_STILL * known.psd_velocity_time,
-        psd_strain_time=_STILL * known.psd_strain_time,
-        psd_velocity_arclength=_STILL * known.psd_velocity_arclength,
-    )
+    names = ("psd_velocity_time", "psd_strain_time", "psd_velocity_arclength")
+    return replace(known, **{name: _STILL * getattr(known, name) for name in names})

@@ -1,26 +1,51 @@
-"""The studies: which scenes are compared, over how many seeds, and the numbers that come of it."""
+"""The comparisons of the paper: which scenes, over how many seeds, and the numbers they give."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from glissando.errors import GlissandoError
+from glissando.experiments.runner import cluster, run_trials
 from glissando.experiments.scenes import Scene, bench, path
-from glissando.experiments.trials import Progress, run_trials, summary
+from glissando.experiments.statistics import COLUMNS, summary
+from glissando.geometry.se3 import Array
+
+Progress = Callable[[int, int], None]
+"""Called with the number of trials done and of all."""
+
+Arms = dict[str, Scene]
+"""Scenes to compare, by name; the first is the fixed sensor."""
+
+CAUSES: dict[str, tuple[tuple[str, float], ...]] = {
+    "as it is": (),
+    "white noise × 10": (("jitter", 10.0), ("jitter_angle", 10.0)),
+    "bias × 3": (("bias", 3.0), ("bias_angle", 3.0)),
+    "registration error × 6": (("registration", 6.0), ("registration_angle", 6.0)),
+    "set on a third of the length": (("set_length", 1.0 / 3.0),),
+    "tubes without set": (("set_curvature", 0.0),),
+}
+"""Imperfections that are scaled, one cause at a time, and by how much."""
+
+SEEDS = {"table": 100, "beyond": 12, "moving": 4, "causes": 5}
+QUICK_SEEDS = {"table": 8, "beyond": 4, "moving": 2, "causes": 2}
+"""Seeds of the table, of its arms beyond the paper's, of the moving robot and of the causes."""
 
 _CYCLES = 16.44  # s that three cycles of 60 mm at 24 mm/s take with the stage's acceleration
 _LENGTH = bench().rod.length
-
-Arms = dict[str, Scene]
-Plan = list[tuple[Scene, int]]
+_SHAPES = ("C", "S")
+_FIXED = "fixed "
+_QUICK_TABLE = ("fixed", "oscillating", "traverse fast")
+_QUICK_MOVING = "60 mm at 24 mm/s"
 
 
 def table_arms(shape: str) -> Arms:
-    """The paper's comparison for one shape, and beyond it: the whole length, slowly and fast.
+    """A fixed sensor, the paper's oscillation, and slides over the whole length, for one shape.
 
-    In the 'still' arm the estimator knows that the robot holds still.
+    The estimator of the 'still' arm knows that the robot holds still.
     """
     fixed = Scene(shape, "hold", _CYCLES)
     slow = replace(fixed, slide="traverse", speed=0.1, stroke=_LENGTH, cycles=1)
@@ -33,7 +58,7 @@ def table_arms(shape: str) -> Arms:
     }
 
 
-def moving_arms(duration: float) -> Arms:
+def _moving_arms(duration: float) -> Arms:
     """A robot that moves C → S in `duration` seconds while the coil slides at several speeds."""
     fixed = Scene("C-to-S", "hold", duration)
     arms = {"fixed": fixed}
@@ -43,111 +68,114 @@ def moving_arms(duration: float) -> Arms:
         arms[name] = replace(fixed, slide="oscillate", speed=speed, cycles=cycles)
     for speed in (0.1, 0.2, 0.4, 0.8):
         cycles = int(duration / (2.0 * _LENGTH / speed + 0.5))  # half a second to turn, twice
-        if cycles == 0:
-            continue
-        arms[f"whole length at {1e3 * speed:g} mm/s"] = replace(
-            fixed, slide="traverse", speed=speed, stroke=_LENGTH, cycles=cycles
-        )
+        if cycles:
+            name = f"whole length at {1e3 * speed:g} mm/s"
+            arms[name] = replace(
+                fixed, slide="traverse", speed=speed, stroke=_LENGTH, cycles=cycles
+            )
     return arms
 
 
-_JITTER, _BIAS = ("jitter", "jitter_angle"), ("bias", "bias_angle")
-_REGISTRATION = ("registration", "registration_angle")
-CAUSES: dict[str, tuple[tuple[str, float], ...]] = {
-    "as it is": (),
-    "white noise × 10": tuple((name, 10.0) for name in _JITTER),
-    "bias × 3": tuple((name, 3.0) for name in _BIAS),
-    "registration error × 6": tuple((name, 6.0) for name in _REGISTRATION),
-    "set on a third of the length": (("set_length", 1.0 / 3.0),),
-    "tubes without set": (("set_curvature", 0.0),),
-}
-"""What is varied to see where the size of the effect comes from."""
-_FIXED = "fixed "
+def _cause_arms(scaled: tuple[tuple[str, float], ...]) -> Arms:
+    arms: Arms = {}
+    for shape in _SHAPES:
+        fixed = replace(table_arms(shape)["fixed"], flaws=scaled)
+        arms |= {_FIXED + shape: fixed, shape: replace(fixed, slide="oscillate")}
+    return arms
 
 
 class Studies:
-    """Every scene of a run with its number of seeds; small for a quick run."""
+    """The scenes of a run with their numbers of seeds; few of both for a quick run."""
 
     def __init__(self, *, quick: bool) -> None:
-        self.seeds = {
-            "table": 8 if quick else 100,
-            "beyond": 4 if quick else 12,
-            "moving": 2 if quick else 4,
-            "causes": 2 if quick else 5,
-        }
-        shapes = ("C", "S")
-        self.table = {shape: table_arms(shape) for shape in shapes}
-        durations = (10.0,) if quick else (10.0, 20.0)
-        self.moving = {f"{seconds:g} s": moving_arms(seconds) for seconds in durations}
-        chosen = list(CAUSES)[::5] if quick else list(CAUSES)
-        self.causes = {label: _cause_arms(CAUSES[label], shapes) for label in chosen}
+        self.seeds = QUICK_SEEDS if quick else SEEDS
+        self._table = {shape: table_arms(shape) for shape in _SHAPES}
+        self._moving = {f"{s:g} s": _moving_arms(s) for s in ((10.0,) if quick else (10.0, 20.0))}
+        chosen = list(CAUSES)[::5] if quick else CAUSES
+        self._causes = {label: _cause_arms(CAUSES[label]) for label in chosen}
         if quick:
-            for arms in self.table.values():
-                for name in list(arms):
-                    if name not in ("fixed", "oscillating", "traverse fast"):
-                        del arms[name]
-            for arms in self.moving.values():
-                for name in list(arms)[1:-1]:
-                    if name != "60 mm at 24 mm/s":
-                        del arms[name]
-
-    def plan(self) -> Plan:
-        """Scenes and their numbers of seeds."""
-        seeds, plan = self.seeds, Plan()
-        for arms in self.table.values():
-            for name, scene in arms.items():
-                main = name in ("fixed", "oscillating")
-                plan.append((scene, seeds["table"] if main else seeds["beyond"]))
-        for section in ("moving", "causes"):
-            for arms in getattr(self, section).values():
-                plan += [(scene, seeds[section]) for scene in arms.values()]
-        return plan
+            for shape, arms in self._table.items():
+                self._table[shape] = {name: arms[name] for name in _QUICK_TABLE}
+            for label, arms in self._moving.items():
+                first, *_, last = arms
+                self._moving[label] = {name: arms[name] for name in (first, _QUICK_MOVING, last)}
 
     def run(self, progress: Progress | None = None) -> dict[str, Any]:
-        """All trials, summarised: sections table, moving and causes of the results.
+        """Run all trials on the cores of this machine and summarise them.
 
-        Section speed compares the fastest slide of a moving robot with the slowest.
+        Returns:
+            Sections table, moving, speed (the fastest slide of a moving robot against the slowest)
+            and causes of the results.
         """
-        found = run_trials(self.plan(), progress)
-        table = {
-            shape: {
-                name: summary(found[scene], found[arms["fixed"]]) for name, scene in arms.items()
-            }
-            for shape, arms in self.table.items()
-        }
-        moving = {
-            label: {
-                name: {
-                    **summary(found[scene], found[arms["fixed"]]),
-                    "slide_speed": _mean_speed(scene),
-                    "stroke": 0.0 if scene.slide == "hold" else scene.stroke,
+        found = run_plan(self._plan(), progress)
+        moving = {}
+        for label, arms in self._moving.items():
+            moving[label] = _against_fixed(found, arms)
+            for name, scene in arms.items():
+                moving[label][name]["slide_speed"] = _mean_speed(scene)
+                moving[label][name]["stroke"] = 0.0 if scene.slide == "hold" else scene.stroke
+        few = slice(self.seeds["causes"])
+        return {
+            "table": {shape: _against_fixed(found, arms) for shape, arms in self._table.items()},
+            "moving": moving,
+            "speed": {
+                label: summary(*(found[list(arms.values())[k]] for k in (-1, 1)))
+                for label, arms in self._moving.items()
+            },
+            "causes": {
+                label: {
+                    shape: summary(found[arms[shape]][few], found[arms[_FIXED + shape]][few])
+                    for shape in _SHAPES
                 }
-                for name, scene in arms.items()
-            }
-            for label, arms in self.moving.items()
+                for label, arms in self._causes.items()
+            },
         }
-        count = self.seeds["causes"]
-        causes = {
-            label: {
-                shape: summary(found[arms[shape]][:count], found[arms[_FIXED + shape]][:count])
-                for shape in ("C", "S")
-            }
-            for label, arms in self.causes.items()
-        }
-        speed = {
-            label: summary(*(found[arms[list(arms)[k]]] for k in (-1, 1)))
-            for label, arms in self.moving.items()
-        }
-        return {"table": table, "moving": moving, "speed": speed, "causes": causes}
+
+    def _plan(self) -> list[tuple[Scene, int]]:
+        plan = []
+        for arms in self._table.values():
+            for name, scene in arms.items():
+                section = "table" if name in ("fixed", "oscillating") else "beyond"
+                plan.append((scene, self.seeds[section]))
+        for section, groups in (("moving", self._moving), ("causes", self._causes)):
+            for arms in groups.values():
+                plan += [(scene, self.seeds[section]) for scene in arms.values()]
+        return plan
 
 
-def _cause_arms(scaled: tuple[tuple[str, float], ...], shapes: tuple[str, ...]) -> Arms:
-    arms = {}
-    for shape in shapes:
-        fixed = replace(table_arms(shape)["fixed"], flaws=scaled)
-        arms[_FIXED + shape] = fixed
-        arms[shape] = replace(fixed, slide="oscillate")
-    return arms
+def run_plan(
+    plan: Sequence[tuple[Scene, int]], progress: Progress | None = None
+) -> dict[Scene, Array]:
+    """Run scenes over seeds on the cores of this machine; the same numbers on any number of them.
+
+    Args:
+        plan: Scenes, each with its number of seeds, which count from 0.
+        progress: Called after every trial.
+
+    Returns:
+        For every scene a row of COLUMNS (S, 5) for each of its seeds.
+
+    Raises:
+        GlissandoError: A trial failed, or Dask is not installed.
+    """
+    seeds = dict[Scene, int]()
+    for scene, count in plan:
+        seeds[scene] = max(count, seeds.get(scene, 0))
+    trials = [(scene, seed) for scene, count in seeds.items() for seed in range(count)]
+    out = {scene: np.empty((count, len(COLUMNS))) for scene, count in seeds.items()}
+    with cluster() as client:
+        for done, (index, row) in enumerate(run_trials(client, trials), start=1):
+            scene, seed = trials[index]
+            if row["error"] is not None:
+                raise GlissandoError(f"Seed {seed} of {scene} failed: {row['error']}")
+            out[scene][seed] = [row[name] for name in COLUMNS]
+            if progress is not None:
+                progress(done, len(trials))
+    return out
+
+
+def _against_fixed(found: dict[Scene, Array], arms: Arms) -> dict[str, dict[str, Any]]:
+    return {name: summary(found[scene], found[arms["fixed"]]) for name, scene in arms.items()}
 
 
 def _mean_speed(scene: Scene) -> float:

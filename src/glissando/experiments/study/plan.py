@@ -21,22 +21,13 @@ from glissando.io.toml_table import Table, read_toml
 from glissando.simulation.imperfections import PARTS
 
 Value = str | float | int | bool | None
-"""Of a setting; None is left to the robot file."""
+"""A setting's value; None is left to the robot file."""
 
 _MOST = 1_000_000  # cells
-_DURATION = 15.0  # s
 
 
 class StudyError(GlissandoError):
     """A study's file, or the folder it is to fill, is not as it should be."""
-
-
-def _text(table: Table, key: str) -> Value:
-    return table.text(key)
-
-
-def _choice(table: Table, key: str) -> Value:
-    return table.text(key, choices=("hold", "oscillate", "traverse"))
 
 
 def _number(table: Table, key: str, *, positive: bool = True) -> Value:
@@ -46,15 +37,11 @@ def _number(table: Table, key: str, *, positive: bool = True) -> Value:
     return value
 
 
-def _count(table: Table, key: str, usual: int | None = None, *, least: int = 1) -> int:
-    value = table.number(key, usual, positive=False)
+def _count(table: Table, key: str, default: int | None = None, *, least: int = 1) -> int:
+    value = table.number(key, default, positive=False)
     if value != int(value) or value < least:
         raise table.fail(key, f"is {value:g}; give a whole number from {least} up.")
     return int(value)
-
-
-def _flag(table: Table, key: str) -> Value:
-    return table.flag(key)
 
 
 _FACTOR = partial(_number, positive=False)
@@ -62,18 +49,18 @@ _SCALED = [part for part in PARTS if part != "roll"]
 _NOISE = [part for part in _SCALED if part not in ("mocap", "set")]
 
 SETTINGS: dict[str, tuple[Callable[[Table, str], Value], Value]] = {
-    "robot": (_text, ROBOT),
-    "prior": (_text, ""),
-    "shape": (_text, "C"),
-    "slide": (_choice, "oscillate"),
+    "robot": (Table.text, ROBOT),
+    "prior": (Table.text, ""),
+    "shape": (Table.text, "C"),
+    "slide": (partial(Table.text, choices=("hold", "oscillate", "traverse")), "oscillate"),
     "at": (_FACTOR, 0.0),
     "stroke": (_number, None),
     "speed": (_number, None),
     "cycles": (_count, None),
-    "duration": (_number, _DURATION),
+    "duration": (_number, 15.0),
     "nodes": (partial(_count, least=2), None),
     "time_rate": (_number, None),
-    "still": (_flag, False),
+    "still": (Table.flag, False),
     "noise": (_FACTOR, 1.0),
     **dict.fromkeys(_SCALED, (_FACTOR, 1.0)),
 }
@@ -86,9 +73,13 @@ times s. `noise` scales every imperfection of the coil, and those after it one p
 
 @dataclass(frozen=True)
 class Cell:
-    """One combination: `settings` by name, its `seed`, and the `scene` that they make.
+    """One combination of settings with one seed.
 
-    `id` depends on what the settings mean, files' contents included, and on nothing else.
+    Attributes:
+        id: A hash of what the settings mean, files' contents included, and of the seed.
+        settings: Value of every setting by its name.
+        seed: Seed of robot and noise.
+        scene: What the settings make.
     """
 
     id: str
@@ -99,10 +90,15 @@ class Cell:
 
 @dataclass(frozen=True)
 class Study:
-    """A sweep: `axes` with the values that are combined, `fixed` settings, and seeds of each.
+    """A sweep over combinations of settings.
 
-    Seeds are those of robot and noise, the same in every combination, so that combinations are
-    compared on the same draws.
+    Attributes:
+        name: What the study is called.
+        axes: Values of the settings that are combined.
+        fixed: Values of the settings that all cells share.
+        seeds: Seeds of robot and noise, the same in every combination, which are so compared on the
+            same draws.
+        folder: Where robot and shape files are looked for.
     """
 
     name: str
@@ -116,16 +112,16 @@ class Study:
         return int(np.prod([len(values) for values in self.axes.values()])) * len(self.seeds)
 
     def cells(self) -> list[Cell]:
-        """Every cell, seeds varying fastest. Raises GlissandoError for a scene that cannot be."""
-        return [cell for settings in self._combinations() for cell in self._of(settings)]
+        """Every cell, seeds varying fastest. Raises GlissandoError for an impossible scene."""
+        defaults = {name: default for name, (_, default) in SETTINGS.items()} | self.fixed
+        return [
+            cell
+            for values in product(*self.axes.values())
+            for cell in self._cells(defaults | dict(zip(self.axes, values, strict=True)))
+        ]
 
-    def _combinations(self) -> Iterator[dict[str, Value]]:
-        usual = {name: value for name, (_, value) in SETTINGS.items()} | self.fixed
-        for values in product(*self.axes.values()):
-            yield usual | dict(zip(self.axes, values, strict=True))
-
-    def _of(self, settings: dict[str, Value]) -> Iterator[Cell]:
-        scene = scene_of(settings, self.folder)
+    def _cells(self, settings: dict[str, Value]) -> Iterator[Cell]:
+        scene = _scene(settings, self.folder)
         files = {key: _content(getattr(scene, key)) for key in ("robot", "prior", "shape")}
         for seed in self.seeds:
             text = json.dumps({**vars(scene), **files, "seed": seed}, sort_keys=True)
@@ -138,64 +134,60 @@ def load_study(file: Path) -> Study:
     table = read_toml(file, StudyError)
     name = table.text("name", file.stem)
     first, seeds = _count(table, "first_seed", 0, least=0), _count(table, "seeds", 1)
-    fixed, axes = table.table("fixed"), table.table("grid")
-    read = _fixed(fixed) if fixed else {}
-    swept = _axes(axes) if axes else {}
+    fixed, axes = (
+        _read(entries, read) if (entries := table.table(key)) else {}
+        for key, read in (("fixed", _fixed), ("grid", _axis))
+    )
     table.close()
-    both = sorted(set(read) & set(swept))
+    both = sorted(set(fixed) & set(axes))
     if both:
         raise table.fail(both[0], "is in [fixed] and in [grid]; leave one of them.")
-    study = Study(name, swept, read, range(first, first + seeds), file.resolve().parent)
+    study = Study(name, axes, fixed, range(first, first + seeds), file.resolve().parent)
     if len(study) > _MOST:
         raise StudyError(f"{file.name} asks for {len(study):,} cells; ask for {_MOST:,} at most.")
     return study
 
 
-def _fixed(table: Table) -> dict[str, Value]:
-    found = {key: read(table, key) for key, (read, _) in SETTINGS.items() if key in table.names()}
-    _close(table)
-    return found
-
-
-def _axes(table: Table) -> dict[str, list[Value]]:
-    out: dict[str, list[Value]] = {}
-    for key in [name for name in table.names() if name in SETTINGS]:
-        values = table.peek(key)
-        if not isinstance(values, list) or not values:
-            raise table.fail(key, f"is {values!r}; give a list of values to combine.")
-        table.skip(key)
-        read = SETTINGS[key][0]
-        out[key] = [read(Table({key: value}, table.where, StudyError), key) for value in values]
-        if len(set(out[key])) < len(out[key]):
-            raise table.fail(key, f"is {values!r}; give each value once.")
-    _close(table)
-    return out
-
-
-def _close(table: Table) -> None:
-    """Raise for a key that is no setting, with the setting that it resembles."""
+def _read(table: Table, read: Callable[[Table, str], Any]) -> dict[str, Any]:
+    """The settings of a table; a key that is none is an error that names the one it resembles."""
+    settings = {key: read(table, key) for key in table.names() if key in SETTINGS}
     for name in SETTINGS:
         table.skip(name)
     table.close()
+    return settings
 
 
-def scene_of(settings: dict[str, Value], folder: Path) -> Scene:
-    """The scene of settings, whose files are found from `folder`; raises GlissandoError for none.
+def _fixed(table: Table, key: str) -> Value:
+    return SETTINGS[key][0](table, key)
+
+
+def _axis(table: Table, key: str) -> list[Value]:
+    values = table.peek(key)
+    if not isinstance(values, list) or not values:
+        raise table.fail(key, f"is {values!r}; give a list of values to combine.")
+    axis = [_fixed(Table({key: value}, table.where, StudyError), key) for value in values]
+    if len(set(axis)) < len(axis):
+        raise table.fail(key, f"is {values!r}; give each value once.")
+    return axis
+
+
+def _scene(settings: dict[str, Value], folder: Path) -> Scene:
+    """The scene of settings; raises GlissandoError for an impossible one.
 
     What is not given is the robot's: stroke and speed of its stage, and as many cycles as last.
     """
     given: dict[str, Any] = dict(settings)
     for key in ("robot", "prior"):
         if given[key] not in shipped_robots():
-            given[key] = _found(given[key], folder)
+            given[key] = _resolved(given[key], folder)
     known = bench(given["robot"])
     if given["shape"] not in known.shapes:
-        given["shape"] = _found(given["shape"], folder)
-    duration, noise = given["duration"], given.pop("noise")
+        given["shape"] = _resolved(given["shape"], folder)
+    noise = given.pop("noise")
     stage = known.full_slide if given["slide"] == "traverse" else known.slide
     given["stroke"] = given["stroke"] or stage.stroke
     given["speed"] = given["speed"] or stage.speed
-    lasting = ceil(duration * given["speed"] / (2.0 * given["stroke"]))
+    lasting = ceil(given["duration"] * given["speed"] / (2.0 * given["stroke"]))
     given["cycles"] = given["cycles"] or max(1, lasting)
     factors = []
     for part in _SCALED:
@@ -204,9 +196,8 @@ def scene_of(settings: dict[str, Value], folder: Path) -> Scene:
             factors += [(field, factor) for field in PARTS[part]]
     scene = Scene(**given, flaws=tuple(factors))
     known.shape(scene.shape)
-    path(scene)
-    prior(scene)
-    grid(scene)
+    for part_of in (path, prior, grid):  # each raises for what cannot be
+        part_of(scene)
     if known_robot(scene).length != known.rod.length:
         raise StudyError(
             f"prior {settings['prior']!r} is of a robot of {known_robot(scene).length:g} m and "
@@ -215,7 +206,7 @@ def scene_of(settings: dict[str, Value], folder: Path) -> Scene:
     return scene
 
 
-def _found(name: str, folder: Path) -> str:
+def _resolved(name: str, folder: Path) -> str:
     """A file beside the study by its whole path, anything else as it is."""
     return str(folder / name) if name and (folder / name).is_file() else name
 

@@ -9,23 +9,29 @@ from __future__ import annotations
 
 import json
 import os
+import time
 import uuid
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from glissando import __version__
 from glissando.errors import GlissandoError
-from glissando.experiments.study.cell import METRICS, Row
+from glissando.experiments.runner import METRICS, Row, run_trials
 from glissando.experiments.study.plan import SETTINGS, Cell, Study, StudyError
 
 if TYPE_CHECKING:
+    import distributed
     import pyarrow
 
 TABLE = "study.parquet"
 """The file of the joined table."""
 
+Progress = Callable[[int, int], None]
+"""Called with the number of cells done, and of those that failed among them."""
+
 _PARTS, _KEY = "parts", b"glissando"
+_BATCH, _PAUSE = 100, 2.0  # cells, and seconds, after which a part is written
 
 
 def parquet() -> Any:
@@ -39,22 +45,16 @@ def parquet() -> Any:
     return pyarrow.parquet
 
 
-def described(study: Study) -> dict[str, Any]:
-    """What is stored with every file: version, and the settings that were asked for."""
-    seeds = {"first": study.seeds.start, "count": len(study.seeds)}
-    told = {"name": study.name, "grid": study.axes, "fixed": study.fixed, "seeds": seeds}
-    return {"version": __version__, "study": told, "metrics": METRICS}
-
-
 class Store:
-    """The folder of a study: batches go in, the rows of all batches come out.
+    """The folder of a study: batches of rows are added, and joined to one table.
 
-    Raises StudyError for results of another version, or of any when not to `resume`.
+    Attributes:
+        rows: Rows of all batches by the ids of their cells.
     """
 
     def __init__(self, study: Study, folder: Path, *, resume: bool) -> None:
-        self.study, self.folder = study, folder
-        self._parts = folder / _PARTS
+        """Open the folder; StudyError for results of another version, or any unless `resume`."""
+        self._study, self._folder, self._parts = study, folder, folder / _PARTS
         self._number = 0
         self.rows: dict[str, Row] = {}
         for part in sorted(self._parts.glob("*.parquet")):
@@ -73,55 +73,69 @@ class Store:
                 f"{part} is of glissando {made_by} and this is {__version__}; results of two "
                 f"versions do not mix: give another --out."
             )
-        for row in table.to_pylist():
-            self.rows[row.pop("id")] = row
+        self.rows |= {row.pop("id"): row for row in table.to_pylist()}
         self._number = 1 + int(part.name.split("-")[0])
 
     def add(self, rows: dict[str, Row]) -> None:
         """Write a batch of rows by the ids of their cells; nothing for none."""
         if not rows:
             return
-        table = _table([{"id": cell, **row} for cell, row in rows.items()], _result_fields())
         # two studies that fill a folder at once must not overwrite each other's
         name = f"{self._number:06d}-{uuid.uuid4().hex[:8]}.parquet"
-        self._write(table, self._parts / name)
+        self._write([{"id": cell, **row} for cell, row in rows.items()], self._parts / name)
         self._number += 1
         self.rows |= rows
 
     def join(self, cells: Sequence[Cell]) -> pyarrow.Table:
         """Write the table of all cells in the order of the study, and return it."""
         rows = [{"id": c.id, **c.settings, "seed": c.seed, **self.rows[c.id]} for c in cells]
-        table = _table(rows, _all_fields())
-        self._write(table, self.folder / TABLE)
-        return table
+        return self._write(rows, self._folder / TABLE)
 
-    def _write(self, table: pyarrow.Table, path: Path) -> None:
-        told = {_KEY: json.dumps(described(self.study)).encode()}
+    def _write(self, rows: list[dict[str, Any]], path: Path) -> pyarrow.Table:
+        import pyarrow
+
+        study = self._study
+        seeds = {"first": study.seeds.start, "count": len(study.seeds)}
+        asked = {"name": study.name, "grid": study.axes, "fixed": study.fixed, "seeds": seeds}
+        told = json.dumps({"version": __version__, "study": asked, "metrics": METRICS})
+        table = pyarrow.Table.from_pylist(rows, schema=_schema(path.name == TABLE))
         building = path.with_suffix(".writing")
         with building.open("wb") as file:
-            parquet().write_table(table.replace_schema_metadata(told), file)
+            parquet().write_table(table.replace_schema_metadata({_KEY: told.encode()}), file)
             file.flush()
             os.fsync(file.fileno())
         building.replace(path)
+        return table
 
 
-def _table(rows: list[dict[str, Any]], fields: Iterable[tuple[str, Any]]) -> pyarrow.Table:
-    import pyarrow
-
-    return pyarrow.Table.from_pylist(rows, schema=pyarrow.schema(list(fields)))
-
-
-def _result_fields() -> list[tuple[str, Any]]:
+def _schema(with_settings: bool) -> pyarrow.Schema:
     import pyarrow as pa
 
-    return [("id", pa.string()), *((n, pa.float64()) for n in METRICS), ("error", pa.string())]
+    kinds = dict.fromkeys(("id", "robot", "prior", "shape", "slide", "error"), pa.string())
+    kinds |= {"still": pa.bool_(), "nodes": pa.int64(), "cycles": pa.int64(), "seed": pa.int64()}
+    settings = [*SETTINGS, "seed"] if with_settings else []
+    names = ["id", *settings, *METRICS, "error"]
+    return pa.schema([(name, kinds.get(name, pa.float64())) for name in names])
 
 
-def _all_fields() -> list[tuple[str, Any]]:
-    import pyarrow as pa
-
-    kinds = {"robot": pa.string(), "prior": pa.string(), "shape": pa.string()}
-    kinds |= {"slide": pa.string(), "still": pa.bool_(), "nodes": pa.int64(), "cycles": pa.int64()}
-    settings = [(name, kinds.get(name, pa.float64())) for name in SETTINGS]
-    first, *results = _result_fields()
-    return [first, *settings, ("seed", pa.int64()), *results]
+def run_cells(
+    client: distributed.Client,
+    cells: Sequence[Cell],
+    store: Store,
+    progress: Progress | None = None,
+) -> None:
+    """Run cells on a cluster; rows go to the store as they come, also when interrupted."""
+    failed, written = 0, time.monotonic()
+    batch: dict[str, Row] = {}
+    trials = [(cell.scene, cell.seed) for cell in cells]
+    try:
+        for done, (index, row) in enumerate(run_trials(client, trials), start=1):
+            batch[cells[index].id] = row
+            failed += row["error"] is not None
+            if progress is not None:
+                progress(done, failed)
+            if len(batch) >= _BATCH or time.monotonic() > written + _PAUSE:
+                store.add(batch)
+                batch, written = {}, time.monotonic()
+    finally:
+        store.add(batch)

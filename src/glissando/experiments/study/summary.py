@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
@@ -11,56 +12,44 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from glissando.experiments.statistics import bootstrap, interval, rms
 from glissando.experiments.study.plan import Study
-from glissando.experiments.trials import interval
-from glissando.geometry.se3 import Array
-
-_RESAMPLES = 2000
 
 
 def summarise(study: Study, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Counts, and a list of points for each axis of two values or more, or for 'seeds' alone.
+    """Summarise the rows of the joined table of a study.
 
-    A point is `value`, `cells`, `failed`, and RMSE (m, rad), NEES and coverage over the cells that
-    have this value, whatever the others; each with the 95 % interval of drawing the cells again.
-    Rows are those of the joined table.
+    Returns:
+        Counts, sentences of errors with their numbers, and under `axes` a list of points for each
+        axis of two values or more, or for 'seeds' alone. A point pools the cells that have its
+        `value`, whatever the others: RMSE (m, rad), NEES and coverage, each with the 95 % interval
+        of drawing the cells again.
     """
-    failed = [row for row in rows if row["error"] is not None]
-    axes = {name: values for name, values in study.axes.items() if len(values) > 1}
+    errors = Counter(row["error"] for row in rows if row["error"] is not None)
     points = {
         name: [_point(value, [r for r in rows if r[name] == value]) for value in values]
-        for name, values in axes.items()
+        for name, values in study.axes.items()
+        if len(values) > 1
     }
     return {
         "name": study.name,
         "cells": len(rows),
-        "failed": len(failed),
-        "errors": _counted([row["error"] for row in failed]),
+        "failed": errors.total(),
+        "errors": dict(errors),
         "axes": points or {"seeds": [_point(f"{len(study.seeds)} seeds", rows)]},
     }
-
-
-def _counted(sentences: Sequence[str]) -> dict[str, int]:
-    return {sentence: sentences.count(sentence) for sentence in dict.fromkeys(sentences)}
 
 
 def _point(value: Any, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     sound = [row for row in rows if row["error"] is None]
     out = {"value": value, "cells": len(rows), "failed": len(rows) - len(sound)}
-    if not sound:
-        return out
-    rng = np.random.default_rng(0)
-    again = rng.integers(len(sound), size=(_RESAMPLES, len(sound)))
-    draw = np.vstack([np.arange(len(sound)), again])
-    for name in ("position_rmse", "rotation_rmse"):
-        out[name] = interval(np.sqrt(np.mean(_column(sound, name)[draw] ** 2, axis=1)))
-    for name in ("nees_position", "coverage95_position", "converged"):
-        out[name] = interval(np.mean(_column(sound, name)[draw], axis=1))
+    if sound:
+        draws = bootstrap(len(sound), 2000)
+        for name in ("position_rmse", "rotation_rmse"):
+            out[name] = interval(rms(np.array([row[name] for row in sound])[draws]))
+        for name in ("nees_position", "coverage95_position", "converged"):
+            out[name] = interval(np.mean(np.array([row[name] for row in sound])[draws], axis=1))
     return out
-
-
-def _column(rows: Sequence[dict[str, Any]], name: str) -> Array:
-    return np.array([row[name] for row in rows], dtype=float)
 
 
 def print_summary(told: dict[str, Any], console: Console) -> None:
@@ -74,7 +63,10 @@ def print_summary(told: dict[str, Any], console: Console) -> None:
         table.add_column(heading, justify="right", no_wrap=True)
     for axis, points in told["axes"].items():
         for point in points:
-            table.add_row(escape(axis), escape(_label(point["value"])), *_cells(point))
+            value = point["value"]
+            number = isinstance(value, (int, float)) and value is not True
+            label = f"{value:g}" if number else str(value)
+            table.add_row(escape(axis), escape(label), *_cells(point))
         table.add_section()
     console.print(table)
     for sentence, count in told["errors"].items():
@@ -94,7 +86,3 @@ def _cells(point: dict[str, Any]) -> list[str]:
 def _interval(found: dict[str, float], scale: float, digits: int) -> str:
     value, low, high = (f"{scale * found[k]:.{digits}f}" for k in ("value", "low", "high"))
     return f"{value} ({low}–{high})"
-
-
-def _label(value: Any) -> str:
-    return f"{value:g}" if isinstance(value, (int, float)) and value is not True else str(value)

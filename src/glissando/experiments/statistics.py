@@ -1,0 +1,63 @@
+"""Bootstrap intervals over seeds."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glissando.geometry.se3 import Array
+
+COLUMNS = ("position_rmse", "rotation_rmse", "nees_position", "coverage95_position", "converged")
+"""Metrics of a trial that `summary` takes, in the order of its columns."""
+
+
+def bootstrap(count: int, resamples: int) -> NDArray[np.intp]:
+    """Indices (1 + R, S) of a sample of S, then of R samples drawn from it; the same every time."""
+    draws = np.random.default_rng(0).integers(count, size=(resamples, count))
+    return np.vstack([np.arange(count), draws])
+
+
+def rms(values: Array) -> Array:
+    """Root mean square along the last axis."""
+    return np.sqrt(np.mean(values**2, axis=-1))
+
+
+def interval(values: Array) -> dict[str, float]:
+    """The value of the sample, and the central 95 % of its resamples.
+
+    Args:
+        values: A statistic (1 + R,) of the samples of `bootstrap`.
+
+    Returns:
+        `value`, `low` and `high`.
+    """
+    low, high = np.quantile(values[1:], [0.025, 0.975])
+    return {"value": float(values[0]), "low": float(low), "high": float(high)}
+
+
+def summary(outcomes: Array, fixed: Array | None = None) -> dict[str, Any]:
+    """RMSE, NEES and coverage over seeds, and the change of RMSE against a fixed sensor.
+
+    Args:
+        outcomes: A row of COLUMNS (S, 5) for every seed.
+        fixed: The same (S', 5) for the fixed sensor; rows of the same seed are compared.
+
+    Returns:
+        The number of seeds, the share that converged, and an interval each for position (m),
+        position_cm, rotation (rad), position_change and rotation_change (%), nees and coverage.
+    """
+    seeds = len(outcomes) if fixed is None else min(len(outcomes), len(fixed))
+    rows = bootstrap(seeds, 4000)
+    out: dict[str, Any] = {"seeds": seeds, "converged": float(np.mean(outcomes[:, 4]))}
+    for column, name in enumerate(("position", "rotation")):
+        ours = rms(outcomes[rows, column])
+        out[name] = interval(ours)
+        if name == "position":
+            out["position_cm"] = interval(100.0 * ours)
+        if fixed is not None:
+            out[f"{name}_change"] = interval(100.0 * (ours / rms(fixed[rows, column]) - 1.0))
+    for column, name in enumerate(("nees", "coverage"), start=2):
+        out[name] = interval(np.mean(outcomes[rows, column], axis=1))
+    return out
