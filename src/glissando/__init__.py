@@ -17,78 +17,33 @@ pose, strain and velocity with their covariance anywhere along the robot, any ti
 True
 """
 
-from glissando.errors import (
-    GlissandoError,
-    NotConvergedWarning,
-    OutsideGridError,
-    RecordingError,
-    RobotFileError,
-    SensorError,
-    UnobservableError,
-)
-from glissando.estimation.batch import SolverOptions, estimate
-from glissando.estimation.fixed_lag import FixedLagSmoother
-from glissando.estimation.posterior import Posterior, StateEstimate
-from glissando.estimation.static import StaticPosterior, estimate_static
-from glissando.geometry import se3 as se3
-from glissando.io.netcdf import load_posterior, save_posterior, to_xarray
-from glissando.io.robot_file import load_robot
-from glissando.model.grid import Grid, uniform_grid
-from glissando.model.noise import GemanMcClure, Huber
-from glissando.model.priors.separable import BaseVariance, SeparablePrior
-from glissando.model.priors.white_noise import BaseDensity, WhiteNoisePrior
-from glissando.model.robot import Robot
-from glissando.model.sensors.parameters import SensorParameter
-from glissando.model.sensors.readings import Readings
-from glissando.model.sensors.sensors import (
-    CoilReadings,
-    FbgReadings,
-    GyroReadings,
-    OrientationReadings,
-    PoseReadings,
-    PositionReadings,
-    StrainReadings,
-)
-from glissando.model.state import State
-
-__all__ = [
-    "BaseDensity",
-    "BaseVariance",
-    "CoilReadings",
-    "FbgReadings",
-    "FixedLagSmoother",
-    "GemanMcClure",
-    "GlissandoError",
-    "Grid",
-    "GyroReadings",
-    "Huber",
-    "NotConvergedWarning",
-    "OrientationReadings",
-    "OutsideGridError",
-    "PoseReadings",
-    "PositionReadings",
-    "Posterior",
-    "Readings",
-    "RecordingError",
-    "Robot",
-    "RobotFileError",
-    "SensorError",
-    "SensorParameter",
-    "SeparablePrior",
-    "SolverOptions",
-    "State",
-    "StateEstimate",
-    "StaticPosterior",
-    "StrainReadings",
-    "UnobservableError",
-    "WhiteNoisePrior",
-    "estimate",
-    "estimate_static",
-    "load_posterior",
-    "load_robot",
-    "save_posterior",
-    "to_xarray",
-    "uniform_grid",
-]
+import ast as _ast
+from importlib import import_module as _import_module
+from pathlib import Path as _Path
+from typing import Any as _Any
 
 __version__ = "0.1.0"
+
+_STUB = _ast.parse(_Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8"))
+_MODULES = {
+    name.name: str(statement.module)
+    for statement in _STUB.body
+    if isinstance(statement, _ast.ImportFrom)
+    for name in statement.names
+}
+__all__ = sorted(_MODULES)
+
+
+def __getattr__(name: str) -> _Any:
+    """The name from the module that `__init__.pyi` imports it from, which is imported now."""
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    module = _import_module(_MODULES[name])
+    if not hasattr(module, name):
+        _import_module(f"{_MODULES[name]}.{name}")
+    value = globals()[name] = getattr(module, name)
+    return value
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -33,6 +33,10 @@ class SimulationError(GlissandoError):
     """What was asked of the simulator cannot be: a tendon off its disk, a shape unknown."""
 
 
+class NoShapeError(Exception):
+    """The physics has no stable static shape under these loads that continues the unloaded one."""
+
+
 class DeviceError(GlissandoError):
     """A device does not answer, or answers what it should not."""
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from glissando.cli.main import main
+from glissando.io.robot_file import robot_file
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "closed_form_motion.py"
 
@@ -198,3 +199,21 @@ def test_the_module_runs_as_a_program():
         [sys.executable, "-m", "glissando", "--version"], capture_output=True, text=True, check=True
     )
     assert done.stdout.startswith("glissando 0.")
+
+
+def test_help_and_the_package_import_nothing_heavy():
+    code = (
+        "import sys, glissando\nfrom glissando.cli.main import build_parser\n"
+        "build_parser('').format_help()\nprint(sorted({'numpy', 'rich', 'scipy'} & {*sys.modules}))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"
+
+
+def test_an_old_name_in_a_robot_file_is_one_line_and_no_mistake(tmp_path, recording, capsys):
+    old = robot_file("tdcr466").read_text().replace('"white-noise"', '"kinematic"')
+    (tmp_path / "old.toml").write_text(old)
+    robot = "--robot", tmp_path / "old.toml"
+    assert run("estimate", recording, *robot, "--window", 0, 1, "--json") == 0
+    line = 'glissando: old.toml: kind = "kinematic" is now kind = "white-noise"; rename it.\n'
+    assert capsys.readouterr().err == line

@@ -46,7 +46,7 @@ _UNITS = {"delay": ("ms", 1e3), "rate": ("ppm", 1e6), "lead": ("", 1.0)}
 def add_to(commands: Commands) -> None:
     """Add the command to the parser's."""
     texts = _HELP, _EXAMPLES
-    parser = add_command(commands, "calibrate", "find clocks, frames and zeros", texts, _calibrate)
+    parser = add_command(commands, "calibrate", texts, _calibrate)
     add = parser.add_argument
     given = "folder that `record` wrote, or its raw log, .mcap"
     add("session", type=Path, metavar="SESSION", help=given)

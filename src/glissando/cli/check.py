@@ -52,7 +52,7 @@ wrong.
 def add_to(commands: Commands) -> None:
     """Add the command to the parser's."""
     texts = _HELP, _EXAMPLES
-    parser = add_command(commands, "check", "check whether confidence is true", texts, _check)
+    parser = add_command(commands, "check", texts, _check)
     add = parser.add_argument
     add("target", type=Path, metavar="RECORDING|POSTERIOR", help="folder, or a posterior.nc")
     add("--recording", type=Path, metavar="FOLDER", help="where the truth of a posterior is")

@@ -38,7 +38,7 @@ exit status: 0 done; 2 something given was wrong.
 def add_to(commands: Commands) -> None:
     """Add the command to the parser's."""
     texts = _HELP, _EXAMPLES
-    parser = add_command(commands, "design", "compare designs of the slide", texts, _design)
+    parser = add_command(commands, "design", texts, _design)
     add = parser.add_argument
     robots = ", ".join(shipped_robots())
     add("--robot", default="sliding700", metavar="FILE|NAME", help=f"robot file, or of {robots}")

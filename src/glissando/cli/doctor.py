@@ -30,7 +30,7 @@ _SLOW_MS = 1
 
 def add_to(commands: Commands) -> None:
     """Add the command to the parser's."""
-    parser = add_command(commands, "doctor", "what works here", (_HELP, _EXAMPLES), _doctor)
+    parser = add_command(commands, "doctor", (_HELP, _EXAMPLES), _doctor)
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 

@@ -52,7 +52,7 @@ exit status: 0 done; 1 the estimate did not converge; 2 something given was wron
 def add_to(commands: Commands) -> None:
     """Add the command to the parser's."""
     texts = _ESTIMATE_HELP, _ESTIMATE_EXAMPLES
-    estimate = add_command(commands, "estimate", "estimate a recording", texts, _estimate)
+    estimate = add_command(commands, "estimate", texts, _estimate)
     add = estimate.add_argument
     add("recording", type=Path, metavar="RECORDING", help="folder of the recording")
     add_choices(estimate)

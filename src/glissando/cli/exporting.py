@@ -31,7 +31,7 @@ exit status: 0 done; 2 something given was wrong.
 def add_to(commands: Commands) -> None:
     """Add the command to the parser's."""
     texts = _HELP, _EXAMPLES
-    parser = add_command(commands, "export", "write a posterior for others", texts, _export)
+    parser = add_command(commands, "export", texts, _export)
     add = parser.add_argument
     add("posterior", type=Path, metavar="POSTERIOR", help="posterior.nc of an estimate")
     add("--out", type=Path, required=True, metavar="FILE", help=".tum, .txt, .csv or .mcap")

@@ -35,7 +35,7 @@ exit status: 0 done; 2 something given was wrong.
 def add_to(commands: Commands) -> None:
     """Add the command to the parser's."""
     texts = _HELP, _EXAMPLES
-    parser = add_command(commands, "import", "bring in other files", texts, _import)
+    parser = add_command(commands, "import", texts, _import)
     add = parser.add_argument
     add("files", type=Path, nargs="+", metavar="FILE", help="files or folders of one session")
     add("--out", type=Path, required=True, metavar="RECORDING", help="folder to write")

@@ -46,7 +46,7 @@ exit status: 0 done; 2 something given was wrong.
 def add_to(commands: Commands) -> None:
     """Add the command to the parser's."""
     texts = _HELP, _EXAMPLES
-    parser = add_command(commands, "learn", "learn a robot file from recordings", texts, _learn)
+    parser = add_command(commands, "learn", texts, _learn)
     add = parser.add_argument
     add("recordings", type=Path, nargs="+", metavar="RECORDING", help="folders of recordings")
     add("--robot", required=True, metavar="FILE|NAME", help="robot file to start from")

@@ -4,58 +4,57 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from importlib import import_module
+from typing import Any
 
 from glissando import __version__
-from glissando.cli import (
-    calibrate,
-    check,
-    design,
-    doctor,
-    estimate,
-    exporting,
-    importing,
-    learn,
-    plan,
-    record,
-    replay,
-    report,
-    reproduce,
-    simulate,
-    study,
-    view,
-)
-from glissando.cli.completion import PrintCompletion
-from glissando.errors import GlissandoError
-from glissando.simulation import NoShapeError
-
-_COMMANDS = (
-    *(estimate, check, learn, replay, simulate, plan, design, study, view, report),
-    *(record, calibrate, importing, exporting, doctor, reproduce),
-)
+from glissando.cli.commands import COMMANDS
+from glissando.errors import GlissandoError, NoShapeError, OldNameWarning
 
 
-def build_parser() -> argparse.ArgumentParser:
-    """The parser of the whole command line."""
+class _PrintCompletion(argparse.Action):
+    """Prints a script that completes words in a shell."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *args: Any, **kwargs: Any) -> None:
+
+        completion = import_module("glissando.cli.completion").completion
+        print(completion(build_parser(), args[1]))
+        parser.exit()
+
+
+def build_parser(command: str | None = None) -> argparse.ArgumentParser:
+    """The parser of the command line.
+
+    Args:
+        command: The only command whose module is imported; None for all.
+    """
     parser = argparse.ArgumentParser(
         prog="glissando",
         description="Where every part of a continuum robot is, at every moment, and how sure.",
     )
     parser.add_argument("--version", action="version", version=f"glissando {__version__}")
-    told = "print a script that completes words, and exit"
-    shells = ("bash", "zsh")
-    parser.add_argument("--print-completion", action=PrintCompletion, choices=shells, help=told)
+    prints, shells = "print a script that completes words, and exit", ("bash", "zsh", "tcsh")
+    parser.add_argument("--print-completion", action=_PrintCompletion, choices=shells, help=prints)
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for command in _COMMANDS:
-        command.add_to(commands)
+    for name, (module, summary) in COMMANDS.items():
+        if command in (None, name):
+            import_module(f"glissando.cli.{module}").add_to(commands)
+        else:
+            commands.add_parser(name, help=summary)
     return parser
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command line; returns its exit status."""
-    options = build_parser().parse_args(arguments)
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    command = next((word for word in words if not word.startswith("-")), "")
+    options = build_parser(command).parse_args(words)
     try:
-        return int(options.run(options))
+        with _old_names_shown():
+            return int(options.run(options))
     except NoShapeError as problem:
         print(f"glissando: {problem}", file=sys.stderr)
         return 1
@@ -68,6 +67,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("glissando: interrupted", file=sys.stderr)
         return 130
+
+
+@contextmanager
+def _old_names_shown() -> Iterator[None]:
+    """Show each warning of an old name as one line on stderr."""
+    shown: set[str] = set()
+    with warnings.catch_warnings():
+        show = warnings.showwarning
+
+        def show_line(message: Warning | str, category: type[Warning], *args: Any) -> None:
+            if not issubclass(category, OldNameWarning):
+                show(message, category, *args)
+            elif str(message) not in shown:
+                shown.add(str(message))
+                print(f"glissando: {message}", file=sys.stderr)
+
+        warnings.simplefilter("always", OldNameWarning)
+        warnings.showwarning = show_line  # type: ignore[assignment]
+        yield
 
 
 if __name__ == "__main__":

@@ -58,7 +58,7 @@ exit status: 0 done; 2 something given was wrong.
 
 def add_to(commands: Commands) -> None:
     """Add the command to the parser's."""
-    parser = add_command(commands, "plan", "plan the slide's path", (_HELP, _EXAMPLES), _plan)
+    parser = add_command(commands, "plan", (_HELP, _EXAMPLES), _plan)
     add = parser.add_argument
     robots = ", ".join(shipped_robots())
     add("--robot", default="sliding700", metavar="FILE|NAME", help=f"robot file, or of {robots}")

@@ -62,7 +62,7 @@ _REFRESH = 0.2  # s between pictures of the table
 def add_to(commands: Commands) -> None:
     """Add the command to the parser's."""
     texts = _HELP, _EXAMPLES
-    parser = add_command(commands, "record", "record an experiment", texts, _record)
+    parser = add_command(commands, "record", texts, _record)
     add = parser.add_argument
     add("--setup", type=Path, metavar="FILE", help="the rig's devices and where its coils are")
     add("--simulate", action="store_true", help="start simulated devices instead")

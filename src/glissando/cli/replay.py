@@ -57,7 +57,7 @@ _POINTS = 41  # along the robot that is shown live
 def add_to(commands: Commands) -> None:
     """Add the command to the parser's."""
     texts = _HELP, _EXAMPLES
-    parser = add_command(commands, "replay", "estimate a recording as if live", texts, _replay)
+    parser = add_command(commands, "replay", texts, _replay)
     add = parser.add_argument
     add("recording", type=Path, metavar="RECORDING", help="folder of the recording")
     add_choices(parser)

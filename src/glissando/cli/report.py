@@ -29,7 +29,7 @@ exit status: 0 done; 2 something given was wrong.
 def add_to(commands: Commands) -> None:
     """Add the command to the parser's."""
     texts = _HELP, _EXAMPLES
-    parser = add_command(commands, "report", "compare runs on one page", texts, _report)
+    parser = add_command(commands, "report", texts, _report)
     add = parser.add_argument
     add("runs", nargs="+", type=Path, metavar="RUN", help="folder that estimate --out wrote")
     add("--out", type=Path, metavar="FILE", default=Path("report.html"), help="page to write")

@@ -32,9 +32,7 @@ exit status: 0 every claim holds; 1 one does not; 2 something given was wrong.
 def add_to(commands: Commands) -> None:
     """Add the command to the parser's."""
     texts = _HELP, _EXAMPLES
-    parser = add_command(
-        commands, "reproduce", "compute and judge the paper's claims", texts, _reproduce
-    )
+    parser = add_command(commands, "reproduce", texts, _reproduce)
     add = parser.add_argument
     add("--quick", action="store_true", help="fewer seeds and scenes, under a minute")
     add("--claims", type=Path, default=CLAIMS, metavar="FILE", help="claims to judge (TOML)")

@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import Progress, ProgressColumn, SpinnerColumn, TextColumn, TimeElapsedColumn
 
+from glissando.cli.commands import COMMANDS
 from glissando.errors import GlissandoError, NotConvergedWarning, RobotFileError
 from glissando.estimation.posterior import Posterior
 from glissando.evaluation.run import Run, chosen_streams, run_estimate
@@ -29,7 +30,6 @@ Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 def add_command(
     commands: Commands,
     name: str,
-    summary: str,
     texts: tuple[str, str],
     run: Callable[[argparse.Namespace], int],
 ) -> argparse.ArgumentParser:
@@ -38,13 +38,12 @@ def add_command(
     Args:
         commands: Where the command is added.
         name: Name of the command.
-        summary: Its line in the list of commands.
         texts: What stands above and below its options in the help.
         run: Executes the command and returns its exit status.
     """
     parser = commands.add_parser(
         name,
-        help=summary,
+        help=COMMANDS[name][1],
         description=texts[0],
         epilog=texts[1],
         formatter_class=argparse.RawDescriptionHelpFormatter,

@@ -42,7 +42,7 @@ exit status: 0 done; 1 the physics has no static shape there; 2 something given 
 def add_to(commands: Commands) -> None:
     """Add the command to the parser's."""
     texts = _HELP, _EXAMPLES
-    parser = add_command(commands, "simulate", "simulate a recording", texts, _simulate)
+    parser = add_command(commands, "simulate", texts, _simulate)
     add = parser.add_argument
     robots = ", ".join(shipped_robots())
     add("--robot", default="sliding700", metavar="FILE|NAME", help=f"robot file, or of {robots}")

@@ -48,7 +48,7 @@ exit status: 0 done; 1 some cells failed, the table says why; 2 something given 
 def add_to(commands: Commands) -> None:
     """Add the command to the parser's."""
     texts = _HELP, _EXAMPLES
-    parser = add_command(commands, "study", "sweep settings over many seeds", texts, _study)
+    parser = add_command(commands, "study", texts, _study)
     add = parser.add_argument
     add("file", type=Path, metavar="FILE.toml", help="what to sweep")
     add("--scheduler", metavar="ADDRESS", help="of a Dask cluster (default: local processes)")

@@ -46,7 +46,7 @@ exit status: 0 done; 1 the estimate did not converge; 2 something given was wron
 
 def add_to(commands: Commands) -> None:
     """Add the command to the parser's."""
-    parser = add_command(commands, "view", "show the robot over time", (_HELP, _EXAMPLES), _view)
+    parser = add_command(commands, "view", (_HELP, _EXAMPLES), _view)
     add = parser.add_argument
     add("target", type=Path, metavar="RECORDING|POSTERIOR", help="folder, or a posterior.nc")
     add("--recording", type=Path, metavar="FOLDER", help="sensors and truth of a posterior")

@@ -3,12 +3,12 @@
 Nothing here knows the estimator's priors, so that an estimate can be judged on it.
 """
 
-from glissando.errors import SimulationError
+from glissando.errors import NoShapeError, SimulationError
 from glissando.model.slide_path import SlideLimits, SlidePath, read_slide
 from glissando.simulation.bench import Actuation, Bench, load_bench
 from glissando.simulation.imperfections import Imperfections
 from glissando.simulation.motion import Motion, solve_motion
-from glissando.simulation.rod import Loads, NoShapeError, Rod, Tendon, Wrench
+from glissando.simulation.rod import Loads, Rod, Tendon, Wrench
 from glissando.simulation.shape import Section, Shape
 from glissando.simulation.simulated_session import Session, simulate_session, write_session
 from glissando.simulation.statics import solve_shape

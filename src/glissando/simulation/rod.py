@@ -19,10 +19,6 @@ STRAIGHT = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 """Strain of a straight rod at its own length."""
 
 
-class NoShapeError(Exception):
-    """The physics has no stable static shape under these loads that continues the unloaded one."""
-
-
 def _require_finite(name: str, value: Array, shape: tuple[int, ...]) -> None:
     if value.shape != shape or not np.all(np.isfinite(value)):
         raise SimulationError(

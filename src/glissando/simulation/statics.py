@@ -20,9 +20,10 @@ import numpy as np
 from scipy.linalg import lu_factor, lu_solve
 
 from glissando._kernels.threads import one_thread
+from glissando.errors import NoShapeError
 from glissando.geometry.se3 import Array, hat3
 from glissando.simulation.mesh import Mesh
-from glissando.simulation.rod import Loads, NoShapeError, Rod, Tendon, require_possible
+from glissando.simulation.rod import Loads, Rod, Tendon, require_possible
 from glissando.simulation.shape import Shape
 
 _CLOSE = 1e-10  # residual in strain at which a shape is found
