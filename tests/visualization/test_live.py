@@ -57,8 +57,8 @@ def test_a_smoother_feeds_it_as_it_is():
                 smoother.add(now)
             at = smoother.advance(time)
             live.update(time, at.position, at.pose, at.cov_position_world, 0.4)
-        assert f"**{grid.time[-1]:.2f} s**" in live._told.content
-        assert f"tip ± {1e3 * at.std_position[-1]:.1f} mm" in live._told.content
+        assert f"**{grid.time[-1]:.2f} s**" in live._text.content
+        assert f"tip ± {1e3 * at.std_position[-1]:.1f} mm" in live._text.content
 
 
 def test_shapes_that_do_not_fit_are_one_sentence(posterior, shown):

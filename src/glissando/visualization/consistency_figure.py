@@ -18,9 +18,8 @@ if TYPE_CHECKING:
 def calibration_figure(found: Sequence[Consistency]) -> Figure:
     """Actual against nominal coverage in %, position and rotation, a line a site.
 
-    The grey band is where an honest estimate's line over all sites stays at each level with
-    probability 95 %. Below the diagonal an estimate is too sure. Raises GlissandoError without
-    matplotlib.
+    The grey band holds a consistent estimate's line over all sites at each level with probability
+    95 %. Below the diagonal an estimate is overconfident. Raises GlissandoError without matplotlib.
     """
     quantities = [q for q in ("position", "rotation") if any(c.quantity == q for c in found)]
     with _canvas(5.2 * len(quantities), 5.0) as figure:

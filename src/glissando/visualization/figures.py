@@ -93,9 +93,17 @@ def shape_figure(
 ) -> Figure:
     """The robot in space at several times, with 3σ ellipsoids and the truth.
 
-    World frame, millimetres. `times` in seconds, five across the grid unless given; `truth`
-    streams of poses become triads and of positions points where they have a sample within 0.1 s.
-    Raises OutsideGridError for a time off the grid, GlissandoError without matplotlib.
+    Args:
+        posterior: What is drawn.
+        truth: Streams of poses become triads and of positions points, at their sample within 0.1 s.
+        times: Seconds; five across the grid unless given.
+
+    Returns:
+        The figure, in the world frame and millimetres.
+
+    Raises:
+        OutsideGridError: A time is off the grid.
+        GlissandoError: matplotlib is not installed.
     """
     grid = posterior.grid
     if times is None:
@@ -178,11 +186,20 @@ def _explain(figure: Figure, axes: Any, sites: Sequence[Readings]) -> None:
 
 
 def confidence_figure(posterior: Posterior, readings: Sequence[Readings]) -> Figure:
-    """How sure the position is at every arclength and time, and where each sensor was.
+    """The std of position at every arclength and time, and where each sensor was.
 
-    Colour is the root of the total position variance, millimetres, at the grid's own times if
-    they are 100 or more, else between them too. `readings` are the streams that were used.
-    Raises GlissandoError without matplotlib.
+    Colour is the root of the total position variance, at the grid's own times if they are 100 or
+    more, else between them too.
+
+    Args:
+        posterior: What is drawn.
+        readings: Streams that were used.
+
+    Returns:
+        The figure, in millimetres and seconds.
+
+    Raises:
+        GlissandoError: matplotlib is not installed.
     """
     grid = posterior.grid
     time, time_drawn = _fill(grid.time, 120)
@@ -218,7 +235,7 @@ def _fill(nodes: Array, count: int) -> tuple[Array, Array]:
 
 
 def _draw_path(axes: Any, stream: Readings, order: int, count: int) -> None:
-    """One sensor's way over time and arclength; markers of sensors in one place take turns."""
+    """One sensor's path over time and arclength; markers of sensors in one place alternate."""
     stream = stream.select(np.argsort(stream.time, kind="stable"))
     time, arclength = stream.time, stream.arclength * _MM
     wanted = time[0] + (time[-1] - time[0]) * (np.arange(16) + (order + 0.5) / count) / 16
@@ -233,8 +250,15 @@ def _draw_path(axes: Any, stream: Readings, order: int, count: int) -> None:
 def error_figure(posterior: Posterior, truth: Sequence[Readings]) -> Figure:
     """Position errors at every truth site over time, each component in its ±3σ band.
 
-    World frame, millimetres, estimate minus truth; the band is of the estimate and the truth
-    together. Raises GlissandoError when no truth position lies on the grid, or without matplotlib.
+    Args:
+        posterior: The estimate.
+        truth: Streams it is compared with.
+
+    Returns:
+        The figure: estimate minus truth in the world frame, mm; the band is of both together.
+
+    Raises:
+        GlissandoError: No truth position lies on the grid, or matplotlib is not installed.
     """
     sites = _places(truth, posterior.grid)
     if not sites:
@@ -255,14 +279,14 @@ def error_figure(posterior: Posterior, truth: Sequence[Readings]) -> Figure:
 def _draw_errors(row: Sequence[Any], posterior: Posterior, site: Readings) -> None:
     """One site's three components, with its name, arclength and RMSE as the title."""
     drawn = site.select(slice(None, None, -(-len(site) // _SAMPLES)))
-    found = posterior.at(drawn.arclength, drawn.time)
-    at = found.pose @ drawn.mount
+    estimate = posterior.at(drawn.arclength, drawn.time)
+    at = estimate.pose @ drawn.mount
     error = (at[:, :3, 3] - _seen(drawn)) * _MM
     lever = at[:, :3, :3] @ adjoint(inverse(drawn.mount))[:3]
-    told = drawn.cov[..., :3, :3]
+    cov = drawn.cov[..., :3, :3]
     if drawn.values.ndim == 3:
-        told = at[:, :3, :3] @ told @ np.swapaxes(at[:, :3, :3], -1, -2)
-    cov = lever @ found.cov[:, :6, :6] @ np.swapaxes(lever, -1, -2) + told
+        cov = at[:, :3, :3] @ cov @ np.swapaxes(at[:, :3, :3], -1, -2)
+    cov = cov + lever @ estimate.cov[:, :6, :6] @ np.swapaxes(lever, -1, -2)
     band = _SIGMAS * _MM * np.sqrt(np.einsum("mii->mi", cov))
     steps = np.diff(drawn.time, prepend=drawn.time[0])
     gaps = np.flatnonzero(steps > 8.0 * np.median(steps))
@@ -288,7 +312,7 @@ def save_figures(
 ) -> list[Path]:
     """Write shape.png, confidence.png and, given truth positions, error.png; their paths.
 
-    `folder` is made if it is missing. Raises GlissandoError without matplotlib.
+    The folder is made if it is missing. Raises GlissandoError without matplotlib.
     """
     folder.mkdir(parents=True, exist_ok=True)
     figures = {"shape": shape_figure(posterior, truth)}

@@ -1,4 +1,4 @@
-"""How an online run went: errors of its newest states, what it is sure of, and its latency."""
+"""How an online run went: errors of its newest states, their confidence, and its latency."""
 
 from __future__ import annotations
 

@@ -9,8 +9,6 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from glissando.errors import GlissandoError
 from glissando.estimation.posterior import Posterior
@@ -24,8 +22,7 @@ Progress = Callable[[int, int], None]  # frames done, frames in all
 
 _LONGEST = 12.0  # s: a longer motion is sped up to this unless told
 _FASTEST = 50.0  # Hz: a gif's delays are hundredths of a second, and browsers refuse a single one
-_COLOURS, _EXACT = 192, 4  # of a gif, and how many of them are the commonest as they are
-_CODE = np.array([1 << 16, 1 << 8, 1])  # of a colour as one number
+_NEARLY_WHITE = [*range(248), *[255] * 8] * 3  # Pillow looks white up as 252, which is a grey
 
 
 def save_animation(
@@ -39,14 +36,24 @@ def save_animation(
     width: int = 900,
     progress: Progress | None = None,
 ) -> Path:
-    """Write a film of the robot in its 3σ tube and of its confidence; the path written.
+    """Write a film of the robot in its 3σ tube and of its confidence; whole or not at all.
 
-    World frame, millimetres; sensors are where `readings` say, `truth` as in `shape_figure`. The
-    film lasts `seconds` (the motion's own time up to 12 s unless given) at `rate` frames a second
-    and is `width` pixels wide; `progress(done, all)` is called after each frame. A path in .gif
-    is a looped GIF; one in .mp4 needs ffmpeg, and without it becomes a .gif beside. The file
-    appears whole or not at all. Raises GlissandoError for another ending, for numbers out of range,
-    for a grid of a single arclength, and without matplotlib.
+    Args:
+        posterior: What is shown, in the world frame and millimetres.
+        readings: Where sensors are.
+        truth: What is drawn beside the estimate, as by `shape_figure`.
+        path: A .gif, which loops, or an .mp4, which needs ffmpeg.
+        seconds: Length of the film; the motion's own up to 12 s unless given.
+        rate: Frames a second, 50 at most.
+        width: Pixels, 100 or more.
+        progress: Called after each frame.
+
+    Returns:
+        The path written; without ffmpeg an .mp4 becomes a .gif beside it.
+
+    Raises:
+        GlissandoError: Another ending, a number out of range, a grid of a single arclength, or
+            matplotlib is not installed.
     """
     path, grid = Path(path), posterior.grid
     span = float(grid.time[-1] - grid.time[0])
@@ -110,45 +117,18 @@ def _write_mp4(stage: Stage, path: Path, rate: float, progress: Progress) -> Non
 
 
 def _write_gif(stage: Stage, path: Path, rate: float, progress: Progress) -> None:
-    """Give every frame one palette and write what differs from the frame before."""
+    """Give all frames one palette, so that Pillow writes only what changes between them."""
     from PIL import Image
 
     count = stage.frames.time.size
     some = np.unique(np.linspace(0, count - 1, 8).round().astype(int))
-    colours, nearest = _palette(np.concatenate([np.asarray(stage.picture(k)) for k in some]))
+    sample = np.concatenate([np.asarray(stage.picture(k).point(_NEARLY_WHITE)) for k in some])
+    palette = Image.fromarray(sample).quantize(kmeans=1)
     pictures = []
     for k in range(count):
-        picture = Image.fromarray(nearest[_bins(np.asarray(stage.picture(k)))])
-        picture.putpalette(colours.tobytes())
-        pictures.append(picture)
+        picture = stage.picture(k).point(_NEARLY_WHITE)
+        pictures.append(picture.quantize(palette=palette, dither=Image.Dither.NONE))
         progress(k + 1, count)
     ends = np.round(np.arange(count + 1) * 100.0 / rate)  # a delay is a whole number of 10 ms
-    look = {"duration": (10 * np.diff(ends)).tolist(), "loop": 0, "optimize": True}
+    look = {"duration": (10 * np.diff(ends)).tolist(), "loop": 0}
     pictures[0].save(path, "GIF", save_all=True, append_images=pictures[1:], **look)
-
-
-def _bins(pixels: NDArray[np.uint8]) -> NDArray[np.int32]:
-    """The bin of a colour in a table of 64³."""
-    red, green, blue = np.moveaxis(pixels.astype(np.int32) >> 2, -1, 0)
-    return red << 12 | green << 6 | blue
-
-
-def _palette(pixels: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Colours (C, 3) for pixels (…, 3), and the nearest of them (64³) for every bin.
-
-    The commonest are kept as they are, and rare ones count for more than their share.
-    """
-    from PIL import Image
-
-    code, count = np.unique(pixels.astype(np.int32) @ _CODE, return_counts=True)
-    order = np.argsort(-count)
-    found = (code[order, None] // _CODE % 256).astype(np.uint8)
-    weight = np.ceil(np.sqrt(count[order])).astype(int)
-    rare = np.repeat(found[_EXACT:], weight[_EXACT:], axis=0)
-    chosen = Image.fromarray(rare[None]).quantize(_COLOURS - _EXACT, kmeans=1).getpalette()
-    rest = np.array(chosen, dtype=np.uint8).reshape(-1, 3)[: _COLOURS - _EXACT]
-    colours = np.concatenate([found[:_EXACT], rest])
-    middles = 4.0 * np.stack(np.unravel_index(np.arange(64**3), (64, 64, 64)), axis=-1) + 1.5
-    nearest = cKDTree(colours).query(middles)[1].astype(np.uint8)
-    nearest[_bins(colours[:_EXACT])] = np.arange(_EXACT)
-    return colours, nearest

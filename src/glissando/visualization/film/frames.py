@@ -22,10 +22,19 @@ _ALONG, _AROUND, _CAP = 64, 24, 5  # points of the tube; rings that round off ea
 class Frames:
     """What F frames show, world frame, millimetres; NaN where there is nothing to show.
 
-    `time` (F,) s, `arclength` (N,), `line` (F, N, 3) the backbone, `std` (F, N) of its position,
-    `tube` (F, R, A, 3) rings of the 3σ surface across it and `shade` (F, R) the deviation there;
-    `sensors` (S) labels, `place` (F, S) their arclengths, `dot` (F, S, 3) and `dot_std` (F, S);
-    `triad` (F, C, 4, 3) true origins and tips of x, y, z; `point` (F, P, 3) true positions.
+    Attributes:
+        time: Times (F,), s.
+        arclength: Points along the body (N,).
+        line: Their positions (F, N, 3).
+        std: Std of their positions (F, N).
+        tube: Rings (F, R, A, 3) of the 3σ surface across the body.
+        shade: Std (F, R) at the rings.
+        sensors: Labels (S).
+        place: Arclengths of the sensors (F, S).
+        dot: Their positions (F, S, 3).
+        dot_std: Std of their positions (F, S).
+        triad: True origins and tips of x, y, z (F, C, 4, 3).
+        point: True positions (F, P, 3).
     """
 
     time: Array
@@ -45,17 +54,14 @@ class Frames:
 def frames_at(
     posterior: Posterior, readings: Sequence[Readings], truth: Sequence[Readings], times: Array
 ) -> Frames:
-    """What to draw at `times` (F,) in seconds, found in one query of the posterior.
+    """What to draw at `times` (F,) in seconds, from one query of the posterior.
 
     A sensor is where its reading nearest in time says, within 0.25 s; truth is the sample nearest
     in time, within 0.1 s. Raises OutsideGridError for a time off the grid.
     """
     grid = posterior.grid
     sites = _places(readings, grid, Readings)
-    shown = [_nearest(site, times, _DROPPED) for site in sites]
-    place = np.full((times.size, len(sites)), np.nan)
-    for column, site, (rows, near) in zip(place.T, sites, shown, strict=True):
-        column[near] = site.arclength[rows[near]]
+    place = _sensor_places(sites, times)
     body = np.linspace(grid.arclength[0], grid.arclength[-1], _ALONG)
     asked = np.nan_to_num(np.hstack([np.tile(body, (times.size, 1)), place]), nan=body[0])
     at = posterior.at(asked, times[:, None])
@@ -78,6 +84,15 @@ def frames_at(
         triad=_true([s for s in true if s.values.ndim == 3], times, reach),
         point=_true([s for s in true if s.values.ndim == 2], times, reach)[:, :, 0],
     )
+
+
+def _sensor_places(sites: Sequence[Readings], times: Array) -> Array:
+    """Arclengths (F, S) of the sensors at times (F,), NaN without a reading near."""
+    place = np.full((times.size, len(sites)), np.nan)
+    for column, site in zip(place.T, sites, strict=True):
+        rows, near = _nearest(site, times, _DROPPED)
+        column[near] = site.arclength[rows[near]]
+    return place
 
 
 def _nearest(site: Readings, times: Array, within: float) -> tuple[Index, NDArray[np.bool_]]:

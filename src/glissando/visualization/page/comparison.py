@@ -25,24 +25,31 @@ _DASH = "–"
 
 
 @dataclass(frozen=True)
-class Written:
-    """What `glissando estimate --out` wrote: a label, its folder and its report.json."""
+class WrittenRun:
+    """A run that `glissando estimate --out` wrote.
+
+    Attributes:
+        label: What the run is called on the page.
+        folder: The folder it was written to.
+        report: Its report.json.
+    """
 
     label: str
     folder: Path
-    told: dict[str, Any]
+    report: dict[str, Any]
 
     def site(self, name: str, quantity: str) -> dict[str, Any]:
         """RMSE and consistency of a quantity at a site, or at 'all'; empty where it has none."""
-        of_site = {s["name"]: s for s in self.told["sites"]} | {"all": self.told["overall"] or {}}
-        checks = {(c["site"], c["quantity"]): c for c in self.told["consistency"]}
-        rmse = of_site.get(name, {}).get(f"{quantity}_rmse")
-        if name == "all" and ("all", quantity) not in checks and len(self.told["sites"]) == 1:
-            name = self.told["sites"][0]["name"]
+        sites, overall = self.report["sites"], self.report["overall"] or {}
+        errors = {site["name"]: site for site in sites} | {"all": overall}
+        checks = {(c["site"], c["quantity"]): c for c in self.report["consistency"]}
+        rmse = errors.get(name, {}).get(f"{quantity}_rmse")
+        if name == "all" and ("all", quantity) not in checks and len(sites) == 1:
+            name = sites[0]["name"]
         return {} if rmse is None else {"rmse": rmse, **checks.get((name, quantity), {})}
 
 
-def written_runs(folders: Sequence[Path]) -> list[Written]:
+def written_runs(folders: Sequence[Path]) -> list[WrittenRun]:
     """The runs in folders, labelled by the shortest ends of their paths that tell them apart.
 
     Raises GlissandoError for a folder without a report.json of `glissando estimate`.
@@ -53,14 +60,14 @@ def written_runs(folders: Sequence[Path]) -> list[Written]:
     deep = 1
     while len({path.parts[-deep:] for path in paths}) < len(paths):
         deep += 1
-    return [Written("/".join(path.parts[-deep:]), path, _told(path)) for path in paths]
+    return [WrittenRun("/".join(path.parts[-deep:]), path, _report(path)) for path in paths]
 
 
-def _told(folder: Path) -> dict[str, Any]:
+def _report(folder: Path) -> dict[str, Any]:
     file = folder / "report.json"
     try:
-        told: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-        told["sites"], told["consistency"], told["overall"]
+        report: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+        report["sites"], report["consistency"], report["overall"]
     except OSError:
         raise GlissandoError(
             f"{folder} holds no report.json; make one with glissando estimate RECORDING --out DIR."
@@ -69,10 +76,10 @@ def _told(folder: Path) -> dict[str, Any]:
         raise GlissandoError(
             f"{file} was not written by glissando estimate, or by an older one; estimate again."
         ) from None
-    return told
+    return report
 
 
-def comparison(runs: Sequence[Written]) -> str:
+def comparison(runs: Sequence[WrittenRun]) -> str:
     """The HTML of one run or several; changes are in per cent of the first.
 
     Scenes are those that `glissando estimate --view` wrote, else made of posterior.nc, without
@@ -81,7 +88,7 @@ def comparison(runs: Sequence[Written]) -> str:
     labels = [run.label for run in runs]
     parts = [svg.key(labels) if len(runs) > 1 else ""]
     parts += [_errors(runs, quantity) for quantity in _SCALES]
-    if not any(run.told["sites"] for run in runs):
+    if not any(run.report["sites"] for run in runs):
         parts.append("<p>No truth was given: there are no errors to tell.</p>")
     parts += [_innovations(runs), _settings(runs), _scenes(runs), _figures(runs)]
     return Template(asset("report.html")).substitute(
@@ -91,10 +98,10 @@ def comparison(runs: Sequence[Written]) -> str:
     )
 
 
-def _errors(runs: Sequence[Written], quantity: str) -> str:
+def _errors(runs: Sequence[WrittenRun], quantity: str) -> str:
     """Charts and a table of the errors against truth, a row a site."""
     scale, unit = _SCALES[quantity]
-    names = dict.fromkeys(s["name"] for run in runs for s in run.told["sites"])
+    names = dict.fromkeys(s["name"] for run in runs for s in run.report["sites"])
     rows = [n for n in [*names, "all"] if any(run.site(n, quantity) for run in runs)]
     if not rows:
         return ""
@@ -110,21 +117,14 @@ def _errors(runs: Sequence[Written], quantity: str) -> str:
         end=100.0,
         marks=[100 * float(level) for level in _LEVELS],
     )
-    groups = [("", ["site"])]
-    for k, label in enumerate(labels):
-        change = ["change"] if k else []
-        groups.append((label, [f"RMSE ({unit})", *change, "NEES / dof", "in 95 %", "confidence"]))
-    lines = [
-        [
-            name,
-            *(
-                cell
-                for k, column in enumerate(found)
-                for cell in _cells(column[i], scale, k and found[0][i])
-            ),
-        ]
-        for i, name in enumerate(rows)
-    ]
+    heads = [f"RMSE ({unit})", "change", "NEES / dof", "in 95 %", "confidence"]
+    groups = [("", ["site"]), (labels[0], [heads[0], *heads[2:]])]
+    groups += [(label, heads) for label in labels[1:]]
+    lines = []
+    for name, first, *others in zip(rows, *found, strict=True):
+        cells = _cells(first, scale, {})
+        cells = [cells[0], *cells[2:]]  # the first run has no change
+        lines.append([name, *cells, *(c for o in others for c in _cells(o, scale, first))])
     return (
         f"<section><h2>{quantity.capitalize()} against truth</h2>"
         f'<div class="charts">{rmse}{coverage}</div>{_table(groups, lines)}'
@@ -134,87 +134,77 @@ def _errors(runs: Sequence[Written], quantity: str) -> str:
     )
 
 
-def _cells(found: dict[str, Any], scale: float, first: dict[str, Any] | int) -> list[str]:
-    """One run's cells at a site; `first` is what the first run has there, 0 for that run itself."""
-    base = first.get("rmse") if isinstance(first, dict) else None
-    change = [] if first == 0 else [_DASH]
-    if not found:
-        return [_DASH, *change, _DASH, _DASH, _DASH]
-    if base:
-        change = [f"{100 * (found['rmse'] / base - 1):+.1f} %".replace("-", "−")]
-    told = [_DASH] * 3
-    if "nees" in found:
-        inside = 100 * found["coverage"]["0.95"]["share"]
-        told = [_bounded(found), f"{inside:.1f} %", found["verdict"]]
-    return [f"{scale * found['rmse']:.2f}", *change, *told]
+def _cells(site: dict[str, Any], scale: float, first: dict[str, Any]) -> list[str]:
+    """One run's cells at a site, its change against what the `first` run has there."""
+    cells = [_DASH] * 5
+    if site:
+        cells[0] = f"{scale * site['rmse']:.2f}"
+    if site and first.get("rmse"):
+        cells[1] = f"{100 * (site['rmse'] / first['rmse'] - 1):+.1f} %".replace("-", "−")
+    if "nees" in site:
+        inside = 100 * site["coverage"]["0.95"]["share"]
+        cells[2:] = [_bounded(site), f"{inside:.1f} %", site["verdict"]]
+    return cells
 
 
-def _bounded(found: dict[str, Any]) -> str:
-    low, high = found["nees_bounds"]
-    return f"{found['nees']:.2f} ({low:.2f}…{high:.2f})"
+def _bounded(check: dict[str, Any]) -> str:
+    low, high = check["nees_bounds"]
+    return f"{check['nees']:.2f} ({low:.2f}…{high:.2f})"
 
 
-def _share(found: dict[str, Any], level: str) -> svg.Dot | None:
-    if level not in found.get("coverage", {}):
+def _share(site: dict[str, Any], level: str) -> svg.Dot | None:
+    if level not in site.get("coverage", {}):
         return None
-    entry = found["coverage"][level]
+    entry = site["coverage"][level]
     low, high = entry["bounds"]
     return svg.Dot(100 * entry["share"], (100 * low, 100 * high))
 
 
-def _innovations(runs: Sequence[Written]) -> str:
-    """Whether each stream that was used is as far off as it should be."""
-    found = [
-        {c["site"]: c for c in run.told["consistency"] if c["quantity"] == "innovation"}
-        for run in runs
-    ]
+def _innovations(runs: Sequence[WrittenRun]) -> str:
+    """Whether the innovations of each stream are as large as they should be."""
     groups = [("", ["stream"]), *((run.label, ["NIS / dof", "confidence"]) for run in runs)]
-    lines = [
-        [
-            name,
-            *(
-                cell
-                for c in (column.get(name) for column in found)
-                for cell in ([_bounded(c), c["verdict"]] if c else [_DASH, _DASH])
-            ),
-        ]
-        for name in dict.fromkeys(n for column in found for n in column)
-    ]
+    rows: dict[str, list[str]] = {}
+    for column, run in enumerate(runs):
+        for check in run.report["consistency"]:
+            if check["quantity"] == "innovation":
+                row = rows.setdefault(check["site"], [_DASH] * 2 * len(runs))
+                row[2 * column : 2 * column + 2] = [_bounded(check), check["verdict"]]
+    lines = [[name, *cells] for name, cells in rows.items()]
     return f"<section><h2>Readings against each other</h2>{_table(groups, lines)}</section>"
 
 
-def _settings(runs: Sequence[Written]) -> str:
+def _settings(runs: Sequence[WrittenRun]) -> str:
     """What each run was: a row a setting, a column a run."""
     rows: dict[str, list[str]] = {}
     for column, run in enumerate(runs):
-        for name, text in _setting(run.told):
+        for name, text in _setting(run.report):
             rows.setdefault(name, [_DASH] * len(runs))[column] = text
     groups = [("", [""]), *((run.label, [""]) for run in runs)]
     lines = [[name, *cells] for name, cells in rows.items()]
     return f"<section><h2>Settings and versions</h2>{_table(groups, lines)}</section>"
 
 
-def _setting(told: dict[str, Any]) -> Iterable[tuple[str, str]]:
+def _setting(report: dict[str, Any]) -> Iterable[tuple[str, str]]:
     for name in ("recording", "robot", "prior", "status", "iterations", "unknowns", "suspects"):
-        if name in told:
-            yield name, str(told[name])
-    yield "window (s)", " to ".join(f"{t:g}" for t in told["window"])
-    if "nodes" in told:
-        yield "nodes", "{} times × {} arclengths".format(*told["nodes"])
-    yield "log evidence", f"{told['log_evidence']:.1f}"
-    yield "processor time (s)", f"{told['seconds']['total']:.2f}"
-    for name, count in told["readings"].items():
-        reasons = told["dropped"].get(name, {})
+        if name in report:
+            yield name, str(report[name])
+    yield "window (s)", " to ".join(f"{t:g}" for t in report["window"])
+    if "nodes" in report:
+        yield "nodes", "{} times × {} arclengths".format(*report["nodes"])
+    yield "log evidence", f"{report['log_evidence']:.1f}"
+    yield "processor time (s)", f"{report['seconds']['total']:.2f}"
+    for name, count in report["readings"].items():
+        reasons = report["dropped"].get(name, {})
         lost = "".join(f", {n} {reason} dropped" for reason, n in reasons.items())
         yield f"readings of {name}", f"{count}{lost}"
-    for unknown in told["calibration"]:
+    for unknown in report["calibration"]:
         pairs = zip(unknown["value"], unknown["std"], strict=True)
         yield unknown["name"], ", ".join(f"{v:.3g} ± {std:.2g}" for v, std in pairs)
-    for name, number in told.get("versions", {}).items():
+    for name, number in report.get("versions", {}).items():
         yield name, number
 
 
-def _scenes(runs: Sequence[Written]) -> str:
+def _scenes(runs: Sequence[WrittenRun]) -> str:
     frames = []
     for run in runs:
         ready = run.folder / "view.html"
@@ -225,7 +215,7 @@ def _scenes(runs: Sequence[Written]) -> str:
     return f'<section class="scenes"><h2>Over time</h2>{"".join(frames)}</section>'
 
 
-def _scene(run: Written) -> str:
+def _scene(run: WrittenRun) -> str:
     """A page of the run's posterior.nc; empty where there is none."""
     file = run.folder / "posterior.nc"
     if not file.is_file():
@@ -235,7 +225,7 @@ def _scene(run: Written) -> str:
     return page(scene, run.label, subtitle(posterior, scene))
 
 
-def _figures(runs: Sequence[Written]) -> str:
+def _figures(runs: Sequence[WrittenRun]) -> str:
     pictures = []
     for name in ("shape", "confidence", "error"):
         for run in runs:

@@ -1,4 +1,4 @@
-"""A running estimate in a browser: a small server that is told the newest state."""
+"""A running estimate in a browser: a small server that shows the newest state."""
 
 from __future__ import annotations
 
@@ -23,9 +23,15 @@ _TUBE, _COIL = (130, 160, 190), (230, 159, 0)
 class Live:
     """The robot with its 95 % tube at an address that any browser on this machine opens.
 
-    `arclength` (N,) of the points that updates give; `top` the position standard deviation, in
-    metres, that the colours end at; port 0 is any free one. A context manager. Raises
-    GlissandoError without viser.
+    A context manager, which stops the server.
+
+    Args:
+        arclength: Points (N,) that updates give, m.
+        top: Standard deviation of position at which the colours end, m.
+        port: Port of the server; 0 is any free one.
+
+    Raises:
+        GlissandoError: viser is not installed.
     """
 
     def __init__(self, arclength: ArrayLike, *, top: float = 0.02, port: int = 8080) -> None:
@@ -48,11 +54,11 @@ class Live:
         self._server.scene.add_frame(
             "/world", axes_length=0.1 * self._long, axes_radius=0.003 * self._long
         )
-        self._told = self._server.gui.add_markdown("Waiting for the first estimate.")
+        self._text = self._server.gui.add_markdown("Waiting for the first estimate.")
         self._server.gui.add_markdown(
             f"Tube: 95 %. Body: dark is sure, yellow ± {_MM * top:.3g} mm or more."
         )
-        self._look_at(np.zeros(3))  # who looks before the first update sees the base's place
+        self._look_at(np.zeros(3))  # before the first update a browser shows the base's place
         self._body: Any = None
 
     @property
@@ -63,10 +69,17 @@ class Live:
     def update(
         self, time: float, centres: Array, frames: Array, cov: Array, coil: float | None = None
     ) -> None:
-        """Show a state: `centres` (N, 3), `frames` (N, 4, 4) and position `cov` (N, 3, 3).
+        """Show a state in the world frame; takes milliseconds and never waits for a browser.
 
-        World frame, metres, seconds; `coil` is its arclength, None while it is not seen. Takes
-        milliseconds, and never waits for a browser. Raises GlissandoError for other shapes.
+        Args:
+            time: Its time, s.
+            centres: Positions (N, 3), m.
+            frames: Poses (N, 4, 4).
+            cov: Covariances of the positions (N, 3, 3), m².
+            coil: Arclength of the coil, m; None while it gives no readings.
+
+        Raises:
+            GlissandoError: An array has another shape.
         """
         self._require(centres, frames, cov)
         std = np.sqrt(np.einsum("nii->n", cov))
@@ -84,19 +97,19 @@ class Live:
             self._coil.visible = bool(np.isfinite(place))
             if np.isfinite(place):
                 self._coil.position = [np.interp(place, self.arclength, c) for c in centres.T]
-        said = f", coil at {_MM * place:.0f} mm" if np.isfinite(place) else ""
-        self._told.content = (
+        where = f", coil at {_MM * place:.0f} mm" if np.isfinite(place) else ""
+        self._text.content = (
             f"**{time:.2f} s**: tip ± {_MM * std[-1]:.1f} mm, least sure ± "
-            f"{_MM * std.max():.1f} mm{said}"
+            f"{_MM * std.max():.1f} mm{where}"
         )
 
     def _require(self, centres: Array, frames: Array, cov: Array) -> None:
         count = self.arclength.size
         wanted = (count, 3), (count, 4, 4), (count, 3, 3)
-        seen = tuple(np.shape(a) for a in (centres, frames, cov))
-        if seen != wanted:
+        given = tuple(np.shape(a) for a in (centres, frames, cov))
+        if given != wanted:
             raise GlissandoError(
-                f"An update of shapes {seen} does not fit {count} arclengths; give {wanted}."
+                f"An update of shapes {given} does not fit {count} arclengths; give {wanted}."
             )
 
     def _look_at(self, centre: Array) -> None:
@@ -107,7 +120,7 @@ class Live:
     def _add(self, rings: tuple[int, int]) -> None:
         """Put the parts into the picture that updates move."""
         scene, count = self._server.scene, self.arclength.size
-        faces = faces_between(*rings)
+        faces = _faces_between(*rings)
         flat = np.zeros((rings[0] * rings[1], 3), dtype=np.float32)
         look = {"color": _TUBE, "opacity": 0.3, "side": "double", "cast_shadow": False}
         self._tube = scene.add_mesh_simple("/tube", flat, faces.astype(np.uint32), **look)
@@ -127,7 +140,7 @@ class Live:
         self.close()
 
 
-def faces_between(rings: int, around: int) -> NDArray[np.intp]:
+def _faces_between(rings: int, around: int) -> NDArray[np.intp]:
     """Triangles (F, 3) of a tube of rings that have as many points each."""
     here = np.arange(rings * around).reshape(rings, around)
     on = np.roll(here, -1, axis=1)

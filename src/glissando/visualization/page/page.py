@@ -37,11 +37,23 @@ def save_view(
     window: tuple[float, float] | None = None,
     progress: Progress | None = None,
 ) -> Path:
-    """Write the robot over time with its confidence as one self-contained HTML file; its path.
+    """Write the robot over time with its confidence as one self-contained HTML file.
 
-    `readings` say where sensors are, `truth` is drawn beside the estimate, both in the world frame;
-    `window` takes a part, in seconds. Raises OutsideGridError for a window off the grid and
-    GlissandoError for a grid of a single arclength.
+    Args:
+        posterior: What is shown.
+        path: File to write; its folder is made if it is missing.
+        readings: Where sensors are, in the world frame.
+        truth: What is drawn beside the estimate, in the world frame.
+        title: Title of the page.
+        window: First and last second; all of the estimate unless given.
+        progress: Called as moments are done.
+
+    Returns:
+        The path written.
+
+    Raises:
+        OutsideGridError: The window is off the grid.
+        GlissandoError: The grid has a single arclength.
     """
     scene = scene_of(posterior, readings, truth, window=window, progress=progress)
     path = Path(path)
@@ -51,7 +63,7 @@ def save_view(
 
 
 def subtitle(posterior: Posterior, scene: Scene) -> str:
-    """When, and how the estimate was reached."""
+    """The time that is shown, and how the estimate was reached."""
     solve, time = posterior.solve, scene.time
     return f"{time[0]:g} to {time[-1]:g} s; estimate {solve.status}, {solve.iterations} iterations"
 

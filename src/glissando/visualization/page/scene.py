@@ -13,7 +13,7 @@ from glissando.evaluation.metrics import errors_against
 from glissando.geometry.se3 import Array
 from glissando.model.sensors.readings import Readings
 from glissando.visualization.figures import _MM, _NEAR, _places
-from glissando.visualization.film.frames import _DROPPED, _nearest, _true
+from glissando.visualization.film.frames import _nearest, _sensor_places, _true
 
 Progress = Callable[[int, int], None]  # moments done, moments in all
 
@@ -27,11 +27,18 @@ _CHUNK = 100  # moments a query, to bound memory
 class Scene:
     """What F moments show, world frame, SI units; NaN where there is nothing to show.
 
-    `time` (F,), `arclength` (N,), `pose` (F, N, 4, 4) and `root` (F, N, 3, 3), the symmetric square
-    root of the position's covariance. `sensors` (S) labels and `place` (F, S) their arclengths.
-    `sites` (C) labels of truth, `site_place` (F, C), `truth` (F, C, 4, 3) origins and tips of true
-    axes, `miss` (F, C) the distance from the estimate and `nees` (F, C) its square in units of its
-    covariance, of three degrees of freedom.
+    Attributes:
+        time: Times (F,).
+        arclength: Points along the body (N,).
+        pose: Their poses (F, N, 4, 4).
+        root: Symmetric square roots (F, N, 3, 3) of their positions' covariance.
+        sensors: Labels of the sensors (S).
+        place: Their arclengths (F, S).
+        sites: Labels of truth (C).
+        site_place: Their arclengths (F, C).
+        truth: Origins and tips of true axes (F, C, 4, 3).
+        miss: Distance of truth from the estimate (F, C).
+        nees: Its square in units of its covariance (F, C), of three degrees of freedom.
     """
 
     time: Array
@@ -57,10 +64,18 @@ def scene_of(
 ) -> Scene:
     """The posterior at its time nodes, and between them where they are below 20 Hz.
 
-    Every moment is asked of the posterior: nothing is interpolated afterwards. Sensors are where
-    their nearest reading within 0.25 s says, truth is the nearest sample within 0.1 s. `window`
-    takes a part, in seconds. Raises OutsideGridError for one off the grid, and GlissandoError for a
-    grid of a single arclength.
+    Every moment is evaluated by the posterior: nothing is interpolated afterwards.
+
+    Args:
+        posterior: What is shown.
+        readings: Where sensors are: at their nearest reading within 0.25 s.
+        truth: What is drawn beside the estimate: the nearest sample within 0.1 s.
+        window: First and last second; all of the estimate unless given.
+        progress: Called as moments are done.
+
+    Raises:
+        OutsideGridError: The window is off the grid.
+        GlissandoError: The grid has a single arclength.
     """
     grid = posterior.grid
     if grid.arclength.size == 1:
@@ -75,20 +90,20 @@ def scene_of(
         if progress:
             progress(min(first + _CHUNK, times.size), times.size)
     used, true = _places(readings, grid, Readings), _places(truth, grid)
-    misses = [_misses(posterior, site, times) for site in true]
-    found = np.array(misses).reshape(len(true), 3, times.size).T
+    misses = np.array([_misses(posterior, site, times) for site in true])
+    site_place, miss, nees = misses.reshape(len(true), 3, times.size).transpose(1, 2, 0)
     return Scene(
         time=times,
         arclength=body,
         pose=pose,
         root=root,
         sensors=[site.label for site in used],
-        place=np.array([_place(site, times) for site in used]).reshape(-1, times.size).T,
+        place=_sensor_places(used, times),
         sites=[site.label for site in true],
-        site_place=found[:, 0],
+        site_place=site_place,
         truth=_true(true, times, 0.05 * (body[-1] - body[0])) / _MM,
-        miss=found[:, 1],
-        nees=found[:, 2],
+        miss=miss,
+        nees=nees,
     )
 
 
@@ -122,11 +137,6 @@ def symmetric_root(cov: Array) -> Array:
     return (axes * np.sqrt(np.maximum(variance, 0.0))[..., None, :]) @ np.swapaxes(axes, -1, -2)
 
 
-def _place(site: Readings, times: Array) -> Array:
-    rows, near = _nearest(site, times, _DROPPED)
-    return np.where(near, site.arclength[rows], np.nan)
-
-
 def _misses(posterior: Posterior, site: Readings, times: Array) -> Array:
     """Arclength, distance and its squared normalised size (3, F) of the samples shown."""
     rows, near = _nearest(site, times, _NEAR)
@@ -134,6 +144,6 @@ def _misses(posterior: Posterior, site: Readings, times: Array) -> Array:
     shown, back = np.unique(rows[near], return_inverse=True)
     if shown.size:
         errors = errors_against(posterior, site.select(shown))
-        found = np.stack([errors.arclength, errors.position, errors.nees_position])
-        out[:, near] = found[:, back]
+        misses = np.stack([errors.arclength, errors.position, errors.nees_position])
+        out[:, near] = misses[:, back]
     return out

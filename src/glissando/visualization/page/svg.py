@@ -12,7 +12,7 @@ _WIDE, _LEFT, _RIGHT, _TALL = 560.0, 110.0, 20.0, 26.0
 
 @dataclass(frozen=True)
 class Dot:
-    """A value with the bounds it should keep, if any."""
+    """A value, and the bounds that it should lie in, if any."""
 
     value: float
     bounds: tuple[float, float] | None = None
@@ -26,10 +26,14 @@ def chart(
     end: float | None = None,
     marks: Sequence[float] | None = None,
 ) -> str:
-    """Dots of every series in named rows, from zero rightwards, their bounds as bars behind.
+    """An SVG with dots of every series in named rows, from zero rightwards.
 
-    `end` of the axis, a round number beyond the largest unless given; `marks` a value in each row
-    to compare with.
+    Args:
+        rows: Names of the rows.
+        series: A dot for each row by the name of the series; bounds are drawn as bars.
+        unit: Label of the axis.
+        end: End of the axis; a round number beyond the largest value unless given.
+        marks: A value in each row to compare with.
     """
     most, step = _axis(max((d.value for c in series.values() for d in c if d), default=0.0), end)
     bottom = _TALL * len(rows) + 8
