@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -23,9 +23,13 @@ _FEWEST, _MOST = 10, 20_000  # of them between two times of an actuation
 
 @dataclass(frozen=True)
 class Actuation:
-    """Tendon tensions (K, T) in N at times (K,) in s, with gravity (3,) and dead loads.
+    """What pulls on a robot over time; between two times tensions change as 3x² − 2x³.
 
-    Between two times tensions change as 3x² − 2x³: the robot starts and stops gently.
+    Attributes:
+        time: Times (K,), s.
+        tensions: Tension of every tendon at these times (K, T), N.
+        gravity: Gravity (3,), m/s².
+        wrenches: Dead loads.
     """
 
     time: Array
@@ -33,24 +37,19 @@ class Actuation:
     gravity: Array
     wrenches: tuple[Wrench, ...] = ()
 
-    @property
-    def moves(self) -> bool:
-        """Whether tensions change."""
-        return self.time.size > 1
-
     def loads_at(self, time: float) -> Loads:
         """The loads at a time in seconds."""
-        k = int(np.clip(np.searchsorted(self.time, time, "right") - 1, 0, self.time.size - 1))
-        if k == self.time.size - 1:
-            return Loads(self.tensions[k], self.gravity, self.wrenches)
-        x = np.clip((time - self.time[k]) / (self.time[k + 1] - self.time[k]), 0.0, 1.0)
-        share = x * x * (3.0 - 2.0 * x)
-        tensions = self.tensions[k] + share * (self.tensions[k + 1] - self.tensions[k])
+        last = self.time.size - 1
+        k = int(np.clip(np.searchsorted(self.time, time, "right") - 1, 0, last))
+        tensions = self.tensions[k]
+        if k < last:
+            x = np.clip((time - self.time[k]) / (self.time[k + 1] - self.time[k]), 0.0, 1.0)
+            tensions = tensions + x * x * (3.0 - 2.0 * x) * (self.tensions[k + 1] - tensions)
         return Loads(tensions, self.gravity, self.wrenches)
 
     def lasting(self, duration: float) -> Actuation:
-        """The same in another time: from 0 to `duration` seconds."""
-        if not self.moves:
+        """The same tensions stretched over another time, from 0 to `duration` seconds."""
+        if self.time.size == 1:
             return self
         start, stop = self.time[0], self.time[-1]
         return replace(self, time=(self.time - start) * (duration / (stop - start)))
@@ -60,9 +59,17 @@ class Actuation:
 class Bench:
     """A robot with its sensors on a bench, as the simulator knows it.
 
-    `coil_offset` m is where the coil is, from the tip, at displacement zero; `tracker` (4, 4) is
-    T_wt; `truth` (C,) the arclengths of the motion capture frames; `full_slide` a stage as long as
-    the robot, which exists in simulation only.
+    Attributes:
+        rod: Its tubes.
+        tendons: Its tendons.
+        gravity: Gravity (3,), m/s².
+        slide: Limits of the stage that slides the coil.
+        full_slide: A stage as long as the robot, which exists in simulation only.
+        coil_offset: Place of the coil, from the tip, at displacement zero, m.
+        tracker: Pose T_wt (4, 4) of the tracker.
+        flaws: Imperfections of robot and sensors.
+        truth: Arclengths of the motion capture frames (C,), m.
+        shapes: Actuations by name.
     """
 
     rod: Rod
@@ -95,7 +102,7 @@ class Bench:
     def move(self, actuation: Actuation, flaws: Imperfections, seed: int) -> Motion:
         """The static shapes of an actuation, in time, of a robot with the set that `seed` gives it.
 
-        Raises NoShapeError where the rod buckles.
+        Raises SimulationError for a motion that is too long, NoShapeError where the rod buckles.
         """
         rod = self.rod
         if flaws.set_curvature > 0.0:
@@ -141,11 +148,21 @@ def _bench(table: Table, length: float, rest_strain: Array, base: Array) -> Benc
     tendons = tuple(_tendon(entry, rod, radius) for entry in table.tables("tendons"))
     slide, offset = _stage(table, "slide")
     full_slide, _ = _stage(table, "full_slide")
-    tracker, flaws = _tracker(table)
+    mount = table.table("tracker", required=True)
+    assert mount is not None
+    tracker = mount.pose()
+    mount.close()
+    listed = table.table("imperfections")
+    flaws = _imperfections(listed) if listed else Imperfections()
     places = _places(table, length)
     if not 0.0 <= length + offset <= length:
         raise table.fail("coil_offset", f"is {offset:g} m, off the robot; give −{length:g} to 0.")
-    shapes = _shapes(table, len(tendons), gravity)
+    shapes = {}
+    if (entries := table.table("shapes")) is not None:
+        for name in entries.names():
+            entry = entries.table(name, required=True)
+            assert entry is not None
+            shapes[name] = _actuation(entry, len(tendons), gravity)
     table.close()
     return Bench(rod, tendons, gravity, slide, full_slide, offset, tracker, flaws, places, shapes)
 
@@ -211,38 +228,17 @@ def _stage(table: Table, key: str) -> tuple[SlideLimits, float]:
     return limits, offset
 
 
-def _tracker(table: Table) -> tuple[Array, Imperfections]:
-    tracker = table.table("tracker", required=True)
-    assert tracker is not None
-    pose = tracker.pose()
-    tracker.close()
-    imperfections = table.table("imperfections")
-    return pose, _imperfections(imperfections) if imperfections else Imperfections()
-
-
 def _imperfections(table: Table) -> Imperfections:
     given: dict[str, Any] = {}
-    usual = Imperfections()
-    for entry in fields(Imperfections):
-        known = getattr(usual, entry.name)
-        if entry.name == "roll":
-            given["roll"] = table.text("roll", known, ROLLS)
-        elif isinstance(known, np.ndarray):
-            given[entry.name] = table.vector(entry.name, known.size, known)
+    for name, default in vars(Imperfections()).items():
+        if name == "roll":
+            given["roll"] = table.text("roll", default, ROLLS)
+        elif isinstance(default, np.ndarray):
+            given[name] = table.vector(name, default.size, default)
         else:
-            given[entry.name] = table.number(entry.name, known, positive=False)
+            given[name] = table.number(name, default, positive=False)
     table.close()
     return Imperfections(**given)
-
-
-def _shapes(table: Table, tendons: int, gravity: Array) -> dict[str, Actuation]:
-    shapes = table.table("shapes")
-    out: dict[str, Actuation] = {}
-    for name in shapes.names() if shapes else []:
-        entry = shapes.table(name, required=True) if shapes else None
-        assert entry is not None
-        out[name] = _actuation(entry, tendons, gravity)
-    return out
 
 
 def _actuation(table: Table, tendons: int, gravity: Array) -> Actuation:

@@ -20,17 +20,27 @@ ROLLS = ("arbitrary", "minimal", "true")
 class Imperfections:
     """Everything that keeps robot and sensors from what they should be; zero switches a part off.
 
-    Lengths in m, angles in rad, both RMS over all directions they have, or at most where said so.
-    `jitter`, `jitter_angle` white noise of the coil; `bias`, `bias_angle` errors that vary over
-    `bias_length` in space; all four grow by 1 + (d / `field_size`)² with the distance d from
-    `field_centre` (3,), given in the world. `registration`, `registration_angle` one error a
-    session between tracker and world, about the field's centre. `play` the radial clearance of the
-    inner tube, which touches the wall somewhere. `backlash` between motor and coil; `encoder` noise
-    of the motor's place. `dropouts` a second, each as long as a uniform draw from
-    `dropout_duration` (2,) s. `roll` that the tracker reports: 'arbitrary' (one a session),
-    'minimal' (the smallest rotation in the tracker's frame) or 'true'. `mocap`, `mocap_angle` white
-    noise of motion capture. `set_curvature` rad/m that the tubes keep when unloaded, about each
-    axis, smooth over `set_length` along the body.
+    Lengths in m and angles in rad are RMS over all directions they have. Jitter and bias grow by
+    1 + (d / field_size)² with the distance d from the field's centre.
+
+    Attributes:
+        jitter, jitter_angle: White noise of the coil.
+        bias, bias_angle: Errors of the coil that depend on its place.
+        bias_length: Length in space over which these vary.
+        field_centre: Centre of the tracker's field in the world (3,).
+        field_size: Distance from it at which jitter and bias are twice as large.
+        registration, registration_angle: Error between tracker and world, one a session, about the
+            field's centre.
+        play: Radial clearance of the inner tube, which touches the wall somewhere.
+        backlash: Free travel between motor and coil.
+        encoder: Noise of the motor's position.
+        dropouts: Drop-outs a second.
+        dropout_duration: Shortest and longest drop-out (2,), s.
+        roll: What the tracker reports: 'arbitrary' (one a session), 'minimal' (the smallest
+            rotation in its frame) or 'true'.
+        mocap, mocap_angle: White noise of motion capture.
+        set_curvature: Curvature that the tubes keep when unloaded, about each axis, rad/m.
+        set_length: Length along the body over which it varies.
     """
 
     jitter: float = 1.2e-4

@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline
 from glissando.geometry.se3 import Array
 from glissando.simulation.mesh import Mesh
 from glissando.simulation.rod import Loads, Rod, Tendon
-from glissando.simulation.shape import Section, Shape, require_on
+from glissando.simulation.shape import Section, Shape, sections
 from glissando.simulation.statics import resample, solve_shape
 
 _CHUNK = 500  # queries at a time, to bound memory
@@ -21,10 +21,17 @@ _CHUNK = 500  # queries at a time, to bound memory
 
 @dataclass(frozen=True)
 class Motion:
-    """Shapes at times `time` (K,) s with a cubic spline of their strains (K, G, 6) between.
+    """Static shapes at several times, with a cubic spline of their strains between.
 
-    At `rests` (B,), some of these times, the robot is at rest; each stretch between two of them has
-    a spline of its own. Before the first time and after the last the robot holds still.
+    Before the first time and after the last the robot holds still.
+
+    Attributes:
+        rod: The rod of all shapes.
+        mesh: Their Gauss points.
+        time: Times of the shapes (K,), s.
+        strain: Their strains at the points (K, G, 6).
+        rests: Those of the times at which the robot is at rest (B,), s; each stretch between two of
+            them has a spline of its own.
     """
 
     rod: Rod
@@ -41,17 +48,15 @@ class Motion:
         s, t = np.broadcast_arrays(
             np.asarray(arclength, dtype=float), np.asarray(time, dtype=float)
         )
-        require_on(self.rod, s)
         shape, s, t = s.shape, s.ravel(), np.clip(t.ravel(), self.time[0], self.time[-1])
-        pose, strain = np.empty((s.size, 4, 4)), np.empty((s.size, 6))
+        pose, (strain, wrench) = np.empty((s.size, 4, 4)), np.empty((2, s.size, 6))
         for first in range(0, s.size, _CHUNK):
             rows = slice(first, first + _CHUNK)
             instants, which = np.unique(t[rows], return_inverse=True)
             strains = self._strain(instants)
             edges = self.mesh.roll_out(strains, self.rod.base)[1][which]
-            pose[rows] = self.mesh.pose_at(strains[which], edges, s[rows])
-            strain[rows] = self.mesh.interpolate(strains[which], s[rows])
-        wrench = self.rod.stiffness * (strain - self.rod.rest(s))
+            part = sections(self.rod, self.mesh, strains[which], edges, s[rows])
+            pose[rows], strain[rows], wrench[rows] = part.pose, part.strain, part.wrench
         return Section(
             pose.reshape(*shape, 4, 4), strain.reshape(*shape, 6), wrench.reshape(*shape, 6)
         )
@@ -75,10 +80,19 @@ def solve_motion(
     time: ArrayLike,
     rests: ArrayLike,
 ) -> Motion:
-    """The shapes under loads that change slowly, at times (K,) in seconds, each from the last.
+    """The shapes under loads that change slowly, each solved from the one before.
 
-    At `rests` (B,), the first and the last of the times among them, the loads come to rest.
-    Raises SimulationError for impossible loads, NoShapeError where the rod buckles.
+    Args:
+        rod: The rod.
+        tendons: Its tendons.
+        loads_at: The loads at a time in seconds.
+        time: Times of the shapes (K,), s.
+        rests: Times at which the loads stop changing (B,), s; some of `time`, with its first and
+            last.
+
+    Raises:
+        SimulationError: Tendons or loads are impossible.
+        NoShapeError: The rod buckles.
     """
     times = np.atleast_1d(np.asarray(time, dtype=float))
     shapes: list[Shape] = []
@@ -86,12 +100,10 @@ def solve_motion(
         start = shapes[-1] if shapes else None
         shapes.append(solve_shape(rod, tendons, loads_at(float(t)), start=start))
     finest = max((shape.mesh for shape in shapes), key=lambda mesh: mesh.points.size)
-    strain = np.array(
-        [
-            s.strain
-            if s.mesh.points.size == finest.points.size
-            else resample(s.mesh, s.strain, finest)
-            for s in shapes
-        ]
-    )
-    return Motion(rod, finest, times, strain, np.atleast_1d(np.asarray(rests, dtype=float)))
+    same = [shape.mesh.points.size == finest.points.size for shape in shapes]
+    strain = [
+        shape.strain if fits else resample(shape.mesh, shape.strain, finest)
+        for shape, fits in zip(shapes, same, strict=True)
+    ]
+    rests = np.atleast_1d(np.asarray(rests, dtype=float))
+    return Motion(rod, finest, times, np.array(strain), rests)

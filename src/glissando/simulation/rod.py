@@ -30,10 +30,14 @@ def _require_finite(name: str, value: Array, shape: tuple[int, ...]) -> None:
 class Rod:
     """A linear-elastic Cosserat rod.
 
-    `length` m; `stiffness` (6,) of [shear x, shear y, extension] in N and [bending x, bending y,
-    twist] in N m²; `rest_strain` (6,), or a function of arclength (M,) → (M, 6) for initial
-    curvature; `mass_per_length` kg/m; `base` (4, 4) is T_wb at s = 0. Source: Rucker and Webster
-    2011, equations (1) to (9).
+    Attributes:
+        length: Length, m.
+        stiffness: [shear x, shear y, extension] in N and [bending x, bending y, twist] in N m².
+        rest_strain: Unloaded strain (6,), or a function of arclength (M,) → (M, 6).
+        mass_per_length: Mass, kg/m.
+        base: T_wb (4, 4) at s = 0.
+
+    Source: Rucker and Webster 2011, equations (1) to (9).
     """
 
     length: float
@@ -78,10 +82,19 @@ class Rod:
         rest_strain: Array | Field = STRAIGHT,
         base: Array | None = None,
     ) -> Rod:
-        """Concentric tubes of one material that bend together; (outer, inner) diameters in m.
+        """Concentric tubes of one material that bend together.
 
-        `young` Pa, `density` kg/m³. Raises SimulationError for an inner diameter that is not
-        smaller than its outer one.
+        Args:
+            length: Length, m.
+            diameters: Outer and inner diameter of each tube, m.
+            young: Young's modulus, Pa.
+            poisson: Poisson's ratio.
+            density: Density, kg/m³.
+            rest_strain: Unloaded strain, as of the rod.
+            base: T_wb (4, 4) at s = 0; the world's frame unless given.
+
+        Raises:
+            SimulationError: A diameter or a ratio is impossible.
 
         >>> Rod.of_tubes(0.7, [(2e-3, 1.8e-3)], young=60e9, poisson=0.33).stiffness[3].round(4)
         np.float64(0.0162)
@@ -100,23 +113,21 @@ class Rod:
         shear = young / (2.0 * (1.0 + poisson))
         stiffness = [shear * area, shear * area, young * area]
         stiffness += [young * inertia, young * inertia, 2.0 * shear * inertia]
-        return Rod(
-            length,
-            np.array(stiffness),
-            rest_strain,
-            density * area,
-            np.eye(4) if base is None else base,
-        )
+        base = np.eye(4) if base is None else base
+        return Rod(length, np.array(stiffness), rest_strain, density * area, base)
 
 
 @dataclass(frozen=True)
 class Tendon:
-    """A tendon through holes in the disks, from the base to `end` (m), where it is tied.
+    """A tendon through holes in the disks, from the base to where it is tied.
 
-    `offset` is where it runs in the cross-section: two numbers in m, or a function of arclength
-    (M,) → (M, 2) for any other routing. With a coefficient of `friction` μ its tension falls from
-    the base by exp(−μ Θ), Θ the angle the backbone has bent it by, as when it is being pulled
-    (Capstan; Kato et al. 2015).
+    With friction its tension falls from the base by exp(−μ Θ), Θ the angle the backbone has bent it
+    by, as when it is being pulled (Capstan; Kato et al. 2015).
+
+    Attributes:
+        offset: Its place in the cross-section (2,), m, or a function of arclength (M,) → (M, 2).
+        end: Arclength where it is tied, m.
+        friction: Coefficient μ.
     """
 
     offset: Array | Field
@@ -168,14 +179,6 @@ class Loads:
     tensions: ArrayLike = ()
     gravity: ArrayLike = (0.0, 0.0, 0.0)
     wrenches: Sequence[Wrench] = ()
-
-    def scaled(self, share: float) -> Loads:
-        """A share of these loads."""
-        wrenches = [
-            Wrench(w.arclength, share * np.asarray(w.force), share * np.asarray(w.moment))
-            for w in self.wrenches
-        ]
-        return Loads(share * np.asarray(self.tensions), share * np.asarray(self.gravity), wrenches)
 
 
 def require_possible(rod: Rod, tendons: Sequence[Tendon], loads: Loads) -> None:

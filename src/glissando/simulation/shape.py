@@ -17,8 +17,11 @@ from glissando.simulation.rod import Rod
 class Section:
     """Cross-sections of a rod, with the leading shape of the query.
 
-    `pose` (…, 4, 4) T_wb; `strain` (…, 6); `wrench` (…, 6) that the rod's material carries, [force
-    N, moment N m] in the body frame, the tendons' share not in it.
+    Attributes:
+        pose: T_wb (…, 4, 4).
+        strain: Strain (…, 6).
+        wrench: What the rod's material carries without the tendons' share (…, 6): [force N, moment
+            N m] in the body frame.
     """
 
     pose: Array
@@ -28,7 +31,14 @@ class Section:
 
 @dataclass(frozen=True)
 class Shape:
-    """A rod at rest: strain at the points of its mesh and poses at the edges of the elements."""
+    """A rod at rest.
+
+    Attributes:
+        rod: The rod.
+        mesh: Its Gauss points.
+        strain: Strain at the points (G, 6).
+        edges: Poses at the edges of the elements (E + 1, 4, 4).
+    """
 
     rod: Rod
     mesh: Mesh
@@ -38,23 +48,31 @@ class Shape:
     def at(self, arclength: ArrayLike) -> Section:
         """Cross-sections at arclengths (…) in metres. Raises SimulationError off the rod."""
         s = np.asarray(arclength, dtype=float)
-        require_on(self.rod, s)
-        flat = s.ravel()
-        strains = np.broadcast_to(self.strain, (flat.size, *self.strain.shape))
-        edges = np.broadcast_to(self.edges, (flat.size, *self.edges.shape))
-        pose = self.mesh.pose_at(strains, edges, flat)
-        strain = self.mesh.interpolate(strains, flat)
-        wrench = self.rod.stiffness * (strain - self.rod.rest(flat))
-        return Section(
-            pose.reshape(*s.shape, 4, 4), strain.reshape(*s.shape, 6), wrench.reshape(*s.shape, 6)
-        )
+        strains = np.broadcast_to(self.strain, (s.size, *self.strain.shape))
+        edges = np.broadcast_to(self.edges, (s.size, *self.edges.shape))
+        return sections(self.rod, self.mesh, strains, edges, s)
 
 
-def require_on(rod: Rod, arclength: Array) -> None:
-    """Raise SimulationError unless every arclength is on the rod."""
+def sections(rod: Rod, mesh: Mesh, strain: Array, edges: Array, arclength: Array) -> Section:
+    """Cross-sections at arclengths (…), each of a shape of its own.
+
+    Args:
+        rod: The rod of all shapes.
+        mesh: Their Gauss points.
+        strain: Strains at the points (M, G, 6), a row for each arclength.
+        edges: Poses at the edges of the elements (M, E + 1, 4, 4).
+        arclength: Where, m.
+
+    Raises:
+        SimulationError: An arclength is off the rod.
+    """
     off = ~((arclength >= -1e-9) & (arclength <= rod.length + 1e-9))
     if np.any(off):
         raise SimulationError(
             f"Arclength {arclength[off].ravel()[0]:g} m is off a rod of {rod.length:g} m; give "
             f"0 to {rod.length:g} m."
         )
+    flat, lead = arclength.ravel(), arclength.shape
+    values = mesh.interpolate(strain, flat)
+    pose, wrench = mesh.pose_at(strain, edges, flat), rod.stiffness * (values - rod.rest(flat))
+    return Section(pose.reshape(*lead, 4, 4), values.reshape(*lead, 6), wrench.reshape(*lead, 6))

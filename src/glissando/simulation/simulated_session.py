@@ -24,9 +24,17 @@ _LONGEST = 100_000.0  # s
 
 @dataclass(frozen=True)
 class Session:
-    """Streams of one run: the coil in the tracker's frame T_wt, motion capture in the world.
+    """What the sensors of one run record, and what truly happened.
 
-    Lasts `duration` seconds; `mocap_std` (6,) is what motion capture's noise is, [linear, angular].
+    Attributes:
+        name: Name of the recording.
+        duration: Its length, s.
+        motion: The robot's shapes.
+        path: The slide's path.
+        coil: Readings of the coil in the tracker's frame.
+        mocap: Readings of motion capture in the world, by the name of the frame.
+        T_wt: Pose of the tracker (4, 4).
+        mocap_std: Std of motion capture's noise (6,), [linear m, angular rad].
     """
 
     name: str
@@ -51,8 +59,20 @@ def simulate_session(
 ) -> Session:
     """What the bench's sensors record of a motion while the coil slides along a path.
 
-    Lasts `duration` seconds, unless given until both have come to rest. The same seed gives the
-    same noise, and switching one of the `flaws` off leaves the others' draws as they were.
+    Switching one of the imperfections off leaves the draws of the others as they were.
+
+    Args:
+        bench: The robot with its sensors.
+        motion: Its shapes.
+        path: Path of the slide.
+        seed: Seed of all noise, from 0 up.
+        duration: Length of the session, s; until motion and path end unless given.
+        flaws: Imperfections; the bench's unless given.
+        name: Name of the session.
+
+    Raises:
+        SimulationError: The duration or the seed is impossible, the coil would leave the robot, or
+            imperfections are too large.
     """
     flaws = bench.flaws if flaws is None else flaws
     lasts = max(path.duration, float(motion.time[-1])) if duration is None else duration

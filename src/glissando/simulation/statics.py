@@ -39,10 +39,18 @@ def solve_shape(
 ) -> Shape:
     """The stable static shape that the unloaded rod takes when the loads are put on.
 
-    `start`, a shape under similar loads, saves iterations. Elements are halved until strain is
-    resolved, or a 64th of the length long where the rest strain itself jumps. Raises
-    SimulationError for impossible tendons or loads, NoShapeError when the rod buckles on the way or
-    no shape is found.
+    Elements are halved until strain is resolved, or a 64th of the length long where the rest strain
+    itself jumps.
+
+    Args:
+        rod: The rod.
+        tendons: Its tendons.
+        loads: What acts on it.
+        start: A shape under similar loads, which saves iterations.
+
+    Raises:
+        SimulationError: Tendons or loads are impossible.
+        NoShapeError: The rod buckles on the way, or no shape is found.
     """
     require_possible(rod, tendons, loads)
     breaks = [0.0, rod.length, *(t.end for t in tendons), *(w.arclength for w in loads.wrenches)]
@@ -111,34 +119,23 @@ class _Problem:
         for wrench in loads.wrenches:
             force += (s < wrench.arclength)[:, None] * np.asarray(wrench.force)
             moment += (s < wrench.arclength)[:, None] * np.asarray(wrench.moment)
-        pull = np.array(
-            [
-                t * (s < tendon.end)
-                for t, tendon in zip(np.atleast_1d(loads.tensions), tendons, strict=True)
-            ]
-        ).reshape(len(tendons), s.size)
-        paths = [tendon.path(s) for tendon in tendons]
-        place, slope = (
-            np.array([path[i] for path in paths]).reshape(len(tendons), s.size, 3) for i in (0, 1)
-        )
-        friction = np.array([tendon.friction for tendon in tendons]).reshape(-1, 1)
-        before = mesh.integral
-        beyond = mesh.weights - before
-        rest = rod.rest(s)
-        load = (rest, force, moment, pull, friction, place, slope)
-        return _Problem(rod, mesh, *load, before, beyond)
+        tensions = np.reshape(loads.tensions, (-1, 1))
+        pull = tensions * (s < np.reshape([tendon.end for tendon in tendons], (-1, 1)))
+        friction = np.reshape([tendon.friction for tendon in tendons], (-1, 1))
+        paths = np.reshape([tendon.path(s) for tendon in tendons], (-1, 2, s.size, 3))
+        load = (rod.rest(s), force, moment, pull, friction, paths[:, 0], paths[:, 1])
+        return _Problem(rod, mesh, *load, mesh.integral, mesh.weights - mesh.integral)
 
     def load_up(self, guess: Array | None) -> Array:
         """Strain (G, 6) under the whole load, which is put on bit by bit if it must be."""
-        if guess is not None:
-            found = self._newton(guess, 1.0)
-            if found is not None:
-                return found
+        warm = None if guess is None else self._newton(guess, 1.0)
+        if warm is not None:
+            return warm
         strain, share, step = np.array(self.rest), 0.0, 1.0
         while share < 1.0:
             step = min(step, 1.0 - share)
-            found = self._newton(strain, share + step)
-            if found is None:
+            loaded = self._newton(strain, share + step)
+            if loaded is None:
                 step *= 0.5
                 if step < _SMALLEST_STEP:
                     percent = f"{100 * share:.1f}" if share > 1e-3 else f"{100 * share:.2g}"
@@ -147,7 +144,7 @@ class _Problem:
                         f"shape continues the unloaded one; reduce tensions or forces below that."
                     )
                 continue
-            strain, share, step = found, share + step, 2.0 * step
+            strain, share, step = loaded, share + step, 2.0 * step
         return strain
 
     def _newton(self, strain: Array, share: float) -> Array | None:

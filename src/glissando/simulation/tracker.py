@@ -25,25 +25,34 @@ def coil_rows(
     flaws: Imperfections,
     rng: np.random.Generator,
 ) -> Rows:
-    """What a coil on the slide reports at times (M,), in the tracker's frame T_wt (4, 4).
+    """What a coil on the slide reports.
 
-    `offset` is where the coil is when the displacement is zero, metres from the tip. The rows'
-    arclengths are what the motor's encoder makes of them.
+    Args:
+        motion: Shapes of the robot.
+        path: Path of the slide.
+        time: Times of the readings (M,), s.
+        offset: Place of the coil, from the tip, at displacement zero, m.
+        T_wt: Pose of the tracker (4, 4).
+        flaws: Imperfections of the coil and its slide.
+        rng: Source of their draws.
+
+    Returns:
+        Rows in the tracker's frame, less drop-outs, at arclengths as the motor's encoder has them.
     """
     streams = iter(rng.spawn(7))  # a stream a part: switching one off leaves the others as they are
     commanded = path.at(time)
     real = _follow(commanded, flaws.backlash)
-    told = commanded + flaws.encoder * next(streams).standard_normal(time.size)
+    encoded = commanded + flaws.encoder * next(streams).standard_normal(time.size)
     length = motion.rod.length
-    place, named = (np.clip(length - d + offset, 0.0, length) for d in (real, told))
+    place, named = (np.clip(length - d + offset, 0.0, length) for d in (real, encoded))
     pose = motion.at(place, time).pose @ _play(next(streams), place, flaws.play)
     pose = pose @ se3.exp(_tracker_error(next(streams), next(streams), pose, flaws))
     centre = np.eye(4)
     centre[:3, 3] = flaws.field_centre
     slip = centre @ se3.exp(_registration(next(streams), flaws)) @ se3.inverse(centre)
-    seen = rolled(se3.inverse(T_wt) @ slip @ pose, flaws.roll, next(streams))
+    reported = rolled(se3.inverse(T_wt) @ slip @ pose, flaws.roll, next(streams))
     kept = _kept(next(streams), time, flaws)
-    return Rows("coil", time[kept], named[kept], seen[kept], {})
+    return Rows("coil", time[kept], named[kept], reported[kept], {})
 
 
 def _follow(commanded: Array, width: float) -> Array:
@@ -130,7 +139,7 @@ def _kept(rng: np.random.Generator, time: Array, flaws: Imperfections) -> np.nda
 def mocap_rows(
     motion: Motion, arclength: float, time: Array, flaws: Imperfections, rng: np.random.Generator
 ) -> Rows:
-    """What motion capture says of the frame at one arclength (m) at times (M,), in the world."""
+    """What motion capture reports of the frame at one arclength (m): times (M,), world frame."""
     place = np.full(time.size, arclength)
     noise = rng.standard_normal((time.size, 6)) / np.sqrt(3.0)
     noise *= np.repeat([flaws.mocap, flaws.mocap_angle], 3)
