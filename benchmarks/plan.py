@@ -15,7 +15,7 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 
 import numpy as np
 
-from glissando import BaseVariance, CoilReadings, FixedLagSmoother, SeparablePrior, load_robot
+from glissando import BaseVariance, FixedLagSmoother, SeparablePrior, load_robot
 from glissando.errors import PlanWarning
 from glissando.io.robot_file import robot_file
 from glissando.planning import (
@@ -24,12 +24,11 @@ from glissando.planning import (
     Trace,
     Zone,
     evaluate_path,
-    judge_of,
-    plan_greedily,
+    path_objective_of,
+    path_space_of,
     plan_slide,
     predict_information,
     sliding_sensor,
-    track_of,
 )
 from glissando.planning.plan_slide import starts
 from glissando.simulation import load_bench
@@ -37,7 +36,7 @@ from plan_page import number, table, write
 
 LENGTH, HORIZON = 0.7, 10.0
 ZONES = [Zone((0.5, 0.6))]
-JUDGED = ZONES, [Zone((0.1, 0.2))], [Zone((0.3, 0.4), (0, 5)), Zone((0.6, 0.7), (5, 10))]
+TASKS = ZONES, [Zone((0.1, 0.2))], [Zone((0.3, 0.4), (0, 5)), Zone((0.6, 0.7), (5, 10))]
 KINEMATIC = replace(load_robot("sliding700"), arclength_nodes=np.linspace(0.0, LENGTH, 10))
 SEPARABLE = replace(
     KINEMATIC,
@@ -60,30 +59,29 @@ def clocked(work):
 
 
 def costs(robot, stage):
-    """Milliseconds: outlook, plan, both, one value, one gradient, the greedy path; numbers kept."""
+    """Milliseconds: problem, plan, both, one value, one gradient; and the number of modes."""
     reach = LENGTH - stage.stroke, LENGTH
-    ahead, outlook = clocked(lambda: predict_information(robot, reach, HORIZON))
-    ready, judge = clocked(lambda: judge_of(outlook, ZONES, Trace()))
-    track = track_of(stage, LENGTH, LENGTH, HORIZON)
-    planned, plan = clocked(lambda: plan_slide(judge, track, ZONES))
-    value, _ = clocked(lambda: judge.value(plan.arclength))
-    slope, _ = clocked(lambda: judge(plan.arclength))
-    greedy, _ = clocked(lambda: plan_greedily(judge, track))
-    both = ahead + ready + planned
-    return [ahead + ready, planned, both, value, slope, greedy], outlook.rows.shape[-1] // 2
+    predicting, problem = clocked(lambda: predict_information(robot, reach, HORIZON))
+    preparing, path_objective = clocked(lambda: path_objective_of(problem, ZONES, Trace()))
+    path_space = path_space_of(stage, LENGTH, LENGTH, HORIZON)
+    planning, plan = clocked(lambda: plan_slide(path_objective, path_space, ZONES))
+    value, _ = clocked(lambda: path_objective.value(plan.arclength))
+    gradient, _ = clocked(lambda: path_objective(plan.arclength))
+    before = predicting + preparing
+    return [before, planning, before + planning, value, gradient], problem.rows.shape[-1] // 2
 
 
 def error(robot, stage):
-    """Per cent by which deviations that plans are judged by miss those at full size: RMS, most."""
-    outlook = predict_information(robot, (LENGTH - stage.stroke, LENGTH), HORIZON)
-    track, misses = track_of(stage, LENGTH, LENGTH, HORIZON), []
-    for zones in JUDGED:
-        judge = judge_of(outlook, zones, Trace())
-        paths = np.stack(list(starts(track, zones, 0.0, 0).values())[::4])
-        for control in track.follow(paths):
-            path = track.places(control)
-            whole = evaluate_path(outlook, zones, Trace(), path).std
-            misses.append(100.0 * (np.sqrt(judge.value(path)) / whole - 1.0))
+    """Per cent by which the modes' standard deviations miss those at full size: RMS, most."""
+    problem = predict_information(robot, (LENGTH - stage.stroke, LENGTH), HORIZON)
+    path_space, misses = path_space_of(stage, LENGTH, LENGTH, HORIZON), []
+    for zones in TASKS:
+        path_objective = path_objective_of(problem, zones, Trace())
+        targets = np.stack(list(starts(path_space, zones, 0.0, 0).values())[::4])
+        for control in path_space.follow(targets):
+            path = path_space.arclength(control)
+            whole = evaluate_path(problem, zones, Trace(), path).std
+            misses.append(100.0 * (np.sqrt(path_objective.value(path)) / whole - 1.0))
     return np.sqrt(np.mean(np.square(misses))), np.abs(misses).max()
 
 
@@ -92,18 +90,18 @@ def cost_lines(runs):
     bench, rows = load_bench(robot_file("sliding700")), []
     for name, robot in ROBOTS.items():
         for stage in (bench.slide, bench.full_slide):
-            found = [costs(robot, stage) for _ in range(runs)]
-            least = np.min([f[0] for f in found], axis=0)
+            times, (modes, *_) = zip(*(costs(robot, stage) for _ in range(runs)), strict=True)
+            least = map(number, np.min(times, axis=0))
             missed = " / ".join(map(number, error(robot, stage)))
-            rows.append([name, f"{1e3 * stage.stroke:g}", found[0][1], *map(number, least), missed])
-    heads = "prior", "stroke (mm)", "numbers a node", "outlook (ms)", "plan (ms)", "both (ms)"
-    heads += "a value (ms)", "a gradient (ms)", "greedy (ms)", "σ missed by (%)"
+            rows.append([name, f"{1e3 * stage.stroke:g}", modes, *least, missed])
+    heads = "prior", "stroke (mm)", "modes", "problem (ms)", "plan (ms)", "both (ms)"
+    heads += "a value (ms)", "a gradient (ms)", "σ missed by (%)"
     return [
         f"`benchmarks/plan.py`, {date.today()}: {HORIZON:g} s ahead, paths of 100 steps, 10 "
         f"arclength nodes, 10 (separable) or 20 time steps; milliseconds of processor time on one "
         f"thread, the least of {runs} runs on a machine that others used as well. The last column "
-        f"is by how much the deviations that paths are judged by miss those at full size, root "
-        f"mean square and most, over starts for three tasks.",
+        f"is the error of the modes' standard deviations against those at full size, root mean "
+        f"square and largest, over starts for three tasks.",
         "",
         *table(heads, rows),
     ]
@@ -111,20 +109,20 @@ def cost_lines(runs):
 
 def loop(robot, stage, seconds, planner=None, lead=0.0):
     """Milliseconds (updates, 3) of updates by the clock, in the thread, and of `next` alone."""
-    track = track_of(stage, LENGTH, LENGTH, 0.5 * HORIZON)
-    given = {} if planner is None else {"planner": planner}
+    path_space = path_space_of(stage, LENGTH, LENGTH, 0.5 * HORIZON)
+    options = {} if planner is None else {"planner": planner}
     sensor = sliding_sensor(robot)
-    replanner = Replanner(sensor, track, ZONES, node_step=0.5, lead=lead, **given)
+    replanner = Replanner(sensor, path_space, ZONES, node_step=0.5, lead=lead, **options)
     smoother = FixedLagSmoother(robot.prior, robot.arclength_nodes, window=4)
     out, plans, begin = [], set(), time.perf_counter()
     for tick in range(round(seconds / TICK)):
         now = tick * TICK
         time.sleep(max(0.0, begin + now - time.perf_counter()))
-        taken = now - TICK + TICK * np.arange(1, 5) / 4.0
-        place = replanner.at(taken)[0]
-        seen = np.tile(np.eye(4), (4, 1, 1))
-        seen[:, 2, 3] = place
-        coil = CoilReadings(time=taken, arclength=place, values=seen, cov=sensor.cov, name="coil")
+        times = now - TICK + TICK * np.arange(1, 5) / 4.0
+        place = replanner.at(times)[0]
+        pose = np.tile(np.eye(4), (4, 1, 1))
+        pose[:, 2, 3] = place
+        coil = sensor.readings(pose, place, times)
         clocks = [(time.perf_counter(), time.thread_time())]
         smoother.add(coil)
         smoother.advance(now)
@@ -138,21 +136,22 @@ def loop(robot, stage, seconds, planner=None, lead=0.0):
 
 
 def loop_lines(rounds, seconds):
-    """Three loops in turn: one that does not plan, one whose plans are made elsewhere, or in it."""
+    """Three loops in turn: without plans, with plans computed by a process, and inline."""
     stage, rows = load_bench(robot_file("sliding700")).full_slide, []
     warnings.simplefilter("ignore", PlanWarning)  # here, each plan is late
     for name, robot in ROBOTS.items():
-        found = {"none": [], "elsewhere": [], "in the loop": []}
+        runs_of = {"none": [], "by a process": [], "inline": []}
         with ProcessPlanner() as planner:
             for _ in range(rounds):
-                found["none"].append(loop(robot, stage, seconds))
-                found["elsewhere"].append(loop(robot, stage, seconds, planner, LEAD))
+                runs_of["none"].append(loop(robot, stage, seconds))
+                runs_of["by a process"].append(loop(robot, stage, seconds, planner, LEAD))
                 if planner.ready(10.0):
-                    planner.answer()  # what the last loop did not wait for
-                found["in the loop"].append(loop(robot, stage, 0.25 * seconds, lead=LEAD))
-        alone = np.quantile(np.concatenate([f for f, _ in found["none"]]), [0.5, 0.99], axis=0)
-        for planned, runs in found.items():
-            times = np.concatenate([f for f, _ in runs])
+                    planner.result()  # that the last loop did not wait for
+                runs_of["inline"].append(loop(robot, stage, 0.25 * seconds, lead=LEAD))
+        alone = [times for times, _ in runs_of["none"]]
+        alone = np.quantile(np.concatenate(alone), [0.5, 0.99], axis=0)
+        for planned, runs in runs_of.items():
+            times = np.concatenate([times for times, _ in runs])
             half, most = np.quantile(times, [0.5, 0.99], axis=0)
             rows.append([name, planned, len(times), sum(n for _, n in runs)])
             for clock in (0, 1):
@@ -161,7 +160,7 @@ def loop_lines(rounds, seconds):
                 rows[-1] += [" / ".join(f"{ratio:.2f}" for ratio in ratios)]
             last = f"{number(half[2])} / {number(most[2])}" if planned != "none" else ""
             rows[-1].append(last)
-    heads = "prior", "plans are made", "updates", "plans", "by the clock (ms)", "× none"
+    heads = "prior", "plans computed", "updates", "plans", "by the clock (ms)", "× none"
     heads += "in the thread (ms)", "× none", "`next` (ms)"
     return [
         f"`benchmarks/plan.py`, {date.today()}: {1.0 / TICK:g} updates a second with 4 readings "

@@ -3,8 +3,8 @@
 The paper's 0.70 m robot holds a C, an S, or moves from one to the other in 20 s. What matters is
 its position from 0.50 to 0.60 m. The path is planned with the nominal shape; then 5 robots, each
 with a set of its own that no model knows, are simulated with 10 draws of all sensors' faults each,
-and estimated. "everywhere" is foretold for a sensor at every place of the stroke at once: no path
-can do better. The last three columns are against oscillating: the mean variance that is foretold,
+and estimated. "everywhere" is predicted for a sensor at every place of the stroke at once: no path
+can do better. The last three columns are against oscillating: the mean variance that is predicted,
 that which the estimator claims, and the squared errors against the true motion.
 Usage: plan_study.py [ROBOTS [DRAWS]]
 """
@@ -26,13 +26,13 @@ from glissando.planning import (
     Trace,
     Zone,
     baseline_paths,
-    course_of,
+    evaluate_everywhere,
     evaluate_path,
-    everywhere,
-    judge_of,
+    expected_motion,
+    path_objective_of,
+    path_space_of,
     plan_slide,
     predict_information,
-    track_of,
 )
 from glissando.simulation import SlidePath, load_bench, simulate_session
 from plan_page import table, write
@@ -57,61 +57,61 @@ def expected(motion):
         at = motion.at(arclength, time)
         return at.pose, at.strain
 
-    return course_of(shape, ROBOT.prior, ROBOT.arclength_nodes)
+    return expected_motion(shape, ROBOT.prior, ROBOT.arclength_nodes)
 
 
-def paths_of(outlook, stage):
-    """The slide's paths by name, and where each is at the outlook's steps."""
-    track = track_of(stage, TIP, TIP, LASTS)
-    plan = plan_slide(judge_of(outlook, [ZONE], Trace()), track, [ZONE])
+def paths_of(problem, stage):
+    """The slide's paths by name, and the arclengths of each at the problem's times."""
+    path_space = path_space_of(stage, TIP, TIP, LASTS)
+    plan = plan_slide(path_objective_of(problem, [ZONE], Trace()), path_space, [ZONE])
     cycles = int(np.ceil(LASTS / (2.0 * stage.stroke / stage.speed)))
     slides = {
         "planned": plan.slide_path(TIP, stage),
         "oscillating": SlidePath.oscillate(cycles, stage.stroke, stage),
         "fixed": SlidePath.hold(0.0, LASTS, stage),
     }
-    assert set(slides) < {"planned", *baseline_paths(stage, TIP, TIP, track.times)}
-    return {name: (slide, TIP - slide.at(outlook.times)) for name, slide in slides.items()}
+    assert set(slides) < {"planned", *baseline_paths(stage, TIP, TIP, path_space.times)}
+    return {name: (slide, TIP - slide.at(problem.times)) for name, slide in slides.items()}
 
 
-def judged(motion, slide, seed, start):
-    """Claimed variance, squared error and share inside 95 % of the zone; and the state found."""
+def simulated(motion, slide, seed, start):
+    """Claimed variance, squared error and share inside 95 % of the zone; and the state."""
     recorded = simulate_session(BENCH, motion, slide, seed=seed, duration=LASTS)
     rows = recorded.coil
     coil = CoilReadings(
         time=rows.time, arclength=rows.arclength, values=recorded.T_wt @ rows.values,
         cov=ROBOT.sensor_std["coil"] ** 2, name="coil",
     )  # fmt: skip
-    found = estimate(ROBOT.prior, ROBOT.grid(0.0, LASTS), [coil], initial=start)
+    posterior = estimate(ROBOT.prior, ROBOT.grid(0.0, LASTS), [coil], initial=start)
     place, time = ZONE.points(np.arange(0.25, LASTS, 0.5))
-    at, true = found.at(place, time), motion.at(place, time).pose[:, :3, 3]
-    miss, cov = at.position - true, at.cov_position_world
-    nees = np.einsum("zi,zi->z", miss, np.linalg.solve(cov, miss[..., None])[..., 0])
+    at, true = posterior.at(place, time), motion.at(place, time).pose[:, :3, 3]
+    error, cov = at.position - true, at.cov_position_world
+    nees = np.einsum("zi,zi->z", error, np.linalg.solve(cov, error[..., None])[..., 0])
     inside = np.mean(nees <= chi2.ppf(0.95, 3))
-    return [np.mean(at.std_position**2), np.mean(np.sum(miss**2, 1)), inside], found.state
+    return [np.mean(at.std_position**2), np.mean(np.sum(error**2, 1)), inside], posterior.state
 
 
 def study(shape, stage, robots, draws):
-    """By path: what is foretold (m), and claimed variance, squared error, coverage of each run."""
-    course = expected(moved(shape, None))
+    """By path: predicted σ (m), and claimed variance, squared error, coverage of each run."""
+    motion = expected(moved(shape, None))
     reach = TIP - stage.stroke, TIP
-    outlook = predict_information(
-        ROBOT, reach, LASTS, course=course, node_step=1.0 / ROBOT.time_rate
+    problem = predict_information(
+        ROBOT, reach, LASTS, motion=motion, node_step=1.0 / ROBOT.time_rate
     )
-    told, runs = {"everywhere": everywhere(outlook, [ZONE], Trace()).std}, {}
-    paths = paths_of(outlook, stage)
+    predicted, runs = {"everywhere": evaluate_everywhere(problem, [ZONE], Trace()).std}, {}
+    paths = paths_of(problem, stage)
     for name, (_, path) in paths.items():
-        told[name], runs[name] = evaluate_path(outlook, [ZONE], Trace(), path).std, []
+        predicted[name], runs[name] = evaluate_path(problem, [ZONE], Trace(), path).std, []
     for robot in range(robots):
         motion, state = moved(shape, robot), None
         for name, (slide, _) in paths.items():
             for draw in range(draws):
-                found, state = judged(motion, slide, draws * robot + draw, state)
-                runs[name].append(found)
-    return told, {name: np.array(found) for name, found in runs.items()}
+                result, state = simulated(motion, slide, draws * robot + draw, state)
+                runs[name].append(result)
+    return predicted, {name: np.array(results) for name, results in runs.items()}
 
 
-def row_of(label, shape, name, std, told, runs):
+def row_of(label, shape, name, std, predicted, runs):
     """Cells of a path's row, and the three changes against oscillating."""
     row, blind = [label, shape, name, f"{1e3 * std:.2f}"], runs["oscillating"].mean(axis=0)
     claimed = square = np.nan
@@ -120,7 +120,7 @@ def row_of(label, shape, name, std, told, runs):
         row += [f"{1e3 * np.sqrt(x):.2f}" for x in (claimed, square)] + [f"{100 * inside:.0f} %"]
     else:
         row += [""] * 3
-    shares = (std / told["oscillating"]) ** 2, claimed / blind[0], square / blind[1]
+    shares = (std / predicted["oscillating"]) ** 2, claimed / blind[0], square / blind[1]
     changes = [100.0 * (share - 1.0) for share in shares]
     return row + [f"{x:+.0f} %" if np.isfinite(x) else "" for x in changes], changes
 
@@ -134,32 +134,32 @@ def between(numbers):
 def main(robots=5, draws=10):
     """Write the table of every shape, stage and path, and what it says of plans."""
     warnings.simplefilter("ignore", NotConvergedWarning)
-    rows, said, off = [], [], []
+    rows, sentences, off = [], [], []
     for label, stage in STAGES.items():
         gains = []
         for shape in SHAPES:
-            told, runs = study(shape, stage, robots, draws)
-            for name, std in told.items():
-                cells, changes = row_of(label, shape, name, std, told, runs)
+            predicted, runs = study(shape, stage, robots, draws)
+            for name, std in predicted.items():
+                cells, changes = row_of(label, shape, name, std, predicted, runs)
                 rows.append(cells)
                 print(*cells, sep=" | ", flush=True)
                 if name in runs:
                     off.append(abs(np.sqrt(runs[name][:, 0].mean()) / std - 1.0))
                 if name == "planned":
                     gains.append(changes)
-        foretold, _, true = (between(part) for part in np.transpose(gains))
-        said.append(
-            f"Against a blind oscillation over a stroke of {label} the plan is foretold to leave "
-            f"{foretold} less variance, and leaves {true} less squared error."
+        variance, _, square = (between(part) for part in np.transpose(gains))
+        sentences.append(
+            f"Against an oscillation over a stroke of {label} the plan is predicted to leave "
+            f"{variance} less variance, and leaves {square} less squared error."
         )
-    heads = "stroke", "shape", "path", "σ foretold (mm)", "σ claimed", "RMSE", "inside 95 %"
-    heads += "variance foretold", "claimed", "squared error"
-    said.append(
-        f"What is foretold without any reading is what the estimator claims afterwards, within "
-        f"{np.ceil(100 * max(off)):.0f} % of σ."
+    heads = "stroke", "shape", "path", "σ predicted (mm)", "σ claimed", "RMSE", "inside 95 %"
+    heads += "variance predicted", "claimed", "squared error"
+    sentences.append(
+        f"The deviation predicted without any reading agrees with what the estimator claims "
+        f"afterwards within {np.ceil(100 * max(off)):.0f} %."
     )
     ran = f"`benchmarks/plan_study.py`, {date.today()}, {robots} robots, {draws} draws each."
-    write("worth", [*table(heads, rows), "", *said, "", ran])
+    write("worth", [*table(heads, rows), "", *sentences, "", ran])
 
 
 if __name__ == "__main__":

@@ -15,26 +15,33 @@ from glissando import CoilReadings, FixedLagSmoother, load_robot
 from glissando.hardware.capture.simulated import simulated_rig
 from glissando.hardware.drivers import Aurora, Slide
 from glissando.io.robot_file import robot_file
-from glissando.planning import Moving, ProcessPlanner, Replanner, Zone, sliding_sensor, track_of
+from glissando.planning import (
+    MovingInterval,
+    ProcessPlanner,
+    Replanner,
+    Zone,
+    path_space_of,
+    sliding_sensor,
+)
 from glissando.planning.replan import Route
 from glissando.simulation import load_bench
 
-TICK, STREAMED, TIP = 0.25, 0.3, 0.7  # s between updates; s that a path is settled ahead; m
+TICK, STREAMED, TIP = 0.25, 0.3, 0.7  # s between updates; s for which the path is settled; m
 
 
-def estimate(seen, travels, routes, lasts):
-    """The estimator's process: hears poses and travels, and sends the path whenever it changes."""
+def estimate(readings, travels, routes, lasts):
+    """The estimator's process: receives poses and travels, sends the path whenever it changes."""
     robot, bench = load_robot("sliding700"), load_bench(robot_file("sliding700"))
-    zone = Zone(Moving((0.0, lasts), (0.62, 0.68), (0.52, 0.58)))
-    sensor, track = sliding_sensor(robot), track_of(bench.slide, TIP, TIP, horizon=5.0)
+    zone = Zone(MovingInterval((0.0, lasts), (0.62, 0.68), (0.52, 0.58)))
+    sensor, path_space = sliding_sensor(robot), path_space_of(bench.slide, TIP, TIP, horizon=5.0)
     smoother, slide = FixedLagSmoother(robot.prior, robot.arclength_nodes, window=6), [(0.0, 0.0)]
     with ProcessPlanner() as planner:
-        replanner = Replanner(sensor, track, [zone], node_step=0.5, lead=0.7, planner=planner)
+        replanner = Replanner(sensor, path_space, [zone], node_step=0.5, lead=0.7, planner=planner)
         routes.send("ready")
         begin = routes.recv()
         while (now := time.monotonic() - begin) < lasts:
             slide += [travels.get() for _ in range(travels.qsize())]
-            rows = [seen.get() for _ in range(seen.qsize())]
+            rows = [readings.get() for _ in range(readings.qsize())]
             when, poses = np.array([r[0] for r in rows]), np.array([r[1] for r in rows])
             place = TIP - np.interp(when, *np.transpose(slide))  # where the coil was then
             smoother.add(
@@ -48,22 +55,22 @@ def estimate(seen, travels, routes, lasts):
             if replanner.next(smoother, time.monotonic() - begin + STREAMED) is not last:
                 routes.send(replanner.route)
             spent = time.monotonic() - begin - now
-            sure = smoother.at(*zone.points(np.array([now]))).std_position
+            std = smoother.at(*zone.points(np.array([now]))).std_position
             print(
                 f"{now:5.2f} s: coil at {1e3 * replanner.at(now)[0]:.0f} mm, the zone is known to "
-                f"± {1e3 * np.sqrt(np.mean(sure**2)):.1f} mm; an update takes {1e3 * spent:.0f} ms",
+                f"± {1e3 * np.sqrt(np.mean(std**2)):.1f} mm; an update takes {1e3 * spent:.0f} ms",
                 flush=True,
             )
             time.sleep(max(0.0, TICK - spent))
 
 
-def listen(rig, moving, seen):
+def listen(rig, moving, readings):
     """The tracker's thread."""
     with Aurora(rig.tracker) as tracker:
         while not moving.done():
             frame = tracker.read()
             for port in (port for port in frame.ports if port.good):
-                seen.put((frame.time, rig.frame @ port.pose))
+                readings.put((frame.time, rig.frame @ port.pose))
 
 
 def drive(rig, routes, begin, lasts, travels):
@@ -86,16 +93,16 @@ def drive(rig, routes, begin, lasts, travels):
 def main(lasts=20.0):
     """Start the processes and drive the devices."""
     context = multiprocessing.get_context("spawn")
-    seen, travels = context.Queue(), context.Queue()
+    readings, travels = context.Queue(), context.Queue()
     routes, theirs = context.Pipe()
-    process = context.Process(target=estimate, args=(seen, travels, theirs, lasts))
+    process = context.Process(target=estimate, args=(readings, travels, theirs, lasts))
     process.start()
     routes.recv()
     with simulated_rig() as rig, ThreadPoolExecutor() as pool:
         begin = time.monotonic()
         routes.send(begin)
         moving = pool.submit(drive, rig, routes, begin, lasts, travels)
-        listening = pool.submit(listen, rig, moving, seen)
+        listening = pool.submit(listen, rig, moving, readings)
         moving.result()
         listening.result()
     process.join(10.0)

@@ -8,173 +8,148 @@ from time import thread_time
 import numpy as np
 import pytest
 
-from glissando import FixedLagSmoother
 from glissando.errors import GlissandoError, PlanWarning
-from glissando.planning import PathSpace, ProcessPlanner, Replanner, Zone, belief_of, sliding_sensor
-from glissando.planning.zones import read_zone
-from plans import LENGTH, ROBOTS, SEPARABLE
+from glissando.planning import MovingInterval, ProcessPlanner, Zone, sliding_sensor
+from glissando.planning.belief import belief_of
+from plans import (
+    LENGTH,
+    LONG_REACH,
+    ROBOTS,
+    SEPARABLE,
+    read_between,
+    replanner_of,
+    require_limits,
+    smoother_of,
+)
 
-REACH, SPEED, ACCELERATION = (0.3, LENGTH), 0.06, 0.3
-ZONES = (Zone((0.35, 0.45)),)
-WAIT = 60.0  # s, far more than any answer takes
+ZONES = [Zone((0.35, 0.45))]
+WAIT = 60.0  # s, far more than any plan takes
 kinds = pytest.mark.parametrize("kind", ROBOTS)
 
 
-def replanner_of(robot=SEPARABLE, zones=ZONES, **given):
-    track = PathSpace(*REACH, SPEED, ACCELERATION, 0.1, 30, LENGTH)
-    return Replanner(sliding_sensor(robot), track, zones, node_step=0.5, **given)
-
-
-def read_straight(sensor, path, since, until):
-    """Readings that a straight robot gives on a path, at 40 Hz."""
-    time = np.arange(since + 0.0125, until + 1e-9, 0.025)
-    pose = np.tile(np.eye(4), (time.size, 1, 1))
-    pose[:, 2, 3] = path(time)
-    return sensor.readings(pose, path(time), time)
-
-
-def smoother_of(robot=SEPARABLE, until=1.0, path=lambda time: 0.7 - 0.05 * time):
-    smoother = FixedLagSmoother(robot.prior, robot.arclength_nodes, window=9, gate=None)
-    for time in np.arange(0.0, until + 1e-9, 0.5):
-        smoother.add(read_straight(sliding_sensor(robot), path, time - 0.5, time))
-        smoother.advance(time)
-    return smoother
-
-
-def update(replanner, smoother, times):
-    for now in times:
-        replanner.next(smoother, now)
-
-
 class Slow:
-    """Answers when it is told to."""
+    """Has a plan ready when `done` is set."""
 
-    def __init__(self):
-        self.task, self.done, self.asked = None, False, 0
+    def submit(self, task):
+        self.task, self.done = task, False
 
-    def ask(self, task):
-        self.task, self.done, self.asked = task, False, self.asked + 1
-
-    def answer(self):
+    def result(self):
         return self.task() if self.done else None
 
 
 @pytest.fixture(scope="module")
-def elsewhere():
+def process():
     with ProcessPlanner() as planner:
         yield planner
 
 
 @kinds
-def test_a_snapshot_of_a_smoother_is_that_of_its_posterior_and_small(kind):
+def test_the_belief_of_a_smoother_is_that_of_its_posterior_and_small(kind):
     smoother = smoother_of(ROBOTS[kind])
-    taken, other = belief_of(smoother), belief_of(smoother.posterior())
-    assert len(pickle.dumps(taken)) < 9 * taken.cov.size + 10_000
-    np.testing.assert_allclose(taken.cov, other.cov, rtol=1e-9, atol=1e-15)
-    np.testing.assert_array_equal(taken.shape.pose, other.shape.pose)
-    assert (taken.time, taken.before, taken.node_step) == (1.0, 0.5, 0.5)
-    assert (other.time, other.before, other.node_step) == (1.0, 0.5, 0.5)
+    belief, other = belief_of(smoother), belief_of(smoother.posterior())
+    assert len(pickle.dumps(belief)) < 9 * belief.cov.size + 10_000
+    np.testing.assert_allclose(belief.cov, other.cov, rtol=1e-9, atol=1e-15)
+    np.testing.assert_array_equal(belief.shape.pose, other.shape.pose)
+    for each in (belief, other):
+        assert (each.time, each.previous_time, each.node_step) == (1.0, 0.5, 0.5)
 
 
 @pytest.mark.parametrize(("kind", "slack"), [("separable", 1e-3), ("kinematic", 0.06)])
-def test_what_will_be_known_later_is_what_the_smoother_knows_then(kind, slack):
-    robot = ROBOTS[kind]
-    smoother = smoother_of(robot)
-    later = belief_of(smoother).later(1.5, sliding_sensor(robot), lambda time: 0.7 - 0.05 * time)
-    then = belief_of(smoother_of(robot, 1.5))
-    assert (later.time, later.before) == (then.time, then.before)
-    np.testing.assert_allclose(np.diag(later.cov), np.diag(then.cov), rtol=slack)
+def test_a_belief_that_is_propagated_is_that_of_the_smoother_at_the_later_time(kind, slack):
+    robot, sensor = ROBOTS[kind], sliding_sensor(ROBOTS[kind])
+    propagated = belief_of(smoother_of(robot)).propagate(1.5, sensor, lambda t: 0.7 - 0.05 * t)
+    later = belief_of(smoother_of(robot, 1.5))
+    assert (propagated.time, propagated.previous_time) == (later.time, later.previous_time)
+    np.testing.assert_allclose(np.diag(propagated.cov), np.diag(later.cov), rtol=slack)
 
 
 class Sink:
-    """Takes tasks as another process would, and makes nothing of them."""
+    """Takes tasks as another process would, and computes nothing."""
 
-    def ask(self, task):
-        self.parcel = pickle.dumps(task)
+    def submit(self, task):
+        self.message = pickle.dumps(task)
 
-    def answer(self):
+    def result(self):
         return None
 
 
 @kinds
-def test_handing_over_takes_a_fraction_of_an_update(kind):
-    robot, took = ROBOTS[kind], []
+def test_submitting_a_task_takes_a_fraction_of_an_update(kind):
+    robot, durations = ROBOTS[kind], []
     smoother = smoother_of(robot)
     for time in np.arange(1.5, 11.0, 0.5):
-        smoother.add(read_straight(sliding_sensor(robot), lambda t: 0.65 + 0 * t, time - 0.5, time))
-        replanner, clock = replanner_of(robot, planner=Sink(), lead=0.5), [thread_time()]
+        smoother.add(read_between(sliding_sensor(robot), lambda t: 0.65 + 0 * t, time - 0.5, time))
+        replanner, clock = replanner_of(robot, ZONES, planner=Sink(), lead=0.5), [thread_time()]
         smoother.advance(time)
         clock.append(thread_time())
         replanner.next(smoother)
-        took.append(np.diff([*clock, thread_time()]))
-    update, handed = np.median(took, axis=0)
-    assert handed < 0.15 * update
+        durations.append(np.diff([*clock, thread_time()]))
+    update, submission = np.median(durations, axis=0)
+    assert submission < 0.15 * update
 
 
 @kinds
-def test_a_plan_made_elsewhere_is_the_one_made_here(kind, elsewhere):
+def test_a_plan_computed_by_a_process_is_the_one_computed_inline(kind, process):
     smoother = smoother_of(ROBOTS[kind])
-    zones = [read_zone("0.5:0.6..0.3:0.4@0:9")]
-    here = replanner_of(ROBOTS[kind], zones, lead=0.5)
-    there = replanner_of(ROBOTS[kind], zones, lead=0.5, planner=elsewhere)
-    there.next(smoother)
-    assert elsewhere.ready(WAIT)
-    plans = here.next(smoother), there.next(smoother)
+    zones = [Zone(MovingInterval((0.0, 9.0), (0.5, 0.6), (0.3, 0.4)), (0.0, 9.0))]
+    inline = replanner_of(ROBOTS[kind], zones, lead=0.5)
+    beside = replanner_of(ROBOTS[kind], zones, lead=0.5, planner=process)
+    beside.next(smoother)
+    assert process.ready(WAIT)
+    plans = inline.next(smoother), beside.next(smoother)
     assert plans[0].start == plans[1].start == 1.5
     np.testing.assert_allclose(plans[0].control, plans[1].control, rtol=0, atol=1e-9)
-    assert elsewhere.ready(WAIT)  # the next one, which it was asked for at once
-    elsewhere.answer()
+    assert process.ready(WAIT)  # the next plan, for which a task was submitted at once
+    process.result()
 
 
-def test_what_elsewhere_cannot_plan_is_said_once_and_the_last_plan_goes_on(elsewhere):
-    replanner = replanner_of(zones=[Zone((0.3, 0.4), (0.0, 1.0))], lead=0.5, planner=elsewhere)
-    replanner.next(smoother_of(until=5.0))
-    heard = []
-    for _ in range(2):
-        assert elsewhere.ready(WAIT)
-        with warnings.catch_warnings(record=True) as said:
-            warnings.simplefilter("always")
-            assert replanner.next(smoother_of(until=5.0)) is None
-        heard += [str(warning.message) for warning in said]
-    assert len(heard) == 1
-    assert heard[0].startswith("No zone counts between 5.5 and 8.5 s")
-    assert heard[0].endswith("the sensor stays where it is.")
-    assert elsewhere.ready(WAIT)
+def test_what_a_process_cannot_plan_is_reported_once_and_the_last_plan_goes_on(process):
+    zones, smoother = [Zone((0.3, 0.4), (0.0, 1.0))], smoother_of(SEPARABLE, 5.0)
+    replanner = replanner_of(SEPARABLE, zones, lead=0.5, planner=process)
+    replanner.next(smoother)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        for _ in range(2):
+            assert process.ready(WAIT)
+            assert replanner.next(smoother) is None
+    (warning,) = caught
+    assert str(warning.message).startswith("No zone counts between 5.5 and 8.5 s")
+    assert str(warning.message).endswith("the sensor stays where it is.")
+    assert process.ready(WAIT)
     with pytest.raises(GlissandoError, match="No zone counts"):
-        elsewhere.answer()
+        process.result()
 
 
-def test_zones_that_cannot_be_sent_are_refused_with_a_remedy(elsewhere):
+def test_zones_that_cannot_be_sent_are_refused_with_a_remedy(process):
     zone = Zone(lambda time: (0.3 + 0.0 * time, 0.4 + 0.0 * time))
-    replanner = replanner_of(zones=[zone], planner=elsewhere)
+    replanner = replanner_of(SEPARABLE, [zone], planner=process)
     with pytest.raises(GlissandoError, match="functions at the top of a module"):
-        replanner.next(smoother_of())
+        replanner.next(smoother_of(SEPARABLE))
 
 
-def test_a_planner_that_dies_leaves_the_last_plan_in_force_and_says_so_once():
-    smoother = smoother_of()
+def test_a_planner_that_dies_leaves_the_last_plan_in_force_and_reports_it_once():
+    smoother = smoother_of(SEPARABLE)
     with ProcessPlanner() as planner:
-        replanner = replanner_of(lead=0.5, planner=planner)
+        replanner = replanner_of(SEPARABLE, ZONES, lead=0.5, planner=planner)
         replanner.next(smoother)
         assert planner.ready(WAIT)
         plan = replanner.next(smoother)
         planner.process.kill()
         planner.process.join(WAIT)
-        assert planner.ready(WAIT)  # what it still said, or its end
-        with pytest.warns(PlanWarning, match="process has ended; the last") as said:
-            update(replanner, smoother, [1.1, 1.2, 1.3])
-    assert len(said) == 1
-    update(replanner, smoother, [3.0])
+        assert planner.ready(WAIT)  # for what it still sent, or its end
+        with pytest.warns(PlanWarning, match="process has ended; the last") as caught:
+            assert all(replanner.next(smoother, now) is plan for now in (1.1, 1.2, 1.3))
+    assert len(caught) == 1
+    replanner.next(smoother, 3.0)
     place, speed = replanner.at(np.array([plan.start, 99.0]))
     assert place[0] == pytest.approx(LENGTH)
-    assert REACH[0] <= place[1] <= REACH[1]
+    assert LONG_REACH[0] <= place[1] <= LONG_REACH[1]
     assert speed[1] == pytest.approx(0.0, abs=1e-12)
 
 
-def test_a_late_plan_is_not_taken_up_and_makes_the_next_begin_later():
-    smoother, slow = smoother_of(), Slow()
-    replanner = replanner_of(lead=0.3, planner=slow)
-    slow.done = True
+def test_a_late_plan_is_not_adopted_and_makes_the_next_begin_later():
+    smoother, slow = smoother_of(SEPARABLE), Slow()
+    replanner = replanner_of(SEPARABLE, ZONES, lead=0.3, planner=slow)
     replanner.next(smoother)
     slow.done = True
     first = replanner.next(smoother)
@@ -182,7 +157,7 @@ def test_a_late_plan_is_not_taken_up_and_makes_the_next_begin_later():
     assert replanner.next(smoother, 1.2) is first
     with pytest.warns(PlanWarning, match="was not there by then; the last one goes on"):
         assert replanner.next(smoother, 1.5) is first
-    assert replanner.next(smoother, 1.6) is first  # said once
+    assert replanner.next(smoother, 1.6) is first  # without another warning
     slow.done = True
     assert replanner.next(smoother, 1.7) is first
     np.testing.assert_array_equal(before, replanner.at(np.linspace(0.0, 9.0, 91)))
@@ -190,32 +165,26 @@ def test_a_late_plan_is_not_taken_up_and_makes_the_next_begin_later():
     assert slow.task.start == pytest.approx(1.7 + replanner.lead)
     slow.done = True
     assert replanner.next(smoother, 1.8) is not first
-    assert replanner.lead == 0.3  # it was there soon
+    assert replanner.lead == 0.3  # as it came soon
 
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::glissando.errors.PlanWarning")
 @kinds
 def test_plans_that_come_when_they_may_join_without_a_jump_within_the_limits(kind):
-    """Asked for and answered at odd times, with zones that the plans go after."""
+    """Submitted and ready at odd times, with zones that the plans go after."""
     robot, slow, rng = ROBOTS[kind], Slow(), np.random.default_rng(0)
     zones = [Zone((0.6, 0.7), (0.0, 3.0)), Zone((0.3, 0.4), (3.0, 9.0))]
     replanner, smoother = replanner_of(robot, zones, lead=0.4, planner=slow), smoother_of(robot)
-    now, plans, told = 1.0, set(), []
+    now, plans, out = 1.0, set(), []
     while now < 7.0:
         slow.done = rng.random() < 0.6
         plans.add(id(replanner.next(replace(belief_of(smoother), time=now), now)))
         step = rng.uniform(0.05, 0.17)
         times = now + np.arange(0.0, step, 0.01)
-        told.append([times, *replanner.at(times)])
+        out.append([times, *replanner.at(times)])
         now += step
-    time, place, speed = np.concatenate(told, axis=1)
+    time, place, speed = np.concatenate(out, axis=1)
     assert len(plans) > 4
     assert np.ptp(place) > 0.05
-    assert REACH[0] - 1e-9 <= place.min()
-    assert place.max() <= REACH[1] + 1e-9
-    assert np.abs(speed).max() <= SPEED * (1 + 1e-6)
-    step = np.diff(time)
-    even = step > 1e-3
-    assert np.abs(np.diff(speed)[even] / step[even]).max() <= ACCELERATION * (1 + 1e-5)
-    np.testing.assert_allclose(np.diff(place), 0.5 * step * (speed[1:] + speed[:-1]), atol=2e-5)
+    require_limits(time, place, speed, slack=2e-5)

@@ -11,18 +11,20 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from glissando.cli.plan import add_limits, stage_of
+from glissando.cli.plan import add_task, stage_of
 from glissando.cli.shared import Commands, add_command, require_writable
 from glissando.errors import GlissandoError
-from glissando.io.robot_file import load_robot, shipped_robots
-from glissando.planning import Design, objective_named, pareto_front, read_zone, sweep
-from glissando.planning.objectives import OBJECTIVES
+from glissando.io.robot_file import load_robot
+from glissando.planning.design import Design, pareto_front, sweep
+from glissando.planning.objectives import objective_named
+from glissando.planning.zones import read_zone
+from glissando.visualization.planning_figures import design_figure
 
 _HELP = """\
 Compare designs of a sliding sensor before one is built: strokes, speeds, rates, numbers of coils.
 
-Every combination is judged on its own best path, by what the estimator will say of each zone. Those
-are marked that no other comes near with less stroke, speed or coils.
+Every combination is evaluated on its own best path, by the uncertainty that the estimator will
+state of each zone. A design is marked if no other matches it with less stroke, speed or coils.
 """
 _EXAMPLES = """\
 examples:
@@ -40,17 +42,11 @@ def add_to(commands: Commands) -> None:
     texts = _HELP, _EXAMPLES
     parser = add_command(commands, "design", texts, _design)
     add = parser.add_argument
-    robots = ", ".join(shipped_robots())
-    add("--robot", default="sliding700", metavar="FILE|NAME", help=f"robot file, or of {robots}")
-    add("--zone", action="append", required=True, metavar="S0:S1[@T0:T1]", help="may be repeated")
+    add_task(parser)
     add("--strokes", type=_numbers, metavar="M,…", help="default: half, one and two of the stage's")
     add("--speeds", type=_numbers, metavar="M/S,…", help="default: half and all of the stage's")
     add("--rates", type=_numbers, default=[20.0, 40.0], metavar="HZ,…", help="default 20,40")
     add("--coils", type=_numbers, default=[1, 2], metavar="N,…", help="default 1,2")
-    add_limits(parser)
-    add("--horizon", type=float, default=10.0, metavar="S", help="seconds ahead (default 10)")
-    add("--objective", default="trace", choices=OBJECTIVES, help="default trace")
-    add("--bound", type=float, default=5e-3, metavar="M", help="error of chance (default 0.005)")
     add("--out", type=Path, metavar="DIR", help="write design.json and design.png here")
     add("--json", action="store_true", help="print one JSON object and nothing else")
 
@@ -69,30 +65,30 @@ def _design(options: argparse.Namespace) -> int:
         raise GlissandoError(f"--coils {options.coils}: give whole numbers.")
     stage, upper = stage_of(options)
     strokes = [part * stage.stroke for part in (0.5, 1.0, 2.0)]
-    found = sweep(
-        load_robot(options.robot),
-        [read_zone(text) for text in options.zone],
-        strokes=options.strokes or [s for s in strokes if s <= upper],
-        speeds=options.speeds or [0.5 * stage.speed, stage.speed],
-        rates=options.rates,
-        coils=[int(count) for count in options.coils],
-        acceleration=stage.acceleration,
-        upper=upper,
-        horizon=options.horizon,
-        objective=objective_named(options.objective, options.bound),
+    designs = list(
+        sweep(
+            load_robot(options.robot),
+            [read_zone(text) for text in options.zone],
+            strokes=options.strokes or [s for s in strokes if s <= upper],
+            speeds=options.speeds or [0.5 * stage.speed, stage.speed],
+            rates=options.rates,
+            coils=[int(count) for count in options.coils],
+            acceleration=stage.acceleration,
+            upper=upper,
+            horizon=options.horizon,
+            objective=objective_named(options.objective, options.bound),
+        )
     )
-    designs = list(found)
     best = pareto_front(designs)
-    told = [{**asdict(d), "best": bool(b)} for d, b in zip(designs, best, strict=True)]
+    rows = [{**asdict(d), "best": bool(b)} for d, b in zip(designs, best, strict=True)]
+    report = {"zones": options.zone, "designs": rows}
     if options.json:
-        print(json.dumps({"zones": options.zone, "designs": told}))
+        print(json.dumps(report))
     else:
         Console().print(_table(designs, best.tolist(), options.zone))
     if options.out:
-        from glissando.visualization.planning_figures import design_figure
-
         options.out.mkdir(parents=True, exist_ok=True)
-        text = json.dumps({"zones": options.zone, "designs": told}, indent=2)
+        text = json.dumps(report, indent=2)
         (options.out / "design.json").write_text(text + "\n", encoding="utf-8")
         design_figure(designs).savefig(options.out / "design.png", dpi=150)
     return 0

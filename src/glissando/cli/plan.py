@@ -1,4 +1,4 @@
-"""`glissando plan`: the path of the slide that leaves a zone known best."""
+"""`glissando plan`: the path of the slide after which zones of the body are known best."""
 
 from __future__ import annotations
 
@@ -16,30 +16,24 @@ from glissando.cli.shared import Commands, add_command, require_writable
 from glissando.errors import GlissandoError, RobotFileError, SimulationError
 from glissando.io.netcdf import load_posterior
 from glissando.io.robot_file import load_robot, robot_file, shipped_robots
-from glissando.planning import (
-    Foretold,
-    Plan,
-    PlanningProblem,
-    Zone,
-    baseline_paths,
-    evaluate_path,
-    judge_of,
-    objective_named,
-    plan_slide,
-    predict_information,
-    read_zone,
-    sliding_sensor,
-    track_of,
-)
-from glissando.planning.objectives import OBJECTIVES
-from glissando.simulation import SlideLimits, load_bench
+from glissando.model.slide_path import SlideLimits
+from glissando.planning.compare import PathEvaluation, baseline_paths, evaluate_path
+from glissando.planning.objectives import OBJECTIVES, objective_named
+from glissando.planning.path_objective import path_objective_of
+from glissando.planning.path_space import path_space_of
+from glissando.planning.plan_slide import plan_slide
+from glissando.planning.planning_problem import predict_information
+from glissando.planning.sliding_sensor import sliding_sensor
+from glissando.planning.zones import read_zone
+from glissando.simulation.bench import load_bench
+from glissando.visualization.planning_figures import plan_figure, save_plan_film
 
 _HELP = """\
 Plan where a sliding sensor goes so that zones of the body are known best.
 
-What a reading tells depends on where and when it is taken, not on what it says, so the best path is
-found before it is taken: from a robot file alone, or from the end of an estimate. The path is
-compared with one that oscillates and one that stays, by what the estimator will say after each.
+The information of a reading depends on where and when it is taken, not on its value. The best path
+is therefore found before it is taken: from a robot file alone, or from the end of an estimate. It
+is compared with baseline paths, by the uncertainty that the estimator will state after each.
 """
 _EXAMPLES = """\
 examples:
@@ -60,27 +54,28 @@ def add_to(commands: Commands) -> None:
     """Add the command to the parser's."""
     parser = add_command(commands, "plan", (_HELP, _EXAMPLES), _plan)
     add = parser.add_argument
-    robots = ", ".join(shipped_robots())
-    add("--robot", default="sliding700", metavar="FILE|NAME", help=f"robot file, or of {robots}")
     add("--from", dest="posterior", type=Path, metavar="POSTERIOR", help="go on from its end")
-    add("--zone", action="append", required=True, metavar="S0:S1[@T0:T1]", help="may be repeated")
-    add("--horizon", type=float, default=10.0, metavar="S", help="seconds ahead (default 10)")
-    add("--objective", default="trace", choices=OBJECTIVES, help="default trace")
-    add("--bound", type=float, default=5e-3, metavar="M", help="error of chance (default 0.005)")
-    add_limits(parser)
+    add_task(parser)
     add("--start", type=float, metavar="M", help="arclength now (default: drawn out)")
     add("--rate", type=float, default=40.0, metavar="HZ", help="readings a second (default 40)")
     add("--node-step", type=float, metavar="S", help="between time nodes (default: the robot's)")
-    add("--wear", type=float, default=0.0, metavar="S²", help="weight of the mean square speed")
+    add("--speed-weight", "--wear", type=float, default=0.0, metavar="S²", help="default 0")
     add("--seed", type=int, default=0, metavar="N", help="of random starts (default 0)")
     add("--out", type=Path, metavar="DIR", help="write path.csv, plan.json and plan.png here")
     add("--animate", action="store_true", help="also write plan.gif, the same in time, in DIR")
     add("--json", action="store_true", help="print one JSON object and nothing else")
 
 
-def add_limits(parser: argparse.ArgumentParser) -> None:
-    """The option that says what the stage can do."""
-    parser.add_argument(
+def add_task(parser: argparse.ArgumentParser) -> None:
+    """Add the options that say what is to be known, and what the stage can do."""
+    add = parser.add_argument
+    robots = ", ".join(shipped_robots())
+    add("--robot", default="sliding700", metavar="FILE|NAME", help=f"robot file, or of {robots}")
+    add("--zone", action="append", required=True, metavar="S0:S1[@T0:T1]", help="may be repeated")
+    add("--horizon", type=float, default=10.0, metavar="S", help="seconds ahead (default 10)")
+    add("--objective", default="trace", choices=OBJECTIVES, help="default trace")
+    add("--bound", type=float, default=5e-3, metavar="M", help="error of chance (default 0.005)")
+    add(
         "--limits",
         metavar="STROKE,SPEED,ACCEL",
         help="m, m/s, m/s² (default: [physics.slide] of the robot file)",
@@ -88,7 +83,7 @@ def add_limits(parser: argparse.ArgumentParser) -> None:
 
 
 def stage_of(options: argparse.Namespace) -> tuple[SlideLimits, float]:
-    """The stage, and the sensor's arclength when it is drawn out."""
+    """The stage, and the sensor's arclength when it is drawn out, m."""
     file = robot_file(options.robot)
     length = load_robot(file).length
     try:
@@ -100,7 +95,7 @@ def stage_of(options: argparse.Namespace) -> tuple[SlideLimits, float]:
                 f"{file.name} does not say what its stage can do: give --limits "
                 f"STROKE,SPEED,ACCEL, or [physics] with a [physics.slide] ({problem})"
             ) from None
-        stage, upper = SlideLimits(1.0, 1.0, 1.0), length
+        upper = length
     if options.limits:
         try:
             stage = SlideLimits(*map(float, options.limits.split(",")))
@@ -124,71 +119,62 @@ def _plan(options: argparse.Namespace) -> int:
     robot = load_robot(options.robot)
     stage, upper = stage_of(options)
     start = upper if options.start is None else options.start
-    known = load_posterior(options.posterior) if options.posterior else robot
-    sensor = sliding_sensor(robot, rate=options.rate)
-    reach = upper - stage.stroke, upper
-    outlook = predict_information(
-        known, reach, options.horizon, sensor, node_step=options.node_step
+    problem = predict_information(
+        load_posterior(options.posterior) if options.posterior else robot,
+        (upper - stage.stroke, upper),
+        options.horizon,
+        sliding_sensor(robot, rate=options.rate),
+        node_step=options.node_step,
     )
-    track = track_of(stage, upper, start, options.horizon)
+    path_space = path_space_of(stage, upper, start, options.horizon)
     plan = plan_slide(
-        judge_of(outlook, zones, objective), track, zones, wear=options.wear, seed=options.seed
+        path_objective_of(problem, zones, objective),
+        path_space,
+        zones,
+        speed_weight=options.speed_weight,
+        seed=options.seed,
     )
-    blind = baseline_paths(stage, upper, start, track.times, options.seed)
-    paths = {"planned": plan.arclength, **blind}
-    told = {name: evaluate_path(outlook, zones, objective, path) for name, path in paths.items()}
+    baselines = baseline_paths(stage, upper, start, path_space.times, options.seed)
+    paths = {"planned": plan.arclength, **baselines}
+    results = {name: evaluate_path(problem, zones, objective, path) for name, path in paths.items()}
     report = {
         "robot": robot.name,
         "objective": options.objective,
         "zones": options.zone,
         "limits": vars(stage),
         "start": start,
-        "paths": {name: found.as_json() for name, found in told.items()},
+        "paths": {
+            name: {"value": result.value, "std": result.std, "worst": result.worst}
+            for name, result in results.items()
+        },
         "starts": plan.starts,
     }
     if options.json:
         print(json.dumps(report))
     else:
-        Console().print(_table(options.objective, told))
+        Console().print(_table(options.objective, results))
     if options.out:
-        _write(options.out, plan, outlook, told, zones, report, animate=options.animate)
+        options.out.mkdir(parents=True, exist_ok=True)
+        knots, head = np.column_stack(plan.knots()), "time,arclength,speed"
+        np.savetxt(options.out / "path.csv", knots, "%.15g", ",", header=head, comments="")
+        text = json.dumps(report, indent=2)
+        (options.out / "plan.json").write_text(text + "\n", encoding="utf-8")
+        shown = {name: paths[name] for name in ("planned", "oscillating", "fixed")}
+        plan_figure(problem, shown, zones).savefig(options.out / "plan.png", dpi=150)
+        if options.animate:
+            save_plan_film(problem, shown, zones, options.out / "plan.gif")
         print(f"Wrote {options.out / 'path.csv'}") if not options.json else None
     return 0
 
 
-def _table(objective: str, told: dict[str, Foretold]) -> Table:
-    table = Table(title="foretold of the zones", title_justify="left", box=SIMPLE_HEAD)
+def _table(objective: str, results: dict[str, PathEvaluation]) -> Table:
+    table = Table(title="predicted for the zones", title_justify="left", box=SIMPLE_HEAD)
     table.add_column("path")
     for heading in ("σ (mm)", "worst (mm)", objective, "variance against oscillating"):
         table.add_column(heading, justify="right", no_wrap=True)
-    against = told["oscillating"].std ** 2
-    for name, found in told.items():
-        change = f"{100 * (found.std**2 / against - 1):+.1f} %"
-        numbers = f"{1e3 * found.std:.2f}", f"{1e3 * found.worst:.2f}", f"{found.value:.4g}"
+    reference = results["oscillating"].std ** 2
+    for name, result in results.items():
+        change = f"{100 * (result.std**2 / reference - 1):+.1f} %"
+        numbers = f"{1e3 * result.std:.2f}", f"{1e3 * result.worst:.2f}", f"{result.value:.4g}"
         table.add_row(escape(name), *numbers, "" if name == "oscillating" else change)
     return table
-
-
-def _write(
-    folder: Path,
-    plan: Plan,
-    outlook: PlanningProblem,
-    told: dict[str, Foretold],
-    zones: list[Zone],
-    report: dict[str, object],
-    *,
-    animate: bool,
-) -> None:
-    """Write path.csv, plan.json and plan.png, and plan.gif if asked."""
-    from glissando.visualization.planning_figures import plan_figure, save_plan_film
-
-    folder.mkdir(parents=True, exist_ok=True)
-    table = np.column_stack(plan.knots())
-    head = "time,arclength,speed"
-    np.savetxt(folder / "path.csv", table, "%.15g", ",", header=head, comments="")
-    text = json.dumps(report, indent=2)
-    (folder / "plan.json").write_text(text + "\n", encoding="utf-8")
-    drawn = {name: told[name].arclength for name in ("planned", "oscillating", "fixed")}
-    plan_figure(outlook, drawn, zones).savefig(folder / "plan.png", dpi=150)
-    if animate:
-        save_plan_film(outlook, drawn, zones, folder / "plan.gif")

@@ -1,8 +1,8 @@
-"""What is known as the time ahead begins: the newest state, small enough to hand over.
+"""The belief that planning starts from: the newest node of an estimate, small enough to send.
 
-All that planning needs of a running smoother is the newest node: its shape, its covariance and the
-unknowns' part in it. It can be carried on to a later time along a path that is already settled, so
-that what is planned may begin when planning is done.
+Of a running smoother, planning needs only the newest node: its shape, and the covariance of the
+shape and the sensor parameters. A belief can be propagated along a path that is already settled, so
+that a plan may begin when planning is done.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from glissando._kernels.threads import one_thread
 from glissando.estimation.fixed_lag import FixedLagSmoother
 from glissando.estimation.posterior import Posterior
 from glissando.geometry.se3 import Array
@@ -19,11 +20,11 @@ from glissando.model.grid import Grid
 from glissando.model.priors.prior import Prior
 from glissando.model.priors.transitions import symmetrize
 from glissando.model.robot import Robot
-from glissando.model.sensors.parameters import EstimatedParameters, SensorParameter
+from glissando.model.sensors.parameter_process import EstimatedParameters
+from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.state import State
 from glissando.planning.prediction import look_ahead, prior_information
 from glissando.planning.sliding_sensor import SlidingSensor
-from glissando.twins import estimating
 
 ExpectedMotion = Callable[[Array], State]
 """The motion that is expected: a State (K, N) at times (K,) and the prior's arclength nodes."""
@@ -31,10 +32,17 @@ ExpectedMotion = Callable[[Array], State]
 
 @dataclass(frozen=True)
 class Belief:
-    """The newest node of an estimate at `time`: its `shape` (N,) and covariance `cov` (D, D).
+    """The belief about the newest node of an estimate.
 
-    Both are None where only the `prior` is known. `node_step` is that of the estimate, `before` the
-    time of the node that precedes the newest.
+    Attributes:
+        prior: Prior of the estimate.
+        arclength: Arclength nodes (N,), m.
+        time: Time of the newest node, s.
+        node_step: Time between the nodes of the estimate, s.
+        sensor_parameters: Parameters of the sensors that are estimated.
+        shape: State (N,) of the node; None where only the prior is known.
+        cov: Covariance (D, D) of the state and the parameters; None as `shape` is.
+        previous_time: Time of the node before the newest, s, if there is one.
     """
 
     prior: Prior
@@ -44,80 +52,74 @@ class Belief:
     sensor_parameters: Sequence[SensorParameter]
     shape: State | None = None
     cov: Array | None = None
-    before: float | None = None
+    previous_time: float | None = None
 
-    def held(self, grid: Grid) -> State:
-        """The shape at all times of a grid, at rest."""
+    def hold_shape(self, grid: Grid) -> State:
+        """The expected state at all nodes of a grid if the robot holds its shape."""
         rest = self.prior.rest_state(grid)
         if self.shape is None:
             return rest
-        pose, strain = self.shape.pose, self.shape.strain
+        pose = np.broadcast_to(self.shape.pose, rest.pose.shape)
         return replace(
-            rest,
-            pose=np.broadcast_to(pose, rest.pose.shape),
-            strain=np.broadcast_to(strain, rest.strain.shape),
+            rest, pose=pose, strain=np.broadcast_to(self.shape.strain, rest.strain.shape)
         )
 
-    def belief(self) -> Array | None:
-        """Information (D, D) that the newest node adds to the prior, if any.
+    def information(self) -> Array | None:
+        """Information (D, D) that the estimate adds to the prior of the newest node, if any.
 
-        It is without what the prior says of that node by itself, which depends on the time it
-        stands for: from the node `before` it to the one that follows.
+        The prior of the node by itself is left out, as it depends on the nodes before and after.
         """
         if self.cov is None or self.shape is None:
             return None
-        grid = Grid(self.arclength, [self.time], self.before)
+        grid = Grid(self.arclength, [self.time], self.previous_time)
         state = State(*(field[None] for field in self.shape.fields()))
-        own = prior_information(
-            self.prior, grid, state, EstimatedParameters(grid, self.sensor_parameters)
-        )
-        return symmetrize(np.asarray(np.linalg.inv(self.cov))) - own.diagonal[0]
+        parameters = EstimatedParameters(grid, self.sensor_parameters)
+        prior = prior_information(self.prior, grid, state, parameters)
+        return symmetrize(np.asarray(np.linalg.inv(self.cov))) - prior.diagonal[0]
 
-    def later(
+    def propagate(
         self, time: float, sensor: SlidingSensor, path: Callable[[Array], Array],
-        course: ExpectedMotion | None = None,
+        motion: ExpectedMotion | None = None,
     ) -> Belief:  # fmt: skip
-        """What will be known at a later time, the sensor on a path of arclengths till then.
+        """Predict the belief at a later time, after the readings on a path until then.
 
-        The robot holds its shape unless `course` says how it moves.
+        Args:
+            time: The later time, s.
+            sensor: The sliding sensor.
+            path: Arclengths (M,) of the first coil at times (M,), m.
+            motion: How the robot moves; by default it holds its shape.
         """
-        lasts = time - self.time
-        grid = Grid(self.arclength, [self.time, time], self.before)
-        mean = self.held(grid) if course is None else course(grid.time)
-        count = max(1, round(lasts * sensor.rate))
-        taken = np.asarray(self.time + (np.arange(count) + 0.5) * (lasts / count))
-        with estimating():
-            ahead = look_ahead(
-                self.prior,
-                grid,
-                mean,
-                EstimatedParameters(grid, self.sensor_parameters),
-                self.belief(),
-            )
-            cov = ahead.after(sensor, path(taken), taken).marginals.cov[-1]
-        return replace(self, time=time, shape=mean.take(-1), cov=cov, before=self.time)
+        grid = Grid(self.arclength, [self.time, time], self.previous_time)
+        mean = self.hold_shape(grid) if motion is None else motion(grid.time)
+        parameters = EstimatedParameters(grid, self.sensor_parameters)
+        times = sensor.reading_times(self.time, time - self.time)
+        with one_thread():
+            ahead = look_ahead(self.prior, grid, mean, parameters, self.information())
+            cov = ahead.after(sensor, path(times), times).marginals.cov[-1]
+        return replace(self, time=time, shape=mean.take(-1), cov=cov, previous_time=self.time)
 
 
-def belief_of(known: Robot | Posterior | FixedLagSmoother | Belief, start: float = 0.0) -> Belief:
-    """The newest of what is known: of a robot its prior alone, at time `start`.
+BeliefSource = Robot | Posterior | FixedLagSmoother | Belief
+
+
+def belief_of(source: BeliefSource, start: float = 0.0) -> Belief:
+    """The newest belief of an estimate, or the prior of a robot at time `start`, s.
 
     Of a running smoother it is taken in less than a millisecond.
     """
-    if isinstance(known, Belief):
-        return known
-    if isinstance(known, Robot):
-        nodes, step = known.arclength_nodes, 1.0 / known.time_rate
-        return Belief(known.prior, nodes, start, step, known.sensor_parameters)
-    if isinstance(known, FixedLagSmoother):
-        prior, sensor_parameters = known.prior, known.sensor_parameters
-        shape, cov, grid = known.newest_node()  # a posterior of it would take ten times as long
+    if isinstance(source, Belief):
+        return source
+    if isinstance(source, Robot):
+        nodes, step = source.arclength_nodes, 1.0 / source.time_rate
+        return Belief(source.prior, nodes, start, step, source.sensor_parameters)
+    parameters: Sequence[SensorParameter]
+    if isinstance(source, FixedLagSmoother):
+        parameters = source.sensor_parameters
+        shape, cov, grid = source.newest_node()  # its posterior would take ten times as long
     else:
-        prior, grid, cov = known.prior, known.grid, known.marginals.cov[-1]
-        shape, sensor_parameters = (
-            known.state.take(-1),
-            tuple(u for u, _ in known.sensor_parameters),
-        )
+        parameters = tuple(parameter for parameter, _ in source.sensor_parameters)
+        shape, cov, grid = source.state.take(-1), source.marginals.cov[-1], source.grid
     time = float(grid.time[-1])
-    before = float(grid.time[-2]) if grid.time.size > 1 else grid.before
-    step = 0.0 if before is None else time - before
-    return Belief(prior, grid.arclength, time, step, sensor_parameters, shape, cov, before)
+    previous = float(grid.time[-2]) if grid.time.size > 1 else grid.before
+    step = 0.0 if previous is None else time - previous
+    return Belief(source.prior, grid.arclength, time, step, parameters, shape, cov, previous)

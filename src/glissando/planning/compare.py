@@ -1,4 +1,4 @@
-"""A plan beside paths that know nothing: what each is foretold to leave uncertain."""
+"""The evaluation of a plan beside baseline paths, by what the estimator will say after each."""
 
 from __future__ import annotations
 
@@ -14,15 +14,18 @@ from glissando.planning.planning_problem import PlanningProblem
 from glissando.planning.prediction import PredictedInformation
 from glissando.planning.zones import Zone, zone_points
 
-_TURNS = 6  # stops of a random path
+_STOPS = 6  # stops of a random path
 
 
 @dataclass(frozen=True)
-class Foretold:
-    """What the estimator will say of the zones after a path (T,), at full size.
+class PathEvaluation:
+    """The uncertainty of the zones after a path, as the estimator will state it.
 
-    `value` by the objective; `std` the root of the mean position variance, and `worst` the largest
-    such root of any point, metres.
+    Attributes:
+        arclength: The path (T,), m.
+        value: Value of the objective.
+        std: Root of the mean position variance, m.
+        worst: Root of the largest position variance of any point, m.
     """
 
     arclength: Array
@@ -30,25 +33,29 @@ class Foretold:
     std: float
     worst: float
 
-    def as_json(self) -> dict[str, float]:
-        """Its numbers."""
-        return {"value": self.value, "std": self.std, "worst": self.worst}
-
 
 def baseline_paths(
     limits: SlideLimits, upper: float, start: float, time: Array, seed: int = 0
 ) -> dict[str, Array]:
-    """Arclengths (T,) at times (T,) from the start: oscillating from there, fixed there, random.
+    """Paths that ignore the zones: oscillating over the stroke, fixed at the start, and random.
 
-    The sensor is at `upper` metres when drawn out, at `start` in the beginning.
+    Args:
+        limits: Limits of the stage.
+        upper: Arclength of the sensor when it is drawn out, m.
+        start: Arclength of the sensor in the beginning, m.
+        time: Times (T,) from the start, s.
+        seed: Seed of the random stops.
+
+    Returns:
+        Arclengths (T,) by name, m.
     """
     last, at = float(time[-1]), upper - start
-    way = limits.stroke / limits.speed + limits.speed / limits.acceleration
+    duration = limits.stroke / limits.speed + limits.speed / limits.acceleration
     ends = [0.0 if at > 0.5 * limits.stroke else limits.stroke]
-    while len(ends) * way < last + way:
+    while len(ends) * duration < last + duration:
         ends.append(limits.stroke - ends[-1])
     rng = np.random.default_rng(seed)
-    stops = [at, *rng.uniform(0.0, limits.stroke, max(_TURNS, len(ends)))]
+    stops = [at, *rng.uniform(0.0, limits.stroke, max(_STOPS, len(ends)))]
     speed = float(np.clip(np.abs(np.diff(stops)).sum() / last, 1e-4, limits.speed))
     paths = {
         "oscillating": SlidePath.moves([at, *ends], limits),
@@ -59,37 +66,43 @@ def baseline_paths(
 
 
 def evaluate_path(
-    outlook: PlanningProblem, zones: Sequence[Zone], objective: Objective, arclength: Array
-) -> Foretold:
-    """What is foretold after a path (T,) of the outlook's steps."""
-    return _judged(outlook, outlook.told(arclength), zones, objective, arclength)
-
-
-def everywhere(outlook: PlanningProblem, zones: Sequence[Zone], objective: Objective) -> Foretold:
-    """What a sensor at every place at once would leave: no path can do better.
-
-    Coils a quarter of a node apart, or at both ends and the middle of a shorter reach, read at full
-    rate.
-    """
-    low, high = outlook.lattice[0], outlook.lattice[-1]
-    apart = 0.25 * float(np.diff(outlook.ahead.grid.arclength).min())
-    places = np.linspace(low, high, max(3, 1 + int(np.ceil((high - low) / apart))))
-    known = outlook.ahead
-    for place in places:
-        known = outlook.told(np.full(outlook.steps, place), known)
-    return _judged(outlook, known, zones, objective, places)
-
-
-def _judged(
-    outlook: PlanningProblem,
-    known: PredictedInformation,
+    problem: PlanningProblem,
     zones: Sequence[Zone],
     objective: Objective,
-    path: Array,
-) -> Foretold:
-    length, span = float(known.grid.arclength[-1]), (outlook.start, outlook.last)
-    place, time, weight = zone_points(zones, outlook.middles, span, length)
-    cov = known.cov_pose(place, time)
+    arclength: Array,
+    prediction: PredictedInformation | None = None,
+) -> PathEvaluation:
+    """Evaluate a path by the estimator's own model at full size.
+
+    Args:
+        problem: The planning problem.
+        zones: The zones that count.
+        objective: The objective over the zones.
+        arclength: Arclengths (T,) of the first coil at the problem's `times`, m.
+        prediction: The information after the path; by default it is predicted.
+    """
+    prediction = prediction or problem.predict(arclength)
+    length, span = float(prediction.grid.arclength[-1]), (problem.start, problem.end)
+    place, time, weight = zone_points(zones, problem.zone_times, span, length)
+    cov = prediction.cov_pose(place, time)
     variance = np.einsum("zii->z", cov[:, :3, :3])
     value = objective(cov[:, : objective.rows, : objective.rows], weight)[0]
-    return Foretold(path, value, float(np.sqrt(weight @ variance)), float(np.sqrt(variance.max())))
+    std, worst = float(np.sqrt(weight @ variance)), float(np.sqrt(variance.max()))
+    return PathEvaluation(arclength, value, std, worst)
+
+
+def evaluate_everywhere(
+    problem: PlanningProblem, zones: Sequence[Zone], objective: Objective
+) -> PathEvaluation:
+    """Evaluate coils at every place at once, a bound that no path can beat.
+
+    The coils are a quarter of a node apart, or at both ends and the middle of a shorter reach, and
+    read at full rate.
+    """
+    low, high = problem.lattice[0], problem.lattice[-1]
+    apart = 0.25 * float(np.diff(problem.ahead.grid.arclength).min())
+    places = np.linspace(low, high, max(3, 1 + int(np.ceil((high - low) / apart))))
+    prediction = problem.ahead
+    for place in places:
+        prediction = problem.predict(np.full(problem.steps, place), prediction)
+    return evaluate_path(problem, zones, objective, places, prediction)

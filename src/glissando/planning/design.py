@@ -12,25 +12,30 @@ from numpy.typing import NDArray
 from glissando.errors import GlissandoError
 from glissando.model.robot import Robot
 from glissando.planning.compare import evaluate_path
-from glissando.planning.objectives import Objective, Trace
-from glissando.planning.path_objective import judge_of
+from glissando.planning.objectives import Objective
+from glissando.planning.path_objective import path_objective_of
 from glissando.planning.path_space import PathSpace
 from glissando.planning.plan_slide import plan_slide
 from glissando.planning.planning_problem import predict_information
 from glissando.planning.sliding_sensor import sliding_sensor
 from glissando.planning.zones import Zone
 
-_ALIKE = 1.02  # two confidences this near are the same
+_ALIKE = 1.02  # ratio of two standard deviations that count as the same
 NUMBERS = {"stroke": ("mm", 1e3), "speed": ("mm/s", 1e3), "rate": ("Hz", 1.0), "coils": ("", 1.0)}
 """Numbers of a design with the unit they are shown in, and how many of it the SI unit is."""
 
 
 @dataclass(frozen=True)
 class Design:
-    """A slide of `stroke` m and `speed` m/s, read at `rate` Hz, with so many `coils`.
+    """A slide with its sensor, and the uncertainty that its best path leaves.
 
-    `std` (Z,) is the root of the mean position variance in each zone on its best path, metres, and
-    `value` that of the objective.
+    Attributes:
+        stroke: Stroke, m.
+        speed: Largest speed, m/s.
+        rate: Readings a second of each coil, Hz.
+        coils: Number of coils.
+        value: Value of the objective.
+        std: Root of the mean position variance in each zone (Z,), m.
     """
 
     stroke: float
@@ -51,41 +56,51 @@ def sweep(
     coils: Sequence[int],
     acceleration: float,
     upper: float,
+    objective: Objective,
     horizon: float = 10.0,
-    spacing: float | None = None,
-    objective: Objective | None = None,
 ) -> Iterator[Design]:
-    """Every design of these, each judged on its own best path from the drawn-out end, in order.
+    """Evaluate every combination of numbers, each on its own best path from the drawn-out end.
 
-    Coils follow each other at `spacing` metres, by default a stroke apart or as near as the body
-    makes them be; the mean variance counts unless another `objective` does. Raises GlissandoError
-    for a stroke longer than the body.
+    Several coils follow each other a stroke apart, or as near as the body requires.
+
+    Args:
+        robot: The robot.
+        zones: The zones that count.
+        strokes: Strokes, m.
+        speeds: Largest speeds, m/s.
+        rates: Readings a second of each coil, Hz.
+        coils: Numbers of coils.
+        acceleration: Largest acceleration, m/s².
+        upper: Arclength of the first coil when it is drawn out, m.
+        objective: The objective over the zones.
+        horizon: Duration of a path, s.
+
+    Raises:
+        GlissandoError: A stroke is longer than the body.
     """
-    objective = Trace() if objective is None else objective
     for stroke, count, rate in itertools.product(strokes, coils, rates):
         if not 0.0 < stroke <= upper + 1e-9:
             raise GlissandoError(f"A stroke of {stroke:g} m does not fit a body of {upper:g} m.")
-        apart = 0.0
-        if count > 1:
-            most = (upper - stroke) / (count - 1)
-            apart = min(most, stroke if spacing is None else spacing)
-        sensor = sliding_sensor(robot, rate=rate, coils=count, spacing=apart)
-        outlook = predict_information(robot, (upper - stroke, upper), horizon, sensor)
-        judge = judge_of(outlook, zones, objective)
+        spacing = min(stroke, (upper - stroke) / (count - 1)) if count > 1 else 0.0
+        sensor = sliding_sensor(robot, rate=rate, coils=count, spacing=spacing)
+        lower = upper - stroke
+        problem = predict_information(robot, (lower, upper), horizon, sensor)
+        path_objective = path_objective_of(problem, zones, objective)
         for speed in speeds:
-            track = PathSpace(
-                upper - stroke, upper, speed, acceleration, outlook.step, outlook.steps, upper
-            )  # fmt: skip
-            plan = plan_slide(judge, track, zones)
-            told = [evaluate_path(outlook, [zone], objective, plan.arclength).std for zone in zones]
-            yield Design(stroke, speed, rate, count, plan.value, tuple(told))
+            path_space = PathSpace(
+                lower, upper, speed, acceleration, problem.step, problem.steps, start=upper
+            )
+            plan = plan_slide(path_objective, path_space, zones)
+            std = (evaluate_path(problem, [z], objective, plan.arclength).std for z in zones)
+            yield Design(stroke, speed, rate, count, plan.value, tuple(std))
 
 
 def pareto_front(designs: Sequence[Design]) -> NDArray[np.bool_]:
     """Which designs (D,) are worth what they cost: the Pareto front of costs and confidence.
 
-    Not one that another is as sure as within 2 %, over all zones, for less of a stroke, speed or
-    number of coils and no more of the others; nor one that is less sure for the same.
+    Not on it are designs that another one matches within 2 %, in the root mean square over all
+    zones, for less of a stroke, speed or number of coils and no more of the others, and designs
+    that another one surpasses at no higher cost.
     """
     cost = np.array([[d.stroke, d.speed, d.coils] for d in designs], dtype=float)
     std = np.sqrt(np.mean(np.array([d.std for d in designs]) ** 2, axis=1))

@@ -1,9 +1,9 @@
-"""How uncertain a zone is, as one number, and how that changes with the covariance of its points.
+"""Objectives: how uncertain a zone is, as one number, with its gradient by the covariance.
 
-Every objective takes covariances (Z, p, p) of the pose at a zone's points, body frame, and weights
-(Z,) that add up to one; it gives its value J and the slope M (Z, p, p) with dJ = Σ tr(M dC). The
-position comes first in a pose, so p = 3 will do for all that ask for the position only. All of them
-grow with the covariance.
+An objective takes covariances C (Z, p, p) of the pose at a zone's points, in the body frame, and
+weights (Z,) that add up to one. It returns its value J and the gradient M (Z, p, p) with
+dJ = Σ tr(M dC). The position comes first in a pose, so p = 3 suffices for an objective of the
+position alone. Every objective grows with the covariance. Source: equation (23).
 """
 
 from __future__ import annotations
@@ -18,25 +18,28 @@ from scipy.special import erfc
 from glissando.errors import GlissandoError
 from glissando.geometry.se3 import Array
 
-_POLAR, _AROUND = 24, 32  # quadrature of the ball's probability: a half sphere of directions
+_POLAR, _AROUND = 24, 32  # quadrature over the directions of a half sphere
 
 
 class Objective(Protocol):
-    """Uncertainty of a zone's points, and its slope."""
+    """Uncertainty of a zone's points, and its gradient."""
 
     @property
     def rows(self) -> int:
-        """How many numbers of the pose it looks at: 3 for position, 6 with rotation."""
+        """Number p of pose components that count: 3 for position, 6 with rotation."""
         ...
 
     def __call__(self, cov: Array, weight: Array) -> tuple[float, Array]:
-        """Value, and slope (Z, p, p), of covariances (Z, p, p) with weights (Z,)."""
+        """Value and gradient (Z, p, p) at covariances (Z, p, p) with weights (Z,)."""
         ...
 
 
 @dataclass(frozen=True)
 class Trace:
-    """Mean variance of position, m²; of points `lever` metres off the centre too where given.
+    """Mean variance of position, m², optionally with rotation.
+
+    Attributes:
+        lever: Distance from the centre line at which rotations count, m; 0 for position only.
 
     >>> Trace()(np.eye(3)[None], np.ones(1))[0]
     3.0
@@ -52,35 +55,39 @@ class Trace:
     def __call__(self, cov: Array, weight: Array) -> tuple[float, Array]:
         """Σ w tr(C), rotations weighted by the lever's square."""
         scale = np.repeat([1.0, self.lever**2], 3)[: self.rows]
-        slope = weight[:, None, None] * np.diag(scale)
-        return float(np.einsum("z,zii,i->", weight, cov, scale)), slope
+        gradient = weight[:, None, None] * np.diag(scale)
+        return float(np.einsum("z,zii,i->", weight, cov, scale)), gradient
 
 
 @dataclass(frozen=True)
 class LogDet:
-    """Mean log-determinant of the position's covariance: the log-volume of what is believed."""
+    """Mean log-determinant of the position's covariance: twice its log-volume."""
 
     rows: int = 3
 
     def __call__(self, cov: Array, weight: Array) -> tuple[float, Array]:
-        """Σ w log det C, with slope w C⁻¹."""
+        """Σ w log det C, with gradient w C⁻¹."""
         value = float(np.sum(weight * np.linalg.slogdet(cov)[1]))
         return value, weight[:, None, None] * np.linalg.inv(cov)
 
 
 @dataclass(frozen=True)
 class Worst:
-    """Largest variance in any direction anywhere in the zone, m², smoothed as a power mean.
+    """Largest variance in any direction anywhere in the zone, m², as a power mean.
 
-    (Σ w tr(Cᵖ))^(1/p), which has a gradient where directions or points tie. It errs by less than
-    3^(1/p) above and, for the worst of Z equal points, Z^(1/p) below.
+    The mean (Σ w tr(Cᵖ))^(1/p) has a gradient where directions or points tie. It exceeds the
+    largest variance by a factor of at most 3^(1/p), and with Z points of equal weight falls short
+    of it by at most Z^(1/p).
+
+    Attributes:
+        power: The exponent p.
     """
 
     power: int = 16
     rows: int = 3
 
     def __call__(self, cov: Array, weight: Array) -> tuple[float, Array]:
-        """The p-norm, with slope w C^(p−1) J^(1−p)."""
+        """The p-norm, with gradient w C^(p−1) J^(1−p)."""
         scale = float(np.einsum("zii->z", cov).max())
         part = np.linalg.matrix_power(cov / scale, self.power - 1)
         total = float(np.einsum("z,zij,zji->", weight, part, cov / scale))
@@ -90,11 +97,17 @@ class Worst:
 
 @dataclass(frozen=True)
 class Chance:
-    """Probability that the position errs by more than `bound` metres, the mean over the zone.
+    """Mean probability that the position's error exceeds a bound.
 
-    Exact but for quadrature: e = ρ C^½ n with n uniform on the sphere and ρ² of χ² with 3 degrees
-    of freedom, so that P = E_n[P(χ²₃ > b² / nᵀCn)]. The mean over 24 × 32 directions errs by about
-    1e-5, and by up to 1e-3 where one axis is a hundred times wider than both others.
+    The error is ρ C^½ n with n uniform on the sphere and ρ² of χ² with 3 degrees of freedom, so
+    that P = E_n[P(χ²₃ > b² / nᵀCn)]. Quadrature over 24 × 32 directions errs by about 1e-5, and by
+    up to 1e-3 where one axis is a hundred times wider than both others.
+
+    Attributes:
+        bound: The error b, m.
+
+    Raises:
+        GlissandoError: The bound is not positive.
     """
 
     bound: float
@@ -105,18 +118,18 @@ class Chance:
             raise GlissandoError(f"A bound of {self.bound:g} m cannot be; give one above zero.")
 
     def __call__(self, cov: Array, weight: Array) -> tuple[float, Array]:
-        """Σ w P, with slope w E_n[f(y) y/q n nᵀ], q = nᵀCn, y = b²/q, f the density of χ²₃."""
-        way, share = _directions()
-        spread = np.einsum("di,zij,dj->zd", way, cov, way)
-        y = self.bound**2 / spread
+        """Σ w P, gradient w E_n[f(y) y/q n nᵀ] with q = nᵀCn, y = b²/q, f the density of χ²₃."""
+        n, share = _directions()
+        variance = np.einsum("di,zij,dj->zd", n, cov, n)
+        y = self.bound**2 / variance
         beyond = erfc(np.sqrt(0.5 * y)) + np.sqrt(2.0 * y / np.pi) * np.exp(-0.5 * y)
         density = np.sqrt(y / (2.0 * np.pi)) * np.exp(-0.5 * y)
-        slope = np.einsum("z,d,zd,di,dj->zij", weight, share, density * y / spread, way, way)
-        return float(np.einsum("z,d,zd->", weight, share, beyond)), slope
+        gradient = np.einsum("z,d,zd,di,dj->zij", weight, share, density * y / variance, n, n)
+        return float(np.einsum("z,d,zd->", weight, share, beyond)), gradient
 
 
 def _directions() -> tuple[Array, Array]:
-    """Directions (D, 3) over a half sphere about body z, and their shares (D,)."""
+    """Directions (D, 3) over a half sphere about body z, and their weights (D,)."""
     height, share = np.polynomial.legendre.leggauss(_POLAR)
     height, share = 0.5 * (height + 1.0), 0.5 * share / _AROUND
     angle = 2.0 * np.pi * (np.arange(_AROUND) + 0.5) / _AROUND
@@ -132,13 +145,18 @@ OBJECTIVES: dict[str, Callable[[float], Objective]] = {
     "max": lambda bound: Worst(),
     "chance": lambda bound: Chance(bound),
 }
-"""Objectives by name, each made from the bound that only chance needs."""
+"""Makers of the objectives by name, given the bound, m, which only chance needs."""
 
 
 def objective_named(name: str, bound: float = 5e-3) -> Objective:
-    """An objective by name: trace, logdet, max, or chance of erring by more than `bound` metres.
+    """An objective by its name on the command line.
 
-    Raises GlissandoError for another name.
+    Args:
+        name: One of trace, logdet, max and chance.
+        bound: The error, m, whose probability of being exceeded chance measures.
+
+    Raises:
+        GlissandoError: There is no objective of this name.
     """
     if name not in OBJECTIVES:
         raise GlissandoError(

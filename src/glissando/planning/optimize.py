@@ -1,7 +1,7 @@
-"""Descent inside a convex body |A c − centre| ≤ width that is never left.
+"""Descent inside a convex polytope |A x − centre| ≤ width, which no iterate leaves.
 
-A barrier keeps every iterate strictly inside, its weight falling from step to step; the curvature
-of what is minimised is learned from its gradients. Source: Nocedal and Wright, *Numerical
+A logarithmic barrier, whose weight falls from step to step, keeps every iterate strictly inside.
+The curvature of the function is learned from its gradients. Source: Nocedal and Wright, *Numerical
 Optimization* (2nd ed.), chapters 6 and 19.
 """
 
@@ -14,101 +14,105 @@ from scipy.linalg import cho_factor, cho_solve
 
 from glissando.geometry.se3 import Array
 
-_BARRIER, _FALL = 1e-2, 0.6  # its first weight as a share of the value, and what is left each step
-_NEAREST = 0.9  # of the way to the boundary that a step may go
-_SLOPE = 1e-4  # of the promised fall that a step must keep
-_HALVINGS = 6
-_DAMPED = 0.2  # of the curvature believed so far, the least that a step may tell
-_LEAST = 1e-9  # weight of the barrier below which it does not fall
+_BARRIER, _FALL = 1e-2, 0.6  # first weight of the barrier, of the value; its factor at each step
+_LEAST = 1e-9  # weight of the barrier, of the value, at which it does not fall further
+_NEAREST = 0.9  # of the way to the boundary, the longest step
+_ARMIJO = 1e-4  # of the predicted decrease that a step must achieve
+_SHRINK, _TRIALS = 0.4, 6  # of a step that does not, and how often
+_DAMPED = 0.2  # of the curvature so far, the least that a step may measure
 
-Body = tuple[Array, Array, Array]
+Polytope = tuple[Array, Array, Array]
+"""A (m, n), centre (m,) and half width (m,) of |A x − centre| ≤ width."""
 
 
 def descend(
-    value: Callable[[Array], tuple[float, Array]],
+    function: Callable[[Array], tuple[float, Array]],
     start: Array,
-    body: Body,
+    polytope: Polytope,
     iterations: int,
     tolerance: float = 1e-4,
 ) -> tuple[Array, float]:
-    """A point strictly inside the body with a lower value, from a `start` strictly inside.
+    """Descend from a point strictly inside a polytope to one of lower value.
 
-    `value` gives a number and its gradient. Ends after `iterations`, or when three steps together
-    gain less than `tolerance` of the value's size.
+    Args:
+        function: Value and gradient (n,) at a point (n,).
+        start: Point (n,) strictly inside.
+        polytope: The limits.
+        iterations: Iterations at most.
+        tolerance: Share of the value that three steps together must gain to go on.
+
+    Returns:
+        The best point (n,), strictly inside, and its value.
     """
-    x, (f, g) = start, value(start)
-    scale = max(abs(f), 1e-300)
+    x, (value, gradient) = start, function(start)
+    scale = max(abs(value), 1e-300)
     curvature = np.zeros((x.size, x.size))
-    weight, best, recent = _BARRIER * scale / len(body[1]), (x, f), [f]
+    weight, best, values = _BARRIER * scale / len(polytope[1]), (x, value), [value]
     for _ in range(iterations):
-        pull, stiffness = _barrier(x, body)
-        total = g + weight * pull
-        step = -cho_solve(cho_factor(curvature + weight * stiffness), total)
-        fall = float(total @ step)
-        share = min(1.0, _NEAREST * _room(x, step, body))
-        here = f + weight * _height(x, body)
-        for _ in range(_HALVINGS):
-            there = x + share * step
-            f_there, g_there = value(there)
-            if f_there + weight * _height(there, body) <= here + _SLOPE * share * fall:
+        barrier_gradient, barrier_curvature = _barrier_derivatives(x, polytope)
+        total = gradient + weight * barrier_gradient
+        step = -cho_solve(cho_factor(curvature + weight * barrier_curvature), total)
+        decrease = float(total @ step)
+        share = min(1.0, _NEAREST * _steps_to_boundary(x, step, polytope))
+        merit = value + weight * _barrier(x, polytope)
+        for _ in range(_TRIALS):
+            new_x = x + share * step
+            new_value, new_gradient = function(new_x)
+            new_merit = new_value + weight * _barrier(new_x, polytope)
+            if new_merit <= merit + _ARMIJO * share * decrease:
                 break
-            share *= 0.4
+            share *= _SHRINK
         else:
             break
-        curvature = _learned(curvature, there - x, g_there - g)
-        x, f, g = there, f_there, g_there
-        best = min(best, (x, f), key=lambda found: found[1])
-        weight = max(_FALL * weight, _LEAST * scale / len(body[1]))
-        recent.append(f)
-        if len(recent) > 4 and recent[-4] - f < tolerance * scale:
+        curvature = _updated(curvature, new_x - x, new_gradient - gradient)
+        x, value, gradient = new_x, new_value, new_gradient
+        best = min(best, (x, value), key=lambda point: point[1])
+        weight = max(_FALL * weight, _LEAST * scale / len(polytope[1]))
+        values.append(value)
+        if len(values) > 4 and values[-4] - value < tolerance * scale:
             break
     return best
 
 
-def strictly_inside(x: Array, centre: Array, body: Body, share: float) -> Array | None:
-    """The point x drawn by a `share` of the way to a centre; None if even so it is not inside."""
-    drawn = x + share * (centre - x)
-    return drawn if np.all(_gap(drawn, body) > 0.0) else None
+def is_inside(x: Array, polytope: Polytope) -> bool:
+    """Whether a point (n,) is strictly inside a polytope."""
+    rows, centre, width = polytope
+    return bool(np.all(np.abs(rows @ x - centre) < width))
 
 
-def _gap(x: Array, body: Body) -> Array:
-    rows, centre, width = body
-    return (width - np.abs(rows @ x - centre)) / width
+def _barrier(x: Array, polytope: Polytope) -> float:
+    """−Σ log(1 − u²) with u = (A x − centre) / width."""
+    rows, centre, width = polytope
+    return -float(np.sum(np.log1p(-(((rows @ x - centre) / width) ** 2))))
 
 
-def _height(x: Array, body: Body) -> float:
-    rows, centre, width = body
-    off = (rows @ x - centre) / width
-    return -float(np.sum(np.log1p(-(off**2))))
-
-
-def _barrier(x: Array, body: Body) -> tuple[Array, Array]:
-    """Gradient (n,) and curvature (n, n) of the barrier −Σ log(1 − off²)."""
-    rows, centre, width = body
-    off = (rows @ x - centre) / width
-    near, far = 1.0 / (1.0 - off), 1.0 / (1.0 + off)
+def _barrier_derivatives(x: Array, polytope: Polytope) -> tuple[Array, Array]:
+    """Gradient (n,) and curvature (n, n) of the barrier."""
+    rows, centre, width = polytope
+    u = (rows @ x - centre) / width
+    near, far = 1.0 / (1.0 - u), 1.0 / (1.0 + u)
     scaled = rows * ((near**2 + far**2) / width**2)[:, None]
     return rows.T @ ((near - far) / width), rows.T @ scaled
 
 
-def _room(x: Array, step: Array, body: Body) -> float:
+def _steps_to_boundary(x: Array, step: Array, polytope: Polytope) -> float:
     """How many such steps lead to the boundary."""
-    rows, centre, width = body
-    off, move = (rows @ x - centre) / width, rows @ step / width
+    rows, centre, width = polytope
+    u, move = (rows @ x - centre) / width, rows @ step / width
     with np.errstate(divide="ignore", invalid="ignore"):
-        ways = np.where(move > 0.0, (1.0 - off) / move, (-1.0 - off) / move)
-    return float(np.min(ways[move != 0.0], initial=np.inf))
+        counts = np.where(move > 0.0, (1.0 - u) / move, (-1.0 - u) / move)
+    return float(np.min(counts[move != 0.0], initial=np.inf))
 
 
-def _learned(curvature: Array, step: Array, change: Array) -> Array:
+def _updated(curvature: Array, step: Array, change: Array) -> Array:
     """The curvature after a step's change of gradient, kept positive (Powell's damped BFGS)."""
-    told, length = float(step @ change), float(step @ step)
+    measured = float(step @ change)
     if not np.any(curvature):
-        curvature = np.eye(step.size) * max(abs(told) / length, 1e-300)
+        curvature = np.eye(step.size) * max(abs(measured) / float(step @ step), 1e-300)
     along = curvature @ step
-    bend = float(step @ along)
-    if told < _DAMPED * bend:
-        share = (1.0 - _DAMPED) * bend / (bend - told)
+    predicted = float(step @ along)
+    if measured < _DAMPED * predicted:
+        share = (1.0 - _DAMPED) * predicted / (predicted - measured)
         change = share * change + (1.0 - share) * along
-        told = float(step @ change)
-    return curvature + np.outer(change, change) / told - np.outer(along, along) / bend
+        measured = float(step @ change)
+    return curvature + np.outer(change, change) / measured - np.outer(along, along) / predicted

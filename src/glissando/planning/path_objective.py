@@ -1,8 +1,8 @@
-"""The worth of a path and its gradient: one factorisation, one pass forth and one back.
+"""The value of a path and its gradient: one factorisation, one pass forth and one back.
 
-With P the covariance after a path and M the slope of the objective, dJ = tr(M dP) = −tr(X dΛ) for
-X = P M P, of which a reading's cell needs only its own block: P is the inverse of a
-block-tridiagonal matrix, so what a far cell says reaches a near one through the gains between
+With P the covariance after a path and M the gradient of the objective, dJ = tr(M dP) = −tr(X dΛ)
+for X = P M P, of which a reading needs only the block of its own time cell. P is the inverse of a
+block-tridiagonal matrix, so the contributions of distant cells pass through the gains between
 neighbouring times. Source: equations (21), (23), (24).
 """
 
@@ -25,27 +25,32 @@ from glissando.solver.block_tridiagonal import BlockTridiagonal, Cholesky, Margi
 
 @dataclass(frozen=True)
 class PathObjective:
-    """Judges paths of an outlook by an objective over zones: call it with arclengths (T,).
+    """The objective of a path: call it with arclengths (T,) for its value and gradient (T,).
 
-    `cell` (Z,), `rows` (Z, p, 2 d), `before` (Z, p, p) and `weight` (Z,) are of the zones' points,
-    in order of their time cells.
+    Attributes:
+        problem: The planning problem.
+        objective: The objective over the points of the zones.
+        cell: Time cells (Z,) of the points, in increasing order.
+        rows: Jacobians (Z, p, 2 d) of the points by the modes of their cell.
+        prior_cov: Covariance (Z, p, p) of the points before any reading.
+        weight: Weights (Z,) of the points.
     """
 
-    outlook: PlanningProblem
+    problem: PlanningProblem
     objective: Objective
     cell: Index
     rows: Array
-    before: Array
+    prior_cov: Array
     weight: Array
 
     def __call__(self, arclength: Array) -> tuple[float, Array]:
-        """Value of a path (T,), and its slope (T,) by every place."""
+        """Value of a path (T,), and its gradient (T,) by the arclengths."""
         rows, slopes = self.readings(arclength)
-        chol, marginals = self._known(rows)
-        reached, cov = self._zones(marginals)
-        value, slope = self.objective(cov, self.weight)
-        seen, moved = (by_cell(part, self.outlook.inside) for part in (rows, slopes))
-        by_row = self._passed(chol, marginals, reached, slope, seen, moved).ravel()
+        chol, marginals = self._posterior(rows)
+        cross, cov = self._point_cov(marginals)
+        value, gradient = self.objective(cov, self.weight)
+        cells, slope_cells = (by_cell(part, self.problem.steps_per_cell) for part in (rows, slopes))
+        by_row = self._gradient(chol, marginals, cross, gradient, cells, slope_cells).ravel()
         by_step = by_row[: rows[..., 0].size].reshape(len(rows), -1)
         return value, -2.0 * by_step.sum(axis=1)
 
@@ -55,154 +60,140 @@ class PathObjective:
 
     def cov(self, arclength: Array) -> Array:
         """Covariance (Z, p, p) of the zones' points after a path (T,)."""
-        return self._zones(self._known(self.readings(arclength)[0])[1])[1]
+        return self._point_cov(self._posterior(self.readings(arclength)[0])[1])[1]
 
     def readings(self, arclength: Array) -> tuple[Array, Array]:
-        """Rows (T, C r, 2 d) of all coils' readings, and their slopes by the place.
+        """Rows (T, C r, 2 d) of all coils' readings on a path (T,), and their slopes by the place.
 
-        A cubic through four places of the lattice, with a continuous slope (Catmull and Rom).
+        They are interpolated by a cubic through four places of the lattice, with a continuous slope
+        (Catmull and Rom).
         """
-        lattice, table = self.outlook.lattice, self._table
+        lattice, table = self.problem.lattice, self._table
         step = lattice[1] - lattice[0]
-        place = (arclength[:, None] - self.outlook.sensor.behind - lattice[0]) / step
+        place = (arclength[:, None] - self.problem.sensor.behind - lattice[0]) / step
         lower = np.clip(np.floor(place).astype(np.intp), 0, lattice.size - 2)
         weights = _cubic(place - lower)
         weights[..., 1, :] /= step
         at = np.arange(arclength.size)[:, None, None], lower[..., None] + np.arange(4)
-        found = weights @ table[at].reshape(*lower.shape, 4, -1)
+        rows = weights @ table[at].reshape(*lower.shape, 4, -1)
         shape = arclength.size, -1, table.shape[-1]
-        return found[..., 0, :].reshape(shape), found[..., 1, :].reshape(shape)
+        return rows[..., 0, :].reshape(shape), rows[..., 1, :].reshape(shape)
 
     @cached_property
     def _table(self) -> Array:
-        """Rows at the places of the lattice and one more at each end, (T, L + 2, r, 2 d).
-
-        A parabola through the three places next to it leads there.
-        """
-        rows = self.outlook.rows
+        """Rows (T, L + 2, r, 2 d) on the lattice and, by parabolas, one place beyond each end."""
+        rows = self.problem.rows
         low, high = rows[:, :3], rows[:, :-4:-1]
         beyond = [3.0 * end[:, :1] - 3.0 * end[:, 1:2] + end[:, 2:] for end in (low, high)]
         return np.concatenate([beyond[0], rows, beyond[1]], axis=1)
 
-    def _known(self, rows: Array) -> tuple[Cholesky, Marginals]:
+    def _posterior(self, rows: Array) -> tuple[Cholesky, Marginals]:
         """Factor and covariances of the modes after readings with these rows (T, q, 2 d)."""
-        before = self.outlook.modes.system
-        size = before.diagonal.shape[1]
-        seen = by_cell(rows, self.outlook.inside)
-        told = np.swapaxes(seen, -1, -2) @ seen
-        diagonal, lower = before.diagonal.copy(), before.lower + told[:, size:, :size]
-        diagonal[:-1] += told[:, :size, :size]
-        diagonal[1:] += told[:, size:, size:]
+        prior = self.problem.modes.system
+        size = prior.diagonal.shape[1]
+        cells = by_cell(rows, self.problem.steps_per_cell)
+        added = cells.mT @ cells
+        diagonal, lower = prior.diagonal.copy(), prior.lower + added[:, size:, :size]
+        diagonal[:-1] += added[:, :size, :size]
+        diagonal[1:] += added[:, size:, size:]
         chol = factor(BlockTridiagonal(diagonal, lower))
         return chol, chol.marginals()
 
     @cached_property
     def _slot(self) -> Index:
-        """Where each point (Z,) is among those of its time cell."""
+        """Position of each point (Z,) among those of its time cell."""
         return np.arange(self.cell.size) - np.searchsorted(self.cell, self.cell)
 
     @cached_property
     def _points(self) -> Array:
-        """Rows (K−1, m, p, 2 d) of each time cell's points, filled up with nothing."""
+        """Rows (K−1, m, p, 2 d) of each time cell's points, padded with zeros."""
         most = int(self._slot.max()) + 1
-        out = np.zeros((len(self.outlook.modes.pair), most, *self.rows.shape[1:]))
+        out = np.zeros((len(self.problem.modes.pair), most, *self.rows.shape[1:]))
         out[self.cell, self._slot] = self.rows
         return out
 
     @cached_property
     def _left(self) -> Array:
-        """Covariance (Z, p, p) of the points that the modes leave open."""
-        told = self.rows @ self.outlook.modes.pair[self.cell] @ _transposed(self.rows)
-        return symmetrize(self.before - told)
+        """Covariance (Z, p, p) of the points that the modes leave uncertain."""
+        modelled = self.rows @ self.problem.modes.pair[self.cell] @ self.rows.mT
+        return symmetrize(self.prior_cov - modelled)
 
-    def _zones(self, marginals: Marginals) -> tuple[Array, Array]:
+    def _point_cov(self, marginals: Marginals) -> tuple[Array, Array]:
         """Covariance (K−1, 2 d, m p) of the modes with each cell's points, and theirs (Z, p, p)."""
         cells, count, p, wide = self._points.shape
         rows, size = self._points.reshape(cells, count * p, wide), wide // 2
-        early, late = _transposed(rows[..., :size]), _transposed(rows[..., size:])
-        reached = np.empty((cells, wide, count * p))
-        reached[:, :size] = marginals.cov[:-1] @ early + marginals.cross @ late
-        reached[:, size:] = _transposed(marginals.cross) @ early + marginals.cov[1:] @ late
-        own = reached.reshape(cells, wide, count, p).transpose(0, 2, 1, 3)
-        told = (self._points @ own)[self.cell, self._slot]
-        return reached, self._left + symmetrize(told)
+        early, late = rows[..., :size].mT, rows[..., size:].mT
+        cross = np.empty((cells, wide, count * p))
+        cross[:, :size] = marginals.cov[:-1] @ early + marginals.cross @ late
+        cross[:, size:] = marginals.cross.mT @ early + marginals.cov[1:] @ late
+        by_point = cross.reshape(cells, wide, count, p).transpose(0, 2, 1, 3)
+        own = (self._points @ by_point)[self.cell, self._slot]
+        return cross, self._left + symmetrize(own)
 
-    def _passed(
+    def _gradient(
         self,
         chol: Cholesky,
         marginals: Marginals,
-        reached: Array,
-        slope: Array,
-        seen: Array,
-        moved: Array,
+        cross: Array,
+        gradient: Array,
+        rows: Array,
+        slopes: Array,
     ) -> Array:
-        """Diagonals (K−1, q) of seen X movedᵀ, rows (K−1, q, 2 d) of cells, by X = P M P there.
+        """Diagonals (K−1, q) of rows X slopesᵀ, rows (K−1, q, 2 d) of cells, for X = P M P.
 
-        M is given by its slopes (Z, p, p) at points. What is known at one time depends on what lies
-        beyond a neighbouring time only through it: P(j, later) = G_j P(j+1, later) with the gain
+        M is given by its blocks (Z, p, p) at the points. A time depends on what lies beyond its
+        neighbour only through the neighbour: P(j, later) = G_j P(j+1, later) with the gain
         G_j = −S_j⁻¹ U_j, hence also P(earlier j, k) = G_j … G_k−1 P(k, k).
         """
         cells, count, p, wide = self._points.shape
         first, last = slice(0, wide // 2), slice(wide // 2, wide)
         by_point = np.zeros((cells, count, p, p))
-        by_point[self.cell, self._slot] = slope
-        own = reached.reshape(cells, wide, count, p).transpose(0, 2, 1, 3)
-        turned = (own @ by_point).transpose(0, 2, 1, 3).reshape(reached.shape)
-        gain = -(_transposed(chol.inverse[:-1]) @ chol.coupling)
+        by_point[self.cell, self._slot] = gradient
+        own = cross.reshape(cells, wide, count, p).transpose(0, 2, 1, 3)
+        weighted = (own @ by_point).transpose(0, 2, 1, 3).reshape(cross.shape)
+        gain = -(chol.inverse[:-1].mT @ chol.coupling)
         ends = self._points[..., first] @ gain[:, None] + self._points[..., last]
-        weighed, ends = (part.reshape(cells, count * p, -1) for part in (by_point @ ends, ends))
-        after = turned[:, first] @ _transposed(reached[:, first])
-        before = _transposed(ends) @ weighed
+        weighted_ends, ends = (x.reshape(cells, count * p, -1) for x in (by_point @ ends, ends))
+        after = weighted[:, first] @ cross[:, first].mT
+        before = ends.mT @ weighted_ends
         later = np.zeros_like(gain)  # P M P at k + 1, of cells after k
         for k in reversed(range(cells - 1)):
             later[k] = after[k + 1] + gain[k + 1] @ later[k + 1] @ gain[k + 1].T
-        earlier = np.zeros_like(gain)  # what P(k, k) makes P M P there, of cells before k
+        earlier = np.zeros_like(gain)  # between two P(k, k) it is P M P at k, of cells before k
         for k in range(1, cells):
             earlier[k] = before[k - 1] + gain[k - 1].T @ earlier[k - 1] @ gain[k - 1]
-        cov, cross = marginals.cov[:-1], _transposed(marginals.cross)
-        to_later = [rows[..., first] @ gain + rows[..., last] for rows in (seen, moved)]
-        to_earlier = [rows[..., first] @ cov + rows[..., last] @ cross for rows in (seen, moved)]
+        cov, lagged = marginals.cov[:-1], marginals.cross.mT
+        to_later = [x[..., first] @ gain + x[..., last] for x in (rows, slopes)]
+        to_earlier = [x[..., first] @ cov + x[..., last] @ lagged for x in (rows, slopes)]
         return (
-            _products(seen @ turned, moved @ reached)
-            + _products(to_later[0] @ later, to_later[1])
-            + _products(to_earlier[0] @ earlier, to_earlier[1])
+            np.vecdot(rows @ weighted, slopes @ cross)
+            + np.vecdot(to_later[0] @ later, to_later[1])
+            + np.vecdot(to_earlier[0] @ earlier, to_earlier[1])
         )
 
 
-def judge_of(
-    outlook: PlanningProblem, zones: Sequence[Zone], objective: Objective
+def path_objective_of(
+    problem: PlanningProblem, zones: Sequence[Zone], objective: Objective
 ) -> PathObjective:
-    """The judge of an outlook's paths by an objective over zones.
+    """The objective of a path over zones, which count at the middles of the time cells.
 
-    Zones count at the middles of the outlook's time cells. Raises GlissandoError for zones off the
-    body or the time ahead.
+    Raises:
+        GlissandoError: There is no zone, or one leaves the body or the time ahead.
     """
-    grid, span = outlook.ahead.grid, (outlook.start, outlook.last)
-    place, time, weight = zone_points(zones, outlook.middles, span, float(grid.arclength[-1]))
+    span, length = (problem.start, problem.end), float(problem.ahead.grid.arclength[-1])
+    place, time, weight = zone_points(zones, problem.zone_times, span, length)
     order = np.argsort(time, kind="stable")
-    cell, rows, cov = outlook.points(place[order], time[order])
+    cell, rows, cov = problem.points(place[order], time[order])
     p = objective.rows
-    return PathObjective(outlook, objective, cell, rows[:, :p], cov[:, :p, :p], weight[order])
+    return PathObjective(problem, objective, cell, rows[:, :p], cov[:, :p, :p], weight[order])
 
 
-def _products(left: Array, right: Array) -> Array:
-    """Products (…, q) of rows with rows."""
-    return np.einsum("...i,...i->...", left, right)
-
-
-def _transposed(matrix: Array) -> Array:
-    return np.swapaxes(matrix, -1, -2)
-
-
-def by_cell(rows: Array, inside: int) -> Array:
-    """Rows (K−1, m, 2 d) of time cells of so many steps, of those (T, q, 2 d) of the steps.
-
-    The last cell is filled up with nothing.
-    """
-    cells = -(-len(rows) // inside)
-    if len(rows) < cells * inside:
-        rows = np.concatenate([rows, np.zeros((cells * inside - len(rows), *rows.shape[1:]))])
-    return rows.reshape(cells, -1, rows.shape[-1])
+def by_cell(rows: Array, steps_per_cell: int) -> Array:
+    """Rows (K−1, m, 2 d) of time cells, of those (T, q, 2 d) of steps, padded with zeros."""
+    cells = -(-len(rows) // steps_per_cell)
+    out = np.zeros((cells * steps_per_cell, *rows.shape[1:]))
+    out[: len(rows)] = rows
+    return out.reshape(cells, -1, rows.shape[-1])
 
 
 def _cubic(x: Array) -> Array:

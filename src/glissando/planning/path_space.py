@@ -1,9 +1,9 @@
-"""Every path a slide can take from where it is, and nothing but: limits kept by construction.
+"""The space of paths that a stage can follow: its limits hold by construction.
 
 A path is a uniform quadratic B-spline in time, so its acceleration is constant between knots. Its
-speed at the knots is the difference of neighbouring control points, its acceleration their second
-difference, and it never leaves the hull of its control points: limits on these are limits on the
-path at every instant. They bound a convex body of control points, in which a planner may move.
+speed at the knots is the first difference of the control points, its acceleration their second
+difference, and it never leaves their hull. Limits on these are therefore limits on the path at
+every instant; they bound a convex polytope of control points.
 """
 
 from __future__ import annotations
@@ -16,16 +16,27 @@ import numpy as np
 from glissando.errors import GlissandoError
 from glissando.geometry.se3 import Array
 from glissando.model.slide_path import SlideLimits
+from glissando.planning.optimize import Polytope
 
-_KEPT = 1.0 - 1e-7  # of a limit, so that rounding does not break it
+_SHARE = 1.0 - 1e-7  # of a limit, so that rounding does not break it
 
 
 @dataclass(frozen=True)
 class PathSpace:
-    """Paths of `steps` pieces of `step` seconds from arclength `start` at `start_speed` m/s.
+    """All paths of a stage from where it is, which are at rest in the end.
 
-    The sensor stays between the arclengths `lower` and `upper`, m, no faster and no sharper than
-    `speed` and `acceleration`, and is at rest in the end. Raises GlissandoError when it cannot.
+    Attributes:
+        lower: Lowest arclength of the sensor, m.
+        upper: Highest arclength of the sensor, m.
+        speed: Largest speed, m/s.
+        acceleration: Largest acceleration, m/s².
+        step: Duration of a piece of the spline, s.
+        steps: Number T of pieces.
+        start: Arclength in the beginning, m.
+        start_speed: Speed in the beginning, m/s.
+
+    Raises:
+        GlissandoError: The limits leave no path, or the sensor cannot stop within them.
     """
 
     lower: float
@@ -50,120 +61,138 @@ class PathSpace:
                 f"The sensor is at {self.start:g} m, off its slide from {self.lower:g} to "
                 f"{self.upper:g} m; give a start on it."
             )
-        way = np.array(self.start_speed * self.step)
-        low, high = self._bounds(np.array(self.start) + 0.5 * way, way, self.steps - 1)
-        if low > high + 1e-9 * self._most[1]:
+        move = np.array(self.start_speed * self.step)
+        low, high = self._bounds(np.array(self.start) + 0.5 * move, move, self.steps - 1)
+        if low > high + 1e-9 * self._largest[1]:
             raise GlissandoError(
                 f"At {self.start:g} m and {self.start_speed:g} m/s the slide cannot stop within "
                 f"its limits; start slower, farther from its end, or plan farther ahead."
             )
 
     @property
-    def times(self) -> Array:
-        """Middles (T,) of the steps, seconds from the start: where a path is judged."""
-        return np.asarray((np.arange(self.steps) + 0.5) * self.step)
-
-    @property
-    def lasts(self) -> float:
-        """How long a path is, seconds."""
+    def duration(self) -> float:
+        """Duration of a path, s."""
         return self.steps * self.step
 
     @property
+    def times(self) -> Array:
+        """Middles (T,) of the steps, s from the start, at which a path is evaluated."""
+        return np.asarray((np.arange(self.steps) + 0.5) * self.step)
+
+    @property
     def control_times(self) -> Array:
-        """Times (T + 2,) that control points stand for."""
+        """Times (T + 2,) of the control points, s from the start."""
         return np.asarray((np.arange(self.steps + 2) - 0.5) * self.step)
 
     @property
-    def _most(self) -> tuple[float, float]:
-        """Largest first and second difference of control points, metres."""
-        return _KEPT * self.speed * self.step, _KEPT * self.acceleration * self.step**2
+    def _largest(self) -> tuple[float, float]:
+        """Largest first and second difference of control points, m."""
+        return _SHARE * self.speed * self.step, _SHARE * self.acceleration * self.step**2
 
-    def places(self, control: Array) -> Array:
-        """Arclengths (…, T) at `times` of paths with control points (…, T + 2)."""
+    def arclength(self, control: Array) -> Array:
+        """Arclengths (…, T) at `times` of paths with control points (…, T + 2), m."""
         return (control[..., :-2] + 6.0 * control[..., 1:-1] + control[..., 2:]) / 8.0
 
     def knots(self, control: Array) -> tuple[Array, Array, Array]:
         """Times, arclengths and speeds (T + 1,) at the knots, constant acceleration between."""
         place = 0.5 * (control[1:] + control[:-1])
-        time = np.asarray(self.step * np.arange(place.size))
+        time = np.asarray(self.step * np.arange(self.steps + 1))
         return time, place, np.diff(control) / self.step
 
-    def follow(self, wanted: Array) -> Array:
-        """Control points (…, T + 2) of the paths that go where `wanted` (…, T + 2) as they can.
+    def follow(self, target: Array) -> Array:
+        """The paths that stay as near to targets as the limits allow.
 
-        Each step is the longest that leads there and can still be stopped before the slide or the
-        time ends.
+        Each move is the longest towards the target that can still be stopped before the slide or
+        the time ends.
+
+        Args:
+            target: Arclengths (…, T + 2) at `control_times`, m.
+
+        Returns:
+            Control points (…, T + 2), m.
         """
-        sharpest = self._most[1]
-        out = np.empty(wanted.shape)
-        way = np.full(wanted.shape[:-1], self.start_speed * self.step)
-        out[..., 0], out[..., 1] = self.start - 0.5 * way, self.start + 0.5 * way
+        sharpest = self._largest[1]
+        out = np.empty(target.shape)
+        move = np.full(target.shape[:-1], self.start_speed * self.step)
+        out[..., 0], out[..., 1] = self.start - 0.5 * move, self.start + 0.5 * move
         for j in range(1, self.steps + 1):
-            here = out[..., j]
-            gap = wanted[..., j + 1] - here
-            low, high = self._bounds(here, way, self.steps - j)
+            gap = target[..., j + 1] - out[..., j]
+            low, high = self._bounds(out[..., j], move, self.steps - j)
             wish = np.sign(gap) * _stoppable(np.abs(gap), sharpest)
-            way = np.minimum(np.maximum(wish, low), np.maximum(low, high))
-            out[..., j + 1] = here + way
+            move = np.minimum(np.maximum(wish, low), np.maximum(low, high))
+            out[..., j + 1] = out[..., j] + move
         return out
 
-    def _bounds(self, here: Array, way: Array, left: int) -> tuple[Array, Array]:
-        """Least and largest next step at a control point reached by a step, `left` before rest."""
-        fastest, sharpest = self._most
+    def _bounds(self, place: Array, move: Array, left: int) -> tuple[Array, Array]:
+        """Bounds of the next move from a control point, `left` moves before the path rests."""
+        fastest, sharpest = self._largest
         most = min(fastest, left * sharpest)
-        low = np.maximum(way - sharpest, -most)
-        high = np.minimum(way + sharpest, most)
-        low = np.maximum(low, -_stoppable(here - self.lower, sharpest))
-        return low, np.minimum(high, _stoppable(self.upper - here, sharpest))
+        low = np.maximum(move - sharpest, -most)
+        high = np.minimum(move + sharpest, most)
+        low = np.maximum(low, -_stoppable(place - self.lower, sharpest))
+        return low, np.minimum(high, _stoppable(self.upper - place, sharpest))
 
     @cached_property
-    def body(self) -> tuple[Array, Array, Array]:
-        """A (m, n), centre (m,) and half width (m,) with |A c − centre| ≤ width, c the free points.
+    def polytope(self) -> Polytope:
+        """The limits on the n = T − 1 free control points: from the third to the last but one.
 
-        Free are the n = T − 1 control points from the third on; the last two are the same.
+        The last control point equals the one before, so that the path ends at rest.
         """
-        fastest, sharpest = self._most
+        fastest, sharpest = self._largest
         full = np.eye(self.steps + 2)
         first, second = np.diff(full, axis=0), np.diff(full, 2, axis=0)
         rows = np.concatenate([full[2:-1], first[1:-1], second])
         half = 0.5 * (self.upper - self.lower)
         counts = self.steps - 1, self.steps - 1, self.steps
         middle = np.repeat([0.5 * (self.upper + self.lower), 0.0, 0.0], counts)
-        fixed = rows[:, :2] @ self.whole(np.zeros(1))[:2]
-        return self.free(rows), middle - fixed, np.repeat([half, fastest, sharpest], counts)
+        fixed = rows[:, :2] @ self.control(np.zeros(1))[:2]
+        return _free(rows), middle - fixed, np.repeat([half, fastest, sharpest], counts)
 
-    @staticmethod
-    def free(slope: Array) -> Array:
-        """Slopes (…, n) by the free control points of those (…, T + 2) by all."""
-        out = slope[..., 2:-1].copy()
-        out[..., -1] += slope[..., -1]
-        return out
+    def control(self, free: Array) -> Array:
+        """All control points (T + 2,) of a path with the free ones (n,), m."""
+        half = 0.5 * self.start_speed * self.step
+        return np.concatenate([[self.start - half, self.start + half], free, free[-1:]])
 
-    def whole(self, free: Array) -> Array:
-        """All control points (T + 2,) of the free ones (n,)."""
-        way = 0.5 * self.start_speed * self.step
-        return np.concatenate([[self.start - way, self.start + way], free, free[-1:]])
+    def free_gradient(self, by_place: Array, by_control: Array) -> Array:
+        """Gradient (n,) by the free control points.
 
-    def slope(self, by_place: Array) -> Array:
-        """Slope (T + 2,) by control points of that (T,) by the places at `times`."""
-        out = np.zeros(self.steps + 2)
+        Args:
+            by_place: Gradient (T,) by the arclengths at `times`.
+            by_control: What a further term adds to the gradient (T + 2,) by all control points.
+        """
+        total = by_control.copy()
         for i, share in enumerate((0.125, 0.75, 0.125)):
-            out[i : i + self.steps] += share * by_place
-        return out
+            total[i : i + self.steps] += share * by_place
+        return _free(total)
 
 
-def track_of(
+def path_space_of(
     limits: SlideLimits, upper: float, start: float, horizon: float, step: float = 0.1
 ) -> PathSpace:
-    """What a stage can do in `horizon` seconds with the sensor at `upper` m when drawn out."""
+    """The paths of a stage.
+
+    Args:
+        limits: Limits of the stage.
+        upper: Arclength of the sensor when it is drawn out, m.
+        start: Arclength of the sensor in the beginning, m.
+        horizon: Duration of a path, s.
+        step: Duration of a piece of the spline, s.
+    """
     steps = max(2, round(horizon / step))
     lower = upper - limits.stroke
     return PathSpace(lower, upper, limits.speed, limits.acceleration, step, steps, start)
 
 
-def _stoppable(room: Array, sharpest: float) -> Array:
-    """Longest first step that, shortened by `sharpest` each time, stops within `room`, if any."""
-    ratio = np.maximum(room, 0.0) / sharpest
+def _free(by_control: Array) -> Array:
+    """Columns (…, n) of the free control points, of those (…, T + 2) of all."""
+    out = by_control[..., 2:-1].copy()
+    out[..., -1] += by_control[..., -1]
+    return out
+
+
+def _stoppable(distance: Array, sharpest: float) -> Array:
+    """Longest first move that, shortened by `sharpest` each time, stops within a distance."""
+    ratio = np.maximum(distance, 0.0) / sharpest
     count = np.floor(0.5 * (np.sqrt(1.0 + 8.0 * ratio) - 1.0))
-    step = (room + 0.5 * sharpest * count * (count + 1.0)) / (count + 1.0)
-    return np.where(room < 0.0, room, step)
+    move = (distance + 0.5 * sharpest * count * (count + 1.0)) / (count + 1.0)
+    return np.where(distance < 0.0, distance, move)

@@ -1,4 +1,4 @@
-"""Who makes a plan: the loop itself, at once, or another process while the loop goes on."""
+"""Where a plan is computed: in the loop's own thread, or in another process beside the loop."""
 
 from __future__ import annotations
 
@@ -12,70 +12,74 @@ from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import Protocol
 
+from glissando._kernels.threads import one_thread
 from glissando.errors import GlissandoError
 from glissando.planning.plan_slide import Plan
-from glissando.twins import estimating
 
 _READY, _END = 120.0, 5.0  # s that the process may take to begin and to end
-_NICE = 10  # how far it stands back behind the loop
+_NICE = 10  # by how much its priority is below the loop's
 
 Task = Callable[[], Plan]
-"""Makes a plan when called, here or, where it can be pickled, elsewhere."""
+"""Computes a plan when called; another process needs one that can be pickled."""
 
 
-class GoneError(GlissandoError):
+class PlannerExitedError(GlissandoError):
     """The planner's process has ended."""
 
 
 class Planner(Protocol):
-    """Makes one plan at a time: none is asked for before the last has been answered."""
+    """Computes one plan at a time: the result of a task comes before the next task."""
 
-    def ask(self, task: Task) -> None:
-        """Have a plan made, without waiting for it."""
+    def submit(self, task: Task) -> None:
+        """Have a plan computed, without waiting for it."""
         ...
 
-    def answer(self) -> Plan | None:
-        """The plan if there is one by now, once; never waits.
+    def result(self) -> Plan | None:
+        """The plan, once, if it is ready by now.
 
-        Raises GlissandoError when none can be made, GoneError when none ever will be.
+        Raises:
+            GlissandoError: No plan can be made.
+            PlannerExitedError: None ever will be.
         """
         ...
 
 
 class InlinePlanner:
-    """Plans in the loop's own thread, as soon as it is asked for the answer."""
+    """Computes plans in the caller's own thread, when asked for the result."""
 
     def __init__(self) -> None:
         self._task: Task | None = None
 
-    def ask(self, task: Task) -> None:
-        """Take the task."""
+    def submit(self, task: Task) -> None:
+        """Keep the task."""
         self._task = task
 
-    def answer(self) -> Plan | None:
-        """The plan, made now."""
+    def result(self) -> Plan | None:
+        """The plan, computed now."""
         task, self._task = self._task, None
         return None if task is None else task()
 
 
 class ProcessPlanner:
-    """Plans in a process of its own while the context lasts, on one thread and behind the loop.
+    """Computes plans in a process of its own while the context lasts, at a lower priority.
 
     The process is started afresh ("spawn"), so a script that uses it needs the usual
-    `if __name__ == "__main__":`, and zones and courses must be such that pickle takes them. Raises
-    GlissandoError when it does not start.
+    `if __name__ == "__main__":`, and zones and motions must be such that pickle takes them.
+
+    Raises:
+        GlissandoError: The process does not start.
     """
 
     def __enter__(self) -> ProcessPlanner:
         context = multiprocessing.get_context("spawn")
-        self._mine, theirs = context.Pipe()
+        self._connection, theirs = context.Pipe()
         self.process = context.Process(target=_work, args=(theirs,), daemon=True)
         self.process.start()
         theirs.close()
         try:
             if not self.ready(_READY):
                 raise EOFError
-            self._mine.recv()
+            self._connection.recv()
         except (EOFError, OSError):
             self.__exit__()
             raise GlissandoError(
@@ -87,49 +91,54 @@ class ProcessPlanner:
     def __exit__(self, *problem: object) -> None:
         self.process.terminate()
         self.process.join(_END)
-        self._mine.close()
+        self._connection.close()
 
     def ready(self, timeout: float = 0.0) -> bool:
-        """Whether an answer comes within so many seconds."""
-        return self._mine.poll(timeout)
+        """Whether a result comes within `timeout` seconds."""
+        return self._connection.poll(timeout)
 
-    def ask(self, task: Task) -> None:
-        """Hand the task over. Raises GlissandoError when pickle does not take it."""
+    def submit(self, task: Task) -> None:
+        """Send the task to the process.
+
+        Raises:
+            GlissandoError: The task cannot be pickled.
+        """
         try:
-            parcel = pickle.dumps(task, protocol=pickle.HIGHEST_PROTOCOL)
+            message = pickle.dumps(task, protocol=pickle.HIGHEST_PROTOCOL)
         except (pickle.PicklingError, AttributeError, TypeError) as problem:
             raise GlissandoError(
                 f"What is to be planned cannot be sent to another process ({problem}); give zones "
-                f"and courses as functions at the top of a module, not within others."
+                f"and motions as functions at the top of a module, not within others."
             ) from None
-        threading.Thread(target=self._send, args=(parcel,), daemon=True).start()
+        threading.Thread(target=self._send, args=(message,), daemon=True).start()
 
-    def _send(self, parcel: bytes) -> None:
-        """Write what may be more than fits a pipe, for which the loop must not wait."""
+    def _send(self, message: bytes) -> None:
+        """Send what may be more than fits a pipe, for which the loop must not wait."""
         with suppress(OSError):
-            self._mine.send_bytes(parcel)
+            self._connection.send_bytes(message)
 
-    def answer(self) -> Plan | None:
-        """The plan if it has come."""
+    def result(self) -> Plan | None:
+        """The plan if it has come, as `Planner.result`."""
         try:
-            found = self._mine.recv() if self.ready() else None
+            answer = self._connection.recv() if self.ready() else None
         except (EOFError, OSError):
-            raise GoneError("The planner's process has ended.") from None
-        if isinstance(found, GlissandoError):
-            raise found
-        return found
+            raise PlannerExitedError("The planner's process has ended.") from None
+        if isinstance(answer, GlissandoError):
+            raise answer
+        return answer
 
 
-def _work(tasks: Connection) -> None:
+def _work(connection: Connection) -> None:
+    """Answer one task after another until the connection closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the loop says when to end
     if hasattr(os, "nice"):
         os.nice(_NICE)
-    with estimating(), suppress(EOFError, OSError):
-        tasks.send(None)  # ready
+    with one_thread(), suppress(EOFError, OSError):
+        connection.send(None)  # ready
         while True:
-            task: Task = tasks.recv()
+            task: Task = connection.recv()
             try:
                 answer: Plan | GlissandoError = task()
             except GlissandoError as problem:
                 answer = problem
-            tasks.send(answer)
+            connection.send(answer)

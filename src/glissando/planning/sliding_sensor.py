@@ -25,11 +25,20 @@ def _sliding_kinds() -> list[str]:
 
 @dataclass(frozen=True)
 class SlidingSensor:
-    """What rides on the slide: `coils` of one kind, `rate` readings a second each.
+    """The coils on the slide, all of one kind.
 
-    `kind` is coil, pose or position, `cov` what `Readings` take; the coils follow each other at
-    `spacing` metres, the first at the arclength that the slide's path names. `name` is that of
-    its stream, by which unknowns of sensors are found. Raises GlissandoError for what cannot be.
+    Attributes:
+        cov: Covariance of a reading, as `Readings` take it.
+        rate: Readings a second of each coil, Hz.
+        kind: Kind of the readings, for instance coil, pose or position.
+        coils: Number of coils; the first is at the arclength that the slide's path names.
+        spacing: Distance from each coil to the next one towards the base, m.
+        name: Name of the sensor's stream, by which sensor parameters refer to it.
+        mount: Pose (4, 4) of a coil in the body frame.
+        arclength_std: Standard deviation of the arclength of a reading, m.
+
+    Raises:
+        GlissandoError: The kind, rate, number or spacing cannot be.
     """
 
     cov: Array
@@ -43,10 +52,8 @@ class SlidingSensor:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "cov", np.asarray(self.cov, dtype=float))
-        if self.kind not in _sliding_kinds():
-            raise GlissandoError(
-                f"A {self.kind!r} cannot slide; choose one of {', '.join(_sliding_kinds())}."
-            )
+        if self.kind not in (kinds := _sliding_kinds()):
+            raise GlissandoError(f"A {self.kind!r} cannot slide; choose one of {', '.join(kinds)}.")
         if not (np.isfinite(self.rate) and self.rate > 0.0):
             raise GlissandoError(
                 f"A sensor at {self.rate:g} Hz reads nothing; give a rate above 0."
@@ -58,27 +65,33 @@ class SlidingSensor:
 
     @property
     def behind(self) -> Array:
-        """How far each coil (C,) is behind the first, towards the base, metres."""
+        """How far each coil (C,) is behind the first, towards the base, m."""
         return np.asarray(self.spacing * np.arange(self.coils))
 
-    def readings(self, pose: Array, arclength: Array, time: Array) -> Readings:
+    def reading_times(self, start: float, duration: float) -> Array:
+        """Times (M,) of one coil's readings, evenly spread over `duration` s from `start`."""
+        count = max(1, round(duration * self.rate))
+        return np.asarray(start + (np.arange(count) + 0.5) * (duration / count))
+
+    def readings(self, T_wb: Array, arclength: Array, time: Array) -> Readings:
         """Readings (M,) that agree exactly with poses (M, 4, 4) of the body."""
         sensor = sensor_class(self.kind)
         return sensor(
-            time=time,
-            arclength=arclength,
-            values=sensor.values_at(pose @ self.mount),
-            cov=self.cov,
-            mount=self.mount,
-            name=self.name,
-            arclength_std=self.arclength_std,
-        )
+            time=time, arclength=arclength, values=sensor.values_at(T_wb @ self.mount),
+            cov=self.cov, mount=self.mount, name=self.name, arclength_std=self.arclength_std,
+        )  # fmt: skip
 
 
-def sliding_sensor(robot: Robot, kind: str = "coil", **given: Any) -> SlidingSensor:
-    """The sensor of that kind as a robot file states its noise; `given` says the rest.
+def sliding_sensor(robot: Robot, kind: str = "coil", **options: Any) -> SlidingSensor:
+    """A sliding sensor with the noise that a robot file states.
 
-    Raises RobotFileError when the robot file has no such sensor.
+    Args:
+        robot: The robot.
+        kind: Kind of its readings.
+        **options: Further attributes of `SlidingSensor`.
+
+    Raises:
+        RobotFileError: The robot file has no such sensor.
 
     >>> from glissando import load_robot
     >>> sliding_sensor(load_robot("sliding700"), rate=20.0).rate
@@ -88,4 +101,4 @@ def sliding_sensor(robot: Robot, kind: str = "coil", **given: Any) -> SlidingSen
         raise RobotFileError(
             f"Robot {robot.name} states no noise of a {kind}; add [sensors.{kind}] with a std."
         )
-    return SlidingSensor(robot.sensor_std[kind] ** 2, kind=kind, **given)
+    return SlidingSensor(robot.sensor_std[kind] ** 2, kind=kind, **options)

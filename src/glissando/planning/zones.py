@@ -1,17 +1,17 @@
-"""Zones: where along the body and when confidence is wanted, fixed or moving, several, weighted."""
+"""Zones: where along the body and when confidence is wanted, fixed or moving, with a weight."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from glissando.errors import GlissandoError
 from glissando.geometry.se3 import Array
 
-_PLACES = 5  # points of a zone across its arclengths
+_POINTS = 5  # points of a zone across its arclengths
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _TEXT = re.compile(
     rf"({_NUMBER}):({_NUMBER})(?:\.\.({_NUMBER}):({_NUMBER}))?"
@@ -22,10 +22,15 @@ Interval = tuple[float, float]
 
 
 @dataclass(frozen=True)
-class Moving:
-    """Both ends of a zone that moves evenly from one interval to another, in an interval of time.
+class MovingInterval:
+    """An interval of arclength that moves evenly from one place to another.
 
-    >>> Moving((0.0, 10.0), (0.1, 0.2), (0.5, 0.6))(np.array([5.0]))
+    Attributes:
+        time: When the interval moves, s.
+        first: Both ends before that, m.
+        last: Both ends after that, m.
+
+    >>> MovingInterval((0.0, 10.0), (0.1, 0.2), (0.5, 0.6))(np.array([5.0]))
     (array([0.3]), array([0.4]))
     """
 
@@ -41,10 +46,16 @@ class Moving:
 
 @dataclass(frozen=True)
 class Zone:
-    """Arclengths (m) from `arclength[0]` to `arclength[1]` during `time` (s), with a `weight`.
+    """An interval of the body whose position should be known well for some time.
 
-    A zone that moves gives `arclength` as a function of times (K,) that returns both ends (K,), for
-    instance `Moving`. No `time` means always. Raises GlissandoError for intervals that are empty.
+    Attributes:
+        arclength: Both ends, m, or for a zone that moves a function of times (K,) that returns
+            both ends (K,), for instance `MovingInterval`.
+        time: From when until when the zone counts, s; None for always.
+        weight: Its share beside other zones.
+
+    Raises:
+        GlissandoError: An interval is empty or the weight is not positive.
 
     >>> Zone((0.6, 0.7)).points(np.array([3.0]))[0]
     array([0.61, 0.63, 0.65, 0.67, 0.69])
@@ -66,27 +77,22 @@ class Zone:
             raise GlissandoError(f"A zone of weight {self.weight:g} cannot be; give one above 0.")
 
     def ends(self, time: Array) -> tuple[Array, Array]:
-        """Both ends (K,) at times (K,)."""
+        """Both ends (K,), m, at times (K,), also at times when the zone does not count."""
         ends = self.arclength(time) if callable(self.arclength) else self.arclength
         low, high = (np.broadcast_to(np.asarray(end, dtype=float), time.shape) for end in ends)
         return low, high
 
-    def middle(self, time: Array) -> Array:
-        """Where the zone's middle is (K,), also at times when it does not count."""
-        low, high = self.ends(time)
-        return 0.5 * (low + high)
-
-    def during(self, first: float, last: float) -> Interval | None:
-        """The part of its time that lies between two times, if any."""
+    def overlap(self, first: float, last: float) -> Interval | None:
+        """The part of the zone's time between two times, s; None if there is none."""
         if self.time is None:
             return first, last
         begin, end = max(self.time[0], first), min(self.time[1], last)
         return (begin, end) if begin <= end else None
 
     def points(self, time: Array) -> tuple[Array, Array]:
-        """Arclengths and times (M,) of points that stand for the zone at times (K,)."""
+        """Arclengths and times (M,) of points spread over the zone at times (K,)."""
         low, high = self.ends(time)
-        count = _PLACES if np.any(high > low) else 1
+        count = _POINTS if np.any(high > low) else 1
         share = (np.arange(count) + 0.5) / count
         return (low[:, None] + share * (high - low)[:, None]).ravel(), np.repeat(time, count)
 
@@ -94,28 +100,37 @@ class Zone:
 def zone_points(
     zones: Sequence[Zone], time: Array, span: Interval, length: float
 ) -> tuple[Array, Array, Array]:
-    """Arclengths, times and weights (M,) of all zones' points, at those of times (K,) they last.
+    """Points that represent all zones; a zone's weight is shared by its points.
 
-    A zone's weight is shared by its points; all add up to one. Raises GlissandoError when there is
-    no zone, or one leaves the body of that `length` or the time ahead, `span`.
+    Args:
+        zones: One zone or more.
+        time: Times (K,) at which zones count, s.
+        span: Beginning and end of the time ahead, s.
+        length: Length of the body, m.
+
+    Returns:
+        Arclengths, times and weights (M,) of the points; the weights add up to one.
+
+    Raises:
+        GlissandoError: There is no zone, or one leaves the body or the time ahead.
     """
     if not zones:
         raise GlissandoError(
             f"No zone counts between {span[0]:g} and {span[1]:g} s; give one that does."
         )
-    found = []
+    points = []
     for zone in zones:
-        during = zone.during(*span)
-        if during is None:
+        overlap = zone.overlap(*span)
+        if overlap is None:
             assert zone.time is not None
             raise GlissandoError(
                 f"A zone lasts from {zone.time[0]:g} to {zone.time[1]:g} s, the time ahead from "
                 f"{span[0]:g} to {span[1]:g} s. Plan farther ahead, or give another time."
             )
-        inside = time[(time >= during[0]) & (time <= during[1])]
-        place, at = zone.points(inside if inside.size else np.array([0.5 * sum(during)]))
-        found.append((place, at, np.full(at.size, zone.weight / at.size)))
-    place, at, weight = (np.concatenate(part) for part in zip(*found, strict=True))
+        inside = time[(time >= overlap[0]) & (time <= overlap[1])]
+        place, at = zone.points(inside if inside.size else np.array([0.5 * sum(overlap)]))
+        points.append((place, at, np.full(at.size, zone.weight / at.size)))
+    place, at, weight = (np.concatenate(part) for part in zip(*points, strict=True))
     if place.min() < -1e-9 or place.max() > length + 1e-9:
         raise GlissandoError(
             f"A zone reaches from {place.min():g} to {place.max():g} m; the body from 0 to "
@@ -125,11 +140,12 @@ def zone_points(
 
 
 def read_zone(text: str) -> Zone:
-    """A zone from S0:S1, S0:S1@T0:T1, with ..S2:S3 for where it moves to and *W for its weight.
+    """Parse a zone from S0:S1, S0:S1@T0:T1 or S0:S1..S2:S3@T0:T1, each with *W if weighted.
 
-    Raises GlissandoError for anything else.
+    Raises:
+        GlissandoError: The text has another form, or the zone cannot be.
 
-    >>> read_zone("0.1:0.2..0.5:0.6@0:10").middle(np.array([5.0]))
+    >>> np.mean(read_zone("0.1:0.2..0.5:0.6@0:10").ends(np.array([5.0])), axis=0)
     array([0.35])
     """
     match = _TEXT.fullmatch(text.strip())
@@ -144,10 +160,10 @@ def read_zone(text: str) -> Zone:
     assert low is not None
     assert high is not None
     time = None if start is None or stop is None else (start, stop)
-    given = 1.0 if weight is None else weight
+    zone = Zone((low, high), time, 1.0 if weight is None else weight)
     if low2 is None or high2 is None:
-        return Zone((low, high), time, given)
+        return zone
     if time is None or time[1] <= time[0]:
         raise GlissandoError(f"Zone {text!r} moves, so it needs times: add @T0:T1.")
-    Zone((low, high)), Zone((low2, high2), time)  # their ends are in order
-    return Zone(Moving(time, (low, high), (low2, high2)), time, given)
+    Zone((low2, high2))  # whose ends are in order
+    return replace(zone, arclength=MovingInterval(time, (low, high), (low2, high2)))

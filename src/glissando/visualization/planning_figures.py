@@ -1,7 +1,4 @@
-"""Figures of a plan and of a sweep of designs; lengths in millimetres.
-
-matplotlib is imported when a figure is asked for, not before.
-"""
+"""Figures of a plan and of a sweep of designs, with lengths in millimetres."""
 
 from __future__ import annotations
 
@@ -26,23 +23,31 @@ _LINES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
 
 
 def plan_figure(
-    outlook: PlanningProblem, paths: Mapping[str, Array], zones: Sequence[Zone]
+    problem: PlanningProblem, paths: Mapping[str, Array], zones: Sequence[Zone]
 ) -> Figure:
-    """Foretold confidence over arclength and time for each path (T,), side by side.
+    """Draw the predicted uncertainty over arclength and time for each path, side by side.
 
-    Colour is the root of the total position variance, millimetres; white is the sensor's way, a
-    dashed outline a zone. Raises GlissandoError without matplotlib.
+    The colour is the root of the total position variance, mm; a white line is the path of the
+    sensor, a dashed outline a zone.
+
+    Args:
+        problem: The planning problem.
+        paths: Arclengths (T,) at the problem's `times` by name, m.
+        zones: The zones that count.
+
+    Raises:
+        GlissandoError: matplotlib is not installed.
     """
-    place, time, maps = _maps(outlook, paths)
+    place, time, maps = _maps(problem, paths)
     top = float(np.quantile(np.stack(list(maps.values())), 0.97))
     with _canvas(4.6 * len(maps) + 0.8, 4.8) as figure:
         row: Any = figure.subplots(1, len(maps), sharey=True, squeeze=False)[0]
         for axes, (name, std) in zip(row, maps.items(), strict=True):
-            look = {"vmin": 0.0, "vmax": top, "cmap": "viridis", "shading": "gouraud"}
-            shade = axes.pcolormesh(time, place * _MM, std, **look)
-            axes.plot(outlook.times, paths[name] * _MM, color="white", lw=2.0)
+            style = {"vmin": 0.0, "vmax": top, "cmap": "viridis", "shading": "gouraud"}
+            shade = axes.pcolormesh(time, place * _MM, std, **style)
+            axes.plot(problem.times, paths[name] * _MM, color="white", lw=2.0)
             for zone in zones:
-                _outline(axes, zone, outlook)
+                _outline(axes, zone, problem)
             axes.set_title(name, loc="left", fontweight="bold")
             axes.set(xlabel="time (s)", xlim=time[[0, -1]], ylim=place[[0, -1]] * _MM)
         row[0].set_ylabel("arclength (mm)")
@@ -54,70 +59,81 @@ def plan_figure(
 
 
 def _maps(
-    outlook: PlanningProblem, paths: Mapping[str, Array]
+    problem: PlanningProblem, paths: Mapping[str, Array]
 ) -> tuple[Array, Array, dict[str, Array]]:
-    """Arclengths (P,), times (T,) and foretold position deviations (P, T) in mm of each path."""
-    nodes = outlook.ahead.grid.arclength
+    """Arclengths (P,), times (T,) and predicted position deviations (P, T) in mm of each path."""
+    nodes = problem.ahead.grid.arclength
     place = np.linspace(nodes[0], nodes[-1], _PLACES)
-    time = np.linspace(outlook.start, outlook.last, _TIMES)
+    time = np.linspace(problem.start, problem.end, _TIMES)
     where, when = (grid.ravel() for grid in np.meshgrid(place, time, indexing="ij"))
     maps = {}
     for name, path in paths.items():
-        cov = outlook.told(path).cov_pose(where, when)
+        cov = problem.predict(path).cov_pose(where, when)
         std = _MM * np.sqrt(np.einsum("zii->z", cov[:, :3, :3]))
         maps[name] = std.reshape(_PLACES, _TIMES)
     return place, time, maps
 
 
 def save_plan_film(
-    outlook: PlanningProblem, paths: Mapping[str, Array], zones: Sequence[Zone], file: Path
+    problem: PlanningProblem, paths: Mapping[str, Array], zones: Sequence[Zone], file: Path
 ) -> None:
-    """Write a GIF: confidence along the body as time goes on, a line and a sensor each path.
+    """Write a GIF of the predicted uncertainty along the body, with a line for each path.
 
-    Zones that count at the moment are shaded. Raises GlissandoError without matplotlib.
+    A triangle marks the sensor; zones that count at the moment are shaded.
+
+    Args:
+        problem: The planning problem.
+        paths: Arclengths (T,) at the problem's `times` by name, m.
+        zones: The zones that count.
+        file: The file to write.
+
+    Raises:
+        GlissandoError: matplotlib is not installed.
     """
-    place, time, maps = _maps(outlook, paths)
+    place, time, maps = _maps(problem, paths)
     top = float(np.quantile(np.stack(list(maps.values())), 0.97))
     with _canvas(7.0, 4.2) as figure:
         from matplotlib.animation import PillowWriter
 
         axes: Any = figure.subplots()
-        writer = PillowWriter(fps=max(1, round(_TIMES / (outlook.last - outlook.start))))
+        writer = PillowWriter(fps=max(1, round(_TIMES / (problem.end - problem.start))))
         with writer.saving(figure, file, dpi=90):
             for k, now in enumerate(time):
                 axes.clear()
                 for zone in zones:
-                    during = zone.during(outlook.start, outlook.last)
-                    if during is not None and during[0] <= now <= during[1]:
+                    if zone.overlap(now, now):
                         low, high = (float(end[0]) for end in zone.ends(np.array([now])))
                         axes.axvspan(low * _MM, high * _MM, color="#E69F00", alpha=0.2, lw=0)
                 for (name, std), colour in zip(maps.items(), _LINES, strict=False):
                     axes.plot(place * _MM, std[:, k], color=colour, label=name)
-                    at = float(np.interp(now, outlook.times, paths[name]))
+                    at = float(np.interp(now, problem.times, paths[name]))
                     axes.plot(at * _MM, 0.02 * top, "^", color=colour, clip_on=False)
                 axes.set(xlim=place[[0, -1]] * _MM, ylim=(0.0, top), xlabel="arclength (mm)")
                 axes.set_ylabel("position standard deviation (mm)")
-                axes.set_title(f"{now - outlook.start:.1f} s", loc="left")
+                axes.set_title(f"{now - problem.start:.1f} s", loc="left")
                 axes.legend(loc="upper left", ncols=len(maps))
                 writer.grab_frame()
 
 
-def _outline(axes: Any, zone: Zone, outlook: PlanningProblem) -> None:
-    during = zone.during(outlook.start, outlook.last)
-    if during is None:
+def _outline(axes: Any, zone: Zone, problem: PlanningProblem) -> None:
+    overlap = zone.overlap(problem.start, problem.end)
+    if overlap is None:
         return
-    time = np.linspace(*during, 100)
+    time = np.linspace(*overlap, 100)
     low, high = zone.ends(time)
     around = np.concatenate([low, high[::-1], low[:1]])
-    look = {"color": "#E69F00", "lw": 1.6, "ls": "--"}
-    axes.plot(np.concatenate([time, time[::-1], time[:1]]), around * _MM, **look)
+    style = {"color": "#E69F00", "lw": 1.6, "ls": "--"}
+    axes.plot(np.concatenate([time, time[::-1], time[:1]]), around * _MM, **style)
 
 
 def design_figure(designs: Sequence[Design]) -> Figure:
-    """Confidence of every design against what it costs; a line joins the best of each.
+    """Draw the uncertainty of every design against its cost; a line joins the best of each.
 
-    A panel each for stroke, speed, rate and number of coils; large marks are worth what they cost.
-    Raises GlissandoError without matplotlib.
+    There is a panel each for stroke, speed, rate and number of coils; large marks are designs on
+    the Pareto front.
+
+    Raises:
+        GlissandoError: matplotlib is not installed.
     """
     best = pareto_front(designs)
     std = _MM * np.array([d.std for d in designs])
@@ -128,8 +144,8 @@ def design_figure(designs: Sequence[Design]) -> Figure:
             for zone, colour in zip(range(std.shape[1]), _SENSORS, strict=False):
                 axes.plot(cost, std[:, zone], "o", color=colour, ms=4, alpha=0.5)
                 label = f"zone {zone + 1}, worth its cost"
-                look = {"mfc": colour, "mec": "black", "ms": 7, "label": label}
-                axes.plot(cost[best], std[best, zone], "o", **look)
+                style = {"mfc": colour, "mec": "black", "ms": 7, "label": label}
+                axes.plot(cost[best], std[best, zone], "o", **style)
                 levels = np.unique(cost)
                 floor = [std[cost == level, zone].min() for level in levels]
                 axes.plot(levels, floor, color=colour, lw=1.2)
