@@ -1,5 +1,6 @@
 """Every compiled function does what its definition in numpy does, on any shape and any angle."""
 
+import os
 import subprocess
 import sys
 from dataclasses import replace
@@ -9,16 +10,23 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from glissando._kernels import glue as _kernels
-from glissando.estimation.interval_system import Layout
+import oracles.factors
+import oracles.intervals
+import oracles.se3
+import oracles.steps
+import oracles.transitions
+from glissando._kernels import normal_equations, sensors
+from glissando._kernels.arrays import whole
+from glissando._kernels.jit import cache_folder
 from glissando.geometry import se3
+from glissando.model import noise
 from glissando.model.factors import Factors, Residuals
 from glissando.model.noise import GemanMcClure
+from glissando.model.priors import intervals as intervals_
+from glissando.model.priors import steps, transitions
 from glissando.model.priors.steps import ARCLENGTH, TIME
-from glissando.model.priors.transitions import Bridge
 from glissando.model.state import State
-from glissando.solver.block_tridiagonal_batch import BatchCholesky
-from glissando.twins import TWINS
+from glissando.solver.normal_equations import Layout, NormalEquationsBuilder, kernel_arguments
 
 SHAPES = [(), (1,), (5,), (2, 3), (0,)]
 ANGLES = [0.0, 1e-9, 1e-3, 0.5, 1.2, 3.0, np.pi - 1e-9]
@@ -42,7 +50,7 @@ def same(found, expected, tolerance=1e-9):
         assert len(found) == len(expected)
         for mine, its in zip(found, expected, strict=True):
             same(mine, its, tolerance)
-    elif isinstance(expected, State | Bridge | BatchCholesky):
+    elif isinstance(expected, State):
         for name, its in vars(expected).items():
             if its is not None:
                 same(getattr(found, name), its, tolerance)
@@ -63,12 +71,12 @@ def intervals(rng, lead):
     return sixes(rng, lead), rng.uniform(0.05, 0.4, lead), psd, carried, rng.uniform(0, 1, 6)
 
 
-def of_se3(name, needs_pose):
+def of_se3(needs_pose):
     def arguments(rng, lead):
         x = sixes(rng, lead, rng.choice(ANGLES))
         return (se3.exp(x) if needs_pose else x,), {}
 
-    return name, arguments
+    return arguments
 
 
 def slope(rng, lead):
@@ -81,8 +89,8 @@ def noise_of_intervals(rng, lead):
 
 
 def inside_intervals(rng, lead):
-    rate, step, psd, carried, jump = intervals(rng, lead)
-    return (rate, step, 0.3 * step, psd, carried, jump), {"rigid": bool(rng.integers(2))}
+    rate, step, psd, _, jump = intervals(rng, lead)
+    return (rate, step, 0.3 * step, psd, jump), {}
 
 
 def covariances(size):
@@ -94,6 +102,13 @@ def covariances(size):
         return (cov,), {}
 
     return arguments
+
+
+def step_gain(rng, lead):
+    m = int(np.prod(lead))
+    step = rng.uniform(0.01, 0.3, m)
+    return ((ARCLENGTH, TIME)[rng.integers(2)], states(rng, (m,)), states(rng, (m,)), step,
+            0.4 * step, 0.2 * rng.standard_normal((m, 12, 12))), {}  # fmt: skip
 
 
 def weighted(rng, lead):
@@ -109,11 +124,6 @@ def still(rng, lead):
     return (flat, nodes, step, psd, jump), {}
 
 
-def pairs(rng, lead):
-    direction = (ARCLENGTH, TIME)[rng.integers(2)]
-    return (direction, states(rng, lead), states(rng, lead), rng.uniform(0.01, 0.3, lead)), {}
-
-
 def rated(rng, lead):
     ends = (replace(states(rng, lead), strain_rate=sixes(rng, lead)) for _ in range(2))
     return (*ends, rng.uniform(0.01, 0.3, lead)), {}
@@ -123,12 +133,6 @@ def inside_rated(rng, lead):
     (*ends, step), _ = rated(rng, lead)
     gain, rest = rng.standard_normal((*lead, 12, 12)), tuple(rng.standard_normal((2, *lead, 12)))
     return (*ends, step, 0.4 * step, 0.1 * gain, rest), {}
-
-
-def chains(rng, lead):
-    m = int(np.prod(lead))
-    lower = rng.standard_normal((m, 3, 12, 12))
-    return (spd(rng, (m, 4), 12) + 100.0 * np.eye(12), lower), {}
 
 
 def explained(rng, lead):
@@ -161,62 +165,90 @@ def missed(rng, lead):
 def seen_between(rng, lead):
     m, r = int(np.prod(lead)), int(rng.integers(1, 7))
     by_state = rng.standard_normal((m, r, 18)) * (rng.random(18) < 0.4)
-    jacobian, cov = rng.standard_normal((m, 18, 2, 24)), spd(rng, (m,) * int(rng.integers(2)), r)
+    jacobian, cov = rng.standard_normal((m, 18, 2, 24)), spd(rng, (m,), r)
     return (by_state, jacobian, spd(rng, (m,), 18), cov), {}
 
 
-ARGUMENTS = dict(
-    of_se3(name, name in ("log", "inverse", "adjoint"))
-    for name in ("exp", "log", "inverse", "adjoint", "right_jacobian", "right_jacobian_inverse")
-) | {
-    "right_jacobian_slope": slope,
-    "process_covariances": noise_of_intervals,
-    "bridge": inside_intervals,
-    "sqrt_information": covariances(5),
-    "pair_sqrt_information": covariances(12),
-    "pose_miss": sensed,
-    "pose_slope": missed,
-    "by_nodes_of": seen_between,
-    "weighted_steps": weighted,
-    "squared_innovations": explained,
-    "pair_error": pairs,
-    "static_steps": still,
-    "interval_error": rated,
-    "interval_between": inside_rated,
-    "factor_batch": chains,
-    "bridged": inside_steps,
+ARGUMENTS = {
+    se3.exp: of_se3(False),
+    se3.log: of_se3(True),
+    se3.inverse: of_se3(True),
+    se3.adjoint: of_se3(True),
+    se3.so3_log: lambda rng, lead: ((of_se3(True)(rng, lead)[0][0][..., :3, :3],), {}),
+    se3.right_jacobian: of_se3(False),
+    se3.right_jacobian_inverse: of_se3(False),
+    se3.right_jacobian_slope: slope,
+    transitions.process_covariances: noise_of_intervals,
+    transitions.bridge: inside_intervals,
+    noise.sqrt_information: covariances(5),
+    noise.pair_sqrt_information: covariances(12),
+    steps.weighted_steps: weighted,
+    steps.static_steps: still,
+    steps.pair_between: step_gain,
+    steps.bridged: inside_steps,
+    intervals_.interval_error: rated,
+    intervals_.interval_between: inside_rated,
 }
+"""What calls a kernel, and how to draw arguments for it and its definition of the same name."""
+
+KERNELS = {
+    sensors.pose_error: sensed,
+    sensors.pose_error_jacobian: missed,
+    normal_equations.at_nodes: seen_between,
+    normal_equations.squared_innovations: explained,
+}
+"""Kernels that are called as they are, on lists."""
 
 
-def test_every_twin_is_tested_here():
-    assert set(TWINS) == {*ARGUMENTS, "add_factors", "spread_out", "add_to_neighbours"}
+def definition(function):
+    """The plain definition in numpy of a function of that name."""
+    for oracle in (oracles.se3, oracles.transitions, oracles.steps, oracles.intervals,
+                   oracles.factors):  # fmt: skip
+        if hasattr(oracle, function.__name__):
+            return getattr(oracle, function.__name__)
+    raise LookupError(function.__name__)
 
 
 @pytest.mark.parametrize("lead", SHAPES, ids=str)
-@pytest.mark.parametrize("name", ARGUMENTS)
-def test_a_compiled_function_agrees_with_its_definition(name, lead):
+@pytest.mark.parametrize("function", ARGUMENTS, ids=lambda f: f.__name__)
+def test_a_compiled_function_agrees_with_its_definition(function, lead):
     for seed in range(10):
-        given_, options = ARGUMENTS[name](np.random.default_rng(seed), lead)
-        same(getattr(_kernels, name)(*given_, **options), TWINS[name](*given_, **options))
+        arguments, options = ARGUMENTS[function](np.random.default_rng(seed), lead)
+        same(function(*arguments, **options), definition(function)(*arguments, **options))
 
 
-@given(st.sampled_from([n for n in ARGUMENTS if n in vars(se3)]), st.integers(0, 2**32 - 1))
+@pytest.mark.parametrize("count", [0, 1, 6])
+@pytest.mark.parametrize("kernel", KERNELS, ids=lambda k: k.__name__)
+def test_a_kernel_agrees_with_its_definition(kernel, count):
+    for seed in range(10):
+        arguments, options = KERNELS[kernel](np.random.default_rng(seed), (count,))
+        lists = [
+            whole(np.broadcast_to(a, (count, 4, 4)) if a.shape == (4, 4) else a) for a in arguments
+        ]
+        expected = definition(kernel)(*arguments, **options)
+        same(kernel(*lists, *options.values()), expected)
+
+
+@given(
+    st.sampled_from([f for f in ARGUMENTS if f.__module__ == se3.__name__]),
+    st.integers(0, 2**32 - 1),
+)
 @settings(max_examples=150, deadline=None)
-def test_motions_agree_at_any_angle(name, seed):
-    given_, _ = ARGUMENTS[name](np.random.default_rng(seed), (3,))
-    same(getattr(_kernels, name)(*given_), TWINS[name](*given_))
+def test_motions_agree_at_any_angle(function, seed):
+    arguments, _ = ARGUMENTS[function](np.random.default_rng(seed), (3,))
+    same(function(*arguments), definition(function)(*arguments))
 
 
 @pytest.mark.parametrize("name", ["sqrt_information", "pair_sqrt_information"])
 def test_both_refuse_what_is_no_covariance(name):
     cov = np.broadcast_to(np.eye(12), (2, 12, 12)).copy()
     cov[1, 0, 0] = -1.0
-    for function in (TWINS[name], getattr(_kernels, name)):
+    for function in (getattr(noise, name), getattr(oracles.factors, name)):
         with pytest.raises(np.linalg.LinAlgError):
             function(cov)
 
 
-def batches(rng, layout, count, extras):
+def batches(rng, layout, count):
     """Factors on one node, on neighbours along the robot, and on four corners of a cell."""
     n = layout.nodes
     for corners in ((0,), (0, 1), (0, 1, n, n + 1))[: 2 + (count > 1)]:
@@ -230,73 +262,106 @@ def batches(rng, layout, count, extras):
             np.linalg.cholesky(spd(rng, (m,), r)),
             GemanMcClure(2.0) if len(corners) == 2 else None,
         )
-        shifts = rng.standard_normal((m, r, 2 * layout.extras)) if extras else None
+        e = layout.parameters
+        shifts = rng.standard_normal((m, r, 2 * e)) if e else None
         yield Factors(first[:, None] + np.array(corners), dofs, jacobian, terms, shifts)
 
 
-@pytest.mark.parametrize("extras", [False, True])
+def dense(batch, layout, count, *, robust=True):
+    """Whitened residual (M r,) and Jacobian (M r, (count + 1) D) by all slabs, one past the end."""
+    residual, jacobian = batch.whitened(robust=robust)
+    (m, r), size = residual.shape, layout.size
+    out = np.zeros((m, r, (count + 1) * size))
+    d = batch.dofs.stop - batch.dofs.start
+    for i, nodes in enumerate(batch.nodes):
+        for a, node in enumerate(nodes):
+            slab, inner = divmod(int(node), layout.nodes)
+            at = slab * size + inner * layout.dof + batch.dofs.start
+            out[i, :, at : at + d] += jacobian[i, :, a * d : a * d + d]
+        e, wide = layout.parameters, len(nodes) * d
+        k = min(int(nodes[0]) // layout.nodes, max(count - 2, 0))
+        for later in range(2):
+            at = (k + later) * size + layout.nodes * layout.dof
+            out[i, :, at : at + e] += jacobian[i, :, wide + later * e : wide + later * e + e]
+    return residual.reshape(-1), out.reshape(m * r, -1)[:, : count * size]
+
+
+@pytest.mark.parametrize("by_interval", [False, True])
+@pytest.mark.parametrize("parameters", [0, 5])
 @pytest.mark.parametrize("count", [1, 3])
-def test_sums_over_intervals_agree(count, extras):
+def test_sums_are_those_of_the_dense_jacobian(count, parameters, by_interval):
     rng = np.random.default_rng(count)
-    layout = Layout(4, 18, 5)
-    for batch in batches(rng, layout, count, extras):
-        sums = []
-        for function in (TWINS["add_factors"], _kernels.add_factors):
-            blocks = np.zeros((count, 2 * layout.size, 2 * layout.size))
-            pulls = np.zeros((count, 2 * layout.size))
-            function(batch, layout, blocks, pulls)
-            sums.append((blocks, pulls))
-        same(sums[1], sums[0])
+    layout = Layout(4, 18, parameters)
+    builder = NormalEquationsBuilder(layout, count, by_interval=by_interval)
+    matrix, rhs = np.zeros((2, count * layout.size, count * layout.size)), 0.0
+    matrix = matrix[0]
+    for batch in batches(rng, layout, count):
+        builder.accumulate(batch)
+        residual, jacobian = dense(batch, layout, count)
+        matrix, rhs = matrix + jacobian.T @ jacobian, rhs - jacobian.T @ residual
+    diagonal, found = builder.begin.copy(), builder.rhs_begin.copy()
+    if by_interval:
+        diagonal[1:] += builder.end[:-1]
+        found[1:] += builder.rhs_end[:-1]
+    d = layout.size
+    for k in range(count):
+        same(diagonal[k], matrix[k * d : k * d + d, k * d : k * d + d])
+        if k + 1 < count:
+            same(builder.across[k], matrix[k * d + d : k * d + 2 * d, k * d : k * d + d])
+    same(found.ravel(), rhs)
 
 
-@pytest.mark.parametrize("extras", [False, True])
+@pytest.mark.parametrize("parameters", [0, 5])
 @pytest.mark.parametrize("count", [1, 3])
-def test_factors_spread_out_agree(count, extras):
+def test_factors_spread_out_are_the_dense_jacobian(count, parameters):
     rng = np.random.default_rng(count)
-    layout = Layout(4, 18, 5)
-    for batch in batches(rng, layout, count, extras):
-        given_ = batch, layout, count
-        same(_kernels.spread_out(*given_), TWINS["spread_out"](*given_))
+    layout = Layout(4, 18, parameters)
+    for batch in batches(rng, layout, count):
+        shape = layout.nodes, layout.dof, layout.size, count
+        residual, jacobian = normal_equations.spread_out(*kernel_arguments(batch), *shape)
+        expected = dense(batch, layout, count, robust=False)
+        same(residual.ravel(), expected[0])
+        same(jacobian.reshape(residual.size, -1), expected[1])
 
 
-@pytest.mark.parametrize("count", [1, 3])
-def test_sums_over_neighbours_agree(count):
-    rng = np.random.default_rng(count)
-    layout = Layout(4, 18, 0)
-    for batch in batches(rng, layout, count, extras=False):
-        sums = []
-        for function in (TWINS["add_to_neighbours"], _kernels.add_to_neighbours):
-            blocks = tuple(np.zeros((count - k, 4, 18, 18)) for k in (0, 0, 1, 1, 1))
-            right = np.zeros((4 * count, 18))
-            function(batch, layout.nodes, blocks, right)
-            sums.append((*blocks, right))
-        same(sums[1], sums[0])
-
-
-USE = """
-import os, sys
-os.environ['GLISSANDO_COMPILED'] = {wanted!r}
-import numpy as np
-from glissando import se3, twins
-x = np.full(6, 0.1)
-before = se3.exp(x)
-assert 'numba' not in sys.modules
-with twins.estimating():
-    assert np.allclose(se3.exp(x), before, rtol=0, atol=1e-15)
-assert ('numba' in sys.modules) is {used}
-assert np.array_equal(se3.exp(x), before)
-"""
-
-
-@pytest.mark.parametrize(("wanted", "used"), [("0", False), ("1", True)])
-def test_compiled_functions_are_used_while_something_is_estimated_if_wanted(wanted, used):
-    """In a process of its own, as numba is imported once."""
-    code = USE.format(wanted=wanted, used=used)
-    subprocess.run([sys.executable, "-c", code], check=True)
-
-
-def test_simulated_devices_do_not_wait_for_numba():
+def test_numba_is_imported_when_the_first_kernel_is_called_and_not_before():
     code = (
-        "import sys\nimport glissando.hardware.simulated_devices\nassert 'numba' not in sys.modules"
+        "import sys, numpy as np, glissando\n"
+        "assert 'numba' not in sys.modules\n"
+        "glissando.se3.exp(np.zeros(6))\n"
+        "assert 'numba' in sys.modules\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_a_process_that_only_reads_devices_never_imports_numba():
+    code = (
+        "import sys\n"
+        "import glissando.hardware.capture.capture, glissando.hardware.simulated_devices\n"
+        "assert 'numba' not in sys.modules\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+ONCE = "import numpy as np, glissando; print(glissando.se3.exp(np.zeros(6))[0, 0])"
+
+
+@pytest.mark.parametrize("home", ["read-only", "missing"])
+def test_a_home_that_cannot_be_written_to_does_not_matter(tmp_path, home):
+    folder = tmp_path / "home"
+    if home == "read-only":
+        folder.write_text("a file where a folder is asked for")
+    environment = {**os.environ, "HOME": str(folder), "XDG_CACHE_HOME": str(folder / "cache")}
+    run = subprocess.run(
+        [sys.executable, "-c", ONCE], env=environment, check=True, capture_output=True, text=True
+    )
+    assert run.stdout == "1.0\n"
+
+
+def test_what_an_upgrade_leaves_behind_is_never_met(tmp_path, monkeypatch):
+    monkeypatch.setenv("GLISSANDO_CACHE", str(tmp_path))
+    folders = [cache_folder(version) for version in ("1", "2", "3", "4")]
+    assert len(set(folders)) == 4
+    assert folders[-1].is_dir()
+    assert not folders[0].exists()
+    assert folders[0] != cache_folder("1.1")

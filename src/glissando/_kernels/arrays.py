@@ -1,4 +1,4 @@
-"""Arrays as compiled loops take them."""
+"""Arrays as kernels take them: contiguous lists of items."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from glissando.geometry.se3 import Array
+Array = NDArray[np.float64]
 
 
 def items(values: Array | float, lead: tuple[int, ...], *own: int) -> Array:
-    """Values of every item as one list (M, *own) of contiguous numbers."""
+    """Values broadcast to `lead` + `own` as one list (M, *own) of contiguous numbers."""
     array = np.asarray(values, dtype=float)
     if array.shape != (*lead, *own):
         spread = np.empty((*lead, *own))  # several times faster than to broadcast and to copy
@@ -21,6 +21,11 @@ def items(values: Array | float, lead: tuple[int, ...], *own: int) -> Array:
 
 
 def whole(array: NDArray[Any]) -> NDArray[Any]:
-    """Contiguous and writable, as numba compiles anew for every other kind."""
+    """The array, or a copy that is contiguous and writable: what kernels are compiled for."""
     array = np.ascontiguousarray(array)
     return array if array.flags.writeable else array.copy()
+
+
+def unflatten(lead: tuple[int, ...], *lists: Array) -> tuple[Array, ...]:
+    """Lists (M, …) with the leading shape that `items` flattened."""
+    return tuple(each.reshape(*lead, *each.shape[1:]) for each in lists)

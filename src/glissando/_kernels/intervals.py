@@ -1,4 +1,4 @@
-"""Intervals that know their rates, and points inside them: twins of intervals.py."""
+"""Arclength intervals that know their rates, and points inside them. Source: (2'), (9), (10)."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from glissando._kernels.lie import (
 from glissando._kernels.process import apply_into, matmul_into
 
 
-@jit
+@jit()
 def _put(out, row, column, matrix, sign):
     """Write ± a matrix (6, 6) into its place."""
     for i in range(6):
@@ -28,7 +28,7 @@ def _put(out, row, column, matrix, sign):
             out[row + i, column + j] = sign * matrix[i, j]
 
 
-@jit
+@jit()
 def _error(pose0, pose1, fields0, fields1, step, error, j0, j1):
     """Error [r; ṙ] (24,) of an interval between nodes of `fields` (18,); Jacobians into zeros."""
     x, drawn, carried = np.empty(6), np.empty(6), np.empty(6)
@@ -91,7 +91,7 @@ def _error(pose0, pose1, fields0, fields1, step, error, j0, j1):
         j1[6 + i, 6 + i] = j1[18 + i, 18 + i] = 1.0
 
 
-@jit
+@jit("(f8[:,:,::1], f8[:,:,::1], f8[:,::1], f8[:,::1], f8[::1])")
 def interval_error(pose0, pose1, fields0, fields1, step):
     """Errors (M, 24) of intervals, Jacobians (M, 24, 24) at both ends."""
     m = len(step)
@@ -101,7 +101,7 @@ def interval_error(pose0, pose1, fields0, fields1, step):
     return error, j0, j1
 
 
-@jit
+@jit()
 def _spread(gain, turn, curl, e, d, out):
     """Jacobian (24, 24) at the point with respect to one end, through the interval's error."""
     for half in (0, 12):
@@ -116,7 +116,10 @@ def _spread(gain, turn, curl, e, d, out):
             out[i, j], out[12 + i, j] = pose, rate
 
 
-@jit
+@jit(
+    "(f8[:,:,::1], f8[:,:,::1], f8[:,::1], f8[:,::1], f8[::1], f8[::1], f8[:,:,::1], f8[:,::1],"
+    " f8[:,::1])"
+)
 def interval_between(pose0, pose1, fields0, fields1, step, offset, gain, whole, part):
     """Poses, fields (M, 18) and Jacobians (M, 24, 24) at both ends, of points in intervals."""
     m = len(step)

@@ -1,27 +1,138 @@
-"""How functions here are compiled, and when what was compiled before is forgotten."""
+"""Kernels: functions that numba compiles when the first of them is called, and keeps on disk.
+
+Importing a kernel costs nothing, and a process that calls none never imports numba. What is
+compiled stands in a folder of its own for these sources, this numba and this Python, so an upgrade
+never meets what was compiled before it.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import os
+import shutil
+import sys
+import tempfile
+import threading
+from collections.abc import Callable
 from contextlib import suppress
+from functools import update_wrapper
 from pathlib import Path
 from typing import Any
 
-from numba import njit
+_KERNELS: list[Kernel] = []
+_LOCK = threading.RLock()
+_NOTICE = 1.0  # seconds of compiling after which a person should know why nothing happens
 
 
-def jit(function: Any) -> Any:
-    """Compile at the first call and keep the result on disk; sums may be done in any order."""
-    return njit(cache=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})(function)
+class Kernel:
+    """A function to compile: `signatures` are the argument types it is called with, if any."""
+
+    def __init__(self, function: Callable[..., Any], signatures: tuple[str, ...]) -> None:
+        update_wrapper(self, function)
+        self.function, self.signatures = function, signatures
+        self.name = f"{function.__module__}.{function.__qualname__}"
+        self.compiled: Any = None
+        _KERNELS.append(self)
+
+    def __call__(self, *arguments: Any) -> Any:
+        if self.compiled is None:
+            load()
+        return self.compiled(*arguments)
 
 
-def forget_stale() -> None:
-    """Drop what was compiled before any file here changed: numba looks at a function's own only."""
-    folder = Path(__file__).parent
-    newest = max(source.stat().st_mtime for source in folder.glob("*.py"))
-    for kept in (folder / "__pycache__").glob("*.nbi"):
-        with suppress(FileNotFoundError):  # another process drops it at the same time
-            if kept.stat().st_mtime < newest:
-                kept.unlink()
+def jit(*signatures: str) -> Callable[[Callable[..., Any]], Any]:
+    """A decorator that makes a kernel; sums inside it may be done in any order.
+
+    Args:
+        signatures: Types of the arguments as numba writes them, of kernels that others call from
+            Python; none for those that only kernels call.
+    """
+    return lambda function: Kernel(function, signatures)
 
 
-forget_stale()
+def load() -> None:
+    """Make every kernel callable: compile it, the first time on this machine, or load it."""
+    import numba
+
+    config: Any = numba.config
+    with _LOCK:
+        waiting = [kernel for kernel in _KERNELS if kernel.compiled is None]
+        folder, before = cache_folder(numba.__version__), config.CACHE_DIR
+        config.CACHE_DIR = str(folder)
+        try:
+            for kernel in waiting:
+                kernel.compiled = numba.njit(
+                    cache=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"}
+                )(kernel.function)
+        finally:
+            config.CACHE_DIR = before
+        for kernel in waiting:  # kernels call one another as what numba knows
+            for name, value in kernel.function.__globals__.items():
+                if isinstance(value, Kernel):
+                    kernel.function.__globals__[name] = value.compiled
+        _compile_once(waiting, folder)
+
+
+def _compile_once(kernels: list[Kernel], folder: Path) -> None:
+    """Compile the given signatures unless an earlier process did, with a word if it takes long."""
+    done = folder / "compiled"
+    names = {kernel.name for kernel in kernels if kernel.signatures}
+    with suppress(OSError):
+        names -= set(done.read_text(encoding="utf-8").split())
+    if not names:
+        return
+    notice = threading.Timer(_NOTICE, _say, [folder])
+    notice.daemon = True
+    notice.start()
+    try:
+        for kernel in kernels:
+            if kernel.name in names:
+                for signature in kernel.signatures:
+                    kernel.compiled.compile(signature)
+    finally:
+        notice.cancel()
+    with suppress(OSError), done.open("a", encoding="utf-8") as file:
+        file.write("".join(f"{name}\n" for name in sorted(names)))
+
+
+def _say(folder: Path) -> None:
+    print(f"glissando: compiling its inner loops, once, into {folder}", file=sys.stderr, flush=True)
+
+
+def cache_folder(numba_version: str) -> Path:
+    """The folder of what is compiled: the user's cache, or a temporary one where that fails.
+
+    Args:
+        numba_version: Version of the compiler.
+    """
+    digest = hashlib.sha256(f"{numba_version} {sys.version}".encode())
+    for source in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(source.read_bytes())
+    name = f"kernels-{digest.hexdigest()[:16]}"
+    given = os.environ.get("GLISSANDO_CACHE")
+    user = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    temporary = Path(tempfile.gettempdir()) / f"glissando-{getattr(os, 'getuid', int)()}"
+    for root in (*([Path(given)] if given else []), Path(user) / "glissando", temporary):
+        if _is_writable(root / name):
+            _drop_others(root, name)
+            return root / name
+    return Path(tempfile.mkdtemp(prefix="glissando-"))
+
+
+def _is_writable(folder: Path) -> bool:
+    """Whether the folder is, or can be made, a place of this user's own to write to."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError:
+        return False
+    return not hasattr(os, "getuid") or folder.stat().st_uid == os.getuid()
+
+
+def _drop_others(root: Path, name: str) -> None:
+    """Remove what other versions compiled, but for the newest of them, which may be in use."""
+    with suppress(OSError):
+        others = [p for p in root.glob("kernels-*") if p.name != name]
+        for folder in sorted(others, key=lambda p: p.stat().st_mtime)[:-1]:
+            shutil.rmtree(folder, ignore_errors=True)

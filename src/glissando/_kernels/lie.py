@@ -5,22 +5,43 @@ Matrices of the form [A B; 0 A], as adjoints and Jacobians of SE(3) are, are mul
 
 from __future__ import annotations
 
-from math import asin, atan2, cos, sin, sqrt, tan
+from fractions import Fraction
+from math import asin, atan2, comb, cos, factorial, sin, sqrt, tan
 
 import numpy as np
 
 from glissando._kernels.jit import jit
-from glissando.geometry import series
 
-BELOW = series.BELOW
-_ABC, _CURVES, _SLOPES, _D = (
-    np.ascontiguousarray(table[..., 0].T)
-    for table in (series.ABC, series.BC_CURVES, series.BC_SLOPES, series.D_SLOPE)
-)
+BELOW = 1.0  # squared angle under which the power series are used
+_TERMS = 12
 _NEAR = 2.0  # trace of a rotation above which its sine says all
 
 
-@jit
+def _factorial_series(offset: int) -> list[float]:
+    """Coefficients of Σ (−q)^m / (2m + offset)!, lowest first."""
+    return [(-1.0) ** m / factorial(2 * m + offset) for m in range(_TERMS)]
+
+
+def _cotangent_series() -> list[float]:
+    """Coefficients |B_2m+2| / (2m + 2)! of D(q), from the Bernoulli numbers B."""
+    bernoulli = [Fraction(1)]
+    for n in range(1, 2 * _TERMS + 9):
+        rest = sum((comb(n + 1, k) * b for k, b in enumerate(bernoulli)), Fraction(0))
+        bernoulli.append(-rest / (n + 1))
+    return [float(abs(bernoulli[n]) / factorial(n)) for n in range(2, 2 * _TERMS + 9, 2)]
+
+
+def _derivative(coefficients: list[float]) -> list[float]:
+    return [m * c for m, c in enumerate(coefficients)][1:]
+
+
+_A, _B, _C = (np.array(_factorial_series(k)) for k in (1, 2, 3))
+_D = np.array(_cotangent_series())
+_B1, _C1, _D1 = (np.array(_derivative(list(series))) for series in (_B, _C, _D))
+_B2, _C2 = (np.array(_derivative(list(series))) for series in (_B1, _C1))
+
+
+@jit()
 def _series(coefficients, q):
     """Σ c_m q^m for q < 1, with no more terms than q asks for."""
     terms = 5 if q < 1e-3 else 7 if q < 0.05 else coefficients.size
@@ -30,40 +51,39 @@ def _series(coefficients, q):
     return value
 
 
-@jit
+@jit()
 def _abc(q):
     if q < BELOW:
-        return _series(_ABC[0], q), _series(_ABC[1], q), _series(_ABC[2], q)
+        return _series(_A, q), _series(_B, q), _series(_C, q)
     theta = sqrt(q)
     a = sin(theta) / theta
     return a, (1.0 - cos(theta)) / q, (1.0 - a) / q
 
 
-@jit
+@jit()
 def _d_and_slope(q):
     if q < BELOW:
-        return _series(_D[0], q), _series(_D[1], q)
+        return _series(_D, q), _series(_D1, q)
     half = 0.5 * sqrt(q)
     g = half / tan(half)
     d = (1.0 - g) / q
     return d, (-(g - (half / sin(half)) ** 2) / (2.0 * q) - d) / q
 
 
-@jit
+@jit()
 def _bc_slopes(q):
     if q < BELOW:
-        b, c = _series(_SLOPES[0], q), _series(_SLOPES[1], q)
-        return b, c, _series(_SLOPES[2], q), _series(_SLOPES[3], q)
+        return _series(_B, q), _series(_C, q), _series(_B1, q), _series(_C1, q)
     a, b, c = _abc(q)
     a_slope = (cos(sqrt(q)) - a) / (2.0 * q)
     return b, c, (0.5 * a - b) / q, (-a_slope - c) / q
 
 
-@jit
+@jit()
 def _bc_curves(q):
     """Second derivatives of B and C by q."""
     if q < BELOW:
-        return _series(_CURVES[0], q), _series(_CURVES[1], q)
+        return _series(_B2, q), _series(_C2, q)
     a, _, _ = _abc(q)
     _, _, b_slope, c_slope = _bc_slopes(q)
     a_slope = (cos(sqrt(q)) - a) / (2.0 * q)
@@ -71,18 +91,18 @@ def _bc_curves(q):
     return (0.5 * a_slope - 2.0 * b_slope) / q, -(a_curve + 2.0 * c_slope) / q
 
 
-@jit
+@jit()
 def squared_angle(x):
     """The squared angle of a six-vector."""
     return x[3] * x[3] + x[4] * x[4] + x[5] * x[5]
 
 
-@jit
+@jit()
 def _cross(ax, ay, az, bx, by, bz):
     return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
 
 
-@jit
+@jit()
 def exp_into(x, out):
     """Pose (4, 4) of a six-vector, into `out`."""
     q = squared_angle(x)
@@ -103,7 +123,7 @@ def exp_into(x, out):
     out[3, 3] = 1.0
 
 
-@jit
+@jit()
 def _rotation_log(r, out):
     """Rotation vector into out[3:6]."""
     x, y, z = r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]
@@ -129,7 +149,7 @@ def _rotation_log(r, out):
     out[3], out[4], out[5] = scale * x, scale * y, scale * z
 
 
-@jit
+@jit()
 def log_into(pose, out):
     """Six-vector of a pose, into `out`."""
     _rotation_log(pose, out)
@@ -140,7 +160,7 @@ def log_into(pose, out):
     out[0], out[1], out[2] = px - 0.5 * u + d * uu, py - 0.5 * v + d * vv, pz - 0.5 * w + d * ww
 
 
-@jit
+@jit()
 def compose_into(a, b, out):
     """The pose a b, into `out`."""
     for i in range(3):
@@ -151,7 +171,7 @@ def compose_into(a, b, out):
     out[3, 3] = 1.0
 
 
-@jit
+@jit()
 def ahead_into(a, b, out):
     """The pose a⁻¹ b."""
     x, y, z = b[0, 3] - a[0, 3], b[1, 3] - a[1, 3], b[2, 3] - a[2, 3]
@@ -163,7 +183,7 @@ def ahead_into(a, b, out):
     out[3, 3] = 1.0
 
 
-@jit
+@jit()
 def fill(out):
     """The lower half of [A B; 0 A]."""
     for i in range(3):
@@ -172,7 +192,7 @@ def fill(out):
             out[3 + i, 3 + j] = out[i, j]
 
 
-@jit
+@jit()
 def adjoint_into(pose, out):
     """Adjoint (6, 6) of a pose, into `out`."""
     for j in range(3):
@@ -183,7 +203,7 @@ def adjoint_into(pose, out):
     fill(out)
 
 
-@jit
+@jit()
 def adjoint_back_into(pose, out):
     """Ad(T⁻¹) = [Rᵀ, −Rᵀ p^; 0, Rᵀ], whose rows i are R's columns and p × them."""
     for i in range(3):
@@ -194,7 +214,7 @@ def adjoint_back_into(pose, out):
     fill(out)
 
 
-@jit
+@jit()
 def ad_into(x, out):
     """Derivative (6, 6) of the adjoint, into `out`."""
     for first in (0, 3):
@@ -206,7 +226,7 @@ def ad_into(x, out):
     fill(out)
 
 
-@jit
+@jit()
 def times_into(a, b, out):
     """Product of matrices [A B; 0 A]."""
     for i in range(3):
@@ -219,7 +239,7 @@ def times_into(a, b, out):
     fill(out)
 
 
-@jit
+@jit()
 def _polynomial(x, c1, c2, c3, c4, out):
     """1 + Σ c_i ad(x)^i."""
     m, m2, tail = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
@@ -238,21 +258,21 @@ def _polynomial(x, c1, c2, c3, c4, out):
     fill(out)
 
 
-@jit
+@jit()
 def jacobian_coefficients(q):
     """Those of ad(x)^i in J_r(x), i from 1 to 4."""
     b, c, b_slope, c_slope = _bc_slopes(q)
     return q * b_slope - b, c - q * c_slope, b_slope, -c_slope
 
 
-@jit
+@jit()
 def right_jacobian_into(x, out):
     """Right Jacobian (6, 6), into `out`."""
     c1, c2, c3, c4 = jacobian_coefficients(squared_angle(x))
     _polynomial(x, c1, c2, c3, c4, out)
 
 
-@jit
+@jit()
 def right_jacobian_inverse_into(x, out):
     """Its inverse (6, 6), into `out`."""
     q = squared_angle(x)
@@ -260,18 +280,27 @@ def right_jacobian_inverse_into(x, out):
     _polynomial(x, 0.5, d - q * slope, 0.0, -slope, out)
 
 
-@jit
+@jit()
 def slope_into(x, w, out):
     """Derivative (6, 6) of J_r(x) w by x, into `out`."""
     m, by_x, fresh = np.empty((6, 6)), np.zeros((6, 6)), np.empty((6, 6))
-    power, next_ = w.copy(), np.empty(6)
+    power, next_ = np.empty(6), np.empty(6)
     q = squared_angle(x)
-    coefficients = jacobian_coefficients(q)
-    b2, c2 = _bc_curves(q)
-    slopes = (q * b2, -q * c2, b2, -c2)
+    c1, c2, c3, c4 = jacobian_coefficients(q)
+    b_curve, c_curve = _bc_curves(q)
     ad_into(x, m)
-    out[:] = 0.0
+    for r in range(6):
+        power[r] = w[r]
+        for k in range(6):
+            out[r, k] = 0.0
     for i in range(4):
+        coefficient, slope = c1, q * b_curve
+        if i == 1:
+            coefficient, slope = c2, -q * c_curve
+        elif i == 2:
+            coefficient, slope = c3, b_curve
+        elif i == 3:
+            coefficient, slope = c4, -c_curve
         times_into(m, by_x, fresh)
         ad_into(power, by_x)
         for r in range(6):
@@ -279,8 +308,8 @@ def slope_into(x, w, out):
             for k in range(6):
                 next_[r] += m[r, k] * power[k]
                 by_x[r, k] = fresh[r, k] - by_x[r, k]
-                out[r, k] += coefficients[i] * by_x[r, k]
-        power[:] = next_
+                out[r, k] += coefficient * by_x[r, k]
         for r in range(6):
+            power[r] = next_[r]
             for k in range(3):
-                out[r, 3 + k] += 2.0 * slopes[i] * power[r] * x[3 + k]
+                out[r, 3 + k] += 2.0 * slope * power[r] * x[3 + k]

@@ -1,4 +1,4 @@
-"""Noise of intervals, bridges, whitening: twins of transitions.py and noise.py."""
+"""Noise of intervals, bridges inside them, whitening. Source: equations (2'), (3') and (12)."""
 
 from __future__ import annotations
 
@@ -17,10 +17,12 @@ from glissando._kernels.lie import (
     squared_angle,
     times_into,
 )
-from glissando.model.priors.transitions import NODES, WEIGHTS
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(6)
+_NODES, _WEIGHTS = 0.5 * (_NODES + 1.0), 0.5 * _WEIGHTS
 
 
-@jit
+@jit()
 def matmul_into(a, b, out):
     """The product a b, into `out`."""
     for i in range(a.shape[0]):
@@ -31,7 +33,7 @@ def matmul_into(a, b, out):
                 out[i, j] += a[i, k] * b[k, j]
 
 
-@jit
+@jit()
 def apply_into(matrix, vector, out):
     """The product of a matrix and a vector, into `out`."""
     for i in range(matrix.shape[0]):
@@ -40,7 +42,7 @@ def apply_into(matrix, vector, out):
             out[i] += matrix[i, k] * vector[k]
 
 
-@jit
+@jit()
 def whiten_into(cov, out):
     """W with Wᵀ W = cov⁻¹, lower triangular: the inverse of the Cholesky factor."""
     n = len(cov)
@@ -66,7 +68,7 @@ def whiten_into(cov, out):
             out[i, j] = value / out[i, i]
 
 
-@jit
+@jit()
 def process_into(rate, step, psd, carried_psd, jump, rigid, cov, carried):
     """Noise of an interval; `cov` (12, 12) and `carried` (6, 6) are written."""
     cov[:], carried[:] = 0.0, 0.0
@@ -76,8 +78,8 @@ def process_into(rate, step, psd, carried_psd, jump, rigid, cov, carried):
     times_into(m, m, m2)
     times_into(m2, m, m3)
     times_into(m2, m2, m4)
-    for n in range(len(NODES)):
-        u, weight = step * NODES[n], step * WEIGHTS[n]
+    for n in range(len(_NODES)):
+        u, weight = step * _NODES[n], step * _WEIGHTS[n]
         c1, c2, c3, c4 = jacobian_coefficients(u * u * angle)
         c1, c2, c3, c4 = c1 * u, c2 * u**2, c3 * u**3, c4 * u**4
         for i in range(3):
@@ -111,7 +113,7 @@ def process_into(rate, step, psd, carried_psd, jump, rigid, cov, carried):
             carried[i, i] = step * carried_psd[i]
 
 
-@jit
+@jit()
 def middle_into(rate0, rate1, step, psd, jump, out):
     """The rate (6,) about which a step is linearised: the mean, less the jump at its end."""
     for i in range(6):
@@ -119,7 +121,7 @@ def middle_into(rate0, rate1, step, psd, jump, out):
         out[i] = rate0[i] + share * (rate1[i] - rate0[i])
 
 
-@jit
+@jit("(f8[:,::1], f8[::1], f8[:,::1], f8[:,::1], f8[:,::1], b1)")
 def process_covariances(rate, step, psd, carried_psd, jump, rigid):
     """Noise (M, 12, 12) and (M, 6, 6) of intervals."""
     cov, carried = np.empty((len(rate), 12, 12)), np.empty((len(rate), 6, 6))
@@ -128,10 +130,11 @@ def process_covariances(rate, step, psd, carried_psd, jump, rigid):
     return cov, carried
 
 
-@jit
-def _condition(near, cross, whole, root, half, gain, cov):
+@jit()
+def _condition(near, cross, whole, gain, cov):
     """Gain = crossᵀ whole⁻¹ and cov = near − gain cross."""
     n = len(near)
+    root, half = np.empty((n, n)), np.empty((n, n))
     whiten_into(whole, root)
     matmul_into(root, cross, half)
     for i in range(n):
@@ -143,42 +146,52 @@ def _condition(near, cross, whole, root, half, gain, cov):
             gain[i, j], cov[i, j] = given, near[i, j] - left
 
 
-@jit
-def bridge(rate, step, offset, psd, carried_psd, jump, rigid):
-    """What intervals know inside: gains and covariances of pair and carried."""
+@jit()
+def bridge_into(
+    rate, step, offset, psd, carried_psd, jump, rigid, gain, cov, carried_gain, carried_cov
+):
+    """Bridge at `offset` into a step: gains and covariances of pair (12, 12), carried (6, 6)."""
+    rest, none, x = step - offset, np.zeros(6), np.empty(6)
+    phi, ride, pose, lever = np.eye(12), np.eye(6), np.empty((4, 4)), np.empty((6, 6))
+    near, whole, cross = np.empty((12, 12)), np.empty((12, 12)), np.empty((12, 12))
+    near6, whole6, cross6 = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
+    for j in range(6):
+        x[j] = rest * rate[j]
+    right_jacobian_into(x, lever)
+    for j in range(6):
+        x[j] = -x[j]
+        for k in range(6):
+            phi[j, 6 + k] = rest * lever[j, k]
+    exp_into(x, pose)
+    adjoint_into(pose, lever)
+    for j in range(6):
+        for k in range(6):
+            phi[j, k] = lever[j, k]
+            if rigid:
+                ride[j, k] = lever[j, k]
+    process_into(rate, offset, psd, carried_psd, none, rigid, near, near6)
+    process_into(rate, step, psd, carried_psd, jump, rigid, whole, whole6)
+    matmul_into(phi, near, cross)
+    matmul_into(ride, near6, cross6)
+    _condition(near, cross, whole, gain, cov)
+    _condition(near6, cross6, whole6, carried_gain, carried_cov)
+
+
+@jit("(f8[:,::1], f8[::1], f8[::1], f8[:,::1], f8[:,::1])")
+def bridge(rate, step, offset, psd, jump):
+    """Gains and covariances (M, 12, 12) of the pair where nothing is carried rigidly."""
     m = len(rate)
     gain, cov = np.empty((m, 12, 12)), np.empty((m, 12, 12))
-    carried_gain, carried_cov = np.empty((m, 6, 6)), np.empty((m, 6, 6))
-    none, x, pose = np.zeros(6), np.empty(6), np.empty((4, 4))
-    phi, ride = np.eye(12), np.eye(6)
-    near, near6 = np.empty((12, 12)), np.empty((6, 6))
-    whole, whole6 = np.empty((12, 12)), np.empty((6, 6))
-    cross, cross6 = np.empty((12, 12)), np.empty((6, 6))
-    root, root6 = np.empty((12, 12)), np.empty((6, 6))
-    half, half6 = np.empty((12, 12)), np.empty((6, 6))
-    lever, turned = np.empty((6, 6)), np.empty((6, 6))
+    unused, unused_too = np.empty((6, 6)), np.empty((6, 6))
     for i in range(m):
-        rest = step[i] - offset[i]
-        for j in range(6):
-            x[j] = rest * rate[i, j]
-        right_jacobian_into(x, lever)
-        exp_into(-x, pose)
-        adjoint_into(pose, turned)
-        for j in range(6):
-            for k in range(6):
-                phi[j, k], phi[j, 6 + k] = turned[j, k], rest * lever[j, k]
-        if rigid:
-            ride[:] = turned
-        process_into(rate[i], offset[i], psd[i], carried_psd[i], none, rigid, near, near6)
-        process_into(rate[i], step[i], psd[i], carried_psd[i], jump[i], rigid, whole, whole6)
-        matmul_into(phi, near, cross)
-        matmul_into(ride, near6, cross6)
-        _condition(near, cross, whole, root, half, gain[i], cov[i])
-        _condition(near6, cross6, whole6, root6, half6, carried_gain[i], carried_cov[i])
-    return gain, cov, carried_gain, carried_cov
+        bridge_into(
+            rate[i], step[i], offset[i], psd[i], psd[i], jump[i], False, gain[i], cov[i],
+            unused, unused_too,
+        )  # fmt: skip
+    return gain, cov
 
 
-@jit
+@jit("(f8[:,:,::1],)")
 def sqrt_information(cov):
     """Whiteners (M, r, r) of covariances."""
     out = np.empty(cov.shape)
@@ -187,7 +200,7 @@ def sqrt_information(cov):
     return out
 
 
-@jit
+@jit()
 def pair_whiten_into(cov, out):
     """Whitener (12, 12) of a covariance whose last block is diagonal, into zeros."""
     corner, root, slope = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
@@ -209,7 +222,7 @@ def pair_whiten_into(cov, out):
                 out[i, 6 + j] -= root[i, k] * slope[k, j]
 
 
-@jit
+@jit("(f8[:,:,::1],)")
 def pair_sqrt_information(cov):
     """Whiteners (M, 12, 12) of covariances whose last block is diagonal."""
     out = np.zeros(cov.shape)

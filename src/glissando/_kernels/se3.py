@@ -1,4 +1,4 @@
-"""SE(3) over lists of items: twins of se3.py."""
+"""SE(3) over lists of items: what `geometry.se3` computes with."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import numpy as np
 
 from glissando._kernels.jit import jit
 from glissando._kernels.lie import (
-    adjoint_into,
     exp_into,
     log_into,
     right_jacobian_into,
@@ -15,7 +14,7 @@ from glissando._kernels.lie import (
 )
 
 
-@jit
+@jit("(f8[:,::1],)")
 def exp(x):
     """Poses (M, 4, 4) of six-vectors (M, 6)."""
     out = np.empty((len(x), 4, 4))
@@ -24,7 +23,7 @@ def exp(x):
     return out
 
 
-@jit
+@jit("(f8[:,:,::1],)")
 def log(pose):
     """Six-vectors (M, 6) of poses (M, 4, 4)."""
     out = np.empty((len(pose), 6))
@@ -33,16 +32,7 @@ def log(pose):
     return out
 
 
-@jit
-def adjoint(pose):
-    """Adjoints (M, 6, 6) of poses (M, 4, 4)."""
-    out = np.empty((len(pose), 6, 6))
-    for i in range(len(pose)):
-        adjoint_into(pose[i], out[i])
-    return out
-
-
-@jit
+@jit("(f8[:,::1],)")
 def right_jacobian(x):
     """Right Jacobians (M, 6, 6) of six-vectors (M, 6)."""
     out = np.empty((len(x), 6, 6))
@@ -51,7 +41,7 @@ def right_jacobian(x):
     return out
 
 
-@jit
+@jit("(f8[:,::1],)")
 def right_jacobian_inverse(x):
     """Their inverses (M, 6, 6)."""
     out = np.empty((len(x), 6, 6))
@@ -60,24 +50,10 @@ def right_jacobian_inverse(x):
     return out
 
 
-@jit
+@jit("(f8[:,::1], f8[:,::1])")
 def right_jacobian_slope(x, w):
     """Derivatives (M, 6, 6) of J_r(x) w by x, both (M, 6)."""
     out = np.empty((len(x), 6, 6))
     for i in range(len(x)):
         slope_into(x[i], w[i], out[i])
-    return out
-
-
-@jit
-def inverse(pose):
-    """Inverses (M, 4, 4) of poses."""
-    out = np.empty(pose.shape)
-    for n in range(len(pose)):
-        for i in range(3):
-            out[n, 3, i] = out[n, i, 3] = 0.0
-            for j in range(3):
-                out[n, i, j] = pose[n, j, i]
-                out[n, i, 3] -= pose[n, j, i] * pose[n, j, 3]
-        out[n, 3, 3] = 1.0
     return out

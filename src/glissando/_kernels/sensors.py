@@ -1,4 +1,4 @@
-"""Readings: twins of sensors.py, poses with or without their roll, and of placed.py."""
+"""Errors of measured poses, with or without their roll. Source: equations (14) and (15)."""
 
 from __future__ import annotations
 
@@ -16,11 +16,10 @@ from glissando._kernels.lie import (
     right_jacobian_inverse_into,
     times_into,
 )
-from glissando._kernels.process import whiten_into
 
 
-@jit
-def pose_miss(values, pose, mount, rolls):
+@jit("(f8[:,:,::1], f8[:,:,::1], f8[:,:,::1], b1)")
+def pose_error(values, pose, mount, rolls):
     """Errors (M, 6) of measured poses; with `rolls` their roll is turned to agree."""
     out, roll = np.empty((len(pose), 6)), np.zeros(6)
     there, apart, turn = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
@@ -36,47 +35,23 @@ def pose_miss(values, pose, mount, rolls):
     return out
 
 
-@jit
-def pose_slope(miss, mount, rolls):
+@jit("(f8[:,::1], f8[:,:,::1], b1)")
+def pose_error_jacobian(miss, mount, rolls):
     """Slopes of those errors by the pose, (M, 6, 6) or (M, 5, 6)."""
     rows = 5 if rolls else 6
     out = np.empty((len(miss), rows, 6))
     spread, back, whole = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
+    opposite = np.empty(6)
     for n in range(len(miss)):
         right_jacobian_inverse_into(miss[n], spread)
         adjoint_back_into(mount[n], back)
         times_into(spread, back, whole)
         if rolls:  # that by a roll before the error; J_l(x) is J_r(−x)
-            right_jacobian_inverse_into(-miss[n], spread)
+            for i in range(6):
+                opposite[i] = -miss[n, i]
+            right_jacobian_inverse_into(opposite, spread)
         for i in range(rows):
             follow = spread[i, 5] / spread[5, 5] if rolls else 0.0
             for j in range(6):
                 out[n, i, j] = whole[i, j] - follow * whole[5, j]
     return out
-
-
-@jit
-def by_nodes_of(by_state, jacobian, left, cov):
-    """Slopes (M, r, c, d) of residuals by nodes and whiteners (M, r, r)."""
-    m, r, dof = by_state.shape
-    c, d = jacobian.shape[2:]
-    out, whitener = np.zeros((m, r, c, d)), np.empty((m, r, r))
-    half, whole = np.empty((r, dof)), np.empty((r, r))
-    for n in range(m):
-        half[:] = 0.0
-        for i in range(r):
-            for k in range(dof):
-                share = by_state[n, i, k]
-                if share != 0.0:  # a sensor sees little of a state
-                    for j in range(dof):
-                        half[i, j] += share * left[n, k, j]
-                    for a in range(c):
-                        for j in range(d):
-                            out[n, i, a, j] += share * jacobian[n, k, a, j]
-        for i in range(r):
-            for j in range(r):
-                whole[i, j] = cov[n, i, j]
-                for k in range(dof):
-                    whole[i, j] += half[i, k] * by_state[n, j, k]
-        whiten_into(whole, whitener[n])
-    return out, whitener

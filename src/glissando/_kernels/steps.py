@@ -1,4 +1,9 @@
-"""Errors of steps and the point between two nodes: twins of steps.py."""
+"""Errors of steps between two nodes, and the point inside a step.
+
+A step goes along arclength, where the pose moves by its strain and the velocity is carried rigidly,
+or along time, where the pose moves by its velocity and the strain stays. `at` and `carried_at` are
+the first columns of the moving and of the carried field. Source: equations (2') to (4), (10).
+"""
 
 from __future__ import annotations
 
@@ -19,6 +24,7 @@ from glissando._kernels.lie import (
 )
 from glissando._kernels.process import (
     apply_into,
+    bridge_into,
     matmul_into,
     middle_into,
     pair_whiten_into,
@@ -27,7 +33,7 @@ from glissando._kernels.process import (
 )
 
 
-@jit
+@jit()
 def _pair(start, end, rate0, rate1, step, error, back, pull, spread):
     """Error (12,) of a step; its Jacobian is [back, pull; 0, −1] at the start, [spread, 0; 0, 1].
 
@@ -37,9 +43,9 @@ def _pair(start, end, rate0, rate1, step, error, back, pull, spread):
     ahead, miss, pose = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
     a, b = np.empty((6, 6)), np.empty((6, 6))
     for i in range(6):
-        scaled[i] = step * rate0[i]
+        scaled[i] = -step * rate0[i]
     ahead_into(start, end, ahead)
-    exp_into(-scaled, pose)
+    exp_into(scaled, pose)
     compose_into(pose, ahead, miss)
     log_into(miss, xi)
     right_jacobian_inverse_into(xi, spread)
@@ -47,6 +53,8 @@ def _pair(start, end, rate0, rate1, step, error, back, pull, spread):
     times_into(spread, a, back)
     adjoint_back_into(miss, a)
     times_into(spread, a, b)
+    for i in range(6):
+        scaled[i] = step * rate0[i]
     right_jacobian_into(scaled, a)
     times_into(b, a, pull)
     for i in range(6):
@@ -56,22 +64,7 @@ def _pair(start, end, rate0, rate1, step, error, back, pull, spread):
             pull[i, j] *= -step
 
 
-@jit
-def pair_error(start, end, rate0, rate1, step, at):
-    """Errors (M, 12) of pose and rate, Jacobians (M, 12, 18) at both ends."""
-    m = len(step)
-    error, j0, j1 = np.empty((m, 12)), np.zeros((m, 12, 18)), np.zeros((m, 12, 18))
-    back, pull, spread = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
-    for n in range(m):
-        _pair(start[n], end[n], rate0[n], rate1[n], step[n], error[n], back, pull, spread)
-        for i in range(6):
-            for j in range(6):
-                j0[n, i, j], j0[n, i, at + j], j1[n, i, j] = back[i, j], pull[i, j], spread[i, j]
-            j0[n, 6 + i, at + i], j1[n, 6 + i, at + i] = -1.0, 1.0
-    return error, j0, j1
-
-
-@jit
+@jit("(f8[:,:,::1], f8[:,::1], i8[:,::1], f8[::1], f8[:,::1], f8[:,::1])")
 def static_steps(pose, strain, nodes, step, psd, jump):
     """Errors (M, 12) of steps that hold still, Jacobians (M, 12, 2, 12), whiteners (M, 12, 12)."""
     m = len(step)
@@ -92,7 +85,7 @@ def static_steps(pose, strain, nodes, step, psd, jump):
     return error, jacobian, info
 
 
-@jit
+@jit()
 def _carried(start, end, field0, field1, at, rigid, error, j0, j1):
     """Error (6,) of the carried field and its Jacobians (6, 18), which are written."""
     j0[:], j1[:] = 0.0, 0.0
@@ -116,7 +109,10 @@ def _carried(start, end, field0, field1, at, rigid, error, j0, j1):
             j0[i, j], j0[i, at + j], j1[i, j] = lean[i, j], -ride[i, j], -curl[i, j]
 
 
-@jit
+@jit(
+    "(f8[:,:,::1], f8[:,::1], f8[:,::1], f8[:,::1], i8[:,::1], f8[::1], f8[::1],"
+    " f8[:,::1], f8[:,::1], f8[:,::1], i8, i8, b1)"
+)
 def weighted_steps(
     pose, rates, fields, about, nodes, step, weight, psd, carried_psd, jump, at, carried_at, rigid
 ):
@@ -152,9 +148,9 @@ def weighted_steps(
     return error, slopes, info, lost, lost_slopes, lost_info
 
 
-@jit
-def _spread_out(turn, cov, carried_cov, at, carried_at, left):
-    """Bridge covariance (18, 18) at a point whose pose is turned by `turn`, into zeros."""
+@jit()
+def _pair_covariance(turn, cov, at, left):
+    """Covariance of pose and rate given both ends, of a pose that `turn` bends, into zeros."""
     half = np.zeros((6, 12))
     for i in range(6):
         for k in range(6):
@@ -166,10 +162,9 @@ def _spread_out(turn, cov, carried_cov, at, carried_at, left):
                 left[i, j] += half[i, k] * turn[j, k]
             left[i, at + j] = left[at + j, i] = half[i, 6 + j]
             left[at + i, at + j] = cov[6 + i, 6 + j]
-            left[carried_at + i, carried_at + j] = carried_cov[i, j]
 
 
-@jit
+@jit()
 def _lean(curl, at, rows):
     """What rides turns with the pose at the point."""
     for i in range(6):
@@ -178,15 +173,16 @@ def _lean(curl, at, rows):
                 rows[at + i, j] += curl[i, k] * rows[k, j]
 
 
-@jit
+@jit()
 def _onward(start, rate, offset, delta, pose, turn, back, pull):
-    """Pose at `offset` along a rate from `start` and then bent by `delta` (6,), and its slopes.
+    """Pose at `offset` along a rate from `start` and then bent by `delta` (12,), and its slopes.
 
     By the bend (`turn`), the start (`back`) and the rate (`pull`), all (6, 6).
     """
     ahead, bend, there = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
-    unbend, a = np.empty((6, 6)), np.empty((6, 6))
-    scaled = offset * rate
+    unbend, a, scaled = np.empty((6, 6)), np.empty((6, 6)), np.empty(6)
+    for i in range(6):
+        scaled[i] = offset * rate[i]
     exp_into(scaled, ahead)
     exp_into(delta, bend)
     compose_into(start, ahead, there)
@@ -197,23 +193,59 @@ def _onward(start, rate, offset, delta, pose, turn, back, pull):
     times_into(unbend, a, back)
     right_jacobian_into(scaled, a)
     times_into(unbend, a, pull)
-    pull *= offset
-
-
-@jit
-def _spread(turn, gain, e, carried_gain, c, at, carried_at, d, out):
-    """Slope (18, 18) at the point by one end, through the errors of the step, into zeros."""
-    matmul_into(gain, e, d)
     for i in range(6):
-        for k in range(6):
-            for j in range(18):
-                out[i, j] += turn[i, k] * d[k, j]
-                out[carried_at + i, j] += carried_gain[i, k] * c[k, j]
-        for j in range(18):
-            out[at + i, j] += d[6 + i, j]
+        for j in range(6):
+            pull[i, j] *= offset
 
 
-@jit
+@jit()
+def _pair_point(start, end, rate0, rate1, step, offset, gain, at, pose, rate, turn, j0, j1):
+    """Pose and rate at `offset` into a step; their rows of the slopes (18, ·) by both ends.
+
+    T(u) = T₀ exp(u rate₀) exp(δ), with [δ; δ_rate] = gain e, `gain` (12, 12); the slopes come as
+    zeros, and J_r(δ) is written to `turn`.
+    """
+    error, delta = np.empty(12), np.empty(12)
+    e0, e1, d0, d1 = np.zeros((12, 12)), np.zeros((12, 12)), np.empty((12, 12)), np.empty((12, 12))
+    back, pull = np.empty((6, 6)), np.empty((6, 6))
+    _pair(start, end, rate0, rate1, step, error, back, pull, turn)
+    for i in range(6):
+        for j in range(6):
+            e0[i, j], e0[i, 6 + j], e1[i, j] = back[i, j], pull[i, j], turn[i, j]
+        e0[6 + i, 6 + i], e1[6 + i, 6 + i] = -1.0, 1.0
+    apply_into(gain, error, delta)
+    matmul_into(gain, e0, d0)
+    matmul_into(gain, e1, d1)
+    _onward(start, rate0, offset, delta, pose, turn, back, pull)
+    for i in range(6):
+        rate[i] = rate0[i] + delta[6 + i]
+        for j in range(6):
+            j0[i, j], j0[i, at + j] = back[i, j], pull[i, j]
+            for k in range(6):
+                j0[i, j] += turn[i, k] * d0[k, j]
+                j0[i, at + j] += turn[i, k] * d0[k, 6 + j]
+                j1[i, j] += turn[i, k] * d1[k, j]
+                j1[i, at + j] += turn[i, k] * d1[k, 6 + j]
+            j0[at + i, j], j0[at + i, at + j] = d0[6 + i, j], d0[6 + i, 6 + j]
+            j1[at + i, j], j1[at + i, at + j] = d1[6 + i, j], d1[6 + i, 6 + j]
+        j0[at + i, at + i] += 1.0
+
+
+@jit("(f8[:,:,::1], f8[:,:,::1], f8[:,::1], f8[:,::1], f8[::1], f8[::1], f8[:,:,::1], i8, i8)")
+def pair_between(start, end, rate0, rate1, step, offset, gain, at, columns):
+    """Poses and rates inside steps; slopes (M, 18, columns) by both ends with those rows."""
+    m = len(step)
+    pose, rate, turn = np.empty((m, 4, 4)), np.empty((m, 6)), np.empty((6, 6))
+    j0, j1 = np.zeros((m, 18, columns)), np.zeros((m, 18, columns))
+    for n in range(m):
+        _pair_point(
+            start[n], end[n], rate0[n], rate1[n], step[n], offset[n], gain[n], at,
+            pose[n], rate[n], turn, j0[n], j1[n],
+        )  # fmt: skip
+    return pose, rate, j0, j1
+
+
+@jit()
 def _ride(pose, start, field0, at, field, j0, j1, left):
     """Add the field that rides from the start of a step to a pose, which turns it."""
     there, ride = np.empty((4, 4)), np.empty((6, 6))
@@ -232,45 +264,60 @@ def _ride(pose, start, field0, at, field, j0, j1, left):
     _lean(curl, at, j0)
     _lean(curl, at, j1)
     _lean(curl, at, left)
-    _lean(curl, at, left.T)
+    for i in range(6):  # and from the other side
+        for k in range(6):
+            for j in range(18):
+                left[j, at + i] += curl[i, k] * left[j, k]
 
 
-@jit
-def between(
-    start, end, rate0, rate1, field0, field1, step, offset, gain, cov, carried_gain, carried_cov,
+@jit()
+def _carried_point(
+    start, end, field0, field1, pose, rigid, gain, cov, at, field, j0, j1, left
+):  # fmt: skip
+    """The carried field at a pose inside a step, with its rows of slopes and covariance."""
+    lost, c0, c1 = np.empty(6), np.empty((6, 18)), np.empty((6, 18))
+    _carried(start, end, field0, field1, at, rigid, lost, c0, c1)
+    apply_into(gain, lost, field)
+    for i in range(6):
+        for k in range(6):
+            left[at + i, at + k] = cov[i, k]
+            for j in range(18):
+                j0[at + i, j] += gain[i, k] * c0[k, j]
+                j1[at + i, j] += gain[i, k] * c1[k, j]
+    if rigid:
+        _ride(pose, start, field0, at, field, j0, j1, left)
+        return
+    for i in range(6):
+        field[i] += field0[i]
+        j0[at + i, at + i] += 1.0
+
+
+@jit(
+    "(f8[:,:,::1], f8[:,:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[::1], f8[::1],"
+    " f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], i8, i8, b1)"
+)
+def bridged(
+    start, end, rate0, rate1, field0, field1, step, offset, about, psd, carried_psd, jump,
     at, carried_at, rigid,
 ):  # fmt: skip
-    """States between nodes, Jacobians (M, 18, 18) at both ends, bridge covariances."""
+    """States inside steps, slopes (M, 18, 18) by both ends, covariances (M, 18, 18) given both."""
     m = len(step)
     pose, rate, field = np.empty((m, 4, 4)), np.empty((m, 6)), np.empty((m, 6))
     j0, j1, left = np.zeros((m, 18, 18)), np.zeros((m, 18, 18)), np.zeros((m, 18, 18))
-    error, lost, delta, d = np.empty(12), np.empty(6), np.empty(12), np.empty((12, 18))
-    back, pull, turn = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
-    e0, e1 = np.zeros((12, 18)), np.zeros((12, 18))
-    c0, c1 = np.empty((6, 18)), np.empty((6, 18))
+    gain, cov, turn = np.empty((12, 12)), np.empty((12, 12)), np.empty((6, 6))
+    carried_gain, carried_cov = np.empty((6, 6)), np.empty((6, 6))
     for n in range(m):
-        _pair(start[n], end[n], rate0[n], rate1[n], step[n], error, back, pull, turn)
-        for i in range(6):
-            for j in range(6):
-                e0[i, j], e0[i, at + j], e1[i, j] = back[i, j], pull[i, j], turn[i, j]
-            e0[6 + i, at + i], e1[6 + i, at + i] = -1.0, 1.0
-        _carried(start[n], end[n], field0[n], field1[n], carried_at, rigid, lost, c0, c1)
-        apply_into(gain[n], error, delta)
-        apply_into(carried_gain[n], lost, field[n])
-        _onward(start[n], rate0[n], offset[n], delta[:6], pose[n], turn, back, pull)
-        _spread(turn, gain[n], e0, carried_gain[n], c0, at, carried_at, d, j0[n])
-        _spread(turn, gain[n], e1, carried_gain[n], c1, at, carried_at, d, j1[n])
-        for i in range(6):
-            rate[n, i] = rate0[n, i] + delta[6 + i]
-            for j in range(6):
-                j0[n, i, j] += back[i, j]
-                j0[n, i, at + j] += pull[i, j]
-            j0[n, at + i, at + i] += 1.0
-        _spread_out(turn, cov[n], carried_cov[n], at, carried_at, left[n])
-        if rigid:
-            _ride(pose[n], start[n], field0[n], carried_at, field[n], j0[n], j1[n], left[n])
-            continue
-        for i in range(6):
-            field[n, i] += field0[n, i]
-            j0[n, carried_at + i, carried_at + i] += 1.0
+        bridge_into(
+            about[n], step[n], offset[n], psd[n], carried_psd[n], jump[n], rigid,
+            gain, cov, carried_gain, carried_cov,
+        )  # fmt: skip
+        _pair_point(
+            start[n], end[n], rate0[n], rate1[n], step[n], offset[n], gain, at,
+            pose[n], rate[n], turn, j0[n], j1[n],
+        )  # fmt: skip
+        _pair_covariance(turn, cov, at, left[n])
+        _carried_point(
+            start[n], end[n], field0[n], field1[n], pose[n], rigid, carried_gain, carried_cov,
+            carried_at, field[n], j0[n], j1[n], left[n],
+        )  # fmt: skip
     return pose, rate, field, j0, j1, left

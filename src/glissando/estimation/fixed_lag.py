@@ -16,8 +16,10 @@ from copy import copy
 import numpy as np
 from numpy.typing import ArrayLike
 
+from glissando._kernels.jit import load
+from glissando._kernels.threads import one_thread
 from glissando.errors import NotConvergedWarning, OutsideGridError, UnobservableError
-from glissando.estimation.batch import SolverOptions, estimate
+from glissando.estimation.batch import estimate
 from glissando.estimation.innovation_gate import InnovationGate
 from glissando.estimation.posterior import Posterior, StateEstimate
 from glissando.estimation.reading_buffer import ReadingBuffer
@@ -28,8 +30,8 @@ from glissando.model.priors.prior import Prior
 from glissando.model.sensors.parameters import SensorParameter, corrected
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
-from glissando.solver.measurement_factors import MeasurementFactors
-from glissando.twins import estimating, prepare
+from glissando.solver.gauss_newton import SolverOptions
+from glissando.solver.located_readings import LocatedReadings
 
 _RENEWED = 2  # intervals before the newest node that an update linearises again
 _CLOSE = 0.02  # standard deviations: where the last step missed by less, the newest alone will do
@@ -39,13 +41,10 @@ _CLOSEST = 0.2  # of the last interval: no node is put nearer to the newest one 
 
 
 class FixedLagSmoother:
-    """A smoother over the last `window` time nodes of a prior on `arclength` nodes (N,).
+    """A smoother over the last time nodes of a prior on fixed arclength nodes.
 
-    `sensor_parameters` are applied where they are known and estimated where they are not.
     A reading is refused when its innovation would come by chance once in 1 / `gate` times, unless
-    its stream has been refused for long. `window` 1 is a filter. The first one ever made on a
-    machine takes half a minute where numba compiles for it. Raises OutsideGridError for an empty
-    window.
+    its stream has been refused for long.
     """
 
     def __init__(
@@ -57,200 +56,242 @@ class FixedLagSmoother:
         sensor_parameters: Sequence[SensorParameter] = (),
         gate: float | None = 1e-6,
     ) -> None:
+        """Make a smoother without readings.
+
+        Args:
+            prior: What is believed before any reading.
+            arclength: Arclength nodes (N,), metres.
+            window: Time nodes to keep; 1 is a filter.
+            sensor_parameters: Applied where they are known, estimated where they are not.
+            gate: Chance below which an innovation is refused; None refuses none.
+
+        Raises:
+            OutsideGridError: The window is empty.
+        """
         if window < 1:
             raise OutsideGridError(f"A window of {window} time nodes is empty; give 1 or more.")
-        prepare()
+        load()
         self.arclength = np.asarray(arclength, dtype=float)
         self.lag = window
         self.updates = self.restarts = 0
-        self._known = [u for u in sensor_parameters if u.known]
+        self._known = [p for p in sensor_parameters if p.known]
         self._window = SlidingWindow(prior, self.arclength, sensor_parameters)
         self._gate = InnovationGate(gate)
-        self._inbox = ReadingBuffer(float(self.arclength[-1]), self._gate)
+        self._buffer = ReadingBuffer(float(self.arclength[-1]), self._gate)
         self._started, self._missed = False, np.inf
 
     @property
     def time(self) -> float | None:
         """Time of the newest node, None before the first."""
-        return self._window.nodes[-1].time if self._window.nodes else None
+        return float(self._window.nodes.time[-1]) if self._window.started else None
 
     def add(self, readings: Readings) -> None:
         """Take readings of one stream, told apart by `name`; they are used when time reaches them.
 
         Those that came before, lie before the window, off the robot, or absurdly far ahead are
-        dropped and counted in `dropped`. Raises SensorError when the stream changed its kind.
+        dropped and counted in `dropped`.
+
+        Raises:
+            SensorError: The stream changed its kind.
         """
-        nodes = self._window.nodes
-        span = (nodes[0].time, nodes[-1].time) if nodes else None
-        self._inbox.take(corrected(readings, self._known), span)
+        span = None
+        if self._window.started:
+            time = self._window.nodes.time
+            span = float(time[0]), float(time[-1])
+        self._buffer.take(corrected(readings, self._known), span)
 
     def advance(self, time: float) -> StateEstimate:
-        """Go on to `time` with all readings up to then; the newest state at the nodes (N,).
+        """Go on to a time with all readings up to then; the newest state at the nodes (N,).
 
         A time that is not after the newest node's changes nothing but brings in what came late.
-        Raises OutsideGridError for a time that is not finite.
+
+        Args:
+            time: Seconds.
+
+        Raises:
+            OutsideGridError: The time is not finite.
         """
         if not np.isfinite(time):
             raise OutsideGridError(f"The time to advance to is {time}; give seconds.")
-        with estimating():
-            window = self._window
-            if not window.nodes:
-                at = Grid(self.arclength, [time])
-                window.begin(time, window.prior.rest_state(at).take(0))
-            elif time > window.nodes[-1].time:
-                window.append(time)
-            fresh, earliest = self._inbox.arrive(window.nodes[0].time, window.nodes[-1].time)
-            if not fresh and time < window.nodes[-1].time:
-                return window.newest_nodes()
+        with one_thread():
+            self._append(time)  # the prior's mean leads there (2')
+            fresh, earliest = self._arrive()
+            if not fresh and time < self._window.nodes.time[-1]:
+                return self._window.newest_nodes()
             if not self._started and fresh:
-                self._start()
-            renewed = _RENEWED if self._missed > _CLOSE else 1
-            first = max(0, len(window.nodes) - 1 - renewed)
-            late = int(np.searchsorted(window.times, earliest, side="right")) - 1
+                self._start()  # all there is, as a recording is estimated
             try:
-                self._update(max(0, min(first, late)), fresh)
+                self._update(self._first_changed(earliest), fresh)  # (19) to (21), and the gate
             except (np.linalg.LinAlgError, UnobservableError):
                 if not self._started:
                     raise
                 self._restart()
-            while len(window.nodes) > self.lag:
-                window.drop()
-            self._inbox.forget(window.nodes[0].time)
+            self._marginalize()  # the Schur complement of what leaves (20)
             self.updates += 1
-            return window.newest_nodes()
+            return self._window.newest_nodes()
+
+    def _append(self, time: float) -> None:
+        """A node at a time after the newest; the first one rests."""
+        window = self._window
+        if not window.started:
+            window.begin(time, window.prior.rest_state(Grid(self.arclength, [time])).take(0))
+        elif time > window.nodes.time[-1]:
+            window.append(time)
+
+    def _arrive(self) -> tuple[Counter[str], float]:
+        """New readings up to the newest node: how many of each stream, and the earliest's time."""
+        time = self._window.nodes.time
+        return self._buffer.arrive(float(time[0]), float(time[-1]))
+
+    def _first_changed(self, earliest: float) -> int:
+        """The first node whose interval is to be linearised again."""
+        time = self._window.nodes.time
+        renewed = _RENEWED if self._missed > _CLOSE else 1
+        late = int(np.searchsorted(time, earliest, side="right")) - 1
+        return max(0, min(len(time) - 1 - renewed, late))
+
+    def _marginalize(self) -> None:
+        """Let nodes and readings go that are older than the lag."""
+        while len(self._window.nodes) > self.lag:
+            self._window.drop()
+        self._buffer.forget(float(self._window.nodes.time[0]))
 
     def _restart(self) -> None:
-        """Begin again from rest: foretold for too long without readings, states are absurd."""
-        window = self._window
+        """Begin again from rest: after long silence, states can become absurd."""
+        window, time = self._window, float(self._window.nodes.time[-1])
         rest = window.prior.rest_state(Grid(self.arclength, [0.0])).take(0)
-        time, self._started, self.restarts = window.nodes[-1].time, False, self.restarts + 1
+        self._started, self.restarts = False, self.restarts + 1
         window.begin(time, rest)
-        window.before = None
-        self._inbox.forget(time)
-        window.solve(0, self._placed(0))
+        self._buffer.forget(time)
+        window.solve(0, self._located(0))
 
     def _start(self) -> None:
         """The first readings: estimate all there is from rest, as a recording is."""
         window = self._window
-        readings = self._inbox.since(window.nodes[0].time)
-        sensor_parameters, options = window.sensor_parameters, SolverOptions(max_iterations=30)
+        readings = self._buffer.since(float(window.nodes.time[0]))
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", NotConvergedWarning)
-                found = estimate(
+                posterior = estimate(
                     window.prior,
                     window.grid(),
                     readings,
-                    sensor_parameters=sensor_parameters,
-                    options=options,
+                    sensor_parameters=window.sensor_parameters,
+                    options=SolverOptions(max_iterations=30),
                 )
         except UnobservableError:
             return  # not yet: some other sensor will fix the base
-        for k, node in enumerate(window.nodes):
-            node.state, node.step = found.state.take(k), np.zeros_like(node.step)
+        window.restate(posterior.state)
         self._started = True
 
     def _update(self, first: int, fresh: Counter[str]) -> None:
         """Solve from a node on, more than once if far; refuse what nothing else agrees with."""
-        placed = self._placed(first)
+        located = self._located(first)
         for _ in range(_MOST):
             self._window.relinearize(first)
-            self._window.solve(first, placed)
+            self._window.solve(first, located)
             self._missed = self._window.miss(first)
             if self._missed < _MISS:
                 break
         for again in range(_MOST if fresh else 0):
-            if not self._judged(placed, fresh, first_look=not again):
+            if not self._refused(located, fresh, first_look=not again):
                 break
-            placed = self._placed(first)
-            self._window.solve(first, placed)
+            located = self._located(first)
+            self._window.solve(first, located)
 
-    def _placed(self, first: int) -> MeasurementFactors:
+    def _located(self, first: int) -> LocatedReadings:
         """Readings at and after a node."""
-        return self._window.place(first, self._inbox.since(self._window.nodes[first].time))
+        begin = float(self._window.nodes.time[first])
+        return self._window.locate(first, self._buffer.since(begin))
 
-    def _judged(self, placed: MeasurementFactors, fresh: Counter[str], *, first_look: bool) -> bool:
+    def _refused(self, located: LocatedReadings, fresh: Counter[str], *, first_look: bool) -> bool:
         """Refuse the new reading that fits the others least, if it is beyond belief.
 
         One at a time, as a wrong one makes its neighbours look wrong. Returns whether there was.
         """
         worst, wrong = 1.0, None
-        streams = [stream for _, stream in placed.streams]
-        for judged in self._window.judge([len(r) - fresh[r.label] for r in streams]):
-            stream = streams[judged.stream]
+        streams = located.streams
+        for innovations in self._window.innovations([len(r) - fresh[r.label] for r in streams]):
+            stream, nis, dof = streams[innovations.stream], innovations.nis, innovations.dof
             if first_look:
-                self._gate.note(stream.label, judged.nis, judged.dof)
-            excess = self._gate.excess(stream.label, judged.nis, judged.dof)
+                self._gate.note(stream.label, nis, dof)
+            excess = self._gate.excess(stream.label, nis, dof)
             if excess > worst:
-                worst, wrong = excess, (stream, judged.rows[int(np.argmax(judged.nis))])
+                worst, wrong = excess, (stream, innovations.rows[int(np.argmax(nis))])
         if wrong is None:
             return False
         stream, row = wrong
         self._gate.strike(stream.label)
-        self._inbox.discard(stream.label, float(stream.time[row]), float(stream.arclength[row]))
+        self._buffer.discard(stream.label, float(stream.time[row]), float(stream.arclength[row]))
         fresh[stream.label] -= 1
         return True
 
     def newest(self) -> StateEstimate:
         """The newest state at the nodes (N,) with covariance (N, 18, 18)."""
-        self._any()
-        with estimating():
-            return self._window.newest_nodes()
+        self._require_started()
+        return self._window.newest_nodes()
 
-    def _any(self) -> None:
-        if not self._window.nodes:
+    def _require_started(self) -> None:
+        if not self._window.started:
             raise OutsideGridError("There is no estimate yet; call advance(time) first.")
 
     def posterior(self) -> Posterior:
         """The window as a posterior, to query, draw and save like any other."""
-        self._any()
-        with estimating():
-            return self._window.posterior()
+        self._require_started()
+        return self._window.posterior()
 
     def at(self, arclength: ArrayLike, time: ArrayLike) -> StateEstimate:
-        """State and covariance inside the window, or ahead of it as the prior foretells.
+        """State and covariance inside the window, or ahead of it as the prior predicts.
 
-        Raises OutsideGridError for a point off the robot or before the window.
+        Args:
+            arclength: Metres; broadcast with `time`.
+            time: Seconds.
+
+        Raises:
+            OutsideGridError: A point lies off the robot or before the window.
         """
         latest = float(np.max(time, initial=-np.inf))
-        self._any()
-        window = self._window
-        if latest > window.nodes[-1].time:
+        self._require_started()
+        window, nodes = self._window, self._window.nodes.time
+        if latest > nodes[-1]:
             window = copy(window)
-            window.nodes = [copy(node) for node in window.nodes]
-            newest = window.nodes[-1].time
-            before = window.nodes[-2].time if len(window.nodes) > 1 else window.before
+            before = window.before if len(nodes) == 1 else nodes[-2]
             # Nodes may be too close; one further ahead than asked for does not change the answer.
-            least = 0.0 if before is None else _CLOSEST * (newest - before)
-            window.append(max(latest, newest + least))
+            least = 0.0 if before is None else _CLOSEST * float(nodes[-1] - before)
+            window.append(max(latest, float(nodes[-1]) + least))
             first = max(0, len(window.nodes) - 2)
-            with estimating():
-                readings = self._inbox.since(window.nodes[first].time)
-                window.solve(first, window.place(first, readings))
-        with estimating():
-            return window.posterior().at(arclength, time)
+            readings = self._buffer.since(float(window.nodes.time[first]))
+            with one_thread():
+                window.solve(first, window.locate(first, readings))
+        return window.posterior().at(arclength, time)
 
     def iterate(self, tolerance: float = 1e-9, most: int = 50) -> int:
-        """Linearise the whole window again until no number moves by more; returns the rounds."""
-        with estimating():
-            rounds = 0
-            moved = np.inf
-            while moved >= tolerance and rounds < most:
-                rounds += 1
-                self._window.relinearize(0)
-                self._window.solve(0, self._placed(0))
-                moved = max(float(np.abs(node.step).max()) for node in self._window.nodes)
+        """Linearise the whole window again until no number moves by more.
+
+        Args:
+            tolerance: Largest move of any number.
+            most: Most rounds.
+
+        Returns:
+            The rounds it took.
+        """
+        rounds, moved = 0, np.inf
+        while moved >= tolerance and rounds < most:
+            rounds += 1
+            self._window.relinearize(0)
+            self._window.solve(0, self._located(0))
+            moved = float(np.abs(self._window.nodes.step).max())
         return rounds
 
     def newest_node(self) -> tuple[State, Array, Grid]:
         """The newest time by itself: what a plan or another estimate goes on from.
 
-        Estimate (N,), covariance (D, D) of its nodes' numbers and then the unknowns', and a grid
-        of it alone, which knows what came before.
+        Returns:
+            Estimate (N,), covariance (D, D) of its nodes' numbers and then the sensor parameters',
+            and a grid of it alone, which knows what came before.
         """
-        self._any()
-        with estimating():
-            state, cov = self._window.newest()
+        self._require_started()
+        state, cov = self._window.newest()
         return state, cov, self._window.grid(len(self._window.nodes) - 1)
 
     @property

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,20 +19,29 @@ from glissando.model.priors.transitions import symmetrize
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.state import DOF, POSE, State
 from glissando.solver.block_tridiagonal import BlockTridiagonal, Marginals, factor
+from glissando.solver.outcome import Outcome
 
 _CHUNK = 500  # queries at a time: more ask for new memory faster than it is given
 
 
 @dataclass(frozen=True)
 class SolveReport:
-    """How the estimate was reached: status, size, cost, evidence and seconds of processor time.
+    """How an estimate was reached.
 
-    `log_evidence` is the Laplace log marginal likelihood up to a constant (equation 22);
-    `suspects` counts readings a robust loss gave less than half their weight.
+    Attributes:
+        outcome: How the solver ended.
+        iterations: How many linearisations it took.
+        last_step: Length of the last step, posterior standard deviations.
+        unknowns: How many numbers were estimated.
+        cost: Half the sum of squared whitened residuals, or of their losses.
+        log_evidence: Laplace log marginal likelihood up to a constant (equation 22).
+        suspects: How many readings a robust loss gave less than half their weight.
+        seconds: Processor time by phase.
     """
 
-    status: str
+    outcome: Outcome
     iterations: int
+    last_step: float
     unknowns: int
     cost: float
     log_evidence: float
@@ -40,8 +50,31 @@ class SolveReport:
 
     @property
     def converged(self) -> bool:
-        """Whether the last step was shorter than the tolerance."""
-        return self.status == "converged"
+        """Whether the result can be trusted: the solver reached what it was to reach."""
+        return self.outcome.sound
+
+    @property
+    def status(self) -> str:
+        """The outcome as a sentence."""
+        if self.converged:
+            return self.outcome.sentence
+        return (
+            f"{self.outcome.sentence}: {self.iterations} iterations, the last step still "
+            f"{self.last_step:.2g} standard deviations long"
+        )
+
+    def to_table(self) -> dict[str, Any]:
+        """The report as JSON holds it."""
+        return {**vars(self), "outcome": self.outcome.name}
+
+    @staticmethod
+    def from_table(table: dict[str, Any]) -> SolveReport:
+        """The report that `to_table` wrote, or one of an earlier version, which had a status."""
+        if "status" in table:
+            status = table.pop("status")
+            named = {"converged": "CONVERGED", "online": "UPDATED"}
+            table |= {"outcome": named.get(status, "ITERATION_LIMIT"), "last_step": np.nan}
+        return SolveReport(**{**table, "outcome": Outcome[table["outcome"]]})
 
 
 @dataclass(frozen=True)

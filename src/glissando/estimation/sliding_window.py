@@ -1,9 +1,9 @@
-"""The last time nodes of a motion, with everything older kept as a prior on the oldest of them.
+"""The last time nodes of a motion, with everything older as a prior on the oldest of them.
 
-Intervals between time nodes are linearised by themselves and eliminated forwards, so that only
-those which changed are done again. What leaves the window stays as the Schur complement on the next
-node, whose linearisation point is held from then on: first-estimate Jacobians. Source:
-equation (20); Huang, Mourikis and Roumeliotis (2010) on first estimates.
+Intervals between time nodes are linearised by themselves, so that only those which changed are
+summed and eliminated again. What leaves the window stays as the Schur complement on the next node,
+whose linearisation point is fixed from then on: first-estimate Jacobians. Source: equation (20);
+Huang, Mourikis and Roumeliotis (2010) on first estimates.
 """
 
 from __future__ import annotations
@@ -12,53 +12,100 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import blas, lapack
 
-from glissando.errors import UnobservableError
-from glissando.estimation.interval_system import (
-    Layout,
-    add_factors,
-    spread_out,
-    squared_innovations,
-    substituted,
-)
+from glissando._kernels import normal_equations as kernels
+from glissando._kernels.arrays import whole
 from glissando.estimation.posterior import Posterior, SolveReport, StateEstimate
 from glissando.geometry.se3 import Array
 from glissando.model.factors import Factors
 from glissando.model.grid import Grid, Index
 from glissando.model.priors.prior import Prior
-from glissando.model.sensors.parameters import EstimatedParameters, SensorParameter
+from glissando.model.sensors.parameter_process import EstimatedParameters
+from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.sensors.readings import Readings
-from glissando.model.state import DOF, POSE, State
-from glissando.solver.block_tridiagonal import BlockTridiagonal, Marginals, inverse_of_triangle
-from glissando.solver.measurement_factors import MeasurementFactors
+from glissando.model.state import DOF, POSE, State, concatenate
+from glissando.solver.block_tridiagonal import BlockTridiagonal, Cholesky, factor
+from glissando.solver.located_readings import LocatedReadings, locate
+from glissando.solver.measurement_factors import measurement_factors
+from glissando.solver.normal_equations import Layout, NormalEquationsBuilder, kernel_arguments
+from glissando.solver.outcome import Outcome
 
 
-@dataclass
-class Node:
-    """A time node: where it is linearised, the step from there, and what elimination left.
+@dataclass(frozen=True)
+class Nodes:
+    """The time nodes of a window: where they are linearised, and the step from there.
 
-    `state` (N,) and `extras` (E,) are the linearisation point, `step` (D,) leads to the estimate;
-    `carried` is the information matrix and vector that older nodes left here; `block` (2 D, 2 D)
-    and `pull` (2 D,) are those of the interval that begins here; `inverse` (D, D) of the Cholesky
-    factor, `ahead` (D, D) and `solved` (D,) what it makes of them.
+    Attributes:
+        time: Times (K,).
+        state: Linearisation point (K, N).
+        parameters: That of the sensor parameters (K, E).
+        step: Step (K, D) that leads to the estimate.
     """
 
-    time: float
+    time: Array
     state: State
-    extras: Array
+    parameters: Array
     step: Array
-    carried: tuple[Array, Array]
-    block: Array
-    pull: Array
-    inverse: Array
-    ahead: Array
-    solved: Array
+
+    def __len__(self) -> int:
+        return int(self.time.size)
+
+    def take(self, rows: slice) -> Nodes:
+        """Some of the nodes."""
+        return Nodes(self.time[rows], self.state.take(rows), self.parameters[rows], self.step[rows])
+
+    def joined(self, other: Nodes) -> Nodes:
+        """These nodes, then the others."""
+        return Nodes(
+            np.append(self.time, other.time),
+            concatenate(self.state, other.state),
+            np.concatenate([self.parameters, other.parameters]),
+            np.concatenate([self.step, other.step]),
+        )
+
+    @property
+    def estimate(self) -> tuple[State, Array]:
+        """The states (K, N) and sensor parameters (K, E) to which the step leads."""
+        of_nodes = self.state.numbers
+        step = self.step[:, :of_nodes].reshape(*self.state.pose.shape[:2], -1)
+        return self.state.retract(step), self.parameters + self.step[:, of_nodes:]
+
+    def at_estimate(self) -> Nodes:
+        """The nodes with their estimates as linearisation points."""
+        state, parameters = self.estimate
+        return Nodes(self.time, state, parameters, np.zeros_like(self.step))
+
+
+@dataclass(frozen=True)
+class Sums:
+    """Normal equations of a window by interval: see `NormalEquationsBuilder`."""
+
+    begin: Array
+    end: Array
+    across: Array
+    rhs_begin: Array
+    rhs_end: Array
+
+    def resumed(self, first: int, builder: NormalEquationsBuilder) -> Sums:
+        """The sums of the intervals before `first`, then those of a builder."""
+        return Sums(
+            *(
+                np.concatenate([getattr(self, name)[:first], getattr(builder, name)])
+                for name in ("begin", "end", "across", "rhs_begin", "rhs_end")
+            )
+        )
 
 
 @dataclass(frozen=True)
 class Innovations:
-    """Readings of one stream at the solution: which rows, and their squared innovations (M,)."""
+    """Readings of one stream at the solution.
+
+    Attributes:
+        stream: Number of the stream.
+        rows: Which of its rows (M,).
+        nis: Their squared normalised innovations (M,).
+        dof: Degrees of freedom of each.
+    """
 
     stream: int
     rows: Index
@@ -73,82 +120,134 @@ class SlidingWindow:
         self, prior: Prior, arclength: Array, sensor_parameters: Sequence[SensorParameter] = ()
     ) -> None:
         self.prior, self.arclength = prior, arclength
-        self.sensor_parameters = tuple(u for u in sensor_parameters if not u.known)
-        self.nodes: list[Node] = []
+        self.sensor_parameters = tuple(p for p in sensor_parameters if not p.known)
         self.before: float | None = None
-        self._extras = EstimatedParameters(Grid(arclength, [0.0]), self.sensor_parameters)
+        self._process = EstimatedParameters(Grid(arclength, [0.0]), self.sensor_parameters)
         self._factors: list[tuple[int, Index, Factors]] = []
         self._first = 0
 
-    @property
-    def times(self) -> Array:
-        """Times (K,) of the nodes."""
-        return np.array([node.time for node in self.nodes])
+    def begin(self, time: float, state: State) -> None:
+        """Start with one node, linearised at `state` (N,), and forget what was before."""
+        self.before = None
+        self.nodes = self._node(time, state, self._process.mean)
+        size = self.layout.size
+        self._prior_info, self._prior_rhs = np.zeros((size, size)), np.zeros(size)
+        blocks, rhs = np.zeros((0, size, size)), np.zeros((0, size))
+        self._sums = Sums(blocks, blocks, blocks, rhs, rhs)
+        self._cholesky = Cholesky(blocks, blocks)
 
     @property
-    def _layout(self) -> Layout:
-        return Layout(self.arclength.size, self.nodes[0].state.dof, self._extras.size)
+    def started(self) -> bool:
+        """Whether there is a node."""
+        return hasattr(self, "nodes")
+
+    @property
+    def layout(self) -> Layout:
+        """How the numbers of a time node are laid out."""
+        return Layout(self.arclength.size, self.nodes.state.dof, self._process.size)
 
     def grid(self, first: int = 0) -> Grid:
         """The grid of the nodes from `first` on."""
-        before = self.nodes[first - 1].time if first else self.before
-        return Grid(self.arclength, self.times[first:], before)
-
-    def begin(self, time: float, state: State) -> None:
-        """Start with one node, linearised at `state` (N,)."""
-        self.nodes = [self._node(time, state, self._extras.mean)]
+        before = float(self.nodes.time[first - 1]) if first else self.before
+        return Grid(self.arclength, self.nodes.time[first:], before)
 
     def append(self, time: float) -> None:
         """One more node, where constant velocity (and strain rate) lead from the newest."""
-        newest = self.nodes[-1]
-        state, extras = self._estimate(newest)
-        ahead = np.zeros((self.arclength.size, state.dof))
-        ahead[:, :6] = (time - newest.time) * state.velocity
+        newest = self.nodes.take(slice(-1, None))
+        state, parameters = newest.estimate
+        lasts = time - float(newest.time[0])
+        ahead = np.zeros((*state.strain.shape[:2], state.dof))
+        ahead[..., :6] = lasts * state.velocity
         if state.strain_rate is not None:
-            ahead[:, 6:12] = (time - newest.time) * state.strain_rate
-        self.nodes.append(self._node(time, state.retract(ahead), extras))
-
-    def _node(self, time: float, state: State, extras: Array) -> Node:
-        step = np.zeros(self.arclength.size * state.dof + self._extras.size)
-        nothing = np.zeros(1)  # until it is linearised and eliminated
-        none = nothing, nothing
-        return Node(time, state, extras, step, none, *none, *none, nothing)
-
-    def _estimate(self, node: Node) -> tuple[State, Array]:
-        of_nodes = self.arclength.size * node.state.dof
-        step = node.step[:of_nodes].reshape(self.arclength.size, -1)
-        return node.state.retract(step), node.extras + node.step[of_nodes:]
-
-    def drop(self) -> None:
-        """Leave the oldest node behind, as a prior on the next, which is not linearised again."""
-        self.before = self.nodes.pop(0).time
-        self._first = max(0, self._first - 1)
-
-    def free(self, first: int) -> list[Node]:
-        """The nodes after `first`, whose linearisation may move; the oldest too unless held."""
-        return self.nodes[first + (first > 0 or self.before is not None) :]
-
-    def relinearize(self, first: int) -> None:
-        """Linearise the nodes after `first` at their estimates; the oldest too unless held."""
-        for node in self.free(first):
-            node.state, node.extras = self._estimate(node)
-            node.step = np.zeros_like(node.step)
-
-    def place(self, first: int, readings: Sequence[Readings]) -> MeasurementFactors:
-        """Readings of the nodes from `first` on and of the intervals after them, on their grid."""
-        values = np.array([node.extras for node in self.nodes[first:]])
-        return MeasurementFactors(
-            self.grid(first), readings, self.sensor_parameters, values, keep_all=True
+            ahead[..., 6:12] = lasts * state.strain_rate
+        self.nodes = self.nodes.joined(
+            self._node(time, state.retract(ahead).take(0), parameters[0])
         )
 
-    def solve(self, first: int, placed: MeasurementFactors) -> None:
+    def _node(self, time: float, state: State, parameters: Array) -> Nodes:
+        numbers = state.numbers + self._process.size
+        still = np.zeros((1, numbers))
+        return Nodes(np.array([time]), state.take(np.newaxis), parameters[None], still)
+
+    def drop(self) -> None:
+        """Leave the oldest node behind, as a prior on the next, which is not linearised again.
+
+        Source: equation (20).
+        """
+        sums, coupling = self._sums, self._cholesky.coupling[0]
+        solved = self._cholesky.inverse[0] @ (self._prior_rhs + sums.rhs_begin[0])
+        self._prior_info = sums.end[0] - coupling.T @ coupling
+        self._prior_rhs = sums.rhs_end[0] - coupling.T @ solved
+        self.before = float(self.nodes.time[0])
+        self.nodes = self.nodes.take(slice(1, None))
+        self._sums = Sums(*(blocks[1:] for blocks in vars(sums).values()))
+        self._cholesky = Cholesky(self._cholesky.inverse[1:], self._cholesky.coupling[1:])
+        self._first = max(0, self._first - 1)
+
+    def _fixed(self, first: int) -> int:
+        """The first node after `first` whose linearisation may move; the oldest unless fixed."""
+        return first + (first > 0 or self.before is not None)
+
+    def relinearize(self, first: int) -> None:
+        """Linearise the nodes after `first` at their estimates; the oldest too unless fixed."""
+        fixed = self._fixed(first)
+        self.nodes = self.nodes.take(slice(fixed)).joined(
+            self.nodes.take(slice(fixed, None)).at_estimate()
+        )
+
+    def restate(self, state: State) -> None:
+        """Take states (K, N) for the estimates of all nodes."""
+        still = np.zeros_like(self.nodes.step)
+        self.nodes = replace(self.nodes, state=state, step=still)
+
+    def locate(self, first: int, readings: Sequence[Readings]) -> LocatedReadings:
+        """Readings of the nodes from `first` on and of the intervals after them, on their grid."""
+        values = self.nodes.parameters[first:]
+        return locate(self.grid(first), readings, self.sensor_parameters, values, keep_all=True)
+
+    def solve(self, first: int, located: LocatedReadings) -> None:
         """Linearise all that begins at the nodes from `first` on, eliminate, find every step."""
-        self._linearize(first, placed)
-        self._eliminate(first)
-        ahead = None
-        for node in reversed(self.nodes):
-            solved = node.solved if ahead is None else node.solved - node.ahead @ ahead
-            node.step = ahead = node.inverse.T @ solved
+        self._linearize(first, located)
+        system, rhs = self._system()
+        self._cholesky = factor(system, self._resized(len(rhs)), start=first)
+        self.nodes = replace(self.nodes, step=self._cholesky.solve(rhs))
+
+    def _linearize(self, first: int, located: LocatedReadings) -> None:
+        """Sum the factors of the intervals from `first` on. Source: equation (19)."""
+        nodes, grid = self.nodes.take(slice(first, None)), located.grid
+        located = located.moved(nodes.parameters - located.parameters.values)
+        builder = NormalEquationsBuilder(self.layout, len(nodes), by_interval=True)
+        self._factors, self._first = [], first
+        for i, times in enumerate(located.blocks):
+            for batch in self.prior.factors(grid, nodes.state, nodes.state, times):
+                builder.accumulate(batch)
+            for factors in measurement_factors(self.prior, located, nodes.state, nodes.state, i):
+                builder.accumulate(factors[2])
+                self._factors.append(factors)
+        if self._process.size:
+            drift = EstimatedParameters(grid, self.sensor_parameters).drift(nodes.parameters)
+            builder.accumulate_drift(*drift)
+        self._sums = self._sums.resumed(first, builder)
+
+    def _system(self) -> tuple[BlockTridiagonal, Array]:
+        """The normal equations of the whole window with the prior on its oldest node."""
+        sums = self._sums
+        diagonal, rhs = sums.begin.copy(), sums.rhs_begin.copy()
+        diagonal[1:] += sums.end[:-1]
+        rhs[1:] += sums.rhs_end[:-1]
+        diagonal[0] += self._prior_info
+        rhs[0] += self._prior_rhs
+        return BlockTridiagonal(diagonal, sums.across), rhs
+
+    def _resized(self, count: int) -> Cholesky:
+        """The factor with memory for `count` slabs."""
+        size = self.layout.size
+        inverse, coupling = np.empty((count, size, size)), np.empty((count - 1, size, size))
+        kept = min(count, len(self._cholesky.inverse))
+        inverse[:kept] = self._cholesky.inverse[:kept]
+        kept = min(count - 1, len(self._cholesky.coupling))
+        coupling[:kept] = self._cholesky.coupling[:kept]
+        return Cholesky(inverse, coupling)
 
     def miss(self, first: int) -> float:
         """How far the last step may have missed, in standard deviations of the newest poses.
@@ -156,92 +255,22 @@ class SlidingWindow:
         A step goes straight where motions curve: half its length times the largest angle by which
         it turned any node that is linearised again.
         """
-        n_count, dof = self._layout.nodes, self._layout.dof
-        free = np.array([node.step[: n_count * dof] for node in self.free(first)])
+        n_count, dof = self.layout.nodes, self.layout.dof
+        free = self.nodes.step[self._fixed(first) :, : n_count * dof]
         if not free.size:
             return 0.0
-        variance = np.einsum("ij,ij->j", self.nodes[-1].inverse, self.nodes[-1].inverse)
+        inverse = self._cholesky.inverse[-1]
+        variance = np.einsum("ij,ij->j", inverse, inverse)
         length = np.abs(free[-1] / np.sqrt(variance[: n_count * dof])).reshape(n_count, dof)
         turn = np.abs(free.reshape(-1, dof)[:, 3:6]).max()
         return float(0.5 * turn * length[:, POSE].max())
 
-    def _linearize(self, first: int, placed: MeasurementFactors) -> None:
-        nodes, grid = self.nodes[first:], placed.grid
-        state = _stacked([node.state for node in nodes])
-        values = np.array([node.extras for node in nodes])
-        placed = placed.moved(values - placed.values)
-        layout, size = self._layout, self._layout.size
-        blocks = np.zeros((len(nodes), 2 * size, 2 * size))
-        pulls = np.zeros((len(nodes), 2 * size))
-        self._factors, self._first = [], first
-        for i, times in enumerate(placed.blocks):
-            for batch in self.prior.factors(grid, state, state, times):
-                add_factors(batch, layout, blocks, pulls)
-            rows, batches = placed.rows(i), placed.factors(self.prior, state, state, i)
-            for (stream, row), batch in zip(rows, batches, strict=True):
-                add_factors(batch, layout, blocks, pulls)
-                self._factors.append((stream, row, batch))
-        if self._extras.size:
-            self._chain(grid, values, blocks, pulls)
-        for node, block, pull in zip(nodes, blocks, pulls, strict=True):
-            node.block, node.pull = block, pull
+    def innovations(self, fresh: Sequence[int]) -> list[Innovations]:
+        """Squared innovations of each stream's rows from `fresh` on, each against all others.
 
-    def _chain(self, grid: Grid, values: Array, blocks: Array, pulls: Array) -> None:
-        """Add what ties unknowns of one time node to those of the next, and to what is expected."""
-        decay, spread = EstimatedParameters(grid, self.sensor_parameters).chain()
-        size = blocks.shape[1] // 2
-        at = np.arange(size - self._extras.size, size)
-        off = values - self._extras.mean
-        if grid.before is None:
-            info = spread[0] ** -2.0
-            blocks[0, at, at] += info
-            pulls[0, at] -= info * off[0]
-        for k, fade in enumerate(decay):
-            info, miss = spread[k + 1] ** -2.0, off[k + 1] - fade * off[k]
-            blocks[k, at, at] += fade**2 * info
-            blocks[k, at + size, at + size] += info
-            blocks[k, at, at + size] -= fade * info
-            blocks[k, at + size, at] -= fade * info
-            pulls[k, at] += fade * info * miss
-            pulls[k, at + size] -= info * miss
-
-    def _eliminate(self, first: int) -> None:
-        size = self.nodes[0].step.size
-        own, next_ = slice(0, size), slice(size, None)
-        for i, node in enumerate(self.nodes[first:], start=first):
-            matrix = node.block[own, own] + node.carried[0]
-            chol, failed = lapack.dpotrf(matrix.T, lower=1, clean=1)
-            if failed:
-                raise UnobservableError(
-                    f"Prior and readings leave a direction of the state at {node.time:g} s "
-                    f"undetermined. Give the robot a [base], or use a stream that fixes it."
-                )
-            node.inverse = inverse_of_triangle(chol)
-            node.solved = node.inverse @ (node.pull[own] + node.carried[1])
-            if i + 1 < len(self.nodes):
-                node.ahead = blas.dtrmm(1.0, node.inverse, node.block[next_, own].T, lower=1)
-                self.nodes[i + 1].carried = (
-                    node.block[next_, next_] - node.ahead.T @ node.ahead,
-                    node.pull[next_] - node.ahead.T @ node.solved,
-                )
-
-    def marginals(self, first: int = 0) -> Marginals:
-        """Covariances of the nodes from `first` on, and of neighbours. Source: equation (21)."""
-        nodes = self.nodes[first:]
-        size = nodes[0].step.size
-        cov, cross = np.empty((len(nodes), size, size)), np.empty((len(nodes) - 1, size, size))
-        for k in reversed(range(len(nodes))):
-            inverse = half = nodes[k].inverse
-            if k + 1 < len(nodes):
-                ahead = nodes[k].ahead @ cov[k + 1]
-                half = inverse + ahead @ (nodes[k].ahead.T @ inverse)
-                cross[k] = -(inverse.T @ ahead)
-            block = inverse.T @ half
-            cov[k] = 0.5 * (block + block.T)
-        return Marginals(cov, cross)
-
-    def judge(self, fresh: Sequence[int]) -> list[Innovations]:
-        """Squared innovations of each stream's rows from `fresh` on, each against all others."""
+        A whitened residual e that keeps a share S = 1 − Y Yᵀ of its unit covariance at the solution
+        stands for the innovation S⁻¹ e, whose square in units of its covariance is eᵀ S⁻¹ e.
+        """
         kept = [
             (stream, rows, batch) if new.all() else (stream, rows[new], batch.take(new))
             for stream, rows, batch in self._factors
@@ -249,61 +278,54 @@ class SlidingWindow:
         ]
         if not kept:
             return []
-        n_count, all_nodes = self.arclength.size, self.nodes[self._first :]
-        begin = min(int(batch.nodes[:, 0].min()) for _, _, batch in kept) // n_count
-        begin = max(0, min(begin, len(all_nodes) - 2))  # unknowns are those of an interval
-        nodes, out, first = all_nodes[begin:], [], 0
-        steps = np.concatenate([node.step for node in nodes])
-        batches = [batch for _, _, batch in kept]
-        if begin:
-            batches = [replace(batch, nodes=batch.nodes - begin * n_count) for batch in batches]
-        spread = [spread_out(batch, self._layout, len(nodes)) for batch in batches]
+        n_count, steps = self.arclength.size, self.nodes.step[self._first :]
+        oldest = min(int(batch.nodes[:, 0].min()) for _, _, batch in kept) // n_count
+        oldest = max(0, min(oldest, len(steps) - 2))  # parameters are those of an interval
+        steps, begin = steps[oldest:], self._first + oldest
+        spread = [
+            self._spread(replace(batch, nodes=batch.nodes - oldest * n_count), len(steps))
+            for _, _, batch in kept
+        ]
         rows = np.concatenate([j.reshape(-1, steps.size) for _, j in spread])
-        known = substituted(rows, [n.inverse for n in nodes], [n.ahead for n in nodes])
-        for (stream, rows, _), (residual, jacobian) in zip(kept, spread, strict=True):
-            mine = known[first : first + residual.size].reshape(jacobian.shape)
-            nis = squared_innovations(residual + jacobian @ steps, mine)
-            out.append(Innovations(stream, rows, nis, residual.shape[1]))
-            first += residual.size
+        cholesky = Cholesky(self._cholesky.inverse[begin:], self._cholesky.coupling[begin:])
+        explained, out, at = cholesky.substitute(rows), [], 0
+        for (stream, which, _), (residual, jacobian) in zip(kept, spread, strict=True):
+            own = explained[at : at + residual.size].reshape(jacobian.shape)
+            white = residual + jacobian @ steps.ravel()
+            nis = kernels.squared_innovations(whole(white), whole(own))
+            out.append(Innovations(stream, which, nis, residual.shape[1]))
+            at += residual.size
         return out
+
+    def _spread(self, batch: Factors, count: int) -> tuple[Array, Array]:
+        """White residuals (M, r), Jacobians (M, r, count · D); no robust weights."""
+        layout = self.layout
+        residual, jacobian = kernels.spread_out(
+            *kernel_arguments(batch), layout.nodes, layout.dof, layout.size, count
+        )
+        return residual, jacobian
 
     def newest(self) -> tuple[State, Array]:
         """Estimate (N,) of the newest time and its covariance (D, D)."""
-        inverse = self.nodes[-1].inverse
-        return self._estimate(self.nodes[-1])[0], inverse.T @ inverse
+        inverse = self._cholesky.inverse[-1]
+        return self.nodes.take(slice(-1, None)).estimate[0].take(0), inverse.T @ inverse
 
     def newest_nodes(self) -> StateEstimate:
         """The newest time at the nodes (N,), each with its own covariance (N, 18, 18)."""
-        newest, layout = self.nodes[-1], self._layout
-        own = newest.inverse[:, : layout.nodes * layout.dof]
+        layout = self.layout
+        own = self._cholesky.inverse[-1][:, : layout.nodes * layout.dof]
         halves = np.ascontiguousarray(own.T).reshape(layout.nodes, layout.dof, -1)[:, :DOF]
-        state = self._estimate(newest)[0]
+        state = self.nodes.take(slice(-1, None)).estimate[0].take(0)
         return StateEstimate(
             state.pose, state.strain, state.velocity, halves @ np.swapaxes(halves, 1, 2)
         )
 
     def posterior(self) -> Posterior:
-        """All that the window knows, as an estimate of a recording gives it."""
-        found = [self._estimate(node) for node in self.nodes]
-        size = self.nodes[0].step.size
-        diagonal = np.array([node.block[:size, :size] for node in self.nodes])
-        diagonal[0] += self.nodes[0].carried[0]
-        for k, node in enumerate(self.nodes[:-1]):
-            diagonal[k + 1] += node.block[size:, size:]
-        lower = np.array([node.block[size:, :size] for node in self.nodes[:-1]])
-        system = BlockTridiagonal(diagonal, lower.reshape(-1, size, size))
-        solve = SolveReport("online", 1, diagonal[:, 0].size, 0.0, 0.0, 0, {})
-        ends = np.cumsum([0, *(u.size for u in self.sensor_parameters)])
-        extras = np.array([extra for _, extra in found])
-        known = [
-            (u, extras[:, a : a + u.size])
-            for u, a in zip(self.sensor_parameters, ends, strict=False)
-        ]
-        state = _stacked([state for state, _ in found])
-        return Posterior(self.prior, self.grid(), state, system, self.marginals(), solve, known)
-
-
-def _stacked(states: Sequence[State]) -> State:
-    """States (K, N) of K states (N,)."""
-    fields = zip(*(state.fields() for state in states), strict=True)
-    return State(*(np.array(field) for field in fields))
+        """The window as a posterior, as an estimate of a recording is."""
+        state, values = self.nodes.estimate
+        system, rhs = self._system()
+        report = SolveReport(Outcome.UPDATED, 1, 0.0, rhs.size, 0.0, 0.0, 0, {})
+        pairs = zip(self._process.each, self._process.columns, strict=True)
+        parameters = [(p, values[:, at]) for p, at in pairs]
+        marginals = self._cholesky.marginals()
+        return Posterior(self.prior, self.grid(), state, system, marginals, report, parameters)

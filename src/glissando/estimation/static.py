@@ -13,50 +13,59 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from glissando.errors import OutsideGridError, UnobservableError
-from glissando.estimation.batch import SolverOptions, estimate
+from glissando._kernels.threads import one_thread
+from glissando.errors import OutsideGridError
+from glissando.estimation.batch import estimate
 from glissando.estimation.posterior import StateEstimate
-from glissando.estimation.static_factors import (
-    STILL,
-    StaticEquations,
-    StaticPrior,
-    chosen,
-    linearize_static,
-)
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid, Index
 from glissando.model.interpolation import sort_points
+from glissando.model.priors.prior import Prior
+from glissando.model.priors.static import STATIC_DOF
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import DOF, State
-from glissando.solver.block_tridiagonal_batch import BatchCholesky, factor_batch
-from glissando.solver.measurement_factors import MeasurementFactors
-from glissando.twins import estimating
+from glissando.solver.gauss_newton import ROUNDING, WORTHWHILE, SolverOptions
+from glissando.solver.located_readings import LocatedReadings, locate
+from glissando.solver.outcome import Outcome
+from glissando.solver.static_equations import StaticEquations, linearize_static
 
-_DOFS = slice(0, STILL)
-_WORTHWHILE, _ROUNDING = 1e-3, 1e-11  # as for a recording
-_ROUGH = 10.0  # standard deviations a number that a start may be off by
-_ROUGH_ITERATIONS = 15
+_DOFS = slice(0, STATIC_DOF)
 
 
 @dataclass(frozen=True)
 class StaticPosterior:
-    """Posterior of S static shapes: mean and covariance of pose and strain at any arclength.
+    """Posterior of S static shapes: pose and strain at any arclength.
 
-    `state` (S, N) is the mean at the nodes of `grid`, whose times are the shapes' numbers; `cov`
-    (S, N, 12, 12) of nodes and `cross` (S, N−1, 12, 12) of neighbours; `converged` (S,).
+    Attributes:
+        prior: What was believed before any reading.
+        grid: Arclength nodes (N,); its times are the shapes' numbers.
+        state: Mean (S, N) at the nodes.
+        cov: Covariances (S, N, 12, 12) of nodes.
+        cross: Covariances (S, N−1, 12, 12) of neighbouring nodes.
+        outcomes: How the solver ended for each shape.
     """
 
-    prior: StaticPrior
+    prior: Prior
     grid: Grid
     state: State
     cov: Array
     cross: Array
-    converged: NDArray[np.bool_]
+    outcomes: tuple[Outcome, ...]
+
+    @property
+    def converged(self) -> NDArray[np.bool_]:
+        """Which shapes (S,) were found."""
+        return np.array([outcome.sound for outcome in self.outcomes])
 
     def at(self, arclength: ArrayLike, shape: ArrayLike) -> StateEstimate:
-        """State with covariance at arclengths (m) of shapes by number, which broadcast together.
+        """State with covariance; velocity is zero, and sure, as shapes hold still.
 
-        Velocity is zero, and sure: shapes hold still. Raises OutsideGridError off the grid.
+        Args:
+            arclength: Metres; broadcast with `shape`.
+            shape: Numbers of shapes.
+
+        Raises:
+            OutsideGridError: A point is off the grid.
         """
         s, k = np.broadcast_arrays(
             np.asarray(arclength, dtype=float), np.asarray(shape, dtype=float)
@@ -67,9 +76,10 @@ class StaticPosterior:
         pose, strain = np.empty((s.size, 4, 4)), np.empty((s.size, 6))
         cov = np.zeros((s.size, DOF, DOF))
         for points in sort_points(self.grid, s, k):
-            with estimating():
-                found = self.prior.interpolate(self.grid, self.state, self.state, points)
-            jacobian = found.jacobian[:, :STILL, :, :STILL].reshape(len(found.nodes), STILL, -1)
+            found = self.prior.interpolate(self.grid, self.state, self.state, points)
+            jacobian = found.jacobian[:, :STATIC_DOF, :, :STATIC_DOF].reshape(
+                len(found.nodes), STATIC_DOF, -1
+            )
             pose[points.rows], strain[points.rows] = found.state.pose, found.state.strain
             spread = jacobian @ self._joint(found.nodes) @ np.swapaxes(jacobian, -1, -2)
             spread += found.cov[:, _DOFS, _DOFS]
@@ -87,20 +97,31 @@ class StaticPosterior:
 
 
 def estimate_static(
-    prior: StaticPrior,
+    prior: Prior,
     arclength: ArrayLike,
     readings: Sequence[Readings],
     *,
     count: int | None = None,
     options: SolverOptions | None = None,
 ) -> StaticPosterior:
-    """Posterior of static shapes that know nothing of each other, solved together.
+    """Posterior of independent static shapes, solved together.
 
-    The `time` of a reading is the number of its shape, 0 to `count` − 1 (the largest there is
-    unless given); `arclength` (N,) m are the nodes of all. The answer of each is that of `estimate`
-    at a single moment, which also takes over shapes that this way does not lead to. Raises
-    SensorError for a sensor of velocity, UnobservableError as `estimate` does; warns
-    NotConvergedWarning.
+    The answer of each is that of `estimate` at a single moment, which also takes over shapes that
+    this way does not lead to.
+
+    Args:
+        prior: What is believed before any reading.
+        arclength: Nodes (N,) of all shapes, metres.
+        readings: Readings of each sensor, their `time` the number of the shape.
+        count: How many shapes there are; one more than the largest number unless given.
+        options: When to stop.
+
+    Raises:
+        SensorError: A sensor reads a velocity.
+        UnobservableError: Prior and readings leave a direction of a shape undetermined.
+
+    Warns:
+        NotConvergedWarning: A shape was not found; `outcomes` says which.
 
     >>> from glissando import CoilReadings, load_robot
     >>> robot = load_robot("tdcr466")
@@ -120,80 +141,82 @@ def estimate_static(
         count = 1 + int(max((r.time.max() for r in given), default=0.0))
     grid = Grid.apart(arclength, count)
     start = prior.rest_state(grid)
-    with estimating():
-        placed = MeasurementFactors(grid, given)
+    with one_thread():
+        located = locate(grid, given)
         soft = prior.softened()
         if soft is not prior:
-            size = np.sqrt(grid.arclength.size * STILL)
-            start = _settled(soft, placed, start, SolverOptions(_ROUGH_ITERATIONS, _ROUGH * size))[
-                0
-            ]
-        state, (cov, cross), left = _settled(prior, placed, start, options)
-    converged = np.ones(count, dtype=bool)
+            rough = SolverOptions.rough(grid.arclength.size * STATIC_DOF)
+            start = _iterated(soft, located, start, rough)[0]
+        state, (cov, cross), left = _iterated(prior, located, start, options)
+    outcomes = [Outcome.CONVERGED] * count
     for k in np.flatnonzero(left):
         alone = [r.select(r.time == k) for r in given]
         alone = [r.changed(time=np.zeros(len(r))) for r in alone]
         one = estimate(prior, Grid(grid.arclength, [0.0]), alone, options=options)
-        converged[k] = one.solve.converged
+        outcomes[k] = one.solve.outcome
         state.pose[k], state.strain[k] = one.state.pose[0], one.state.strain[0]
         every = np.arange(grid.arclength.size)
         whole = one.marginals.cov[0].reshape(every.size, one.state.dof, every.size, -1)
         whole = whole[:, _DOFS, :, _DOFS]
         cov[k], cross[k] = whole[every, :, every], whole[every[:-1], :, every[1:]]
-    return StaticPosterior(prior, grid, state, cov, cross, converged)
+    return StaticPosterior(prior, grid, state, cov, cross, tuple(outcomes))
 
 
-def _settled(
-    prior: StaticPrior, placed: MeasurementFactors, start: State, options: SolverOptions
+def _iterated(
+    prior: Prior, located: LocatedReadings, start: State, options: SolverOptions
 ) -> tuple[State, tuple[Array, Array], NDArray[np.bool_]]:
-    """Gauss-Newton steps of all shapes, straight on or bent: states, marginals, and who is left.
+    """Gauss–Newton steps of all shapes, straight on or bent: states, marginals, and who is left.
 
     A shape that neither way brings down is left, at rest, to those who can shorten and damp steps.
     """
-    grid = placed.grid
-    here = linearize_static(prior, placed, start)
-    going, left = np.ones((2, grid.time.size), dtype=bool)
-    left[:] = False
+    grid = located.grid
+    here = linearize_static(prior, located, start)
+    going, left = np.ones(len(here.rhs), dtype=bool), np.zeros(len(here.rhs), dtype=bool)
     for _ in range(options.max_iterations):
-        chains = _factored(here)
+        cholesky = here.factored()
+        solved = cholesky.solve(here.rhs.reshape(-1, STATIC_DOF)).reshape(here.rhs.shape)
         step = np.zeros((*grid.shape, start.dof))
-        step[..., _DOFS] = chains.solve(here.right) * going[:, None, None]
-        promise = np.sum(step[..., _DOFS] * here.right, axis=(1, 2))
+        step[..., _DOFS] = solved * going[:, None, None]
+        promise = np.sum(step[..., _DOFS] * here.rhs, axis=(1, 2))
         last = going & (np.sqrt(np.maximum(promise, 0.0)) < options.tolerance)
         going &= ~last
         straight = here.state.retract(step)
         if not np.any(going):
-            return straight, chains.marginals(), left
-        there = linearize_static(prior, placed, straight)
+            return straight, _marginals(here), left
+        there = linearize_static(prior, located, straight)
         refused = going & ~_worthwhile(here, there, promise)
         if np.any(refused):
             bent = prior.bent(grid, here.state, step)
-            there = linearize_static(prior, placed, chosen(refused, bent, straight))
+            there = linearize_static(prior, located, _chosen(refused, bent, straight))
             refused &= ~_worthwhile(here, there, promise)
         if np.any(refused):
             left, going = left | refused, going & ~refused
-            state = chosen(refused, prior.rest_state(grid), there.state)
-            there = linearize_static(prior, placed, state)
+            state = _chosen(refused, prior.rest_state(grid), there.state)
+            there = linearize_static(prior, located, state)
         here = there
-    return here.state, _factored(here).marginals(), left | going
+    return here.state, _marginals(here), left | going
+
+
+def _marginals(here: StaticEquations) -> tuple[Array, Array]:
+    """Covariances of nodes (S, N, 12, 12), and of neighbours (S, N−1, 12, 12)."""
+    found, (count, n_count) = here.factored().marginals(consume=True), here.rhs.shape[:2]
+    cov = found.cov.reshape(count, n_count, STATIC_DOF, STATIC_DOF)
+    cross = np.concatenate([found.cross, np.zeros((1, STATIC_DOF, STATIC_DOF))])
+    return cov, cross.reshape(cov.shape)[:, :-1].copy()
 
 
 def _worthwhile(here: StaticEquations, there: StaticEquations, promise: Array) -> NDArray[np.bool_]:
     """Which costs fell by a fair share of half the `promise` (S,), if that is worth anything."""
     cost = here.costs(here)
     gain = cost - here.costs(there)
-    nothing = 0.5 * promise < _ROUNDING * (1.0 + cost)
-    return nothing | (gain > _WORTHWHILE * 0.5 * promise)
+    nothing = 0.5 * promise < ROUNDING * (1.0 + cost)
+    return nothing | (gain > WORTHWHILE * 0.5 * promise)
 
 
-def _factored(here: StaticEquations) -> BatchCholesky:
-    try:
-        return factor_batch(here.diagonal, here.lower)
-    except np.linalg.LinAlgError:
-        raise UnobservableError(
-            "Prior and readings leave a direction of a shape undetermined. Give the robot a "
-            "[base], or every shape a pose, or coils or positions at several places."
-        ) from None
+def _chosen(where: NDArray[np.bool_], one: State, other: State) -> State:
+    """The state that is `one` in the shapes `where` (S,) says so, and `other` in the rest."""
+    pairs = zip(one.fields(), other.fields(), strict=True)
+    return State(*(np.where(where.reshape(-1, *(1,) * (a.ndim - 1)), a, b) for a, b in pairs))
 
 
 def _require_whole(number: Array, what: str) -> None:

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from glissando.errors import RecordingError
-from glissando.estimation.batch import Progress, estimate
+from glissando.estimation.batch import estimate
+from glissando.solver.gauss_newton import Progress
 from glissando.estimation.posterior import Posterior
 from glissando.evaluation.consistency import Consistency, check, check_readings
 from glissando.evaluation.environment import versions

@@ -8,9 +8,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
+from glissando._kernels import process as kernels
+from glissando._kernels.arrays import items
 from glissando.errors import SensorError
 from glissando.geometry.se3 import Array
-from glissando.twins import twin
 
 
 def covariance_matrix(given: ArrayLike, rows: int, what: str) -> Array:
@@ -42,27 +43,27 @@ def covariance_matrix(given: ArrayLike, rows: int, what: str) -> Array:
     return cov
 
 
-@twin
 def sqrt_information(cov: Array) -> Array:
-    """W (…, r, r) with Wᵀ W = cov⁻¹, so that W @ residual is white."""
-    whitener: Array = np.linalg.inv(np.linalg.cholesky(cov))
-    return whitener
+    """W (…, r, r) with Wᵀ W = cov⁻¹, so that W @ residual is white.
+
+    Raises:
+        LinAlgError: The covariance is not positive definite.
+    """
+    size = cov.shape[-1]
+    whitener: Array = kernels.sqrt_information(items(cov, cov.shape[:-2], size, size))
+    return whitener.reshape(cov.shape)
 
 
-@twin
 def pair_sqrt_information(cov: Array) -> Array:
     """W (…, 12, 12) with Wᵀ W = cov⁻¹ for a covariance whose last 6×6 block is diagonal.
 
     Eliminating the diagonal half first leaves a 6×6 Cholesky factor, a quarter of the work.
+
+    Raises:
+        LinAlgError: The covariance is not positive definite.
     """
-    spread = 1.0 / np.einsum("...ii->...i", cov[..., 6:, 6:])
-    slope = cov[..., :6, 6:] * spread[..., None, :]
-    corner = sqrt_information(cov[..., :6, :6] - slope @ cov[..., 6:, :6])
-    out = np.zeros_like(cov)
-    out[..., :6, :6] = corner
-    out[..., :6, 6:] = -corner @ slope
-    np.einsum("...ii->...i", out[..., 6:, 6:])[...] = np.sqrt(spread)
-    return out
+    whitener: Array = kernels.pair_sqrt_information(items(cov, cov.shape[:-2], 12, 12))
+    return whitener.reshape(cov.shape)
 
 
 class Loss(Protocol):

@@ -37,6 +37,11 @@ class State:
         """Degrees of freedom of a point: 18, or 24 with a strain rate."""
         return DOF if self.strain_rate is None else DOF + 6
 
+    @property
+    def numbers(self) -> int:
+        """Degrees of freedom of one time: those of its points together."""
+        return int(self.pose.shape[-3]) * self.dof
+
     def _others(self) -> list[Array]:
         """All fields but the pose, in the order of the degrees of freedom."""
         rate = [] if self.strain_rate is None else [self.strain_rate]
@@ -70,6 +75,12 @@ class State:
     def flatten(self) -> State:
         """The state as one list of points (M,), sharing memory."""
         return self.reshape(-1)
+
+
+def concatenate(*states: State) -> State:
+    """States one after the other along their first axis."""
+    fields = zip(*(state.fields() for state in states), strict=True)
+    return State(*(np.concatenate(field) for field in fields))
 
 
 def rest_state(grid: Grid, base_pose: Array, rest_strain: Array) -> State:

@@ -17,14 +17,14 @@ from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid, Index
 from glissando.model.interpolation import sort_points
 from glissando.model.priors.prior import Prior
-from glissando.model.sensors.parameters import EstimatedParameters
+from glissando.model.sensors.parameter_process import EstimatedParameters
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
 from glissando.planning.sliding_sensor import SlidingSensor
 from glissando.solver.block_tridiagonal import BlockTridiagonal, Marginals, factor
-from glissando.solver.measurement_factors import MeasurementFactors, states_at
-from glissando.solver.normal_equations import NormalEquationsBuilder, slab_shape
-from glissando.twins import estimating
+from glissando.solver.located_readings import LocatedReadings, locate, time_blocks
+from glissando.solver.measurement_factors import measurement_factors, states_at
+from glissando.solver.normal_equations import Layout, NormalEquationsBuilder
 
 
 @dataclass(frozen=True)
@@ -75,11 +75,11 @@ class PredictedInformation:
 
     def seen(self, sensor: SlidingSensor, arclength: Array, time: Array) -> Rows:
         """Whitened rows of readings at places and times (M,), one coil of the sensor each."""
-        placed = self._placed(sensor, arclength, time)
-        rows = self._room(arclength.size, placed.streams[0][1].row_count)
-        for block in range(len(placed.blocks)):
-            batches = placed.factors(self.prior, self.mean, self.mean, block)
-            for (_, at), batch in zip(placed.rows(block), batches, strict=True):
+        located = self._located(sensor, arclength, time)
+        rows = self._empty_rows(arclength.size, located.streams[0].row_count)
+        for block in range(len(located.blocks)):
+            batches = measurement_factors(self.prior, located, self.mean, self.mean, block)
+            for _, at, batch in batches:
                 whitened = batch.whitened(robust=False)[1]
                 count, d = batch.nodes.shape[1], batch.jacobian.shape[-1]
                 jacobian = np.zeros((*whitened.shape[:2], count, self.mean.dof))
@@ -91,23 +91,23 @@ class PredictedInformation:
 
     def points(self, arclength: Array, time: Array) -> tuple[Rows, Array]:
         """Rows (M, 6) of poses at points of the grid, and what nodes leave open (M, 6, 6)."""
-        rows, left = self._room(arclength.size, 6), np.empty((arclength.size, 6, 6))
+        rows, left = self._empty_rows(arclength.size, 6), np.empty((arclength.size, 6, 6))
         for points in sort_points(self.grid, arclength, time):
             at = self.prior.interpolate(self.grid, self.mean, self.mean, points)
             self._fill(rows, points.rows, at.nodes, at.jacobian[:, :6], None)
             left[points.rows] = at.cov[:, :6, :6]
         return rows, left
 
-    def _placed(self, sensor: SlidingSensor, arclength: Array, time: Array) -> MeasurementFactors:
+    def _located(self, sensor: SlidingSensor, arclength: Array, time: Array) -> LocatedReadings:
         place, when, same = arclength, time, np.arange(time.size)
         if self.still and time.size:
             place, same = np.unique(arclength, return_inverse=True)
             when = np.full(place.size, time[0])
         pose = states_at(self.prior, self.grid, self.mean, place, when).pose[same]
         readings: list[Readings] = [sensor.readings(pose, arclength, time)]
-        return MeasurementFactors(self.grid, readings, self.sensor_parameters.each, keep_all=True)
+        return locate(self.grid, readings, self.sensor_parameters.each, keep_all=True)
 
-    def _room(self, count: int, rows: int) -> Rows:
+    def _empty_rows(self, count: int, rows: int) -> Rows:
         cell, lower = np.empty((2, count), dtype=np.intp)
         return Rows(cell, lower, np.zeros((count, rows, self.corners(0).size)))
 
@@ -151,18 +151,18 @@ class PredictedInformation:
 
     def after(self, sensor: SlidingSensor, arclength: Array, time: Array) -> PredictedInformation:
         """What will be known after readings at these places and times (M,) of the first coil."""
-        sums = NormalEquationsBuilder(self.grid, self.mean.dof, self.sensor_parameters.size)
+        builder = _builder(self.grid, self.mean, self.sensor_parameters)
         place = np.add.outer(-sensor.behind, arclength).ravel()
-        placed = self._placed(sensor, place, np.tile(time, sensor.coils))
-        for block in range(len(placed.blocks)):
-            for batch in placed.factors(self.prior, self.mean, self.mean, block):
-                sums.add(batch)
-        told = _slabs(sums, self.grid, self.mean, self.sensor_parameters)
+        located = self._located(sensor, place, np.tile(time, sensor.coils))
+        for block in range(len(located.blocks)):
+            batches = measurement_factors(self.prior, located, self.mean, self.mean, block)
+            for _, _, batch in batches:
+                builder.accumulate(batch)
+        gained = builder.system()
         system = BlockTridiagonal(
-            self.system.diagonal + told.diagonal, self.system.lower + told.lower
+            self.system.diagonal + gained.diagonal, self.system.lower + gained.lower
         )
-        with estimating():
-            return replace(self, system=system, marginals=factor(system).marginals(consume=True))
+        return replace(self, system=system, marginals=factor(system).marginals(consume=True))
 
 
 def _square(k: Index, own: Index) -> tuple[Any, ...]:
@@ -184,34 +184,31 @@ def look_ahead(
     `belief` (D, D) is information of the first time node, from what lies before. Raises
     UnobservableError when prior and belief leave a direction undetermined.
     """
-    with estimating():
-        system = prior_information(prior, grid, mean, sensor_parameters)
-        if belief is not None:
-            system.diagonal[0] += belief
-        marginals = factor(system).marginals(consume=True)
+    system = prior_information(prior, grid, mean, sensor_parameters)
+    if belief is not None:
+        system.diagonal[0] += belief
+    marginals = factor(system).marginals(consume=True)
     return PredictedInformation(prior, grid, mean, sensor_parameters, system, marginals)
 
 
 def prior_information(
     prior: Prior, grid: Grid, mean: State, sensor_parameters: EstimatedParameters
 ) -> BlockTridiagonal:
-    """Information of a prior, and of what is expected of unknowns, on a grid.
+    """Information of a prior, and of what is expected of sensor parameters, on a grid.
 
-    If the grid goes on from another, it is what comes on top.
+    If the grid continues another, it is what the continuation adds.
     """
-    sums = NormalEquationsBuilder(grid, mean.dof, sensor_parameters.size)
-    for times in MeasurementFactors(grid, []).blocks:
+    builder = _builder(grid, mean, sensor_parameters)
+    for times in time_blocks(grid):
         for batch in prior.factors(grid, mean, mean, times):
-            sums.add(batch)
+            builder.accumulate(batch)
     if sensor_parameters.size:
-        decay, spread = sensor_parameters.chain()
-        if grid.before is not None:
-            spread[0] = np.inf
-        sums.add_chain(decay, spread, np.zeros_like(spread))
-    return _slabs(sums, grid, mean, sensor_parameters)
+        builder.accumulate_drift(*sensor_parameters.drift(sensor_parameters.expected()))
+    return builder.system()
 
 
-def _slabs(
-    sums: NormalEquationsBuilder, grid: Grid, mean: State, sensor_parameters: EstimatedParameters
-) -> BlockTridiagonal:
-    return sums.slabs(np.empty(slab_shape(grid, mean.dof, sensor_parameters.size)))
+def _builder(
+    grid: Grid, mean: State, sensor_parameters: EstimatedParameters
+) -> NormalEquationsBuilder:
+    layout = Layout(grid.shape[1], mean.dof, sensor_parameters.size)
+    return NormalEquationsBuilder(layout, grid.shape[0])

@@ -1,8 +1,8 @@
 """Block-tridiagonal systems: factor, solve, marginals, log-determinant, samples.
 
-One block, a slab, holds all arclength nodes of one time. Everything is linear in the number of
-slabs: a forward block Cholesky, a backward substitution, a backward recursion for covariances.
-Source: equations (20) to (22). Every routine keeps BLAS to one thread: the blocks are small.
+A block, or slab, holds all numbers of one time node; in a batch of static shapes it holds one
+arclength node, and slabs of different shapes are not coupled. Everything is linear in the number of
+slabs, and a factor can resume at any slab. Source: equations (20) to (22).
 """
 
 from __future__ import annotations
@@ -11,19 +11,24 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import blas, lapack
 
+from glissando._kernels import block_tridiagonal as kernels
+from glissando._kernels.arrays import whole
 from glissando._kernels.threads import one_thread
 from glissando.errors import UnobservableError
 from glissando.geometry.se3 import Array
 
 _PIVOT_FLOOR = 1e-13  # a pivot this small against its diagonal entry carries no information
-_HALVED = 32  # rows of the halves of a triangle from which on it is inverted by them
 
 
 @dataclass(frozen=True)
 class BlockTridiagonal:
-    """A symmetric matrix: `diagonal` (K, D, D) and `lower` (K−1, D, D), lower[k] = A[k+1, k]."""
+    """A symmetric matrix.
+
+    Attributes:
+        diagonal: Blocks (K, D, D) on the diagonal.
+        lower: Blocks (K−1, D, D) below it, lower[k] = A[k+1, k].
+    """
 
     diagonal: Array
     lower: Array
@@ -37,13 +42,26 @@ class BlockTridiagonal:
 
 @dataclass(frozen=True)
 class Marginals:
-    """Blocks of the inverse: `cov` (K, D, D) and `cross` (K−1, D, D) = cov of slabs k and k+1."""
+    """Blocks of the inverse.
+
+    Attributes:
+        cov: Covariances (K, D, D) of slabs.
+        cross: Covariances (K−1, D, D) of slabs k and k + 1.
+    """
 
     cov: Array
     cross: Array
 
     def joint(self, slab: NDArray[np.intp], column: NDArray[np.intp]) -> Array:
-        """Joint covariance (M, q, q) of numbers: columns (M, q) of slabs (M, q), neighbours all."""
+        """Joint covariance of numbers in neighbouring slabs.
+
+        Args:
+            slab: Slabs (M, q).
+            column: Columns (M, q) in them.
+
+        Returns:
+            Covariances (M, q, q).
+        """
         k0, k1 = slab[:, :, None], slab[:, None, :]
         row, other = column[:, :, None], column[:, None, :]
         cov = self.cov[k0, row, other]
@@ -59,101 +77,110 @@ class Marginals:
 class Cholesky:
     """Block Cholesky factor L: inverses of its diagonal blocks, and what couples slabs.
 
-    `inverse` (K, D, D) lower, `coupling` (K−1, D, D) with coupling[k] = inverse[k] A[k, k+1], and
-    the log-determinant of A. Inverses of the triangles are kept because products with them run
-    several times faster than triangular solves of this size.
+    Inverses of the triangles are kept because products with them run several times faster than
+    triangular solves of this size.
+
+    Attributes:
+        inverse: Inverses (K, D, D), lower triangular.
+        coupling: inverse[k] A[k, k+1] (K−1, D, D).
     """
 
     inverse: Array
     coupling: Array
-    log_det: float
 
-    def solve(self, right: Array) -> Array:
-        """Solution x (K, D) of A x = right (K, D)."""
-        x = np.array(right, dtype=float)
+    @property
+    def log_det(self) -> float:
+        """Log-determinant of the matrix."""
+        return -2.0 * float(np.sum(np.log(np.einsum("kii->ki", self.inverse))))
+
+    def forward(self, rhs: Array) -> Array:
+        """L⁻¹ rhs (K, D)."""
+        x = np.array(rhs, dtype=float)
         with one_thread():
-            for k, inverse in enumerate(self.inverse):
-                if k:
-                    x[k] -= self.coupling[k - 1].T @ x[k - 1]
-                x[k] = inverse @ x[k]
-            return self._backward(x)
+            kernels.forward(self.inverse, self.coupling, x)
+        return x
 
-    def _backward(self, x: Array) -> Array:
-        """Solve with the transposed factor, in place."""
-        for k in reversed(range(len(self.inverse))):
-            if k + 1 < len(self.inverse):
-                x[k] -= self.coupling[k] @ x[k + 1]
-            x[k] = self.inverse[k].T @ x[k]
+    def solve(self, rhs: Array) -> Array:
+        """Solution x (K, D) of A x = rhs (K, D)."""
+        x = self.forward(rhs)
+        with one_thread():
+            kernels.backward(self.inverse, self.coupling, x)
         return x
 
     def sample(self, rng: np.random.Generator) -> Array:
         """One draw (K, D) from N(0, A⁻¹)."""
         white = rng.standard_normal(self.inverse.shape[:2])
         with one_thread():
-            return self._backward(white)
+            kernels.backward(self.inverse, self.coupling, white)
+        return white
+
+    def substitute(self, rows: Array) -> Array:
+        """Y with J A⁻¹ Jᵀ = Y Yᵀ.
+
+        Args:
+            rows: J (R, K · D).
+
+        Returns:
+            Y (R, K · D).
+        """
+        rows = rows.reshape(len(rows), len(self.inverse), -1)
+        out = np.empty_like(rows)
+        for k, inverse in enumerate(self.inverse):
+            row = rows[:, k] - out[:, k - 1] @ self.coupling[k - 1] if k else rows[:, k]
+            out[:, k] = row @ inverse.T
+        return out.reshape(len(rows), -1)
 
     def marginals(self, *, consume: bool = False) -> Marginals:
         """All blocks of A⁻¹ on the diagonal and next to it. Source: equation (21).
 
-        With `consume` they are written over the factor, which is of no use afterwards: fresh
-        memory for them would cost as much time as computing them.
+        Args:
+            consume: Write them over the factor, which is of no use afterwards: fresh memory would
+                cost as much time as computing them.
         """
         cov = self.inverse if consume else np.empty_like(self.inverse)
         cross = self.coupling if consume else np.empty_like(self.coupling)
         with one_thread():
-            for k in reversed(range(len(cov))):
-                inverse = self.inverse[k]
-                block = inverse.T @ inverse
-                if k + 1 < len(cov):
-                    gain = blas.dtrmm(-1.0, inverse.T, self.coupling[k].T, side=1, trans_a=1).T
-                    cross[k] = gain @ cov[k + 1]
-                    block += cross[k] @ gain.T
-                cov[k] = 0.5 * (block + block.T)
+            kernels.marginals(self.inverse, self.coupling, cov, cross)
         return Marginals(cov, cross)
 
 
-def factor(matrix: BlockTridiagonal, room: Cholesky | None = None) -> Cholesky:
+def factor(
+    matrix: BlockTridiagonal, workspace: Cholesky | None = None, *, start: int = 0
+) -> Cholesky:
     """Forward block Cholesky of a positive definite matrix. Source: equation (20).
 
-    An earlier factor of the same size may be given as `room` to be overwritten. Raises
-    UnobservableError when a pivot vanishes: some direction of the state has no information.
+    Args:
+        matrix: What to factor.
+        workspace: An earlier factor of the same size, to be overwritten.
+        start: Slab from which on the matrix has changed since `workspace` was its factor.
+
+    Raises:
+        UnobservableError: A pivot vanishes: some direction of the state has no information.
     """
-    inverses = np.empty_like(matrix.diagonal) if room is None else room.inverse
-    couplings = np.empty_like(matrix.lower) if room is None else room.coupling
-    coupling = np.empty((0, 0))
-    with one_thread():
-        for k, block in enumerate(matrix.diagonal):
-            schur = block.T  # Fortran order; the matrix is symmetric
-            if k:
-                schur = blas.dsyrk(-1.0, coupling, beta=1.0, c=schur, trans=1, lower=1)
-            chol, failed = lapack.dpotrf(schur, lower=1, clean=1)
-            if failed:
-                raise _unobservable(k)
-            inverse = inverse_of_triangle(chol)
-            inverses[k] = inverse
-            if k < len(couplings):
-                coupling = blas.dtrmm(1.0, inverse, matrix.lower[k].T, lower=1)
-                couplings[k] = coupling
-    pivots = np.einsum("kii->ki", inverses) ** -2.0
-    sound = pivots >= _PIVOT_FLOOR * np.einsum("kii->ki", matrix.diagonal)
+    if workspace is None:
+        workspace = Cholesky(np.empty_like(matrix.diagonal), np.empty_like(matrix.lower))
+    inverse, diagonal = workspace.inverse, whole(matrix.diagonal)
+    try:
+        with one_thread():
+            kernels.factor(diagonal, whole(matrix.lower), start, inverse, workspace.coupling)
+    except np.linalg.LinAlgError:
+        raise _unobservable(_first_indefinite(matrix, start)) from None
+    pivots = np.einsum("kii->ki", inverse[start:]) ** -2.0
+    sound = pivots >= _PIVOT_FLOOR * np.einsum("kii->ki", diagonal[start:])
     if not np.all(sound):  # so that NaN counts as vanished
-        raise _unobservable(int(np.argmin(np.all(sound, axis=1))))
-    return Cholesky(inverses, couplings, float(np.sum(np.log(pivots))))
+        raise _unobservable(start + int(np.argmin(np.all(sound, axis=1))))
+    return workspace
 
 
-def inverse_of_triangle(lower: Array) -> Array:
-    """Inverse (n, n) of a lower triangle, in Fortran's order.
-
-    By halves if large: products of the parts are much faster than LAPACK's inversion of the whole.
-    """
-    n = len(lower) // 2
-    if n < _HALVED:
-        return np.asarray(lapack.dtrtri(lower, lower=1)[0])
-    out = np.zeros_like(lower, order="F")
-    out[:n, :n] = lapack.dtrtri(lower[:n, :n], lower=1)[0]
-    out[n:, n:] = lapack.dtrtri(lower[n:, n:], lower=1)[0]
-    out[n:, :n] = -out[n:, n:] @ (lower[n:, :n] @ out[:n, :n])
-    return out
+def _first_indefinite(matrix: BlockTridiagonal, start: int) -> int:
+    """The slab at which a factor fails: the last of the shortest stretch that is not definite."""
+    for stop in range(start + 1, len(matrix.diagonal)):
+        stretch = BlockTridiagonal(matrix.diagonal[:stop], matrix.lower[: stop - 1])
+        try:
+            factor(stretch)
+        except UnobservableError:
+            return stop - 1
+    return len(matrix.diagonal) - 1
 
 
 def _unobservable(k: int) -> UnobservableError:

@@ -1,4 +1,4 @@
-"""From readings and prior to one block-tridiagonal system."""
+"""From prior and readings, linearised at a state, to the normal equations."""
 
 from __future__ import annotations
 
@@ -13,23 +13,29 @@ from glissando.model.priors.prior import Prior
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
 from glissando.solver.block_tridiagonal import BlockTridiagonal
-from glissando.solver.measurement_factors import MeasurementFactors
-from glissando.solver.normal_equations import NormalEquationsBuilder
+from glissando.solver.located_readings import LocatedReadings
+from glissando.solver.measurement_factors import measurement_factors
+from glissando.solver.normal_equations import Layout, NormalEquationsBuilder
 
 
 @dataclass(frozen=True)
 class NormalEquations:
-    """The problem linearised at `state` and readings `placed`: system · step = right.
+    """The problem linearised at a state: system · step = rhs. Source: equation (19).
 
-    A slab of the system (K, D, D) holds N · dof numbers of the nodes, then E of unknowns. Weights
-    come from the state `about`; `terms` are the residuals of every factor, in one order always.
+    Attributes:
+        state: Nodes (K, N) at which it is linearised.
+        located: The readings, where the sensor parameters put them.
+        noise_state: Nodes (K, N) from which the weights come.
+        system: JᵀJ; a slab (D) holds N · dof numbers of the nodes, then E of sensor parameters.
+        rhs: −Jᵀr (K, D).
+        terms: Residuals of every factor, always in the same order.
     """
 
     state: State
-    placed: MeasurementFactors
-    about: State
+    located: LocatedReadings
+    noise_state: State
     system: BlockTridiagonal
-    right: Array
+    rhs: Array
     terms: list[Residuals]
 
     def cost_of(self, other: NormalEquations) -> float:
@@ -39,62 +45,65 @@ class NormalEquations:
         )
 
     def split(self, step: Array) -> tuple[Array, Array]:
-        """A step (K, D) as that of the nodes (K, N, dof) and that of the unknowns (K, E)."""
-        k_count, n_count = self.placed.grid.shape
+        """A step (K, D) as that of the nodes (K, N, dof) and that of the parameters (K, E)."""
+        k_count, n_count = self.located.grid.shape
         of_nodes = n_count * self.state.dof
         return step[:, :of_nodes].reshape(k_count, n_count, -1), step[:, of_nodes:]
 
 
 def linearize(
     prior: Prior,
-    placed: MeasurementFactors,
+    located: LocatedReadings,
     state: State,
-    about: State,
-    room: Array,
-    held: Sequence[Residuals] | None = None,
+    noise_state: State,
+    workspace: Array,
+    fixed_weights: Sequence[Residuals] | None = None,
 ) -> NormalEquations:
-    """Normal equations of prior and readings at `state`; the system lives in `room`.
+    """Normal equations of prior and readings at a state.
 
-    Weights come from the rates of `about` and count as constants; with `held`, the terms of an
-    earlier linearisation, they are the very weights used there.
-
-    `room` is an array of `slab_shape(grid, dof, extras)`, to be used again: it is the largest.
+    Args:
+        prior: The prior.
+        located: The readings.
+        state: Nodes (K, N) to linearise at.
+        noise_state: Nodes (K, N) whose rates the weights come from; they count as constants.
+        workspace: Memory for the system, of `system_shape`, used again: it is the largest.
+        fixed_weights: Terms of an earlier linearisation whose weights are to be used as they are.
     """
-    extras = placed.sensor_parameters.size
-    sums = NormalEquationsBuilder(placed.grid, state.dof, extras)
+    grid, size = located.grid, located.parameters.process.size
+    builder = NormalEquationsBuilder(
+        Layout(grid.arclength.size, state.dof, size), grid.time.size, workspace
+    )
     terms: list[Residuals] = []
-    for times in placed.blocks:
-        for batch in prior.factors(placed.grid, state, about, times):
-            batch = _held(batch, None if held is None else held[len(terms)].sqrt_info)
-            sums.add(batch)
+    for times in located.blocks:
+        for batch in prior.factors(grid, state, noise_state, times):
+            whiteners = None if fixed_weights is None else fixed_weights[len(terms)].sqrt_info
+            batch = _with_weights(batch, whiteners)
+            builder.accumulate(batch)
             terms.append(batch.terms)
     first = len(terms)
-    terms += [_room_for(*stream) for stream in placed.streams]
-    for i in range(len(placed.blocks)):
-        batches = zip(placed.rows(i), placed.factors(prior, state, about, i), strict=True)
-        for (stream, rows), batch in batches:
-            whole = terms[first + stream]
-            batch = _held(batch, None if held is None else held[first + stream].sqrt_info[rows])
-            sums.add(batch)
-            whole.residual[rows] = batch.terms.residual
-            whole.sqrt_info[rows] = batch.terms.sqrt_info
-    if extras:
-        decay, spread = placed.sensor_parameters.chain()
-        off = placed.values - placed.sensor_parameters.mean
-        residual = np.concatenate([off[:1], off[1:] - decay * off[:-1]])
-        sums.add_chain(decay, spread, residual)
-        terms.append(Residuals(residual, (1.0 / spread)[:, :, None] * np.eye(extras)))
-    return NormalEquations(state, placed, about, sums.slabs(room), sums.right, terms)
+    terms += [_empty_terms(stream) for stream in located.streams]
+    for i in range(len(located.blocks)):
+        for stream, rows, batch in measurement_factors(prior, located, state, noise_state, i):
+            fixed = None if fixed_weights is None else fixed_weights[first + stream]
+            batch = _with_weights(batch, None if fixed is None else fixed.sqrt_info[rows])
+            builder.accumulate(batch)
+            terms[first + stream].residual[rows] = batch.terms.residual
+            terms[first + stream].sqrt_info[rows] = batch.terms.sqrt_info
+    if size:
+        decay, std, residual = located.parameters.process.drift(located.parameters.values)
+        builder.accumulate_drift(decay, std, residual)
+        terms.append(Residuals(residual, (1.0 / std)[:, :, None] * np.eye(size)))
+    return NormalEquations(state, located, noise_state, builder.system(), builder.rhs_begin, terms)
 
 
-def _held(batch: Factors, sqrt_info: Array | None) -> Factors:
-    """The batch with weights held as they were, if they are given."""
+def _with_weights(batch: Factors, sqrt_info: Array | None) -> Factors:
+    """The batch with other whiteners, if they are given."""
     if sqrt_info is None:
         return batch
     return replace(batch, terms=replace(batch.terms, sqrt_info=sqrt_info))
 
 
-def _room_for(count: int, stream: Readings) -> Residuals:
-    """Room for the residuals of a whole stream, in the order of its rows."""
-    r = stream.row_count
+def _empty_terms(stream: Readings) -> Residuals:
+    """Memory for the residuals of a whole stream, in the order of its rows."""
+    count, r = len(stream), stream.row_count
     return Residuals(np.empty((count, r)), np.empty((count, r, r)), stream.loss)

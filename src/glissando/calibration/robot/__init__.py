@@ -1,1 +1,1 @@
-"""Constants of a robot file and of a laboratory, learned from recordings."""
+"""Numbers of a robot file, and mounts in a laboratory, learned from recordings."""

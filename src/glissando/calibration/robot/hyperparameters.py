@@ -1,4 +1,4 @@
-"""Numbers of a robot file that can be learned: named, scaled as wholes, always above zero."""
+"""Parameters of a robot file that can be learned: named groups of its numbers."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from glissando.geometry.se3 import Array
 
 Document = dict[str, Any]
-"""A robot file as TOML gives it."""
+"""A robot file as parsed from TOML."""
 
 _PARTS: dict[str, tuple[int, ...]] = {"linear": (0, 1, 2), "bending": (3, 4), "torsion": (5,)}
 _HALVES: dict[str, tuple[int, ...]] = {"linear": (0, 1, 2), "angular": (3, 4, 5)}
@@ -25,9 +25,12 @@ _RATES = ("psd_velocity_time", "psd_velocity_arclength")
 class Parameter:
     """Entries of vectors (or a number) of a robot file that are scaled, or shifted, together.
 
-    `path` leads to the vector, and `likewise` to others of the same kind; `entries` are those that
-    are meant, none for a number. With a `unit` they are shifted by so much, and may have either
-    sign.
+    Attributes:
+        label: Name of the parameter.
+        path: Keys that lead to the vector.
+        entries: Entries of the vector; none for a number.
+        unit: With a unit, entries are shifted by multiples of it instead of scaled.
+        likewise: Keys of other vectors whose entries change together with these.
     """
 
     label: str
@@ -46,11 +49,11 @@ class Parameter:
         return float(np.exp(np.mean(np.log(values))) if self.unit is None else np.mean(values))
 
     def is_sound(self, document: Document) -> bool:
-        """Whether all entries are above zero, as what is scaled must be."""
+        """Whether all entries are above zero, which scaling requires."""
         return self.unit is not None or bool(np.all(self._values(document) > 0.0))
 
     def move(self, document: Document, x: float) -> None:
-        """Multiply the entries by exp(x), or add x units, in place."""
+        """Multiply the entries of a document by exp(x), or add x units, in place."""
         factor = float(np.exp(x))
         for *way, last in (self.path, *self.likewise):
             parent = _follow(document, way)
@@ -70,7 +73,7 @@ def _follow(document: Any, path: Sequence[str | int]) -> Any:
 
 
 def expanded(document: Document) -> Document:
-    """A copy with every pair [linear, angular] written out, so that parts can be told apart."""
+    """A copy in which every pair [linear, angular] is written out by component."""
     out = copy.deepcopy(document)
     for table in (out["prior"], out.get("base", {})):
         for key, value in table.items():
@@ -93,9 +96,12 @@ def _six(value: Sequence[float]) -> list[float]:
 
 
 def learnable(document: Document, kinds: Sequence[str], *, alike: bool = False) -> list[Parameter]:
-    """What of an expanded document may be learned from sensors of these kinds.
+    """The parameters of an expanded document that sensors of some kinds can teach.
 
-    With `alike` what segments of a robot have each is scaled together, as if built in the same way.
+    Args:
+        document: Robot file, see `expanded`.
+        kinds: Kinds of the sensors, whose noise can be learned.
+        alike: Whether all segments share a factor, as if built in the same way.
     """
     return [p for p in _all(document, kinds, alike) if p.is_sound(document)]
 
@@ -143,7 +149,7 @@ def _by_segment(name: str, paths: list[tuple[str | int, ...]], alike: bool) -> I
 
 
 def _rest(document: Document) -> Iterator[Parameter]:
-    """Curvature of the shape at rest, where it is given by segment."""
+    """Curvature of the rest shape, where it is given by segment."""
     for key, unit, label in (
         ("rest_strain", 1.0, "rest curvature"),
         ("rest_slope", 5.0, "rest curvature's slope"),
@@ -156,7 +162,7 @@ def _rest(document: Document) -> Iterator[Parameter]:
 
 
 def moved(document: Document, parameters: Sequence[Parameter], x: Array) -> Document:
-    """A copy of an expanded document with every parameter moved by its number."""
+    """A copy of an expanded document with every parameter moved by its entry of x (P,)."""
     out = copy.deepcopy(document)
     for parameter, value in zip(parameters, x, strict=True):
         parameter.move(out, float(value))

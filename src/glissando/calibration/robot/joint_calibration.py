@@ -1,32 +1,36 @@
-"""A laboratory's constants, from a recording in which truth and sensors tell of one motion.
+"""Frames and mounts of a laboratory, from a recording with both truth and sensors.
 
-Where truth's bodies are mounted and how the sensors sit is found with the shape, from all of them
-at once. Found from the errors of an estimate without truth, as `predict` finds them, what a wrong
-sensor mount does to that estimate would pass for a mount of the truth.
+Mounts of the truth's bodies and of the sensors are estimated together with the shape. Estimated
+afterwards, from errors against truth as `predict` does, a mount of the truth would absorb the
+effect of a wrong sensor mount.
 """
 
 from __future__ import annotations
 
 import copy
-import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from glissando.calibration.robot.hyperparameters import Document
-from glissando.calibration.robot.predictive import APART, constants_of, telling
-from glissando.errors import GlissandoError, NotConvergedWarning
-from glissando.estimation.batch import SolverOptions, estimate
+from glissando.calibration.robot.predictive import (
+    APART,
+    constants_of,
+    informative,
+    quiet_estimate,
+)
+from glissando.errors import GlissandoError
 from glissando.io.recording import Recording
 from glissando.io.robot_file import parse_robot
 from glissando.io.toml_table import Table
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.sensors.readings import Readings
+from glissando.solver.gauss_newton import SolverOptions
 
-_OF_A_RECORDING = ("time_offset", "bias")  # kinds that the next recording has its own of
-_LOOSE = {"frame": (3e-3, 0.01), "mount": (2e-3, 0.05)}  # m, rad: how far off truth may be
-_LATE = 0.02  # s: how late its stamps may be
+_OF_A_RECORDING = ("time_offset", "bias")  # kinds that differ between recordings
+_PRIOR_STD = {"frame": (3e-3, 0.01), "mount": (2e-3, 0.05)}  # m, rad: of the truth's constants
+_LATE = 0.02  # s: standard deviation of the truth's delay
 _OPTIONS = SolverOptions(max_iterations=25)
 
 
@@ -37,56 +41,59 @@ def locate(
     use: Sequence[str],
     truth: Sequence[str],
 ) -> tuple[Document, tuple[SensorParameter, ...]]:
-    """The robot file with its sensors' constants known, and the constants (known) of the truth.
+    """Estimate the constants of sensors and truth together with the shape.
 
-    Truth counts as a sensor of the robot file's noise here, late by one delay. Unknowns of the file
-    that drift, and delays and biases, belong to a recording and stay as they are.
+    Args:
+        document: The robot file. Its parameters that drift, delays and biases stay as they are.
+        recording: A recording with both.
+        window: First and last time, s.
+        use: Names of the sensors.
+        truth: Names of the truth streams, which share a frame and a delay here and have the noise
+            that the robot file states for such a sensor.
+
+    Returns:
+        The robot file with its sensors' constants known, and the truth's constants as known.
     """
     robot = parse_robot(Table(document, "located", GlissandoError))
     sensors, bodies = (recording.readings(names, robot, window)[0] for names in (use, truth))
-    loose = [replace(c, std=np.repeat(_LOOSE[c.kind], 3)) for c in constants_of(bodies)]
+    constants = [replace(c, std=np.repeat(_PRIOR_STD[c.kind], 3)) for c in constants_of(bodies)]
     readings = in_motion([*sensors, *bodies], bodies)
-    late = SensorParameter(
-        "truth delay", "time_offset", tuple(truth), np.zeros(1), np.array([_LATE])
-    )
+    std = np.array([_LATE])
+    constants += [SensorParameter("truth delay", "time_offset", tuple(truth), np.zeros(1), std)]
     shift = 2.0 * _LATE  # no reading may be moved off the grid
-    inner = [
-        r.select((r.time > window[0] + shift) & (r.time < window[1] - shift)) for r in readings
-    ]
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotConvergedWarning)
-        posterior = estimate(
-            robot.prior,
-            robot.grid(*window),
-            inner,
-            sensor_parameters=[*robot.sensor_parameters, *loose, late],
-            options=_OPTIONS,
-        )
+    start, stop = window[0] + shift, window[1] - shift
+    inner = [r.select((r.time > start) & (r.time < stop)) for r in readings]
+    parameters = [*robot.sensor_parameters, *constants]
+    posterior = quiet_estimate(robot.prior, robot.grid(*window), inner, parameters, _OPTIONS)
 
-    def found(unknown: SensorParameter) -> SensorParameter:
-        values, _ = posterior.unknown(unknown.name)
-        return replace(unknown, value=values[len(values) // 2], std=0.0 * unknown.std)
+    def estimated(parameter: SensorParameter) -> SensorParameter:
+        values, _ = posterior.unknown(parameter.name)
+        return replace(parameter, value=values[len(values) // 2], std=0.0 * parameter.std)
 
     known = copy.deepcopy(document)
     entries = known.get("sensor_parameters", [])
-    for entry, unknown in zip(entries, robot.sensor_parameters, strict=True):
-        holds = np.isinf(unknown.correlation_time) and unknown.kind not in _OF_A_RECORDING
-        if holds and not unknown.known:
-            entry["value"] = found(unknown).value.tolist()
+    for entry, parameter in zip(entries, robot.sensor_parameters, strict=True):
+        constant = np.isinf(parameter.correlation_time) and parameter.kind not in _OF_A_RECORDING
+        if constant and not parameter.known:
+            entry["value"] = estimated(parameter).value.tolist()
             del entry["std"]
-    return known, tuple(found(u) for u in [*loose, late])
+    return known, tuple(map(estimated, constants))
 
 
 def in_motion(readings: Sequence[Readings], truth: Sequence[Readings]) -> list[Readings]:
-    """Readings without the stretches of time in which no truth is elsewhere than before.
+    """Readings from those stretches of time in which any truth has moved.
 
-    Of a robot that rests they say the same again; what drifts meanwhile would pass for constant,
-    and so would what the prior expects of that one shape.
+    A robot at rest would give drifts, and the prior's pull on that one shape, the weight of
+    constants.
+
+    Args:
+        readings: The streams to select from.
+        truth: Truth streams.
     """
-    told = np.concatenate([np.unique(telling(t).time // APART) for t in truth if len(t)])
-    return [r.select(np.isin(r.time // APART, told)) for r in readings]
+    moving = [np.unique(informative(t).time // APART) for t in truth if len(t)]
+    return [r.select(np.isin(r.time // APART, np.concatenate(moving))) for r in readings]
 
 
 def lasting(constants: Sequence[SensorParameter]) -> tuple[SensorParameter, ...]:
-    """Those constants that hold for other recordings as well."""
+    """The constants that hold for other recordings as well."""
     return tuple(c for c in constants if c.kind not in _OF_A_RECORDING)

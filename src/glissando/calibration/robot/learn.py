@@ -1,16 +1,15 @@
-"""Learning a robot file's numbers from recordings: how strong, how fast, how noisy.
+"""Learning the numbers of a robot file from recordings: densities, time scales, noise.
 
-What is maximised is the Laplace log marginal likelihood of the readings (equation 22) or, where
-truth is given, the predictive log-likelihood of it. Numbers are scaled by exponentials, so they
-stay positive, and are expected where they start, one standard deviation being a factor of three:
-what a recording says nothing of stays there. A try that cannot be estimated is a bad one, not an
-end. Gradients are differences, tried on all cores.
+The objective is the Laplace log marginal likelihood of the readings (equation 22) or, where truth
+is given, its predictive log-likelihood. Numbers are scaled by exponentials, so they stay positive,
+with a prior around their start whose standard deviation is a factor of three: a number that the
+recordings do not determine stays there. A document that cannot be estimated has a bad objective.
+Gradients are finite differences, evaluated on all cores.
 """
 
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
@@ -22,9 +21,13 @@ import numpy as np
 from scipy.optimize import minimize
 
 from glissando.calibration.robot.hyperparameters import Document, Parameter, moved
-from glissando.calibration.robot.predictive import constants_of, predict
-from glissando.errors import GlissandoError, NotConvergedWarning, RecordingError
-from glissando.estimation.batch import SolverOptions, estimate
+from glissando.calibration.robot.predictive import (
+    Score,
+    constants_of,
+    predict,
+    quiet_estimate,
+)
+from glissando.errors import GlissandoError, RecordingError
 from glissando.estimation.posterior import Posterior
 from glissando.geometry.se3 import Array
 from glissando.io.recording import Recording
@@ -35,43 +38,31 @@ from glissando.model.robot import Robot
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
+from glissando.solver.gauss_newton import SolverOptions
 
 _TIGHT = SolverOptions(max_iterations=10, tolerance=0.3)
-_BAD = 1e3  # objective of a try that cannot be estimated
+_BAD = 1e3  # objective of a document that cannot be estimated
 _NUDGE = 0.05  # of a logarithm, for differences
-_WORTH = 1e-3  # gain a degree of freedom below which a step was idle
+_GAIN = 1e-3  # gain a degree of freedom below which a step was idle
 _IDLE = 3  # idle steps in a row that end the search
 _REACH = np.log(1e4)  # how far a number may move
-_EXPECTED = np.log(3.0)  # standard deviation of a logarithm before anything is learned
+_PRIOR_STD = np.log(3.0)  # of a logarithm
 
 
 class Case(Protocol):
-    """Something to learn from: a grid, readings and truth that depend on the robot file."""
+    """Data to learn from: a grid, readings and truth that depend on the robot file."""
 
     def grid(self, robot: Robot) -> Grid:
         """The grid to estimate on."""
         ...
 
     def readings(self, robot: Robot) -> list[Readings]:
-        """What the sensors said."""
+        """The sensors' readings."""
         ...
 
     def truth(self, robot: Robot) -> list[Readings]:
-        """What to foretell; empty to maximise the likelihood of the readings."""
+        """Truth to predict; empty to maximise the likelihood of the readings."""
         ...
-
-
-@dataclass(frozen=True)
-class Score:
-    """What a robot file is worth on all cases: the objective per degree of freedom.
-
-    Of `samples` degrees of freedom so many are `independent`: all places of the robot err together.
-    """
-
-    value: float
-    samples: int
-    independent: float
-    constants: tuple[SensorParameter, ...] = ()
 
 
 Watch = Callable[[int, float], None]
@@ -80,10 +71,16 @@ Watch = Callable[[int, float], None]
 
 @dataclass(frozen=True)
 class Learned:
-    """What was learned: the document, what it was worth before and after, and how sure.
+    """A learned robot file.
 
-    `std` (P,) is how far each parameter's logarithm may be off, the others held: ln 3 for one of
-    which nothing was learned.
+    Attributes:
+        document: The robot file.
+        parameters: The parameters that were learned.
+        moved: Logarithm of each parameter's factor (P,), or its shift in units.
+        std: Standard deviation of that (P,), the others fixed; ln 3 where nothing was learned.
+        before: Score of the robot file at the start.
+        after: Score of the learned one.
+        steps: Number of steps.
     """
 
     document: Document
@@ -96,8 +93,14 @@ class Learned:
 
 
 @dataclass
-class Judge:
-    """Scores documents on cases; remembers where the first ended, to start there again."""
+class Objective:
+    """Score of robot files on cases; the first estimate of each case starts all later ones.
+
+    Attributes:
+        cases: The cases.
+        calibrate: Whether frame and mounts of the truth are calibrated.
+        constants: Frame, mounts and delays of the truth.
+    """
 
     cases: Sequence[Case]
     calibrate: bool
@@ -105,66 +108,73 @@ class Judge:
     _starts: dict[int, State] = field(default_factory=dict)
 
     def score(self, document: Document) -> Score:
-        """The objective: log-likelihood per degree of freedom of truth, else of the readings."""
-        robot = parse_robot(Table(document, "learned", GlissandoError))
-        found = [self._estimate(i, case, robot) for i, case in enumerate(self.cases)]
-        truths = [case.truth(robot) for case in self.cases]
-        if not any(truths):
-            counts = [sum(r.values.shape[0] * r.row_count for r in rs) for _, rs in found]
-            total = sum(posterior.solve.log_evidence for posterior, _ in found)
-            return Score(total / sum(counts), sum(counts), sum(counts))
-        return self._foretold([posterior for posterior, _ in found], truths)
+        """Log-likelihood per degree of freedom of truth, else of the readings.
 
-    def _foretold(self, found: Sequence[Posterior], truths: Sequence[list[Readings]]) -> Score:
-        """Truth of all cases; constants are calibrated on the longest and hold for all."""
+        Args:
+            document: Robot file.
+
+        Raises:
+            GlissandoError: If the robot file is wrong or cannot be estimated.
+        """
+        robot = parse_robot(Table(document, "learned", GlissandoError))
+        readings = [self._readings(case, robot) for case in self.cases]
+        posteriors = [self._estimate(i, robot, each) for i, each in enumerate(readings)]
+        truths = [case.truth(robot) for case in self.cases]
+        if any(truths):
+            return self._predictive(posteriors, truths)
+        count = sum(len(r) * r.row_count for each in readings for r in each)
+        total = sum(posterior.solve.log_evidence for posterior in posteriors)
+        return Score(total / count, count, count)
+
+    def _predictive(
+        self, posteriors: Sequence[Posterior], truths: Sequence[list[Readings]]
+    ) -> Score:
+        """Score of the truth of all cases; constants are calibrated on the longest one."""
         longest = max(range(len(truths)), key=lambda i: sum(map(len, truths[i])))
         constants = self.constants
         if self.calibrate:
             constants = constants or constants_of(truths[longest])
-            constants = predict(found[longest], truths[longest], constants, free=True).constants
+            best = predict(posteriors[longest], truths[longest], constants, free=True)
+            constants = best.constants
             self.constants = self.constants or constants
-        told_all = [
+        scores = [
             predict(posterior, truth, constants, free=False)
-            for posterior, truth in zip(found, truths, strict=True)
+            for posterior, truth in zip(posteriors, truths, strict=True)
         ]
-        samples = sum(t.samples for t in told_all)
+        samples = sum(s.samples for s in scores)
         if not samples:
             raise RecordingError("There is no truth in the window; choose another.")
-        value = sum(t.score * t.samples for t in told_all) / samples
-        independent = sum(t.independent for t in told_all)
-        return Score(value, samples, independent, constants)
+        value = sum(s.value * s.samples for s in scores) / samples
+        return Score(value, samples, sum(s.independent for s in scores), constants)
 
-    def _estimate(self, i: int, case: Case, robot: Robot) -> tuple[Posterior, list[Readings]]:
+    @staticmethod
+    def _readings(case: Case, robot: Robot) -> list[Readings]:
         readings = case.readings(robot)
         if not sum(map(len, readings)):
             raise RecordingError("The window holds no readings to learn from; choose another.")
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", NotConvergedWarning)
-            posterior = estimate(
-                robot.prior,
-                case.grid(robot),
-                readings,
-                sensor_parameters=robot.sensor_parameters,
-                initial=self._starts.get(i),
-                options=_TIGHT,
-            )
+        return readings
+
+    def _estimate(self, i: int, robot: Robot, readings: list[Readings]) -> Posterior:
+        grid, parameters = self.cases[i].grid(robot), robot.sensor_parameters
+        initial = self._starts.get(i)
+        posterior = quiet_estimate(robot.prior, grid, readings, parameters, _TIGHT, initial)
         self._starts.setdefault(i, posterior.state)
-        return posterior, readings
+        return posterior
 
 
-_judge: Judge | None = None
+_objective: Objective | None = None  # of a worker process
 
 
-def _prepare(judge: Judge, document: Document) -> None:
-    global _judge
-    _judge = judge
-    _judge.score(document)
+def _prepare(objective: Objective, document: Document) -> None:
+    global _objective
+    _objective = objective
+    _objective.score(document)
 
 
-def _tried(document: Document) -> float:
-    assert _judge is not None
+def _evaluate(document: Document) -> float:
+    assert _objective is not None
     try:
-        value = -_judge.score(document).value
+        value = -_objective.score(document).value
     except (GlissandoError, np.linalg.LinAlgError):
         return _BAD
     return value if np.isfinite(value) else _BAD
@@ -180,18 +190,27 @@ def learn(
     steps: int = 20,
     watch: Watch | None = None,
 ) -> Learned:
-    """Scale the parameters of an expanded document until they are most likely, given the cases.
+    """Learn the parameters of an expanded document from cases.
 
-    `constants` of the truth are put right; with `calibrate` its frame and mounts are found, from
-    these or from none. Raises what the first estimate raises: a start must at least be possible.
+    Args:
+        document: The robot file to start from, see `expanded`.
+        parameters: The parameters to learn.
+        cases: The data.
+        calibrate: Whether frame and mounts of the truth are calibrated, starting from `constants`.
+        constants: Frame, mounts and delays of the truth.
+        steps: Number of steps at most.
+        watch: Called after each step.
+
+    Raises:
+        GlissandoError: If the robot file to start from cannot be estimated.
     """
     parameters = list(parameters)
-    judge = Judge(cases, calibrate, constants)
-    before = judge.score(document)
+    objective = Objective(cases, calibrate, constants)
+    before = objective.score(document)
     workers = min(os.cpu_count() or 1, 1 + len(parameters))
     spawned = get_context("spawn")
     with ProcessPoolExecutor(
-        workers, spawned, _prepare, (Judge(cases, calibrate, constants), document)
+        workers, spawned, _prepare, (Objective(cases, calibrate, constants), document)
     ) as pool:
         search = _Search(document, parameters, pool, watch, steps, before.independent)
         limits = [(-_REACH, _REACH)] * len(parameters)
@@ -201,18 +220,18 @@ def learn(
                 bounds=limits, options={"maxfun": steps, "ftol": 1e-5, "maxls": 8},
             )  # fmt: skip
         best = search.best[1]
-        std = search.spread(best)
+        std = search.std(best)
     learned = moved(document, parameters, best)
-    after = judge.score(learned)
+    after = objective.score(learned)
     return Learned(learned, parameters, best, std, before, after, search.count)
 
 
 class _EnoughError(Exception):
-    """Raised out of the search when more steps would not pay."""
+    """Ends the search when more steps would gain little."""
 
 
 class _Search:
-    """The objective, less what numbers are expected to be, and its slope; all tries at once."""
+    """Minus log posterior of the parameters, and its derivatives; all points at once."""
 
     def __init__(
         self,
@@ -231,15 +250,15 @@ class _Search:
 
     def _all(self, points: Sequence[Array]) -> Array:
         documents = [moved(self._document, self._parameters, x) for x in points]
-        surprise = 0.5 * np.sum((np.array(points) / _EXPECTED) ** 2, axis=1)
-        return np.array(list(self._pool.map(_tried, documents))) + surprise / self._independent
+        prior = 0.5 * np.sum((np.array(points) / _PRIOR_STD) ** 2, axis=1)
+        return np.array(list(self._pool.map(_evaluate, documents))) + prior / self._independent
 
     def with_slope(self, x: Array) -> tuple[float, Array]:
         """The objective and its gradient (P,)."""
         points = [x.copy(), *(x + _NUDGE * np.eye(x.size))]
         values = self._all(points)
         least = int(np.argmin(values))
-        self._idle = 0 if values[least] < self.best[0] - _WORTH else self._idle + 1
+        self._idle = 0 if values[least] < self.best[0] - _GAIN else self._idle + 1
         if values[least] < self.best[0]:
             self.best = (float(values[least]), points[least])
         self.count += 1
@@ -250,7 +269,7 @@ class _Search:
         slope = np.where(values[1:] < _BAD, (values[1:] - values[0]) / _NUDGE, 0.0)
         return float(values[0]), slope
 
-    def spread(self, x: Array) -> Array:
+    def std(self, x: Array) -> Array:
         """Standard deviation (P,) of each number, from the curvature; infinite without any."""
         nudges = 4.0 * _NUDGE * np.eye(x.size)
         values = self._all([x, *(x + nudges), *(x - nudges)])
@@ -261,12 +280,19 @@ class _Search:
 
 @dataclass(frozen=True)
 class RecordingCase:
-    """A window of a recording: streams to use, and streams to foretell (none: their evidence)."""
+    """A window of a recording.
+
+    Attributes:
+        recording: The recording.
+        window: First and last time, s.
+        use: Streams to use.
+        predict: Truth streams to predict; none to maximise the evidence of those that are used.
+    """
 
     recording: Recording
     window: tuple[float, float]
     use: Sequence[str]
-    evaluate_path: Sequence[str] = ()
+    predict: Sequence[str] = ()
 
     def grid(self, robot: Robot) -> Grid:
         """The robot's grid over the window."""
@@ -277,6 +303,6 @@ class RecordingCase:
         return self.recording.readings(self.use, robot, self.window)[0]
 
     def truth(self, robot: Robot) -> list[Readings]:
-        """The streams to foretell, inside the window."""
-        found, _ = self.recording.readings(self.evaluate_path, robot, self.window, as_truth=True)
-        return [stream for stream in found if len(stream)]
+        """The streams to predict, inside the window."""
+        truth, _ = self.recording.readings(self.predict, robot, self.window, as_truth=True)
+        return [stream for stream in truth if len(stream)]

@@ -58,14 +58,22 @@ class Prior(Protocol):
         """The state moved by `step` (K, N, dof) so that poses still follow from the strains."""
         ...
 
-    def factors(self, grid: Grid, state: State, about: State, times: slice) -> Iterator[Factors]:
+    def factors(
+        self, grid: Grid, state: State, noise_state: State, times: slice
+    ) -> Iterator[Factors]:
         """Factors that begin at the time nodes `times`, linearised at `state`.
 
-        Their weights come from the rates of `about`, a state on the same grid.
+        Their weights come from the rates of `noise_state`, a state on the same grid.
         """
         ...
 
-    def interpolate(self, grid: Grid, state: State, about: State, points: Points) -> Interpolation:
+    def static_factors(self, grid: Grid, state: State) -> Iterator[Factors]:
+        """Factors of shapes that hold still, linearised at nodes (S, N) of pose and strain."""
+        ...
+
+    def interpolate(
+        self, grid: Grid, state: State, noise_state: State, points: Points
+    ) -> Interpolation:
         """State at points between the nodes, conditional on the nodes."""
         ...
 

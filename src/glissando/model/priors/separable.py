@@ -39,8 +39,9 @@ from glissando.model.priors.prior_table import (
     segments_table,
 )
 from glissando.model.priors.rest_shape import STRAIGHT, RestShape
+from glissando.model.priors.static import static_factors
 from glissando.model.priors.steps import TIME, pair_between
-from glissando.model.priors.transitions import Bridge, bridge, process_covariances, transition
+from glissando.model.priors.transitions import bridge, process_covariances, transition
 from glissando.model.state import DOF, POSE, STRAIN, STRAIN_RATE, VELOCITY, State
 
 _ALL = slice(0, RATED)
@@ -143,7 +144,9 @@ class SeparablePrior:
         fields = zip(*(vars(node).values() for node in moved), strict=True)
         return State(*(np.stack(field, axis=1) for field in fields))
 
-    def factors(self, grid: Grid, state: State, about: State, times: slice) -> Iterator[Factors]:
+    def factors(
+        self, grid: Grid, state: State, noise_state: State, times: slice
+    ) -> Iterator[Factors]:
         """Factors that begin at the time nodes `times`, linearised at `state`.
 
         Every interval, and the base, at the first time and from each of `times` to the next.
@@ -162,7 +165,7 @@ class SeparablePrior:
         step = np.broadcast_to(np.diff(grid.arclength), (len(here), n_count - 1))
         error, *jacobians = interval_error(*ends, step)
         error[..., :12] -= self.rest.interval_errors(grid.arclength)
-        cov = self._interval_covariances(grid, about.take(touched))[1]
+        cov = self._interval_covariances(grid, noise_state.take(touched))[1]
         yield from self._chain(
             first,
             steps,
@@ -223,18 +226,27 @@ class SeparablePrior:
         shape = -1, RATED, 2 * count, RATED
         yield Factors(joined.reshape(-1, 2 * count), _ALL, both.reshape(shape), terms)
 
-    def _interval_covariances(self, grid: Grid, about: State) -> tuple[Array, Array]:
+    def _interval_covariances(self, grid: Grid, noise_state: State) -> tuple[Array, Array]:
         """Strains (K, N−1, 6) that intervals are linearised about, and their Q (K, N−1, 12, 12)."""
         psd, jump = self._intervals(grid)
         lengths = np.diff(grid.arclength)
-        strain = interval_strain(about.strain[:, :-1], about.strain[:, 1:], lengths, (psd, jump))
+        strain = interval_strain(
+            noise_state.strain[:, :-1], noise_state.strain[:, 1:], lengths, (psd, jump)
+        )
         step = np.broadcast_to(lengths, strain.shape[:2])
         return strain, process_covariances(strain, step, psd, psd, rigid=False, jump=jump)[0]
 
     def _intervals(self, grid: Grid) -> tuple[Array, Array]:
         return by_interval(grid.arclength, self.psd_strain_arclength, self.joints, self.jumps)
 
-    def interpolate(self, grid: Grid, state: State, about: State, points: Points) -> Interpolation:
+    def static_factors(self, grid: Grid, state: State) -> Iterator[Factors]:
+        """Factors of shapes that hold still, linearised at nodes (S, N) of pose and strain."""
+        base = self.base_pose, self.base
+        yield from static_factors(grid, state, self.rest, self._intervals(grid), base)
+
+    def interpolate(
+        self, grid: Grid, state: State, noise_state: State, points: Points
+    ) -> Interpolation:
         """State at points between the nodes, conditional on the nodes. Source: (10) to (12).
 
         Inside a cell: along arclength at both times, then along time. What is left uncertain is
@@ -244,7 +256,7 @@ class SeparablePrior:
         s, t = points.along, points.through
         k = t.lower if points.inside_time else t.nearest
         n = s.lower if points.inside_arclength else s.nearest
-        crossing = self._crossing(grid, about, k, s) if points.inside_arclength else None
+        crossing = self._crossing(grid, noise_state, k, s) if points.inside_arclength else None
         rest = self._rest_within(grid, s) if points.inside_arclength else None
 
         if not points.inside_time:
@@ -259,19 +271,19 @@ class SeparablePrior:
             return Interpolation(at, nodes, jacobian, np.zeros((k.size, DOF, DOF)))
         left = np.zeros((k.size, RATED, RATED))
         if crossing is not None:
-            left += _kron(matern.stationary(self.time_scale), crossing.cov)
+            left += _kron(matern.stationary(self.time_scale), crossing[1])
         if time_left is not None:
-            section = self._section(grid, about, k, n, s, points.inside_arclength)
-            known = section if crossing is None else section - crossing.cov
+            section = self._section(grid, noise_state, k, n, s, points.inside_arclength)
+            known = section if crossing is None else section - crossing[1]
             left += _kron(time_left, known)
         return Interpolation(at, nodes, jacobian, _in_body(at, left[:, :DOF, :DOF]))
 
-    def _crossing(self, grid: Grid, about: State, k: Index, s: Cells) -> Bridge:
-        """Bridge along arclength into the intervals `s` at time nodes k."""
+    def _crossing(self, grid: Grid, noise_state: State, k: Index, s: Cells) -> tuple[Array, Array]:
+        """Gain and covariance (M, 12, 12) inside the intervals `s` at time nodes k."""
         psd, jump = (values[s.lower] for values in self._intervals(grid))
-        ends = about.strain[k, s.lower], about.strain[k, s.lower + 1]
+        ends = noise_state.strain[k, s.lower], noise_state.strain[k, s.lower + 1]
         rate = interval_strain(*ends, s.step, (psd, jump))
-        return bridge(rate, s.step, s.offset, psd, psd, jump, rigid=False)
+        return bridge(rate, s.step, s.offset, psd, jump)
 
     def _rest_within(self, grid: Grid, s: Cells) -> tuple[Array, Array]:
         """Errors (M, 12) at rest of the intervals `s`, and of their parts up to the points."""
@@ -284,23 +296,21 @@ class SeparablePrior:
         """State (M,) within time steps, its Jacobians (M, 18, 24) at both ends, and Σ_t."""
         fading, rising, left = matern.bridge(self.time_scale, t.step, t.offset)
         gain = np.einsum("mij,ab->miajb", rising, np.eye(6)).reshape(-1, 12, 12)
-        pose, velocity, p0, p1 = pair_between(TIME, early, late, t.step, t.offset, gain)[:4]
+        pose, velocity, j0, j1 = pair_between(TIME, early, late, t.step, t.offset, gain)
         strain = rest = self.rest.at(arclength)
-        j0, j1 = np.zeros((2, len(pose), DOF, RATED))
-        for end, weights, j, pair in ((early, fading, j0, p0), (late, rising, j1, p1)):
+        for end, weights, j in ((early, fading, j0), (late, rising, j1)):
             strain = strain + weights[:, 0, :1] * (end.strain - rest)
             strain = strain + weights[:, 0, 1:] * strain_rate_of(end)
-            j[..., :DOF] = pair
             j[:, STRAIN, STRAIN] = weights[:, 0, 0, None, None] * np.eye(6)
             j[:, STRAIN, STRAIN_RATE] = weights[:, 0, 1, None, None] * np.eye(6)
         return State(pose, strain, velocity), j0, j1, left
 
     def _section(
-        self, grid: Grid, about: State, k: Index, n: Index, s: Cells, inside: bool
+        self, grid: Grid, noise_state: State, k: Index, n: Index, s: Cells, inside: bool
     ) -> Array:
         """Prior covariance K_s (M, 12, 12) of pose and strain, along the shapes at time nodes k."""
         times, which = np.unique(k, return_inverse=True)
-        there = about.take(times)
+        there = noise_state.take(times)
         cov = np.empty((*there.strain.shape[:2], 12, 12))
         cov[:, 0] = np.diag(np.concatenate([self.base.pose, self.base.strain]))
         strain, noise = self._interval_covariances(grid, there)
@@ -330,7 +340,7 @@ def _at_times(
     k: Index,
     n: Index,
     s: Cells,
-    crossing: Bridge | None,
+    crossing: tuple[Array, Array] | None,
     rest: tuple[Array, Array] | None,
 ) -> tuple[State, Index, Array]:
     """State, nodes (M, 1 or 2) and Jacobian (M, 24, c, 24) at time nodes k, nodes n or beyond."""
@@ -340,7 +350,7 @@ def _at_times(
         eye = np.broadcast_to(np.eye(RATED)[:, None, :], (k.size, RATED, 1, RATED))
         return flat.take(nodes[:, 0]), nodes, eye
     ends = flat.take(nodes[:, 0]), flat.take(nodes[:, 0] + 1)
-    at, j0, j1 = interval_between(*ends, s.step, s.offset, crossing.gain, rest)
+    at, j0, j1 = interval_between(*ends, s.step, s.offset, crossing[0], rest)
     return at, nodes + np.arange(2), np.stack([j0, j1], axis=2)
 
 

@@ -18,7 +18,6 @@ from glissando.geometry.se3 import Array
 from glissando.model.factors import Factors, Residuals
 from glissando.model.grid import Grid, Index
 from glissando.model.interpolation import Interpolation, Points
-from glissando.model.noise import pair_sqrt_information, sqrt_information
 from glissando.model.priors.prior import by_interval, interval_strain, is_soft, soften
 from glissando.model.priors.prior_table import (
     PriorTable,
@@ -28,17 +27,9 @@ from glissando.model.priors.prior_table import (
     segments_table,
 )
 from glissando.model.priors.rest_shape import STRAIGHT, RestShape
-from glissando.model.priors.steps import (
-    ARCLENGTH,
-    TIME,
-    Direction,
-    bridged,
-    carried_error,
-    pair_error,
-)
-from glissando.model.priors.transitions import process_covariances
+from glissando.model.priors.static import static_factors
+from glissando.model.priors.steps import ARCLENGTH, TIME, Direction, bridged, weighted_steps
 from glissando.model.state import DOF, POSE, STRAIN, VELOCITY, State, rest_state
-from glissando.twins import twin
 
 _POSE_STRAIN, _ALL = slice(0, 12), slice(0, DOF)
 
@@ -183,52 +174,62 @@ class WhiteNoisePrior:
     def _intervals(self, arclength: Array) -> tuple[Array, Array]:
         return by_interval(arclength, self.psd_strain_arclength, self.joints, self.jumps)
 
-    def factors(self, grid: Grid, state: State, about: State, times: slice) -> Iterator[Factors]:
+    def factors(
+        self, grid: Grid, state: State, noise_state: State, times: slice
+    ) -> Iterator[Factors]:
         """Prior factors that begin at the time nodes `times`, linearised at `state`.
 
         Along arclength at each of those times, along time to the next, and at the base. Their
-        weights come from the rates of `about`, a state on the same grid.
+        weights come from the rates of `noise_state`, a state on the same grid.
         """
         k_count, n_count = grid.shape
         node = np.arange(k_count * n_count).reshape(k_count, n_count)
-        here, flat, about = node[times], state.flatten(), about.flatten()
+        here, flat, noise_state = node[times], state.flatten(), noise_state.flatten()
         if n_count > 1:
             ends = (here[:, :-1].ravel(), here[:, 1:].ravel())
             step = np.broadcast_to(np.diff(grid.arclength), (len(here), n_count - 1)).ravel()
             span = np.repeat(grid.time_spans[times], n_count - 1)
             densities = self.along_arclength(grid.arclength, ends[0] % n_count)
-            yield from self._along(ARCLENGTH, flat, about, ends, step, span, densities)
+            yield from self._along(ARCLENGTH, flat, noise_state, ends, step, span, densities)
         if k_count > 1 and times.start < k_count - 1:
             starts = node[:-1][times]
             ends = (starts.ravel(), starts.ravel() + n_count)
             step = np.repeat(np.diff(grid.time)[times], n_count)
             span = np.broadcast_to(grid.arclength_spans, starts.shape).ravel()
             densities = self.along_time(grid.time[ends[0] // n_count] + 0.5 * step)
-            yield from self._along(TIME, flat, about, ends, step, span, densities)
+            yield from self._along(TIME, flat, noise_state, ends, step, span, densities)
         if self.base is not None:
             yield self._base(grid.time_spans[times], flat, here[:, :1])
 
-    def interpolate(self, grid: Grid, state: State, about: State, points: Points) -> Interpolation:
+    def static_factors(self, grid: Grid, state: State) -> Iterator[Factors]:
+        """Factors of shapes that hold still, linearised at nodes (S, N) of pose and strain."""
+        base = None if self.base is None else (self.base_pose, self.base)
+        intervals = self._intervals(grid.arclength)
+        yield from static_factors(grid, state, self.rest, intervals, base)
+
+    def interpolate(
+        self, grid: Grid, state: State, noise_state: State, points: Points
+    ) -> Interpolation:
         """State at points between the nodes, conditional on the nodes. Source: (10) to (12).
 
         Inside a cell: along arclength at both times, then along time. Gains and bridge covariances
-        come from the rates of `about`, a state on the same grid, as the weights of the factors do;
-        they are constants to the Jacobian.
+        come from the rates of `noise_state`, a state on the same grid, as the weights of the
+        factors do; they are constants to the Jacobian.
         """
-        return _interpolate(self, grid, state, about, points)
+        return _interpolate(self, grid, state, noise_state, points)
 
     def _along(
         self,
         direction: Direction,
         flat: State,
-        about: State,
+        noise_state: State,
         ends: tuple[Index, Index],
         step: Array,
         span: Array,
         densities: tuple[Array, Array, Array],
     ) -> Iterator[Factors]:
         nodes = np.stack(ends, axis=1)
-        found = weighted_steps(direction, flat, about, nodes, step, np.sqrt(span), densities)
+        found = weighted_steps(direction, flat, noise_state, nodes, step, np.sqrt(span), densities)
         dofs = (
             (_POSE_STRAIN if direction is ARCLENGTH else _ALL),
             _ALL if direction.rigid else STRAIN,
@@ -249,44 +250,14 @@ class WhiteNoisePrior:
         return Factors(nodes, _ALL, jacobian, Residuals(residual, info))
 
 
-@twin
-def weighted_steps(
-    direction: Direction,
-    flat: State,
-    about: State,
-    nodes: Index,
-    step: Array,
-    weight: Array,
-    densities: tuple[Array, Array, Array],
-) -> tuple[tuple[Array, Array, Array], tuple[Array, Array, Array]]:
-    """Errors of steps between `nodes` (M, 2) of a list of states, of the pair and of the carried.
-
-    Each with Jacobian (M, r, 2, 18) and whitener (M, r, r), times `weight` (M,), which come from
-    the rates of `about` and the `densities` of the moving field, the carried and a jump (M, 6).
-    """
-    start, end = flat.take(nodes[:, 0]), flat.take(nodes[:, 1])
-    rates, (psd, carried_psd, jump) = direction.rate_of(about), densities
-    middle = interval_strain(rates[nodes[:, 0]], rates[nodes[:, 1]], step, (psd, jump))
-    cov, carried_cov = process_covariances(
-        middle, step, psd, carried_psd, rigid=direction.rigid, jump=jump
-    )
-    pair, carried = pair_error(direction, start, end, step), carried_error(direction, start, end)
-    whiteners = pair_sqrt_information(cov), sqrt_information(carried_cov)
-    first, second = (
-        (error, np.stack(jacobians, axis=2), weight[:, None, None] * whitener)
-        for (error, *jacobians), whitener in zip((pair, carried), whiteners, strict=True)
-    )
-    return first, second
-
-
 def _interpolate(
-    prior: WhiteNoisePrior, grid: Grid, state: State, about: State, points: Points
+    prior: WhiteNoisePrior, grid: Grid, state: State, noise_state: State, points: Points
 ) -> Interpolation:
     s, t = points.along, points.through
     flat, n_count = state.flatten(), grid.arclength.size
     if not points.inside_time:
         if points.inside_arclength:
-            return _along_arclength(prior, grid, flat, about, points, t.nearest)
+            return _along_arclength(prior, grid, flat, noise_state, points, t.nearest)
         node = t.nearest * n_count + s.nearest
         eye, none = np.zeros((2, node.size, DOF, DOF))
         np.einsum("mii->mi", eye)[...] = 1.0
@@ -294,12 +265,12 @@ def _interpolate(
     if not points.inside_arclength:  # both ends are nodes
         nodes = (t.lower * n_count + s.nearest)[:, None] + np.array([0, n_count])
         start, end = flat.take(nodes[:, 0]), flat.take(nodes[:, 1])
-        at, j0, j1, cov = _between_times(prior, grid, about, points, start, end)
+        at, j0, j1, cov = _between_times(prior, grid, noise_state, points, start, end)
         return Interpolation(at, nodes, np.stack([j0, j1], axis=2), cov)
     early, late = (
-        _along_arclength(prior, grid, flat, about, points, k) for k in (t.lower, t.lower + 1)
+        _along_arclength(prior, grid, flat, noise_state, points, k) for k in (t.lower, t.lower + 1)
     )
-    at, j0, j1, cov = _between_times(prior, grid, about, points, early.state, late.state)
+    at, j0, j1, cov = _between_times(prior, grid, noise_state, points, early.state, late.state)
     for jacobian, corner in ((j0, early), (j1, late)):
         cov = cov + jacobian @ corner.cov @ np.swapaxes(jacobian, -1, -2)
     j0, j1 = _chain(j0, early.jacobian), _chain(j1, late.jacobian)
@@ -308,14 +279,14 @@ def _interpolate(
 
 
 def _along_arclength(
-    prior: WhiteNoisePrior, grid: Grid, flat: State, about: State, points: Points, k: Index
+    prior: WhiteNoisePrior, grid: Grid, flat: State, noise_state: State, points: Points, k: Index
 ) -> Interpolation:
     """Between two nodes of the times `k` (M,)."""
     s = points.along
     nodes = (k * grid.arclength.size + s.lower)[:, None] + np.arange(2)
     start, end = flat.take(nodes[:, 0]), flat.take(nodes[:, 1])
     psd, carried, jump = prior.along_arclength(grid.arclength, s.lower)
-    ends = about.strain[k, s.lower], about.strain[k, s.lower + 1]
+    ends = noise_state.strain[k, s.lower], noise_state.strain[k, s.lower + 1]
     rate = interval_strain(*ends, s.step, (psd, jump))
     weight = grid.time_spans[k, None]
     densities = psd / weight, carried / weight, jump / weight
@@ -324,11 +295,11 @@ def _along_arclength(
 
 
 def _between_times(
-    prior: WhiteNoisePrior, grid: Grid, about: State, points: Points, start: State, end: State
+    prior: WhiteNoisePrior, grid: Grid, noise_state: State, points: Points, start: State, end: State
 ) -> tuple[State, Array, Array, Array]:
     """Between two states at the times of nodes: what `bridged` gives."""
     s, t = points.along, points.through
-    velocity, later = about.velocity, t.lower + 1
+    velocity, later = noise_state.velocity, t.lower + 1
     if points.inside_arclength:
         mean = 0.5 * (velocity[t.lower] + velocity[later])
         rows, share = np.arange(s.lower.size), s.share[:, None]

@@ -9,12 +9,13 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from glissando._kernels import sensors as kernels
+from glissando._kernels.arrays import items
 from glissando.errors import SensorError
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.sensors.readings import SENSORS, Readings
 from glissando.model.state import DOF, POSE, STRAIN, State
-from glissando.twins import twin
 
 _ANGULAR_VELOCITY = slice(15, 18)
 _POSITION = dict.fromkeys(("x", "y", "z"), "m")
@@ -47,31 +48,20 @@ def _to_sensor(readings: Readings) -> Array:
     return se3.adjoint(se3.inverse(readings.mount))
 
 
-@twin
-def pose_miss(values: Array, pose: Array, mount: Array, *, rolls: bool = False) -> Array:
-    """log(T_meas⁻¹ T T_bc) (M, 6); if the sensor `rolls`, its roll is first turned to agree.
-
-    The turn about z is all of q_z against q_w of the quaternion, here from the matrix.
-    """
-    apart = se3.inverse(values) @ (pose @ mount)
-    if rolls:
-        turn = np.zeros((*apart.shape[:-2], 6))
-        turn[..., 5] = -np.arctan2(
-            apart[..., 1, 0] - apart[..., 0, 1], apart[..., 0, 0] + apart[..., 1, 1]
-        )
-        apart = se3.exp(turn) @ apart
-    return se3.log(apart)
+def _pose_error(readings: Readings, at: State, *, rolls: bool = False) -> Array:
+    """log(T_meas⁻¹ T T_bc) (M, 6); if the sensor `rolls`, its roll is first turned to agree."""
+    lead = at.pose.shape[:-2]
+    poses = (items(each, lead, 4, 4) for each in (readings.values, at.pose, readings.mount))
+    error: Array = kernels.pose_error(*poses, rolls).reshape(*lead, 6)
+    return error
 
 
-@twin
-def pose_slope(miss: Array, mount: Array, *, rolls: bool = False) -> Array:
-    """Slope of `pose_miss` by the pose, (M, 6, 6); if it `rolls`, (M, 5, 6) less what follows."""
-    full = se3.right_jacobian_inverse(miss) @ se3.adjoint(se3.inverse(mount))
-    if not rolls:
-        return full
-    by_roll = se3.left_jacobian_inverse(miss)[..., :, 5]
-    follow = full[..., 5:, :] / by_roll[..., 5, None, None]
-    return full[..., :5, :] - by_roll[..., :5, None] * follow
+def _pose_error_jacobian(error: Array, mount: Array, *, rolls: bool = False) -> Array:
+    """Slope of that error by the pose, (M, 6, 6); if it rolls (M, 5, 6), less what follows."""
+    lead = error.shape[:-1]
+    found = kernels.pose_error_jacobian(items(error, lead, 6), items(mount, lead, 4, 4), rolls)
+    jacobian: Array = found.reshape(*lead, *found.shape[1:])
+    return jacobian
 
 
 def _columns(block: Array, where: slice) -> Array:
@@ -120,11 +110,11 @@ class PoseReadings(_TrackedPose, kind="pose"):
 
     def residual(self, at: State) -> Array:
         """log(T_meas⁻¹ T T_bc), [linear, angular] in the sensor's frame."""
-        return pose_miss(self.values, at.pose, self.mount)
+        return _pose_error(self, at)
 
     def jacobian(self, at: State) -> Array:
         """J_r⁻¹(e) Ad(T_bc⁻¹) on the pose."""
-        return _columns(pose_slope(self.residual(at), self.mount), POSE)
+        return _columns(_pose_error_jacobian(self.residual(at), self.mount), POSE)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,12 +130,12 @@ class CoilReadings(_TrackedPose, kind="coil"):
 
     def residual(self, at: State) -> Array:
         """First five components of log(T_rolled⁻¹ T T_bc); the sixth is zero by construction."""
-        return pose_miss(self.values, at.pose, self.mount, rolls=True)[..., :5]
+        return _pose_error(self, at, rolls=True)[..., :5]
 
     def jacobian(self, at: State) -> Array:
         """The pose's Jacobian less the roll that follows it."""
-        miss = pose_miss(self.values, at.pose, self.mount, rolls=True)
-        return _columns(pose_slope(miss, self.mount, rolls=True), POSE)
+        error = _pose_error(self, at, rolls=True)
+        return _columns(_pose_error_jacobian(error, self.mount, rolls=True), POSE)
 
 
 @dataclass(frozen=True, kw_only=True)

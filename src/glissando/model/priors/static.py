@@ -1,0 +1,74 @@
+"""What a prior says of shapes that hold still: pose and strain, no velocity."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Protocol
+
+import numpy as np
+
+from glissando.geometry import se3
+from glissando.geometry.se3 import Array
+from glissando.model.factors import Factors, Residuals
+from glissando.model.grid import Grid
+from glissando.model.priors.rest_shape import RestShape
+from glissando.model.priors.steps import static_steps
+from glissando.model.state import State
+
+STATIC_DOF = 12
+"""Degrees of freedom of a node that holds still: pose and strain."""
+
+_DOFS = slice(0, STATIC_DOF)
+
+
+class StaticBase(Protocol):
+    """How firmly pose and strain at s = 0 are known: variances (6,)."""
+
+    @property
+    def pose(self) -> Array:
+        """Variance (6,) of the pose."""
+        ...
+
+    @property
+    def strain(self) -> Array:
+        """Variance (6,) of the strain."""
+        ...
+
+
+def static_factors(
+    grid: Grid,
+    state: State,
+    rest: RestShape,
+    intervals: tuple[Array, Array],
+    base: tuple[Array, StaticBase] | None,
+) -> Iterator[Factors]:
+    """Factors of arclength intervals and of the base at single moments. Source: (2') and (5).
+
+    Args:
+        grid: Moments (S) and arclength nodes (N).
+        state: Nodes (S, N) to linearise at.
+        rest: The shape at rest.
+        intervals: Density (N−1, 6) of strain in each interval, variance (N−1, 6) of its jump.
+        base: Expected pose (4, 4) of the base and its variances, if the prior fixes it.
+    """
+    count, n_count = grid.shape
+    node = np.arange(count * n_count).reshape(count, n_count)
+    if n_count > 1:
+        nodes = np.stack([node[:, :-1].ravel(), node[:, 1:].ravel()], axis=1)
+        psd, jump = (np.tile(values, (count, 1)) for values in intervals)
+        step = np.tile(np.diff(grid.arclength), count)
+        error, jacobian, whitener = static_steps(state.flatten(), nodes, step, psd, jump)
+        error = error - np.tile(rest.interval_errors(grid.arclength), (count, 1))
+        yield Factors(nodes, _DOFS, jacobian, Residuals(error, whitener))
+    if base is None:
+        return
+    pose, variance = base
+    at = state.take(np.s_[:, 0])
+    xi = se3.log(se3.inverse(pose) @ at.pose)
+    error = np.concatenate([xi, at.strain - rest.at(np.zeros(1))], axis=-1)
+    jacobian = np.zeros((count, STATIC_DOF, 1, STATIC_DOF))
+    jacobian[:, :6, 0, :6] = se3.right_jacobian_inverse(xi)
+    jacobian[:, 6:, 0, 6:] = np.eye(6)
+    firm = np.diag(np.concatenate([variance.pose, variance.strain]) ** -0.5)
+    whitener = np.broadcast_to(firm, (count, STATIC_DOF, STATIC_DOF))
+    yield Factors(node[:, :1], _DOFS, jacobian, Residuals(error, whitener))

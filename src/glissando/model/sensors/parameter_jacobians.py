@@ -1,0 +1,146 @@
+"""How residuals depend on the sensor parameters that leave a reading in place.
+
+A frame or a mount acts as a motion of the cross-section does, so its slope follows from the
+residual's slope by the pose. Sensors that are not registered here are differentiated numerically.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import singledispatch
+
+import numpy as np
+
+from glissando.geometry import se3
+from glissando.geometry.se3 import Array
+from glissando.model.sensors.parameters import SensorParameter
+from glissando.model.sensors.readings import Readings
+from glissando.model.sensors.sensors import (
+    CoilReadings,
+    GyroReadings,
+    OrientationReadings,
+    PoseReadings,
+    PositionReadings,
+)
+from glissando.model.state import POSE, State
+
+_NUDGE = 1e-5  # by which a parameter is moved to difference a residual
+
+
+@singledispatch
+def by_frame(readings: Readings, at: State, by_state: Array) -> Array | None:
+    """Slope (M, r, 6) of residuals by a motion exp(ξ) of the values in the world, from the left.
+
+    Args:
+        readings: M readings, corrected.
+        at: States (M,) where they were taken.
+        by_state: Slope (M, r, 18) of the residuals by the state.
+
+    Returns:
+        The slope, or None for a sensor to be differentiated numerically.
+    """
+    return None
+
+
+@by_frame.register(PoseReadings)
+@by_frame.register(CoilReadings)
+@by_frame.register(OrientationReadings)
+def _(readings: Readings, at: State, by_state: Array) -> Array:
+    return -by_state[..., POSE] @ se3.adjoint(se3.inverse(at.pose))
+
+
+@by_frame.register
+def _(readings: PositionReadings, at: State, by_state: Array) -> Array:
+    return np.concatenate(
+        [-np.broadcast_to(np.eye(3), (len(readings), 3, 3)), se3.hat3(readings.values)], axis=-1
+    )
+
+
+@singledispatch
+def by_mount(readings: Readings, at: State, by_state: Array) -> Array | None:
+    """Slope (M, r, 6) of residuals by a motion exp(ξ) of the sensor in its own frame."""
+    return None
+
+
+@by_mount.register(PoseReadings)
+@by_mount.register(CoilReadings)
+@by_mount.register(OrientationReadings)
+@by_mount.register(PositionReadings)
+def _(readings: Readings, at: State, by_state: Array) -> Array:
+    return by_state[..., POSE] @ se3.adjoint(readings.mount)
+
+
+@by_mount.register
+def _(readings: GyroReadings, at: State, by_state: Array) -> Array:
+    slope = np.zeros((len(readings), 3, 6))
+    slope[..., 3:] = se3.hat3(
+        np.einsum("...i,...ij->...j", at.velocity[..., 3:], readings.mount[..., :3, :3])
+    )
+    return slope
+
+
+@singledispatch
+def by_bias(readings: Readings, at: State, by_state: Array) -> Array | None:
+    """Slope (M, r, 3) of residuals by a bias that is taken off the values."""
+    return None
+
+
+@by_bias.register(GyroReadings)
+@by_bias.register(PositionReadings)
+def _(readings: Readings, at: State, by_state: Array) -> Array:
+    return np.broadcast_to(np.eye(3), (len(readings), 3, 3))
+
+
+def by_parameters(
+    readings: Readings,
+    corrected: Readings,
+    at: State,
+    by_state: Array,
+    parameters: Sequence[tuple[SensorParameter, Array]],
+) -> list[Array]:
+    """Slopes of residuals by the parameters that leave readings in place.
+
+    Args:
+        readings: M readings as they were taken.
+        corrected: The same with every parameter applied.
+        at: States (M,) where they were taken.
+        by_state: Slope (M, r, 18) of the residuals by the state.
+        parameters: The parameters with their values (M, size) at the times of the readings.
+
+    Returns:
+        A slope (M, r, size) for each parameter.
+    """
+    kinds = [parameter.kind for parameter, _ in parameters]
+    slopes = []
+    for i, (parameter, x) in enumerate(parameters):
+        slope = None
+        if kinds.count(parameter.kind) == 1 and not {"frame", "bias"} <= set(kinds):
+            slope = _slope(parameter.kind, corrected, at, by_state, x)
+        slopes.append(_differences(readings, at, parameters, i) if slope is None else slope)
+    return slopes
+
+
+def _slope(kind: str, readings: Readings, at: State, by_state: Array, x: Array) -> Array | None:
+    if kind == "bias":
+        return by_bias(readings, at, by_state)
+    if kind == "frame":
+        moved, inner = by_frame(readings, at, by_state), se3.left_jacobian
+    else:
+        moved, inner = by_mount(readings, at, by_state), se3.right_jacobian
+    return None if moved is None else moved @ inner(x)
+
+
+def _differences(
+    readings: Readings, at: State, parameters: Sequence[tuple[SensorParameter, Array]], which: int
+) -> Array:
+    """Central differences (M, r, size) by one of the parameters."""
+    columns = []
+    for nudge in _NUDGE * np.eye(parameters[which][0].size):
+        ends = []
+        for sign in (1.0, -1.0):
+            moved = readings
+            for i, (parameter, x) in enumerate(parameters):
+                moved = parameter.shift(moved, x + sign * nudge if i == which else x)
+            ends.append(moved.residual(at))
+        columns.append((ends[0] - ends[1]) / (2.0 * _NUDGE))
+    return np.stack(columns, axis=-1)

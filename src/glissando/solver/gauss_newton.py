@@ -1,0 +1,222 @@
+"""Gauss–Newton with a trust region on the whole problem.
+
+Linearise every factor, factor the block-tridiagonal system, step; shorten the step by
+Levenberg–Marquardt damping when the cost does not fall; stop when a step is a negligible fraction
+of a posterior standard deviation. Source: equations (19) to (21).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from glissando.geometry.se3 import Array
+from glissando.model.priors.prior import Prior
+from glissando.model.state import State
+from glissando.solver.block_tridiagonal import Cholesky, factor
+from glissando.solver.linearize import NormalEquations, linearize
+from glissando.solver.located_readings import LocatedReadings
+from glissando.solver.normal_equations import system_shape
+from glissando.solver.outcome import Outcome
+
+WORTHWHILE = 1e-3  # share of the predicted fall in cost below which a step is refused
+ROUNDING = 1e-11  # a fall in cost this small, relatively, cannot be told from rounding
+_SHORTER = (0.5, 0.2)  # parts of a refused step that are tried
+_SETTLED = 10  # iterations after which weights are fixed, so that the cost can only fall
+_ROUNDS = 5  # times they are renewed after that
+_DAMPING = (1e-4, 1e8)  # smallest damping worth applying, and the one at which to give up
+_ROUGH = 10.0  # standard deviations a number that a rough start may be off by
+_ROUGH_ITERATIONS = 15
+
+Progress = Callable[[int, float, float], None]
+"""Called after each iteration with its number, the cost and the step in standard deviations."""
+
+
+@dataclass(frozen=True)
+class SolverOptions:
+    """When to stop: after `max_iterations`, or when a step is shorter than `tolerance`.
+
+    A step's length is in posterior standard deviations, over the whole state at once, so that the
+    mean of a thousand unknowns moves by far less than this in any of them.
+
+    Attributes:
+        max_iterations: Most iterations.
+        tolerance: Length of a step that is negligible, standard deviations.
+    """
+
+    max_iterations: int = 100
+    tolerance: float = 0.3
+
+    @staticmethod
+    def rough(numbers: int) -> SolverOptions:
+        """Options for a start that may be off by several standard deviations a number."""
+        return SolverOptions(_ROUGH_ITERATIONS, _ROUGH * float(np.sqrt(numbers)))
+
+
+class Stopwatch:
+    """Seconds of processor time by phase: `with clock("solve"): …`."""
+
+    def __init__(self) -> None:
+        self.seconds = {"linearise": 0.0, "solve": 0.0, "covariance": 0.0}
+        self._began = time.process_time()
+
+    def __call__(self, phase: str) -> Stopwatch:
+        """Name the phase about to be timed."""
+        self._phase = phase
+        return self
+
+    def __enter__(self) -> None:
+        self._start = time.process_time()
+
+    def __exit__(self, *_: object) -> None:
+        self.seconds[self._phase] += time.process_time() - self._start
+
+    def total(self) -> dict[str, float]:
+        """Seconds by phase and in total."""
+        return {**self.seconds, "total": time.process_time() - self._began}
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Where the iteration ended, and the factored system its covariance comes from.
+
+    Attributes:
+        state: Nodes (K, N).
+        located: The readings, with the sensor parameters estimated.
+        equations: The last linearisation.
+        cholesky: Its factor.
+        outcome: How it ended.
+        iterations: How many it took.
+        last_step: Length of the last step, standard deviations.
+    """
+
+    state: State
+    located: LocatedReadings
+    equations: NormalEquations
+    cholesky: Cholesky
+    outcome: Outcome
+    iterations: int
+    last_step: float
+
+
+_Where = tuple[State, LocatedReadings]
+"""A state, and the readings where the sensor parameters that go with it put them."""
+
+_Linearize = Callable[[_Where, NormalEquations | None], NormalEquations]
+
+
+def minimize(
+    prior: Prior,
+    located: LocatedReadings,
+    start: State,
+    options: SolverOptions,
+    progress: Progress | None,
+    clock: Stopwatch,
+) -> Solution:
+    """Gauss–Newton steps, damped when the cost does not fall (Marquardt's scaling)."""
+    shape = system_shape(start.pose.shape[0], located.parameters.process.size + start.numbers)
+    workspace = np.empty(shape)  # one for all systems: fresh memory would cost more than the sums
+
+    def at(where: _Where, fixed: NormalEquations | None = None) -> NormalEquations:
+        noise_state, weights = (
+            (where[0], None) if fixed is None else (fixed.noise_state, fixed.terms)
+        )
+        with clock("linearise"):
+            return linearize(prior, where[1], where[0], noise_state, workspace, weights)
+
+    here, fixed, cholesky = at((start, located)), None, None
+    damping, iteration, rounds = 0.0, 0, 0
+    while True:
+        with clock("solve"):
+            cholesky, step, length, predicted = _step(here, damping, cholesky)
+        iteration += 1
+        if progress is not None:
+            progress(iteration, here.cost_of(here), length)
+        candidates = _candidates(prior, here, step)
+        short = length < options.tolerance
+        fresh = fixed is None or fixed.state is here.state or rounds == _ROUNDS
+        if short and fresh and damping == 0.0:
+            end = next(candidates)[0]
+            return Solution(*end, here, cholesky, Outcome.CONVERGED, iteration, length)
+        if iteration >= _SETTLED and (fixed is None or short) and rounds < _ROUNDS:
+            fixed, rounds = _renewed(here, fixed, at), rounds + 1
+        here, gain = _try_step(here, candidates, fixed, predicted, at)
+        damping = _next_damping(damping, gain)
+        if iteration == options.max_iterations or damping > _DAMPING[1]:
+            ended = Outcome.NO_DESCENT if damping > _DAMPING[1] else Outcome.ITERATION_LIMIT
+            cholesky = factor(here.system, cholesky)
+            return Solution(here.state, here.located, here, cholesky, ended, iteration, length)
+
+
+def _step(
+    here: NormalEquations, damping: float, workspace: Cholesky | None
+) -> tuple[Cholesky, Array, float, float]:
+    """The factor, the damped step, its length in standard deviations, the fall it promises."""
+    extra = damping * np.einsum("kii->ki", here.system.diagonal)
+    cholesky = factor(here.system.add_to_diagonal(extra) if damping else here.system, workspace)
+    step = cholesky.solve(here.rhs)
+    length = float(np.sqrt(np.maximum(np.sum(step * (here.rhs - extra * step)), 0.0)))
+    return cholesky, step, length, 0.5 * float(np.sum(step * (here.rhs + extra * step)))
+
+
+def _candidates(prior: Prior, here: NormalEquations, step: Array) -> Iterator[tuple[_Where, float]]:
+    """Where a step may lead, and the share of its promise: straight on, bent, or bent and shorter.
+
+    A long step straight on tears poses and strains apart, which stiff priors punish; bent, poses
+    still follow from the strains. Along a curved valley a shorter one is better than a damped one.
+    """
+    of_nodes, of_parameters = here.split(step)
+    located = here.located.moved(of_parameters)
+    yield (here.state.retract(of_nodes), located), 1.0
+    yield (prior.bent(located.grid, here.state, of_nodes), located), 1.0
+    for part in _SHORTER:
+        located = here.located.moved(part * of_parameters)
+        bent = prior.bent(located.grid, here.state, part * of_nodes)
+        yield (bent, located), part * (2.0 - part)
+
+
+def _renewed(
+    here: NormalEquations, fixed: NormalEquations | None, at: _Linearize
+) -> NormalEquations | None:
+    """The problem whose weights are fixed from now on: this one, if it has weights of its own."""
+    try:
+        return at((here.state, here.located), None)
+    except np.linalg.LinAlgError:
+        return fixed
+
+
+def _try_step(
+    here: NormalEquations,
+    candidates: Iterable[tuple[_Where, float]],
+    fixed: NormalEquations | None,
+    predicted: float,
+    at: _Linearize,
+) -> tuple[NormalEquations, float]:
+    """The problem at the first candidate worth it, else as it was; and the share of the promise."""
+    cost = here.cost_of(here)
+    gain = -1.0
+    for candidate, share in candidates:
+        try:
+            there = at(candidate, fixed)
+        except np.linalg.LinAlgError:  # so far off that not even its weights exist
+            continue
+        if predicted < ROUNDING * (1.0 + cost):
+            return there, 1.0
+        gain = (cost - here.cost_of(there)) / (share * predicted)
+        if gain > WORTHWHILE:
+            return there, gain
+    return at((here.state, here.located), fixed), gain
+
+
+def _next_damping(damping: float, gain: float) -> float:
+    """Less damping after a step that kept its promise, more after one that did not (Nielsen 1999).
+
+    Shrinking in proportion to how well the promise was kept avoids refusing every other step.
+    """
+    if not gain > WORTHWHILE:  # NaN included
+        return max(_DAMPING[0], 4.0 * damping)
+    shrunk = damping * max(0.2, 1.0 - (2.0 * min(gain, 1.0) - 1.0) ** 3)
+    return 0.0 if shrunk < _DAMPING[0] else shrunk

@@ -1,0 +1,139 @@
+"""Readings on a grid: where sensor parameters put them, by block of time and by part of a cell."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from glissando.geometry.se3 import Array
+from glissando.model.grid import Grid, Index
+from glissando.model.interpolation import Points, sort_points
+from glissando.model.sensors.parameter_process import EstimatedParameters, ParameterValues
+from glissando.model.sensors.parameters import SensorParameter
+from glissando.model.sensors.readings import Readings
+
+_FACTORS = 700  # prior factors linearised together: fewer waste calls, more outgrow the caches
+
+
+def time_blocks(grid: Grid) -> list[slice]:
+    """Runs of time nodes to linearise together, so that intermediate arrays stay small."""
+    k_count, n_count = grid.shape
+    size = max(1, _FACTORS // n_count)
+    return [slice(k, min(k + size, k_count)) for k in range(0, k_count, size)]
+
+
+@dataclass(frozen=True)
+class ReadingBatch:
+    """Readings that touch equally many nodes.
+
+    Attributes:
+        points: Where they lie, stream after stream.
+        streams: Of each stream its number, which of its rows, and those readings.
+    """
+
+    points: Points
+    streams: list[tuple[int, Index, Readings]]
+
+
+@dataclass(frozen=True)
+class LocatedReadings:
+    """All readings with the cells they fall in.
+
+    Attributes:
+        grid: The nodes.
+        streams: The readings of each sensor, as they were taken.
+        parameters: Values of the sensor parameters that are estimated.
+        blocks: Runs of time nodes that are linearised together.
+        batches: The readings of each block, by the part of a cell in which they lie.
+    """
+
+    grid: Grid
+    streams: list[Readings]
+    parameters: ParameterValues
+    blocks: list[slice]
+    batches: list[list[ReadingBatch]]
+
+    def moved(self, step: Array) -> LocatedReadings:
+        """The readings after a step (K, E) of the sensor parameters, located anew if they move."""
+        if not step.any():
+            return self
+        parameters = replace(self.parameters, values=self.parameters.values + step)
+        batches = self.batches
+        if any(parameter.moves for parameter in parameters.process.each):
+            batches = _batches(self.grid, self.streams, parameters, self.blocks)
+        return replace(self, parameters=parameters, batches=batches)
+
+
+def locate(
+    grid: Grid,
+    readings: Sequence[Readings],
+    sensor_parameters: Sequence[SensorParameter] = (),
+    values: Array | None = None,
+    *,
+    keep_all: bool = False,
+) -> LocatedReadings:
+    """Find the cells of a grid that readings fall in.
+
+    Args:
+        grid: The nodes.
+        readings: The readings of each sensor.
+        sensor_parameters: Parameters of the sensors; those that are known are left out.
+        values: Values (K, E) of the estimated ones; expected ones unless given.
+        keep_all: Keep parameters that no sensor has, too.
+
+    Raises:
+        OutsideGridError: A reading lies off the grid.
+    """
+    streams = [r for r in readings if len(r)]
+    named = {r.name for r in streams}
+    kept = [p for p in sensor_parameters if keep_all or named.intersection(p.streams)]
+    process = EstimatedParameters(grid, kept)
+    parameters = ParameterValues(process, process.expected() if values is None else values)
+    arclength, time = _joined(streams)
+    if not grid.contains(arclength, time).all():
+        for r in streams:
+            grid.require(r.arclength, r.time, r.label)
+    blocks = time_blocks(grid)
+    return LocatedReadings(
+        grid, streams, parameters, blocks, _batches(grid, streams, parameters, blocks)
+    )
+
+
+def _joined(streams: Sequence[Readings]) -> tuple[Array, Array]:
+    """Arclengths and times of all readings."""
+    names = ("arclength", "time")
+    first, second = (
+        np.concatenate([np.zeros(0), *(getattr(r, n) for r in streams)]) for n in names
+    )
+    return first, second
+
+
+def _batches(
+    grid: Grid, streams: Sequence[Readings], parameters: ParameterValues, blocks: Sequence[slice]
+) -> list[list[ReadingBatch]]:
+    """The readings of every block, sorted by the part of a cell, then by stream."""
+    if not streams:
+        return [[] for _ in blocks]
+    streams = [parameters.relocated(r) for r in streams]
+    owner = np.repeat(np.arange(len(streams)), [len(r) for r in streams])
+    row = np.concatenate([np.arange(len(r)) for r in streams])
+    arclength, time = _joined(streams)
+    starts = [grid.time[block.start] for block in blocks]
+    block_of = np.maximum(np.searchsorted(starts, time, side="right") - 1, 0)
+    batches: list[list[ReadingBatch]] = []
+    for i in range(len(blocks)):
+        in_block = np.flatnonzero(block_of == i)
+        batches.append([])
+        for points in sort_points(grid, arclength[in_block], time[in_block]):
+            own = in_block[points.rows]
+            ends = np.cumsum(np.bincount(owner[own], minlength=len(streams)))
+            parts = np.split(row[own], ends[:-1])
+            split = [
+                (j, at, r if at.size == len(r) else r.select(at))
+                for j, (r, at) in enumerate(zip(streams, parts, strict=True))
+                if at.size
+            ]
+            batches[-1].append(ReadingBatch(points, split))
+    return batches

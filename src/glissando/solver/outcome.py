@@ -1,0 +1,28 @@
+"""How an iterative solver ended: one enumeration for all of them, each member a sentence."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+
+class Outcome(Enum):
+    """How a solver ended: `sentence` says what happened, `remedy` what to do about it."""
+
+    CONVERGED = ("converged", "")
+    UPDATED = ("updated online", "")
+    ITERATION_LIMIT = (
+        "not converged",
+        "Try a finer time grid, a robust loss, a start nearer the shape, or more iterations.",
+    )
+    NO_DESCENT = (
+        "not converged: no step lowers the cost",
+        "Try a start nearer the shape, a robust loss, or leave out readings that disagree.",
+    )
+
+    def __init__(self, sentence: str, remedy: str) -> None:
+        self.sentence, self.remedy = sentence, remedy
+
+    @property
+    def sound(self) -> bool:
+        """Whether the result can be trusted."""
+        return not self.remedy

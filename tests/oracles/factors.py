@@ -1,0 +1,150 @@
+"""Whitening, factors of the white-noise prior, readings and their sums, in numpy.
+
+Each function is the plain definition of a kernel, on any leading shape.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from glissando.model.factors import Factors
+from glissando.model.grid import Index
+from glissando.model.priors.prior import interval_strain
+from glissando.model.priors.steps import ARCLENGTH, Direction
+from glissando.model.state import State
+from oracles import se3
+from oracles.se3 import Array
+from oracles.steps import carried_error, pair_error
+from oracles.transitions import process_covariances
+
+
+def sqrt_information(cov: Array) -> Array:
+    """W (…, r, r) with Wᵀ W = cov⁻¹, so that W @ residual is white."""
+    whitener: Array = np.linalg.inv(np.linalg.cholesky(cov))
+    return whitener
+
+
+def pair_sqrt_information(cov: Array) -> Array:
+    """W (…, 12, 12) with Wᵀ W = cov⁻¹ for a covariance whose last 6×6 block is diagonal.
+
+    Eliminating the diagonal half first leaves a 6×6 Cholesky factor, a quarter of the work.
+    """
+    spread = 1.0 / np.einsum("...ii->...i", cov[..., 6:, 6:])
+    slope = cov[..., :6, 6:] * spread[..., None, :]
+    corner = sqrt_information(cov[..., :6, :6] - slope @ cov[..., 6:, :6])
+    out = np.zeros_like(cov)
+    out[..., :6, :6] = corner
+    out[..., :6, 6:] = -corner @ slope
+    np.einsum("...ii->...i", out[..., 6:, 6:])[...] = np.sqrt(spread)
+    return out
+
+
+def weighted_steps(
+    direction: Direction,
+    flat: State,
+    about: State,
+    nodes: Index,
+    step: Array,
+    weight: Array,
+    densities: tuple[Array, Array, Array],
+) -> tuple[tuple[Array, Array, Array], tuple[Array, Array, Array]]:
+    """Errors of steps between `nodes` (M, 2) of a list of states, of the pair and of the carried.
+
+    Each with Jacobian (M, r, 2, 18) and whitener (M, r, r), times `weight` (M,), which come from
+    the rates of `about` and the `densities` of the moving field, the carried and a jump (M, 6).
+    """
+    start, end = flat.take(nodes[:, 0]), flat.take(nodes[:, 1])
+    rates, (psd, carried_psd, jump) = direction.rate_of(about), densities
+    middle = interval_strain(rates[nodes[:, 0]], rates[nodes[:, 1]], step, (psd, jump))
+    cov, carried_cov = process_covariances(
+        middle, step, psd, carried_psd, rigid=direction.rigid, jump=jump
+    )
+    pair, carried = pair_error(direction, start, end, step), carried_error(direction, start, end)
+    whiteners = pair_sqrt_information(cov), sqrt_information(carried_cov)
+    first, second = (
+        (error, np.stack(jacobians, axis=2), weight[:, None, None] * whitener)
+        for (error, *jacobians), whitener in zip((pair, carried), whiteners, strict=True)
+    )
+    return first, second
+
+
+def static_steps(
+    flat: State, nodes: Index, step: Array, psd: Array, jump: Array
+) -> tuple[Array, Array, Array]:
+    """Errors (M, 12) of steps between `nodes` (M, 2) of a list of states that hold still.
+
+    With Jacobian (M, 12, 2, 12) and whitener (M, 12, 12). Source: equation (2').
+    """
+    start, end = flat.take(nodes[:, 0]), flat.take(nodes[:, 1])
+    error, j0, j1 = pair_error(ARCLENGTH, start, end, step)
+    rate = interval_strain(start.strain, end.strain, step, (psd, jump))
+    cov, _ = process_covariances(rate, step, psd, psd, rigid=False, jump=jump)
+    jacobian = np.stack([j0[..., slice(0, 12)], j1[..., slice(0, 12)]], axis=2)
+    return error, jacobian, pair_sqrt_information(cov)
+
+
+def pose_error(values: Array, pose: Array, mount: Array, *, rolls: bool = False) -> Array:
+    """log(T_meas⁻¹ T T_bc) (M, 6); if the sensor `rolls`, its roll is first turned to agree.
+
+    The turn about z is all of q_z against q_w of the quaternion, here from the matrix.
+    """
+    apart = se3.inverse(values) @ (pose @ mount)
+    if rolls:
+        turn = np.zeros((*apart.shape[:-2], 6))
+        turn[..., 5] = -np.arctan2(
+            apart[..., 1, 0] - apart[..., 0, 1], apart[..., 0, 0] + apart[..., 1, 1]
+        )
+        apart = se3.exp(turn) @ apart
+    return se3.log(apart)
+
+
+def pose_error_jacobian(miss: Array, mount: Array, *, rolls: bool = False) -> Array:
+    """Slope of `pose_error` by the pose, (M, 6, 6); if it `rolls`, (M, 5, 6) less what follows."""
+    full = se3.right_jacobian_inverse(miss) @ se3.adjoint(se3.inverse(mount))
+    if not rolls:
+        return full
+    by_roll = se3.left_jacobian_inverse(miss)[..., :, 5]
+    follow = full[..., 5:, :] / by_roll[..., 5, None, None]
+    return full[..., :5, :] - by_roll[..., :5, None] * follow
+
+
+def at_nodes(by_state: Array, jacobian: Array, left: Array, cov: Array) -> tuple[Array, Array]:
+    """Slopes (M, r, c, d) of residuals by nodes, and what whitens them (M, r, r).
+
+    `by_state` (M, r, 18) is their slope by the state between the nodes, which has slopes `jacobian`
+    (M, 18, c, d) and what nodes `left` uncertain (M, 18, 18), added to `cov`, (r, r) or (M, r, r).
+    """
+    (m, dof, c, d), r = jacobian.shape, by_state.shape[1]
+    whitener = sqrt_information(cov + by_state @ left @ np.swapaxes(by_state, -1, -2))
+    return (by_state @ jacobian.reshape(m, dof, c * d)).reshape(m, r, c, d), whitener
+
+
+def by_nodes(batch: Factors) -> tuple[Index, Array, Array]:
+    """Nodes (G, c), Jᵀ J (G, q, q) and Jᵀ r (G, q), summed over factors that share nodes.
+
+    The q columns are d for each of the c nodes, then the extras'. All factors of a batch touch
+    nodes in the same pattern, so the first one tells them apart.
+    """
+    residual, jacobian = batch.whitened()
+    hessian = np.swapaxes(jacobian, -1, -2) @ jacobian
+    pull = np.matmul(residual[:, None, :], jacobian)[:, 0]
+    nodes, first = batch.nodes, batch.nodes[:, 0]
+    if not np.all(np.diff(first) > 0):
+        if not np.all(np.diff(first) >= 0):
+            order = np.argsort(first, kind="stable")
+            nodes, hessian, pull = nodes[order], hessian[order], pull[order]
+        starts = np.flatnonzero(np.append(True, np.diff(nodes[:, 0]) > 0))
+        hessian, pull = np.add.reduceat(hessian, starts), np.add.reduceat(pull, starts)
+        nodes = nodes[starts]
+    return nodes, hessian, pull
+
+
+def squared_innovations(residual: Array, known: Array) -> Array:
+    """Squared innovations (M,) of residuals at a solution, each against all other factors.
+
+    `residual` (M, r) is white with its own factor left out; of its unit covariance the solution
+    explains J P Jᵀ = Y Yᵀ, `known` being Y (M, r, …). A residual e that keeps a share S = 1 − Y Yᵀ
+    stands for the innovation S⁻¹ e, whose square in units of its covariance is eᵀ S⁻¹ e.
+    """
+    share = (1.0 + 1e-9) * np.eye(residual.shape[1]) - known @ np.swapaxes(known, 1, 2)
+    return np.einsum("mr,mr->m", residual, np.linalg.solve(share, residual[..., None])[..., 0])
