@@ -187,5 +187,5 @@ def test_a_name_that_toml_must_quote_is_read_back(tmp_path):
 def test_a_folder_that_holds_something_is_left_alone(tmp_path, capsys):
     (tmp_path / "note.txt").write_text("mine")
     assert simulate(tmp_path, "--slide", "hold", "--duration", 1) == 2
-    assert "is there already and not empty" in capsys.readouterr().err
+    assert "exists and is not empty" in capsys.readouterr().err
     assert [p.name for p in tmp_path.iterdir()] == ["note.txt"]

@@ -268,7 +268,7 @@ def test_shipped_robots_load(name):
         ('kind = "white-noise"', 'kind = "magic"', "give one of white-noise"),
         ("quaternion = [1, 0, 0, 0]", "quaternion = [1, 1, 0, 0]", "has norm 1.414"),
         ("clip = 5.0", 'loss = "hubris"', "loss is 'hubris'; give one of none, huber"),
-        ("[sensors.gyro]", "[sensors.nose]", "nose is not a kind of sensor"),
+        ("[sensors.gyro]", "[sensors.nose]", r"\[sensors.nose\] is not a kind of sensor"),
         ("[prior]", "[prior]\npsd_velocity_tim = [1, 1]", "did you mean 'psd_velocity_time'"),
         ("[prior]", "[prier]", r"\[prior\] is missing"),
     ],

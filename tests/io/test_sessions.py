@@ -247,7 +247,7 @@ def test_mistakes_are_sentences(tmp_path):
     with pytest.raises(GlissandoError, match="is closed; write before"):
         log.write("t", {})
     log.close()
-    with pytest.raises(GlissandoError, match="is there already"):
+    with pytest.raises(GlissandoError, match="exists; give a new name"):
         SessionWriter(path)
     with pytest.raises(GlissandoError, match="cannot be written"):
         SessionWriter(tmp_path / "no" / "a.mcap")

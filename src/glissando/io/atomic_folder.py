@@ -13,18 +13,25 @@ from glissando.errors import GlissandoError
 
 
 def require_new(folder: Path, error: type[GlissandoError]) -> None:
-    """Raise `error` when the folder holds something already, or is no folder."""
+    """Require that a folder can be made: it is absent, or an empty folder.
+
+    Args:
+        folder: The folder.
+        error: Class of the error to raise otherwise.
+    """
     if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
-        raise error(f"{folder} is there already and no folder; give another --out.")
+        raise error(f"{folder} exists and is no folder; give another --out.")
     if folder.exists() and any(folder.iterdir()):
-        raise error(f"{folder} is there already and not empty; give another --out.")
+        raise error(f"{folder} exists and is not empty; give another --out.")
 
 
 @contextmanager
 def new_folder(folder: Path, error: type[GlissandoError]) -> Iterator[Path]:
-    """A folder to write into, which becomes `folder` when the context ends well, else nothing.
+    """A folder to write into, which becomes `folder` if the context ends without an exception.
 
-    Raises `error` as `require_new` does.
+    Args:
+        folder: The folder to make.
+        error: Class of the error to raise when it holds something or is no folder.
     """
     require_new(folder, error)
     folder.parent.mkdir(parents=True, exist_ok=True)

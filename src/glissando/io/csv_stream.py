@@ -251,66 +251,49 @@ def _require_unit(path: Path, quaternion: Array) -> None:
 
 
 def _lines(path: Path, *, whole: bool = False) -> list[str]:
-    """The lines of a file; only whole ones if asked."""
+    """The lines of a file, or only those that end."""
     try:
         text = path.read_text(encoding="utf-8-sig")
-        return (text[: text.rfind("\n") + 1] if whole else text).splitlines()
     except OSError as problem:
         raise RecordingError(
             f"Stream file {path} cannot be read ({problem.strerror}); check the name."
         ) from None
     except UnicodeDecodeError:
         raise RecordingError(f"{path.name} is not a text file; give CSV in UTF-8.") from None
+    return (text[: text.rfind("\n") + 1] if whole else text).splitlines()
 
 
 def _numbers(
     path: Path, lines: list[str], first: int, width: int, clock: int | None = None
 ) -> Array:
-    """The rows from line `first` on as numbers (M, width).
-
-    With a column `clock`, which must not go backwards, there must be some.
-    """
-    table = np.empty((len(lines) - min(first, len(lines)), width))
-    count = 0
-    before = -np.inf
+    """The rows from line `first` on as numbers (M, width); at least one with a column `clock`."""
+    table = np.empty((max(len(lines) - first, 0), width))
+    count, before = 0, -np.inf
     for number, line in enumerate(lines[first:], start=first + 1):
         if not line.strip():
             continue
-        parts = line.split(",")
-        if len(parts) != width:
-            raise RecordingError(
-                f"{path.name} line {number}: {len(parts)} columns where {width} are expected; "
-                f"correct or delete that line."
-            )
+        cells, problem = line.split(","), ""
         try:
-            table[count] = parts
-        except ValueError:
-            bad = next(part for part in parts if not _is_float(part))
+            if len(cells) != width:
+                problem = f"{len(cells)} columns where {width} are expected; correct or delete"
+            else:
+                table[count] = cells
+                if not np.all(np.isfinite(table[count])):
+                    problem = (
+                        f"a value is not finite ({line.strip()[:60]}); gaps are normal, delete"
+                    )
+        except ValueError as error:
+            cell = str(error).rpartition(": ")[2]
+            problem = f"{cell} is not a number; correct or delete"
+        if problem:
+            raise RecordingError(f"{path.name} line {number}: {problem} that line.")
+        if clock is not None and table[count, clock] < before:
             raise RecordingError(
-                f"{path.name} line {number}: {bad.strip()!r} is not a number; correct or delete "
-                f"that line."
-            ) from None
-        if not np.all(np.isfinite(table[count])):
-            raise RecordingError(
-                f"{path.name} line {number}: a value is not finite ({line.strip()[:60]}); delete "
-                f"that line, gaps are normal."
+                f"{path.name} line {number}: time goes back from {before:g} s to "
+                f"{table[count, clock]:g} s; sort the rows or correct the clock."
             )
-        if clock is not None:
-            if table[count, clock] < before:
-                raise RecordingError(
-                    f"{path.name} line {number}: time goes back from {before:g} s to "
-                    f"{table[count, clock]:g} s; sort the rows or correct the clock."
-                )
-            before = table[count, clock]
+        before = before if clock is None else table[count, clock]
         count += 1
     if count == 0 and clock is not None:
         raise RecordingError(f"{path.name} holds no rows; record some or leave the stream out.")
     return table[:count]
-
-
-def _is_float(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True

@@ -172,14 +172,10 @@ def _described(folder: Path) -> Recording:
     if table.peek("window") is not None:
         first, last = table.vector("window", 2).tolist()
         window = first, last
-    frames = {"world": np.eye(4)}
-    given = table.table("frames")
-    for frame in given.names() if given else []:
-        entry = given.table(frame) if given else None
-        assert entry is not None
+    frames, streams = {"world": np.eye(4)}, {}
+    for frame, entry in table.named_tables("frames"):
         frames[frame] = entry.pose()
         entry.close()
-    streams = {}
     for entry in table.tables("streams"):
         stream = _stream(folder, entry, frames, journal)
         if journal and not len(stream.rows.time):

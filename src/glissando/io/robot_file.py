@@ -173,14 +173,10 @@ def _sensors(
     losses: dict[str, Loss] = {}
     ranges: dict[str, float] = {}
     rates: dict[str, float] = {}
-    sensors = table.table("sensors")
-    for kind in sensors.names() if sensors else []:
-        assert sensors is not None
+    for kind, sensor in table.named_tables("sensors"):
         if kind not in sensor_kinds():
             known = ", ".join(sensor_kinds())
-            raise sensors.fail(kind, f"is not a kind of sensor; known: {known}.")
-        sensor = sensors.table(kind, required=True)
-        assert sensor is not None
+            raise table.fail(f"[sensors.{kind}]", f"is not a kind of sensor; known: {known}.")
         std[kind] = sensor.std(sensor_class(kind).rows)
         if sensor.peek("clip") is not None and not sensor_class(kind).tracker:
             ranges[kind] = sensor.number("clip")

@@ -16,7 +16,16 @@ from glissando.geometry.se3 import Array
 
 
 class Table:
-    """A TOML table that knows where it stands, hands out checked values and counts what is left."""
+    """A TOML table that gives checked values, and knows which of its keys were not asked for.
+
+    Every method raises the table's error, which names the file and the key, for a value that is
+    missing or wrong.
+
+    Args:
+        entries: Keys and values.
+        where: File and table, for messages.
+        error: Class of the errors.
+    """
 
     def __init__(self, entries: dict[str, Any], where: str, error: type[GlissandoError]) -> None:
         self._left = dict(entries)
@@ -48,27 +57,32 @@ class Table:
         value = self._take(key) or []
         if not isinstance(value, list) or not all(isinstance(v, dict) for v in value):
             raise self.fail(f"[[{key}]]", "must be an array of tables.")
-        return [
-            Table(v, f"{self.where} [[{key}]] {i + 1}", self.error) for i, v in enumerate(value)
-        ]
+        where = f"{self.where} [[{key}]]"
+        return [Table(v, f"{where} {i}", self.error) for i, v in enumerate(value, start=1)]
+
+    def named_tables(self, key: str) -> list[tuple[str, Table]]:
+        """The tables of a table, [key.NAME], with their names; empty when absent."""
+        outer = self.table(key)
+        inner = [(name, outer.table(name)) for name in outer.names()] if outer else []
+        return [(name, table) for name, table in inner if table is not None]
 
     def peek(self, key: str) -> Any:
-        """The raw value of a key, left where it is."""
+        """The raw value of a key, which stays to be asked for."""
         return self._left.get(key)
 
     def skip(self, key: str) -> None:
-        """Leave a table to somebody else."""
+        """Pass over a key that another reader checks."""
         self._take(key)
 
     def std(self, rows: int) -> Array:
-        """`std`, `rows` numbers above zero; six or five may be a pair [linear, angular]."""
+        """`std`: `rows` numbers above zero; six or five may be a pair [linear, angular]."""
         value = self.peek("std")
         if rows == 5 and isinstance(value, list) and len(value) == 2:
             return self.vector("std", 2, positive=True)[[0, 0, 0, 1, 1]]
         return self.vector("std", rows, positive=True)
 
     def names(self) -> list[str]:
-        """Keys not taken yet."""
+        """Keys that were not asked for."""
         return list(self._left)
 
     def text(self, key: str, default: str | None = None, choices: Iterable[str] = ()) -> str:
@@ -171,14 +185,12 @@ class Table:
         return out
 
     def close(self) -> None:
-        """Raise unless every key was used: a misspelt key must not be ignored."""
+        """Raise unless every key was asked for: a misspelt key must not be ignored."""
+        known = ", ".join(sorted(set(self._known)))
         for key in self._left:
             near = difflib.get_close_matches(key, self._known, n=1)
-            hint = f"did you mean {near[0]!r}?" if near else f"known keys: {self._listed()}."
+            hint = f"did you mean {near[0]!r}?" if near else f"known keys: {known}."
             raise self.fail(key, f"is not a key of this table; {hint}")
-
-    def _listed(self) -> str:
-        return ", ".join(sorted(set(self._known)))
 
 
 def _is_number(value: Any) -> bool:
@@ -191,12 +203,12 @@ def _shown(value: Any) -> str:
 
 
 def read_toml(path: Path, error: type[GlissandoError]) -> Table:
-    """The file as a Table. Raises `error` when it cannot be read or parsed."""
+    """The file as a Table; raises `error` when it cannot be read or parsed."""
     return Table(read_document(path, error), path.name, error)
 
 
 def read_document(path: Path, error: type[GlissandoError] = GlissandoError) -> dict[str, Any]:
-    """The file as TOML gives it. Raises `error` when it cannot be read or parsed."""
+    """The file as TOML gives it; raises `error` when it cannot be read or parsed."""
     try:
         return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as problem:

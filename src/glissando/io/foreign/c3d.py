@@ -11,9 +11,15 @@ from glissando.io.foreign.tracks import LENGTHS, Track, plain_name
 
 
 def read_c3d(path: Path, rate: float | None) -> list[Track]:
-    """Points of a c3d file as positions, in its units; a residual below zero is a gap.
+    """Points of a c3d file as positions; a residual below zero is a gap.
 
-    `rate` (Hz) overrides POINT:RATE. Raises RecordingError, and GlissandoError without ezc3d.
+    Args:
+        path: The file.
+        rate: Frames a second, which override POINT:RATE.
+
+    Raises:
+        RecordingError: The file cannot be read, or states no units or rate.
+        GlissandoError: ezc3d is not installed.
     """
     try:
         import ezc3d

@@ -1,4 +1,4 @@
-"""Which kind a foreign file is of, by its name and by what stands in it."""
+"""Foreign files of every kind, told apart by name and content."""
 
 from __future__ import annotations
 
@@ -21,9 +21,15 @@ _KNOWN = (
 def read_tracks(
     path: str | Path, *, rate: float | None = None, topics: Sequence[str] = ()
 ) -> list[Track]:
-    """Tracks of a foreign file; `rate` (Hz) and `topics` are for the kinds that need them.
+    """Tracks of a foreign file.
 
-    Raises RecordingError, also for a file of no known kind.
+    Args:
+        path: File, or folder of a ROS 2 bag.
+        rate: Frames a second, for kinds that do not state them.
+        topics: Topics of a bag; by default all with poses.
+
+    Raises:
+        RecordingError: The file is of no known kind, or something in it is wrong.
     """
     path = Path(path)
     if rate is not None and not 0.0 < rate < 1e6:

@@ -16,7 +16,6 @@ import numpy as np
 
 from glissando.errors import RecordingError
 from glissando.geometry import se3
-from glissando.geometry.se3 import Array
 from glissando.io.foreign.tracks import (
     Track,
     as_numbers,
@@ -29,7 +28,7 @@ from glissando.io.foreign.tracks import (
 _VALUES = ["q0", "qx", "qy", "qz", "tx", "ty", "tz"]
 _FRAMES, _STATES = ("frame#", "frame"), ("state", "transformstatus", "status")
 _TIMES = ("time [sec]", "time")
-_WELL = ("", "OK", "ENABLED", "VALID")  # [inferred] beyond OK
+_VALID = ("", "OK", "ENABLED", "VALID")  # [inferred] beyond OK
 
 
 def is_ndi_header(line: str) -> bool:
@@ -40,8 +39,12 @@ def is_ndi_header(line: str) -> bool:
 def read_ndi_csv(path: Path, rate: float | None) -> list[Track]:
     """Tools of an NDI CSV file, in the tracker's frame.
 
-    With `rate` (Hz), times count frames from the file's first; without, its own time column does.
-    Raises RecordingError when there is neither.
+    Args:
+        path: The file.
+        rate: Frames a second, counted from the file's first; None to take its time column.
+
+    Raises:
+        RecordingError: There are no times, or a row or a column is wrong.
     """
     lines = text_lines(path)
     heads = [cell.strip() for cell in lines[0].split(",")]
@@ -84,21 +87,21 @@ def _tool(
             continue
         require_ahead(path, line, before, tick[0])
         before, first = tick[0], tick[0] if first == -np.inf else first
-        found = as_numbers(path, line, [cells[c] for c in at])
-        well = state is None or cells[state].upper() in _WELL
-        if found is None or not well or not found[:4].any():
+        numbers = as_numbers(path, line, [cells[c] for c in at])
+        valid = state is None or cells[state].upper() in _VALID
+        if numbers is None or not valid or not numbers[:4].any():
             missing += 1
             continue
         times.append(tick[0] if absolute else (tick[0] - first) / (rate or 1.0))
-        values.append(found)
+        values.append(numbers)
     name = _tool_name(heads[start], rows[0][1][start], path)
-    return Track(
-        name, "coil", np.array(times), _poses(values), missing, "tracker", absolute=absolute
-    )
+    table = np.array(values).reshape(-1, 7)
+    pose = poses(se3.rotation_from_quaternion(table[:, :4]), 1e-3 * table[:, 4:])
+    return Track(name, "coil", np.array(times), pose, missing, "tracker", absolute=absolute)
 
 
 def _clock(path: Path, labels: list[str], rate: float | None) -> tuple[int, bool]:
-    """The column that tells time, and whether it counts seconds from 1970 rather than frames."""
+    """The column of the clock, and whether it counts seconds from 1970 rather than frames."""
     frame = next((labels.index(name) for name in _FRAMES if name in labels), None)
     if rate is not None and frame is not None:
         return frame, False
@@ -111,15 +114,10 @@ def _clock(path: Path, labels: list[str], rate: float | None) -> tuple[int, bool
     return clock, True
 
 
-def _poses(values: list[Array]) -> Array:
-    table = np.array(values).reshape(-1, 7)
-    return poses(se3.rotation_from_quaternion(table[:, :4]), 1e-3 * table[:, 4:])
-
-
 def _tool_name(head: str, cell: str, path: Path) -> str:
     """A tool's name: 'Port 0x01: Tip coil  s/n:3E' is Tip_coil, 'Port 1' is Port_1."""
     if not head.lower().startswith("port"):
         return plain_name(path.stem)
-    told = cell if cell.lower().startswith("port") else head
-    name = told.partition(":")[2].partition("s/n:")[0].strip()
-    return plain_name(name or told)
+    label = cell if cell.lower().startswith("port") else head
+    name = label.partition(":")[2].partition("s/n:")[0].strip()
+    return plain_name(name or label)

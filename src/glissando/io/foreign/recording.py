@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 
 from glissando.errors import RecordingError
-from glissando.geometry.se3 import Array
 from glissando.io.atomic_folder import new_folder
 from glissando.io.csv_stream import Rows, Stream
 from glissando.io.foreign.tracks import Track
@@ -89,12 +88,12 @@ def write_recording(tracks: Sequence[Track], folder: Path, choices: Choices) -> 
 def _distinct(tracks: Sequence[Track]) -> list[Track]:
     """Tracks with a number behind the names that several have."""
     names = [track.name for track in tracks]
-    out = []
-    for k, track in enumerate(tracks):
-        again = names[:k].count(track.name)
-        name = f"{track.name}_{again + 1}" if names.count(track.name) > 1 else track.name
-        out.append(replace(track, name=name))
-    return out
+    return [
+        replace(track, name=f"{track.name}_{names[: k + 1].count(track.name)}")
+        if names.count(track.name) > 1
+        else track
+        for k, track in enumerate(tracks)
+    ]
 
 
 def _require_known(tracks: Sequence[Track], choices: Choices) -> None:
@@ -118,18 +117,13 @@ def _placed(track: Track, choices: Choices, start: float) -> Rows | None:
         raise RecordingError(f"{track.name} is a {track.kind}; it cannot be read as {kind!r}.")
     if not isinstance(place, Path):
         return Rows(kind, time, np.full(time.size, place), track.values, {})
-    at, arclength = _slide(place)
+    at, arclength = read_query(place)
+    if not np.all(np.diff(at) > 0.0):
+        raise RecordingError(f"{place.name}: its times must increase; sort its rows.")
     inside = (time >= at[0]) & (time <= at[-1])
     dropped = {"outside its path": int(np.sum(~inside))} if not inside.all() else {}
     where = np.interp(time[inside], at, arclength)
     return Rows(kind, time[inside], where, track.values[inside], dropped)
-
-
-def _slide(path: Path) -> tuple[Array, Array]:
-    time, arclength = read_query(path)
-    if not np.all(np.diff(time) > 0.0):
-        raise RecordingError(f"{path.name}: its times must increase; sort its rows.")
-    return time, arclength
 
 
 def _line(track: Track, rows: Rows) -> str:

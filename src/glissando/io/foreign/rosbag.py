@@ -27,10 +27,17 @@ _WORLDS = ("", "world", "map")
 
 
 def read_bag(path: Path, topics: Sequence[str]) -> list[Track]:
-    """Pose topics of a ROS 1 bag file or a ROS 2 bag folder: all of them, or those named.
+    """Pose topics of a ROS 1 bag file or a ROS 2 bag folder.
 
-    Times are the headers' stamps, or the bag's where a header has none. Raises RecordingError, and
-    GlissandoError without rosbags.
+    Times are the headers' stamps, or the bag's where a header has none.
+
+    Args:
+        path: The bag.
+        topics: Names of topics; none for all with poses.
+
+    Raises:
+        RecordingError: The bag cannot be read or has no such topics.
+        GlissandoError: rosbags is not installed.
     """
     try:
         from rosbags.highlevel import AnyReader, AnyReaderError

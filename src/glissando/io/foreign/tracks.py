@@ -1,4 +1,4 @@
-"""What every reader of a foreign file hands over, and what they share."""
+"""Tracks, which every reader of foreign files gives, and the parts that the readers share."""
 
 from __future__ import annotations
 
@@ -12,18 +12,24 @@ import numpy as np
 from glissando.errors import RecordingError
 from glissando.geometry.se3 import Array
 
-_NO_NUMBER = 1e20  # NDI's devices write -3.697314e28 for what they do not know
+_NO_NUMBER = 1e20  # NDI's devices write -3.697314e28 where there is no value
 LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 """Metres of a unit as files name it."""
 
 
 @dataclass(frozen=True)
 class Track:
-    """One object of a foreign file, SI units; where on the robot it sits, the file does not say.
+    """One object of a foreign file; the file does not say where on the robot it sits.
 
-    `time` (M,) s increases; `values` (M, 4, 4) of a 'pose' or a 'coil', (M, 3) of a 'position', in
-    the frame named `frame`. `missing` counts the rows in which it was not seen. `absolute` times
-    count from 1970. `numbered` rows have frame numbers, so rows alike are readings alike.
+    Attributes:
+        name: Name of the object.
+        kind: pose, coil or position.
+        time: Increasing times (M,), s.
+        values: Poses (M, 4, 4), or positions (M, 3) in m.
+        missing: Number of rows in which it was not seen.
+        frame: Name of the frame of its values.
+        absolute: Whether times count from 1970.
+        numbered: Whether rows have frame numbers, so that repeated values are new readings.
     """
 
     name: str
@@ -46,7 +52,11 @@ def plain_name(text: str) -> str:
 
 
 def text_lines(path: Path) -> list[str]:
-    """Lines of a text file; letters that are not UTF-8 are replaced."""
+    """Lines of a text file; bytes that are not UTF-8 are replaced.
+
+    Raises:
+        RecordingError: The file cannot be read.
+    """
     try:
         return path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
     except OSError as problem:
@@ -54,9 +64,10 @@ def text_lines(path: Path) -> list[str]:
 
 
 def as_numbers(path: Path, line: int, cells: Sequence[str]) -> Array | None:
-    """The cells of a line as numbers, None when one is empty or none: the object was not seen.
+    """The cells of a line as numbers; None when one is empty or huge: the object was not seen.
 
-    Raises RecordingError, with the line, for a cell that is no number.
+    Raises:
+        RecordingError: A cell is no number, with the line.
     """
     if any(not cell.strip() for cell in cells):
         return None
@@ -71,7 +82,7 @@ def as_numbers(path: Path, line: int, cells: Sequence[str]) -> Array | None:
 
 
 def require_ahead(path: Path, line: int, before: float, frame: float) -> None:
-    """Raise RecordingError unless frame numbers go up."""
+    """Raise RecordingError unless frame numbers increase."""
     if not frame > before:
         raise RecordingError(
             f"{path.name} line {line}: frame {frame:g} follows frame {before:g}; the device was "

@@ -42,11 +42,20 @@ def export(
     arclength: Array | None = None,
     rate: float | None = None,
 ) -> int:
-    """Write poses of a posterior to a .tum (.txt), .csv or .mcap file; returns how many times.
+    """Write poses of a posterior to a .tum (.txt), .csv or .mcap file.
 
-    At `arclength` (N,) m, by default the tip for TUM and the nodes otherwise, `rate` times a
-    second, by default at the time nodes. Raises GlissandoError for another suffix or a rate that
-    cannot be, OutsideGridError for an arclength off the robot.
+    Args:
+        posterior: The posterior.
+        out: File to write; its suffix chooses the format.
+        arclength: Arclengths (N,), m; by default the tip for TUM, else the nodes.
+        rate: Poses a second; by default at the time nodes.
+
+    Returns:
+        The number of times.
+
+    Raises:
+        GlissandoError: The suffix or the rate is none that can be written.
+        OutsideGridError: An arclength is off the robot.
     """
     out = Path(out)
     writers = {".tum": _write_tum, ".txt": _write_tum, ".csv": _write_csv, ".mcap": _write_mcap}
@@ -101,18 +110,18 @@ def _write_mcap(posterior: Posterior, out: Path, time: Array, arclength: Array) 
         for topic, described in SCHEMAS.items():
             log.add_topic(topic, described)
         for some in np.array_split(time, time.size // _CHUNK + 1):
-            found = posterior.at(arclength, some[:, None])
+            estimate = posterior.at(arclength, some[:, None])
             for k, t in enumerate(some.tolist()):
                 now = round(1e9 * t)
-                for topic, message in _messages(found, k, t, arclength).items():
+                for topic, message in _messages(estimate, k, t, arclength).items():
                     log.write(topic, message, now)
 
 
 def _messages(
-    found: StateEstimate, k: int, time: float, arclength: Array
+    estimate: StateEstimate, k: int, time: float, arclength: Array
 ) -> dict[str, dict[str, Any]]:
-    """What is told at the k-th time of an estimate (K, N), by topic."""
-    at = StateEstimate(found.pose[k], found.strain[k], found.velocity[k], found.cov[k])
+    """The messages of the k-th time of an estimate (K, N), by topic."""
+    at = StateEstimate(*(getattr(estimate, name)[k] for name in vars(estimate)))
     now = round(1e9 * time)
     stamp = {"timestamp": {"sec": now // 10**9, "nsec": now % 10**9}, "frame_id": "world"}
     poses = [
@@ -122,15 +131,14 @@ def _messages(
         }
         for p, q in zip(at.position.tolist(), at.quaternion.tolist(), strict=True)
     ]
-    estimate = {
-        "time": time,
-        "arclength": arclength,
-        "position": at.position,
-        "quaternion": at.quaternion,
-        "cov_pose": at.cov[:, :6, :6],
-    }
     return {
         "/shape": {**stamp, "poses": poses},
         "/tip": {**stamp, "pose": poses[int(np.argmax(arclength))]},
-        "/estimate": estimate,
+        "/estimate": {
+            "time": time,
+            "arclength": arclength,
+            "position": at.position,
+            "quaternion": at.quaternion,
+            "cov_pose": at.cov[:, :6, :6],
+        },
     }

@@ -2,8 +2,8 @@
 
 A section: its title, a number, names, labels, units, a row a frame, an empty line. [inferred], to
 be verified on an export of one's own: an object that was not seen has empty cells, a short row or
-six zeros; rotations are helical (the rotation vector, its length the angle), which is what Tracker
-exports unless told otherwise and what the file does not say; frame 1 is time 0.
+six zeros; rotations are helical (the rotation vector, its length the angle), which Tracker exports
+by default and the file does not state; frame 1 is time 0.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from glissando.io.foreign.tracks import (
 )
 
 TITLES = ("Objects", "Segments", "Trajectories")
-_RATE_IS_TOLD = ("Segments", "Trajectories")  # of Tracker's line 2 sources disagree what it is
+_RATED = ("Segments", "Trajectories")  # sources disagree on the meaning of Tracker's line 2
 _POSE, _POINT = ["RX", "RY", "RZ", "TX", "TY", "TZ"], ["X", "Y", "Z"]
 _UNITS = {**LENGTHS, "rad": 1.0, "deg": np.pi / 180.0}
 
@@ -49,7 +49,12 @@ class _Section:
 def read_vicon_csv(path: Path, rate: float | None) -> list[Track]:
     """Objects, segments and markers of a Tracker or Nexus CSV file.
 
-    `rate` (Hz) overrides the file's; a Tracker file's own cannot be trusted. Raises RecordingError.
+    Args:
+        path: The file.
+        rate: Frames a second, which override the file's; Tracker's own cannot be trusted.
+
+    Raises:
+        RecordingError: The file holds no objects, or something in it is wrong.
     """
     tracks: list[Track] = []
     for section in _sections(path):
@@ -88,15 +93,15 @@ def _rate(path: Path, section: _Section, given: float | None) -> float:
     if given is not None:
         return given
     try:
-        told = float(section.number)
+        rate = float(section.number)
     except ValueError:
-        told = 0.0
-    if section.title not in _RATE_IS_TOLD or not 0.0 < told < np.inf:
+        rate = 0.0
+    if section.title not in _RATED or not 0.0 < rate < np.inf:
         raise RecordingError(
             f"{path.name}: its frame rate cannot be trusted (line 2 says {section.number!r}); give "
             f"the one that was set in Tracker or Nexus with --rate HZ."
         )
-    return told
+    return rate
 
 
 def _frames(path: Path, section: _Section) -> tuple[Array, list[tuple[int, list[str]]]]:
@@ -116,13 +121,13 @@ def _frames(path: Path, section: _Section) -> tuple[Array, list[tuple[int, list[
 def _columns(section: _Section) -> list[tuple[str, list[int]]]:
     """Names of the section's objects, and the columns of their numbers in our order."""
     starts = [c for c, name in enumerate(section.names) if name and c >= 2]
-    found = []
+    objects = []
     for start, end in pairwise([*starts, len(section.labels)]):
         labels = section.labels[start:end]
         wanted = _POSE if "RX" in labels else _POINT
         if all(label in labels for label in wanted):
-            found.append((section.names[start], [start + labels.index(w) for w in wanted]))
-    return found
+            objects.append((section.names[start], [start + labels.index(w) for w in wanted]))
+    return objects
 
 
 def _track(
@@ -141,9 +146,9 @@ def _track(
         ) from None
     values, seen = np.empty((len(rows), len(at))), np.zeros(len(rows), dtype=bool)
     for k, (line, cells) in enumerate(rows):
-        found = as_numbers(path, line, [cells[c] for c in at]) if len(cells) > max(at) else None
-        if found is not None and np.any(found != 0.0):
-            values[k], seen[k] = scale * found, True
+        numbers = as_numbers(path, line, [cells[c] for c in at]) if len(cells) > max(at) else None
+        if numbers is not None and np.any(numbers != 0.0):
+            values[k], seen[k] = scale * numbers, True
     values, missing = values[seen], int(np.sum(~seen))
     if len(at) == 3:
         return Track(_name(name), "position", time[seen], values, missing)

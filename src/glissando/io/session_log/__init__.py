@@ -1,8 +1,8 @@
-"""Raw session logs: what devices say, as it comes, in an MCAP file that outlives a crash.
+"""Raw session logs: the messages of devices as they come, in an MCAP file that survives a crash.
 
-One topic a device stream, messages of JSON with a JSON schema, so that Foxglove and any MCAP reader
-open them. Log times are the host's monotonic clock in ns; the metadata record 'session' says what
-the wall clock was at one of them. Floats come back bit by bit; NaN is written as null.
+Each device stream is a topic, with messages of JSON and a JSON schema that Foxglove and any MCAP
+reader understand. Log times are the host's monotonic clock in ns; the metadata record 'session'
+relates it to the wall clock. Floats come back bit by bit; NaN is written as null.
 """
 
 from glissando.io.session_log.messages import INTEGER, NUMBER, TEXT, numbers, schema

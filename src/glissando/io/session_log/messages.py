@@ -1,4 +1,4 @@
-"""Messages as JSON, and the schemas that say what stands in them."""
+"""Messages as JSON, and their schemas."""
 
 from __future__ import annotations
 
@@ -31,7 +31,8 @@ def schema(title: str, **properties: Mapping[str, Any]) -> dict[str, Any]:
 def encoded(topic: str, message: Mapping[str, Any]) -> bytes:
     """A message of numbers, texts, lists, dicts and arrays as JSON; null for NaN.
 
-    Raises GlissandoError for an infinite number and for what JSON has no place for.
+    Raises:
+        GlissandoError: A number is infinite, or a value has no form in JSON.
     """
     try:
         try:

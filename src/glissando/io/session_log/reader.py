@@ -24,7 +24,15 @@ _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _METADATA = 2, 3, 4, 5, 6, 12
 
 @dataclass(frozen=True)
 class Topic:
-    """Messages of one stream in the order they were written, `time_ns` (M,) when they came."""
+    """Messages of one stream in the order they were written.
+
+    Attributes:
+        name: Name of the topic.
+        schema: JSON schema of its messages.
+        metadata: What the writer stated of it.
+        time_ns: Log times (M,), ns of the monotonic clock.
+        messages: The messages.
+    """
 
     name: str
     schema: dict[str, Any]
@@ -35,7 +43,8 @@ class Topic:
     def column(self, key: str) -> Array:
         """One property of every message as numbers (M, …), NaN where it is null or absent.
 
-        Raises RecordingError when it is no number, or lists of unlike length.
+        Raises:
+            RecordingError: It is no number, or lists of different lengths.
         """
         rows = [message.get(key) for message in self.messages]
         like = next((row for row in rows if row is not None), None)
@@ -50,9 +59,13 @@ class Topic:
 
 @dataclass(frozen=True)
 class RawSession:
-    """A session log as it was read: its topics by name and its metadata.
+    """A session log as it was read.
 
-    `complete` when it was closed properly; `damaged` counts records that could not be read.
+    Attributes:
+        topics: Topics by name.
+        metadata: What the writer stated of the session.
+        complete: Whether it was closed properly.
+        damaged: Number of records that could not be read.
     """
 
     topics: dict[str, Topic]
@@ -69,7 +82,9 @@ class RawSession:
 def read_session(path: str | Path) -> RawSession:
     """Read a session log, whole, cut off anywhere, or with damage inside.
 
-    Raises RecordingError when it cannot be opened or is no MCAP file, GlissandoError without mcap.
+    Raises:
+        RecordingError: It cannot be opened or is no MCAP file.
+        GlissandoError: mcap is not installed.
     """
     try:
         import mcap.records  # noqa: F401
@@ -77,22 +92,22 @@ def read_session(path: str | Path) -> RawSession:
         raise GlissandoError(
             "Reading MCAP files needs the package mcap; run pip install 'glissando[hardware]'."
         ) from None
-    found = _Found()
+    contents = _Contents()
     try:
         with Path(path).open("rb") as file:
             for kind, body in _records(file, path):
                 try:
-                    found.take(kind, body)
+                    contents.take(kind, body)
                 except Exception:  # whatever damaged bytes make a decoder raise
-                    found.damaged += 1
+                    contents.damaged += 1
     except OSError as problem:
         raise RecordingError(f"{path} cannot be read ({problem.strerror}).") from None
-    topics = {channel.topic: found.topic(channel) for channel in found.channels.values()}
-    return RawSession(topics, found.metadata, found.complete, found.damaged)
+    topics = {c.topic: contents.topic(c) for c in contents.channels.values()}
+    return RawSession(topics, contents.metadata, contents.complete, contents.damaged)
 
 
 def _records(file: BinaryIO, path: str | Path) -> Iterator[tuple[int, bytes]]:
-    """Kinds and bodies of the records that are there from first to last byte."""
+    """Kinds and bodies of the records that are complete."""
     magic = file.read(len(_MAGIC))
     if not _MAGIC.startswith(magic):
         raise RecordingError(f"{path} is no MCAP file; give one that SessionWriter wrote.")
@@ -108,8 +123,8 @@ def _records(file: BinaryIO, path: str | Path) -> Iterator[tuple[int, bytes]]:
 
 
 @dataclass
-class _Found:
-    """What a log's records have said so far; messages by channel, not yet decoded."""
+class _Contents:
+    """The contents of the records so far; messages by channel, not yet decoded."""
 
     schemas: dict[int, Any] = field(default_factory=dict)
     channels: dict[int, Any] = field(default_factory=dict)
@@ -119,7 +134,7 @@ class _Found:
     damaged: int = 0
 
     def take(self, kind: int, body: bytes) -> None:
-        """One record; kinds that say nothing new are passed over."""
+        """Read one record; the kinds that an index repeats are skipped."""
         from mcap import records
         from mcap.data_stream import ReadDataStream
         from mcap.stream_reader import breakup_chunk
@@ -133,8 +148,8 @@ class _Found:
         elif kind in (_SCHEMA, _CHANNEL):
             self.keep((records.Schema if kind == _SCHEMA else records.Channel).read(stream))
         elif kind == _METADATA:
-            found = records.Metadata.read(stream)
-            self.metadata |= found.metadata if found.name == "session" else {}
+            record = records.Metadata.read(stream)
+            self.metadata |= record.metadata if record.name == "session" else {}
         self.complete |= kind == _FOOTER
 
     def keep(self, record: Any) -> None:
@@ -149,7 +164,7 @@ class _Found:
             self.messages.setdefault(record.channel_id, []).append(record)
 
     def topic(self, channel: Any) -> Topic:
-        """The topic of a channel with all that came on it and can be read."""
+        """The topic of a channel with all of its messages that can be read."""
         rows = self.messages.get(channel.id, [])
         rows = [(row.log_time, self._decoded(row.data)) for row in rows]
         rows = [row for row in rows if row[1] is not None]
@@ -160,10 +175,10 @@ class _Found:
 
     def _decoded(self, data: bytes) -> dict[str, Any] | None:
         try:
-            found = json.loads(data)
+            message = json.loads(data)
         except ValueError:
-            found = None
-        if not isinstance(found, dict):
+            message = None
+        if not isinstance(message, dict):
             self.damaged += 1
             return None
-        return found
+        return message

@@ -1,4 +1,4 @@
-"""Writing a session log so that what came before a crash is there after it."""
+"""Writing a session log that keeps after a crash what came a second before it."""
 
 from __future__ import annotations
 
@@ -15,16 +15,22 @@ from glissando.errors import GlissandoError
 from glissando.io.session_log.messages import encoded
 
 FORMAT = "glissando session 1"
-_SAFE_EVERY = 0.5  # s: what a crash may take, half of what is promised
+_SAFE_EVERY = 0.5  # s between flushes: a crash loses at most a second
 _CHUNK_BYTES = 256 * 1024
 
 
 class SessionWriter:
-    """Writes messages as they come; what is a second old survives whatever happens.
+    """Writes messages as they come; those a second old survive a crash.
 
     A context manager, and safe to write to from several threads. A thread of its own ends a chunk
-    and has the disk keep it twice a second. Raises GlissandoError when the file is there already,
-    when the disk refuses, and when mcap is not installed.
+    and flushes it to disk twice a second.
+
+    Args:
+        path: File to write.
+        metadata: Texts about the session, besides its clocks.
+
+    Raises:
+        GlissandoError: The file exists or cannot be written, or mcap is not installed.
     """
 
     def __init__(self, path: str | Path, metadata: Mapping[str, str] | None = None) -> None:
@@ -38,7 +44,7 @@ class SessionWriter:
         try:
             self._file = self.path.open("xb")
         except FileExistsError:
-            raise GlissandoError(f"{path} is there already; give a new name.") from None
+            raise GlissandoError(f"{path} exists; give a new name.") from None
         except OSError as problem:
             raise GlissandoError(f"{path} cannot be written ({problem.strerror}).") from None
         self._writer = Writer(self._file, chunk_size=_CHUNK_BYTES)
@@ -57,7 +63,7 @@ class SessionWriter:
         self._keeper.start()
 
     def add_topic(self, topic: str, message: Mapping[str, Any], **metadata: str) -> None:
-        """Declare a topic, with the JSON schema of its messages. A second time changes nothing."""
+        """Declare a topic with the JSON schema of its messages; a second time changes nothing."""
         text = json.dumps(message).encode()
         with self._sound():
             if topic not in self._channels:
@@ -66,10 +72,16 @@ class SessionWriter:
                 self._channels[topic], self._count[topic] = channel, 0
 
     def write(self, topic: str, message: Mapping[str, Any], time_ns: int | None = None) -> None:
-        """Write a message; `time_ns` is when it came, by default now, monotonic.
+        """Write a message.
 
-        Numbers, texts, lists, dicts and arrays. Raises GlissandoError for an infinite number, a
-        topic that was not declared, a log that is closed, and once the disk has refused.
+        Args:
+            topic: A declared topic.
+            message: Numbers, texts, lists, dicts and arrays.
+            time_ns: When it came, ns of the monotonic clock; by default now.
+
+        Raises:
+            GlissandoError: A number is infinite, the topic is not declared, the log is closed, or
+                the disk refused to write before.
         """
         data = encoded(topic, message)
         now = time.monotonic_ns() if time_ns is None else time_ns
@@ -84,10 +96,10 @@ class SessionWriter:
                 self._flush()
 
     def sync(self) -> None:
-        """Have the disk keep everything written so far."""
+        """Flush everything written so far to disk."""
         with self._sound():
             self._flush()
-            at = os.dup(self._file.fileno())  # the lock is not held while the disk is slow
+            at = os.dup(self._file.fileno())  # not under the lock: the disk may be slow
         try:
             os.fsync(at)
         except OSError as problem:
@@ -96,7 +108,11 @@ class SessionWriter:
             os.close(at)
 
     def close(self) -> None:
-        """Write the index and close. Raises GlissandoError when the disk has refused."""
+        """Write the index and close.
+
+        Raises:
+            GlissandoError: The disk refused to write.
+        """
         self._closing.set()
         self._keeper.join()
         if self._file.closed:
@@ -117,18 +133,18 @@ class SessionWriter:
         self.close()
 
     def _flush(self) -> None:
-        """Hand everything to the operating system, which keeps it when this process is killed."""
+        """Hand everything to the operating system, which keeps it if this process is killed."""
         self._writer.flush()
         self._flushed = time.monotonic()
 
     def _keep_safe(self) -> None:
-        with suppress(GlissandoError):  # who writes next, or closes, is told
+        with suppress(GlissandoError):  # the next write raises it
             while not self._closing.wait(_SAFE_EVERY):
                 self.sync()
 
     @contextmanager
     def _sound(self) -> Iterator[None]:
-        """Hold the log while it can be written to; a disk that refuses is remembered."""
+        """Hold the lock of a log that can be written; the first failure of the disk is kept."""
         with self._lock:
             if self._failure is None and self._file.closed:
                 raise GlissandoError(f"{self.path} is closed; write before close().")
