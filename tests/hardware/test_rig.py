@@ -16,12 +16,13 @@ from glissando.cli.main import main
 from glissando.errors import DeviceError, RecordingError
 from glissando.evaluation.run import run_estimate
 from glissando.hardware.capture import Body, Coil, Rig, load_rig, write_recording
-from glissando.hardware.capture.online import followed
+from glissando.hardware.capture.online import live_estimate
 from glissando.io.recording import load_recording
 from glissando.io.robot_file import robot_file
 from glissando.io.session_log import SessionWriter, read_session
 from glissando.simulation import SlidePath, load_bench
 from glissando.simulation.simulated_session import simulate_session, write_session
+from glissando.visualization.page.live import Live, follow
 
 pytestmark = pytest.mark.alone
 
@@ -57,13 +58,13 @@ position = [0, 0, 0.02]
 """
 
 
-def test_a_setup_says_what_rides_where(tmp_path):
+def test_a_setup_says_which_devices_there_are_and_where(tmp_path):
     file = tmp_path / "bench.toml"
     file.write_text(SETUP)
     rig = load_rig(file)
     assert [c.name for c in rig.coils] == ["coil", "mid"]
-    np.testing.assert_allclose(rig.coils[0].places(np.array([0.0, 0.06])), [0.70, 0.64])
-    np.testing.assert_allclose(rig.coils[1].places(np.array([0.0, 0.06])), 0.35)
+    np.testing.assert_allclose(rig.coils[0].arclengths(np.array([0.0, 0.06])), [0.70, 0.64])
+    np.testing.assert_allclose(rig.coils[1].arclengths(np.array([0.0, 0.06])), 0.35)
     assert rig.stage.stroke == (0.0, 0.06)
     assert rig.frame[0, 3] == 0.1
     assert rig.bodies[0].mount[2, 3] == 0.02
@@ -73,7 +74,7 @@ def test_a_setup_says_what_rides_where(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "sentence"),
     [
-        ("standing = 0.0", "", "nobody knows where the stage is"),
+        ("standing = 0.0", "", "position of the stage is unknown"),
         ("arclength = 0.35", "arclength = 0.95", "off the robot"),
         ('address = "/dev/ttyUSB1"', "", "address is missing"),
         ("lead = 0.0254", "leed = 0.0254", "lead is missing"),
@@ -234,21 +235,19 @@ def wait_for(true, seconds=60.0):
 @pytest.mark.slow
 def test_the_shape_can_be_looked_at_while_it_is_recorded():
     pytest.importorskip("viser")
-    rig = Rig("bench", "sliding700", "", (Coil("coil", 0.7),), None, None, None, None, ())
-    with followed(rig) as (address, hear):
-        hear("/slide", {"travel": 0.01})
+    rig = Rig("bench", "sliding700", coils=(Coil("coil", 0.7),))
+    with live_estimate(rig, Live, follow) as (address, on_message):
+        on_message("/slide", {"travel": 0.01})
         seen = {"position": [0.0, 0.0, 0.69], "quaternion": [1.0, 0.0, 0.0, 0.0]}
         for k in range(3):
-            hear("/tracker/coil", {"time": 0.1 * k, **seen})
+            on_message("/tracker/coil", {"time": 0.1 * k, **seen})
         with urlopen(address, timeout=20) as page:
             assert page.status == 200
 
 
 def test_what_was_not_seen_is_said_and_an_empty_session_refused(tmp_path):
-    rig = Rig(
-        "bench", "sliding700", None, (Coil("coil", 0.7),), None, None, None, None,
-        (Body("tip", 0.7, np.eye(4)),),
-    )  # fmt: skip
+    coils, bodies = (Coil("coil", 0.7),), (Body("tip", 0.7, np.eye(4)),)
+    rig = Rig("bench", "sliding700", coils=coils, bodies=bodies)
     with SessionWriter(tmp_path / "session.mcap", {}):
         pass
     with pytest.raises(RecordingError, match="coil was never seen; tip was never seen"):

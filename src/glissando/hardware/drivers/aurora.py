@@ -1,4 +1,4 @@
-"""Reads an NDI Aurora: each of its frames once, with the time it was measured."""
+"""Reads an NDI Aurora: each of its frames once, with the time of its measurement."""
 
 from __future__ import annotations
 
@@ -34,14 +34,20 @@ _ABSENT = ("unoccupied", "disabled")
 
 
 class Aurora:
-    """An NDI Aurora at a serial path or tcp://host:port that tracks while the context lasts.
+    """An NDI Aurora that tracks while the context lasts.
 
-    `baud` of a serial line after starting at 9600; `srom` a file for coils that have no memory of
-    their own; `rate` frames a second; `latency` s, known to `std_latency`, from measuring a frame
-    to being able to ask for it, which no arrival can tell. `reconnect` s to go on trying when the
-    link is lost, 0 not to; `patience` s that the device may take to reset and to initialise.
+    Args:
+        address: Serial path, or tcp://host:port.
+        baud: Rate of a serial line, once it has started at 9600.
+        srom: File for coils that have no memory of their own.
+        rate: Frames a second.
+        latency: Delay from measuring a frame to its being ready, s, which arrivals do not show.
+        std_latency: Standard deviation of `latency`, s.
+        reconnect: Seconds to go on trying when the link is lost; 0 gives up at once.
+        patience: Seconds that the device may take to reset and to initialise.
 
-    Raises DeviceError with what to do, at entering when the device cannot be used, and in `read`.
+    Raises:
+        DeviceError: The device cannot be used; on entering, and in `read`.
 
         with Aurora("/dev/ttyUSB0") as tracker:
             for frame in tracker:
@@ -82,12 +88,12 @@ class Aurora:
         self.close()
 
     def __iter__(self) -> Iterator[Frame]:
-        """Frames without end; what `read` raises ends them."""
+        """Frames without end, until `read` raises."""
         while True:
             yield self.read()
 
     def close(self) -> None:
-        """Stop tracking, if it can still be told to, and close the link."""
+        """Stop tracking, if the link still works, and close the link."""
         if self._link is not None:
             with contextlib.suppress(DeviceError):
                 setup.end_tracking(self._link)
@@ -97,8 +103,12 @@ class Aurora:
     def read(self, timeout: float = 1.0) -> Frame:
         """The next frame, as soon as the tracker has it.
 
-        Raises SilentError when none comes within `timeout` s (connecting again not counted), and
-        LostError when the link is lost and does not come back.
+        Args:
+            timeout: Seconds to wait, without the time to connect again.
+
+        Raises:
+            SilentError: No frame came in time.
+            LostError: The link is lost and does not come back.
         """
         if self._link is None:
             raise DeviceError(
@@ -113,7 +123,7 @@ class Aurora:
                 self._connect_again(loss)
                 deadline = time.monotonic() + timeout
                 continue
-            frame = self._taken(reply) if reply else None
+            frame = self._accept(reply) if reply else None
             if frame:
                 return frame
         raise SilentError(
@@ -158,10 +168,10 @@ class Aurora:
         raise LostError(f"{why} It did not come back within {self._reconnect:g} s.")
 
     def _wait_until_due(self) -> None:
-        """Not to ask needlessly: until shortly before the next frame can be there.
+        """Sleep until shortly before the next frame can be ready.
 
-        A frame that is there when first asked for says little of when it came; so after such a
-        one the next is asked for earlier.
+        A frame that is ready at the first request tells little about when it became so; after such
+        a frame the next is requested earlier.
         """
         if self._last < 0:
             time.sleep(_PAUSE)
@@ -172,9 +182,9 @@ class Aurora:
         time.sleep(min(wait, self._period) if wait > 0.0 else self._period / 4 if late else _PAUSE)
 
     def _poll(self) -> Reply | None:
-        """One reply, or None when it was spoilt or refused for the moment. Raises LostError."""
+        """One reply, or None when it was damaged or refused for the moment. Raises LostError."""
         try:
-            reply = self._asked()
+            reply = self._request()
         except (GarbledError, SilentError) as problem:
             if isinstance(problem, GarbledError):
                 self.counts.bad_crc += 1
@@ -189,13 +199,13 @@ class Aurora:
         self._heard = time.monotonic()
         return reply
 
-    def _asked(self) -> Reply:
+    def _request(self) -> Reply:
         link = self._open_link()
         wire = 4000.0 / link.baud if link.baud else 0.0  # s that 400 bytes take
         name = "BX:" if self._binary else "TX:"
         link.write(frame_command(name + _WITH_OUT_OF_VOLUME))
         head = link.read(BX_HEADER, _REPLY + wire)
-        if self._binary and not head.isalnum():  # what is text can only say no
+        if self._binary and not head.isalnum():  # text can only be a refusal
             return parse_bx(head + link.read(bx_length(head), _REST + wire))
         raw = head + (b"" if b"\r" in head else link.read_until(b"\r", _REST + wire))
         if raw.startswith(b"RESET") and parse_ascii(raw):
@@ -216,17 +226,17 @@ class Aurora:
         assert self._link is not None
         return self._link
 
-    def _taken(self, reply: Reply) -> Frame | None:
-        """The frame of a reply if it is new; ports plugged in or out are seen to first."""
+    def _accept(self, reply: Reply) -> Frame | None:
+        """The frame of a reply if it is new; coils plugged in or out are set up first."""
         arrival = self._open_link().arrived
         absent = frozenset(p.handle for p in reply.ports if p.condition in _ABSENT)
         changed = reply.hot_plugged and reply.status & ~self._status
         if changed or absent - self._absent:
-            self._plug_anew()
+            self._set_up_again()
         self._status, self._absent = reply.status, absent
         numbers = [p.number for p in reply.ports if p.number is not None and p.handle not in absent]
         if self._stale is None and numbers:
-            self._stale = numbers[0]  # there already when first asked for: since when is unknown
+            self._stale = numbers[0]  # ready before the first request: since when is unknown
         if not numbers or (self._last < 0 and numbers[0] == self._stale):
             return None
         restarts, last = self.clock.restarts, self._last
@@ -245,7 +255,7 @@ class Aurora:
         return self._frame(count, numbers[0], arrival, reply)
 
     def _frame(self, count: int, number: int, arrival: float, reply: Reply) -> Frame:
-        # All ports of a reply are of one frame [inferred]; another's would have a wrong time.
+        # All ports of a reply belong to one frame [inferred]; another's time would be wrong.
         ports = tuple(p for p in reply.ports if p.number in (None, number))
         self.counts.frames += 1
         self.counts.missing += sum(p.missing for p in ports)
@@ -253,8 +263,8 @@ class Aurora:
         moment, std = self.clock.time(count), self.clock.std_time(count)
         return Frame(count, moment, std, arrival, ports)
 
-    def _plug_anew(self) -> None:
-        """Free what is gone, initialise what is new; the others miss a few frames meanwhile."""
+    def _set_up_again(self) -> None:
+        """Free handles of absent coils and set up new ones; the others miss a few frames."""
         link = self._open_link()
         self.counts.hot_plugs += 1
         try:

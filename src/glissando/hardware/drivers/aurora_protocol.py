@@ -1,8 +1,7 @@
-"""What is said on the wire to an NDI Aurora: commands out, replies in, both under a CRC.
+"""The wire protocol of an NDI Aurora: commands and replies, both protected by a CRC.
 
-Pure functions over bytes. A reply that is not whole raises GarbledError and gives nothing; a reply
-that is whole and says no raises RefusedError with a sentence. The forms of commands and replies are
-those of NDI's "Aurora Application Program Interface Guide".
+Pure functions over bytes. A damaged reply raises GarbledError; a whole reply that is a refusal
+raises RefusedError. Source: NDI, "Aurora Application Program Interface Guide".
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from glissando.hardware.drivers.aurora_reply import (
 )
 
 BX_HEADER = 6
-"""Bytes of a BX reply that say how long the rest is."""
+"""Bytes of a BX reply that state the length of the rest."""
 
 _BX_START = b"\xc4\xa5"
 _NUMBERS = re.compile(r"[+-]\d{5}" * 4 + r"[+-]\d{6}" * 3 + r"[+-]\d{5}")
@@ -33,7 +32,7 @@ _HANDLE = re.compile(
     r"(?:([0-9A-F]{8})([0-9A-F]{8}))?",
     re.IGNORECASE,
 )
-_FAR = 100.0  # m from the tracker, beyond which no position is meant
+_FAR = 100.0  # m from the tracker, beyond which no position is believed
 
 
 def _table() -> tuple[int, ...]:
@@ -73,7 +72,9 @@ def frame_command(text: str) -> bytes:
 def parse_ascii(raw: bytes) -> str:
     r"""The text of an ASCII reply without CRC and carriage return.
 
-    Raises GarbledError when the CRC does not fit, RefusedError for ERROR.
+    Raises:
+        GarbledError: The CRC does not fit.
+        RefusedError: The reply is an error.
 
     >>> parse_ascii(b"OKAYA896\r")
     'OKAY'
@@ -89,6 +90,9 @@ def parse_ascii(raw: bytes) -> str:
 
 def parse_handles(text: str) -> list[int]:
     """The handles of a PHSR reply: count, then handle and three digits of status for each.
+
+    Raises:
+        GarbledError: The text is no such list.
 
     >>> parse_handles("020A0010B001")
     [10, 11]
@@ -107,7 +111,11 @@ def parse_tx(raw: bytes) -> Reply:
     """The readings of a TX reply, resolved to 0.01 mm and to 1e-4 of a quaternion.
 
     Whether status and frame number follow DISABLED and UNOCCUPIED differs between clients of the
-    device, so both are read. Raises GarbledError, RefusedError.
+    device, so both forms are read.
+
+    Raises:
+        GarbledError: The reply is damaged.
+        RefusedError: The reply is an error.
     """
     text = parse_ascii(raw)
     *lines, status = text[2:].split("\n")
@@ -119,10 +127,10 @@ def parse_tx(raw: bytes) -> Reply:
 
 
 def _tx_reading(line: str) -> PortReading:
-    found = _HANDLE.fullmatch(line)
-    if not found:
+    match = _HANDLE.fullmatch(line)
+    if not match:
         raise GarbledError(f"No reading of a port: {line[:60]!r}; ask again.")
-    handle, missing, absent, numbers, *tail = found.groups()
+    handle, missing, absent, numbers, *tail = match.groups()
     status, number = (None if part is None else int(part, 16) for part in tail)
     if absent:
         return PortReading(int(handle, 16), absent.lower(), number, status)
@@ -137,10 +145,7 @@ def _tx_reading(line: str) -> PortReading:
 
 
 def bx_length(header: bytes) -> int:
-    """How many bytes follow the six that begin a BX reply.
-
-    Raises GarbledError when they are not such a beginning.
-    """
+    """Number of bytes after the six that begin a BX reply. Raises GarbledError."""
     if len(header) != BX_HEADER or header[:2] != _BX_START:
         raise GarbledError(f"No beginning of a BX reply: {_shown(header)}; ask again.")
     length, crc = struct.unpack("<HH", header[2:])
@@ -154,7 +159,7 @@ def bx_length(header: bytes) -> int:
 def parse_bx(raw: bytes) -> Reply:
     """The readings of a BX reply, in single precision. Raises GarbledError."""
     if bx_length(raw[:BX_HEADER]) != len(raw) - BX_HEADER:
-        raise GarbledError(f"A BX reply of {len(raw)} bytes has not the length it says; ask again.")
+        raise GarbledError(f"A BX reply of {len(raw)} bytes states another length; ask again.")
     body = raw[BX_HEADER:-2]
     if crc16(body) != int.from_bytes(raw[-2:], "little"):
         raise GarbledError(f"A BX reply came damaged: {_shown(raw)}; check the cable.")
@@ -188,8 +193,8 @@ def _bx_body(body: bytes) -> Reply:
 
 
 def _reading(handle: int, values: Array | None, number: int, status: int) -> PortReading:
-    """A reading from [w, x, y, z, x mm, y mm, z mm, quality]; what is no pose is missing."""
-    # Of a broken coil the tracker may go on saying something; it is not believed.
+    """A reading from [w, x, y, z, x mm, y mm, z mm, quality]; without a pose it is missing."""
+    # The tracker may go on reporting poses of a broken coil; they are not believed.
     if values is None or status & BROKEN_COIL or not _is_pose(values):
         return PortReading(handle, "missing", number, status)
     pose = np.eye(4)

@@ -1,4 +1,4 @@
-"""What an NDI Aurora answers: readings of its ports and frames of them; or why it refuses."""
+"""Replies of an NDI Aurora: readings of its ports, frames of them, and reasons to refuse."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ ERRORS = {
     0x39: "it does not permit this",
     0x40: "the definition of the coil is wrong; check its SROM file",
 }
-"""What an ERROR reply means, by its number."""
+"""Meaning of an ERROR reply, by its number."""
 
 OCCUPIED, OUT_OF_VOLUME, PARTIALLY_OUT, BROKEN_COIL = 0x001, 0x040, 0x080, 0x100
 # Two sources number the hot-plug bits one apart; any of the three is taken as one [inferred].
@@ -48,27 +48,30 @@ HOT_PLUG = 0x00E0
 
 
 class GarbledError(DeviceError):
-    """A reply came damaged or cut short; asking again may help."""
+    """A reply came damaged or cut short; another request may help."""
 
 
 class RefusedError(DeviceError):
-    """The device said no; `code` is the number of its error."""
+    """The device refused; `code` is the number of its error."""
 
     def __init__(self, code: int):
         self.code = code
-        meaning = ERRORS.get(code, "its guide must say what that is")
+        meaning = ERRORS.get(code, "look it up in its guide")
         super().__init__(f"The Aurora answered ERROR{code:02X}: {meaning}.")
 
 
 @dataclass(frozen=True)
 class PortReading:
-    """What one reply says of the coil under `handle`.
+    """What one reply reports of one coil.
 
-    `condition` is 'valid', 'missing', 'disabled' or 'unoccupied'; `number` the frame's, an unsigned
-    32-bit counter, and `status` the port's bits, both None where the reply lacks them. `pose`
-    T_tracker,coil (4, 4), metres, is None unless valid; its roll about the coil's axis means
-    nothing for a coil of five degrees of freedom. `quality` is NDI's indicator, 0 at best, and no
-    standard deviation.
+    Attributes:
+        handle: The coil's handle.
+        condition: 'valid', 'missing', 'disabled' or 'unoccupied'.
+        number: The frame's number, an unsigned 32-bit counter; None where the reply lacks it.
+        status: The port's bits; None where the reply lacks them.
+        pose: T_tracker,coil (4, 4), metres; None unless valid. For a coil of five degrees of
+            freedom the roll about its axis is arbitrary.
+        quality: NDI's indicator, 0 at best; no standard deviation.
     """
 
     handle: int
@@ -80,7 +83,7 @@ class PortReading:
 
     @property
     def missing(self) -> bool:
-        """Whether the tracker cannot say where the coil is."""
+        """Whether the tracker cannot locate the coil."""
         return self.condition == "missing"
 
     @property
@@ -95,12 +98,12 @@ class PortReading:
 
     @property
     def broken(self) -> bool:
-        """Whether the tracker takes the coil's wire for broken."""
+        """Whether the tracker considers the coil's wire broken."""
         return self._has(BROKEN_COIL)
 
     @property
     def good(self) -> bool:
-        """Whether there is a pose, with nothing said against it."""
+        """Whether there is a pose, measured fully inside the volume."""
         return self.pose is not None and not (self.out_of_volume or self.partially_out)
 
     def _has(self, bits: int) -> bool:
@@ -124,11 +127,18 @@ class Reply:
 class Counts:
     """What became of the replies and frames so far.
 
-    `frames` given out; `duplicates` replies that repeated a frame; `dropped` frame numbers that
-    never came; `bad_crc` damaged replies; `silent` replies cut short or absent; `missing` and
-    `out_of_volume` readings of single coils; `reconnects` after a lost link or a device that was
-    reset; `hot_plugs` times that coils were plugged in or out; `faulty` coils that could not be
-    used after that; `clock_restarts` jumps of the frame counter.
+    Attributes:
+        frames: Frames returned.
+        duplicates: Replies that repeated a frame.
+        dropped: Frame numbers that never came.
+        bad_crc: Damaged replies.
+        silent: Replies cut short or absent.
+        missing: Readings of single coils that were not located.
+        out_of_volume: Readings of single coils outside the volume.
+        reconnects: Connections after a lost link or a reset of the device.
+        hot_plugs: Times that coils were plugged in or out.
+        faulty: Coils that could not be used after that.
+        clock_restarts: Jumps of the frame counter.
     """
 
     frames: int = 0
@@ -146,10 +156,14 @@ class Counts:
 
 @dataclass(frozen=True)
 class Frame:
-    """One frame: when it was measured, and what it says of each coil.
+    """One frame of the tracker.
 
-    `time` s on the host's monotonic clock with `std_time`, by the frame `number` (unwrapped);
-    `arrival` is when the reply came. `ports` are in the tracker's order of handles.
+    Attributes:
+        number: The frame's number, unwrapped.
+        time: When it was measured, s of the host's monotonic clock, from `number`.
+        std_time: Standard deviation of `time`, s.
+        arrival: When the reply came, by the same clock.
+        ports: Readings of the coils, in the tracker's order of handles.
     """
 
     number: int

@@ -1,4 +1,4 @@
-"""From a cold start to tracking: what an Aurora is told before it says where its coils are."""
+"""From a cold start to tracking: the commands that set an Aurora up."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from glissando.hardware.drivers.link import Link, SilentError
 
 BAUD_CODES = {9600: "0", 14400: "1", 19200: "2", 38400: "3", 57600: "4", 115200: "5"}
 BAUD_CODES |= {921600: "6", 1228739: "7", 230400: "A"}
-"""Baud rates of the device, and how COMM calls them."""
+"""Baud rates of the device, and their codes in COMM."""
 
 _TRIES = 3  # of a command whose reply comes damaged
 _REPLY = 5.0  # s that a command may take
@@ -37,9 +37,18 @@ class Tool:
 
 
 def ask(link: Link, command: str, timeout: float = _REPLY, tries: int = _TRIES) -> str:
-    """The reply to a command; again when it is damaged or does not come.
+    """The reply to a command, which is sent again when the reply is damaged or absent.
 
-    Raises GarbledError, SilentError, RefusedError.
+    Args:
+        link: Link to the device.
+        command: Text without its CRC.
+        timeout: Seconds to wait for each reply.
+        tries: How often the command is sent at most.
+
+    Raises:
+        GarbledError: The last reply was damaged.
+        SilentError: The last reply did not come.
+        RefusedError: The device refused.
     """
     for left in reversed(range(tries)):
         link.write(frame_command(command))
@@ -52,9 +61,18 @@ def ask(link: Link, command: str, timeout: float = _REPLY, tries: int = _TRIES) 
 
 
 def start_up(link: Link, baud: int, patience: float) -> str:
-    """Reset, initialise and speed up; returns the device's description of itself.
+    """Reset and initialise a device, and raise the rate of its line.
 
-    Resetting and initialising may take up to `patience` seconds each. Raises DeviceError.
+    Args:
+        link: Link to the device.
+        baud: Rate of a serial line.
+        patience: Seconds that resetting and initialising may take each.
+
+    Returns:
+        The device's description of itself.
+
+    Raises:
+        DeviceError: It does not answer as an Aurora does.
     """
     _reset(link, patience)
     answer = ask(link, "INIT:", patience)
@@ -70,7 +88,7 @@ def start_up(link: Link, baud: int, patience: float) -> str:
 
 
 def _reset(link: Link, patience: float) -> None:
-    """BREAK where there is one, else a command; some devices know neither, and go on."""
+    """BREAK where there is one, else a command; a device that knows neither goes on."""
     if link.baud is not None:
         link.set_baud(9600)
     if not link.send_break():
@@ -78,19 +96,19 @@ def _reset(link: Link, patience: float) -> None:
     deadline = time.monotonic() + patience
     while True:
         try:
-            said = link.read_until(b"\r", deadline - time.monotonic())
-            if b"RESET" in said or parse_ascii(said) == "OKAY":
+            reply = link.read_until(b"\r", deadline - time.monotonic())
+            if b"RESET" in reply or parse_ascii(reply) == "OKAY":
                 return
         except GarbledError:
             continue  # the end of something older
         except RefusedError:  # of the lone carriage return, or of RESET itself
             deadline = min(deadline, time.monotonic() + _REFUSED)
         except SilentError:
-            return  # INIT will tell
+            return  # INIT will show whether it lives
 
 
 def _speed_up(link: Link, baud: int) -> None:
-    # A damaged reply may have been said at either rate; the next command tells.
+    # A damaged reply may have come at either rate; the next command shows which.
     with contextlib.suppress(GarbledError, SilentError):
         ask(link, f"COMM:{BAUD_CODES[baud]}0000", tries=1)
     time.sleep(_SETTLE)
@@ -99,7 +117,18 @@ def _speed_up(link: Link, baud: int) -> None:
 
 
 def enable_tools(link: Link, srom: Path | None) -> tuple[list[Tool], list[str]]:
-    """Initialise and enable every coil that is plugged in; the tools, and what went wrong."""
+    """Initialise and enable every coil that is plugged in.
+
+    Args:
+        link: Link to the device.
+        srom: File for coils without a memory of their own.
+
+    Returns:
+        The coils that can be used, and a sentence on each of the others.
+
+    Raises:
+        DeviceError: The device does not answer, or the file cannot be read.
+    """
     for handle in parse_handles(ask(link, "PHSR:01")):
         try:
             ask(link, f"PHF:{handle:02X}")
@@ -122,7 +151,7 @@ def enable_tools(link: Link, srom: Path | None) -> tuple[list[Tool], list[str]]:
 
 
 def _initialise(link: Link, handle: int, srom: Path | None) -> None:
-    """PINIT; for a coil without a memory of its own, with a file or the default in its place."""
+    """PINIT; a coil without a memory of its own is given a file, or the default, in its place."""
     try:
         ask(link, f"PINIT:{handle:02X}")
         return
@@ -132,13 +161,13 @@ def _initialise(link: Link, handle: int, srom: Path | None) -> None:
     if srom is None:
         ask(link, f"TTCFG:{handle:02X}")
     else:
-        image = read_srom(srom)
+        image = _read_srom(srom)
         for at in range(0, _SROM, _WRITE):
             ask(link, f"PVWR:{handle:02X}{at:04X}{image[at : at + _WRITE].hex().upper()}")
     ask(link, f"PINIT:{handle:02X}")
 
 
-def read_srom(path: Path) -> bytes:
+def _read_srom(path: Path) -> bytes:
     """The image of a virtual SROM, filled up to its 1024 bytes. Raises DeviceError."""
     try:
         image = path.read_bytes()
@@ -156,13 +185,13 @@ def _why_faulty(handle: int, refusal: RefusedError, srom: Path | None) -> str:
         return f"Coil {handle:02X} cannot be used. {refusal}"
     tried = "with the default configuration" if srom is None else f"with the SROM file {srom}"
     return (
-        f"Coil {handle:02X} says nothing of itself (ERROR13: its SROM is absent or damaged), "
+        f"Coil {handle:02X} does not describe itself (ERROR13: its SROM is absent or damaged), "
         f"and was refused {tried} too; give srom= the .rom file of the coil, or unplug it."
     )
 
 
 def _describe(link: Link, handle: int) -> Tool:
-    """Serial number and place from PHINF, empty where it will not say."""
+    """Serial number and place from PHINF, empty where the device refuses."""
     try:
         text = ask(link, f"PHINF:{handle:02X}0021")
     except RefusedError:
@@ -171,7 +200,7 @@ def _describe(link: Link, handle: int) -> Tool:
 
 
 def begin_tracking(link: Link) -> None:
-    """TSTART; that it tracks already is as good. Raises DeviceError."""
+    """Start tracking, unless the device tracks already. Raises DeviceError."""
     try:
         ask(link, "TSTART:")
     except RefusedError as refusal:
@@ -180,7 +209,7 @@ def begin_tracking(link: Link) -> None:
 
 
 def end_tracking(link: Link) -> None:
-    """TSTOP; that it does not track is as good. Raises DeviceError."""
+    """Stop tracking, if the device tracks. Raises DeviceError."""
     try:
         ask(link, "TSTOP:", timeout=1.0)
     except RefusedError as refusal:

@@ -6,7 +6,7 @@ import numpy as np
 
 from glissando.geometry.se3 import Array
 
-_BLOCKS = 32  # readings, or least-late readings of as many stretches, that the line is laid through
+_BLOCKS = 32  # readings, or least late readings of stretches, that the line is fitted through
 _LARGEST = 64  # readings a stretch holds at most
 _DRIFT = 1e-4  # standard deviation of a counter's rate about the nominal, relative
 _JITTER = 2e-3  # s of delay expected before any has been seen; counts as two readings
@@ -16,15 +16,20 @@ _REACH = 3.0  # standard deviations at which a reading counts a quarter
 
 
 class ClockFit:
-    """Maps a counter that wraps at `modulus` to the host's monotonic clock, in bounded memory.
+    """Maps a device's counter to the host's monotonic clock, in bounded memory.
 
-    One count lasts `period` seconds, nearly. A reading arrives `latency` (known to `std_latency`)
-    after it was made, and then late by something that is never negative. So of stretches of
-    readings the least late is kept, and a robust line laid through those; the smallest of many
-    delays is nearly exponential, with a mean equal to its standard deviation, by which the line is
-    lowered. A constant delay cannot be seen from arrivals: it is what `latency` is for.
+    A reading arrives `latency` after it was made, plus a delay that is never negative. Therefore
+    the least late of each stretch of readings is kept, and a robust line fitted through those; the
+    smallest of many delays is nearly exponential, with a mean equal to its standard deviation, by
+    which the line is lowered. Arrivals do not show a constant delay; `latency` states it.
 
     time(n) = `offset` + `period` (n − `origin`) − latency, with `cov` (2, 2) of offset and period.
+
+    Args:
+        period: Nominal duration of one count, s.
+        modulus: Where the counter wraps.
+        latency: Constant delay from a reading to its arrival, s.
+        std_latency: Standard deviation of `latency`, s.
 
     >>> clock = ClockFit(period=0.025, modulus=2**32)
     >>> for n in range(400):
@@ -54,10 +59,14 @@ class ClockFit:
         self.cov: Array = np.diag([_JITTER, _DRIFT * self._nominal]) ** 2
 
     def add(self, number: int, host: float) -> int:
-        """Take in that counter `number` arrived at `host` s; returns the number unwrapped.
+        """Add one arrival; returns its number unwrapped.
 
-        A number that is the last again adds nothing. One that is less, or that arrived before it
-        could be measured, starts everything anew: the device was reset.
+        The last number again adds nothing. A smaller one, or one that arrived before it could be
+        measured, restarts the fit: the device was reset.
+
+        Args:
+            number: The counter.
+            host: When it arrived, s.
         """
         count = self._unwrapped(number, host)
         if count == self._last:
@@ -126,7 +135,6 @@ class ClockFit:
         count, delay = np.array(self._count), np.array(self._delay)
         middle = float(count.mean())
         x = self._nominal * (count - middle)
-        known = np.array([0.0, _DRIFT**-2])
         rows = np.stack([np.ones_like(x), x], axis=-1)
         held = self.offset - self._host + self.period * (middle + self._first - self.origin)
         held -= self._nominal * middle
@@ -141,11 +149,11 @@ class ClockFit:
             variance = (2.0 * (_JITTER / self._size) ** 2 + np.sum(weight * off**2)) / (
                 2.0 + np.sum(weight)
             )
-            normal = (rows.T * weight) @ rows / variance + np.diag(known)
+            normal = (rows.T * weight) @ rows / variance + np.diag([0.0, _DRIFT**-2])
             line = np.linalg.solve(normal, rows.T @ (weight * delay) / variance)
         std = float(np.sqrt(variance))
-        # The weights cut tails off that the covariance should know of, and the lowering is known
-        # about half as well as it is large.
+        # The weights remove tails that the covariance should include, and the standard deviation
+        # of the lowering is about half the lowering.
         cov = 1.5 * np.linalg.inv(normal)
         cov[0, 0] += (0.5 * std) ** 2
         turn = np.diag([1.0, self._nominal])

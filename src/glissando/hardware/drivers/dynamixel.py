@@ -1,6 +1,6 @@
-"""A servo's registers through the official SDK: retries, counts, sentences, and when it was asked.
+"""A servo's registers through the official SDK, with retries, counts, errors and time stamps.
 
-The SDK takes a late answer to one question for the answer to the next; here such are found out.
+The SDK takes a late answer to one request for the answer to the next; here late answers are found.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ PWM_LIMIT, GOAL_PWM, PROFILE, TICK = 36, 100, 108, 120
 
 XL430 = 1060  # model number
 _EXTENDED_POSITION = 4  # operating mode
-_MODEST = 150  # ticks the place may change by when torque comes on
+_MODEST = 150  # ticks that the position may change by when torque comes on
 _ATTEMPTS = 4
 _QUIET = 0.03  # s without a byte after which no late answer is expected any more
 _NO_REPLY, _CORRUPT, _RESEND = -3001, -3002, 3
@@ -43,51 +43,58 @@ _HARDWARE = {
 
 
 class NoAnswerError(DeviceError):
-    """A servo was asked a few times in a row and was not heard."""
+    """A servo did not answer several requests in a row."""
 
 
 @dataclass(frozen=True)
 class Answer:
-    """Bytes that a servo sent, and the host's times (monotonic s) around the exchange."""
+    """Bytes that a servo sent, and the host's monotonic times in s before and after."""
 
     data: bytes
     asked: float
     answered: float
 
     def signed(self, offset: int, size: int) -> int:
-        """An integer in it; the SDK gives negative ones as unsigned."""
+        """The signed integer of `size` bytes at an offset."""
         return int.from_bytes(self.data[offset : offset + size], "little", signed=True)
 
 
 @dataclass(frozen=True)
 class State:
-    """What one read of tick to position says, in the servo's units.
+    """One reading of a servo's state, in its own units.
 
-    `time` s of the host, the middle of the exchange; `clock` s of the servo, never wrapping;
-    `load` in 0.1 %, `velocity` in 0.229 rpm, `place` in ticks.
+    Attributes:
+        time: Middle of the exchange, monotonic s of the host.
+        clock: The servo's clock, which never wraps here, s.
+        load: Load, 0.1 %.
+        velocity: Speed, 0.229 rpm.
+        position: Position, ticks.
     """
 
     time: float
     clock: float
     load: int
     velocity: int
-    place: int
+    position: int
 
 
 def hardware_error(bits: int) -> str:
-    """What the hardware-error status (70) says, in words.
+    """The hardware-error status (register 70) in words.
 
     >>> hardware_error(0x24)
     'it is too hot; let it cool, and it was overloaded; free the carriage'
     """
-    found = [words for bit, words in _HARDWARE.items() if bits & bit]
-    return ", and ".join(found) or f"it reports the unknown error {bits:#04x}"
+    errors = [words for bit, words in _HARDWARE.items() if bits & bit]
+    return ", and ".join(errors) or f"it reports the unknown error {bits:#04x}"
 
 
 def unwrapped(last: int, tick: int, elapsed: float) -> int:
-    """A tick of 0…32767 ms as one that never wraps, `elapsed` s after the unwrapped `last`.
+    """A tick of 0…32767 ms as a number that never wraps.
 
-    Right when `elapsed` is known to better than 16 s.
+    Args:
+        last: An earlier number, unwrapped.
+        tick: The tick now.
+        elapsed: Seconds between them, known to better than 16 s.
 
     >>> unwrapped(32_700, 40, elapsed=0.1), unwrapped(32_700, 40, elapsed=33.0)
     (32808, 65576)
@@ -97,10 +104,15 @@ def unwrapped(last: int, tick: int, elapsed: float) -> int:
 
 
 class Servo:
-    """The registers of one servo at a serial `address`.
+    """The registers of one servo; methods raise DeviceError when it fails or does not answer.
 
-    `counts` says how many answers were missing, corrupt, refused by the servo for a bad CRC or
-    stale. Raises DeviceError when it does not answer, refuses, or reports a hardware error.
+    Attributes:
+        counts: How many answers were missing, corrupt, stale, or refusals of a bad CRC.
+
+    Args:
+        address: Serial path.
+        identity: The servo's address on its bus.
+        baud: Rate of the serial line.
     """
 
     def __init__(self, address: str, identity: int, baud: int) -> None:
@@ -110,18 +122,20 @@ class Servo:
         self._clock: tuple[int, Answer] | None = None  # unwrapped ms of the last state, and it
 
     def close(self) -> None:
-        """Let go of the port."""
+        """Close the port."""
         try:
             self._port.closePort()
         except OSError:  # it is gone already
             self._port.is_open = False
 
-    def _pinged(self) -> tuple[list[int], int, int]:
-        model, result, error = self._handler.ping(self._port, self.identity)
-        return [model & 0xFF, model >> 8], result, error
-
     def read(self, address: int, size: int, *, heed: bool = True) -> Answer:
-        """Registers from an address on. Pending hardware errors raise DeviceError if `heed`."""
+        """Read registers.
+
+        Args:
+            address: The first byte's.
+            size: Number of bytes.
+            heed: Whether a pending hardware error raises DeviceError.
+        """
 
         def ask() -> tuple[list[int], int, int]:
             data, result, error = self._handler.readTxRx(self._port, self.identity, address, size)
@@ -131,7 +145,13 @@ class Servo:
         return self._asked(f"read {size} bytes at {address}", ask, heed=heed)
 
     def write(self, address: int, *values: tuple[int, int], heed: bool = True) -> None:
-        """Write values, each (number, bytes), one after the other from an address on."""
+        """Write registers.
+
+        Args:
+            address: The first byte's.
+            values: Each (number, size in bytes), one after the other.
+            heed: Whether a pending hardware error raises DeviceError.
+        """
         data = b"".join((n % (1 << 8 * size)).to_bytes(size, "little") for n, size in values)
 
         def ask() -> tuple[list[int], int, int]:
@@ -142,15 +162,20 @@ class Servo:
         self._asked(f"write {shown} at {address}", ask, heed=heed)
 
     def reboot(self) -> None:
-        """Restart it: clears hardware errors, and loses the number of turns."""
+        """Restart the servo, which clears hardware errors and loses the number of turns."""
         self._asked(
             "reboot", lambda: ([], *self._handler.reboot(self._port, self.identity)), heed=False
         )
         self._clock = None
 
     def prepare(self) -> None:
-        """Registers as they must be. Those of the EEPROM are written only where they differ."""
-        model = self._asked("ping it", self._pinged).signed(0, 2)
+        """Set the registers up. Those of the EEPROM are written only where they differ."""
+
+        def ping() -> tuple[list[int], int, int]:
+            model, result, error = self._handler.ping(self._port, self.identity)
+            return [model & 0xFF, model >> 8], result, error
+
+        model = self._asked("ping it", ping).signed(0, 2)
         if model != XL430:
             raise DeviceError(
                 f"The servo {self.identity} at {self.address} is of model {model}; the slide knows "
@@ -170,69 +195,73 @@ class Servo:
                 self.write(address, (value, size), heed=False)
 
     def state(self, *, heed: bool = True) -> State:
-        """Clock, load, velocity and place, in one read.
+        """Clock, load, velocity and position, in one read.
 
-        An answer whose tick cannot be from now is a late one to an earlier question, and is asked
-        for again; when that does not help, the servo has restarted and DeviceError is raised.
+        An answer whose tick is not from now answers an earlier request, and the request is
+        repeated; when that does not help, the servo has restarted and DeviceError is raised.
         """
         for _ in range(_ATTEMPTS):
             answer = self.read(TICK, 16, heed=heed)
             tick = int.from_bytes(answer.data[:2], "little")
-            if (now := self._placed(tick, answer)) is not None:
+            if (now := self._unwrapped_tick(tick, answer)) is not None:
                 self._clock = now, answer
                 middle = 0.5 * (answer.asked + answer.answered)
-                load, velocity, place = (answer.signed(*at) for at in ((6, 2), (8, 4), (12, 4)))
-                return State(middle, 1e-3 * now, load, velocity, place)
+                load, velocity, position = (answer.signed(*at) for at in ((6, 2), (8, 4), (12, 4)))
+                return State(middle, 1e-3 * now, load, velocity, position)
             self.counts["stale"] += 1
             self._drain()
         raise DeviceError(
             f"The clock of the servo at {self.address} jumped: it lost power for a moment, and "
-            f"its place with it. Check the supply, then home again."
+            f"its position with it. Check the supply, then home again."
         )
 
     def aim(self, goal: int, *, speed: int, acceleration: int = 0, heed: bool = True) -> None:
-        """Acceleration, speed and goal in one packet: no goal goes out without its limits.
+        """Send a goal with its limits, in one packet and in the servo's units.
 
-        In the servo's units; acceleration 0 means at once, speed 0 as fast as it can.
+        Args:
+            goal: Position, ticks.
+            speed: Largest speed; 0 is as fast as it can.
+            acceleration: Its acceleration; 0 changes speed at once.
+            heed: Whether a pending hardware error raises DeviceError.
         """
         self.write(PROFILE, (acceleration, 4), (speed, 4), (goal, 4), heed=heed)
 
     def power(self) -> None:
-        """Torque on, where it stands. Some firmware miscounts turns here, so that is looked at."""
-        self._clock = None  # whatever it told before: home is sought anew
-        before = self.state().place
+        """Switch the torque on, at standstill; some firmware miscounts turns then, so check."""
+        self._clock = None  # home is sought anew
+        before = self.state().position
         self.aim(before, speed=0)
         self.write(TORQUE, (1, 1))
-        moved = self.state().place - before
+        moved = self.state().position - before
         if abs(moved) > _MODEST:
             raise DeviceError(
                 f"The servo at {self.address} moved or miscounted by {moved} ticks when its torque "
                 f"came on; look at the carriage and home again."
             )
 
-    def bitten(self) -> bool:
-        """Whether the watchdog has stopped it; false too when it does not answer."""
+    def watchdog_stopped(self) -> bool:
+        """Whether the watchdog has stopped it; False also when it does not answer."""
         try:
             return self.read(WATCHDOG, 1, heed=False).signed(0, 1) < 0
         except DeviceError:
             return False
 
     def halt(self) -> bool:
-        """Hold where it is, or else switch the torque off; whether it holds."""
+        """Hold the position, or else switch the torque off; returns whether it holds."""
         try:
-            self.aim(self.state(heed=False).place, speed=0, heed=False)
+            self.aim(self.state(heed=False).position, speed=0, heed=False)
             held = True
         except NoAnswerError:
             held = False
         except DeviceError:
-            held = self.bitten()  # then goals are refused, and it stands already
+            held = self.watchdog_stopped()  # then goals are refused, and it stands already
         if not held:
             self.write(TORQUE, (0, 1), heed=False)
         self.write(WATCHDOG, (0, 1), heed=False)  # not before it stands
         return held
 
-    def _placed(self, tick: int, answer: Answer) -> int | None:
-        """The tick unwrapped; None if it was not taken between question and answer."""
+    def _unwrapped_tick(self, tick: int, answer: Answer) -> int | None:
+        """The tick unwrapped; None if it was not taken between request and answer."""
         if self._clock is None:
             return tick
         last, before = self._clock

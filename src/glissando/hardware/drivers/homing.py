@@ -51,13 +51,13 @@ def touch(servo: Servo, stage: Stage, speed: float, pwm: float) -> int:
 
 def _press(servo: Servo, stage: Stage, way: float, speed: float, pwm: float) -> int:
     """Move until the carriage stands although it is pushed; returns its position."""
-    start = servo.state().place
+    start = servo.state().position
     goal = start + round(stage.ticks(way))
     servo.aim(goal, speed=stage.speed_units(speed))
     trail: deque[tuple[float, int]] = deque()
     while True:
         state = servo.state()
-        now, place = state.time, state.place
+        now, place = state.time, state.position
         trail.append((now, place))
         while len(trail) > 1 and now - trail[1][0] >= _STALL:
             trail.popleft()
@@ -79,7 +79,7 @@ def _retreat(servo: Servo, stage: Stage, goal: int, speed: float, pwm: float) ->
     """Come back from the stop: a carriage that only stuck would not."""
     servo.aim(goal, speed=stage.speed_units(speed))
     end = monotonic() + 2.0 * _BACK / speed + 1.0
-    while abs(stage.travel(servo.state().place - goal)) > _AGREE:
+    while abs(stage.travel(servo.state().position - goal)) > _AGREE:
         if monotonic() > end:
             raise DeviceError(
                 f"The carriage stuck and does not come back with {100 * pwm:.0f} % of the motor's "

@@ -33,11 +33,18 @@ class _Wire(Protocol):
 
 
 class Link:
-    """An open byte link, serial at `baud` 8N1 without handshake, or TCP; a context manager.
+    """An open byte link, serial 8N1 without handshake or TCP; a context manager.
 
-    `arrived` is when the first bytes came after the last that were written, seconds of
-    time.monotonic(). Raises DeviceError when the address cannot be opened; later LostError when the
-    link breaks.
+    Args:
+        address: Serial path, or tcp://host:port.
+        baud: Rate of a serial line.
+
+    Attributes:
+        arrived: When the first bytes came after the last that were written, s of time.monotonic().
+
+    Raises:
+        DeviceError: The address cannot be opened.
+        LostError: The link breaks; from any method.
     """
 
     def __init__(self, address: str, baud: int = 9600):
@@ -47,7 +54,7 @@ class Link:
         self._wire: _Wire = _Tcp(address) if network else _Serial(address, baud)
 
     def write(self, data: bytes) -> None:
-        """Send bytes; what came before and was not read is dropped, for it answers nothing now."""
+        """Send bytes; bytes that came before and were not read are dropped."""
         self._held = b""
         with self._watched():
             while self._wire.receive(0.0):
@@ -56,7 +63,7 @@ class Link:
         self._fresh = True
 
     def read(self, count: int, timeout: float) -> bytes:
-        """Exactly `count` bytes. Raises SilentError when they do not come within `timeout` s."""
+        """Exactly `count` bytes. Raises SilentError unless they come within `timeout` s."""
         deadline = time.monotonic() + timeout
         while len(self._held) < count:
             self._wait(deadline, timeout)
@@ -87,7 +94,7 @@ class Link:
         self._held += came
 
     def send_break(self) -> bool:
-        """Hold a serial line in BREAK, which resets some devices; False where there is no such."""
+        """Hold a serial line in BREAK, which resets some devices; False if that is no line."""
         if not isinstance(self._wire, _Serial) or self._wire.pseudo:
             return False
         self._held = b""
@@ -96,7 +103,7 @@ class Link:
         return True
 
     def set_baud(self, baud: int) -> None:
-        """Change the rate of a serial line; a network has none."""
+        """Change the rate of a serial line; without effect on a network."""
         if isinstance(self._wire, _Serial):
             with self._watched():
                 self._wire.port.baudrate = baud

@@ -1,7 +1,7 @@
 """The stage that slides the sensor: homing, moves and paths inside its limits, and readings.
 
 Nothing moves before the stage is home, and nothing is commanded outside its stroke. While it moves,
-the servo's own watchdog listens: silence of the host, for whatever reason, stops the motion.
+the servo's own watchdog is on: silence of the host, for whatever reason, stops the motion.
 """
 
 from __future__ import annotations
@@ -31,11 +31,14 @@ _AHEAD = 3  # periods that a streamed goal is ahead of the path's now
 
 @dataclass(frozen=True)
 class SlideReading:
-    """Where the stage was at one moment.
+    """State of the stage at one moment.
 
-    `time` s of the host's monotonic clock, the middle of the exchange; `servo_time` s of the
-    servo's own clock, never wrapping; `travel` m; `speed` m/s; `load` the share of the motor's
-    most, positive when it pushes towards more travel.
+    Attributes:
+        time: Middle of the exchange, s of the host's monotonic clock.
+        servo_time: The servo's own clock, which never wraps here, s.
+        travel: Travel, m.
+        speed: Speed, m/s.
+        load: Share of the motor's largest, positive when it pushes towards more travel.
     """
 
     time: float
@@ -46,10 +49,17 @@ class SlideReading:
 
 
 class Slide:
-    """A stage at a serial `address`, to be used in a with-block; it stands still afterwards.
+    """A stage, to be used in a with-block; it stands still afterwards.
 
-    `counts` says how many answers were missing, corrupt or stale. Every method raises DeviceError
-    when the servo stops answering, refuses, switches off or loses its place.
+    Every method raises DeviceError when the servo stops answering, refuses, switches off or loses
+    its position.
+
+    Args:
+        address: Serial path.
+        stage: What the servo moves.
+
+    Attributes:
+        counts: How many answers were missing, corrupt or stale.
     """
 
     def __init__(self, address: str, stage: Stage) -> None:
@@ -88,20 +98,25 @@ class Slide:
 
     @property
     def homed(self) -> bool:
-        """Whether it is known where the stage is."""
+        """Whether the stage's travel is known."""
         return self._zero is not None
 
     def home_here(self, travel: float) -> None:
-        """The stage is at this travel, in metres: the user says so."""
+        """Declare the stage's travel now, in metres."""
         self.stage.require_inside(travel)
         self._servo.power()
-        self._zero = self._servo.state().place - self.stage.ticks(travel)
+        self._zero = self._servo.state().position - self.stage.ticks(travel)
 
     def home_at_stop(self, *, speed: float = 0.004, pwm: float = 0.25) -> None:
         """Find home by touching the mechanical stop twice, gently, then enter the stroke.
 
-        `pwm` is the share of the motor's voltage it may use [inferred: enough to move, too little
-        to harm or to overload; try it with a hand on the power switch].
+        Args:
+            speed: Of the approach, m/s.
+            pwm: Share of the motor's voltage it may use [inferred: enough to move, too little to
+                harm or to overload; try it with a hand on the power switch].
+
+        Raises:
+            DeviceError: The stage has no stop, or it was not met.
         """
         home = self.stage.home
         if home is None:
@@ -124,7 +139,7 @@ class Slide:
         return SlideReading(
             time=state.time,
             servo_time=state.clock,
-            travel=stage.travel(state.place - zero),
+            travel=stage.travel(state.position - zero),
             speed=stage.speed_of(state.velocity),
             load=1e-3 * stage.direction * state.load,
         )
@@ -132,7 +147,16 @@ class Slide:
     def move(
         self, travel: float, *, speed: float | None = None, acceleration: float | None = None
     ) -> list[SlideReading]:
-        """Go to a travel by the servo's own trapezoid, and return the readings on the way."""
+        """Go to a travel by the servo's own trapezoid of speed.
+
+        Args:
+            travel: Goal, m.
+            speed: Largest speed, m/s; the stage's by default.
+            acceleration: Its acceleration, m/s²; the stage's by default.
+
+        Returns:
+            The readings on the way.
+        """
         self._require_home()
         stage = self.stage
         stage.require_inside(travel)
@@ -150,13 +174,19 @@ class Slide:
     def follow(
         self, time: ArrayLike, travel: ArrayLike, *, rate: float = 50.0
     ) -> Iterator[SlideReading]:
-        """Follow travel (K,) in metres at times (K,) in seconds, yielding readings.
+        """Follow a path, straight between its points, yielding readings.
 
-        Straight lines between the points; the first time is now. Goes to the first place before;
-        then a goal a little ahead on the path is sent `rate` times a second, so that the stage
-        never has far to go by itself. Take readings as they come: a loop that dawdles longer than
-        the watchdog's time stops the stage. Raises DeviceError for a path outside the stroke or
-        above the speed, and when the stage lags behind.
+        The stage goes to the first travel before. Then a goal a little ahead on the path is sent
+        `rate` times a second, so that the stage never has far to go by itself. A loop that takes no
+        reading for longer than the watchdog's time stops the stage.
+
+        Args:
+            time: Times (K,), s; the first is now.
+            travel: Travels (K,) at these times, m.
+            rate: Goals a second.
+
+        Raises:
+            DeviceError: The path leaves the stroke or is too fast, or the stage lags behind.
         """
         self._require_paced(rate)
         times, places = self.stage.path(time, travel)
@@ -166,10 +196,15 @@ class Slide:
     def pursue(
         self, wanted: Callable[[float], float], lasts: float, *, rate: float = 50.0
     ) -> Iterator[SlideReading]:
-        """Follow a travel that is decided on the way, from where the stage is, yielding readings.
+        """Follow a path that is decided on the way, yielding readings; at its end, rest.
 
-        `wanted` says for `lasts` seconds, and three periods more, which travel in metres is to be
-        at a time from now; in the end it rests. Raises DeviceError as `follow` does, as it comes.
+        Args:
+            wanted: The travel in m at a time in s from now, up to three periods after the end.
+            lasts: Duration, s.
+            rate: Goals a second.
+
+        Raises:
+            DeviceError: As `follow` does, when it happens.
         """
         self._require_paced(rate)
         with self._moving():
@@ -187,7 +222,7 @@ class Slide:
             yield from self._until_rest(last, 0.0)
 
     def _chase(self, aim: float, last: SlideReading, now: float, ahead: float) -> None:
-        """Aim a little ahead on the path, at the speed that gets there in time from here."""
+        """Aim a little ahead on the path, at the speed that arrives there in time."""
         self.stage.require_inside(aim)
         here = last.travel + last.speed * (now - last.time)
         # Up to a tenth faster than allowed on a path, to catch up with it.
@@ -262,13 +297,13 @@ class Slide:
 
     @contextmanager
     def _moving(self, pwm: float = 1.0) -> Iterator[None]:
-        """The watchdog is awake; after any exception the stage stands still."""
+        """The watchdog is on; after any exception the stage stands still."""
         servo = self._servo
         if not servo.read(dynamixel.TORQUE, 1).data[0]:
             self._zero = None
             raise DeviceError(
-                "The servo has lost its torque, and its place perhaps: it was restarted or moved "
-                "by somebody else. Home again."
+                "The servo has lost its torque, and its position perhaps: it was restarted or "
+                "moved by somebody else. Home again."
             )
         servo.write(dynamixel.WATCHDOG, (0, 1))
         most = servo.read(dynamixel.PWM_LIMIT, 2).signed(0, 2)
@@ -289,10 +324,10 @@ class Slide:
             with suppress(DeviceError):
                 servo.write(dynamixel.TORQUE, (0, 1), heed=False)
             return
-        bitten = isinstance(problem, DeviceError) and servo.bitten()
+        stopped = isinstance(problem, DeviceError) and servo.watchdog_stopped()
         with suppress(DeviceError):
             self.stop()
-        if bitten:
+        if stopped:
             raise DeviceError(
                 f"The servo heard nothing for {self.stage.watchdog:g} s while it moved and "
                 f"stopped; take readings faster, or raise `watchdog`."

@@ -1,4 +1,4 @@
-"""Motion capture as it comes: Vicon Tracker's UDP object stream.
+"""Motion capture while it runs: Vicon Tracker's UDP object stream.
 
 A datagram, little-endian: frame number u32, count of items u8; an item: kind u8 (0 an object), size
 u16 (72), name of 24 bytes padded with NUL, translation in mm and Euler angles XYZ in rad, six
@@ -34,9 +34,14 @@ _BUFFER = 1 << 20  # bytes the system may keep while the reader is busy
 
 @dataclass(frozen=True)
 class ViconFrame:
-    """Objects of one datagram: their poses T_wo (4, 4) in metres, by name; who was not seen.
+    """Objects of one datagram.
 
-    `received` is the host's monotonic time in seconds; it lags exposure by Tracker's latency.
+    Attributes:
+        number: The frame's number.
+        received: Monotonic time of the host, s; later than exposure by Tracker's latency.
+        poses: T_wo (4, 4) in metres, by name.
+        missing: Names of objects that were not seen.
+        problems: How often bytes were 'truncated', items 'unknown' or objects 'malformed'.
     """
 
     number: int
@@ -47,9 +52,11 @@ class ViconFrame:
 
 
 def parse_packet(data: bytes, received: float) -> ViconFrame | None:
-    """The frame in a datagram, None when it holds no header; what is wrong with it is counted.
+    """The frame in a datagram, or None when it holds no header.
 
-    `problems` counts 'truncated' (bytes end too early), 'unknown' items and 'malformed' objects.
+    Args:
+        data: The datagram.
+        received: When it came, monotonic s.
     """
     if len(data) < _FRAME.size:
         return None
@@ -102,10 +109,18 @@ def _pose(values: Array) -> Array:
 class ViconStream:
     """Frames as they come on a UDP port: a context manager, and an iterator over ViconFrame.
 
-    `counts` says what went wrong so far: datagrams 'malformed', items 'truncated', 'unknown' or
-    'malformed', frames 'lost', 'out of order' (dropped) or 'repeated' (dropped), and 'restarted'
-    for a frame number that jumped. Port 0 takes any free one. Raises DeviceError when the port is
-    taken, and when nothing useful comes for `timeout` seconds.
+    Args:
+        port: UDP port; 0 takes any free one.
+        host: Address to listen on.
+        timeout: Seconds without a useful datagram after which `read` raises.
+
+    Attributes:
+        counts: What went wrong: datagrams 'malformed', items 'truncated', 'unknown' or 'malformed',
+            frames 'lost', 'out of order' or 'repeated' (both dropped), and 'restarted' for a frame
+            number that jumped.
+
+    Raises:
+        DeviceError: The port is taken; in `read`, nothing useful came.
     """
 
     def __init__(self, port: int = PORT, *, host: str = "0.0.0.0", timeout: float = 2.0) -> None:
@@ -145,15 +160,12 @@ class ViconStream:
         deadline = time.monotonic() + self.timeout
         refused = 0
         while (data := self._receive(deadline)) is not None:
-            found = parse_packet(data, time.monotonic())
-            if found is None:
-                self.counts["malformed"] += 1
-            else:
-                self.counts += found.problems
-            if found is None or (found.problems and not found.poses and not found.missing):
+            frame = parse_packet(data, time.monotonic())
+            self.counts += frame.problems if frame else Counter(malformed=1)
+            if frame is None or (frame.problems and not frame.poses and not frame.missing):
                 refused += 1
-            elif self._in_order(found):
-                return found
+            elif self._in_order(frame):
+                return frame
             if time.monotonic() > deadline:
                 break
         raise DeviceError(self._silence(refused))
