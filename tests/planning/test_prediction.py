@@ -20,7 +20,6 @@ from glissando.planning import (
     path_objective_of,
     plan_slide,
     predict_information,
-    sliding_sensor,
 )
 from glissando.planning.path_objective import by_cell
 from glissando.simulation import SlideLimits
@@ -175,31 +174,18 @@ def test_no_path_knows_more_than_a_sensor_everywhere_at_once(kind):
         assert evaluate_path(problem, [ZONE], Trace(), path).value > bound.value
 
 
-def predict(reach=REACH, horizon=3.0, robot=ROBOTS["separable"], **sensor):
-    return predict_information(robot, reach, horizon, sliding_sensor(robot, **sensor))
-
-
-def from_posterior():
+def test_what_cannot_be_predicted_is_refused_in_a_sentence():
     robot = ROBOTS["separable"]
-    predict_information(estimate(robot.prior, robot.grid(0.0, 1.0), []), REACH, 3.0)
-
-
-def plan_with_other_steps():
     _, space, path_objective = small_task()
-    plan_slide(path_objective, replace(space, steps=9))
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (from_posterior, "does not say what slides"),
-        (lambda: predict((0.6, 0.8)), "shorten the stroke"),
-        (lambda: predict(coils=3, spacing=0.3), "bring the coils closer"),
-        (lambda: predict(horizon=0.1), "give two steps or more"),
-        (lambda: SlidingSensor(np.ones(3), kind="gyro"), "cannot slide"),
-        (plan_with_other_steps, "give both the same"),
-    ],
-)
-def test_what_cannot_be_predicted_is_refused_in_a_sentence(make, message):
-    with pytest.raises(GlissandoError, match=message):
-        make()
+    with pytest.raises(GlissandoError, match="does not say what slides"):
+        predict_information(estimate(robot.prior, robot.grid(0.0, 1.0), []), REACH, 3.0)
+    with pytest.raises(GlissandoError, match="shorten the stroke"):
+        small_problem(reach=(0.6, 0.8))
+    with pytest.raises(GlissandoError, match="bring the coils closer"):
+        small_problem(coils=3, spacing=0.3)
+    with pytest.raises(GlissandoError, match="give two steps or more"):
+        small_problem(horizon=0.1)
+    with pytest.raises(GlissandoError, match="cannot slide"):
+        SlidingSensor(np.ones(3), kind="gyro")
+    with pytest.raises(GlissandoError, match="give both the same"):
+        plan_slide(path_objective, replace(space, steps=9))

@@ -9,18 +9,8 @@ import numpy as np
 import pytest
 
 from glissando import FixedLagSmoother
-from glissando.errors import PlanWarning
 from glissando.planning import Zone
-from plans import (
-    LENGTH,
-    LONG_REACH,
-    ROBOTS,
-    SEPARABLE,
-    SPEED,
-    read_between,
-    replanner_of,
-    require_limits,
-)
+from plans import ROBOTS, SPEED, read_between, replanner_of, require_limits
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
@@ -31,8 +21,7 @@ def followed(robot, zone, until, every):
     smoother = FixedLagSmoother(robot.prior, robot.arclength_nodes, window=3, gate=None)
     out = []
     for now in np.arange(0.0, until, every):
-        path = lambda time: replanner.at(time)[0]  # noqa: E731
-        smoother.add(read_between(replanner.sensor, path, now - every, now))
+        smoother.add(read_between(replanner.sensor, lambda t: replanner.at(t)[0], now - every, now))
         smoother.advance(now)
         replanner.next(smoother)
         time = now + np.arange(0.0, every - 1e-9, 0.02)
@@ -54,29 +43,6 @@ def test_plans_that_follow_each_other_keep_every_limit_and_follow_the_zone(kind,
     late = time > 4.0
     off = place[late] - np.mean(moving(time[late]), axis=0)
     assert np.sqrt(np.mean(off**2)) < 0.04
-
-
-def begun(zone, now):
-    smoother = FixedLagSmoother(SEPARABLE.prior, SEPARABLE.arclength_nodes, gate=None)
-    smoother.advance(now)
-    return replanner_of(SEPARABLE, [zone]), smoother
-
-
-def test_a_plan_that_is_not_followed_by_another_ends_at_rest_on_the_slide():
-    replanner, smoother = begun(Zone((0.3, 0.4)), 0.0)
-    plan = replanner.next(smoother)
-    place, speed = plan.at([plan.start + 3.0, plan.start + 99.0])
-    assert speed == pytest.approx(0.0, abs=1e-12)
-    assert place[0] == place[1]
-    assert LONG_REACH[0] <= place[0] <= LONG_REACH[1]
-
-
-def test_zones_that_are_over_are_reported_once():
-    replanner, smoother = begun(Zone((0.3, 0.4), (0.0, 1.0)), 5.0)
-    with pytest.warns(PlanWarning, match="No zone counts between 5 and 8 s"):
-        assert replanner.next(smoother) is None
-    assert replanner.next(smoother) is None  # without another warning
-    assert replanner.at(7.0)[0] == LENGTH
 
 
 @pytest.mark.slow

@@ -43,16 +43,11 @@ def find_modes(marginals: Marginals, rows: Array) -> Modes:
         marginals: Covariances of the chain's nodes (K, D, D) and of neighbours.
         rows: Whitened Jacobians (R, D) of readings everywhere at a time node.
     """
-    middle = (len(marginals.cov) - 1) // 2
-    rows = _with_neighbours(marginals, middle, rows)
-    return _reduced(marginals, _measurable(marginals.cov[middle], rows))
-
-
-def _with_neighbours(marginals: Marginals, k: int, rows: Array) -> Array:
-    """Rows (R, D) at time node k, and those that predict such readings at its neighbours."""
+    k = (len(marginals.cov) - 1) // 2
     near = [marginals.cross[k]] if k == 0 else [marginals.cross[k], marginals.cross[k - 1].T]
     gains = np.split(np.linalg.solve(marginals.cov[k], np.hstack(near)), len(near), axis=1)
-    return np.vstack([rows, *(rows @ gain.T for gain in gains)])
+    predicted = [rows @ gain.T for gain in gains]  # such readings at the neighbouring nodes
+    return _reduced(marginals, _measurable(marginals.cov[k], np.vstack([rows, *predicted])))
 
 
 def _measurable(cov: Array, rows: Array) -> Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -40,47 +41,34 @@ def expected_motion(shape: Shape, prior: Prior, arclength: Array) -> ExpectedMot
         prior: Prior of the estimate.
         arclength: Arclength nodes (N,) of the estimate, m.
     """
-
-    def motion(time: Array) -> State:
-        place = np.asarray(arclength, dtype=float)[None, :]
-        (pose, strain), (pose_before, strain_before), (pose_after, strain_after) = (
-            shape(place, time[:, None] + shift) for shift in (0.0, -_DT, _DT)
-        )
-        velocity = se3.log(se3.inverse(pose_before) @ pose_after) / (2.0 * _DT)
-        rate = (strain_after - strain_before) / (2.0 * _DT)
-        has_rate = prior.rest_state(Grid(arclength, time[:1])).strain_rate is not None
-        return State(pose, strain, velocity, rate if has_rate else None)
-
-    return motion
+    return partial(_state, shape, prior, arclength)
 
 
-@dataclass(frozen=True)
-class _Reshaping:
-    """The motion from one strain (N, 6) to another, with its base at rest at `base` (4, 4)."""
+def _state(shape: Shape, prior: Prior, arclength: Array, time: Array) -> State:
+    place = np.asarray(arclength, dtype=float)[None, :]
+    (pose, strain), (pose_before, strain_before), (pose_after, strain_after) = (
+        shape(place, time[:, None] + shift) for shift in (0.0, -_DT, _DT)
+    )
+    velocity = se3.log(se3.inverse(pose_before) @ pose_after) / (2.0 * _DT)
+    rate = (strain_after - strain_before) / (2.0 * _DT)
+    has_rate = prior.rest_state(Grid(arclength, time[:1])).strain_rate is not None
+    return State(pose, strain, velocity, rate if has_rate else None)
 
-    prior: Prior
-    arclength: Array
-    base: Array
-    first: Array
-    last: Array
-    begin: float
-    duration: float
 
-    def __call__(self, time: Array) -> State:
-        """The robot at times (K,)."""
-        return expected_motion(self._shape, self.prior, self.arclength)(time)
-
-    def _shape(self, _: Array, time: Array) -> tuple[Array, Array]:
-        share = np.clip((time - self.begin) / self.duration, 0.0, 1.0)[..., None]
-        strain = self.first + share**2 * (3.0 - 2.0 * share) * (self.last - self.first)
-        pose = np.empty((*strain.shape[:-1], 4, 4))
-        pose[:, 0] = self.base
-        for n, step in enumerate(np.diff(self.arclength)):
-            pose[:, n + 1] = pose[:, n]
-            for at in (np.arange(_PIECES) + 0.5) / _PIECES:
-                piece = strain[:, n] + at * (strain[:, n + 1] - strain[:, n])
-                pose[:, n + 1] = pose[:, n + 1] @ se3.exp(piece * step / _PIECES)
-        return pose, strain
+def _blended(
+    base: Array, strains: Array, begin: float, duration: float, arclength: Array, time: Array
+) -> tuple[Array, Array]:
+    """Shapes between two strains (2, N, 6) at the nodes, on a base at rest at `base` (4, 4)."""
+    share = np.clip((time - begin) / duration, 0.0, 1.0)[..., None]
+    strain = strains[0] + share**2 * (3.0 - 2.0 * share) * (strains[1] - strains[0])
+    pose = np.empty((*strain.shape[:-1], 4, 4))
+    pose[:, 0] = base
+    for n, step in enumerate(np.diff(arclength[0])):
+        pose[:, n + 1] = pose[:, n]
+        for at in (np.arange(_PIECES) + 0.5) / _PIECES:
+            piece = strain[:, n] + at * (strain[:, n + 1] - strain[:, n])
+            pose[:, n + 1] = pose[:, n + 1] @ se3.exp(piece * step / _PIECES)
+    return pose, strain
 
 
 def draw_motions(
@@ -106,18 +94,15 @@ def draw_motions(
             f"Shapes to move to are strains {strains.shape}; give (S, {len(present.strain)}, 6), "
             f"one or more at the nodes."
         )
-    motions: list[ExpectedMotion] = []
+    motions = []
     for _ in range(count):
         share = rng.dirichlet(np.ones(len(strains) + 1))[1:]
         last = present.strain + np.tensordot(share, strains - present.strain, 1)
         duration = horizon * rng.uniform(_SHORTEST, 1.0)
         begin = belief.time + rng.uniform(0.0, horizon - duration)
-        motions.append(
-            _Reshaping(
-                belief.prior, belief.arclength, present.pose[0], present.strain, last, begin,
-                duration,
-            )
-        )  # fmt: skip
+        ends = np.stack([present.strain, last])
+        shape = partial(_blended, present.pose[0], ends, begin, duration)
+        motions.append(expected_motion(shape, belief.prior, belief.arclength))
     return motions
 
 

@@ -139,13 +139,10 @@ def _directions() -> tuple[Array, Array]:
     return np.stack([x, y, z], axis=-1).reshape(-1, 3), np.repeat(share, _AROUND)
 
 
-OBJECTIVES: dict[str, Callable[[float], Objective]] = {
-    "trace": lambda bound: Trace(),
-    "logdet": lambda bound: LogDet(),
-    "max": lambda bound: Worst(),
-    "chance": lambda bound: Chance(bound),
-}
-"""Makers of the objectives by name, given the bound, m, which only chance needs."""
+OBJECTIVES: dict[str, Callable[..., Objective]] = {
+    "trace": Trace, "logdet": LogDet, "max": Worst, "chance": Chance,
+}  # fmt: skip
+"""Objectives by their names on the command line."""
 
 
 def objective_named(name: str, bound: float = 5e-3) -> Objective:
@@ -162,4 +159,4 @@ def objective_named(name: str, bound: float = 5e-3) -> Objective:
         raise GlissandoError(
             f"There is no objective {name!r}; choose one of {', '.join(OBJECTIVES)}."
         )
-    return OBJECTIVES[name](bound)
+    return Chance(bound) if name == "chance" else OBJECTIVES[name]()

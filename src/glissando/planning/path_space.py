@@ -100,16 +100,10 @@ class PathSpace:
         return time, place, np.diff(control) / self.step
 
     def follow(self, target: Array) -> Array:
-        """The paths that stay as near to targets as the limits allow.
+        """Control points (…, T + 2) of paths as near to targets as the limits allow.
 
-        Each move is the longest towards the target that can still be stopped before the slide or
-        the time ends.
-
-        Args:
-            target: Arclengths (…, T + 2) at `control_times`, m.
-
-        Returns:
-            Control points (…, T + 2), m.
+        The targets (…, T + 2) are at `control_times`. Each move is the longest towards the target
+        that can still be stopped before the slide or the time ends.
         """
         sharpest = self._largest[1]
         out = np.empty(target.shape)
@@ -156,9 +150,7 @@ class PathSpace:
     def free_gradient(self, by_place: Array, by_control: Array) -> Array:
         """Gradient (n,) by the free control points.
 
-        Args:
-            by_place: Gradient (T,) by the arclengths at `times`.
-            by_control: What a further term adds to the gradient (T + 2,) by all control points.
+        It is the sum of those `by_place` (T,) at `times` and `by_control` (T + 2,) points.
         """
         total = by_control.copy()
         for i, share in enumerate((0.125, 0.75, 0.125)):

@@ -10,7 +10,6 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 from multiprocessing.connection import Connection
-from typing import Protocol
 
 from glissando._kernels.threads import one_thread
 from glissando.errors import GlissandoError
@@ -27,25 +26,11 @@ class PlannerExitedError(GlissandoError):
     """The planner's process has ended."""
 
 
-class Planner(Protocol):
-    """Computes one plan at a time: the result of a task comes before the next task."""
-
-    def submit(self, task: Task) -> None:
-        """Have a plan computed, without waiting for it."""
-        ...
-
-    def result(self) -> Plan | None:
-        """The plan, once, if it is ready by now.
-
-        Raises:
-            GlissandoError: No plan can be made.
-            PlannerExitedError: None ever will be.
-        """
-        ...
-
-
 class InlinePlanner:
-    """Computes plans in the caller's own thread, when asked for the result."""
+    """Computes plans in the caller's own thread, when asked for the result.
+
+    A planner computes one plan at a time: the result of a task comes before the next task.
+    """
 
     def __init__(self) -> None:
         self._task: Task | None = None
@@ -118,7 +103,12 @@ class ProcessPlanner:
             self._connection.send_bytes(message)
 
     def result(self) -> Plan | None:
-        """The plan if it has come, as `Planner.result`."""
+        """The plan, once, if it is ready by now.
+
+        Raises:
+            GlissandoError: No plan can be made.
+            PlannerExitedError: None ever will be.
+        """
         try:
             answer = self._connection.recv() if self.ready() else None
         except (EOFError, OSError):
@@ -126,6 +116,9 @@ class ProcessPlanner:
         if isinstance(answer, GlissandoError):
             raise answer
         return answer
+
+
+Planner = InlinePlanner | ProcessPlanner
 
 
 def _work(connection: Connection) -> None:

@@ -154,16 +154,16 @@ def read_zone(text: str) -> Zone:
             f"Zone {text!r} is not understood; give S0:S1, S0:S1@T0:T1 or, if it moves, "
             f"S0:S1..S2:S3@T0:T1, in metres and seconds, with *WEIGHT if it has one."
         )
-    low, high, low2, high2, start, stop, weight = (
-        None if part is None else float(part) for part in match.groups()
+    numbers = match.groups()
+    first, last, time = (
+        None if low is None else (float(low), float(high))
+        for low, high in zip(numbers[:6:2], numbers[1:6:2], strict=True)
     )
-    assert low is not None
-    assert high is not None
-    time = None if start is None or stop is None else (start, stop)
-    zone = Zone((low, high), time, 1.0 if weight is None else weight)
-    if low2 is None or high2 is None:
+    assert first is not None
+    zone = Zone(first, time, float(match[7] or 1.0))
+    if last is None:
         return zone
     if time is None or time[1] <= time[0]:
         raise GlissandoError(f"Zone {text!r} moves, so it needs times: add @T0:T1.")
-    Zone((low2, high2))  # whose ends are in order
-    return replace(zone, arclength=MovingInterval(time, (low, high), (low2, high2)))
+    Zone(last)  # whose ends are in order
+    return replace(zone, arclength=MovingInterval(time, first, last))
