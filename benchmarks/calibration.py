@@ -13,11 +13,12 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import chi2
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
 
 import rigs_drawn as rigs
 from glissando import load_robot
-from glissando.calibration.rig import PARAMETERS, calibrate
+from glissando.calibration.rig.calibrate import calibrate
+from glissando.calibration.rig.rig import PARAMETERS
 
 SHOWN = {  # of the parameters: what it is called, 1 / unit, what is asked for
     "tracker delay": ("tracker's delay, ms", 1e3, 2.0),

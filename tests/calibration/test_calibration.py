@@ -9,8 +9,8 @@ from scipy.stats import chi2
 
 import rigs_drawn as rigs
 from glissando import RecordingError
-from glissando.calibration.rig import PARAMETERS, calibrate
-from glissando.calibration.rig.refine import apart
+from glissando.calibration.rig.calibrate import calibrate
+from glissando.calibration.rig.rig import PARAMETERS
 
 SURE = 1e-3  # chance that a true law fails, each side
 SEEDS = 5
@@ -20,7 +20,7 @@ ZERO, DELAY, LATE_SLIDE = (PARAMETERS.index(p) for p in ("zero", "tracker delay"
 
 
 def error_of(made, known):
-    return apart(made.rig, known)
+    return made.rig.minus(known)
 
 
 # What is claimed of the whole.
@@ -65,7 +65,7 @@ def test_the_coil_is_where_the_calibration_says_at_any_time_of_the_session():
     for seed in range(2):
         made, known, data = rigs.found(seed)
         time = np.linspace(1.0, rigs.DURATION - 1.0, 50)
-        places = [rig.arclength(time, data.slide_time, data.travel) for rig in (made.rig, known)]
+        places = [rig.arclength(time, data) for rig in (made.rig, known)]
         assert np.abs(places[0] - places[1]).max() < 5e-4
 
 

@@ -9,8 +9,9 @@ import pytest
 
 import rigs_drawn as rigs
 from glissando import GlissandoError, load_robot
-from glissando.calibration.rig import PARAMETERS, apply, load_calibration, rig_data
-from glissando.calibration.rig.refine import apart
+from glissando.calibration.rig.result import apply, load_calibration
+from glissando.calibration.rig.rig import PARAMETERS
+from glissando.calibration.rig.session_data import rig_data
 from glissando.cli.main import main
 from glissando.geometry import se3
 from glissando.io.robot_file import parse_robot, robot_file
@@ -22,7 +23,7 @@ def test_what_is_saved_comes_back_and_serves_a_robot_file(tmp_path):
     made, _, _ = rigs.found(0, "bent")
     made.save(tmp_path / "rig.toml")
     again = load_calibration(tmp_path / "rig.toml")
-    assert np.allclose(apart(again.rig, made.rig), 0.0, atol=1e-12)
+    assert np.allclose(again.rig.minus(made.rig), 0.0, atol=1e-12)
     assert np.array_equal(again.cov, made.cov)
     assert again.rig.direction == made.rig.direction
     assert again.warnings == made.warnings

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 import rigs_drawn as rigs
-from glissando.calibration.rig import PARAMETERS, Rig
-from glissando.calibration.rig.calibrate import LATEST, _either_way
-from glissando.calibration.rig.model import Model
-from glissando.calibration.rig.rig import side
-from glissando.calibration.rig.rough import registration, slide_lag
-from glissando.calibration.rig.shape import _moves, shape_covariance, shape_of
+from glissando.calibration.rig.calibrate import _fit_direction
+from glissando.calibration.rig.model import CoilModel
+from glissando.calibration.rig.rig import PARAMETERS, Rig, side_of_backlash
+from glissando.calibration.rig.rough import registration
+from glissando.calibration.rig.shape import _moves, estimate_shape, shape_covariance
+from glissando.calibration.rig.slide_timing import LATEST, slide_lag
 from glissando.estimation.posterior import Posterior
 from glissando.geometry import se3
 from glissando.model.interpolation import sort_points
@@ -24,12 +24,13 @@ ROBOT = rigs.robot(2.0)
 @cache
 def small_model():
     data, known = rigs.drawn(0)
-    return Model(data.thinned(12), shape := shape_of(data, ROBOT), factor(shape.system)), known
+    shape = estimate_shape(data, ROBOT)
+    return CoilModel(data.thinned(12), shape, factor(shape.system)), known
 
 
 def test_slopes_of_the_coil_by_the_rig_are_right():
     model, known = small_model()
-    said = se3.inverse(known.T_wt) @ model.states(known).pose @ known.coil_mount
+    said = se3.inverse(known.T_wt) @ model.states(*model.points(known)).pose @ known.coil_mount
     ideal = replace(model, data=replace(model.data, coil=said))
     jacobian = ideal.jacobian(known)
     for k, nudge in enumerate(1e-5 * np.eye(len(PARAMETERS))):
@@ -41,10 +42,10 @@ def test_slopes_of_the_coil_by_the_rig_are_right():
 def test_a_coil_beyond_the_robots_end_is_told_from_one_at_it():
     """Else a zero near the tip would be known where it cannot be."""
     model, known = small_model()
-    beyond = known.zero - model.where(known)[0].max() + model.shape.grid.arclength[-1]
+    beyond = known.zero - model.points(known)[0].max() + model.shape.grid.arclength[-1]
     ends = [replace(known, zero=beyond + far) for far in (0.004, 0.002, 0.0)]
-    there, nearer, at = (model.states(rig).pose[:, :3, 3] for rig in ends)
-    outside = model.where(ends[1])[0] > model.shape.grid.arclength[-1]
+    there, nearer, at = (model.states(*model.points(rig)).pose[:, :3, 3] for rig in ends)
+    outside = model.points(ends[1])[0] > model.shape.grid.arclength[-1]
     assert outside.any()
     np.testing.assert_allclose(np.linalg.norm(there - nearer, axis=1), 0.002, rtol=0.02)
     np.testing.assert_allclose(np.linalg.norm(nearer - at, axis=1), 0.002, rtol=0.02)
@@ -57,10 +58,10 @@ def test_a_lead_that_has_turned_over_is_the_other_directions():
     away = -known.direction
     starts = {known.direction: known, away: replace(known, direction=away, lead=-known.lead)}
     for direction in starts:
-        found = _either_way(model, starts, direction, std)
+        found = _fit_direction(model, starts, direction, std)
         assert found.rig.direction == known.direction
         assert found.rig.lead == pytest.approx(known.lead, rel=0.02)
-    assert _either_way(model, {away: starts[away]}, away, std).rig.direction == away
+    assert _fit_direction(model, {away: starts[away]}, away, std).rig.direction == away
 
 
 def test_bodies_are_seen_to_move_and_to_hold():
@@ -102,7 +103,7 @@ def test_bunches_are_of_readings_that_follow_each_other_closely():
 def test_joint_errors_of_the_shape_are_those_of_the_dense_inverse():
     data, _ = rigs.drawn(0)
     short = {n: replace(b, time=b.time[:30], poses=b.poses[:30]) for n, b in data.bodies.items()}
-    shape = shape_of(replace(data, bodies=short, travel=np.zeros(2)), ROBOT)
+    shape = estimate_shape(replace(data, bodies=short, travel=np.zeros(2)), ROBOT)
     rng = np.random.default_rng(0)
     time = np.sort(rng.uniform(*shape.grid.time[[0, -1]], 7))
     place = rng.uniform(0.0, 0.7, 7)
@@ -168,7 +169,7 @@ def test_the_slides_lag_is_found_by_speeds_alone():
 def test_play_is_taken_up_before_the_coil_follows():
     travel = np.array([0.0, 2e-5, 1e-3, 9.8e-4, 0.0])
     expected = np.array([0.0, 0.4, 1.0, 0.6, -1.0])
-    assert np.allclose(side(travel), expected)
+    assert np.allclose(side_of_backlash(travel), expected)
 
 
 def test_a_clocks_delay_and_rate_are_those_of_the_definition():

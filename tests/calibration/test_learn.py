@@ -124,7 +124,7 @@ def test_places_that_err_together_count_as_one(in_process):
             time = tip.time
             return [tip, readings(PoseReadings, "mid", LENGTH / 2, time, std=np.full(6, 1e-4))]
 
-    once, twice = (learning.Judge([case], False).score(start()) for case in (
+    once, twice = (learning.Objective([case], False).score(start()) for case in (
         Arc(judged=True), Twice(judged=True)
     ))  # fmt: skip
     assert (once.samples, once.independent) == (18, 18)
@@ -154,8 +154,8 @@ def test_a_try_that_cannot_be_estimated_is_a_bad_one_and_not_the_end(in_process)
     found = learn(document, of_label(document, "pose noise"), [case], steps=2)
     assert found.document["sensors"]["pose"]["std"][0] <= case.most
     assert found.after.value >= found.before.value
-    assert learning._tried(start(noise=1.0)) == learning._BAD
-    assert learning._tried(start(noise=0.3)) < learning._BAD
+    assert learning._evaluate(start(noise=1.0)) == learning._BAD
+    assert learning._evaluate(start(noise=0.3)) < learning._BAD
 
 
 def test_a_start_that_cannot_be_estimated_is_said_to_be(in_process):

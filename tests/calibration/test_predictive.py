@@ -45,9 +45,9 @@ def test_the_score_is_the_gaussian_log_likelihood(monkeypatch):
             total += multivariate_normal.logpdf(residual, cov=by @ cov @ by.T + np.diag(std**2))
     found = predict(posterior, truth, (), free=False)
     assert found.samples == 2 * 6 * 6
-    assert found.score == pytest.approx(total / found.samples, rel=1e-9)
+    assert found.value == pytest.approx(total / found.samples, rel=1e-9)
     none = [t.select(slice(0, 0)) for t in truth]
-    assert predict(posterior, [*truth, *none], (), free=False).score == found.score
+    assert predict(posterior, [*truth, *none], (), free=False).value == found.value
 
 
 def test_truth_that_rests_counts_once_and_what_moves_counts_each_time():
@@ -60,12 +60,12 @@ def test_truth_that_rests_counts_once_and_what_moves_counts_each_time():
     )
     half = replace(swung, values=np.concatenate([still.values[:50], swung.values[50:]]))
     base = replace(swung, arclength=np.zeros(100), values=arc(0.0, moves))
-    found = [len(predictive.telling(truth)) for truth in (still, swung, half, base)]
+    found = [len(predictive.informative(truth)) for truth in (still, swung, half, base)]
     assert found == [1, 20, 11, 1]
     place = PositionReadings(
         time=time, values=still.values[:, :3, 3], name="p", **tip | {"cov": 1e-6}
     )
-    assert len(predictive.telling(place)) == 20  # of what is no pose nothing is known to be alike
+    assert len(predictive.informative(place)) == 20  # places alone cannot be compared
 
 
 def test_the_frame_of_the_truth_and_the_mounts_of_its_bodies_are_found():
@@ -85,8 +85,8 @@ def test_the_frame_of_the_truth_and_the_mounts_of_its_bodies_are_found():
     best = predict(posterior, true, (), free=False)
     raw = predict(posterior, off, names, free=False)
     found = predict(posterior, off, names, free=True)
-    assert raw.score < best.score - 10.0
-    assert found.score > best.score - 0.05
+    assert raw.value < best.value - 10.0
+    assert found.value > best.value - 0.05
     # A frame and mounts are told apart by motion alone; what they do together is found exactly.
     turned, *mounted = (se3.exp(c.value) for c in found.constants)
     for t, was, mount in zip(off, true, mounted, strict=True):
@@ -101,7 +101,7 @@ def test_the_frame_of_the_truth_and_the_mounts_of_its_bodies_are_found():
         (one,) = predict(posterior, alone, names[i : i + 1], free=True).constants
         np.testing.assert_allclose(one.value[:3], each[:3], atol=1e-3)
         np.testing.assert_allclose(one.value[3:], each[3:], atol=5e-3)
-    assert predict(posterior, off, found.constants, free=False).score == found.score
+    assert predict(posterior, off, found.constants, free=False).value == found.value
 
 
 def test_truth_that_is_known_to_be_late_is_asked_for_when_it_was_made():
@@ -110,8 +110,8 @@ def test_truth_that_is_known_to_be_late_is_asked_for_when_it_was_made():
     stamped = replace(truth, time=truth.time + late)
     delay = SensorParameter("late", "time_offset", ("a",), np.array([late]), np.zeros(1))
     found = predict(posterior, [stamped], [delay], free=False)
-    assert found.score == pytest.approx(predict(posterior, [truth], (), free=False).score)
-    assert found.score > predict(posterior, [stamped], (), free=False).score + 2.0
+    assert found.value == pytest.approx(predict(posterior, [truth], (), free=False).value)
+    assert found.value > predict(posterior, [stamped], (), free=False).value + 2.0
     assert found.constants == (delay,)
     early = replace(truth, time=truth.time + 0.5 * late)  # its first rows were made before the grid
     assert predict(posterior, [early], [delay], free=False).samples < found.samples

@@ -6,8 +6,8 @@ from functools import cache
 
 import numpy as np
 
-from glissando.calibration.rig import Body, Noise, Rig, RigData, calibrate
-from glissando.calibration.rig.refine import apart
+from glissando.calibration.rig.calibrate import calibrate
+from glissando.calibration.rig.rig import Body, Noise, Rig, RigData
 from glissando.geometry import se3
 from glissando.io.robot_file import load_robot, robot_file
 from glissando.io.session_log import INTEGER, NUMBER, SessionWriter, numbers, schema
@@ -248,7 +248,7 @@ def trial(seed, *, stated=1.0):
     """A session as docs/calibration.md asks for, calibrated; noise is stated so many times."""
     data, known = drawn(seed, "posed", sliding="calibrate", motions=10_000)
     made = calibrate(misstated(data, stated), robot())
-    off = apart(made.rig, at_epoch(known, made.rig.epoch))
+    off = made.rig.minus(at_epoch(known, made.rig.epoch))
     return Trial(off, made.std, float(off @ np.linalg.solve(made.cov, off)), made.warnings)
 
 

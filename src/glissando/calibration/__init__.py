@@ -1,1 +1,1 @@
-"""Constants from data: of a rig, of a robot."""
+"""Calibration: constants of a rig and of a robot, from recorded data."""

@@ -1,4 +1,4 @@
-"""`glissando calibrate`: clocks, frames, mounts and the slide's zero, from a recorded session."""
+"""`glissando calibrate`: clocks, frames, mounts and the slide's zero from a session."""
 
 from __future__ import annotations
 
@@ -12,7 +12,10 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from glissando.calibration.rig import Calibration, RigData, apply, calibrate, rig_data
+from glissando.calibration.rig.calibrate import calibrate
+from glissando.calibration.rig.result import Calibration, apply
+from glissando.calibration.rig.rig import RigData
+from glissando.calibration.rig.session_data import rig_data
 from glissando.cli.shared import Commands, add_command, require_writable
 from glissando.errors import RecordingError, RobotFileError
 from glissando.hardware.capture.capture import LOG
@@ -23,13 +26,13 @@ from glissando.io.session_log import read_session
 from glissando.model.robot import Robot
 
 _HELP = """\
-Find what must be known of a rig before a sliding sensor is estimated: the clocks of tracker and
-slide against motion capture's, where the tracker stands, how the coil is mounted, and the slide's
-zero, direction and lead scale, all with their covariance.
+Find the constants of a rig that a sliding sensor needs: the clocks of tracker and slide relative to
+motion capture's, the tracker's frame, the coil's mount, and the slide's zero, direction and lead
+scale, all with their covariance.
 
 SESSION is a raw session log (MCAP) whose metadata 'setup' says where coil and bodies sit. Bend the
-robot to and fro in both planes while the coil slides at two speeds; what a session does not show
-is said, with the motion that would.
+robot to and fro in both planes while the coil slides at two speeds. Constants that a session does
+not show are listed, with the motion that would show them.
 """
 _EXAMPLES = """\
 examples:
@@ -66,19 +69,19 @@ def _calibrate(options: argparse.Namespace) -> int:
         require_new(options.recording, RecordingError)
     data = rig_data(read_session(options.session))
     robot = _robot(options, data)
-    found = calibrate(data, robot)
-    found.save(options.out)
+    result = calibrate(data, robot)
+    result.save(options.out)
     if options.recording:
         name = options.robot or data.robot
-        save_recording(apply(found, data, robot), options.recording, name)
+        save_recording(apply(result, data, robot), options.recording, name)
     if options.json:
-        print(json.dumps(as_json(found)))
+        print(json.dumps(_as_json(result)))
         return 0
     console = Console()
-    console.print(_table(found))
-    if found.fits:
-        console.print(_fits(found))
-    for sentence in found.warnings:
+    console.print(_table(result))
+    if result.fits:
+        console.print(_fits(result))
+    for sentence in result.warnings:
         console.print(f"! {sentence}", markup=False)
     also = f" and {options.recording}" if options.recording else ""
     console.print(f"Wrote {options.out}{also}", markup=False)
@@ -97,27 +100,27 @@ def _robot(options: argparse.Namespace, data: RigData) -> Robot:
     return load_robot(beside if not options.robot and beside.is_file() else name)
 
 
-def as_json(found: Calibration) -> dict[str, object]:
-    """What was found as JSON has it, SI units; log odds null where there is one direction only."""
+def _as_json(result: Calibration) -> dict[str, object]:
+    """The result in SI units; log odds are null where only one direction is possible."""
     return {
-        "coil": found.coil_name,
-        "direction": found.rig.direction,
-        "log_odds": found.log_odds if math.isfinite(found.log_odds) else None,
-        "epoch": found.rig.epoch,
-        "values": {k: {"value": v, "std": s} for k, (v, s) in found.values().items()},
+        "coil": result.coil_name,
+        "direction": result.rig.direction,
+        "log_odds": result.log_odds if math.isfinite(result.log_odds) else None,
+        "epoch": result.rig.epoch,
+        "values": {k: {"value": v, "std": s} for k, (v, s) in result.values().items()},
         "streams": [
             {"name": f.name, "count": f.count, "rms": f.rms.tolist(), "whitened": f.whitened}
-            for f in found.fits
+            for f in result.fits
         ],
-        "warnings": list(found.warnings),
+        "warnings": list(result.warnings),
     }
 
 
-def _table(found: Calibration) -> Table:
-    table = Table(title=f"{found.coil_name}, direction {found.rig.direction:+d}", box=SIMPLE_HEAD)
+def _table(result: Calibration) -> Table:
+    table = Table(title=f"{result.coil_name}, direction {result.rig.direction:+d}", box=SIMPLE_HEAD)
     for heading in ("", "value", "±", "unit"):
         table.add_column(heading, justify="left" if heading in ("", "unit") else "right")
-    for name, (value, std) in found.values().items():
+    for name, (value, std) in result.values().items():
         if std > 0.0:
             last = name.split()[-1]
             angle = "rotation" in name or "tilt" in name
@@ -126,11 +129,11 @@ def _table(found: Calibration) -> Table:
     return table
 
 
-def _fits(found: Calibration) -> Table:
-    table = Table(title="what is left", title_justify="left", box=SIMPLE_HEAD)
+def _fits(result: Calibration) -> Table:
+    table = Table(title="residuals", title_justify="left", box=SIMPLE_HEAD)
     for heading in ("stream", "readings", "mm", "mrad", "whitened"):
         table.add_column(heading, justify="left" if heading == "stream" else "right")
-    for f in found.fits:
+    for f in result.fits:
         rms = [f"{1e3 * value:.3f}" for value in f.rms]
         table.add_row(escape(f.name), str(f.count), *rms, f"{f.whitened:.2f}")
     return table

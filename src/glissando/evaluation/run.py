@@ -12,7 +12,6 @@ import numpy as np
 
 from glissando.errors import RecordingError
 from glissando.estimation.batch import estimate
-from glissando.solver.gauss_newton import Progress
 from glissando.estimation.posterior import Posterior
 from glissando.evaluation.consistency import Consistency, check, check_readings
 from glissando.evaluation.environment import versions
@@ -22,6 +21,7 @@ from glissando.io.recording import Recording
 from glissando.model.robot import Robot
 from glissando.model.sensors.parameters import corrected
 from glissando.model.sensors.readings import Readings
+from glissando.solver.gauss_newton import Progress
 
 
 @dataclass(frozen=True)

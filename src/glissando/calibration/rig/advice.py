@@ -1,4 +1,4 @@
-"""What a calibration leaves unseen, which motion would show it, and how well each stream fits."""
+"""Parameters that a calibration leaves uncertain, motions that show them, and residuals."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from glissando.calibration.rig.model import ROWS
-from glissando.calibration.rig.refine import Found, innovations
+from glissando.calibration.rig.refine import RigFit
 from glissando.calibration.rig.rig import PARAMETERS, RigData
 from glissando.calibration.rig.shape import body_readings
 from glissando.geometry.se3 import Array
 from glissando.solver.measurement_factors import states_at
 
-_LEARNED = 0.5  # of what was believed before: a standard deviation that is not much smaller
+_LEARNED = 0.5  # of the standard deviation before: above it little was learned
 _CLOCKS = PARAMETERS.index("tracker delay"), PARAMETERS.index("slide delay")
 
 _GROUPS: dict[str, tuple[slice, str]] = {
@@ -55,10 +55,14 @@ _GROUPS: dict[str, tuple[slice, str]] = {
 
 @dataclass(frozen=True)
 class StreamFit:
-    """How well readings fit: RMS of their residuals [m, rad], and of the whitened ones (1 if true).
+    """Residuals of a stream.
 
-    Whitened is what is left of bunches after all others for the coil, after the fit for a body,
-    which is below one as it has pulled the shape to itself.
+    Attributes:
+        name: Name of the stream.
+        count: Number of readings.
+        rms: RMS of the residuals [m, rad].
+        whitened: RMS in units of the stated noise, 1 if it is true: of the coil's innovations by
+            bunch, and of a body's residuals, which are smaller as it was used for the shape.
     """
 
     name: str
@@ -67,56 +71,58 @@ class StreamFit:
     whitened: float
 
 
-def fits(found: Found) -> tuple[StreamFit, ...]:
-    """How well the coil and every body fit."""
-    model = found.model
-    left = replace(model, bunch=1).residual(found.rig).reshape(-1, ROWS)
-    whitened = float(np.sqrt(np.mean(innovations(found) ** 2)))
-    out = [StreamFit(model.data.coil_name, len(left), _rms(left), whitened)]
+def stream_fits(fit: RigFit) -> tuple[StreamFit, ...]:
+    """Residuals of the coil and of every body."""
+    model = fit.model
+    residual = replace(model, bunch=1).residual(fit.rig).reshape(-1, ROWS)
+    whitened = float(np.sqrt(np.mean(fit.innovations() ** 2)))
+    out = [StreamFit(model.data.coil_name, len(residual), _rms(residual), whitened)]
     shape = model.shape
     for readings in body_readings(model.data):
         at = states_at(shape.prior, shape.grid, shape.state, readings.arclength, readings.time)
-        left = readings.residual(at)
-        whitened = float(np.sqrt(np.mean(left**2 / readings.cov.diagonal())))
-        out.append(StreamFit(readings.name, len(left), _rms(left), whitened))
+        residual = readings.residual(at)
+        whitened = float(np.sqrt(np.mean(residual**2 / readings.cov.diagonal())))
+        out.append(StreamFit(readings.name, len(residual), _rms(residual), whitened))
     return tuple(out)
 
 
-def _rms(left: Array) -> Array:
-    return np.sqrt([np.mean(left[:, :3] ** 2), np.mean(left[:, 3:] ** 2)])
-
-
-def unseen(cov: Array, std: Array) -> list[str]:
-    """Names of what is known little better than before, in any direction of each group."""
-    names = []
-    for name, (at, _) in _GROUPS.items():
-        before = std[at]
-        if np.all(before > 0.0):
-            share = cov[at, at] / np.outer(before, before)
-            if np.sqrt(np.linalg.eigvalsh(share)[-1]) > _LEARNED:
-                names.append(name)
-    return names
+def _rms(residual: Array) -> Array:
+    return np.sqrt([np.mean(residual[:, :3] ** 2), np.mean(residual[:, 3:] ** 2)])
 
 
 def advice(data: RigData, cov: Array, std: Array) -> tuple[str, ...]:
-    """A sentence on everything that is known little better than before, and what would show it."""
-    names = unseen(cov, std)
-    told = []
-    for name in names:
-        at, motion = _GROUPS[name]
+    """Sentences on every group of parameters that is known little better than before.
+
+    Args:
+        data: The session.
+        cov: Covariance (17, 17) after calibration.
+        std: Standard deviations (17,) before.
+
+    Returns:
+        A sentence for each group that is uncertain in any direction, with the motion that shows it.
+    """
+    sentences, names = [], []
+    for name, (at, motion) in _GROUPS.items():
+        before = std[at]
+        if not np.all(before > 0.0):
+            continue
+        share = cov[at, at] / np.outer(before, before)
+        if np.sqrt(np.linalg.eigvalsh(share)[-1]) <= _LEARNED:
+            continue
+        names.append(name)
         if data.bodies or name in ("the lead scale", "the slide's delay"):
-            after, before = np.sqrt(cov.diagonal()[at]).max(), std[at].max()
-            told.append(
+            after = np.sqrt(cov.diagonal()[at]).max()
+            sentences.append(
                 f"{name[0].upper()}{name[1:]} is known little better than before (±{after:.2g} of "
-                f"±{before:.2g}): {motion}."
+                f"±{before.max():.2g}): {motion}."
             )
     if data.bodies and "the tracker's delay" in names and data.slides:
-        apart = np.zeros(len(PARAMETERS))
-        apart[list(_CLOCKS)] = -1.0, 1.0
-        spread = float(np.sqrt(apart @ cov @ apart))
-        if spread < _LEARNED * std[_CLOCKS[0]]:
-            told.append(
-                f"How far the clocks of slide and tracker are apart is known to {1e3 * spread:.2g} "
+        difference = np.zeros(len(PARAMETERS))
+        difference[list(_CLOCKS)] = -1.0, 1.0
+        after = float(np.sqrt(difference @ cov @ difference))
+        if after < _LEARNED * std[_CLOCKS[0]]:
+            sentences.append(
+                f"How far the clocks of slide and tracker are apart is known to {1e3 * after:.2g} "
                 f"ms all the same."
             )
-    return tuple(told)
+    return tuple(sentences)

@@ -1,4 +1,4 @@
-"""What calibration found, as numbers, as a TOML file, and applied to a session."""
+"""The result of a calibration: numbers, a TOML file, and its application to a session."""
 
 from __future__ import annotations
 
@@ -27,12 +27,17 @@ FORMAT = "glissando calibration 1"
 
 @dataclass(frozen=True)
 class Calibration:
-    """What is known of a rig: values, their joint covariance, how sure the direction is.
+    """Constants of a rig with their joint covariance.
 
-    `cov` (17, 17) is in the order of PARAMETERS: twist of the tracker's frame [m, rad] on its
-    right, mount x, y [m] and tilts [rad], zero [m], lead, backlash [m], and delay [s] and rate of
-    both clocks. `log_odds` are those of the direction. `fits` say how well each stream fits,
-    `warnings` are sentences.
+    Attributes:
+        rig: The constants.
+        cov: Covariance (17, 17) in the order of PARAMETERS: right twist of the tracker's frame
+            [m, rad], mount x, y [m] and tilts [rad], zero [m], lead, backlash [m], and delay [s]
+            and rate of both clocks.
+        coil_name: Name of the coil.
+        log_odds: Log odds of the direction; infinite where only one is possible.
+        fits: Residuals of each stream.
+        warnings: Sentences on what the session does not show.
     """
 
     rig: Rig
@@ -48,7 +53,7 @@ class Calibration:
         return np.sqrt(self.cov.diagonal())
 
     def values(self) -> dict[str, tuple[float, float]]:
-        """Value and standard deviation by parameter; of the frame the value is its position."""
+        """Value and standard deviation by parameter; the frame as position and rotation vector."""
         rig = self.rig
         frame = [*rig.T_wt[:3, 3], *se3.so3_log(rig.T_wt[:3, :3])]
         rest = [rig.zero, rig.lead, rig.backlash, *rig.tracker_clock, *rig.slide_clock]
@@ -59,7 +64,7 @@ class Calibration:
         }
 
     def sensor_parameters(self) -> tuple[SensorParameter, ...]:
-        """The frame, mount and delay as known unknowns of the coil, for a robot file.
+        """Frame, mount and delay of the coil as known sensor parameters for a robot file.
 
         They are for recordings whose coil is in the tracker's frame and time but has arclengths.
         """
@@ -122,67 +127,79 @@ def _clock(clock: Array, std: Array) -> dict[str, Any]:
 
 
 def load_calibration(path: str | Path) -> Calibration:
-    """Read what `Calibration.save` wrote. Raises GlissandoError with the key that is wrong."""
+    """Read a calibration file.
+
+    Args:
+        path: File that `Calibration.save` wrote.
+
+    Raises:
+        GlissandoError: If the file cannot be read, with the key that is wrong.
+    """
     table = read_toml(Path(path), GlissandoError)
     table.text("format", choices=(FORMAT,))
     frames, coil, slide, covariance = (
-        _of(table, key) for key in ("frames", "coil", "slide", "covariance")
+        _subtable(table, key) for key in ("frames", "coil", "slide", "covariance")
     )
     epoch = table.number("epoch", positive=False)
     odds = table.peek("log_odds")
-    mount = _of(coil, "mount")
     direction = slide.number("direction", positive=False)
     if direction not in (1.0, -1.0):
         raise slide.fail("direction", f"is {direction:g}; give 1 or -1.")
     rig = Rig(
-        _of(frames, "tracker").pose(),
+        _subtable(frames, "tracker").pose(),
         int(direction),
         slide.number("zero", positive=False),
         epoch,
-        se3.log(mount.pose())[MOUNT],
+        se3.log(_subtable(coil, "mount").pose())[MOUNT],
         slide.number("lead"),
         slide.number("backlash", positive=False),
-        _clock_of(coil),
-        _clock_of(slide),
+        _read_clock(coil),
+        _read_clock(slide),
     )
     cov = covariance.matrix("rows", len(PARAMETERS))
     warnings = table.peek("warnings") or []
     return Calibration(rig, cov, coil.text("name"), float(odds or 0.0), (), tuple(warnings))
 
 
-def _of(table: Table, key: str) -> Table:
-    found = table.table(key, required=True)
-    assert found is not None
-    return found
+def _subtable(table: Table, key: str) -> Table:
+    subtable = table.table(key, required=True)
+    assert subtable is not None
+    return subtable
 
 
-def _clock_of(device: Table) -> Array:
-    clock = _of(device, "clock")
+def _read_clock(device: Table) -> Array:
+    clock = _subtable(device, "clock")
     return np.array([clock.number(key, positive=False) for key in ("delay", "rate")])
 
 
 def apply(calibration: Calibration, data: RigData, robot: Robot | None = None) -> Recording:
-    """A session as a recording: coil in the world with its true times, arclengths and mount.
+    """Turn a session into a recording: the coil in the world, motion capture as truth.
 
-    Motion capture bodies become its truth. Coil readings at times when the slide said nothing, or
-    off the robot by a millimetre or more, are left out. Raises RecordingError when none is left.
+    Args:
+        calibration: Calibration of this rig.
+        data: The session.
+        robot: The robot, whose ends bound the coil's arclength.
+
+    Returns:
+        A recording of the coil at true times and arclengths with its mount. Readings while the
+        slide was not recorded, or a millimetre or more off the robot, are left out.
+
+    Raises:
+        RecordingError: If no coil reading is left.
     """
     rig = calibration.rig
     time = rig.true_time(data.coil_time)
-    arclength = rig.arclength(time, data.slide_time, data.travel)
-    kept = np.ones(time.size, dtype=bool)
-    if data.slides:
-        stamps = rig.slide_stamps(time)
-        kept = (stamps >= data.slide_time[0]) & (stamps <= data.slide_time[-1])
+    arclength, inside = rig.arclength(time, data), rig.covered(time, data)
     if robot is not None:
-        kept &= (arclength > -1e-3) & (arclength < robot.length + 1e-3)
+        inside &= (arclength > -1e-3) & (arclength < robot.length + 1e-3)
         arclength = np.clip(arclength, 0.0, robot.length)
-    if not kept.any():
+    if not inside.any():
         raise RecordingError("No coil reading is on the robot while the slide ran; is it this rig?")
-    rows = Rows("coil", time[kept], arclength[kept], rig.T_wt @ data.coil[kept], {})
-    streams = {data.coil_name: Stream(data.coil_name, rows, False, None, rig.coil_mount, True)}
+    name, mount = data.coil_name, rig.coil_mount
+    rows = Rows("coil", time[inside], arclength[inside], rig.T_wt @ data.coil[inside], {})
+    streams = {name: Stream(name, rows, mount=mount, keep_repeats=True)}
     std = np.repeat(data.noise.mocap, 3)
     for name, b in data.bodies.items():
         rows = Rows("pose", b.time, np.full(b.time.size, b.arclength), b.poses, {})
-        streams[name] = Stream(name, rows, True, std, b.mount, True)
+        streams[name] = Stream(name, rows, True, std, b.mount, keep_repeats=True)
     return Recording("session", Path(), streams, robot, None)

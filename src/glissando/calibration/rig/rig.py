@@ -1,12 +1,13 @@
-"""A rig: what its devices said in a session, each on a clock of its own, and what is to be found.
+"""A rig: a session's data, each device with a clock of its own, and the constants to find.
 
-The clock of motion capture is time itself and its frame the world. A device whose stamps are late
-by `delay + rate · (stamp − epoch)` says stamp at the time stamp − delay − rate · (stamp − epoch).
+Motion capture defines time and the world frame. A device whose stamps are late by
+delay + rate · (stamp − epoch) measures at the time stamp − delay − rate · (stamp − epoch).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,10 +21,10 @@ PARAMETERS = (
     *("zero", "lead", "backlash"),
     *("tracker delay", "tracker rate", "slide delay", "slide rate"),
 )
-"""What is estimated, in the order of every covariance: m, rad, s, and 1 for lead and rates."""
+"""The constants in the order of every covariance: m, rad, s, and 1 for lead and rates."""
 MOUNT = np.array([0, 1, 3, 4])
-"""Of a twist, what a coil without roll shows of its mount; along z it is the slide's zero."""
-_BUNCH = 0.1  # s in which errors but the white ones stay alike
+"""Entries of the mount's twist that a coil shows: roll is not seen, z is the slide's zero."""
+_BUNCH = 0.1  # s in which all errors but the white ones stay the same
 
 
 def _vector(*values: float) -> Array:
@@ -32,12 +33,15 @@ def _vector(*values: float) -> Array:
 
 @dataclass(frozen=True)
 class Noise:
-    """How wrong readings are, standard deviations of one component each.
+    """Noise of the devices, as the standard deviation of each component.
 
-    `mocap` and `coil` [m, rad] are white. `bias` [m, rad, length m] of the tracker belongs to the
-    place in its field and is alike over so many metres. `play` [m, length m] is the radial
-    clearance in which the coil's tube lies somewhere, alike over so many metres of arclength.
-    `backlash` m is how much play there may be between carriage and coil.
+    Attributes:
+        mocap: White noise of motion capture [m, rad].
+        coil: White noise of the coil [m, rad].
+        bias: Distortion of the tracker's field [m, rad], and its correlation length [m] in space.
+        play: Radial clearance of the coil's tube [m], and its correlation length [m] along the
+            robot.
+        backlash: Play between carriage and coil, m.
     """
 
     mocap: Array = field(default_factory=lambda: _vector(2e-4, 2e-3))
@@ -49,9 +53,13 @@ class Noise:
 
 @dataclass(frozen=True)
 class Body:
-    """A motion capture body on the robot: `poses` (B, 4, 4) T_wm at `time` (B,), seen ones only.
+    """A motion capture body on the robot.
 
-    It sits at `arclength` metres with the mount T_bm (4, 4).
+    Attributes:
+        arclength: Where it sits, m.
+        mount: T_bm (4, 4).
+        time: Times (B,) at which it was seen, s.
+        poses: T_wm (B, 4, 4).
     """
 
     arclength: float
@@ -62,11 +70,20 @@ class Body:
 
 @dataclass(frozen=True)
 class RigData:
-    """What a session holds: coil poses T_tc (M, 4, 4), travel (L,) in m, bodies by name.
+    """Data of a session; the arrays of a missing device are empty.
 
-    Times are in seconds of each device's own stamps; nothing may be empty but what is missing.
-    `coil_arclength` is where the coil is expected at travel 0, within `coil_arclength_std`;
-    `direction` is ±1, or 0 when it is not known. A robot's name or file may be known.
+    Attributes:
+        coil_name: Name of the coil.
+        coil_time: Stamps of the tracker (M,), s.
+        coil: Poses of the coil in the tracker's frame, T_tc (M, 4, 4).
+        slide_time: Stamps of the slide (L,), s.
+        travel: Travel by its encoder (L,), m.
+        bodies: Motion capture bodies by name.
+        coil_arclength: Expected arclength of the coil at travel 0, m.
+        coil_arclength_std: Standard deviation of that, m.
+        direction: Sign of arclength with travel, ±1, or 0 when it is not known.
+        noise: Noise of the devices.
+        robot: Name or file of the robot, if it is known.
     """
 
     coil_name: str
@@ -86,8 +103,13 @@ class RigData:
         """Whether there is a slide."""
         return self.slide_time.size > 1
 
+    @cached_property
+    def side(self) -> Array:
+        """Side of the backlash on which the coil is (L,), see `side_of_backlash`."""
+        return side_of_backlash(self.travel)
+
     def thinned(self, count: int) -> RigData:
-        """The same with at most so many coil readings, evenly chosen."""
+        """The same data with at most `count` coil readings, evenly chosen."""
         if self.coil_time.size <= count:
             return self
         rows = np.unique(np.linspace(0, self.coil_time.size - 1, count).round().astype(int))
@@ -95,14 +117,14 @@ class RigData:
 
     @property
     def bunch(self) -> int:
-        """How many coil readings, an odd number, follow each other within a tenth of a second."""
+        """Number of coil readings, odd, that follow each other within a tenth of a second."""
         if self.coil_time.size < 2:
             return 1
         step = float(np.median(np.diff(self.coil_time)))
         return 2 * int(0.505 * _BUNCH / step) + 1  # a little more, for a clock that runs slow
 
     def bunches(self, size: int, count: int) -> RigData:
-        """The same with at most `count` bunches of `size` readings without gaps, evenly chosen."""
+        """The same data with at most `count` bunches of `size` readings without gaps."""
         first = np.arange(0, self.coil_time.size - size + 1, size)
         lasts = self.coil_time[first + size - 1] - self.coil_time[first]
         first = first[lasts < 1.5 * _BUNCH]
@@ -111,13 +133,25 @@ class RigData:
         return self.at((first[:, None] + np.arange(size)).ravel())
 
     def at(self, rows: NDArray[np.intp]) -> RigData:
-        """The same with some of the coil's readings."""
+        """The same data with some of the coil's readings."""
         return replace(self, coil_time=self.coil_time[rows], coil=self.coil[rows])
 
 
 @dataclass(frozen=True)
 class Rig:
-    """Values of what is to be found, as `Calibration` documents them."""
+    """Constants of a rig.
+
+    Attributes:
+        T_wt: Frame of the tracker in the world (4, 4).
+        direction: Sign of arclength with travel, ±1.
+        zero: Arclength of the coil at travel 0, m.
+        epoch: Stamp about which the clocks' rates count, s.
+        mount: x, y [m] and tilts about x, y [rad] of the coil in the cross-section.
+        lead: Metres of arclength for a metre of travel.
+        backlash: Play between carriage and coil, m.
+        tracker_clock: Delay [s] and rate of the tracker's stamps.
+        slide_clock: Delay [s] and rate of the slide's stamps.
+    """
 
     T_wt: Array
     direction: int
@@ -130,7 +164,7 @@ class Rig:
     slide_clock: Array = field(default_factory=lambda: np.zeros(2))
 
     def moved(self, step: Array) -> Rig:
-        """The rig moved by `step` (17,) in the order of PARAMETERS, the frame on the right."""
+        """The rig moved by `step` (17,) in the order of PARAMETERS; the frame by a right twist."""
         return replace(
             self,
             T_wt=self.T_wt @ se3.exp(step[:6]),
@@ -144,42 +178,61 @@ class Rig:
 
     @property
     def coil_mount(self) -> Array:
-        """The coil in the cross-section, T_bc (4, 4), as far as it is seen.
-
-        Roll is not, and along z it is the slide's zero.
-        """
+        """The coil in the cross-section, T_bc (4, 4), without roll and without shift along z."""
         twist = np.zeros(6)
         twist[MOUNT] = self.mount
         return se3.exp(twist)
 
     def true_time(self, stamps: Array) -> Array:
-        """Time (M,) of a coil's stamps."""
+        """Times (M,) of a tracker's stamps."""
         delay, rate = self.tracker_clock
         return stamps - delay - rate * (stamps - self.epoch)
 
     def slide_stamps(self, time: Array) -> Array:
-        """What the slide's clock says at true times (M,)."""
+        """Stamps (M,) of the slide at true times."""
         delay, rate = self.slide_clock
         return (time + delay - rate * self.epoch) / (1.0 - rate)
 
-    def arclength(self, time: Array, slide_time: Array, travel: Array) -> Array:
-        """Arclength (M,) of the coil at true times: zero + direction · lead · what it travelled.
+    def arclength(self, time: Array, data: RigData) -> Array:
+        """Arclength (M,) of the coil: zero + direction · lead · its travel behind the backlash.
 
-        The coil follows the carriage with play of `backlash` metres.
+        Args:
+            time: True times (M,), s.
+            data: The session with the slide's travel.
         """
-        if slide_time.size < 2:
+        if not data.slides:
             return np.full(time.shape, self.zero)
-        stamps = self.slide_stamps(time)
-        followed = np.interp(stamps, slide_time, travel - 0.5 * self.backlash * side(travel))
+        travel = data.travel - 0.5 * self.backlash * data.side
+        followed = np.interp(self.slide_stamps(time), data.slide_time, travel)
         return self.zero + self.direction * self.lead * followed
 
+    def covered(self, time: Array, data: RigData) -> NDArray[np.bool_]:
+        """Which true times (M,) the slide's record covers; all of them without a slide."""
+        if not data.slides:
+            return np.ones(time.shape, dtype=bool)
+        stamps = self.slide_stamps(time)
+        return np.asarray((stamps >= data.slide_time[0]) & (stamps <= data.slide_time[-1]))
 
-def side(travel: Array, width: float = 1e-4) -> Array:
-    """On which side of its play the coil is (L,), −1 to 1, were the play `width` metres wide.
+    def minus(self, other: Rig) -> Array:
+        """The step (17,) with which other.moved(step) is this rig."""
+        return np.concatenate(
+            [
+                se3.log(se3.inverse(other.T_wt) @ self.T_wt),
+                self.mount - other.mount,
+                [self.zero - other.zero, self.lead - other.lead, self.backlash - other.backlash],
+                self.tracker_clock - other.tracker_clock,
+                self.slide_clock - other.slide_clock,
+            ]
+        )
 
-    It is taken as independent of the play's true width, so that what is found of it is linear.
 
-    >>> side(np.array([0.0, 1e-3, 2e-3, 1e-3])).tolist()
+def side_of_backlash(travel: Array, width: float = 1e-4) -> Array:
+    """Side of the backlash on which the coil is (L,), from −1 to 1.
+
+    It is computed for a backlash of `width` metres whatever the true one, so that the coil's
+    arclength is linear in the backlash.
+
+    >>> side_of_backlash(np.array([0.0, 1e-3, 2e-3, 1e-3])).tolist()
     [0.0, 1.0, 1.0, -1.0]
     """
     out, behind = np.zeros(travel.size), 0.0

@@ -21,16 +21,19 @@ _NOISE = {
     "bias": "coil_bias",
     "play": "play",
     "backlash": "backlash",
-}  # of the setup, by part of the noise
+}  # keys of the setup by part of the noise
 _TRACKER, _MOCAP, _SLIDE = "/tracker/", "/mocap/", "/slide"
 
 
 def rig_data(session: RawSession) -> RigData:
-    """What a session's devices said, as its metadata 'setup' explains it.
+    """The data of a session's devices, as its metadata 'setup' describes them.
 
-    Frames that came twice count once, poses that were not seen are left out. Raises RecordingError
-    with what is missing or wrong: the setup, a tracker topic, more than one unless the setup's
-    `coil` names it, a body without its place.
+    Args:
+        session: Raw session log. Repeated frames count once, poses that are null are left out.
+
+    Raises:
+        RecordingError: If the setup or a tracker topic is missing or wrong, if there are several
+            coils and the setup names none, or if a body has no place.
     """
     setup = _setup(session)
     name, time, coil = _coil(session, setup)
@@ -62,25 +65,25 @@ def _setup(session: RawSession) -> Table:
             "docs/calibration.md."
         )
     try:
-        found = json.loads(text)
+        setup = json.loads(text)
     except ValueError as problem:
         raise RecordingError(f"The session's setup is no JSON ({problem}); correct it.") from None
-    if not isinstance(found, dict):
+    if not isinstance(setup, dict):
         raise RecordingError("The session's setup is no JSON object; give one, {…}.")
-    return Table(found, "setup", RecordingError)
+    return Table(setup, "setup", RecordingError)
 
 
 def _noise(setup: Table) -> Noise:
-    """What the setup says of noise; what it does not is as usual."""
-    usual = Noise()
-    given: dict[str, Any] = {}
+    """Noise as the setup states it, presets where it does not."""
+    preset = Noise()
+    stated: dict[str, Any] = {}
     for part, key in _NOISE.items():
-        known = getattr(usual, part)
-        if isinstance(known, float):
-            given[part] = setup.number(key, known)
+        usual = getattr(preset, part)
+        if isinstance(usual, float):
+            stated[part] = setup.number(key, usual)
         else:
-            given[part] = setup.vector(key, known.size, known, positive=True)
-    return replace(usual, **given)
+            stated[part] = setup.vector(key, usual.size, usual, positive=True)
+    return replace(preset, **stated)
 
 
 def _coil(session: RawSession, setup: Table) -> tuple[str, Array, Array]:
@@ -102,7 +105,7 @@ def _coil(session: RawSession, setup: Table) -> tuple[str, Array, Array]:
 
 
 def _poses(topic: Topic) -> tuple[Array, Array]:
-    """Times (M,) and poses (M, 4, 4) of what was seen, in the order of time, each frame once."""
+    """Times (M,) and poses (M, 4, 4) that were seen, in the order of time, each frame once."""
     time, frame = topic.column("time"), topic.column("frame")
     position, quaternion = topic.column("position"), topic.column("quaternion")
     if position.ndim != 2 or quaternion.ndim != 2:  # nothing was ever seen
@@ -129,8 +132,8 @@ def _slide(session: RawSession) -> tuple[Array, Array]:
         return np.zeros(0), np.zeros(0)
     time, travel = topic.column("time"), topic.column("travel")
     rows = np.flatnonzero(np.isfinite(time) & np.isfinite(travel))
-    time, kept = np.unique(time[rows], return_index=True)
-    return time, travel[rows][kept]
+    time, first = np.unique(time[rows], return_index=True)
+    return time, travel[rows][first]
 
 
 def _bodies(session: RawSession, setup: Table) -> dict[str, Body]:

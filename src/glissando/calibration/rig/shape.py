@@ -1,4 +1,4 @@
-"""The robot's shape as motion capture alone shows it, and how its errors go together."""
+"""The robot's shape from motion capture alone, and the joint covariance of its errors."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from glissando.model.robot import Robot
 from glissando.model.sensors.sensors import PoseReadings
 from glissando.solver.block_tridiagonal import Cholesky
 
-_FINE, _MARGIN = 0.03, 1e-3  # m: between nodes where the coil slides, and of its reach
-_RATE, _MOST = 16.0, 1000  # Hz of nodes in time where the robot's are fewer, and at most so many
-_SPARSE = 2  # of these one is kept while the robot holds
-_MOVES = 3.0  # standard deviations of its noise by which a body that moves does so
-_ANYWHERE = 1.0  # m² and rad²: a base that bodies place
-_LAPSE, _SEEN = 0.3, 4.0  # s before and after which are compared, and standard deviations that tell
-_HOLDS = 1e-3  # of the densities along time, what is left while the robot holds
+_FINE, _MARGIN = 0.03, 1e-3  # m: between nodes where the coil slides, and beyond its reach
+_RATE, _MOST = 16.0, 1000  # Hz of time nodes at least, and their number at most
+_SPARSE = 2  # every so many of these nodes is used while the robot is still
+_STILL = 3.0  # RMS motion, in standard deviations of the noise, of a body that keeps still
+_ANYWHERE = 1.0  # m² and rad²: variance of a base that bodies place
+_LAPSE, _MOVED = 0.3, 4.0  # s before and after that are compared; standard deviations of a motion
+_STILL_PACE = 1e-3  # factor of the densities along time while the robot is still
 
 
 def body_readings(data: RigData) -> list[PoseReadings]:
-    """Every body's poses as readings."""
+    """The poses of every body as readings."""
     var = np.repeat(np.asarray(data.noise.mocap) ** 2, 3)
     return [
         PoseReadings(
@@ -47,18 +47,22 @@ def body_readings(data: RigData) -> list[PoseReadings]:
     ]
 
 
-def shape_of(data: RigData, robot: Robot) -> Posterior:
-    """The posterior of shape and motion given motion capture alone.
+def estimate_shape(data: RigData, robot: Robot) -> Posterior:
+    """Estimate shape and motion from motion capture alone.
 
-    A robot that keeps still has one shape at one time: a motion that is fitted to noise would be
-    believed to tell the time.
+    A robot that keeps still is estimated at a single time: with a motion fitted to noise, the
+    clocks would seem to be known.
+
+    Args:
+        data: The session.
+        robot: The robot with its prior.
     """
     readings = body_readings(data)
     start, stop = span(data)
     rate = max(robot.time_rate, min(_RATE, _MOST / (stop - start)))
     grid = replace(robot, arclength_nodes=_nodes(data, robot), time_rate=rate).grid(start, stop)
-    prior = _loose(robot, data)
-    if keeps_still(data):
+    prior = _free_base(robot, data)
+    if _keeps_still(data):
         middle = np.array([0.5 * (start + stop)])
         grid = Grid(grid.arclength, middle)
         readings = [r.changed(time=np.repeat(middle, len(r))) for r in readings]
@@ -68,25 +72,20 @@ def shape_of(data: RigData, robot: Robot) -> Posterior:
 
 
 def _paced(prior: WhiteNoisePrior, data: RigData, grid: Grid) -> tuple[WhiteNoisePrior, Grid]:
-    """The prior with a pace and a grid for it: those of a robot that holds from time to time.
-
-    Were it as restless at all times, what it does while it holds would be uncertain; and were its
-    nodes as sparse while it moves, what it does between them.
-    """
+    """The prior with less noise while the robot is still, and a grid with fewer nodes then."""
     moves = _moves(data, 0.5 * (grid.time[1:] + grid.time[:-1]))
-    kept = np.arange(grid.time.size) % _SPARSE == 0
-    kept[:-1] |= moves
-    kept[1:] |= moves
-    kept[-1] = True
-    first = np.flatnonzero(kept)[:-1]
-    time = grid.time[kept]
-    pace = np.where(moves[first], 1.0, _HOLDS)
+    used = np.arange(grid.time.size) % _SPARSE == 0
+    used[:-1] |= moves
+    used[1:] |= moves
+    used[-1] = True
+    time = grid.time[used]
+    pace = np.where(moves[np.flatnonzero(used)[:-1]], 1.0, _STILL_PACE)
     return replace(prior, pace=pace, pace_times=time[1:-1]), Grid(grid.arclength, time)
 
 
 def _moves(data: RigData, time: Array) -> NDArray[np.bool_]:
-    """At which times (K,) a body is not where it was a moment before, by what its noise allows."""
-    std, found = np.repeat(data.noise.mocap, 3), np.zeros(time.size, dtype=bool)
+    """Whether any body moves at each time (K,), beyond the noise of motion capture."""
+    std, moves = np.repeat(data.noise.mocap, 3), np.zeros(time.size, dtype=bool)
     for body in data.bodies.values():
         at = np.searchsorted(body.time, [time - _LAPSE, time, time + _LAPSE])
         for k, (first, now, last) in enumerate(at.T):
@@ -95,8 +94,8 @@ def _moves(data: RigData, time: Array) -> NDArray[np.bool_]:
                 step = se3.log(se3.inverse(body.poses[now]) @ body.poses[first:last])
                 way = step[now - first :].mean(axis=0) - step[: now - first].mean(axis=0)
                 spread = std * np.sqrt(1.0 / (now - first) + 1.0 / (last - now))
-                found[k] |= bool(np.any(np.abs(way) > _SEEN * spread))
-    return found
+                moves[k] |= bool(np.any(np.abs(way) > _MOVED * spread))
+    return moves
 
 
 def span(data: RigData) -> tuple[float, float]:
@@ -105,20 +104,20 @@ def span(data: RigData) -> tuple[float, float]:
     return min(float(t[0]) for t in times), max(float(t[-1]) for t in times)
 
 
-def keeps_still(data: RigData) -> bool:
+def _keeps_still(data: RigData) -> bool:
     """Whether no body moves by much more than the noise of motion capture."""
     std = np.repeat(data.noise.mocap, 3)
     for body in data.bodies.values():
         moved = se3.log(se3.inverse(body.poses[len(body.poses) // 2]) @ body.poses) / std
-        if np.sqrt(np.mean(np.var(moved, axis=0))) > _MOVES:
+        if np.sqrt(np.mean(np.var(moved, axis=0))) > _STILL:
             return False
     return True
 
 
 def _nodes(data: RigData, robot: Robot) -> Array:
-    """Arclengths with a node at every body, and closely where the coil slides.
+    """Arclengths with a node at every body, and closely spaced where the coil slides.
 
-    What nodes cannot tell of a place between them would count as news with every reading there.
+    The uncertainty between nodes counts as independent for each reading, so it has to be small.
     """
     travel = np.append(data.travel, 0.0)
     reach = np.concatenate([data.coil_arclength + travel, data.coil_arclength - travel])
@@ -129,22 +128,21 @@ def _nodes(data: RigData, robot: Robot) -> Array:
     widest = float(np.diff(robot.arclength_nodes).max())
     out = [ends[:1]]
     for first, last in pairwise(ends):
-        slid = last > low + _MARGIN and first < high - _MARGIN
-        step = min(_FINE, widest) if slid else widest
+        reached = last > low + _MARGIN and first < high - _MARGIN
+        step = min(_FINE, widest) if reached else widest
         out.append(np.linspace(first, last, int(np.ceil((last - first) / step - 1e-9)) + 1)[1:])
     return np.concatenate(out)
 
 
-def _loose(robot: Robot, data: RigData) -> Prior:
+def _free_base(robot: Robot, data: RigData) -> Prior:
     """The robot's prior with its base where the bodies put it, if there are two or more.
 
-    Where the base stands in motion capture's world is seldom known to the fraction of a millimetre
-    that a robot file claims.
+    The base is seldom placed in motion capture's world as accurately as a robot file states.
     """
     prior = robot.prior
-    if not isinstance(prior, WhiteNoisePrior | SeparablePrior):
+    if len(data.bodies) < 2 or not isinstance(prior, WhiteNoisePrior | SeparablePrior):
         return prior
-    if len(data.bodies) < 2 or prior.base is None:
+    if prior.base is None:
         return prior
     body = min(data.bodies.values(), key=lambda b: b.arclength)
     nodes = robot.grid(0.0, 1.0)
@@ -153,7 +151,6 @@ def _loose(robot: Robot, data: RigData) -> Prior:
     T_sb = se3.inverse(prior.base_pose) @ rest[near]
     base_pose = body.poses[0] @ se3.inverse(body.mount) @ se3.inverse(T_sb)
     anywhere = np.full(6, _ANYWHERE)
-    # the same for both, but each base is of its own type
     if isinstance(prior, SeparablePrior):
         return replace(prior, base_pose=base_pose, base=replace(prior.base, pose=anywhere))
     return replace(prior, base_pose=base_pose, base=replace(prior.base, pose=anywhere))
@@ -162,11 +159,20 @@ def _loose(robot: Robot, data: RigData) -> Prior:
 def shape_covariance(
     shape: Posterior, chol: Cholesky, arclength: Array, time: Array, by_state: Array
 ) -> Array:
-    """Joint covariance (M·r, M·r) of by_state (M, r, 18) times the states' errors at points (M,).
+    """Joint covariance of linear functions of the shape's states at many points.
 
-    Times must not decrease; `chol` is the factor of the shape's information. Slabs a long time
-    apart go together by a chain of gains, Cov(k, j) = A_k Cov(k+1, j), which is run once from the
-    last slab to the first. What nodes cannot tell is added point by point (13).
+    Time slabs are correlated by a chain of gains, Cov(k, j) = A_k Cov(k+1, j), which is evaluated
+    once from the last slab to the first. The uncertainty between nodes is added by point (13).
+
+    Args:
+        shape: Posterior of the shape.
+        chol: Factor of its information.
+        arclength: Arclengths (M,), m.
+        time: Times (M,), s, which must not decrease.
+        by_state: Derivatives (M, r, 18) of the functions by the states.
+
+    Returns:
+        Covariance (M·r, M·r).
     """
     m, r, _ = by_state.shape
     width = shape.grid.arclength.size * shape.state.dof
