@@ -75,16 +75,12 @@ def test_the_state_decides_the_answer(before, command, answer):
     assert asked(dev, command) == [answer]
 
 
-def test_a_command_with_a_bad_crc_is_refused():
+@given(generators)
+@law
+def test_a_bad_crc_is_refused_and_any_bytes_leave_the_device_alive(rng):
     dev = device()
     ((_, reply),) = dev.hear(bytearray(b"INIT:E3A6\r"), 0.0)
     assert reply[:-5] == b"ERROR04"
-
-
-@given(generators)
-@law
-def test_any_bytes_leave_the_device_alive(rng):
-    dev = device()
     held = bytearray()
     for _ in range(20):
         held.extend(
@@ -95,31 +91,14 @@ def test_any_bytes_leave_the_device_alive(rng):
     assert asked(dev, "INIT:") == ["OKAY"]
 
 
-def test_the_frame_clock_runs_whether_it_is_asked_or_not():
+def test_the_frame_clock_runs_whether_it_is_asked_or_not_and_shows_its_own_instant():
     dev = tracking()
-    ask = lambda now: parse_bx(say(dev, "BX:0801", now)).ports[0]  # noqa: E731
-    first, again, later = ask(1.001), ask(1.020), ask(2.001)
+    ports = [parse_bx(say(dev, "BX:0801", now)).ports[0] for now in (1.001, 1.020, 2.001)]
+    first, again, later = ports
     assert again.number == first.number
     assert np.array_equal(again.pose, first.pose)
     assert later.number == first.number + 40
-    assert np.isclose(later.pose[0, 3] - first.pose[0, 3], SPEED)
-
-
-def test_a_frame_shows_the_scene_of_its_own_instant():
-    port = parse_bx(say(tracking(), "BX:0801", 1.017)).ports[0]
-    assert np.isclose(port.pose[0, 3], SPEED * port.number / 40.0, atol=1e-7)
-
-
-def test_tx_and_bx_report_the_same_of_a_frame():
-    dev = tracking("out=0.3,missing=0.2", tell_tale(Imperfections(roll="minimal")))
-    for now in np.arange(1.0, 3.0, 0.05):
-        tx, bx = parse_tx(say(dev, "TX:0801", now)), parse_bx(say(dev, "BX:0801", now))
-        for one, other in zip(tx.ports, bx.ports, strict=True):
-            assert all(getattr(one, k) == getattr(other, k) for k in ("number", "status"))
-            assert one.condition == other.condition
-            if one.pose is not None:
-                assert np.abs(one.pose - other.pose).max() < 4e-4
-                assert np.abs(one.pose[:3, 3] - other.pose[:3, 3]).max() < 0.0051e-3
+    assert all(np.isclose(p.pose[0, 3], SPEED * p.number / 40.0, atol=1e-7) for p in ports)
 
 
 def test_without_the_option_a_coil_out_of_the_volume_is_missing():
@@ -132,15 +111,6 @@ def test_the_second_coil_of_a_plug_shows_after_the_first_is_initialised():
     coils = [SceneCoil(0.1, 0.0, np.eye(4), 0), SceneCoil(0.05, 0.0, np.eye(4), 0, channel=1)]
     dev = device(scene=tell_tale(coils=coils))
     assert asked(dev, "INIT:", "PHSR:02", "PINIT:0A", "PHSR:02")[1::2] == ["010A001", "010B001"]
-
-
-def test_faults_come_again_with_the_same_seed_and_differ_with_another():
-    def replies(seed):
-        dev = tracking("crc=0.2,truncate=0.1,missing=0.1", seed=seed)
-        return [say(dev, "BX:0801", 1.0 + 0.025 * k) for k in range(100)]
-
-    assert replies(1) == replies(1)
-    assert replies(1) != replies(2)
 
 
 def test_a_counter_rolls_over():

@@ -19,7 +19,6 @@ from glissando.hardware.simulated_devices.sensing import Sensing
 from glissando.hardware.simulated_devices.serving import Serving, run_device
 from glissando.hardware.simulated_devices.travel import Travel
 
-_OLD = ("Rev 007", "Rev 008")  # whose BX clients avoid
 _HELP = """\
 A simulated NDI Aurora that answers with the device's bytes, for any client of one. Prints its
 address as one line when ready; ends when standard input closes or at SIGTERM.
@@ -37,11 +36,8 @@ def _parser() -> argparse.ArgumentParser:
     add("--epoch", type=float, metavar="S", help="time.monotonic() when the scene begins")
     add("--faults", default="", metavar="NAME=NUMBER,…", help="what goes wrong, listed below")
     add("--rate", type=float, default=40.0, metavar="HZ", help="frames a second (default 40)")
-    add("--skew", type=float, default=0.0, metavar="PPM", help="by how much its clock is slow")
-    add("--latency", type=float, default=0.0, metavar="S", help="from measuring to answering")
     add("--wired", action="store_true", help="replies take the time of the baud rate")
     add("--firmware", default="AURORA Rev 013", metavar="TAG", help="008 ends the use of BX")
-    add("--seed", type=int, metavar="N", help="of faults (default: the scene's)")
     return parser
 
 
@@ -52,14 +48,12 @@ def _serve(options: argparse.Namespace) -> None:
         raise SimulationError(f"A rate of {options.rate:g} Hz cannot be; give 1 to 10000 Hz.")
     scene = Scene.load(options.scene)
     faults = parse_faults(AuroraFaults, options.faults)
-    dice = Dice(faults, scene.seed if options.seed is None else options.seed)
     born = time.monotonic()
     epoch = born if options.epoch is None else options.epoch
-    rate = options.rate / (1.0 + 1e-6 * options.skew)
-    bx = not any(old in options.firmware for old in _OLD)
-    nature = Nature(born, rate, options.latency, options.firmware, bx, options.wired)
+    nature = Nature(born, options.rate, options.firmware, options.wired)
     travel = None if options.travel is None else Travel(options.travel)
-    device = Device(scene, Sensing(scene, travel, born, epoch, rate), dice, nature)
+    sensing = Sensing(scene, travel, born, epoch, options.rate)
+    device = Device(scene, sensing, Dice(faults, scene.seed), nature)
     serving = Serving(device.hear, device.cut)
     addresses = []
     if options.tcp is not None:

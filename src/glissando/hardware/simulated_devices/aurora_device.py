@@ -25,6 +25,7 @@ _VERSION = (
 )
 _OUT, _PARTLY, _BROKEN = 0x40, 0x80, 0x100
 _PLUGGED, _UNPLUGGED = 0x0040, 0x0080  # by ndicapi's numbering; NDI's sample has it one bit off
+_OLD = ("Rev 007", "Rev 008")  # firmware that does not know BX
 _HEAD = 6  # bytes of a reply that a serial line delivers first
 _WIDE = 0x0800  # option: out-of-volume poses too
 _PORT_COMMANDS = {
@@ -43,17 +44,13 @@ class Nature:
     Attributes:
         born: When it was switched on, s of time.monotonic().
         rate: Frames a second.
-        latency: Seconds from measuring a frame to being able to report it.
         firmware: What it reports as its firmware.
-        bx: Whether it knows the command BX.
         wired: Whether replies take the time that the serial line's baud rate gives them.
     """
 
     born: float
     rate: float = 40.0
-    latency: float = 0.0
     firmware: str = "AURORA Rev 013"
-    bx: bool = True
     wired: bool = False
 
 
@@ -185,13 +182,13 @@ class Device:
     def _index(self, now: float) -> int:
         """The newest frame that is not left out."""
         nature = self._nature
-        index = math.floor((now - nature.born - nature.latency) * nature.rate)
+        index = math.floor((now - nature.born) * nature.rate)
         while self._dice("drop", index):
             index -= 1
         return index
 
     def _report(self, name: str, text: str, now: float) -> bytes:
-        if name == "BX" and not self._nature.bx:
+        if name == "BX" and any(old in self._nature.firmware for old in _OLD):
             raise CommandError(0x01)
         options = _whole(text or "0001")
         if options & ~(0x0001 | _WIDE):

@@ -143,7 +143,7 @@ class Ports:
         port.enabled = True
 
     def describe(self, text: str) -> str:
-        """PHINF, the parts asked for in the order of their bits."""
+        """PHINF: the parts asked for, of the general ones (bit 0) and the place (bit 5)."""
         port = self.at(text)
         try:
             asked = int(text[2:] or "0001", 16)
@@ -155,11 +155,6 @@ class Ports:
         serial = f"{0x3A000000 + port.coil:08X}"
         parts = {
             0x01: f"02100000{'SIMULATED':<12}001{serial}{port.status:02X}".ljust(33),
-            0x02: "00000000",
-            0x04: f"{f'COIL-{port.coil}':<20}",
-            0x08: "00",
-            0x10: "00",
             0x20: f"{'AURORA-0':<8}00{port.place.port + 1:02d}{port.place.channel:02d}",
-            0x40: "00",
         }
         return "".join(part for bit, part in parts.items() if asked & bit)

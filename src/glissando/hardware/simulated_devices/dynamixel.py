@@ -48,19 +48,6 @@ class Packet:
     sound: bool = True
 
 
-def _crc_table() -> list[int]:
-    table = []
-    for byte in range(256):
-        value = byte << 8
-        for _ in range(8):
-            value = (value << 1) ^ (0x8005 if value & 0x8000 else 0)
-        table.append(value & 0xFFFF)
-    return table
-
-
-_CRC = _crc_table()
-
-
 def crc16(data: bytes) -> int:
     """CRC-16 with polynomial 0x8005, not reflected, from zero.
 
@@ -69,7 +56,9 @@ def crc16(data: bytes) -> int:
     """
     value = 0
     for byte in data:
-        value = (value << 8 & 0xFFFF) ^ _CRC[value >> 8 ^ byte]
+        value ^= byte << 8
+        for _ in range(8):
+            value = (value << 1 ^ 0x8005 * (value >> 15)) & 0xFFFF
     return value
 
 

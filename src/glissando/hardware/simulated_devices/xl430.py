@@ -20,6 +20,7 @@ OVERLOAD = 0x20
 _BOOT = 0.1  # s without an answer after a reboot [inferred]
 _PATIENCE = 0.5  # s of a stall at more than half the PWM until overload [inferred]
 _TOUCH = 2.0  # ticks beyond a hard end that are no push yet
+_MOVING = 10  # speed units above which it reports that it moves
 _FRICTION = 120  # load in 0.1 % while moving freely [inferred]
 _MODES = ("torque_enable", "operating_mode", "homing_offset")
 
@@ -164,8 +165,8 @@ class Xl430:
         else:
             effort = math.copysign(_FRICTION, speed) if speed else 0.0
         table["tick"] = (self._tick + int(1000.0 * self._clock * (now - self._born))) % TICK_WRAP
-        table["moving"] = int(abs(units) > table["moving_threshold"])
-        table["pwm"], table["load"] = round(0.885 * effort), round(effort)
+        table["moving"] = int(abs(units) > _MOVING)
+        table["load"] = round(effort)
         table["velocity"], table["position"] = units, self._present(now)
 
     def _write(self, words: bytes, now: float) -> Fault:
