@@ -23,7 +23,7 @@ Written by `python benchmarks/confidence.py`.
 ## What nodes and watching do to confidence
 
 A still robot with a coil at its tip: standard deviation of position at mid-length and
-mid-recording, and its change when something is doubled that tells nothing new there.
+mid-recording, and its change when something is doubled that adds no information there.
 
 {invariance}
 
@@ -40,10 +40,10 @@ second where the published settings have 30.
 
 ## A sliding sensor on real motion
 
-Nobody recorded one. Five motion-capture bodies ride on the real robot: the one nearest to a virtual
-place that moves is read as a coil of five degrees of freedom, the others are truth. `fixed` is the
-tip, `oscillating` the last quarter, `traverse` all but the base; each pair of arms is compared on
-truth that neither reads.
+Nobody recorded one. Five motion-capture bodies are mounted on the real robot: the one nearest
+to a virtual place that moves is read as a coil of five degrees of freedom, the others are truth.
+`fixed` is the tip, `oscillating` the last quarter, `traverse` all but the base; each pair of arms
+is compared on truth that neither reads.
 
 {real_slide}
 

@@ -21,10 +21,10 @@ import numpy as np
 from glissando import NotConvergedWarning, estimate, load_robot
 from glissando.errors import GlissandoError
 from glissando.evaluation.metrics import errors_against, pool
+from glissando.evaluation.run import chosen_streams
 from glissando.geometry import se3
 from glissando.io.recording import load_recording
 from glissando.model.noise import GemanMcClure, Huber
-from glissando.model.sensors.parameters import corrected
 
 DATA = Path("../shared/data/spacetime")
 RECORDING = "fast_contact"
@@ -106,19 +106,16 @@ def span(values, form="{:g}"):
 
 def rows(recording, robot, window, seeds):
     """Lines of the table: a row a loss, means over seeds with the worst of them."""
-    use, truth = recording.choose(None, None)
-    readings, _ = recording.readings(use, robot, window)
-    judges, _ = recording.readings(truth, robot, window, as_truth=True)
-    judges = [corrected(t, robot.sensor_parameters) for t in judges]
+    readings, truth, _ = chosen_streams(recording, robot, window, None, None)
     trackers = sum(len(r) for r in readings if r.name in TRACKERS)
     bare = None
     for label, loss in LOSSES.items():
-        clean = outcome(robot, window, readings, judges, loss)
+        clean = outcome(robot, window, readings, truth, loss)
         bare = clean.rmse if bare is None else bare
         found, counts = [], []
         for seed in range(seeds):
             bad, count = spoiled(readings, seed)
-            found.append(outcome(robot, window, bad, judges, loss))
+            found.append(outcome(robot, window, bad, truth, loss))
             counts.append(count)
         errors = np.array([f.rmse for f in found])
         done = [f.status for f in [clean, *found]].count("converged")
