@@ -16,10 +16,10 @@ import separable_sessions as drawn
 from draws import generators, law
 from glissando import Grid, PoseReadings, State, estimate, load_robot
 from glissando.errors import OutsideGridError, SensorError
-from glissando.estimation.batch import SolverOptions
 from glissando.estimation.fixed_lag import FixedLagSmoother
 from glissando.geometry import se3
 from glissando.model.sensors.parameters import SensorParameter
+from glissando.solver.gauss_newton import SolverOptions
 from scenes import LENGTH, arc, sliding_scene
 
 EXACT = SolverOptions(tolerance=1e-7)

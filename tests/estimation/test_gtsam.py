@@ -7,8 +7,10 @@ gtsam_wnoa = pytest.importorskip("oracles.gtsam_wnoa")
 
 from glissando import State  # noqa: E402
 from glissando.geometry import se3  # noqa: E402
-from glissando.model.priors.steps import ARCLENGTH, between, pair_error  # noqa: E402
-from glissando.model.priors.transitions import bridge, process_covariances  # noqa: E402
+from glissando.model.priors.steps import ARCLENGTH  # noqa: E402
+from oracles.steps import between, pair_error  # noqa: E402
+from oracles.transitions import full_bridge as bridge  # noqa: E402
+from oracles.transitions import process_covariances  # noqa: E402
 
 
 def random_step(rng, scale, h):

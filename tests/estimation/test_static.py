@@ -26,11 +26,10 @@ from glissando import (
     load_robot,
 )
 from glissando.estimation import static as method
-from glissando.estimation.batch import SolverOptions
 from glissando.evaluation.metrics import errors_against
 from glissando.geometry import se3
 from glissando.model.priors.rest_shape import STRAIGHT
-from glissando.solver.block_tridiagonal_batch import factor_batch
+from glissando.solver.gauss_newton import SolverOptions
 
 EXACT = SolverOptions(tolerance=1e-4)
 PRIORS = {
@@ -164,7 +163,7 @@ def test_a_shape_that_steps_do_not_lead_to_is_left_to_the_estimator_of_recording
     prior, nodes = PRIORS["separable"], nodes_of("separable")
     readings = readings_of(rng, "separable", 3)
     known = estimate_static(prior, nodes, readings, options=EXACT)
-    monkeypatch.setattr(method, "_WORTHWHILE", np.inf)
+    monkeypatch.setattr(method, "WORTHWHILE", np.inf)
     left = estimate_static(prior, nodes, readings, options=EXACT)
     for shape in range(3):
         found, wanted = (which.at(nodes, shape) for which in (left, known))
@@ -204,28 +203,3 @@ def test_mistakes_are_one_sentence():
         estimate_static(free, nodes, [PositionReadings(**at, values=np.zeros((2, 3)), cov=1.0)])
     with pytest.raises(OutsideGridError, match="Query"):
         estimate_static(prior, nodes, [], count=2).at(0.1, 2)
-
-
-@law
-@given(generators)
-def test_chains_are_solved_as_dense_matrices_are(rng):
-    shapes, nodes, d = (int(n) for n in rng.integers(1, 5, 3))
-    dense = rng.standard_normal((shapes, nodes * d, nodes * d))
-    dense = dense @ np.swapaxes(dense, 1, 2) + np.eye(nodes * d)
-    blocks = dense.reshape(shapes, nodes, d, nodes, d)
-    far = np.abs(np.subtract.outer(np.arange(nodes), np.arange(nodes))) > 1
-    blocks[:, far[:, None, :, None] & np.ones((d, 1, d), bool)] = 0.0
-    dense += 10.0 * nodes * d * np.eye(nodes * d)
-    every = np.arange(nodes)
-    diagonal = np.moveaxis(blocks[:, every, :, every], 0, 1)
-    lower = np.moveaxis(blocks[:, every[1:], :, every[:-1]], 0, 1)
-    chains = factor_batch(diagonal, lower)
-    right = rng.standard_normal((shapes, nodes, d))
-    wanted = np.linalg.solve(dense, right.reshape(shapes, -1, 1)).reshape(right.shape)
-    np.testing.assert_allclose(chains.solve(right), wanted, rtol=1e-8, atol=1e-12)
-    cov, cross = chains.marginals()
-    inverse = np.linalg.inv(dense).reshape(blocks.shape)
-    np.testing.assert_allclose(cov, np.moveaxis(inverse[:, every, :, every], 0, 1), atol=1e-12)
-    np.testing.assert_allclose(
-        cross, np.moveaxis(inverse[:, every[:-1], :, every[1:]], 0, 1), atol=1e-12
-    )

@@ -11,12 +11,11 @@ from hypothesis import given
 
 from draws import generators, law, motion, prior
 from glissando.errors import OutsideGridError
-from glissando.estimation.batch import SolverOptions, estimate
+from glissando.estimation.batch import estimate
 from glissando.geometry import se3
 from glissando.model.grid import Grid
 from glissando.model.interpolation import sort_points
-from glissando.model.priors.steps import ARCLENGTH, TIME, between
-from glissando.model.priors.transitions import bridge as bridge_into
+from glissando.model.priors.steps import ARCLENGTH, TIME
 from glissando.model.sensors.sensors import (
     GyroReadings,
     PoseReadings,
@@ -24,9 +23,13 @@ from glissando.model.sensors.sensors import (
     StrainReadings,
 )
 from glissando.model.state import DOF, State
-from glissando.solver.linearize import MeasurementFactors, linearize
-from glissando.solver.normal_equations import slab_shape
+from glissando.solver.gauss_newton import SolverOptions
+from glissando.solver.linearize import linearize
+from glissando.solver.located_readings import locate
+from glissando.solver.normal_equations import system_shape
 from oracles import dense
+from oracles.steps import between
+from oracles.transitions import full_bridge as bridge_into
 
 GRID = Grid([0.0, 0.1, 0.25, 0.4], [0.0, 0.1, 0.25])
 EXACT = SolverOptions(tolerance=1e-7, max_iterations=100)
@@ -224,9 +227,10 @@ def test_covariance_anywhere_is_that_of_the_dense_inverse():
     s, t = rng.uniform(0.0, 0.4, 12), rng.uniform(0.0, 0.25, 12)
     s[:6:2], t[1:9:3] = GRID.arclength[1], GRID.time[1]  # on nodes and lines as well
     posterior = estimate(prior(), GRID, [])
-    soft, placed, state = prior(), MeasurementFactors(GRID, []), posterior.state
-    equations = linearize(soft, placed, state, state, np.empty(slab_shape(GRID, 18)))
-    assert np.abs(equations.right).max() < 1e-9
+    soft, located, state = prior(), locate(GRID, []), posterior.state
+    shape = system_shape(GRID.time.size, 18 * GRID.arclength.size)
+    equations = linearize(soft, located, state, state, np.empty(shape))
+    assert np.abs(equations.rhs).max() < 1e-9
     whole = dense.assemble(soft.factors(GRID, state, state, slice(0, 3)), 12).cov
     for points in sort_points(GRID, s, t):
         found = soft.interpolate(GRID, state, state, points)

@@ -8,13 +8,15 @@ from draws import motion, poses, prior, sixes, spd, states
 from glissando.geometry import se3
 from glissando.model.grid import Grid
 from glissando.model.interpolation import sort_points
-from glissando.model.priors.steps import ARCLENGTH, TIME, between, carried_error, pair_error
-from glissando.model.priors.transitions import Bridge
+from glissando.model.priors.steps import ARCLENGTH, TIME
 from glissando.model.sensors import sensors
 from glissando.model.sensors.readings import numerical_jacobian
 from glissando.model.state import DOF, State
-from glissando.solver.linearize import MeasurementFactors
+from glissando.solver.located_readings import locate
+from glissando.solver.measurement_factors import measurement_factors
 from oracles import dense
+from oracles.steps import between, carried_error, pair_error
+from oracles.transitions import Bridge
 from slope import slope_test
 
 M = 12
@@ -55,7 +57,7 @@ BUILDERS = {
 def shipped_sensors(parent=sensors.Readings):
     """Every sensor class of the package, however deep."""
     for child in parent.__subclasses__():
-        if child.__module__ == sensors.__name__:
+        if child.__module__ == sensors.__name__ and not child.__name__.startswith("_"):
             yield child
         yield from shipped_sensors(child)
 
@@ -226,12 +228,12 @@ def test_readings_inside_cells_pull_on_the_nodes_as_their_jacobian_says(sensor):
     where = {"arclength": rng.uniform(0.0, 0.4, M), "time": rng.uniform(0.0, 0.25, M)}
     (points,) = sort_points(GRID, where["arclength"], where["time"])
     at = prior().interpolate(GRID, state, state, points).state
-    placed = MeasurementFactors(GRID, [readings_of(sensor, rng, at, **where)])
-    (batch,) = placed.factors(prior(), state, state, 0)
+    located = locate(GRID, [readings_of(sensor, rng, at, **where)])
+    ((*_, batch),) = measurement_factors(prior(), located, state, state, 0)
 
     def moved(step):
         there = state.retract(step.reshape(*GRID.shape, DOF))
-        (again,) = placed.factors(prior(), there, state, 0)
+        ((*_, again),) = measurement_factors(prior(), located, there, state, 0)
         return again.terms.residual.ravel()
 
     jacobian = dense.spread(batch, NODES)

@@ -9,8 +9,9 @@ from draws import motion, prior
 from glissando import PositionReadings, SensorError, State, estimate
 from glissando.model.priors.separable import BaseVariance, SeparablePrior
 from glissando.solver.linearize import linearize
-from glissando.solver.measurement_factors import MeasurementFactors, states_at
-from glissando.solver.normal_equations import slab_shape
+from glissando.solver.located_readings import locate
+from glissando.solver.measurement_factors import states_at
+from glissando.solver.normal_equations import system_shape
 from scenes import LENGTH, arc, sliding_scene
 from unknown_scenes import COARSE, GRID, SOFT, consistent, scattered, tracker, unknown
 
@@ -43,26 +44,26 @@ def test_system_and_right_hand_side_are_those_of_the_residuals_slopes(kind):
     if kind == "separable":
         rate = rng.standard_normal(state.strain.shape)
         state, rods = State(state.pose, state.strain, state.velocity, rate), SEPARABLE
-    placed = MeasurementFactors(GRID, scattered(rng), all_kinds(rng))
-    extras, wander = placed.sensor_parameters.size, np.ones((K, 1))
-    constant = placed.sensor_parameters.memory > 1e3
+    located = locate(GRID, scattered(rng), all_kinds(rng))
+    extras, wander = located.parameters.process.size, np.ones((K, 1))
+    constant = located.parameters.process.memory > 1e3
     wander = np.where(constant, wander, rng.uniform(0.5, 1.5, (K, extras)))
-    placed = placed.moved(1e-3 * wander * rng.standard_normal(extras))
-    room = np.empty(slab_shape(GRID, state.dof, extras))
+    located = located.moved(1e-3 * wander * rng.standard_normal(extras))
+    workspace = np.empty(system_shape(K, N * state.dof + extras))
 
     def at(step, held):
         nodes, moved = here.split(step)
         there = linearize(
-            rods, placed.moved(moved), state.retract(nodes), state, np.empty_like(room), held
+            rods, located.moved(moved), state.retract(nodes), state, np.empty_like(workspace), held
         )
         pairs = zip(held, there.terms, strict=True)
         return np.concatenate([t.whiten(u.residual).ravel() for t, u in pairs])
 
-    here = linearize(rods, placed, state, state, room)
+    here = linearize(rods, located, state, state, workspace)
     of_nodes = N * state.dof
     size = of_nodes + extras
     directions = []
-    for columns in placed.sensor_parameters.columns:  # a constant moves as one: its chain is stiff
+    for columns in located.parameters.process.columns:  # a constant moves as one
         way, mine = np.zeros((K, size)), np.zeros((K, extras))
         mine[:, columns] = rng.standard_normal((K, columns.stop - columns.start))
         way[:, of_nodes:] = np.where(constant, mine[:1], mine)
@@ -91,7 +92,7 @@ def test_system_and_right_hand_side_are_those_of_the_residuals_slopes(kind):
                                atol=2e-5)  # fmt: skip
 
     residual = np.concatenate([t.whiten(t.residual).ravel() for t in here.terms])
-    pull = np.array([np.sum(here.right * way) for way in directions])
+    pull = np.array([np.sum(here.rhs * way) for way in directions])
     np.testing.assert_allclose(pull / scale, -(slopes @ residual) / scale,
                                atol=2e-5 * np.linalg.norm(residual))  # fmt: skip
 
@@ -135,9 +136,9 @@ def test_an_uncertain_arclength_adds_the_slope_along_the_robot_to_the_covariance
         by_hand.append(replace(r, cov=r.cov + more))
 
     def system(readings):
-        room = np.empty(slab_shape(GRID, state.dof))
-        found = linearize(prior(), MeasurementFactors(GRID, readings), state, state, room)
-        return [found.system.diagonal, found.system.lower, found.right]
+        workspace = np.empty(system_shape(K, N * state.dof))
+        found = linearize(prior(), locate(GRID, readings), state, state, workspace)
+        return [found.system.diagonal, found.system.lower, found.rhs]
 
     told = system([replace(r, arclength_std=spread) for r in plain])
     unmoved = system([replace(r, arclength_std=0.0) for r in plain])

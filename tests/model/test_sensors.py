@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from draws import generators, law, motion, poses, prior, sixes, states
 from glissando.errors import SensorError
-from glissando.estimation.batch import SolverOptions, estimate
+from glissando.estimation.batch import estimate
 from glissando.geometry import se3
 from glissando.model.grid import Grid
 from glissando.model.sensors.readings import numerical_jacobian
@@ -23,6 +23,7 @@ from glissando.model.sensors.sensors import (
     StrainReadings,
 )
 from glissando.model.state import State
+from glissando.solver.gauss_newton import SolverOptions
 
 M = 8
 

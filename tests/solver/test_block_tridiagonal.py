@@ -9,7 +9,7 @@ from glissando._kernels.threads import one_thread
 from glissando.errors import UnobservableError
 from glissando.solver.block_tridiagonal import BlockTridiagonal, factor
 
-counts, sizes = st.integers(1, 6), st.integers(1, 9)
+counts, sizes = st.integers(1, 6), st.one_of(st.integers(1, 9), st.integers(23, 60))
 
 
 def random_system(rng, count, size):
@@ -37,6 +37,29 @@ def test_solve_is_the_dense_solve(rng, count, size):
     expected = np.linalg.solve(full, right.ravel()).reshape(count, size)
     found = factor(system).solve(right)
     np.testing.assert_allclose(found, expected, atol=1e-8 * np.abs(expected).max())
+
+
+@law
+@given(generators, counts, sizes)
+def test_a_factor_resumes_where_the_matrix_changed(rng, count, size):
+    system, _ = random_system(rng, count, size)
+    start = int(rng.integers(count))
+    before = factor(system)
+    system.diagonal[start:] += np.eye(size)
+    resumed = factor(system, before, start=start)
+    expected = factor(system)
+    np.testing.assert_array_equal(resumed.inverse, expected.inverse)
+    np.testing.assert_array_equal(resumed.coupling, expected.coupling)
+
+
+@law
+@given(generators, counts, sizes)
+def test_rows_substituted_give_their_covariance(rng, count, size):
+    system, full = random_system(rng, count, size)
+    rows = rng.standard_normal((3, count * size))
+    found = factor(system).substitute(rows)
+    expected = rows @ np.linalg.solve(full, rows.T)
+    np.testing.assert_allclose(found @ found.T, expected, atol=1e-8 * np.abs(expected).max())
 
 
 @law

@@ -9,10 +9,12 @@ from glissando.model.grid import Grid
 from glissando.model.noise import GemanMcClure, Huber
 from glissando.model.sensors.sensors import CoilReadings, GyroReadings, PositionReadings
 from glissando.model.state import DOF
-from glissando.solver import measurement_factors
+from glissando.solver import located_readings
 from glissando.solver.block_tridiagonal import factor
-from glissando.solver.linearize import MeasurementFactors, linearize
-from glissando.solver.normal_equations import slab_shape
+from glissando.solver.linearize import linearize
+from glissando.solver.located_readings import locate
+from glissando.solver.measurement_factors import measurement_factors
+from glissando.solver.normal_equations import system_shape
 from oracles import dense
 
 GRID = Grid([0.0, 0.1, 0.25, 0.4], [0.0, 0.1, 0.25, 0.3])
@@ -38,8 +40,8 @@ def scattered(rng, count, *, loss=None):
 
 
 def equations(readings, *, state=STATE, about=ABOUT, held=None):
-    placed = MeasurementFactors(GRID, readings)
-    return linearize(prior(), placed, state, about, np.empty(slab_shape(GRID, 18)), held)
+    workspace = np.empty(system_shape(K, N * DOF))
+    return linearize(prior(), locate(GRID, readings), state, about, workspace, held)
 
 
 def dense_of(system):
@@ -54,7 +56,7 @@ def dense_of(system):
 
 
 def same(one, other, tolerance=1e-12):
-    for a, b in ((dense_of(one.system), dense_of(other.system)), (one.right, other.right)):
+    for a, b in ((dense_of(one.system), dense_of(other.system)), (one.rhs, other.rhs)):
         np.testing.assert_allclose(a, b, rtol=0.0, atol=tolerance * np.abs(b).max())
 
 
@@ -62,18 +64,18 @@ def same(one, other, tolerance=1e-12):
 def test_the_slabs_hold_what_dense_assembly_finds(loss):
     readings = scattered(np.random.default_rng(62), 60, loss=loss)
     found = equations(readings)
-    placed = MeasurementFactors(GRID, readings)
+    located = locate(GRID, readings)
     batches = [*prior().factors(GRID, STATE, ABOUT, slice(0, K))]
-    batches += [*placed.factors(prior(), STATE, ABOUT, 0)]
+    batches += [b for *_, b in measurement_factors(prior(), located, STATE, ABOUT, 0)]
     assert sum(len(b.nodes) for b in batches[5:]) == 180
     expected = dense.assemble(batches, K * N)
     scale = np.abs(expected.information).max()
     np.testing.assert_allclose(dense_of(found.system), expected.information, atol=1e-12 * scale)
-    np.testing.assert_allclose(found.right.ravel(), expected.right, atol=1e-9)
+    np.testing.assert_allclose(found.rhs.ravel(), expected.right, atol=1e-9)
 
     chol = factor(found.system)
     assert chol.log_det == pytest.approx(expected.log_det, abs=1e-6)
-    step = chol.solve(found.right).ravel()
+    step = chol.solve(found.rhs).ravel()
     std = np.sqrt(np.diagonal(expected.cov))
     np.testing.assert_allclose(step / std, expected.step / std, atol=1e-6)
     found_std = np.sqrt(np.einsum("kii->ki", chol.marginals().cov)).ravel()
@@ -92,10 +94,10 @@ def test_the_right_hand_side_is_the_downhill_slope_of_the_cost(loss):
             for h in (1e-5, -1e-5)
         )
         slope = (uphill - downhill) / 2e-5
-        assert -np.sum(here.right * way.reshape(K, -1)) == pytest.approx(slope, rel=1e-6)
+        assert -np.sum(here.rhs * way.reshape(K, -1)) == pytest.approx(slope, rel=1e-6)
 
 
-def test_held_weights_are_those_of_where_they_were_found():
+def test_fixed_weights_are_those_of_where_they_were_found():
     readings = scattered(np.random.default_rng(65), 20)
     here = equations(readings)
     there = equations(readings, about=STATE, held=here.terms)
@@ -126,8 +128,8 @@ def test_readings_of_nothing_are_nothing():
 def test_how_time_is_cut_into_blocks_does_not_matter(monkeypatch, most):
     readings = scattered(np.random.default_rng(70), 30)
     whole = equations(readings)
-    monkeypatch.setattr(measurement_factors, "_FACTORS", most)
-    assert len(MeasurementFactors(GRID, readings).blocks) > 1
+    monkeypatch.setattr(located_readings, "_FACTORS", most)
+    assert len(locate(GRID, readings).blocks) > 1
     same(equations(readings), whole)
 
 
@@ -135,7 +137,9 @@ def test_the_bridge_widens_a_readings_covariance_only_between_nodes():
     s, t = np.array([0.1, 0.17]), np.array([0.1, 0.1])
     where = {"time": t, "arclength": s}
     reading = PositionReadings(**where, values=np.zeros((2, 3)), cov=1e-6)
-    on_node, between_nodes = MeasurementFactors(GRID, [reading]).factors(prior(), STATE, ABOUT, 0)
+    located = locate(GRID, [reading])
+    found = measurement_factors(prior(), located, STATE, ABOUT, 0)
+    on_node, between_nodes = (batch for *_, batch in found)
     np.testing.assert_allclose(on_node.terms.sqrt_info[0], 1e3 * np.eye(3), rtol=1e-12, atol=1e-9)
     root = np.linalg.inv(between_nodes.terms.sqrt_info[0])
     assert np.linalg.eigvalsh(root @ root.T - 1e-6 * np.eye(3))[0] > 0.0

@@ -113,7 +113,7 @@ def save_posterior(posterior: Posterior, path: str | Path) -> None:
     dataset.attrs["sensor_parameters"] = json.dumps(
         [_plain({**vars(u), "values": values}) for u, values in posterior.sensor_parameters]
     )
-    dataset.attrs["solve"] = json.dumps(vars(posterior.solve))
+    dataset.attrs["solve"] = json.dumps(posterior.solve.to_table())
     packed = {"zlib": True, "complevel": 4, "shuffle": True}
     encoding = dict.fromkeys(("information", "information_below", "cov"), packed)
     try:
@@ -146,7 +146,7 @@ def load_posterior(path: str | Path) -> Posterior:
         State(*(dataset[name].values for name in _FIELDS if name in dataset)),
         system,
         factor(system).marginals(consume=True),
-        SolveReport(**json.loads(attributes["solve"])),
+        SolveReport.from_table(json.loads(attributes["solve"])),
         [_as_sensor_parameter(table) for table in json.loads(parameters)],
     )
 
