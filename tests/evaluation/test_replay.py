@@ -46,6 +46,7 @@ kind = "separable"
 time_scale = 0.5
 psd_strain_arclength = [1e-5, 1e-5, 1e-5, 5, 5, 1]
 """
+KINDS = sensor_kinds()
 
 
 def some_readings(rng, kind, count):
@@ -68,7 +69,7 @@ def some_readings(rng, kind, count):
 @law
 @given(generators)
 def test_a_journal_gives_back_what_was_written_sorted_by_time(rng):
-    given_ = [some_readings(rng, kind, 6) for kind in sensor_kinds()]
+    given_ = [some_readings(rng, kind, 6) for kind in KINDS]
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "log"
         for half in (slice(0, 4), slice(4, 6)):  # closed and opened again
@@ -78,7 +79,7 @@ def test_a_journal_gives_back_what_was_written_sorted_by_time(rng):
         (path / "arc.toml").write_text(ROBOT)
         recording = load_recording(path)
         assert recording.name == "a run"
-        found, _ = recording.readings(sensor_kinds(), load_robot(path / "arc.toml"), (0.0, 9.0))
+        found, _ = recording.readings(KINDS, load_robot(path / "arc.toml"), (0.0, 9.0))
     for mine, its in zip(given_, found, strict=True):
         mine = mine.select(np.argsort(mine.time, kind="stable"))
         np.testing.assert_array_equal(mine.time, its.time)

@@ -95,7 +95,7 @@ class Readings:
     @classmethod
     def from_columns(cls, table: Array) -> Array:
         """Values (M, …) from the columns (M, C) of a file, in SI units."""
-        return table.reshape(len(table), *cls.value_shape) if cls.value_shape else table
+        return table if cls.value_shape is None else table.reshape(len(table), *cls.value_shape)
 
     @classmethod
     def to_columns(cls, values: Array) -> Array:
