@@ -9,7 +9,7 @@ from glissando.errors import (
     SensorError,
     UnobservableError,
 )
-from glissando.estimation.batch import SolverOptions, estimate
+from glissando.estimation.batch import estimate
 from glissando.estimation.fixed_lag import FixedLagSmoother
 from glissando.estimation.posterior import Posterior, StateEstimate
 from glissando.estimation.static import StaticPosterior, estimate_static
@@ -33,6 +33,7 @@ from glissando.model.sensors.sensors import (
     StrainReadings,
 )
 from glissando.model.state import State
+from glissando.solver.gauss_newton import SolverOptions
 
 __all__ = [
     "BaseDensity",

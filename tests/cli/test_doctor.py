@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from glissando.cli.completion import completion
-from glissando.cli.doctor import told
+from glissando.cli.doctor import advice
 from glissando.cli.main import build_parser, main
 from glissando.evaluation import environment
 
@@ -65,7 +65,7 @@ def test_a_missing_package_is_told_with_the_extra_that_brings_it(monkeypatch):
     assert environment.optional() == [
         {"package": "no-such-thing", "version": None, "extra": "view"}
     ]
-    lines = told(found(optional=environment.optional()))
+    lines = advice(found(optional=environment.optional()))
     assert any("no-such-thing (view): missing: pip install 'glissando\\[view]'" in x for x in lines)
 
 
@@ -77,26 +77,26 @@ def test_the_latency_timer_is_read_where_linux_states_one(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("changes", "advice"),
+    ("changes", "remedy"),
     [
-        ({}, None),
-        ({"latency_ms": None}, None),
+        ({}, ""),
+        ({"latency_ms": None}, ""),
         ({"latency_ms": 16}, "latency timer 16 ms: echo 1 | sudo tee /sys/bus/usb-serial/"),
         ({"may_open": False}, "may not be opened: run sudo usermod -aG dialout $USER"),
         ({"may_open": False, "group": "uucp"}, "usermod -aG uucp"),
     ],
 )
-def test_a_port_that_would_not_do_is_told_with_what_to_do(changes, advice):
-    line = told(found(serial=[{**PORT, **changes}]))[-1]
+def test_a_port_that_would_not_do_is_told_with_what_to_do(changes, remedy):
+    line = advice(found(serial=[{**PORT, **changes}]))[-1]
     assert line.startswith("/dev/ttyUSB0: USB serial")
-    assert (advice in line) if advice else line == "/dev/ttyUSB0: USB serial"
+    assert (remedy in line) if remedy else line == "/dev/ttyUSB0: USB serial"
 
 
 def test_without_pyserial_devices_are_unknown_not_none(monkeypatch):
     monkeypatch.setitem(sys.modules, "serial.tools.list_ports", None)
     assert environment.serial_devices() is None
-    assert "unknown, pyserial is missing" in told(found(serial=None))[-1]
-    assert told(found())[-1] == "serial devices: none"
+    assert "unknown, pyserial is missing" in advice(found(serial=None))[-1]
+    assert advice(found())[-1] == "serial devices: none"
 
 
 def completed(script, *words):

@@ -7,8 +7,7 @@ from glissando import Huber, RecordingError, RobotFileError, load_robot
 from glissando.geometry import se3
 from glissando.io.csv_stream import Rows, clean, read_named, steady, write_named
 from glissando.io.recording import load_recording
-from glissando.io.robot_file import parse_robot, shipped_robots
-from glissando.io.toml_table import read_toml
+from glissando.io.robot_file import robot_file, shipped_robots
 from glissando.model.sensors.sensors import sensor_kinds
 from scenes import LENGTH, arc
 
@@ -74,14 +73,6 @@ def test_an_arclength_off_the_robot_names_rows_and_excess(tmp_path):
         recording.readings(["aurora1"], load_robot("tdcr466"), (0, 9))
 
 
-def test_repeats_of_a_tracker_are_dropped_and_counted():
-    values = np.tile(np.eye(4), (5, 1, 1))
-    values[2:, 0, 3] = [1.0, 1.0, 2.0]
-    rows = clean(Rows("pose", np.arange(5.0), np.zeros(5), values, {}))
-    assert rows.dropped == {"repeated": 2}
-    assert rows.time.tolist() == [0, 2, 4]
-
-
 @given(
     seed=st.integers(0, 2**32 - 1),
     off=st.floats(-1.8e-3, 1.8e-3),
@@ -122,12 +113,28 @@ def test_stamps_of_no_steady_device_are_said_to_be_none():
         steady(rows, 40.0)
 
 
-def test_clipped_gyro_samples_are_dropped_and_counted():
-    values = np.zeros((4, 3))
-    values[1, 2] = -5.0
-    rows = Rows("gyro", np.arange(4.0), np.zeros(4), values, {})
-    assert clean(rows, clip=5.0).dropped == {"clipped": 1}
-    assert clean(rows).dropped == {}
+MOVES = np.tile(np.eye(4), (4, 1, 1))
+MOVES[1:, 0, 3] = [0.0, 1.0, 1.0]
+TURNS = np.diag([0.0, -5.0, 0.0, 0.0])[:, :3]
+
+
+@pytest.mark.parametrize(
+    ("kind", "values", "options", "dropped"),
+    [
+        ("pose", MOVES, {}, {"repeated": 2}),
+        ("pose", MOVES, {"keep_repeats": True}, {}),
+        ("orientation", MOVES[:, :3, :3], {}, {"repeated": 1}),  # straight: alike at many places
+        ("gyro", TURNS, {"clip": 5.0}, {"clipped": 1}),
+        ("gyro", TURNS, {}, {}),
+    ],
+)
+def test_repeats_of_a_tracker_and_clipped_samples_are_dropped_and_counted(
+    kind, values, options, dropped
+):
+    rows = Rows(kind, np.arange(4.0), np.array([0.1, 0.2, 0.2, 0.3]), values, {})
+    kept = clean(rows, **options)
+    assert kept.dropped == dropped
+    assert len(kept.time) == 4 - sum(dropped.values())
 
 
 @pytest.mark.parametrize("kind", sensor_kinds())
@@ -178,25 +185,24 @@ def test_a_bad_description_names_the_key(tmp_path, toml, sentence):
 
 
 def test_columns_may_stand_in_any_order_but_must_be_there(tmp_path):
-    described_folder(tmp_path, MARKER, "z,y,x,arclength,time", "3,2,1,0.1,0\n6,5,4,0.1,1\n")
-    assert load_recording(tmp_path).streams["marker"].rows.values[0].tolist() == [1, 2, 3]
-    described_folder(tmp_path, MARKER, "time,arclength,x,y", "0,0.1,1,2\n")
-    with pytest.raises(RecordingError, match=r"needs the columns .*; z is missing"):
-        load_recording(tmp_path)
+    described_folder(tmp_path, MARKER, "z,y,x,arclength,time", "3,2,9,0.1,0\n6,5,4,0.1,1\n")
+    rows = load_recording(tmp_path).streams["marker"].rows
+    assert (rows.values[0].tolist(), rows.time.tolist()) == ([9, 2, 3], [0, 1])
+    for columns, row, sentence in (
+        ("time,arclength,x,y", "0,0.1,1,2\n", r"needs the columns .*; z is missing"),
+        (
+            "x,y,z,arclength,time",
+            "1,2,3,0.1,1\n2,5,6,0.1,0\n",
+            "line 3: time goes back from 1 s to 0",
+        ),
+        ("time,arclength,x,y,z,x", "0,0.1,1,2,3,4\n", "column x stands there twice"),
+    ):
+        described_folder(tmp_path, MARKER, columns, row)
+        with pytest.raises(RecordingError, match=sentence):
+            load_recording(tmp_path)
 
 
-def test_the_clock_is_the_time_column_wherever_it_stands(tmp_path):
-    described_folder(tmp_path, MARKER, "x,y,z,arclength,time", "2,2,3,0.1,0\n1,5,6,0.1,1\n")
-    assert load_recording(tmp_path).streams["marker"].rows.time.tolist() == [0, 1]
-    described_folder(tmp_path, MARKER, "x,y,z,arclength,time", "1,2,3,0.1,1\n2,5,6,0.1,0\n")
-    with pytest.raises(RecordingError, match="line 3: time goes back from 1 s to 0 s"):
-        load_recording(tmp_path)
-
-
-def test_a_name_or_a_column_given_twice_is_refused(tmp_path):
-    described_folder(tmp_path, MARKER, "time,arclength,x,y,z,x", "0,0.1,1,2,3,4\n")
-    with pytest.raises(RecordingError, match="column x stands there twice"):
-        load_recording(tmp_path)
+def test_a_stream_given_twice_is_refused(tmp_path):
     described_folder(tmp_path, MARKER + MARKER[MARKER.index("[[") :])
     with pytest.raises(RecordingError, match="'marker' is given twice"):
         load_recording(tmp_path)
@@ -234,12 +240,6 @@ def test_units_reach_strains_and_fibre_cores(tmp_path):
     assert strain.values[0] == pytest.approx([0, 0, 1, 0, 2.0, 0])
 
 
-def test_one_orientation_at_many_places_is_no_repeat():
-    values = np.tile(np.eye(3), (4, 1, 1))
-    sliding = Rows("orientation", np.arange(4.0), np.array([0.1, 0.2, 0.2, 0.3]), values, {})
-    assert clean(sliding).dropped == {"repeated": 1}
-
-
 def test_a_quaternion_that_is_not_unit_is_refused(tmp_path):
     (tmp_path / "recording.toml").write_text('[[streams]]\nname = "p"\nkind = "coil"\n')
     (tmp_path / "p.csv").write_text("time,arclength,x,y,z,qw,qx,qy,qz\n0,0.1,0,0,0,1,1,0,0\n")
@@ -274,9 +274,7 @@ def test_shipped_robots_load(name):
     ],
 )
 def test_a_bad_robot_file_names_the_key(tmp_path, old, new, sentence):
-    from importlib.resources import files
-
-    text = (files("glissando") / "io" / "robots" / "tdcr466.toml").read_text()
+    text = robot_file("tdcr466").read_text()
     assert old in text
     path = tmp_path / "robot.toml"
     path.write_text(text.replace(old, new, 1))
@@ -285,9 +283,7 @@ def test_a_bad_robot_file_names_the_key(tmp_path, old, new, sentence):
 
 
 def test_a_robust_loss_is_set_in_the_robot_file(tmp_path):
-    from importlib.resources import files
-
-    text = (files("glissando") / "io" / "robots" / "tdcr466.toml").read_text()
+    text = robot_file("tdcr466").read_text()
     path = tmp_path / "robot.toml"
     path.write_text(text.replace("clip = 5.0", 'clip = 5.0\nloss = "huber"\nthreshold = 2.0'))
     robot = load_robot(path)
@@ -304,6 +300,6 @@ def test_a_robot_without_a_base_is_allowed(tmp_path):
         f"length = 1\n[grid]\narclength_nodes = 3\ntime_rate = 5\n[prior]\n{psd}\n"
         'kind = "white-noise"\n'
     )
-    robot = parse_robot(read_toml(path, RobotFileError))
+    robot = load_robot(path)
     assert robot.prior.base is None
     assert robot.name == "free"

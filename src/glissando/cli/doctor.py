@@ -1,4 +1,4 @@
-"""`glissando doctor`: what this installation has, and what it lacks for what."""
+"""`glissando doctor`: what this installation has, and what is missing for which purpose."""
 
 from __future__ import annotations
 
@@ -35,26 +35,30 @@ def add_to(commands: Commands) -> None:
 
 
 def _doctor(options: argparse.Namespace) -> int:
-    found = system()
+    findings = system()
     if options.json:
-        print(json.dumps(found))
+        print(json.dumps(findings))
     else:
-        Console().print("\n".join(told(found)), highlight=False, soft_wrap=True)
+        Console().print("\n".join(advice(findings)), highlight=False, soft_wrap=True)
     return 0
 
 
-def told(found: dict[str, Any]) -> list[str]:
-    """The findings as lines of text, with what to do about each that is amiss."""
-    lines = [f"{name} {number}" for name, number in found["versions"].items()]
-    lines.append(f"{found['platform']}, {found['cores']} cores")
-    for pool in found["blas"]:
+def advice(findings: dict[str, Any]) -> list[str]:
+    """The findings as lines of text, with a remedy for each that is wrong.
+
+    Args:
+        findings: What `glissando.evaluation.environment.system` returns.
+    """
+    lines = [f"{name} {number}" for name, number in findings["versions"].items()]
+    lines.append(f"{findings['platform']}, {findings['cores']} cores")
+    for pool in findings["blas"]:
         lines.append(f"BLAS: {pool['library']} {pool['version']}, {pool['threads']} threads")
         if pool["threads"] and pool["threads"] > 1 and "OMP_NUM_THREADS" not in os.environ:
             lines[-1] += "; several runs at once go faster with OMP_NUM_THREADS=1"
-    for entry in found["optional"]:
+    for entry in findings["optional"]:
         have = entry["version"] or f"missing: pip install 'glissando[{entry['extra']}]'"
         lines.append(f"{entry['package']} ({entry['extra']}): {have}")
-    return [escape(line) for line in [*lines, *_serial(found["serial"])]]
+    return [escape(line) for line in [*lines, *_serial(findings["serial"])]]
 
 
 def _serial(devices: list[dict[str, Any]] | None) -> list[str]:

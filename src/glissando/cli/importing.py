@@ -65,25 +65,33 @@ def _import(options: argparse.Namespace) -> int:
 
 
 def pairs(text: str) -> dict[str, str]:
-    """`NAME=VALUE,…` as a table. Raises GlissandoError for a part without =."""
-    found = {}
-    for part in filter(None, (part.strip() for part in text.split(","))):
+    """The values by name in `NAME=VALUE,…`.
+
+    Raises:
+        GlissandoError: A part is no NAME=VALUE.
+    """
+    values = {}
+    for part in names(text):
         name, equals, value = part.partition("=")
         if not equals or not name or not value:
             raise GlissandoError(f"{part!r} is no NAME=VALUE; write them with commas between.")
-        found[name.strip()] = value.strip()
-    return found
+        values[name.strip()] = value.strip()
+    return values
 
 
 def number(option: str, text: str) -> float:
-    """A finite number of an option. Raises GlissandoError when it is none."""
+    """A finite number of an option.
+
+    Raises:
+        GlissandoError: The text is none.
+    """
     try:
-        found = float(text)
+        value = float(text)
     except ValueError:
-        found = math.nan
-    if not math.isfinite(found):
+        value = math.nan
+    if not math.isfinite(value):
         raise GlissandoError(f"{option} {text!r} is not a number; give one.")
-    return found
+    return value
 
 
 def _place(text: str) -> float | Path:
