@@ -153,7 +153,7 @@ def test_a_late_plan_is_not_adopted_and_makes_the_next_begin_later():
     assert replanner.next(smoother, 1.7) is first
     np.testing.assert_array_equal(before, replanner.at(np.linspace(0.0, 9.0, 91)))
     assert replanner.lead == pytest.approx(1.5 * (1.7 - 1.0))
-    assert slow.task.start == pytest.approx(1.7 + replanner.lead)
+    assert slow.task().start == pytest.approx(1.7 + replanner.lead)
     slow.done = True
     assert replanner.next(smoother, 1.8) is not first
     assert replanner.lead == 0.3  # as it came soon

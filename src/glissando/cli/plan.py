@@ -14,6 +14,7 @@ from rich.table import Table
 
 from glissando.cli.shared import Commands, add_command, require_writable
 from glissando.errors import GlissandoError, RobotFileError, SimulationError
+from glissando.geometry.se3 import Array
 from glissando.io.netcdf import load_posterior
 from glissando.io.robot_file import load_robot, robot_file, shipped_robots
 from glissando.model.slide_path import SlideLimits
@@ -21,10 +22,10 @@ from glissando.planning.compare import PathEvaluation, baseline_paths, evaluate_
 from glissando.planning.objectives import OBJECTIVES, objective_named
 from glissando.planning.path_objective import path_objective_of
 from glissando.planning.path_space import path_space_of
-from glissando.planning.plan_slide import plan_slide
-from glissando.planning.planning_problem import predict_information
+from glissando.planning.plan_slide import Plan, plan_slide
+from glissando.planning.planning_problem import PlanningProblem, predict_information
 from glissando.planning.sliding_sensor import sliding_sensor
-from glissando.planning.zones import read_zone
+from glissando.planning.zones import Zone, read_zone
 from glissando.simulation.bench import load_bench
 from glissando.visualization.planning_figures import plan_figure, save_plan_film
 
@@ -119,20 +120,16 @@ def _plan(options: argparse.Namespace) -> int:
     robot = load_robot(options.robot)
     stage, upper = stage_of(options)
     start = upper if options.start is None else options.start
+    source = load_posterior(options.posterior) if options.posterior else robot
+    sensor = sliding_sensor(robot, rate=options.rate)
+    reach = upper - stage.stroke, upper
     problem = predict_information(
-        load_posterior(options.posterior) if options.posterior else robot,
-        (upper - stage.stroke, upper),
-        options.horizon,
-        sliding_sensor(robot, rate=options.rate),
-        node_step=options.node_step,
+        source, reach, options.horizon, sensor, node_step=options.node_step
     )
+    path_objective = path_objective_of(problem, zones, objective)
     path_space = path_space_of(stage, upper, start, options.horizon)
     plan = plan_slide(
-        path_objective_of(problem, zones, objective),
-        path_space,
-        zones,
-        speed_weight=options.speed_weight,
-        seed=options.seed,
+        path_objective, path_space, zones, speed_weight=options.speed_weight, seed=options.seed
     )
     baselines = baseline_paths(stage, upper, start, path_space.times, options.seed)
     paths = {"planned": plan.arclength, **baselines}
@@ -144,7 +141,7 @@ def _plan(options: argparse.Namespace) -> int:
         "limits": vars(stage),
         "start": start,
         "paths": {
-            name: {"value": result.value, "std": result.std, "worst": result.worst}
+            name: {key: getattr(result, key) for key in ("value", "std", "worst")}
             for name, result in results.items()
         },
         "starts": plan.starts,
@@ -154,17 +151,30 @@ def _plan(options: argparse.Namespace) -> int:
     else:
         Console().print(_table(options.objective, results))
     if options.out:
-        options.out.mkdir(parents=True, exist_ok=True)
-        knots, head = np.column_stack(plan.knots()), "time,arclength,speed"
-        np.savetxt(options.out / "path.csv", knots, "%.15g", ",", header=head, comments="")
-        text = json.dumps(report, indent=2)
-        (options.out / "plan.json").write_text(text + "\n", encoding="utf-8")
-        shown = {name: paths[name] for name in ("planned", "oscillating", "fixed")}
-        plan_figure(problem, shown, zones).savefig(options.out / "plan.png", dpi=150)
-        if options.animate:
-            save_plan_film(problem, shown, zones, options.out / "plan.gif")
-        print(f"Wrote {options.out / 'path.csv'}") if not options.json else None
+        _write(options, report, plan, problem, zones, paths)
     return 0
+
+
+def _write(
+    options: argparse.Namespace,
+    report: dict[str, object],
+    plan: Plan,
+    problem: PlanningProblem,
+    zones: list[Zone],
+    paths: dict[str, Array],
+) -> None:
+    """Write path.csv, plan.json and plan.png, and plan.gif if asked."""
+    options.out.mkdir(parents=True, exist_ok=True)
+    knots, head = np.column_stack(plan.knots()), "time,arclength,speed"
+    np.savetxt(options.out / "path.csv", knots, "%.15g", ",", header=head, comments="")
+    text = json.dumps(report, indent=2)
+    (options.out / "plan.json").write_text(text + "\n", encoding="utf-8")
+    shown = {name: paths[name] for name in ("planned", "oscillating", "fixed")}
+    plan_figure(problem, shown, zones).savefig(options.out / "plan.png", dpi=150)
+    if options.animate:
+        save_plan_film(problem, shown, zones, options.out / "plan.gif")
+    if not options.json:
+        print(f"Wrote {options.out / 'path.csv'}")
 
 
 def _table(objective: str, results: dict[str, PathEvaluation]) -> Table:

@@ -65,7 +65,7 @@ class Belief:
         )
 
     def information(self) -> Array | None:
-        """Information (D, D) that the estimate adds to the prior of the newest node, if any.
+        """Information (D, D) that the estimate adds to the newest node's prior, if any.
 
         The prior of the node by itself is left out, as it depends on the nodes before and after.
         """

@@ -37,7 +37,7 @@ class PathEvaluation:
 def baseline_paths(
     limits: SlideLimits, upper: float, start: float, time: Array, seed: int = 0
 ) -> dict[str, Array]:
-    """Paths that ignore the zones: oscillating over the stroke, fixed at the start, and random.
+    """Paths that ignore the zones: oscillating, fixed at the start, and random.
 
     Args:
         limits: Limits of the stage.

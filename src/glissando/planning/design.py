@@ -59,7 +59,7 @@ def sweep(
     objective: Objective,
     horizon: float = 10.0,
 ) -> Iterator[Design]:
-    """Evaluate every combination of numbers, each on its own best path from the drawn-out end.
+    """Evaluate every combination of numbers, each on its own best path.
 
     Several coils follow each other a stroke apart, or as near as the body requires.
 
@@ -71,7 +71,7 @@ def sweep(
         rates: Readings a second of each coil, Hz.
         coils: Numbers of coils.
         acceleration: Largest acceleration, m/s².
-        upper: Arclength of the first coil when it is drawn out, m.
+        upper: Arclength of the first coil when it is drawn out, where a path starts, m.
         objective: The objective over the zones.
         horizon: Duration of a path, s.
 
@@ -96,7 +96,7 @@ def sweep(
 
 
 def pareto_front(designs: Sequence[Design]) -> NDArray[np.bool_]:
-    """Which designs (D,) are worth what they cost: the Pareto front of costs and confidence.
+    """Which designs (D,) are on the Pareto front of cost and confidence.
 
     Not on it are designs that another one matches within 2 %, in the root mean square over all
     zones, for less of a stroke, speed or number of coils and no more of the others, and designs

@@ -23,7 +23,7 @@ _MOST = 32  # modes at most
 
 @dataclass(frozen=True)
 class Modes:
-    """The numbers z = weightsᵀ x of each time node, d of them, before any reading to come.
+    """The d numbers z = weightsᵀ x of each time node, before any reading to come.
 
     Attributes:
         lift: E[x | z] of both ends of a time step, x, as functions of z there (K−1, 2 D, 2 d).

@@ -74,7 +74,7 @@ def _blended(
 def draw_motions(
     source: BeliefSource, shapes: ArrayLike, count: int, horizon: float, seed: int = 0
 ) -> list[ExpectedMotion]:
-    """Draw motions from the present shape to random mixtures of it and of other shapes.
+    """Draw motions from the present shape to its random mixtures with others.
 
     Args:
         source: The estimate or robot that is planned for.
@@ -130,7 +130,7 @@ def plan_jointly(
     objective: Objective | None = None,
     node_step: float | None = None,
 ) -> list[JointPlan]:
-    """Plan the slide for each motion and for none, the plan of least uncertainty first.
+    """Plan the slide for each motion and for none, the best plan first.
 
     Args:
         source: The estimate or robot to plan for.

@@ -36,10 +36,7 @@ class Objective(Protocol):
 
 @dataclass(frozen=True)
 class Trace:
-    """Mean variance of position, m², optionally with rotation.
-
-    Attributes:
-        lever: Distance from the centre line at which rotations count, m; 0 for position only.
+    """Mean variance of position, m², and of rotation at a `lever`, m, if not 0.
 
     >>> Trace()(np.eye(3)[None], np.ones(1))[0]
     3.0
@@ -75,12 +72,9 @@ class LogDet:
 class Worst:
     """Largest variance in any direction anywhere in the zone, m², as a power mean.
 
-    The mean (Σ w tr(Cᵖ))^(1/p) has a gradient where directions or points tie. It exceeds the
-    largest variance by a factor of at most 3^(1/p), and with Z points of equal weight falls short
-    of it by at most Z^(1/p).
-
-    Attributes:
-        power: The exponent p.
+    The mean (Σ w tr(Cᵖ))^(1/p), p the `power`, has a gradient where directions or points tie. It
+    exceeds the largest variance by a factor of at most 3^(1/p), and with Z points of equal weight
+    falls short of it by at most Z^(1/p).
     """
 
     power: int = 16
@@ -97,14 +91,11 @@ class Worst:
 
 @dataclass(frozen=True)
 class Chance:
-    """Mean probability that the position's error exceeds a bound.
+    """Mean probability that the position's error exceeds a `bound` b, m.
 
     The error is ρ C^½ n with n uniform on the sphere and ρ² of χ² with 3 degrees of freedom, so
     that P = E_n[P(χ²₃ > b² / nᵀCn)]. Quadrature over 24 × 32 directions errs by about 1e-5, and by
     up to 1e-3 where one axis is a hundred times wider than both others.
-
-    Attributes:
-        bound: The error b, m.
 
     Raises:
         GlissandoError: The bound is not positive.

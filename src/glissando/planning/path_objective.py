@@ -25,7 +25,7 @@ from glissando.solver.block_tridiagonal import BlockTridiagonal, Cholesky, Margi
 
 @dataclass(frozen=True)
 class PathObjective:
-    """The objective of a path: call it with arclengths (T,) for its value and gradient (T,).
+    """The objective of a path: call it for the value and gradient of a path.
 
     Attributes:
         problem: The planning problem.
@@ -63,7 +63,7 @@ class PathObjective:
         return self._point_cov(self._posterior(self.readings(arclength)[0])[1])[1]
 
     def readings(self, arclength: Array) -> tuple[Array, Array]:
-        """Rows (T, C r, 2 d) of all coils' readings on a path (T,), and their slopes by the place.
+        """Rows (T, C r, 2 d) of all readings on a path (T,), and their slopes by place.
 
         They are interpolated by a cubic through four places of the lattice, with a continuous slope
         (Catmull and Rom).
@@ -175,7 +175,7 @@ class PathObjective:
 def path_objective_of(
     problem: PlanningProblem, zones: Sequence[Zone], objective: Objective
 ) -> PathObjective:
-    """The objective of a path over zones, which count at the middles of the time cells.
+    """The objective of a path over zones, at the middles of the time cells.
 
     Raises:
         GlissandoError: There is no zone, or one leaves the body or the time ahead.
@@ -189,7 +189,7 @@ def path_objective_of(
 
 
 def by_cell(rows: Array, steps_per_cell: int) -> Array:
-    """Rows (K−1, m, 2 d) of time cells, of those (T, q, 2 d) of steps, padded with zeros."""
+    """Rows (K−1, m, 2 d) of time cells from those (T, q, 2 d) of steps, zero-padded."""
     cells = -(-len(rows) // steps_per_cell)
     out = np.zeros((cells * steps_per_cell, *rows.shape[1:]))
     out[: len(rows)] = rows

@@ -94,7 +94,7 @@ class PathSpace:
         return (control[..., :-2] + 6.0 * control[..., 1:-1] + control[..., 2:]) / 8.0
 
     def knots(self, control: Array) -> tuple[Array, Array, Array]:
-        """Times, arclengths and speeds (T + 1,) at the knots, constant acceleration between."""
+        """Times, arclengths and speeds (T + 1,) at knots of constant acceleration."""
         place = 0.5 * (control[1:] + control[:-1])
         time = np.asarray(self.step * np.arange(self.steps + 1))
         return time, place, np.diff(control) / self.step
@@ -128,7 +128,7 @@ class PathSpace:
 
     @cached_property
     def polytope(self) -> Polytope:
-        """The limits on the n = T − 1 free control points: from the third to the last but one.
+        """The limits on the n = T − 1 free control points, third to last but one.
 
         The last control point equals the one before, so that the path ends at rest.
         """

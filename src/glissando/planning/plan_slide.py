@@ -53,7 +53,7 @@ class Plan:
         return float(self.times[0] - self.path_space.times[0])
 
     def at(self, time: ArrayLike) -> tuple[Array, Array]:
-        """Arclength (…), m, and speed (…), m/s, at absolute times, s; at rest after the end."""
+        """Arclength (…), m, and speed (…), m/s, at absolute times, s, or at rest after."""
         knots, place, speed = self.knots()
         elapsed = np.clip(np.asarray(time, dtype=float) - self.start, 0.0, knots[-1])
         k = np.minimum((elapsed / self.path_space.step).astype(np.intp), knots.size - 2)
@@ -63,7 +63,7 @@ class Plan:
         return place_now, speed[k] + acceleration * since
 
     def knots(self) -> tuple[Array, Array, Array]:
-        """Times from the plan's start, arclengths and speeds; constant acceleration between."""
+        """Times from the start, arclengths and speeds at knots of constant acceleration."""
         return self.path_space.knots(self.control)
 
     def slide_path(self, tip: float, limits: SlideLimits) -> SlidePath:
@@ -130,19 +130,10 @@ def plan_slide(
 def starts(
     path_space: PathSpace, zones: Sequence[Zone], begin: float, seed: int
 ) -> dict[str, Array]:
-    """Targets of the paths that a search starts from.
+    """Arclengths (T + 2,) by name, m, that the first paths of a search aim at.
 
     Fixed, oscillating and sweeping over all of the reach, in the zones, at random, and dwelling at
-    random at either end and in the zones.
-
-    Args:
-        path_space: The paths to choose from.
-        zones: Zones at which it may pay to start.
-        begin: When the time ahead begins, s.
-        seed: Seed of the random starts.
-
-    Returns:
-        Arclengths (T + 2,) at the control times by name, m.
+    random at either end and in the zones. The time ahead begins at `begin`, s.
     """
     low, high = path_space.lower, path_space.upper
     time, stroke = path_space.control_times, high - low
@@ -155,9 +146,8 @@ def starts(
     for part in (1.0, 0.5, 0.25):
         speed = part * path_space.speed
         turns = time * speed / (2.0 * stroke) + 0.5 * (high - path_space.start) / stroke
-        out[f"oscillating at {1e3 * speed:.3g} mm/s"] = low + 2.0 * stroke * np.abs(
-            turns % 1.0 - 0.5
-        )
+        place = low + 2.0 * stroke * np.abs(turns % 1.0 - 0.5)
+        out[f"oscillating at {1e3 * speed:.3g} mm/s"] = place
     out["sweeping out"] = np.linspace(low, high, time.size)
     out["sweeping in"] = np.linspace(high, low, time.size)
     rng = np.random.default_rng(seed)

@@ -46,10 +46,10 @@ class InlinePlanner:
 
 
 class ProcessPlanner:
-    """Computes plans in a process of its own while the context lasts, at a lower priority.
+    """Computes plans in a process of its own, at a lower priority than the loop.
 
-    The process is started afresh ("spawn"), so a script that uses it needs the usual
-    `if __name__ == "__main__":`, and zones and motions must be such that pickle takes them.
+    The process lasts as long as the context. It is started afresh ("spawn"), so a script that uses
+    it needs the usual `if __name__ == "__main__":`, and pickle must take the zones and motions.
 
     Raises:
         GlissandoError: The process does not start.

@@ -34,7 +34,7 @@ _NODES = 100  # time steps of the grid ahead, if the estimate's are finer
 
 @dataclass(frozen=True)
 class PlanningProblem:
-    """The time ahead as a planner sees it; a sensor reads in the middle of each step of a path.
+    """The time ahead as a planner sees it: the sensor reads once in each step.
 
     Attributes:
         ahead: The information of the time ahead at full size.
@@ -77,7 +77,7 @@ class PlanningProblem:
 
     @property
     def zone_times(self) -> Array:
-        """Times (K−1,) at which zones count, s: the middles of the time cells up to the end."""
+        """Times (K−1,) at which zones count, s: the middles of the time cells."""
         nodes = self.ahead.grid.time
         return np.asarray(0.5 * (nodes[:-1] + np.minimum(nodes[1:], self.end)))
 
@@ -100,7 +100,7 @@ class PlanningProblem:
     def predict(
         self, arclength: Array, prediction: PredictedInformation | None = None
     ) -> PredictedInformation:
-        """The estimator's information after a path, at full size and every reading at its time.
+        """Predict the estimator's information after a path, at full size.
 
         Args:
             arclength: Arclengths (T,) of the first coil at `times`, m.
@@ -122,11 +122,11 @@ def predict_information(
     step: float = 0.1,
     node_step: float | None = None,
 ) -> PlanningProblem:
-    """Predict the information of the time ahead, and what every reading would add to it.
+    """Predict the information of the time ahead, and of every possible reading.
 
     Args:
-        source: A posterior, running smoother or belief, to go on from its newest node, or a robot,
-            of which only the prior is known.
+        source: A posterior, running smoother or belief, of which the newest node counts, or a
+            robot, of which the prior does.
         reach: Arclengths between which the first coil moves, m.
         horizon: Duration of the time ahead, s.
         sensor: The sliding sensor; by default the coil of the robot file.

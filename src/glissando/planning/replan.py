@@ -9,6 +9,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -66,7 +67,7 @@ class Route:
 
 @dataclass
 class Replanner:
-    """Plans the path of a sensor again and again: call `next` with the smoother after each update.
+    """Plans a sensor's path again after each update: call `next` with the smoother.
 
     Each plan begins `lead` seconds ahead, at the arclength and speed of the path that is followed
     until then, so limits hold from one plan to the next, and each plan ends at rest on the slide. A
@@ -116,18 +117,14 @@ class Replanner:
     def next(
         self, source: FixedLagSmoother | Posterior | Belief, now: float | None = None
     ) -> Plan | None:
-        """Adopt a plan that is ready, and submit the next task if none is being computed.
+        """Adopt a plan that is ready, and have the next computed; returns the newest.
 
         Without a plan, or without one in time, the last plan remains in force, and a PlanWarning
         says so once.
 
         Args:
             source: The newest estimate.
-            now: Time up to which the path has been followed and stays as it is, s; by default
-                that of the newest estimate.
-
-        Returns:
-            The newest plan.
+            now: Time up to which the path has been followed, s; by default that of the estimate.
         """
         if now is None:
             newest = source.grid.time[-1] if isinstance(source, Posterior) else source.time
@@ -145,12 +142,11 @@ class Replanner:
             path_space = replace(self.path_space, start=place, start_speed=speed)
         except GlissandoError:
             return  # the slide cannot leave its path just there within its limits
-        self.planner.submit(
-            _Task(
-                belief, self.route.since(belief.time), start, path_space, self.sensor, self.zones,
-                self.objective, self.speed_weight, self.node_step, self.motion,
-            )
+        task = partial(
+            _next_plan, belief, self.route.since(belief.time), start, path_space, self.sensor,
+            self.zones, self.objective, self.speed_weight, self.node_step, self.motion,
         )  # fmt: skip
+        self.planner.submit(task)
         self._due, self._submitted = start, now
 
     def _adopt(self, now: float) -> None:
@@ -182,39 +178,25 @@ class Replanner:
             warnings.warn(f"{what}; {goes_on}.", PlanWarning, stacklevel=4)
 
 
-@dataclass(frozen=True)
-class _Task:
-    """All that the next plan is computed from, small enough to send to another process.
+def _next_plan(
+    belief: Belief, route: Route, start: float, space: PathSpace, sensor: SlidingSensor,
+    zones: Sequence[Zone], objective: Objective, speed_weight: float, node_step: float | None,
+    motion: ExpectedMotion | None,
+) -> Plan:  # fmt: skip
+    """The plan that begins at `start`, s, until when the sensor follows the route."""
 
-    The plan begins at `start`, s, until when the sensor follows the `route`.
-    """
+    def place(time: Array) -> Array:
+        return route.at(time)[0]
 
-    belief: Belief
-    route: Route
-    start: float
-    path_space: PathSpace
-    sensor: SlidingSensor
-    zones: Sequence[Zone]
-    objective: Objective
-    speed_weight: float
-    node_step: float | None
-    motion: ExpectedMotion | None
-
-    def __call__(self) -> Plan:
-        """Compute the plan; fails with GlissandoError when no zone counts in the time ahead."""
-        belief, space = self.belief, self.path_space
-        if self.start - belief.time > _NOW * belief.node_step:
-            belief = belief.propagate(self.start, self.sensor, self._place, self.motion)
-        problem = predict_information(
-            replace(belief, time=self.start), (space.lower, space.upper), space.duration,
-            self.sensor, motion=self.motion, step=space.step, node_step=self.node_step,
-        )  # fmt: skip
-        zones = [zone for zone in self.zones if zone.overlap(problem.start, problem.end)]
-        return plan_slide(
-            path_objective_of(problem, zones, self.objective), space, zones,
-            speed_weight=self.speed_weight, candidates=_CANDIDATES, iterations=_ITERATIONS,
-            warm_start=self._place(self.start + space.control_times) if self.route.plans else None,
-        )  # fmt: skip
-
-    def _place(self, time: Array) -> Array:
-        return self.route.at(time)[0]
+    if start - belief.time > _NOW * belief.node_step:
+        belief = belief.propagate(start, sensor, place, motion)
+    problem = predict_information(
+        replace(belief, time=start), (space.lower, space.upper), space.duration, sensor,
+        motion=motion, step=space.step, node_step=node_step,
+    )  # fmt: skip
+    zones = [zone for zone in zones if zone.overlap(problem.start, problem.end)]
+    return plan_slide(
+        path_objective_of(problem, zones, objective), space, zones,
+        speed_weight=speed_weight, candidates=_CANDIDATES, iterations=_ITERATIONS,
+        warm_start=place(start + space.control_times) if route.plans else None,
+    )  # fmt: skip

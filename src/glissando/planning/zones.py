@@ -140,7 +140,7 @@ def zone_points(
 
 
 def read_zone(text: str) -> Zone:
-    """Parse a zone from S0:S1, S0:S1@T0:T1 or S0:S1..S2:S3@T0:T1, each with *W if weighted.
+    """Parse a zone: S0:S1, S0:S1@T0:T1 or S0:S1..S2:S3@T0:T1, *W if weighted.
 
     Raises:
         GlissandoError: The text has another form, or the zone cannot be.

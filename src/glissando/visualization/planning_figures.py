@@ -25,7 +25,7 @@ _LINES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
 def plan_figure(
     problem: PlanningProblem, paths: Mapping[str, Array], zones: Sequence[Zone]
 ) -> Figure:
-    """Draw the predicted uncertainty over arclength and time for each path, side by side.
+    """Draw the predicted uncertainty over arclength and time for each path.
 
     The colour is the root of the total position variance, mm; a white line is the path of the
     sensor, a dashed outline a zone.
@@ -77,7 +77,7 @@ def _maps(
 def save_plan_film(
     problem: PlanningProblem, paths: Mapping[str, Array], zones: Sequence[Zone], file: Path
 ) -> None:
-    """Write a GIF of the predicted uncertainty along the body, with a line for each path.
+    """Write a GIF of the predicted uncertainty along the body for each path.
 
     A triangle marks the sensor; zones that count at the moment are shaded.
 
@@ -127,10 +127,9 @@ def _outline(axes: Any, zone: Zone, problem: PlanningProblem) -> None:
 
 
 def design_figure(designs: Sequence[Design]) -> Figure:
-    """Draw the uncertainty of every design against its cost; a line joins the best of each.
+    """Draw the uncertainty of every design against each of its costs.
 
-    There is a panel each for stroke, speed, rate and number of coils; large marks are designs on
-    the Pareto front.
+    A line joins the best designs of each cost; large marks are designs on the Pareto front.
 
     Raises:
         GlissandoError: matplotlib is not installed.
