@@ -40,8 +40,7 @@ def test_an_expected_motion_has_the_rates_of_its_shapes():
 def bent(robot, *curvatures):
     """Strains (S, N, 6) of circular arcs about body x."""
     strain = np.zeros((len(curvatures), robot.arclength_nodes.size, 6))
-    strain[..., 2] = 1.0
-    strain[..., 3] = np.array(curvatures)[:, None]
+    strain[..., 2], strain[..., 3] = 1.0, np.array(curvatures)[:, None]
     return strain
 
 
