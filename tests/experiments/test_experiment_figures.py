@@ -31,14 +31,8 @@ def summary(position, rotation, change=-5.0, **more):
 
 
 def table(scale):
-    shares = {
-        "fixed": 1.0,
-        "oscillating": 0.95,
-        "traverse": 0.7,
-        "traverse fast": 0.6,
-        "still fixed": 0.98,
-        "still traverse": 0.4,
-    }
+    shares = {"fixed": 1.0, "oscillating": 0.95, "traverse": 0.7, "traverse fast": 0.6}
+    shares |= {"still fixed": 0.98, "still traverse": 0.4}
     size = {"C": (0.0164, 0.078), "S": (0.0178, 0.238)}
     return {
         shape: {arm: summary(scale * p * k, scale * r * k) for arm, k in shares.items()}
@@ -186,10 +180,8 @@ def test_a_moving_robot_is_a_column_a_duration():
     assert len(figure.axes) == 4
     wanted = {"mean slide speed (mm/s)", "position RMSE (cm)", "orientation RMSE (rad)"}
     assert labels(figure) == wanted
-    assert [axes.get_title(loc="left") for axes in figure.axes[:2]] == [
-        "C to S in 5 s",
-        "C to S in 20 s",
-    ]
+    titles = [axes.get_title(loc="left") for axes in figure.axes[:2]]
+    assert titles == ["C to S in 5 s", "C to S in 20 s"]
     traverse = next(line for line in figure.axes[0].lines if line.get_marker() == "v")
     assert np.allclose(traverse.get_xdata(), [50.0, 190.0])
     assert np.allclose(traverse.get_ydata(), [0.4, 0.3])
@@ -216,10 +208,8 @@ def test_only_figures_with_results_are_written(tmp_path, confidence, following):
     results = {"table": table(1.0), "moving": moving(), "causes": {}}
     folder = tmp_path / "new" / "folder"
     args = (confidence[1], *following[1:], folder)
-    assert save_experiment_figures(results, *args) == [
-        folder / "table.png",
-        folder / "moving.png",
-    ]
+    written = [folder / "table.png", folder / "moving.png"]
+    assert save_experiment_figures(results, *args) == written
     results |= {"confidence": confidence[0], "following": following[0], "causes": CAUSES}
     paths = save_experiment_figures(results, *args)
     names = ["confidence", "following", "table", "moving", "causes"]

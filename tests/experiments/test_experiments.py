@@ -6,6 +6,7 @@ import os
 import numpy as np
 import pytest
 
+from glissando.cli import reproduce
 from glissando.cli.main import main
 from glissando.experiments import scenes, studies
 from glissando.experiments.claims import Claim, ClaimsError, Verdict, judge, load_claims
@@ -142,10 +143,8 @@ def test_the_quick_run_computes_judges_and_draws_every_claim(tmp_path, capsys, m
 
 
 def test_a_claim_that_fails_ends_with_status_1(tmp_path, capsys, monkeypatch):
-    from glissando.experiments import run
-
     failing = Verdict(claim(), "3.0", 3.0, "FAILS")
-    monkeypatch.setattr(run, "reproduce", lambda *_, **__: ([failing], []))
+    monkeypatch.setattr(reproduce, "reproduce", lambda *_, **__: ([failing], []))
     assert main(["reproduce", "--out", str(tmp_path)]) == 1
     assert "FAILS" in capsys.readouterr().out
 

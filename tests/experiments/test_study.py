@@ -19,7 +19,7 @@ from glissando.experiments import runner, scenes
 from glissando.experiments.runner import METRICS, failure, outcome
 from glissando.experiments.study import store as stores
 from glissando.experiments.study.figures import study_figure
-from glissando.experiments.study.plan import SETTINGS, Study, StudyError, load_study
+from glissando.experiments.study.plan import SETTINGS, StudyError, load_study
 from glissando.experiments.study.store import TABLE, Store, parquet
 from glissando.experiments.study.summary import summarise
 from studies import write_study
@@ -143,6 +143,10 @@ def big(tmp_path):
     return load_study(write_study(tmp_path, NOISE, seeds=50))
 
 
+def opened(study, folder, resume=True):
+    return Store(study, folder / "out", resume=resume)
+
+
 @law
 @given(generators)
 def test_the_table_does_not_depend_on_order_batches_or_interruptions(tmp_path_factory, rng):
@@ -166,31 +170,32 @@ def test_the_table_does_not_depend_on_order_batches_or_interruptions(tmp_path_fa
 
 
 def test_what_was_being_written_when_the_power_went_is_no_part(tmp_path, big):
-    store = Store(big, tmp_path / "out", resume=False)
-    store.add({cell.id: failure("no") for cell in big.cells()[:3]})
+    opened(big, tmp_path).add({cell.id: failure("no") for cell in big.cells()[:3]})
     (part,) = (tmp_path / "out" / "parts").iterdir()
     part.with_name("000001-torn.writing").write_bytes(part.read_bytes()[:100])
-    assert len(Store(big, tmp_path / "out", resume=True).rows) == 3
+    assert len(opened(big, tmp_path).rows) == 3
 
 
 def test_a_later_row_of_a_cell_replaces_the_earlier(tmp_path, big):
     first = big.cells()[0].id
     for sentence in ("one", "two", "three"):
-        Store(big, tmp_path / "out", resume=True).add({first: failure(sentence)})
-    assert Store(big, tmp_path / "out", resume=True).rows[first]["error"] == "three"
+        opened(big, tmp_path).add({first: failure(sentence)})
+    assert opened(big, tmp_path).rows[first]["error"] == "three"
 
 
 def test_results_are_not_overwritten_and_versions_do_not_mix(tmp_path, big, monkeypatch):
-    Store(big, tmp_path / "out", resume=False).add({"a": failure("no")})
+    opened(big, tmp_path, resume=False).add({})
+    assert not list((tmp_path / "out" / "parts").iterdir())  # a batch of nothing is no file
+    opened(big, tmp_path, resume=False).add({"a": failure("no")})
     with pytest.raises(StudyError, match="go on with --resume"):
-        Store(big, tmp_path / "out", resume=False)
+        opened(big, tmp_path, resume=False)
     monkeypatch.setattr(stores, "__version__", "99")
     with pytest.raises(StudyError, match=f"is of glissando {__version__} and this is 99"):
-        Store(big, tmp_path / "out", resume=True)
+        opened(big, tmp_path)
 
 
 def test_a_table_says_what_made_it(tmp_path, big):
-    store = Store(big, tmp_path / "out", resume=False)
+    store = opened(big, tmp_path)
     store.add({cell.id: failure("no") for cell in big.cells()})
     store.join(big.cells())
     told = json.loads(parquet().read_schema(tmp_path / "out" / TABLE).metadata[b"glissando"])
@@ -198,11 +203,6 @@ def test_a_table_says_what_made_it(tmp_path, big):
     assert told["study"]["grid"] == {"noise": [0.5, 2.0]}
     assert told["study"]["fixed"]["duration"] == 0.025
     assert told["study"]["seeds"] == {"first": 0, "count": 50}
-
-
-def test_a_batch_of_nothing_is_no_file(tmp_path, big):
-    Store(big, tmp_path / "out", resume=False).add({})
-    assert not list((tmp_path / "out" / "parts").iterdir())
 
 
 def rows_of(study, rng):
@@ -240,11 +240,8 @@ def test_a_value_whose_cells_all_failed_has_no_numbers(tmp_path):
     rows[1] |= failure("no shape")
     told = summarise(study, rows)
     assert "position_rmse" not in told["axes"]["shape"][1]
-    figure = study_figure(told)
-    assert [label.get_text() for label in figure.axes[1].get_xticklabels()] == [
-        "straight",
-        "buckled.toml",
-    ]
+    labels = study_figure(told).axes[1].get_xticklabels()
+    assert [label.get_text() for label in labels] == ["straight", "buckled.toml"]
 
 
 def test_the_figure_draws_each_axis_with_its_bars(tmp_path):
@@ -256,11 +253,6 @@ def test_the_figure_draws_each_axis_with_its_bars(tmp_path):
     wanted = [1e3 * point["position_rmse"]["value"] for point in told["axes"]["nodes"]]
     assert list(line.get_xdata()) == [2, 3, 4]
     assert line.get_ydata() == pytest.approx(wanted)
-
-
-def test_study_needs_no_file_to_be_made(tmp_path):
-    study = Study("mine", {"noise": [1.0]}, {"duration": 0.5, "shape": "C"}, range(2), tmp_path)
-    assert [cell.scene.shape for cell in study.cells()] == ["C", "C"]
 
 
 def test_the_study_of_the_page_is_one(tmp_path):

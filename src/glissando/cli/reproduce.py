@@ -13,6 +13,7 @@ from rich.table import Table
 
 from glissando.cli.shared import Commands, add_command, require_writable
 from glissando.experiments.claims import CLAIMS, Verdict, load_claims
+from glissando.experiments.run import reproduce
 
 _HELP = """\
 Reproduce "Sliding Sensors: Configurable Confidence in State Estimation for Continuum Robots" on
@@ -42,7 +43,6 @@ def add_to(commands: Commands) -> None:
 def _reproduce(options: argparse.Namespace) -> int:
     claims = load_claims(options.claims)
     require_writable(options.out)
-    from glissando.experiments.run import reproduce  # loads the robot: not for other commands
 
     console = Console(stderr=True)
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()
@@ -53,20 +53,21 @@ def _reproduce(options: argparse.Namespace) -> int:
             bar.update(task, description=doing, completed=done, total=whole)
 
         verdicts, written = reproduce(claims, options.out, quick=options.quick, progress=show)
-    print_verdicts(verdicts, Console())
+    _print_verdicts(verdicts, Console())
     Console().print("Wrote " + ", ".join(str(path) for path in written), markup=False)
     return 1 if any(verdict.fails for verdict in verdicts) else 0
 
 
-def print_verdicts(verdicts: Sequence[Verdict], console: Console) -> None:
+def _print_verdicts(verdicts: Sequence[Verdict], console: Console) -> None:
     """The table claim | paper | ours | verdict; what goes beyond the paper in a section below."""
     table = Table("claim", "paper", "ours", "verdict", title="Sliding Sensors, reproduced")
     before = False
-    for found in verdicts:
-        if found.claim.beyond and not before:
+    for verdict in verdicts:
+        claim = verdict.claim
+        if claim.beyond and not before:
             table.add_section()
-        before = found.claim.beyond
-        colour = {"holds": "green", "FAILS": "bold red"}.get(found.verdict)
-        verdict = f"[{colour}]{found.verdict}[/]" if colour else "–"
-        table.add_row(escape(found.claim.says), found.claim.paper, escape(found.ours), verdict)
+        before = claim.beyond
+        colour = {"holds": "green", "FAILS": "bold red"}.get(verdict.verdict)
+        word = f"[{colour}]{verdict.verdict}[/]" if colour else "–"
+        table.add_row(escape(claim.says), claim.paper, escape(verdict.ours), word)
     console.print(table)

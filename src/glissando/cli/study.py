@@ -13,16 +13,15 @@ from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
     Progress,
-    Task,
     TextColumn,
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
-from rich.text import Text
 
 from glissando.cli.shared import Commands, add_command, require_writable
 from glissando.errors import GlissandoError
 from glissando.experiments.runner import cluster
+from glissando.experiments.study.figures import study_figure
 from glissando.experiments.study.plan import Cell, load_study
 from glissando.experiments.study.store import TABLE, Store, run_cells
 from glissando.experiments.study.summary import print_summary, summarise
@@ -91,7 +90,7 @@ def _is_left(store: Store, cell: Cell, *, retry: bool) -> bool:
 def _run(options: argparse.Namespace, todo: list[Cell], store: Store, doing: str) -> None:
     console = Console(stderr=True)
     columns = (
-        *(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), _Rate("")),
+        *(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()),
         *(TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn()),
     )
     with (
@@ -107,16 +106,7 @@ def _run(options: argparse.Namespace, todo: list[Cell], store: Store, doing: str
         run_cells(client, todo, store, show)
 
 
-class _Rate(TextColumn):
-    """Cells a second."""
-
-    def render(self, task: Task) -> Text:
-        return Text("" if task.speed is None else f"{task.speed:.1f} cells/s")
-
-
 def _write(told: dict[str, Any], folder: Path) -> list[Path]:
-    from glissando.experiments.study.figures import study_figure
-
     summary, picture = folder / "summary.json", folder / "study.png"
     summary.write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
     study_figure(told).savefig(picture, dpi=150)

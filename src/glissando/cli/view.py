@@ -6,15 +6,13 @@ import argparse
 import sys
 from pathlib import Path
 
-from rich.console import Console
-from rich.progress import Progress
-
 from glissando.cli.shared import (
     Commands,
     add_choices,
     add_command,
     chosen_robot,
     estimate_watched,
+    progress_bar,
     require_writable,
     streams_of,
 )
@@ -61,9 +59,8 @@ def _view(options: argparse.Namespace) -> int:
     require_writable(options.html.parent)
     posterior, readings, truth, title, complaint = _shown(options)
     window = tuple(options.window) if options.window else None
-    console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("asking the posterior")
+    with progress_bar() as bar:
+        task = bar.add_task("evaluating the posterior")
         scene = scene_of(
             posterior,
             readings,

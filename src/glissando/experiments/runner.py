@@ -8,12 +8,12 @@ from contextlib import ExitStack, contextmanager
 from itertools import islice
 from typing import TYPE_CHECKING
 
+from threadpoolctl import threadpool_limits
+
 from glissando import __version__
-from glissando._kernels.threads import one_thread
-from glissando.errors import GlissandoError, NotConvergedWarning
+from glissando.errors import GlissandoError, NoShapeError, NotConvergedWarning
 from glissando.evaluation.metrics import pool
 from glissando.experiments.scenes import Scene, trial
-from glissando.simulation import NoShapeError
 
 if TYPE_CHECKING:
     import distributed
@@ -47,7 +47,7 @@ def outcome(scene: Scene, seed: int) -> Row:
         The metrics, or None for each of them and the sentence of what went wrong.
     """
     try:
-        with one_thread(), warnings.catch_warnings():
+        with threadpool_limits(1), warnings.catch_warnings():
             warnings.simplefilter("ignore", NotConvergedWarning)  # a column reports it
             result = trial(scene, seed)
     except (GlissandoError, NoShapeError) as problem:

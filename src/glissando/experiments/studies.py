@@ -89,16 +89,19 @@ class Studies:
 
     def __init__(self, *, quick: bool) -> None:
         self.seeds = QUICK_SEEDS if quick else SEEDS
-        self._table = {shape: table_arms(shape) for shape in _SHAPES}
-        self._moving = {f"{s:g} s": _moving_arms(s) for s in ((10.0,) if quick else (10.0, 20.0))}
-        chosen = list(CAUSES)[::5] if quick else CAUSES
-        self._causes = {label: _cause_arms(CAUSES[label]) for label in chosen}
+        table = {shape: table_arms(shape) for shape in _SHAPES}
+        moving = {f"{s:g} s": _moving_arms(s) for s in ((10.0,) if quick else (10.0, 20.0))}
+        causes = list(CAUSES)[::5] if quick else CAUSES
         if quick:
-            for shape, arms in self._table.items():
-                self._table[shape] = {name: arms[name] for name in _QUICK_TABLE}
-            for label, arms in self._moving.items():
+            table = {shape: {n: arms[n] for n in _QUICK_TABLE} for shape, arms in table.items()}
+            for label, arms in moving.items():
                 first, *_, last = arms
-                self._moving[label] = {name: arms[name] for name in (first, _QUICK_MOVING, last)}
+                moving[label] = {name: arms[name] for name in (first, _QUICK_MOVING, last)}
+        self._arms = {
+            "table": table,
+            "moving": moving,
+            "causes": {label: _cause_arms(CAUSES[label]) for label in causes},
+        }
 
     def run(self, progress: Progress | None = None) -> dict[str, Any]:
         """Run all trials on the cores of this machine and summarise them.
@@ -107,40 +110,29 @@ class Studies:
             Sections table, moving, speed (the fastest slide of a moving robot against the slowest)
             and causes of the results.
         """
-        found = run_plan(self._plan(), progress)
-        moving = {}
-        for label, arms in self._moving.items():
-            moving[label] = _against_fixed(found, arms)
+        plan = []
+        for section, groups in self._arms.items():
+            for arms in groups.values():
+                for name, scene in arms.items():
+                    beyond = section == "table" and name not in ("fixed", "oscillating")
+                    plan.append((scene, self.seeds["beyond" if beyond else section]))
+        found = run_plan(plan, progress)
+        table, moving = (
+            {label: _against_fixed(found, arms) for label, arms in self._arms[section].items()}
+            for section in ("table", "moving")
+        )
+        speed = {}
+        for label, arms in self._arms["moving"].items():
+            speed[label] = summary(*(found[list(arms.values())[k]] for k in (-1, 1)))
             for name, scene in arms.items():
                 moving[label][name]["slide_speed"] = _mean_speed(scene)
                 moving[label][name]["stroke"] = 0.0 if scene.slide == "hold" else scene.stroke
         few = slice(self.seeds["causes"])
-        return {
-            "table": {shape: _against_fixed(found, arms) for shape, arms in self._table.items()},
-            "moving": moving,
-            "speed": {
-                label: summary(*(found[list(arms.values())[k]] for k in (-1, 1)))
-                for label, arms in self._moving.items()
-            },
-            "causes": {
-                label: {
-                    shape: summary(found[arms[shape]][few], found[arms[_FIXED + shape]][few])
-                    for shape in _SHAPES
-                }
-                for label, arms in self._causes.items()
-            },
+        causes = {
+            label: {s: summary(found[arms[s]][few], found[arms[_FIXED + s]][few]) for s in _SHAPES}
+            for label, arms in self._arms["causes"].items()
         }
-
-    def _plan(self) -> list[tuple[Scene, int]]:
-        plan = []
-        for arms in self._table.values():
-            for name, scene in arms.items():
-                section = "table" if name in ("fixed", "oscillating") else "beyond"
-                plan.append((scene, self.seeds[section]))
-        for section, groups in (("moving", self._moving), ("causes", self._causes)):
-            for arms in groups.values():
-                plan += [(scene, self.seeds[section]) for scene in arms.values()]
-        return plan
+        return {"table": table, "moving": moving, "speed": speed, "causes": causes}
 
 
 def run_plan(
