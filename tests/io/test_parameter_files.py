@@ -1,4 +1,4 @@
-"""Unknowns that make no sense, and those of robot files."""
+"""Sensor parameters that make no sense, and those of robot files."""
 
 import numpy as np
 import pytest
@@ -26,19 +26,19 @@ KINDS = "frame, mount, bias, arclength_offset, time_offset"
         ({"correlation_time": np.nan}, "correlation time"),
     ],
 )
-def test_an_unknown_that_makes_no_sense_is_one_sentence(changes, sentence):
+def test_a_sensor_parameter_that_makes_no_sense_is_one_sentence(changes, sentence):
     right = {"kind": "bias", "streams": ("gyro",), "value": np.zeros(3), "std": np.full(3, 0.1)}
     SensorParameter("mine", **right)
     with pytest.raises(SensorError, match=sentence) as caught:
         SensorParameter("mine", **{**right, **changes})
-    assert str(caught.value).startswith("Unknown 'mine'")
+    assert str(caught.value).startswith("Sensor parameter 'mine'")
 
 
 @pytest.mark.parametrize("std", [0.0, 0.1])
 def test_a_bias_of_a_pose_is_refused_and_named(std):
     rods, grid, readings = sliding_scene(nodes=3, rate=5.0)
     bias = unknown("bias", "coil", value=np.full(3, 0.1), std=std)
-    with pytest.raises(SensorError, match="Unknown 'bias': a CoilReadings has no bias"):
+    with pytest.raises(SensorError, match="Sensor parameter 'bias': a CoilReadings has no bias"):
         estimate(rods, grid, readings, sensor_parameters=[bias])
 
 
@@ -56,7 +56,7 @@ def as_lines(entries):
     return "\n".join(f"{key} = {value}" for key, value in entries.items())
 
 
-def test_a_robot_file_may_state_unknowns(tmp_path):
+def test_a_robot_file_may_state_sensor_parameters(tmp_path):
     (found,) = robot_with(tmp_path, as_lines(GOOD)).sensor_parameters
     assert (found.name, found.kind, found.streams) == ("drift", "bias", ("gyro",))
     assert found.correlation_time == 2.5
@@ -92,7 +92,7 @@ def test_a_mistake_in_a_sensor_parameter_names_file_entry_and_key(tmp_path, chan
         robot_with(tmp_path, as_lines({**GOOD, **changes}))
 
 
-def test_unknowns_must_be_tables(tmp_path):
+def test_sensor_parameters_must_be_tables(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text(f"sensor_parameters = 3\n{robot_file('tdcr466').read_text()}")
     with pytest.raises(RobotFileError, match=r"sensor_parameters.* must be an array of tables"):
