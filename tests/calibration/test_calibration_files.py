@@ -20,7 +20,7 @@ from glissando.io.toml_table import Table
 
 
 def test_what_is_saved_comes_back_and_serves_a_robot_file(tmp_path):
-    made, _, _ = rigs.found(0, "bent")
+    made, _, _ = rigs.calibrated(0, "bent")
     made.save(tmp_path / "rig.toml")
     again = load_calibration(tmp_path / "rig.toml")
     assert np.allclose(again.rig.minus(made.rig), 0.0, atol=1e-12)
@@ -36,7 +36,7 @@ def test_what_is_saved_comes_back_and_serves_a_robot_file(tmp_path):
 
 
 def test_a_calibration_file_with_a_wrong_key_is_refused_with_its_name(tmp_path):
-    made, _, _ = rigs.found(0, "bent")
+    made, _, _ = rigs.calibrated(0, "bent")
     made.save(tmp_path / "rig.toml")
     text = (tmp_path / "rig.toml").read_text()
     for right, wrong in (("lead = ", "laed = "), ("glissando calibration 1", "something")):
@@ -47,7 +47,7 @@ def test_a_calibration_file_with_a_wrong_key_is_refused_with_its_name(tmp_path):
 
 def test_an_applied_calibration_puts_the_coil_on_the_robot_in_the_world():
     data, known = rigs.drawn(1)
-    made = replace(rigs.found(0, "bent")[0], rig=known)
+    made = replace(rigs.calibrated(0, "bent")[0], rig=known)
     recording = apply(made, data, load_robot("sliding700"))
     readings, _ = recording.readings(["coil"], recording.robot, recording.span())
     truth = rigs.motion("waving", 1).at(readings[0].arclength, readings[0].time).pose

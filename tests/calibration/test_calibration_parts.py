@@ -1,10 +1,11 @@
-"""The parts of a calibration, each against its definition."""
+"""The parts of a calibration against their definitions."""
 
 from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 
 import rigs_drawn as rigs
 from glissando.calibration.rig.calibrate import _fit_direction
@@ -18,7 +19,7 @@ from glissando.geometry import se3
 from glissando.model.interpolation import sort_points
 from glissando.solver.block_tridiagonal import factor
 
-ROBOT = rigs.robot(2.0)
+ROBOT = rigs.robot(rigs.NODES)
 
 
 @cache
@@ -118,17 +119,15 @@ def test_joint_errors_of_the_shape_are_those_of_the_dense_inverse():
 
 
 def _dense(shape: Posterior, place, time, by_state):
-    """The slow twin: the whole information matrix, inverted."""
+    """The slow oracle: the whole information matrix, inverted."""
     system = shape.system
     count, width = system.diagonal.shape[:2]
-    whole = np.zeros((count * width,) * 2)
+    whole = np.zeros((count, width, count, width))
     for k in range(count):
-        at = slice(k * width, (k + 1) * width)
-        whole[at, at] = system.diagonal[k]
-        if k + 1 < count:
-            ahead = slice((k + 1) * width, (k + 2) * width)
-            whole[ahead, at] = system.lower[k]
-            whole[at, ahead] = system.lower[k].T
+        whole[k, :, k] = system.diagonal[k]
+    for k in range(count - 1):
+        whole[k + 1, :, k], whole[k, :, k + 1] = system.lower[k], system.lower[k].T
+    whole = whole.reshape(count * width, count * width)
     scale = 1.0 / np.sqrt(whole.diagonal())
     cov = scale[:, None] * np.linalg.inv(scale[:, None] * whole * scale) * scale
     rows, own = [], []
@@ -141,10 +140,7 @@ def _dense(shape: Posterior, place, time, by_state):
         rows.append(by_state[i] @ row)
         own.append(by_state[i] @ at.cov[0] @ by_state[i].T)
     stacked = np.vstack(rows)
-    out = stacked @ cov @ stacked.T
-    for i, block in enumerate(own):
-        out[5 * i : 5 * i + 5, 5 * i : 5 * i + 5] += block
-    return out
+    return stacked @ cov @ stacked.T + block_diag(*own)
 
 
 def test_registration_undoes_any_motion_whatever_the_roll():

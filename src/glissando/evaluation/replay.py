@@ -128,11 +128,11 @@ def replay(
     )
     run = _Run(smoother, references, watch)
     if journal is None:
-        run.through(readings, times, real_time=real_time)
+        run.through(readings, times, wait=real_time)
     else:
         readings, times = _continued(smoother, journal, recording.name, readings, times)
         with Journal(journal, recording.name) as log:
-            run.through(readings, times, real_time=real_time, log=log)
+            run.through(readings, times, log, wait=real_time)
     return Replay(
         recording, robot, (first, last), nodes, smoother, times, np.array(run.latency), run.states,
         np.array(run.nis), _by_site(run.newest), _by_site(run.lagged),
@@ -190,19 +190,14 @@ class _Run:
     lagged: list[list[Errors]] = field(default_factory=list)
 
     def through(
-        self,
-        readings: list[Readings],
-        times: Array,
-        *,
-        real_time: bool = False,
-        log: Journal | None = None,
+        self, readings: list[Readings], times: Array, log: Journal | None = None, wait: bool = False
     ) -> None:
-        """Update at every time with the readings since the one before."""
+        """Update at every time with the readings since the one before; wait until it is due."""
         began = time.monotonic() - (times[0] if times.size else 0.0)
         since = self.smoother.time or -np.inf
         for k, now in enumerate(times):
             arrived = [r.select((r.time > since) & (r.time <= now)) for r in readings]
-            if real_time:  # as if each came when it was measured
+            if wait:
                 time.sleep(max(0.0, began + now - time.monotonic()))
             self._update([r for r in arrived if len(r)], float(now), log)
             self._compare(float(since), times, k)

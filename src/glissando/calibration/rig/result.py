@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import tomli_w
 
+from glissando.calibration.rig.advice import StreamFit
 from glissando.calibration.rig.rig import MOUNT, PARAMETERS, Rig, RigData
 from glissando.errors import GlissandoError, RecordingError
 from glissando.geometry import se3
@@ -18,9 +19,6 @@ from glissando.io.recording import Recording
 from glissando.io.toml_table import Table, read_toml
 from glissando.model.robot import Robot
 from glissando.model.sensors.parameters import SensorParameter
-
-if TYPE_CHECKING:
-    from glissando.calibration.rig.advice import StreamFit
 
 FORMAT = "glissando calibration 1"
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,13 +14,7 @@ from glissando.geometry.se3 import Array
 from glissando.io.session_log import RawSession, Topic
 from glissando.io.toml_table import Table
 
-_NOISE = {
-    "mocap": "mocap_std",
-    "coil": "coil_std",
-    "bias": "coil_bias",
-    "play": "play",
-    "backlash": "backlash",
-}  # keys of the setup by part of the noise
+_NOISE = {"mocap": "mocap_std", "coil": "coil_std", "bias": "coil_bias", "play": "play"}
 _TRACKER, _MOCAP, _SLIDE = "/tracker/", "/mocap/", "/slide"
 
 
@@ -38,7 +31,6 @@ def rig_data(session: RawSession) -> RigData:
     setup = _setup(session)
     name, time, coil = _coil(session, setup)
     slide_time, travel = _slide(session)
-    coil_arclength = setup.number("coil_arclength", positive=False)
     direction = setup.number("direction", 0.0, positive=False)
     if direction not in (-1.0, 0.0, 1.0):
         raise setup.fail("direction", f"is {direction:g}; give 1, -1, or 0 for not known.")
@@ -49,7 +41,7 @@ def rig_data(session: RawSession) -> RigData:
         slide_time=slide_time,
         travel=travel,
         bodies=_bodies(session, setup),
-        coil_arclength=coil_arclength,
+        coil_arclength=setup.number("coil_arclength", positive=False),
         coil_arclength_std=setup.number("coil_arclength_std"),
         direction=int(direction),
         noise=_noise(setup),
@@ -76,14 +68,11 @@ def _setup(session: RawSession) -> Table:
 def _noise(setup: Table) -> Noise:
     """Noise as the setup states it, presets where it does not."""
     preset = Noise()
-    stated: dict[str, Any] = {}
+    stated: dict[str, Any] = {"backlash": setup.number("backlash", preset.backlash)}
     for part, key in _NOISE.items():
         usual = getattr(preset, part)
-        if isinstance(usual, float):
-            stated[part] = setup.number(key, usual)
-        else:
-            stated[part] = setup.vector(key, usual.size, usual, positive=True)
-    return replace(preset, **stated)
+        stated[part] = setup.vector(key, usual.size, usual, positive=True)
+    return Noise(**stated)
 
 
 def _coil(session: RawSession, setup: Table) -> tuple[str, Array, Array]:

@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from glissando.calibration.rig.rig import RigData
 from glissando.estimation.batch import estimate
@@ -190,10 +191,7 @@ def shape_covariance(
                 touched[slab[i, c] - lower[row], row, :, columns] += slopes[i, c]
         mine = by_state[points.rows]
         own[points.rows] = mine @ at.cov @ np.swapaxes(mine, -1, -2)
-    out = _chained(shape, chol, lower, touched)
-    for i in range(m):
-        out[i * r : (i + 1) * r, i * r : (i + 1) * r] += own[i]
-    return out
+    return _chained(shape, chol, lower, touched) + np.asarray(block_diag(*own))
 
 
 def _chained(shape: Posterior, chol: Cholesky, lower: Array, touched: Array) -> Array:
@@ -206,19 +204,19 @@ def _chained(shape: Posterior, chol: Cholesky, lower: Array, touched: Array) -> 
     for k in reversed(range(len(cov))):
         mine = np.flatnonzero(lower == k)
         first = int(mine[0]) if mine.size else done
-        here, there = (part[first:done].reshape(-1, width) for part in touched)
+        own_rows, next_rows = (part[first:done].reshape(-1, width) for part in touched)
         if k < len(cross):
             later = -chol.inverse[k].T @ (chol.coupling[k] @ ahead)
-            with_next = cross[k] @ there.T
-            own = cov[k + 1] @ there.T + cross[k].T @ here.T
-            block = there @ own + here @ (cov[k] @ here.T + with_next)
+            with_next = cross[k] @ next_rows.T
+            own = cov[k + 1] @ next_rows.T + cross[k].T @ own_rows.T
+            block = next_rows @ own + own_rows @ (cov[k] @ own_rows.T + with_next)
         else:
             later, with_next = ahead, 0.0
-            block = here @ cov[k] @ here.T
+            block = own_rows @ cov[k] @ own_rows.T
         rows, rest = slice(first * r, done * r), slice(done * r, m * r)
         out[rows, rows] = block
-        out[rows, rest] = here @ later + there @ ahead
+        out[rows, rest] = own_rows @ later + next_rows @ ahead
         out[rest, rows] = out[rows, rest].T
-        ahead = np.hstack([cov[k] @ here.T + with_next, later])
+        ahead = np.hstack([cov[k] @ own_rows.T + with_next, later])
         done = first
     return out

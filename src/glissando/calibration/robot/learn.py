@@ -54,15 +54,12 @@ class Case(Protocol):
 
     def grid(self, robot: Robot) -> Grid:
         """The grid to estimate on."""
-        ...
 
     def readings(self, robot: Robot) -> list[Readings]:
         """The sensors' readings."""
-        ...
 
     def truth(self, robot: Robot) -> list[Readings]:
         """Truth to predict; empty to maximise the likelihood of the readings."""
-        ...
 
 
 Watch = Callable[[int, float], None]
@@ -230,41 +227,37 @@ class _EnoughError(Exception):
     """Ends the search when more steps would gain little."""
 
 
+@dataclass
 class _Search:
     """Minus log posterior of the parameters, and its derivatives; all points at once."""
 
-    def __init__(
-        self,
-        document: Document,
-        parameters: list[Parameter],
-        pool: ProcessPoolExecutor,
-        watch: Watch | None,
-        steps: int,
-        independent: float,
-    ) -> None:
-        self._steps, self._independent = steps, independent
-        self._document, self._parameters = document, parameters
-        self._pool, self._watch = pool, watch
-        self.best = (np.inf, np.zeros(len(parameters)))
-        self.count, self._idle = 0, 0
+    document: Document
+    parameters: list[Parameter]
+    pool: ProcessPoolExecutor
+    watch: Watch | None
+    steps: int
+    independent: float
+    best: tuple[float, Array] = (np.inf, np.zeros(0))
+    count: int = 0
+    idle: int = 0
 
     def _all(self, points: Sequence[Array]) -> Array:
-        documents = [moved(self._document, self._parameters, x) for x in points]
+        documents = [moved(self.document, self.parameters, x) for x in points]
         prior = 0.5 * np.sum((np.array(points) / _PRIOR_STD) ** 2, axis=1)
-        return np.array(list(self._pool.map(_evaluate, documents))) + prior / self._independent
+        return np.array(list(self.pool.map(_evaluate, documents))) + prior / self.independent
 
     def with_slope(self, x: Array) -> tuple[float, Array]:
         """The objective and its gradient (P,)."""
         points = [x.copy(), *(x + _NUDGE * np.eye(x.size))]
         values = self._all(points)
         least = int(np.argmin(values))
-        self._idle = 0 if values[least] < self.best[0] - _GAIN else self._idle + 1
+        self.idle = 0 if values[least] < self.best[0] - _GAIN else self.idle + 1
         if values[least] < self.best[0]:
             self.best = (float(values[least]), points[least])
         self.count += 1
-        if self._watch is not None:
-            self._watch(self.count, -float(self.best[0]))
-        if self._idle == _IDLE or self.count == self._steps:
+        if self.watch is not None:
+            self.watch(self.count, -float(self.best[0]))
+        if self.idle == _IDLE or self.count == self.steps:
             raise _EnoughError
         slope = np.where(values[1:] < _BAD, (values[1:] - values[0]) / _NUDGE, 0.0)
         return float(values[0]), slope
@@ -274,7 +267,7 @@ class _Search:
         nudges = 4.0 * _NUDGE * np.eye(x.size)
         values = self._all([x, *(x + nudges), *(x - nudges)])
         ahead, behind = values[1 : 1 + x.size], values[1 + x.size :]
-        curvature = (ahead + behind - 2.0 * values[0]) / (4.0 * _NUDGE) ** 2 * self._independent
+        curvature = (ahead + behind - 2.0 * values[0]) / (4.0 * _NUDGE) ** 2 * self.independent
         return np.where(curvature > 0.0, np.maximum(curvature, 1e-12) ** -0.5, np.inf)
 
 

@@ -184,8 +184,5 @@ def _improved(
 def _moved(
     constants: tuple[SensorParameter, ...], i: int, step: Array
 ) -> tuple[SensorParameter, ...]:
-    return (
-        *constants[:i],
-        replace(constants[i], value=constants[i].value + step),
-        *constants[i + 1 :],
-    )
+    moved = replace(constants[i], value=constants[i].value + step)
+    return (*constants[:i], moved, *constants[i + 1 :])
