@@ -210,15 +210,8 @@ def test_ndicapi_reads_the_simulator_by_bx_and_tx(tmp_path, network):
         else:
             assert ndicapy.ndiProbe(link) == ndicapy.NDI_OKAY
             device = ndicapy.ndiOpen(link)
-        for command in (
-            "INIT:",
-            "PHSR:02",
-            "PINIT:0A",
-            "PINIT:0B",
-            "PENA:0AD",
-            "PENA:0BD",
-            "TSTART:",
-        ):
+        commands = "INIT: PHSR:02 PINIT:0A PINIT:0B PENA:0AD PENA:0BD TSTART:"
+        for command in commands.split():
             ndicapy.ndiCommand(device, command)
             assert ndicapy.ndiGetError(device) == ndicapy.NDI_OKAY
         starts = []
@@ -249,17 +242,13 @@ def test_scikit_surgery_reads_the_simulator(tmp_path, firmware):
         tracker.close()
 
 
-def test_a_coil_without_srom_is_read_with_a_file_or_the_default(tmp_path):
-    (tmp_path / "coil.rom").write_bytes(bytes(range(100)))
-    with simulated(tmp_path, *FAST, "--faults", "srom=1") as (address, _):
-        for srom in (None, tmp_path / "coil.rom"):
-            with Aurora(address, rate=200.0, srom=srom) as tracker:
-                assert len(tracker.read().ports) == 2
-
-
-def test_a_coil_that_cannot_be_read_is_a_sentence(tmp_path):
+def test_a_coil_without_srom_is_read_with_a_file_or_the_default_or_else_a_sentence(tmp_path):
     rom = tmp_path / "coil.rom"
     rom.write_bytes(bytes(range(100)))
+    with simulated(tmp_path, *FAST, "--faults", "srom=1") as (address, _):
+        for srom in (None, rom):
+            with Aurora(address, rate=200.0, srom=srom) as tracker:
+                assert len(tracker.read().ports) == 2
     with simulated(tmp_path, "--faults", "bad_srom=1") as (address, _):
         for srom in (None, rom):
             with pytest.raises(DeviceError, match=r"Coil 0B .*ERROR13.* srom= .*unplug it\.$"):
@@ -269,13 +258,8 @@ def test_a_coil_that_cannot_be_read_is_a_sentence(tmp_path):
             Aurora(address, srom=rom).__enter__()
         with pytest.raises(DeviceError, match="cannot be read"):
             Aurora(address, srom=tmp_path / "absent.rom").__enter__()
-
-
-def test_no_coil_at_all_is_a_sentence(tmp_path):
-    with (
-        simulated(tmp_path, scene=tell_tale(coils=())) as (address, _),
-        pytest.raises(DeviceError, match="No coil is plugged in"),
-    ):
+    none = pytest.raises(DeviceError, match="No coil is plugged in")
+    with simulated(tmp_path, scene=tell_tale(coils=())) as (address, _), none:
         Aurora(address).__enter__()
 
 
@@ -324,7 +308,10 @@ def test_a_port_in_use_is_a_sentence(tmp_path):
         Link(link)
 
 
-def test_permission_and_a_missing_package_are_sentences(monkeypatch):
+def test_permission_a_missing_package_and_a_wrong_baud_rate_are_sentences(monkeypatch):
+    with pytest.raises(DeviceError, match="12345 baud; give one of 9600"):
+        Aurora("/dev/ttyUSB0", baud=12345)
+
     def refuse(*_, **__):
         raise serial.SerialException(errno.EACCES, "no")
 
@@ -334,11 +321,6 @@ def test_permission_and_a_missing_package_are_sentences(monkeypatch):
     monkeypatch.setitem(sys.modules, "serial", None)
     with pytest.raises(DeviceError, match=r'pip install "glissando\[hardware\]"'):
         Link("/dev/ttyUSB0")
-
-
-def test_a_baud_rate_that_is_none_is_a_sentence():
-    with pytest.raises(DeviceError, match="12345 baud; give one of 9600"):
-        Aurora("/dev/ttyUSB0", baud=12345)
 
 
 @pytest.mark.parametrize(

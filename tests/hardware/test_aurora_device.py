@@ -11,10 +11,9 @@ from draws import generators, law, sixes
 from glissando.errors import SimulationError
 from glissando.geometry import se3
 from glissando.hardware.drivers.aurora_protocol import frame_command, parse_bx, parse_tx
-from glissando.hardware.simulated_devices.aurora_device import Device, Nature
+from glissando.hardware.simulated_devices.aurora_device import Device, Nature, Sensing
 from glissando.hardware.simulated_devices.faults import AuroraFaults, Dice, parse_faults
 from glissando.hardware.simulated_devices.scene import Scene, SceneCoil
-from glissando.hardware.simulated_devices.sensing import Sensing
 from glissando.hardware.simulated_devices.travel import MESSAGE, Travel
 from glissando.simulation.imperfections import Imperfections
 

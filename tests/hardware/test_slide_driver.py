@@ -74,7 +74,11 @@ def test_a_path_that_changes_on_the_way_is_pursued_and_a_goal_outside_the_stroke
     assert here < 0.0605
 
 
-def test_home_is_found_at_the_mechanical_stop():
+def test_home_is_found_at_the_mechanical_stop_at_either_end():
+    world = World(start=0.035, direction=-1)
+    with together(world), Slide("w", replace(STAGE, direction=-1, home=0.062)) as slide:
+        slide.home_at_stop(speed=0.01)
+        assert world.screw.travel == pytest.approx(0.06, abs=2 * TICK)
     world = World(start=0.035, play=1e-4, ends=(-0.002, 0.062))
     with together(world), Slide("world", STAGE) as slide:
         slide.home_at_stop(speed=0.01)
@@ -86,20 +90,16 @@ def test_home_is_found_at_the_mechanical_stop():
         assert world.screw.travel == pytest.approx(0.05, abs=1.1e-4)  # the play, and no more
 
 
-def test_home_is_found_at_the_far_end_too():
-    world = World(start=0.035, direction=-1)
-    with together(world), Slide("w", replace(STAGE, direction=-1, home=0.062)) as slide:
-        slide.home_at_stop(speed=0.01)
-        assert world.screw.travel == pytest.approx(0.06, abs=2 * TICK)
-
-
-def test_a_stop_that_is_not_there_is_missed_with_a_sentence():
+def test_a_stop_that_is_missed_or_not_configured_is_a_sentence():
     world = World(ends=(-1.0, 1.0))
     with together(world), Slide("w", STAGE) as slide:
         with pytest.raises(DeviceError, match="No stop was met"):
             slide.home_at_stop(speed=0.02)
         assert not slide.homed
     assert not world.servo.table["torque_enable"]
+    unknown = pytest.raises(DeviceError, match="say where it is with home_here")
+    with together(world), Slide("w", replace(STAGE, home=None)) as slide, unknown:
+        slide.home_at_stop()
 
 
 def test_a_carriage_that_stands_without_pushing_is_not_at_its_stop():
@@ -131,16 +131,6 @@ def test_a_carriage_that_only_stuck_is_not_at_its_stop():
         pytest.raises(DeviceError, match="stuck and does not come back with 25 %"),
     ):
         slide.home_at_stop(speed=0.01)
-
-
-def test_a_stage_without_a_stop_says_so():
-    world = World()
-    with (
-        together(world),
-        Slide("w", replace(STAGE, home=None)) as slide,
-        pytest.raises(DeviceError, match="say where it is with home_here"),
-    ):
-        slide.home_at_stop()
 
 
 def test_a_blocked_carriage_is_stopped_and_told():

@@ -56,11 +56,6 @@ def test_a_misspelt_key_of_a_stage_is_named():
         Stage.from_table(table)
 
 
-def test_24_mm_a_second_is_56_7_rpm_of_an_inch_of_lead():
-    assert STAGE.speed_units(0.024) == 248
-    assert STAGE.speed_of(248) == pytest.approx(0.024, rel=2e-3)
-
-
 stages = st.builds(
     Stage,
     lead=st.floats(0.024, 0.1),
@@ -76,6 +71,7 @@ def test_units_of_the_servo_there_and_back_are_the_same(stage, travel, speed, ac
     unit = abs(stage.speed_of(1.0))
     assert abs(stage.speed_of(stage.speed_units(speed))) == pytest.approx(speed, abs=unit)
     assert stage.acceleration_units(acceleration) >= 1
+    assert STAGE.speed_units(0.024) == 248  # 56.7 rpm of an inch of lead
 
 
 @law
@@ -137,11 +133,6 @@ def test_homing_where_it_stands_does_not_move_it():
     assert np.ptp([s for _, s in world.travel]) == 0.0
 
 
-def test_a_stage_outside_a_with_block_is_one_sentence():
-    with pytest.raises(DeviceError, match="use it as `with Slide"):
-        Slide("world", STAGE).home_here(0.0)
-
-
 @pytest.mark.parametrize("travel", [-1e-4, 0.0601, 1.0])
 def test_a_travel_outside_the_stroke_is_refused(travel):
     world = World()
@@ -195,8 +186,10 @@ def test_settings_of_the_eeprom_are_put_right_once_and_then_left_alone():
         assert world.heard - before == 1 + 2 + 3 + 1 + 1 + 1 + 1
 
 
-def test_another_model_is_refused():
+def test_another_model_and_a_slide_outside_a_with_block_are_refused():
     world = World()
     world.servo.table["model"] = 1020
     with together(world), pytest.raises(DeviceError, match="is of model 1020"):
         Slide("w", STAGE).__enter__()
+    with pytest.raises(DeviceError, match="use it as `with Slide"):
+        Slide("w", STAGE).home_here(0.0)

@@ -24,20 +24,33 @@ _END = 5.0  # s that a device has to end by itself
 def started(name: str, *options: str | os.PathLike[str], within: float = 60.0) -> Iterator[str]:
     """A simulated device that runs while the context lasts; gives its address.
 
-    `name` is its module here, `options` its command line. Raises SimulationError with what it
-    said when it does not become ready `within` seconds.
+    Args:
+        name: Its module here.
+        options: Its command line.
+        within: Seconds that it may take to become ready.
+
+    Raises:
+        SimulationError: It does not become ready; the sentence ends with its last output.
     """
     command = [sys.executable, "-m", f"{__name__}.{name}", *(os.fspath(one) for one in options)]
-    with tempfile.TemporaryFile() as said:
+    with tempfile.TemporaryFile() as errors:
         pipe = subprocess.PIPE
-        process = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=said)
-        try:
-            yield _ready(process, said, name, within)
-        finally:
-            _end(process)
+        with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=errors) as process:
+            try:
+                yield _first_line(process, errors, name, within)
+            finally:
+                assert process.stdin is not None
+                with contextlib.suppress(OSError):
+                    process.stdin.close()
+                try:
+                    process.wait(_END)
+                except subprocess.TimeoutExpired:
+                    process.kill()
 
 
-def _ready(process: subprocess.Popen[bytes], said: IO[bytes], name: str, within: float) -> str:
+def _first_line(
+    process: subprocess.Popen[bytes], errors: IO[bytes], name: str, within: float
+) -> str:
     assert process.stdout is not None
     slow = threading.Timer(within, process.kill)  # ends the wait for a line that never comes
     slow.start()
@@ -45,20 +58,7 @@ def _ready(process: subprocess.Popen[bytes], said: IO[bytes], name: str, within:
     slow.cancel()
     if not line:
         process.wait()
-        said.seek(0)
-        last = said.read().decode(errors="replace").strip().splitlines() or ["it said nothing"]
-        raise SimulationError(f"The simulated {name} did not start: {last[-1]}")
+        errors.seek(0)
+        output = errors.read().decode(errors="replace").strip().splitlines() or ["no output"]
+        raise SimulationError(f"The simulated {name} did not start: {output[-1]}")
     return line
-
-
-def _end(process: subprocess.Popen[bytes]) -> None:
-    assert process.stdin is not None
-    assert process.stdout is not None
-    with contextlib.suppress(OSError):
-        process.stdin.close()
-    try:
-        process.wait(_END)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
-    process.stdout.close()

@@ -12,10 +12,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from glissando.errors import SimulationError
-from glissando.hardware.simulated_devices.aurora_device import Device, Nature
+from glissando.hardware.simulated_devices.aurora_device import Device, Nature, Sensing
 from glissando.hardware.simulated_devices.faults import AuroraFaults, Dice, parse_faults
 from glissando.hardware.simulated_devices.scene import Scene
-from glissando.hardware.simulated_devices.sensing import Sensing
 from glissando.hardware.simulated_devices.serving import Serving, run_device
 from glissando.hardware.simulated_devices.travel import Travel
 
@@ -53,6 +52,8 @@ def _serve(options: argparse.Namespace) -> None:
     nature = Nature(born, options.rate, options.firmware, options.wired)
     travel = None if options.travel is None else Travel(options.travel)
     sensing = Sensing(scene, travel, born, epoch, options.rate)
+    if scene.coils:
+        sensing.values(0)  # compiles what it needs before anybody waits for a frame
     device = Device(scene, sensing, Dice(faults, scene.seed), nature)
     serving = Serving(device.hear, device.cut)
     addresses = []

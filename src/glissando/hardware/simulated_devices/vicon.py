@@ -72,7 +72,7 @@ class Sender:
         self, scene: Scene, bodies: dict[str, float], faults: MocapFaults | None = None,
         seed: int = 0,
     ) -> None:  # fmt: skip
-        self._scene, self._bodies = scene, bodies
+        self.scene, self._bodies = scene, bodies
         low, high = scene.arclength[[0, -1]]
         for arclength in bodies.values():
             if not low <= arclength <= high:
@@ -87,7 +87,7 @@ class Sender:
     def datagrams(self, number: int, at: float) -> list[bytes]:
         """Datagrams, none or more, of frame `number` at `at` s after the scene's start."""
         dice = self._dice
-        poses = self._scene.pose(list(self._bodies.values()), self._scene.time[0] + at)
+        poses = self.scene.pose(list(self._bodies.values()), self.scene.time[0] + at)
         noise = np.repeat([1e-3 * NOISE_MM, NOISE_RAD], 3) / np.sqrt(3.0)
         poses = poses @ se3.exp(noise * self._rng.standard_normal((len(poses), 6)))
         data = struct.pack("<IB", number % (1 << 32), len(self._bodies))
@@ -131,6 +131,7 @@ def _serve(options: argparse.Namespace) -> None:
         raise SimulationError("Give --to HOST:PORT and a --rate above zero.")
     faults, bodies = parse_faults(MocapFaults, options.faults), parse_bodies(options.bodies)
     sender = Sender(Scene.load(options.scene), bodies, faults, options.seed)
+    Sender(sender.scene, bodies).datagrams(0, 0.0)  # compiles what it needs before it is due
     epoch = time.monotonic() if options.epoch is None else options.epoch
     number = max(0, int(np.ceil((time.monotonic() - epoch) * options.rate)))
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
