@@ -6,7 +6,7 @@ from collections import Counter, deque
 from functools import cache
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import gammainccinv
 
 from glissando.geometry.se3 import Array
 
@@ -18,7 +18,7 @@ _FALSE_ALARM = 1e-4
 @cache
 def _beyond(chance: float, dof: int) -> float:
     """What a sum of so many squared standard normals exceeds with that chance."""
-    return float(chi2.isf(chance, dof))
+    return float(2.0 * gammainccinv(0.5 * dof, chance))  # scipy.stats takes a second to import
 
 
 class InnovationGate:
