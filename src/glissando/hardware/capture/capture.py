@@ -76,7 +76,7 @@ def capture(
     on_progress: OnProgress | None = None,
     on_message: OnMessage | None = None,
 ) -> Progress:
-    """Run an experiment and log it; after a crash the log is whole up to the last second.
+    """Run an experiment and log it; a crash costs at most the log's last second.
 
     Args:
         rig: The devices.

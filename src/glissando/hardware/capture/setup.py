@@ -45,7 +45,7 @@ class Coil:
 
 @dataclass(frozen=True)
 class Body:
-    """A motion-capture object at `arclength` m with its pose there, `mount` T_bm (4, 4)."""
+    """A motion-capture object at `arclength` m; `mount` is its pose there, T_bm."""
 
     name: str
     arclength: float

@@ -89,7 +89,7 @@ def parse_ascii(raw: bytes) -> str:
 
 
 def parse_handles(text: str) -> list[int]:
-    """The handles of a PHSR reply: count, then handle and three digits of status for each.
+    """The handles of a PHSR reply: their count, then handle and status of each.
 
     Raises:
         GarbledError: The text is no such list.

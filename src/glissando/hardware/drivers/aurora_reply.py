@@ -88,7 +88,7 @@ class PortReading:
 
     @property
     def out_of_volume(self) -> bool:
-        """Whether the coil is outside the volume in which the tracker's accuracy is stated."""
+        """Whether the coil is outside the volume of the tracker's stated accuracy."""
         return self._has(OUT_OF_VOLUME)
 
     @property

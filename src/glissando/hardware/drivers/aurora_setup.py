@@ -28,7 +28,7 @@ _WRONG_MODE = 0x0C
 
 @dataclass(frozen=True)
 class Tool:
-    """A coil that is plugged in: `handle`, `serial` number, `port` and `channel` on its plug."""
+    """A coil that is plugged in, with its serial number and its place on the plugs."""
 
     handle: int
     serial: str

@@ -104,7 +104,7 @@ def unwrapped(last: int, tick: int, elapsed: float) -> int:
 
 
 class Servo:
-    """The registers of one servo; methods raise DeviceError when it fails or does not answer.
+    """The registers of one servo; DeviceError when it fails or does not answer.
 
     Attributes:
         counts: How many answers were missing, corrupt, stale, or refusals of a bad CRC.
@@ -227,7 +227,7 @@ class Servo:
         self.write(PROFILE, (acceleration, 4), (speed, 4), (goal, 4), heed=heed)
 
     def power(self) -> None:
-        """Switch the torque on, at standstill; some firmware miscounts turns then, so check."""
+        """Switch the torque on, and check: some firmware miscounts turns then."""
         self._clock = None  # home is sought anew
         before = self.state().position
         self.aim(before, speed=0)

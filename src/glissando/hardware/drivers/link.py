@@ -19,7 +19,7 @@ _BREAK = 0.3  # s that a BREAK lasts
 
 
 class LostError(DeviceError):
-    """The link to a device is gone: unplugged, switched off, or closed at the other end."""
+    """The link to a device is gone: unplugged, off, or closed at the other end."""
 
 
 class SilentError(DeviceError):
@@ -94,7 +94,7 @@ class Link:
         self._held += came
 
     def send_break(self) -> bool:
-        """Hold a serial line in BREAK, which resets some devices; False if that is no line."""
+        """Hold a serial line in BREAK, which resets some devices; False on a network."""
         if not isinstance(self._wire, _Serial) or self._wire.pseudo:
             return False
         self._held = b""

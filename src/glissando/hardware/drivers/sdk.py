@@ -17,7 +17,7 @@ def lost_port() -> tuple[type[Exception], ...]:
 
 
 def opened(address: str, baud: int) -> tuple[Any, Any]:
-    """The SDK's port and packet handler. Raises DeviceError when the port does not open."""
+    """The SDK's port and packet handler. Raises DeviceError if it does not open."""
     try:
         from dynamixel_sdk import PacketHandler, PortHandler
     except ImportError:

@@ -205,7 +205,7 @@ class Stage:
         return int(np.clip(round(units), 1, _MOST_ACCELERATION))
 
     def lasting(self, way: float, speed: float, acceleration: float) -> float:
-        """Seconds from rest to rest over `way` m: a trapezoid, or a triangle if that is short."""
+        """Seconds from rest to rest over `way` m, by a trapezoid or a triangle."""
         way, top = abs(way), min(speed, math.sqrt(abs(way) * acceleration))
         return way / top + top / acceleration if way else 0.0
 

@@ -107,7 +107,7 @@ def _pose(values: Array) -> Array:
 
 
 class ViconStream:
-    """Frames as they come on a UDP port: a context manager, and an iterator over ViconFrame.
+    """Frames as they come on a UDP port: a context manager and an iterator.
 
     Args:
         port: UDP port; 0 takes any free one.
@@ -156,7 +156,7 @@ class ViconStream:
             yield self.read()
 
     def read(self) -> ViconFrame:
-        """The next frame that is newer than the last. Raises DeviceError after `timeout` s."""
+        """The next frame newer than the last. Raises DeviceError after `timeout` s."""
         deadline = time.monotonic() + self.timeout
         refused = 0
         while (data := self._receive(deadline)) is not None:

@@ -16,7 +16,7 @@ _PAUSE = 0.1  # s between bytes after which a packet is given up [inferred]
 
 
 class Do(IntEnum):
-    """Instructions that the simulated servo obeys, and the mark of its answers, STATUS."""
+    """Instructions that the simulated servo obeys, and STATUS, its answer."""
 
     PING = 0x01
     READ = 0x02

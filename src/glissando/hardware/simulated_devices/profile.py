@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Profile:
-    """A motion from `position` at time `start` by pieces of constant acceleration, then rest.
+    """A motion by pieces of constant acceleration, then rest.
 
     Attributes:
         start: Time, s.

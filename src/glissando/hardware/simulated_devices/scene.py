@@ -83,7 +83,7 @@ class Scene:
         return _blend(low, high, along)
 
     def coil_poses(self, time: float, travel: float) -> Array:
-        """T_tc (C, 4, 4), the coils in the tracker's frame, at a travel in m, without error."""
+        """T_tc (C, 4, 4) of the coils at a travel in m, without error."""
         at = np.array([coil.arclength + coil.direction * travel for coil in self.coils])
         mounts = np.array([coil.T_bc for coil in self.coils])
         return se3.inverse(self.T_wt) @ self.pose(at, time) @ mounts

@@ -144,7 +144,7 @@ def run_device(
     serve: Callable[[argparse.Namespace], None],
     arguments: Sequence[str] | None,
 ) -> int:
-    """Serve what a command line asks for; returns the exit status, 2 after a mistake in it."""
+    """Serve what a command line asks for; returns 2 after a mistake in it, else 0."""
     try:
         serve(parser.parse_args(arguments))
     except (GlissandoError, OSError) as problem:
