@@ -99,6 +99,10 @@ def test_waypoints_are_read_from_a_file_without_speeds(tmp_path):
     )
 
 
+def thrown(places, speed):
+    return SlidePath([0, 1, 1.4, 2.4], places, [0, speed, -speed, 0], STAGE)
+
+
 @pytest.mark.parametrize(
     ("make", "sentence"),
     [
@@ -122,28 +126,16 @@ def test_waypoints_are_read_from_a_file_without_speeds(tmp_path):
             "acceleration would be 0.2 m/s²",
         ),
         (lambda: SlideLimits(0.06, -1.0, 0.1), "a speed of -1 m/s cannot be"),
+        (lambda: SlidePath([0, 10], [0, 0.05], [0.005, 0.005], STAGE), "begin and end at rest"),
+        # both knots lie inside the stroke, the way between them does not
+        (lambda: thrown([0.05, 0.06, 0.06, 0.05], 0.02), "stroke would be 0"),
+        (lambda: thrown([0.01, 0, 0, 0.01], -0.02), "2 mm beyond the tip"),
     ],
 )
 def test_an_impossible_slide_is_one_sentence(make, sentence):
     with pytest.raises(SimulationError) as caught:
         make()
     assert sentence in str(caught.value)
-
-
-def test_a_path_that_leaves_the_stroke_between_its_knots_is_found():
-    """Thrown up at the end of the stroke: both knots lie inside, the way between does not."""
-    with pytest.raises(SimulationError, match="stroke would be 0"):
-        SlidePath([0, 1, 1.4, 2.4], [0.05, 0.06, 0.06, 0.05], [0, 0.02, -0.02, 0], STAGE)
-
-
-def test_a_path_that_dips_below_the_tip_between_its_knots_is_found():
-    with pytest.raises(SimulationError, match="2 mm beyond the tip"):
-        SlidePath([0, 1, 1.4, 2.4], [0.01, 0, 0, 0.01], [0, -0.02, 0.02, 0], STAGE)
-
-
-def test_a_path_that_begins_or_ends_in_motion_is_refused():
-    with pytest.raises(SimulationError, match="begin and end at rest"):
-        SlidePath([0, 10], [0, 0.05], [0.005, 0.005], STAGE)
 
 
 @pytest.mark.parametrize(
