@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from glissando import CoilReadings, GyroReadings, PoseReadings, load_robot, uniform_grid
+from glissando import CoilReadings, GyroReadings, PoseReadings, estimate, load_robot, uniform_grid
 from glissando.geometry import se3
 
 LENGTH = 0.466
@@ -49,3 +49,13 @@ def sliding_scene(seed=0, duration=1.0, nodes=4, rate=10.0):
     rate_seen = angular_velocity(middle, time) + 1e-2 * rng.standard_normal((time.size, 3))
     gyro = GyroReadings(time=time, arclength=middle, values=rate_seen, cov=1e-4, name="gyro")
     return robot.prior, grid, [base, coil, gyro]
+
+
+def judged_scene():
+    """A posterior, its readings with a drop-out of the coil, and true poses half way along."""
+    prior, grid, readings = sliding_scene(duration=1.0)
+    readings[1] = readings[1].select(np.abs(readings[1].time - 0.5) > 0.35)
+    time = np.arange(0.0, 0.31, 0.05)
+    place = np.full(time.size, LENGTH / 2)
+    truth = PoseReadings(time=time, arclength=place, values=arc(place, time), cov=1e-6, name="seen")
+    return estimate(prior, grid, readings), readings, [truth]

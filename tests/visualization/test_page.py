@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
-from glissando import GlissandoError, Grid, OutsideGridError, PoseReadings, estimate
+from glissando import GlissandoError, Grid, OutsideGridError
 from glissando.cli.main import main
 from glissando.geometry import se3
 from glissando.io.netcdf import save_posterior
@@ -17,17 +17,12 @@ from glissando.visualization.page import Scene, page, save_view, scene_of
 from glissando.visualization.page.page import SIGMAS, packed
 from glissando.visualization.page.scene import moments, symmetric_root
 from pages import OUTSIDE, carried, unpacked
-from scenes import LENGTH, arc, sliding_scene
+from scenes import LENGTH, judged_scene
 
 
 @pytest.fixture(scope="module")
 def run():
-    prior, grid, readings = sliding_scene(duration=1.0)
-    readings[1] = readings[1].select(np.abs(readings[1].time - 0.5) > 0.35)  # the coil drops out
-    time = np.arange(0.0, 0.31, 0.05)
-    place = np.full(time.size, LENGTH / 2)
-    truth = PoseReadings(time=time, arclength=place, values=arc(place, time), cov=1e-6, name="seen")
-    return estimate(prior, grid, readings), readings, [truth]
+    return judged_scene()
 
 
 @pytest.fixture(scope="module")
@@ -199,15 +194,10 @@ def test_the_command_shows_a_posterior_with_the_sensors_and_truth_of_its_recordi
         '[[streams]]\nname = "coil"\nkind = "position"\nstd = [0.001, 0.001, 0.001]\n'
         '[[streams]]\nname = "seen"\nkind = "position"\ntruth = true\n'
     )
-    rows = [
-        f"{t},{s},{x[0]},{x[1]},{x[2]}"
-        for t, s, x in zip(
-            truth[0].time, truth[0].arclength, truth[0].values[:, :3, 3], strict=True
-        )
-    ]
+    rows = np.column_stack([truth[0].time, truth[0].arclength, truth[0].values[:, :3, 3]])
     for name in ("coil", "seen"):
-        text = "\n".join(["time,arclength,x,y,z", *rows])
-        (recording / f"{name}.csv").write_text(text + "\n")
+        head = {"header": "time,arclength,x,y,z", "comments": ""}
+        np.savetxt(recording / f"{name}.csv", rows, "%.17g", ",", **head)
     out = tmp_path / "out.html"
     arguments = ["view", tmp_path / "run", "--recording", recording, "--html", out]
     assert main([str(a) for a in [*arguments, "--window", 0, 0.5]]) == 0

@@ -1,6 +1,7 @@
 """What a person sees and does on the page, in a real browser without a network."""
 
 import io
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -35,16 +36,23 @@ def browser():
         yield found
 
 
-@pytest.fixture
-def page(browser, file):
-    context = browser.new_context(viewport=SIZE, offline=True, color_scheme="light")
-    shown = context.new_page()
-    told = Told(shown)
-    shown.goto(file.as_uri())
-    settled(shown)
-    yield shown
+@contextmanager
+def opened(browser, file, script="", **look):
+    context = browser.new_context(**{"viewport": SIZE, "offline": True, **look})
+    context.add_init_script(script)
+    page = context.new_page()
+    told = Told(page)
+    page.goto(file.as_uri())
+    settled(page)
+    yield page
     assert told == []  # nothing was asked for beyond the file, and nothing went wrong
     context.close()
+
+
+@pytest.fixture
+def page(browser, file):
+    with opened(browser, file, color_scheme="light") as shown:
+        yield shown
 
 
 def settled(page):
@@ -217,36 +225,28 @@ def test_a_drag_turns_and_the_map_seeks(page):
 
 
 def test_two_fingers_zoom(browser, file):
-    context = browser.new_context(viewport=SIZE, has_touch=True, offline=True)
-    page = context.new_page()
-    page.goto(file.as_uri())
-    settled(page)
-    touch = context.new_cdp_session(page)
-    half = page.evaluate("state.camera.half")
+    with opened(browser, file, has_touch=True) as page:
+        touch = page.context.new_cdp_session(page)
+        half = page.evaluate("state.camera.half")
 
-    def fingers(kind, *xs):
-        points = [{"x": x, "y": 250, "id": i} for i, x in enumerate(xs)]
-        touch.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+        def fingers(kind, *xs):
+            points = [{"x": x, "y": 250, "id": i} for i, x in enumerate(xs)]
+            touch.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
 
-    fingers("touchStart", 200, 300)
-    for apart in (120, 160, 200):
-        fingers("touchMove", 250 - apart / 2, 250 + apart / 2)
-    fingers("touchEnd")
-    assert page.evaluate("state.camera.half") == pytest.approx(0.5 * half, rel=0.05)
-    context.close()
+        fingers("touchStart", 200, 300)
+        for apart in (120, 160, 200):
+            fingers("touchMove", 250 - apart / 2, 250 + apart / 2)
+        fingers("touchEnd")
+        assert page.evaluate("state.camera.half") == pytest.approx(0.5 * half, rel=0.05)
 
 
 def test_the_scale_bar_is_as_long_as_it_says(page):
     view = page.evaluate("viewOf(state.camera, of('stage').clientWidth, of('stage').clientHeight)")
-    right = np.array(view["right"])
-    ends = [np.zeros(3), 0.1 * right]
     size = page.locator("#stage").bounding_box()
+    project = "([view, p, w, h]) => project(view, p, w, h)"
     pixels = [
-        page.evaluate(
-            "([view, p, w, h]) => project(view, p, w, h)",
-            [view, end.tolist(), size["width"], size["height"]],
-        )
-        for end in ends
+        page.evaluate(project, [view, end.tolist(), size["width"], size["height"]])
+        for end in (np.zeros(3), 0.1 * np.array(view["right"]))
     ]
     assert pixels[1][0] - pixels[0][0] == pytest.approx(0.1 / view["pixel"], rel=1e-6)
 
@@ -254,38 +254,25 @@ def test_the_scale_bar_is_as_long_as_it_says(page):
 def test_dark_is_dark_and_light_is_light(browser, file):
     means = []
     for scheme in ("light", "dark"):
-        context = browser.new_context(viewport=SIZE, color_scheme=scheme, offline=True)
-        page = context.new_page()
-        page.goto(file.as_uri())
-        means.append(seen(page).mean())
-        context.close()
+        with opened(browser, file, color_scheme=scheme) as page:
+            means.append(seen(page).mean())
     assert means[0] > 200
     assert means[1] < 70
 
 
 def test_a_narrow_screen_scrolls_down_never_sideways(browser, file):
-    context = browser.new_context(viewport={"width": 360, "height": 640}, offline=True)
-    page = context.new_page()
-    page.goto(file.as_uri())
-    settled(page)
-    assert page.evaluate("document.documentElement.scrollWidth") <= 360
-    assert page.locator("#play").bounding_box()["y"] < 640  # reached without scrolling
-    context.close()
+    with opened(browser, file, viewport={"width": 360, "height": 640}) as page:
+        assert page.evaluate("document.documentElement.scrollWidth") <= 360
+        assert page.locator("#play").bounding_box()["y"] < 640  # reached without scrolling
 
 
 def test_without_webgl_the_page_says_so_and_still_tells_its_numbers(browser, file):
-    context = browser.new_context(viewport=SIZE, offline=True)
-    context.add_init_script(
+    script = (
         "const own = HTMLCanvasElement.prototype.getContext;"
         "HTMLCanvasElement.prototype.getContext = function (kind, ...more) {"
         "return kind === 'webgl2' ? null : own.call(this, kind, ...more); };"
     )
-    page = context.new_page()
-    told = Told(page)
-    page.goto(file.as_uri())
-    settled(page)
-    assert "no WebGL 2" in page.locator("#sorry").inner_text()
-    assert page.locator("#sorry").is_visible()
-    assert "±" in page.locator("#now").inner_text()
-    assert told == []
-    context.close()
+    with opened(browser, file, script) as page:
+        assert "no WebGL 2" in page.locator("#sorry").inner_text()
+        assert page.locator("#sorry").is_visible()
+        assert "±" in page.locator("#now").inner_text()

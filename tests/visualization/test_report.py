@@ -80,22 +80,15 @@ def test_the_page_tells_the_numbers_of_the_runs_and_changes_in_per_cent(runs, ht
     assert [row[0] for row in position] == ["mocap_233", "mocap_466", "all"]
     for table, quantity, scale in ((position, "position", 1e3), (rotation, "rotation", 57.29578)):
         for row in table:
-            one, other = (
-                run["overall"]
-                if row[0] == "all"
-                else next(s for s in run["sites"] if s["name"] == row[0])
-                for run in told.values()
-            )
-            before, after = (scale * entry[f"{quantity}_rmse"] for entry in (one, other))
+            sites = [run["sites"] + [{**run["overall"], "name": "all"}] for run in told.values()]
+            entries = [next(s for s in each if s["name"] == row[0]) for each in sites]
+            before, after = (scale * entry[f"{quantity}_rmse"] for entry in entries)
             assert row[1] == f"{before:.2f}"
             assert row[5] == f"{after:.2f}"
             assert row[6].replace("−", "-") == f"{100 * (after / before - 1):+.1f} %"
-            checks = {
-                (name, c["site"], c["quantity"]): c
-                for name, run in told.items()
-                for c in run["consistency"]
-            }
-            check = checks["sliding", row[0], quantity]
+            consistency = told["sliding"]["consistency"]
+            checks = {(c["site"], c["quantity"]): c for c in consistency}
+            check = checks[row[0], quantity]
             low, high = check["nees_bounds"]
             assert row[7] == f"{check['nees']:.2f} ({low:.2f}…{high:.2f})"
             assert row[8] == f"{100 * check['coverage']['0.95']['share']:.1f} %"

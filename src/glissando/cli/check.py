@@ -27,7 +27,7 @@ from glissando.evaluation.consistency import LEVELS, Consistency, check, check_r
 from glissando.evaluation.metrics import errors_against
 from glissando.io.netcdf import load_posterior
 from glissando.io.recording import load_recording
-from glissando.visualization.consistency_figure import calibration_figure
+from glissando.visualization.evaluation_figures import calibration_figure
 
 _HELP = """\
 Check whether the confidence of an estimate is true: errors against truth in units of their own

@@ -29,9 +29,9 @@ from glissando.evaluation.replay import Replay, replay
 from glissando.io.query_csv import write_states
 from glissando.io.recording import load_recording
 from glissando.model.robot import Robot
+from glissando.visualization.evaluation_figures import replay_figure
 from glissando.visualization.page import Live
 from glissando.visualization.page.live import follow
-from glissando.visualization.replay_figure import replay_figure
 
 _HELP = """\
 Run a recording through the online estimator as if it were live: at the robot's rate it is given the
