@@ -15,23 +15,23 @@ _UNITS = {"at": "m", "stroke": "m", "speed": "m/s", "duration": "s", "time_rate"
 _COLOUR = "#0072B2"
 
 
-def study_figure(told: dict[str, Any]) -> Figure:
+def study_figure(summary: dict[str, Any]) -> Figure:
     """Position RMSE in mm above, share inside the 95 % ellipsoid below, a column an axis.
 
-    `told` is what `summarise` gives; bars are its 95 % intervals. Raises GlissandoError without
+    `summary` is what `summarise` gives; bars are its 95 % intervals. Raises GlissandoError without
     matplotlib.
     """
-    axes: dict[str, Any] = told["axes"]
+    axes: dict[str, Any] = summary["axes"]
     with _canvas(1.2 + 3.2 * len(axes), 5.6) as figure:
-        figure.suptitle(told["name"], x=0.02, ha="left", fontweight="bold")
+        figure.suptitle(summary["name"], x=0.02, ha="left", fontweight="bold")
         panels: Any = figure.subplots(2, len(axes), squeeze=False, sharex="col", sharey="row")
         for column, (name, points) in enumerate(axes.items()):
             upper, lower = panels[:, column]
-            found = [p for p in points if "position_rmse" in p]
+            sound = [p for p in points if "position_rmse" in p]
             place = _places(upper, [p["value"] for p in points])
             at = [x for x, p in zip(place, points, strict=True) if "position_rmse" in p]
-            _draw(upper, at, [p["position_rmse"] for p in found], 1e3)
-            _draw(lower, at, [p["coverage95_position"] for p in found], 1e2)
+            _draw(upper, at, [p["position_rmse"] for p in sound], 1e3)
+            _draw(lower, at, [p["coverage95_position"] for p in sound], 1e2)
             lower.axhline(95.0, color="0.5", linewidth=0.9, linestyle="--")
             lower.set_xlabel(f"{name} ({_UNITS[name]})" if name in _UNITS else name)
         panels[0, 0].set(ylabel="position RMSE (mm)", ylim=(0.0, None))
@@ -48,8 +48,8 @@ def _places(axes: Any, values: list[Any]) -> list[float]:
     return [float(i) for i in range(len(values))]
 
 
-def _draw(axes: Any, place: list[float], found: list[dict[str, float]], scale: float) -> None:
-    value, low, high = (scale * np.array([f[k] for f in found]) for k in ("value", "low", "high"))
+def _draw(axes: Any, place: list[float], entries: list[dict[str, float]], scale: float) -> None:
+    value, low, high = (scale * np.array([e[k] for e in entries]) for k in ("value", "low", "high"))
     # a resampled interval need not hold the value itself
     bars = np.maximum([value - low, high - value], 0.0)
     axes.errorbar(place, value, bars, color=_COLOUR, marker="o", capsize=4, linewidth=1.5)

@@ -97,11 +97,11 @@ class Store:
         study = self._study
         seeds = {"first": study.seeds.start, "count": len(study.seeds)}
         asked = {"name": study.name, "grid": study.axes, "fixed": study.fixed, "seeds": seeds}
-        told = json.dumps({"version": __version__, "study": asked, "metrics": METRICS})
+        metadata = json.dumps({"version": __version__, "study": asked, "metrics": METRICS})
         table = pyarrow.Table.from_pylist(rows, schema=_schema(path.name == TABLE))
         building = path.with_suffix(".writing")
         with building.open("wb") as file:
-            parquet().write_table(table.replace_schema_metadata({_KEY: told.encode()}), file)
+            parquet().write_table(table.replace_schema_metadata({_KEY: metadata.encode()}), file)
             file.flush()
             os.fsync(file.fileno())
         building.replace(path)

@@ -52,16 +52,16 @@ def _point(value: Any, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     return out
 
 
-def print_summary(told: dict[str, Any], console: Console) -> None:
+def print_summary(summary: dict[str, Any], console: Console) -> None:
     """A table of the points of every axis, and each sentence of what failed with its number."""
-    title = f"{escape(told['name'])}: {told['cells']:,} cells, {told['failed']:,} failed"
+    title = f"{escape(summary['name'])}: {summary['cells']:,} cells, {summary['failed']:,} failed"
     look: dict[str, Any] = {"box": SIMPLE_HEAD, "pad_edge": False, "collapse_padding": True}
     table = Table(title=title, caption="in brackets 95 % intervals, cells drawn again", **look)
     for heading in ("axis", "value"):
         table.add_column(heading, no_wrap=True)
     for heading in ("cells", "failed", "RMSE (mm)", "RMSE (°)", "NEES", "in 95 % (%)"):
         table.add_column(heading, justify="right", no_wrap=True)
-    for axis, points in told["axes"].items():
+    for axis, points in summary["axes"].items():
         for point in points:
             value = point["value"]
             number = isinstance(value, (int, float)) and value is not True
@@ -69,7 +69,7 @@ def print_summary(told: dict[str, Any], console: Console) -> None:
             table.add_row(escape(axis), escape(label), *_cells(point))
         table.add_section()
     console.print(table)
-    for sentence, count in told["errors"].items():
+    for sentence, count in summary["errors"].items():
         console.print(f"  {count} failed: {sentence}", markup=False)
 
 
@@ -83,6 +83,6 @@ def _cells(point: dict[str, Any]) -> list[str]:
     return [*counts, millimetres, degrees, nees, _interval(point["coverage95_position"], 1e2, 0)]
 
 
-def _interval(found: dict[str, float], scale: float, digits: int) -> str:
-    value, low, high = (f"{scale * found[k]:.{digits}f}" for k in ("value", "low", "high"))
+def _interval(entry: dict[str, float], scale: float, digits: int) -> str:
+    value, low, high = (f"{scale * entry[k]:.{digits}f}" for k in ("value", "low", "high"))
     return f"{value} ({low}–{high})"

@@ -20,7 +20,7 @@ from glissando.visualization.film.stage import INCHES, Stage
 
 Progress = Callable[[int, int], None]  # frames done, frames in all
 
-_LONGEST = 12.0  # s: a longer motion is sped up to this unless told
+_LONGEST = 12.0  # s: a longer motion is sped up to this unless seconds are given
 _FASTEST = 50.0  # Hz: a gif's delays are hundredths of a second, and browsers refuse a single one
 _NEARLY_WHITE = [*range(248), *[255] * 8] * 3  # Pillow looks white up as 252, which is a grey
 
