@@ -42,7 +42,7 @@ ERRORS = {
 }
 """Meaning of an ERROR reply, by its number."""
 
-OCCUPIED, OUT_OF_VOLUME, PARTIALLY_OUT, BROKEN_COIL = 0x001, 0x040, 0x080, 0x100
+OUT_OF_VOLUME, PARTIALLY_OUT, BROKEN_COIL = 0x040, 0x080, 0x100
 # Two sources number the hot-plug bits one apart; any of the three is taken as one [inferred].
 HOT_PLUG = 0x00E0
 
