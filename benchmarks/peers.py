@@ -27,9 +27,9 @@ import peers_gtsam
 import shapes
 from glissando import BaseVariance, PoseReadings, SeparablePrior, estimate_static, load_robot
 from glissando.errors import GlissandoError
-from glissando.estimation.batch import SolverOptions
 from glissando.io.robot_file import parse_robot
 from glissando.io.toml_table import Table
+from glissando.solver.gauss_newton import SolverOptions
 from peers_page import TEXT, draw, ratios
 from peers_problems import REPORTED_ON, ROD_NOISE, TUNED_ON, Numbers
 

@@ -27,11 +27,11 @@ import numpy as np
 from scipy.stats import chi2
 
 from glissando import CoilReadings, NotConvergedWarning, estimate, load_robot
-from glissando.estimation.batch import SolverOptions
 from glissando.evaluation.metrics import Errors, errors_against, pool
 from glissando.geometry import se3
 from glissando.io.recording import load_recording
 from glissando.model.sensors.parameters import corrected
+from glissando.solver.gauss_newton import SolverOptions
 
 DATA = Path("../shared/data/spacetime")
 WINDOWS = [("slow_free_space", (19.0, 45.0)), ("fast_contact", (10.0, 30.0))]

@@ -17,33 +17,8 @@ pose, strain and velocity with their covariance anywhere along the robot, any ti
 True
 """
 
-import ast as _ast
-from importlib import import_module as _import_module
-from pathlib import Path as _Path
-from typing import Any as _Any
+import lazy_loader as _lazy
 
 __version__ = "0.1.0"
 
-_STUB = _ast.parse(_Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8"))
-_MODULES = {
-    name.name: str(statement.module)
-    for statement in _STUB.body
-    if isinstance(statement, _ast.ImportFrom)
-    for name in statement.names
-}
-__all__ = sorted(_MODULES)
-
-
-def __getattr__(name: str) -> _Any:
-    """The name from the module that `__init__.pyi` imports it from, which is imported now."""
-    if name not in _MODULES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module = _import_module(_MODULES[name])
-    if not hasattr(module, name):
-        _import_module(f"{_MODULES[name]}.{name}")
-    value = globals()[name] = getattr(module, name)
-    return value
-
-
-def __dir__() -> list[str]:
-    return __all__
+__getattr__, __dir__, __all__ = _lazy.attach_stub(__name__, __file__)

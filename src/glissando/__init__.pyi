@@ -1,29 +1,24 @@
 """The names of the package; `__init__.py` imports the module of each when it is first used."""
 
-from glissando.errors import (
-    GlissandoError,
-    NotConvergedWarning,
-    OutsideGridError,
-    RecordingError,
-    RobotFileError,
-    SensorError,
-    UnobservableError,
-)
-from glissando.estimation.batch import estimate
-from glissando.estimation.fixed_lag import FixedLagSmoother
-from glissando.estimation.posterior import Posterior, StateEstimate
-from glissando.estimation.static import StaticPosterior, estimate_static
-from glissando.geometry import se3 as se3
-from glissando.io.netcdf import load_posterior, save_posterior, to_xarray
-from glissando.io.robot_file import load_robot
-from glissando.model.grid import Grid, uniform_grid
-from glissando.model.noise import GemanMcClure, Huber
-from glissando.model.priors.separable import BaseVariance, SeparablePrior
-from glissando.model.priors.white_noise import BaseDensity, WhiteNoisePrior
-from glissando.model.robot import Robot
-from glissando.model.sensors.parameters import SensorParameter
-from glissando.model.sensors.readings import Readings
-from glissando.model.sensors.sensors import (
+from .errors import GlissandoError, NotConvergedWarning
+from .estimation.batch import estimate
+from .estimation.fixed_lag import FixedLagSmoother
+from .estimation.posterior import Posterior, SolveReport, StateEstimate
+from .estimation.static import StaticPosterior, estimate_static
+from .evaluation.consistency import check
+from .evaluation.metrics import errors_against
+from .geometry import se3
+from .io.netcdf import load_posterior, save_posterior
+from .io.recording import load_recording
+from .io.robot_file import load_robot
+from .model.grid import Grid, uniform_grid
+from .model.noise import GemanMcClure, Huber
+from .model.priors.separable import BaseVariance, SeparablePrior
+from .model.priors.white_noise import BaseDensity, WhiteNoisePrior
+from .model.robot import Robot
+from .model.sensors.parameters import SensorParameter
+from .model.sensors.readings import Readings
+from .model.sensors.sensors import (
     CoilReadings,
     FbgReadings,
     GyroReadings,
@@ -32,8 +27,11 @@ from glissando.model.sensors.sensors import (
     PositionReadings,
     StrainReadings,
 )
-from glissando.model.state import State
-from glissando.solver.gauss_newton import SolverOptions
+from .model.state import State
+from .planning.plan_slide import plan_slide
+from .simulation.simulate import simulate
+from .solver.gauss_newton import SolverOptions
+from .visualization.page.page import save_view
 
 __all__ = [
     "BaseDensity",
@@ -48,30 +46,32 @@ __all__ = [
     "Huber",
     "NotConvergedWarning",
     "OrientationReadings",
-    "OutsideGridError",
     "PoseReadings",
     "PositionReadings",
     "Posterior",
     "Readings",
-    "RecordingError",
     "Robot",
-    "RobotFileError",
-    "SensorError",
     "SensorParameter",
     "SeparablePrior",
+    "SolveReport",
     "SolverOptions",
     "State",
     "StateEstimate",
     "StaticPosterior",
     "StrainReadings",
-    "UnobservableError",
     "WhiteNoisePrior",
+    "check",
+    "errors_against",
     "estimate",
     "estimate_static",
     "load_posterior",
+    "load_recording",
     "load_robot",
+    "plan_slide",
     "save_posterior",
-    "to_xarray",
+    "save_view",
+    "se3",
+    "simulate",
     "uniform_grid",
 ]
 

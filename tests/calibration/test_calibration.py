@@ -7,9 +7,9 @@ import pytest
 from scipy.stats import chi2
 
 import rigs_drawn as rigs
-from glissando import RecordingError
 from glissando.calibration.rig.calibrate import calibrate
 from glissando.calibration.rig.rig import PARAMETERS
+from glissando.errors import RecordingError
 
 TAIL = 0.025  # chance that a true law fails, each side
 SEEDS = range(6)

@@ -14,8 +14,9 @@ from glissando.calibration.rig.rig import PARAMETERS
 from glissando.calibration.rig.session_data import rig_data
 from glissando.cli.main import main
 from glissando.geometry import se3
-from glissando.io.robot_file import parse_robot, robot_file
+from glissando.io.robot_file import parse_robot
 from glissando.io.session_log import read_session
+from glissando.io.shipped_robots import robot_file
 from glissando.io.toml_table import Table
 
 

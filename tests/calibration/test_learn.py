@@ -16,7 +16,7 @@ from glissando.calibration.robot import learn as learning
 from glissando.calibration.robot.hyperparameters import expanded, learnable
 from glissando.calibration.robot.learn import learn
 from glissando.cli.main import main
-from glissando.io.robot_file import robot_file
+from glissando.io.shipped_robots import robot_file
 from glissando.model.sensors.sensors import PoseReadings
 from learn_drawn import NOISE, readings, shipped
 from scenes import LENGTH

@@ -10,15 +10,14 @@ from glissando import (
     GemanMcClure,
     Huber,
     NotConvergedWarning,
-    OutsideGridError,
     PoseReadings,
     SolverOptions,
     State,
-    UnobservableError,
     estimate,
     load_robot,
     uniform_grid,
 )
+from glissando.errors import OutsideGridError, UnobservableError
 from glissando.geometry import se3
 from scenes import LENGTH, arc, sliding_scene
 

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from glissando import GlissandoError, OutsideGridError, estimate
+from glissando import GlissandoError, estimate
+from glissando.errors import OutsideGridError
 from glissando.io.netcdf import COMPONENTS, load_posterior, save_posterior
 from glissando.model.interpolation import sort_points
 from glissando.model.state import DOF

@@ -15,16 +15,14 @@ from glissando import (
     GyroReadings,
     Huber,
     NotConvergedWarning,
-    OutsideGridError,
     PoseReadings,
     PositionReadings,
-    SensorError,
     StrainReadings,
-    UnobservableError,
     estimate,
     estimate_static,
     load_robot,
 )
+from glissando.errors import OutsideGridError, SensorError, UnobservableError
 from glissando.estimation import static as method
 from glissando.evaluation.metrics import errors_against
 from glissando.geometry import se3

@@ -12,7 +12,7 @@ from glissando.cli.main import main
 from glissando.geometry import se3
 from glissando.io.foreign import Choices, Track, write_recording
 from glissando.io.recording import load_recording
-from glissando.io.robot_file import robot_file
+from glissando.io.shipped_robots import robot_file
 
 
 def run(*arguments):

@@ -5,16 +5,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from glissando import (
-    FbgReadings,
-    GlissandoError,
-    GyroReadings,
-    Huber,
-    OutsideGridError,
-    Readings,
-    SensorError,
-    estimate,
-)
+from glissando import FbgReadings, GlissandoError, GyroReadings, Huber, Readings, estimate
+from glissando.errors import OutsideGridError, SensorError
 from glissando.evaluation.metrics import errors_against
 from glissando.io.netcdf import save_posterior
 from scenes import sliding_scene

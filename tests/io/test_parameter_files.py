@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from glissando import RobotFileError, SensorError, estimate, load_robot
-from glissando.io.robot_file import robot_file
+from glissando import estimate, load_robot
+from glissando.errors import RobotFileError, SensorError
+from glissando.io.shipped_robots import robot_file
 from glissando.model.sensors.parameters import SensorParameter
 from scenes import sliding_scene
 from unknown_scenes import unknown

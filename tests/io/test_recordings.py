@@ -3,11 +3,12 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from glissando import Huber, RecordingError, RobotFileError, load_robot
+from glissando import Huber, load_robot
+from glissando.errors import RecordingError, RobotFileError
 from glissando.geometry import se3
 from glissando.io.csv_stream import Rows, clean, read_named, steady, write_named
 from glissando.io.recording import load_recording
-from glissando.io.robot_file import robot_file, shipped_robots
+from glissando.io.shipped_robots import robot_file, shipped_robots
 from glissando.model.sensors.sensors import sensor_kinds
 from scenes import LENGTH, arc
 

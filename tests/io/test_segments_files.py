@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from glissando import RobotFileError, WhiteNoisePrior, estimate, load_robot
+from glissando import WhiteNoisePrior, estimate, load_robot
+from glissando.errors import RobotFileError
 from glissando.model.priors.separable import SeparablePrior
 
 ROBOT = """

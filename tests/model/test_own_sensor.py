@@ -6,10 +6,11 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from glissando import Readings, SensorError, estimate, load_robot
+from glissando import Readings, estimate, load_robot
+from glissando.errors import SensorError
 from glissando.io.journal import Journal
 from glissando.io.recording import load_recording, save_recording
-from glissando.io.robot_file import robot_file
+from glissando.io.shipped_robots import robot_file
 from glissando.model.sensors.readings import SENSORS
 from glissando.planning import predict_information, sliding_sensor
 from plans import KINEMATIC, LENGTH, REACH

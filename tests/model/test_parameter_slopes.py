@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from draws import motion, prior
-from glissando import PositionReadings, SensorError, State, estimate
+from glissando import PositionReadings, State, estimate
+from glissando.errors import SensorError
 from glissando.model.priors.separable import BaseVariance, SeparablePrior
 from glissando.solver.linearize import linearize
 from glissando.solver.located_readings import locate

@@ -11,13 +11,13 @@ from glissando import (
     BaseDensity,
     Grid,
     GyroReadings,
-    OutsideGridError,
     PoseReadings,
     SolverOptions,
     State,
     WhiteNoisePrior,
     estimate,
 )
+from glissando.errors import OutsideGridError
 from glissando.geometry import se3
 from glissando.io.netcdf import load_posterior, save_posterior
 from glissando.model.priors.separable import BaseVariance, SeparablePrior

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from glissando import BaseDensity, CoilReadings, Grid, OutsideGridError, WhiteNoisePrior, estimate
+from glissando import BaseDensity, CoilReadings, Grid, WhiteNoisePrior, estimate
+from glissando.errors import OutsideGridError
 from glissando.geometry import se3
 from glissando.model.priors.separable import BaseVariance, SeparablePrior
 from oracles import separable as oracle

@@ -9,8 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
-from glissando import GlissandoError, Grid, OutsideGridError
+from glissando import GlissandoError, Grid
 from glissando.cli.main import main
+from glissando.errors import OutsideGridError
 from glissando.geometry import se3
 from glissando.io.netcdf import save_posterior
 from glissando.visualization.page import Scene, page, save_view, scene_of

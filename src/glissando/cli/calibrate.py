@@ -21,8 +21,9 @@ from glissando.errors import RecordingError, RobotFileError
 from glissando.hardware.capture.capture import LOG
 from glissando.io.atomic_folder import require_new
 from glissando.io.recording import save_recording
-from glissando.io.robot_file import load_robot, shipped_robots
+from glissando.io.robot_file import load_robot
 from glissando.io.session_log import read_session
+from glissando.io.shipped_robots import shipped_robots
 from glissando.model.robot import Robot
 
 _HELP = """\

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import shtab
 
-from glissando.io.robot_file import shipped_robots
+from glissando.io.shipped_robots import shipped_robots
 
 _ROBOTS = {
     "bash": '_glissando_robots() { compgen -W "@" -- $1; compgen -f -- $1; }',

@@ -21,7 +21,8 @@ from glissando.errors import GlissandoError, RecordingError
 from glissando.evaluation.metrics import pool
 from glissando.evaluation.run import checked_window, run_estimate
 from glissando.io.recording import Recording, load_recording
-from glissando.io.robot_file import load_robot, parse_robot, read_robot_document, robot_file
+from glissando.io.robot_file import load_robot, parse_robot, read_robot_document
+from glissando.io.shipped_robots import robot_file
 from glissando.io.toml_table import Table
 from glissando.model.sensors.parameters import SensorParameter
 

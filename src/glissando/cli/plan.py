@@ -16,7 +16,8 @@ from glissando.cli.shared import Commands, add_command, require_writable
 from glissando.errors import GlissandoError, RobotFileError, SimulationError
 from glissando.geometry.se3 import Array
 from glissando.io.netcdf import load_posterior
-from glissando.io.robot_file import load_robot, robot_file, shipped_robots
+from glissando.io.robot_file import load_robot
+from glissando.io.shipped_robots import robot_file, shipped_robots
 from glissando.model.slide_path import SlideLimits
 from glissando.planning.compare import PathEvaluation, baseline_paths, evaluate_path
 from glissando.planning.objectives import OBJECTIVES, objective_named

@@ -19,7 +19,8 @@ from glissando.errors import GlissandoError, NotConvergedWarning, RobotFileError
 from glissando.estimation.posterior import Posterior
 from glissando.evaluation.run import Run, chosen_streams, run_estimate
 from glissando.io.recording import Recording
-from glissando.io.robot_file import load_robot, shipped_robots
+from glissando.io.robot_file import load_robot
+from glissando.io.shipped_robots import shipped_robots
 from glissando.model.robot import Robot
 from glissando.model.sensors.readings import Readings
 

@@ -8,12 +8,11 @@ from pathlib import Path
 from glissando.cli.shared import Commands, add_command, names, require_writable
 from glissando.errors import SimulationError
 from glissando.io.atomic_folder import require_new
-from glissando.io.robot_file import load_robot, robot_file, shipped_robots
-from glissando.model.slide_path import read_slide
-from glissando.simulation import SlidePath
-from glissando.simulation.bench import Bench, load_bench
+from glissando.io.robot_file import load_robot
+from glissando.io.shipped_robots import robot_file, shipped_robots
 from glissando.simulation.imperfections import PARTS
-from glissando.simulation.simulated_session import simulate_session, write_session
+from glissando.simulation.simulate import simulate
+from glissando.simulation.simulated_session import write_session
 
 _HELP = """\
 Simulate a tendon-driven robot with a sliding coil, and write what its sensors would record.
@@ -61,24 +60,20 @@ def add_to(commands: Commands) -> None:
 
 
 def _simulate(options: argparse.Namespace) -> int:
-    if options.seed < 0:
-        raise SimulationError(f"Seed {options.seed} cannot be; give a whole number from 0 up.")
     file = robot_file(options.robot)
     load_robot(file)  # what cannot be estimated is not worth simulating
-    bench = load_bench(file)
-    flaws = bench.flaws.without(*options.without)
-    actuation = bench.shape(options.shape)
-    path = _path(options, bench)
     require_writable(options.out.parent)
     require_new(options.out, SimulationError)
-    session = simulate_session(
-        bench,
-        bench.move(actuation, flaws, options.seed),
-        path,
+    given = {name: getattr(options, name) for name in ("at", "cycles", "stroke", "speed")}
+    session = simulate(
+        options.robot,
+        shape=options.shape,
+        slide=options.slide,
         seed=options.seed,
         duration=options.duration,
-        flaws=flaws,
+        without=options.without,
         name=options.out.resolve().name,
+        **{name: value for name, value in given.items() if value is not None},
     )
     shipped = options.robot in shipped_robots()
     write_session(session, options.out, options.robot if shipped else file)
@@ -88,35 +83,3 @@ def _simulate(options: argparse.Namespace) -> int:
         f"motion capture frames. Now: glissando estimate {options.out} --out results"
     )
     return 0
-
-
-_SETS = {
-    "hold": ("at",),
-    "oscillate": ("cycles", "stroke", "speed"),
-    "traverse": ("cycles", "stroke", "speed"),
-}
-"""Options that each named slide takes; a file takes none."""
-
-
-def _path(options: argparse.Namespace, bench: Bench) -> SlidePath:
-    """The slide path that the options ask for, on the stage that it needs."""
-    kind, stage = options.slide, bench.slide
-    if kind not in _SETS and not Path(kind).is_file():
-        raise SimulationError(
-            f"There is no slide named {kind!r} and no such file; give hold, oscillate, traverse or "
-            f"a CSV file."
-        )
-    for name in ("at", "cycles", "stroke", "speed"):
-        if getattr(options, name) is not None and name not in _SETS.get(kind, ()):
-            raise SimulationError(
-                f"--{name} says nothing to --slide {kind}; leave it out or choose another slide."
-            )
-    if kind == "hold":
-        lasts = 15.0 if options.duration is None else options.duration
-        return SlidePath.hold(options.at or 0.0, lasts, stage)
-    if kind not in _SETS:
-        return read_slide(Path(kind), stage, bench.rod.length + bench.coil_offset)
-    stage, usual = (bench.full_slide, 1) if kind == "traverse" else (stage, 3)
-    cycles = usual if options.cycles is None else options.cycles
-    stroke = stage.stroke if options.stroke is None else options.stroke
-    return SlidePath.oscillate(cycles, stroke, stage, speed=options.speed)

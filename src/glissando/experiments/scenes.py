@@ -18,7 +18,8 @@ from glissando.estimation.posterior import Posterior
 from glissando.evaluation.metrics import Errors, errors_against
 from glissando.io.csv_stream import Stream
 from glissando.io.recording import Recording
-from glissando.io.robot_file import load_robot, robot_file
+from glissando.io.robot_file import load_robot
+from glissando.io.shipped_robots import robot_file
 from glissando.model.grid import Grid
 from glissando.model.priors.prior import Prior
 from glissando.model.priors.white_noise import WhiteNoisePrior

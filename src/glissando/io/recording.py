@@ -13,7 +13,8 @@ from glissando.geometry.se3 import Array
 from glissando.io.atomic_folder import new_folder
 from glissando.io.csv_stream import Rows, Stream, clean, read_named, read_public, scale_of, steady
 from glissando.io.recording_writer import write_streams
-from glissando.io.robot_file import load_robot, shipped_robots
+from glissando.io.robot_file import load_robot
+from glissando.io.shipped_robots import shipped_robots
 from glissando.io.toml_table import Table, read_toml
 from glissando.model.robot import Robot
 from glissando.model.sensors.readings import SENSORS, Readings

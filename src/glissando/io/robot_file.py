@@ -10,6 +10,7 @@ import numpy as np
 
 from glissando.errors import OldNameWarning, RobotFileError
 from glissando.geometry.se3 import Array
+from glissando.io.shipped_robots import robot_file
 from glissando.io.toml_table import Table, read_document
 from glissando.model.noise import GemanMcClure, Huber, Loss
 from glissando.model.priors.prior import Prior
@@ -29,29 +30,6 @@ _LOSSES: dict[str, type[Huber] | type[GemanMcClure]] = {
     "huber": Huber,
     "geman-mcclure": GemanMcClure,
 }
-_SHIPPED = Path(__file__).parent / "robots"
-
-
-def shipped_robots() -> list[str]:
-    """Names of the robots that come with the package."""
-    return sorted(path.stem for path in _SHIPPED.glob("*.toml"))
-
-
-def robot_file(name: str | Path) -> Path:
-    """The file of a shipped robot by name, or of any robot by path.
-
-    Raises:
-        RobotFileError: There is none.
-    """
-    if str(name) in shipped_robots():
-        return _SHIPPED / f"{name}.toml"
-    path = Path(name)
-    if not path.exists():
-        raise RobotFileError(
-            f"There is no robot named {str(name)!r} and no such file; give a TOML file or one of "
-            f"{', '.join(shipped_robots())}."
-        )
-    return path
 
 
 def load_robot(name: str | Path) -> Robot:

@@ -16,7 +16,7 @@ import numpy as np
 
 from glissando.errors import GlissandoError
 from glissando.experiments.scenes import ROBOT, Scene, bench, grid, known_robot, path, prior
-from glissando.io.robot_file import shipped_robots
+from glissando.io.shipped_robots import shipped_robots
 from glissando.io.toml_table import Table, read_toml
 from glissando.simulation.imperfections import PARTS
 

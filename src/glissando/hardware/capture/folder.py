@@ -12,8 +12,9 @@ from glissando.geometry.se3 import Array
 from glissando.hardware.capture.setup import Rig
 from glissando.io.csv_stream import Rows, Stream
 from glissando.io.recording_writer import write_streams
-from glissando.io.robot_file import load_robot, robot_file, shipped_robots
+from glissando.io.robot_file import load_robot
 from glissando.io.session_log import RawSession, Topic
+from glissando.io.shipped_robots import robot_file, shipped_robots
 
 _GAP = 0.5  # s without a pose that is reported
 _MOCAP_STD = np.repeat([3e-4, 5e-3], 3)  # m, rad: a marker body of some centimetres

@@ -19,7 +19,8 @@ from glissando.estimation.fixed_lag import FixedLagSmoother
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.hardware.capture.setup import Coil, Rig
-from glissando.io.robot_file import load_robot, robot_file
+from glissando.io.robot_file import load_robot
+from glissando.io.shipped_robots import robot_file
 from glissando.model.robot import Robot
 from glissando.model.sensors.sensors import CoilReadings
 

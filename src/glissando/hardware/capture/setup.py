@@ -13,7 +13,8 @@ from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.hardware.drivers import Stage
 from glissando.hardware.drivers.stage import optional_number
-from glissando.io.robot_file import load_robot, robot_file
+from glissando.io.robot_file import load_robot
+from glissando.io.shipped_robots import robot_file
 from glissando.io.toml_table import Table, read_toml
 
 _ARCLENGTH_STD = 2e-3  # m: how well one measures by hand where the coil is

@@ -15,7 +15,7 @@ from glissando.hardware.capture.setup import Body, Coil, Rig
 from glissando.hardware.drivers import Stage
 from glissando.hardware.simulated_devices import started
 from glissando.hardware.simulated_devices.scene import Scene, SceneCoil
-from glissando.io.robot_file import robot_file
+from glissando.io.shipped_robots import robot_file
 from glissando.simulation import load_bench
 
 _LEAD = 0.0254  # m a revolution

@@ -14,7 +14,8 @@ from glissando.io.csv_stream import Rows, Stream
 from glissando.io.foreign.tracks import Track
 from glissando.io.query_csv import read_query
 from glissando.io.recording_writer import write_streams
-from glissando.io.robot_file import load_robot, robot_file, shipped_robots
+from glissando.io.robot_file import load_robot
+from glissando.io.shipped_robots import robot_file, shipped_robots
 
 _FRAMES = "Fill in where each frame stands in the world; quaternions are w, x, y, z."
 _KINDS = ("pose", "coil", "position")
