@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
+from functools import cache
 
 from threadpoolctl import ThreadpoolController
 
-_threads = ThreadpoolController()
-_blas = _threads.select(user_api="blas").lib_controllers
 _held = threading.local()
+
+
+@cache
+def _controller(scipy: bool) -> ThreadpoolController:
+    """What controls the BLAS libraries that are loaded; scipy brings one of its own."""
+    return ThreadpoolController().select(user_api="blas")
 
 
 @contextmanager
@@ -20,9 +26,10 @@ def one_thread() -> Iterator[None]:
         yield
         return
     _held.already = True
-    alone = all(each.num_threads == 1 for each in _blas)
+    controller = _controller("scipy.linalg" in sys.modules)
+    alone = all(each.num_threads == 1 for each in controller.lib_controllers)
     try:
-        with nullcontext() if alone else _threads.limit(limits=1, user_api="blas"):
+        with nullcontext() if alone else controller.limit(limits=1):
             yield
     finally:
         _held.already = False
