@@ -218,7 +218,7 @@ def public(data, learned):
         "",
         "Its stamps are up to 20 ms late: the tracker measures 40 times a second and was asked 50 "
         "times. With `rate` in the robot file they are made steady "
-        "([how](recordings.md#a-robot-file)), which the newest state of a fast tip needs most. "
+        "([how](recordings.md#robot-file-keys)), which the newest state of a fast tip needs most. "
         "Motion capture, which is taken for the truth, is late too, by another time in each "
         "recording ([found](confidence.md#the-real-robot) from it and the sensors at once): "
         + " and ".join(f"{1e3 * late:g} ms in `{name}`" for name, late in LATE.items())

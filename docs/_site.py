@@ -1,8 +1,8 @@
-"""What the site needs beyond the pages: links that leave docs/, and doctests as blocks of code.
+"""Hooks of the site: links that leave docs/, and doctests as blocks of code.
 
-Pages link to source files as files do, `[`steps.pair_error`](../src/glissando/steps.py)`. In the
-site such a link leads to the function's entry in the reference, and any other file outside docs/
-becomes a page of its own.
+Pages link to source files by path, [`se3.exp`](../src/glissando/geometry/se3.py). In the site
+such a link leads to the entry of the function in the reference. Any other linked file outside
+docs/ becomes a page of its own.
 """
 
 import posixpath

@@ -256,8 +256,8 @@ def test_the_figure_draws_each_axis_with_its_bars(tmp_path):
 
 
 def test_the_study_of_the_page_is_one(tmp_path):
-    page = Path(__file__).parents[2] / "docs" / "studies.md"
-    text = page.read_text(encoding="utf-8")
+    page = Path(__file__).parents[2] / "docs" / "simulation.md"
+    text = page.read_text(encoding="utf-8").partition("## Studies")[2]
     file = tmp_path / "sweep.toml"
     file.write_text(re.findall(r"```toml\n(.*?)```", text, flags=re.DOTALL)[0])
     assert len(load_study(file).cells()) == 3 * 2 * 20

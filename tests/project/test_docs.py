@@ -1,4 +1,4 @@
-"""What is written is run: Python blocks of the README and the docs, numbers of the pages."""
+"""The README and the docs are run: their Python blocks, and the numbers that code prints."""
 
 import json
 import re
@@ -16,9 +16,10 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 SCRIPTS = [
     page
     for page in PAGES
-    if page.parent.name in ("tutorials", "how-to") or page.name == "translation.md"
+    if page.parent.name in ("tutorials", "how-to")
+    or page.name in ("conventions.md", "recordings.md")
 ]
-"""Pages to be followed from top to bottom; the blocks of all others stand alone."""
+"""Pages whose blocks are run in order, in one namespace; the blocks of all others stand alone."""
 
 
 def blocks(language, pages=PAGES):

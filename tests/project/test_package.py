@@ -17,7 +17,7 @@ SOURCE = ROOT / "src" / "glissando"
 MODULES = sorted(SOURCE.rglob("*.py"))
 PAGES = [
     *sorted(ROOT.glob("*.md")),
-    *(p for room in ("docs", "src", "tests") for p in sorted((ROOT / room).rglob("*.md"))),
+    *(p for room in ("docs", "tests") for p in sorted((ROOT / room).rglob("*.md"))),
 ]
 
 

@@ -1,4 +1,4 @@
-"""What pages say of the code is so: functions, equations, names in files, pictures."""
+"""Pages agree with the code: functions, equations, names in files, pictures."""
 
 import importlib
 import re
@@ -59,10 +59,10 @@ def test_the_reference_shows_every_public_name_once():
         assert id(getattr(glissando, name)) in everything, name
 
 
-def test_matlab_is_told_the_variables_and_dimensions_that_the_file_has(tmp_path):
+def test_the_page_for_matlab_states_the_variables_and_dimensions_of_the_file(tmp_path):
     import xarray
 
-    page = (DOCS / "how-to" / "matlab.md").read_text(encoding="utf-8")
+    page = (DOCS / "how-to" / "other-tools.md").read_text(encoding="utf-8")
     robot = glissando.load_robot("tdcr466")
     tip = np.tile(np.eye(4), (4, 1, 1))
     tip[:, 2, 3] = robot.length
@@ -90,12 +90,12 @@ def test_matlab_is_told_the_variables_and_dimensions_that_the_file_has(tmp_path)
         ]
 
 
-def test_the_gallery_shows_every_figure_of_the_reproduction():
-    gallery = (DOCS / "gallery.md").read_text(encoding="utf-8")
+def test_the_first_page_shows_every_figure_of_the_reproduction():
+    first_page = (DOCS / "index.md").read_text(encoding="utf-8")
     figures = [p for p in (DOCS / "reproduction").iterdir() if p.suffix in (".png", ".gif")]
     assert len(figures) >= 6
     for figure in figures:
-        assert f"(reproduction/{figure.name})" in gallery
+        assert f"(reproduction/{figure.name})" in first_page
 
 
 def test_tutorials_are_short_enough_to_be_read():
@@ -104,7 +104,7 @@ def test_tutorials_are_short_enough_to_be_read():
 
 
 def test_every_page_is_in_the_navigation():
-    told = (ROOT / "mkdocs.yml").read_text(encoding="utf-8").partition("\nnav:\n")[2]
-    listed = re.findall(r"[\w./-]+\.md", told)
+    navigation = (ROOT / "mkdocs.yml").read_text(encoding="utf-8").partition("\nnav:\n")[2]
+    listed = re.findall(r"[\w./-]+\.md", navigation)
     assert len(listed) == len(set(listed))
     assert set(listed) == {p.relative_to(DOCS).as_posix() for p in DOCS.rglob("*.md")}
