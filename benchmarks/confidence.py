@@ -16,38 +16,40 @@ OPTIONS = {  # learning takes some minutes and leaves its file in results/
 }
 
 TEXT = """\
-# Is confidence true? Measured
+# Is the stated confidence true?
 
-Written by `python benchmarks/confidence.py`.
+`python benchmarks/confidence.py` measures every number on this page and writes it.
 
-## What nodes and watching do to confidence
+## Nodes, duration and confidence
 
-A still robot with a coil at its tip: standard deviation of position at mid-length and
-mid-recording, and its change when something is doubled that adds no information there.
+A still robot has a coil at its tip. The table gives the standard deviation of position at
+mid-length and mid-recording, and its change when something is doubled that adds no information
+there.
 
 {invariance}
 
-## Shapes of a physics that is not ours
+## Shapes of an independent solver
 
 {shapes}
 
-## What nodes buy
+## Accuracy and cost of nodes
 
 {nodes}
 
-The separable prior is one process however many nodes there are, so its robots have 10 time nodes a
-second where the published settings have 30.
+The separable prior is the same process for any number of nodes, so its robots have 10 time nodes a
+second; the published settings have 30.
 
 ## A sliding sensor on real motion
 
-Nobody recorded one. Five motion-capture bodies are mounted on the real robot: the one nearest
-to a virtual place that moves is read as a coil of five degrees of freedom, the others are truth.
-`fixed` is the tip, `oscillating` the last quarter, `traverse` all but the base; each pair of arms
-is compared on truth that neither reads.
+No recording has one. The real robot carries five motion capture bodies: the body nearest to a
+virtual place that moves along the robot is read as a coil of five degrees of freedom, and the
+others are truth. In the arm `fixed` that place is the tip, in `oscillating` it moves over the
+last quarter of the body, in `traverse` over all but the base. Two arms are compared on truth that
+neither of them reads.
 
 {real_slide}
 
-## Gross errors
+## Outliers
 
 {outliers}
 
@@ -55,26 +57,26 @@ is compared on truth that neither reads.
 
 {real}
 
-What the robot file says besides: the tracker was asked faster than it measures, so its stamps are
-up to 20 ms late at a tip that moves at 1.6 m/s (`rate`); the coil at the tip sits askew by some
-degrees (`--joint`); pulled tendons draw discs and bodies down the backbone, by 8 mm at mid-length
-(axial strain); what distorts the tracker's field wanders (drifts).
+The robot file also accounts for these effects. The tracker was polled faster than it measures, so
+its stamps are up to 20 ms late at a tip that moves at 1.6 m/s (`rate`). The coil at the tip is
+tilted by some degrees (`--joint`). The tendons pull discs and bodies down the backbone, by 8 mm
+at mid-length (axial strain). The distortion of the tracker's field drifts.
 
-How far to trust the table. Steady stamps show without any truth. The rest was found by looking at
-both recordings and their truth, and nearly a hundred settings were judged on the first two windows
-before this file was learned: they are no held-out test. That segments are alike and that rest
-counts once are reasons that hold anywhere, but it is there that they were missed. Nothing was
-chosen by the last four seconds. Densities of bending and spreads of drifts were learned in free
-space, to where nothing is gained any more; where they start, strain where segments begin, axial and
-torsional variances, noise, time scales and the time grid were set by hand. That strain where
-segments begin is not to be learned in free space, and that numbers are expected near where they
-start, was found by looking at the windows as well.
+**How far to trust the table.** The first two windows are no held-out test: nearly a hundred
+settings were judged on them before this file was learned, and apart from the steady stamps, which
+need no truth, the effects above were found from both recordings and their truth. That segments
+are alike and that rest counts once are general arguments, but they were found on these windows,
+and so was the choice not to learn strain at the start of segments in free space, and the prior
+about initial values. No choice was made by the last four seconds. Densities of bending and
+standard deviations of drifts were learned in free space until convergence. Their initial values,
+strain at the start of segments, axial and torsional variances, noise, time scales and the time
+grid were set by hand.
 
-What is left. At the tip, where a tracker sits, tracker and motion capture themselves disagree by
-some millimetres in the two windows, with the frame and mounts of slow motion. Motion capture is 20
-ms late in `slow_free_space` and 2 ms in `fast_contact`: no constant of the laboratory, so it is not
-put right. In 10 to 20 s bending gathers beside the base. In 20 to 30 s the impact upsets the
-tracker, and looser shapes buckle to follow it.
+**Remaining errors.** At the tip, tracker and motion capture disagree by some millimetres in the
+two windows, with the frame and mounts of slow motion. Motion capture is 20 ms late in
+`slow_free_space` and 2 ms in `fast_contact`; as this is no constant of the laboratory, it is not
+corrected. From 10 to 20 s the robot bends mostly beside the base. From 20 to 30 s the impact
+disturbs the tracker, and more flexible shapes buckle to follow it.
 """
 
 

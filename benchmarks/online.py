@@ -39,23 +39,23 @@ TRACKER_RATE = 40.0  # Hz, of the tracker that was asked 50 times a second
 LATE = {"slow_free_space": 0.02, "fast_contact": 0.002}  # s, motion capture after the tracker
 
 HEAD = """\
-# Online
+# Online estimation
 
-`FixedLagSmoother` estimates the last time nodes together; what is older is a prior on them.
-`smoother.add(readings)` takes readings of any stream, late, repeated or out of order;
+`FixedLagSmoother` estimates the last time nodes together, with a prior on them from everything
+older. `smoother.add(readings)` takes readings of any stream, late, repeated or out of order;
 `smoother.advance(time)` returns the newest state at the nodes with its covariance;
-`smoother.at(arclength, time)` answers inside the window and a little ahead of it. What was not
-used is counted in `smoother.dropped`, `smoother.nis` says how far readings are from what the others
-foretell (1 when the model fits), and `smoother.fits` whether chance alone explains that.
-[A control loop](../examples/control_loop.py) shows all of it.
+`smoother.at(arclength, time)` answers queries inside the window and a little ahead of it.
+`smoother.dropped` counts the readings that were not used, `smoother.nis` is the mean squared
+normalised innovation (1 if the model fits), and `smoother.fits` states whether chance alone
+explains it. [A control loop](../examples/control_loop.py) shows all of them.
 
-`glissando replay RECORDING` runs a recording through it as if live. With `--out DIR` each reading
-is in `DIR/log` before it is used; a run that was killed goes on from there with the same command.
-In a loop of one's own, `Journal(folder).write(readings)` does the same.
+`glissando replay RECORDING` runs a recording through the smoother as if it were live. With `--out
+DIR` each reading is in `DIR/log` before it is used, and the same command continues a run that was
+killed. `Journal(folder).write(readings)` does this in a loop of your own.
 
-The window is linearised again where readings are new, so a filter (`--lag 0`) costs little less
-than a window, and a long window little more than a short one. `advance` wants times no closer than
-the prior allows (a separable one: 1/200 of its time scale).
+An update linearises the window again where readings are new, so a filter (`--lag 0`) costs little
+less than a window, and a long window little more than a short one. Times given to `advance` must
+not be closer than the prior allows (for the separable prior, 1/200 of its time scale).
 
 """
 
@@ -205,9 +205,9 @@ def public(data, learned):
         "",
         f"Published settings, 30 updates a second, one thread, {platform.machine()}, "
         f"{date.today()}. Latencies are milliseconds, median / 99 % of the middle of {ROUNDS} runs "
-        "by turns; RMSE of the tip in mm. The "
-        "newest estimate of an interval has seen readings up to its end, the lagged one all up to "
-        "when it leaves the window (a filter is judged by what it foretells). `theirs` was "
+        "in turns; RMSE of the tip in mm. The "
+        "newest estimate of an interval uses readings up to its end, the lagged one all until it "
+        "leaves the window (a filter is judged by its prediction). `theirs` was "
         "published for the reference implementation, whose window does not converge on "
         "`extensible`.",
         "",
@@ -216,14 +216,14 @@ def public(data, learned):
         "|---|---|---|---|---|---|---|---|---|",
         *recordings(data),
         "",
-        "Its stamps are up to 20 ms late: the tracker measures 40 times a second and was asked 50 "
-        "times. With `rate` in the robot file they are made steady "
-        "([how](recordings.md#robot-file-keys)), which the newest state of a fast tip needs most. "
-        "Motion capture, which is taken for the truth, is late too, by another time in each "
-        "recording ([found](confidence.md#the-real-robot) from it and the sensors at once): "
+        "The tracker's stamps are up to 20 ms late: it measures 40 times a second and was polled "
+        "50 times. [`rate`](recordings.md#robot-file-keys) in the robot file replaces them by "
+        "steady ones, which matters most for the newest state of a fast tip. "
+        "Motion capture, the truth, is late too, differently in each recording "
+        "([estimated](confidence.md#the-real-robot) together with the sensors): "
         + " and ".join(f"{1e3 * late:g} ms in `{name}`" for name, late in LATE.items())
-        + ". An estimate that is itself late comes closer to it. The learned file is that of "
-        "[the real robot](confidence.md#the-real-robot). RMSE of the tip in mm:",
+        + ". An estimate that is itself late has smaller errors against it. The learned file is "
+        "that of [the real robot](confidence.md#the-real-robot). RMSE of the tip in mm:",
         "",
         "| window | | newest | lagged | published |",
         "|---|---|---|---|---|",
@@ -235,8 +235,8 @@ def public(data, learned):
 def limits():
     """What an update's arithmetic would take."""
     text = [
-        "What the arithmetic alone would take, were every operation as fast as a product of "
-        "matrices of that size on this machine:",
+        "A lower bound for the arithmetic, if every operation were as fast as a matrix product of "
+        "that size on this machine:",
         "",
         "| nodes | million operations an update | ms |",
         "|---|---|---|",
@@ -247,8 +247,7 @@ def limits():
     return [
         *text,
         "",
-        "The rest is the cost of calls on arrays too small to fill them, the innermost compiled "
-        "(`pip install glissando[fast]`); it hardly grows with the number of nodes.",
+        "The rest is the cost of calls on small arrays; it hardly grows with the number of nodes.",
         "",
     ]
 

@@ -146,8 +146,8 @@ def main():
         f"Robot `{robot.name}`, {RECORDING}, {options.seeds} seeds: mean (worst); position RMSE "
         f"over all sites. Growth is against the same loss, and against no loss, on clean rows.\n"
     )
-    heads = ("window", "loss", "clean (mm)", "ruined (mm)", "growth", "of no loss, clean")
-    heads += ("suspects clean → ruined", "ruined rows", "iterations", "converged")
+    heads = ("window", "loss", "clean (mm)", "corrupted (mm)", "growth", "of no loss, clean")
+    heads += ("suspects clean → corrupted", "corrupted rows", "iterations", "converged")
     print("|", " | ".join(heads), "|")
     print("|" + "---|" * len(heads))
     for window in WINDOWS:

@@ -5,28 +5,29 @@ from textwrap import fill
 from matplotlib.figure import Figure
 
 TEXT = """\
-# Beside its peers
+# Comparison with other methods
 
-Every number on this page is printed by `benchmarks/peers.py`, which writes it.
+`benchmarks/peers.py` measures every number on this page and writes it.
 
-A robot is read in a few places; told is where it is between them. Each shape is static and known to
-nothing but its own readings; ours are solved together with `estimate_static`, GTSAM's ({gtsam}) one
-graph after another, on one thread, in one process, taking turns. Times are processor seconds from
-arrays of readings to mean and covariance at all places asked for.
+Sensors read a robot in a few places, and each method estimates its position between them. Every
+shape is static and estimated from its own readings only. Ours are solved together by
+`estimate_static`, GTSAM's ({gtsam}) one graph after another, in turns, on one thread of one
+process. Times are processor seconds from arrays of readings to the mean and covariance at all
+queried places.
 
 ![Error of every method; how fast confidence settles as nodes are added](peers.png)
 
 ## The same problem
 
-{each} shapes of a steel rod of 0.6 m that another group's solver, SoroSim, found; its base is fixed
-and its pose read at {read} m. Prior and noise are the same numbers for both, shear
-so soft that GTSAM can factor dense grids. GTSAM's factor takes the six components of a step as
-independent, ours is the step's exact transition, so theirs needs many nodes for the answer that
-ours has on as many as there are readings. Distances are the largest over shapes and places, from
-the limit of many nodes. With GTSAM's factors in our estimator both agree on every grid to 1e-6 in
-the mean and far better than 1 % in the standard deviation
-(`tests/project/test_peers.py`). GTSAM starts from curves through the readings, ours from a straight
-robot.
+The problem has {each} shapes of a steel rod of 0.6 m, computed by another group's solver,
+SoroSim. The base is fixed, and the pose is read at {read} m. Both methods have the same prior and
+noise, with shear so soft that GTSAM can factor dense grids. GTSAM's factor treats the six
+components of a step as independent; ours is the exact transition of the step, so GTSAM needs many
+nodes for the result that ours has with one node per reading. Distances are from the limit of many
+nodes, the largest over shapes and places. With GTSAM's factors in our estimator both agree on
+every grid to 1e-6 in the mean and far better than 1 % in the standard deviation
+(`tests/project/test_peers.py`). GTSAM starts from curves through the readings, ours from a
+straight robot.
 
 | | nodes | mean, largest distance (mm) | std, largest distance | ms a shape |
 |---|---|---|---|---|
@@ -36,19 +37,20 @@ robot.
 
 ## Accuracy
 
-{rods} such rods, not those that the numbers of the priors were found on. Each of the two has the
-numbers under which it foretells other shapes best. Errors are of position at the {asked} stations
-that are not read, all between readings.
+The priors' numbers were chosen on other shapes than these {rods}, for each method those that
+predict those other shapes best. The errors are of position at the {asked} stations without a
+reading, all between readings.
 
 | steel rod | RMSE (mm) | median (mm) | inside 95 % | ms a shape |
 |---|---|---|---|---|
 {steel}
 
-{moments} moments of the public recording `fast_contact`, 10 to 30 s, the numbers found on
-`slow_free_space`: the tracker's poses of base and tip in, nothing else, motion capture at 0.1165,
-0.233 and 0.3495 m as truth. Each moment is a shape by itself. Readings at both ends say little of
-a body of two segments in contact: no method stands out, and confidence found on slow motion is too
-sure. What time and gyroscopes add is on the page of [results](results.md).
+The second problem has {moments} times of the public recording `fast_contact`, 10 to 30 s, with
+numbers chosen on `slow_free_space`. Each is a shape by itself, estimated from the tracker's poses
+of base and tip only; motion capture at 0.1165, 0.233 and 0.3495 m is the truth. Readings at both
+ends contain little information about a body of two segments in contact: no method is clearly
+best, and a prior chosen on slow motion is overconfident. [Results](results.md) shows what time
+and gyroscopes add.
 
 | real robot | RMSE (mm) | median (mm) | inside 95 % | ms a shape |
 |---|---|---|---|---|

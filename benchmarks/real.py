@@ -37,9 +37,10 @@ ESTIMATE = (
     "--use aurora0,aurora1,gyro_mid,gyro_ee --out results"
 )
 TEXT = """\
-Learned on `{tuned}`, with all motion capture as truth; its frame, the mounts of its bodies and that
-of the coil at the tip are found there too, then fixed. Judged on `fast_contact` from the two
-trackers and two gyroscopes alone. Published: the reference implementation with its own settings.
+The robot file was learned on `{tuned}` with all motion capture as truth. The frame of motion
+capture, the mounts of its bodies and that of the coil at the tip were estimated there too, then
+fixed. The table judges it on `fast_contact`, estimated from the two trackers and two gyroscopes
+alone. The published columns are those of the reference implementation with its own settings.
 
 ```
 {learn}
@@ -50,19 +51,19 @@ trackers and two gyroscopes alone. Published: the reference implementation with 
 |---|---|---|---|---|---|---|---|
 {rows}
 
-On the recording it was learned on, 19 to 29 s: {tuned_line}; and before anything touches the robot,
+On the recording it was learned on, 19 to 29 s: {tuned_line}; and before the contact,
 `fast_contact` 0 to 10 s: {free_line}.
 
-The robot rests for nineteen of the 45 s. What rests says the same again and again, so it counts once
-in what is learned, and half a second of it in where things are mounted: counted as often as it was seen, it
-makes a robot file that is overconfident. Both segments are built alike and have one density of
-bending (`--alike`): with one for each, the lower, which hardly moves in free space, is believed to be
-stiffer than contact finds it. How far strain may differ where segments begin, at the base and at the
-joint, is left as it was set (`--only`): pulled by tendons alone the robot bends little there, so
-learned from that it is believed small, and in contact the estimate is then overconfident. What the
-recording says little of, as the drift at the base, stays near where it starts. The tip accelerates at {slow:.1f} m/s² (RMS) where densities were
-learned, and at {fast:.1f}, {impact:.1f} and {last:.1f} m/s² in the three windows; whether inertia is what
-bends it otherwise there has not been shown.
+The robot rests for nineteen of the 45 s. A resting robot repeats the same truth, which therefore counts
+once for densities and for half a second for mounts; counting every sample makes an overconfident robot
+file. Both segments are of one build and have one density of bending (`--alike`): with a density each,
+the lower segment, which hardly moves in free space, seems stiffer than it is in contact. The variance of
+strain at the start of segments, at the base and at the joint, keeps its initial value (`--only`): tendons
+alone bend the robot little there, so a learned value is small, and in contact the estimate is then
+overconfident. Numbers about which the recording says little, such as the drift at the base, stay near
+their initial values. The tip accelerates at {slow:.1f} m/s² (RMS) where densities were learned, and at
+{fast:.1f}, {impact:.1f} and {last:.1f} m/s² in the three windows; whether inertia causes the different
+bending there has not been shown.
 """
 
 

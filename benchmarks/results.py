@@ -119,18 +119,19 @@ def grid_lines():
 
 
 TEXT = """\
-# Measured
+# Accuracy and speed
 
-Every number on this page is printed by `benchmarks/results.py`; run it to write the page anew.
+`benchmarks/results.py` measures every number on this page and writes it.
 
 ## Accuracy on the public recordings
 
-Tracker at base and tip and two gyroscopes in, motion capture as truth, the settings published for
-these robots translated to densities. The published column is the position RMSE of the reference
-implementation's batch estimator. NEES is per degree of freedom (1 is ideal); the last column is the
-share of samples inside the 95 % position ellipsoid. On slow motion the published settings are too
-wide, on the last window of fast contact too narrow at the tip: tracker and motion capture differ by
-constants of several millimetres that nothing here calibrates.
+The estimates use a tracker at base and tip and two gyroscopes, with the settings published for
+these robots converted to densities; motion capture is the truth. The published column is the
+position RMSE of the reference implementation's batch estimator. NEES is per degree of freedom (1
+is ideal); the last column is the share of samples inside the 95 % position ellipsoid. The
+published settings are underconfident on slow motion and overconfident at the tip in the last
+window of fast contact, where tracker and motion capture differ by uncalibrated constants of
+several millimetres.
 
 | recording | site (m) | position RMSE (mm) | published (mm) | rotation RMSE (°) | NEES | inside 95 % |
 |---|---|---|---|---|---|---|
@@ -138,9 +139,10 @@ constants of several millimetres that nothing here calibrates.
 
 ## Physics of the simulator
 
-500 shapes of a 0.6 m steel rod under gravity, mid and tip wrenches that another group's solver,
-SoroSim, found, against ours: distance at the tip, and the largest angle anywhere. Its strain is a
-few modes in each of two segments and its files have four decimals; none is farther.
+Another group's solver, SoroSim, computed 500 shapes of a 0.6 m steel rod under gravity and
+wrenches at its middle and tip. The table compares them with ours by the distance at the tip and
+the largest angle anywhere. SoroSim's strain consists of a few modes in each of two segments, and
+its files have four decimals.
 
 | median (mm) | 99 % (mm) | largest (mm) | largest angle (°) |
 |---|---|---|---|
@@ -148,26 +150,29 @@ few modes in each of two segments and its files have four decimals; none is fart
 
 ## What the grid does to confidence
 
-A rod of 0.70 m bent to 2 rad/m, base known, a five-degree-of-freedom coil read once at the tip:
-position standard deviation (mm) at mid-length. White noise on independent components, the published
-form with second-order rows, gives 16.12, 13.46, 12.87, 12.73, 12.69 on the same grids (from GTSAM's
-factors, in `tests/estimation/test_gtsam.py`).
+A rod of 0.70 m is bent to 2 rad/m, its base is known, and a five-degree-of-freedom coil is read
+once at the tip. The table gives the standard deviation of position (mm) at mid-length by the
+number of nodes. White noise on independent components, the published form with second-order rows,
+gives 16.12, 13.46, 12.87, 12.73, 12.69 on the same grids (from GTSAM's factors, in
+`tests/estimation/test_gtsam.py`).
 
 | 5 nodes | 9 | 17 | 33 | 65 |
 |---|---|---|---|---|
 {bent}
 
-A still robot, tracker at base and tip for 2 s: lateral standard deviation (mm) at mid-length
-against time nodes a second. Time nodes no longer repeat the prior as if it were news.
+A tracker reads base and tip of a still robot for 2 s. The table gives the lateral standard
+deviation (mm) at mid-length by the number of time nodes per second; it hardly depends on them,
+because more nodes do not repeat the prior.
 
 | 15 nodes/s | 30 | 60 | 120 |
 |---|---|---|---|
 {still}
 
-The same against the length of the recording in seconds, with the published settings and with strain
-and velocity held 10⁶ times more firmly in time. Under firm settings a still shape watched twice as
-long is pulled twice as hard to constant strain: a limit of the kinematic prior, which the published
-settings are loose enough to hide.
+The next table gives the same by the length of the recording in seconds, with the published
+settings and with densities of strain and velocity in time that are 10⁶ times smaller. With such
+firm settings a still shape that is observed twice as long is drawn twice as strongly to constant
+strain. This is a limit of the white-noise prior, which does not show with the wide published
+settings.
 
 | | 1 s | 2 | 4 | 8 |
 |---|---|---|---|---|
@@ -176,16 +181,16 @@ settings are loose enough to hide.
 
 ## Speed
 
-Processor seconds on one thread, covariances included, first estimate of a fresh process and median
-of five; the published column is the C++ reference on one core of a 2.5 GHz Xeon. `make bench`
-prints growing grids too.
+Processor seconds on one thread, covariances included, of the first estimate of a fresh process
+and the median of five; the published column is the C++ reference on one core of a 2.5 GHz Xeon.
+`make bench` also prints larger grids.
 
 | recording | unknowns | iterations | first (s) | median (s) | published (s) |
 |---|---|---|---|---|---|
 {speed}
 
-Growing in time nodes at five arclength nodes, a sliding coil and a gyroscope in, seconds for all
-iterations and microseconds for each unknown and iteration:
+Time by the number of time nodes, with five arclength nodes, a sliding coil and a gyroscope:
+seconds for all iterations, and microseconds per unknown and iteration.
 
 | time nodes | iterations | total (s) | µs |
 |---|---|---|---|

@@ -196,11 +196,12 @@ def row(name, told):
 
 
 TEXT = """\
-A clamped steel rod of 0.6 m under gravity and random forces and moments at its middle and tip, by
-another group's solver. A sliding coil stops at 5 of 12 stations, drawn for each shape (noise 0.7 mm
-and 0.4° an axis); the base is known. The prior's numbers were learned on every second of shapes 1
-to 250. Judged on shapes 251 to 500 where the coil did not stop, beside cubic Hermite curves through
-the same readings, straight on past the last. In brackets 95 % intervals, shapes drawn again.
+A clamped steel rod of 0.6 m bends under gravity and random forces and moments at its middle and
+tip, computed by another group's solver. A sliding coil stops at 5 of 12 stations, drawn for each
+shape (noise 0.7 mm and 0.4° per axis); the base is known. The prior's numbers were learned on
+every second of shapes 1 to 250. The errors are those of shapes 251 to 500 where the coil did not
+stop, beside those of cubic Hermite curves through the same readings, extended straight beyond the
+last. Brackets hold 95 % intervals from resampling the shapes.
 
 | position at | n | in 50 % | in 90 % | in 95 % | in 99 % | NEES | median / RMSE (mm) | Hermite |
 |---|---|---|---|---|---|---|---|---|
