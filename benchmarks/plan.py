@@ -17,7 +17,7 @@ import numpy as np
 
 from glissando import BaseVariance, FixedLagSmoother, SeparablePrior, load_robot
 from glissando.errors import PlanWarning
-from glissando.io.robot_file import robot_file
+from glissando.io.shipped_robots import robot_file
 from glissando.planning import (
     ProcessPlanner,
     Replanner,

@@ -21,7 +21,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from glissando import CoilReadings, NotConvergedWarning, estimate, load_robot
-from glissando.io.robot_file import robot_file
+from glissando.io.shipped_robots import robot_file
 from glissando.planning import (
     Trace,
     Zone,

@@ -13,7 +13,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from glissando.io.robot_file import robot_file
+from glissando.io.shipped_robots import robot_file
 from glissando.simulation import Loads, SlidePath, Wrench, load_bench, simulate_session, solve_shape
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from glissando import CoilReadings, FixedLagSmoother, load_robot
 from glissando.geometry import se3
-from glissando.io.robot_file import robot_file
+from glissando.io.shipped_robots import robot_file
 from glissando.planning import Replanner, Zone, path_space_of, sliding_sensor
 from glissando.simulation import SlidePath, load_bench
 

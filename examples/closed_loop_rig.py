@@ -14,7 +14,7 @@ import numpy as np
 from glissando import CoilReadings, FixedLagSmoother, load_robot
 from glissando.hardware.capture.simulated import simulated_rig
 from glissando.hardware.drivers import Aurora, Slide
-from glissando.io.robot_file import robot_file
+from glissando.io.shipped_robots import robot_file
 from glissando.planning import (
     MovingInterval,
     ProcessPlanner,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from glissando.cli.main import main
-from glissando.io.robot_file import robot_file
+from glissando.io.shipped_robots import robot_file
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "closed_form_motion.py"
 

@@ -14,7 +14,7 @@ from glissando.cli.main import build_parser, main
 from glissando.evaluation.run import run_estimate
 from glissando.io.netcdf import save_posterior
 from glissando.io.recording import load_recording
-from glissando.io.robot_file import robot_file
+from glissando.io.shipped_robots import robot_file
 from glissando.simulation import SlidePath, load_bench, simulate_session, write_session
 
 

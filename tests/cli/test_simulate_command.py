@@ -8,7 +8,7 @@ import pytest
 
 from glissando.cli.main import main
 from glissando.io.recording import load_recording
-from glissando.io.robot_file import robot_file
+from glissando.io.shipped_robots import robot_file
 
 
 def run(*arguments):

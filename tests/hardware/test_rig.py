@@ -18,8 +18,8 @@ from glissando.evaluation.run import run_estimate
 from glissando.hardware.capture import Body, Coil, Rig, load_rig, write_recording
 from glissando.hardware.capture.online import live_estimate
 from glissando.io.recording import load_recording
-from glissando.io.robot_file import robot_file
 from glissando.io.session_log import SessionWriter, read_session
+from glissando.io.shipped_robots import robot_file
 from glissando.simulation import SlidePath, load_bench
 from glissando.simulation.simulated_session import simulate_session, write_session
 from glissando.visualization.page.live import Live, follow

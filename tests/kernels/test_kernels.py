@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
+from subprocess import PIPE
 
 import numpy as np
 import pytest
@@ -365,3 +366,20 @@ def test_what_an_upgrade_leaves_behind_is_never_met(tmp_path, monkeypatch):
     assert folders[-1].is_dir()
     assert not folders[0].exists()
     assert folders[0] != cache_folder("1.1")
+
+
+@pytest.mark.slow
+def test_two_processes_may_compile_at_once_and_say_so_in_a_line(tmp_path):
+    environment = {**os.environ, "GLISSANDO_CACHE": str(tmp_path)}
+    command = [sys.executable, "-c", ONCE]
+    both = [
+        subprocess.Popen(command, env=environment, stdout=PIPE, stderr=PIPE, text=True)
+        for _ in range(2)
+    ]
+    for process in both:
+        out, err = process.communicate(timeout=300)
+        assert (process.returncode, out) == (0, "1.0\n")
+        assert err.count("\n") == 1
+        assert err.startswith("glissando: compiling its inner loops, once, into ")
+    again = subprocess.run(command, env=environment, check=True, capture_output=True, text=True)
+    assert (again.stdout, again.stderr) == ("1.0\n", "")

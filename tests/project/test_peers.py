@@ -10,8 +10,8 @@ pytest.importorskip("gtsam")
 
 from draws import generators, law
 from glissando import BaseDensity, Grid, PoseReadings, State, estimate
-from glissando.estimation.batch import SolverOptions
 from glissando.geometry import se3
+from glissando.solver.gauss_newton import SolverOptions
 from slope import slope_test
 
 gtsam = pytest.importorskip("gtsam")

@@ -7,7 +7,7 @@ import pytest
 
 from glissando.errors import SimulationError
 from glissando.geometry import se3
-from glissando.io.robot_file import robot_file
+from glissando.io.shipped_robots import robot_file
 from glissando.simulation import Actuation, Imperfections, SlidePath, load_bench, simulate_session
 from glissando.simulation.imperfections import PARTS, SmoothField
 from glissando.simulation.tracker import coil_rows, mocap_rows

@@ -3,7 +3,8 @@
 import numpy as np
 
 from glissando.geometry import se3
-from glissando.io.robot_file import read_robot_document, robot_file
+from glissando.io.robot_file import read_robot_document
+from glissando.io.shipped_robots import robot_file
 from scenes import arc
 
 NOISE = np.r_[2e-3, 2e-3, 2e-3, 1e-2, 1e-2, 1e-2]

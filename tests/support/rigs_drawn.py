@@ -9,8 +9,9 @@ import numpy as np
 from glissando.calibration.rig.calibrate import calibrate
 from glissando.calibration.rig.rig import Body, Noise, Rig, RigData
 from glissando.geometry import se3
-from glissando.io.robot_file import load_robot, robot_file
+from glissando.io.robot_file import load_robot
 from glissando.io.session_log import INTEGER, NUMBER, SessionWriter, numbers, schema
+from glissando.io.shipped_robots import robot_file
 from glissando.simulation import SlidePath, Tendon
 from glissando.simulation.bench import Actuation, load_bench
 from glissando.simulation.tracker import coil_rows, mocap_rows

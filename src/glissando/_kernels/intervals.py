@@ -21,6 +21,13 @@ from glissando._kernels.process import apply_into, matmul_into
 
 
 @jit()
+def _scaled(factor, x, out):
+    """A six-vector times a number."""
+    for i in range(6):
+        out[i] = factor * x[i]
+
+
+@jit()
 def _put(out, row, column, matrix, sign):
     """Write ± a matrix (6, 6) into its place."""
     for i in range(6):
@@ -39,12 +46,14 @@ def _error(pose0, pose1, fields0, fields1, step, error, j0, j1):
     a, b = np.empty((6, 6)), np.empty((6, 6))
     strain0, velocity0, rate0 = fields0[:6], fields0[6:12], fields0[12:]
     ahead_into(pose0, pose1, ahead)
-    scaled = step * strain0
-    exp_into(-scaled, pose)
+    scaled = np.empty(6)
+    _scaled(-step, strain0, scaled)
+    exp_into(scaled, pose)
     compose_into(pose, ahead, miss)
     xi, xi_rate = error[:6], error[12:18]
     log_into(miss, xi)
     right_jacobian_inverse_into(xi, spread)
+    _scaled(step, strain0, scaled)
     right_jacobian_into(scaled, stretch)
     adjoint_back_into(ahead, back)
     adjoint_back_into(miss, unmiss)
@@ -73,10 +82,14 @@ def _error(pose0, pose1, fields0, fields1, step, error, j0, j1):
     matmul_into(a, spread, by_miss)
     ad_into(drawn, b)
     times_into(spread, b, a)
-    by_miss[:] = -by_miss - a
+    for i in range(6):
+        for j in range(6):
+            by_miss[i, j] = -by_miss[i, j] - a[i, j]
     ad_into(carried, b)
     times_into(spread, b, a)
-    by_ahead[:] = by_miss - a
+    for i in range(6):
+        for j in range(6):
+            by_ahead[i, j] = by_miss[i, j] - a[i, j]
     _put(j1, 12, 0, by_ahead, 1.0)
     matmul_into(by_ahead, back, a)
     _put(j0, 12, 0, a, -1.0)
@@ -84,7 +97,9 @@ def _error(pose0, pose1, fields0, fields1, step, error, j0, j1):
     times_into(spread, unmiss, a)
     matmul_into(a, slope, b)
     matmul_into(by_miss, pull, a)
-    a[:] = a + step * step * b
+    for i in range(6):
+        for j in range(6):
+            a[i, j] += step * step * b[i, j]
     _put(j0, 12, 6, a, -1.0)
     for i in range(6):
         j0[6 + i, 6 + i] = j0[18 + i, 18 + i] = -1.0
@@ -126,7 +141,8 @@ def interval_between(pose0, pose1, fields0, fields1, step, offset, gain, whole, 
     pose, fields = np.empty((m, 4, 4)), np.empty((m, 18))
     j0, j1 = np.empty((m, 24, 24)), np.empty((m, 24, 24))
     error, e0, e1, d = np.empty(24), np.zeros((24, 24)), np.zeros((24, 24)), np.empty((24, 24))
-    still, moving, carried = np.empty(12), np.empty(12), np.empty(6)
+    still, moving, off, carried = np.empty(12), np.empty(12), np.empty(12), np.empty(6)
+    scaled = np.empty(6)
     x, after = np.empty(6), np.empty(6)
     ahead, bend, there = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
     stretch, turn, curl = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
@@ -135,22 +151,29 @@ def interval_between(pose0, pose1, fields0, fields1, step, offset, gain, whole, 
     for n in range(m):
         u, strain0, rate0 = offset[n], fields0[n, :6], fields0[n, 12:]
         _error(pose0[n], pose1[n], fields0[n], fields1[n], step[n], error, e0, e1)
-        apply_into(gain[n], error[:12] - whole[n], still)
-        still += part[n]
+        for i in range(12):
+            off[i] = error[i] - whole[n, i]
+        apply_into(gain[n], off, still)
+        for i in range(12):
+            still[i] += part[n, i]
         apply_into(gain[n], error[12:], moving)
-        scaled = u * strain0
+        _scaled(u, strain0, scaled)
         exp_into(scaled, ahead)
         exp_into(still[:6], bend)
         compose_into(pose0[n], ahead, there)
         compose_into(there, bend, pose[n])
         right_jacobian_into(scaled, stretch)
-        stretch *= u
+        for i in range(6):
+            for j in range(6):
+                stretch[i, j] *= u
         right_jacobian_into(still[:6], turn)
         adjoint_back_into(ahead, back)
         adjoint_back_into(bend, unbend)
         apply_into(back, fields0[n, 6:12], carried)
         apply_into(stretch, rate0, x)
-        apply_into(unbend, carried + x, after)
+        for i in range(6):
+            x[i] += carried[i]
+        apply_into(unbend, x, after)
         apply_into(turn, moving[:6], x)
         for i in range(6):
             fields[n, i] = strain0[i] + still[6 + i]
@@ -159,14 +182,18 @@ def interval_between(pose0, pose1, fields0, fields1, step, offset, gain, whole, 
         ad_into(after, a)
         times_into(a, turn, curl)
         slope_into(still[:6], moving[:6], slope)
-        curl += slope
+        for i in range(6):
+            for j in range(6):
+                curl[i, j] += slope[i, j]
         _spread(gain[n], turn, curl, e0, d, j0[n])
         _spread(gain[n], turn, curl, e1, d, j1[n])
 
         ad_into(carried, a)
         times_into(a, stretch, b)
         slope_into(scaled, rate0, slope)
-        b += u * u * slope
+        for i in range(6):
+            for j in range(6):
+                b[i, j] += u * u * slope[i, j]
         matmul_into(unbend, b, slope)
         times_into(unbend, back, a)
         times_into(unbend, stretch, b)

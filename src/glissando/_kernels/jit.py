@@ -10,10 +10,11 @@ from __future__ import annotations
 import hashlib
 import os
 import shutil
+import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import update_wrapper
 from pathlib import Path
@@ -34,6 +35,11 @@ class Kernel:
         self.compiled: Any = None
         _KERNELS.append(self)
 
+    def compile(self) -> None:
+        """Compile every signature, or load it from the cache."""
+        for signature in self.signatures:
+            self.compiled.compile(signature)
+
     def __call__(self, *arguments: Any) -> Any:
         if self.compiled is None:
             load()
@@ -52,47 +58,76 @@ def jit(*signatures: str) -> Callable[[Callable[..., Any]], Any]:
 
 def load() -> None:
     """Make every kernel callable: compile it, the first time on this machine, or load it."""
+    with _LOCK:
+        kernels, folder = _dispatchers()
+        _compile_once(kernels, folder)
+
+
+def compile_named(names: Sequence[str]) -> None:
+    """Compile some kernels into the cache: what `load` asks of a second process.
+
+    Args:
+        names: Full names of kernels that have signatures.
+    """
+    for kernel in _dispatchers()[0]:
+        if kernel.name in names:
+            kernel.compile()
+
+
+def _dispatchers() -> tuple[list[Kernel], Path]:
+    """The kernels that numba has not met, made known to it and to one another; their cache."""
     import numba
 
     config: Any = numba.config
-    with _LOCK:
-        waiting = [kernel for kernel in _KERNELS if kernel.compiled is None]
-        folder, before = cache_folder(numba.__version__), config.CACHE_DIR
-        config.CACHE_DIR = str(folder)
-        try:
-            for kernel in waiting:
-                kernel.compiled = numba.njit(
-                    cache=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"}
-                )(kernel.function)
-        finally:
-            config.CACHE_DIR = before
-        for kernel in waiting:  # kernels call one another as what numba knows
-            for name, value in kernel.function.__globals__.items():
-                if isinstance(value, Kernel):
-                    kernel.function.__globals__[name] = value.compiled
-        _compile_once(waiting, folder)
+    kernels = [kernel for kernel in _KERNELS if kernel.compiled is None]
+    folder, before = cache_folder(numba.__version__), config.CACHE_DIR
+    config.CACHE_DIR = str(folder)
+    try:
+        for kernel in kernels:
+            kernel.compiled = numba.njit(
+                cache=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"}
+            )(kernel.function)
+    finally:
+        config.CACHE_DIR = before
+    for kernel in kernels:
+        for name, value in kernel.function.__globals__.items():
+            if isinstance(value, Kernel):
+                kernel.function.__globals__[name] = value.compiled
+    return kernels, folder
 
 
 def _compile_once(kernels: list[Kernel], folder: Path) -> None:
-    """Compile the given signatures unless an earlier process did, with a word if it takes long."""
+    """Compile the given signatures unless an earlier process did, with a word if it takes long.
+
+    A second process compiles one half: modules apart, as kernels of one share what they call.
+    """
     done = folder / "compiled"
-    names = {kernel.name for kernel in kernels if kernel.signatures}
+    wanted = sorted((k for k in kernels if k.signatures), key=lambda kernel: kernel.name)
     with suppress(OSError):
-        names -= set(done.read_text(encoding="utf-8").split())
-    if not names:
+        there = set(done.read_text(encoding="utf-8").split())
+        wanted = [kernel for kernel in wanted if kernel.name not in there]
+    if not wanted:
         return
     notice = threading.Timer(_NOTICE, _say, [folder])
     notice.daemon = True
     notice.start()
+    command = [sys.executable, "-m", "glissando._kernels.compile"]
+    environment = {**os.environ, "GLISSANDO_CACHE": str(folder.parent)}
     try:
-        for kernel in kernels:
-            if kernel.name in names:
-                for signature in kernel.signatures:
-                    kernel.compiled.compile(signature)
+        half = len(wanted) * 2 // 5
+        second = subprocess.Popen(
+            [*command, *(kernel.name for kernel in wanted[half:])],
+            env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        )  # fmt: skip
+        for kernel in wanted[:half]:
+            kernel.compile()
+        second.wait()
+        for kernel in wanted[half:]:  # from the cache, or anew if the second process failed
+            kernel.compile()
     finally:
         notice.cancel()
     with suppress(OSError), done.open("a", encoding="utf-8") as file:
-        file.write("".join(f"{name}\n" for name in sorted(names)))
+        file.write("".join(f"{kernel.name}\n" for kernel in wanted))
 
 
 def _say(folder: Path) -> None:

@@ -20,8 +20,10 @@ def _whitened(sqrt_info, jacobian, extras, residual, white, miss):
     """White Jacobian (r, q) of one factor, parameters' columns last, and white residual (r,)."""
     r, wide = len(miss), jacobian.shape[1] * jacobian.shape[2]
     rows = jacobian.reshape(r, wide)
-    white[:], miss[:] = 0.0, 0.0
     for i in range(r):
+        miss[i] = 0.0
+        for j in range(white.shape[1]):
+            white[i, j] = 0.0
         for k in range(r):
             share = sqrt_info[i, k]
             if share != 0.0:
@@ -65,7 +67,16 @@ def accumulate(
     for i in range(m):
         k = _places(nodes[i], first_dof, d, e, n_count, dof, count, place)
         _whitened(sqrt_info[i], jacobian[i], extras[i], residual[i], white, miss)
-        np.dot(white.T, white, square)
+        for a in range(q):
+            for b in range(a + 1):
+                square[a, b] = 0.0
+        for y in range(r):
+            for a in range(q):
+                for b in range(a + 1):
+                    square[a, b] += white[y, a] * white[y, b]
+        for a in range(q):
+            for b in range(a):
+                square[b, a] = square[a, b]
         row = 0
         for a in range(c + 2):
             late, at, width = place[a, 0], place[a, 1], place[a, 2]
@@ -148,8 +159,9 @@ def at_nodes(by_state, jacobian, left, cov):
     out, whitener = np.zeros((m, r, c, d)), np.empty((m, r, r))
     half, whole = np.empty((r, dof)), np.empty((r, r))
     for n in range(m):
-        half[:] = 0.0
         for i in range(r):
+            for j in range(dof):
+                half[i, j] = 0.0
             for k in range(dof):
                 share = by_state[n, i, k]
                 if share != 0.0:  # a sensor sees little of a state

@@ -71,7 +71,12 @@ def whiten_into(cov, out):
 @jit()
 def process_into(rate, step, psd, carried_psd, jump, rigid, cov, carried):
     """Noise of an interval; `cov` (12, 12) and `carried` (6, 6) are written."""
-    cov[:], carried[:] = 0.0, 0.0
+    for i in range(12):
+        for j in range(12):
+            cov[i, j] = 0.0
+    for i in range(6):
+        for j in range(6):
+            carried[i, j] = 0.0
     m, m2, m3, m4 = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
     lever, ride, angle = np.empty((6, 6)), np.empty((6, 6)), squared_angle(rate)
     ad_into(rate, m)
@@ -177,15 +182,15 @@ def bridge_into(
     _condition(near6, cross6, whole6, carried_gain, carried_cov)
 
 
-@jit("(f8[:,::1], f8[::1], f8[::1], f8[:,::1], f8[:,::1])")
-def bridge(rate, step, offset, psd, jump):
-    """Gains and covariances (M, 12, 12) of the pair where nothing is carried rigidly."""
+@jit("(f8[:,::1], f8[::1], f8[::1], f8[:,::1], f8[:,::1], b1)")
+def bridge(rate, step, offset, psd, jump, rigid):
+    """Gains and covariances (M, 12, 12) of the pair, whatever is carried."""
     m = len(rate)
     gain, cov = np.empty((m, 12, 12)), np.empty((m, 12, 12))
     unused, unused_too = np.empty((6, 6)), np.empty((6, 6))
     for i in range(m):
         bridge_into(
-            rate[i], step[i], offset[i], psd[i], psd[i], jump[i], False, gain[i], cov[i],
+            rate[i], step[i], offset[i], psd[i], psd[i], jump[i], rigid, gain[i], cov[i],
             unused, unused_too,
         )  # fmt: skip
     return gain, cov

@@ -29,7 +29,9 @@ def pose_error(values, pose, mount, rolls):
         if rolls:
             roll[5] = -atan2(apart[1, 0] - apart[0, 1], apart[0, 0] + apart[1, 1])
             exp_into(roll, turn)
-            there[:] = apart
+            for i in range(4):
+                for j in range(4):
+                    there[i, j] = apart[i, j]
             compose_into(turn, there, apart)
         log_into(apart, out[n])
     return out

@@ -64,8 +64,8 @@ def _pair(start, end, rate0, rate1, step, error, back, pull, spread):
             pull[i, j] *= -step
 
 
-@jit("(f8[:,:,::1], f8[:,::1], i8[:,::1], f8[::1], f8[:,::1], f8[:,::1])")
-def static_steps(pose, strain, nodes, step, psd, jump):
+@jit("(f8[:,:,::1], f8[:,::1], i8[:,::1], f8[::1], f8[:,::1], f8[:,::1], b1)")
+def static_steps(pose, strain, nodes, step, psd, jump, rigid):
     """Errors (M, 12) of steps that hold still, Jacobians (M, 12, 2, 12), whiteners (M, 12, 12)."""
     m = len(step)
     error, jacobian, info = np.empty((m, 12)), np.zeros((m, 12, 2, 12)), np.zeros((m, 12, 12))
@@ -80,7 +80,7 @@ def static_steps(pose, strain, nodes, step, psd, jump):
                 out[i, 0, j], out[i, 0, 6 + j], out[i, 1, j] = back[i, j], pull[i, j], spread[i, j]
             out[6 + i, 0, 6 + i], out[6 + i, 1, 6 + i] = -1.0, 1.0
         middle_into(strain[a], strain[b], h, psd[n], jump[n], middle)
-        process_into(middle, h, psd[n], psd[n], jump[n], False, cov, unused)
+        process_into(middle, h, psd[n], psd[n], jump[n], rigid, cov, unused)
         pair_whiten_into(cov, info[n])
     return error, jacobian, info
 
@@ -88,7 +88,9 @@ def static_steps(pose, strain, nodes, step, psd, jump):
 @jit()
 def _carried(start, end, field0, field1, at, rigid, error, j0, j1):
     """Error (6,) of the carried field and its Jacobians (6, 18), which are written."""
-    j0[:], j1[:] = 0.0, 0.0
+    for i in range(6):
+        for j in range(18):
+            j0[i, j] = j1[i, j] = 0.0
     for i in range(6):
         j1[i, at + i] = 1.0
         if not rigid:

@@ -103,7 +103,7 @@ def static_steps(
         Errors, Jacobians (M, 12, 2, 12) by pose and strain of both ends, whiteners (M, 12, 12).
     """
     error, jacobian, whitener = kernels.static_steps(
-        *map(whole, (flat.pose, flat.strain, nodes, step, psd, jump))
+        *map(whole, (flat.pose, flat.strain, nodes, step, psd, jump)), False
     )
     return error, jacobian, whitener
 

@@ -99,5 +99,5 @@ def bridge(
     """
     lead = rate.shape[:-1]
     places, six = (items(step, lead), items(offset, lead)), (items(x, lead, 6) for x in (psd, jump))
-    gain, cov = unflatten(lead, *kernels.bridge(items(rate, lead, 6), *places, *six))
+    gain, cov = unflatten(lead, *kernels.bridge(items(rate, lead, 6), *places, *six, False))
     return gain, cov

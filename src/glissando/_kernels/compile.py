@@ -1,0 +1,19 @@
+"""A process that compiles some kernels: `python -m glissando._kernels.compile NAME …`."""
+
+from __future__ import annotations
+
+import sys
+
+from glissando._kernels import (  # noqa: F401  (importing them makes their kernels known)
+    block_tridiagonal,
+    intervals,
+    normal_equations,
+    process,
+    se3,
+    sensors,
+    steps,
+)
+from glissando._kernels.jit import compile_named
+
+if __name__ == "__main__":
+    compile_named(sys.argv[1:])
