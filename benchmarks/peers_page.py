@@ -37,9 +37,8 @@ straight robot.
 
 ## Accuracy
 
-The priors' numbers were chosen on other shapes than these {rods}, for each method those that
-predict those other shapes best. The errors are of position at the {asked} stations without a
-reading, all between readings.
+The numbers of each method's prior are those that best predict shapes other than these {rods}. The
+errors are of position at the {asked} stations without a reading, all between readings.
 
 | steel rod | RMSE (mm) | median (mm) | inside 95 % | ms a shape |
 |---|---|---|---|---|
