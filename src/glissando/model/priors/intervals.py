@@ -13,6 +13,7 @@ from glissando._kernels import intervals as kernels
 from glissando._kernels.arrays import items, unflatten
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
+from glissando.model.grid import Cells, Index
 from glissando.model.state import POSE, STRAIN, STRAIN_RATE, VELOCITY, State
 
 RATED = 24
@@ -114,3 +115,28 @@ def interval_end(start: State, error: Array, step: Array) -> State:
     )
     strain, rate = start.strain + error[..., 6:12], rate0 + error[..., 18:]
     return State(start.pose @ ahead, strain, velocity, rate)
+
+
+def kron_pair(small: Array, large: Array) -> Array:
+    """Kronecker products (…, 24, 24) of (…, 2, 2) and (…, 12, 12)."""
+    product = small[..., :, None, :, None] * large[..., None, :, None, :]
+    return product.reshape(*product.shape[:-4], RATED, RATED)
+
+
+def at_time_nodes(
+    state: State,
+    k: Index,
+    n: Index,
+    s: Cells,
+    crossing: tuple[Array, Array] | None,
+    rest: tuple[Array, Array] | None,
+) -> tuple[State, Index, Array]:
+    """State, nodes (M, 1 or 2) and Jacobian (M, 24, c, 24) at time nodes k, nodes n or beyond."""
+    n_count, flat = state.strain.shape[1], state.flatten()
+    nodes = (k * n_count + n)[:, None]
+    if crossing is None or rest is None:
+        eye = np.broadcast_to(np.eye(RATED)[:, None, :], (k.size, RATED, 1, RATED))
+        return flat.take(nodes[:, 0]), nodes, eye
+    ends = flat.take(nodes[:, 0]), flat.take(nodes[:, 0] + 1)
+    at, j0, j1 = interval_between(*ends, s.step, s.offset, crossing[0], rest)
+    return at, nodes + np.arange(2), np.stack([j0, j1], axis=2)

@@ -19,14 +19,15 @@ from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.factors import Factors, Residuals
 from glissando.model.grid import Cells, Grid, Index
-from glissando.model.interpolation import Interpolation, Points
+from glissando.model.interpolation import Interpolation, Points, chained
 from glissando.model.noise import pair_sqrt_information
 from glissando.model.priors import matern
 from glissando.model.priors.intervals import (
     RATED,
-    interval_between,
+    at_time_nodes,
     interval_end,
     interval_error,
+    kron_pair,
     place_error,
     strain_rate_of,
 )
@@ -207,7 +208,7 @@ class SeparablePrior:
 
         if first:
             root = np.diag(np.diagonal(matern.stationary(self.time_scale)) ** -0.5)
-            terms = Residuals(error[0], _kron(root, pair_sqrt_information(cov[0])))
+            terms = Residuals(error[0], kron_pair(root, pair_sqrt_information(cov[0])))
             yield Factors(nodes[0], _ALL, jacobian[0], terms)
         if not len(steps):
             return
@@ -221,7 +222,7 @@ class SeparablePrior:
         both[..., :count, :] = -fading.reshape(both[..., :count, :].shape)
         both[..., count:, :] = jacobian[1:]
         joined = np.concatenate([nodes[:-1], nodes[1:]], axis=2)
-        info = _kron(root[:, None], pair_sqrt_information(0.5 * (cov[:-1] + cov[1:])))
+        info = kron_pair(root[:, None], pair_sqrt_information(0.5 * (cov[:-1] + cov[1:])))
         terms = Residuals(innovation.reshape(-1, RATED), info.reshape(-1, RATED, RATED))
         shape = -1, RATED, 2 * count, RATED
         yield Factors(joined.reshape(-1, 2 * count), _ALL, both.reshape(shape), terms)
@@ -260,22 +261,22 @@ class SeparablePrior:
         rest = self._rest_within(grid, s) if points.inside_arclength else None
 
         if not points.inside_time:
-            at, nodes, jacobian = _at_times(state, k, n, s, crossing, rest)
+            at, nodes, jacobian = at_time_nodes(state, k, n, s, crossing, rest)
             at, jacobian, time_left = replace(at, strain_rate=None), jacobian[:, :DOF], None
         else:
-            early, late = (_at_times(state, k + i, n, s, crossing, rest) for i in (0, 1))
+            early, late = (at_time_nodes(state, k + i, n, s, crossing, rest) for i in (0, 1))
             at, j0, j1, time_left = self._along_time(early[0], late[0], t, points.arclength)
-            jacobian = np.concatenate([_chained(j0, early[2]), _chained(j1, late[2])], axis=2)
+            jacobian = np.concatenate([chained(j0, early[2]), chained(j1, late[2])], axis=2)
             nodes = np.concatenate([early[1], late[1]], axis=1)
         if crossing is None and time_left is None:  # on nodes
             return Interpolation(at, nodes, jacobian, np.zeros((k.size, DOF, DOF)))
         left = np.zeros((k.size, RATED, RATED))
         if crossing is not None:
-            left += _kron(matern.stationary(self.time_scale), crossing[1])
+            left += kron_pair(matern.stationary(self.time_scale), crossing[1])
         if time_left is not None:
             section = self._section(grid, noise_state, k, n, s, points.inside_arclength)
             known = section if crossing is None else section - crossing[1]
-            left += _kron(time_left, known)
+            left += kron_pair(time_left, known)
         return Interpolation(at, nodes, jacobian, _in_body(at, left[:, :DOF, :DOF]))
 
     def _crossing(self, grid: Grid, noise_state: State, k: Index, s: Cells) -> tuple[Array, Array]:
@@ -325,38 +326,8 @@ class SeparablePrior:
         return onward @ cov[which, n] @ _transposed(onward) + noise
 
 
-def _kron(small: Array, large: Array) -> Array:
-    """Kronecker products (…, 24, 24) of (…, 2, 2) and (…, 12, 12)."""
-    product = small[..., :, None, :, None] * large[..., None, :, None, :]
-    return product.reshape(*product.shape[:-4], RATED, RATED)
-
-
 def _transposed(matrix: Array) -> Array:
     return np.swapaxes(matrix, -1, -2)
-
-
-def _at_times(
-    state: State,
-    k: Index,
-    n: Index,
-    s: Cells,
-    crossing: tuple[Array, Array] | None,
-    rest: tuple[Array, Array] | None,
-) -> tuple[State, Index, Array]:
-    """State, nodes (M, 1 or 2) and Jacobian (M, 24, c, 24) at time nodes k, nodes n or beyond."""
-    n_count, flat = state.strain.shape[1], state.flatten()
-    nodes = (k * n_count + n)[:, None]
-    if crossing is None or rest is None:
-        eye = np.broadcast_to(np.eye(RATED)[:, None, :], (k.size, RATED, 1, RATED))
-        return flat.take(nodes[:, 0]), nodes, eye
-    ends = flat.take(nodes[:, 0]), flat.take(nodes[:, 0] + 1)
-    at, j0, j1 = interval_between(*ends, s.step, s.offset, crossing[0], rest)
-    return at, nodes + np.arange(2), np.stack([j0, j1], axis=2)
-
-
-def _chained(outer: Array, inner: Array) -> Array:
-    m, r, c, d = inner.shape
-    return (outer @ inner.reshape(m, r, c * d)).reshape(m, -1, c, d)
 
 
 def _in_body(at: State, left: Array) -> Array:

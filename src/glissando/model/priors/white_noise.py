@@ -17,7 +17,7 @@ from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.factors import Factors, Residuals
 from glissando.model.grid import Grid, Index
-from glissando.model.interpolation import Interpolation, Points
+from glissando.model.interpolation import Interpolation, Points, chained
 from glissando.model.priors.prior import by_interval, interval_strain, is_soft, soften
 from glissando.model.priors.prior_table import (
     PriorTable,
@@ -273,7 +273,7 @@ def _interpolate(
     at, j0, j1, cov = _between_times(prior, grid, noise_state, points, early.state, late.state)
     for jacobian, corner in ((j0, early), (j1, late)):
         cov = cov + jacobian @ corner.cov @ np.swapaxes(jacobian, -1, -2)
-    j0, j1 = _chain(j0, early.jacobian), _chain(j1, late.jacobian)
+    j0, j1 = chained(j0, early.jacobian), chained(j1, late.jacobian)
     nodes = np.concatenate([early.nodes, late.nodes], axis=1)
     return Interpolation(at, nodes, np.concatenate([j0, j1], axis=2), cov)
 
@@ -310,8 +310,3 @@ def _between_times(
         span = grid.arclength_spans[s.nearest, None]
     psd, carried, jump = prior.along_time(grid.time[t.lower] + 0.5 * t.step)
     return bridged(TIME, start, end, t.step, t.offset, rate, (psd / span, carried / span, jump))
-
-
-def _chain(outer: Array, inner: Array) -> Array:
-    m, r, c, d = inner.shape
-    return (outer @ inner.reshape(m, r, c * d)).reshape(m, r, c, d)

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
+from glissando import __version__
 from glissando.estimation.posterior import Posterior
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
@@ -70,8 +71,6 @@ def subtitle(posterior: Posterior, scene: Scene) -> str:
 
 def page(scene: Scene, title: str, subtitle: str) -> str:
     """The HTML of a scene. Coordinates are rounded to a step that the page states."""
-    from glissando import __version__
-
     content = contents(scene)
     coarse = 0.5 * _MM * max(content[name]["step"] for name in ("centre", "root"))
     scripts = ("scene.js", "stage.js", "panels.js", "page.js", "hands.js")

@@ -1,0 +1,39 @@
+"""The house keeps its shape: no circle of files, few at the root, no way round the contract."""
+
+import ast
+from pathlib import Path
+
+import grimp
+import pytest
+
+SOURCE = Path(__file__).parents[2] / "src" / "glissando"
+MODULES = sorted(SOURCE.rglob("*.py"))
+
+
+def test_no_files_import_each_other_in_a_circle():
+    graph = grimp.build_graph("glissando")
+    left = {m: set(graph.find_modules_directly_imported_by(m)) for m in graph.modules}
+    while leaves := [module for module, imported in left.items() if not imported]:
+        for module in leaves:
+            del left[module]
+        for imported in left.values():
+            imported.difference_update(leaves)
+    assert not left, f"in circles, or above one: {sorted(left)}"
+
+
+def test_the_root_holds_little_but_packages():
+    names = {path.name for path in SOURCE.iterdir() if path.suffix == ".py"}
+    assert names == {"__init__.py", "__main__.py", "errors.py"}
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(SOURCE)))
+def test_the_package_is_imported_at_the_top_of_files_only(path):
+    """A function that imports a room could go round the contract of layers."""
+    tree = ast.parse(path.read_text())
+    inner = {node for top in ast.walk(tree) if isinstance(top, ast.FunctionDef)
+             for node in ast.walk(top)}  # fmt: skip
+    for node in inner:
+        if isinstance(node, ast.ImportFrom):
+            assert not (node.module or "").startswith("glissando"), ast.unparse(node)
+        elif isinstance(node, ast.Import):
+            assert not any(name.name.startswith("glissando") for name in node.names)
