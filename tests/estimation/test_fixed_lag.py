@@ -15,11 +15,14 @@ from scipy.stats import chi2
 import separable_sessions as drawn
 from draws import generators, law
 from glissando import Grid, PoseReadings, State, estimate, load_robot
+from glissando.cli.main import main
 from glissando.errors import OutsideGridError, SensorError
 from glissando.estimation.fixed_lag import FixedLagSmoother
 from glissando.geometry import se3
+from glissando.io.netcdf import load_posterior, save_posterior
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.solver.gauss_newton import SolverOptions
+from glissando.solver.outcome import Outcome
 from scenes import LENGTH, arc, sliding_scene
 
 EXACT = SolverOptions(tolerance=1e-7)
@@ -65,7 +68,9 @@ def test_a_window_as_long_as_the_recording_is_the_batch_estimate(kind, sensor_pa
     assert np.abs(found.system.diagonal - batch.system.diagonal).max() < 1e-6 * scale
     assert np.abs(found.system.lower - batch.system.lower).max() < 1e-6 * scale
     for unknown in sensor_parameters:
-        for mine, its in zip(found.unknown(unknown.name), batch.unknown(unknown.name), strict=True):
+        for mine, its in zip(
+            found.parameter(unknown.name), batch.parameter(unknown.name), strict=True
+        ):
             np.testing.assert_allclose(mine, its, atol=1e-6)
     for s, t in ((0.3, 0.55), (LENGTH, 1.0)):
         np.testing.assert_allclose(smoother.at(s, t).pose, batch.at(s, t).pose, atol=1e-6)
@@ -291,3 +296,16 @@ def test_memory_does_not_grow_while_it_runs():
     finally:
         tracemalloc.stop()
     assert np.mean(held[30:]) < 1.05 * np.mean(held[5:30])
+
+
+def test_a_saved_window_is_sound_and_commands_take_it(tmp_path, capsys):
+    _, grid, readings = sliding_scene(duration=0.5)
+    smoother = FixedLagSmoother(PRIORS["kinematic"], grid.arclength, window=4)
+    fed(smoother, grid, readings)
+    save_posterior(smoother.posterior(), tmp_path / "posterior.nc")
+    again = load_posterior(tmp_path / "posterior.nc")
+    assert again.solve.outcome is Outcome.UPDATED
+    assert again.solve.converged
+    assert main(["view", str(tmp_path), "--html", str(tmp_path / "view.html")]) == 0
+    assert "updated online" in (tmp_path / "view.html").read_text()
+    capsys.readouterr()

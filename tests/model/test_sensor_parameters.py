@@ -76,7 +76,7 @@ def calibrations():
 def test_what_sensors_are_off_by_is_found_as_surely_as_stated(calibrations, kind):
     squares, wrong = [], []
     for posterior in calibrations:
-        values, cov = posterior.unknown(kind)
+        values, cov = posterior.parameter(kind)
         np.testing.assert_allclose(values, np.tile(values[:1], (6, 1)), atol=5e-4)
         error, cov = values[2] - TRUE[kind], cov[2]
         assert np.all(np.abs(error) < 3.5 * np.sqrt(np.diagonal(cov)))
@@ -94,7 +94,7 @@ def test_the_stated_confidence_is_small_enough_to_mean_something(calibrations):
         ("bias", 0.15),
         ("arclength_offset", 0.003),
     ):
-        cov = calibrations[0].unknown(kind)[1][2]
+        cov = calibrations[0].parameter(kind)[1][2]
         assert np.sqrt(np.diagonal(cov)).max() < most
 
 
@@ -119,7 +119,7 @@ def test_covariances_are_those_of_the_dense_inverse(calibrations):
     for kind in SIZES:
         at = slice(first, first + SIZES[kind])
         np.testing.assert_array_equal(
-            posterior.unknown(kind)[1], posterior.marginals.cov[:, at, at]
+            posterior.parameter(kind)[1], posterior.marginals.cov[:, at, at]
         )
         first += SIZES[kind]
 
@@ -169,13 +169,13 @@ def test_a_memory_far_longer_than_the_recording_is_a_constant():
         for t in (np.inf, 3e6, 1.0)
     )
     for kind in SIZES:
-        values, cov = constant.unknown(kind)
+        values, cov = constant.parameter(kind)
         std = np.sqrt(np.einsum("kii->ki", cov))
-        assert np.all(np.abs(long.unknown(kind)[0] - values) < 0.1 * std)
+        assert np.all(np.abs(long.parameter(kind)[0] - values) < 0.1 * std)
         assert np.all(np.abs(np.ptp(values, axis=0)) < 0.2 * std)
-        np.testing.assert_allclose(np.sqrt(np.einsum("kii->ki", long.unknown(kind)[1])), std,
+        np.testing.assert_allclose(np.sqrt(np.einsum("kii->ki", long.parameter(kind)[1])), std,
                                    rtol=0.05)  # fmt: skip
-        assert np.sqrt(np.einsum("kii->ki", short.unknown(kind)[1])).min() > 1.2 * std.min()
+        assert np.sqrt(np.einsum("kii->ki", short.parameter(kind)[1])).min() > 1.2 * std.min()
 
 
 # Known unknowns, and those of nobody.
@@ -238,7 +238,7 @@ def test_a_posterior_with_unknowns_is_read_back_as_it_was_written(calibrations, 
         np.testing.assert_array_equal(was.std, now.std)
         np.testing.assert_array_equal(was.value, now.value)
         np.testing.assert_array_equal(values, same)
-        before, after = posterior.unknown(was.name)[1], again.unknown(was.name)[1]
+        before, after = posterior.parameter(was.name)[1], again.parameter(was.name)[1]
         np.testing.assert_allclose(before, after, rtol=1e-4, atol=1e-6 * np.abs(before).max())
     here, there = (p.at([0.1, 0.3], [0.33, 0.7]) for p in (posterior, again))
     np.testing.assert_allclose(here.pose, there.pose, atol=1e-12)
@@ -249,7 +249,7 @@ def test_a_posterior_with_unknowns_is_read_back_as_it_was_written(calibrations, 
 
 def test_an_unknown_that_was_not_estimated_is_answered_with_those_that_were(calibrations):
     names = ", ".join(SIZES)
-    with pytest.raises(GlissandoError, match=f"No unknown 'nose' was estimated; .*: {names}"):
-        calibrations[0].unknown("nose")
+    with pytest.raises(GlissandoError, match=f"No sensor parameter 'nose' was .*: {names}"):
+        calibrations[0].parameter("nose")
     with pytest.raises(GlissandoError, match=r"those that were: none\."):
-        replace(calibrations[0], sensor_parameters=()).unknown("nose")
+        replace(calibrations[0], sensor_parameters=()).parameter("nose")

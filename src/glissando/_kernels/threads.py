@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
@@ -14,8 +13,10 @@ _held = threading.local()
 
 
 @cache
-def _controller(scipy: bool) -> ThreadpoolController:
-    """What controls the BLAS libraries that are loaded; scipy brings one of its own."""
+def _controller() -> ThreadpoolController:
+    """What controls numpy's BLAS and scipy's, which kernels call and which is loaded for it."""
+    import scipy.linalg  # noqa: F401
+
     return ThreadpoolController().select(user_api="blas")
 
 
@@ -26,7 +27,7 @@ def one_thread() -> Iterator[None]:
         yield
         return
     _held.already = True
-    controller = _controller("scipy.linalg" in sys.modules)
+    controller = _controller()
     alone = all(each.num_threads == 1 for each in controller.lib_controllers)
     try:
         with nullcontext() if alone else controller.limit(limits=1):

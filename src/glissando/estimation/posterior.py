@@ -186,16 +186,25 @@ class Posterior:
         variance = of_nodes.reshape(k, n, -1)
         return np.sqrt(variance[..., POSE])
 
-    def unknown(self, name: str) -> tuple[Array, Array]:
-        """Values (K, size) of an estimated unknown and their covariance (K, size, size).
+    def parameter(self, name: str) -> tuple[Array, Array]:
+        """An estimated sensor parameter.
 
-        Raises GlissandoError when no unknown of that name was estimated.
+        Args:
+            name: Its name.
+
+        Returns:
+            Values (K, size) at the time nodes, and their covariances (K, size, size).
+
+        Raises:
+            GlissandoError: No sensor parameter of that name was estimated.
         """
         first = self.grid.arclength.size * self.state.dof
-        for unknown, values in self.sensor_parameters:
-            at = slice(first, first + unknown.size)
-            if unknown.name == name:
+        for parameter, values in self.sensor_parameters:
+            at = slice(first, first + parameter.size)
+            if parameter.name == name:
                 return values, self.marginals.cov[:, at, at]
-            first += unknown.size
+            first += parameter.size
         known = ", ".join(u.name for u, _ in self.sensor_parameters) or "none"
-        raise GlissandoError(f"No unknown {name!r} was estimated; those that were: {known}.")
+        raise GlissandoError(
+            f"No sensor parameter {name!r} was estimated; those that were: {known}."
+        )

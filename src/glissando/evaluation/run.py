@@ -56,7 +56,7 @@ class Run:
         """Every estimated sensor parameter: value and std at mid recording, RMS over time."""
         out = []
         for parameter, _ in self.posterior.sensor_parameters:
-            values, cov = self.posterior.unknown(parameter.name)
+            values, cov = self.posterior.parameter(parameter.name)
             middle = len(values) // 2
             out.append(
                 {

@@ -67,7 +67,7 @@ def locate(
     posterior = quiet_estimate(robot.prior, robot.grid(*window), inner, parameters, _OPTIONS)
 
     def estimated(parameter: SensorParameter) -> SensorParameter:
-        values, _ = posterior.unknown(parameter.name)
+        values, _ = posterior.parameter(parameter.name)
         return replace(parameter, value=values[len(values) // 2], std=0.0 * parameter.std)
 
     known = copy.deepcopy(document)
