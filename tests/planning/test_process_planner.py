@@ -16,7 +16,6 @@ from plans import (
     LONG_REACH,
     ROBOTS,
     SEPARABLE,
-    read_between,
     replanner_of,
     require_limits,
     smoother_of,
@@ -64,18 +63,18 @@ def test_a_belief_that_is_propagated_is_that_of_the_smoother_at_the_later_time(k
 
 
 @kinds
-def test_submitting_a_task_takes_a_fraction_of_an_update(kind):
-    robot, durations = ROBOTS[kind], []
-    smoother = smoother_of(robot)
-    for time in np.arange(1.5, 11.0, 0.5):
-        smoother.add(read_between(sliding_sensor(robot), lambda t: 0.65 + 0 * t, time - 0.5, time))
-        replanner, clock = replanner_of(robot, ZONES, planner=Slow(), lead=0.5), [thread_time()]
-        smoother.advance(time)
+def test_submitting_a_task_takes_a_fraction_of_planning_it(kind):
+    """What it takes beside an update is measured by benchmarks/plan.py."""
+    smoother, durations = smoother_of(ROBOTS[kind]), []
+    inline = replanner_of(ROBOTS[kind], ZONES, lead=0.5)
+    for _ in range(3):
+        beside, clock = replanner_of(ROBOTS[kind], ZONES, planner=Slow(), lead=0.5), [thread_time()]
+        beside.next(smoother)
         clock.append(thread_time())
-        replanner.next(smoother)
+        inline.next(smoother)
         durations.append(np.diff([*clock, thread_time()]))
-    update, submission = np.median(durations, axis=0)
-    assert submission < 0.15 * update
+    submission, planning = np.min(durations, axis=0)
+    assert submission < 0.15 * planning
 
 
 @kinds

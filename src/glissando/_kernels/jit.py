@@ -14,11 +14,16 @@ import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from functools import update_wrapper
 from pathlib import Path
 from typing import Any
+
+try:
+    import fcntl
+except ImportError:  # Windows: two processes at once may compile twice
+    fcntl = None  # type: ignore[assignment]
 
 _KERNELS: list[Kernel] = []
 _LOCK = threading.RLock()
@@ -99,35 +104,60 @@ def _dispatchers() -> tuple[list[Kernel], Path]:
 def _compile_once(kernels: list[Kernel], folder: Path) -> None:
     """Compile the given signatures unless an earlier process did, with a word if it takes long.
 
-    A second process compiles one half: modules apart, as kernels of one share what they call.
+    Two processes compile and all others load, so that every process runs the same code: numba's
+    own varies in the last digit with what is in its cache.
     """
-    done = folder / "compiled"
     wanted = sorted((k for k in kernels if k.signatures), key=lambda kernel: kernel.name)
-    with suppress(OSError):
-        there = set(done.read_text(encoding="utf-8").split())
-        wanted = [kernel for kernel in wanted if kernel.name not in there]
-    if not wanted:
+    if not _missing(wanted, folder):
         return
     notice = threading.Timer(_NOTICE, _say, [folder])
     notice.daemon = True
     notice.start()
-    command = [sys.executable, "-m", "glissando._kernels.compile"]
-    environment = {**os.environ, "GLISSANDO_CACHE": str(folder.parent)}
     try:
-        half = len(wanted) * 2 // 5
-        second = subprocess.Popen(
-            [*command, *(kernel.name for kernel in wanted[half:])],
-            env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-        )  # fmt: skip
-        for kernel in wanted[:half]:
-            kernel.compile()
-        second.wait()
-        for kernel in wanted[half:]:  # from the cache, or anew if the second process failed
-            kernel.compile()
+        with _locked(folder):
+            missing = _missing(wanted, folder)  # another process may have compiled meanwhile
+            half = len(missing) * 2 // 5  # modules apart, as kernels of one share what they call
+            parts = [_compiling(names, folder) for names in (missing[:half], missing[half:])]
+            for process in filter(None, parts):
+                process.wait()
+            for kernel in wanted:  # from the cache, or here if a process could not
+                kernel.compile()
+            with suppress(OSError), (folder / "compiled").open("a", encoding="utf-8") as file:
+                file.write("".join(f"{name}\n" for name in missing))
     finally:
         notice.cancel()
-    with suppress(OSError), done.open("a", encoding="utf-8") as file:
-        file.write("".join(f"{kernel.name}\n" for kernel in wanted))
+
+
+def _missing(kernels: list[Kernel], folder: Path) -> list[str]:
+    """Names of kernels that no process has compiled yet."""
+    compiled: set[str] = set()
+    with suppress(OSError):
+        compiled = set((folder / "compiled").read_text(encoding="utf-8").split())
+    return [kernel.name for kernel in kernels if kernel.name not in compiled]
+
+
+@contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """Let one process at a time compile, where the system has such locks."""
+    with (folder / "lock").open("w") as file:
+        if fcntl is not None:
+            with suppress(OSError):
+                fcntl.flock(file, fcntl.LOCK_EX)
+        yield
+
+
+def _compiling(names: list[str], folder: Path) -> subprocess.Popen[bytes] | None:
+    """A process that compiles kernels into the cache; None inside a program that is no Python."""
+    if not names or "python" not in Path(sys.executable or "").name.lower():
+        return None
+    command = [sys.executable, "-m", "glissando._kernels.compile", *names]
+    environment = {**os.environ, "GLISSANDO_CACHE": str(folder.parent)}
+    nothing = subprocess.DEVNULL
+    with suppress(OSError):
+        return subprocess.Popen(
+            command, env=environment, stdin=nothing, stdout=nothing, stderr=nothing
+        )
+    return None
 
 
 def _say(folder: Path) -> None:
