@@ -41,9 +41,11 @@ class Kernel:
         _KERNELS.append(self)
 
     def compile(self) -> None:
-        """Compile every signature, or load it from the cache."""
+        """Compile every signature, or load it from the cache, which calls find by types alone."""
+        from numba.core.sigutils import normalize_signature
+
         for signature in self.signatures:
-            self.compiled.compile(signature)
+            self.compiled.compile(normalize_signature(signature)[0])
 
     def __call__(self, *arguments: Any) -> Any:
         if self.compiled is None:
