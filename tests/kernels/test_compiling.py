@@ -1,0 +1,70 @@
+"""Kernels are compiled once on a machine, whatever its home is like, and never without need."""
+
+import os
+import subprocess
+import sys
+from subprocess import PIPE
+
+import pytest
+
+from glissando._kernels.jit import cache_folder
+
+
+def test_numba_is_imported_when_the_first_kernel_is_called_and_not_before():
+    code = (
+        "import sys, numpy as np, glissando\n"
+        "assert 'numba' not in sys.modules\n"
+        "glissando.se3.exp(np.zeros(6))\n"
+        "assert 'numba' in sys.modules\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_a_process_that_only_reads_devices_never_imports_numba():
+    code = (
+        "import sys\n"
+        "import glissando.hardware.capture.capture, glissando.hardware.simulated_devices\n"
+        "assert 'numba' not in sys.modules\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+ONCE = "import numpy as np, glissando; print(glissando.se3.exp(np.zeros(6))[0, 0])"
+
+
+@pytest.mark.parametrize("home", ["read-only", "missing"])
+def test_a_home_that_cannot_be_written_to_does_not_matter(tmp_path, home):
+    folder = tmp_path / "home"
+    if home == "read-only":
+        folder.write_text("a file where a folder is asked for")
+    environment = {**os.environ, "HOME": str(folder), "XDG_CACHE_HOME": str(folder / "cache")}
+    run = subprocess.run(
+        [sys.executable, "-c", ONCE], env=environment, check=True, capture_output=True, text=True
+    )
+    assert run.stdout == "1.0\n"
+
+
+def test_what_an_upgrade_leaves_behind_is_never_met(tmp_path, monkeypatch):
+    monkeypatch.setenv("GLISSANDO_CACHE", str(tmp_path))
+    folders = [cache_folder(version) for version in ("1", "2", "3", "4")]
+    assert len(set(folders)) == 4
+    assert folders[-1].is_dir()
+    assert not folders[0].exists()
+    assert folders[0] != cache_folder("1.1")
+
+
+@pytest.mark.slow
+def test_two_processes_may_compile_at_once_and_say_so_in_a_line(tmp_path):
+    environment = {**os.environ, "GLISSANDO_CACHE": str(tmp_path)}
+    command = [sys.executable, "-c", ONCE]
+    both = [
+        subprocess.Popen(command, env=environment, stdout=PIPE, stderr=PIPE, text=True)
+        for _ in range(2)
+    ]
+    for process in both:
+        out, err = process.communicate(timeout=300)
+        assert (process.returncode, out) == (0, "1.0\n")
+        assert err.count("\n") == 1
+        assert err.startswith("glissando: compiling its inner loops, once, into ")
+    again = subprocess.run(command, env=environment, check=True, capture_output=True, text=True)
+    assert (again.stdout, again.stderr) == ("1.0\n", "")
