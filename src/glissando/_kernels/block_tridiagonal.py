@@ -17,9 +17,8 @@ def _product(a, b, out):
 
 
 @jit()
-def _transposed(a):
-    """The transpose of a matrix, contiguous."""
-    out = np.empty((a.shape[1], a.shape[0]))
+def _transposed(a, out):
+    """The transpose of a matrix, contiguous, in `out`."""
     for i in range(a.shape[0]):
         for j in range(a.shape[1]):
             out[j, i] = a[i, j]
@@ -48,9 +47,10 @@ def _inverse_factor(a, out):
     corner, side, tail = _copied(a, 0, 0, h, h), _copied(a, h, 0, m, h), _copied(a, h, h, m, m)
     top, low = np.empty((h, h)), np.empty((m, m))
     below, half, square = np.empty((m, h)), np.empty((m, h)), np.empty((m, m))
+    turned = np.empty((h, m))
     _inverse_factor(corner, top)
-    _product(side, _transposed(top), below)
-    _product(below, _transposed(below), square)
+    _product(side, _transposed(top, corner), below)
+    _product(below, _transposed(below, turned), square)
     for i in range(m):
         for j in range(m):
             tail[i, j] -= square[i, j]
@@ -73,16 +73,16 @@ def factor(diagonal, lower, start, inverse, coupling):
     A[k, k+1] are written; those before `start` are used as they are.
     """
     d = diagonal.shape[1]
-    schur = np.empty((d, d))
+    schur, turned = np.empty((d, d)), np.empty((d, d))
     for k in range(start, len(diagonal)):
         if k:
-            _product(_transposed(coupling[k - 1]), coupling[k - 1], schur)
+            _product(_transposed(coupling[k - 1], turned), coupling[k - 1], schur)
         for i in range(d):
             for j in range(d):
                 schur[i, j] = diagonal[k, i, j] - (schur[i, j] if k else 0.0)
         _inverse_factor(schur, inverse[k])
         if k < len(coupling):
-            _product(inverse[k], _transposed(lower[k]), coupling[k])
+            _product(inverse[k], _transposed(lower[k], turned), coupling[k])
 
 
 @jit("(f8[:,:,::1], f8[:,:,::1], f8[:,::1])")
@@ -121,14 +121,14 @@ def marginals(inverse, coupling, cov, cross):
     """Blocks of the inverse on the diagonal and next to it; they may overwrite the factor."""
     d = inverse.shape[1]
     block, gain = np.empty((d, d)), np.empty((d, d))
-    carried, square = np.empty((d, d)), np.empty((d, d))
+    carried, square, root = np.empty((d, d)), np.empty((d, d)), np.empty((d, d))
     for k in range(len(inverse) - 1, -1, -1):
-        root = _transposed(inverse[k])
+        _transposed(inverse[k], root)
         _product(root, inverse[k], block)
         if k < len(coupling):
             _product(root, coupling[k], gain)
             _product(gain, cov[k + 1], carried)
-            _product(carried, _transposed(gain), square)
+            _product(carried, _transposed(gain, root), square)
             for i in range(d):
                 for j in range(d):
                     block[i, j] += square[i, j]
