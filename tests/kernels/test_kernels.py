@@ -168,8 +168,6 @@ def seen_between(rng, lead):
 ARGUMENTS = {
     se3.exp: of_se3(False),
     se3.log: of_se3(True),
-    se3.inverse: of_se3(True),
-    se3.adjoint: of_se3(True),
     se3.so3_log: lambda rng, lead: ((of_se3(True)(rng, lead)[0][0][..., :3, :3],), {}),
     se3.right_jacobian: of_se3(False),
     se3.right_jacobian_inverse: of_se3(False),

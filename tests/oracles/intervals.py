@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from glissando.model.priors.intervals import strain_rate_of
 from glissando.model.state import POSE, STRAIN, STRAIN_RATE, VELOCITY, State
 from oracles import se3
 from oracles.se3 import Array
@@ -21,28 +22,6 @@ _LINEAR, _ANGULAR, _LINEAR_RATE, _ANGULAR_RATE = (slice(i, i + 6) for i in range
 
 def _apply(matrix: Array, vector: Array) -> Array:
     return np.einsum("...ij,...j->...i", matrix, vector)
-
-
-def strain_rate_of(state: State) -> Array:
-    """The strain rate (…, 6) of a state that must have one."""
-    assert state.strain_rate is not None
-    return state.strain_rate
-
-
-def place_error(pose: Array, strain: Array, at: State) -> tuple[Array, Array]:
-    """Error [r; ṙ] (…, 24) of a cross-section from where it is expected, Jacobian (…, 24, 24).
-
-    r = [log(T̄⁻¹ T); ε − ε̄] for a `pose` (4, 4) and a `strain` (6,) that stand still.
-    """
-    xi = se3.log(se3.inverse(pose) @ at.pose)
-    spread = se3.right_jacobian_inverse(xi)
-    xi_rate = _apply(spread, at.velocity)
-    error = np.concatenate([xi, at.strain - strain, xi_rate, strain_rate_of(at)], axis=-1)
-    jacobian = np.zeros((*xi.shape[:-1], RATED, RATED))
-    jacobian[..., :6, POSE] = jacobian[..., 12:18, VELOCITY] = spread
-    jacobian[..., 12:18, POSE] = -spread @ se3.right_jacobian_slope(xi, xi_rate) @ spread
-    jacobian[..., 6:12, STRAIN] = jacobian[..., 18:, STRAIN_RATE] = np.eye(6)
-    return error, jacobian
 
 
 def interval_error(start: State, end: State, step: Array) -> tuple[Array, Array, Array]:
@@ -136,20 +115,3 @@ def interval_between(
     j0[..., STRAIN, STRAIN] += np.eye(6)
     j0[..., STRAIN_RATE, STRAIN_RATE] += np.eye(6)
     return at, j0, jacobians[1]
-
-
-def interval_end(start: State, error: Array, step: Array) -> State:
-    """The end (M,) of intervals that have this `error` [r; ṙ] (M, 24): `interval_error` undone."""
-    rate0 = strain_rate_of(start)
-    scaled = step[..., None] * start.strain
-    xi, xi_rate = error[..., :6], error[..., 12:18]
-    miss = se3.exp(xi)
-    ahead = se3.exp(scaled) @ miss
-    drawn = _apply(se3.right_jacobian(scaled), step[..., None] * rate0)
-    velocity = (
-        _apply(se3.right_jacobian(xi), xi_rate)
-        + _apply(se3.adjoint(se3.inverse(ahead)), start.velocity)
-        + _apply(se3.adjoint(se3.inverse(miss)), drawn)
-    )
-    strain, rate = start.strain + error[..., 6:12], rate0 + error[..., 18:]
-    return State(start.pose @ ahead, strain, velocity, rate)

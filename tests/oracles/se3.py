@@ -14,36 +14,17 @@ from __future__ import annotations
 
 import numpy as np
 
+from glissando.geometry.se3 import ad as ad
+from glissando.geometry.se3 import adjoint as adjoint
+from glissando.geometry.se3 import hat3, quaternion
+from glissando.geometry.se3 import inverse as inverse
 from oracles.series import Array as Array
 from oracles.series import abc, bc_and_slopes, bc_curves, d_and_slope
 
 _NEAR = 2.0  # trace of a rotation above which (by less than 60°) its sine says all
 
 
-def _skews() -> tuple[Array, Array]:
-    """What makes a skew matrix of a three-vector and an adjoint's derivative of a six-vector."""
-    skew, wide = np.zeros((3, 3, 3)), np.zeros((6, 6, 6))
-    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        skew[i, k, j], skew[i, j, k] = 1.0, -1.0
-    wide[3:, :3, :3] = wide[3:, 3:, 3:] = wide[:3, :3, 3:] = skew
-    return skew.reshape(3, 9), wide.reshape(6, 36)
-
-
 _EYE3, _EYE6 = np.eye(3), np.eye(6)
-_SKEW, _AD = _skews()
-
-
-def hat3(v: Array) -> Array:
-    """Skew matrix (…, 3, 3) of a three-vector (…, 3); its product is the cross product."""
-    return (v @ _SKEW).reshape(*v.shape[:-1], 3, 3)
-
-
-def hat(x: Array) -> Array:
-    """Matrix x^ (…, 4, 4) of a six-vector [rho, phi]; dT/ds is T times that of the strain."""
-    out = np.zeros((*x.shape[:-1], 4, 4))
-    out[..., :3, :3] = hat3(x[..., 3:])
-    out[..., :3, 3] = x[..., :3]
-    return out
 
 
 def so3_exp(phi: Array) -> Array:
@@ -51,33 +32,6 @@ def so3_exp(phi: Array) -> Array:
     a, b, _ = abc(np.sum(phi**2, axis=-1))
     w = hat3(phi)
     return _EYE3 + a[..., None, None] * w + b[..., None, None] * (w @ w)
-
-
-def quaternion(rotation: Array) -> Array:
-    """Unit quaternion [w, x, y, z] (…, 4), w ≥ 0, of a rotation matrix (…, 3, 3).
-
-    The largest of the four components is found first and the others divided by it, so the
-    result is accurate for every angle (Shepperd 1978).
-    """
-    r = rotation
-    xx, yy, zz = r[..., 0, 0], r[..., 1, 1], r[..., 2, 2]
-    q = np.empty((*r.shape[:-2], 4, 4))  # row i is the quaternion times 4 * its component i
-    q[..., 0, 0], q[..., 1, 1] = 1 + xx + yy + zz, 1 + xx - yy - zz
-    q[..., 2, 2], q[..., 3, 3] = 1 - xx + yy - zz, 1 - xx - yy + zz
-    for i, j, k in ((1, 2, 3), (2, 3, 1), (3, 1, 2)):
-        q[..., 0, i] = q[..., i, 0] = r[..., k - 1, j - 1] - r[..., j - 1, k - 1]
-        q[..., i, j] = q[..., j, i] = r[..., i - 1, j - 1] + r[..., j - 1, i - 1]
-    largest = np.argmax(np.einsum("...ii->...i", q), axis=-1)
-    best = np.take_along_axis(q, largest[..., None, None], axis=-2)[..., 0, :]
-    best = best / np.linalg.norm(best, axis=-1, keepdims=True)
-    return np.where(best[..., :1] < 0.0, -best, best)
-
-
-def rotation_from_quaternion(q: Array) -> Array:
-    """Rotation matrix (…, 3, 3) of a quaternion [w, x, y, z] (…, 4), normalised here."""
-    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
-    w = hat3(q[..., 1:])
-    return _EYE3 + 2.0 * q[..., :1, None] * w + 2.0 * (w @ w)
 
 
 def so3_log(rotation: Array) -> Array:
@@ -122,30 +76,6 @@ def log(pose: Array) -> Array:
     v_inverse = _EYE3 - 0.5 * w + d[..., None, None] * (w @ w)
     rho = np.einsum("...ij,...j->...i", v_inverse, pose[..., :3, 3])
     return np.concatenate([rho, phi], axis=-1)
-
-
-def inverse(pose: Array) -> Array:
-    """Inverse (…, 4, 4) of a pose: takes world coordinates to body."""
-    out = np.zeros_like(pose)
-    rotation = np.swapaxes(pose[..., :3, :3], -1, -2)
-    out[..., :3, :3] = rotation
-    out[..., :3, 3] = -np.einsum("...ij,...j->...i", rotation, pose[..., :3, 3])
-    out[..., 3, 3] = 1.0
-    return out
-
-
-def adjoint(pose: Array) -> Array:
-    """Ad(T) (…, 6, 6): T exp(x^) T⁻¹ = exp((Ad(T) x)^)."""
-    rotation = pose[..., :3, :3]
-    out = np.zeros((*pose.shape[:-2], 6, 6))
-    out[..., :3, :3] = out[..., 3:, 3:] = rotation
-    out[..., :3, 3:] = hat3(pose[..., :3, 3]) @ rotation
-    return out
-
-
-def ad(x: Array) -> Array:
-    """Derivative of the adjoint (…, 6, 6): its product with y is the bracket of x^ and y^."""
-    return (x @ _AD).reshape(*x.shape[:-1], 6, 6)
 
 
 def right_jacobian_coefficients(q: Array) -> Array:
@@ -207,5 +137,5 @@ def right_jacobian_inverse(x: Array) -> Array:
 
 
 def left_jacobian_inverse(x: Array) -> Array:
-    """J_l(x)⁻¹ (…, 6, 6): log(exp(d) exp(x)) = x + J_l(x)⁻¹ d to first order in d."""
+    """J_l(x)⁻¹ (…, 6, 6)."""
     return right_jacobian_inverse(-x)

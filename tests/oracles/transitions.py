@@ -16,26 +16,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from glissando.model.priors.transitions import symmetrize, transition
 from oracles import se3
 from oracles.se3 import Array
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(6)
 NODES, WEIGHTS = 0.5 * (NODES + 1.0), 0.5 * WEIGHTS
-
-
-def symmetrize(matrix: Array) -> Array:
-    """Half the sum of a matrix (…, r, r) and its transpose."""
-    return 0.5 * (matrix + np.swapaxes(matrix, -1, -2))
-
-
-def transition(rate: Array, step: Array) -> Array:
-    """Φ(step) (M, 12, 12) of the pair [pose error, rate error] about a constant rate (M, 6)."""
-    phi = np.zeros((*rate.shape[:-1], 12, 12))
-    scaled = step[..., None] * rate
-    phi[..., :6, :6] = se3.adjoint(se3.exp(-scaled))
-    phi[..., :6, 6:] = step[..., None, None] * se3.right_jacobian(scaled)
-    phi[..., 6:, 6:] = np.eye(6)
-    return phi
 
 
 def _moments(rate: Array, step: Array, rigid: bool) -> tuple[Array, Array, Array, Array]:
