@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from glissando._kernels.threads import one_thread
 from glissando.errors import OutsideGridError
 from glissando.estimation.batch import estimate
-from glissando.estimation.posterior import StateEstimate
+from glissando.estimation.posterior import Posterior, StateEstimate
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid, Index
 from glissando.model.interpolation import sort_points
@@ -155,11 +155,16 @@ def estimate_static(
         one = estimate(prior, Grid(grid.arclength, [0.0]), alone, options=options)
         outcomes[k] = one.solve.outcome
         state.pose[k], state.strain[k] = one.state.pose[0], one.state.strain[0]
-        every = np.arange(grid.arclength.size)
-        whole = one.marginals.cov[0].reshape(every.size, one.state.dof, every.size, -1)
-        whole = whole[:, _DOFS, :, _DOFS]
-        cov[k], cross[k] = whole[every, :, every], whole[every[:-1], :, every[1:]]
+        cov[k], cross[k] = _node_blocks(one)
     return StaticPosterior(prior, grid, state, cov, cross, tuple(outcomes))
+
+
+def _node_blocks(one: Posterior) -> tuple[Array, Array]:
+    """Covariances (N, 12, 12) of the nodes of a single moment, and of neighbours (N−1, 12, 12)."""
+    every = np.arange(one.grid.arclength.size)
+    whole = one.marginals.cov[0].reshape(every.size, one.state.dof, every.size, -1)
+    whole = whole[:, _DOFS, :, _DOFS]
+    return whole[every, :, every], whole[every[:-1], :, every[1:]]
 
 
 def _iterated(
