@@ -12,6 +12,7 @@ from glissando.errors import OldNameWarning, RobotFileError
 from glissando.geometry.se3 import Array
 from glissando.io.shipped_robots import robot_file
 from glissando.io.toml_table import Table, read_document
+from glissando.model.mechanics import read_mechanics, require_plausible
 from glissando.model.noise import GemanMcClure, Huber, Loss
 from glissando.model.priors.prior import Prior
 from glissando.model.priors.registry import prior_class, prior_kinds
@@ -83,13 +84,16 @@ def parse_robot(table: Table) -> Robot:
         raise table.fail("[prior]", f"has a joint at {prior.joints[-1]:g} m, beyond the tip.")
     nodes, rate = _grid(table, length)
     nodes = np.sort(np.concatenate([nodes, _missing(prior.joints, nodes)]))
+    mechanics = getattr(prior, "mechanics", None) or read_mechanics(table)
+    if mechanics is not None:
+        require_plausible(mechanics, length, table)
     sensors = _sensors(table)
     sensor_parameters = tuple(
         _sensor_parameter(entry) for entry in table.tables("sensor_parameters")
     )
     table.skip("physics")  # of the simulator, which checks it
     table.close()
-    return Robot(name, length, nodes, rate, prior, *sensors, sensor_parameters)
+    return Robot(name, length, nodes, rate, prior, *sensors, sensor_parameters, mechanics)
 
 
 def _grid(table: Table, length: float) -> tuple[Array, float]:

@@ -9,6 +9,7 @@ import numpy as np
 from glissando.errors import OutsideGridError
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
+from glissando.model.mechanics import Mechanics
 from glissando.model.noise import Loss
 from glissando.model.priors.prior import Prior
 from glissando.model.sensors.parameters import SensorParameter
@@ -31,6 +32,7 @@ class Robot:
         sensor_range: Largest value that a kind of sensor can report, SI units.
         sensor_rate: Readings a second of trackers that are polled faster than they measure.
         sensor_parameters: Frames, mounts, offsets and biases of streams by name.
+        mechanics: What it is made of, where that is stated.
     """
 
     name: str
@@ -43,6 +45,7 @@ class Robot:
     sensor_range: dict[str, float] = field(default_factory=dict)
     sensor_rate: dict[str, float] = field(default_factory=dict)
     sensor_parameters: tuple[SensorParameter, ...] = ()
+    mechanics: Mechanics | None = None
 
     def grid(self, start: float, stop: float) -> Grid:
         """The robot's grid over the times [start, stop] in seconds.

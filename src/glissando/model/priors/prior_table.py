@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -25,6 +26,9 @@ class PriorTable(Protocol):
 
     def table(self, key: str, *, required: bool = False) -> PriorTable | None:
         """A sub-table, or None when it is absent and not required."""
+
+    def tables(self, key: str) -> Sequence[PriorTable]:
+        """An array of tables; empty when absent."""
 
     def number(self, key: str, default: float | None = None, *, positive: bool = True) -> float:
         """A finite number."""

@@ -1,0 +1,197 @@
+"""A rod's mechanics: what its segments are made of, what they weigh, and a tool at the tip.
+
+Internal wrenches W = [n; m] are what the part beyond a cross-section exerts on the part before it,
+in the body frame, [force N, moment N m]. Source: equation (26).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from glissando.geometry.se3 import Array
+from glissando.model.grid import Index
+from glissando.model.priors.prior_table import PriorTable
+
+_GRAVITY = 9.81  # m/s², only to judge whether a rod could carry its own weight
+_DROOP = 1e4  # weight · length³ / bending stiffness beyond which units are wrong
+
+
+@dataclass(frozen=True)
+class Mechanics:
+    """What a rod of S segments is made of.
+
+    Attributes:
+        stiffness: Of each segment (S, 6): shear, shear, extension in N; bending, bending, twist in
+            N m².
+        mass_per_length: Of each segment (S,), kg/m.
+        joints: Where segments meet (S−1,), m.
+        gravity: Acceleration (3,) in the world frame, m/s².
+        tip_mass: Mass of a tool at the tip, kg.
+        tip_center: Its centre of mass (3,) in the frame of the tip's cross-section, m.
+    """
+
+    stiffness: Array
+    mass_per_length: Array = field(default_factory=lambda: np.zeros(1))
+    joints: Array = field(default_factory=lambda: np.zeros(0))
+    gravity: Array = field(default_factory=lambda: np.zeros(3))
+    tip_mass: float = 0.0
+    tip_center: Array = field(default_factory=lambda: np.zeros(3))
+
+    def segment(self, arclength: Array) -> Index:
+        """Number (M,) of the segment at arclengths (M,); at a joint the one beyond it."""
+        return np.searchsorted(self.joints, arclength, side="right")
+
+    def tip_wrench(self, rotation: Array) -> Array:
+        """Weight of the tool (…, 6) in the frame of the tip, whose rotation is (…, 3, 3)."""
+        force = self.tip_mass * np.einsum("...ji,j->...i", rotation, self.gravity)
+        return np.concatenate([force, np.cross(self.tip_center, force)], axis=-1)
+
+    def to_table(self) -> dict[str, Any]:
+        """What a robot file's [mechanics] says, as `read_mechanics` reads it."""
+        table: dict[str, Any] = {
+            "stiffness": self.stiffness.tolist(),
+            "mass_per_length": self.mass_per_length.tolist(),
+            "gravity": self.gravity.tolist(),
+        }
+        if self.joints.size:
+            table["joints"] = self.joints.tolist()
+        if self.tip_mass:
+            table["tip"] = {"mass": self.tip_mass, "center": self.tip_center.tolist()}
+        return table
+
+
+def tube_section(tubes: list[tuple[float, float]], young: float, poisson: float) -> Array:
+    """Stiffness (6,) of concentric tubes of one material that bend together.
+
+    Args:
+        tubes: Outer and inner diameter of each, m.
+        young: Young's modulus, Pa.
+        poisson: Poisson's ratio.
+    """
+    shear = young / (2.0 * (1.0 + poisson))
+    area, inertia = _area(tubes), sum(np.pi / 64.0 * (a**4 - b**4) for a, b in tubes)
+    linear = [shear * area, shear * area, young * area]
+    return np.array([*linear, young * inertia, young * inertia, 2.0 * shear * inertia])
+
+
+def _area(tubes: list[tuple[float, float]]) -> float:
+    return float(sum(np.pi / 4.0 * (outer**2 - inner**2) for outer, inner in tubes))
+
+
+def read_mechanics(robot: PriorTable) -> Mechanics | None:
+    """The [mechanics] of a robot file, or None where it has none.
+
+    Either `tubes` with `young`, `poisson` and `density`, or `stiffness` with `mass_per_length`.
+
+    Raises:
+        GlissandoError: A value is missing, impossible, or most likely in another unit.
+    """
+    table = robot.table("mechanics")
+    if table is None:
+        return None
+    fields = _tubes(table) if table.peek("tubes") is not None else _sections(table)
+    gravity = table.vector("gravity", 3, np.zeros(3))
+    size = float(np.linalg.norm(gravity))
+    if 0.0 < size < 1.5 or size > 30.0:
+        raise table.fail(
+            "gravity", f"has length {size:g}; give the acceleration in m/s², as [0, 0, -9.81]."
+        )
+    tip = table.table("tip")
+    if tip is not None:
+        mass = tip.number("mass")
+        if mass > 5.0:
+            raise tip.fail("mass", f"is {mass:g} kg; give kilograms, not grams.")
+        center = tip.vector("center", 3, np.zeros(3))
+        if np.linalg.norm(center) > 0.5:
+            raise tip.fail("center", f"is {center.tolist()}; give metres, not millimetres.")
+        fields |= {"tip_mass": mass, "tip_center": center}
+        tip.close()
+    table.close()
+    return Mechanics(gravity=gravity, **fields)
+
+
+def require_plausible(mechanics: Mechanics, length: float, robot: PriorTable) -> None:
+    """Raise unless the rod's segments lie on it and could carry their own weight.
+
+    Raises:
+        GlissandoError: A joint is beyond the tip, or a unit is wrong.
+    """
+    if mechanics.joints.size and mechanics.joints[-1] >= length:
+        raise robot.fail(
+            "[mechanics]",
+            f"has a segment that begins at {mechanics.joints[-1]:g} m, beyond the tip at "
+            f"{length:g} m; give arclengths in metres.",
+        )
+    bending = mechanics.stiffness[:, 3:5].min(axis=1)
+    droop = mechanics.mass_per_length * _GRAVITY * length**3 / bending
+    if droop.max() > _DROOP:
+        worst = int(np.argmax(droop))
+        raise robot.fail(
+            "[mechanics]",
+            f"has a bending stiffness of {bending[worst]:.3g} N m² and "
+            f"{mechanics.mass_per_length[worst]:.3g} kg/m: over {length:g} m the rod could not "
+            f"carry its own weight. Give young in Pa (200e9, not 200 GPa or 200e3 N/mm²), "
+            f"stiffness in N and N m², and lengths in metres.",
+        )
+
+
+def _tubes(table: PriorTable) -> dict[str, Any]:
+    """Segments between the ends of concentric tubes."""
+    young = table.number("young")
+    if not 1e4 <= young <= 2e12:
+        raise table.fail("young", f"is {young:g} Pa; give pascals: 200e9 for 200 GPa.")
+    poisson = table.number("poisson", positive=False)
+    if not -1.0 < poisson <= 0.5:
+        raise table.fail("poisson", f"is {poisson:g}; give a ratio from −1 to 0.5.")
+    density = table.number("density", 0.0, positive=False)
+    if density and not 50.0 <= density <= 25e3:
+        raise table.fail("density", f"is {density:g}; give kg/m³: 7870 for steel, 7.87 g/cm³.")
+    ends, tubes = [], []
+    for entry in table.tables("tubes"):
+        outer, inner = entry.number("outer"), entry.number("inner", 0.0, positive=False)
+        if not 0.0 <= inner < outer:
+            raise entry.fail("outer", f"is {outer:g} and inner {inner:g}; give outer > inner ≥ 0.")
+        if outer > 0.2:
+            raise entry.fail("outer", f"is {outer:g} m; give diameters in metres, not millimetres.")
+        ends.append(entry.number("end", np.finfo(float).max))
+        tubes.append((outer, inner))
+        entry.close()
+    joints = np.unique(ends)[:-1]
+    here = [[t for t, end in zip(tubes, ends, strict=True) if end > s] for s in [0.0, *joints]]
+    return {
+        "stiffness": np.array([tube_section(each, young, poisson) for each in here]),
+        "mass_per_length": np.array([density * _area(each) for each in here]),
+        "joints": joints,
+    }
+
+
+def _sections(table: PriorTable) -> dict[str, Any]:
+    """Segments that state their stiffness."""
+    joints = table.numbers("joints") if table.peek("joints") is not None else np.zeros(0)
+    if np.any(np.diff(joints, prepend=0.0) <= 0.0):
+        raise table.fail("joints", "must increase from above 0.")
+    rows = table.peek("stiffness")
+    several = isinstance(rows, list) and bool(rows) and isinstance(rows[0], list)
+    if several or joints.size:
+        stiffness = table.rows("stiffness", joints.size + 1, 6)
+    else:
+        stiffness = table.vector("stiffness", 6, positive=True)[None]
+    gyration = np.sqrt(stiffness[:, 3:5].max(axis=1) / stiffness[:, 2])
+    if np.any((gyration > 0.1) | (gyration < 1e-6)):
+        raise table.fail(
+            "stiffness",
+            f"is {rows!r}, whose bending over extension belongs to a rod {2 * gyration.max():.2g} "
+            f"m thick; give N for shear and extension, N m² for bending and twist.",
+        )
+    mass = table.peek("mass_per_length")
+    if isinstance(mass, list):
+        masses = table.vector("mass_per_length", joints.size + 1)
+    else:
+        single = table.number("mass_per_length", 0.0, positive=False)
+        masses = np.full(joints.size + 1, single)
+    if np.any(masses < 0.0) or np.any(masses > 50.0):
+        raise table.fail("mass_per_length", f"is {mass!r}; give kg/m, zero or more.")
+    return {"stiffness": stiffness, "mass_per_length": masses, "joints": joints}
