@@ -23,3 +23,11 @@ def golden() -> Path:
     if not file.is_file():
         pytest.skip("the reference implementation's results are not beside the checkout")
     return file
+
+
+@pytest.fixture(scope="session")
+def openigtlink() -> Path:
+    folder = (DATA / "openigtlink").resolve()
+    if not folder.is_dir():
+        pytest.skip("the wire-exact OpenIGTLink messages are not beside the checkout")
+    return folder

@@ -1,0 +1,11 @@
+"""OpenIGTLink: messages as bytes and as values, and peers that send and receive them."""
+
+from glissando.hardware.openigtlink.message import (
+    Message,
+    decode,
+    encode,
+    seconds_since,
+    stamp_of,
+)
+
+__all__ = ["Message", "decode", "encode", "seconds_since", "stamp_of"]
