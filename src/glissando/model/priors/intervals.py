@@ -13,7 +13,7 @@ from glissando._kernels import intervals as kernels
 from glissando._kernels.arrays import items, unflatten
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
-from glissando.model.grid import Cells, Index
+from glissando.model.grid import Index
 from glissando.model.state import POSE, STRAIN, STRAIN_RATE, VELOCITY, State
 
 RATED = 24
@@ -118,25 +118,13 @@ def interval_end(start: State, error: Array, step: Array) -> State:
 
 
 def kron_pair(small: Array, large: Array) -> Array:
-    """Kronecker products (…, 24, 24) of (…, 2, 2) and (…, 12, 12)."""
+    """Kronecker products (…, 2 r, 2 r) of (…, 2, 2) and (…, r, r)."""
     product = small[..., :, None, :, None] * large[..., None, :, None, :]
-    return product.reshape(*product.shape[:-4], RATED, RATED)
+    return product.reshape(*product.shape[:-4], *(2 * large.shape[-1],) * 2)
 
 
-def at_time_nodes(
-    state: State,
-    k: Index,
-    n: Index,
-    s: Cells,
-    crossing: tuple[Array, Array] | None,
-    rest: tuple[Array, Array] | None,
-) -> tuple[State, Index, Array]:
-    """State, nodes (M, 1 or 2) and Jacobian (M, 24, c, 24) at time nodes k, nodes n or beyond."""
-    n_count, flat = state.strain.shape[1], state.flatten()
-    nodes = (k * n_count + n)[:, None]
-    if crossing is None or rest is None:
-        eye = np.broadcast_to(np.eye(RATED)[:, None, :], (k.size, RATED, 1, RATED))
-        return flat.take(nodes[:, 0]), nodes, eye
-    ends = flat.take(nodes[:, 0]), flat.take(nodes[:, 0] + 1)
-    at, j0, j1 = interval_between(*ends, s.step, s.offset, crossing[0], rest)
-    return at, nodes + np.arange(2), np.stack([j0, j1], axis=2)
+def at_nodes(state: State, k: Index, n: Index) -> tuple[State, Index, Array]:
+    """State, nodes (M, 1) and Jacobian (M, 24, 1, 24) at time nodes k and arclength nodes n."""
+    nodes = (k * state.strain.shape[1] + n)[:, None]
+    eye = np.broadcast_to(np.eye(RATED)[:, None, :], (k.size, RATED, 1, RATED))
+    return state.flatten().take(nodes[:, 0]), nodes, eye

@@ -14,22 +14,16 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from glissando.errors import OutsideGridError
-from glissando.geometry import se3
 from glissando.geometry.se3 import Array
-from glissando.model.factors import Factors, Residuals
+from glissando.model.factors import Factors
 from glissando.model.grid import Cells, Grid, Index
-from glissando.model.interpolation import Interpolation, Points, chained
-from glissando.model.noise import pair_sqrt_information
-from glissando.model.priors import matern
+from glissando.model.interpolation import Interpolation, Points
 from glissando.model.priors.intervals import (
-    RATED,
-    at_time_nodes,
+    at_nodes,
+    interval_between,
     interval_end,
     interval_error,
-    kron_pair,
     place_error,
-    strain_rate_of,
 )
 from glissando.model.priors.prior import by_interval, interval_strain, is_soft, soften
 from glissando.model.priors.prior_table import (
@@ -41,12 +35,9 @@ from glissando.model.priors.prior_table import (
 )
 from glissando.model.priors.rest_shape import STRAIGHT, RestShape
 from glissando.model.priors.static import static_factors
-from glissando.model.priors.steps import TIME, pair_between
+from glissando.model.priors.stationary import chain_factors, interpolate_process, require_digits
 from glissando.model.priors.transitions import bridge, process_covariances, transition
-from glissando.model.state import DOF, POSE, STRAIN, STRAIN_RATE, VELOCITY, State
-
-_ALL = slice(0, RATED)
-_DENSEST = 200.0  # time nodes a time scale: beyond, rounding shows in the covariance
+from glissando.model.state import State
 
 
 @dataclass(frozen=True)
@@ -153,13 +144,14 @@ class SeparablePrior:
         Every interval, and the base, at the first time and from each of `times` to the next.
         """
         k_count, n_count = grid.shape
-        self._require_digits(grid)
+        require_digits(grid, self.time_scale)
         node = np.arange(k_count * n_count).reshape(k_count, n_count)
         touched = slice(times.start, min(times.stop + 1, k_count))
         here, steps = node[touched], np.diff(grid.time[touched])
         local = state.take(touched)
         first = times.start == 0 and grid.before is None
-        yield from self._chain(first, steps, here[:, :1, None], *self._base(local))
+        base = self._base(local)
+        yield from chain_factors(self.time_scale, first, steps, here[:, :1, None], *base)
         if n_count == 1:
             return
         ends = local.take(np.s_[:, :-1]), local.take(np.s_[:, 1:])
@@ -167,7 +159,8 @@ class SeparablePrior:
         error, *jacobians = interval_error(*ends, step)
         error[..., :12] -= self.rest.interval_errors(grid.arclength)
         cov = self._interval_covariances(grid, noise_state.take(touched))[1]
-        yield from self._chain(
+        yield from chain_factors(
+            self.time_scale,
             first,
             steps,
             np.stack([here[:, :-1], here[:, 1:]], axis=2),
@@ -176,16 +169,6 @@ class SeparablePrior:
             cov,
         )
 
-    def _require_digits(self, grid: Grid) -> None:
-        """Raise OutsideGridError where time nodes are so dense that information loses digits."""
-        steps = np.diff(grid.time)
-        if steps.size and np.median(steps) * _DENSEST < self.time_scale:
-            raise OutsideGridError(
-                f"Time nodes {np.median(steps):.3g} s apart are too dense for a time scale of "
-                f"{self.time_scale:g} s: they add nothing and cost all digits; leave "
-                f"{self.time_scale / _DENSEST:.3g} s at least between them."
-            )
-
     def _base(self, state: State) -> tuple[Array, Array, Array]:
         """Error [r; ṙ] (K, 1, 24) of the base, its Jacobian (K, 1, 24, 1, 24) and variance."""
         at = state.take(np.s_[:, :1])
@@ -193,39 +176,6 @@ class SeparablePrior:
         variance = np.concatenate([self.base.pose, self.base.strain])
         cov = np.broadcast_to(np.diag(variance), (*error.shape[:2], 12, 12))
         return error, jacobian[..., None, :], cov
-
-    def _chain(
-        self,
-        first: bool,
-        steps: Array,
-        nodes: Index,
-        error: Array,
-        jacobian: Array,
-        cov: Array,
-    ) -> Iterator[Factors]:
-        """Factors of processes with errors (K, I, 24), Q (K, I, 12, 12) and nodes (K, I, c)."""
-        count = nodes.shape[2]
-
-        if first:
-            root = np.diag(np.diagonal(matern.stationary(self.time_scale)) ** -0.5)
-            terms = Residuals(error[0], kron_pair(root, pair_sqrt_information(cov[0])))
-            yield Factors(nodes[0], _ALL, jacobian[0], terms)
-        if not len(steps):
-            return
-        fade = matern.transition(self.time_scale, steps)[:, None]
-        root = np.linalg.inv(np.linalg.cholesky(matern.process_covariance(self.time_scale, steps)))
-        before = error[:-1].reshape(*error[:-1].shape[:2], 2, 12)
-        slopes = jacobian[:-1].reshape(*before.shape, count * RATED)
-        innovation = error[1:] - (fade @ before).reshape(error[1:].shape)
-        fading = fade @ slopes.reshape(*before.shape[:3], -1)
-        both = np.empty((*innovation.shape, 2 * count, RATED))
-        both[..., :count, :] = -fading.reshape(both[..., :count, :].shape)
-        both[..., count:, :] = jacobian[1:]
-        joined = np.concatenate([nodes[:-1], nodes[1:]], axis=2)
-        info = kron_pair(root[:, None], pair_sqrt_information(0.5 * (cov[:-1] + cov[1:])))
-        terms = Residuals(innovation.reshape(-1, RATED), info.reshape(-1, RATED, RATED))
-        shape = -1, RATED, 2 * count, RATED
-        yield Factors(joined.reshape(-1, 2 * count), _ALL, both.reshape(shape), terms)
 
     def _interval_covariances(self, grid: Grid, noise_state: State) -> tuple[Array, Array]:
         """Strains (K, N−1, 6) that intervals are linearised about, and their Q (K, N−1, 12, 12)."""
@@ -254,32 +204,24 @@ class SeparablePrior:
         that of the whole process, Σ_s ⊗ P∞ + (K_s − Σ_s) ⊗ Σ_t with K_s the prior covariance of the
         cross-section, Σ_s and Σ_t what the bridges along arclength and along time leave.
         """
-        s, t = points.along, points.through
-        k = t.lower if points.inside_time else t.nearest
-        n = s.lower if points.inside_arclength else s.nearest
-        crossing = self._crossing(grid, noise_state, k, s) if points.inside_arclength else None
-        rest = self._rest_within(grid, s) if points.inside_arclength else None
+        return interpolate_process(self, grid, state, noise_state, points)
 
-        if not points.inside_time:
-            at, nodes, jacobian = at_time_nodes(state, k, n, s, crossing, rest)
-            at, jacobian, time_left = replace(at, strain_rate=None), jacobian[:, :DOF], None
-        else:
-            early, late = (at_time_nodes(state, k + i, n, s, crossing, rest) for i in (0, 1))
-            at, j0, j1, time_left = self._along_time(early[0], late[0], t, points.arclength)
-            jacobian = np.concatenate([chained(j0, early[2]), chained(j1, late[2])], axis=2)
-            nodes = np.concatenate([early[1], late[1]], axis=1)
-        if crossing is None and time_left is None:  # on nodes
-            return Interpolation(at, nodes, jacobian, np.zeros((k.size, DOF, DOF)))
-        left = np.zeros((k.size, RATED, RATED))
-        if crossing is not None:
-            left += kron_pair(matern.stationary(self.time_scale), crossing[1])
-        if time_left is not None:
-            section = self._section(grid, noise_state, k, n, s, points.inside_arclength)
-            known = section if crossing is None else section - crossing[1]
-            left += kron_pair(time_left, known)
-        return Interpolation(at, nodes, jacobian, _in_body(at, left[:, :DOF, :DOF]))
+    def at_time_nodes(
+        self, grid: Grid, state: State, k: Index, n: Index, s: Cells, gain: Array | None
+    ) -> tuple[State, Index, Array]:
+        """State, nodes (M, 1 or 2) and Jacobian (M, 24, c, 24) at time nodes k.
 
-    def _crossing(self, grid: Grid, noise_state: State, k: Index, s: Cells) -> tuple[Array, Array]:
+        At the arclength nodes n or, with the gains (M, 12, 12) of their errors, inside `s`.
+        """
+        if gain is None:
+            return at_nodes(state, k, n)
+        nodes = (k * grid.arclength.size + n)[:, None] + np.arange(2)
+        start, end = (state.flatten().take(nodes[:, i]) for i in (0, 1))
+        rest = self._rest_within(grid, s)
+        at, j0, j1 = interval_between(start, end, s.step, s.offset, gain, rest)
+        return at, nodes, np.stack([j0, j1], axis=2)
+
+    def crossing(self, grid: Grid, noise_state: State, k: Index, s: Cells) -> tuple[Array, Array]:
         """Gain and covariance (M, 12, 12) inside the intervals `s` at time nodes k."""
         psd, jump = (values[s.lower] for values in self._intervals(grid))
         ends = noise_state.strain[k, s.lower], noise_state.strain[k, s.lower + 1]
@@ -291,22 +233,11 @@ class SeparablePrior:
         whole = self.rest.interval_errors(grid.arclength)[np.minimum(s.lower, grid.shape[1] - 2)]
         return whole, self.rest.error(grid.arclength[s.lower], s.offset)
 
-    def _along_time(
-        self, early: State, late: State, t: Cells, arclength: Array
-    ) -> tuple[State, Array, Array, Array]:
-        """State (M,) within time steps, its Jacobians (M, 18, 24) at both ends, and Σ_t."""
-        fading, rising, left = matern.bridge(self.time_scale, t.step, t.offset)
-        gain = np.einsum("mij,ab->miajb", rising, np.eye(6)).reshape(-1, 12, 12)
-        pose, velocity, j0, j1 = pair_between(TIME, early, late, t.step, t.offset, gain)
-        strain = rest = self.rest.at(arclength)
-        for end, weights, j in ((early, fading, j0), (late, rising, j1)):
-            strain = strain + weights[:, 0, :1] * (end.strain - rest)
-            strain = strain + weights[:, 0, 1:] * strain_rate_of(end)
-            j[:, STRAIN, STRAIN] = weights[:, 0, 0, None, None] * np.eye(6)
-            j[:, STRAIN, STRAIN_RATE] = weights[:, 0, 1, None, None] * np.eye(6)
-        return State(pose, strain, velocity), j0, j1, left
+    def mean_strain(self, grid: Grid, arclength: Array) -> Array:
+        """The strain (M, 6) that is expected at arclengths (M,)."""
+        return self.rest.at(arclength)
 
-    def _section(
+    def section(
         self, grid: Grid, noise_state: State, k: Index, n: Index, s: Cells, inside: bool
     ) -> Array:
         """Prior covariance K_s (M, 12, 12) of pose and strain, along the shapes at time nodes k."""
@@ -328,11 +259,3 @@ class SeparablePrior:
 
 def _transposed(matrix: Array) -> Array:
     return np.swapaxes(matrix, -1, -2)
-
-
-def _in_body(at: State, left: Array) -> Array:
-    """Covariance (M, 18, 18) of the body's velocity from that of the pose's rate, in place."""
-    curl = se3.ad(at.velocity)
-    left[..., VELOCITY, :] += curl @ left[..., POSE, :]
-    left[..., VELOCITY] += left[..., POSE] @ _transposed(curl)
-    return left
