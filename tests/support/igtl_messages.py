@@ -36,7 +36,6 @@ def random_contents(rng) -> list:
         c.SensorValues(rng.normal(size=count), int(rng.integers(0, 1 << 40)), 3),
         c.NumberArray(rng.normal(size=tuple(rng.integers(0, 4, size=int(rng.integers(1, 4)))))),
         c.NumberArray(rng.integers(0, 9, size=(2, 3)).astype("u2")),
-        c.Capability(("TDATA", "POINT")[: count % 3]),
         c.StartTracking(20, "tracker"),
         random_mesh(rng),
     ]

@@ -25,6 +25,7 @@ from oracles.crc64_bitwise import crc64_bitwise
 
 UNREAD = [
     "BIND",
+    "CAPABILITY",
     "COLORTABLE",
     "COLORT",
     "COMMAND",

@@ -281,24 +281,6 @@ class NumberArray:
 
 
 @dataclass(frozen=True)
-class Capability:
-    """The types a peer reads."""
-
-    types: tuple[str, ...]
-    type_id: ClassVar[str] = "CAPABILITY"
-
-    def pack(self) -> bytes:
-        """12 bytes a type."""
-        return b"".join(fixed_text(name, 12) for name in self.types)
-
-    @classmethod
-    def unpack(cls, data: bytes) -> Self:
-        """From 12 bytes a type."""
-        _require(len(data) % 12 == 0, cls.type_id, data)
-        return cls(tuple(text_of(data[k : k + 12]) for k in range(0, len(data), 12)))
-
-
-@dataclass(frozen=True)
 class StartTracking:
     """Asks a tracker to send TDATA every `interval` ms in a frame it knows by name."""
 
@@ -322,7 +304,7 @@ CONTENTS: dict[str, type[Content]] = {
     kind.type_id: kind
     for kind in (
         Transform, Position, TrackingData, Points, Status, Text, SensorValues, NumberArray,
-        Capability, StartTracking, PolyData,
+        StartTracking, PolyData,
     )
 }  # fmt: skip
 """The contents that are read and written, by type."""

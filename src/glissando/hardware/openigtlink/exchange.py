@@ -1,0 +1,282 @@
+"""The process that speaks with OpenIGTLink peers, so that none of them can hold an estimator up.
+
+`python -m glissando.hardware.openigtlink.exchange PORT ADDRESS` connects to the estimator at PORT
+of this machine, sends the token that it reads from standard input, and then listens at ADDRESS or
+calls there, again and again. Each peer has a queue of a few updates; one that reads too slowly
+misses the oldest. What a peer sends is bounded in size and rate. The process ends with the
+estimator's side of the link.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import selectors
+import socket
+import sys
+import time
+from collections import Counter, deque
+from dataclasses import dataclass, field
+
+from glissando.errors import DeviceError
+from glissando.hardware.openigtlink.address import Address
+from glissando.hardware.openigtlink.contents import StartTracking
+from glissando.hardware.openigtlink.errors import MessageError
+from glissando.hardware.openigtlink.framer import Framer
+from glissando.hardware.openigtlink.link import (
+    ARRIVAL,
+    BUNDLE,
+    FAILURE,
+    MESSAGE,
+    REPORT,
+    PacketLink,
+)
+from glissando.hardware.openigtlink.message import Message, encode
+
+_PEERS = 16  # that may be connected at once
+_QUEUE = 4  # updates that wait for a peer
+_KERNEL = 1 << 17  # bytes the system may hold for a peer: what is there already is stale
+_WAITING = 2048  # messages that wait for the estimator
+_HEARD = 1 << 22  # bytes a second that a peer may send
+_READ = 1 << 16
+_DEAD = 10.0  # s without room for a byte after which a peer is let go
+_AGAIN = 0.5  # s between calls
+_CALL = 2.0  # s for a call to be answered
+_REPORT = 0.25  # s between reports
+_REST, _LOOK = 0.05, 0.001  # s without an event before looking again; with messages to pass on
+
+
+@dataclass
+class _Peer:
+    """A connected peer, what waits for it, and how much it may still send in this second."""
+
+    socket: socket.socket
+    framer: Framer = field(default_factory=Framer)
+    waiting: deque[bytes] = field(default_factory=deque)
+    going: memoryview = field(default_factory=lambda: memoryview(b""))
+    sent: float = field(default_factory=time.monotonic)
+    budget: int = _HEARD
+
+    def push(self) -> None:
+        """Send as much as the peer takes. Raises OSError when it is gone."""
+        while self.going or self.waiting:
+            self.going = self.going or memoryview(self.waiting.popleft())
+            try:
+                self.going = self.going[self.socket.send(self.going) :]
+            except (BlockingIOError, InterruptedError):
+                return
+            self.sent = time.monotonic()
+        self.sent = time.monotonic()
+
+
+class Exchange:
+    """Peers at an address, on one side, and the estimator's link on the other.
+
+    Args:
+        address: Where peers are.
+        link: The link to the estimator.
+
+    Raises:
+        DeviceError: The address cannot be listened at.
+    """
+
+    def __init__(self, address: Address, link: PacketLink) -> None:
+        self.address, self._link = address, link
+        self.counts: Counter[str] = Counter()
+        self._peers: dict[socket.socket, _Peer] = {}
+        self._messages: deque[bytes] = deque(maxlen=_WAITING)
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(link.socket, selectors.EVENT_READ)
+        self._server: socket.socket | None = None
+        self._calling: socket.socket | None = None
+        self._next_call = self._next_report = self._second = time.monotonic()
+        self.port = address.port
+        if address.listens:
+            self._listen()
+
+    def _listen(self) -> None:
+        where = self.address.host, self.address.port
+        try:
+            self._server = socket.create_server(where, backlog=_PEERS)
+        except (OSError, OverflowError) as problem:
+            raise DeviceError(
+                f"Port {where[1]} of {where[0]} cannot be listened at ({problem}); close the "
+                f"program that does, or give another port, or 0 for any."
+            ) from None
+        self._server.setblocking(False)
+        self.port = self._server.getsockname()[1]
+        self._selector.register(self._server, selectors.EVENT_READ)
+
+    def run(self) -> None:
+        """Speak with peers until the estimator's side is gone."""
+        while not self._link.ended:
+            self._call()
+            for key, events in self._selector.select(_LOOK if self._messages else _REST):
+                self._serve(key.fileobj, events)  # type: ignore[arg-type]
+            self._look_after_peers()
+            self._pass_on()
+
+    def _serve(self, ready: socket.socket, events: int) -> None:
+        if ready is self._link.socket:
+            for kind, data in self._link.receive():
+                if kind == BUNDLE:
+                    self._broadcast(data)
+        elif ready is self._server:
+            with contextlib.suppress(OSError):
+                self._welcome(ready.accept()[0])
+        elif ready is self._calling:
+            self._answered(ready)
+        elif ready in self._peers:
+            if events & selectors.EVENT_READ:
+                self._hear(self._peers[ready])
+            if events & selectors.EVENT_WRITE and ready in self._peers:
+                self._push(self._peers[ready])
+
+    def _call(self) -> None:
+        """Call the peer unless it is there, or was called a moment ago."""
+        now = time.monotonic()
+        if self.address.listens or self._peers or now < self._next_call:
+            return
+        if self._calling is not None:
+            self._hang_up()
+        self._next_call = now + _CALL
+        with contextlib.suppress(OSError):
+            family, kind, protocol, _, where = socket.getaddrinfo(
+                self.address.host, self.address.port, type=socket.SOCK_STREAM
+            )[0]
+            self._calling = socket.socket(family, kind, protocol)
+            self._calling.setblocking(False)
+            self._selector.register(self._calling, selectors.EVENT_WRITE)
+            with contextlib.suppress(BlockingIOError):
+                self._calling.connect(where)
+
+    def _hang_up(self) -> None:
+        assert self._calling is not None
+        self._selector.unregister(self._calling)
+        self._calling.close()
+        self._calling, self._next_call = None, time.monotonic() + _AGAIN
+
+    def _answered(self, calling: socket.socket) -> None:
+        if calling.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
+            self._hang_up()
+            return
+        self._selector.unregister(calling)
+        self._calling = None
+        peer = self._welcome(calling)
+        if peer and self.address.start:
+            peer.waiting.append(encode(Message(StartTracking(self.address.start), "glissando")))
+            self._push(peer)
+
+    def _welcome(self, connected: socket.socket) -> _Peer | None:
+        if len(self._peers) >= _PEERS:
+            self.counts["turned away"] += 1
+            connected.close()
+            return None
+        connected.setblocking(False)
+        connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        connected.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _KERNEL)
+        peer = self._peers[connected] = _Peer(connected)
+        self._selector.register(connected, selectors.EVENT_READ)
+        self.counts["connected"] += 1
+        return peer
+
+    def _broadcast(self, bundle: bytes) -> None:
+        for peer in list(self._peers.values()):
+            peer.waiting.append(bundle)
+            if len(peer.waiting) > _QUEUE:
+                peer.waiting.popleft()
+                self.counts["updates dropped"] += 1
+            self._push(peer)
+
+    def _push(self, peer: _Peer) -> None:
+        try:
+            peer.push()
+        except OSError:
+            self._let_go(peer, "lost")
+            return
+        self._heed(peer)
+
+    def _heed(self, peer: _Peer) -> None:
+        """Wait for what the peer may do next: take more, or send more."""
+        busy = bool(peer.going or peer.waiting)
+        events = selectors.EVENT_WRITE * busy | selectors.EVENT_READ * (peer.budget > 0)
+        current = self._selector.get_map().get(peer.socket)
+        if not events:
+            if current:
+                self._selector.unregister(peer.socket)
+        elif current is None:
+            self._selector.register(peer.socket, events)
+        elif current.events != events:
+            self._selector.modify(peer.socket, events)
+
+    def _hear(self, peer: _Peer) -> None:
+        arrival = time.monotonic()
+        try:
+            data = peer.socket.recv(min(_READ, peer.budget))
+        except (BlockingIOError, InterruptedError):
+            return
+        except OSError:
+            data = b""
+        if not data:
+            self._let_go(peer, "lost")
+            return
+        peer.budget -= len(data)
+        try:
+            messages = peer.framer.feed(data)
+        except MessageError:
+            self._let_go(peer, "refused")
+            return
+        for message in messages:
+            if len(self._messages) == _WAITING:
+                self.counts["messages dropped"] += 1
+            self._messages.append(ARRIVAL.pack(arrival) + message)
+        self._heed(peer)
+
+    def _let_go(self, peer: _Peer, why: str) -> None:
+        self.counts[why] += 1
+        with contextlib.suppress(KeyError):
+            self._selector.unregister(peer.socket)
+        del self._peers[peer.socket]
+        peer.socket.close()
+        self._next_call = time.monotonic() + _AGAIN
+
+    def _look_after_peers(self) -> None:
+        now = time.monotonic()
+        fresh = now >= self._second
+        if fresh:
+            self._second = now + 1.0
+        for peer in list(self._peers.values()):
+            if fresh and peer.budget < _HEARD:
+                peer.budget = _HEARD
+                self._heed(peer)
+            if (peer.going or peer.waiting) and now - peer.sent > _DEAD:
+                self._let_go(peer, "silent")
+
+    def _pass_on(self) -> None:
+        """Pass messages on to the estimator, and now and then how things are."""
+        link = self._link
+        while self._messages and link.send(MESSAGE, self._messages[0]):
+            self._messages.popleft()
+        now = time.monotonic()
+        if now >= self._next_report:
+            report = {"peers": len(self._peers), "port": self.port, "counts": dict(self.counts)}
+            if link.send(REPORT, json.dumps(report).encode()):
+                self._next_report = now + _REPORT
+
+
+def main(arguments: list[str]) -> None:
+    """Connect to the estimator and exchange; its port and the address are the arguments."""
+    connected = socket.create_connection(("127.0.0.1", int(arguments[0])))
+    connected.sendall(sys.stdin.buffer.read(16))
+    link = PacketLink(connected)
+    try:
+        exchange = Exchange(Address.parse(arguments[1]), link)
+    except DeviceError as problem:
+        link.send(FAILURE, str(problem).encode())
+        return
+    with contextlib.suppress(KeyboardInterrupt):
+        exchange.run()
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

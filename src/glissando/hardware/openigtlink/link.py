@@ -1,0 +1,87 @@
+"""The link between an estimator and the process that speaks with its peers.
+
+Packets go both ways over a socket of this machine: a length, a kind, and bytes. The estimator's
+side never waits; where the other does not keep up, what is oldest is dropped and counted there,
+and here a packet that finds the last one still on its way.
+"""
+
+from __future__ import annotations
+
+import socket
+import struct
+
+PACKET = struct.Struct(">IB")
+BUNDLE, MESSAGE, REPORT, FAILURE = range(4)
+ARRIVAL = struct.Struct(">d")
+_READ = 1 << 16
+_MOST_READ = 1 << 20  # bytes a call
+
+
+class PacketLink:
+    """Packets over a connected socket, without waiting."""
+
+    def __init__(self, connected: socket.socket) -> None:
+        connected.setblocking(False)
+        connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self.socket = connected
+        self._out: memoryview = memoryview(b"")
+        self._held = bytearray()
+        self.ended = False
+
+    @property
+    def clear(self) -> bool:
+        """Whether the last packet is on its way whole."""
+        return not self._out
+
+    def send(self, kind: int, data: bytes) -> bool:
+        """Send a packet; False, and nothing is sent, while an earlier one is on its way."""
+        self.flush()
+        if self._out or self.ended:
+            return False
+        self._out = memoryview(PACKET.pack(len(data), kind) + data)
+        self.flush()
+        return True
+
+    def flush(self) -> None:
+        """Send what is left of the last packet, as far as it goes."""
+        while self._out and not self.ended:
+            try:
+                self._out = self._out[self.socket.send(self._out) :]
+            except (BlockingIOError, InterruptedError):
+                return
+            except OSError:
+                self.ended = True
+
+    def receive(self, most: int = 1 << 20) -> list[tuple[int, bytes]]:
+        """Packets that have come, `most` of them, and about a megabyte, at a time."""
+        if len(self._held) < _MOST_READ:
+            self._read()
+        at, out = 0, list[tuple[int, bytes]]()
+        while len(out) < most and len(self._held) >= at + PACKET.size:
+            size, kind = PACKET.unpack_from(self._held, at)
+            begin, end = at + PACKET.size, at + PACKET.size + size
+            if len(self._held) < end:
+                break
+            out.append((kind, bytes(self._held[begin:end])))
+            at = end
+        del self._held[:at]
+        return out
+
+    def _read(self) -> None:
+        for _ in range(_MOST_READ // _READ):
+            try:
+                data = self.socket.recv(_READ)
+            except (BlockingIOError, InterruptedError):
+                return
+            except OSError:
+                data = b""
+            if not data:
+                self.ended = True
+                return
+            self._held += data
+            if len(data) < _READ:
+                return
+
+    def close(self) -> None:
+        """Close the socket."""
+        self.socket.close()
