@@ -7,11 +7,14 @@ posteriors know it.
 from __future__ import annotations
 
 from glissando.errors import GlissandoError
+from glissando.model.priors.mechanical import MechanicalPrior
 from glissando.model.priors.prior import Prior
 from glissando.model.priors.separable import SeparablePrior
 from glissando.model.priors.white_noise import WhiteNoisePrior
 
-_PRIORS: dict[str, type[Prior]] = {prior.kind: prior for prior in (WhiteNoisePrior, SeparablePrior)}
+_PRIORS: dict[str, type[Prior]] = {
+    prior.kind: prior for prior in (WhiteNoisePrior, SeparablePrior, MechanicalPrior)
+}
 
 
 def register_prior(prior: type[Prior]) -> type[Prior]:

@@ -233,7 +233,7 @@ class SeparablePrior:
         whole = self.rest.interval_errors(grid.arclength)[np.minimum(s.lower, grid.shape[1] - 2)]
         return whole, self.rest.error(grid.arclength[s.lower], s.offset)
 
-    def mean_strain(self, grid: Grid, arclength: Array) -> Array:
+    def mean_strain(self, arclength: Array) -> Array:
         """The strain (M, 6) that is expected at arclengths (M,)."""
         return self.rest.at(arclength)
 

@@ -46,7 +46,7 @@ class StationaryPrior(Protocol):
         """State, nodes (M, c) and Jacobian (M, 24, c, 24) at time nodes k, on n or inside `s`."""
         ...
 
-    def mean_strain(self, grid: Grid, arclength: Array) -> Array:
+    def mean_strain(self, arclength: Array) -> Array:
         """The strain (M, 6) that is expected at arclengths (M,)."""
         ...
 
@@ -134,7 +134,7 @@ def interpolate_process(
         at, jacobian, time_left = replace(at, strain_rate=None), jacobian[:, :DOF], None
     else:
         early, late = (prior.at_time_nodes(grid, state, k + i, n, s, gain) for i in (0, 1))
-        rest = prior.mean_strain(grid, points.arclength)
+        rest = prior.mean_strain(points.arclength)
         at, j0, j1, time_left = _along_time(prior.time_scale, early[0], late[0], t, rest)
         jacobian = np.concatenate([chained(j0, early[2]), chained(j1, late[2])], axis=2)
         nodes = np.concatenate([early[1], late[1]], axis=1)

@@ -1,0 +1,339 @@
+"""The mechanical prior: a rod of known stiffness and weight under unknown loads.
+
+Loads are white noise along arclength, and where they are expected at a point a wrench of its own;
+in time they are Matérn processes, as the errors of the separable prior's intervals are. The base's
+pose is known so far, and nothing is said of its wrench: that follows from the loads. A node's
+strain is its internal wrench in other units, W = K (ε − ε*). Source: equations (26) and (27).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import numpy as np
+
+from glissando.errors import OutsideGridError
+from glissando.geometry import se3
+from glissando.geometry.se3 import Array
+from glissando.model.factors import Factors, Residuals
+from glissando.model.grid import Cells, Grid, Index
+from glissando.model.interpolation import Interpolation, Points
+from glissando.model.mechanics import Mechanics, read_mechanics
+from glissando.model.noise import sqrt_information
+from glissando.model.priors.intervals import RATED, at_nodes, place_error, strain_rate_of
+from glissando.model.priors.prior_table import PriorTable, pose_table, read_rest
+from glissando.model.priors.rest_shape import STRAIGHT, RestShape
+from glissando.model.priors.rod_flow import Section
+from glissando.model.priors.rod_intervals import (
+    Intervals,
+    bridge,
+    interval_between,
+    interval_end,
+    interval_error,
+    still_error,
+)
+from glissando.model.priors.rod_section import hanging_rod, section_covariances
+from glissando.model.priors.static import STATIC_DOF
+from glissando.model.priors.stationary import chain_factors, interpolate_process, require_digits
+from glissando.model.state import STRAIN, STRAIN_RATE, State
+
+_STATIC = slice(0, STATIC_DOF)
+_POSE_ROWS = np.r_[0:6, 12:18]
+
+
+@dataclass(frozen=True)
+class MechanicalPrior:
+    """Gaussian process on the loads of a rod over arclength × time.
+
+    Attributes:
+        mechanics: Stiffness, weight and the tool at the tip.
+        psd_load: Density (6,) of the load's white noise along arclength, N²/m and N² m: a piece of
+            length h carries a wrench of variance h · psd_load.
+        psd_strain_error: Density (6,) of what strain differs from that of the wrench by (set,
+            friction), white along arclength: strain² · m.
+        var_tip: Variance (6,) of the unknown wrench at the tip, N² and N² m².
+        time_scale: How long loads are remembered, s.
+        var_base: Variance (6,) of the base's pose about `base_pose`.
+        base_pose: Where the robot stands (4, 4).
+        rest_strain: Strain without loads, (6,) or (S, 6) where each of the segments begins.
+        rest_slope: Its change per metre, (6,) or (S, 6).
+        points: Places (P,) where a wrench may act, m.
+        var_points: Its variances (P, 6), N² and N² m².
+    """
+
+    mechanics: Mechanics
+    psd_load: Array
+    psd_strain_error: Array
+    var_tip: Array
+    time_scale: float
+    var_base: Array
+    base_pose: Array = field(default_factory=lambda: np.eye(4))
+    rest_strain: Array = field(default_factory=STRAIGHT.copy)
+    rest_slope: Array = field(default_factory=lambda: np.zeros(6))
+    points: Array = field(default_factory=lambda: np.zeros(0))
+    var_points: Array = field(default_factory=lambda: np.zeros((0, 6)))
+    kind: ClassVar[str] = "mechanical"
+
+    @classmethod
+    def from_table(cls, prior: PriorTable, robot: PriorTable) -> MechanicalPrior:
+        """The prior of a robot file, from its [prior] table and the file with [mechanics]."""
+        mechanics = read_mechanics(robot)
+        if mechanics is None:
+            raise robot.fail("[mechanics]", "is missing; a mechanical prior needs this table.")
+        names = ("psd_load", "psd_strain_error", "var_tip")
+        fields = {name: prior.vector(name, 6, positive=True) for name in names}
+        fields |= read_rest(robot, len(mechanics.stiffness))
+        if prior.peek("points") is not None:
+            points = prior.numbers("points")
+            if np.any(np.diff(points, prepend=0.0) <= 0.0):
+                raise prior.fail("points", "must increase from above 0.")
+            fields |= {"points": points, "var_points": prior.rows("var_points", points.size, 6)}
+        base = robot.table("base", required=True)
+        assert base is not None
+        fields |= {"base_pose": base.pose(), "var_base": base.vector("var_pose", 6, positive=True)}
+        base.close()
+        return cls(mechanics, time_scale=prior.number("time_scale"), **fields)
+
+    def to_table(self) -> dict[str, Any]:
+        """What a robot file says of this prior, as `from_table` reads it."""
+        prior: dict[str, Any] = {"kind": self.kind, "time_scale": float(self.time_scale)}
+        for name in ("psd_load", "psd_strain_error", "var_tip"):
+            prior[name] = getattr(self, name).tolist()
+        if self.points.size:
+            prior |= {"points": self.points.tolist(), "var_points": self.var_points.tolist()}
+        base = pose_table(self.base_pose) | {"var_pose": self.var_base.tolist()}
+        rest = {key: getattr(self, key).tolist() for key in ("rest_strain", "rest_slope")}
+        return {**rest, "mechanics": self.mechanics.to_table(), "prior": prior, "base": base}
+
+    @property
+    def joints(self) -> Array:
+        """Where segments meet or a wrench may act (J,), m; these must be nodes of the grid."""
+        return np.union1d(self.mechanics.joints, self.points)
+
+    @property
+    def rest(self) -> RestShape:
+        """The shape without loads."""
+        given = np.atleast_2d(self.rest_strain), np.atleast_2d(self.rest_slope)
+        strain, slope = np.broadcast_arrays(*given)
+        return RestShape(strain, slope, self.mechanics.joints if len(strain) > 1 else np.zeros(0))
+
+    @property
+    def fixes_base(self) -> bool:
+        """True: the base's pose has a variance."""
+        return True
+
+    def softened(self) -> MechanicalPrior:
+        """The prior itself: a step taken interval by interval needs no softer one."""
+        return self
+
+    def wrench(self, strain: Array, arclength: Array) -> tuple[Array, Array]:
+        """Internal wrench (…, 6) where strain is (…, 6), and the stiffness (…, 6) that makes it.
+
+        Args:
+            strain: Strain, body frame.
+            arclength: Where (…), m; at a joint or a point load just beyond it.
+        """
+        s = np.asarray(arclength, dtype=float)
+        stiffness = self.mechanics.stiffness[self.mechanics.segment(s)]
+        rest = self.rest.at(s.ravel()).reshape(*s.shape, 6)
+        return stiffness * (strain - rest), stiffness
+
+    def intervals(self, arclength: Array) -> Intervals:
+        """The intervals (N−1,) between nodes (N,) of arclength.
+
+        Raises:
+            OutsideGridError: A segment begins or a wrench acts between nodes.
+        """
+        jump = np.zeros((arclength.size - 1, 6))
+        for place in self.joints:
+            at = int(np.argmin(np.abs(arclength - place)))
+            if abs(arclength[at] - place) > 1e-9:
+                raise OutsideGridError(
+                    f"A segment begins or a load acts at {place:g} m, which is no arclength node "
+                    f"of the grid (the nearest is {arclength[at]:g} m); add it to the nodes."
+                )
+            which = np.flatnonzero(self.points == place)
+            if at and which.size:
+                jump[at - 1] = self.var_points[which[0]]
+        begin, end = arclength[:-1], arclength[1:]
+        mechanics, rest = self.mechanics, self.rest
+        segment = mechanics.segment(0.5 * (begin + end))
+        slope = rest.slope[np.searchsorted(rest.joints, 0.5 * (begin + end))]
+        psd = np.concatenate([self.psd_strain_error, self.psd_load])
+        section = Section(
+            mechanics.stiffness[segment],
+            rest.at(begin),
+            slope,
+            mechanics.mass_per_length[segment, None] * mechanics.gravity,
+            np.broadcast_to(psd, (begin.size, 12)),
+        )
+        beyond = mechanics.stiffness[mechanics.segment(end)]
+        return Intervals(np.diff(arclength), section, beyond, rest.at(end), jump)
+
+    def rest_state(self, grid: Grid) -> State:
+        """The robot on the grid under its own weight and no load, from which an estimate starts."""
+        pose, strain = hanging_rod(self.mechanics, self.intervals(grid.arclength), self.base_pose)
+        still = np.zeros((*grid.shape, 6))
+        pose = np.broadcast_to(pose, (*grid.shape, 4, 4)).copy()
+        return State(pose, np.broadcast_to(strain, still.shape).copy(), still, still.copy())
+
+    def bent(self, grid: Grid, state: State, step: Array) -> State:
+        """The state moved by `step` (K, N, 24) interval by interval from the base outwards.
+
+        The errors of intervals move as the step says to first order, so poses and wrenches stay
+        together however long it is.
+        """
+        moved, every = [state.take(np.s_[:, 0]).retract(step[:, 0])], self._tiled(grid, len(step))
+        for n in range(grid.arclength.size - 1):
+            piece = every.take(np.arange(len(step)) * (grid.arclength.size - 1) + n)
+            ends = state.take(np.s_[:, n]), state.take(np.s_[:, n + 1])
+            error, j0, j1 = interval_error(*ends, piece)
+            change = (j0 @ step[:, n, :, None] + j1 @ step[:, n + 1, :, None])[..., 0]
+            moved.append(interval_end(moved[-1], error + change, piece))
+        fields = zip(*(node.fields() for node in moved), strict=True)
+        return State(*(np.stack(field, axis=1) for field in fields))
+
+    def _tiled(self, grid: Grid, count: int) -> Intervals:
+        """The intervals of the grid, `count` times over (count · (N−1),)."""
+        every = np.tile(np.arange(grid.arclength.size - 1), count)
+        return self.intervals(grid.arclength).take(every)
+
+    def factors(
+        self, grid: Grid, state: State, noise_state: State, times: slice
+    ) -> Iterator[Factors]:
+        """Factors that begin at the time nodes `times`, linearised at `state`.
+
+        Of the base, the tip and every interval, at the first time and from each of `times` to the
+        next.
+        """
+        k_count, n_count = grid.shape
+        require_digits(grid, self.time_scale)
+        node = np.arange(k_count * n_count).reshape(k_count, n_count)
+        touched = slice(times.start, min(times.stop + 1, k_count))
+        here, local = node[touched], state.take(touched)
+        first = times.start == 0 and grid.before is None
+        chain = self.time_scale, first, np.diff(grid.time[touched])
+        at = local.take(np.s_[:, :1])
+        error, slope = place_error(self.base_pose, at.strain[0, 0], at)
+        error, slope = error[..., _POSE_ROWS], slope[..., _POSE_ROWS, None, :]
+        cov = np.broadcast_to(np.diag(self.var_base), (len(here), 1, 6, 6))
+        yield from chain_factors(*chain, here[:, :1, None], error, slope, cov, paired=False)
+        error, slope = self._tip_error(grid, local.take(np.s_[:, -1:]))
+        cov = np.broadcast_to(np.diag(self.var_tip), (len(here), 1, 6, 6))
+        slope = slope[..., None, :]
+        yield from chain_factors(*chain, here[:, -1:, None], error, slope, cov, paired=False)
+        if n_count == 1:
+            return
+        shape, every = (len(here), n_count - 1), self._tiled(grid, len(here))
+        start, end = (local.take(np.s_[:, part]).flatten() for part in _ENDS)
+        error, *slopes = interval_error(start, end, every)
+        about = noise_state.take(touched).take(np.s_[:, _ENDS[0]]).flatten()
+        yield from chain_factors(
+            *chain,
+            np.stack([here[:, :-1], here[:, 1:]], axis=2),
+            error.reshape(*shape, RATED),
+            np.stack(slopes, axis=2).reshape(*shape, RATED, 2, RATED),
+            every.flow(about, noisy=True).noise.reshape(*shape, 12, 12),
+            paired=False,
+        )
+
+    def _tip_error(self, grid: Grid, at: State) -> tuple[Array, Array]:
+        """Wrench at the tip less its tool's weight, and its rate (…, 12); Jacobian (…, 12, 24)."""
+        mechanics = self.mechanics
+        stiffness, rest = mechanics.stiffness[-1], self.rest.at(grid.arclength[-1:])[0]
+        rotation = at.pose[..., :3, :3]
+        force = mechanics.tip_mass * np.einsum("...ji,j->...i", rotation, mechanics.gravity)
+        by_turn = np.concatenate(
+            [se3.hat3(force), se3.hat3(mechanics.tip_center) @ se3.hat3(force)], axis=-2
+        )
+        turning = at.velocity[..., 3:]
+        error = np.zeros((*force.shape[:-1], 12))
+        error[..., :6] = stiffness * (at.strain - rest) - mechanics.tip_wrench(rotation)
+        error[..., 6:] = stiffness * strain_rate_of(at)
+        error[..., 6:] -= np.einsum("...ij,...j->...i", by_turn, turning)
+        jacobian = np.zeros((*force.shape[:-1], 12, RATED))
+        jacobian[..., :6, 3:6] = jacobian[..., 6:, 15:18] = -by_turn
+        jacobian[..., :6, STRAIN] = jacobian[..., 6:, STRAIN_RATE] = np.diag(stiffness)
+        twice = se3.hat3(turning) @ se3.hat3(force)
+        arm = np.concatenate(
+            [
+                np.broadcast_to(np.eye(3), twice.shape),
+                np.broadcast_to(se3.hat3(mechanics.tip_center), twice.shape),
+            ],
+            axis=-2,
+        )
+        jacobian[..., 6:, 3:6] = arm @ twice
+        return error, jacobian
+
+    def static_factors(self, grid: Grid, state: State) -> Iterator[Factors]:
+        """Factors of shapes that hold still, linearised at nodes (S, N) of pose and strain."""
+        count, n_count = grid.shape
+        node = np.arange(count * n_count).reshape(count, n_count)
+        if n_count > 1:
+            every = self._tiled(grid, count)
+            start, end = (state.take(np.s_[:, part]).flatten() for part in _ENDS)
+            error, *slopes = still_error(start, end, every)
+            whitener = sqrt_information(every.flow(start, noisy=True).noise)
+            nodes = np.stack([node[:, part].ravel() for part in _ENDS], axis=1)
+            terms = Residuals(error, whitener)
+            yield Factors(nodes, _STATIC, np.stack(slopes, axis=2), terms)
+        at = state.take(np.s_[:, 0])
+        xi = se3.log(se3.inverse(self.base_pose) @ at.pose)
+        jacobian = np.zeros((count, 6, 1, STATIC_DOF))
+        jacobian[:, :, 0, :6] = se3.right_jacobian_inverse(xi)
+        yield Factors(node[:, :1], _STATIC, jacobian, Residuals(xi, _firm(self.var_base, count)))
+        error, slope = self._tip_error(grid, state.take(np.s_[:, -1]))
+        terms = Residuals(error[:, :6], _firm(self.var_tip, count))
+        yield Factors(node[:, -1:], _STATIC, slope[:, :6, None, _STATIC], terms)
+
+    def interpolate(
+        self, grid: Grid, state: State, noise_state: State, points: Points
+    ) -> Interpolation:
+        """State at points between the nodes, conditional on the nodes. Source: (10) to (12)."""
+        return interpolate_process(self, grid, state, noise_state, points)
+
+    def crossing(self, grid: Grid, noise_state: State, k: Index, s: Cells) -> tuple[Array, Array]:
+        """Gain and covariance (M, 12, 12) inside the intervals `s` at time nodes k."""
+        start = noise_state.take((k, s.lower))
+        return bridge(start, self.intervals(grid.arclength).take(s.lower), s.offset)
+
+    def at_time_nodes(
+        self, grid: Grid, state: State, k: Index, n: Index, s: Cells, gain: Array | None
+    ) -> tuple[State, Index, Array]:
+        """State, nodes (M, c) and Jacobian (M, 24, c, 24) at time nodes k, on n or inside `s`."""
+        if gain is None:
+            return at_nodes(state, k, n)
+        nodes = (k * grid.arclength.size + n)[:, None] + np.arange(2)
+        start, end = (state.flatten().take(nodes[:, i]) for i in (0, 1))
+        intervals = self.intervals(grid.arclength).take(s.lower)
+        at, j0, j1 = interval_between(start, end, intervals, s.offset, gain)
+        return at, nodes, np.stack([j0, j1], axis=2)
+
+    def mean_strain(self, arclength: Array) -> Array:
+        """The strain (M, 6) without loads, beside which the weight's matters little in a step."""
+        return self.rest.at(arclength)
+
+    def section(
+        self, grid: Grid, noise_state: State, k: Index, n: Index, s: Cells, inside: bool
+    ) -> Array:
+        """Prior covariance (M, 12, 12) of pose and strain at time nodes k, on n or inside `s`."""
+        times, which = np.unique(k, return_inverse=True)
+        there, every = noise_state.take(times), self._tiled(grid, times.size)
+        tip = self._tip_error(grid, there.take(np.s_[:, -1]))[1][:, :6, _STATIC]
+        ends = np.diag(1.0 / self.var_base), _transposed(tip) @ (tip / self.var_tip[:, None])
+        offsets = (which, n, s.offset) if inside else (which, n, None)
+        return section_covariances(there, every, ends, *offsets)
+
+
+_ENDS = (slice(None, -1), slice(1, None))
+
+
+def _firm(variance: Array, count: int) -> Array:
+    """Whiteners (count, 6, 6) of one variance (6,)."""
+    return np.broadcast_to(np.diag(variance**-0.5), (count, 6, 6))
+
+
+def _transposed(matrix: Array) -> Array:
+    return np.swapaxes(matrix, -1, -2)
