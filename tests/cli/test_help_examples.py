@@ -39,6 +39,7 @@ RUNS = {  # what must stand in the line that is run, and what makes it quick; or
     "check": ("my_recording --json", ""),
     "learn": ("--only noise", "--window 0 1 --steps 1"),
     "replay": ("my_recording --json", ""),
+    "live": ("csv:newest.csv", ""),
     "simulate": ("--slide hold", "--duration 1"),
     "plan": ("--robot sliding700", "--horizon 1"),
     "design": ("--out design", "--horizon 1 --strokes 0.06"),

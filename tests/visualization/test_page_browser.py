@@ -9,7 +9,7 @@ from PIL import Image
 
 from browser import Told, chromium, wait_until
 from glissando import estimate
-from glissando.visualization.film.frames import _tube
+from glissando.estimation.confidence_tube import confidence_tube
 from glissando.visualization.page import save_view, scene_of
 from glissando.visualization.page.page import SIGMAS
 from pages import carried, unpacked
@@ -119,7 +119,7 @@ def test_the_tube_is_the_outline_of_the_ellipsoids_across_the_body(page, posteri
     reach = np.einsum("ni,nai->na", pose[[0, -1], :3, 2], ends - pose[[0, -1], None, :3, 3])
     along = SIGMAS * np.sqrt(of_body[[0, -1], 2, 2])
     np.testing.assert_allclose(np.abs(reach), np.tile(along[:, None], 24), rtol=0.02, atol=2e-5)
-    films, _ = _tube(pose[None], of_body[None], SIGMAS)  # as a film draws it
+    films, _ = confidence_tube(pose[None], of_body[None], SIGMAS)  # as a film draws it
     assert np.abs(rings - 1e-3 * films[0, 5:-5]).max() < 5e-5
 
 

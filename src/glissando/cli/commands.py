@@ -5,6 +5,7 @@ COMMANDS = {
     "check": ("check", "check whether confidence is true"),
     "learn": ("learn", "learn a robot file from recordings"),
     "replay": ("replay", "estimate a recording as if live"),
+    "live": ("live", "estimate sensors live"),
     "simulate": ("simulate", "simulate a recording"),
     "plan": ("plan", "plan the slide's path"),
     "design": ("design", "compare designs of the slide"),

@@ -79,10 +79,18 @@ def write_states(states: Iterable[tuple[Array, Array, StateEstimate]], path: Pat
         states: Times (M,) s, arclengths (M,) m and the estimates there.
         path: File to write.
     """
-    rows = []
-    for time, arclength, at in states:
-        columns = [time[:, None], arclength[:, None], at.position, at.quaternion, at.strain]
-        columns += [at.velocity, at.cov[:, :6, :6].reshape(len(time), 36)]
-        rows.append(np.hstack(columns))
+    rows = [state_rows(*each) for each in states]
     header = ",".join(QUERY_COLUMNS)
     np.savetxt(path, np.concatenate(rows), "%.12g", ",", header=header, comments="")
+
+
+def state_rows(time: Array, arclength: Array, at: StateEstimate) -> Array:
+    """Estimates as numbers (M, C) in the order of QUERY_COLUMNS.
+
+    Args:
+        time: Times (M,), s.
+        arclength: Arclengths (M,), m.
+        at: Estimates (M,) there.
+    """
+    columns = [time[:, None], arclength[:, None], at.position, at.quaternion, at.strain]
+    return np.hstack([*columns, at.velocity, at.cov[:, :6, :6].reshape(len(time), 36)])

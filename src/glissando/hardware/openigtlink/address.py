@@ -11,7 +11,9 @@ PORT = 18944  # by custom
 _LOCAL = "127.0.0.1"
 _UNITS = {"mm": 1e-3, "m": 1.0}
 _AXES = ("ras", "lps")
-CLOCKS = ("fitted", "shared", "arrival")
+_CLOCKS = ("fitted", "shared", "arrival", "sender")
+SENT = ("frames", "tip", "line", "tube", "ellipsoids", "status", "readings")
+"""What can be sent of an update; all but the readings unless the address says otherwise."""
 
 
 @dataclass(frozen=True)
@@ -25,8 +27,9 @@ class Address:
         scale: Metres of the peer's unit of length.
         axes: "ras", or "lps" where x and y point the other way.
         clock: How stamps become times: "fitted" to their arrivals, "shared" if both computers have
-            one clock (NTP), "arrival" if stamps mean nothing.
+            one clock (NTP), "arrival" if stamps mean nothing, "sender" to keep the sender's time.
         start: Milliseconds between the TDATA we ask the peer for; 0 asks for none.
+        send: What an update consists of, of `SENT`.
     """
 
     host: str
@@ -36,13 +39,14 @@ class Address:
     axes: str = "ras"
     clock: str = "fitted"
     start: int = 0
+    send: tuple[str, ...] = SENT[:-1]
 
     @classmethod
     def parse(cls, text: str) -> Address:
         """The address of a text: igtl://host:port to call, igtl-server://host:port to listen.
 
         Without a host it is 127.0.0.1, without a port 18944. After a question mark may stand
-        unit=m, axes=lps, clock=shared or arrival, start=20.
+        unit=m, axes=lps, clock=shared, start=20, send=tip,tube, joined by &.
 
         Raises:
             DeviceError: The text is no such address.
@@ -57,16 +61,19 @@ class Address:
             options = dict(parse_qsl(parts.query, strict_parsing=bool(parts.query)))
             unit, axes = options.pop("unit", "mm"), options.pop("axes", "ras").lower()
             clock, start = options.pop("clock", "fitted"), int(options.pop("start", "0"))
+            send = tuple(options.pop("send", ",".join(SENT[:-1])).split(","))
         except ValueError as problem:
             raise DeviceError(f"{text!r} is no address ({problem}); {_HINT}") from None
         listens = parts.scheme == "igtl-server"
-        sound = unit in _UNITS and axes in _AXES and clock in CLOCKS and start >= 0
+        sound = unit in _UNITS and axes in _AXES and clock in _CLOCKS and start >= 0
+        sound &= {*send} <= {*SENT}
         if not (listens or parts.scheme == "igtl") or options or parts.path or not sound:
             raise DeviceError(f"{text!r} is no address; {_HINT}")
-        return cls(host, port, listens, _UNITS[unit], axes, clock, start)
+        return cls(host, port, listens, _UNITS[unit], axes, clock, start, send)
 
 
 _HINT = (
     "give igtl://host:port to call a server, igtl-server://host:port to be one; after a ? "
-    "unit=mm|m, axes=ras|lps, clock=fitted|shared|arrival, start=MS."
+    "unit=mm|m, axes=ras|lps, clock=fitted|shared|arrival|sender, start=MS, send="
+    f"{','.join(SENT)}."
 )

@@ -21,7 +21,7 @@ _WIDTH = {1: 3, 2: 3, 3: 9, 4: 4}  # numbers that a vector, normal, tensor and c
 _LONGEST = 255  # bytes of an attribute's name
 _MOST = 64  # attributes that a message may have
 
-Cells = tuple[NDArray[np.int64], ...]
+Cells = tuple[NDArray[np.integer], ...]
 """Cells of one kind, each the numbers of its points."""
 
 
@@ -50,7 +50,7 @@ class PolyData:
     points: Array
     vertices: Cells = ()
     lines: Cells = ()
-    polygons: Cells | NDArray[np.int64] = ()
+    polygons: Cells | NDArray[np.integer] = ()
     strips: Cells = ()
     attributes: tuple[Attribute, ...] = field(default=())
     type_id: ClassVar[str] = "POLYDATA"
@@ -129,7 +129,7 @@ class _Bytes:
             )
 
 
-def _pack_cells(cells: Cells | NDArray[np.int64]) -> bytes:
+def _pack_cells(cells: Cells | NDArray[np.integer]) -> bytes:
     """Each cell's number of points, then their numbers."""
     if isinstance(cells, np.ndarray):  # cells of one size: without a loop
         sizes = np.full((len(cells), 1), cells.shape[1] if cells.size else 0)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from glissando.estimation.confidence_tube import confidence_tube
 from glissando.estimation.posterior import Posterior
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Index
@@ -15,7 +16,7 @@ from glissando.model.sensors.readings import Readings
 from glissando.visualization.figures import _MM, _NEAR, _SIGMAS, _places, _seen
 
 _DROPPED = 0.25  # s: without a reading this near, a sensor is not shown
-_ALONG, _AROUND, _CAP = 64, 24, 5  # points of the tube; rings that round off each end
+_ALONG = 64  # points along the tube
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,7 @@ def frames_at(
     at = posterior.at(asked, times[:, None])
     std, hidden = at.std_position * _MM, np.where(np.isnan(place), np.nan, _MM)
     of_body = np.s_[:, : body.size]
-    tube, ring = _tube(at.pose[of_body], at.cov[of_body][..., :3, :3], _SIGMAS)
+    tube, ring = confidence_tube(at.pose[of_body], at.cov[of_body][..., :3, :3], _SIGMAS)
     true = _places(truth, grid)
     reach = 0.05 * (body[-1] - body[0])
     return Frames(
@@ -75,7 +76,7 @@ def frames_at(
         arclength=body * _MM,
         line=at.position[:, : body.size] * _MM,
         std=std[:, : body.size],
-        tube=tube,
+        tube=tube * _MM,
         shade=std[:, ring],
         sensors=[site.label for site in sites],
         place=place * _MM,
@@ -113,30 +114,3 @@ def _true(sites: Sequence[Readings], times: Array, reach: float) -> Array:
         if site.values.ndim == 3:
             out[near, i, 1:] += reach * np.swapaxes(site.values[rows[near], :3, :3], -1, -2)
     return out * _MM
-
-
-def _tube(pose: Array, cov: Array, sigmas: float) -> tuple[Array, Index]:
-    """Rings (F, R, A, 3) in mm of the confidence surface of poses (F, N, 4, 4); R their points.
-
-    `cov` (F, N, 3, 3) of the position in the body frame, `sigmas` the size of the surface.
-
-    Across the body a ring is the ellipse of the lateral 2×2 block of the covariance, turned by its
-    symmetric root, which is smooth where principal axes would flip; both ends are rounded off.
-    """
-    count = pose.shape[1]
-    rest = np.linspace(0.0, 0.5 * np.pi, _CAP, endpoint=False)
-    tilt = np.concatenate([rest - 0.5 * np.pi, np.zeros(count), 0.5 * np.pi - rest[::-1]])
-    ring = np.concatenate([[0] * _CAP, np.arange(count), [count - 1] * _CAP])
-    flat = cov[..., :2, :2]
-    product = np.sqrt(np.maximum(np.linalg.det(flat), 0.0))
-    total = np.sqrt(np.einsum("...ii->...", flat) + 2.0 * product + 1e-24)
-    root = (flat + product[..., None, None] * np.eye(2)) / total[..., None, None]
-    angle = np.linspace(0.0, 2.0 * np.pi, _AROUND, endpoint=False)
-    across = np.cos(tilt)[:, None, None] * (np.stack([np.cos(angle), np.sin(angle)], -1))
-    along = np.sin(tilt) * np.sqrt(np.maximum(cov[:, ring, 2, 2], 0.0))
-    body = np.empty((*along.shape, _AROUND, 3))
-    body[..., :2] = across @ root[:, ring]
-    body[..., 2] = along[..., None]
-    pose = pose[:, ring]
-    turned = body @ np.swapaxes(pose[..., :3, :3], -1, -2)
-    return (pose[..., None, :3, 3] + sigmas * turned) * _MM, ring

@@ -7,13 +7,13 @@ from itertools import cycle
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from glissando.errors import GlissandoError
+from glissando.estimation.confidence_tube import confidence_tube, tube_faces
 from glissando.estimation.fixed_lag import FixedLagSmoother
 from glissando.geometry.se3 import Array
 from glissando.visualization.figures import _MM
-from glissando.visualization.film.frames import _tube
 from glissando.visualization.page.page import SIGMAS
 from glissando.visualization.page.scene import Scene
 
@@ -84,13 +84,13 @@ class Live:
         self._require(centres, frames, cov)
         std = np.sqrt(np.einsum("nii->n", cov))
         turn = frames[:, :3, :3]
-        rings, _ = _tube(frames[None], (np.swapaxes(turn, -1, -2) @ cov @ turn)[None], SIGMAS)
+        rings, _ = confidence_tube(frames, np.swapaxes(turn, -1, -2) @ cov @ turn, SIGMAS)
         shade = self._shades[np.minimum(255 * std / self.top, 255).astype(int)]
         if self._body is None:
             self._look_at(centres.mean(axis=0))
-            self._add(rings[0].shape[:2])
+            self._add(rings.shape[:2])
         with self._server.atomic():
-            self._tube.vertices = (rings[0] / _MM).reshape(-1, 3).astype(np.float32)
+            self._tube.vertices = rings.reshape(-1, 3).astype(np.float32)
             self._body.points = np.stack([centres[:-1], centres[1:]], 1).astype(np.float32)
             self._body.colors = np.stack([shade[:-1], shade[1:]], axis=1)
             place = np.nan if coil is None else coil
@@ -120,7 +120,7 @@ class Live:
     def _add(self, rings: tuple[int, int]) -> None:
         """Put the parts into the picture that updates move."""
         scene, count = self._server.scene, self.arclength.size
-        faces = _faces_between(*rings)
+        faces = tube_faces(*rings)
         flat = np.zeros((rings[0] * rings[1], 3), dtype=np.float32)
         look = {"color": _TUBE, "opacity": 0.3, "side": "double", "cast_shadow": False}
         self._tube = scene.add_mesh_simple("/tube", flat, faces.astype(np.uint32), **look)
@@ -138,14 +138,6 @@ class Live:
 
     def __exit__(self, *raised: object) -> None:
         self.close()
-
-
-def _faces_between(rings: int, around: int) -> NDArray[np.intp]:
-    """Triangles (F, 3) of a tube of rings that have as many points each."""
-    here = np.arange(rings * around).reshape(rings, around)
-    on = np.roll(here, -1, axis=1)
-    a, b, c, d = here[:-1], on[:-1], here[1:], on[1:]
-    return np.stack([a, b, c, b, d, c], axis=-1).reshape(-1, 3)
 
 
 def play(scene: Scene, port: int) -> None:

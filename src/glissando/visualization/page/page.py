@@ -12,9 +12,9 @@ from string import Template
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
 
 from glissando import __version__
+from glissando.estimation.confidence_tube import SIGMAS_95
 from glissando.estimation.posterior import Posterior
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
@@ -24,7 +24,7 @@ from glissando.visualization.page.scene import Progress, Scene, scene_of
 _MM = 1e3
 _NOTHING = 65535  # stands for NaN
 _SIX = np.triu_indices(3)
-SIGMAS = float(np.sqrt(chi2.ppf(0.95, 3)))
+SIGMAS = SIGMAS_95
 """Standard deviations to the surface of an ellipsoid that holds 95 % of positions."""
 
 

@@ -1,0 +1,197 @@
+"""`glissando live`: sensors in, the newest shape with its confidence out, at a steady rate."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import sys
+import time
+from collections import deque
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from types import FrameType
+
+import numpy as np
+from rich.console import Console
+from rich.live import Live as Line
+from rich.text import Text
+
+from glissando.cli.shared import Commands, add_command, require_writable
+from glissando.errors import GlissandoError
+from glissando.hardware.live import LiveSession, Placement, Update
+from glissando.hardware.live.addresses import SINKS, SOURCES, sink_of, source_of
+from glissando.io.recording import load_recording
+from glissando.io.robot_file import load_robot
+from glissando.model.robot import Robot
+from glissando.visualization.page import Live
+from glissando.visualization.page.live import follow
+
+_HELP = """\
+Estimate the robot live: readings come from sources, updates of the newest shape with its confidence
+go to sinks, at a steady rate. Sources and sinks combine freely, and each may be given many times.
+
+OpenIGTLink peers (PLUS, 3D Slicer, trackers, MATLAB) send TRANSFORM, POSITION and TDATA in
+millimetres; --at says where on the robot each of their devices sits. They get TDATA, TRANSFORM and
+POLYDATA. An address may end in options, such as ?unit=m&axes=lps&clock=shared.
+
+A slow, dead or malicious peer delays nobody. Every reading is in the --journal before it is used;
+it is a recording like any other.
+"""
+_EXAMPLES = """\
+examples:
+  glissando live --source my_recording --sink csv:newest.csv --journal log
+  glissando live --source slow_free_space --sink igtl-server://:18945 --view
+  glissando live --robot tdcr466 --source igtl://192.168.1.7:18944 --at Base=0 \\
+      --at Tip=0.466:coil --sink igtl-server://0.0.0.0:18945 --journal log --rate 60
+  glissando live --robot sliding700 --source igtl-server://:18944 --at Coil=0.7:coil:slides
+
+Ctrl-C ends it.
+
+exit status: 0 ended by Ctrl-C, --duration or the end of all sources; 2 a peer stayed silent, or
+something given was wrong.
+"""
+_POINTS = 41  # along the robot that is shown in a browser
+_RECENT = 300  # updates that the status is of
+_PLAIN, _TERMINAL = 5.0, 0.2  # s between statuses
+
+
+def add_to(commands: Commands) -> None:
+    """Add the command to the parser's."""
+    parser = add_command(commands, "live", (_HELP, _EXAMPLES), _live)
+    add = parser.add_argument
+    add("--robot", metavar="FILE|NAME", help="robot file or shipped robot (default: a recording's)")
+    several = {"action": "append", "default": [], "metavar": "ADDRESS"}
+    add("--source", **several, help=SOURCES.replace("%", "%%"))  # type: ignore[arg-type]
+    add("--sink", **several, help=SINKS)  # type: ignore[arg-type]
+    at = "where a device sits: NAME=METRES, then :pose, :coil or :position, and :slides"
+    add("--at", action="append", default=[], metavar="NAME=M", help=at)
+    add("--rate", type=float, metavar="HZ", help="updates a second (default: the robot's)")
+    lag = "seconds the estimator looks back (default: four updates; 0 is a filter)"
+    add("--lag", type=float, metavar="S", help=lag)
+    delay = "seconds an update waits for readings of its time (default 0)"
+    add("--delay", type=float, default=0.0, metavar="S", help=delay)
+    add("--points", type=int, default=30, metavar="N", help="frames along the robot (default 30)")
+    add("--journal", type=Path, metavar="DIR", help="new folder to record every reading in")
+    add("--duration", type=float, metavar="S", help="seconds to run")
+    patience = "seconds all sources may be silent (default 20)"
+    add("--patience", type=float, default=20.0, metavar="S", help=patience)
+    add("--view", action="store_true", help="show it in a browser as it goes (needs viser)")
+
+
+def _live(options: argparse.Namespace) -> int:
+    robot = _robot(options)
+    placements = [Placement.parse(text) for text in options.at]
+    if options.journal is not None:
+        require_writable(options.journal.parent)
+    session = LiveSession(
+        robot,
+        [source_of(text, robot, placements) for text in options.source],
+        [sink_of(text) for text in options.sink],
+        rate=options.rate,
+        lag=options.lag,
+        delay=options.delay,
+        points=options.points,
+        journal=options.journal,
+        duration=options.duration,
+        patience=options.patience,
+    )
+    status = _Status(session)
+    signal.signal(signal.SIGTERM, _interrupt)
+    with suppress(KeyboardInterrupt), ExitStack() as stack:
+        view = _view(robot, stack) if options.view else None
+        stack.enter_context(status)
+        stack.enter_context(session)
+        for update in session:
+            status.show(update)
+            if view is not None:
+                follow(view, update.smoother)
+    print(status.summary())
+    return 0
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
+
+
+def _robot(options: argparse.Namespace) -> Robot:
+    """The robot that was given, or the one a recording among the sources names."""
+    if not options.source:
+        raise GlissandoError(f"A live estimate needs readings; give --source: {SOURCES}.")
+    if options.robot:
+        return load_robot(options.robot)
+    for folder in filter(lambda text: Path(text).is_dir(), options.source):
+        if (robot := load_recording(folder).robot) is not None:
+            return robot
+    raise GlissandoError("No source says which robot it is of; give --robot FILE or NAME.")
+
+
+def _view(robot: Robot, stack: ExitStack) -> Live:
+    view = stack.enter_context(Live(np.linspace(0.0, robot.length, _POINTS)))
+    print(f"Look at {view.address}", file=sys.stderr)
+    return view
+
+
+class _Status:
+    """A line about the session on stderr: renewed on a terminal, else one every five seconds."""
+
+    def __init__(self, session: LiveSession) -> None:
+        self._session, self._console = session, Console(stderr=True)
+        self._recent: deque[Update] = deque(maxlen=_RECENT)
+        self._count, self._shown = 0, time.monotonic()
+        self._line: Line | None = None
+
+    def __enter__(self) -> _Status:
+        waiting = "Waiting for the first reading; Ctrl-C ends it."
+        if self._console.is_terminal:
+            self._line = Line(Text(waiting), console=self._console, transient=True)
+            self._line.start()
+        else:
+            print(waiting, file=sys.stderr, flush=True)
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        if self._line is not None:
+            self._line.stop()
+
+    def show(self, update: Update) -> None:
+        """Renew the line, if it is time to."""
+        self._recent.append(update)
+        self._count += 1
+        if time.monotonic() - self._shown < (_TERMINAL if self._line else _PLAIN):
+            return
+        self._shown = time.monotonic()
+        if self._line is not None:
+            self._line.update(Text(self._text()))
+        else:
+            print(self._text(), file=sys.stderr, flush=True)
+
+    def _text(self) -> str:
+        last, smoother = self._recent[-1], self._session.smoother
+        span = last.time - self._recent[0].time
+        rate = (len(self._recent) - 1) / span if span else 0.0
+        latency = 1e3 * np.array([u.latency for u in self._recent])
+        nis = "–" if smoother.nis is None else f"{smoother.nis:.2f}"
+        parts = [
+            f"{last.time:.1f} s: tip ± {1e3 * last.std_tip:.2g} mm",
+            f"{rate:.1f} Hz",
+            f"latency {np.median(latency):.1f} ms, p99 {np.percentile(latency, 99):.1f} ms",
+            f"innovations {nis}",
+            self._losses(),
+        ]
+        return ", ".join(filter(None, parts)) + "".join(f"; {text}" for text in last.problems)
+
+    def _losses(self) -> str:
+        """What was left out so far, and why."""
+        session = self._session
+        counts = {"updates skipped": session.skipped}
+        for name, why in session.smoother.dropped.items():
+            counts |= {f"{name} {reason}": count for reason, count in why.items()}
+        for happened in [s.counts for s in session.sources] + [s.counts for s in session.sinks]:
+            counts |= {k: n for k, n in happened.items() if k not in ("heard", "connected")}
+        return ", ".join(f"{n} {name}" for name, n in counts.items() if n)
+
+    def summary(self) -> str:
+        """What there was in all, as a sentence."""
+        session, losses = self._session, self._losses()
+        journal = "" if session.journal_folder is None else f" Journal: {session.journal_folder}."
+        return f"{self._count} updates{f' ({losses})' if losses else ''}.{journal}"

@@ -1,0 +1,193 @@
+"""Updates as OpenIGTLink messages: what 3D Slicer, PLUS and MATLAB's toolboxes show at once.
+
+| device | type | |
+|---|---|---|
+| Robot | TDATA | all frames in one message, tools of six degrees of freedom named by arclength |
+| Tip | TRANSFORM | the last frame |
+| Centreline | POLYDATA | a polyline with the attribute `sigma` |
+| Tube95 | POLYDATA | the surface inside which the robot lies with 95 %, with `sigma` |
+| Ellipsoids95 | POLYDATA | an ellipsoid of 95 % about each frame |
+| Estimate | STATUS, STRING | once a second: well or not, and figures as JSON |
+| (stream) | NDARRAY | readings, exactly, for another glissando |
+
+`sigma` is the root of the total position variance in the wire's unit of length.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Iterator
+from typing import Self
+
+import numpy as np
+from scipy.spatial import ConvexHull
+
+from glissando.estimation.confidence_tube import SIGMAS_95, confidence_tube, tube_faces
+from glissando.geometry.se3 import Array
+from glissando.hardware.live.update import Update
+from glissando.hardware.openigtlink import Endpoint, Message, encode
+from glissando.hardware.openigtlink import contents as c
+from glissando.hardware.openigtlink.polydata import Attribute, PolyData
+from glissando.hardware.openigtlink.wire_frame import WireFrame
+from glissando.io.csv_stream import Rows
+from glissando.model.grid import Index
+from glissando.model.sensors.readings import Readings
+
+_AROUND = 12  # points of a ring of the tube
+_PATIENCE = 1.0  # s between statuses
+
+
+class IgtlSink:
+    """Sends updates to every peer of an endpoint.
+
+    Args:
+        address: As `Endpoint` takes it; `send=` in it chooses what is sent.
+
+    Raises:
+        DeviceError: The address is wrong.
+    """
+
+    def __init__(self, address: str) -> None:
+        self.name = address.partition("?")[0]
+        self._endpoint = Endpoint(address)
+        self._frame = WireFrame.of(self._endpoint.address)
+        self._send = self._endpoint.address.send
+        self._stated = -np.inf
+
+    def __enter__(self) -> Self:
+        self._endpoint.__enter__()
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        self._endpoint.close()
+
+    @property
+    def port(self) -> int:
+        """The port that is called or listened at."""
+        return self._endpoint.address.port
+
+    @property
+    def counts(self) -> Counter[str]:
+        """What happened to the peers."""
+        return self._endpoint.counts
+
+    @property
+    def problem(self) -> str:
+        """Why nobody gets updates; empty where it is we who listen: viewers come and go."""
+        calling = not self._endpoint.address.listens and not self._endpoint.peers
+        return f"nobody answers at {self.name}" if calling else ""
+
+    def send(self, update: Update) -> None:
+        """Hand an update over to the process that speaks with peers."""
+        self._endpoint.receive()
+        if self._endpoint.peers:
+            stamp = update.stamp
+            self._endpoint.send(
+                [
+                    encode(Message(content, device, stamp))
+                    for device, content in self._contents(update)
+                ]
+                + self._readings(update)
+            )
+
+    def _contents(self, update: Update) -> Iterator[tuple[str, c.Content]]:
+        send, sigma = self._send, update.state.std_position / self._frame.scale
+        poses = self._frame.poses_out(update.state.pose)
+        if "frames" in send:
+            named = zip(update.arclength, poses, strict=True)
+            tools = (c.Tool(frame_name(s), c.TOOL_6D, pose) for s, pose in named)
+            yield "Robot", c.TrackingData(tuple(tools))
+        if "tip" in send:
+            yield "Tip", c.Transform(poses[-1])
+        if "line" in send:
+            line = (np.arange(len(poses)),)
+            yield "Centreline", PolyData(poses[:, :3, 3], lines=line, attributes=_sigma(sigma))
+        cov = update.state.cov[:, :3, :3]
+        if "tube" in send:
+            rings, of = confidence_tube(update.state.pose, cov, around=_AROUND)
+            yield "Tube95", self._mesh(rings, tube_faces(*rings.shape[:2]), sigma[of])
+        if "ellipsoids" in send:
+            shells = SIGMAS_95 * _SPHERE @ np.linalg.cholesky(_definite(cov)).swapaxes(-1, -2)
+            shells = shells @ update.state.pose[:, :3, :3].swapaxes(-1, -2)
+            shells += update.state.position[:, None]
+            first = len(_SPHERE) * np.arange(len(shells))
+            faces = (_SPHERE_FACES + first[:, None, None]).reshape(-1, 3)
+            yield "Ellipsoids95", self._mesh(shells, faces, sigma)
+        if "status" in send and update.time - self._stated >= _PATIENCE:
+            self._stated = update.time
+            yield "Estimate", _status(update)
+            yield "Estimate", c.Text(json.dumps(_figures(update)))
+
+    def _mesh(self, groups: Array, faces: Index, sigma: Array) -> PolyData:
+        """Triangles between groups (G, A, 3) of points that share a sigma (G,)."""
+        each = np.repeat(sigma, groups.shape[1])
+        points = self._frame.points_out(groups.reshape(-1, 3))
+        return PolyData(points, polygons=faces, attributes=_sigma(each))
+
+    def _readings(self, update: Update) -> list[bytes]:
+        if "readings" not in self._send:
+            return []
+        return [encode(readings_message(r, update.stamp)) for r in update.readings if r.kind]
+
+
+def frame_name(arclength: float) -> str:
+    """The name of the frame at an arclength in m.
+
+    >>> frame_name(0.2335)
+    's233.5mm'
+    """
+    return f"s{1e3 * arclength:.1f}mm"
+
+
+def readings_message(readings: Readings, stamp: int) -> Message:
+    """Readings as one NDARRAY of float64, SI units: time, arclength, and the kind's columns."""
+    rows = Rows(readings.kind, readings.time, readings.arclength, readings.values, {})
+    table = c.NumberArray(rows.table())
+    return Message(table, readings.label[:20], stamp, 2, metadata={"kind": readings.kind})
+
+
+def _sigma(sigma: Array) -> tuple[Attribute, ...]:
+    return (Attribute("sigma", sigma[:, None]),)
+
+
+def _status(update: Update) -> c.Status:
+    """Code 1 is well, 10 a configuration that does not fit, 13 not ready."""
+    if update.problems:
+        return c.Status(13, "; ".join(update.problems), "SILENT")
+    if not update.smoother.fits:
+        return c.Status(10, "Innovations are larger than the model allows.", "DOES_NOT_FIT")
+    return c.Status(1, "", "")
+
+
+def _figures(update: Update) -> dict[str, object]:
+    return {
+        "time": update.time,
+        "tip_sigma_m": update.std_tip,
+        "latency_s": update.latency,
+        "nis": update.smoother.nis,
+        "dropped": {name: dict(why) for name, why in update.smoother.dropped.items()},
+        "skipped": update.skipped,
+    }
+
+
+def _definite(cov: Array) -> Array:
+    """Covariances (…, 3, 3) whose rounding leaves them a Cholesky factor."""
+    least = 1e-12 * np.einsum("...ii->...", cov) + 1e-24
+    return cov + least[..., None, None] * np.eye(3)
+
+
+def _unit_sphere() -> tuple[Array, Index]:
+    """Eighteen points of a sphere and the triangles between them, seen from outside."""
+    grid = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3), -1).reshape(-1, 3)
+    some = grid[np.isin(np.abs(grid).sum(axis=1), (1.0, 2.0))]
+    points = some / np.linalg.norm(some, axis=1)[:, None]
+    hull = ConvexHull(points)
+    faces = hull.simplices
+    outward = np.einsum("fi,fi->f", hull.equations[:, :3], np.cross(
+        points[faces[:, 1]] - points[faces[:, 0]], points[faces[:, 2]] - points[faces[:, 0]]
+    ))  # fmt: skip
+    return points, np.where(outward[:, None] > 0.0, faces, faces[:, ::-1])
+
+
+_SPHERE, _SPHERE_FACES = _unit_sphere()

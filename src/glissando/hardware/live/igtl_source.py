@@ -1,0 +1,204 @@
+"""Readings that an OpenIGTLink peer sends: PLUS, a tracker, another glissando."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from typing import Self
+
+import numpy as np
+
+from glissando.errors import DeviceError, GlissandoError, RobotFileError
+from glissando.geometry import se3
+from glissando.geometry.se3 import Array
+from glissando.hardware.drivers.clock import ClockFit
+from glissando.hardware.live.clock import SessionClock
+from glissando.hardware.live.placement import Placement, batch, reading, require_on_robot
+from glissando.hardware.openigtlink import Endpoint, Message, seconds_since
+from glissando.hardware.openigtlink import contents as c
+from glissando.hardware.openigtlink.wire_frame import WireFrame
+from glissando.model.robot import Robot
+from glissando.model.sensors.readings import SENSORS, Readings
+
+TRAVEL = "travel"  # the device whose SENSOR messages state the slide's travel
+_MICROSECOND = 1e-6  # s: the unit in which a sender's stamps are fitted to arrivals
+_OWN_CLOCK = 1 << 52  # stamps below are a recording's own time, not a wall clock's
+_QUIET = 2.0  # s without a message after which the source says so
+_FAR = 20.0  # m from the origin: no tracker reaches there
+_SKEW = 1e-2  # by which a rotation may fail to be one
+_TOOLS = {c.TOOL_5D: "coil", c.TOOL_3D: "position"}
+
+
+class IgtlSource:
+    """Readings from TRANSFORM, POSITION and TDATA, travel from SENSOR, rows from NDARRAY.
+
+    Args:
+        address: As `Endpoint` takes it.
+        robot: The robot, which states the noise of each kind of sensor.
+        placements: Where devices sit; others are counted and left out.
+
+    Attributes:
+        counts: Messages 'heard'; those left out, and why: 'unplaced' devices, 'invalid' values,
+            'repeated' poses; and what the endpoint counts.
+        status: The last STATUS that was not good, as a text.
+
+    Raises:
+        DeviceError: An address or a placement is wrong.
+    """
+
+    first: float | None = None
+    finished = False  # a peer may come back
+
+    def __init__(self, address: str, robot: Robot, placements: Sequence[Placement] = ()) -> None:
+        require_on_robot(placements, robot)
+        self.name, self.status, self._robot = address.partition("?")[0], "", robot
+        self._endpoint = Endpoint(address)
+        self._frame = WireFrame.of(self._endpoint.address)
+        self._placements = {place.name: place for place in placements}
+        self._own, self._travel, self._heard = Counter[str](), 0.0, -np.inf
+        self._last: dict[str, tuple[int, bytes]] = {}
+        self._fit = ClockFit(_MICROSECOND, 1 << 60)
+        self._newest, self._origin = -1, 0
+        self._waiting: list[tuple[float, Message]] = []
+
+    def __enter__(self) -> Self:
+        self._endpoint.__enter__()
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        self._endpoint.close()
+
+    @property
+    def counts(self) -> Counter[str]:
+        """What was left out, and what happened to the connection."""
+        return self._own + self._endpoint.counts
+
+    @property
+    def problem(self) -> str:
+        """Why nothing comes; empty while messages do."""
+        if not self._endpoint.peers:
+            calls = "nobody has called" if self._endpoint.address.listens else "nobody answers"
+            return f"{calls} at {self.name}"
+        return self.status or ("" if np.isfinite(self._heard) else f"{self.name} sends nothing")
+
+    def poll(self) -> None:
+        """Take what has come out of the link, as `read` does, which then reads it."""
+        came = self._endpoint.receive()
+        self._own["heard"] += len(came)
+        self._waiting += came
+
+    def read(self, clock: SessionClock) -> list[Readings]:
+        """The readings that have come since the last call."""
+        self.poll()
+        out: list[Readings] = []
+        waiting, self._waiting = self._waiting, []
+        for arrival, message in waiting:
+            try:
+                out += self._readings(message, arrival, clock)
+            except RobotFileError:
+                raise
+            except GlissandoError:
+                self._own["invalid"] += 1
+        return out
+
+    def _readings(
+        self, message: Message, arrival: float, clock: SessionClock
+    ) -> Iterator[Readings]:
+        content = message.content
+        if isinstance(content, c.Status):
+            self.status = "" if content.code == 1 else f"{self.name} reports {content.message!r}"
+        elif isinstance(content, c.NumberArray):
+            yield self._rows(message, arrival, clock)
+        elif isinstance(content, c.SensorValues) and message.device.lower() == TRAVEL:
+            self._travel = self._travel_of(content)
+        else:
+            time = self._time(message.stamp, arrival, clock)
+            for name, kind, value in self._values(message):
+                place = self._placements.get(name)
+                if place is None:
+                    self._own["unplaced"] += 1
+                elif self._is_new(name, message.stamp, value):
+                    yield self._reading(place, place.kind or kind, time, value)
+        self._heard = arrival
+
+    def _travel_of(self, content: c.SensorValues) -> float:
+        travel = content.values * self._frame.length_unit(content.unit)
+        if travel.size != 1 or not abs(travel[0]) < _FAR:
+            raise DeviceError(f"A travel of {travel} m cannot be; send one number and its unit.")
+        return float(travel[0])
+
+    def _values(self, message: Message) -> Iterator[tuple[str, str, Array]]:
+        """Name, kind and pose (4, 4) of each device in a message, SI units."""
+        content = message.content
+        if isinstance(content, c.TrackingData):
+            for tool in content.tools:
+                yield tool.name, _TOOLS.get(tool.kind, "pose"), self._frame.pose_in(tool.matrix)
+        elif isinstance(content, c.Transform):
+            yield message.device, "pose", self._frame.pose_in(content.matrix)
+        elif isinstance(content, c.Position):
+            pose = np.eye(4)
+            pose[:3, 3] = content.position
+            if content.quaternion is not None:
+                pose[:3, :3] = se3.rotation_from_quaternion(np.roll(content.quaternion, 1))
+            kind = "position" if content.quaternion is None else "pose"
+            yield message.device, kind, self._frame.pose_in(pose)
+
+    def _is_new(self, name: str, stamp: int, value: Array) -> bool:
+        """Whether a pose is another than the last; a server repeats it between measurements."""
+        this = stamp, value.tobytes()
+        known, self._last[name] = self._last.get(name), this
+        repeated = known is not None and known[1] == this[1]
+        self._own["repeated"] += repeated
+        return not repeated
+
+    def _reading(self, place: Placement, kind: str, time: float, pose: Array) -> Readings:
+        turn, far = pose[:3, :3], float(np.abs(pose[:3, 3]).max())
+        if far > _FAR:
+            self.status = f"{place.name} is {far:.3g} m away: are its lengths unit=mm or unit=m?"
+            raise DeviceError(f"{self.status} Correct the address.")
+        if not np.all(np.isfinite(pose)) or np.abs(turn @ turn.T - np.eye(3)).max() > _SKEW:
+            raise DeviceError(f"{place.name} sent no rigid motion; check the sender.")
+        pose[:3, :3] = se3.rotation_from_quaternion(
+            se3.quaternion(turn)
+        )  # float32 is not quite one
+        arclength = place.arclength - self._travel if place.slides else place.arclength
+        value = pose[:3, 3] if kind == "position" else pose
+        on_robot = float(np.clip(arclength, 0.0, self._robot.length))
+        return reading(self._robot, kind, place.name, time, on_robot, value)
+
+    def _rows(self, message: Message, arrival: float, clock: SessionClock) -> Readings:
+        """Readings of a glissando's own sink, times and values as float64."""
+        assert isinstance(message.content, c.NumberArray)
+        kind, table = message.metadata.get("kind", ""), np.asarray(message.content.values, float)
+        if kind not in SENSORS or table.ndim != 2 or not len(table):
+            raise DeviceError(f"{message.device} sent an array that is no readings; leave it out.")
+        columns = 2 + len(SENSORS[kind].columns)
+        if table.shape[1] != columns:
+            raise DeviceError(f"{message.device} sent {table.shape[1]} columns, not {columns}.")
+        newest = self._time(message.stamp, arrival, clock)
+        time = table[:, 0] + (newest - table[-1, 0])
+        if self._endpoint.address.clock == "sender":
+            time = table[:, 0]
+        values = SENSORS[kind].from_columns(table[:, 2:])
+        return batch(self._robot, kind, message.device, time, table[:, 1], values)
+
+    def _time(self, stamp: int, arrival: float, clock: SessionClock) -> float:
+        """Session time of a stamp, s."""
+        mode = self._endpoint.address.clock
+        if stamp == 0 or mode == "arrival":
+            return clock.of_monotonic(arrival)
+        if mode == "shared":
+            return clock.of_stamp(stamp)
+        if mode == "sender":
+            return self._sender_time(stamp, clock)
+        count = (stamp * 1_000_000) >> 32
+        if count > self._newest or self._newest - count > 5_000_000:
+            self._newest = self._fit.add(count, arrival)
+        return clock.of_monotonic(self._fit.time(count))
+
+    def _sender_time(self, stamp: int, clock: SessionClock) -> float:
+        if self._newest < 0:
+            self._origin = 0 if stamp < _OWN_CLOCK else stamp & ~((1 << 32) - 1)
+            clock.begin_at(seconds_since(stamp, self._origin))
+        self._newest = max(self._newest, stamp)
+        return seconds_since(stamp, self._origin)

@@ -1,0 +1,126 @@
+"""Where on the robot a device sits that reports itself by name alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from glissando.errors import DeviceError, RobotFileError
+from glissando.geometry.se3 import Array
+from glissando.model.robot import Robot
+from glissando.model.sensors.readings import Readings
+from glissando.model.sensors.sensors import sensor_class
+
+_KINDS = ("pose", "coil", "position")
+
+
+@dataclass(frozen=True)
+class Placement:
+    """A device on the robot.
+
+    Attributes:
+        name: Name under which it reports.
+        arclength: Where it sits at travel zero, m.
+        kind: Kind of sensor; empty to take it from the message: a TDATA tool of five degrees of
+            freedom is a coil, of three a position, everything else with an orientation a pose.
+        slides: Whether the slide's travel reduces its arclength.
+    """
+
+    name: str
+    arclength: float
+    kind: str = ""
+    slides: bool = False
+
+    @classmethod
+    def parse(cls, text: str) -> Placement:
+        """The placement of a text NAME=METRES, then :pose, :coil or :position, and :slides.
+
+        Raises:
+            DeviceError: The text is none.
+
+        >>> Placement.parse("Tip=0.466:coil")
+        Placement(name='Tip', arclength=0.466, kind='coil', slides=False)
+        """
+        name, _, rest = text.rpartition("=")
+        metres, *flags = rest.split(":")
+        kinds = [flag for flag in flags if flag != "slides"]
+        try:
+            arclength = float(metres)
+        except ValueError:
+            arclength = np.nan
+        if not name or not np.isfinite(arclength) or len(kinds) > 1 or {*kinds} - {*_KINDS}:
+            raise DeviceError(
+                f"{text!r} does not say where a device sits; give NAME=METRES, as in Tip=0.466, "
+                f"and after it :pose, :coil or :position, and :slides, if need be."
+            )
+        return cls(name, arclength, kinds[0] if kinds else "", "slides" in flags)
+
+
+def require_on_robot(placements: Sequence[Placement], robot: Robot) -> None:
+    """Check that every device sits on the robot and is named once.
+
+    Raises:
+        DeviceError: One does not, or two have one name.
+    """
+    for place in placements:
+        if not 0.0 <= place.arclength <= robot.length:
+            raise DeviceError(
+                f"{place.name} sits at {place.arclength:g} m, off {robot.name} of "
+                f"{robot.length:g} m; correct it (in metres)."
+            )
+    names = [place.name for place in placements]
+    if len({*names}) < len(names):
+        raise DeviceError(f"A device is placed twice among {', '.join(names)}; place it once.")
+
+
+def reading(
+    robot: Robot, kind: str, name: str, time: float, arclength: float, value: Array
+) -> Readings:
+    """One reading with the noise that the robot file states for its kind.
+
+    Args:
+        robot: The robot.
+        kind: Kind of sensor.
+        name: Name of the stream.
+        time: Session time, s.
+        arclength: Where it was taken, m.
+        value: Its value, as the kind's readings take them.
+
+    Raises:
+        RobotFileError: The robot file states no noise of such a sensor.
+    """
+    return batch(robot, kind, name, np.array([time]), np.array([arclength]), value[None])
+
+
+def batch(
+    robot: Robot, kind: str, name: str, time: Array, arclength: Array, values: Array
+) -> Readings:
+    """Readings (M,) with the noise that the robot file states for their kind.
+
+    Args:
+        robot: The robot.
+        kind: Kind of sensor.
+        name: Name of the stream.
+        time: Session times (M,), s.
+        arclength: Where they were taken (M,), m.
+        values: Values (M, …), as the kind's readings take them.
+
+    Raises:
+        RobotFileError: The robot file states no noise of such a sensor.
+    """
+    std = robot.sensor_std.get(kind)
+    if std is None:
+        raise RobotFileError(
+            f"{name}: robot {robot.name!r} states no noise of a {kind} sensor; add "
+            f"[sensors.{kind}] std to the robot file, or give the device another kind."
+        )
+    return sensor_class(kind)(
+        time=time,
+        arclength=arclength,
+        values=values,
+        cov=std**2 if std.size > 1 else std[0] ** 2,
+        loss=robot.sensor_loss.get(kind),
+        name=name,
+    )

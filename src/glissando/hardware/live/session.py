@@ -1,0 +1,199 @@
+"""A live estimate: sensors in, the newest shape with its confidence out, at a steady rate."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+
+from glissando.errors import DeviceError, GlissandoError
+from glissando.estimation.fixed_lag import FixedLagSmoother
+from glissando.hardware.live.clock import SessionClock
+from glissando.hardware.live.sinks import Sink
+from glissando.hardware.live.sources import Source
+from glissando.hardware.live.update import Update
+from glissando.io.journal import Journal
+from glissando.model.grid import Grid
+from glissando.model.robot import Robot
+from glissando.model.sensors.readings import Readings
+from glissando.model.sensors.sensors import PoseReadings
+
+_LOOK = 0.005  # s between looks for the first reading
+_NODES = 4  # in the smoother's window by default
+
+
+class LiveSession:
+    """An estimate that runs while the context lasts; iterate over its updates.
+
+    The first update is at the time of the earliest reading; the others follow at `rate`. Every
+    reading is written to the journal before it is used. Where the machine is too slow, updates are
+    left out and counted, so that the shape is always of now.
+
+    Args:
+        robot: The robot with its prior, grid and sensor parameters.
+        sources: Where readings come from.
+        sinks: Where updates go.
+        rate: Updates a second; the robot's rate of time nodes unless given.
+        lag: Length of the smoother's window, s; four time nodes unless given, 0 for a filter.
+        delay: Seconds that an update waits for readings of its time; those that come later are
+            used by the next update.
+        points: Points along the robot at which the shape is given.
+        journal: New folder to which readings are written, a recording; None writes none.
+        duration: Seconds after which the session ends; None for when all sources have.
+        patience: Seconds that all sources may be silent before the session ends with an error.
+        clock: Session time.
+
+    Raises:
+        GlissandoError: An argument is wrong; while it runs, a source, a sink or a device failed.
+
+        with LiveSession(robot, [IgtlSource("igtl://127.0.0.1", robot, places)]) as session:
+            for update in session:
+                print(update.time, update.tip, update.std_tip)
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        sources: Sequence[Source],
+        sinks: Sequence[Sink] = (),
+        *,
+        rate: float | None = None,
+        lag: float | None = None,
+        delay: float = 0.0,
+        points: int = 30,
+        journal: Path | None = None,
+        duration: float | None = None,
+        patience: float = 20.0,
+        clock: SessionClock | None = None,
+    ) -> None:
+        rate = robot.time_rate if rate is None else rate
+        _require(rate, lag or 0.0, delay, points, duration, patience)
+        nodes = _NODES if lag is None else round(lag * rate) + 1
+        if not sources:
+            raise GlissandoError("A live estimate needs a source of readings; give one.")
+        self.robot, self.sources, self.sinks = robot, tuple(sources), tuple(sinks)
+        self.rate, self.delay, self.duration, self.patience = rate, delay, duration, patience
+        self.clock = clock or SessionClock()
+        self.arclength = np.linspace(0.0, robot.length, points)
+        self.skipped, self.journal_folder = 0, journal
+        self._journal: Journal | None = None
+        self._stack = ExitStack()
+        self.smoother = FixedLagSmoother(
+            robot.prior, robot.arclength_nodes, window=nodes,
+            sensor_parameters=robot.sensor_parameters,
+        )  # fmt: skip
+        self._came = self._heard = 0.0
+
+    def __enter__(self) -> Self:
+        with ExitStack() as stack:
+            if self.journal_folder is not None:
+                journal = Journal(self.journal_folder, self.journal_folder.name)
+                self._journal = stack.enter_context(journal)
+            _warm_up(self.robot, self.rate)
+            for sink in self.sinks:
+                stack.enter_context(sink)
+            for source in self.sources:
+                stack.enter_context(source)
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        self._stack.close()
+
+    def __iter__(self) -> Iterator[Update]:
+        """Updates until the duration is over, or all sources have finished."""
+        begins = [s.first for s in self.sources if s.first is not None]
+        if begins:
+            self.clock.begin_at(min(begins))
+        self._heard = time.monotonic()
+        while not (arrived := self._read()):
+            if self._finished():
+                return
+            self._require_heard()
+            time.sleep(_LOOK)
+        first = min(float(r.time.min()) for r in arrived)
+        number = skip = 0
+        while self.duration is None or number + skip <= round(self.duration * self.rate):
+            due = first + (number + skip) / self.rate
+            self.clock.sleep_until(due + self.delay)
+            late = int((self.clock.now() - self.delay - due) * self.rate)
+            if late > 1:  # one is made up for by the next update
+                skip, self.skipped = skip + late, self.skipped + late
+                continue
+            over = self._finished()
+            arrived += self._read()
+            yield self._update(number, due, arrived)
+            if over:
+                return
+            self._require_heard()
+            arrived, number = [], number + 1
+
+    def _read(self) -> list[Readings]:
+        """What all sources have, written to the journal."""
+        arrived = [readings for source in self.sources for readings in source.read(self.clock)]
+        for readings in arrived:
+            if self._journal is not None:
+                self._journal.write(readings)
+            self.smoother.add(readings)
+        if arrived:
+            self._heard = time.monotonic()
+        return arrived
+
+    def _update(self, number: int, due: float, arrived: list[Readings]) -> Update:
+        began = time.perf_counter()
+        newest = self.smoother.advance(due)
+        computing = time.perf_counter() - began
+        problems = [s.problem for s in self.sources] + [s.problem for s in self.sinks]
+        update = Update(
+            number, due, self.clock.stamp(due), self.arclength,
+            self.smoother.at(self.arclength, due), newest, arrived, self.smoother,
+            self.clock.now() - self.delay - due, computing, self.skipped,
+            tuple(filter(None, problems)),
+        )  # fmt: skip
+        for sink in self.sinks:
+            sink.send(update)
+        return update
+
+    def _finished(self) -> bool:
+        return all(source.finished for source in self.sources)
+
+    def _require_heard(self) -> None:
+        silent = time.monotonic() - self._heard
+        if silent > self.patience:
+            why = "; ".join(s.problem for s in self.sources if s.problem) or "no reading came"
+            raise DeviceError(
+                f"No source has sent anything usable for {silent:.0f} s ({why}); check that the "
+                f"senders run, and where their devices sit on the robot."
+            )
+
+
+def _warm_up(robot: Robot, rate: float) -> None:
+    """Load the compiled loops with a robot at rest, so that the first updates are not late."""
+    smoother = FixedLagSmoother(robot.prior, robot.arclength_nodes)
+    rest = robot.prior.rest_state(Grid(robot.arclength_nodes, [0.0])).take(0).pose[[0, -1]]
+    for number in range(3):
+        time = np.full(2, number / rate)
+        ends = robot.arclength_nodes[[0, -1]]
+        smoother.add(PoseReadings(time=time, arclength=ends, values=rest, cov=np.array(1e-6)))
+        smoother.advance(number / rate)
+        smoother.at(ends, number / rate)
+
+
+def _require(
+    rate: float, lag: float, delay: float, points: int, duration: float | None, patience: float
+) -> None:
+    """Raise GlissandoError for an argument that cannot be."""
+    if not 0.1 <= rate <= 1000.0:
+        raise GlissandoError(f"A rate of {rate:g} Hz cannot be; give 0.1 to 1000.")
+    if not 0.0 <= lag * rate <= 1000.0:
+        raise GlissandoError(f"A lag of {lag:g} s cannot be; give seconds, 0 or more.")
+    if not 0.0 <= delay <= 10.0:
+        raise GlissandoError(f"A delay of {delay:g} s cannot be; give seconds, 0 to 10.")
+    if not 2 <= points <= 1000:
+        raise GlissandoError(f"{points} points along the robot cannot be; give 2 to 1000.")
+    if not (duration is None or duration > 0.0) or not patience > 0.0:
+        raise GlissandoError("A duration and a patience are seconds above zero; correct them.")

@@ -1,0 +1,78 @@
+"""Where updates go; no sink makes the estimate wait."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from typing import Protocol, Self, TextIO
+
+import numpy as np
+
+from glissando.errors import GlissandoError
+from glissando.hardware.live.update import Update
+from glissando.io.query_csv import QUERY_COLUMNS, state_rows
+
+
+class Sink(Protocol):
+    """Takes updates; a context manager.
+
+    Attributes:
+        name: What it is called in messages.
+    """
+
+    name: str
+
+    @property
+    def counts(self) -> Counter[str]:
+        """How often something went wrong, by its name."""
+
+    def __enter__(self) -> Self:
+        """Open the sink."""
+
+    def __exit__(self, *raised: object) -> None:
+        """Close it."""
+
+    def send(self, update: Update) -> None:
+        """Take an update without waiting for anybody."""
+
+    @property
+    def problem(self) -> str:
+        """Why nobody gets it, as a phrase; empty while all is well."""
+
+
+class CsvSink:
+    """Appends every update to a CSV file with the columns of `glissando estimate --query`.
+
+    Args:
+        path: New file.
+
+    Raises:
+        GlissandoError: The file exists, or cannot be written.
+    """
+
+    problem = ""
+
+    def __init__(self, path: Path) -> None:
+        self.name, self.counts, self._path = str(path), Counter[str](), path
+        self._file: TextIO | None = None
+
+    def __enter__(self) -> Self:
+        try:
+            self._file = self._path.open("x", encoding="utf-8")
+        except OSError as problem:
+            raise GlissandoError(
+                f"{self._path} cannot be begun ({problem.strerror}); give a new file."
+            ) from None
+        self._file.write(",".join(QUERY_COLUMNS) + "\n")
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        if self._file is not None:
+            self._file.close()
+
+    def send(self, update: Update) -> None:
+        """Append the state at every point; a row is whole or missing if the process is killed."""
+        assert self._file is not None
+        time = np.full(update.arclength.size, update.time)
+        np.savetxt(self._file, state_rows(time, update.arclength, update.state), "%.12g", ",")
+        self._file.flush()

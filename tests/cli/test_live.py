@@ -1,0 +1,86 @@
+"""`glissando live` runs, says how it goes, and ends cleanly whatever ends it."""
+
+import os
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from glissando.cli.main import main
+from glissando.hardware.openigtlink import Endpoint
+from glissando.io.recording import load_recording, save_recording
+from live_recordings import ROBOT, pose_messages, swaying
+from waiting import until
+
+
+@pytest.fixture
+def recording(tmp_path):
+    save_recording(swaying(), tmp_path / "swaying", "tdcr466")
+    return tmp_path / "swaying"
+
+
+def test_a_recording_runs_live_and_leaves_journal_and_csv(recording, tmp_path, capsys):
+    log, newest = tmp_path / "log", tmp_path / "newest.csv"
+    options = ["--source", str(recording), "--journal", str(log), "--sink", f"csv:{newest}"]
+    assert main(["live", *options, "--duration", "0.5", "--points", "3"]) == 0
+    said = capsys.readouterr()
+    count = int(said.out.split()[0])
+    assert 1 < count <= 16
+    assert f"Journal: {log}." in said.out
+    assert "Waiting for the first reading" in said.err
+    assert np.loadtxt(newest, delimiter=",", skiprows=1).shape[0] == 3 * count
+    assert set(load_recording(log).streams) == {"base", "tip"}
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ([], "give --source"),
+        (["--source", "nowhere"], "No source says which robot"),
+        (["--robot", "tdcr466", "--source", "nowhere"], "no source 'nowhere'"),
+        (["--robot", "tdcr466", "--source", "igtl://:1", "--sink", "x"], "no sink 'x'"),
+        (["--robot", "tdcr466", "--source", "igtl://:1", "--at", "x"], "NAME=METRES"),
+        (["--robot", "tdcr466", "--source", "igtl://:1", "--at", "a=466"], "in metres"),
+        (["--robot", "tdcr466", "--source", "igtl://:1", "--patience", "0.3"], "nobody answers"),
+        (["--robot", "tdcr466", "--source", "igtl://:1", "--rate", "0"], "A rate of 0 Hz"),
+    ],
+)
+def test_what_is_wrong_is_one_sentence(options, sentence, capsys):
+    assert main(["live", *options]) == 2
+    said = capsys.readouterr().err
+    assert sentence in said
+    assert "Traceback" not in said
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_ctrl_c_ends_it_cleanly_and_a_kill_loses_no_reading(ending, tmp_path):
+    messages = pose_messages(swaying())
+    with Endpoint("igtl-server://:0") as peer:
+        where = f"igtl://127.0.0.1:{peer.address.port}?clock=arrival"
+        places = ["--at", "base=0", "--at", f"tip={ROBOT.length}", "--journal", tmp_path / "log"]
+        command = [sys.executable, "-m", "glissando", "live", "--robot", "tdcr466", "--source"]
+        process = subprocess.Popen(
+            [*command, where, *map(str, places)],
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+        )  # fmt: skip
+        try:
+            until(lambda: peer.receive() or peer.peers, within=120.0)
+            for _, wire in messages[:40]:
+                until(lambda wire=wire: peer.send([wire]))
+                until(lambda: not peer.receive(), within=1.0)
+            tip = tmp_path / "log" / "tip.csv"
+            until(lambda: tip.exists() and tip.read_text().count("\n") == 41)
+            os.kill(process.pid, ending)
+            said, errors = process.communicate(timeout=30)
+        finally:
+            process.kill()
+        until(lambda: peer.receive() or not peer.peers)  # its own process is gone, too
+    assert "Traceback" not in errors
+    if ending != signal.SIGKILL:
+        assert process.returncode == 0
+        assert "Journal" in said
+    assert load_recording(tmp_path / "log").streams["tip"].rows.time.size == 40

@@ -1,0 +1,201 @@
+"""A live estimate is the replay's, loses nothing that it used, and ends with a sentence."""
+
+import time
+
+import numpy as np
+import pytest
+
+from glissando.errors import GlissandoError
+from glissando.evaluation.replay import replay
+from glissando.hardware.live import (
+    CsvSink,
+    IgtlSource,
+    LiveSession,
+    Placement,
+    RecordingSource,
+)
+from glissando.hardware.live.igtl_sink import readings_message
+from glissando.hardware.openigtlink import Endpoint, Message, encode, stamp_of
+from glissando.hardware.openigtlink import contents as c
+from glissando.io.query_csv import QUERY_COLUMNS
+from glissando.io.recording import load_recording
+from live_recordings import ROBOT, SPAN, Lockstep, pose_messages, swaying
+from waiting import until
+
+PLACES = (Placement("base", 0.0), Placement("tip", ROBOT.length))
+
+
+def _through_wire(messages, folder, placements, updates=30):
+    """Newest states of a session whose readings a peer sends, and their times."""
+    with Endpoint("igtl-server://:0") as peer:
+        address = f"igtl://127.0.0.1:{peer.address.port}?clock=sender"
+        source = IgtlSource(address, ROBOT, placements)
+        clock = Lockstep(peer, messages, source)
+        session = LiveSession(ROBOT, [source], journal=folder, clock=clock, patience=1e9)
+        with session:
+            clock.sleep_until(SPAN[0])
+            done = []
+            for update in session:
+                done.append(update)
+                if len(done) == updates:
+                    break
+    assert session.skipped == 0
+    return done
+
+
+def _assert_same(live, replayed):
+    assert len(replayed.states) == len(live)
+    for update, state in zip(live, replayed.states, strict=True):
+        for name in ("pose", "strain", "velocity", "cov"):
+            np.testing.assert_allclose(
+                getattr(update.newest, name), getattr(state, name), rtol=1e-10, atol=1e-12
+            )
+
+
+def test_poses_through_openigtlink_estimate_what_a_replay_of_the_journal_does(tmp_path):
+    recording = swaying()
+    live = _through_wire(pose_messages(recording), tmp_path / "log", PLACES)
+    window = live[0].time, live[-1].time
+    assert window[0] == SPAN[0]
+    _assert_same(live, replay(load_recording(tmp_path / "log"), ROBOT, window=window))
+    before = replay(recording, ROBOT, window=window)  # differs by float32 and no more
+    gap = max(
+        np.abs(u.newest.pose - s.pose).max() for u, s in zip(live, before.states, strict=True)
+    )
+    assert 1e-12 < gap < 1e-5
+
+
+def test_readings_through_openigtlink_estimate_what_a_replay_of_the_recording_does(tmp_path):
+    recording = swaying(1)
+    readings, _ = recording.readings(["base", "tip"], ROBOT, SPAN)
+    messages = sorted(
+        (float(r.time[k]), encode(readings_message(r.select(slice(k, k + 1)), stamp_of(r.time[k]))))
+        for r in readings
+        for k in range(len(r))
+    )
+    live = _through_wire(messages, tmp_path / "log", ())
+    window = live[0].time, live[-1].time
+    _assert_same(live, replay(recording, ROBOT, window=window))
+    logged = load_recording(tmp_path / "log").streams["tip"].rows
+    used = logged.time.size
+    np.testing.assert_array_equal(logged.time, recording.streams["tip"].rows.time[:used])
+    np.testing.assert_array_equal(logged.arclength, recording.streams["tip"].rows.arclength[:used])
+
+
+def test_a_recording_at_its_pace_is_journaled_whole_and_written_as_csv(tmp_path):
+    recording = swaying()
+    source = RecordingSource(recording, ROBOT)
+    sinks = [CsvSink(tmp_path / "newest.csv")]
+    began = time.monotonic()
+    with LiveSession(ROBOT, [source], sinks, points=5, journal=tmp_path / "log") as session:
+        updates = list(session)
+    assert time.monotonic() - began > SPAN[1] - SPAN[0]
+    logged = load_recording(tmp_path / "log").streams
+    for name, stream in recording.streams.items():
+        np.testing.assert_array_equal(logged[name].rows.time, stream.rows.time)
+    step = np.diff([u.time for u in updates]) * ROBOT.time_rate
+    np.testing.assert_allclose(step, np.round(step), atol=1e-9)
+    table = np.genfromtxt(tmp_path / "newest.csv", delimiter=",", names=True)
+    assert list(table.dtype.names) == list(QUERY_COLUMNS)
+    assert table.size == 5 * len(updates)
+    np.testing.assert_allclose(table["x"][4::5], [u.tip[0] for u in updates], atol=1e-9)
+
+
+def _pose(translation, stamp=1) -> bytes:
+    pose = np.eye(4)
+    pose[:3, 3] = translation
+    return encode(Message(c.Transform(pose), "tip", stamp))
+
+
+@pytest.mark.parametrize(
+    ("wire", "reason"),
+    [
+        (_pose([np.nan, 0.0, 0.0]), "invalid"),
+        (_pose([0.0, 0.0, 466_000.0]), "invalid"),
+        (encode(Message(c.Transform(np.diag([1.0, 2.0, 1.0, 1.0])), "tip", 1)), "invalid"),
+        (encode(Message(c.Transform(np.eye(4)), "somebody", 1)), "unplaced"),
+        (encode(Message(c.NumberArray(np.zeros((1, 3))), "tip", 1)), "invalid"),
+        (encode(Message(c.SensorValues(np.zeros(0)), "travel", 1)), "invalid"),
+        (encode(Message(c.Text("hello"), "tip", 1))[:-1] + b"!", "malformed"),
+    ],
+    ids=["nan", "millimetres", "no rotation", "unplaced", "no rows", "no travel", "damaged"],
+)
+def test_what_cannot_be_a_reading_is_counted_and_the_session_goes_on(wire, reason):
+    with Endpoint("igtl-server://:0") as peer:
+        source = IgtlSource(f"igtl://127.0.0.1:{peer.address.port}", ROBOT, PLACES)
+        with LiveSession(ROBOT, [source]) as session:
+            until(lambda: peer.receive() or peer.peers)
+            peer.send([wire, _pose([0.0, 0.0, 466.0], 2 << 32)])
+            update = next(iter(session))
+            assert source.counts[reason] == 1
+            assert [len(r) for r in update.readings] == [1]
+            np.testing.assert_allclose(update.readings[0].values[0, :3, 3], [0, 0, 0.466])
+
+
+def test_a_pose_that_a_server_repeats_between_measurements_is_one_reading():
+    with Endpoint("igtl-server://:0") as peer:
+        source = IgtlSource(f"igtl://127.0.0.1:{peer.address.port}", ROBOT, PLACES)
+        with LiveSession(ROBOT, [source]) as session:
+            until(lambda: peer.receive() or peer.peers)
+            peer.send([_pose([0.0, 0.0, 466.0], k << 32) for k in (1, 2, 3)])
+            until(lambda: source.poll() or source.counts["heard"] == 3)
+            assert sum(map(len, next(iter(session)).readings)) == 1
+        assert source.counts["repeated"] == 2
+
+
+def test_travel_moves_a_sliding_coil_and_units_and_axes_are_the_peers():
+    metre, milli = 0x01 << 54 | 1 << 50, 0xB << 60
+    with Endpoint("igtl-server://:0") as peer:
+        where = f"igtl://127.0.0.1:{peer.address.port}?unit=m&axes=lps"
+        source = IgtlSource(where, ROBOT, [Placement("coil", 0.4, "coil", True)])
+        with source:
+            until(lambda: peer.receive() or peer.peers)
+            pose = np.eye(4)
+            pose[:3, 3] = 0.1, 0.2, 0.3
+            tool = c.TrackingData((c.Tool("coil", c.TOOL_5D, pose),))
+            travel = c.SensorValues(np.array([30.0]), milli | metre)
+            peer.send([encode(Message(each, "travel")) for each in (travel, tool)])
+            until(lambda: source.poll() or source.counts["heard"] == 2)
+            (read,) = source.read(LiveSession(ROBOT, [source]).clock)
+    assert read.kind == "coil"
+    np.testing.assert_allclose(read.arclength, [0.37])
+    np.testing.assert_allclose(read.values[0, :3, 3], [-0.1, -0.2, 0.3], atol=1e-7)
+
+
+def test_stamps_of_a_senders_clock_become_times_better_than_their_arrivals():
+    rng = np.random.default_rng(5)
+    with Endpoint("igtl-server://:0") as peer:
+        source = IgtlSource(f"igtl://127.0.0.1:{peer.address.port}", ROBOT, PLACES)
+        clock = LiveSession(ROBOT, [source]).clock
+        ahead, misses = 1.6e9, []
+        for k in range(300):
+            measured = 100.0 + 0.02 * k
+            delay = 0.001 + 0.02 * rng.random() ** 3
+            time = source._time(stamp_of(measured + ahead), measured + delay, clock)
+            misses.append(time - clock.of_monotonic(measured))
+    assert np.abs(misses[100:]).max() < 3e-3
+
+
+def test_silence_ends_with_a_sentence_and_so_do_wrong_arguments(tmp_path):
+    with Endpoint("igtl-server://:0") as peer:
+        source = IgtlSource(f"igtl://127.0.0.1:{peer.address.port}", ROBOT, PLACES)
+        with (
+            LiveSession(ROBOT, [source], patience=0.2) as session,
+            pytest.raises(GlissandoError, match="No source has sent anything usable"),
+        ):
+            next(iter(session))
+    wrong = {
+        "rate": 0.0, "lag": -1.0, "delay": 60.0, "points": 1, "duration": 0.0, "patience": 0.0,
+    }  # fmt: skip
+    for name, value in wrong.items():
+        with pytest.raises(GlissandoError, match=r"correct|give"):
+            LiveSession(ROBOT, [source], **{name: value})
+    with pytest.raises(GlissandoError, match="needs a source"):
+        LiveSession(ROBOT, [])
+    for text in ("tip", "tip=x", "=0.1", "tip=0.1:gyro", "tip=0.1:coil:pose"):
+        with pytest.raises(GlissandoError, match="NAME=METRES"):
+            Placement.parse(text)
+    with pytest.raises(GlissandoError, match="in metres"):
+        IgtlSource("igtl://:1", ROBOT, [Placement("tip", 466.0)])
+    with pytest.raises(GlissandoError, match="placed twice"):
+        IgtlSource("igtl://:1", ROBOT, [PLACES[0], PLACES[0]])

@@ -1,0 +1,77 @@
+"""A small recording of a moving robot, and its readings as OpenIGTLink messages."""
+
+from pathlib import Path
+
+import numpy as np
+
+from glissando.geometry import se3
+from glissando.hardware.live.clock import SessionClock
+from glissando.hardware.openigtlink import Message, encode, stamp_of
+from glissando.hardware.openigtlink import contents as c
+from glissando.hardware.openigtlink.wire_frame import WireFrame
+from glissando.io.csv_stream import Rows, Stream
+from glissando.io.recording import Recording
+from glissando.io.robot_file import load_robot
+from waiting import until
+
+ROBOT = load_robot("tdcr466")
+SPAN = (3.0, 4.5)
+
+
+def swaying(seed: int = 0, rate: float = 41.3) -> Recording:
+    """Base and tip of the robot, swaying by some centimetres, with noise."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(SPAN[0], SPAN[1] + 1e-9, 1.0 / rate)
+    streams = {}
+    for name, place in (("base", 0.0), ("tip", ROBOT.length)):
+        sway = 0.05 * np.sin(3.0 * (time - SPAN[0])) * place / ROBOT.length
+        pose = np.tile(np.eye(4), (time.size, 1, 1))
+        pose[:, 2, 3] = place
+        twist = np.zeros((time.size, 6))
+        twist[:, 0], twist[:, 4] = sway, 1.5 * sway / ROBOT.length
+        noise = 1e-4 * rng.normal(size=(time.size, 6))
+        values = pose @ se3.exp(twist + noise)
+        quaternion = se3.quaternion(values[:, :3, :3])
+        values[:, :3, :3] = se3.rotation_from_quaternion(quaternion)
+        rows = Rows("pose", time, np.full(time.size, place), values, {})
+        streams[name] = Stream(name, rows, keep_repeats=True)
+    return Recording("swaying", Path(), streams, ROBOT, SPAN)
+
+
+def pose_messages(recording: Recording) -> list[tuple[float, bytes]]:
+    """Every moment of a recording as one TDATA message in mm, with its time."""
+    streams, frame = list(recording.streams.values()), WireFrame()
+    out = []
+    for k, time in enumerate(streams[0].rows.time):
+        tools = tuple(c.Tool(s.name, c.TOOL_6D, frame.poses_out(s.rows.values[k])) for s in streams)
+        out.append((time, encode(Message(c.TrackingData(tools), "tracker", stamp_of(time)))))
+    return out
+
+
+class Lockstep(SessionClock):
+    """A clock that waits for what a peer has sent and not for time.
+
+    `sleep_until(t)` has the sender send everything up to t, and the source hear it.
+    """
+
+    def __init__(self, sender, messages, source) -> None:
+        super().__init__()
+        self.sender, self.source = sender, source
+        self.messages, self._now, self._sent = messages, -np.inf, 0
+
+    def begin_at(self, first: float) -> None:
+        super().begin_at(first)
+        self._now = first
+
+    def now(self) -> float:
+        return self._now
+
+    def sleep_until(self, session: float) -> None:
+        some = [wire for time, wire in self.messages[self._sent :] if time <= session]
+        self._sent += len(some)
+        if some:
+            until(lambda: self.sender.receive() or self.sender.peers)
+            before = self.source.counts["heard"]
+            until(lambda: self.sender.send(some))
+            until(lambda: self.source.poll() or self.source.counts["heard"] - before >= len(some))
+        self._now = session
