@@ -12,6 +12,7 @@ import warnings
 from collections import Counter
 from collections.abc import Sequence
 from copy import copy
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,6 +24,8 @@ from glissando.estimation.batch import estimate
 from glissando.estimation.innovation_gate import InnovationGate
 from glissando.estimation.posterior import Posterior, StateEstimate
 from glissando.estimation.reading_buffer import ReadingBuffer
+from glissando.estimation.shape_spread import shape_covariances, spread_of
+from glissando.estimation.silence import Silence
 from glissando.estimation.sliding_window import SlidingWindow
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
@@ -38,6 +41,10 @@ _CLOSE = 0.02  # standard deviations: where the last step missed by less, the ne
 _MISS = 0.1  # standard deviations by which a step may miss before it is followed by another
 _MOST = 5  # steps an update
 _CLOSEST = 0.2  # of the last interval: no node is put nearer to the newest one to look ahead
+
+
+class _LostError(Exception):
+    """After silence, what is read is beyond a linear belief."""
 
 
 class FixedLagSmoother:
@@ -79,6 +86,7 @@ class FixedLagSmoother:
         self._gate = InnovationGate(gate)
         self._buffer = ReadingBuffer(float(self.arclength[-1]), self._gate)
         self._started, self._missed = False, np.inf
+        self._oldest, self._silence = -np.inf, Silence()
 
     @property
     def time(self) -> float | None:
@@ -94,11 +102,7 @@ class FixedLagSmoother:
         Raises:
             SensorError: The stream changed its kind.
         """
-        span = None
-        if self._window.started:
-            time = self._window.nodes.time
-            span = float(time[0]), float(time[-1])
-        self._buffer.take(corrected(readings, self._known), span)
+        self._buffer.take(corrected(readings, self._known), self._oldest)
 
     def advance(self, time: float) -> StateEstimate:
         """Go on to a time with all readings up to then; the newest state at the nodes (N,).
@@ -114,29 +118,93 @@ class FixedLagSmoother:
         if not np.isfinite(time):
             raise OutsideGridError(f"The time to advance to is {time}; give seconds.")
         with one_thread():
-            self._append(time)  # the prior's mean leads there (2')
-            fresh, earliest = self._arrive()
-            if not fresh and time < self._window.nodes.time[-1]:
-                return self._window.newest_nodes()
+            self._buffer.refuse_ahead(max(time, self.time or time))
+            while self._step(self._next_node(time)) < time:
+                pass
+            return self._newest_nodes()
+
+    def _next_node(self, time: float) -> float:
+        """The next node on the way to a time: that time, but in silence nodes lie closer."""
+        newest = self.time
+        if newest is None or self._resting:
+            return time
+        return self._silence.next_node(newest, time, self._buffer)
+
+    def _step(self, time: float) -> float:
+        """One node more, or none if the time is not new, with what came; the newest time."""
+        before = self.time
+        self._append(time)  # the prior's mean leads there (2')
+        newest = float(self._window.nodes.time[-1])
+        fresh, earliest = self._arrive()
+        if fresh or before is None or newest > before:
             if not self._started and fresh:
                 self._start()  # all there is, as a recording is estimated
             try:
                 self._update(self._first_changed(earliest), fresh)  # (19) to (21), and the gate
-            except (np.linalg.LinAlgError, UnobservableError):
+            except (np.linalg.LinAlgError, UnobservableError, _LostError):
                 if not self._started:
                     raise
-                self._restart()
+                self._restart(min(earliest, newest - self._silence.step), fresh)
+            if fresh:
+                self._silence.end(before, newest)
+            elif self._started:
+                self._note_silence(newest)
             self._marginalize()  # the Schur complement of what leaves (20)
             self.updates += 1
-            return self._window.newest_nodes()
+        return newest
 
     def _append(self, time: float) -> None:
-        """A node at a time after the newest; the first one rests."""
+        """A node at a time after the newest; while nothing was read there is but one, at rest."""
         window = self._window
-        if not window.started:
-            window.begin(time, window.prior.rest_state(Grid(self.arclength, [time])).take(0))
-        elif time > window.nodes.time[-1]:
+        if window.started and time <= window.nodes.time[-1]:
+            return
+        if window.started and not self._resting:
             window.append(time)
+            return
+        begin, silence = time, self._silence
+        if window.started:
+            silence.step = min(silence.step, time - float(window.nodes.time[-1]))
+            due = self._buffer.due(time)
+            if due.size:
+                begin = max(self._oldest, min(float(due[0]), time - silence.step))
+        else:
+            self._oldest = time
+        self._rest(begin)
+        if begin < time:
+            window.append(time)
+
+    def _rest(self, time: float) -> None:
+        """A single node at rest."""
+        window = self._window
+        window.begin(time, window.prior.rest_state(Grid(self.arclength, [time])).take(0))
+        self._started = self._silence.curved = False
+        if window.prior.fixes_base and not self._silence.has_rest:
+            window.solve(0, window.locate(0, []))
+            self._silence.set_rest(self._spread(), float(self.arclength[-1]))
+
+    def _spread(self) -> tuple[float, float]:
+        """RMS displacement (m) and turn (rad) of the newest tip."""
+        state, cov = self._window.newest()
+        return spread_of(cov, self.arclength.size - 1, state.dof)
+
+    @property
+    def _resting(self) -> bool:
+        """Whether nothing is known but the prior."""
+        return not self._started and self._silence.has_rest
+
+    def _note_silence(self, newest: float) -> None:
+        """Begin again where the newest state is no better known than that of a robot at rest."""
+        spread = self._spread()
+        self._silence.note(spread)
+        if self._silence.is_at_rest(spread):
+            self._restart(newest, Counter())
+
+    def _newest_nodes(self) -> StateEstimate:
+        """The newest state; after silence with the spread of shapes."""
+        linear = self._window.newest_nodes()
+        if not (self._silence.curved or self._resting):
+            return linear
+        return replace(linear, cov=shape_covariances(self.arclength, *self._window.newest()))
 
     def _arrive(self) -> tuple[Counter[str], float]:
         """New readings up to the newest node: how many of each stream, and the earliest's time."""
@@ -154,16 +222,22 @@ class FixedLagSmoother:
         """Let nodes and readings go that are older than the lag."""
         while len(self._window.nodes) > self.lag:
             self._window.drop()
-        self._buffer.forget(float(self._window.nodes.time[0]))
+        if not self._resting:
+            self._oldest = float(self._window.nodes.time[0])
+        self._buffer.forget(self._oldest)
 
-    def _restart(self) -> None:
-        """Begin again from rest: after long silence, states can become absurd."""
-        window, time = self._window, float(self._window.nodes.time[-1])
-        rest = window.prior.rest_state(Grid(self.arclength, [0.0])).take(0)
-        self._started, self.restarts = False, self.restarts + 1
-        window.begin(time, rest)
-        self._buffer.forget(time)
-        window.solve(0, self._located(0))
+    def _restart(self, since: float, fresh: Counter[str]) -> None:
+        """Begin again from rest, where states have become absurd or say nothing more."""
+        newest = float(self._window.nodes.time[-1])
+        self._oldest = max(since, self._oldest) if fresh else newest
+        self._rest(self._oldest)
+        self.restarts += 1
+        self._buffer.forget(self._oldest)
+        if self._oldest < newest:
+            self._window.append(newest)
+        if fresh:
+            self._start()
+        self._update(0, fresh)
 
     def _start(self) -> None:
         """The first readings: estimate all there is from rest, as a recording is."""
@@ -176,7 +250,7 @@ class FixedLagSmoother:
                     window.prior,
                     window.grid(),
                     readings,
-                    sensor_parameters=window.sensor_parameters,
+                    sensor_parameters=window.believed_parameters(),
                     options=SolverOptions(max_iterations=30),
                 )
         except UnobservableError:
@@ -220,6 +294,8 @@ class FixedLagSmoother:
                 worst, wrong = excess, (stream, innovations.rows[int(np.argmax(nis))])
         if wrong is None:
             return False
+        if self._silence.curved:
+            raise _LostError  # it is the belief that is not to be trusted
         stream, row = wrong
         self._gate.strike(stream.label)
         self._buffer.discard(stream.label, float(stream.time[row]), float(stream.arclength[row]))
@@ -229,7 +305,7 @@ class FixedLagSmoother:
     def newest(self) -> StateEstimate:
         """The newest state at the nodes (N,) with covariance (N, 18, 18)."""
         self._require_started()
-        return self._window.newest_nodes()
+        return self._newest_nodes()
 
     def _require_started(self) -> None:
         if not self._window.started:

@@ -10,7 +10,7 @@ from glissando.errors import SensorError
 from glissando.estimation.innovation_gate import InnovationGate
 from glissando.model.sensors.readings import Readings
 
-_AHEAD = 2.0  # s: stamps further ahead of the newest node are a clock's fault
+_AHEAD = 2.0  # s: stamps further ahead of the time now are a clock's fault
 _SPARE = 32  # old readings of a stream that are held before they are let go of at once
 
 
@@ -25,11 +25,11 @@ class ReadingBuffer:
         self._waiting: dict[str, Readings] = {}
         self._length, self._gate = length, gate
 
-    def take(self, readings: Readings, span: tuple[float, float] | None) -> None:
-        """Let readings of one stream wait; `span` is from the oldest to the newest node.
+    def take(self, readings: Readings, oldest: float) -> None:
+        """Let readings of one stream wait; `oldest` is the time of the oldest node.
 
-        Those off the robot, before the span, absurdly far after it, or there already are refused.
-        Raises SensorError when the stream changed its kind.
+        Those off the robot, before that node, or there already are refused. Raises SensorError when
+        the stream changed its kind.
         """
         name = readings.label
         before = self._waiting.get(name, self.held.get(name))
@@ -37,9 +37,7 @@ class ReadingBuffer:
             raise SensorError(f"{name} was {type(before).__name__}; name each stream by itself.")
         slack, time, place = 1e-9 * self._length, readings.time, readings.arclength
         faults = [("off the robot", (place < -slack) | (place > self._length + slack))]
-        if span is not None:
-            faults += [("late", time < span[0]), ("ahead", time > span[1] + _AHEAD)]
-        faults.append(("repeated", self._repeated(readings)))
+        faults += [("late", time < oldest), ("repeated", self._repeated(readings))]
         kept = np.ones(len(readings), dtype=bool)
         for reason, bad in faults:
             if bad.any():
@@ -60,6 +58,18 @@ class ReadingBuffer:
                 same = (time[:, None] == other.time) & (place[:, None] == other.arclength)
                 again |= same.any(axis=1)
         return again
+
+    def due(self, until: float) -> np.ndarray:
+        """Times of readings that wait up to a time, in order."""
+        waiting = [r.time[r.time <= until] for r in self._waiting.values()]
+        return np.sort(np.concatenate([np.zeros(0), *waiting]))
+
+    def refuse_ahead(self, now: float) -> None:
+        """Refuse readings that wait with stamps absurdly far ahead of the time now."""
+        for name, waiting in list(self._waiting.items()):
+            ahead = waiting.time > now + _AHEAD
+            if ahead.any():
+                self._waiting[name] = waiting.select(self._gate.refuse(name, "ahead", ahead))
 
     def arrive(self, oldest: float, until: float) -> tuple[Counter[str], float]:
         """Hold what waits up to a time; how many rows of each stream are new, and their earliest.

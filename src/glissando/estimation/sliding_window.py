@@ -123,18 +123,43 @@ class SlidingWindow:
         self.sensor_parameters = tuple(p for p in sensor_parameters if not p.known)
         self.before: float | None = None
         self._process = EstimatedParameters(Grid(arclength, [0.0]), self.sensor_parameters)
+        self._parameters = self._process.mean, np.diag(self._process.std**2)
         self._factors: list[tuple[int, Index, Factors]] = []
         self._first = 0
 
     def begin(self, time: float, state: State) -> None:
-        """Start with one node, linearised at `state` (N,), and forget what was before."""
+        """Start with one node, linearised at `state` (N,); of before, keep sensor parameters."""
+        self._carry(time)
+        values, cov = self._parameters
         self.before = None
-        self.nodes = self._node(time, state, self._process.mean)
-        size = self.layout.size
+        self.nodes = self._node(time, state, values)
+        size, own = self.layout.size, slice(state.numbers, None)
         self._prior_info, self._prior_rhs = np.zeros((size, size)), np.zeros(size)
+        own_info = self._process.std**-2.0  # which the first node has anyway
+        self._prior_info[own, own] = np.linalg.inv(cov) - np.diag(own_info)
+        self._prior_rhs[own] = own_info * (values - self._process.mean)
         blocks, rhs = np.zeros((0, size, size)), np.zeros((0, size))
         self._sums = Sums(blocks, blocks, blocks, rhs, rhs)
         self._cholesky = Cholesky(blocks, blocks)
+
+    def _carry(self, time: float) -> None:
+        """Predict the sensor parameters from the newest node to a time."""
+        process, parameters = self._process, self._parameters
+        if self.started and len(self._cholesky.inverse):
+            own = self._cholesky.inverse[-1][:, self.nodes.state.numbers :]
+            values = self.nodes.take(slice(-1, None)).estimate[1][0]
+            fade = np.exp((float(self.nodes.time[-1]) - time) / process.memory)
+            cov = fade[:, None] * (own.T @ own) * fade
+            cov += np.diag(process.std**2 * (1.0 - fade**2))
+            parameters = process.mean + fade * (values - process.mean), cov
+        self._parameters = parameters
+
+    def believed_parameters(self) -> list[SensorParameter]:
+        """The sensor parameters as they were known when the first node began."""
+        values, cov = self._parameters
+        std = np.sqrt(np.diagonal(cov))
+        pairs = zip(self._process.each, self._process.columns, strict=True)
+        return [replace(p, value=values[at], std=std[at]) for p, at in pairs]
 
     @property
     def started(self) -> bool:
@@ -191,6 +216,8 @@ class SlidingWindow:
     def relinearize(self, first: int) -> None:
         """Linearise the nodes after `first` at their estimates; the oldest too unless fixed."""
         fixed = self._fixed(first)
+        if not fixed:  # what is known of the sensor parameters is about their old point
+            self._prior_rhs = self._prior_rhs - self._prior_info @ self.nodes.step[0]
         self.nodes = self.nodes.take(slice(fixed)).joined(
             self.nodes.take(slice(fixed, None)).at_estimate()
         )

@@ -1,0 +1,217 @@
+"""Silence: belief grows, saturates, claims no more than is true, and takes true readings back."""
+
+from copy import deepcopy
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from scipy.stats import chi2
+
+import separable_sessions as drawn
+from draws import generators, law
+from glissando import CoilReadings, PoseReadings, load_robot
+from glissando.estimation.fixed_lag import FixedLagSmoother
+from glissando.estimation.shape_spread import shape_covariances
+from glissando.geometry import se3
+from glissando.io.shipped_robots import shipped_robots
+from glissando.model.grid import Grid
+from glissando.model.sensors.parameters import SensorParameter
+from separable_drawn import draw_motion
+
+PAUSES = (0.3, 1.0, 10.0, 100.0, 1000.0, 10_000.0, 86_400.0)
+STEP = 1.0 / 30.0
+COV = np.array([5e-7] * 3 + [2e-5] * 3)
+LIMIT = chi2.ppf(1.0 - 1e-6, 3)
+
+
+def tip(length, bend, plane):
+    """Pose (4, 4) of the tip of an arc."""
+    return se3.exp(length * np.array([0, 0, 1, bend * np.cos(plane), bend * np.sin(plane), 0]))
+
+
+def coil(rng, time, pose, length):
+    noise = np.sqrt(COV[:5]) * rng.standard_normal(5)
+    seen = pose @ se3.exp(np.append(noise, 0.0))
+    return CoilReadings(
+        time=np.full(1, time),
+        arclength=np.full(1, length),
+        values=seen[None],
+        cov=COV[:5],
+        name="coil",
+    )
+
+
+def squared(estimate, pose):
+    """Squared errors of position and rotation of the tip in units of their covariances."""
+    turn = estimate.pose[-1, :3, :3]
+    errors = turn.T @ (pose[:3, 3] - estimate.position[-1]), se3.so3_log(turn.T @ pose[:3, :3])
+    covs = estimate.cov[-1, :3, :3], estimate.cov[-1, 3:6, 3:6]
+    return [float(e @ np.linalg.solve(c, e)) for e, c in zip(errors, covs, strict=True)]
+
+
+def heard_for_a_second(robot, seed):
+    """A smoother that has read the tip of an arc for a second, the arc's pose, and the draws."""
+    rng = np.random.default_rng(seed)
+    pose = tip(robot.length, rng.uniform(0.2, 1.0) / robot.length, rng.uniform(0.0, 6.0))
+    smoother = FixedLagSmoother(robot.prior, robot.arclength_nodes)
+    for time in STEP * np.arange(30):
+        smoother.add(coil(rng, time, pose, robot.length))
+        newest = smoother.advance(time)
+    assert max(squared(newest, pose)) < LIMIT
+    return smoother, pose, rng
+
+
+SLOW = "extensible1m"  # 19 nodes
+ROBOTS = [pytest.param(n, marks=[pytest.mark.slow] * (n == SLOW)) for n in shipped_robots()]
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_after_any_pause_what_is_claimed_is_true_and_true_readings_are_taken_at_once(name):
+    robot = load_robot(name)
+    heard, still, rng = heard_for_a_second(robot, 1)
+    spread = []
+    for pause in PAUSES:
+        smoother, begin = deepcopy(heard), heard.time + pause
+        silent = smoother.advance(begin)
+        spread.append(silent.std_position[-1])
+        pose = still
+        if pause >= 100.0:  # by then it may be anywhere
+            pose = tip(robot.length, rng.uniform(0.2, 1.5) / robot.length, rng.uniform(0.0, 6.0))
+        assert max(squared(silent, pose)) < LIMIT
+        for k in range(1, 6):
+            smoother.add(coil(rng, begin + k * STEP, pose, robot.length))
+            assert max(squared(smoother.advance(begin + k * STEP), pose)) < LIMIT
+        assert not smoother.dropped
+    assert np.all(np.diff(spread) >= -0.05 * np.array(spread[1:]))
+    assert np.ptp(spread[-3:]) < 1e-9
+    assert 0.2 * robot.length < spread[-1] < 2.0 * robot.length
+
+
+@pytest.mark.parametrize("name", ["tdcr466", "tdcr466-segments"])
+def test_a_pause_may_be_passed_at_once_or_in_any_steps(name):
+    robot = load_robot(name)
+    heard, *_ = heard_for_a_second(robot, 2)
+    for pause in (0.1, 0.3, 2.0):
+        found = []
+        for steps in ([1.0], np.linspace(0.2, 1.0, 5), np.arange(1, 1 + round(pause / STEP))):
+            smoother = deepcopy(heard)
+            last = steps[-1]
+            for share in np.asarray(steps) / last:
+                newest = smoother.advance(heard.time + share * pause)
+            found.append(newest.std_position[-1])
+        print(f"{name} {pause:g} s: {np.round(found, 4)} m")
+        np.testing.assert_allclose(found, found[-1], rtol=0.15)
+
+
+def test_readings_that_come_with_the_end_of_the_pause_are_used_at_once():
+    """A loop that stood still adds before it advances; stamps then lie far ahead of the window."""
+    robot = load_robot("tdcr466")
+    smoother, pose, rng = heard_for_a_second(robot, 3)
+    end = smoother.time + 500.0
+    for time in end - STEP * np.array([2.5, 1.5, 0.5]):
+        smoother.add(coil(rng, time, pose, robot.length))
+    assert max(squared(smoother.advance(end), pose)) < LIMIT
+    assert not smoother.dropped
+    assert smoother.newest().std_position[-1] < 0.05 * robot.length
+
+
+def test_what_was_learned_of_a_sensor_outlives_the_silence():
+    robot = load_robot("tdcr466")
+    frame = SensorParameter("frame", "frame", ("coil",), np.zeros(6), np.full(6, 0.02))
+    smoother = FixedLagSmoother(robot.prior, robot.arclength_nodes, sensor_parameters=[frame])
+    rng, shift = np.random.default_rng(4), se3.exp(np.array([5e-3, -4e-3, 3e-3, 0.0, 0.01, 0.0]))
+    pose = tip(robot.length, 1.0, 0.0)
+    for time in STEP * np.arange(30):
+        for name, seen in (("tip", pose), ("coil", se3.inverse(shift) @ pose)):
+            smoother.add(replace(coil(rng, time, seen, robot.length), name=name))
+        smoother.advance(time)
+    value, cov = smoother.posterior().parameter("frame")
+    smoother.advance(50.0)
+    assert smoother.restarts == 1
+    after, cov_after = smoother.posterior().parameter("frame")
+    np.testing.assert_allclose(after[-1], value[-1], rtol=0.05, atol=1e-4)
+    assert np.all(np.diagonal(cov_after[-1]) >= 0.99 * np.diagonal(cov[-1]))
+    assert np.all(np.diagonal(cov_after[-1]) <= 1.3 * np.diagonal(cov[-1]) + 1e-6)
+
+
+@settings(law, max_examples=5)
+@given(generators)
+def test_a_narrow_belief_spreads_as_its_own_covariance(rng):
+    node = drawn.PRIOR.rest_state(Grid(drawn.GRID.arclength, [0.0])).take(0)
+    size = node.numbers
+    root = 1e-4 * rng.standard_normal((size, size))
+    cov = root @ root.T / size + 1e-10 * np.eye(size)
+    own = cov.reshape(len(node.pose), node.dof, len(node.pose), node.dof)
+    spread = shape_covariances(drawn.GRID.arclength, node, cov)
+    for n, found in enumerate(spread):
+        std = np.sqrt(np.diagonal(found))
+        np.testing.assert_allclose(std, np.sqrt(np.diagonal(own[n, :18, n, :18])), rtol=1e-2)
+
+
+def test_the_spread_at_rest_is_that_of_shapes_drawn_from_the_prior():
+    smoother = FixedLagSmoother(drawn.PRIOR, drawn.GRID.arclength)
+    found = smoother.advance(0.0)
+    rng, errors = np.random.default_rng(5), []
+    for _ in range(400):
+        shape = draw_motion(
+            rng,
+            drawn.GRID.arclength,
+            [0.0],
+            psd=drawn.PSD,
+            base_pose_var=drawn.BASE.pose,
+            base_strain_var=drawn.BASE.strain,
+            time_scale=drawn.TIME_SCALE,
+            rest_strain=drawn.PRIOR.rest_strain,
+        )[0][0]
+        errors.append(shape[:, :3, 3] - found.position)
+    for n in range(1, len(found.position)):
+        seen = np.einsum("mi,mj->ij", *[np.array(errors)[:, n]] * 2) / len(errors)
+        ratio = np.linalg.eigvals(np.linalg.solve(found.cov_position_world[n], seen)).real
+        assert np.all((ratio > 0.75) & (ratio < 1.3))
+
+
+def errors_around_a_pause(rng, pause):
+    """Squared errors (3, 2) of the tip before, during and after a pause of a drawn motion."""
+    arclength = np.linspace(0.0, drawn.LENGTH, 21)
+    before = np.arange(0.0, 1.001, 0.1)
+    time = np.concatenate([before, 1.0 + pause + np.arange(0.0, 0.21, 0.1)])
+    motion = draw_motion(
+        rng,
+        arclength,
+        time,
+        psd=drawn.PSD,
+        base_pose_var=drawn.BASE.pose,
+        base_strain_var=drawn.BASE.strain,
+        time_scale=drawn.TIME_SCALE,
+        rest_strain=drawn.PRIOR.rest_strain,
+    )[0]
+    cov = np.array([1e-6] * 3 + [1e-4] * 3)
+    smoother, found = FixedLagSmoother(drawn.PRIOR, drawn.GRID.arclength), []
+    for k, now in enumerate(time):
+        if k != before.size:  # what is read at the end of the pause comes an update later
+            for name, n in (("tip", 20), ("middle", 10)):
+                noise = np.sqrt(cov) * rng.standard_normal(6)
+                reading = PoseReadings(
+                    time=np.full(1, now),
+                    arclength=arclength[n : n + 1],
+                    values=(motion[k, n] @ se3.exp(noise))[None],
+                    cov=cov,
+                    name=name,
+                )
+                smoother.add(reading)
+        newest = smoother.advance(now)
+        if k in (before.size - 1, before.size, before.size + 1):
+            found.append(squared(newest, motion[k, -1]))
+    assert not smoother.dropped
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("pause", [0.5, 100.0])
+def test_errors_before_during_and_after_a_pause_are_as_large_as_claimed(pause):
+    rng = np.random.default_rng(6)
+    nees = np.array([errors_around_a_pause(rng, pause) for _ in range(100)]).mean(axis=0) / 3.0
+    low, high = chi2.ppf([0.5e-3, 1 - 0.5e-3], 300) / 300
+    print(f"pause {pause:g} s: {nees.round(2).tolist()} in [{low:.2f}, {high:.2f}]")
+    assert np.all((low < nees) & (nees < high))
