@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from glissando.cli.check_draws import add_options, check_draws
 from glissando.cli.shared import (
     Commands,
     add_choices,
@@ -23,10 +24,14 @@ from glissando.cli.shared import (
     streams_of,
 )
 from glissando.errors import GlissandoError, RecordingError
+from glissando.evaluation.conformal import block_scores, conformal_tube, inside_tube
 from glissando.evaluation.consistency import LEVELS, Consistency, check, check_readings
-from glissando.evaluation.metrics import errors_against
+from glissando.evaluation.metrics import Errors, errors_against
 from glissando.io.netcdf import load_posterior
 from glissando.io.recording import load_recording
+from glissando.io.robot_file import with_tube
+from glissando.io.shipped_robots import robot_file
+from glissando.model.robot import Robot
 from glissando.visualization.evaluation_figures import calibration_figure
 
 _HELP = """\
@@ -37,15 +42,24 @@ against the prediction by all others.
 
 RECORDING is estimated first. A posterior.nc of an earlier estimate needs --recording for its truth.
 Bounds hold for 95 % of estimates whose confidence is true, and allow for correlated errors.
+
+--store-tube finds how many standard deviations hold the whole body for a whole block of time, by
+split conformal prediction on truth that nothing was learned from, and writes the robot file with
+this tube: a further block like those lies inside with the level's probability, whatever the errors.
+
+--draws needs no truth: it draws motions, sensor parameters and readings from the robot file's own
+prior, estimates them in batch and online, and asks whether the ranks of the truth are uniform.
 """
 _EXAMPLES = """\
 examples:
   glissando check my_recording --out results
   glissando check results/posterior.nc --recording my_recording --truth mocap_tip
   glissando check my_recording --json | python -m json.tool
+  glissando check held_out --robot my_robot.toml --store-tube with_tube.toml --block 1
+  glissando check --draws 200 --robot my_robot.toml --out ranks
 
-exit status: 0 done, whatever the verdict; 1 the estimate did not converge; 2 something given was
-wrong.
+exit status: 0 done, whatever the verdict; 1 the estimate did not converge, or ranks of --draws are
+not uniform; 2 something given was wrong.
 """
 
 
@@ -54,27 +68,39 @@ def add_to(commands: Commands) -> None:
     texts = _HELP, _EXAMPLES
     parser = add_command(commands, "check", texts, _check)
     add = parser.add_argument
-    add("target", type=Path, metavar="RECORDING|POSTERIOR", help="folder, or a posterior.nc")
+    target = "folder, or a posterior.nc"
+    add("target", type=Path, nargs="?", metavar="RECORDING|POSTERIOR", help=target)
     add("--recording", type=Path, metavar="FOLDER", help="where the truth of a posterior is")
     add_choices(parser)
-    add("--out", type=Path, metavar="DIR", help="write check.json and calibration.png here")
+    add("--out", type=Path, metavar="DIR", help="write check.json and a figure here")
+    add("--store-tube", type=Path, metavar="FILE", help="write the robot file with a tube to here")
+    add("--level", type=float, default=0.95, metavar="P", help="of the tube (default 0.95)")
+    add("--block", type=float, default=2.0, metavar="S", help="seconds of a block (default 2)")
+    add_options(parser)
     add("--json", action="store_true", help="print one JSON object and nothing else")
 
 
 def _check(options: argparse.Namespace) -> int:
     if options.out:
         require_writable(options.out)
-    checks, name, status = _checks(options)
+    if options.draws is not None:
+        return check_draws(options)
+    if options.target is None:
+        raise GlissandoError("Nothing to check: give a recording or posterior, or --draws N.")
+    checks, errors, robot, name, status = _checks(options)
     if not checks:
         raise RecordingError(
             f"{name} has no truth inside the window; name streams with --truth, or another window."
         )
-    document = {"name": name, "checks": [c.as_json() for c in checks]}
+    tube = _tube(robot, errors, options)
+    document = {"name": name, "checks": [c.as_json() for c in checks], "tube": tube}
     if options.json:
         print(json.dumps(document))
     else:
         for quantity in dict.fromkeys(c.quantity for c in checks):
             Console().print(_table(quantity, [c for c in checks if c.quantity == quantity]))
+        if tube:
+            print(_TUBE.format(**tube))
     if options.out:
         options.out.mkdir(parents=True, exist_ok=True)
         text = json.dumps(document, indent=2)
@@ -83,13 +109,38 @@ def _check(options: argparse.Namespace) -> int:
     return status
 
 
-def _checks(options: argparse.Namespace) -> tuple[list[Consistency], str, int]:
-    """Every check (none without truth), the name of what is checked, and the exit status."""
+def _tube(
+    robot: Robot, errors: Sequence[Errors], options: argparse.Namespace
+) -> dict[str, float | int] | None:
+    """The robot file's tube, or a new one that is stored, and the share of blocks inside."""
+    tube = robot.tube
+    if options.store_tube:
+        tube = conformal_tube(block_scores(errors, options.block), options.block, options.level)
+        file = robot_file(options.robot or robot.name)
+        text = with_tube(file.read_text(encoding="utf-8"), tube)
+        options.store_tube.write_text(text, encoding="utf-8")
+    if tube is None:
+        return None
+    scores = block_scores(errors, tube.seconds)
+    return {**vars(tube), "inside": inside_tube(tube, scores), "here": int(scores.size)}
+
+
+_TUBE = """\
+Whole-body tube: {sigmas:.2f} standard deviations hold a block of {seconds:g} s wholly with
+probability {level:g}, if it is exchangeable with the {blocks} blocks it was chosen on.
+Here {inside:.1%} of {here} blocks lie wholly inside."""
+
+
+def _checks(
+    options: argparse.Namespace,
+) -> tuple[list[Consistency], list[Errors], Robot, str, int]:
+    """Every check (none without truth), errors, robot, what is checked, and the exit status."""
     if options.target.is_dir():
         recording = load_recording(options.target)
         robot = chosen_robot(recording, options.robot)
         run, complaint = estimate_watched(recording, robot, options)
-        return run.consistency() if run.errors else [], recording.name, 1 if complaint else 0
+        checks = run.consistency() if run.errors else []
+        return checks, run.errors, robot, recording.name, 1 if complaint else 0
     if not options.target.is_file():
         raise GlissandoError(
             f"There is no recording folder or posterior {str(options.target)!r}; give one."
@@ -102,10 +153,11 @@ def _checks(options: argparse.Namespace) -> tuple[list[Consistency], str, int]:
     recording = load_recording(options.recording)
     readings, truth = streams_of(posterior, recording, options)
     status = 0 if posterior.solve.converged else 1
-    checks = check([errors_against(posterior, t) for t in truth])
+    errors = [errors_against(posterior, t) for t in truth]
+    checks = check(errors)
     if checks:
         checks += check_readings(posterior, readings)
-    return checks, options.target.name, status
+    return checks, errors, chosen_robot(recording, options.robot), options.target.name, status
 
 
 def _table(quantity: str, checks: Sequence[Consistency]) -> Table:

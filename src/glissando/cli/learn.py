@@ -72,6 +72,7 @@ def _learn(options: argparse.Namespace) -> int:
     recordings = [load_recording(folder) for folder in options.recordings]
     load_robot(options.robot)  # which says what is wrong with it
     document = expanded(read_robot_document(robot_file(options.robot)))
+    document.pop("tube", None)  # it was calibrated for the numbers of before
     _require_writable(options)
     truth = options.truth or []
     for flag in ("calibrate", "joint"):

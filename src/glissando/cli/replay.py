@@ -138,6 +138,12 @@ def _print(result: Replay, console: Console) -> None:
         console.print(f"  {escape(name)}: {counted} readings not used")
     if report["restarts"]:
         console.print(f"  began again {report['restarts']} times after it was lost")
+    for name, ahead in report["next_reading"].items():
+        console.print(
+            f"  next reading of {escape(name)}: {ahead['miss_rate']:.1%} outside its "
+            f"{ahead['level']:.0%} set, by construction {1 - ahead['level']:.0%} "
+            f"± {ahead['bound']:.1%}"
+        )
     if report["newest"] is None:
         console.print("No truth streams: nothing to compare with. Name some with --truth.")
         return

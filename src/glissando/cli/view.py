@@ -20,13 +20,16 @@ from glissando.errors import GlissandoError
 from glissando.estimation.posterior import Posterior
 from glissando.io.netcdf import load_posterior
 from glissando.io.recording import load_recording
+from glissando.io.robot_file import load_robot
 from glissando.model.sensors.readings import Readings
+from glissando.model.tube import Tube
 from glissando.visualization.page import page, scene_of, subtitle
 from glissando.visualization.page.live import play
 
 _HELP = """\
 Show the robot over time in a browser: its shape with the 95 % tube and ellipsoids, the sliding
-sensor, truth, and confidence along the body as colour, with a slider for time.
+sensor, truth, and confidence along the body as colour, with a slider for time. Beside it stands the
+tube that the robot file promises, if `glissando check --store-tube` has written one.
 
 The page is one file that works without a network. RECORDING is estimated first; POSTERIOR is a
 posterior.nc of an earlier estimate, or the folder it is in, and takes sensors and truth from
@@ -57,7 +60,7 @@ def add_to(commands: Commands) -> None:
 
 def _view(options: argparse.Namespace) -> int:
     require_writable(options.html.parent)
-    posterior, readings, truth, title, complaint = _shown(options)
+    posterior, readings, truth, title, complaint, tube = _shown(options)
     window = tuple(options.window) if options.window else None
     with progress_bar() as bar:
         task = bar.add_task("evaluating the posterior")
@@ -66,6 +69,7 @@ def _view(options: argparse.Namespace) -> int:
             readings,
             truth,
             window=window,
+            tube=tube,
             progress=lambda done, of: bar.update(task, completed=done, total=of),
         )
     if options.live:
@@ -80,15 +84,15 @@ def _view(options: argparse.Namespace) -> int:
 
 def _shown(
     options: argparse.Namespace,
-) -> tuple[Posterior, list[Readings], list[Readings], str, str]:
-    """The posterior, its readings and truth, a title, and the sentence of a warning, if any."""
+) -> tuple[Posterior, list[Readings], list[Readings], str, str, Tube | None]:
+    """The posterior, its readings and truth, a title, a warning if any, the robot file's tube."""
     target: Path = options.target
     inside = target / "posterior.nc"
     if target.is_dir() and not inside.is_file():
         recording = load_recording(target)
         robot = chosen_robot(recording, options.robot)
         run, complaint = estimate_watched(recording, robot, options)
-        return run.posterior, run.readings, run.truth, recording.name, complaint
+        return run.posterior, run.readings, run.truth, recording.name, complaint, robot.tube
     target = inside if target.is_dir() else target
     if not target.is_file():
         raise GlissandoError(
@@ -96,6 +100,8 @@ def _shown(
         )
     posterior = load_posterior(target)
     if options.recording is None:
-        return posterior, [], [], options.target.resolve().name, ""
+        tube = load_robot(options.robot).tube if options.robot else None
+        return posterior, [], [], options.target.resolve().name, "", tube
     recording = load_recording(options.recording)
-    return posterior, *streams_of(posterior, recording, options), recording.name, ""
+    tube = chosen_robot(recording, options.robot).tube
+    return posterior, *streams_of(posterior, recording, options), recording.name, "", tube

@@ -131,6 +131,20 @@ def errors_against(estimate: StateSource, truth: Readings) -> Errors:
     return Errors(truth.label, truth.arclength, *numbers, dof, truth.time)
 
 
+def prediction_scores(estimate: StateSource, readings: Readings) -> Array:
+    """Normalised distances (M,) of readings from what an estimate without them predicts.
+
+    Args:
+        estimate: A posterior or a smoother.
+        readings: Readings that it has not used.
+    """
+    body = estimate.at(readings.arclength, readings.time)
+    at = State(body.pose, body.strain, body.velocity)
+    J_r_x = readings.jacobian(at)
+    cov = J_r_x @ body.cov @ np.swapaxes(J_r_x, -1, -2) + readings.cov
+    return np.sqrt(_squared(readings.residual(at), cov))
+
+
 def _squared(error: Array, cov: Array) -> Array:
     """Squared Mahalanobis lengths (M,) of errors (M, r)."""
     return np.einsum("mi,mi->m", error, np.linalg.solve(cov, error[..., None])[..., 0])

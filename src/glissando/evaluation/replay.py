@@ -10,15 +10,24 @@ from typing import Any
 
 import numpy as np
 
-from glissando.errors import RecordingError
+from glissando.errors import GlissandoError, RecordingError
 from glissando.estimation.fixed_lag import FixedLagSmoother
 from glissando.estimation.posterior import StateEstimate
-from glissando.evaluation.metrics import Errors, StateSource, errors_against, joined, pool
+from glissando.evaluation.conformal import AdaptiveSet
+from glissando.evaluation.metrics import (
+    Errors,
+    StateSource,
+    errors_against,
+    joined,
+    pool,
+    prediction_scores,
+)
 from glissando.evaluation.run import checked_window, chosen_streams
 from glissando.geometry.se3 import Array
 from glissando.io.journal import Journal
 from glissando.io.recording import Recording, load_recording
 from glissando.model.robot import Robot
+from glissando.model.sensors.parameters import SensorParameter, corrected
 from glissando.model.sensors.readings import Readings
 
 _NODES = 4  # in the smoother's window by default
@@ -44,6 +53,7 @@ class Replay:
         nis: Mean normalised innovation squared of each update (K,), NaN where there is none.
         newest: Errors in the interval before each update, given all readings up to it.
         lagged: Errors in the interval that leaves the window next.
+        adaptive: Sets for the next reading of each stream, and how often they missed it.
     """
 
     recording: Recording
@@ -57,6 +67,7 @@ class Replay:
     nis: Array
     newest: list[Errors]
     lagged: list[Errors]
+    adaptive: dict[str, AdaptiveSet] = field(default_factory=dict)
 
     @property
     def real_time_factor(self) -> float:
@@ -79,6 +90,15 @@ class Replay:
             "dropped": {name: dict(why) for name, why in self.smoother.dropped.items()},
             "restarts": self.smoother.restarts,
             "nis": float(np.nanmean(self.nis)) if np.any(np.isfinite(self.nis)) else None,
+            "next_reading": {
+                name: {
+                    "count": s.count,
+                    "miss_rate": s.miss_rate,
+                    "bound": s.bound,
+                    "level": s.level,
+                }
+                for name, s in self.adaptive.items()
+            },
         }
 
 
@@ -126,7 +146,8 @@ def replay(
     smoother = FixedLagSmoother(
         robot.prior, robot.arclength_nodes, window=nodes, sensor_parameters=robot.sensor_parameters
     )
-    run = _Run(smoother, references, watch)
+    known = [p for p in robot.sensor_parameters if p.known]
+    run = _Run(smoother, references, watch, known)
     if journal is None:
         run.through(readings, times, wait=real_time)
     else:
@@ -135,7 +156,7 @@ def replay(
             run.through(readings, times, log, wait=real_time)
     return Replay(
         recording, robot, (first, last), nodes, smoother, times, np.array(run.latency), run.states,
-        np.array(run.nis), _by_site(run.newest), _by_site(run.lagged),
+        np.array(run.nis), _by_site(run.newest), _by_site(run.lagged), run.adaptive,
     )  # fmt: skip
 
 
@@ -183,11 +204,13 @@ class _Run:
     smoother: FixedLagSmoother
     truth: list[Readings]
     watch: Watch | None
+    known: Sequence[SensorParameter] = ()
     latency: list[float] = field(default_factory=list)
     states: list[StateEstimate] = field(default_factory=list)
     nis: list[float] = field(default_factory=list)
     newest: list[list[Errors]] = field(default_factory=list)
     lagged: list[list[Errors]] = field(default_factory=list)
+    adaptive: dict[str, AdaptiveSet] = field(default_factory=dict)
 
     def through(
         self, readings: list[Readings], times: Array, log: Journal | None = None, wait: bool = False
@@ -199,11 +222,25 @@ class _Run:
             arrived = [r.select((r.time > since) & (r.time <= now)) for r in readings]
             if wait:
                 time.sleep(max(0.0, began + now - time.monotonic()))
+            self._predict([r for r in arrived if len(r)])
             self._update([r for r in arrived if len(r)], float(now), log)
             self._compare(float(since), times, k)
             if self.watch is not None:
                 self.watch(k + 1, len(times), self.smoother)
             since = now
+
+    def _predict(self, arrived: list[Readings]) -> None:
+        """Score readings by what is predicted of them before they are used."""
+        since = self.smoother.time
+        for readings in arrived if since is not None else ():
+            ahead = corrected(readings.select(readings.time > since), self.known)
+            adaptive = self.adaptive.setdefault(readings.label, AdaptiveSet())
+            try:
+                scores = prediction_scores(self.smoother, ahead) if len(ahead) else np.zeros(0)
+            except (np.linalg.LinAlgError, GlissandoError):
+                scores = np.full(len(ahead), np.nan)
+            for score in scores:
+                adaptive.update(float(score))
 
     def _update(self, arrived: list[Readings], now: float, log: Journal | None) -> None:
         start = time.perf_counter()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from glissando.model.priors.registry import prior_class, prior_kinds
 from glissando.model.robot import Robot
 from glissando.model.sensors.parameters import SIZES, SensorParameter
 from glissando.model.sensors.sensors import sensor_class, sensor_kinds
+from glissando.model.tube import Tube
 
 OLD_KINDS = {
     "kinematic": "white-noise",
@@ -91,9 +93,40 @@ def parse_robot(table: Table) -> Robot:
     sensor_parameters = tuple(
         _sensor_parameter(entry) for entry in table.tables("sensor_parameters")
     )
+    tube = _tube(table.table("tube"))
     table.skip("physics")  # of the simulator, which checks it
     table.close()
+<<<<<<< HEAD
     return Robot(name, length, nodes, rate, prior, *sensors, sensor_parameters, mechanics)
+=======
+    return Robot(name, length, nodes, rate, prior, *sensors, sensor_parameters, tube)
+
+
+def _tube(table: Table | None) -> Tube | None:
+    """What [tube] says, if it is there."""
+    if table is None:
+        return None
+    level, sigmas = table.number("level"), table.number("sigmas")
+    blocks, seconds = table.number("blocks"), table.number("seconds", positive=False)
+    if level >= 1.0 or seconds < 0.0 or blocks != int(blocks):
+        raise table.fail(
+            "level, seconds or blocks", "cannot be; write it anew with glissando check."
+        )
+    table.close()
+    return Tube(level, sigmas, int(blocks), seconds)
+
+
+def with_tube(text: str, tube: Tube) -> str:
+    """The text of a robot file with another [tube], all else as it was.
+
+    Args:
+        text: The robot file.
+        tube: The tube to write.
+    """
+    kept = re.sub(r"^\[tube\][^\n]*\n(?:(?!\[)[^\n]*(?:\n|\Z))*", "", text, flags=re.MULTILINE)
+    entries = "".join(f"{key} = {value}\n" for key, value in vars(tube).items())
+    return f"{kept.rstrip()}\n\n[tube]\n{entries}"
+>>>>>>> d5346d2 (Check confidence by drawn sessions, and promise a tube without a model)
 
 
 def _grid(table: Table, length: float) -> tuple[Array, float]:

@@ -13,6 +13,7 @@ from glissando.model.mechanics import Mechanics
 from glissando.model.noise import Loss
 from glissando.model.priors.prior import Prior
 from glissando.model.sensors.parameters import SensorParameter
+from glissando.model.tube import Tube
 
 _MOST_NODES = 1_000_000
 
@@ -32,7 +33,11 @@ class Robot:
         sensor_range: Largest value that a kind of sensor can report, SI units.
         sensor_rate: Readings a second of trackers that are polled faster than they measure.
         sensor_parameters: Frames, mounts, offsets and biases of streams by name.
+<<<<<<< HEAD
         mechanics: What it is made of, where that is stated.
+=======
+        tube: A whole-body tube whose coverage is promised, if one was calibrated.
+>>>>>>> d5346d2 (Check confidence by drawn sessions, and promise a tube without a model)
     """
 
     name: str
@@ -45,7 +50,11 @@ class Robot:
     sensor_range: dict[str, float] = field(default_factory=dict)
     sensor_rate: dict[str, float] = field(default_factory=dict)
     sensor_parameters: tuple[SensorParameter, ...] = ()
+<<<<<<< HEAD
     mechanics: Mechanics | None = None
+=======
+    tube: Tube | None = None
+>>>>>>> d5346d2 (Check confidence by drawn sessions, and promise a tube without a model)
 
     def grid(self, start: float, stop: float) -> Grid:
         """The robot's grid over the times [start, stop] in seconds.

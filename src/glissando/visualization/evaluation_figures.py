@@ -10,6 +10,7 @@ from scipy.stats import chi2
 
 from glissando.evaluation.consistency import Consistency
 from glissando.evaluation.replay import Replay
+from glissando.evaluation.simulation_based import SimulationCheck, bands, rank_points
 from glissando.visualization.figures import _SENSORS, _canvas
 
 if TYPE_CHECKING:
@@ -47,6 +48,33 @@ def _draw(axes: Any, checks: Sequence[Consistency]) -> None:
         colour = "black" if last else _SENSORS[(0, 1, 3, 4, 6, 7)[order % 6]]
         width = 2.8 if last else 1.3
         axes.plot(100 * level, 100 * inside, color=colour, linewidth=width, label=c.site)
+
+
+def ecdf_figure(checks: Sequence[SimulationCheck]) -> Figure:
+    """Distribution functions of ranks less that of uniform ones, a panel an estimator.
+
+    The grey band holds the lines of all quantities at once with the check's level if confidence is
+    true. A line above it on the left and below on the right is that of an overconfident estimate,
+    the other way round an underconfident one; above or below throughout, a biased one. Raises
+    GlissandoError without matplotlib.
+    """
+    points = rank_points()
+    with _canvas(5.2 * len(checks), 4.2) as figure:
+        panels: Any = figure.subplots(1, len(checks), squeeze=False, sharey=True)
+        for axes, check in zip(panels[0], checks, strict=True):
+            low, high = bands(check.checks[0].ranks.size, check.p_limit)
+            axes.fill_between(points, low, high, color="0.88", label=f"uniform, {check.level:.0%}")
+            axes.axhline(0.0, color="0.5", linewidth=0.9)
+            for c in check.checks:
+                outside = c.p_value < check.p_limit
+                look = {"color": _SENSORS[6], "linewidth": 1.8, "label": c.name}
+                plain = {"color": "0.35", "linewidth": 0.8}
+                axes.plot(points, c.ecdf_difference, **(look if outside else plain))
+            axes.set_title(check.estimator, loc="left", fontweight="bold")
+            axes.set(xlabel="rank of the truth", xlim=(0, 1))
+            axes.legend(fontsize="small", loc="upper right")
+        panels[0][0].set_ylabel("ECDF − uniform")
+    return figure
 
 
 def replay_figure(run: Replay) -> Figure:

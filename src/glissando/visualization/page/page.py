@@ -102,6 +102,7 @@ def contents(scene: Scene) -> dict[str, Any]:
     tall = 1.08 * max(float(std.max()), top, float(np.quantile(misses, 0.99)) if misses.size else 0)
     return {
         "sigmas": SIGMAS,
+        "tube": None if scene.tube is None else vars(scene.tube),
         "top": top,
         "tall": min(tall, 4.0 * top),
         "low": centre.min(axis=(0, 1)).tolist(),

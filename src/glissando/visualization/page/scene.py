@@ -12,6 +12,7 @@ from glissando.estimation.posterior import Posterior
 from glissando.evaluation.metrics import errors_against
 from glissando.geometry.se3 import Array
 from glissando.model.sensors.readings import Readings
+from glissando.model.tube import Tube
 from glissando.visualization.figures import _MM, _NEAR, _places
 from glissando.visualization.film.frames import _nearest, _sensor_places, _true
 
@@ -39,6 +40,7 @@ class Scene:
         truth: Origins and tips of true axes (F, C, 4, 3).
         miss: Distance of truth from the estimate (F, C).
         nees: Its square in units of its covariance (F, C), of three degrees of freedom.
+        tube: The tube whose coverage the robot file promises, if there is one.
     """
 
     time: Array
@@ -52,6 +54,7 @@ class Scene:
     truth: Array
     miss: Array
     nees: Array
+    tube: Tube | None = None
 
 
 def scene_of(
@@ -60,6 +63,7 @@ def scene_of(
     truth: Sequence[Readings] = (),
     *,
     window: tuple[float, float] | None = None,
+    tube: Tube | None = None,
     progress: Progress | None = None,
 ) -> Scene:
     """The posterior at its time nodes, and between them where they are below 20 Hz.
@@ -71,6 +75,7 @@ def scene_of(
         readings: Where sensors are: at their nearest reading within 0.25 s.
         truth: What is drawn beside the estimate: the nearest sample within 0.1 s.
         window: First and last second; all of the estimate unless given.
+        tube: A whole-body tube to draw beside the Gaussian one.
         progress: Called as moments are done.
 
     Raises:
@@ -104,6 +109,7 @@ def scene_of(
         truth=_true(true, times, 0.05 * (body[-1] - body[0])) / _MM,
         miss=miss,
         nees=nees,
+        tube=tube,
     )
 
 

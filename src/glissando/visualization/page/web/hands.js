@@ -46,6 +46,14 @@ const KEYS = {
 function begin() {
   const drawing = of("stage");
   of("slider").max = scene.time.length - 1;
+  if (scene.tube) {
+    const { level, sigmas, blocks, seconds } = scene.tube;
+    const what = seconds ? `of ${seconds} s` : "of one shape";
+    of("promised").hidden = false;
+    of("promised").title = `Of ${blocks} blocks ${what}; a further one like them lies wholly inside`;
+    of("promised").querySelector("span").textContent = `${100 * level} % of whole bodies: `
+      + `${sigmas.toFixed(1)} σ, promised`;
+  }
   of("slider").addEventListener("input", () => {
     play(false);
     showTime(scene.time[of("slider").value]);

@@ -37,6 +37,11 @@ function partsAt(body, moment) {
     const mesh = sweep(body, body.map((at) => sectionOf(at, wide)), colours);
     shells.push({ mesh, dense: show.ellipsoids ? 0.1 : 0.22 });
   }
+  if (scene.tube && show.promised) {
+    const far = (scene.tube.sigmas / scene.sigmas) * wide, grey = rgb("#888888");
+    const mesh = sweep(body, body.map((at) => sectionOf(at, far)), body.map(() => grey));
+    shells.push({ mesh, dense: 0.06 });
+  }
   return { solid: joined(solid), shells, lines: groundIn(rgb(css("--rule"))) };
 }
 

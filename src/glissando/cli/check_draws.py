@@ -1,0 +1,106 @@
+"""`glissando check --draws`: sessions drawn from a robot file's own prior judge its confidence."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from glissando.cli.shared import chosen_robot, progress_bar
+from glissando.errors import GlissandoError
+from glissando.evaluation.run import checked_window, chosen_streams
+from glissando.evaluation.simulation_based import SimulationCheck, simulate_and_rank
+from glissando.geometry.se3 import Array
+from glissando.io.recording import load_recording
+from glissando.io.robot_file import load_robot
+from glissando.model.grid import Grid
+from glissando.model.robot import Robot
+from glissando.model.sensors.readings import Readings
+from glissando.visualization.evaluation_figures import ecdf_figure
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of drawn sessions to the parser of `check`."""
+    add = parser.add_argument
+    drawn = "draw N sessions from the robot file's prior instead, and rank their truth (SBC)"
+    add("--draws", type=int, metavar="N", help=drawn)
+    factor = "with --draws: estimate with the prior's deviations so many times those drawn from"
+    add("--prior-factor", type=float, default=1.0, metavar="F", help=factor)
+    add("--seed", type=int, default=0, metavar="N", help="with --draws: of all chance (default 0)")
+
+
+def check_draws(options: argparse.Namespace) -> int:
+    """Draw sessions, print the ranks' verdicts; returns 0 if all are uniform, else 1."""
+    if not options.prior_factor > 0.0:
+        raise GlissandoError(f"--prior-factor is {options.prior_factor:g}; give one above zero.")
+    robot, layout = _robot_and_layout(options)
+    columns = TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn()
+    with progress_bar(*columns) as bar:
+        task = bar.add_task(f"sessions of {robot.name}", total=options.draws)
+        found = simulate_and_rank(
+            robot,
+            options.draws,
+            layout=layout,
+            prior_factor=options.prior_factor,
+            seed=options.seed,
+            progress=lambda done, of: bar.update(task, completed=done, total=of),
+        )
+    document = {"name": robot.name, "simulation": [check.as_json() for check in found]}
+    if options.json:
+        print(json.dumps(document))
+    else:
+        for check in found:
+            _print(robot, check)
+    if options.out:
+        options.out.mkdir(parents=True, exist_ok=True)
+        text = json.dumps(document, indent=2)
+        (options.out / "check.json").write_text(text + "\n", encoding="utf-8")
+        ecdf_figure(found).savefig(options.out / "ranks.png", dpi=150)
+    return 1 if any(check.outside for check in found) else 0
+
+
+def _robot_and_layout(
+    options: argparse.Namespace,
+) -> tuple[Robot, tuple[Grid, list[Readings]] | None]:
+    """The robot, and whose readings' places, times and noise to take, if a recording is given."""
+    if options.target is None:
+        if not options.robot:
+            raise GlissandoError("--draws needs a robot: give --robot FILE or a recording.")
+        return load_robot(options.robot), None
+    folder: Path = options.target
+    if not folder.is_dir():
+        raise GlissandoError(f"--draws takes places and times of a recording; {folder} is none.")
+    recording = load_recording(folder)
+    robot = chosen_robot(recording, options.robot)
+    window = checked_window(recording, tuple(options.window) if options.window else None)
+    readings, _, _ = chosen_streams(recording, robot, window, options.use, options.truth)
+    return robot, (robot.grid(*window), readings)
+
+
+def _print(robot: Robot, check: SimulationCheck) -> None:
+    count = check.checks[0].ranks.size
+    title = f"{robot.name}, {check.estimator}: ranks of the truth in {count} drawn sessions"
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+    table.add_column("quantity", no_wrap=True)
+    for heading in ("chance if true", "below 5 %", "above 95 %"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    table.add_column("ranks", no_wrap=True)
+    for c in check.checks:
+        verdict = "uniform" if c.p_value >= check.p_limit else "not uniform"
+        shares = (f"{100 * _share(c.ranks, *ends):.0f} %" for ends in ((-1.0, 0.05), (0.95, 1.0)))
+        table.add_row(c.name, f"{c.p_value:.2g}", *shares, verdict)
+    Console().print(table)
+    if check.not_converged:
+        print(f"{check.not_converged} of {count} estimates did not converge.")
+    inside = "All ranks are" if not check.outside else f"{len(check.outside)} quantities are not"
+    print(f"{inside} uniform inside simultaneous {100 * check.level:g} % bands.\n")
+
+
+def _share(ranks: Array, low: float, high: float) -> float:
+    """Share of ranks between two values."""
+    return float(((ranks > low) & (ranks <= high)).mean())

@@ -1,0 +1,235 @@
+"""Sessions drawn from a robot's own prior: motions, sensor parameters, and readings of them.
+
+A motion is drawn on a grid finer than the estimator's, in the errors of intervals, in which the
+separable prior is exactly Gaussian; the white-noise prior is linearised about rest. Readings are
+taken at nodes of the fine grid with the noise that they state.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from glissando.errors import GlissandoError
+from glissando.geometry import se3
+from glissando.geometry.se3 import Array
+from glissando.model.grid import Grid
+from glissando.model.robot import Robot
+from glissando.model.sensors.parameter_process import EstimatedParameters, ParameterValues
+from glissando.model.sensors.parameters import SensorParameter
+from glissando.model.sensors.readings import Readings
+from glissando.model.sensors.sensors import sensor_class, sensor_kinds
+from glissando.model.state import State
+from glissando.solver.block_tridiagonal import Cholesky, factor
+from glissando.solver.linearize import linearize
+from glissando.solver.located_readings import locate
+from glissando.solver.normal_equations import system_shape
+
+_FINER = 4  # times as many nodes as the estimator has
+_NODES = 6  # time nodes of a session without a recording
+_READINGS = 2  # a time node, of every sensor
+
+
+@dataclass(frozen=True)
+class Session:
+    """One drawn session.
+
+    Attributes:
+        truth: The motion at the nodes of the fine grid (K, N).
+        parameters: Values (K, E) of the sensor parameters at the fine time nodes.
+        readings: What the sensors read.
+    """
+
+    truth: State
+    parameters: Array
+    readings: list[Readings]
+
+
+@dataclass(frozen=True)
+class PriorPredictive:
+    """Draws sessions from a robot's prior.
+
+    Attributes:
+        robot: The robot.
+        grid: The estimator's grid.
+        layout: Which sensors read where and when; their values do not matter.
+    """
+
+    robot: Robot
+    grid: Grid
+    layout: Sequence[Readings]
+    fine: Grid = field(init=False)
+    process: EstimatedParameters = field(init=False)
+    _rest: State = field(init=False)
+    _cholesky: Cholesky = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Factor the prior's information, once for all draws.
+
+        Raises:
+            GlissandoError: The prior leaves the base free, so that nothing can be drawn.
+        """
+        prior = self.robot.prior
+        if not prior.fixes_base:
+            raise GlissandoError(
+                f"{self.robot.name} has no [base], so its prior cannot be drawn from; add one."
+            )
+        fine = Grid(_finer(self.grid.arclength), _finer(self.grid.time))
+        rest = prior.rest_state(fine)
+        located = locate(fine, [])
+        workspace = np.empty(system_shape(fine.time.size, rest.numbers))
+        equations = linearize(prior, located, rest, rest, workspace)
+        names = {r.name for r in self.layout}
+        parameters = [p for p in self.robot.sensor_parameters if names.intersection(p.streams)]
+        object.__setattr__(self, "fine", fine)
+        object.__setattr__(self, "process", EstimatedParameters(fine, parameters))
+        object.__setattr__(self, "_rest", rest)
+        object.__setattr__(self, "_cholesky", factor(equations.system))
+
+    def draw(self, rng: np.random.Generator) -> Session:
+        """A session: motion, sensor parameters and readings.
+
+        Args:
+            rng: Source of all chance.
+        """
+        step = self._cholesky.sample(rng).reshape(*self.fine.shape, -1)
+        moved = self.robot.prior.bent(self.fine, self._rest, step)
+        truth = State(moved.pose, moved.strain, moved.velocity)
+        values = self._draw_parameters(rng)
+        drawn = ParameterValues(self.process, values)
+        readings = [self._read(stream, truth, drawn, rng) for stream in self.layout]
+        return Session(truth, values, [r.inside(self.grid) for r in readings])
+
+    def _draw_parameters(self, rng: np.random.Generator) -> Array:
+        """Values (K, E) of Ornstein-Uhlenbeck processes at the fine time nodes."""
+        white = rng.standard_normal((self.fine.time.size, self.process.size))
+        decay, std, _ = self.process.drift(white)
+        values = white * std
+        for k, fade in enumerate(decay):
+            values[k + 1] += fade * values[k]
+        return self.process.mean + values
+
+    def _read(
+        self, stream: Readings, truth: State, drawn: ParameterValues, rng: np.random.Generator
+    ) -> Readings:
+        """A stream's readings of the motion, at the fine nodes nearest to those of the layout."""
+        k, n = (
+            np.abs(nodes[:, None] - at).argmin(axis=0)
+            for nodes, at in (
+                (self.fine.time, stream.time),
+                (self.fine.arclength, stream.arclength),
+            )
+        )
+        placed = stream.changed(time=self.fine.time[k], arclength=self.fine.arclength[n])
+        taken, parameters = placed, drawn.of(stream)
+        for parameter, columns in parameters:
+            if parameter.kind == "mount":
+                taken = parameter.shift(taken, drawn.values[k, columns])
+        read = taken.changed(values=noisy_values(taken, truth.take((k, n)), rng))
+        read = read.changed(mount=placed.mount)
+        for parameter, columns in parameters:
+            if parameter.kind != "mount":  # the reading is off by what a correction takes away
+                read = parameter.shift(read, -drawn.values[k, columns])
+        return read
+
+
+def _finer(nodes: Array) -> Array:
+    """Nodes (K,) with three more between each two."""
+    places = np.arange(_FINER * (nodes.size - 1) + 1) / _FINER
+    return np.interp(places, np.arange(nodes.size), nodes)
+
+
+def noisy_values(readings: Readings, at: State, rng: np.random.Generator) -> Array:
+    """Values (M, …) that sensors would read at states, with the noise that they state.
+
+    Sensors whose values are no poses or rotations are taken to read what their residual expects.
+
+    Args:
+        readings: The sensor; of its values only the shape matters.
+        at: States (M,) where it reads.
+        rng: Source of the noise.
+    """
+    root = np.linalg.cholesky(
+        np.broadcast_to(readings.cov, (len(readings), *readings.cov.shape[-2:]))
+    )
+    noise = (root @ rng.standard_normal((*root.shape[:2], 1)))[..., 0]
+    if readings.value_shape == (4, 4):
+        wobble = np.zeros((len(readings), 6))
+        wobble[:, : noise.shape[1]] = -noise
+        roll = np.zeros_like(wobble)
+        if noise.shape[1] == 5:  # a coil, which does not show its roll
+            roll[:, 5] = rng.uniform(-np.pi, np.pi, len(readings))
+        return at.pose @ readings.mount @ se3.exp(wobble) @ se3.exp(roll)
+    if readings.value_shape == (3, 3):
+        turn = se3.exp(np.concatenate([np.zeros_like(noise), -noise], axis=1))
+        return (at.pose @ readings.mount @ turn)[:, :3, :3]
+    return readings.values + readings.residual(at) - noise
+
+
+def session_layout(robot: Robot) -> tuple[Grid, list[Readings]]:
+    """A short session of the robot's own sensors, where no recording gives one.
+
+    Every kind of sensor that the robot file names reads twice a time node: a coil while it slides
+    over the last quarter of the body and back, others at the tip. Streams that sensor parameters
+    name are spread evenly over the body, the last at the tip, and are of the kind whose name theirs
+    contains, else gyroscopes if they have a bias, else the first tracker of the file.
+
+    Args:
+        robot: The robot.
+
+    Returns:
+        The estimator's grid, and readings without meaningful values.
+
+    Raises:
+        GlissandoError: The robot file names no sensor that can be simulated.
+    """
+    stop = _NODES / robot.time_rate
+    grid = robot.grid(0.0, stop)
+    time = np.linspace(0.0, stop, _READINGS * _NODES + 1)
+    kinds = [k for k in robot.sensor_std if not sensor_class(k).settings]
+    named: dict[str, str] = {}
+    for parameter in robot.sensor_parameters:
+        named |= {s: _kind_of(s, parameter, kinds) for s in parameter.streams}
+    named = {stream: kind for stream, kind in named.items() if kind}
+    places = robot.length * (1.0 + np.arange(len(named))) / max(len(named), 1)
+    layout = [
+        _blank(robot, kind, name, time, np.full(time.size, s))
+        for (name, kind), s in zip(named.items(), places, strict=True)
+    ]
+    for kind in kinds:
+        if kind not in named.values():
+            place = np.full(time.size, robot.length)
+            if kind == "coil":
+                place -= 0.25 * robot.length * np.sin(np.pi * time / stop) ** 2
+            layout.append(_blank(robot, kind, kind, time, place))
+    if not layout:
+        raise GlissandoError(
+            f"{robot.name} names no sensor that can be simulated; add [sensors.KIND] with its std, "
+            f"or give a recording whose sensors to take."
+        )
+    return grid, layout
+
+
+def _kind_of(stream: str, parameter: SensorParameter, kinds: Sequence[str]) -> str:
+    """The kind of sensor that a stream's name suggests, else one that has such a parameter."""
+    for kind in sensor_kinds():
+        if kind in stream:
+            return kind if kind in kinds else ""
+    if parameter.kind == "bias" and "gyro" in kinds:
+        return "gyro"
+    return next((k for k in kinds if sensor_class(k).tracker), "")
+
+
+def _blank(robot: Robot, kind: str, name: str, time: Array, arclength: Array) -> Readings:
+    """Readings of a kind whose values say nothing."""
+    cls = sensor_class(kind)
+    shape = cls.value_shape or (cls.rows,)
+    one = np.eye(shape[0]) if len(shape) == 2 else np.zeros(shape)
+    values = np.broadcast_to(one, (time.size, *shape))
+    cov = robot.sensor_std[kind] ** 2
+    return replace(
+        cls(time=time, arclength=arclength, values=values, cov=cov, name=name),
+        loss=robot.sensor_loss.get(kind),
+    )

@@ -1,0 +1,302 @@
+"""Simulation-based calibration: is a robot file's confidence true of what its own prior says.
+
+Sessions are drawn from the prior, estimated, and the truth's rank in the posterior noted. If prior,
+sensors and estimator fit together, ranks are uniform. Source: Talts et al., *Validating Bayesian
+Inference Algorithms with Simulation-Based Calibration* (2018); bands from Säilynoja, Bürkner and
+Vehtari, *Graphical test for discrete uniformity* (Statistics and Computing 32, 2022).
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+from scipy.stats import binom, chi2, norm
+
+from glissando.errors import GlissandoError, NotConvergedWarning, RobotFileError
+from glissando.estimation.batch import estimate
+from glissando.estimation.fixed_lag import FixedLagSmoother
+from glissando.estimation.posterior import Posterior, StateEstimate
+from glissando.evaluation.prior_predictive import PriorPredictive, Session, session_layout
+from glissando.geometry.se3 import Array
+from glissando.io.toml_table import Table
+from glissando.model.grid import Grid, Index
+from glissando.model.priors.prior import Prior
+from glissando.model.priors.registry import prior_class
+from glissando.model.robot import Robot
+from glissando.model.sensors.readings import Readings
+from glissando.model.state import State
+
+FIELDS = ("pose", "strain", "velocity")
+QUANTITIES = (
+    *(f"{field} {axis}" for field in FIELDS for axis in ("x", "y", "z", "rx", "ry", "rz")),
+    *(f"{field}, all six" for field in FIELDS),
+)
+"""What of a state is ranked: each number, and the squared normalised error of each six."""
+
+_POINTS = 40  # at which a distribution function is compared
+_SIMULATED = 20_000  # sets of uniform ranks that bands come from
+_FEWEST = 20
+
+Progress = Callable[[int, int], None]
+"""Called after each session with its number and how many there will be."""
+
+
+@dataclass(frozen=True)
+class RankCheck:
+    """Ranks of one quantity over all sessions.
+
+    Attributes:
+        name: The quantity.
+        ranks: Probability integral transforms (M,) of the truth under the posterior.
+        p_value: Chance that uniform ranks stray as far somewhere.
+    """
+
+    name: str
+    ranks: Array
+    p_value: float
+
+    @property
+    def ecdf_difference(self) -> Array:
+        """Share of ranks (P,) below each of `rank_points`, less that of uniform ranks."""
+        points = rank_points()
+        return np.searchsorted(np.sort(self.ranks), points, side="right") / self.ranks.size - points
+
+
+@dataclass(frozen=True)
+class SimulationCheck:
+    """Ranks of every quantity, and whether all are uniform together.
+
+    Attributes:
+        estimator: 'batch' or 'online'.
+        checks: The quantities.
+        level: Probability with which all stay in their bands if confidence is true.
+        not_converged: How many estimates did not converge; their ranks count.
+    """
+
+    estimator: str
+    checks: list[RankCheck]
+    level: float
+    not_converged: int
+
+    @property
+    def outside(self) -> list[RankCheck]:
+        """The quantities whose ranks leave their band."""
+        return [c for c in self.checks if c.p_value < self.p_limit]
+
+    @property
+    def p_limit(self) -> float:
+        """The chance below which a quantity is outside: all of them share 1 − level."""
+        return (1.0 - self.level) / len(self.checks)
+
+    def as_json(self) -> dict[str, Any]:
+        """The verdict and every quantity, as JSON holds it."""
+        return {
+            "estimator": self.estimator,
+            "sessions": int(self.checks[0].ranks.size),
+            "not_converged": self.not_converged,
+            "level": self.level,
+            "uniform": not self.outside,
+            "quantities": [
+                {
+                    "name": c.name,
+                    "p_value": c.p_value,
+                    "uniform": c.p_value >= self.p_limit,
+                    "largest_difference": float(np.abs(c.ecdf_difference).max()),
+                }
+                for c in self.checks
+            ],
+        }
+
+
+def rank_points() -> Array:
+    """Where distribution functions are compared, evenly inside (0, 1)."""
+    return np.arange(1, _POINTS) / _POINTS
+
+
+@cache
+def _tails(count: int) -> Array:
+    """Two-sided tail probability (count + 1, P) of every number below each point, if uniform."""
+    lower = binom.cdf(np.arange(count + 1)[:, None], count, rank_points())
+    upper = 1.0 - np.vstack([np.zeros(lower.shape[1]), lower[:-1]])
+    return np.minimum(1.0, 2.0 * np.minimum(lower, upper))
+
+
+def _least_tail(below: Index, count: int) -> Array:
+    """The least tail probability (S,) of numbers of ranks (S, P) below each point."""
+    out: Array = np.take_along_axis(_tails(count), below, axis=0).min(axis=1)
+    return out
+
+
+@cache
+def _least_tails(count: int) -> Array:
+    """The least tail probability of uniform ranks (S,), sorted, from simulation."""
+    rng = np.random.default_rng(0)
+    drawn = rng.multinomial(count, np.full(_POINTS, 1.0 / _POINTS), _SIMULATED)
+    return np.sort(_least_tail(np.cumsum(drawn, axis=1)[:, :-1], count))
+
+
+def bands(count: int, chance: float) -> tuple[Array, Array]:
+    """Band of the ECDF difference (P,) that uniform ranks leave anywhere with a given chance.
+
+    Args:
+        count: Number of ranks.
+        chance: Probability of leaving it.
+
+    Returns:
+        Lower and upper limits at `rank_points`.
+    """
+    tails = _least_tails(count)
+    limit = tails[min(int(chance * tails.size), tails.size - 1)]
+    points = rank_points()
+    low, high = binom.ppf(0.5 * limit, count, points), binom.ppf(1.0 - 0.5 * limit, count, points)
+    return low / count - points, high / count - points
+
+
+def rank_checks(ranks: dict[str, Array]) -> list[RankCheck]:
+    """Check ranks (M,) of each quantity for uniformity at all points together.
+
+    Args:
+        ranks: Probability integral transforms by quantity, equally many of each.
+    """
+    count = len(next(iter(ranks.values())))
+    tails, points = _least_tails(count), rank_points()
+    out = []
+    for name, each in ranks.items():
+        below = np.searchsorted(np.sort(each), points, side="right")
+        least = float(_least_tail(below[None], count)[0])
+        p_value = (1 + np.searchsorted(tails, least, side="right")) / (1 + tails.size)
+        out.append(RankCheck(name, each, float(p_value)))
+    return out
+
+
+def misjudged(prior: Prior, factor: float) -> Prior:
+    """The prior with all its standard deviations times a factor.
+
+    Args:
+        prior: The prior.
+        factor: What to multiply with.
+    """
+    table = prior.to_table()
+
+    def scaled(key: str, value: Any) -> Any:
+        if isinstance(value, dict):
+            return {inner: scaled(inner, each) for inner, each in value.items()}
+        if key.startswith(("psd_", "var_")):
+            return (factor**2 * np.asarray(value)).tolist()
+        return value
+
+    robot = Table(scaled("", table), "scaled prior", RobotFileError)
+    entries = robot.table("prior", required=True)
+    assert entries is not None
+    cls = prior_class(entries.text("kind"))
+    return cls.from_table(entries, robot)
+
+
+def simulate_and_rank(
+    robot: Robot,
+    sessions: int,
+    *,
+    layout: tuple[Grid, Sequence[Readings]] | None = None,
+    estimators: Sequence[str] = ("batch", "online"),
+    prior_factor: float = 1.0,
+    seed: int = 0,
+    level: float = 0.95,
+    progress: Progress | None = None,
+) -> list[SimulationCheck]:
+    """Draw sessions from a robot's prior, estimate each, and check the ranks of the truth.
+
+    In each session the state at one random place is ranked, online that of the newest time, and
+    the sensor parameters at the same time; so ranks of different sessions are independent.
+
+    Args:
+        robot: The robot.
+        sessions: How many to draw.
+        layout: Grid and readings whose places, times and noise to take; of `session_layout` unless
+            given.
+        estimators: Some of 'batch' and 'online'.
+        prior_factor: Standard deviations of the prior that estimates with, over those drawn from.
+        seed: Of all chance.
+        level: Probability that all ranks stay in their bands if confidence is true.
+        progress: Called after each session.
+
+    Raises:
+        GlissandoError: There are too few sessions, or the prior cannot be drawn from.
+    """
+    if sessions < _FEWEST:
+        raise GlissandoError(f"{sessions} sessions say nothing of ranks; draw {_FEWEST} or more.")
+    grid, readings = layout or session_layout(robot)
+    predictive = PriorPredictive(robot, grid, readings)
+    believed = replace(robot, prior=misjudged(robot.prior, prior_factor))
+    ranked: dict[str, list[dict[str, float]]] = {name: [] for name in estimators}
+    failed = dict.fromkeys(estimators, 0)
+    for i in range(sessions):
+        rng = np.random.default_rng([seed, i])
+        session = predictive.draw(rng)
+        k, n = (int(rng.integers(size)) for size in predictive.fine.shape)
+        for name in estimators:
+            at = (k if name == "batch" else predictive.fine.shape[0] - 1, n)
+            posterior = _estimated(believed, grid, session.readings, online=name == "online")
+            failed[name] += not posterior.solve.converged
+            ranked[name].append(_ranks(posterior, predictive, session, at))
+        if progress is not None:
+            progress(i + 1, sessions)
+    return [
+        SimulationCheck(
+            name,
+            rank_checks({q: np.array([r[q] for r in each]) for q in each[0]}),
+            level,
+            failed[name],
+        )
+        for name, each in ranked.items()
+    ]
+
+
+def _estimated(robot: Robot, grid: Grid, readings: list[Readings], *, online: bool) -> Posterior:
+    """The posterior of all readings, or what the smoother has left of it at the end."""
+    parameters = robot.sensor_parameters
+    if online:
+        smoother = FixedLagSmoother(
+            robot.prior, grid.arclength, sensor_parameters=parameters, gate=None
+        )
+        for stream in readings:
+            smoother.add(stream)
+        for time in grid.time:
+            smoother.advance(float(time))
+        return smoother.posterior()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotConvergedWarning)
+        return estimate(robot.prior, grid, readings, sensor_parameters=parameters)
+
+
+def _ranks(
+    posterior: Posterior, predictive: PriorPredictive, session: Session, at: tuple[int, int]
+) -> dict[str, float]:
+    """Ranks of the truth at a fine node, and of the sensor parameters at the next time node."""
+    k, n = at
+    fine = predictive.fine
+    found: StateEstimate = posterior.at(fine.arclength[n], fine.time[k])
+    error = session.truth.take(at).difference(State(found.pose, found.strain, found.velocity))
+    std = np.sqrt(np.diagonal(found.cov))
+    out = dict(zip(QUANTITIES, norm.cdf(error / std).tolist(), strict=False))
+    for i, name in enumerate(QUANTITIES[18:]):
+        part = slice(6 * i, 6 * i + 6)
+        out[name] = _rank_of_square(error[part], found.cov[part, part])
+    row = int(np.argmin(np.abs(posterior.grid.time - fine.time[k])))
+    true_row = int(np.argmin(np.abs(fine.time - posterior.grid.time[row])))
+    columns = zip(predictive.process.each, predictive.process.columns, strict=True)
+    for parameter, where in columns:
+        values, cov = posterior.parameter(parameter.name)
+        free = parameter.std > 0.0
+        miss = session.parameters[true_row, where] - values[row]
+        out[f"{parameter.name}"] = _rank_of_square(miss[free], cov[row][np.ix_(free, free)])
+    return out
+
+
+def _rank_of_square(error: Array, cov: Array) -> float:
+    """Rank of the squared normalised length of an error (r,) among those that cov (r, r) gives."""
+    return float(chi2.cdf(error @ np.linalg.solve(cov, error), error.size))

@@ -1,0 +1,148 @@
+"""Simulation-based calibration: uniform ranks pass as often as they should, others are found."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.stats import norm
+
+from draws import generators, law, states
+from glissando import Grid, SensorParameter, load_robot
+from glissando.cli.main import main
+from glissando.errors import GlissandoError
+from glissando.evaluation.prior_predictive import PriorPredictive, noisy_values, session_layout
+from glissando.evaluation.simulation_based import (
+    bands,
+    misjudged,
+    rank_checks,
+    rank_points,
+    simulate_and_rank,
+)
+from glissando.model.sensors.parameter_process import ParameterValues
+from glissando.model.sensors.readings import SENSORS
+
+ROBOT = Path(__file__).parents[2] / "benchmarks" / "sbc.toml"
+
+
+@pytest.mark.parametrize("count", [50, 1000])
+def test_uniform_ranks_leave_simultaneous_bands_as_rarely_as_stated(count):
+    rng = np.random.default_rng(count)
+    low, high = bands(count, 0.05)
+    points, left = rank_points(), 0
+    for k in range(400):
+        ranks = rng.uniform(size=count)
+        check = rank_checks({"it": ranks})[0] if k < 40 else None
+        off = np.searchsorted(np.sort(ranks), points, side="right") / count - points
+        outside = bool(np.any((off < low - 1e-12) | (off > high + 1e-12)))
+        left += outside
+        if check is not None:
+            assert np.allclose(check.ecdf_difference, off)
+            assert (check.p_value < 0.05) == outside or abs(check.p_value - 0.05) < 0.01
+    assert 0.02 <= left / 400 <= 0.075
+
+
+@pytest.mark.parametrize("scale", [1.3, 1 / 1.3])
+def test_a_standard_deviation_misjudged_by_a_third_leaves_the_bands(scale):
+    rng = np.random.default_rng(3)
+    found = [
+        rank_checks({"it": norm.cdf(scale * rng.standard_normal(1000))})[0].p_value
+        for _ in range(20)
+    ]
+    assert max(found) < 0.01
+
+
+@law
+@given(generators, st.sampled_from(sorted(set(SENSORS) - {"fbg"})))
+def test_values_are_read_with_the_noise_that_is_stated(rng, kind):
+    """The residual of what is read is the noise: with next to none it is next to nothing."""
+    robot = load_robot(ROBOT)
+    cls, at = SENSORS[kind], states(rng, 5)
+    shape = cls.value_shape or (cls.rows,)
+    one = np.eye(shape[0]) if len(shape) == 2 else np.zeros(shape)
+    blank = cls(
+        time=np.zeros(5),
+        arclength=np.full(5, robot.length),
+        values=np.broadcast_to(one, (5, *shape)),
+        cov=np.full(cls.rows, 1e-12),
+    )
+    read = blank.changed(values=noisy_values(blank, at, rng))
+    gap = read.residual(at)
+    assert 1e-7 < np.abs(gap).max() < 1e-5
+
+
+def test_sessions_have_the_prior_and_the_parameters_that_the_robot_file_states():
+    """Base strain and drifts over many draws; corrected readings are those of the true motion."""
+    robot = load_robot(ROBOT)
+    offset = SensorParameter("place", "arclength_offset", ("coil",), np.zeros(1), np.array([0.01]))
+    late = SensorParameter("late", "time_offset", ("gyro",), np.zeros(1), np.array([0.01]))
+    robot = type(robot)(
+        **{**vars(robot), "sensor_parameters": (*robot.sensor_parameters, offset, late)}
+    )
+    grid, layout = session_layout(robot)
+    predictive = PriorPredictive(robot, grid, layout)
+    rng, strain, values = np.random.default_rng(0), [], []
+    for _ in range(200):
+        session = predictive.draw(rng)
+        strain.append(session.truth.strain[-1, 0])
+        values.append(session.parameters[-1])
+    rest = robot.prior.rest_strain
+    ratio = np.var(strain - rest, axis=0) / robot.prior.base.strain
+    assert np.all((ratio > 0.65) & (ratio < 1.45))
+    ratio = np.var(values, axis=0) / np.maximum(predictive.process.std, 1e-12) ** 2
+    assert np.all((ratio > 0.65) & (ratio < 1.45))
+    drawn = ParameterValues(predictive.process, session.parameters)
+    for readings in session.readings:
+        put_right = drawn.corrected(readings, drawn.at(readings.time))
+        put_right = drawn.relocated(put_right)
+        k = np.abs(predictive.fine.time[:, None] - put_right.time).argmin(axis=0)
+        n = np.abs(predictive.fine.arclength[:, None] - put_right.arclength).argmin(axis=0)
+        white = put_right.residual(session.truth.take((k, n))) / np.sqrt(np.diag(readings.cov))
+        inner = (put_right.time > 0.05) & (put_right.arclength < robot.length - 0.05)
+        assert np.abs(white[inner]).max(initial=0.0) < 5.0
+
+
+def test_a_prior_scaled_by_a_factor_has_so_many_times_its_deviations():
+    prior = load_robot("tdcr466-segments").prior
+    wide = misjudged(prior, 1.3)
+    for name in ("psd_strain_arclength", "jumps"):
+        assert np.allclose(getattr(wide, name), 1.69 * getattr(prior, name))
+    assert np.allclose(wide.base.strain, 1.69 * prior.base.strain)
+    assert wide.time_scale == prior.time_scale
+
+
+def test_the_command_writes_verdict_and_figure_and_says_what_it_lacks(tmp_path, capsys):
+    out = tmp_path / "ranks"
+    words = ["check", "--draws", "20", "--robot", str(ROBOT), "--json", "--out", str(out)]
+    assert main(words) == 0
+    (batch, online) = json.loads(capsys.readouterr().out)["simulation"]
+    assert batch["estimator"] == "batch"
+    assert online["sessions"] == 20
+    assert (out / "ranks.png").stat().st_size > 1000
+    for wrong, said in (
+        (["--draws", "20"], "needs a robot"),
+        (["--draws", "2", "--robot", str(ROBOT)], "draw 20 or more"),
+        (["--draws", "20", "--prior-factor", "0", "--robot", str(ROBOT)], "above zero"),
+        ([], "Nothing to check"),
+    ):
+        assert main(["check", *wrong]) == 2
+        assert said in capsys.readouterr().err
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("factor", "uniform"), [(1.0, True), (1.3, False), (1 / 1.3, False)])
+def test_ranks_are_uniform_and_a_prior_wrong_by_a_third_is_found(factor, uniform):
+    found = simulate_and_rank(load_robot(ROBOT), 80, prior_factor=factor, estimators=["batch"])
+    assert found[0].not_converged == 0
+    assert (not found[0].outside) == uniform
+
+
+def test_a_prior_without_a_base_cannot_be_drawn_from():
+    robot = load_robot("tdcr466")
+    robot = replace(robot, prior=replace(robot.prior, base=None))
+    grid = Grid(robot.arclength_nodes, [0.0, 0.1])
+    with pytest.raises(GlissandoError, match="no \\[base\\]"):
+        PriorPredictive(robot, grid, [])
