@@ -232,7 +232,9 @@ class _Run:
     def _predict(self, arrived: list[Readings]) -> None:
         """Score readings by what is predicted of them before they are used."""
         since = self.smoother.time
-        for readings in arrived if since is not None else ():
+        if since is None:
+            return
+        for readings in arrived:
             ahead = corrected(readings.select(readings.time > since), self.known)
             adaptive = self.adaptive.setdefault(readings.label, AdaptiveSet())
             try:

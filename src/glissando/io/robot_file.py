@@ -96,10 +96,7 @@ def parse_robot(table: Table) -> Robot:
     tube = _tube(table.table("tube"))
     table.skip("physics")  # of the simulator, which checks it
     table.close()
-<<<<<<< HEAD
-    return Robot(name, length, nodes, rate, prior, *sensors, sensor_parameters, mechanics)
-=======
-    return Robot(name, length, nodes, rate, prior, *sensors, sensor_parameters, tube)
+    return Robot(name, length, nodes, rate, prior, *sensors, sensor_parameters, mechanics, tube)
 
 
 def _tube(table: Table | None) -> Tube | None:
@@ -126,7 +123,6 @@ def with_tube(text: str, tube: Tube) -> str:
     kept = re.sub(r"^\[tube\][^\n]*\n(?:(?!\[)[^\n]*(?:\n|\Z))*", "", text, flags=re.MULTILINE)
     entries = "".join(f"{key} = {value}\n" for key, value in vars(tube).items())
     return f"{kept.rstrip()}\n\n[tube]\n{entries}"
->>>>>>> d5346d2 (Check confidence by drawn sessions, and promise a tube without a model)
 
 
 def _grid(table: Table, length: float) -> tuple[Array, float]:

@@ -33,11 +33,8 @@ class Robot:
         sensor_range: Largest value that a kind of sensor can report, SI units.
         sensor_rate: Readings a second of trackers that are polled faster than they measure.
         sensor_parameters: Frames, mounts, offsets and biases of streams by name.
-<<<<<<< HEAD
         mechanics: What it is made of, where that is stated.
-=======
         tube: A whole-body tube whose coverage is promised, if one was calibrated.
->>>>>>> d5346d2 (Check confidence by drawn sessions, and promise a tube without a model)
     """
 
     name: str
@@ -50,11 +47,8 @@ class Robot:
     sensor_range: dict[str, float] = field(default_factory=dict)
     sensor_rate: dict[str, float] = field(default_factory=dict)
     sensor_parameters: tuple[SensorParameter, ...] = ()
-<<<<<<< HEAD
     mechanics: Mechanics | None = None
-=======
     tube: Tube | None = None
->>>>>>> d5346d2 (Check confidence by drawn sessions, and promise a tube without a model)
 
     def grid(self, start: float, stop: float) -> Grid:
         """The robot's grid over the times [start, stop] in seconds.
