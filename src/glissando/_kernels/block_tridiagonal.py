@@ -4,65 +4,39 @@ from __future__ import annotations
 
 import numpy as np
 
+from glissando._kernels.blas import (
+    banded_product,
+    lower_product,
+    product,
+    triangle_product,
+    triangle_square,
+)
 from glissando._kernels.jit import jit
 from glissando._kernels.process import whiten_into
 
-_BASE = 24  # rows of a block up to which its inverse factor is found row by row
-
-
-@jit()
-def _product(a, b, out):
-    """The product a b of contiguous matrices, by BLAS: one layout, so it is compiled once."""
-    np.dot(a, b, out)
-
-
-@jit()
-def _transposed(a, out):
-    """The transpose of a matrix, contiguous, in `out`."""
-    for i in range(a.shape[0]):
-        for j in range(a.shape[1]):
-            out[j, i] = a[i, j]
-    return out
-
-
-@jit()
-def _copied(a, row, column, rows, columns):
-    """A part of a matrix, contiguous."""
-    out = np.empty((rows, columns))
-    for i in range(rows):
-        for j in range(columns):
-            out[i, j] = a[row + i, column + j]
-    return out
+_BASE = 12  # rows of a block up to which its inverse factor is found row by row
 
 
 @jit()
 def _inverse_factor(a, out):
-    """L⁻¹ of a symmetric matrix L Lᵀ, into `out`: by halves, whose products run at full speed."""
+    """L⁻¹ of a symmetric matrix L Lᵀ, into `out`: by halves, whose products run at full speed.
+
+    Only the lower triangle of `a` is read, and its memory is used.
+    """
     n = len(a)
     if n <= _BASE:
         whiten_into(a, out)
         return
     h = n // 2
-    m = n - h
-    corner, side, tail = _copied(a, 0, 0, h, h), _copied(a, h, 0, m, h), _copied(a, h, h, m, m)
-    top, low = np.empty((h, h)), np.empty((m, m))
-    below, half, square = np.empty((m, h)), np.empty((m, h)), np.empty((m, m))
-    turned = np.empty((h, m))
-    _inverse_factor(corner, top)
-    _product(side, _transposed(top, corner), below)
-    _product(below, _transposed(below, turned), square)
-    for i in range(m):
-        for j in range(m):
-            tail[i, j] -= square[i, j]
+    side, top, below = a[h:n, 0:h], out[0:h, 0:h], out[h:n, 0:h]
+    tail, low = a[h:n, h:n], out[h:n, h:n]
+    _inverse_factor(a[0:h, 0:h], top)
+    product(side, top, below, 1.0, 0.0, False, True)
+    lower_product(below, below, tail, -1.0, 1.0, False)
     _inverse_factor(tail, low)
-    _product(below, top, half)
-    _product(low, half, side)
-    for i in range(n):
-        for j in range(n):
-            if i < h:
-                out[i, j] = top[i, j] if j < h else 0.0
-            else:
-                out[i, j] = -side[i - h, j] if j < h else low[i - h, j - h]
+    product(below, top, side, 1.0, 0.0, False, False)
+    product(low, side, below, -1.0, 0.0, False, False)
+    out[0:h, h:n] = 0.0
 
 
 @jit("(f8[:,:,::1], f8[:,:,::1], i8, f8[:,:,::1], f8[:,:,::1])")
@@ -73,16 +47,14 @@ def factor(diagonal, lower, start, inverse, coupling):
     A[k, k+1] are written; those before `start` are used as they are.
     """
     d = diagonal.shape[1]
-    schur, turned = np.empty((d, d)), np.empty((d, d))
+    schur = np.empty((d, d))
     for k in range(start, len(diagonal)):
+        schur[:, :] = diagonal[k]
         if k:
-            _product(_transposed(coupling[k - 1], turned), coupling[k - 1], schur)
-        for i in range(d):
-            for j in range(d):
-                schur[i, j] = diagonal[k, i, j] - (schur[i, j] if k else 0.0)
-        _inverse_factor(schur, inverse[k])
+            lower_product(coupling[k - 1], coupling[k - 1], schur, -1.0, 1.0, True)
+        _inverse_factor(schur[0:d, 0:d], inverse[k, 0:d, 0:d])
         if k < len(coupling):
-            _product(inverse[k], _transposed(lower[k], turned), coupling[k])
+            banded_product(inverse[k], lower[k], coupling[k])
 
 
 @jit("(f8[:,:,::1], f8[:,:,::1], f8[:,::1])")
@@ -120,19 +92,16 @@ def backward(inverse, coupling, x):
 def marginals(inverse, coupling, cov, cross):
     """Blocks of the inverse on the diagonal and next to it; they may overwrite the factor."""
     d = inverse.shape[1]
-    block, gain = np.empty((d, d)), np.empty((d, d))
-    carried, square, root = np.empty((d, d)), np.empty((d, d)), np.empty((d, d))
+    block, gain, carried = np.empty((d, d)), np.empty((d, d)), np.empty((d, d))
     for k in range(len(inverse) - 1, -1, -1):
-        _transposed(inverse[k], root)
-        _product(root, inverse[k], block)
+        triangle_square(inverse[k], block)
         if k < len(coupling):
-            _product(root, coupling[k], gain)
-            _product(gain, cov[k + 1], carried)
-            _product(carried, _transposed(gain, root), square)
+            triangle_product(inverse[k], coupling[k], gain)
+            product(gain, cov[k + 1], carried, 1.0, 0.0, False, False)
+            lower_product(carried, gain, block, 1.0, 1.0, False)
             for i in range(d):
                 for j in range(d):
-                    block[i, j] += square[i, j]
                     cross[k, i, j] = -carried[i, j]
         for i in range(d):
             for j in range(i + 1):
-                cov[k, i, j] = cov[k, j, i] = 0.5 * (block[i, j] + block[j, i])
+                cov[k, i, j] = cov[k, j, i] = block[i, j]

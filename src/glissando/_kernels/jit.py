@@ -53,6 +53,21 @@ class Kernel:
         return self.compiled(*arguments)
 
 
+class External:
+    """A function of another library that kernels call, by its symbol and its type."""
+
+    def __init__(self, symbol: str, signature: str) -> None:
+        self.symbol, self.signature = symbol, signature
+
+    def compiled(self) -> Any:
+        """What numba takes for it."""
+        from numba import types
+        from numba.core.sigutils import normalize_signature
+
+        arguments, returned = normalize_signature(self.signature)
+        return types.ExternalFunction(self.symbol, returned(*arguments))
+
+
 def jit(*signatures: str) -> Callable[[Callable[..., Any]], Any]:
     """A decorator that makes a kernel; sums inside it may be done in any order.
 
@@ -100,6 +115,8 @@ def _dispatchers() -> tuple[list[Kernel], Path]:
         for name, value in kernel.function.__globals__.items():
             if isinstance(value, Kernel):
                 kernel.function.__globals__[name] = value.compiled
+            elif isinstance(value, External):
+                kernel.function.__globals__[name] = value.compiled()
     return kernels, folder
 
 

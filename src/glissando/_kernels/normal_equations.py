@@ -12,41 +12,78 @@ import numpy as np
 from glissando._kernels.jit import jit
 from glissando._kernels.process import whiten_into
 
+_GROUP = 6  # columns of one field of a node: pose, strain, velocity, strain rate
 _BATCH = "i8[:,::1], i8, f8[:,:,:,::1], f8[:,::1], f8[:,:,::1], f8[:,:,::1]"
 
 
 @jit()
-def _whitened(sqrt_info, jacobian, extras, residual, white, miss):
-    """White Jacobian (r, q) of one factor, parameters' columns last, and white residual (r,)."""
-    r, wide = len(miss), jacobian.shape[1] * jacobian.shape[2]
-    rows = jacobian.reshape(r, wide)
-    for i in range(r):
-        miss[i] = 0.0
-        for j in range(white.shape[1]):
-            white[i, j] = 0.0
-        for k in range(r):
-            share = sqrt_info[i, k]
-            if share != 0.0:
-                miss[i] += share * residual[k]
-                for j in range(wide):
-                    white[i, j] += share * rows[k, j]
-                for j in range(extras.shape[1]):
-                    white[i, wide + j] += share * extras[k, j]
+def _groups(nodes, first_dof, jacobian, extras, n_count, dof, count, groups):
+    """Interval of a factor; its groups of columns with a slope, and how many they are.
+
+    A group is some columns of one node, or the parameters' at one end of the interval: `groups` are
+    the end it belongs to, its column there, its width, and its column in the Jacobian.
+    """
+    r, c, d = jacobian.shape
+    e = extras.shape[1] // 2
+    k, found = nodes[0] // n_count, 0
+    if e:
+        k = min(k, max(count - 2, 0))
+    for a in range(c):
+        slab, inner = divmod(nodes[a], n_count)
+        for part in range(0, d, _GROUP):
+            width, live = min(_GROUP, d - part), False
+            for y in range(r):
+                for x in range(part, part + width):
+                    live |= jacobian[y, a, x] != 0.0
+            if live and slab < count:
+                groups[found, 0], groups[found, 1] = slab - k, inner * dof + first_dof + part
+                groups[found, 2], groups[found, 3] = width, a * d + part
+                found += 1
+    for later in range(2 if e else 0):
+        if k + later < count:  # parameters after the last node have no weight
+            groups[found, 0], groups[found, 1] = later, n_count * dof
+            groups[found, 2], groups[found, 3] = e, c * d + later * e
+            found += 1
+    return k, found
 
 
 @jit()
-def _places(nodes, first_dof, d, extras, n_count, dof, count, place):
-    """Interval of a factor; of each group of its columns: end of the interval, column, width."""
-    k = nodes[0] // n_count
-    if extras:
-        k = min(k, max(count - 2, 0))
-    for a in range(len(nodes)):
-        slab, inner = divmod(nodes[a], n_count)
-        place[a, 0], place[a, 1], place[a, 2] = slab - k, inner * dof + first_dof, d
-    for later in range(2):
-        a = len(nodes) + later
-        place[a, 0], place[a, 1], place[a, 2] = later, n_count * dof, extras
-    return k
+def _whitened(sqrt_info, jacobian, extras, residual, groups, white, miss):
+    """White Jacobian of the groups (r, ·), side by side, and white residual (r,); its width."""
+    r, wide = len(miss), jacobian.shape[1] * jacobian.shape[2]
+    rows, width = jacobian.reshape(r, wide), 0
+    for i in range(r):
+        miss[i] = 0.0
+        for k in range(r):
+            miss[i] += sqrt_info[i, k] * residual[k]
+    for g in range(len(groups)):
+        at = groups[g, 3]
+        source = rows[:, at:] if at < wide else extras[:, at - wide :]
+        for i in range(r):
+            for j in range(groups[g, 2]):
+                white[i, width + j] = 0.0
+            for k in range(r):
+                share = sqrt_info[i, k]
+                if share != 0.0:
+                    for j in range(groups[g, 2]):
+                        white[i, width + j] += share * source[k, j]
+        width += groups[g, 2]
+    return width
+
+
+@jit()
+def _squared(white, miss, width, weight, square, pull):
+    """Weighted JᵀJ and Jᵀr of the first columns (r, width) of a white Jacobian."""
+    for a in range(width):
+        pull[a] = 0.0
+        for b in range(width):
+            square[a, b] = 0.0
+        for y in range(len(miss)):
+            share = weight * white[y, a]
+            if share != 0.0:  # whiteners are triangular, Jacobians half empty
+                pull[a] += share * miss[y]
+                for b in range(width):
+                    square[a, b] += share * white[y, b]
 
 
 @jit(f"({_BATCH}, f8[::1], i8, i8, f8[:,:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,::1], f8[:,::1])")
@@ -60,48 +97,31 @@ def accumulate(
     couples its end (rows) with its beginning (columns).
     """
     m, r, c, d = jacobian.shape
-    e, count = extras.shape[2] // 2, len(begin)
-    q = c * d + 2 * e
-    white, miss, square = np.empty((r, q)), np.empty(r), np.empty((q, q))
-    place = np.empty((c + 2, 3), np.int64)
+    q, count = c * d + extras.shape[2], len(begin)
+    white, miss, square, pull = np.empty((r, q)), np.empty(r), np.empty((q, q)), np.empty(q)
+    room = np.empty((q + 2, 4), np.int64)
     for i in range(m):
-        k = _places(nodes[i], first_dof, d, e, n_count, dof, count, place)
-        _whitened(sqrt_info[i], jacobian[i], extras[i], residual[i], white, miss)
-        for a in range(q):
-            for b in range(a + 1):
-                square[a, b] = 0.0
-        for y in range(r):
-            for a in range(q):
-                for b in range(a + 1):
-                    square[a, b] += white[y, a] * white[y, b]
-        for a in range(q):
-            for b in range(a):
-                square[b, a] = square[a, b]
+        k, found = _groups(nodes[i], first_dof, jacobian[i], extras[i], n_count, dof, count, room)
+        groups = room[:found]
+        width = _whitened(sqrt_info[i], jacobian[i], extras[i], residual[i], groups, white, miss)
+        _squared(white, miss, width, weights[i], square, pull)
         row = 0
-        for a in range(c + 2):
-            late, at, width = place[a, 0], place[a, 1], place[a, 2]
-            if k + late < count:
-                for x in range(width):
-                    pull = 0.0
-                    for y in range(r):
-                        pull += white[y, row + x] * miss[y]
+        for a in range(found):
+            late, at, height = groups[a, 0], groups[a, 1], groups[a, 2]
+            rhs, column = rhs_end[k] if late else rhs_begin[k], 0
+            for x in range(height):
+                rhs[at + x] -= pull[row + x]
+            for b in range(found):
+                beside, wide = groups[b, 1], groups[b, 2]
+                if groups[b, 0] <= late:
+                    block = begin[k]
                     if late:
-                        rhs_end[k, at + x] -= weights[i] * pull
-                    else:
-                        rhs_begin[k, at + x] -= weights[i] * pull
-                column = 0
-                for b in range(c + 2):
-                    if place[b, 0] <= late and (place[b, 0] or not late or k < len(across)):
-                        block = begin[k]
-                        if late:
-                            block = end[k] if place[b, 0] else across[k]
-                        for x in range(width):
-                            for y in range(place[b, 2]):
-                                block[at + x, place[b, 1] + y] += (
-                                    weights[i] * square[row + x, column + y]
-                                )
-                    column += place[b, 2]
-            row += width
+                        block = end[k] if groups[b, 0] else across[k]
+                    for x in range(height):
+                        for y in range(wide):
+                            block[at + x, beside + y] += square[row + x, column + y]
+                column += wide
+            row += height
 
 
 @jit(f"({_BATCH}, i8, i8, i8, i8)")
@@ -110,20 +130,19 @@ def spread_out(
 ):  # fmt: skip
     """Whitened residuals (M, r) and Jacobians (M, r, count · size) by all time nodes."""
     m, r, c, d = jacobian.shape
-    e = extras.shape[2] // 2
-    white, place = np.empty((r, c * d + 2 * e)), np.empty((c + 2, 3), np.int64)
+    q = c * d + extras.shape[2]
+    white, room = np.empty((r, q)), np.empty((q + 2, 4), np.int64)
     out, miss = np.zeros((m, r, count * size)), np.empty((m, r))
     for i in range(m):
-        k = _places(nodes[i], first_dof, d, e, n_count, dof, count, place)
-        _whitened(sqrt_info[i], jacobian[i], extras[i], residual[i], white, miss[i])
+        k, found = _groups(nodes[i], first_dof, jacobian[i], extras[i], n_count, dof, count, room)
+        _whitened(sqrt_info[i], jacobian[i], extras[i], residual[i], room[:found], white, miss[i])
         column = 0
-        for a in range(c + 2):
-            at = (k + place[a, 0]) * size + place[a, 1]
-            for x in range(place[a, 2]):
-                if at + x < count * size:  # parameters after the last node have no weight
-                    for y in range(r):
-                        out[i, y, at + x] = white[y, column + x]
-            column += place[a, 2]
+        for g in range(found):
+            at = (k + room[g, 0]) * size + room[g, 1]
+            for y in range(r):
+                for x in range(room[g, 2]):
+                    out[i, y, at + x] = white[y, column + x]
+            column += room[g, 2]
     return miss, out
 
 

@@ -15,13 +15,14 @@ from glissando.errors import (
     UnobservableError,
 )
 from glissando.estimation.posterior import Posterior, SolveReport
+from glissando.estimation.starting_point import starting_point
 from glissando.model.grid import Grid
 from glissando.model.priors.prior import Prior
 from glissando.model.sensors.parameters import SensorParameter, corrected
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
 from glissando.solver.gauss_newton import Progress, Solution, SolverOptions, Stopwatch, minimize
-from glissando.solver.located_readings import LocatedReadings, locate
+from glissando.solver.located_readings import locate
 
 
 def estimate(
@@ -36,8 +37,7 @@ def estimate(
 ) -> Posterior:
     """Posterior over pose, strain and velocity, continuous in arclength and time.
 
-    The iteration starts at rest, first with a prior whose shear and extension are soft if they are
-    stiff: stiff ones make a bend a long walk along a narrow valley.
+    The iteration starts at rest, over coarse time nodes.
 
     Args:
         prior: What is believed before any reading.
@@ -62,7 +62,9 @@ def estimate(
     known = [parameter for parameter in sensor_parameters if parameter.known]
     with one_thread():
         located = locate(grid, [corrected(r, known) for r in readings], sensor_parameters)  # (16)
-        start, located, before = _start(prior, located, initial, progress, clock)
+        start, before = initial, 0
+        if start is None:
+            start, located, before = starting_point(prior, located, progress, clock)
         solution = minimize(prior, located, start, options, _after(before, progress), clock)  # (19)
         evidence = _log_evidence(solution)  # (22)
         with clock("covariance"):
@@ -93,24 +95,6 @@ def _require_sound(
             "Nothing fixes the base: the robot has no [base] and no pose, coil or position stream "
             "is used. Give the robot a [base], or use a stream that fixes it."
         )
-
-
-def _start(
-    prior: Prior,
-    located: LocatedReadings,
-    initial: State | None,
-    progress: Progress | None,
-    clock: Stopwatch,
-) -> tuple[State, LocatedReadings, int]:
-    """Where to start: as given, at rest, or where a softer prior leads from there; iterations."""
-    if initial is not None:
-        return initial, located, 0
-    rest, soft = prior.rest_state(located.grid), prior.softened()
-    if soft is prior:
-        return rest, located, 0
-    options = SolverOptions.rough(rest.pose.shape[0] * rest.numbers)
-    rough = minimize(soft, located, rest, options, progress, clock)
-    return rough.state, rough.located, rough.iterations
 
 
 def _after(before: int, progress: Progress | None) -> Progress | None:

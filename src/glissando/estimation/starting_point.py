@@ -1,0 +1,96 @@
+"""Where an estimate starts: at rest, and from there over coarse time nodes to near the answer.
+
+The first iterations take long steps, which a coarse grid and some of the readings show as well as
+all of them, at a fraction of the cost (nested iteration, as multigrid methods start).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from glissando.errors import UnobservableError
+from glissando.geometry import se3
+from glissando.geometry.se3 import Array
+from glissando.model.grid import Grid
+from glissando.model.priors.prior import Prior
+from glissando.model.sensors.readings import Readings
+from glissando.model.state import State
+from glissando.solver.gauss_newton import Progress, SolverOptions, Stopwatch, minimize
+from glissando.solver.located_readings import LocatedReadings, locate
+
+_COARSER = 4  # fine time nodes to a coarse one
+_WORTHWHILE = 7  # coarse time nodes below which they save nothing
+
+
+def starting_point(
+    prior: Prior, located: LocatedReadings, progress: Progress | None, clock: Stopwatch
+) -> tuple[State, LocatedReadings, int]:
+    """Near the estimate, from coarse time nodes and a prior that bends easily, where these pay.
+
+    Stiff shear and extension make a bend a long walk along a narrow valley, so a stiff prior starts
+    from the estimate of a softer one.
+
+    Args:
+        prior: What is believed before any reading.
+        located: The readings on the grid of the estimate.
+        progress: Called after each iteration.
+        clock: Times the phases.
+
+    Returns:
+        State (K, N), the readings with the sensor parameters that go with it, iterations.
+    """
+    state, iterations, soft = prior.rest_state(located.grid), 0, prior.softened()
+    coarse = _coarsened(located)
+    if coarse is not None:
+        options = SolverOptions.rough(coarse.grid.time.size * state.numbers)
+        try:
+            rough = minimize(
+                soft, coarse, prior.rest_state(coarse.grid), options, progress, clock
+            )
+        except (UnobservableError, np.linalg.LinAlgError):
+            pass  # the readings that were left out are needed
+        else:
+            parameters = rough.located.parameters
+            step = parameters.at(located.grid.time) - located.parameters.values
+            state = _refined(rough.state, coarse.grid.time, located.grid.time)
+            return state, located.moved(step), rough.iterations
+    if soft is not prior:
+        options = SolverOptions.rough(state.pose.shape[0] * state.numbers)
+        rough = minimize(soft, located, state, options, progress, clock)
+        state, located, iterations = rough.state, rough.located, rough.iterations
+    return state, located, iterations
+
+
+def _coarsened(located: LocatedReadings) -> LocatedReadings | None:
+    """Some of the readings on some of the time nodes; None where that saves nothing."""
+    time, arclength = located.grid.time, located.grid.arclength
+    intervals = (time.size - 1) // _COARSER
+    if intervals < _WORTHWHILE:
+        return None
+    kept = np.round(np.linspace(0, time.size - 1, intervals + 1)).astype(int)
+    return locate(
+        Grid(arclength, time[kept], located.grid.before),
+        [_thinned(readings, time) for readings in located.streams],
+        located.parameters.process.each,
+        located.parameters.values[kept],
+    )
+
+
+def _thinned(readings: Readings, time: Array) -> Readings:
+    """The readings that suffice for coarse time nodes: about two a node of each stream."""
+    every = max(1, 2 * len(readings) * _COARSER // (8 * time.size))
+    return readings.select(np.arange(0, len(readings), every))
+
+
+def _refined(state: State, coarse: Array, time: Array) -> State:
+    """States (K, N) at other times, by cubics in the tangent space through pose and velocity."""
+    lower = np.clip(np.searchsorted(coarse, time, side="right") - 1, 0, coarse.size - 2)
+    step = (coarse[lower + 1] - coarse[lower])[:, None, None]
+    u = ((time - coarse[lower]) / step[:, 0, 0])[:, None, None]
+    start, end = state.take(lower), state.take(lower + 1)
+    apart = se3.log(se3.inverse(start.pose) @ end.pose)
+    first, last = step * start.velocity, step * end.velocity
+    last = np.einsum("knij,knj->kni", se3.right_jacobian_inverse(apart), last)
+    bend = (3 * u**2 - 2 * u**3) * apart + (u - 2 * u**2 + u**3) * first + (u**3 - u**2) * last
+    others = zip(start.fields()[1:], end.fields()[1:], strict=True)
+    return State(start.pose @ se3.exp(bend), *((1 - u) * a + u * b for a, b in others))
