@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from glissando._kernels.blas import product
 from glissando._kernels.jit import jit
 from glissando._kernels.lie import (
     ad_into,
@@ -17,7 +18,7 @@ from glissando._kernels.lie import (
     slope_into,
     times_into,
 )
-from glissando._kernels.process import apply_into, matmul_into
+from glissando._kernels.process import apply_into
 
 
 @jit()
@@ -78,8 +79,8 @@ def _error(pose0, pose1, fields0, fields1, step, error, j0, j1):
     _put(j1, 0, 0, spread, 1.0)
     _put(j1, 12, 12, spread, 1.0)
     slope_into(xi, xi_rate, slope)
-    matmul_into(spread, slope, a)
-    matmul_into(a, spread, by_miss)
+    product(spread, slope, a, 1.0, 0.0, False, False)
+    product(a, spread, by_miss, 1.0, 0.0, False, False)
     ad_into(drawn, b)
     times_into(spread, b, a)
     for i in range(6):
@@ -91,12 +92,12 @@ def _error(pose0, pose1, fields0, fields1, step, error, j0, j1):
         for j in range(6):
             by_ahead[i, j] = by_miss[i, j] - a[i, j]
     _put(j1, 12, 0, by_ahead, 1.0)
-    matmul_into(by_ahead, back, a)
+    product(by_ahead, back, a, 1.0, 0.0, False, False)
     _put(j0, 12, 0, a, -1.0)
     slope_into(scaled, rate0, slope)
     times_into(spread, unmiss, a)
-    matmul_into(a, slope, b)
-    matmul_into(by_miss, pull, a)
+    product(a, slope, b, 1.0, 0.0, False, False)
+    product(by_miss, pull, a, 1.0, 0.0, False, False)
     for i in range(6):
         for j in range(6):
             a[i, j] += step * step * b[i, j]
@@ -120,7 +121,7 @@ def interval_error(pose0, pose1, fields0, fields1, step):
 def _spread(gain, turn, curl, e, d, out):
     """Jacobian (24, 24) at the point with respect to one end, through the interval's error."""
     for half in (0, 12):
-        matmul_into(gain, e[half : half + 12], d[half : half + 12])
+        product(gain, e[half : half + 12], d[half : half + 12], 1.0, 0.0, False, False)
     for i in range(6):
         for j in range(24):
             out[6 + i, j], out[18 + i, j] = d[6 + i, j], d[18 + i, j]
@@ -194,7 +195,7 @@ def interval_between(pose0, pose1, fields0, fields1, step, offset, gain, whole, 
         for i in range(6):
             for j in range(6):
                 b[i, j] += u * u * slope[i, j]
-        matmul_into(unbend, b, slope)
+        product(unbend, b, slope, 1.0, 0.0, False, False)
         times_into(unbend, back, a)
         times_into(unbend, stretch, b)
         for i in range(6):

@@ -9,11 +9,22 @@ from __future__ import annotations
 
 import numpy as np
 
+from glissando._kernels.blas import product
 from glissando._kernels.jit import jit
-from glissando._kernels.process import whiten_into
+from glissando._kernels.process import apply_into, whiten_into
 
 _GROUP = 6  # columns of one field of a node: pose, strain, velocity, strain rate
 _BATCH = "i8[:,::1], i8, f8[:,:,:,::1], f8[:,::1], f8[:,:,::1], f8[:,:,::1]"
+
+
+@jit()
+def _is_zero(jacobian, node, first, last):
+    """Whether no row has a slope by columns of a node."""
+    for y in range(len(jacobian)):
+        for x in range(first, last):
+            if jacobian[y, node, x] != 0.0:
+                return False
+    return True
 
 
 @jit()
@@ -31,11 +42,8 @@ def _groups(nodes, first_dof, jacobian, extras, n_count, dof, count, groups):
     for a in range(c):
         slab, inner = divmod(nodes[a], n_count)
         for part in range(0, d, _GROUP):
-            width, live = min(_GROUP, d - part), False
-            for y in range(r):
-                for x in range(part, part + width):
-                    live |= jacobian[y, a, x] != 0.0
-            if live and slab < count:
+            width = min(_GROUP, d - part)
+            if slab < count and not _is_zero(jacobian, a, part, part + width):
                 groups[found, 0], groups[found, 1] = slab - k, inner * dof + first_dof + part
                 groups[found, 2], groups[found, 3] = width, a * d + part
                 found += 1
@@ -48,42 +56,19 @@ def _groups(nodes, first_dof, jacobian, extras, n_count, dof, count, groups):
 
 
 @jit()
-def _whitened(sqrt_info, jacobian, extras, residual, groups, white, miss):
-    """White Jacobian of the groups (r, ·), side by side, and white residual (r,); its width."""
-    r, wide = len(miss), jacobian.shape[1] * jacobian.shape[2]
-    rows, width = jacobian.reshape(r, wide), 0
-    for i in range(r):
-        miss[i] = 0.0
-        for k in range(r):
-            miss[i] += sqrt_info[i, k] * residual[k]
+def _whitened(sqrt_info, jacobian, extras, residual, groups, slopes, white, miss):
+    """White Jacobian (r, ·) of the groups side by side, white residual (r,); the width."""
+    r, wide, width = len(miss), jacobian.shape[1] * jacobian.shape[2], 0
+    rows = jacobian.reshape(r, wide)
     for g in range(len(groups)):
         at = groups[g, 3]
-        source = rows[:, at:] if at < wide else extras[:, at - wide :]
         for i in range(r):
             for j in range(groups[g, 2]):
-                white[i, width + j] = 0.0
-            for k in range(r):
-                share = sqrt_info[i, k]
-                if share != 0.0:
-                    for j in range(groups[g, 2]):
-                        white[i, width + j] += share * source[k, j]
+                slopes[i, width + j] = rows[i, at + j] if at < wide else extras[i, at - wide + j]
         width += groups[g, 2]
+    apply_into(sqrt_info, residual, miss)
+    product(sqrt_info, slopes[:, :width], white[:, :width], 1.0, 0.0, False, False)
     return width
-
-
-@jit()
-def _squared(white, miss, width, weight, square, pull):
-    """Weighted JᵀJ and Jᵀr of the first columns (r, width) of a white Jacobian."""
-    for a in range(width):
-        pull[a] = 0.0
-        for b in range(width):
-            square[a, b] = 0.0
-        for y in range(len(miss)):
-            share = weight * white[y, a]
-            if share != 0.0:  # whiteners are triangular, Jacobians half empty
-                pull[a] += share * miss[y]
-                for b in range(width):
-                    square[a, b] += share * white[y, b]
 
 
 @jit(f"({_BATCH}, f8[::1], i8, i8, f8[:,:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,::1], f8[:,::1])")
@@ -98,19 +83,23 @@ def accumulate(
     """
     m, r, c, d = jacobian.shape
     q, count = c * d + extras.shape[2], len(begin)
-    white, miss, square, pull = np.empty((r, q)), np.empty(r), np.empty((q, q)), np.empty(q)
-    room = np.empty((q + 2, 4), np.int64)
+    slopes, white, miss = np.empty((r, q)), np.empty((r, q)), np.empty(r)
+    square, room = np.empty((q, q)), np.empty((q + 2, 4), np.int64)
     for i in range(m):
         k, found = _groups(nodes[i], first_dof, jacobian[i], extras[i], n_count, dof, count, room)
         groups = room[:found]
-        width = _whitened(sqrt_info[i], jacobian[i], extras[i], residual[i], groups, white, miss)
-        _squared(white, miss, width, weights[i], square, pull)
+        width = _whitened(
+            sqrt_info[i], jacobian[i], extras[i], residual[i], groups, slopes, white, miss
+        )
+        live = white[:, :width]
+        product(live, live, square[:width, :width], weights[i], 0.0, True, False)
         row = 0
         for a in range(found):
             late, at, height = groups[a, 0], groups[a, 1], groups[a, 2]
             rhs, column = rhs_end[k] if late else rhs_begin[k], 0
             for x in range(height):
-                rhs[at + x] -= pull[row + x]
+                for y in range(r):
+                    rhs[at + x] -= weights[i] * white[y, row + x] * miss[y]
             for b in range(found):
                 beside, wide = groups[b, 1], groups[b, 2]
                 if groups[b, 0] <= late:
@@ -131,18 +120,18 @@ def spread_out(
     """Whitened residuals (M, r) and Jacobians (M, r, count · size) by all time nodes."""
     m, r, c, d = jacobian.shape
     q = c * d + extras.shape[2]
-    white, room = np.empty((r, q)), np.empty((q + 2, 4), np.int64)
+    slopes, white, room = np.empty((r, q)), np.empty((r, q)), np.empty((q + 2, 4), np.int64)
     out, miss = np.zeros((m, r, count * size)), np.empty((m, r))
     for i in range(m):
         k, found = _groups(nodes[i], first_dof, jacobian[i], extras[i], n_count, dof, count, room)
-        _whitened(sqrt_info[i], jacobian[i], extras[i], residual[i], room[:found], white, miss[i])
-        column = 0
+        groups, column = room[:found], 0
+        _whitened(sqrt_info[i], jacobian[i], extras[i], residual[i], groups, slopes, white, miss[i])
         for g in range(found):
-            at = (k + room[g, 0]) * size + room[g, 1]
+            at = (k + groups[g, 0]) * size + groups[g, 1]
             for y in range(r):
-                for x in range(room[g, 2]):
+                for x in range(groups[g, 2]):
                     out[i, y, at + x] = white[y, column + x]
-            column += room[g, 2]
+            column += groups[g, 2]
     return miss, out
 
 

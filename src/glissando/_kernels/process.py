@@ -6,6 +6,7 @@ from math import sqrt
 
 import numpy as np
 
+from glissando._kernels.blas import product
 from glissando._kernels.jit import jit
 from glissando._kernels.lie import (
     ad_into,
@@ -20,17 +21,6 @@ from glissando._kernels.lie import (
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(6)
 _NODES, _WEIGHTS = 0.5 * (_NODES + 1.0), 0.5 * _WEIGHTS
-
-
-@jit()
-def matmul_into(a, b, out):
-    """The product a b, into `out`."""
-    for i in range(a.shape[0]):
-        for j in range(b.shape[1]):
-            out[i, j] = 0.0
-        for k in range(a.shape[1]):
-            for j in range(b.shape[1]):
-                out[i, j] += a[i, k] * b[k, j]
 
 
 @jit()
@@ -141,14 +131,10 @@ def _condition(near, cross, whole, gain, cov):
     n = len(near)
     root, half = np.empty((n, n)), np.empty((n, n))
     whiten_into(whole, root)
-    matmul_into(root, cross, half)
-    for i in range(n):
-        for j in range(n):
-            left = given = 0.0
-            for k in range(n):
-                left += half[k, i] * half[k, j]
-                given += half[k, i] * root[k, j]
-            gain[i, j], cov[i, j] = given, near[i, j] - left
+    product(root, cross, half, 1.0, 0.0, False, False)
+    product(half, root, gain, 1.0, 0.0, True, False)
+    cov[:, :] = near
+    product(half, half, cov, -1.0, 1.0, True, False)
 
 
 @jit()
@@ -176,8 +162,8 @@ def bridge_into(
                 ride[j, k] = lever[j, k]
     process_into(rate, offset, psd, carried_psd, none, rigid, near, near6)
     process_into(rate, step, psd, carried_psd, jump, rigid, whole, whole6)
-    matmul_into(phi, near, cross)
-    matmul_into(ride, near6, cross6)
+    product(phi, near, cross, 1.0, 0.0, False, False)
+    product(ride, near6, cross6, 1.0, 0.0, False, False)
     _condition(near, cross, whole, gain, cov)
     _condition(near6, cross6, whole6, carried_gain, carried_cov)
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from glissando._kernels.blas import product
 from glissando._kernels.jit import jit
 from glissando._kernels.lie import (
     ad_into,
@@ -25,7 +26,6 @@ from glissando._kernels.lie import (
 from glissando._kernels.process import (
     apply_into,
     bridge_into,
-    matmul_into,
     middle_into,
     pair_whiten_into,
     process_into,
@@ -153,15 +153,12 @@ def weighted_steps(
 @jit()
 def _pair_covariance(turn, cov, at, left):
     """Covariance of pose and rate given both ends, of a pose that `turn` bends, into zeros."""
-    half = np.zeros((6, 12))
-    for i in range(6):
-        for k in range(6):
-            for j in range(12):
-                half[i, j] += turn[i, k] * cov[k, j]
+    half, square = np.empty((6, 12)), np.empty((6, 6))
+    product(turn, cov[0:6], half, 1.0, 0.0, False, False)
+    product(half[:, 0:6], turn, square, 1.0, 0.0, False, True)
     for i in range(6):
         for j in range(6):
-            for k in range(6):
-                left[i, j] += half[i, k] * turn[j, k]
+            left[i, j] = square[i, j]
             left[i, at + j] = left[at + j, i] = half[i, 6 + j]
             left[at + i, at + j] = cov[6 + i, 6 + j]
 
@@ -208,28 +205,24 @@ def _pair_point(start, end, rate0, rate1, step, offset, gain, at, pose, rate, tu
     zeros, and J_r(δ) is written to `turn`.
     """
     error, delta = np.empty(12), np.empty(12)
-    e0, e1, d0, d1 = np.zeros((12, 12)), np.zeros((12, 12)), np.empty((12, 12)), np.empty((12, 12))
-    back, pull = np.empty((6, 6)), np.empty((6, 6))
+    slopes, bent = np.zeros((12, 24)), np.empty((12, 24))
+    back, pull, curved = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 24))
     _pair(start, end, rate0, rate1, step, error, back, pull, turn)
     for i in range(6):
         for j in range(6):
-            e0[i, j], e0[i, 6 + j], e1[i, j] = back[i, j], pull[i, j], turn[i, j]
-        e0[6 + i, 6 + i], e1[6 + i, 6 + i] = -1.0, 1.0
+            slopes[i, j], slopes[i, 6 + j], slopes[i, 12 + j] = back[i, j], pull[i, j], turn[i, j]
+        slopes[6 + i, 6 + i], slopes[6 + i, 18 + i] = -1.0, 1.0
     apply_into(gain, error, delta)
-    matmul_into(gain, e0, d0)
-    matmul_into(gain, e1, d1)
+    product(gain, slopes, bent, 1.0, 0.0, False, False)
     _onward(start, rate0, offset, delta, pose, turn, back, pull)
+    product(turn, bent[0:6], curved, 1.0, 0.0, False, False)
     for i in range(6):
         rate[i] = rate0[i] + delta[6 + i]
         for j in range(6):
-            j0[i, j], j0[i, at + j] = back[i, j], pull[i, j]
-            for k in range(6):
-                j0[i, j] += turn[i, k] * d0[k, j]
-                j0[i, at + j] += turn[i, k] * d0[k, 6 + j]
-                j1[i, j] += turn[i, k] * d1[k, j]
-                j1[i, at + j] += turn[i, k] * d1[k, 6 + j]
-            j0[at + i, j], j0[at + i, at + j] = d0[6 + i, j], d0[6 + i, 6 + j]
-            j1[at + i, j], j1[at + i, at + j] = d1[6 + i, j], d1[6 + i, 6 + j]
+            j0[i, j], j0[i, at + j] = back[i, j] + curved[i, j], pull[i, j] + curved[i, 6 + j]
+            j1[i, j], j1[i, at + j] = curved[i, 12 + j], curved[i, 18 + j]
+            j0[at + i, j], j0[at + i, at + j] = bent[6 + i, j], bent[6 + i, 6 + j]
+            j1[at + i, j], j1[at + i, at + j] = bent[6 + i, 12 + j], bent[6 + i, 18 + j]
         j0[at + i, at + i] += 1.0
 
 
@@ -280,12 +273,9 @@ def _carried_point(
     lost, c0, c1 = np.empty(6), np.empty((6, 18)), np.empty((6, 18))
     _carried(start, end, field0, field1, at, rigid, lost, c0, c1)
     apply_into(gain, lost, field)
-    for i in range(6):
-        for k in range(6):
-            left[at + i, at + k] = cov[i, k]
-            for j in range(18):
-                j0[at + i, j] += gain[i, k] * c0[k, j]
-                j1[at + i, j] += gain[i, k] * c1[k, j]
+    left[at : at + 6, at : at + 6] = cov
+    product(gain, c0, j0[at : at + 6], 1.0, 1.0, False, False)
+    product(gain, c1, j1[at : at + 6], 1.0, 1.0, False, False)
     if rigid:
         _ride(pose, start, field0, at, field, j0, j1, left)
         return
