@@ -17,7 +17,7 @@ _gemm = External(
 
 @jit()
 def product(a, b, out, scale, keep, turn_a, turn_b):
-    """out = scale · a b + keep · out, a or b transposed; the rows of each are contiguous."""
+    """Out = scale · a b + keep · out, a or b transposed; the rows of each are contiguous."""
     scalars = np.array([scale, keep])
     inner = a.shape[0] if turn_a else a.shape[1]
     if out.size and inner:
@@ -60,7 +60,7 @@ def triangle_product(root, b, out):
 
 @jit()
 def banded_product(root, b, out):
-    """root bᵀ for a lower triangular root and a b whose rows hold few numbers, close together."""
+    """Root bᵀ for a lower triangular root and a b whose rows hold few numbers, close together."""
     n = len(root)
     for j in range(0, n, _BAND // 2):
         e, low, high = min(j + _BAND // 2, n), n, 0

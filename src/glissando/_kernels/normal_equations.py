@@ -34,7 +34,7 @@ def _groups(nodes, first_dof, jacobian, extras, n_count, dof, count, groups):
     A group is some columns of one node, or the parameters' at one end of the interval: `groups` are
     the end it belongs to, its column there, its width, and its column in the Jacobian.
     """
-    r, c, d = jacobian.shape
+    c, d = jacobian.shape[1:]
     e = extras.shape[1] // 2
     k, found = nodes[0] // n_count, 0
     if e:

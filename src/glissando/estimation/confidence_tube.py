@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri
 
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Index
+from glissando.model.quantiles import chi_square_quantile
 
-SIGMAS_95 = float(np.sqrt(chdtri(3.0, 0.05)))
+SIGMAS_95 = float(np.sqrt(chi_square_quantile(0.95, 3)))
 """Standard deviations of the ellipsoid that holds 95 % of a Gaussian in three dimensions."""
 
 _CAP = 5  # rings that round off each end

@@ -6,9 +6,9 @@ from collections import Counter, deque
 from functools import cache
 
 import numpy as np
-from scipy.special import gammainccinv
 
 from glissando.geometry.se3 import Array
+from glissando.model.quantiles import chi_square_exceedance
 
 _STRIKES = 10  # readings refused in a row after which a stream is believed again
 _REMEMBERED = 50  # innovations that the monitor looks back on
@@ -18,7 +18,7 @@ _FALSE_ALARM = 1e-4
 @cache
 def _beyond(chance: float, dof: int) -> float:
     """What a sum of so many squared standard normals exceeds with that chance."""
-    return float(2.0 * gammainccinv(0.5 * dof, chance))  # scipy.stats takes a second to import
+    return float(chi_square_exceedance(chance, dof))
 
 
 class InnovationGate:

@@ -44,9 +44,7 @@ def starting_point(
     if coarse is not None:
         options = SolverOptions.rough(coarse.grid.time.size * state.numbers)
         try:
-            rough = minimize(
-                soft, coarse, prior.rest_state(coarse.grid), options, progress, clock
-            )
+            rough = minimize(soft, coarse, prior.rest_state(coarse.grid), options, progress, clock)
         except (UnobservableError, np.linalg.LinAlgError):
             pass  # the readings that were left out are needed
         else:

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import binom, chi2
 
 from glissando.estimation.posterior import Posterior
 from glissando.evaluation.metrics import Errors, innovations
 from glissando.geometry.se3 import Array
+from glissando.model.quantiles import binomial_quantile, chi_square_quantile
 from glissando.model.sensors.readings import Readings
 
 LEVELS = (0.5, 0.9, 0.95, 0.99)
@@ -52,18 +52,18 @@ class Consistency:
         """Two-sided χ² bounds of the mean, which hold with probability `level` if it is true."""
         freedom = self.effective * self.dof
         tail = 0.5 * (1.0 - level)
-        low, high = chi2.ppf([tail, 1.0 - tail], freedom) / freedom
+        low, high = chi_square_quantile([tail, 1.0 - tail], freedom) / freedom
         return float(low), float(high)
 
     def coverage(self, nominal: float) -> float:
         """Share of samples inside the ellipsoid that should hold a share `nominal`."""
-        return float(np.mean(self.nees <= chi2.ppf(nominal, self.dof)))
+        return float(np.mean(self.nees <= chi_square_quantile(nominal, self.dof)))
 
     def coverage_bounds(self, nominal: float, level: float = 0.95) -> tuple[float, float]:
         """Bounds of the coverage, which hold with probability `level` or more if it is true."""
         count = max(1, round(self.effective))
         tail = 0.5 * (1.0 - level)
-        low, high = binom.ppf([tail, 1.0 - tail], count, nominal) / count
+        low, high = binomial_quantile([tail, 1.0 - tail], count, nominal) / count
         return float(low), float(high)
 
     @property

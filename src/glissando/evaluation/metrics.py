@@ -8,13 +8,13 @@ from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import chi2
 
 from glissando.errors import SensorError
 from glissando.estimation.posterior import Posterior, StateEstimate
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.interpolation import sort_points
+from glissando.model.quantiles import chi_square_quantile
 from glissando.model.sensors.parameters import corrected
 from glissando.model.sensors.readings import Readings
 from glissando.model.sensors.sensors import (
@@ -55,7 +55,7 @@ class Errors:
     def summary(self) -> dict[str, float | None]:
         """RMSEs, NEES per degree of freedom, and the share inside the 95 % ellipsoid."""
         inside = np.where(
-            np.isnan(self.nees_position), np.nan, self.nees_position <= chi2.ppf(0.95, 3)
+            np.isnan(self.nees_position), np.nan, self.nees_position <= chi_square_quantile(0.95, 3)
         )
         return {
             "position_rmse": _rms(self.position),

@@ -15,7 +15,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from scipy.stats import binom, chi2, norm
+from scipy.special import bdtr, chdtr, ndtr
 
 from glissando.errors import GlissandoError, NotConvergedWarning, RobotFileError
 from glissando.estimation.batch import estimate
@@ -27,6 +27,7 @@ from glissando.io.toml_table import Table
 from glissando.model.grid import Grid, Index
 from glissando.model.priors.prior import Prior
 from glissando.model.priors.registry import prior_class
+from glissando.model.quantiles import binomial_quantile
 from glissando.model.robot import Robot
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
@@ -121,7 +122,7 @@ def rank_points() -> Array:
 @cache
 def _tails(count: int) -> Array:
     """Two-sided tail probability (count + 1, P) of every number below each point, if uniform."""
-    lower = binom.cdf(np.arange(count + 1)[:, None], count, rank_points())
+    lower = bdtr(np.arange(count + 1)[:, None], count, rank_points())
     upper = 1.0 - np.vstack([np.zeros(lower.shape[1]), lower[:-1]])
     return np.minimum(1.0, 2.0 * np.minimum(lower, upper))
 
@@ -153,7 +154,7 @@ def bands(count: int, chance: float) -> tuple[Array, Array]:
     tails = _least_tails(count)
     limit = tails[min(int(chance * tails.size), tails.size - 1)]
     points = rank_points()
-    low, high = binom.ppf(0.5 * limit, count, points), binom.ppf(1.0 - 0.5 * limit, count, points)
+    low, high = (binomial_quantile(p, count, points) for p in (0.5 * limit, 1.0 - 0.5 * limit))
     return low / count - points, high / count - points
 
 
@@ -282,7 +283,7 @@ def _ranks(
     found: StateEstimate = posterior.at(fine.arclength[n], fine.time[k])
     error = session.truth.take(at).difference(State(found.pose, found.strain, found.velocity))
     std = np.sqrt(np.diagonal(found.cov))
-    out = dict(zip(QUANTITIES, norm.cdf(error / std).tolist(), strict=False))
+    out = dict(zip(QUANTITIES, ndtr(error / std).tolist(), strict=False))
     for i, name in enumerate(QUANTITIES[18:]):
         part = slice(6 * i, 6 * i + 6)
         out[name] = _rank_of_square(error[part], found.cov[part, part])
@@ -299,4 +300,4 @@ def _ranks(
 
 def _rank_of_square(error: Array, cov: Array) -> float:
     """Rank of the squared normalised length of an error (r,) among those that cov (r, r) gives."""
-    return float(chi2.cdf(error @ np.linalg.solve(cov, error), error.size))
+    return float(chdtr(error.size, error @ np.linalg.solve(cov, error)))

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.stats import chi2
 
 from glissando.evaluation.consistency import Consistency
 from glissando.evaluation.replay import Replay
 from glissando.evaluation.simulation_based import SimulationCheck, bands, rank_points
+from glissando.model.quantiles import chi_square_quantile
 from glissando.visualization.figures import _SENSORS, _canvas
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ def _draw(axes: Any, checks: Sequence[Consistency]) -> None:
     axes.fill_between(100 * level, 100 * low, 100 * high, color="0.88", label="consistent, 95 %")
     axes.plot([0, 100], [0, 100], color="0.5", linewidth=0.9)
     for order, c in enumerate(checks):
-        inside = np.mean(c.nees[:, None] <= chi2.ppf(level, c.dof), axis=0)
+        inside = np.mean(c.nees[:, None] <= chi_square_quantile(level, c.dof), axis=0)
         last = c is whole and len(checks) > 1
         colour = "black" if last else _SENSORS[(0, 1, 3, 4, 6, 7)[order % 6]]
         width = 2.8 if last else 1.3

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from glissando.calibration.rig.advice import advice, stream_fits
 from glissando.calibration.rig.model import ROWS, CoilModel
@@ -18,12 +17,15 @@ from glissando.calibration.rig.shape import estimate_shape, span
 from glissando.calibration.rig.slide_timing import LATEST, against_slide, slide_lag
 from glissando.errors import RecordingError
 from glissando.geometry.se3 import Array
+from glissando.model.quantiles import chi_square_exceedance
 from glissando.model.robot import Robot
 from glissando.solver.block_tridiagonal import factor
 
 _READINGS = 400  # bunches that are used: more of them read the same places again
 _FIRST = 60  # readings that tell one direction from the other
-_OUTLIER = float(chi2.isf(1e-6, ROWS))  # squared innovation of a reading that is left out
+_OUTLIER = float(
+    chi_square_exceedance(1e-6, ROWS)
+)  # squared innovation of a reading that is left out
 _WORST, _MOST_OUT = 0.1, 0.2  # of the largest square go at once, and of all readings at most
 _EDGE = 0.02  # s: readings so near an end of the recording may be beyond it
 _NO_TRAVEL = 1e-3  # m

@@ -1,0 +1,26 @@
+"""Quantiles of the laws that confidence is judged by; scipy.stats would take a second to import."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.special import bdtr, bdtrik, gammainccinv, gammaincinv
+
+
+def chi_square_quantile(probability: ArrayLike, dof: ArrayLike) -> Any:
+    """What a sum of `dof` squared standard normals stays below with a probability."""
+    return 2.0 * gammaincinv(0.5 * np.asarray(dof), probability)
+
+
+def chi_square_exceedance(chance: ArrayLike, dof: ArrayLike) -> Any:
+    """What a sum of `dof` squared standard normals exceeds with a small chance."""
+    return 2.0 * gammainccinv(0.5 * np.asarray(dof), chance)
+
+
+def binomial_quantile(probability: ArrayLike, count: int, chance: ArrayLike) -> Any:
+    """The least number of successes that `count` trials stay at or below with a probability."""
+    above = np.ceil(bdtrik(probability, count, chance))
+    below = np.maximum(above - 1.0, 0.0)
+    return np.where(bdtr(below, count, chance) >= probability, below, above)
