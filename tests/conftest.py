@@ -2,6 +2,14 @@ import os
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
+
+# Drawn inputs of most laws; a machine that is busy is slower than any deadline. `--hypothesis-seed`
+# and a larger profile look for more: HYPOTHESIS_EXAMPLES=1000 pytest …
+settings.register_profile(
+    "glissando", max_examples=int(os.environ.get("HYPOTHESIS_EXAMPLES", "40")), deadline=None
+)
+settings.load_profile("glissando")
 
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(name, "1")

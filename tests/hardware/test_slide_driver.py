@@ -184,7 +184,7 @@ def obey(slide, world, command):
 
 
 @pytest.mark.slow
-@settings(max_examples=100, deadline=None, derandomize=True)
+@settings(max_examples=50, deadline=None, derandomize=True)
 @given(
     st.lists(commands, min_size=2, max_size=6),
     st.sampled_from([1, -1]),

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from glissando._kernels.jit import External, jit
 
 _BAND = 32  # columns of a triangle that are computed together
 
-_gemm = External(
+_gemm: Any = External(
     "numba_xxgemm",  # numba's door to BLAS: it takes pointers and leading dimensions
     "intc(char, char, char, intp, intp, intp, CPointer(f8), CPointer(f8), intp, CPointer(f8),"
     " intp, CPointer(f8), CPointer(f8), intp)",
