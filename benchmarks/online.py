@@ -59,13 +59,14 @@ not be closer than the prior allows (for the separable prior, 1/200 of its time 
 
 ## Silence
 
-While nothing is read (a breakpoint, an unplugged tracker) belief grows until a robot at rest is known
-as well; from then on it stays that of a robot at rest, however long the silence lasts. A pause may be
-passed in one call of `advance` or in many: in silence nodes lie at the usual step, and farther apart
-as it lasts. What has been learned of the sensors is kept. Because a body whose strains are unknown bends
-and does not move straight on, the covariance of the newest state is then that of whole shapes,
-[equation (28)](math.md#online), and never wider than the robot reaches. The first readings are judged
-against that belief and taken back at once; `smoother.restarts` counts how often it began again.
+While nothing is read (a breakpoint, an unplugged tracker) belief grows until a robot at rest is
+known as well; from then on it stays that of a robot at rest, however long the silence lasts. A
+pause may be passed in one call of `advance` or in many: in silence nodes lie at the usual step,
+and farther apart as it lasts. What has been learned of the sensors is kept. Because a body whose
+strains are unknown bends and does not move straight on, the covariance of the newest state is
+then that of whole shapes, [equation (28)](math.md#online), and never wider than the robot
+reaches. The first readings are judged against that belief and taken back at once;
+`smoother.restarts` counts how often it began again.
 
 """
 
