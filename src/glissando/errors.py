@@ -33,6 +33,10 @@ class SimulationError(GlissandoError):
     """What was asked of the simulator cannot be: a tendon off its disk, a shape unknown."""
 
 
+class ImplausibleError(GlissandoError):
+    """Readings cannot be what they are said to be: a unit, a clock, a frame, an axis is wrong."""
+
+
 class NoShapeError(Exception):
     """The physics has no stable static shape under these loads that continues the unloaded one."""
 
@@ -43,6 +47,10 @@ class DeviceError(GlissandoError):
 
 class NotConvergedWarning(UserWarning):
     """The estimate stopped before its step became small: do not trust it."""
+
+
+class ImplausibleWarning(UserWarning):
+    """Readings are hardly what they are said to be; the estimate may be nonsense."""
 
 
 class OldNameWarning(UserWarning):

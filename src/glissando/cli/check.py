@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -26,6 +27,7 @@ from glissando.cli.shared import (
 from glissando.errors import GlissandoError, RecordingError
 from glissando.evaluation.conformal import block_scores, conformal_tube, inside_tube
 from glissando.evaluation.consistency import LEVELS, Consistency, check, check_readings
+from glissando.evaluation.leave_out import leave_out
 from glissando.evaluation.metrics import Errors, errors_against
 from glissando.io.netcdf import load_posterior
 from glissando.io.recording import load_recording
@@ -41,6 +43,8 @@ and 99 % ellipsoids, by site, for position and rotation; and innovations of the 
 against the prediction by all others.
 
 RECORDING is estimated first. A posterior.nc of an earlier estimate needs --recording for its truth.
+--leave-out predicts whole streams by the others, stretches of time by the rest, and all by the
+prior: a sensor that explains itself cannot hide there. It takes an estimate more than streams + 2.
 Bounds hold for 95 % of estimates whose confidence is true, and allow for correlated errors.
 
 --store-tube finds how many standard deviations hold the whole body for a whole block of time, by
@@ -54,6 +58,7 @@ _EXAMPLES = """\
 examples:
   glissando check my_recording --out results
   glissando check results/posterior.nc --recording my_recording --truth mocap_tip
+  glissando check my_recording --leave-out
   glissando check my_recording --json | python -m json.tool
   glissando check held_out --robot my_robot.toml --store-tube with_tube.toml --block 1
   glissando check --draws 200 --robot my_robot.toml --out ranks
@@ -77,6 +82,8 @@ def add_to(commands: Commands) -> None:
     add("--level", type=float, default=0.95, metavar="P", help="of the tube (default 0.95)")
     add("--block", type=float, default=2.0, metavar="S", help="seconds of a block (default 2)")
     add_options(parser)
+    left_out = "also judge streams by estimates without them (needs a RECORDING, takes longer)"
+    add("--leave-out", action="store_true", help=left_out)
     add("--json", action="store_true", help="print one JSON object and nothing else")
 
 
@@ -119,7 +126,7 @@ def _tube(
         file = robot_file(options.robot or robot.name)
         text = with_tube(file.read_text(encoding="utf-8"), tube)
         options.store_tube.write_text(text, encoding="utf-8")
-    if tube is None:
+    if tube is None or not errors:
         return None
     scores = block_scores(errors, tube.seconds)
     return {**vars(tube), "inside": inside_tube(tube, scores), "here": int(scores.size)}
@@ -139,7 +146,9 @@ def _checks(
         recording = load_recording(options.target)
         robot = chosen_robot(recording, options.robot)
         run, complaint = estimate_watched(recording, robot, options)
-        checks = run.consistency() if run.errors else []
+        checks = run.consistency() if run.errors or options.leave_out else []
+        if options.leave_out:
+            checks += leave_out(robot, run.posterior.grid, run.readings, _say)
         return checks, run.errors, robot, recording.name, 1 if complaint else 0
     if not options.target.is_file():
         raise GlissandoError(
@@ -151,13 +160,19 @@ def _checks(
         )
     posterior = load_posterior(options.target)
     recording = load_recording(options.recording)
+    robot = chosen_robot(recording, options.robot)
     readings, truth = streams_of(posterior, recording, options)
     status = 0 if posterior.solve.converged else 1
     errors = [errors_against(posterior, t) for t in truth]
     checks = check(errors)
     if checks:
-        checks += check_readings(posterior, readings)
-    return checks, errors, chosen_robot(recording, options.robot), options.target.name, status
+        checks += check_readings(posterior, readings, robot.sensor_parameters)
+    return checks, errors, robot, options.target.name, status
+
+
+def _say(left: str, number: int, count: int) -> None:
+    """A line on stderr before each estimate."""
+    print(f"estimate {number + 1} of {count}, without {left}", file=sys.stderr, flush=True)
 
 
 def _table(quantity: str, checks: Sequence[Consistency]) -> Table:

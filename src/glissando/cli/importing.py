@@ -6,7 +6,14 @@ import argparse
 import math
 from pathlib import Path
 
-from glissando.cli.shared import Commands, add_command, names, require_writable
+from glissando.cli.shared import (
+    Commands,
+    add_command,
+    findings_in,
+    names,
+    require_writable,
+    warn,
+)
 from glissando.errors import GlissandoError, RecordingError
 from glissando.io.atomic_folder import require_new
 from glissando.io.foreign import Choices, read_tracks, write_recording
@@ -61,6 +68,7 @@ def _import(options: argparse.Namespace) -> int:
     for line in write_recording(tracks, options.out, choices):
         print(line)
     print(f"Wrote {options.out}. Now: glissando estimate {options.out} --out results")
+    warn(findings_in(options.out))
     return 0
 
 

@@ -14,7 +14,7 @@ from rich.live import Live
 from rich.markup import escape
 from rich.table import Table
 
-from glissando.cli.shared import Commands, add_command, require_writable
+from glissando.cli.shared import Commands, add_command, findings_in, require_writable, warn
 from glissando.errors import DeviceError, GlissandoError
 from glissando.hardware.capture import (
     Progress,
@@ -187,3 +187,4 @@ def _keep(rig: Rig, options: argparse.Namespace, *, quietly: bool = False) -> No
     print(f"Wrote {folder}: {counts}. Now: glissando estimate {folder} --out results")
     for warning in warnings:
         print(f"  but {warning}")
+    warn(findings_in(folder))

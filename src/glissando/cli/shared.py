@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import argparse
 import os
+import sys
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeAlias
@@ -17,8 +18,10 @@ from rich.progress import Progress, ProgressColumn, SpinnerColumn, TextColumn, T
 from glissando.cli.commands import COMMANDS
 from glissando.errors import GlissandoError, NotConvergedWarning, RobotFileError
 from glissando.estimation.posterior import Posterior
+from glissando.evaluation.plausibility.examine import examine_recording
+from glissando.evaluation.plausibility.finding import Finding
 from glissando.evaluation.run import Run, chosen_streams, run_estimate
-from glissando.io.recording import Recording
+from glissando.io.recording import Recording, load_recording
 from glissando.io.robot_file import load_robot
 from glissando.io.shipped_robots import shipped_robots
 from glissando.model.robot import Robot
@@ -66,6 +69,8 @@ def add_choices(parser: argparse.ArgumentParser) -> None:
     add("--window", nargs=2, type=float, metavar=("T0", "T1"), help="seconds to estimate")
     add("--use", type=names, metavar="NAME,…", help="streams to use (default: all but truth)")
     add("--truth", type=names, metavar="NAME,…", help="streams to judge by (default: as marked)")
+    allowed = "checks of plausibility to leave out, of those that a refusal names"
+    add("--allow", type=names, default=[], metavar="NAME,…", help=allowed)
 
 
 def chosen_robot(recording: Recording, name: str | None) -> Robot:
@@ -126,9 +131,30 @@ def estimate_watched(
             use=options.use,
             truth=options.truth,
             progress=advance,
+            allow=options.allow,
         )
+    warn(run.findings)
     complaints = [w for w in caught if issubclass(w.category, NotConvergedWarning)]
     return run, str(complaints[0].message) if complaints else ""
+
+
+def warn(findings: Sequence[Finding]) -> None:
+    """Print findings on stderr, a line each."""
+    for finding in findings:
+        print(f"glissando: warning ({finding.name}): {finding.sentence}", file=sys.stderr)
+
+
+def findings_in(folder: Path) -> list[Finding]:
+    """What is implausible about a recording that was just written; nothing if it names no robot."""
+    recording = load_recording(folder)
+    if recording.robot is None:
+        return []
+    try:
+        window = recording.span()
+        streams = chosen_streams(recording, recording.robot, window, None, None)[:2]
+        return examine_recording(recording, recording.robot, *streams, window)
+    except GlissandoError as problem:  # such as a stream without noise: an estimate will say so
+        return [Finding("shape", str(problem), False)]
 
 
 def require_writable(folder: Path) -> None:

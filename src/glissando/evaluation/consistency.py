@@ -17,6 +17,7 @@ from glissando.estimation.posterior import Posterior
 from glissando.evaluation.metrics import Errors, innovations
 from glissando.geometry.se3 import Array
 from glissando.model.quantiles import binomial_quantile, chi_square_quantile
+from glissando.model.sensors.parameters import SensorParameter, corrected
 from glissando.model.sensors.readings import Readings
 
 LEVELS = (0.5, 0.9, 0.95, 0.99)
@@ -131,16 +132,22 @@ def check(errors: Sequence[Errors]) -> list[Consistency]:
     return out
 
 
-def check_readings(posterior: Posterior, readings: Sequence[Readings]) -> list[Consistency]:
+def check_readings(
+    posterior: Posterior,
+    readings: Sequence[Readings],
+    sensor_parameters: Sequence[SensorParameter] = (),
+) -> list[Consistency]:
     """Consistency of the innovations of every stream that was used.
 
     Args:
         posterior: The estimate.
         readings: The streams it was estimated from. Outliers count, whatever the stream's loss.
+        sensor_parameters: Those of the robot, of which the known ones are applied.
     """
+    known = [parameter for parameter in sensor_parameters if parameter.known]
     return [
         _consistency(r.label, r.arclength, "innovation", innovations(posterior, r), r.row_count)
-        for r in readings
+        for r in (corrected(r, known) for r in readings)
         if len(r)
     ]
 

@@ -14,6 +14,8 @@ from glissando.estimation.posterior import Posterior, StateEstimate
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.interpolation import sort_points
+from glissando.model.noise import sqrt_information
+from glissando.model.priors.transitions import symmetrize
 from glissando.model.quantiles import chi_square_quantile
 from glissando.model.sensors.parameters import corrected
 from glissando.model.sensors.readings import Readings
@@ -25,6 +27,7 @@ from glissando.model.sensors.sensors import (
 )
 from glissando.model.state import State
 
+_LEAST_SHARE = 1e-5  # of a reading's variance that the rest of an estimate leaves
 _TRUTH = (PoseReadings, CoilReadings, PositionReadings, OrientationReadings)
 
 
@@ -155,7 +158,9 @@ def innovations(posterior: Posterior, readings: Readings) -> Array:
 
     The innovation of a reading is its distance from the prediction by all others. For a residual e
     with covariance R and posterior covariance H P Hᵀ its square is eᵀ (R − H P Hᵀ)⁻¹ e, with as
-    many degrees of freedom as a reading has rows; no reading has to be left out.
+    many degrees of freedom as a reading has rows; no reading has to be left out. Where the rest
+    leaves less than a share of 1e-5 of a row's own variance, rounding and the solver's tolerance
+    decide, and the share counts as that: the square is never negative.
 
     Args:
         posterior: The estimate.
@@ -177,7 +182,12 @@ def innovations(posterior: Posterior, readings: Readings) -> Array:
         state = posterior.state
         between_nodes[points.rows] = posterior.prior.interpolate(grid, state, state, points).cov
     spread = J_r_x @ (2.0 * between_nodes - estimate.cov) @ np.swapaxes(J_r_x, -1, -2)
-    return _squared(readings.residual(at), readings.cov + spread)
+    whitener = sqrt_information(np.broadcast_to(readings.cov, spread.shape).copy())
+    share = np.eye(readings.row_count) + whitener @ spread @ np.swapaxes(whitener, -1, -2)
+    values, vectors = np.linalg.eigh(symmetrize(share))
+    white = np.einsum("mij,mj->mi", whitener, readings.residual(at))
+    along = np.einsum("mij,mi->mj", vectors, white)
+    return np.sum(along**2 / np.maximum(values, _LEAST_SHARE), axis=-1)
 
 
 def _rotation_error(estimated: Array, truth: Readings) -> Array:

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from glissando.errors import RecordingError
+from glissando.errors import ImplausibleError, RecordingError
 from glissando.estimation.batch import estimate
 from glissando.estimation.posterior import Posterior
 from glissando.evaluation.consistency import Consistency, check, check_readings
 from glissando.evaluation.environment import versions
 from glissando.evaluation.metrics import Errors, errors_against, pool
+from glissando.evaluation.plausibility.examine import after_estimate, examine_recording
+from glissando.evaluation.plausibility.finding import Finding, refuse
 from glissando.io.netcdf import save_posterior
 from glissando.io.recording import Recording
 from glissando.model.robot import Robot
@@ -37,6 +39,7 @@ class Run:
         dropped: Rows that were not used, counted by stream and reason.
         posterior: The estimate.
         errors: Errors against each truth stream.
+        findings: What is implausible about the readings or the estimate.
     """
 
     recording: Recording
@@ -47,10 +50,12 @@ class Run:
     dropped: dict[str, dict[str, int]]
     posterior: Posterior
     errors: list[Errors]
+    findings: list[Finding] = field(default_factory=list)
 
     def consistency(self) -> list[Consistency]:
         """Whether confidence is true: errors against truth, then innovations of the readings."""
-        return [*check(self.errors), *check_readings(self.posterior, self.readings)]
+        parameters = self.robot.sensor_parameters
+        return [*check(self.errors), *check_readings(self.posterior, self.readings, parameters)]
 
     def sensor_parameters(self) -> list[dict[str, Any]]:
         """Every estimated sensor parameter: value and std at mid recording, RMS over time."""
@@ -87,6 +92,7 @@ class Run:
             "suspects": solve.suspects,
             "seconds": solve.seconds,
             "dropped": self.dropped,
+            "findings": [finding.as_json() for finding in self.findings],
             "overall": pool(self.errors).summary() if self.errors else None,
             "sites": [e.site_summary() for e in self.errors],
             "consistency": [c.as_json() for c in self.consistency()],
@@ -151,6 +157,7 @@ def run_estimate(
     use: Sequence[str] | None,
     truth: Sequence[str] | None,
     progress: Progress | None = None,
+    allow: Sequence[str] = (),
 ) -> Run:
     """Estimate a window of a recording and compare it with its truth streams.
 
@@ -161,9 +168,11 @@ def run_estimate(
         use: Names of streams to use; all but truth unless given.
         truth: Names of truth streams; those that are marked so unless given.
         progress: Called after each iteration, as `estimate` does.
+        allow: Checks of plausibility that are left out, besides the recording's own.
 
     Raises:
         RecordingError: For an empty window, an unknown stream, or nothing to use.
+        ImplausibleError: Readings cannot be what they are said to be, or the estimate broke down.
     """
     window, span = checked_window(recording, window), recording.span()
     readings, references, dropped = chosen_streams(recording, robot, window, use, truth)
@@ -174,12 +183,25 @@ def run_estimate(
             f"The window {window[0]:g} to {window[1]:g} s holds no readings; the recording runs "
             f"from {span[0]:.3f} to {span[1]:.3f} s. Choose a window inside it."
         )
+    findings = examine_recording(recording, robot, readings, references, window, allow)
+    refuse(findings)
     parameters = robot.sensor_parameters
-    posterior = estimate(
-        robot.prior, robot.grid(*window), readings, sensor_parameters=parameters, progress=progress
-    )
+    try:
+        posterior = estimate(
+            robot.prior,
+            robot.grid(*window),
+            readings,
+            sensor_parameters=parameters,
+            progress=progress,
+        )
+    except np.linalg.LinAlgError:
+        raise ImplausibleError(
+            f"The estimate of {recording.name} broke down: readings and robot contradict each "
+            f"other beyond what can be computed. Check units, frames and single false readings."
+        ) from None
+    findings += after_estimate(posterior, readings, parameters)
     errors = [errors_against(posterior, t) for t in references]
-    return Run(recording, robot, window, readings, references, dropped, posterior, errors)
+    return Run(recording, robot, window, readings, references, dropped, posterior, errors, findings)
 
 
 def write_run(run: Run, folder: Path) -> list[Path]:

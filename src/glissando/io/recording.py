@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +33,9 @@ class Recording:
         streams: Streams by name, in the world frame and SI units.
         robot: The robot, where the recording names it.
         window: First and last time (s) to estimate, where the recording states them.
+        frames: Poses T_wf (4, 4) of the frames that streams came in, by stream; the world's
+            streams are not there.
+        allow: Names of checks of plausibility that are switched off.
     """
 
     name: str
@@ -40,6 +43,8 @@ class Recording:
     streams: dict[str, Stream]
     robot: Robot | None
     window: tuple[float, float] | None
+    frames: dict[str, Array] = field(default_factory=dict)
+    allow: tuple[str, ...] = ()
 
     def readings(
         self,
@@ -173,21 +178,26 @@ def _described(folder: Path) -> Recording:
     if table.peek("window") is not None:
         first, last = table.vector("window", 2).tolist()
         window = first, last
+    allow = tuple(table.texts("allow")) if table.peek("allow") is not None else ()
     frames, streams = {"world": np.eye(4)}, {}
     for frame, entry in table.named_tables("frames"):
         frames[frame] = entry.pose()
         entry.close()
+    came_in = {}
     for entry in table.tables("streams"):
+        frame = entry.peek("frame")
         stream = _stream(folder, entry, frames, journal)
         if journal and not len(stream.rows.time):
             continue  # described, but nothing was written to it
         if stream.name in streams:
             raise entry.fail("name", f"{stream.name!r} is given twice; name each stream once.")
         streams[stream.name] = stream
+        if frame not in (None, "world"):
+            came_in[stream.name] = frames[frame]
     table.close()
     if not streams and not journal:
         raise RecordingError("recording.toml names no [[streams]]; add one for each CSV file.")
-    return Recording(name, folder, streams, robot, window)
+    return Recording(name, folder, streams, robot, window, came_in, allow)
 
 
 def _stream(folder: Path, entry: Table, frames: dict[str, Array], journal: bool) -> Stream:

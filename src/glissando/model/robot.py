@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -13,9 +14,11 @@ from glissando.model.mechanics import Mechanics
 from glissando.model.noise import Loss
 from glissando.model.priors.prior import Prior
 from glissando.model.sensors.parameters import SensorParameter
+from glissando.model.state import DOF
 from glissando.model.tube import Tube
 
-_MOST_NODES = 1_000_000
+_BLOCKS = 4.0  # square blocks of numbers that an estimate keeps for a time node
+_SHARE = 0.6  # of the machine's memory that an estimate may take
 
 
 @dataclass(frozen=True)
@@ -54,12 +57,30 @@ class Robot:
         """The robot's grid over the times [start, stop] in seconds.
 
         Raises:
-            OutsideGridError: There would be too many time nodes.
+            OutsideGridError: An estimate would need more memory than the machine can give.
         """
         count = max(2, round((stop - start) * self.time_rate) + 1)
-        if count > _MOST_NODES:
+        if self.memory(count) > _SHARE * _installed():
             raise OutsideGridError(
                 f"{start:g} to {stop:g} s at {self.time_rate:g} nodes a second would be {count:,} "
-                f"time nodes; choose a shorter window or a lower time_rate."
+                f"time nodes and about {self.memory(count) / 1e9:,.3g} GB, more than "
+                f"{_SHARE:.0%} of this machine's {_installed() / 1e9:,.3g} GB; choose a shorter "
+                f"window or a lower time_rate."
             )
         return Grid(self.arclength_nodes, np.linspace(start, stop, count))
+
+    def memory(self, count: float) -> float:
+        """Bytes that an estimate of so many time nodes takes, about.
+
+        Args:
+            count: Number of time nodes.
+        """
+        return float(count) * _BLOCKS * 8.0 * (DOF * self.arclength_nodes.size) ** 2
+
+
+def _installed() -> float:
+    """Bytes of memory of this machine; 8 GB where the system does not say."""
+    try:
+        return float(os.sysconf("SC_PHYS_PAGES")) * float(os.sysconf("SC_PAGE_SIZE"))
+    except (AttributeError, ValueError, OSError):
+        return 8e9

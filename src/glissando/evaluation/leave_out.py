@@ -1,0 +1,153 @@
+"""Readings against predictions that did not use them.
+
+An innovation leaves out one reading at a time, and a sensor that samples fast then explains
+itself: its neighbours say the same, wrong or right. Here all that a stream says is left out at
+once, for the whole recording or for stretches of time, or the prior alone predicts it. Source:
+Gelman et al., Bayesian Data Analysis, chapter 6.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+
+from glissando.errors import NotConvergedWarning, UnobservableError
+from glissando.estimation.batch import estimate
+from glissando.estimation.posterior import Posterior
+from glissando.evaluation.consistency import Consistency, effective_samples
+from glissando.geometry.se3 import Array
+from glissando.model.grid import Grid
+from glissando.model.robot import Robot
+from glissando.model.sensors.parameters import SensorParameter
+from glissando.model.sensors.readings import Readings
+from glissando.model.state import State
+
+_STRETCHES = 8  # of time, every other of which is left out
+_ROWS = 400  # of a stream that are predicted
+_SLOPE = 1e-5  # step of difference quotients, in standard deviations
+
+Watch = Callable[[str, int, int], None]
+"""Called before each estimate with what is left out, its number, and how many there are."""
+
+
+def leave_out(
+    robot: Robot, grid: Grid, readings: Sequence[Readings], watch: Watch | None = None
+) -> list[Consistency]:
+    """Consistency of readings with predictions that did not use them.
+
+    Each stream is predicted by the others ("by the others"), each stream in stretches of time by
+    what is read outside them ("by other times"), and each by the prior alone ("by the prior").
+    Where the others do not fix the robot in the world, a stream is not predicted by them.
+
+    Args:
+        robot: The robot with its prior and sensor parameters.
+        grid: Nodes of the estimates.
+        readings: The streams, as `estimate` takes them.
+        watch: Called before each estimate, of which there are two more than streams, and one.
+    """
+    streams = [r.inside(grid) for r in readings if len(r)]
+    odd = [_stretch(r, grid) for r in streams]
+    jobs: list[tuple[str, list[Readings], list[Readings]]] = []
+    if len(streams) > 1:
+        for k, r in enumerate(streams):
+            jobs.append(("by the others", streams[:k] + streams[k + 1 :], [r]))
+    for flip in (False, True):
+        used = [r.select(o ^ flip) for r, o in zip(streams, odd, strict=True)]
+        left = [r.select(~(o ^ flip)) for r, o in zip(streams, odd, strict=True)]
+        jobs.append(("by other times", used, left))
+    jobs.append(("by the prior", [], streams))
+    found: dict[tuple[str, str], list[Array]] = {}
+    for number, (quantity, used, left) in enumerate(jobs):
+        if watch is not None:
+            names = ", ".join(r.label for r in left) if quantity == "by the others" else "stretches"
+            watch(names if quantity != "by the prior" else "all", number, len(jobs))
+        for r, nees in _predicted(robot, grid, used, left):
+            found.setdefault((quantity, r.label), []).append(nees)
+    return list(_judged(found, {r.label: r for r in streams}))
+
+
+def _stretch(r: Readings, grid: Grid) -> np.ndarray:
+    """Which readings (M,) lie in every other stretch of time."""
+    share = (r.time - grid.time[0]) / (grid.time[-1] - grid.time[0])
+    out: np.ndarray = np.floor(_STRETCHES * share).astype(int) % 2 == 0
+    return out
+
+
+def _judged(
+    found: dict[tuple[str, str], list[Array]], streams: dict[str, Readings]
+) -> Iterator[Consistency]:
+    for (quantity, name), parts in found.items():
+        nees = np.concatenate(parts)
+        worth = sum(effective_samples(part) for part in parts)
+        r = streams[name]
+        place = float(np.mean(r.arclength))
+        yield Consistency(name, place, quantity, nees, r.row_count, worth)
+
+
+def _predicted(
+    robot: Robot, grid: Grid, used: Sequence[Readings], left: Sequence[Readings]
+) -> Iterator[tuple[Readings, Array]]:
+    """Each stream that is left out, and its squared prediction errors (M,) in their covariance."""
+    parameters = robot.sensor_parameters
+    used = [r for r in used if len(r)]
+    names = {r.name for r in used}
+    mine = [p for p in parameters if p.known or names & {*p.streams}]
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotConvergedWarning)
+            posterior = estimate(robot.prior, grid, used, sensor_parameters=mine)
+    except UnobservableError:
+        return
+    known = dict(_estimated(posterior))
+    for r in left:
+        if len(r):
+            some = np.linspace(0, len(r) - 1, min(len(r), _ROWS)).round().astype(int)
+            yield r, _squared_errors(posterior, r.select(some), parameters, known)
+
+
+def _estimated(posterior: Posterior) -> Iterator[tuple[str, tuple[Array, Array]]]:
+    """Name of each estimated sensor parameter, with its value and covariance at mid time."""
+    for parameter, _ in posterior.sensor_parameters:
+        values, cov = posterior.parameter(parameter.name)
+        middle = len(values) // 2
+        yield parameter.name, (values[middle], cov[middle])
+
+
+def _squared_errors(
+    posterior: Posterior,
+    r: Readings,
+    parameters: Sequence[SensorParameter],
+    known: dict[str, tuple[Array, Array]],
+) -> Array:
+    """Squared errors (M,) of a prediction of readings with uncertain sensor parameters."""
+    grid = posterior.grid
+    own = [(p, *known.get(p.name, (p.value, np.diag(p.std**2)))) for p in parameters]
+    own = [each for each in own if r.name in each[0].streams]
+
+    def residual(values: Sequence[Array]) -> tuple[Array, Array]:
+        shifted = r
+        for (p, _, _), value in zip(own, values, strict=True):
+            shifted = p.shift(shifted, value)
+        place = np.clip(shifted.arclength, grid.arclength[0], grid.arclength[-1])
+        time = np.clip(shifted.time, grid.time[0], grid.time[-1])
+        at = posterior.at(place, time)
+        state = State(at.pose, at.strain, at.velocity)
+        slope = shifted.jacobian(state)
+        return shifted.residual(state), slope @ at.cov @ np.swapaxes(slope, -1, -2)
+
+    centre = [value for _, value, _ in own]
+    error, spread = residual(centre)
+    cov = r.cov + spread
+    for k, (p, value, its_cov) in enumerate(own):
+        std = np.sqrt(np.diagonal(its_cov))
+        columns = []
+        for i in np.flatnonzero(std > 0.0):
+            moved = [*centre]
+            moved[k] = value + _SLOPE * std[i] * np.eye(p.size)[i]
+            columns.append((residual(moved)[0] - error) / (_SLOPE * std[i]))
+        if columns:
+            slope, some = np.stack(columns, axis=-1), np.flatnonzero(std > 0.0)
+            cov = cov + slope @ its_cov[np.ix_(some, some)] @ np.swapaxes(slope, -1, -2)
+    return np.einsum("mi,mi->m", error, np.linalg.solve(cov, error[..., None])[..., 0])

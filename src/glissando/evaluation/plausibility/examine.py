@@ -1,0 +1,155 @@
+"""The guard: every check of a session, before anything is estimated."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from glissando.estimation.posterior import Posterior
+from glissando.evaluation.plausibility.finding import Finding, require_known
+from glissando.evaluation.plausibility.lag import check_lag
+from glissando.evaluation.plausibility.noise import check_noise
+from glissando.evaluation.plausibility.poses import check_poses
+from glissando.evaluation.plausibility.sampling import check_sampling
+from glissando.evaluation.plausibility.session import Streams
+from glissando.evaluation.plausibility.slide import check_slide
+from glissando.evaluation.plausibility.speed import check_grid, check_speed
+from glissando.evaluation.plausibility.turning import check_gyros
+from glissando.geometry.se3 import Array
+from glissando.io.recording import Recording
+from glissando.model.robot import Robot
+from glissando.model.sensors.parameters import SensorParameter, corrected
+from glissando.model.sensors.readings import Readings
+from glissando.model.state import State
+
+_ROWS = 60  # of a stream that an estimate is compared with
+_FOLLOWED = 5.0  # standard deviations within which it follows half of them
+
+
+def examine(
+    robot: Robot,
+    readings: Sequence[Readings],
+    truth: Sequence[Readings] = (),
+    *,
+    frames: Mapping[str, Array] | None = None,
+    window: tuple[float, float] | None = None,
+    allow: Collection[str] = (),
+) -> list[Finding]:
+    """What is implausible about readings, from the data alone.
+
+    Args:
+        robot: The robot they are believed to be of; its sensor parameters are applied.
+        readings: Streams to estimate from.
+        truth: Streams to judge by, as they are.
+        frames: Poses T_wf (4, 4) of the frames in which streams came, by stream name.
+        window: First and last time to estimate, s, if that is to be judged, too.
+        allow: Names of checks to leave out.
+
+    Raises:
+        GlissandoError: A name is no check's.
+    """
+    require_known(allow)
+    right = [corrected(r, robot.sensor_parameters) for r in readings]
+    streams = Streams(
+        robot, tuple(r for r in right if len(r)), tuple(t for t in truth if len(t)), frames or {}
+    )
+    findings = [
+        *check_sampling(streams.sensors, streams.truth),
+        *check_noise(streams.sensors, robot.length),
+    ]
+    if window is not None and streams.sensors:
+        findings += check_grid(streams, window)
+    if not any(f.refusal and f.name in ("time-unit", "clock", "grid") for f in findings):
+        findings += _on_motion(streams)
+    return [finding for finding in _without_echoes(findings) if finding.name not in allow]
+
+
+def _on_motion(streams: Streams) -> list[Finding]:
+    """Findings that take times as they are: on speeds, slides, turns, lags and shapes."""
+    own = [*check_slide(streams), *check_gyros(streams)]
+    lags = list(check_lag(streams))
+    poses = [] if lags else list(check_poses(streams))
+    slid = {name for f in own for name in f.streams if f.name != "gyro"}
+    told = [f for f in poses if f.name not in ("shape", "base", "reach")]
+    if slid and not told:  # what a slide shows explains the rest
+        poses = [f for f in poses if f.name == "reach"]
+    same = {(f.name, f.streams) for f in poses}
+    own = [f for f in own if (f.name, f.streams) not in same]
+    return [*([] if own or poses else check_speed(streams)), *own, *lags, *poses]
+
+
+def _without_echoes(findings: Sequence[Finding]) -> list[Finding]:
+    """Findings less those on noise of streams whose unit is wrong, which scatter accordingly."""
+    scaled = {
+        name
+        for f in findings
+        if f.name in ("length-unit", "time-unit", "gyro", "speed")
+        for name in f.streams
+    }
+    return [f for f in findings if f.name != "noise" or not scaled & {*f.streams}]
+
+
+def examine_recording(
+    recording: Recording,
+    robot: Robot,
+    readings: Sequence[Readings],
+    truth: Sequence[Readings],
+    window: tuple[float, float],
+    allow: Collection[str] = (),
+) -> list[Finding]:
+    """What is implausible about the streams of a recording that an estimate takes.
+
+    Args:
+        recording: The recording, whose frames are known and which may allow some checks itself.
+        robot: The robot.
+        readings: Streams to estimate from, inside the window.
+        truth: Streams to judge by, put right by known sensor parameters.
+        window: First and last time to estimate, s.
+        allow: Names of further checks to leave out.
+
+    Raises:
+        GlissandoError: A name is no check's.
+    """
+    switched_off = {*recording.allow, *allow}
+    frames = recording.frames
+    return examine(robot, readings, truth, frames=frames, window=window, allow=switched_off)
+
+
+def after_estimate(
+    posterior: Posterior,
+    readings: Sequence[Readings],
+    sensor_parameters: Sequence[SensorParameter] = (),
+) -> list[Finding]:
+    """What is implausible about an estimate: streams that it does not follow.
+
+    Args:
+        posterior: The estimate.
+        readings: The streams it was estimated from.
+        sensor_parameters: Those of the robot, applied at their expected or estimated values.
+    """
+    estimated = {p.name: values[len(values) // 2] for p, values in posterior.sensor_parameters}
+    parameters = [replace(p, value=estimated.get(p.name, p.value)) for p in sensor_parameters]
+    findings = []
+    for r in (corrected(r, parameters) for r in readings):
+        r = r.select(np.linspace(0, len(r) - 1, min(len(r), _ROWS)).round().astype(int))
+        r = r.inside(posterior.grid)
+        if not len(r):
+            continue
+        at = posterior.at(r.arclength, r.time)
+        residual = r.residual(State(at.pose, at.strain, at.velocity))
+        whitened = np.linalg.solve(np.linalg.cholesky(r.cov), residual[..., None])[..., 0]
+        size = float(np.sqrt(np.median(np.mean(whitened**2, axis=1))))
+        if size > _FOLLOWED:
+            findings.append(
+                Finding(
+                    "fit",
+                    f"The estimate misses {r.label!r} by {size:.3g} of its standard deviations "
+                    f"half of the time: readings contradict each other, or their noise is "
+                    f"stated far too small; look at glissando check.",
+                    False,
+                    (r.label,),
+                )
+            )
+    return findings

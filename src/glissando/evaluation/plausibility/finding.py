@@ -1,0 +1,89 @@
+"""What a check of plausibility has to say, and the names by which checks are switched off."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from glissando.errors import GlissandoError, ImplausibleError
+
+CHECKS = {
+    "axes": "coordinate axes swapped, mirrored, or turned against each other",
+    "base": "readings that fit together but not on the robot's base",
+    "clock": "streams whose times do not meet, or a clock that jumps",
+    "fit": "streams that the estimate does not follow",
+    "frame": "a frame inverted, left out, in millimetres or with another quaternion order",
+    "grid": "more time nodes than readings could need",
+    "gyro": "a gyroscope's unit, signs or axes against the turning of tracked bodies",
+    "lag": "streams whose motion comes later or earlier than that of the others",
+    "length-unit": "positions, arclengths or mounts that are not in metres",
+    "mount": "a sensor whose z axis does not run along the robot",
+    "noise": "stated noise against the noise that is seen",
+    "quaternion": "another order or direction of rotations",
+    "reach": "readings farther from the base than the robot is long",
+    "sampling": "rows that stand there twice, coarse stamps, values that freeze",
+    "shape": "readings that no shape of the robot explains",
+    "slide": "a slide's direction, scale, zero and lateness against the sensor's motion",
+    "speed": "motion faster than a robot moves",
+    "time-unit": "times that are not in seconds",
+}
+"""Names of the checks, as `--allow` takes them, and what each finds."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something implausible about readings.
+
+    Attributes:
+        name: The check, one of `CHECKS`.
+        sentence: What is wrong, the value seen, the likely cause, what to do.
+        refusal: Whether an estimate would be nonsense; otherwise it is a warning.
+        streams: Names of the streams concerned.
+        correction: The change that would make the readings plausible, where one was found.
+    """
+
+    name: str
+    sentence: str
+    refusal: bool
+    streams: tuple[str, ...] = ()
+    correction: str = ""
+
+    def as_json(self) -> dict[str, object]:
+        """The finding as JSON holds it."""
+        return {**vars(self), "streams": list(self.streams)}
+
+
+def listed(names: Sequence[str]) -> str:
+    """A few names as a text, quoted; the rest counted."""
+    shown = ", ".join(repr(name) for name in names[:3])
+    return shown + f" and {len(names) - 3} more" * (len(names) > 3)
+
+
+def require_known(allow: Iterable[str]) -> None:
+    """Make sure that every name is that of a check.
+
+    Args:
+        allow: Names of checks that are switched off.
+
+    Raises:
+        GlissandoError: One of them is not.
+    """
+    for name in allow:
+        if name not in CHECKS:
+            raise GlissandoError(f"--allow {name!r} is no check; known: {', '.join(CHECKS)}.")
+
+
+def refuse(findings: Sequence[Finding]) -> None:
+    """Raise for the findings that make an estimate nonsense.
+
+    Args:
+        findings: What was found.
+
+    Raises:
+        ImplausibleError: At least one is a refusal; the sentence says how to go on regardless.
+    """
+    refusals = [finding for finding in findings if finding.refusal]
+    if refusals:
+        names = ",".join(dict.fromkeys(finding.name for finding in refusals))
+        sentences = " ".join(finding.sentence for finding in refusals)
+        raise ImplausibleError(f"{sentences} If that is as it should be: --allow {names}")

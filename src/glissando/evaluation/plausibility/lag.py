@@ -1,0 +1,152 @@
+"""Streams whose motion comes later or earlier than that of the others."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glissando.evaluation.plausibility.finding import Finding, listed
+from glissando.evaluation.plausibility.session import Streams, as_poses, weights
+from glissando.geometry.se3 import Array
+from glissando.model.sensors.readings import Readings
+
+_RATE = 25.0  # Hz at which motion is compared
+_SMOOTH = 5  # samples
+_FARTHEST = 0.3  # of the common time: the longest lag that is looked for
+_ALIKE = 0.75  # correlation of two streams' speeds that makes a lag of them
+_BETTER = 0.08  # by which it exceeds that without a lag
+_LEAST = 0.15  # s
+_TRAVEL = 5e-3  # m: beyond, a sensor moves by itself
+
+
+def check_lag(streams: Streams) -> Iterator[Finding]:
+    """Findings on clocks, from when bodies and gyroscopes move.
+
+    Speeds do not depend on frames, so they are compared without any. All streams of the truth
+    count as one clock, and so do all sensors of one kind.
+
+    Args:
+        streams: A session.
+
+    Yields:
+        Findings.
+    """
+    signals = [(r, s) for r in streams.every if (s := _speed(r)) is not None]
+    if len(signals) < 2:
+        return
+    count = len(signals)
+    lags, known = np.zeros((count, count)), np.zeros((count, count), dtype=bool)
+    for i, j in combinations(range(count), 2):
+        found = _lag(signals[i][1], signals[j][1])
+        if found is not None:
+            lags[i, j], lags[j, i] = found, -found
+            known[i, j] = known[j, i] = True
+    late = _delays(lags, known)
+    is_truth = np.array([any(r is t for t in streams.truth) for r, _ in signals])
+    if is_truth.any() and not is_truth.all():
+        late -= np.median(late[~is_truth])
+    else:
+        late -= np.median(late)
+    yield from _reported(signals, late, known, is_truth)
+
+
+def _reported(
+    signals: list[tuple[Readings, tuple[Array, Array]]],
+    late: Array,
+    known: NDArray[np.bool_],
+    is_truth: NDArray[np.bool_],
+) -> Iterator[Finding]:
+    off = (np.abs(late) > _LEAST) & known.any(axis=1)
+    if off[is_truth].sum() > 1 and off[is_truth].mean() > 0.6:
+        value = float(np.median(late[is_truth]))
+        names = tuple(r.label for (r, _), t in zip(signals, is_truth, strict=True) if t)
+        yield _late(f"The truth ({listed(names)}) moves", value, names)
+        off &= ~is_truth
+    for (r, _), value, bad in zip(signals, late, off, strict=True):
+        if bad:
+            yield _late(f"{r.label!r} moves", float(value), (r.label,))
+
+
+def _late(subject: str, value: float, names: tuple[str, ...]) -> Finding:
+    later = "later" if value > 0.0 else "earlier"
+    return Finding(
+        "lag",
+        f"{subject} {abs(value):.2g} s {later} than the other streams: their clocks probably "
+        f"differ; subtract {value:.2g} s from its times, or give it an uncertain time_offset.",
+        abs(value) > 1.0, names, later,
+    )  # fmt: skip
+
+
+def _speed(r: Readings) -> tuple[Array, Array] | None:
+    """Times and speeds of a stream: its own turn rate, else how fast its axes or position move."""
+    if len(r) < 30:
+        return None
+    order = np.argsort(r.time, kind="stable")
+    time = r.time[order]
+    if r.kind == "gyro":
+        return time, np.linalg.norm(r.values[order], axis=1)
+    if not r.tracker or np.ptp(r.arclength) > _TRAVEL:
+        return None
+    pose = as_poses(r)[order]
+    steps = np.diff(time)
+    ok = steps > 0.0
+    if weights(r)[3] > 0.0:
+        moved = np.linalg.norm(np.diff(pose[:, :3, 2], axis=0), axis=-1)
+    else:
+        moved = np.linalg.norm(np.diff(pose[:, :3, 3], axis=0), axis=-1)
+    return (0.5 * (time[1:] + time[:-1]))[ok], moved[ok] / steps[ok]
+
+
+def _lag(one: tuple[Array, Array], other: tuple[Array, Array]) -> float | None:
+    """By how many seconds the first comes later than the second, 0 if at once, None if unknown."""
+    first, last = max(one[0][0], other[0][0]), min(one[0][-1], other[0][-1])
+    if last - first < 3.0:
+        return None
+    grid = np.arange(first, last, 1.0 / _RATE)
+    if grid.size > 200_000:
+        return None
+    box = np.ones(_SMOOTH) / _SMOOTH
+    a, b = (np.convolve(np.sqrt(np.interp(grid, t, v)), box, "same") for t, v in (one, other))
+    reach = int(_FARTHEST * grid.size)
+    scores = _correlations(a, b, reach)
+    best, here = int(np.argmax(scores)), scores[reach]
+    if scores[best] < _ALIKE:
+        return None
+    if scores[best] - here < max(_BETTER, 0.3 * (1.0 - here)) or abs(here) > 0.9:
+        return 0.0
+    return (best - reach) / _RATE
+
+
+def _correlations(a: Array, b: Array, reach: int) -> Array:
+    """Correlations (2 reach + 1,) of two signals, the first taken up to `reach` samples later."""
+    out = np.zeros(2 * reach + 1)
+    count = a.size
+    size = 1 << (2 * count - 1).bit_length()
+
+    def total(x: Array, y: Array) -> Array:
+        """Sums of x[k + lag] y[k] over all k that both have."""
+        product = np.fft.irfft(np.fft.rfft(x, size) * np.conj(np.fft.rfft(y, size)), size)
+        return np.concatenate([product[size - reach :], product[: reach + 1]])
+
+    one = np.ones(count)
+    n = np.maximum(total(one, one), 1.0)
+    sum_a, sum_b = total(a, one), total(one, b)
+    cov = total(a, b) / n - sum_a * sum_b / n**2
+    var_a = total(a * a, one) / n - (sum_a / n) ** 2
+    var_b = total(one, b * b) / n - (sum_b / n) ** 2
+    good = (var_a > 1e-12) & (var_b > 1e-12)
+    out[good] = cov[good] / np.sqrt(var_a[good] * var_b[good])
+    return out
+
+
+def _delays(lags: Array, known: NDArray[np.bool_]) -> Array:
+    """How late each stream is (J,), from lags (J, J) of pairs, by medians."""
+    late = np.zeros(len(lags))
+    for _ in range(10):
+        for j in range(len(lags)):
+            if known[j].any():
+                late[j] = np.median((lags[j] + late)[known[j]])
+    return late

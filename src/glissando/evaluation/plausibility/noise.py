@@ -1,0 +1,113 @@
+"""Stated noise against the noise that is seen, in differences of readings at rest."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from glissando.evaluation.plausibility.finding import Finding
+from glissando.geometry.se3 import Array
+from glissando.model.sensors.readings import Readings
+
+_BLOCK = 16  # rows of which the quietest are taken as rest
+_FEWEST = 4 * _BLOCK
+_TOO_SMALL = 6.0  # times below what is seen at rest: chance gives 1.6 in 10,000 blocks
+_LENGTHS = 0.06  # of a robot's length: no tracker is as noisy
+_ANGLE = 0.3  # rad, likewise
+_RATE = 20.0  # rad/s: no gyroscope is as noisy
+_FINEST = {"positions": 3e-5, "angles": 1e-4, "turn rates": 1e-5}  # no sensor's errors are smaller
+_STILL = 2.0  # times white noise, beyond which something moves
+_THIRD = np.sqrt(20.0)  # std of a third difference of white noise
+
+
+def check_noise(readings: Sequence[Readings], length: float) -> Iterator[Finding]:
+    """Findings on stated standard deviations that cannot be.
+
+    A stated one may exceed the white noise, since it stands for bias as well. It cannot be far
+    below the noise of a sensor at rest, nor a good part of the robot itself.
+
+    Args:
+        readings: Sensors; their `cov` is what is stated.
+        length: Length of the robot, m.
+
+    Yields:
+        Findings.
+    """
+    for r in readings:
+        for what, rows, largest, seen in _parts(r, length):
+            stated = float(np.sqrt(np.median(np.diagonal(r.cov, axis1=-2, axis2=-1)[..., rows])))
+            unit = {"positions": "m", "angles": "rad"}.get(what, "rad/s")
+            if stated > largest:
+                yield _too_large(r, what, unit, stated, largest, seen)
+            elif seen > _TOO_SMALL * stated or stated < _FINEST[what]:
+                cause = "a variance given for a standard deviation, or another unit"
+                yield Finding(
+                    "noise",
+                    f"The stated noise of {r.label!r} is {stated:.3g} {unit} in {what}, less than "
+                    f"such sensors err{_scatter(seen, unit)}: probably {cause}; give the "
+                    f"standard deviation, bias and all, in {unit}.",
+                    seen > 20.0 * stated, (r.label,), "small",
+                )  # fmt: skip
+
+
+def _too_large(
+    r: Readings, what: str, unit: str, stated: float, largest: float, seen: float
+) -> Finding:
+    cause = {"m": "millimetres", "rad": "degrees", "rad/s": "degrees per second"}[unit]
+    return Finding(
+        "noise",
+        f"The stated noise of {r.label!r} is {stated:.3g} {unit} in {what}"
+        f"{_scatter(seen, unit)}: probably {cause}; give the standard deviation in {unit}.",
+        stated > 5.0 * largest, (r.label,), cause,
+    )  # fmt: skip
+
+
+def _scatter(seen: float, unit: str) -> str:
+    """The noise that is seen, as a part of a sentence, if any is."""
+    return f", while its readings at rest scatter by {seen:.3g} {unit}" if seen > 0.0 else ""
+
+
+def _parts(r: Readings, length: float) -> Iterator[tuple[str, slice, float, float]]:
+    """Parts of a reading: what it is, its rows, the largest noise it can have, the noise seen."""
+    if r.kind in ("pose", "coil"):
+        inverse = np.swapaxes(r.values[:, :3, :3], -1, -2)
+        steps = inverse[:-1] @ r.values[1:, :3, :3]
+        turn = np.stack([steps[:, 2, 1], steps[:, 0, 2], steps[:, 1, 0]], axis=-1)
+        yield "positions", slice(0, 3), _LENGTHS * length, _at_rest(r, r.values[:, :3, 3], 0)
+        columns = slice(0, 2) if r.kind == "coil" else slice(0, 3)
+        yield "angles", slice(3, None), _ANGLE, _at_rest(r, turn[:, columns], 1)
+    elif r.kind == "position":
+        yield "positions", slice(0, 3), _LENGTHS * length, _at_rest(r, r.values, 0)
+    elif r.kind == "gyro":
+        yield "turn rates", slice(0, 3), _RATE, 0.0  # a vibrating robot turns like white noise
+
+
+def _at_rest(r: Readings, values: Array, taken: int) -> float:
+    """Standard deviation of white noise where it is least, from third differences; 0 if unknown.
+
+    Args:
+        r: The readings.
+        values: Numbers (M − taken, C), differenced `taken` times already.
+        taken: How many differences were taken.
+    """
+    steps = np.diff(r.time)
+    if len(values) < _FEWEST:
+        return 0.0
+    regular = np.abs(steps - np.median(steps)) < 0.2 * np.median(steps)
+    different = np.diff(values, 3 - taken, axis=0)
+    ok = regular[:-2] & regular[1:-1] & regular[2:]
+    different = different[: ok.size][ok[: len(different)]]
+    blocks = len(different) // _BLOCK
+    if blocks < 2:
+        return 0.0
+    shaped = different[: blocks * _BLOCK].reshape(blocks, _BLOCK, -1)
+    white = np.sqrt(np.mean(shaped**2, axis=1)) / _THIRD
+    if taken == 0:  # a block at rest is no more than white noise about a line
+        raw = values[: len(ok)][ok][: blocks * _BLOCK].reshape(blocks, _BLOCK, -1)
+        ramp = np.linspace(-1.0, 1.0, _BLOCK)[:, None]
+        raw = raw - raw.mean(axis=1, keepdims=True)
+        raw = raw - ramp * (np.sum(ramp * raw, axis=1, keepdims=True) / np.sum(ramp**2))
+        still = np.all(np.sqrt(np.mean(raw**2, axis=1)) < _STILL * white, axis=1)
+        white = white[still]
+    return float(np.median(np.quantile(white, 0.1, axis=0))) if len(white) > 1 else 0.0

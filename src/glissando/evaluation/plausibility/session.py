@@ -1,0 +1,99 @@
+"""What a guard looks at: a robot, its streams, the frames they came in."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from glissando.evaluation.plausibility.shape import Sightings
+from glissando.geometry import se3
+from glissando.geometry.se3 import Array
+from glissando.model.robot import Robot
+from glissando.model.sensors.readings import Readings
+
+_MOMENTS = 12  # at which shapes are fitted
+_NEAR = 0.25  # s from a moment within which a reading counts
+
+
+@dataclass(frozen=True)
+class Streams:
+    """Streams of one session, known sensor parameters applied.
+
+    Attributes:
+        robot: The robot.
+        sensors: Streams to estimate from.
+        truth: Streams to judge by.
+        frames: Poses T_wf (4, 4) of the frames that streams came in, by stream; world unless given.
+    """
+
+    robot: Robot
+    sensors: tuple[Readings, ...]
+    truth: tuple[Readings, ...] = ()
+    frames: Mapping[str, Array] = field(default_factory=dict)
+
+    @property
+    def every(self) -> tuple[Readings, ...]:
+        """Sensors, then truth."""
+        return self.sensors + self.truth
+
+    @property
+    def tracked(self) -> list[Readings]:
+        """Streams that see positions or orientations."""
+        return [r for r in self.every if r.tracker and len(r)]
+
+    def frame(self, r: Readings) -> Array:
+        """The pose of the frame that a stream came in."""
+        return self.frames.get(r.name, np.eye(4))
+
+    def moments(self, count: int = _MOMENTS) -> tuple[Array, Sightings]:
+        """Times (B,) spread over the session, and what each tracked stream saw at them."""
+        tracked = self.tracked
+        spans = np.array([[r.time.min(), r.time.max()] for r in tracked])
+        first, last = spans[:, 0].max(), spans[:, 1].min()
+        if not first < last:
+            first, last = spans[:, 0].min(), spans[:, 1].max()
+        time = np.linspace(first, last, count + 2)[1:-1]
+        seen = [sight(r, time) for r in tracked]
+        return time, Sightings(*(np.stack(part, axis=1) for part in zip(*seen, strict=True)))
+
+
+def sight(r: Readings, time: Array) -> tuple[Array, Array, Array]:
+    """Places (B,), poses (B, 4, 4) of the cross-section and weights (B, 4) of a stream at times.
+
+    Between two readings poses are interpolated; where none is near, weights are zero.
+    """
+    order = np.argsort(r.time, kind="stable")
+    stamps = r.time[order]
+    after = np.clip(np.searchsorted(stamps, time), 1, max(len(r) - 1, 1))
+    lower, upper = order[after - 1], order[np.minimum(after, len(r) - 1)]
+    gap = np.maximum(r.time[upper] - r.time[lower], 1e-12)
+    share = np.clip((time - r.time[lower]) / gap, 0.0, 1.0)
+    poses = as_poses(r)
+    start, end = poses[lower], poses[upper]
+    pose = start @ se3.exp(share[:, None] * se3.log(se3.inverse(start) @ end))
+    place = (1.0 - share) * r.arclength[lower] + share * r.arclength[upper]
+    near = np.minimum(np.abs(time - r.time[lower]), np.abs(time - r.time[upper])) < _NEAR
+    return place, pose, near[:, None] * weights(r)
+
+
+def as_poses(r: Readings) -> Array:
+    """Poses (M, 4, 4) of the cross-section that a tracker reports; what it does not see is none."""
+    out = np.tile(np.eye(4), (len(r), 1, 1))
+    if r.values.ndim == 2:
+        out[:, :3, 3] = r.values
+        return out
+    out[:, :3, :3] = r.values[:, :3, :3]
+    if r.values.shape[-1] == 4:
+        out[:, :3, 3] = r.values[:, :3, 3]
+    return out @ se3.inverse(r.mount)
+
+
+def weights(r: Readings) -> Array:
+    """Weights (4,) of a tracker's position and of its three axes."""
+    if r.values.ndim == 2:
+        return np.array([1.0, 0.0, 0.0, 0.0])
+    if r.values.shape[-1] == 3:
+        return np.array([0.0, 1.0, 1.0, 1.0])
+    return np.array([1.0, 0.0, 0.0, 1.0] if r.kind == "coil" else [1.0, 1.0, 1.0, 1.0])

@@ -1,0 +1,202 @@
+"""Shapes of a robot fitted to tracked poses at single moments, independently of any prior.
+
+A guard must not believe what it guards: shapes bend by a generic random walk of curvature, not by a
+robot file's densities, and readings count with generous weights. Many moments are fitted at once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from glissando.geometry import se3
+from glissando.geometry.se3 import Array
+from glissando.model.grid import Grid
+from glissando.model.robot import Robot
+
+_KNOTS, _PIECES = 5, 12  # of strain along the robot, of its integration
+_ROUNDS, _COARSE = 14, 5  # steps, of which the first trust readings less
+_POSITION, _AXIS = 0.02, 0.12  # readings' std, of the length and rad; the model errs by less
+_BASE = np.repeat([0.01, 0.05], 3)  # the base's std, of the length and rad
+_AXES = np.stack([se3.hat3(-axis) for axis in np.eye(3)])  # of turns, on each body axis
+
+
+@dataclass(frozen=True)
+class Sightings:
+    """Tracked poses of J streams at B moments.
+
+    Attributes:
+        place: Arclengths (B, J), m.
+        pose: Poses (B, J, 4, 4) in the world.
+        weight: Weights (B, J, 4) of the position and of each body axis; 0 if not seen.
+    """
+
+    place: Array
+    pose: Array
+    weight: Array
+
+    def without(self, streams: list[int]) -> Sightings:
+        """The same with some streams unseen."""
+        weight = self.weight.copy()
+        weight[:, streams] = 0.0
+        return replace(self, weight=weight)
+
+    def joined(self, others: list[Sightings]) -> Sightings:
+        """These moments, then those of others."""
+        every = (self, *others)
+        return Sightings(
+            *(np.concatenate([getattr(s, n) for s in every]) for n in ("place", "pose", "weight"))
+        )
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Shapes fitted to sightings.
+
+    Attributes:
+        x: Parameters (B, P) of the shapes.
+        misses: Misses (B, J, 2) of position and axes in their standard deviations; NaN unseen.
+        effort: Squared bend and base error (B,), in the generic walk's variances.
+    """
+
+    x: Array
+    misses: Array
+    effort: Array
+
+
+class Rod:
+    """A robot as the guard knows it: its length, rest shape, base and whether it stretches."""
+
+    def __init__(self, robot: Robot, free_base: bool = False) -> None:
+        self.length = robot.length
+        rest = robot.prior.rest_state(Grid(robot.arclength_nodes, [0.0]))
+        middle = (np.arange(_PIECES) + 0.5) * robot.length / _PIECES
+        nodes, strain = robot.arclength_nodes, rest.strain[0]
+        self.rest = np.stack([np.interp(middle, nodes, column) for column in strain.T], axis=-1)
+        self.base = rest.pose[0, 0]
+        knots = np.linspace(0.0, robot.length, _KNOTS)
+        self.blend = np.stack([np.interp(middle, knots, row) for row in np.eye(_KNOTS)], axis=-1)
+        self.information = self._information(knots, stretch(robot))
+        std = _BASE * np.repeat([robot.length, 1.0], 3)
+        if free_base or not robot.prior.fixes_base:
+            std = np.repeat([10.0 * robot.length, 10.0], 3)
+        self.information[:6, :6] = np.diag(std**-2.0)
+
+    def _information(self, knots: Array, stretches: float) -> Array:
+        walk = np.minimum(knots[:, None], knots) / self.length
+        out = np.zeros((6 + 6 * _KNOTS, 6 + 6 * _KNOTS))
+        bend = 3.0 / self.length
+        for k, std in enumerate((0.02, 0.02, stretches, bend, bend, 0.5 * bend)):
+            at = 6 + k + 6 * np.arange(_KNOTS)
+            out[np.ix_(at, at)] = np.linalg.inv(std**2 * (1.0 + 1.5 * walk))
+        return out
+
+    def fit(self, seen: Sightings, rounds: int = _ROUNDS) -> Fit:
+        """The shapes that fit sightings best, by damped Gauss–Newton steps."""
+        x = np.zeros((len(seen.place), len(self.information)))
+        damping = np.full(len(x), 1e-2)
+        scale = np.array([1.0 / (_POSITION * self.length), *[1.0 / _AXIS] * 3])
+        for step in range(rounds):
+            if step in (0, _COARSE):
+                weight = seen.weight * scale * (0.2 if step == 0 else 1.0)
+                here = self._linearized(x, seen, weight)
+            _, cost, gradient, hessian = here
+            diagonal = np.einsum("bii->bi", hessian)[..., None] * np.eye(x.shape[1])
+            moved = (
+                x
+                - np.linalg.solve(hessian + damping[:, None, None] * diagonal, gradient[..., None])[
+                    ..., 0
+                ]
+            )
+            there = self._linearized(moved, seen, weight)
+            better = there[1] < cost
+            x = np.where(better[:, None], moved, x)
+            for new, old in zip(there, here, strict=True):
+                old[better] = new[better]
+            damping = np.clip(np.where(better, 0.1, 10.0) * damping, 1e-7, 1e6)
+        pose = here[0]
+        effort = np.einsum("bi,ij,bj->b", x, self.information, x)
+        return Fit(x, self.missed(pose, seen), effort)
+
+    def seen_by(self, fit: Fit, seen: Sightings) -> Fit:
+        """The same shapes, judged by other sightings at the same moments, which may repeat."""
+        times = len(seen.place) // len(fit.x)
+        x = np.tile(fit.x, (times, 1))
+        misses = self.missed(self._poses(x, seen.place)[0], seen)
+        return Fit(x, misses, np.tile(fit.effort, times))
+
+    def _linearized(
+        self, x: Array, seen: Sightings, weight: Array
+    ) -> tuple[Array, Array, Array, Array]:
+        """Poses where streams sit, costs (B,), gradients and Hessians of the squared misses."""
+        pose, slope = self._poses(x, seen.place)
+        rotation = pose[..., :3, :3]
+        off = pose - seen.pose
+        axes = np.swapaxes(off[..., :3, :3], -1, -2)
+        miss = np.concatenate([off[..., None, :3, 3], axes], axis=-2)
+        by_pose = np.zeros((*pose.shape[:2], 4, 3, 6))
+        by_pose[..., 0, :, :3] = rotation
+        by_pose[..., 1:, :, 3:] = rotation[..., None, :, :] @ _AXES
+        rows = (weight[..., None] * miss).reshape(len(x), -1)
+        by_pose = (weight[..., None, None] * by_pose).reshape(*pose.shape[:2], 12, 6)
+        jacobian = (by_pose @ slope).reshape(len(x), rows.shape[1], -1)
+        turned = np.swapaxes(jacobian, -1, -2)
+        pull = x @ self.information
+        cost = np.sum(rows**2, axis=-1) + np.sum(x * pull, axis=-1)
+        gradient = (turned @ rows[..., None])[..., 0] + pull
+        return pose, cost, gradient, turned @ jacobian + self.information
+
+    def _poses(self, x: Array, place: Array) -> tuple[Array, Array]:
+        """Poses (B, J, 4, 4) at places, and their slopes (B, J, 6, P) by the parameters."""
+        step = self.length / _PIECES
+        strain = self.rest + np.einsum("nk,bkx->bnx", self.blend, x[:, 6:].reshape(-1, _KNOTS, 6))
+        pieces = se3.exp(step * strain)
+        edges = np.empty((len(x), _PIECES + 1, 4, 4))
+        edges[:, 0] = self.base @ se3.exp(x[:, :6])
+        for n in range(_PIECES):
+            edges[:, n + 1] = edges[:, n] @ pieces[:, n]
+        inside = np.clip((place / step).astype(int), 0, _PIECES - 1)
+        row = np.arange(len(x))[:, None]
+        ahead = place - inside * step
+        pose = edges[row, inside] @ se3.exp(ahead[..., None] * strain[row, inside])
+        by_piece = step * se3.adjoint(edges[:, 1:])[:, :, :, None] * self.blend[:, None, :, None]
+        by_piece = by_piece.reshape(len(x), _PIECES, 6, -1)  # twists in the world, (K, 6) columns
+        before = np.concatenate([np.zeros_like(by_piece[:, :1]), np.cumsum(by_piece, axis=1)], 1)
+        before = np.concatenate(
+            [np.broadcast_to(se3.adjoint(edges[:, 0])[:, None], (*edges.shape[:2], 6, 6)), before],
+            axis=-1,
+        )
+        slope = se3.adjoint(se3.inverse(pose)) @ before[row, inside]
+        own = (
+            ahead[..., None, None, None]
+            * np.eye(6)[:, None]
+            * self.blend[inside][..., None, :, None]
+        )
+        slope[..., 6:] += own.reshape(*place.shape, 6, -1)
+        return pose, slope
+
+    def missed(self, pose: Array, seen: Sightings) -> Array:
+        """Misses (B, J, 2) of position and axes in their standard deviations; NaN where unseen."""
+        off = np.linalg.norm((pose - seen.pose)[..., :3, 3], axis=-1) / (_POSITION * self.length)
+        turned = np.linalg.norm((pose - seen.pose)[..., :3, :3], axis=-2) / _AXIS
+        known = seen.weight[..., 1:] > 0.0
+        turned = np.sqrt(np.sum(np.where(known, turned**2, 0.0), -1) / np.maximum(known.sum(-1), 1))
+        return np.stack(
+            [
+                np.where(seen.weight[..., 0] > 0.0, off, np.nan),
+                np.where(known.any(-1), turned, np.nan),
+            ],
+            axis=-1,
+        )
+
+
+def stretch(robot: Robot) -> float:
+    """How far the robot's prior lets it stretch, as a strain from 0.02 to 0.5."""
+    psd = getattr(robot.prior, "psd_strain_arclength", None)
+    if psd is None:
+        return 0.1
+    base = getattr(robot.prior, "base", None)
+    variance = float(np.max(np.asarray(psd)[..., 2])) * robot.length
+    variance += 0.0 if base is None else float(base.strain[2])
+    return float(np.clip(np.sqrt(variance), 0.02, 0.5))

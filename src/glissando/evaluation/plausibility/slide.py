@@ -1,0 +1,257 @@
+"""A sliding sensor against its own slide: it moves along its axis as far as the slide says."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from glissando.evaluation.plausibility.corrections import reordered, signed_axes
+from glissando.evaluation.plausibility.finding import Finding
+from glissando.evaluation.plausibility.session import Streams, as_poses, weights
+from glissando.evaluation.plausibility.shape import stretch
+from glissando.geometry.se3 import Array
+from glissando.model.sensors.readings import Readings
+
+_TRAVEL = 5e-3  # m that a slide has to go to say something
+_STEP = 0.2  # s over which motion and travel are compared
+_DRIFT = 0.5  # Hz per robot motion: one polynomial term a so many seconds
+_CLEAR = 0.35  # share of the motion's variance that the slide must explain, at the best
+_STD = 8.0  # standard deviations that a scale must differ from one
+_TILT = 0.12  # rad that a sensor may move off its axis
+_GOOD = 0.03  # share left unexplained below which nothing is late
+_LATE = np.arange(-1.5, 1.5001, 0.1)  # s
+_FAR = 0.03  # of the robot's length: how far a sensor that does not slide may go along its axis
+_AXIAL = 0.9  # share of its motion that is along its axis, at most 0.6 where a robot bends
+
+
+@dataclass(frozen=True)
+class _Course:
+    """Motion of a sliding sensor over steps of time.
+
+    Attributes:
+        moved: Displacements (M, 3) in the world.
+        rotation: Mean rotations (M, 3, 3) during them.
+        travel: Travels (M,) of the slide, as a function of its lateness.
+        drift: Functions (M, D) of time that the robot's own motion is made of.
+    """
+
+    moved: Array
+    rotation: Array
+    travel: Array
+    drift: Array
+
+    def along(self, rotation: Array, moved: Array) -> tuple[Array, Array, float, float]:
+        """Body direction per travel (3,), its std (3,), and shares of motion left unexplained.
+
+        The second share is what a travel along z alone leaves.
+        """
+        keep = self.drift @ np.linalg.pinv(self.drift)
+
+        def without_drift(values: Array) -> Array:
+            return values - np.einsum("mn,n...->m...", keep, values)
+
+        columns = without_drift(rotation * self.travel[:, None, None]).reshape(-1, 3)
+        target = without_drift(moved).reshape(-1)
+        direction = np.asarray(np.linalg.lstsq(columns, target, rcond=None)[0], dtype=float)
+        left = float(np.sum((target - columns @ direction) ** 2))
+        freedom = max(target.size - 3 * self.drift.shape[1] - 3, 1)
+        cov = np.linalg.pinv(columns.T @ columns) * left / freedom
+        std: Array = np.sqrt(np.diagonal(cov))
+        whole = max(float(np.sum(target**2)), 1e-30)
+        straight = float(np.sum((target - columns[:, 2]) ** 2))
+        return direction, std, left / whole, straight / whole
+
+
+def check_slide(streams: Streams) -> Iterator[Finding]:
+    """Findings on sensors whose arclength changes.
+
+    Args:
+        streams: A session.
+
+    Yields:
+        Findings.
+    """
+    for r in streams.tracked:
+        if weights(r)[0] == 0.0 or weights(r)[3] == 0.0:
+            continue
+        fixed = np.ptp(r.arclength) < _TRAVEL
+        found = _unmoved(r, streams) if fixed else _judged(r, streams.frame(r))
+        if found is not None:
+            yield found
+
+
+def _unmoved(r: Readings, streams: Streams) -> Finding | None:
+    """The finding that a sensor slides along its axis although its arclength stays."""
+    course = _course(r)
+    if course is None:
+        return None
+    body = np.einsum("mji,mj->mi", course.rotation, course.moved)
+    path = np.cumsum(body, axis=0)
+    span = np.ptp(path, axis=0)
+    energy = np.mean(body**2, axis=0)
+    if span[2] < _FAR * streams.robot.length or energy[2] < _AXIAL * energy.sum():
+        return None
+    if 2.0 * stretch(streams.robot) * streams.robot.length > span[2]:
+        return None
+    return Finding(
+        "slide",
+        f"{r.label!r} moves {span[2]:.3g} m along its own axis, and hardly sideways, while its "
+        f"arclength stays at {np.median(r.arclength):.3g} m: it probably slides; give every row "
+        f"the arclength of the slide.",
+        False, (r.label,), "unmoved",
+    )  # fmt: skip
+
+
+def _course(r: Readings, late: float = 0.0) -> _Course | None:
+    """The course of a stream, its slide read `late` seconds earlier."""
+    order = np.argsort(r.time, kind="stable")
+    time, place, pose = r.time[order], r.arclength[order], as_poses(r)[order]
+    grid = np.arange(time[0], time[-1], _STEP)
+    at = np.searchsorted(time, grid).clip(0, time.size - 1)
+    at = at[np.append(True, np.diff(at) > 0)]
+    ends = at[1:]
+    starts = at[:-1]
+    span = time[ends] - time[starts]
+    ok = span < 2.0 * _STEP
+    if ok.sum() < 12:
+        return None
+    starts, ends, span = starts[ok], ends[ok], span[ok]
+    moved = pose[ends, :3, 3] - pose[starts, :3, 3]
+    middle = (starts + ends) // 2
+    travel = np.interp(time[ends] - late, time, place) - np.interp(time[starts] - late, time, place)
+    count = int(np.clip(np.ptp(time) * _DRIFT * 0.5, 3, 9))
+    x = 2.0 * (time[middle] - time[0]) / max(np.ptp(time), 1e-9) - 1.0
+    drift = np.polynomial.chebyshev.chebvander(x, count - 1) * span[:, None]
+    return _Course(moved, pose[middle, :3, :3], travel, drift)
+
+
+def _judged(r: Readings, frame: Array) -> Finding | None:
+    course = _course(r)
+    if course is None or np.std(course.travel) < 1e-4:
+        return None
+    raw = frame[:3, :3].T
+    rotation, moved = raw @ course.rotation, course.moved @ raw.T
+    direction, std, left, straight = course.along(rotation, moved)
+    axis = direction / max(float(np.linalg.norm(direction)), 1e-12)
+    scale = float(np.linalg.norm(direction))
+    clear = left < 1.0 - _CLEAR and scale > _STD * std.max()
+    if clear and left < _GOOD and axis[2] > np.cos(max(_TILT, _STD * std.max() / scale)):
+        return _scaled(r, scale, float(std.max()))
+    if clear and axis[2] < 0.9 and np.max(np.abs(axis)) > 0.97:
+        return _turned(r, axis)
+    late = _late(r, left)
+    if late is not None:
+        return late
+    other = _explained(r, course, rotation, moved, straight)
+    if other is not None or not clear:
+        return other
+    if axis[2] < np.cos(max(2.0 * _TILT, _STD * std.max() / scale)):
+        return _tilted(r, axis)
+    return _scaled(r, scale, float(std.max())) if axis[2] > 0.9 else None
+
+
+def _tilted(r: Readings, axis: Array) -> Finding:
+    """The finding that a sensor moves at an angle to its axis."""
+    angle = np.degrees(np.arccos(np.clip(axis[2], -1.0, 1.0)))
+    return Finding(
+        "mount",
+        f"{r.label!r} slides {angle:.0f}° off its z axis: it probably sits askew, or its rotations "
+        f"are in another order; give its [streams.mount], and quaternions as qw, qx, qy, qz.",
+        angle > 40.0, (r.label,), "tilt",
+    )  # fmt: skip
+
+
+def _scaled(r: Readings, scale: float, std: float) -> Finding | None:
+    """The finding that travel and motion differ in scale."""
+    if abs(scale - 1.0) < max(0.25, _STD * std):
+        return None
+    known = {1e3: "positions are probably in millimetres", 1e2: "positions are probably in "
+             "centimetres", 39.37: "positions are probably in inches",
+             1e-3: "positions are probably 1,000 times too small"}  # fmt: skip
+    cause = next((text for k, text in known.items() if abs(scale / k - 1.0) < 0.2), "")
+    check = "length-unit" if cause else "slide"
+    cause = cause or f"the slide's travel is probably {1.0 / scale:.3g} times the real one"
+    return Finding(
+        check,
+        f"{r.label!r} moves {scale:.3g} m for each metre of its arclength: {cause}; give metres.",
+        abs(np.log(scale)) > np.log(1.5), (r.label,), cause,
+    )  # fmt: skip
+
+
+def _turned(r: Readings, axis: Array) -> Finding:
+    """The finding that a sensor moves along another axis than z, or backwards."""
+    if axis[2] < -0.9:
+        return Finding(
+            "slide",
+            f"{r.label!r} moves against its z axis while its arclength grows: the slide probably "
+            f"runs the other way (or arclength is counted from the tip, or the sensor sits with "
+            f"−z along the robot); change the sign of its travel.",
+            True, (r.label,), "reversed",
+        )  # fmt: skip
+    k = int(np.argmax(np.abs(axis)))
+    name = ("−" if axis[k] < 0.0 else "") + "xyz"[k]
+    return Finding(
+        "mount",
+        f"{r.label!r} slides along its {name} axis, not along z: it probably reports another "
+        f"axis along the robot; give its [streams.mount].",
+        True, (r.label,), name,
+    )  # fmt: skip
+
+
+def _late(r: Readings, left: float) -> Finding | None:
+    """The finding that the slide's readings come late or early."""
+    shares = np.full(_LATE.size, np.inf)
+    for k, late in enumerate(_LATE):
+        other = _course(r, float(late))
+        if other is not None:
+            direction, _, share, _ = other.along(other.rotation, other.moved)
+            shares[k] = share if 0.6 < direction[2] < 1.6 else np.inf
+    best = int(np.argmin(shares))
+    if abs(_LATE[best]) < 0.12 or left < 1.6 * shares[best] + 0.01 or shares[best] > 0.6:
+        return None
+    later = "later" if _LATE[best] > 0.0 else "earlier"
+    return Finding(
+        "slide",
+        f"The arclength of {r.label!r} changes {abs(_LATE[best]):.2g} s {later} than the sensor "
+        f"moves ({'earlier' if later == 'later' else 'later'} stamps of one clock): slide and "
+        f"tracker probably have different clocks; shift the times of one.",
+        False, (r.label,), "late",
+    )  # fmt: skip
+
+
+def _explained(
+    r: Readings, course: _Course, rotation: Array, moved: Array, left: float
+) -> Finding | None:
+    """The finding that another reading of the columns makes motion follow the slide."""
+    pose = np.tile(np.eye(4), (len(rotation), 1, 1))
+    pose[:, :3, :3] = rotation
+    tries: list[tuple[str, str, Array, Array]] = [
+        ("quaternion", "the quaternions are probably [x, y, z, w]; give qw, qx, qy, qz",
+         reordered(pose, [3, 0, 1, 2])[:, :3, :3], moved),
+        ("quaternion", "the quaternions are probably in a cyclic order; give qw, qx, qy, qz",
+         reordered(pose, [1, 2, 3, 0])[:, :3, :3], moved),
+        ("quaternion", "the rotations are probably those from world to body; conjugate them",
+         np.swapaxes(rotation, -1, -2), moved),
+    ]  # fmt: skip
+    for order, signs in signed_axes():
+        matrix = np.zeros((3, 3))
+        matrix[range(3), order] = signs
+        shown = ", ".join(
+            ("−" if s < 0 else "") + "xyz"[i] for i, s in zip(order, signs, strict=True)
+        )
+        text = f"x, y, z are probably {shown} of the rotations' axes; export both alike"
+        tries.append(("axes", text, rotation, moved @ matrix.T))
+    judged = []
+    for check, text, turned, shifted in tries:
+        judged.append((course.along(turned, shifted)[3], check, text))
+    share, check, text = min(judged)
+    if share > 0.4 * left or share > 0.4:
+        return None
+    return Finding(
+        check,
+        f"{r.label!r} does not move along its axis while it slides ({left:.0%} of its motion is "
+        f"left unexplained, {share:.0%} with one change): {text}.",
+        True, (r.label,), text,
+    )  # fmt: skip

@@ -1,0 +1,77 @@
+"""Motion faster than a robot moves, and grids finer than readings could need."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from glissando.evaluation.plausibility.finding import Finding
+from glissando.evaluation.plausibility.session import Streams, as_poses, weights
+
+_SPEED = 6.0  # robot lengths a second, half of the time
+_TURN = 30.0  # rad/s, half of the time
+_NODES = 8.0  # time nodes for each time at which something was read
+_MANY = 1500  # time nodes that are cheap, whatever was read
+
+
+def check_speed(streams: Streams) -> Iterator[Finding]:
+    """Findings on trackers that see half of all motion faster than a robot moves.
+
+    Args:
+        streams: A session.
+
+    Yields:
+        Findings.
+    """
+    for r in streams.tracked:
+        steps = np.diff(r.time)
+        if len(r) < 16 or not np.any(steps > 0.0):
+            continue
+        pose, ok = as_poses(r), steps > 0.0
+        if weights(r)[0] > 0.0:
+            moved = np.linalg.norm(np.diff(pose[:, :3, 3], axis=0), axis=1)[ok] / steps[ok]
+            speed = float(np.median(moved))
+            if speed > _SPEED * streams.robot.length:
+                yield Finding(
+                    "speed",
+                    f"{r.label!r} moves at {speed:.3g} m/s half of the time, on a robot "
+                    f"{streams.robot.length:g} m long: its times or positions probably have "
+                    f"another unit; give seconds and metres.",
+                    True, (r.label,),
+                )  # fmt: skip
+                continue
+        if weights(r)[3] > 0.0:
+            turned = np.linalg.norm(np.diff(pose[:, :3, 2], axis=0), axis=1)[ok] / steps[ok]
+            rate = float(np.median(turned))
+            if rate > _TURN:
+                yield Finding(
+                    "speed",
+                    f"{r.label!r} turns at {rate:.3g} rad/s half of the time: its times probably "
+                    f"have another unit, or its rotations are mixed up; give seconds.",
+                    True, (r.label,),
+                )  # fmt: skip
+
+
+def check_grid(streams: Streams, window: tuple[float, float]) -> Iterator[Finding]:
+    """A finding on a grid with far more time nodes than there are times of readings.
+
+    Args:
+        streams: A session.
+        window: First and last time to estimate, s.
+
+    Yields:
+        At most one finding.
+    """
+    robot = streams.robot
+    nodes = (window[1] - window[0]) * robot.time_rate
+    moments = np.unique(np.concatenate([r.time for r in streams.sensors])).size
+    if nodes > max(_NODES * moments, _MANY):
+        yield Finding(
+            "grid",
+            f"{window[0]:g} to {window[1]:g} s at time_rate = {robot.time_rate:g} nodes a second "
+            f"are {nodes:,.0f} time nodes for {moments:,} moments of readings, and "
+            f"{robot.memory(nodes) / 1e9:.2g} GB: time_rate or the times of a stream probably "
+            f"have another unit; give nodes a second and seconds, or choose a shorter window.",
+            True,
+        )  # fmt: skip

@@ -1,0 +1,160 @@
+"""Gyroscopes against the turning of tracked bodies: unit, signs, axes, frame."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from glissando.evaluation.plausibility.corrections import signed_axes
+from glissando.evaluation.plausibility.finding import Finding
+from glissando.evaluation.plausibility.session import Streams, as_poses, weights
+from glissando.geometry import se3
+from glissando.geometry.se3 import Array
+from glissando.model.sensors.readings import Readings
+
+_NEAR = 0.06  # of the robot's length within which a tracked body turns as the gyroscope does
+_WINDOW = 0.16  # s over which turns are compared
+_FEWEST = 20  # windows
+_SLOW = 0.1  # rad/s RMS below which a robot does not turn
+_SCALES = {
+    1.0: "",
+    180.0 / np.pi: "degrees per second",
+    np.pi / 180.0: "rad/s, read as degrees per second",
+    1e3: "milliradians per second",
+    30.0 / np.pi: "revolutions per minute",
+    1e-3: "a unit 1,000 times too large",
+}
+
+
+def check_gyros(streams: Streams) -> Iterator[Finding]:
+    """Findings on gyroscopes that have a tracked body beside or around them.
+
+    Args:
+        streams: A session.
+
+    Yields:
+        Findings.
+    """
+    full = [r for r in streams.tracked if np.all(weights(r)[1:] > 0.0) and len(r) > _FEWEST]
+    for gyro in streams.sensors:
+        if gyro.kind != "gyro" or len(gyro) < _FEWEST:
+            continue
+        place = float(np.median(gyro.arclength))
+        near = [
+            r for r in full
+            if np.max(np.abs(r.arclength - place)) < _NEAR * streams.robot.length
+        ]  # fmt: skip
+        found = None
+        for body in near:
+            found = _compared(gyro, *_turns(gyro, body), body.label)
+            if found is not None:
+                break
+        if not near:
+            found = _scale_alone(gyro, full)
+        if found is not None:
+            yield found
+
+
+def _turns(gyro: Readings, body: Readings) -> tuple[Array, Array, Array]:
+    """Mean rates of a gyroscope (M, 3), of a body (M, 3) in its own axes, and rotations."""
+    order = np.argsort(body.time, kind="stable")
+    time, rotation = body.time[order], as_poses(body)[order][:, :3, :3]
+    starts = np.searchsorted(time, np.arange(time[0], time[-1], _WINDOW)).clip(0, time.size - 1)
+    starts = starts[np.append(True, np.diff(starts) > 0)]
+    first, last = starts[:-1], starts[1:]
+    span = time[last] - time[first]
+    clock = np.sort(gyro.time)
+    inside = np.searchsorted(clock, time[last]) - np.searchsorted(clock, time[first])
+    ok = (span < 3.0 * _WINDOW) & (inside >= 2)
+    first, last, span = first[ok], last[ok], span[ok]
+    swung = np.swapaxes(rotation[first], -1, -2) @ rotation[last]
+    rates = se3.so3_log(swung) / span[:, None]
+    by_time = np.argsort(gyro.time, kind="stable")
+    total = _integral(gyro.time[by_time], gyro.values[by_time])
+    stamps = gyro.time[by_time]
+    angles = np.stack(
+        [
+            np.interp(time[last], stamps, column) - np.interp(time[first], stamps, column)
+            for column in total.T
+        ],
+        axis=-1,
+    )
+    return angles / span[:, None], rates, rotation[first]
+
+
+def _integral(time: Array, values: Array) -> Array:
+    steps = 0.5 * (values[1:] + values[:-1]) * np.diff(time)[:, None]
+    return np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(steps, axis=0)])
+
+
+def _compared(
+    gyro: Readings, seen: Array, rates: Array, rotation: Array, body: str
+) -> Finding | None:
+    """The finding that a gyroscope turns otherwise than a body at its place."""
+    if len(seen) < _FEWEST or np.sqrt(np.mean(np.sum(rates**2, axis=1))) < _SLOW:
+        return None
+    turned = np.einsum("mij,mj->mi", rotation, rates)  # in the world
+    tries = [(scale, "", rates) for scale in _SCALES]
+    tries += [(scale, "in the world's axes, not its own", turned) for scale in (1.0, 180.0 / np.pi)]
+    for order, signs in signed_axes():
+        shown = ", ".join(
+            ("−" if s < 0 else "") + "xyz"[i] for i, s in zip(order, signs, strict=True)
+        )
+        other = rates[:, list(order)] * np.array(signs)
+        text = "with the wrong sign" if shown == "−x, −y, −z" else f"about {shown} for x, y, z"
+        tries += [(scale, text, other) for scale in (1.0, 180.0 / np.pi)]
+    unexplained = np.array([_left(seen, scale * other) for scale, _, other in tries])
+    best = int(np.argmin(unexplained))
+    scale, text, _ = tries[best]
+    if best == 0 or unexplained[best] > 0.5 or unexplained[best] > 0.4 * unexplained[0]:
+        return None
+    what = " and ".join(part for part in (_unit(scale), text) if part)
+    return Finding(
+        "gyro",
+        f"{gyro.label!r} does not turn as {body!r} at its place does: it probably reads {what} "
+        f"({unexplained[best]:.0%} of its signal is left unexplained then, "
+        f"{min(unexplained[0], 99.0):.0%} as it is); give rad/s in the cross-section's axes.",
+        True, (gyro.label,), what,
+    )  # fmt: skip
+
+
+def _unit(scale: float) -> str:
+    return f"in {_SCALES[scale]}" if _SCALES[scale] else ""
+
+
+def _left(seen: Array, expected: Array) -> float:
+    """Share of the seen rates that the expected ones leave, up to a bias; outliers count little."""
+    error, size = seen - expected, seen - np.median(seen, axis=0)
+    error = error - np.median(error, axis=0)
+    square = np.sum(error**2, axis=1), np.sum(size**2, axis=1)
+    top = [np.sort(part)[: int(0.95 * len(part))].mean() for part in square]
+    return float(top[0] / max(top[1], 1e-30))
+
+
+def _scale_alone(gyro: Readings, full: list[Readings]) -> Finding | None:
+    """The finding that a gyroscope turns far faster or slower than every tracked body."""
+    sizes = []
+    for body in full:
+        seen, rates, _ = _turns(gyro, body)
+        if len(seen) >= _FEWEST:
+            sizes.append((_rms(seen), _rms(rates)))
+    if not sizes or max(rate for _, rate in sizes) < _SLOW:
+        return None
+    size, rate = max(sizes, key=lambda pair: pair[1])
+    ratio = size / rate
+    if 0.04 < ratio < 12.0:
+        return None
+    unit = "degrees per second" if ratio > 1.0 else "another unit"
+    return Finding(
+        "gyro",
+        f"{gyro.label!r} turns with {size:.3g} rad/s, tracked bodies with {rate:.3g} rad/s: it "
+        f"probably reads in {unit}; give rad/s.",
+        True, (gyro.label,), unit,
+    )  # fmt: skip
+
+
+def _rms(rates: Array) -> float:
+    """Typical size of rates (M, 3), outliers left out."""
+    square = np.sort(np.sum((rates - np.median(rates, axis=0)) ** 2, axis=1))
+    return float(np.sqrt(square[: int(0.98 * square.size)].mean()))

@@ -1,0 +1,256 @@
+"""The guard: what is right passes, and mistakes with random parameters are named."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from glissando import GyroReadings, PoseReadings, SensorParameter, estimate, load_robot, se3
+from glissando.cli.main import main
+from glissando.errors import GlissandoError, ImplausibleError, OutsideGridError
+from glissando.evaluation.consistency import check_readings
+from glissando.evaluation.leave_out import leave_out
+from glissando.evaluation.metrics import innovations
+from glissando.evaluation.plausibility.examine import examine
+from glissando.evaluation.plausibility.finding import CHECKS, Finding, refuse
+from glissando.evaluation.run import chosen_streams
+from glissando.io.recording import load_recording
+from glissando.solver.gauss_newton import SolverOptions
+from scenes import LENGTH, angular_velocity, arc, sliding_scene
+
+RNG = np.random.default_rng(7)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    out = tmp_path_factory.mktemp("guard") / "right"
+    options = ["--shape", "C", "--slide", "oscillate", "--cycles", "1", "--seed", "3"]
+    assert main(["simulate", *options, "--out", str(out)]) == 0
+    return out
+
+
+@pytest.fixture(scope="module")
+def session(folder):
+    """Robot, sensors, truth and frames of a simulated session."""
+    recording = load_recording(folder)
+    streams = chosen_streams(recording, recording.robot, recording.span(), None, None)[:2]
+    return recording.robot, *streams, recording.frames
+
+
+def found(robot, sensors, truth=(), frames=None, **options):
+    return {f.name: f for f in examine(robot, sensors, truth, frames=frames, **options)}
+
+
+def raw(reading, frame, change):
+    """Readings with their poses changed as the file has them."""
+    return reading.changed(values=frame @ change(se3.inverse(frame) @ reading.values))
+
+
+def scaled(pose, factor):
+    out = pose.copy()
+    out[..., :3, 3] *= factor
+    return out
+
+
+def cycled(pose):
+    out = pose.copy()
+    order = se3.quaternion(pose[..., :3, :3])[..., [1, 2, 3, 0]]
+    out[..., :3, :3] = se3.rotation_from_quaternion(order)
+    return out
+
+
+def test_a_right_session_passes_with_and_without_truth(session):
+    robot, sensors, truth, frames = session
+    assert not found(robot, sensors, truth, frames, window=(0.0, 5.0))
+    assert not found(robot, sensors)
+
+
+MISTAKES = {
+    "length-unit": lambda c, f: raw(c, f, lambda p: scaled(p, 1e3)),
+    "quaternion": lambda c, f: raw(c, f, cycled),
+    "frame": lambda c, f: c.changed(values=se3.inverse(f) @ se3.inverse(f) @ c.values),
+    "mount": lambda c, f: c.changed(values=c.values @ se3.exp(np.array([0, 0, 0, 0, 1.57, 0]))),
+    "slide": lambda c, f: c.changed(arclength=c.arclength.min() + c.arclength.max() - c.arclength),
+    "time-unit": lambda c, f: c.changed(time=1e3 * c.time),
+    "sampling": lambda c, f: c.select(np.repeat(np.arange(len(c)), 2)),
+    "noise": lambda c, f: c.changed(cov=1e6 * c.cov),
+    "clock": lambda c, f: c.changed(time=c.time + 1.7e9),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_a_mistake_with_the_coil_is_named(session, name):
+    robot, (coil,), truth, frames = session
+    frame = frames["coil"]
+    wrong, stated = MISTAKES[name](coil, frame), se3.inverse(frame) if name == "frame" else frame
+    finding = found(robot, [wrong], truth[::3], {"coil": stated})[name]
+    assert finding.streams == ("coil",) or name == "clock"
+    assert finding.name in CHECKS
+    assert "probably" in finding.sentence
+    assert ";" in finding.sentence, "what to do"
+
+
+@pytest.mark.parametrize("factor", np.exp(RNG.uniform(np.log(30.0), np.log(3e3), 2)))
+def test_a_slide_shows_any_scale_of_positions_without_truth(session, factor):
+    robot, (coil,), _, frames = session
+    wrong = raw(coil, frames["coil"], lambda p: scaled(p, factor))
+    findings = found(robot, [wrong], (), frames)
+    assert {"length-unit", "slide"} & findings.keys()
+
+
+def moving(rng, duration=8.0):
+    """A pose at the tip and one at mid length of a robot that moves unevenly, and its clock."""
+    time = np.arange(0.0, duration, 0.025)
+    warped = time + 0.8 * np.sin(1.7 * time + rng.uniform(0.0, 6.0))
+    noise = se3.exp(1e-4 * rng.standard_normal((2, time.size, 6)))
+
+    def pose(place, noise, name):
+        values = arc(np.full(time.size, place), warped) @ noise
+        s = np.full(time.size, place)
+        return PoseReadings(time=time, arclength=s, values=values, cov=1e-6, name=name)
+
+    return pose(LENGTH, noise[0], "tip"), pose(LENGTH / 2, noise[1], "middle"), warped
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_lag_is_measured(seed):
+    rng = np.random.default_rng(seed)
+    tip, middle, _ = moving(rng)
+    robot = load_robot("tdcr466")
+    assert "lag" not in found(robot, [tip], [middle])
+    late = rng.uniform(0.3, 1.2) * rng.choice([-1.0, 1.0])
+    finding = found(robot, [tip], [middle.changed(time=middle.time + late)])["lag"]
+    assert finding.streams == ("middle",)
+    told = float(finding.sentence.split("moves ")[1].split(" s ")[0])
+    assert told == pytest.approx(abs(late), abs=0.06)
+    assert ("later" if late > 0 else "earlier") in finding.sentence
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_units_signs_and_axes_of_a_gyroscope_are_found(seed):
+    rng = np.random.default_rng(seed)
+    tip, _, warped = moving(rng)
+    rates = angular_velocity(tip.arclength, warped) * np.gradient(warped, tip.time)[:, None]
+    rates += 5e-3 * rng.standard_normal(rates.shape)
+    gyro = GyroReadings(time=tip.time, arclength=tip.arclength, values=rates, cov=1e-4, name="gyro")
+    robot = load_robot("tdcr466")
+    assert "gyro" not in found(robot, [tip, gyro])
+    wrong = -rates if seed % 2 else rates[:, [1, 0, 2]]
+    factor = rng.choice([1.0, 180.0 / np.pi])
+    assert "gyro" in found(robot, [tip, gyro.changed(values=factor * wrong)])
+
+
+@pytest.mark.parametrize("share", [1e-3, 1.0, 1e3])
+def test_stated_noise_is_held_against_what_is_seen(share):
+    tip, _, _ = moving(np.random.default_rng(1))
+    still = tip.changed(values=arc(tip.arclength, np.zeros(len(tip))) @ se3.exp(
+        1e-3 * np.random.default_rng(2).standard_normal((len(tip), 6))))  # fmt: skip
+    findings = found(load_robot("tdcr466"), [still.changed(cov=share**2 * still.cov)])
+    assert ("noise" in findings) == (share != 1.0)
+
+
+def test_a_check_that_is_allowed_is_left_out_and_others_stay(session):
+    robot, (coil,), _, frames = session
+    wrong = coil.changed(cov=1e6 * coil.cov, time=1e3 * coil.time)
+    assert found(robot, [wrong], (), frames, allow=["noise"]).keys() == {"time-unit"}
+    with pytest.raises(GlissandoError, match="'nose' is no check; known: axes, base"):
+        found(robot, [coil], allow=["nose"])
+
+
+def test_refusals_are_one_error_that_says_how_to_go_on():
+    refuse([Finding("lag", "Late.", False)])
+    with pytest.raises(ImplausibleError, match=r"Far\. If that is as it should be: --allow reach"):
+        refuse([Finding("lag", "Late.", False), Finding("reach", "Far.", True)])
+
+
+def test_a_grid_beyond_memory_or_reason_is_refused_with_its_size(session):
+    robot, sensors, _, _ = session
+    dense = replace(robot, time_rate=3000.0)
+    finding = found(dense, sensors, window=(0.0, 5.0))["grid"]
+    assert "15,000 time nodes" in finding.sentence
+    assert f"{dense.memory(15000) / 1e9:.2g} GB" in finding.sentence
+    with pytest.raises(OutsideGridError, match=r"time nodes and about [\d,.e+]+ GB, more than 60%"):
+        dense.grid(0.0, 1e6)
+
+
+def edited(folder, tmp_path, change):
+    """The recording with another coil.csv."""
+    out = tmp_path / "wrong"
+    out.mkdir()
+    for file in folder.iterdir():
+        text = file.read_text()
+        if file.name == "coil.csv":
+            head, *rows = text.splitlines()
+            rows = [change([float(cell) for cell in row.split(",")]) for row in rows]
+            text = "\n".join([head, *(",".join(map(str, row)) for row in rows)])
+        (out / file.name).write_text(text)
+    return out
+
+
+def millimetres(row):
+    return [*row[:2], *(1e3 * x for x in row[2:5]), *row[5:]]
+
+
+def test_the_command_line_refuses_names_the_cause_and_obeys(folder, tmp_path, capsys):
+    wrong = edited(folder, tmp_path, millimetres)
+    for command in ("estimate", "check"):
+        assert main([command, str(wrong)]) == 2
+        told = capsys.readouterr().err
+        assert "positions are probably in millimetres" in told
+        assert "--allow length-unit" in told
+    assert main(["estimate", str(wrong), "--allow", "lengthunit"]) == 2
+    assert "is no check" in capsys.readouterr().err
+    description = wrong / "recording.toml"
+    description.write_text('allow = ["length-unit", "noise"]\n' + description.read_text())
+    assert "length-unit" not in {f.name for f in _of_recording(wrong)}
+
+
+def _of_recording(folder):
+    recording = load_recording(folder)
+    streams = chosen_streams(recording, recording.robot, recording.span(), None, None)[:2]
+    return examine(recording.robot, *streams, frames=recording.frames, allow=recording.allow)
+
+
+def test_findings_stand_in_the_report(folder, capsys):
+    assert main(["estimate", str(folder), "--window", "1", "2", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["findings"] == []
+
+
+@pytest.mark.parametrize("tolerance", [1e-3, 0.3])
+def test_squared_innovations_are_never_negative(tolerance):
+    """A loosely solved estimate explains some readings by more than all of their variance."""
+    prior, grid, readings = sliding_scene()
+    exact = [readings[0], readings[1].changed(cov=1e-6 * readings[1].cov), readings[2]]
+    posterior = estimate(prior, grid, exact, options=SolverOptions(tolerance=tolerance))
+    for r in exact:
+        squares = innovations(posterior, r)
+        assert np.all(squares >= 0.0)
+        assert np.all(np.isfinite(squares))
+
+
+def test_a_known_sensor_parameter_is_applied_to_innovations():
+    """A frame that is stated, and the same one as a known parameter, are judged alike."""
+    prior, grid, readings = sliding_scene()
+    frame = np.array([0.2, -0.1, 0.3, 0.4, 0.2, -0.9])
+    moved = readings[1].changed(values=se3.exp(-frame) @ readings[1].values)
+    known = SensorParameter("frame", "frame", ("coil",), frame, np.zeros(6))
+    direct = check_readings(estimate(prior, grid, readings), readings)
+    other = [readings[0], moved, readings[2]]
+    posterior = estimate(prior, grid, other, sensor_parameters=[known])
+    stated = check_readings(posterior, other, [known])
+    for one, same in zip(direct, stated, strict=True):
+        np.testing.assert_allclose(one.nees, same.nees, rtol=1e-4, atol=1e-6)
+
+
+def test_streams_left_out_accuse_a_biased_one_and_no_other():
+    """A coil that is 5 cm off explains itself by its own neighbours, but not by the others."""
+    prior, grid, readings = sliding_scene(duration=1.0)
+    tip = readings[1].changed(name="second", time=readings[1].time + 1e-4)
+    robot = replace(load_robot("tdcr466"), prior=prior)
+    off = tip.changed(values=se3.exp(np.array([0.05, 0, 0, 0, 0, 0])) @ tip.values)
+    for other, least, most in ((tip, 1e-3, 3.0), (off, 30.0, np.inf)):
+        streams = [readings[0], readings[1], other.inside(grid)]
+        judged = {(c.quantity, c.site): c for c in leave_out(robot, grid, streams)}
+        assert least < judged["by the others", "second"].mean < most
+        assert judged["by other times", "coil"].nees.size > 30
