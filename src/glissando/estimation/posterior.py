@@ -10,6 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from glissando.errors import GlissandoError
+from glissando.estimation.loads import (
+    WrenchEstimate,
+    internal_wrench,
+    point_loads,
+    require_mechanics,
+)
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
@@ -163,6 +169,47 @@ class Posterior:
                 for a in (out.pose, out.strain, out.velocity, out.cov)
             )
         )
+
+    def wrench(
+        self, arclength: ArrayLike, time: ArrayLike, *, frame: str = "body"
+    ) -> WrenchEstimate:
+        """Internal wrench at points: what the part beyond exerts on the part before it.
+
+        Args:
+            arclength: Metres; broadcast with `time`.
+            time: Seconds.
+            frame: Axes of the cross-section, "body", or of the "world".
+
+        Raises:
+            GlissandoError: The robot's prior knows no loads.
+            OutsideGridError: A point is off the grid.
+        """
+        require_mechanics(self.prior, frame)
+        at = self.at(arclength, time)
+        s = np.broadcast_arrays(np.asarray(arclength, dtype=float), time)[0]
+        return internal_wrench(self.prior, s, at.pose, at.strain, at.cov, frame)
+
+    def load(self, arclength: ArrayLike, time: ArrayLike, *, frame: str = "body") -> WrenchEstimate:
+        """The unknown wrench that acts at the tip or at one of the prior's `points`.
+
+        Args:
+            arclength: The places, metres; broadcast with `time`.
+            time: Seconds; the answer is that of the nearest time node.
+            frame: Axes of the cross-section, "body", or of the "world".
+
+        Raises:
+            GlissandoError: The robot's prior knows no loads.
+            OutsideGridError: A point is off the grid, or no load is expected there.
+        """
+        s, t = np.broadcast_arrays(
+            np.asarray(arclength, dtype=float), np.asarray(time, dtype=float)
+        )
+        self.grid.require(s.ravel(), t.ravel(), "Query")
+        k = np.abs(t.ravel()[:, None] - self.grid.time).argmin(axis=1)
+        prior, grid, state = self.prior, self.grid, self.state
+        found = point_loads(prior, grid, state, self._joint, s.ravel(), k, frame)
+        wrench, cov = found.wrench.reshape(*s.shape, 6), found.cov.reshape(*s.shape, 6, 6)
+        return WrenchEstimate(wrench, cov, frame)
 
     def _joint(self, nodes: np.ndarray) -> Array:
         """Joint covariance (M, c·dof, c·dof) of the touched nodes (M, c)."""

@@ -8,7 +8,7 @@ hundred of them cost little more than one. Source: equations (2'), (20), (21).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,10 +16,17 @@ from numpy.typing import ArrayLike, NDArray
 from glissando._kernels.threads import one_thread
 from glissando.errors import OutsideGridError
 from glissando.estimation.batch import estimate
+from glissando.estimation.loads import (
+    WrenchEstimate,
+    internal_wrench,
+    point_loads,
+    require_mechanics,
+)
 from glissando.estimation.posterior import Posterior, StateEstimate
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid, Index
 from glissando.model.interpolation import sort_points
+from glissando.model.priors.mechanical import MechanicalPrior
 from glissando.model.priors.prior import Prior
 from glissando.model.priors.static import STATIC_DOF
 from glissando.model.sensors.readings import Readings
@@ -30,6 +37,8 @@ from glissando.solver.outcome import Outcome
 from glissando.solver.static_equations import StaticEquations, linearize_static
 
 _DOFS = slice(0, STATIC_DOF)
+_SOFT_ITERATIONS = 8
+_SHARES = (1.0, 0.3, 0.1)  # of a bent step, tried in turn
 
 
 @dataclass(frozen=True)
@@ -86,6 +95,29 @@ class StaticPosterior:
             cov[points.rows, _DOFS, _DOFS] = 0.5 * (spread + np.swapaxes(spread, -1, -2))
         arrays = (pose, strain, np.zeros_like(strain), cov)
         return StateEstimate(*(a.reshape(*whole, *a.shape[1:]) for a in arrays))
+
+    def wrench(
+        self, arclength: ArrayLike, shape: ArrayLike, *, frame: str = "body"
+    ) -> WrenchEstimate:
+        """Internal wrench at points of shapes, as `Posterior.wrench` of moments."""
+        require_mechanics(self.prior, frame)
+        at = self.at(arclength, shape)
+        s = np.broadcast_arrays(np.asarray(arclength, dtype=float), shape)[0]
+        return internal_wrench(self.prior, s, at.pose, at.strain, at.cov, frame)
+
+    def load(
+        self, arclength: ArrayLike, shape: ArrayLike, *, frame: str = "body"
+    ) -> WrenchEstimate:
+        """The unknown wrench at the tip or at one of the prior's `points`, as `Posterior.load`."""
+        s, k = np.broadcast_arrays(
+            np.asarray(arclength, dtype=float), np.asarray(shape, dtype=float)
+        )
+        self.grid.require(s.ravel(), k.ravel(), "Query")
+        _require_whole(k.ravel(), "Query")
+        prior, grid, which = self.prior, self.grid, k.ravel().astype(np.intp)
+        found = point_loads(prior, grid, self.state, self._joint, s.ravel(), which, frame)
+        wrench, cov = found.wrench.reshape(*s.shape, 6), found.cov.reshape(*s.shape, 6, 6)
+        return WrenchEstimate(wrench, cov, frame)
 
     def _joint(self, nodes: Index) -> Array:
         """Joint covariance (M, c·12, c·12) of a node, or of it and the next (M, c)."""
@@ -146,13 +178,15 @@ def estimate_static(
         soft = prior.softened()
         if soft is not prior:
             rough = SolverOptions.rough(grid.arclength.size * STATIC_DOF)
+            rough = replace(rough, max_iterations=_SOFT_ITERATIONS)
             start = _iterated(soft, located, start, rough)[0]
         state, (cov, cross), left = _iterated(prior, located, start, options)
     outcomes = [Outcome.CONVERGED] * count
     for k in np.flatnonzero(left):
         alone = [r.select(r.time == k) for r in given]
         alone = [r.changed(time=np.zeros(len(r))) for r in alone]
-        one = estimate(prior, Grid(grid.arclength, [0.0]), alone, options=options)
+        own = prior.of_shape(int(k)) if isinstance(prior, MechanicalPrior) else prior
+        one = estimate(own, Grid(grid.arclength, [0.0]), alone, options=options)
         outcomes[k] = one.solve.outcome
         state.pose[k], state.strain[k] = one.state.pose[0], one.state.strain[0]
         cov[k], cross[k] = _node_blocks(one)
@@ -190,10 +224,12 @@ def _iterated(
             return straight, _marginals(here), left
         there = linearize_static(prior, located, straight)
         refused = going & ~_worthwhile(here, there, promise)
-        if np.any(refused):
-            bent = prior.bent(grid, here.state, step)
-            there = linearize_static(prior, located, _chosen(refused, bent, straight))
-            refused &= ~_worthwhile(here, there, promise)
+        for share in _SHARES:
+            if not np.any(refused):
+                break
+            bent = prior.bent(grid, here.state, share * step)
+            there = linearize_static(prior, located, _chosen(refused, bent, there.state))
+            refused &= ~_worthwhile(here, there, share * promise)
         if np.any(refused):
             left, going = left | refused, going & ~refused
             state = _chosen(refused, prior.rest_state(grid), there.state)

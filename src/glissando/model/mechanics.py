@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Index
 from glissando.model.priors.prior_table import PriorTable
@@ -28,7 +29,7 @@ class Mechanics:
             N m².
         mass_per_length: Of each segment (S,), kg/m.
         joints: Where segments meet (S−1,), m.
-        gravity: Acceleration (3,) in the world frame, m/s².
+        gravity: Acceleration (3,) in the world frame, m/s²; of static shapes also one each (S, 3).
         tip_mass: Mass of a tool at the tip, kg.
         tip_center: Its centre of mass (3,) in the frame of the tip's cross-section, m.
     """
@@ -46,8 +47,16 @@ class Mechanics:
 
     def tip_wrench(self, rotation: Array) -> Array:
         """Weight of the tool (…, 6) in the frame of the tip, whose rotation is (…, 3, 3)."""
-        force = self.tip_mass * np.einsum("...ji,j->...i", rotation, self.gravity)
+        force = self._tip_force(rotation)
         return np.concatenate([force, np.cross(self.tip_center, force)], axis=-1)
+
+    def tip_slope(self, rotation: Array) -> Array:
+        """Slope (…, 6, 3) of the tool's weight by a turn of the tip, in its own frame."""
+        by_turn = se3.hat3(self._tip_force(rotation))
+        return np.concatenate([by_turn, se3.hat3(self.tip_center) @ by_turn], axis=-2)
+
+    def _tip_force(self, rotation: Array) -> Array:
+        return self.tip_mass * np.einsum("...ji,...j->...i", rotation, self.gravity)
 
     def to_table(self) -> dict[str, Any]:
         """What a robot file's [mechanics] says, as `read_mechanics` reads it."""

@@ -9,7 +9,7 @@ strain is its internal wrench in other units, W = K (ε − ε*). Source: equati
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -39,6 +39,9 @@ from glissando.model.priors.static import STATIC_DOF
 from glissando.model.priors.stationary import chain_factors, interpolate_process, require_digits
 from glissando.model.state import STRAIN, STRAIN_RATE, State
 
+_REACH = 0.3  # m, over which a load acts, for orders of magnitude
+_SOFT = 0.022  # m, of shear over curvature
+_NO_FORCE = 1e-6
 _STATIC = slice(0, STATIC_DOF)
 _POSE_ROWS = np.r_[0:6, 12:18]
 
@@ -125,8 +128,29 @@ class MechanicalPrior:
         return True
 
     def softened(self) -> MechanicalPrior:
-        """The prior itself: a step taken interval by interval needs no softer one."""
-        return self
+        """The prior of a rod that moments bend as they like, without forces, soft in shear.
+
+        Its shapes follow the readings as a strain prior's do, and the moments follow the shapes: a
+        start in which only the forces are left to be found.
+        """
+        wrench = self.var_tip + self.var_points.sum(axis=0) + _REACH * self.psd_load
+        moment = np.repeat(wrench[3:].max() + _REACH**2 * wrench[:3].max(), 3)
+        curvature = moment[0] / (_REACH * self.mechanics.stiffness[:, 3:5].min() ** 2)
+        shear = np.maximum(self.psd_strain_error[:3], (_SOFT * _REACH) ** 2 / 3.0 * curvature)
+        none = _NO_FORCE * wrench[:3]
+        return replace(
+            self,
+            psd_load=np.concatenate([none / _REACH, moment / _REACH]),
+            psd_strain_error=np.concatenate([shear, self.psd_strain_error[3:]]),
+            var_tip=np.concatenate([none, moment]),
+            var_points=np.zeros_like(self.var_points),
+        )
+
+    def of_shape(self, number: int) -> MechanicalPrior:
+        """The prior of one of several static shapes, under the gravity that is its own."""
+        gravity = np.atleast_2d(self.mechanics.gravity)
+        own = gravity[number if len(gravity) > 1 else 0]
+        return replace(self, mechanics=replace(self.mechanics, gravity=own))
 
     def wrench(self, strain: Array, arclength: Array) -> tuple[Array, Array]:
         """Internal wrench (…, 6) where strain is (…, 6), and the stiffness (…, 6) that makes it.
@@ -166,7 +190,7 @@ class MechanicalPrior:
             mechanics.stiffness[segment],
             rest.at(begin),
             slope,
-            mechanics.mass_per_length[segment, None] * mechanics.gravity,
+            mechanics.mass_per_length[segment, None] * np.atleast_2d(mechanics.gravity)[0],
             np.broadcast_to(psd, (begin.size, 12)),
         )
         beyond = mechanics.stiffness[mechanics.segment(end)]
@@ -174,8 +198,9 @@ class MechanicalPrior:
 
     def rest_state(self, grid: Grid) -> State:
         """The robot on the grid under its own weight and no load, from which an estimate starts."""
-        pose, strain = hanging_rod(self.mechanics, self.intervals(grid.arclength), self.base_pose)
-        still = np.zeros((*grid.shape, 6))
+        still, count = np.zeros((*grid.shape, 6)), len(np.atleast_2d(self.mechanics.gravity))
+        base = np.broadcast_to(self.base_pose, (count, 4, 4))
+        pose, strain = hanging_rod(self.mechanics, self._tiled(grid, count), base)
         pose = np.broadcast_to(pose, (*grid.shape, 4, 4)).copy()
         return State(pose, np.broadcast_to(strain, still.shape).copy(), still, still.copy())
 
@@ -185,9 +210,9 @@ class MechanicalPrior:
         The errors of intervals move as the step says to first order, so poses and wrenches stay
         together however long it is.
         """
-        moved, every = [state.take(np.s_[:, 0]).retract(step[:, 0])], self._tiled(grid, len(step))
+        moved, times = [state.take(np.s_[:, 0]).retract(step[:, 0])], np.arange(len(step))
         for n in range(grid.arclength.size - 1):
-            piece = every.take(np.arange(len(step)) * (grid.arclength.size - 1) + n)
+            piece = self._pick(grid, times, np.full(len(step), n))
             ends = state.take(np.s_[:, n]), state.take(np.s_[:, n + 1])
             error, j0, j1 = interval_error(*ends, piece)
             change = (j0 @ step[:, n, :, None] + j1 @ step[:, n + 1, :, None])[..., 0]
@@ -197,8 +222,26 @@ class MechanicalPrior:
 
     def _tiled(self, grid: Grid, count: int) -> Intervals:
         """The intervals of the grid, `count` times over (count · (N−1),)."""
-        every = np.tile(np.arange(grid.arclength.size - 1), count)
-        return self.intervals(grid.arclength).take(every)
+        pieces = grid.arclength.size - 1
+        return self._pick(
+            grid, np.repeat(np.arange(count), pieces), np.tile(np.arange(pieces), count)
+        )
+
+    def _pick(self, grid: Grid, k: Index, n: Index) -> Intervals:
+        """The intervals n (M,) of the grid at its times k (M,)."""
+        found, gravity = self.intervals(grid.arclength).take(n), self.mechanics.gravity
+        if gravity.ndim == 1:
+            return found
+        if len(gravity) <= k.max(initial=0):
+            raise OutsideGridError(
+                f"Gravity is given for {len(gravity)} shapes and there are {k.max() + 1} or more; "
+                f"give a row for each, or one for all."
+            )
+        mass = self.mechanics.mass_per_length
+        segment = self.mechanics.segment(grid.arclength[n])
+        return replace(
+            found, section=replace(found.section, weight=mass[segment, None] * gravity[k])
+        )
 
     def factors(
         self, grid: Grid, state: State, noise_state: State, times: slice
@@ -239,32 +282,26 @@ class MechanicalPrior:
             paired=False,
         )
 
-    def _tip_error(self, grid: Grid, at: State) -> tuple[Array, Array]:
-        """Wrench at the tip less its tool's weight, and its rate (…, 12); Jacobian (…, 12, 24)."""
+    def _tip_error(self, grid: Grid, at: State, shape: Index | None = None) -> tuple[Array, Array]:
+        """Wrench at the tip less its tool's weight, and its rate (…, 12); Jacobian (…, 12, 24).
+
+        `shape` (M,) says of which static shapes the cross-sections are; of all in turn if absent.
+        """
         mechanics = self.mechanics
+        if shape is not None and mechanics.gravity.ndim == 2:
+            mechanics = replace(mechanics, gravity=mechanics.gravity[shape])
         stiffness, rest = mechanics.stiffness[-1], self.rest.at(grid.arclength[-1:])[0]
-        rotation = at.pose[..., :3, :3]
-        force = mechanics.tip_mass * np.einsum("...ji,j->...i", rotation, mechanics.gravity)
-        by_turn = np.concatenate(
-            [se3.hat3(force), se3.hat3(mechanics.tip_center) @ se3.hat3(force)], axis=-2
-        )
-        turning = at.velocity[..., 3:]
-        error = np.zeros((*force.shape[:-1], 12))
+        rotation, turning = at.pose[..., :3, :3], at.velocity[..., 3:]
+        by_turn = mechanics.tip_slope(rotation)
+        error = np.zeros((*turning.shape[:-1], 12))
         error[..., :6] = stiffness * (at.strain - rest) - mechanics.tip_wrench(rotation)
         error[..., 6:] = stiffness * strain_rate_of(at)
         error[..., 6:] -= np.einsum("...ij,...j->...i", by_turn, turning)
-        jacobian = np.zeros((*force.shape[:-1], 12, RATED))
+        jacobian = np.zeros((*turning.shape[:-1], 12, RATED))
         jacobian[..., :6, 3:6] = jacobian[..., 6:, 15:18] = -by_turn
         jacobian[..., :6, STRAIN] = jacobian[..., 6:, STRAIN_RATE] = np.diag(stiffness)
-        twice = se3.hat3(turning) @ se3.hat3(force)
-        arm = np.concatenate(
-            [
-                np.broadcast_to(np.eye(3), twice.shape),
-                np.broadcast_to(se3.hat3(mechanics.tip_center), twice.shape),
-            ],
-            axis=-2,
-        )
-        jacobian[..., 6:, 3:6] = arm @ twice
+        lever, spin = se3.hat3(mechanics.tip_center), se3.hat3(turning) @ by_turn[..., :3, :]
+        jacobian[..., 6:9, 3:6], jacobian[..., 9:, 3:6] = spin, lever @ spin
         return error, jacobian
 
     def static_factors(self, grid: Grid, state: State) -> Iterator[Factors]:
@@ -297,7 +334,7 @@ class MechanicalPrior:
     def crossing(self, grid: Grid, noise_state: State, k: Index, s: Cells) -> tuple[Array, Array]:
         """Gain and covariance (M, 12, 12) inside the intervals `s` at time nodes k."""
         start = noise_state.take((k, s.lower))
-        return bridge(start, self.intervals(grid.arclength).take(s.lower), s.offset)
+        return bridge(start, self._pick(grid, k, s.lower), s.offset)
 
     def at_time_nodes(
         self, grid: Grid, state: State, k: Index, n: Index, s: Cells, gain: Array | None
@@ -307,7 +344,7 @@ class MechanicalPrior:
             return at_nodes(state, k, n)
         nodes = (k * grid.arclength.size + n)[:, None] + np.arange(2)
         start, end = (state.flatten().take(nodes[:, i]) for i in (0, 1))
-        intervals = self.intervals(grid.arclength).take(s.lower)
+        intervals = self._pick(grid, k, s.lower)
         at, j0, j1 = interval_between(start, end, intervals, s.offset, gain)
         return at, nodes, np.stack([j0, j1], axis=2)
 
@@ -325,6 +362,48 @@ class MechanicalPrior:
         ends = np.diag(1.0 / self.var_base), _transposed(tip) @ (tip / self.var_tip[:, None])
         offsets = (which, n, s.offset) if inside else (which, n, None)
         return section_covariances(there, every, ends, *offsets)
+
+    def point_load(self, grid: Grid, state: State, k: Index, n: Index) -> PointLoad:
+        """The unknown wrench that acts at arclength nodes n (M,) > 0 at time nodes k (M,).
+
+        It is what an interval's error says of a jump at its end, and at the tip what is carried
+        there beside the tool. Source: equation (28).
+        """
+        jacobian, mean = np.zeros((n.size, 6, 2, STATIC_DOF)), np.zeros((n.size, 6))
+        left = np.zeros((n.size, 6, 6))
+        start, end = state.take((k, n - 1)), state.take((k, n))
+        piece = self._pick(grid, k, n - 1)
+        error, *slopes = still_error(start, end, piece)
+        noise = piece.flow(start, noisy=True).noise
+        share = np.zeros((n.size, 6, 12))
+        share[:, range(6), range(6, 12)] = -piece.jump / piece.end_stiffness
+        gain = np.swapaxes(np.linalg.solve(noise, _transposed(share)), -1, -2)
+        mean += np.einsum("mij,mj->mi", gain, error)
+        jacobian += np.stack([gain @ slope for slope in slopes], axis=2)
+        left += piece.jump[:, :, None] * np.eye(6) - gain @ _transposed(share)
+        at_tip, slope = self._tip_error(grid, end, k)
+        last = n == grid.arclength.size - 1
+        mean[last] += at_tip[last, :6]
+        jacobian[last, :, 1] += slope[last, :6, _STATIC]
+        nodes = (k * grid.arclength.size + n)[:, None] + np.arange(-1, 1)
+        return PointLoad(mean, nodes, jacobian, left)
+
+
+@dataclass(frozen=True)
+class PointLoad:
+    """Wrenches (M, 6) in the body frame, what they depend on, and what is left when that is sure.
+
+    Attributes:
+        mean: N and N m.
+        nodes: Nodes k·N + n (M, 2) that they follow from.
+        jacobian: Slopes (M, 6, 2, 12) by pose and strain there.
+        cov: Covariance (M, 6, 6) that the nodes leave.
+    """
+
+    mean: Array
+    nodes: Index
+    jacobian: Array
+    cov: Array
 
 
 _ENDS = (slice(None, -1), slice(1, None))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from glissando.errors import GlissandoError
 from glissando.geometry.se3 import Array
@@ -15,63 +16,70 @@ _ITERATIONS = 50
 _CLOSE = 1e-9  # of the wrench that the unbent rod leaves at the tip
 
 
-def hanging_rod(mechanics: Mechanics, intervals: Intervals, base: Array) -> tuple[Array, Array]:
-    """Poses (N, 4, 4) and strains (N, 6) at nodes of a rod that bears its weight and its tool.
+def hanging_rod(mechanics: Mechanics, every: Intervals, base: Array) -> tuple[Array, Array]:
+    """Poses (S, N, 4, 4) and strains (S, N, 6) of rods that bear their weight and their tool.
 
     Newton's method finds the wrench at the base for which nothing is left beyond the tip.
+
+    Args:
+        mechanics: The tool, and gravity (3,) or (S, 3).
+        every: The intervals (S · (N−1),) of S rods.
+        base: Poses (S, 4, 4) of their bases.
 
     Raises:
         GlissandoError: No such shape is found: the rod is too soft for its weight.
     """
-
-    def shoot(wrench: Array) -> tuple[Array, Array, Array, Array]:
-        return _shoot(mechanics, intervals, base, wrench)
-
-    wrench = np.zeros(6)
-    pose, strain, left, slope = shoot(wrench)
-    scale = np.abs(left).max() + 1e-6 * np.abs(intervals.end_stiffness).max() * 1e-6
+    wrench, share = np.zeros((len(base), 6)), np.ones((len(base), 1))
+    pose, strain, left, slope = _shoot(mechanics, every, base, wrench)
+    miss = np.abs(left).max(axis=1)
+    close = _CLOSE * miss + 1e-15 * np.abs(every.end_stiffness).max()
     for _ in range(_ITERATIONS):
-        if np.abs(left).max() <= _CLOSE * scale:
+        if np.all(miss <= close):
             return pose, strain
-        step, share = np.linalg.solve(slope, -left), 1.0
-        while share > 1e-3:
-            found = shoot(wrench + share * step)
-            if np.abs(found[2]).max() < (1.0 - 0.1 * share) * np.abs(left).max():
-                break
-            share *= 0.5
-        wrench = wrench + share * step
-        pose, strain, left, slope = found
+        step = np.linalg.solve(slope, -left[..., None])[..., 0]
+        tried = wrench + share * step * (miss > close)[:, None]
+        found = _shoot(mechanics, every, base, tried)
+        size = np.abs(found[2]).max(axis=1)
+        better = (size < miss) | (miss <= close)
+        share = np.where(better[:, None], np.minimum(1.0, 2.0 * share), 0.25 * share)
+        wrench = np.where(better[:, None], tried, wrench)
+        old = pose, strain, left, slope
+        pose, strain, left, slope = (_where(better, *pair) for pair in zip(found, old, strict=True))
+        miss = np.where(better, size, miss)
     raise GlissandoError(
         "No shape is found in which the robot bears its own weight; check the stiffness, the mass "
         "and the gravity of [mechanics]."
     )
 
 
+def _where(which: NDArray[np.bool_], one: Array, other: Array) -> Array:
+    """Rows of `one` where `which` (S,) says so, else of the other."""
+    return np.where(which.reshape(-1, *(1,) * (one.ndim - 1)), one, other)
+
+
 def _shoot(
-    mechanics: Mechanics, intervals: Intervals, base: Array, wrench: Array
+    mechanics: Mechanics, every: Intervals, base: Array, wrench: Array
 ) -> tuple[Array, Array, Array, Array]:
-    """Poses and strains along the rod, wrench (6,) left beyond the tip, its slope by the base's."""
-    section = intervals.section
-    stiffness, rest = section.stiffness[0], section.rest[0]
-    poses, strains = [base], [rest + wrench / stiffness]
-    by_base = np.zeros((12, 6))
-    by_base[6:] = np.diag(1.0 / stiffness)
-    for n in range(len(intervals.step)):
-        start = State(poses[-1][None], strains[-1][None], np.zeros((1, 6)))
-        ahead = intervals.take(np.array([n])).flow(start, noisy=False)
-        poses.append(poses[-1] @ ahead.pose[0])
-        strains.append(ahead.wrench[0])
-        by_base = ahead.transition[0] @ by_base
-    stiffness, rest = intervals.end_stiffness[-1], intervals.end_rest[-1]
-    rotation = poses[-1][:3, :3]
-    left = stiffness * (strains[-1] - rest) - mechanics.tip_wrench(rotation)
-    slope = stiffness[:, None] * by_base[6:]
-    for i in range(3):  # the tool's weight turns with the tip
-        turn = np.zeros((3, 3))
-        j, k = (i + 1) % 3, (i + 2) % 3
-        turn[k, j], turn[j, k] = 1.0, -1.0
-        slope -= np.outer(mechanics.tip_wrench(rotation @ turn), by_base[3 + i])
-    return np.array(poses), np.array(strains), left, slope
+    """Poses and strains along rods, wrenches (S, 6) left beyond the tip, slopes by the bases'."""
+    count = len(base)
+    pieces = len(every.step) // count
+    first = np.arange(count) * pieces
+    section = every.section
+    poses, strains = [base], [section.rest[first] + wrench / section.stiffness[first]]
+    by_base = np.zeros((count, 12, 6))
+    by_base[:, 6:] = np.eye(6) / section.stiffness[first, :, None]
+    for n in range(pieces):
+        start = State(poses[-1], strains[-1], np.zeros((count, 6)))
+        ahead = every.take(first + n).flow(start, noisy=False)
+        poses.append(poses[-1] @ ahead.pose)
+        strains.append(ahead.wrench)
+        by_base = ahead.transition @ by_base
+    last = first + pieces - 1
+    stiffness, rotation = every.end_stiffness[last], poses[-1][:, :3, :3]
+    left = stiffness * (strains[-1] - every.end_rest[last]) - mechanics.tip_wrench(rotation)
+    slope = stiffness[:, :, None] * by_base[:, 6:]
+    slope -= mechanics.tip_slope(rotation) @ by_base[:, 3:6]
+    return np.stack(poses, axis=1), np.stack(strains, axis=1), left, slope
 
 
 def section_covariances(

@@ -1,0 +1,156 @@
+"""What a rod carries and what acts on it, from a posterior whose prior knows its mechanics."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from glissando.errors import GlissandoError, OutsideGridError
+from glissando.geometry import se3
+from glissando.geometry.se3 import Array
+from glissando.model.grid import Grid, Index
+from glissando.model.priors.mechanical import MechanicalPrior
+from glissando.model.priors.prior import Prior
+from glissando.model.priors.transitions import symmetrize
+from glissando.model.state import State
+
+FRAMES = ("body", "world")
+
+
+@dataclass(frozen=True)
+class WrenchEstimate:
+    """Wrenches with covariance, with the leading shape of the query.
+
+    Attributes:
+        wrench: [force, moment] (…, 6) in N and N m, about the point of the cross-section.
+        cov: Its covariance (…, 6, 6).
+        frame: Whether its axes are those of the cross-section, "body", or of the "world".
+    """
+
+    wrench: Array
+    cov: Array
+    frame: str
+
+    @property
+    def force(self) -> Array:
+        """Force (…, 3), N."""
+        return self.wrench[..., :3]
+
+    @property
+    def moment(self) -> Array:
+        """Moment (…, 3), N m."""
+        return self.wrench[..., 3:]
+
+    @property
+    def std(self) -> Array:
+        """Standard deviations (…, 6)."""
+        return np.sqrt(np.einsum("...ii->...i", self.cov))
+
+
+def require_mechanics(prior: Prior, frame: str = "body") -> MechanicalPrior:
+    """The prior as a mechanical one.
+
+    Raises:
+        GlissandoError: It knows no loads, or the frame is neither "body" nor "world".
+    """
+    if frame not in FRAMES:
+        raise GlissandoError(f"There is no frame {frame!r}; give one of {', '.join(FRAMES)}.")
+    if not isinstance(prior, MechanicalPrior):
+        raise GlissandoError(
+            f"Loads need to know what the robot is made of, and its prior is {prior.kind!r}; give "
+            f'the robot file a [mechanics] and a [prior] of kind = "mechanical".'
+        )
+    return prior
+
+
+def internal_wrench(
+    prior: Prior, arclength: Array, pose: Array, strain: Array, cov: Array, frame: str
+) -> WrenchEstimate:
+    """What the part of the rod beyond cross-sections exerts on the part before. Source: (26).
+
+    Args:
+        prior: A mechanical prior.
+        arclength: Where (…), m; just beyond a load that acts there.
+        pose: Mean poses (…, 4, 4).
+        strain: Mean strains (…, 6).
+        cov: Covariance (…, 18, 18) of pose, strain and velocity.
+        frame: "body" or "world".
+
+    Raises:
+        GlissandoError: The prior knows no loads.
+    """
+    wrench, stiffness = require_mechanics(prior, frame).wrench(strain, arclength)
+    slope = np.zeros((*wrench.shape, 12))
+    slope[..., 6:] = stiffness[..., None] * np.eye(6)
+    if frame == "world":
+        wrench, slope = in_world(pose[..., :3, :3], wrench, slope)
+    spread = slope @ cov[..., :12, :12] @ np.swapaxes(slope, -1, -2)
+    return WrenchEstimate(wrench, symmetrize(spread), frame)
+
+
+def in_world(rotation: Array, wrench: Array, slope: Array) -> tuple[Array, Array]:
+    """Wrenches (…, 6) along the world's axes and their slopes (…, 6, c) by pose and strain.
+
+    The first columns of `slope` are those of the pose (…, 6) whose rotation it is.
+    """
+    turned = slope.copy()
+    turned[..., :3, 3:6] -= se3.hat3(wrench[..., :3])
+    turned[..., 3:, 3:6] -= se3.hat3(wrench[..., 3:])
+    lead = wrench.shape[:-1]
+    along = np.einsum("...ij,...aj->...ai", rotation, wrench.reshape(*lead, 2, 3))
+    slopes = rotation[..., None, :, :] @ turned.reshape(*lead, 2, 3, -1)
+    return along.reshape(*lead, 6), slopes.reshape(*lead, 6, -1)
+
+
+def point_loads(
+    prior: Prior,
+    grid: Grid,
+    state: State,
+    joint: Callable[[Index], Array],
+    arclength: Array,
+    k: Index,
+    frame: str,
+) -> WrenchEstimate:
+    """The unknown wrenches that act where the robot file expects some. Source: equation (28).
+
+    Args:
+        prior: A mechanical prior.
+        grid: The grid.
+        state: Nodes (K, N).
+        joint: Gives the covariance (M, 2 dof, 2 dof) of nodes (M, 2).
+        arclength: Places (M,), m: the tip's, or some of the prior's `points`.
+        k: Time nodes (M,).
+        frame: "body" or "world".
+
+    Raises:
+        GlissandoError: The prior knows no loads.
+        OutsideGridError: No load is expected at a place.
+    """
+    rod = require_mechanics(prior, frame)
+    places = np.union1d(rod.points, grid.arclength[-1:])
+    n = np.abs(arclength[:, None] - grid.arclength).argmin(axis=1)
+    expected = np.abs(arclength[:, None] - places).min(axis=1, initial=np.inf) < 1e-9
+    if not np.all(expected):
+        shown = ", ".join(f"{place:g}" for place in places)
+        raise OutsideGridError(
+            f"No load is expected at {arclength[~expected][0]:g} m but at {shown} m; name the "
+            f"place in `points` of [prior], or ask for the internal wrench there."
+        )
+    found = rod.point_load(grid, state, k, n)
+    wrench, slope = found.mean, found.jacobian[:, :, ::-1]  # the node where it acts first
+    rotation, left = state.pose[k, n, :3, :3], found.cov
+    slope = slope.reshape(n.size, 6, -1)
+    if frame == "world":
+        wrench, slope = in_world(rotation, wrench, slope)
+        both = np.zeros((n.size, 6, 6))
+        both[:, :3, :3] = both[:, 3:, 3:] = rotation
+        left = both @ left @ np.swapaxes(both, -1, -2)
+    slope = slope.reshape(n.size, 6, 2, 12)[:, :, ::-1]
+    cov = joint(found.nodes)
+    dof = cov.shape[-1] // 2
+    wide = np.zeros((n.size, 6, 2, dof))
+    wide[..., :12] = slope
+    flat = wide.reshape(n.size, 6, -1)
+    return WrenchEstimate(wrench, symmetrize(flat @ cov @ np.swapaxes(flat, -1, -2) + left), frame)
