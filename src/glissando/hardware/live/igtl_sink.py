@@ -50,7 +50,7 @@ class IgtlSink:
 
     def __init__(self, address: str) -> None:
         self.name = address.partition("?")[0]
-        self._endpoint = Endpoint(address)
+        self._endpoint = Endpoint(address, hears=False)
         self._frame = WireFrame.of(self._endpoint.address)
         self._send = self._endpoint.address.send
         self._stated = -np.inf

@@ -38,6 +38,7 @@ class Endpoint:
     Args:
         address: igtl://host:port calls there, again and again until somebody answers;
             igtl-server://host:port listens there, on 127.0.0.1 unless a host is given.
+        hears: Whether messages of peers are received, and not just thrown away.
 
     Attributes:
         address: The address in parts, its port the one that is listened at.
@@ -51,8 +52,9 @@ class Endpoint:
             that speaks with peers has ended.
     """
 
-    def __init__(self, address: str) -> None:
+    def __init__(self, address: str, *, hears: bool = True) -> None:
         self.text, self.address = address, Address.parse(address)
+        self._mode = "hear" if hears else "tell"
         self.peers, self._started = 0, False
         self._own, self._theirs = Counter[str](), Counter[str]()
         self._link: PacketLink | None = None
@@ -70,7 +72,9 @@ class Endpoint:
             command = [sys.executable, "-m", "glissando.hardware.openigtlink.exchange"]
             # A session of its own: Ctrl-C at the terminal is for the estimator alone.
             self._process = subprocess.Popen(
-                [*command, str(port), self.text], stdin=subprocess.PIPE, start_new_session=True
+                [*command, str(port), self.text, self._mode],
+                stdin=subprocess.PIPE,
+                start_new_session=True,
             )
             try:
                 assert self._process.stdin is not None

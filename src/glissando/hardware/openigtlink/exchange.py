@@ -1,10 +1,10 @@
 """The process that speaks with OpenIGTLink peers, so that none of them can hold an estimator up.
 
-`python -m glissando.hardware.openigtlink.exchange PORT ADDRESS` connects to the estimator at PORT
-of this machine, sends the token that it reads from standard input, and then listens at ADDRESS or
-calls there, again and again. Each peer has a queue of a few updates; one that reads too slowly
-misses the oldest. What a peer sends is bounded in size and rate. The process ends with the
-estimator's side of the link.
+`python -m glissando.hardware.openigtlink.exchange PORT ADDRESS MODE` connects to the estimator at
+PORT of this machine, sends the token that it reads from standard input, and then listens at ADDRESS
+or calls there, again and again; what peers say is passed on if MODE is "hear", else thrown away.
+Each peer has a queue of a few updates; one that reads too slowly misses the oldest. What a peer
+sends is bounded in size and rate. The process ends with the estimator's side of the link.
 """
 
 from __future__ import annotations
@@ -38,6 +38,7 @@ _QUEUE = 4  # updates that wait for a peer
 _KERNEL = 1 << 17  # bytes the system may hold for a peer: what is there already is stale
 _WAITING = 2048  # messages that wait for the estimator
 _HEARD = 1 << 22  # bytes a second that a peer may send
+_OVERHEARD = 1 << 16  # the same of a peer that nobody listens to
 _READ = 1 << 16
 _DEAD = 10.0  # s without room for a byte after which a peer is let go
 _AGAIN = 0.5  # s between calls
@@ -55,7 +56,7 @@ class _Peer:
     waiting: deque[bytes] = field(default_factory=deque)
     going: memoryview = field(default_factory=lambda: memoryview(b""))
     sent: float = field(default_factory=time.monotonic)
-    budget: int = _HEARD
+    budget: int = 0
 
     def push(self) -> None:
         """Send as much as the peer takes. Raises OSError when it is gone."""
@@ -75,13 +76,15 @@ class Exchange:
     Args:
         address: Where peers are.
         link: The link to the estimator.
+        hears: Whether what peers say is passed on.
 
     Raises:
         DeviceError: The address cannot be listened at.
     """
 
-    def __init__(self, address: Address, link: PacketLink) -> None:
-        self.address, self._link = address, link
+    def __init__(self, address: Address, link: PacketLink, *, hears: bool = True) -> None:
+        self.address, self._link, self._hears = address, link, hears
+        self._allowed = _HEARD if hears else _OVERHEARD
         self.counts: Counter[str] = Counter()
         self._peers: dict[socket.socket, _Peer] = {}
         self._messages: deque[bytes] = deque(maxlen=_WAITING)
@@ -175,7 +178,7 @@ class Exchange:
         connected.setblocking(False)
         connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         connected.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _KERNEL)
-        peer = self._peers[connected] = _Peer(connected)
+        peer = self._peers[connected] = _Peer(connected, budget=self._allowed)
         self._selector.register(connected, selectors.EVENT_READ)
         self.counts["connected"] += 1
         return peer
@@ -226,7 +229,7 @@ class Exchange:
         except MessageError:
             self._let_go(peer, "refused")
             return
-        for message in messages:
+        for message in messages if self._hears else ():
             if len(self._messages) == _WAITING:
                 self.counts["messages dropped"] += 1
             self._messages.append(ARRIVAL.pack(arrival) + message)
@@ -246,8 +249,8 @@ class Exchange:
         if fresh:
             self._second = now + 1.0
         for peer in list(self._peers.values()):
-            if fresh and peer.budget < _HEARD:
-                peer.budget = _HEARD
+            if fresh and peer.budget < self._allowed:
+                peer.budget = self._allowed
                 self._heed(peer)
             if (peer.going or peer.waiting) and now - peer.sent > _DEAD:
                 self._let_go(peer, "silent")
@@ -265,12 +268,12 @@ class Exchange:
 
 
 def main(arguments: list[str]) -> None:
-    """Connect to the estimator and exchange; its port and the address are the arguments."""
+    """Connect to the estimator and exchange; its port, address and mode are the arguments."""
     connected = socket.create_connection(("127.0.0.1", int(arguments[0])))
     connected.sendall(sys.stdin.buffer.read(16))
     link = PacketLink(connected)
     try:
-        exchange = Exchange(Address.parse(arguments[1]), link)
+        exchange = Exchange(Address.parse(arguments[1]), link, hears=arguments[2] == "hear")
     except DeviceError as problem:
         link.send(FAILURE, str(problem).encode())
         return
