@@ -26,7 +26,7 @@ from glissando.hardware.capture import (
 )
 from glissando.hardware.capture.capture import LOG
 from glissando.hardware.capture.online import OnMessage, live_estimate
-from glissando.hardware.drivers import Stage
+from glissando.hardware.drivers import GcodeStage, Stage
 from glissando.io.atomic_folder import require_new
 from glissando.io.session_log import read_session
 from glissando.model.slide_path import read_slide
@@ -134,7 +134,7 @@ def _path(options: argparse.Namespace, rig: Rig) -> SlidePath:
     return read_slide(Path(options.slide), limits, drawn_out)
 
 
-def _limits(stage: Stage) -> SlideLimits:
+def _limits(stage: Stage | GcodeStage) -> SlideLimits:
     return SlideLimits(stage.stroke[1], stage.speed, stage.acceleration)
 
 

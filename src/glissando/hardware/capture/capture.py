@@ -11,8 +11,8 @@ import json
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -22,10 +22,11 @@ import numpy as np
 from glissando.errors import DeviceError
 from glissando.geometry.se3 import Array
 from glissando.hardware.capture.online import OnMessage
-from glissando.hardware.capture.remote_tracker import RemoteTracker, remote_tracker
+from glissando.hardware.capture.remote_tracker import remote_tracker
 from glissando.hardware.capture.setup import Coil, Rig, pose_entries
-from glissando.hardware.drivers import Slide, SlideReading, ViconStream
+from glissando.hardware.drivers import SlideReading, Tracker, ViconStream, opened_stage
 from glissando.hardware.drivers.aurora_setup import Tool
+from glissando.hardware.openigtlink.tracker import IgtlTracker
 from glissando.io.session_log import INTEGER, NUMBER, SessionWriter, numbers, schema
 from glissando.model.slide_path import SlidePath
 
@@ -100,7 +101,7 @@ def capture(
         log = _Log(writer, progress, on_message)
         steps: list[Callable[[], None]] = []
         if rig.tracker is not None:
-            tracker = stack.enter_context(remote_tracker(rig.tracker, rig.baud))
+            tracker = stack.enter_context(_opened_tracker(rig, rig.tracker))
             names = _name_by_identity(tracker.tools, _name_by_handle(tracker.tools, rig.coils))
             steps.append(lambda: _log_tracker(tracker, names, log))
         if rig.mocap is not None:
@@ -118,6 +119,13 @@ def capture(
     if failures:
         raise failures[0]
     return progress
+
+
+def _opened_tracker(rig: Rig, address: str) -> AbstractContextManager[Tracker]:
+    """The tracker at an address; an Aurora unless it speaks OpenIGTLink."""
+    if address.startswith("igtl"):
+        return IgtlTracker(address, [coil.serial or coil.name for coil in rig.coils])
+    return remote_tracker(address, rig.baud)
 
 
 def _repeat(step: Callable[[], None], over: threading.Event, failures: list[BaseException]) -> None:
@@ -163,7 +171,7 @@ def _experiment(rig: Rig, path: SlidePath, log: _Log) -> Iterator[None]:
     if rig.slide is None or rig.stage is None:
         yield from _wait(path.duration)
         return
-    with Slide(rig.slide, rig.stage) as slide:
+    with opened_stage(rig.slide, rig.stage) as slide:
         if rig.standing is None:
             slide.home_at_stop()
         else:
@@ -189,7 +197,7 @@ def _log_slide(reading: SlideReading, log: _Log) -> None:
     log.write("/slide", _SLIDE, message, reading.time, text)
 
 
-def _name_by_handle(tools: list[Tool], coils: tuple[Coil, ...]) -> dict[int, str]:
+def _name_by_handle(tools: Sequence[Tool], coils: tuple[Coil, ...]) -> dict[int, str]:
     """Names of the coils by their handles. Raises DeviceError when they do not match."""
     handles = {tool.serial: tool.handle for tool in tools}
     free = [tool.handle for tool in tools]
@@ -211,7 +219,7 @@ def _name_by_handle(tools: list[Tool], coils: tuple[Coil, ...]) -> dict[int, str
     return names
 
 
-def _name_by_identity(tools: list[Tool], names: dict[int, str]) -> dict[str, str]:
+def _name_by_identity(tools: Sequence[Tool], names: dict[int, str]) -> dict[str, str]:
     """Names of the coils by serial number, where it is unique, and by place on the plugs.
 
     A coil that is unplugged and comes back may have another handle, or not report its number.
@@ -226,7 +234,7 @@ def _plug(tool: Tool) -> str:
     return f"port {tool.port}, channel {tool.channel}"
 
 
-def _log_tracker(tracker: RemoteTracker, names: dict[str, str], log: _Log) -> None:
+def _log_tracker(tracker: Tracker, names: dict[str, str], log: _Log) -> None:
     """Log the next frame, if one comes; a gap in the log shows that none came."""
     frame = tracker.read(_PATIENCE)
     if frame is None:

@@ -11,7 +11,7 @@ import numpy as np
 from glissando.errors import DeviceError
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
-from glissando.hardware.drivers import Stage
+from glissando.hardware.drivers import GcodeStage, Stage
 from glissando.hardware.drivers.stage import optional_number
 from glissando.io.robot_file import load_robot
 from glissando.io.shipped_robots import robot_file
@@ -60,10 +60,10 @@ class Rig:
     Attributes:
         name: Name of the rig.
         robot: Shipped robot, or path of a robot file.
-        tracker: Address of the Aurora.
+        tracker: Address of the Aurora, or of an OpenIGTLink peer, whose devices are the coils.
         coils: The tracker's coils.
-        slide: Serial path of the slide's servo.
-        stage: What that servo moves.
+        slide: Serial path of the slide's servo or controller.
+        stage: What that moves.
         standing: Travel in m when recording begins; None homes the slide at its stop.
         mocap: UDP port of motion capture.
         bodies: Objects of motion capture.
@@ -76,7 +76,7 @@ class Rig:
     tracker: str | None = None
     coils: tuple[Coil, ...] = ()
     slide: str | None = None
-    stage: Stage | None = None
+    stage: Stage | GcodeStage | None = None
     standing: float | None = None
     mocap: int | None = None
     bodies: tuple[Body, ...] = ()
@@ -156,7 +156,9 @@ def _coils(table: Table, length: float) -> tuple[Coil, ...]:
 def _slide(table: Table) -> dict[str, Any]:
     address = table.text("address")
     standing = optional_number(table, "standing")
-    stage = Stage.from_table(table)
+    kinds = {"dynamixel": Stage, "grbl": GcodeStage}
+    protocol = table.text("protocol", "dynamixel", choices=tuple(kinds))
+    stage: Stage | GcodeStage = kinds[protocol].from_table(table)  # type: ignore[attr-defined]
     if standing is None and stage.home is None:
         raise DeviceError(
             f"{table.where}: the position of the stage is unknown; give `home`, its mechanical "

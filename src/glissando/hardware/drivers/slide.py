@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from time import monotonic, sleep
 from typing import Self
 
@@ -20,6 +19,7 @@ from glissando.errors import DeviceError
 from glissando.hardware.drivers import dynamixel
 from glissando.hardware.drivers.dynamixel import NoAnswerError, Servo
 from glissando.hardware.drivers.homing import touch
+from glissando.hardware.drivers.interfaces import SlideReading
 from glissando.hardware.drivers.stage import Stage
 
 _PACE = 0.01  # s between the readings of a move
@@ -27,25 +27,6 @@ _PATIENCE = 2.0  # s after a move should have ended
 _NEAR = 5e-4  # m from its goal where a move has arrived
 _BOOT = 5.0  # s within which a servo must answer after a reboot
 _AHEAD = 3  # periods that a streamed goal is ahead of the path's now
-
-
-@dataclass(frozen=True)
-class SlideReading:
-    """State of the stage at one moment.
-
-    Attributes:
-        time: Middle of the exchange, s of the host's monotonic clock.
-        servo_time: The servo's own clock, which never wraps here, s.
-        travel: Travel, m.
-        speed: Speed, m/s.
-        load: Share of the motor's largest, positive when it pushes towards more travel.
-    """
-
-    time: float
-    servo_time: float
-    travel: float
-    speed: float
-    load: float
 
 
 class Slide:

@@ -22,8 +22,53 @@ _MOST_ACCELERATION = 32767
 _MOST_TICKS = 1_000_000  # of the servo's ±1,048,575 in extended position mode
 
 
+class Stroke:
+    """What every stage checks before it moves: its `stroke`, and its speed on a path."""
+
+    stroke: tuple[float, float]
+
+    def require_allowed(self, speed: float) -> None:
+        """Raise DeviceError unless the stage allows a speed in m/s."""
+        raise NotImplementedError
+
+    def require_inside(self, travel: float) -> None:
+        """Raise DeviceError unless a travel lies within the stroke."""
+        low, high = self.stroke
+        if not low - 1e-9 <= travel <= high + 1e-9:
+            raise DeviceError(
+                f"A travel of {1e3 * travel:.4g} mm lies outside the stroke from {1e3 * low:g} to "
+                f"{1e3 * high:g} mm; stay inside, or widen the stroke if the stage allows it."
+            )
+
+    def path(self, time: ArrayLike, travel: ArrayLike) -> tuple[Array, Array]:
+        """A path as arrays, its times from zero.
+
+        Args:
+            time: Times (K,), s.
+            travel: Travels (K,) at these times, m.
+
+        Raises:
+            DeviceError: Shapes differ, times do not increase, or the path leaves the stroke or is
+                too fast.
+        """
+        times, places = np.asarray(time, dtype=float), np.asarray(travel, dtype=float)
+        if times.ndim != 1 or times.size < 2 or times.shape != places.shape:
+            raise DeviceError(
+                f"A path of times {times.shape} and travels {places.shape} cannot be; give two or "
+                f"more of each."
+            )
+        if not np.all(np.isfinite([times, places])) or np.any(np.diff(times) <= 0.0):
+            raise DeviceError("The times of a path must increase, and all its numbers be finite.")
+        for place in (places.min(), places.max()):
+            self.require_inside(float(place))
+        speed = float(np.abs(np.diff(places) / np.diff(times)).max())
+        if speed > 0.0:
+            self.require_allowed(speed)
+        return times - times[0], places
+
+
 @dataclass(frozen=True)
-class Stage:
+class Stage(Stroke):
     """A carriage on a lead screw that an XL430-W250 turns.
 
     Attributes:
@@ -139,15 +184,6 @@ class Stage:
                 f"{_MOST_ACCELERATION * unit:.4g} m/s²."
             )
 
-    def require_inside(self, travel: float) -> None:
-        """Raise DeviceError unless a travel lies within the stroke."""
-        low, high = self.stroke
-        if not low - 1e-9 <= travel <= high + 1e-9:
-            raise DeviceError(
-                f"A travel of {1e3 * travel:.4g} mm lies outside the stroke from {1e3 * low:g} to "
-                f"{1e3 * high:g} mm; stay inside, or widen the stroke if the stage allows it."
-            )
-
     def require_allowed(self, speed: float) -> None:
         """Raise DeviceError unless the servo reaches a speed and the stage allows it."""
         self.require_speed(speed)
@@ -156,32 +192,6 @@ class Stage:
                 f"{1e3 * speed:.4g} mm/s is asked for; this stage allows {1e3 * self.speed:g} "
                 f"mm/s. Ask for less, or raise its `speed`."
             )
-
-    def path(self, time: ArrayLike, travel: ArrayLike) -> tuple[Array, Array]:
-        """A path as arrays, its times from zero.
-
-        Args:
-            time: Times (K,), s.
-            travel: Travels (K,) at these times, m.
-
-        Raises:
-            DeviceError: Shapes differ, times do not increase, or the path leaves the stroke or is
-                too fast.
-        """
-        times, places = np.asarray(time, dtype=float), np.asarray(travel, dtype=float)
-        if times.ndim != 1 or times.size < 2 or times.shape != places.shape:
-            raise DeviceError(
-                f"A path of times {times.shape} and travels {places.shape} cannot be; give two or "
-                f"more of each."
-            )
-        if not np.all(np.isfinite([times, places])) or np.any(np.diff(times) <= 0.0):
-            raise DeviceError("The times of a path must increase, and all its numbers be finite.")
-        for place in (places.min(), places.max()):
-            self.require_inside(float(place))
-        speed = float(np.abs(np.diff(places) / np.diff(times)).max())
-        if speed > 0.0:
-            self.require_allowed(speed)
-        return times - times[0], places
 
     def ticks(self, travel: float) -> float:
         """The ticks, signed, of a travel in metres."""

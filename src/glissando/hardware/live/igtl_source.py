@@ -9,24 +9,20 @@ from typing import Self
 import numpy as np
 
 from glissando.errors import DeviceError, GlissandoError, RobotFileError
-from glissando.geometry import se3
 from glissando.geometry.se3 import Array
-from glissando.hardware.drivers.clock import ClockFit
 from glissando.hardware.live.clock import SessionClock
 from glissando.hardware.live.placement import Placement, batch, reading, require_on_robot
 from glissando.hardware.openigtlink import Endpoint, Message, seconds_since
 from glissando.hardware.openigtlink import contents as c
+from glissando.hardware.openigtlink.sender_clock import SenderClock
+from glissando.hardware.openigtlink.tracker import is_rigid, normalized, poses_in
 from glissando.hardware.openigtlink.wire_frame import WireFrame
 from glissando.model.robot import Robot
 from glissando.model.sensors.readings import SENSORS, Readings
 
 TRAVEL = "travel"  # the device whose SENSOR messages state the slide's travel
-_MICROSECOND = 1e-6  # s: the unit in which a sender's stamps are fitted to arrivals
 _OWN_CLOCK = 1 << 52  # stamps below are a recording's own time, not a wall clock's
-_QUIET = 2.0  # s without a message after which the source says so
 _FAR = 20.0  # m from the origin: no tracker reaches there
-_SKEW = 1e-2  # by which a rotation may fail to be one
-_TOOLS = {c.TOOL_5D: "coil", c.TOOL_3D: "position"}
 
 
 class IgtlSource:
@@ -57,7 +53,7 @@ class IgtlSource:
         self._placements = {place.name: place for place in placements}
         self._own, self._travel, self._heard = Counter[str](), 0.0, -np.inf
         self._last: dict[str, tuple[int, bytes]] = {}
-        self._fit = ClockFit(_MICROSECOND, 1 << 60)
+        self._clock = SenderClock(self._endpoint.address.clock)
         self._newest, self._origin = -1, 0
         self._waiting: list[tuple[float, Message]] = []
 
@@ -113,7 +109,7 @@ class IgtlSource:
             self._travel = self._travel_of(content)
         else:
             time = self._time(message.stamp, arrival, clock)
-            for name, kind, value in self._values(message):
+            for name, kind, value in poses_in(message, self._frame):
                 place = self._placements.get(name)
                 if place is None:
                     self._own["unplaced"] += 1
@@ -127,22 +123,6 @@ class IgtlSource:
             raise DeviceError(f"A travel of {travel} m cannot be; send one number and its unit.")
         return float(travel[0])
 
-    def _values(self, message: Message) -> Iterator[tuple[str, str, Array]]:
-        """Name, kind and pose (4, 4) of each device in a message, SI units."""
-        content = message.content
-        if isinstance(content, c.TrackingData):
-            for tool in content.tools:
-                yield tool.name, _TOOLS.get(tool.kind, "pose"), self._frame.pose_in(tool.matrix)
-        elif isinstance(content, c.Transform):
-            yield message.device, "pose", self._frame.pose_in(content.matrix)
-        elif isinstance(content, c.Position):
-            pose = np.eye(4)
-            pose[:3, 3] = content.position
-            if content.quaternion is not None:
-                pose[:3, :3] = se3.rotation_from_quaternion(np.roll(content.quaternion, 1))
-            kind = "position" if content.quaternion is None else "pose"
-            yield message.device, kind, self._frame.pose_in(pose)
-
     def _is_new(self, name: str, stamp: int, value: Array) -> bool:
         """Whether a pose is another than the last; a server repeats it between measurements."""
         this = stamp, value.tobytes()
@@ -152,15 +132,12 @@ class IgtlSource:
         return not repeated
 
     def _reading(self, place: Placement, kind: str, time: float, pose: Array) -> Readings:
-        turn, far = pose[:3, :3], float(np.abs(pose[:3, 3]).max())
+        far = float(np.abs(pose[:3, 3]).max())
         if far > _FAR:
             self.status = f"{place.name} is {far:.3g} m away: are its lengths unit=mm or unit=m?"
-            raise DeviceError(f"{self.status} Correct the address.")
-        if not np.all(np.isfinite(pose)) or np.abs(turn @ turn.T - np.eye(3)).max() > _SKEW:
-            raise DeviceError(f"{place.name} sent no rigid motion; check the sender.")
-        pose[:3, :3] = se3.rotation_from_quaternion(
-            se3.quaternion(turn)
-        )  # float32 is not quite one
+        if far > _FAR or not is_rigid(pose):
+            raise DeviceError(f"{place.name} sent no rigid motion nearby; check the sender.")
+        pose = normalized(pose)
         arclength = place.arclength - self._travel if place.slides else place.arclength
         value = pose[:3, 3] if kind == "position" else pose
         on_robot = float(np.clip(arclength, 0.0, self._robot.length))
@@ -185,16 +162,11 @@ class IgtlSource:
     def _time(self, stamp: int, arrival: float, clock: SessionClock) -> float:
         """Session time of a stamp, s."""
         mode = self._endpoint.address.clock
-        if stamp == 0 or mode == "arrival":
-            return clock.of_monotonic(arrival)
-        if mode == "shared":
+        if stamp and mode == "shared":
             return clock.of_stamp(stamp)
-        if mode == "sender":
+        if stamp and mode == "sender":
             return self._sender_time(stamp, clock)
-        count = (stamp * 1_000_000) >> 32
-        if count > self._newest or self._newest - count > 5_000_000:
-            self._newest = self._fit.add(count, arrival)
-        return clock.of_monotonic(self._fit.time(count))
+        return clock.of_monotonic(self._clock.monotonic(stamp, arrival))
 
     def _sender_time(self, stamp: int, clock: SessionClock) -> float:
         if self._newest < 0:

@@ -1,0 +1,134 @@
+"""An OpenIGTLink peer as a tracker: PLUS with whatever it is connected to."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter, deque
+from collections.abc import Iterator, Sequence
+from typing import Self
+
+import numpy as np
+
+from glissando.geometry import se3
+from glissando.geometry.se3 import Array
+from glissando.hardware.drivers.aurora_reply import Frame, PortReading
+from glissando.hardware.drivers.aurora_setup import Tool
+from glissando.hardware.openigtlink import contents as c
+from glissando.hardware.openigtlink.endpoint import Endpoint
+from glissando.hardware.openigtlink.message import Message
+from glissando.hardware.openigtlink.sender_clock import SenderClock
+from glissando.hardware.openigtlink.wire_frame import WireFrame
+
+SKEW = 1e-2  # by which a rotation may fail to be one
+_PAUSE = 0.002  # s between looks
+
+
+def poses_in(message: Message, frame: WireFrame) -> Iterator[tuple[str, str, Array]]:
+    """Name, kind of sensor and pose (4, 4) in m of each device in a message.
+
+    A tool of five degrees of freedom is a coil, one of three a position; else a device with an
+    orientation is a pose.
+    """
+    content = message.content
+    kinds = {c.TOOL_5D: "coil", c.TOOL_3D: "position"}
+    if isinstance(content, c.TrackingData):
+        for tool in content.tools:
+            yield tool.name, kinds.get(tool.kind, "pose"), frame.pose_in(tool.matrix)
+    elif isinstance(content, c.Transform):
+        yield message.device, "pose", frame.pose_in(content.matrix)
+    elif isinstance(content, c.Position):
+        pose = np.eye(4)
+        pose[:3, 3] = content.position
+        if content.quaternion is not None:
+            pose[:3, :3] = se3.rotation_from_quaternion(np.roll(content.quaternion, 1))
+        kind = "position" if content.quaternion is None else "pose"
+        yield message.device, kind, frame.pose_in(pose)
+
+
+def is_rigid(pose: Array) -> bool:
+    """Whether a pose (4, 4) that came as float32 is a rigid motion."""
+    turn = pose[:3, :3]
+    sound = np.all(np.isfinite(pose)) and np.linalg.det(turn) > 0.0
+    return bool(sound and np.abs(turn @ turn.T - np.eye(3)).max() <= SKEW)
+
+
+def normalized(pose: Array) -> Array:
+    """The pose with a rotation that is one to the last digit."""
+    out = pose.copy()
+    out[:3, :3] = se3.rotation_from_quaternion(se3.quaternion(pose[:3, :3]))
+    return out
+
+
+class IgtlTracker:
+    """Reads TRANSFORM, POSITION and TDATA of named devices as frames; a context manager.
+
+    Args:
+        address: As `Endpoint` takes it.
+        names: The devices; others are counted.
+
+    Attributes:
+        tools: The devices as tools, each its name for a serial number.
+
+    Raises:
+        DeviceError: The address is wrong.
+    """
+
+    def __init__(self, address: str, names: Sequence[str]) -> None:
+        self._endpoint = Endpoint(address)
+        self._frame = WireFrame.of(self._endpoint.address)
+        self._clock = SenderClock(self._endpoint.address.clock)
+        self.tools = [Tool(k, name, "openigtlink", str(k)) for k, name in enumerate(names)]
+        self._handles = {tool.serial: tool.handle for tool in self.tools}
+        self._own: Counter[str] = Counter()
+        self._number, self._waiting = 0, deque[tuple[float, Message]]()
+        self._last: dict[int, bytes] = {}
+
+    def __enter__(self) -> Self:
+        self._endpoint.__enter__()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._endpoint.close()
+
+    @property
+    def counts(self) -> Counter[str]:
+        """Poses left out ('unplaced', 'invalid', 'repeated'), and what happened to the peer."""
+        return self._own + self._endpoint.counts
+
+    def read(self, timeout: float) -> Frame | None:
+        """The devices of the next message that has new poses; None when none came in time.
+
+        Args:
+            timeout: Seconds to wait.
+        """
+        deadline = time.monotonic() + timeout
+        while True:
+            while self._waiting:
+                if (frame := self._taken(*self._waiting.popleft())) is not None:
+                    return frame
+            self._waiting += self._endpoint.receive()
+            if not self._waiting:
+                if time.monotonic() > deadline:
+                    return None
+                time.sleep(_PAUSE)
+
+    def _taken(self, arrival: float, message: Message) -> Frame | None:
+        measured = self._clock.monotonic(message.stamp, arrival)
+        ports = []
+        for name, _, pose in poses_in(message, self._frame):
+            handle = self._handles.get(name)
+            if handle is None:
+                self._own["unplaced"] += 1
+            elif not is_rigid(pose):
+                self._own["invalid"] += 1
+            elif self._last.get(handle) == pose.tobytes():
+                self._own["repeated"] += 1
+            else:
+                self._last[handle] = pose.tobytes()
+                pose = normalized(pose)
+                ports.append(PortReading(handle, "valid", self._number, 0, pose, 0.0))
+        if not ports:
+            return None
+        self._number += 1
+        std = self._clock.std_time()
+        return Frame(self._number, measured, std, arrival, tuple(ports))

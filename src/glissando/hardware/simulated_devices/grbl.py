@@ -1,0 +1,197 @@
+"""A simulated GRBL 1.1 controller with one moving axis, in a process of its own.
+
+`python -m glissando.hardware.simulated_devices.grbl` prints the path to open as one line, then
+serves until SIGTERM or the end of its standard input. `--travel` sends the carriage's true travel
+as datagrams of two little-endian float64: time.monotonic() in seconds and metres.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import re
+import socket
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from glissando.hardware.simulated_devices.faults import Dice, parse_faults
+from glissando.hardware.simulated_devices.serving import Serving, run_device
+from glissando.hardware.simulated_devices.servo import _address
+from glissando.hardware.simulated_devices.travel import MESSAGE
+
+_PERIOD = 0.005  # s between datagrams
+_BANNER = b"\r\nGrbl 1.1h ['$' for help]\r\n"
+_PLANNER = 15  # motions that wait at most
+_JOG = re.compile(r"\$J=G90G21([XYZ])(-?\d+\.?\d*)F(\d+\.?\d*)")
+
+
+@dataclass(frozen=True)
+class GrblFaults:
+    """Faults of a controller by name; all off.
+
+    Shares of replies: `corrupt` with a bit flipped, `lost`. Numbers of replies: from `dead` on it
+    neither hears nor answers; at `alarm` a limit switch is hit.
+    """
+
+    corrupt: float = 0.0
+    lost: float = 0.0
+    dead: float = float("inf")
+    alarm: float = float("inf")
+
+
+@dataclass
+class Grbl:
+    """The controller: bytes in, replies out, and an axis that follows jogs by trapezoids.
+
+    Attributes:
+        limits: Machine positions (low, high) of the axis, mm, where it homes at the low end.
+        acceleration: Of the axis, mm/s².
+        fastest: Its largest speed, mm/s ($110 / 60).
+        place: Machine position, mm.
+        state: As status reports name it.
+    """
+
+    limits: tuple[float, float] = (-2.0, 62.0)
+    acceleration: float = 500.0
+    fastest: float = 100.0
+    place: float = 0.0
+    state: str = "Idle"
+    speed: float = field(default=0.0, init=False)  # mm/s, signed
+    jogs: deque[tuple[float, float]] = field(default_factory=deque, init=False)
+    now: float | None = field(default=None, init=False)
+    letters: bytearray = field(default_factory=bytearray, init=False)
+
+    def advance(self, now: float) -> float:
+        """Move on to a time in s; returns the machine position in mm."""
+        self.now = now if self.now is None else self.now
+        while self.now < now:
+            step = min(1e-3, now - self.now)
+            self.now += step
+            self._step(step)
+        return self.place
+
+    def _step(self, step: float) -> None:
+        if self.state != "Jog":
+            return
+        change = self.acceleration * step
+        if not self.jogs:
+            slower = max(abs(self.speed) - change, 0.0)
+            self.speed = slower if self.speed > 0.0 else -slower
+            self.place += self.speed * step
+            if not self.speed:
+                self.state = "Idle"
+            return
+        goal, feed = self.jogs[0]
+        left = goal - self.place
+        ahead = len(self.jogs) > 1 and (self.jogs[1][0] - goal) * left > 0.0
+        braking = feed if ahead else (2.0 * self.acceleration * abs(left)) ** 0.5
+        aim = min(feed, self.fastest, braking) * (1.0 if left > 0.0 else -1.0)
+        self.speed += min(max(aim - self.speed, -change), change)
+        self.place += self.speed * step
+        if (goal - self.place) * left <= 0.0 or abs(goal - self.place) < 1e-4:
+            self.jogs.popleft()
+            if not self.jogs:
+                self.place, self.speed, self.state = goal, 0.0, "Idle"
+
+    def hear(self, data: bytes, now: float) -> list[bytes]:
+        """Replies to bytes of the host."""
+        self.advance(now)
+        out = []
+        for byte in data:
+            if byte == ord("?"):
+                out.append(self._report())
+            elif byte == 0x18:
+                moving = self.state == "Jog"
+                self.jogs.clear()
+                self.letters.clear()
+                self.speed, self.state = 0.0, "Alarm" if moving else self.state
+                out.append(_BANNER)
+            elif byte == 0x85:
+                self.jogs.clear()
+            elif byte in b"\r\n":
+                if self.letters:
+                    out.append(self._obey(self.letters.decode("ascii", "replace")))
+                self.letters.clear()
+            elif byte < 0x80:
+                self.letters.append(byte)
+        return out
+
+    def _report(self) -> bytes:
+        feed = 60.0 * abs(self.speed)
+        return f"<{self.state}|MPos:{self.place:.3f},0.000,0.000|FS:{feed:.0f},0>\r\n".encode()
+
+    def _obey(self, line: str) -> bytes:
+        if line == "$X":
+            self.state = "Idle" if self.state == "Alarm" else self.state
+            return b"[MSG:Caution: Unlocked]\r\nok\r\n"
+        if line == "$H":
+            self.place, self.state = self.limits[0] + 1.0, "Idle"
+            return b"ok\r\n"
+        if self.state == "Alarm":
+            return b"error:9\r\n"
+        jog = _JOG.fullmatch(line)
+        if jog is None or jog[1] != "X" or float(jog[3]) <= 0.0:
+            return b"error:16\r\n"
+        if not self.limits[0] <= float(jog[2]) <= self.limits[1]:
+            return b"error:15\r\n"
+        if len(self.jogs) < _PLANNER:
+            self.jogs.append((float(jog[2]), float(jog[3]) / 60.0))
+            self.state = "Jog"
+        return b"ok\r\n"
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser("grbl", description=__doc__, epilog=GrblFaults.__doc__)
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    add = parser.add_argument
+    add("--pty", type=Path, metavar="LINK", help="make this link to the pseudo-terminal")
+    add("--travel", type=_address, metavar="HOST:PORT", help="send true travel there, 200 Hz")
+    add("--faults", default="", metavar="NAME=NUMBER,…", help="what goes wrong, listed below")
+    add("--seed", type=int, default=0, help="of the faults")
+    add("--limits", type=float, nargs=2, default=(-2.0, 62.0), help="machine positions, mm")
+    add("--start", type=float, default=0.0, metavar="MM", help="machine position at the start")
+    add("--locked", action="store_true", help="homing is required ($22=1): begins in alarm")
+    return parser
+
+
+def _serve(options: argparse.Namespace) -> None:
+    state = "Alarm" if options.locked else "Idle"
+    device = Grbl(tuple(options.limits), place=options.start, state=state)
+    faults = parse_faults(GrblFaults, options.faults)
+    dice, sent = Dice(faults, options.seed), 0
+
+    def hear(held: bytearray, now: float) -> list[tuple[float, bytes]]:
+        nonlocal sent
+        data, out = bytes(held), []
+        held.clear()
+        for reply in device.hear(data, now) if sent < faults.dead else []:
+            if sent == faults.alarm:
+                device.jogs.clear()
+                device.speed, device.state, reply = 0.0, "Alarm", b"ALARM:1\r\n" + reply
+            if dice.draw("lost", sent) >= faults.lost:
+                out.append((now, dice.flip(reply, "corrupt", sent)))
+            sent += 1
+        return out
+
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+
+        def beat(now: float) -> float:
+            travel = 1e-3 * device.advance(now)
+            if options.travel:
+                with contextlib.suppress(OSError):  # nobody listens yet, or any more
+                    sender.sendto(MESSAGE.pack(now, travel), options.travel)
+            return now + _PERIOD
+
+        serving = Serving(hear, beat=beat)
+        serving.run(serving.open_terminal(options.pty))
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the simulated controller; returns the exit status."""
+    return run_device(_parser(), _serve, arguments)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

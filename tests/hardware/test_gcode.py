@@ -1,0 +1,177 @@
+"""A stage on a GRBL controller follows its path, stays in its stroke, and stands when it must."""
+
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from glissando.errors import DeviceError
+from glissando.hardware.capture import Coil, Rig, capture, load_rig, write_recording
+from glissando.hardware.drivers import GcodeSlide, GcodeStage
+from glissando.hardware.drivers.gcode_stage import parse_status
+from glissando.hardware.openigtlink import Endpoint, Message, encode, stamp_of
+from glissando.hardware.openigtlink import contents as c
+from glissando.hardware.simulated_devices import started
+from glissando.hardware.simulated_devices.grbl import Grbl
+from glissando.io.recording import load_recording
+from glissando.io.session_log import read_session
+from glissando.model.slide_path import SlideLimits, SlidePath
+
+pytestmark = pytest.mark.alone
+
+STAGE = GcodeStage(stroke=(0.0, 0.06), home=-0.001)
+
+
+def test_a_homed_stage_follows_a_path_and_reports_where_it_was():
+    time_ = np.arange(0.0, 1.5, 0.01)
+    travel = 0.005 + 0.005 * (1.0 - np.cos(2.0 * np.pi * time_ / 1.5))
+    with started("grbl", "--locked") as address, GcodeSlide(address, STAGE) as slide:
+        with pytest.raises(DeviceError, match="Home it first"):
+            slide.move(0.01)
+        slide.home_at_stop()
+        assert slide.read().travel == pytest.approx(0.0, abs=1e-6)
+        readings = list(slide.follow(time_, travel))
+        assert slide.read().travel == pytest.approx(travel[-1], abs=1e-5)
+    on_way = [r for r in readings if r.time - readings[0].time < 1.5]
+    assert len(on_way) > 20
+    off = [r.travel - np.interp(r.time - readings[0].time, time_, travel) for r in on_way]
+    assert np.abs(off).max() < 1e-3
+
+
+@pytest.mark.parametrize("wanted", [lambda t: -0.001, lambda t: 0.061, lambda t: np.nan])
+def test_a_goal_outside_the_stroke_is_never_sent(wanted):
+    with started("grbl") as address, GcodeSlide(address, STAGE) as slide:
+        slide.home_here(0.0)
+        with pytest.raises(DeviceError, match="outside the stroke"):
+            list(slide.pursue(wanted, 1.0))
+        assert slide.read().travel == pytest.approx(0.0, abs=1e-6)
+
+
+def test_leaving_the_loop_stops_the_stage_and_keeps_its_position():
+    with started("grbl") as address, GcodeSlide(address, STAGE) as slide:
+        slide.home_here(0.0)
+        path = slide.pursue(lambda t: min(0.02 * t, 0.06), 3.0)
+        for reading in path:
+            if reading.travel > 0.004:
+                path.close()
+                break
+        stood = slide.read().travel
+        time.sleep(0.2)
+        assert slide.read().travel == stood < 0.012
+        assert slide.move(0.0)[-1].travel == pytest.approx(0.0, abs=1e-5)
+
+
+def test_a_noisy_line_is_counted_and_survived_and_a_dead_one_is_a_sentence():
+    with (
+        started("grbl", "--faults", "lost=0.1,corrupt=0.2", "--seed", "4") as address,
+        GcodeSlide(address, STAGE) as slide,
+    ):
+        slide.home_here(0.0)
+        assert max(abs(slide.read().travel) for _ in range(60)) < 1.1e-3
+        assert slide.counts["missing"] > 0
+        assert slide.counts["corrupt"] > 0
+    with (
+        started("grbl", "--faults", "dead=20") as address,
+        pytest.raises(DeviceError, match=r"did not (state its position|answer)"),
+    ):
+        _pursue(address)
+
+
+def _pursue(address):
+    with GcodeSlide(address, STAGE) as slide:
+        slide.home_here(0.0)
+        list(slide.pursue(lambda t: 0.01 * t, 3.0))
+
+
+def test_an_alarm_loses_the_position_until_the_stage_is_homed_again():
+    with (
+        started("grbl", "--faults", "alarm=30") as address,
+        GcodeSlide(address, STAGE) as slide,
+    ):
+        slide.home_here(0.0)
+        with pytest.raises(DeviceError, match=r"alarm|ALARM|Alarm"):
+            list(slide.pursue(lambda t: 0.01 * t, 3.0))
+        with pytest.raises(DeviceError, match="Home it first"):
+            slide.read()
+        slide.home_here(0.02)
+        assert slide.read().travel == pytest.approx(0.02, abs=1e-5)
+
+
+def test_what_no_controller_says_is_refused():
+    for line in (b"", b"ok", b"<Idle|WPos:1,2,3>", b"<Idle|MPos:1,x>", b"<Idle>"):
+        with pytest.raises(DeviceError, match="machine position"):
+            parse_status(line)
+    with pytest.raises(DeviceError, match="No GRBL controller answers"), started("servo") as other:
+        GcodeSlide(other, STAGE).__enter__()
+    for wrong in ({"stroke": (0.06, 0.0)}, {"speed": 0.0}, {"axis": "Q"}, {"stroke": (0.0, 60.0)}):
+        with pytest.raises(DeviceError):
+            GcodeStage(**{"stroke": (0.0, 0.06), **wrong})
+
+
+def test_the_simulated_axis_keeps_its_speed_and_acceleration():
+    device, now = Grbl(acceleration=200.0), 0.0
+    device.hear(b"$J=G90G21X30.0F1200\n", now)
+    places = [device.advance(0.002 * k) for k in range(1500)]
+    speed = np.diff(places) / 0.002
+    assert places[-1] == 30.0
+    assert np.abs(speed).max() <= 20.0 + 1e-6
+    assert np.abs(np.diff(speed[:600])).max() / 0.002 <= 201.0
+    assert device.hear(b"$J=G90G21X99.0F1200\n", 9.0) == [b"error:15\r\n"]
+    assert device.hear(b"G1 X3\n", 9.0) == [b"error:16\r\n"]
+
+
+def test_a_setup_file_names_a_grbl_stage_and_an_openigtlink_tracker(tmp_path):
+    (tmp_path / "bench.toml").write_text("""
+name = "bench"
+robot = "sliding700"
+[tracker]
+address = "igtl://127.0.0.1:18944"
+[[tracker.coils]]
+name = "CoilToTracker"
+arclength = 0.7
+[slide]
+protocol = "grbl"
+address = "/dev/ttyACM0"
+stroke = [0.0, 0.06]
+axis = "Y"
+standing = 0.0
+""")
+    rig = load_rig(tmp_path / "bench.toml")
+    assert rig.stage == GcodeStage(stroke=(0.0, 0.06), axis="Y")
+    assert rig.tracker == "igtl://127.0.0.1:18944"
+
+
+@pytest.mark.slow
+def test_an_experiment_with_both_becomes_a_recording(tmp_path):
+    over = threading.Event()
+    with started("grbl") as address, Endpoint("igtl-server://:0") as plus:
+
+        def track() -> None:
+            while not over.is_set():
+                now = time.time()
+                pose = np.eye(4)
+                pose[:3, 3] = 700.0, 10.0 * np.sin(now), 0.0
+                tool = c.TrackingData((c.Tool("CoilToTracker", c.TOOL_5D, pose),))
+                plus.receive()
+                plus.send([encode(Message(tool, "plus", stamp_of(now)))])
+                over.wait(0.025)
+
+        rig = Rig(
+            "bench", "sliding700", f"igtl://127.0.0.1:{plus.address.port}",
+            (Coil("CoilToTracker", 0.7),), address, STAGE, 0.0,
+        )  # fmt: skip
+        path = SlidePath.oscillate(1, 0.02, SlideLimits(0.06, 0.024, 0.1))
+        thread = threading.Thread(target=track)
+        thread.start()
+        try:
+            capture(rig, path, tmp_path / "session")
+        finally:
+            over.set()
+            thread.join()
+    session = read_session(tmp_path / "session" / "session.mcap")
+    write_recording(session, rig, tmp_path / "session")
+    rows = load_recording(tmp_path / "session").streams["CoilToTracker"].rows
+    assert rows.time.size > 30
+    assert rows.arclength.min() == pytest.approx(0.68, abs=1e-3)
+    np.testing.assert_allclose(rows.values[:, 0, 3], 0.7, atol=1e-6)
