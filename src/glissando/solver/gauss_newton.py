@@ -27,6 +27,7 @@ ROUNDING = 1e-11  # a fall in cost this small, relatively, cannot be told from r
 _SHORTER = (0.5, 0.2)  # parts of a refused step that are tried
 _SETTLED = 10  # iterations after which weights are fixed, so that the cost can only fall
 _ROUNDS = 5  # times they are renewed after that
+_IDLE = 3.0  # tolerances: a step this short that gains nothing ends the search
 _DAMPING = (1e-4, 1e8)  # smallest damping worth applying, and the one at which to give up
 _ROUGH = 10.0  # standard deviations a number that a rough start may be off by
 _ROUGH_ITERATIONS = 15
@@ -136,6 +137,9 @@ def minimize(
         if progress is not None:
             progress(iteration, here.cost_of(here), length)
         candidates = _candidates(prior, here, step)
+        idle = length < _IDLE * options.tolerance
+        if idle and fixed is not None and fixed.state is here.state:
+            rounds = _ROUNDS  # to renew weights changes nothing worth another round
         short = length < options.tolerance
         fresh = fixed is None or fixed.state is here.state or rounds == _ROUNDS
         if short and fresh and damping == 0.0:
@@ -144,6 +148,11 @@ def minimize(
         if iteration >= _SETTLED and (fixed is None or short) and rounds < _ROUNDS:
             fixed, rounds = _renewed(here, fixed, at), rounds + 1
         here, gain = _try_step(here, candidates, fixed, predicted, at)
+        if idle and damping == 0.0 and not gain > WORTHWHILE:
+            # readings that move across nodes leave kinks in the cost, below any confidence
+            cholesky = factor(here.system, cholesky)
+            end = here.state, here.located, here, cholesky
+            return Solution(*end, Outcome.CONVERGED, iteration, length)
         damping = _next_damping(damping, gain)
         if iteration == options.max_iterations or damping > _DAMPING[1]:
             ended = Outcome.NO_DESCENT if damping > _DAMPING[1] else Outcome.ITERATION_LIMIT
