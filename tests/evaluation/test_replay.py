@@ -53,16 +53,20 @@ def some_readings(rng, kind, count):
     """Readings of a kind, out of order, with a mount."""
     noise = {"time": rng.uniform(0, 9, count), "arclength": rng.uniform(0, LENGTH, count)}
     pose = se3.exp(rng.uniform(-1, 1, (count, 6)))
-    width = {"position": 3, "gyro": 3, "strain": 6, "fbg": 2}.get(kind, 0)
+    width = {"position": 3, "gyro": 3, "strain": 6, "fbg": 2, "tendon": 2}.get(kind, 0)
     values = pose if kind in ("pose", "coil") else pose[:, :3, :3]
     if width:
         values = rng.standard_normal((count, width))
-    extra = {"core_radius": np.array([0.0, 1e-4]), "core_angle": np.array([0.0, 1.0])}
-    rows = {"pose": 6, "coil": 5, "strain": 6, "fbg": 2}.get(kind, 3)
-    cov = np.full(rows, 1e-4) if kind == "fbg" else rng.uniform(1e-4, 1.0, rows)
+    pair = np.array([1e-4, 2e-4])
+    extra = {
+        "fbg": {"core_radius": pair, "core_angle": pair},
+        "tendon": {"radius": pair, "angle": pair, "end": pair},
+    }.get(kind, {})
+    rows = {"pose": 6, "coil": 5, "strain": 6, "fbg": 2, "tendon": 2}.get(kind, 3)
+    cov = np.full(rows, 1e-4) if kind in ("fbg", "tendon") else rng.uniform(1e-4, 1.0, rows)
     return sensor_class(kind)(
         **noise, values=values, cov=cov, mount=se3.exp(rng.uniform(-1, 1, 6)), name=kind,
-        **(extra if kind == "fbg" else {}),
+        **extra,
     )  # fmt: skip
 
 

@@ -143,11 +143,14 @@ def test_what_is_written_is_read_back(tmp_path, kind):
     rng = np.random.default_rng(0)
     time, place = np.arange(6.0), np.linspace(0.1, 0.4, 6)
     pose = arc(place, time) @ se3.exp(rng.standard_normal((6, 6)))
-    width = {"position": 3, "gyro": 3, "strain": 6, "fbg": 4}.get(kind, 0)
+    width = {"position": 3, "gyro": 3, "strain": 6, "fbg": 4, "tendon": 8}.get(kind, 0)
     values = {"pose": pose, "coil": pose, "orientation": pose[:, :3, :3]}.get(
         kind, rng.standard_normal((6, width))
     )
-    settings = {"core_radius": np.zeros(4), "core_angle": np.zeros(4)} if kind == "fbg" else {}
+    settings = {
+        "fbg": {"core_radius": np.zeros(4), "core_angle": np.zeros(4)},
+        "tendon": {"radius": np.ones(4), "compliance": np.ones(4)},
+    }.get(kind, {})
     write_named(tmp_path / "a.csv", Rows(kind, time, place, values, {}, settings))
     rows = read_named(tmp_path / "a.csv", kind, settings)
     assert rows.values == pytest.approx(values, abs=1e-9)
@@ -170,7 +173,7 @@ def test_units_and_frames_are_turned_into_the_world(tmp_path):
     ("toml", "sentence"),
     [
         (MARKER.replace("kind", "kinf"), r"kind is missing; give one of"),  # codespell:ignore kinf
-        (MARKER.replace("position", "sonar"), "kind is 'sonar'; give one of pose"),
+        (MARKER.replace("position", "sonar"), "kind is 'sonar'; give one of .*pose"),
         (MARKER + 'frame = "camera"\n', "frame is 'camera'; give one of world"),
         (MARKER.replace("1e-3]", "-1]"), "std is .* above zero"),
         (MARKER + "tru = true\n", "tru is not a key.*did you mean 'truth'"),  # codespell:ignore tru

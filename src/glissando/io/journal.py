@@ -63,7 +63,8 @@ class Journal:
                 f"{readings.label}: a {type(readings).__name__} declares no kind and has no place "
                 f"in a recording; use one of {', '.join(c.__name__ for c in SENSORS.values())}."
             )
-        settings = {key: np.asarray(getattr(readings, key)) for key in readings.settings}
+        named = (*readings.settings, *readings.optional_settings)
+        settings = {key: np.asarray(getattr(readings, key)) for key in named}
         at = readings.time, readings.arclength
         rows = Rows(readings.kind, *at, readings.values, {}, settings)
         file = self._files.get(readings.label) or self._begin(readings, rows)

@@ -216,7 +216,8 @@ def _stream(folder: Path, entry: Table, frames: dict[str, Array], journal: bool)
     std = entry.std(sensor.rows) if entry.peek("std") is not None else None
     settings = {
         key: scale_of(unit, length, angle) * entry.numbers(key)
-        for key, unit in sensor.settings.items()
+        for key, unit in {**sensor.settings, **sensor.optional_settings}.items()
+        if key in sensor.settings or entry.peek(key) is not None
     }
     entry.close()
     rows = read_named(file, kind, settings, length_unit=length, angle_unit=angle, journal=journal)

@@ -20,6 +20,7 @@ from glissando.model.priors.registry import prior_class, prior_kinds
 from glissando.model.robot import Robot
 from glissando.model.sensors.parameters import SIZES, SensorParameter
 from glissando.model.sensors.sensors import sensor_class, sensor_kinds
+from glissando.model.tendons.tendons import read_tendons
 from glissando.model.tube import Tube
 
 OLD_KINDS = {
@@ -93,10 +94,11 @@ def parse_robot(table: Table) -> Robot:
     sensor_parameters = tuple(
         _sensor_parameter(entry) for entry in table.tables("sensor_parameters")
     )
-    tube = _tube(table.table("tube"))
+    tube, tendons = _tube(table.table("tube")), read_tendons(table, length)
     table.skip("physics")  # of the simulator, which checks it
     table.close()
-    return Robot(name, length, nodes, rate, prior, *sensors, sensor_parameters, mechanics, tube)
+    beside = (mechanics, tube, tendons)
+    return Robot(name, length, nodes, rate, prior, *sensors, sensor_parameters, *beside)
 
 
 def _tube(table: Table | None) -> Tube | None:

@@ -15,6 +15,7 @@ from glissando.model.noise import Loss
 from glissando.model.priors.prior import Prior
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.state import DOF
+from glissando.model.tendons.tendons import Tendons
 from glissando.model.tube import Tube
 
 _BLOCKS = 4.0  # square blocks of numbers that an estimate keeps for a time node
@@ -38,6 +39,7 @@ class Robot:
         sensor_parameters: Frames, mounts, offsets and biases of streams by name.
         mechanics: What it is made of, where that is stated.
         tube: A whole-body tube whose coverage is promised, if one was calibrated.
+        tendons: Its tendons, where they are stated.
     """
 
     name: str
@@ -52,6 +54,7 @@ class Robot:
     sensor_parameters: tuple[SensorParameter, ...] = ()
     mechanics: Mechanics | None = None
     tube: Tube | None = None
+    tendons: Tendons | None = None
 
     def grid(self, start: float, stop: float) -> Grid:
         """The robot's grid over the times [start, stop] in seconds.

@@ -13,6 +13,7 @@ from glissando.geometry.se3 import Array
 from glissando.model.factors import Factors, Residuals
 from glissando.model.grid import Grid, Index
 from glissando.model.interpolation import Interpolation, sort_points
+from glissando.model.noise import sqrt_information
 from glissando.model.priors.prior import Prior
 from glissando.model.sensors.parameter_jacobians import by_parameters
 from glissando.model.sensors.parameter_process import ParameterValues
@@ -42,6 +43,11 @@ def measurement_factors(
         first = 0
         for stream, rows, readings in batch.streams:
             mine = at.take(slice(first, first + len(readings)))
+            first += len(readings)
+            if readings.spans:
+                spread = _along(prior, located.grid, state, noise_state, readings)
+                yield stream, rows, _spanning_factor(readings, located, spread)
+                continue
             parameters = located.parameters
             moving = [p for p, _ in parameters.of(readings) if p.moves]
             slopes = {
@@ -49,7 +55,6 @@ def measurement_factors(
                 for way in _ways(readings, moving)
             }
             yield stream, rows, _factor(readings, mine, parameters, slopes)
-            first += len(readings)
 
 
 def _factor(
@@ -81,6 +86,49 @@ def _factor(
     dofs = slice(int(touched[0]), int(touched[-1]) + 1) if touched.size else slice(0, 1)
     terms = Residuals(residual, whitener, corrected.loss)
     return Factors(at.nodes, dofs, by_nodes[..., dofs], terms, extras)
+
+
+def _along(
+    prior: Prior, grid: Grid, state: State, noise_state: State, readings: Readings
+) -> Interpolation:
+    """The states (M · N) at all arclength nodes at the times of readings that touch alike many."""
+    count = grid.arclength.size
+    place = np.tile(grid.arclength, len(readings)), np.repeat(readings.time, count)
+    (points,) = sort_points(grid, *place)
+    return prior.interpolate(grid, state, noise_state, points)
+
+
+def _spanning_factor(
+    readings: Readings, located: LocatedReadings, spread: Interpolation
+) -> Factors:
+    """Factors of readings that depend on all nodes of their time.
+
+    What the bridge in time leaves open counts as fully correlated along the robot, which it nearly
+    is: the careful side.
+    """
+    if located.parameters.of(readings):
+        raise SensorError(
+            f"{readings.label}: parameters of a sensor that reads the whole robot are not "
+            f"estimated; leave them out."
+        )
+    m, s = len(readings), located.grid.arclength
+    at = spread.state.reshape(m, s.size)
+    residual, by_state = readings.residual_over(s, at), readings.jacobian_over(s, at)
+    by_state = np.ascontiguousarray(by_state.swapaxes(1, 2))  # (M, N, r, 18)
+    rows, c, dof = by_state.shape[2], spread.nodes.shape[1], spread.dof
+    inner = spread.jacobian.reshape(m, s.size, DOF, c * dof)
+    by_nodes = (by_state @ inner).reshape(m, s.size, rows, c, dof)
+    by_nodes = by_nodes.transpose(0, 2, 1, 3, 4).reshape(m, rows, s.size * c, dof)
+    left = np.einsum(
+        "mnri,mnij,mnrj->mnr", by_state, spread.cov.reshape(m, s.size, DOF, DOF), by_state
+    )
+    std = np.sqrt(np.maximum(left, 0.0)).sum(axis=1)
+    cov = np.broadcast_to(readings.cov, (m, rows, rows)) + std[..., None] ** 2 * np.eye(rows)
+    touched = np.flatnonzero(by_nodes.reshape(-1, dof).any(axis=0))
+    dofs = slice(int(touched[0]), int(touched[-1]) + 1) if touched.size else slice(0, 1)
+    terms = Residuals(residual, sqrt_information(cov), readings.loss)
+    nodes = spread.nodes.reshape(m, s.size * c)
+    return Factors(nodes, dofs, np.ascontiguousarray(by_nodes[..., dofs]), terms)
 
 
 def _by_parameters(

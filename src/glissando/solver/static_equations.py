@@ -70,8 +70,14 @@ def linearize_static(prior: Prior, located: LocatedReadings, state: State) -> St
         state: Nodes (S, N) to linearise at.
 
     Raises:
-        SensorError: A sensor reads a velocity, which a shape does not have.
+        SensorError: A sensor reads a velocity, which a shape does not have, or the whole robot.
     """
+    for readings in located.streams:
+        if readings.spans:
+            raise SensorError(
+                f"{readings.label}: a batch of static shapes has no readings of the whole robot at "
+                f"once; use estimate, with a time for each shape."
+            )
     n_count = located.grid.arclength.size
     builder = NormalEquationsBuilder(Layout(1, STATIC_DOF), state.strain[..., 0].size)
     terms: list[tuple[Index, Residuals]] = []

@@ -36,10 +36,19 @@ class PriorTable(Protocol):
     def numbers(self, key: str) -> Array:
         """Numbers, at least one."""
 
+    def texts(self, key: str) -> list[str]:
+        """Strings, at least one."""
+
     def vector(
-        self, key: str, size: int, default: Array | None = None, *, positive: bool = False
+        self,
+        key: str,
+        size: int,
+        default: Array | None = None,
+        *,
+        positive: bool = False,
+        pairs: bool = True,
     ) -> Array:
-        """`size` numbers; six may be a pair [linear, angular]."""
+        """`size` numbers; six may be a pair [linear, angular] if `pairs`."""
 
     def rows(
         self, key: str, count: int, size: int, *, positive: bool = True, signed: bool = False

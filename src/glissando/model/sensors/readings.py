@@ -49,6 +49,10 @@ class Readings:
         rows: Declares the residual rows of one reading, and the numbers in a file's `std`.
         columns: Declares the value columns of a CSV file and their units.
         settings: Declares the fields that a whole stream shares, lists of numbers, and their units.
+        optional_settings: Declares those of them that a recording may leave out.
+        spans: Declares that a reading depends on the whole robot at its time: it has
+            `residual_over(arclength, at)` and `jacobian_over(arclength, at)` for states (M, N) at
+            the arclength nodes in the place of `residual` and `jacobian`.
         value_shape: Declares the shape of one reading's value; None for any.
         per_reading: Declares the fields of one's own that have a row a reading.
         fixes_base: Declares whether readings fix the robot in the world.
@@ -71,10 +75,12 @@ class Readings:
     rows: ClassVar[int]
     columns: ClassVar[Mapping[str, str]] = {}
     settings: ClassVar[Mapping[str, str]] = {}
+    optional_settings: ClassVar[Mapping[str, str]] = {}
     value_shape: ClassVar[tuple[int, ...] | None] = None
     per_reading: ClassVar[tuple[str, ...]] = ()
     fixes_base: ClassVar[bool] = False
     tracker: ClassVar[bool] = False
+    spans: ClassVar[bool] = False
 
     def __init_subclass__(cls, *, kind: str = "", **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
@@ -223,6 +229,14 @@ class Readings:
     def jacobian(self, at: State) -> Array:
         """∂residual/∂[pose, strain, velocity] (M, rows, 18), poses perturbed on the right."""
         return numerical_jacobian(self, at)
+
+    def residual_over(self, arclength: Array, at: State) -> Array:
+        """Expected minus measured (M, rows) from states (M, N) at nodes (N,), of what `spans`."""
+        raise NotImplementedError(f"{type(self).__name__} must define residual_over(s, at).")
+
+    def jacobian_over(self, arclength: Array, at: State) -> Array:
+        """∂residual/∂[pose, strain, velocity] of the nodes (M, rows, N, 18), of what `spans`."""
+        raise NotImplementedError(f"{type(self).__name__} must define jacobian_over(s, at).")
 
 
 def _require_rotations(label: str, values: Array) -> None:

@@ -15,6 +15,7 @@ from glissando.errors import SensorError
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.sensors.readings import SENSORS, Readings
+from glissando.model.sensors.tendons import TendonReadings as TendonReadings
 from glissando.model.state import DOF, POSE, STRAIN, State
 
 _ANGULAR_VELOCITY = slice(15, 18)

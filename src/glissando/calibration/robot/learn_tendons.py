@@ -1,0 +1,189 @@
+"""Learn a tendon robot from displacements of its tendons and positions of a marker at its tip.
+
+Numbers of the robot are found by robust least squares with a prior about the robot file they start
+from; derivatives are those of the equilibrium, so that a step costs one solution a shape. The model
+error is that of runs left out: blocks of the recording are predicted from the others in turn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+from scipy.stats import chi2
+
+from glissando.calibration.robot.tendon_numbers import Numbers, TendonModel
+from glissando.errors import RecordingError
+from glissando.geometry.se3 import Array
+from glissando.model.robot import Robot
+from glissando.model.tendons.statics import Equilibrium
+
+_TAILS = 4.0  # degrees of freedom of Student's t: tendons slip and are set anew
+_SCALE = 0.02  # of the robot's length: standard deviation of errors while numbers are learned
+_BLOCKS, _RUNS = 6, 36  # of a recording without patterns: runs dealt out to blocks
+_MOST = 700  # rows that numbers are learned from
+_STEPS = 25
+_ENOUGH = 0.5  # fall of the cost at which to stop
+_GIVE_UP = 1e6  # damping
+_INSIDE = 0.95
+
+Watch = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class TendonData:
+    """Displacements of tendons and where the marker at the tip was.
+
+    Attributes:
+        displacement: Displacements (M, T) in the order of time, positive when pulled, m.
+        tip: Positions (M, 3) of the marker in the frame of its tracker, m.
+        block: Which run each row belongs to (M,); runs are left out together.
+    """
+
+    displacement: Array
+    tip: Array
+    block: NDArray[np.intp]
+
+    @staticmethod
+    def of(displacement: Array, tip: Array, block: NDArray[np.intp] | None = None) -> TendonData:
+        """Checked data; without `block` runs of equal length are dealt out to six.
+
+        Raises:
+            RecordingError: Rows differ in number, or are too few to learn from.
+        """
+        if len(displacement) != len(tip) or len(tip) < 10 * _BLOCKS:
+            raise RecordingError(
+                f"{len(displacement)} rows of tendons and {len(tip)} of the tip; give as many of "
+                f"both, {10 * _BLOCKS} at least."
+            )
+        even = np.arange(len(tip)) * _RUNS // len(tip) % _BLOCKS
+        return TendonData(displacement, tip, even if block is None else block)
+
+
+@dataclass(frozen=True)
+class LearnedTendons:
+    """A learned tendon robot.
+
+    Attributes:
+        robot: The robot, with its model error.
+        rmse: Root mean square error of the tip (m) on the rows learned from.
+        held_out_rmse: That of the blocks left out, each predicted from the others.
+        held_out: Errors (M, 3) of the blocks left out, m.
+    """
+
+    robot: Robot
+    rmse: float
+    held_out_rmse: float
+    held_out: Array
+
+
+def learn_tendons(robot: Robot, data: TendonData, watch: Watch | None = None) -> LearnedTendons:
+    """Learn stiffness, rest shape, channels, slack, elasticity, play and the model error.
+
+    Args:
+        robot: Robot with [mechanics] and [tendons] to start from; the sensor parameters of kind
+            frame and mount of its stream "tip" say where the marker and its tracker are expected.
+        data: What was recorded.
+        watch: Called with a sentence after each step.
+
+    Raises:
+        RecordingError: The recording has another number of tendons.
+    """
+    model = _turned(TendonModel.of(robot, data.displacement.shape[1]), data)
+    say = watch or (lambda text: None)
+    every = np.ones(len(data.tip), dtype=bool)
+    numbers = _fit(model, model.start(), data, every, "from all rows", say)
+    error = _errors(model, numbers, data)
+    held_out = np.empty_like(error)
+    for block in np.unique(data.block):
+        left = data.block == block
+        found = _fit(model, numbers, data, ~left, f"without block {block}", say)
+        held_out[left] = _errors(model, found, data)[left]
+    learned = model.robot_of(numbers, _model_error(model, numbers, data, held_out))
+    rmse, held_out_rmse = (float(np.sqrt(np.mean(np.sum(e**2, axis=1)))) for e in (error, held_out))
+    return LearnedTendons(learned, rmse, held_out_rmse, held_out)
+
+
+def _errors(model: TendonModel, numbers: Numbers, data: TendonData) -> Array:
+    """Measured less predicted positions (M, 3), tracker's frame."""
+    return data.tip - model.tip(numbers, model.reached(numbers, data.displacement))[0]
+
+
+def _turned(model: TendonModel, data: TendonData) -> TendonModel:
+    """The model with the tracker turned about the robot's axis as fits best."""
+    rows = np.unique(np.linspace(0, len(data.tip) - 1, 100).astype(int))
+    few = replace(data, displacement=data.displacement[rows], tip=data.tip[rows])
+    turns = [model.turned(angle) for angle in np.arange(12) * np.pi / 6.0]
+    misses = [np.linalg.norm(_errors(turn, turn.start(), few), axis=1).sum() for turn in turns]
+    return turns[int(np.argmin(misses))]
+
+
+def _fit(
+    model: TendonModel, start: Numbers, data: TendonData, use: Array, name: str, say: Watch
+) -> Numbers:
+    """Levenberg–Marquardt on Student's t of the tip's errors and the prior of the numbers."""
+    rows = np.flatnonzero(use)
+    rows = rows[:: max(1, -(-len(rows) // _MOST))]
+    sigma = _SCALE * model.robot.length
+    info_prior = model.std**-2.0
+
+    def cost_of(numbers: Numbers, strain: Array | None) -> tuple[float, Array, Equilibrium]:
+        pulled = model.reached(numbers, data.displacement)[rows]
+        found, shape = model.tip(numbers, pulled, strain)
+        error = (data.tip[rows] - found) / sigma
+        tails = np.log1p(np.sum(error**2, axis=1) / _TAILS)
+        cost = 0.5 * (_TAILS + 3.0) * np.sum(tails) + 0.5 * np.sum(info_prior * numbers**2)
+        return float(cost), error, shape
+
+    now, damping = start, 1e-2
+    cost, error, shape = cost_of(now, None)
+    for step in range(_STEPS):
+        slope = model.slope(now, data.displacement, rows, shape) / sigma
+        weight = (_TAILS + 3.0) / (_TAILS + np.sum(error**2, axis=1))
+        root = np.sqrt(weight)[:, None, None]
+        tall = (slope * root).reshape(-1, slope.shape[-1])
+        info = tall.T @ tall + np.diag(info_prior)
+        rhs = tall.T @ (error * root[..., 0]).ravel() - info_prior * now
+        before = cost
+        while damping < _GIVE_UP:
+            trial = now + np.linalg.solve(info + damping * np.diag(np.diag(info)), rhs)
+            found = cost_of(trial, shape.strain)
+            if found[0] < cost:
+                now, (cost, error, shape) = trial, found
+                damping = max(damping / 5.0, 1e-6)
+                break
+            damping *= 4.0
+        rmse = sigma * np.sqrt(np.mean(np.sum(error**2, axis=1)))
+        say(f"learning {name}: step {step + 1}, tip within {1e3 * rmse:.2f} mm")
+        if before - cost < _ENOUGH:
+            break
+    return now
+
+
+def _model_error(model: TendonModel, numbers: Numbers, data: TendonData, error: Array) -> Array:
+    """The model error (3,) that explains errors (M, 3) of blocks left out.
+
+    Its parts (displacements, missing moments, the marker) make the errors most likely under
+    Student's t; all are then scaled so that 95 % of the errors lie inside their 95 % ellipsoid.
+    """
+    parts = np.stack(model.error_parts(numbers, data.displacement))
+    size = np.sqrt(np.einsum("cmii->c", parts) / len(error))
+    total = np.sqrt(np.mean(np.sum(error**2, axis=1)))
+
+    def squares(logs: Array) -> tuple[Array, Array]:
+        cov = np.einsum("c,cmij->mij", np.exp(2.0 * logs), parts)
+        white = np.linalg.solve(np.linalg.cholesky(cov), error[..., None])[..., 0]
+        return np.sum(white**2, axis=1), np.linalg.slogdet(cov)[1]
+
+    def cost(logs: Array) -> float:
+        square, log_det = squares(logs)
+        tails = 0.5 * (_TAILS + 3.0) * np.log1p(square / _TAILS) + 0.5 * log_det
+        return float(np.mean(tails) + 1e-3 * np.sum((logs - start) ** 2))
+
+    start = np.log(total / size / np.sqrt(len(parts)))
+    logs = minimize(cost, start, method="Nelder-Mead", options={"maxiter": 300}).x
+    inside = np.quantile(squares(logs)[0], _INSIDE) / chi2.ppf(_INSIDE, 3)
+    return np.asarray(np.exp(logs) * np.sqrt(inside))

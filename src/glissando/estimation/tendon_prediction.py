@@ -1,0 +1,104 @@
+"""What tendons alone foretell: shape, strain and their covariance along the robot, and the tip."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from glissando.errors import GlissandoError
+from glissando.estimation.posterior import StateEstimate
+from glissando.geometry import se3
+from glissando.geometry.se3 import Array
+from glissando.model.robot import Robot
+from glissando.model.sensors.parameters import SensorParameter
+from glissando.model.state import DOF
+from glissando.model.tendons.statics import TendonRod, equilibrium, tendon_rod
+
+_VELOCITY = slice(12, 18)
+
+
+def predict(
+    robot: Robot, time: Array, displacement: Array, arclength: Array | None = None
+) -> StateEstimate:
+    """The robot's motion from commands of its tendons alone.
+
+    The robot is in static equilibrium at every time, without loads from outside. Covariance is that
+    of [tendons]: displacements that differ from the commands, moments that the model lacks.
+
+    Args:
+        robot: Robot with [mechanics] and [tendons].
+        time: Increasing times (M,), s.
+        displacement: Displacements (M, T), positive when pulled, m.
+        arclength: Where (N,), m; the robot's nodes unless given.
+
+    Returns:
+        States and covariances, shape (M, N); velocities from the slope of the commands.
+
+    Raises:
+        GlissandoError: Commands are impossible, or the robot lacks a table.
+        NoShapeError: No equilibrium was found.
+    """
+    places = robot.arclength_nodes if arclength is None else np.asarray(arclength, dtype=float)
+    if np.any((places < 0.0) | (places > robot.length + 1e-9)):
+        raise GlissandoError(
+            f"Arclengths up to {places.max():g} m leave a robot of {robot.length:g} m; ask on it."
+        )
+    if len(time) > 1 and not np.all(np.diff(time) > 0.0):
+        raise GlissandoError("Times of the tendons must increase; sort the rows.")
+    rod = tendon_rod(robot, places)
+    shape = equilibrium(rod, displacement=rod.tendons.effective(np.atleast_2d(displacement)))
+    node = np.searchsorted(rod.nodes, places - 1e-9)
+    cov = np.zeros((len(shape.strain), len(places), DOF, DOF))
+    cov[..., : _VELOCITY.start, : _VELOCITY.start] = shape.cov()[:, node]
+    by_pull = shape.pose_by(shape.strain_by_displacement())[:, node]
+    velocity, cov[..., _VELOCITY, _VELOCITY] = _velocity(rod, time, displacement, by_pull)
+    return StateEstimate(
+        shape.pose()[:, node], shape.strain[:, np.maximum(node - 1, 0)], velocity, cov
+    )
+
+
+def predict_tip(robot: Robot, displacement: Array, stream: str) -> tuple[Array, Array]:
+    """Positions of a marker at the tip as its tracker sees them.
+
+    Args:
+        robot: Robot with [mechanics] and [tendons].
+        displacement: Displacements (M, T) in the order of time, positive when pulled, m.
+        stream: Stream of the marker, whose sensor parameters say where it and its tracker are.
+
+    Returns:
+        Positions (M, 3) in the tracker's frame, and covariances (M, 3, 3) of readings of them.
+    """
+    rod = tendon_rod(robot, np.zeros(0))
+    if not rod.tendons.straight:
+        rod = tendon_rod(robot)
+    shape = equilibrium(rod, displacement=rod.tendons.effective(displacement))
+    mount = se3.exp(_parameter(robot.sensor_parameters, "mount", stream))
+    frame = se3.inverse(se3.exp(_parameter(robot.sensor_parameters, "frame", stream)))
+    tip = frame @ shape.pose()[:, -1]
+    turn = tip[:, :3, :3]
+    by_pose = np.concatenate([turn, -turn @ se3.hat3(mount[:3, 3])], axis=-1)
+    cov_pose = shape.cov()[:, -1, :6, :6]
+    noise = robot.sensor_std.get("position", np.zeros(3))
+    cov = by_pose @ cov_pose @ np.swapaxes(by_pose, 1, 2) + np.diag(np.broadcast_to(noise, 3) ** 2)
+    return (tip @ mount)[:, :3, 3], cov
+
+
+def _velocity(
+    rod: TendonRod, time: Array, displacement: Array, by_pose: Array
+) -> tuple[Array, Array]:
+    """Velocities (M, N, 6) from the slope of the commands, and their covariances."""
+    if len(time) < 2:
+        return np.zeros(by_pose.shape[:3]), np.zeros((*by_pose.shape[:2], 6, 6))
+    pulled = rod.tendons.effective(displacement)
+    speed = np.gradient(pulled, time, axis=0)
+    span = np.gradient(time) * np.where(np.isin(np.arange(len(time)), (0, len(time) - 1)), 1.0, 2.0)
+    variance = (2.0 * rod.tendons.std**2 / span**2)[:, None, None, None]
+    velocity = (by_pose @ speed[:, None, :, None])[..., 0]
+    return velocity, variance * by_pose @ np.swapaxes(by_pose, -1, -2)
+
+
+def _parameter(parameters: tuple[SensorParameter, ...], kind: str, stream: str) -> Array:
+    """Value (6,) of a stream's frame or mount; zero unless it is stated."""
+    for parameter in parameters:
+        if parameter.kind == kind and stream in parameter.streams:
+            return parameter.value
+    return np.zeros(6)

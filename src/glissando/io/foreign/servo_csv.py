@@ -1,0 +1,94 @@
+"""CSV files of tendon-driven robots: displacements of servos and the position of a marker.
+
+The layout of `data/sysid` of the OpenCR project: timestamp (s since 1970), pattern_label,
+servo_<id>_mm a tendon, tip_x, tip_y, tip_z (mm). Displacements are positive when a tendon is
+pulled: its robots bend towards the tendon whose number rises.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from glissando.errors import RecordingError
+from glissando.geometry.se3 import Array
+from glissando.io.foreign.tracks import Track, as_numbers, text_lines
+
+_SERVO = re.compile(r"servo_\w+_mm")
+_TIP = ("tip_x", "tip_y", "tip_z")
+
+
+@dataclass(frozen=True)
+class ServoLog:
+    """What a file holds.
+
+    Attributes:
+        names: Names of the servos, in the order of the tendons.
+        time: Times (M,), s since 1970.
+        displacement: Displacements (M, T), positive when pulled, m.
+        tip: Positions (M, 3) of the marker, m.
+        pattern: What each row (M,) belongs to, or empty texts.
+    """
+
+    names: tuple[str, ...]
+    time: Array
+    displacement: Array
+    tip: Array
+    pattern: list[str]
+
+
+def is_servo_header(line: str) -> bool:
+    """Whether a file begins with this layout's names."""
+    return line.startswith("timestamp") and bool(_SERVO.search(line))
+
+
+def read_servo_csv(path: Path) -> ServoLog:
+    """The rows of a file in the order of time; a row without a marker is left out.
+
+    Raises:
+        RecordingError: A column is missing, or a cell is no number.
+    """
+    lines = text_lines(path)
+    head = [cell.strip() for cell in lines[0].split(",")] if lines else []
+    servos = [name for name in head if _SERVO.fullmatch(name)]
+    missing = [name for name in ("timestamp", *_TIP) if name not in head]
+    if missing or not servos:
+        raise RecordingError(
+            f"{path.name} line 1: {', '.join(missing) or 'servo_<id>_mm'} is missing; give the "
+            f"columns timestamp, servo_<id>_mm for each tendon, tip_x, tip_y and tip_z."
+        )
+    wanted = [head.index(name) for name in ("timestamp", *servos, *_TIP)]
+    label = head.index("pattern_label") if "pattern_label" in head else None
+    rows, patterns = [], []
+    for number, line in enumerate(lines[1:], start=2):
+        cells = line.split(",")
+        if len(cells) != len(head):
+            if line.strip():
+                raise RecordingError(
+                    f"{path.name} line {number}: {len(cells)} columns where {len(head)} are "
+                    f"expected; correct or delete that line."
+                )
+            continue
+        values = as_numbers(path, number, [cells[c] for c in wanted])
+        if values is not None:
+            rows.append(values)
+            patterns.append("" if label is None else cells[label].strip())
+    if not rows:
+        raise RecordingError(f"{path.name} holds no rows with a marker; record some.")
+    table = np.array(rows)
+    order = np.argsort(table[:, 0], kind="stable")
+    table = table[order] * np.r_[1.0, np.full(len(wanted) - 1, 1e-3)]
+    names = tuple(name.removesuffix("_mm") for name in servos)
+    return ServoLog(names, table[:, 0], table[:, 1:-3], table[:, -3:], [patterns[i] for i in order])
+
+
+def servo_tracks(path: Path) -> list[Track]:
+    """The displacements as a track of kind tendon, and the marker as one of kind position."""
+    log = read_servo_csv(path)
+    return [
+        Track("tendons", "tendon", log.time, log.displacement, absolute=True),
+        Track("tip", "position", log.time, log.tip, absolute=True),
+    ]

@@ -1,0 +1,137 @@
+"""Tendons as a sensor: a displacement reads the shape of the whole robot at one time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+
+from glissando.errors import SensorError
+from glissando.geometry import se3
+from glissando.geometry.se3 import Array
+from glissando.model.sensors.readings import Readings
+from glissando.model.state import DOF, STRAIN, State
+from glissando.model.tendons.channel import Channel
+
+_STRAIGHT = np.array([0.0, 0.0, 1.0])
+_EACH = {"radius": "m", "angle": "rad", "end": "m"}
+_MORE = {"pitch": "m", "slack": "m", "compliance": "m", "one_sided": "1"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class TendonReadings(Readings, kind="tendon"):
+    """Displacements of T tendons: `values` (M, T), or (M, 2 T) with their tensions. Source: (M5).
+
+    A displacement, positive when pulled, is what the channel is shorter by than in the straight
+    robot, and slack, and stretch. `arclength` is where the longest tendon ends. Tensions are known;
+    without them stretch is part of the noise.
+
+    Attributes:
+        radius: Distance of each channel from the backbone (T,), m.
+        angle: Its angle in the cross-section of the base (T,), rad.
+        end: Arclength where each is tied (T,), m.
+        pitch: Metres for a whole turn (T,), zero for a straight channel.
+        slack: Displacement that pulls each just taut in the straight robot (T,), m.
+        compliance: Stretch for a newton (T,), m/N; zero unless given.
+        one_sided: Whether each (T,) may go slack: it then says no more than that its channel is not
+            longer than it.
+    """
+
+    radius: Array
+    angle: Array
+    end: Array
+    pitch: Array = field(default_factory=lambda: np.zeros(1))
+    slack: Array = field(default_factory=lambda: np.zeros(1))
+    compliance: Array = field(default_factory=lambda: np.zeros(1))
+    one_sided: Array = field(default_factory=lambda: np.zeros(1))
+
+    rows: ClassVar[int] = 1  # in a file: one standard deviation for all tendons
+    settings: ClassVar[Mapping[str, str]] = _EACH
+    optional_settings: ClassVar[Mapping[str, str]] = _MORE
+    spans: ClassVar[bool] = True
+
+    @classmethod
+    def value_columns(cls, settings: Mapping[str, Array]) -> Mapping[str, str]:
+        """A displacement a tendon, and a tension where compliances are given."""
+        count = np.size(settings["radius"])
+        columns = {f"tendon_{j}": "m" for j in range(count)}
+        if np.any(settings.get("compliance", 0.0)):
+            columns |= {f"tension_{j}": "1" for j in range(count)}
+        return columns
+
+    @property
+    def row_count(self) -> int:
+        """One row a tendon."""
+        return int(np.size(self.radius))
+
+    @property
+    def expected_shape(self) -> tuple[int, ...]:
+        """A displacement a tendon, and a tension if there are compliances.
+
+        Raises:
+            SensorError: Settings differ in number.
+        """
+        count = np.size(self.radius)
+        for name in (*_EACH, *_MORE):
+            value = np.atleast_1d(np.asarray(getattr(self, name), dtype=float))
+            if value.shape not in ((1,), (count,)):
+                raise SensorError(
+                    f"{self.label}: {name} has {value.size} numbers for {count} tendons; give one "
+                    f"each."
+                )
+            object.__setattr__(self, name, np.broadcast_to(value, count).copy())
+        return (2 * count if np.any(self.compliance) else count,)
+
+    def residual_over(self, arclength: Array, at: State) -> Array:
+        """Expected minus measured (M, T), m, from the states along the whole robot.
+
+        Args:
+            arclength: Nodes (N,), m.
+            at: States (M, N) at the nodes.
+
+        Raises:
+            SensorError: A tendon ends beyond the last node.
+        """
+        residual, _ = self._over(arclength, at)
+        return residual
+
+    def jacobian_over(self, arclength: Array, at: State) -> Array:
+        """∂residual/∂[pose, strain, velocity] of each node (M, T, N, 18)."""
+        return self._over(arclength, at)[1]
+
+    def _over(self, arclength: Array, at: State) -> tuple[Array, Array]:
+        if np.any(self.end > arclength[-1] + 1e-9):
+            raise SensorError(
+                f"{self.label}: tendon {int(np.argmax(self.end))} ends at {self.end.max():g} m, "
+                f"beyond the robot's {arclength[-1]:g} m; end it on the robot."
+            )
+        m, count = len(self), self.row_count
+        expected, jacobian = np.zeros((m, count)), np.zeros((m, count, arclength.size, DOF))
+        every = zip(self.radius, self.angle, self.pitch, strict=True)
+        for j, (radius, angle, pitch) in enumerate(every):
+            channel = Channel(radius, angle, pitch or np.inf)
+            place, slope = channel.path(arclength)
+            tangent = channel.tangent(arclength, at.strain)
+            speed = np.linalg.norm(tangent, axis=-1)
+            unit, share = tangent / speed[..., None], up_to(arclength, self.end[j])
+            straight = np.linalg.norm(slope + _STRAIGHT, axis=-1)
+            expected[:, j] = (straight - speed) @ share
+            lever = (np.broadcast_to(se3.hat3(place), (m, *place.shape, 3)) @ unit[..., None])[
+                ..., 0
+            ]
+            jacobian[:, j, :, STRAIN] = -share[:, None] * np.concatenate([unit, lever], axis=-1)
+        stretch = self.values[:, count:] * self.compliance if np.any(self.compliance) else 0.0
+        residual = expected + self.slack + stretch - self.values[:, :count]
+        loose = (self.one_sided > 0.0) & (residual > 0.0)
+        return np.where(loose, 0.0, residual), np.where(loose[..., None, None], 0.0, jacobian)
+
+
+def up_to(arclength: Array, end: float) -> Array:
+    """Weights (N,) of values at nodes (N,) whose sum is the integral of their line up to `end`."""
+    weights, steps = np.zeros(arclength.size), np.diff(arclength)
+    part = np.clip((end - arclength[:-1]) / steps, 0.0, 1.0)
+    weights[:-1] += steps * part * (1.0 - 0.5 * part)
+    weights[1:] += steps * 0.5 * part**2
+    return weights

@@ -1,0 +1,336 @@
+"""The shape that tendons pull an unloaded rod into, and how it depends on each of them.
+
+Without loads from outside, the rod's own wrench balances its tendons at every cross-section,
+
+    K (ε − ε*) + Σ τ_j [t_j; r_j × t_j] = 0,    t_j = (ν + u × r_j + r_j′) / |…|,
+
+and a tendon's tension follows from its stretch d_j − slack_j − (ℓ_j(straight) − ℓ_j). Strains at
+different places are tied by the tensions alone: a Newton step solves 6 numbers a piece and T
+numbers a shape. Source: (M5) to (M7); Rucker and Webster 2011 without external loads.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from glissando.errors import GlissandoError, NoShapeError
+from glissando.geometry import se3
+from glissando.geometry.se3 import Array
+from glissando.model.priors.mechanical import MechanicalPrior
+from glissando.model.priors.rest_shape import STRAIGHT
+from glissando.model.robot import Robot
+from glissando.model.tendons.tendons import Tendons
+
+_ITERATIONS = 60
+_CLOSE = 1e-9  # of a step of all pieces together, rad and relative stretch
+_LONGEST = 0.5  # rad that a step may turn a piece by
+
+
+@dataclass(frozen=True)
+class TendonRod:
+    """A rod cut into P pieces of constant strain, with T tendons beside it.
+
+    Attributes:
+        tendons: The tendons.
+        nodes: Arclengths (P+1,) where pieces meet, m.
+        stiffness: Of each piece (P, 6).
+        rest: Strain of each without loads (P, 6).
+        base: Pose of the base (4, 4).
+    """
+
+    tendons: Tendons
+    nodes: Array
+    stiffness: Array
+    rest: Array
+    base: Array
+
+    @property
+    def length(self) -> Array:
+        """Lengths (P,) of the pieces, m."""
+        return np.diff(self.nodes)
+
+    @property
+    def middle(self) -> Array:
+        """Arclengths (P,) of the middles of the pieces, m."""
+        return 0.5 * (self.nodes[1:] + self.nodes[:-1])
+
+
+def mechanical(robot: Robot) -> MechanicalPrior:
+    """The prior of a robot whose stiffness is known.
+
+    Raises:
+        GlissandoError: The robot has another prior.
+    """
+    if not isinstance(robot.prior, MechanicalPrior):
+        raise GlissandoError(
+            f"Robot {robot.name!r} has a prior of kind {robot.prior.kind!r}; what tendons do "
+            f'follows from [mechanics], so give [prior] kind = "mechanical".'
+        )
+    return robot.prior
+
+
+def tendon_rod(robot: Robot, nodes: Array | None = None) -> TendonRod:
+    """The rod of a robot file with [tendons] and a mechanical prior.
+
+    Args:
+        robot: The robot.
+        nodes: Arclengths where pieces may meet, m; the robot's nodes unless given. Segments and
+            ends of tendons are added.
+
+    Raises:
+        GlissandoError: The robot has no tendons or another prior.
+    """
+    prior, tendons = mechanical(robot), robot.tendons
+    if tendons is None:
+        raise GlissandoError(
+            f"Robot {robot.name!r} has no [tendons]; add this table to predict from tendons."
+        )
+    given = robot.arclength_nodes if nodes is None else nodes
+    every = np.concatenate([[0.0, robot.length], given, prior.mechanics.joints, tendons.end])
+    every = np.unique(np.round(every, 9))
+    middle = 0.5 * (every[1:] + every[:-1])
+    stiffness = prior.mechanics.stiffness[prior.mechanics.segment(middle)]
+    return TendonRod(tendons, every, stiffness, prior.rest.at(middle), prior.base_pose)
+
+
+@dataclass(frozen=True)
+class Equilibrium:
+    """M shapes of a tendon rod in equilibrium.
+
+    Attributes:
+        rod: The rod.
+        strain: Strain (M, P, 6) of the pieces.
+        tension: Tensions (M, T) at the base, N.
+        compliance: ∂strain/∂(wrench on the section) (M, P, 6, 6) at fixed tensions.
+        pull: ∂(wrench of the tendons)/∂tension (M, P, 6, T).
+        reach: ∂(length of the channel)/∂strain (M, T, P, 6) for a length of backbone.
+        slope: ∂tension/∂stretch (M, T), N/m; zero where tensions are the inputs.
+    """
+
+    rod: TendonRod
+    strain: Array
+    tension: Array
+    compliance: Array
+    pull: Array
+    reach: Array
+    slope: Array
+
+    def pose(self) -> Array:
+        """Poses (M, P+1, 4, 4) where pieces meet."""
+        steps = se3.exp(self.rod.length[:, None] * self.strain)
+        out = [np.broadcast_to(self.rod.base, (len(self.strain), 4, 4))]
+        for piece in range(steps.shape[1]):
+            out.append(out[-1] @ steps[:, piece])
+        return np.stack(out, axis=1)
+
+    def strain_by_tension(self) -> Array:
+        """∂strain/∂tension (M, P, 6, T), tensions being the inputs."""
+        return -self.compliance @ self.pull
+
+    def strain_by_displacement(self) -> Array:
+        """∂strain/∂displacement (M, P, 6, T), displacements being the inputs."""
+        by_stretch = self.yielding() * self.slope[:, None]
+        return self.strain_by_tension() @ by_stretch[:, None]
+
+    def yielding(self) -> Array:
+        """∂tension/∂(what a tendon would pull with) (M, T, T), as the rod and tendons yield."""
+        m, t = self.slope.shape
+        weighted = (self.rod.length[:, None] * self.reach).reshape(m, t, -1)
+        give = weighted @ (self.compliance @ self.pull).reshape(m, -1, t)
+        return np.asarray(np.linalg.inv(np.eye(t) + self.slope[..., None] * give))
+
+    def wrench_by(self, strain_slope: Array) -> Array:
+        """Slope (M, P, 6, ·) of the rod's own wrench K (ε − ε*) from that of the strain."""
+        return self.rod.stiffness[:, :, None] * strain_slope
+
+    def pose_by(self, strain_slope: Array) -> Array:
+        """Slope (M, P+1, 6, ·) of the poses, perturbed on the right, from that of the strain.
+
+        δ₊ = Ad(exp(−h ε)) δ + h J_r(h ε) δε over a piece of length h. Source: (M7).
+        """
+        across, along = self._steps()
+        out = [np.zeros((len(self.strain), 6, strain_slope.shape[-1]))]
+        for piece in range(across.shape[1]):
+            out.append(across[:, piece] @ out[-1] + along[:, piece] @ strain_slope[:, piece])
+        return np.stack(out, axis=1)
+
+    def strain_by_moment(self) -> Array:
+        """∂strain/∂(bending moment on each piece) (M, P, 6, 2 P), displacements being the inputs.
+
+        A moment bends its own piece, and through the tendons' stretch all that they pass.
+        """
+        m, count = self.strain.shape[:2]
+        t = self.slope.shape[1]
+        out = np.zeros((m, count, 6, 2 * count))
+        for piece in range(count):
+            out[:, piece, :, 2 * piece : 2 * piece + 2] = self.compliance[:, piece, :, 3:5]
+        weighted = (self.rod.length[:, None] * self.reach).reshape(m, t, -1)
+        stretch = self.slope[..., None] * (weighted @ out.reshape(m, 6 * count, -1))
+        return out + self.strain_by_tension() @ (self.yielding() @ stretch)[:, None]
+
+    def cov(self) -> Array:
+        """Covariance (M, P+1, 12, 12) of poses and strains that [tendons] states.
+
+        Displacements differ from the commands, and moments are missing along the robot. The strain
+        of a node is that of the piece before it.
+        """
+        tendons, count = self.rod.tendons, len(self.rod.length)
+        moment = np.sqrt(tendons.psd_moment / np.repeat(self.rod.length, 2))
+        slopes = [tendons.std * self.strain_by_displacement(), moment * self.strain_by_moment()]
+        by_strain = np.concatenate(slopes, axis=-1)
+        before = np.maximum(np.arange(count + 1) - 1, 0)
+        both = np.concatenate([self.pose_by(by_strain), by_strain[:, before]], axis=2)
+        return np.asarray(both @ np.swapaxes(both, -1, -2))
+
+    def _steps(self) -> tuple[Array, Array]:
+        """Ad(exp(−h ε)) and h J_r(h ε), each (M, P, 6, 6)."""
+        turned = self.rod.length[:, None] * self.strain
+        along = self.rod.length[:, None, None] * se3.right_jacobian(turned)
+        return se3.adjoint(se3.exp(-turned)), along
+
+
+def equilibrium(
+    rod: TendonRod,
+    *,
+    displacement: Array | None = None,
+    tension: Array | None = None,
+    start: Array | None = None,
+) -> Equilibrium:
+    """The shapes that displacements or tensions of the tendons pull the rod into.
+
+    Args:
+        rod: The rod.
+        displacement: Displacements (M, T), positive when pulled, less play, m.
+        tension: Tensions (M, T) in the place of displacements, N.
+        start: Strains (M, P, 6) to begin at.
+
+    Raises:
+        GlissandoError: Neither or both are given, a number is missing, or a tension is negative.
+        NoShapeError: No equilibrium was found.
+    """
+    given = _checked_inputs(rod, displacement, tension)
+    strain = np.broadcast_to(rod.rest, (len(given), *rod.rest.shape)).copy()
+    strain = strain if start is None else start.copy()
+    for _ in range(_ITERATIONS):
+        here, residual = _linearize(rod, strain, given, displacement is None)
+        step = _step(here, residual)
+        turned = np.abs(step * rod.length[:, None]).max(axis=(1, 2), keepdims=True)
+        strain = strain - step * np.minimum(1.0, _LONGEST / np.maximum(turned, 1e-300))
+        if turned.max() < _CLOSE:
+            return replace(here, strain=strain)
+    worst = int(np.argmax(turned.ravel()))
+    raise NoShapeError(
+        f"No static shape was found for row {worst} of the tendons; is the rod buckling, or is a "
+        f"displacement in millimetres?"
+    )
+
+
+def _checked_inputs(rod: TendonRod, displacement: Array | None, tension: Array | None) -> Array:
+    if (displacement is None) == (tension is None):
+        raise GlissandoError("Give displacements of the tendons or their tensions, one of the two.")
+    given = np.atleast_2d(np.asarray(displacement if tension is None else tension, dtype=float))
+    if given.shape[1] != len(rod.tendons) or not np.all(np.isfinite(given)):
+        raise GlissandoError(
+            f"{given.shape[1]} columns for {len(rod.tendons)} tendons; give a finite number each."
+        )
+    if tension is not None and np.any(given < 0.0):
+        raise GlissandoError(f"A tension of {given.min():g} N cannot be; tendons only pull.")
+    if displacement is not None and np.any(np.abs(given) > rod.nodes[-1]):
+        raise GlissandoError(
+            f"A tendon is displaced by {np.abs(given).max():g} m, more than the robot's length of "
+            f"{rod.nodes[-1]:g} m; give metres, not millimetres."
+        )
+    return given
+
+
+def _step(at: Equilibrium, residual: Array) -> Array:
+    """Newton's step (M, P, 6) of the strain, to be taken off, at wrenches (M, P, 6) left over."""
+    free = (at.compliance @ residual[..., None])[..., 0]
+    short = np.einsum("p,mtpi,mpi->mt", at.rod.length, at.reach, free)
+    back = at.yielding() @ (at.slope * short)[..., None]
+    return free - (at.compliance @ (at.pull @ back[:, None]))[..., 0]
+
+
+def _linearize(
+    rod: TendonRod, strain: Array, given: Array, tensions: bool
+) -> tuple[Equilibrium, Array]:
+    """The balance linearised at strains (M, P, 6), and the wrenches (M, P, 6) left over."""
+    reach, unit, speed, inside = _reaches(rod, strain)
+    stretch = given - shortening(rod, strain) - rod.tendons.slack
+    force, slope = (given, np.zeros_like(given)) if tensions else rod.tendons.tension(stretch)
+    left = _friction(rod, strain, unit) * inside
+    pull = (reach * left[..., None]).transpose(0, 2, 3, 1)
+    residual = _balance(rod, strain, pull, force)
+    compliance = np.asarray(np.linalg.inv(_hessian(rod, unit, (force[..., None] * left) / speed)))
+    free = reach * inside[..., None]
+    return Equilibrium(rod, strain, force, compliance, pull, free, slope), residual
+
+
+def _balance(rod: TendonRod, strain: Array, pull: Array, tension: Array) -> Array:
+    """Wrench (M, P, 6) of the rod and of its tendons on each section, zero in equilibrium."""
+    return rod.stiffness * (strain - rod.rest) + (pull @ tension[:, None, :, None])[..., 0]
+
+
+def misfit(
+    rod: TendonRod, strain: Array, tension: Array, displacement: Array
+) -> tuple[Array, Array]:
+    """How far a rod is from balance at strains and tensions that need not be its own.
+
+    Args:
+        rod: The rod.
+        strain: Strains (M, P, 6).
+        tension: Tensions (M, T), N.
+        displacement: Displacements (M, T), less play, m.
+
+    Returns:
+        Wrenches left (M, P, 6), and the tensions (M, T) of the tendons' stretch.
+    """
+    reach, unit, _, inside = _reaches(rod, strain)
+    pull = (reach * (_friction(rod, strain, unit) * inside)[..., None]).transpose(0, 2, 3, 1)
+    stretch = displacement - shortening(rod, strain) - rod.tendons.slack
+    return _balance(rod, strain, pull, tension), rod.tendons.tension(stretch)[0]
+
+
+def _reaches(rod: TendonRod, strain: Array) -> tuple[Array, Array, Array, Array]:
+    """∂|tangent|/∂strain (M, T, P, 6), unit tangents, their lengths, and where tendons are."""
+    place, slope = rod.tendons.path(rod.middle)
+    tangent = strain[:, None, :, :3] + np.cross(strain[:, None, :, 3:], place) + slope
+    speed = np.linalg.norm(tangent, axis=-1)
+    unit = tangent / speed[..., None]
+    arm = np.cross(np.broadcast_to(place, unit.shape), unit)
+    inside = (rod.middle < rod.tendons.end[:, None]).astype(float)
+    return np.concatenate([unit, arm], axis=-1), unit, speed, inside
+
+
+def shortening(rod: TendonRod, strain: Array) -> Array:
+    """How much shorter (M, T) channels are at strains (M, P, 6) than in the straight rod, m."""
+    place, slope = rod.tendons.path(rod.middle)
+    inside = rod.length * (rod.middle < rod.tendons.end[:, None])
+    straight = np.linalg.norm(STRAIGHT[:3] + slope, axis=-1)
+    tangent = strain[:, None, :, :3] + np.cross(strain[:, None, :, 3:], place) + slope
+    return np.sum(inside * (straight - np.linalg.norm(tangent, axis=-1)), axis=-1)
+
+
+def _friction(rod: TendonRod, strain: Array, unit: Array) -> Array:
+    """What is left (M, T, P) of each tension in the middle of each piece: exp(−μ Θ)."""
+    shape = unit.shape[:-1]
+    if not rod.tendons.friction.any():
+        return np.ones(shape)
+    bend = np.linalg.norm(np.cross(strain[:, None, :, 3:], unit), axis=-1) * rod.length
+    passed = np.cumsum(bend, axis=-1) - 0.5 * bend
+    return np.asarray(np.exp(-rod.tendons.friction[:, None] * passed))
+
+
+def _hessian(rod: TendonRod, unit: Array, force: Array) -> Array:
+    """Stiffness (M, P, 6, 6) of the sections under the tendons' `force` (M, T, P) over length."""
+    place = rod.tendons.path(rod.middle)[0]
+    lever = np.concatenate([np.broadcast_to(np.eye(3), (*place.shape, 3)), -se3.hat3(place)], -1)
+    out = np.zeros((unit.shape[0], unit.shape[2], 6, 6))
+    out += rod.stiffness[:, :, None] * np.eye(6)
+    for j, arm in enumerate(lever):
+        t = unit[:, j]
+        across = force[:, j, :, None, None] * (np.eye(3) - t[..., :, None] * t[..., None, :])
+        out += np.swapaxes(arm, -1, -2) @ across @ arm
+    return out

@@ -1,0 +1,202 @@
+"""A robot's tendons: channels, where they end, elasticity, slack, play; [tendons] of a file.
+
+A tendon runs beside the backbone in a straight or helical channel from the base to its end. Its
+displacement, positive when pulled, shortens it between base and end, takes up slack, and stretches
+it. Source: (M5) and (M6) of docs/tendons.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from glissando.errors import SensorError
+from glissando.geometry.se3 import Array
+from glissando.model.priors.prior_table import PriorTable
+from glissando.model.tendons.channel import Channel
+
+_LARGEST_RADIUS = 0.1  # m, beyond which a radius was most likely given in millimetres
+_EACH = ("radius", "angle", "pitch", "end", "stiffness", "slack", "play", "friction")
+_SHARED = {"softness": 1e-4, "std": 1e-4, "psd_moment": 1e-7}
+_OPTIONAL = {"pitch": 0.0, "slack": 0.0, "play": 0.0, "friction": 0.0}
+
+
+@dataclass(frozen=True)
+class Tendons:
+    """T tendons.
+
+    Attributes:
+        radius: Distance from the backbone (T,), m.
+        angle: Angle in the cross-section of the base (T,), rad.
+        end: Arclength where each is tied (T,), m.
+        stiffness: Tension for a stretch (T,), N/m.
+        pitch: Metres for a whole turn (T,); infinite for a straight channel.
+        slack: Displacement that pulls each just taut in the straight robot (T,), m.
+        play: Displacement that is lost when a servo turns back (T,), half of it each way, m.
+        friction: Coefficient of friction in the channel (T,).
+        softness: Displacement over which a tendon becomes taut, m.
+        std: Standard deviation of what displacements differ from the commands by, m.
+        psd_moment: Density of bending moments that are not modelled, white along arclength, N² m³.
+        names: Columns of the tendons in files.
+    """
+
+    radius: Array
+    angle: Array
+    end: Array
+    stiffness: Array
+    pitch: Array = field(default_factory=lambda: np.full(1, np.inf))
+    slack: Array = field(default_factory=lambda: np.zeros(1))
+    play: Array = field(default_factory=lambda: np.zeros(1))
+    friction: Array = field(default_factory=lambda: np.zeros(1))
+    softness: float = 1e-4
+    std: float = 1e-4
+    psd_moment: float = 1e-7
+    names: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        count = max(np.size(getattr(self, name)) for name in _EACH)
+        for name in _EACH:
+            value = np.asarray(getattr(self, name), dtype=float)
+            if value.shape not in ((), (1,), (count,)):
+                raise SensorError(
+                    f"Tendons: {name} has {value.size} numbers for {count} tendons; give one each."
+                )
+            object.__setattr__(self, name, np.broadcast_to(value, count).copy())
+        names = self.names or tuple(f"tendon_{j}" for j in range(count))
+        if len(names) != count:
+            raise SensorError(f"Tendons: {len(names)} names for {count} tendons; give one each.")
+        object.__setattr__(self, "names", names)
+
+    def __len__(self) -> int:
+        return int(self.radius.size)
+
+    @property
+    def straight(self) -> bool:
+        """Whether every channel is straight."""
+        return bool(np.all(np.isinf(self.pitch)))
+
+    def path(self, arclength: Array) -> tuple[Array, Array]:
+        """Places r (T, P, 3) in the cross-section at arclengths (P,), and dr/ds (T, P, 3)."""
+        every = zip(self.radius, self.angle, self.pitch, strict=True)
+        place, slope = zip(*(Channel(*one).path(arclength) for one in every), strict=True)
+        return np.stack(place), np.stack(slope)
+
+    def effective(self, displacement: Array) -> Array:
+        """Displacements (M, T) in their order, less the play: what reaches the robot.
+
+        The play operator: the robot's end follows only once the servo has taken up the play.
+        """
+        half = 0.5 * self.play
+        if not half.any():
+            return displacement
+        out = np.empty_like(displacement)
+        reached = displacement[0]
+        for k, pulled in enumerate(displacement):
+            reached = np.clip(reached, pulled - half, pulled + half)
+            out[k] = reached
+        return out
+
+    def tension(self, stretch: Array) -> tuple[Array, Array]:
+        """Tension (…, T) for a stretch (…, T), N, and its slope, N/m: zero for a slack tendon.
+
+        A softened ramp: stiffness · softness · log(1 + exp(stretch / softness)).
+        """
+        x = stretch / self.softness
+        tension = self.stiffness * self.softness * np.logaddexp(0.0, x)
+        return tension, self.stiffness * 0.5 * (1.0 + np.tanh(0.5 * x))
+
+    def to_table(self) -> dict[str, Any]:
+        """What [tendons] of a robot file says, as `read_tendons` reads it."""
+        table: dict[str, Any] = {"names": list(self.names)}
+        for name in _EACH:
+            value = getattr(self, name)
+            if name != "pitch":
+                table[name] = value.tolist()
+            elif not self.straight:
+                table[name] = np.where(np.isinf(value), 0.0, value).tolist()
+        return {**table, **{name: float(getattr(self, name)) for name in _SHARED}}
+
+
+def read_tendons(robot: PriorTable, length: float) -> Tendons | None:
+    """The [tendons] of a robot file, or None where it has none.
+
+    `radius`, `angle`, `end` and `stiffness` are numbers or lists with one a tendon, `pitch` too,
+    where 0 is a straight channel.
+
+    Args:
+        robot: The file.
+        length: Length of the robot, m.
+
+    Raises:
+        GlissandoError: A value is missing, impossible, or most likely in another unit.
+    """
+    table = robot.table("tendons")
+    if table is None:
+        return None
+    names = tuple(table.texts("names")) if table.peek("names") is not None else ()
+    listed = [table.peek(name) for name in _EACH]
+    count = max([len(names), 1, *(len(value) for value in listed if isinstance(value, list))])
+    given: dict[str, Any] = {name: _each(table, name, count) for name in _EACH}
+    pitch = given["pitch"]
+    given["pitch"] = np.where(pitch == 0.0, np.inf, pitch)
+    given |= {name: table.number(name, usual) for name, usual in _SHARED.items()}
+    table.close()
+    tendons = Tendons(names=names, **given)
+    _require_plausible(table, tendons, length)
+    return tendons
+
+
+def _each(table: PriorTable, name: str, count: int) -> Array:
+    """A number for all tendons, or a list with one each."""
+    if isinstance(table.peek(name), list):
+        return table.vector(name, count, pairs=False)
+    default = _OPTIONAL.get(name)
+    return np.full(count, table.number(name, default, positive=name in ("radius", "stiffness")))
+
+
+def _require_plausible(table: PriorTable, tendons: Tendons, length: float) -> None:
+    """Raise unless tendons lie in the robot and their numbers are in SI units."""
+    off = np.flatnonzero((tendons.end <= 0.0) | (tendons.end > length + 1e-9))
+    if off.size:
+        raise table.fail(
+            "end",
+            f"puts tendon {off[0]} at {tendons.end[off[0]]:g} m, outside the robot of "
+            f"{length:g} m; end it on the robot, in metres.",
+        )
+    if np.any((tendons.radius <= 0.0) | (tendons.radius > _LARGEST_RADIUS)):
+        raise table.fail("radius", f"is {tendons.radius.tolist()}; give metres: 0.0045 for 4.5 mm.")
+    if np.any(np.abs(tendons.angle) > 4.0 * np.pi):
+        raise table.fail("angle", f"is {tendons.angle.tolist()}; give radians, not degrees.")
+    if np.any(tendons.stiffness <= 0.0):
+        raise table.fail(
+            "stiffness", f"is {tendons.stiffness.tolist()}; give N/m above zero, Young's modulus "
+            f"times section over length.",
+        )  # fmt: skip
+    for name in ("slack", "play", "softness", "std"):
+        value = np.abs(np.asarray(getattr(tendons, name)))
+        if np.any(value > length):
+            raise table.fail(
+                name, f"reaches {value.max():g} m, more than the robot's length; give metres."
+            )
+    for name in ("play", "friction"):
+        if np.any(getattr(tendons, name) < 0.0):
+            raise table.fail(name, f"is {getattr(tendons, name).tolist()}; give zero or more.")
+
+
+def require_columns(names: Sequence[str], found: Sequence[str], where: str) -> None:
+    """Raise SensorError unless every tendon has its column in a file.
+
+    Args:
+        names: Columns of the tendons.
+        found: Columns of the file.
+        where: Name of the file, for the message.
+    """
+    missing = [name for name in names if name not in found]
+    if missing:
+        raise SensorError(
+            f"{where} has {len(found)} columns for {len(names)} tendons and lacks "
+            f"{', '.join(missing)}; give a column a tendon, named as in [tendons] names."
+        )

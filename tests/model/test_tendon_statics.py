@@ -1,0 +1,135 @@
+"""Tendons pull the rod into the simulator's shapes, and every slope is that of a difference."""
+
+import numpy as np
+import pytest
+
+from glissando.errors import GlissandoError, NoShapeError, RobotFileError
+from glissando.geometry import se3
+from glissando.model.tendons.statics import equilibrium, shortening, tendon_rod
+from glissando.simulation import Loads, solve_shape
+from tendon_robot import LENGTH, pulls, simulated, tendon_robot
+
+FINE = np.linspace(0.0, LENGTH, 81)
+
+
+def solved(robot, tension):
+    rod, tendons = simulated(robot)
+    return solve_shape(rod, tendons, Loads(tension))
+
+
+def draw(seed):
+    return np.random.default_rng(seed).uniform(0.0, 1.5, (1, 6))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_straight_tendons_pull_the_simulators_shape_exactly_with_a_piece_a_segment(seed):
+    robot, tension = tendon_robot(), draw(seed)
+    found = equilibrium(tendon_rod(robot, np.zeros(0)), tension=tension)
+    assert found.strain.shape == (1, 2, 6)
+    np.testing.assert_allclose(found.pose()[0, -1], solved(robot, tension[0]).at(LENGTH).pose,
+                               atol=1e-9)  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", ["helical", "rubbing"])
+def test_other_tendons_do_the_better_the_finer_the_pieces(kind):
+    robot = tendon_robot(**({"pitch": 0.3} if kind == "helical" else {"friction": 0.2}))
+    tension = draw(4)
+    truth = solved(robot, tension[0]).at(LENGTH).pose
+    errors = []
+    for count in (11, 41):
+        rod = tendon_rod(robot, np.linspace(0.0, LENGTH, count))
+        miss = equilibrium(rod, tension=tension).pose()[0, -1] - truth
+        errors.append(np.abs(miss).max())
+    assert errors[1] < 0.1 * errors[0]
+    assert errors[1] < 1e-4
+
+
+@pytest.mark.parametrize("pitch", [0.0, 0.3])
+def test_the_manipulators_jacobians_are_differences_of_the_simulators_shapes(pitch):
+    robot, tension, nudge = tendon_robot(pitch=pitch), draw(7), 1e-4
+    found = equilibrium(tendon_rod(robot, FINE), tension=tension)
+    by_strain = found.strain_by_tension()
+    by_pose, by_wrench = found.pose_by(by_strain)[0, -1], found.wrench_by(by_strain)[0]
+    middle = found.rod.middle
+    for j, move in enumerate(nudge * np.eye(6)):
+        ahead, behind = (solved(robot, tension[0] + sign * move) for sign in (1.0, -1.0))
+        pose = se3.log(se3.inverse(behind.at(LENGTH).pose) @ ahead.at(LENGTH).pose)
+        parts = [(by_pose[:, j], pose)]
+        for name, slope in (("strain", by_strain[0, :, :, j]), ("wrench", by_wrench[:, :, j])):
+            ends = (getattr(shape.at(middle), name) for shape in (ahead, behind))
+            parts.append((slope, np.subtract(*ends)))
+        for slope, difference in parts:
+            expected = difference / (2.0 * nudge)
+            assert np.abs(slope - expected).max() < 0.01 * np.abs(expected).max()
+
+
+def test_slopes_by_displacement_are_differences_of_equilibria():
+    robot = tendon_robot()
+    rod, pulled = tendon_rod(robot, np.zeros(0)), pulls(np.random.default_rng(1), 5)
+    found, nudge = equilibrium(rod, displacement=pulled), 1e-6
+    slope = found.pose_by(found.strain_by_displacement())[:, -1]
+    for j, move in enumerate(nudge * np.eye(6)):
+        ahead, behind = (equilibrium(rod, displacement=pulled + s * move).pose() for s in (1, -1))
+        difference = se3.log(se3.inverse(behind[:, -1]) @ ahead[:, -1]) / (2.0 * nudge)
+        np.testing.assert_allclose(slope[..., j], difference, atol=1e-5 * np.abs(slope).max())
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_displacements_of_an_equilibrium_give_its_tensions_back(seed):
+    rod, tension = tendon_rod(tendon_robot(), np.zeros(0)), draw(seed) + 0.5
+    shape, soft = equilibrium(rod, tension=tension), rod.tendons
+    stretch = soft.softness * np.log(np.expm1(tension / (soft.stiffness * soft.softness)))
+    pulled = shortening(rod, shape.strain) + stretch
+    np.testing.assert_allclose(equilibrium(rod, displacement=pulled).tension, tension, rtol=1e-6)
+
+
+def test_slack_tendons_leave_the_rod_straight_and_more_slack_changes_nothing():
+    rod = tendon_rod(tendon_robot(), np.zeros(0))
+    shapes = [equilibrium(rod, displacement=np.full((1, 6), -d)).pose() for d in (5e-3, 9e-3)]
+    np.testing.assert_allclose(shapes[0], shapes[1], atol=1e-9)
+    assert np.abs(shapes[0][0, -1, :3, 3] - [0.0, 0.0, LENGTH]).max() < 1e-8
+
+
+def test_play_is_the_play_operator():
+    robot = tendon_robot(play=[4e-4, 0.0, 1e-3, 0.0, 0.0, 2e-4])
+    pulled = np.cumsum(3e-4 * np.random.default_rng(3).standard_normal((200, 6)), axis=0)
+    reached = robot.tendons.effective(pulled)
+    for j, half in enumerate(0.5 * robot.tendons.play):
+        state = pulled[0, j]
+        for k, now in enumerate(pulled[:, j]):
+            if state > now + half:
+                state = now + half
+            elif state < now - half:
+                state = now - half
+            assert reached[k, j] == pytest.approx(state, abs=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "sentence"),
+    [
+        ({"end": [0.1, 0.1, 0.1, 0.2, 0.2, 0.25]}, "tendon 5 at 0.25 m, outside the robot of 0.2"),
+        ({"radius": 4.5}, "radius is .* give metres"),
+        ({"angle": [0, 120, 240, 30, 150, 270]}, "give radians, not degrees"),
+        ({"stiffness": [1e4] * 5}, "stiffness is .*give 6 numbers"),
+        ({"slack": 3.0}, "slack reaches 3 m"),
+        ({"play": -1e-4}, "play is .* zero or more"),
+        ({"tension": 3.0}, "tension is not a key"),
+    ],
+)
+def test_what_tendons_cannot_be_is_one_sentence(wrong, sentence):
+    with pytest.raises(RobotFileError, match=sentence):
+        tendon_robot(**wrong)
+
+
+def test_inputs_that_cannot_be_are_one_sentence():
+    rod = tendon_rod(tendon_robot(), np.zeros(0))
+    for given, sentence in [
+        ({"displacement": np.ones((1, 6))}, "not millimetres"),
+        ({"displacement": np.zeros((1, 5))}, "5 columns for 6 tendons"),
+        ({"tension": -np.ones((1, 6))}, "tendons only pull"),
+        ({}, "one of the two"),
+    ]:
+        with pytest.raises(GlissandoError, match=sentence):
+            equilibrium(rod, **given)
+    with pytest.raises(NoShapeError, match="row 0"):
+        equilibrium(rod, tension=np.full((1, 6), 1e6))
