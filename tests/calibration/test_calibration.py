@@ -73,6 +73,7 @@ def test_a_still_robot_shows_slide_against_tracker_but_neither_against_motion_ca
     assert made.rig.direction == known.direction
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("shape", "uncertain"),
     [
@@ -91,6 +92,7 @@ def test_a_slide_at_rest_leaves_its_parameters_unknown_and_a_straight_robot_near
         assert "tracker's delay is known little" not in warnings
 
 
+@pytest.mark.slow
 def test_tracker_readings_that_contradict_all_others_are_left_out_and_counted():
     data, known = rigs.drawn(0)
     data = data.at(np.arange(0, len(data.coil), 10))

@@ -102,6 +102,7 @@ def test_every_command_has_examples_of_its_own():
         assert name in RUNS, f"say in RUNS which example of {name} runs"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", RUNS)
 def test_an_example_of_every_command_runs(name, bench, monkeypatch, capsys):
     if isinstance(RUNS[name], str):

@@ -16,6 +16,7 @@ def run(*arguments):
     return main([str(a) for a in arguments])
 
 
+@pytest.mark.slow
 def test_a_planned_path_is_written_and_simulated_as_planned(tmp_path, capsys):
     out, made = tmp_path / "plan", tmp_path / "made"
     asked = ("--zone", "0.5:0.6", "--horizon", 4, "--start", 0.69)

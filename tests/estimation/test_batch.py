@@ -126,6 +126,7 @@ def test_a_bad_start_converges_to_the_same_answer():
     assert difference(good, again)[0] < 1e-5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_an_absurd_start_ends_well_or_shows_that_it_did_not(seed):
     """Random poses may wind by half a turn into another minimum, whose cost gives it away."""

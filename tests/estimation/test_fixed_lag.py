@@ -96,6 +96,7 @@ def test_a_linear_problem_loses_nothing_to_a_short_window(kind):
         np.testing.assert_allclose(found[window].pose, found[99].pose, atol=1e-8)
 
 
+@pytest.mark.slow
 @law
 @given(generators)
 def test_the_order_in_which_readings_come_does_not_matter_inside_the_window(rng):

@@ -82,6 +82,7 @@ def run(*arguments):
     return main([str(a) for a in arguments])
 
 
+@pytest.mark.slow
 def test_a_recording_and_its_saved_posterior_are_judged_alike(recording, tmp_path, capsys):
     assert run("estimate", recording, "--out", tmp_path / "estimate") == 0
     capsys.readouterr()

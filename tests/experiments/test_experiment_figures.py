@@ -204,6 +204,7 @@ def test_causes_leave_out_what_was_not_computed():
     assert_legible(figure)
 
 
+@pytest.mark.slow
 def test_only_figures_with_results_are_written(tmp_path, confidence, following):
     results = {"table": table(1.0), "moving": moving(), "causes": {}}
     folder = tmp_path / "new" / "folder"

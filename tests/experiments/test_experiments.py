@@ -115,6 +115,7 @@ def test_no_shape_is_both_tuned_on_and_reported_on():
     assert not {np.asarray(t, dtype=float).tobytes() for t in TUNED_ON.values()} & named
 
 
+@pytest.mark.slow
 def test_the_same_seeds_give_the_same_numbers_on_all_cores_as_in_a_plain_loop():
     scene = Scene("C", "hold", 1.0)
     together = run_plan([(scene, 4), (scene, 6)])[scene]

@@ -106,6 +106,7 @@ def loopback(tmp_path):
             process.wait()
 
 
+@pytest.mark.slow
 def test_a_cluster_by_address_does_the_cells_and_keeps_what_failed(loopback, tmp_path, capsys):
     file = write_study(tmp_path, 'shape = ["straight", "buckled.toml"]', seeds=6)
     with cluster(loopback, None) as client:
@@ -139,6 +140,7 @@ def die(scene, seed):
     return failure("lived")
 
 
+@pytest.mark.slow
 def test_a_worker_that_dies_costs_its_cell_alone(tmp_path, monkeypatch):
     monkeypatch.setattr(runner, "outcome", die)
     study = load_study(write_study(tmp_path, "", seeds=3))

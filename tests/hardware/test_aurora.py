@@ -116,6 +116,7 @@ FAULTS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("faults", FAULTS)
 @pytest.mark.parametrize("firmware", ["AURORA Rev 013", "AURORA Rev 007"], ids=["BX", "TX"])
 def test_every_fault_is_recovered_from_or_reported(tmp_path, faults, firmware):
@@ -141,6 +142,7 @@ def test_every_fault_is_recovered_from_or_reported(tmp_path, faults, firmware):
             assert len(tracker.tools) == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("where", ["--tcp", "--pty"])
 def test_a_device_started_again_is_found_again(tmp_path, where):
     at_pty = str(tmp_path / "aurora")
@@ -192,6 +194,7 @@ def test_the_travel_of_another_device_moves_the_coil(tmp_path):
         assert np.isclose(after[2, 3], 0.03)
 
 
+@pytest.mark.slow
 def test_a_serial_line_is_sped_up_and_the_beginning_of_a_reply_tells_its_time(tmp_path):
     options = ("--wired", "--pty", str(tmp_path / "aurora"))
     with simulated(tmp_path, *options) as (address, epoch), Aurora(address) as tracker:

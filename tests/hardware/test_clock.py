@@ -28,6 +28,7 @@ def arrived(rng, kind, count, period=PERIOD, skew=None):
     return n, true, true + DELAYS[kind](rng, count)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", DELAYS)
 @pytest.mark.parametrize("count", [20, 200, 1000])
 def test_errors_of_time_and_rate_are_what_the_clock_says(kind, count):

@@ -124,6 +124,7 @@ def test_no_bytes_crash_the_servo_and_it_answers_a_ping_afterwards(stream):
     assert host.ask(Do.PING, identity=identity)[1] == words((1060, 2), (45, 1))
 
 
+@pytest.mark.slow
 @settings(max_examples=300, deadline=None, derandomize=True)
 @given(st.lists(st.one_of(mutated(), st.binary(max_size=40)), min_size=1, max_size=5))
 def test_nothing_is_obeyed_that_was_not_sent_with_a_good_checksum(stream):

@@ -93,6 +93,7 @@ def test_what_is_wrong_with_an_item_is_counted_and_the_others_are_kept(data, pro
     assert found.poses["tip"][0, 3] == 1e-3
 
 
+@pytest.mark.slow
 def test_no_bytes_that_come_can_hurt_the_parser():
     rng = np.random.default_rng(0)
     good = packet(9, TIP, item("base", [0.0] * 6), item("mid", [5, 6, 7, 3, -2, 1]))

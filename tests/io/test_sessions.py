@@ -50,6 +50,7 @@ json_values = st.recursive(
 )
 
 
+@pytest.mark.slow
 @law
 @given(st.lists(st.dictionaries(st.text(), json_values, max_size=4), max_size=5))
 def test_every_message_comes_back_bit_by_bit(tmp_path_factory, messages):
@@ -103,6 +104,7 @@ def test_nan_is_null_and_comes_back_as_nan_in_a_column(tmp_path):
     assert np.all(np.diff(topic.time_ns) >= 0)
 
 
+@pytest.mark.slow
 def test_a_log_cut_off_at_any_byte_loses_only_its_tail(tmp_path):
     data = written(tmp_path / "a.mcap", count=12, every=3).read_bytes()
     whole = read_session(tmp_path / "a.mcap")

@@ -10,6 +10,7 @@ import pytest
 from glissando._kernels.jit import cache_folder
 
 
+@pytest.mark.slow
 def test_numba_is_imported_when_the_first_kernel_is_called_and_not_before():
     code = (
         "import sys, numpy as np, glissando\n"
@@ -20,6 +21,7 @@ def test_numba_is_imported_when_the_first_kernel_is_called_and_not_before():
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
+@pytest.mark.slow
 def test_a_process_that_only_reads_devices_never_imports_numba():
     code = (
         "import sys\n"
@@ -32,6 +34,7 @@ def test_a_process_that_only_reads_devices_never_imports_numba():
 ONCE = "import numpy as np, glissando; print(glissando.se3.exp(np.zeros(6))[0, 0])"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("home", ["read-only", "missing"])
 def test_a_home_that_cannot_be_written_to_does_not_matter(tmp_path, home):
     folder = tmp_path / "home"

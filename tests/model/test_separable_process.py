@@ -1,6 +1,7 @@
 """Posteriors are the process itself given the readings; what unmeasured nodes change is small."""
 
 import numpy as np
+import pytest
 
 from glissando import Grid, GyroReadings, PoseReadings, SolverOptions, State, estimate
 from glissando.geometry import se3
@@ -65,6 +66,7 @@ def test_at_time_nodes_the_posterior_is_the_process_conditioned_on_the_readings(
     assert max(gaps) < 5e-6
 
 
+@pytest.mark.slow
 @PRIORS
 def test_between_time_nodes_the_posterior_errs_by_the_third_power_of_the_step(changes):
     s, share = np.array([0.05, 0.1, 0.33, 0.25, 0.4, 0.2]), np.array([0.5, 0.3, 0.5, 0.7, 0.9, 0.2])
@@ -144,6 +146,7 @@ def test_what_an_unmeasured_arclength_changes_falls_with_the_bend():
     assert orders[1] > 0.95
 
 
+@pytest.mark.slow
 def test_what_an_unmeasured_arclength_changes_falls_as_the_grid_is_refined():
     counts = np.array([2, 4, 8, 16])
     changes = [change_by_inserting(n, 8, arclength=[0.137]) for n in counts]

@@ -52,6 +52,7 @@ DOUBLED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", DOUBLED)
 def test_a_still_robot_is_known_as_well_however_much_is_doubled(what):
     change = {}

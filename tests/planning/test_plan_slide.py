@@ -96,6 +96,7 @@ def test_the_plan_is_within_one_percent_of_the_best_of_all_paths(kind, name, zon
     assert plan.value <= best + 0.01 * abs(best)
 
 
+@pytest.mark.slow
 @kinds
 @pytest.mark.parametrize("share", [0.25, 0.5])
 def test_a_moving_zone_is_followed_almost_as_well_as_if_it_were_still(kind, share):

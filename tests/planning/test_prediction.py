@@ -147,6 +147,7 @@ def test_dense_covariances_updated_reading_by_reading_say_the_same(kind):
     np.testing.assert_allclose(modes.zone_cov(), path_objective.cov(path), rtol=1e-5, atol=atol)
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(
     kind=st.sampled_from(sorted(ROBOTS)),

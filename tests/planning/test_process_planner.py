@@ -62,6 +62,7 @@ def test_a_belief_that_is_propagated_is_that_of_the_smoother_at_the_later_time(k
     np.testing.assert_allclose(np.diag(propagated.cov), np.diag(later.cov), rtol=slack)
 
 
+@pytest.mark.slow
 @kinds
 def test_submitting_a_task_takes_a_fraction_of_planning_it(kind):
     """What it takes beside an update is measured by benchmarks/plan.py."""
@@ -77,6 +78,7 @@ def test_submitting_a_task_takes_a_fraction_of_planning_it(kind):
     assert submission < 0.15 * planning
 
 
+@pytest.mark.slow
 @kinds
 def test_a_plan_computed_by_a_process_is_the_one_computed_inline(kind, process):
     smoother = smoother_of(ROBOTS[kind])
@@ -92,6 +94,7 @@ def test_a_plan_computed_by_a_process_is_the_one_computed_inline(kind, process):
     process.result()
 
 
+@pytest.mark.slow
 def test_what_a_process_cannot_plan_is_reported_once_and_the_last_plan_goes_on(process):
     zones, smoother = [Zone((0.3, 0.4), (0.0, 1.0))], smoother_of(SEPARABLE, 5.0)
     replanner = replanner_of(SEPARABLE, zones, lead=0.5, planner=process)
@@ -117,6 +120,7 @@ def test_zones_that_cannot_be_sent_are_refused_with_a_remedy(process):
         replanner.next(smoother_of(SEPARABLE))
 
 
+@pytest.mark.slow
 def test_a_planner_that_dies_leaves_the_last_plan_in_force_which_ends_at_rest():
     smoother = smoother_of(SEPARABLE)
     with ProcessPlanner() as planner:

@@ -29,6 +29,7 @@ def blocks(language, pages=PAGES):
             yield pytest.param(block, id=f"{page.name}-{number}")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", SCRIPTS, ids=lambda p: p.name)
 def test_a_page_to_follow_runs_from_top_to_bottom(page, tmp_path):
     tutorials.run(page, tmp_path)
@@ -36,6 +37,7 @@ def test_a_page_to_follow_runs_from_top_to_bottom(page, tmp_path):
         assert (tmp_path / picture).stat().st_size > 10_000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("block", list(blocks("python", [p for p in PAGES if p not in SCRIPTS])))
 def test_python_blocks_run(block, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

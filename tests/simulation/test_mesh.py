@@ -83,6 +83,7 @@ def test_a_finer_mesh_takes_a_smooth_strain_over(rng):
     np.testing.assert_allclose(found, strain(finer.points), rtol=0.0, atol=1e-9)
 
 
+@pytest.mark.slow
 @few
 @given(generators)
 def test_strains_roll_out_into_poses_as_many_short_steps_do(rng):

@@ -52,6 +52,7 @@ def test_white_noise_is_as_large_as_said_and_white():
     assert abs(lag) < 0.1
 
 
+@pytest.mark.slow
 def test_bias_is_as_large_as_said_over_many_seeds_and_the_same_when_the_coil_returns():
     flaws = replace(PURE, bias=7.5e-4, bias_angle=7e-3, field_size=1e5)
     miss = np.concatenate([error(coil(flaws, seed)) for seed in range(150)])

@@ -55,6 +55,7 @@ def test_one_parallel_tendon_bends_a_rod_into_an_arc_and_leaves_it_straight_beyo
     np.testing.assert_allclose(shape.at(s).pose, expected, rtol=0.0, atol=1e-6 * rod.length)
 
 
+@pytest.mark.slow
 @law
 @given(generators, st.floats(0.05, 1.0))
 def test_friction_lets_a_tendon_bend_a_rod_ever_less_towards_its_end(rng, friction):
@@ -97,6 +98,7 @@ def test_a_load_on_the_clamped_base_does_nothing():
 # ---- another way to the same shape ----
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("features", "seed"),
     [

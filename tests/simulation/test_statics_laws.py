@@ -15,6 +15,7 @@ from rods_drawn import any_solved, beam, few
 # ---- laws ----
 
 
+@pytest.mark.slow
 @few
 @given(generators)
 def test_a_moved_base_and_turned_loads_move_the_shape_rigidly(rng):

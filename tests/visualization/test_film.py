@@ -22,6 +22,7 @@ def scene():
     return posterior, readings, [poses, marker]
 
 
+@pytest.mark.slow
 def test_a_gif_has_its_frames_lasts_its_seconds_and_starts_again(scene, tmp_path):
     told = []
     path = save_animation(
@@ -40,6 +41,7 @@ def test_a_gif_has_its_frames_lasts_its_seconds_and_starts_again(scene, tmp_path
     assert [p.name for p in path.parent.iterdir()] == ["film.gif"]
 
 
+@pytest.mark.slow
 def test_a_motion_is_shown_in_its_own_time_unless_it_is_long(scene, monkeypatch, tmp_path):
     shown = []
     monkeypatch.setattr(film, "_write_gif", lambda stage, path, *_: shown.append(stage.frames.time))
