@@ -63,7 +63,7 @@ def add_to(commands: Commands) -> None:
     several = {"action": "append", "default": [], "metavar": "ADDRESS"}
     add("--source", **several, help=SOURCES.replace("%", "%%"))  # type: ignore[arg-type]
     add("--sink", **several, help=SINKS)  # type: ignore[arg-type]
-    at = "where a device sits: NAME=METRES, then :pose, :coil or :position, and :slides"
+    at = "where a device sits: NAME=METRES, then :pose, :coil, :position or :gyro, and :slides"
     add("--at", action="append", default=[], metavar="NAME=M", help=at)
     add("--rate", type=float, metavar="HZ", help="updates a second (default: the robot's)")
     lag = "seconds the estimator looks back (default: four updates; 0 is a filter)"

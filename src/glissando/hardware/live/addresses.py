@@ -11,10 +11,12 @@ from glissando.hardware.live.igtl_source import IgtlSource
 from glissando.hardware.live.placement import Placement
 from glissando.hardware.live.sinks import CsvSink, Sink
 from glissando.hardware.live.sources import RecordingSource, Source
+from glissando.hardware.ros2.ros2_sink import Ros2Sink
+from glissando.hardware.ros2.ros2_source import Ros2Source
 from glissando.model.robot import Robot
 
-SOURCES = "igtl://HOST:PORT, igtl-server://:PORT, or the folder of a recording"
-SINKS = "igtl-server://:PORT, igtl://HOST:PORT, or csv:FILE"
+SOURCES = "igtl://HOST:PORT, igtl-server://:PORT, ros2, or the folder of a recording"
+SINKS = "igtl-server://:PORT, igtl://HOST:PORT, ros2, or csv:FILE"
 
 
 def source_of(text: str, robot: Robot, placements: Sequence[Placement] = ()) -> Source:
@@ -30,6 +32,8 @@ def source_of(text: str, robot: Robot, placements: Sequence[Placement] = ()) -> 
     """
     if text.startswith("igtl"):
         return IgtlSource(text, robot, placements)
+    if text.partition("?")[0] == "ros2":
+        return Ros2Source(text, robot, placements)
     if Path(text).is_dir():
         return RecordingSource(text, robot)
     raise GlissandoError(f"There is no source {text!r}; give {SOURCES}.")
@@ -39,6 +43,8 @@ def sink_of(text: str) -> Sink:
     """The sink that a text names, one of `SINKS`. Raises GlissandoError."""
     if text.startswith("igtl"):
         return IgtlSink(text)
+    if text.partition("?")[0] == "ros2":
+        return Ros2Sink(text)
     if text.startswith("csv:") and text != "csv:":
         return CsvSink(Path(text.removeprefix("csv:")))
     raise GlissandoError(f"There is no sink {text!r}; give {SINKS}.")

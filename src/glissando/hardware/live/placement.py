@@ -13,7 +13,7 @@ from glissando.model.robot import Robot
 from glissando.model.sensors.readings import Readings
 from glissando.model.sensors.sensors import sensor_class
 
-_KINDS = ("pose", "coil", "position")
+_KINDS = ("pose", "coil", "position", "gyro")
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Placement:
 
     @classmethod
     def parse(cls, text: str) -> Placement:
-        """The placement of a text NAME=METRES, then :pose, :coil or :position, and :slides.
+        """The placement of a text NAME=METRES, then :pose, :coil, :position or :gyro, and :slides.
 
         Raises:
             DeviceError: The text is none.
@@ -53,7 +53,7 @@ class Placement:
         if not name or not np.isfinite(arclength) or len(kinds) > 1 or {*kinds} - {*_KINDS}:
             raise DeviceError(
                 f"{text!r} does not say where a device sits; give NAME=METRES, as in Tip=0.466, "
-                f"and after it :pose, :coil or :position, and :slides, if need be."
+                f"and after it :pose, :coil, :position or :gyro, and :slides, if need be."
             )
         return cls(name, arclength, kinds[0] if kinds else "", "slides" in flags)
 

@@ -1,0 +1,1 @@
+"""ROS 2 topics as a source of readings and as a sink of updates."""

@@ -1,0 +1,185 @@
+"""Updates as ROS 2 topics, which RViz, Foxglove and controllers read.
+
+| topic | type | |
+|---|---|---|
+| `/glissando/tip/measured_cp` | PoseStamped | the last frame |
+| `/glissando/tip/pose` | PoseWithCovarianceStamped | with its covariance, in world axes |
+| `/glissando/frames` | PoseArray | all frames |
+| `/glissando/markers` | MarkerArray | centreline, ellipsoids and tube of 95 %, ten times a second |
+| `/diagnostics` | DiagnosticArray | once a second, if that package is installed |
+
+Publishers are reliable and keep the last message for late subscribers; any subscriber's quality of
+service is compatible with that.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any, Self
+
+import numpy as np
+
+from glissando.errors import DeviceError
+from glissando.estimation.confidence_tube import SIGMAS_95, confidence_tube, tube_faces
+from glissando.geometry import se3
+from glissando.geometry.se3 import Array
+from glissando.hardware.live.update import Update
+from glissando.hardware.ros2.graph import Graph, Ros2Address, profile
+
+_MARKERS, _DIAGNOSTICS = 0.1, 1.0  # s between them
+_AROUND = 8  # points of a ring of the tube
+
+
+class Ros2Sink:
+    """Publishes updates.
+
+    Args:
+        address: As `Ros2Address.parse` takes it.
+
+    Raises:
+        DeviceError: The address is wrong, or ROS 2 is not installed.
+    """
+
+    problem = ""
+
+    def __init__(self, address: str) -> None:
+        self.name, self.counts = address, Counter[str]()
+        self._address = Ros2Address.parse(address)
+        self._graph = Graph(self._address, "sink")
+        self._publishers: dict[str, Any] = {}
+        self._marked = self._diagnosed = -np.inf
+
+    def __enter__(self) -> Self:
+        self._graph.__enter__()
+        try:
+            from geometry_msgs import msg as geometry
+            from visualization_msgs import msg as visualization
+        except ImportError as missing:
+            self._graph.__exit__()
+            raise DeviceError(
+                f"ROS 2 needs {missing.name}: run pip install 'glissando[ros2]'."
+            ) from None
+        self._geometry, self._visualization = geometry, visualization
+        name = self._address.name
+        kinds = {
+            f"/{name}/tip/measured_cp": geometry.PoseStamped,
+            f"/{name}/tip/pose": geometry.PoseWithCovarianceStamped,
+            f"/{name}/frames": geometry.PoseArray,
+            f"/{name}/markers": visualization.MarkerArray,
+        }
+        try:
+            from diagnostic_msgs import msg as diagnostic
+        except ImportError:
+            diagnostic = None
+        else:
+            kinds["/diagnostics"] = diagnostic.DiagnosticArray
+        self._diagnostic: Any = diagnostic
+        quality = profile(1, reliable=True, latched=True)
+        create = self._graph.node.create_publisher
+        self._publishers = {topic: create(kind, topic, quality) for topic, kind in kinds.items()}
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        self._graph.__exit__()
+
+    def send(self, update: Update) -> None:
+        """Publish an update."""
+        name, geometry = self._address.name, self._geometry
+        poses = [self._pose(pose) for pose in update.state.pose]
+        tip = geometry.PoseStamped(pose=poses[-1])
+        uncertain = geometry.PoseWithCovarianceStamped()
+        uncertain.pose.pose = poses[-1]
+        uncertain.pose.covariance = world_covariance(update.state.pose[-1], update.state.cov[-1])
+        frames = geometry.PoseArray(poses=poses)
+        for topic, message in (
+            (f"/{name}/tip/measured_cp", tip),
+            (f"/{name}/tip/pose", uncertain),
+            (f"/{name}/frames", frames),
+        ):
+            message.header = self._header(update)
+            self._publishers[topic].publish(message)
+        if update.time - self._marked >= _MARKERS:
+            self._marked = update.time
+            self._publishers[f"/{name}/markers"].publish(self._markers(update))
+        if self._diagnostic is not None and update.time - self._diagnosed >= _DIAGNOSTICS:
+            self._diagnosed = update.time
+            self._publishers["/diagnostics"].publish(self._diagnosis(update))
+
+    def _header(self, update: Update) -> Any:
+        header = self._geometry.PoseStamped().header
+        header.frame_id = self._address.frame
+        header.stamp.sec = update.stamp >> 32
+        header.stamp.nanosec = ((update.stamp & 0xFFFFFFFF) * 1_000_000_000) >> 32
+        return header
+
+    def _pose(self, pose: Array) -> Any:
+        out = self._geometry.Pose()
+        out.position.x, out.position.y, out.position.z = pose[:3, 3].tolist()
+        w, x, y, z = se3.quaternion(pose[:3, :3]).tolist()
+        out.orientation.w, out.orientation.x = w, x
+        out.orientation.y, out.orientation.z = y, z
+        return out
+
+    def _points(self, points: Array) -> list[Any]:
+        point = self._geometry.Point
+        return [point(x=x, y=y, z=z) for x, y, z in points.reshape(-1, 3).tolist()]
+
+    def _marker(self, update: Update, space: str, number: int, kind: int) -> Any:
+        marker = self._visualization.Marker(ns=space, id=number, type=kind)
+        marker.header = self._header(update)
+        marker.pose.orientation.w = 1.0
+        marker.color.r, marker.color.g, marker.color.b, marker.color.a = 0.35, 0.55, 0.75, 1.0
+        return marker
+
+    def _markers(self, update: Update) -> Any:
+        shapes = self._visualization.Marker
+        line = self._marker(update, "centreline", 0, shapes.LINE_STRIP)
+        line.scale.x = 0.004 * float(update.arclength[-1])
+        line.points = self._points(update.state.position)
+        cov = update.state.cov[:, :3, :3]
+        rings, _ = confidence_tube(update.state.pose, cov, around=_AROUND)
+        faces = tube_faces(*rings.shape[:2])
+        tube = self._marker(update, "tube95", 0, shapes.TRIANGLE_LIST)
+        tube.scale.x = tube.scale.y = tube.scale.z = 1.0
+        tube.color.a, tube.points = 0.3, self._points(rings.reshape(-1, 3)[faces])
+        out = [line, tube]
+        variance, axes = np.linalg.eigh(cov)
+        axes[..., :, 0] *= np.sign(np.linalg.det(axes))[:, None]
+        for k, pose in enumerate(update.state.pose):
+            ball = self._marker(update, "ellipsoids95", k, shapes.SPHERE)
+            turned = pose.copy()
+            turned[:3, :3] = pose[:3, :3] @ axes[k]
+            ball.pose = self._pose(turned)
+            size = 2.0 * SIGMAS_95 * np.sqrt(np.maximum(variance[k], 1e-18))
+            ball.scale.x, ball.scale.y, ball.scale.z = size.tolist()
+            ball.color.a = 0.2
+            out.append(ball)
+        return self._visualization.MarkerArray(markers=out)
+
+    def _diagnosis(self, update: Update) -> Any:
+        status = self._diagnostic.DiagnosticStatus(name="glissando: live estimate")
+        well = update.smoother.fits and not update.problems
+        status.level = status.OK if well else status.WARN
+        fits = "" if update.smoother.fits else "innovations are larger than the model allows"
+        status.message = "; ".join(filter(None, (*update.problems, fits))) or "well"
+        figures = {
+            "time": update.time, "tip_sigma_m": update.std_tip, "latency_s": update.latency,
+            "nis": update.smoother.nis, "skipped": update.skipped,
+        }  # fmt: skip
+        pair = self._diagnostic.KeyValue
+        status.values = [pair(key=key, value=str(value)) for key, value in figures.items()]
+        out = self._diagnostic.DiagnosticArray(status=[status])
+        out.header = self._header(update)
+        return out
+
+
+def world_covariance(pose: Array, cov: Array) -> Array:
+    """Covariance (36,) of a pose as ROS states it: [x, y, z, rotation about X, Y, Z] in world axes.
+
+    Args:
+        pose: Pose (4, 4), body to world.
+        cov: Covariance (18, 18) of an estimate, its first six the pose's in the body frame.
+    """
+    turn = np.kron(np.eye(2), pose[:3, :3])
+    out: Array = (turn @ cov[:6, :6] @ turn.T).ravel()
+    return out

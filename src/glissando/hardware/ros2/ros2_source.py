@@ -1,0 +1,166 @@
+"""Readings from ROS 2 topics: PoseStamped, TransformStamped, Imu, and travel from JointState."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter, deque
+from collections.abc import Sequence
+from functools import partial
+from typing import Any, Self
+
+import numpy as np
+
+from glissando.errors import DeviceError, GlissandoError, RobotFileError
+from glissando.geometry import se3
+from glissando.hardware.live.clock import SessionClock
+from glissando.hardware.live.placement import Placement, reading, require_on_robot
+from glissando.hardware.ros2.graph import Graph, Ros2Address, profile
+from glissando.model.robot import Robot
+from glissando.model.sensors.readings import Readings
+
+_DEPTH = 64  # messages of a topic that wait
+_WAITING = 4096  # messages in all
+_FAR = 20.0  # m from the origin: no tracker reaches there
+_FASTEST = 100.0  # rad/s
+
+
+class Ros2Source:
+    """Readings of devices that are topics; subscriptions take any publisher's quality of service.
+
+    Args:
+        address: As `Ros2Address.parse` takes it.
+        robot: The robot, which states the noise of each kind of sensor.
+        placements: Devices named by their topics; a "gyro" is an Imu, others are poses.
+
+    Attributes:
+        counts: Messages 'heard', 'invalid', 'dropped' because too many waited.
+
+    Raises:
+        DeviceError: An address or a placement is wrong, or ROS 2 is not installed.
+    """
+
+    first: float | None = None
+    finished = False
+
+    def __init__(self, address: str, robot: Robot, placements: Sequence[Placement]) -> None:
+        require_on_robot(placements, robot)
+        if not placements:
+            raise DeviceError("A ROS 2 source needs topics; give --at /TOPIC=METRES.")
+        self.name, self._robot = address, robot
+        self.counts: Counter[str] = Counter()
+        self._address = Ros2Address.parse(address)
+        self._graph = Graph(self._address, "source")
+        self._placements, self._travel = placements, 0.0
+        self._waiting: deque[tuple[Placement, Any, float]] = deque()
+        self._begun = False
+
+    def __enter__(self) -> Self:
+        self._graph.__enter__()
+        try:
+            from geometry_msgs.msg import PoseStamped, TransformStamped
+            from sensor_msgs.msg import Imu, JointState
+        except ImportError as missing:
+            self._graph.__exit__()
+            raise DeviceError(
+                f"ROS 2 needs {missing.name}: run pip install 'glissando[ros2]'."
+            ) from None
+        poses = PoseStamped if self._address.type == "pose" else TransformStamped
+        quality = profile(_DEPTH, reliable=False)
+        subscribe = self._graph.node.create_subscription
+        for place in self._placements:
+            kind = Imu if place.kind == "gyro" else poses
+            subscribe(kind, place.name, partial(self._heard, place), quality)
+        if self._address.travel:
+            subscribe(JointState, self._address.travel, self._moved, quality)
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        self._graph.__exit__()
+
+    @property
+    def problem(self) -> str:
+        """Which topics nobody publishes; empty if none."""
+        if self._graph.node is None:
+            return ""
+        names = [p.name for p in self._placements]
+        silent = [name for name in names if not self._graph.node.count_publishers(name)]
+        return f"nobody publishes {', '.join(silent)}" if silent else ""
+
+    def _heard(self, place: Placement, message: Any) -> None:
+        self._graph.count += 1
+        self.counts["heard"] += 1
+        self._waiting.append((place, message, time.monotonic()))
+        if len(self._waiting) > _WAITING:
+            self._waiting.popleft()
+            self.counts["dropped"] += 1
+
+    def _moved(self, message: Any) -> None:
+        self._graph.count += 1
+        if len(message.position) and abs(message.position[0]) < _FAR:
+            self._travel = float(message.position[0])
+        else:
+            self.counts["invalid"] += 1
+
+    def poll(self) -> None:
+        """Take what has come, as `read` does, which then reads it."""
+        self._graph.spin()
+
+    def read(self, clock: SessionClock) -> list[Readings]:
+        """The readings that have come since the last call."""
+        self.poll()
+        out: list[Readings] = []
+        while self._waiting:
+            place, message, arrival = self._waiting.popleft()
+            try:
+                out.append(self._reading(place, message, self._time(message, arrival, clock)))
+            except RobotFileError:
+                raise
+            except GlissandoError:
+                self.counts["invalid"] += 1
+        return out
+
+    def _reading(self, place: Placement, message: Any, time: float) -> Readings:
+        arclength = place.arclength - self._travel if place.slides else place.arclength
+        arclength = float(np.clip(arclength, 0.0, self._robot.length))
+        kind = place.kind or "pose"
+        if kind == "gyro":
+            rate = message.angular_velocity
+            value = np.array([rate.x, rate.y, rate.z])
+            if not np.all(np.abs(value) < _FASTEST):
+                raise DeviceError(f"{place.name} turns by {value} rad/s; check its unit.")
+        else:
+            value = _pose(message, place.name)
+            value = value[:3, 3] if kind == "position" else value
+        return reading(self._robot, kind, _stream(place.name), time, arclength, value)
+
+    def _time(self, message: Any, arrival: float, clock: SessionClock) -> float:
+        stamp = message.header.stamp
+        if self._address.clock == "arrival" or not (stamp.sec or stamp.nanosec):
+            return clock.of_monotonic(arrival)
+        if self._address.clock == "sender":
+            seconds = stamp.sec + 1e-9 * stamp.nanosec
+            if not self._begun:
+                clock.begin_at(seconds)
+                self._begun = True
+            return seconds
+        ticks = (stamp.nanosec << 32) // 1_000_000_000
+        return clock.of_stamp((stamp.sec << 32) + ticks)
+
+
+def _stream(topic: str) -> str:
+    """A topic as the name of a stream, and of a file."""
+    return topic.strip("/").replace("/", "_")
+
+
+def _pose(message: Any, name: str) -> np.ndarray:
+    """Pose (4, 4) of a PoseStamped or a TransformStamped. Raises DeviceError."""
+    inner = message.pose if hasattr(message, "pose") else message.transform
+    place = inner.position if hasattr(inner, "position") else inner.translation
+    turn = inner.orientation if hasattr(inner, "orientation") else inner.rotation
+    quaternion = np.array([turn.w, turn.x, turn.y, turn.z])
+    out = np.eye(4)
+    out[:3, 3] = place.x, place.y, place.z
+    if not abs(np.linalg.norm(quaternion) - 1.0) < 1e-2 or not np.all(np.abs(out[:3, 3]) < _FAR):
+        raise DeviceError(f"{name} sent no rigid motion within {_FAR:g} m; check its units.")
+    out[:3, :3] = se3.rotation_from_quaternion(quaternion)
+    return out
