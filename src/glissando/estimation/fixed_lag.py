@@ -21,6 +21,7 @@ from glissando._kernels.jit import load
 from glissando._kernels.threads import one_thread
 from glissando.errors import NotConvergedWarning, OutsideGridError, UnobservableError
 from glissando.estimation.batch import estimate
+from glissando.estimation.contact import ContactScan, scan_contacts
 from glissando.estimation.innovation_gate import InnovationGate
 from glissando.estimation.posterior import Posterior, StateEstimate
 from glissando.estimation.reading_buffer import ReadingBuffer
@@ -315,6 +316,13 @@ class FixedLagSmoother:
         """The window as a posterior, to query, draw and save like any other."""
         self._require_started()
         return self._window.posterior()
+
+    def contacts(self, *, std_force: ArrayLike = 1.0, false_alarms: float = 0.01) -> ContactScan:
+        """A scan of the newest state for something that touches, see `scan_contacts`."""
+        self._require_started()
+        posterior = self._window.posterior()
+        newest = float(posterior.grid.time[-1])
+        return scan_contacts(posterior, newest, std_force=std_force, false_alarms=false_alarms)
 
     def at(self, arclength: ArrayLike, time: ArrayLike) -> StateEstimate:
         """State and covariance inside the window, or ahead of it as the prior predicts.

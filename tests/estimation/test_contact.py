@@ -1,0 +1,111 @@
+"""A force on the robot is found where it is, and none is found where nothing touches."""
+
+import numpy as np
+import pytest
+
+from glissando import CoilReadings, FixedLagSmoother, Grid, estimate
+from glissando.errors import OutsideGridError
+from glissando.estimation.contact import locate_contact, scan_contacts
+from glissando.geometry import se3
+from glissando.model.mechanics import Mechanics
+from glissando.model.priors.mechanical import MechanicalPrior
+from glissando.simulation import Loads, Rod, Wrench, solve_shape
+
+LENGTH, NODES = 0.5, np.linspace(0.0, 0.5, 8)
+ROD = Rod.of_tubes(LENGTH, [(1.2e-3, 0.0)], young=60e9, poisson=0.33, density=6450.0)
+GRAVITY = np.array([0.0, 0.0, 9.81])
+NOISE = np.repeat([0.7e-3, 7e-3], [3, 2])
+PLACES = np.linspace(0.1, 1.0, 8) * LENGTH
+STD = [0.3, 0.3, 0.1]
+FORCE, WHERE = np.array([0.1, -0.06, 0.0]), 0.31
+PRIOR = MechanicalPrior(
+    Mechanics(ROD.stiffness[None], np.array([ROD.mass_per_length]), gravity=GRAVITY),
+    psd_load=np.repeat([1e-5, 1e-9], 3),
+    psd_strain_error=np.repeat([1e-10, 1e-6], 3),
+    var_tip=np.repeat([1e-6, 1e-10], 3),
+    time_scale=1.0,
+    var_base=np.full(6, 1e-10),
+)
+
+
+def shape(force, where=WHERE):
+    """The rod under this force."""
+    return solve_shape(ROD, [], Loads(gravity=GRAVITY, wrenches=[Wrench(where, force)]))
+
+
+def coil(rng, bent, times=(0.0,)):
+    """A coil's readings along the rod at some times."""
+    time = np.repeat(times, PLACES.size)
+    off = np.zeros((time.size, 6))
+    off[:, :5] = NOISE * rng.standard_normal((time.size, 5))
+    place = np.tile(PLACES, len(times))
+    values = bent.at(place).pose @ se3.exp(off)
+    return CoilReadings(time=time, arclength=place, values=values, cov=NOISE**2)
+
+
+def scanned(readings, **settings):
+    found = estimate(PRIOR, Grid(NODES, [0.0]), [readings])
+    return scan_contacts(found, 0.0, std_force=STD, **settings)
+
+
+def test_a_force_is_found_at_its_place_with_its_size():
+    readings = coil(np.random.default_rng(0), shape(FORCE))
+    scan = scanned(readings)
+    assert scan.detected
+    assert scan.evidence > scan.threshold + 10.0
+    start = scan.arclength[scan.best]
+    assert abs(start - WHERE) < 0.05 * LENGTH
+    found = locate_contact(PRIOR, Grid(NODES, [0.0]), [readings], start=start, std_force=STD)
+    assert abs(found.arclength - WHERE) < 3.0 * found.std_arclength
+    assert found.std_arclength < 0.03 * LENGTH
+    gap = found.force - FORCE
+    assert gap @ np.linalg.solve(found.cov_force, gap) < 15.0
+    assert np.linalg.norm(gap[:2]) < 0.35 * np.linalg.norm(FORCE)
+
+
+@pytest.mark.slow
+def test_false_alarms_are_no_more_frequent_than_stated():
+    """The simulated rod has no unknown loads at all, so there may be fewer."""
+    rng, still = np.random.default_rng(1), shape(np.zeros(3))
+    count, stated = 60, 0.2
+    said = sum(scanned(coil(rng, still), false_alarms=stated).detected for _ in range(count))
+    assert 0.0 < said / count < stated + 2.0 * np.sqrt(stated * (1.0 - stated) / count)
+
+
+def test_the_evidence_is_that_of_a_robot_with_and_without_a_force():
+    """Against Laplace's evidence of whole estimates, at a node where the force may act."""
+    readings = coil(np.random.default_rng(2), shape(0.02 * FORCE))
+    node = float(NODES[4])
+    variance = np.concatenate([np.square(STD), np.full(3, 1e-12)])
+    logs = []
+    for points, var in ((np.zeros(0), np.zeros((0, 6))), (np.array([node]), variance[None])):
+        fields = {**vars(PRIOR), "points": points, "var_points": var}
+        logs.append(estimate(MechanicalPrior(**fields), Grid(NODES, [0.0]), [readings]))
+    expected = logs[1].solve.log_evidence - logs[0].solve.log_evidence
+    scan = scan_contacts(logs[0], 0.0, std_force=STD)
+    near = np.argsort(np.abs(scan.arclength - node))[:2]
+    assert np.mean(scan.log_ratio[near]) == pytest.approx(expected, abs=0.1)
+
+
+def test_online_a_touch_is_seen_while_it_lasts():
+    rng, smoother = np.random.default_rng(3), FixedLagSmoother(PRIOR, NODES, window=4)
+    said = []
+    for step in range(8):
+        time = 0.1 * step
+        bent = shape(FORCE if step >= 4 else np.zeros(3))
+        smoother.add(coil(rng, bent, [time]))
+        smoother.advance(time)
+        said.append(smoother.contacts(std_force=STD, false_alarms=1e-3).detected)
+    assert not any(said[:4])
+    assert all(said[5:])
+
+
+def test_mistakes_are_one_sentence():
+    readings = coil(np.random.default_rng(4), shape(np.zeros(3)))
+    found = estimate(PRIOR, Grid(NODES, [0.0]), [readings])
+    with pytest.raises(OutsideGridError):
+        scan_contacts(found, 3.0)
+    with pytest.raises(OutsideGridError, match="off the robot"):
+        locate_contact(PRIOR, Grid(NODES, [0.0]), [readings], start=31.0)
+    with pytest.raises(OutsideGridError):
+        found.load(0.7, 0.0)
