@@ -100,14 +100,14 @@ def recorded(folder, *options, **popen):
 @pytest.mark.slow
 def test_devices_change_nothing_a_recording_of_them_is_estimated_as_one_without(tmp_path, capsys):
     folder = tmp_path / "session"
-    assert main(["record", "--simulate", "--cycles", "3", "--out", str(folder)]) == 0
+    assert main(["record", "--simulate", "--cycles", "2", "--out", str(folder)]) == 0
     assert "was never seen" not in capsys.readouterr().out
     frames = read_session(folder / "session.mcap").topics["/tracker/coil"].column("frame")
     gaps = np.sort(np.diff(frames) - 1)
     print(
         f"{frames.size} frames while the slide moved, {np.sum(gaps):g} lost, {gaps[-1]:g} at once"
     )
-    assert frames.size > 600
+    assert frames.size > 400
     # Beside four busy processes on two cores most runs lose none; a shared host may stand still for
     # a moment, which the longest gap is forgiven for (benchmarks/frames.py says what it was).
     assert np.sum(gaps[:-1]) <= 0.005 * frames.size
@@ -117,7 +117,7 @@ def test_devices_change_nothing_a_recording_of_them_is_estimated_as_one_without(
     assert place.min() == pytest.approx(0.64, abs=5e-4)
     assert place.max() == pytest.approx(0.70, abs=5e-4)
     bench = load_bench(robot_file("sliding700"))
-    path = SlidePath.oscillate(3, bench.slide.stroke, bench.slide)
+    path = SlidePath.oscillate(2, bench.slide.stroke, bench.slide)
     motion = bench.move(bench.shape("S"), bench.flaws, 0)
     without = []
     for seed in range(8):
