@@ -16,12 +16,16 @@ from rich.console import Console
 from rich.live import Live as Line
 from rich.text import Text
 
+from glissando.cli.record import add_slide, slide_path
 from glissando.cli.shared import Commands, add_command, require_writable
 from glissando.errors import GlissandoError
+from glissando.hardware.capture import Rig, load_rig, simulated_rig
 from glissando.hardware.live import LiveSession, Placement, Update
 from glissando.hardware.live.addresses import SINKS, SOURCES, sink_of, source_of
+from glissando.hardware.live.rig_source import RigSource
 from glissando.io.recording import load_recording
 from glissando.io.robot_file import load_robot
+from glissando.io.shipped_robots import robot_file
 from glissando.model.robot import Robot
 from glissando.visualization.page import Live
 from glissando.visualization.page.live import follow
@@ -33,6 +37,7 @@ go to sinks, at a steady rate. Sources and sinks combine freely, and each may be
 OpenIGTLink peers (PLUS, 3D Slicer, trackers, MATLAB) send TRANSFORM, POSITION and TDATA in
 millimetres; --at says where on the robot each of their devices sits. They get TDATA, TRANSFORM and
 POLYDATA. An address may end in options, such as ?unit=m&axes=lps&clock=shared.
+A rig's setup file is that of `glissando record`; its slide follows --slide meanwhile.
 
 A slow, dead or malicious peer delays nobody. Every reading is in the --journal before it is used;
 it is a recording like any other.
@@ -43,6 +48,8 @@ examples:
   glissando live --source slow_free_space --sink igtl-server://:18945 --view
   glissando live --robot tdcr466 --source igtl://192.168.1.7:18944 --at Base=0 \\
       --at Tip=0.466:coil --sink igtl-server://0.0.0.0:18945 --journal log --rate 60
+  glissando live --source simulate --slide oscillate --sink igtl-server://:18945 --view
+  glissando live --source bench.toml --slide oscillate --sink ros2 --journal log
   glissando live --robot sliding700 --source igtl-server://:18944 --at Coil=0.7:coil:slides
 
 Ctrl-C ends it.
@@ -50,6 +57,8 @@ Ctrl-C ends it.
 exit status: 0 ended by Ctrl-C, --duration or the end of all sources; 2 a peer stayed silent, or
 something given was wrong.
 """
+_SIMULATED = "simulate"  # the source that is a simulated rig
+_SOURCES = f"{SOURCES}, a rig's setup file, or {_SIMULATED}"
 _POINTS = 41  # along the robot that is shown in a browser
 _RECENT = 300  # updates that the status is of
 _PLAIN, _TERMINAL = 5.0, 0.2  # s between statuses
@@ -61,7 +70,7 @@ def add_to(commands: Commands) -> None:
     add = parser.add_argument
     add("--robot", metavar="FILE|NAME", help="robot file or shipped robot (default: a recording's)")
     several = {"action": "append", "default": [], "metavar": "ADDRESS"}
-    add("--source", **several, help=SOURCES.replace("%", "%%"))  # type: ignore[arg-type]
+    add("--source", **several, help=_SOURCES)  # type: ignore[arg-type]
     add("--sink", **several, help=SINKS)  # type: ignore[arg-type]
     at = "where a device sits: NAME=METRES, then :pose, :coil, :position or :gyro, and :slides"
     add("--at", action="append", default=[], metavar="NAME=M", help=at)
@@ -75,17 +84,29 @@ def add_to(commands: Commands) -> None:
     add("--duration", type=float, metavar="S", help="seconds to run")
     patience = "seconds all sources may be silent (default 20)"
     add("--patience", type=float, default=20.0, metavar="S", help=patience)
+    add_slide(parser, "hold")
     add("--view", action="store_true", help="show it in a browser as it goes (needs viser)")
 
 
 def _live(options: argparse.Namespace) -> int:
-    robot = _robot(options)
+    with ExitStack() as stack:
+        return _run(options, stack)
+
+
+def _run(options: argparse.Namespace, devices: ExitStack) -> int:
+    rigs = {text: _rig(text, devices) for text in options.source if _is_rig(text)}
+    robot = _robot(options, rigs)
     placements = [Placement.parse(text) for text in options.at]
     if options.journal is not None:
         require_writable(options.journal.parent)
     session = LiveSession(
         robot,
-        [source_of(text, robot, placements) for text in options.source],
+        [
+            RigSource(rigs[text], robot, slide_path(options, rigs[text]))
+            if text in rigs
+            else source_of(text, robot, placements)
+            for text in options.source
+        ],
         [sink_of(text) for text in options.sink],
         rate=options.rate,
         lag=options.lag,
@@ -113,12 +134,25 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
     raise KeyboardInterrupt
 
 
-def _robot(options: argparse.Namespace) -> Robot:
-    """The robot that was given, or the one a recording among the sources names."""
+def _is_rig(text: str) -> bool:
+    return text == _SIMULATED or text.endswith(".toml")
+
+
+def _rig(text: str, devices: ExitStack) -> Rig:
+    """The rig of a setup file, or a simulated one that lives as long as the stack."""
+    if text == _SIMULATED:
+        return devices.enter_context(simulated_rig())
+    return load_rig(text)
+
+
+def _robot(options: argparse.Namespace, rigs: dict[str, Rig]) -> Robot:
+    """The robot that was given, or the one that a rig or a recording among the sources names."""
     if not options.source:
-        raise GlissandoError(f"A live estimate needs readings; give --source: {SOURCES}.")
+        raise GlissandoError(f"A live estimate needs readings; give --source: {_SOURCES}.")
     if options.robot:
         return load_robot(options.robot)
+    for rig in rigs.values():
+        return load_robot(robot_file(rig.robot))
     for folder in filter(lambda text: Path(text).is_dir(), options.source):
         if (robot := load_recording(folder).robot) is not None:
             return robot

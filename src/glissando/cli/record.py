@@ -71,14 +71,20 @@ def add_to(commands: Commands) -> None:
     add("--seed", type=int, default=0, metavar="N", help="of the simulated noise (default 0)")
     faults = "what goes wrong with the simulated tracker: unplug=5,replug=7"
     add("--faults", default="", metavar="NAME=NUMBER,…", help=faults)
-    slides = "oscillate, calibrate, hold or a CSV file, as glissando plan writes"
-    add("--slide", default="oscillate", metavar="NAME|FILE", help=slides)
-    add("--cycles", type=int, default=3, metavar="N", help="there and back (default 3)")
-    add("--stroke", type=float, metavar="M", help="of a cycle (default: the stage's)")
-    add("--speed", type=float, metavar="M/S", help="of the slide (default: the stage's)")
+    add_slide(parser, "oscillate")
     add("--duration", type=float, metavar="S", help="of hold (15) and calibrate (45)")
     add("--live", action="store_true", help="show the shape in a browser as it goes (needs viser)")
     add("--out", type=Path, required=True, metavar="SESSION", help="new folder to write")
+
+
+def add_slide(parser: argparse.ArgumentParser, default: str) -> None:
+    """Add the options that choose the slide's path, but for its duration."""
+    add = parser.add_argument
+    slides = f"oscillate, calibrate, hold or a CSV file of glissando plan (default {default})"
+    add("--slide", default=default, metavar="NAME|FILE", help=slides)
+    add("--cycles", type=int, default=3, metavar="N", help="there and back (default 3)")
+    add("--stroke", type=float, metavar="M", help="of a cycle (default: the stage's)")
+    add("--speed", type=float, metavar="M/S", help="of the slide (default: the stage's)")
 
 
 def _record(options: argparse.Namespace) -> int:
@@ -94,7 +100,7 @@ def _record(options: argparse.Namespace) -> int:
             rig = stack.enter_context(simulated_rig(*chosen))
         else:
             rig = load_rig(options.setup)
-        path = _path(options, rig)
+        path = slide_path(options, rig)
         try:
             on_message = None
             if options.live:
@@ -114,8 +120,8 @@ def _record(options: argparse.Namespace) -> int:
     return status
 
 
-def _path(options: argparse.Namespace, rig: Rig) -> SlidePath:
-    """The slide's path as asked for, within the stage's limits."""
+def slide_path(options: argparse.Namespace, rig: Rig) -> SlidePath:
+    """The slide's path as asked for, within the stage's limits. Raises GlissandoError."""
     stage = rig.stage
     limits = _limits(stage) if stage else SlideLimits(1.0, 1.0, 1.0)
     if options.slide == "hold" or stage is None:

@@ -1,0 +1,135 @@
+"""The devices of a rig, real or simulated, while its slide follows a path.
+
+The rig is read by a process of its own, as `record` reads it, with the same session log: an
+estimator beside it would hold the interpreter while a frame or the slide waits.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import queue
+import signal
+from collections import Counter
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Self
+
+import numpy as np
+
+from glissando.errors import DeviceError
+from glissando.geometry import se3
+from glissando.hardware.capture import Coil, Rig, capture
+from glissando.hardware.live.clock import SessionClock
+from glissando.hardware.live.placement import reading
+from glissando.model.robot import Robot
+from glissando.model.sensors.readings import Readings
+from glissando.model.slide_path import SlidePath
+
+_END = 15.0  # s that the slide may take to stop and the log to be written
+_MOST = 1024  # messages that one look takes
+
+
+class RigSource:
+    """Readings of a rig's coils, whose arclengths follow the slide.
+
+    Args:
+        rig: The devices.
+        robot: The robot, which states the noise of coils.
+        path: What the slide follows from the beginning; the source finishes at its end.
+        folder: New folder for the session log; a temporary one unless given.
+
+    Attributes:
+        counts: Messages 'heard', coils 'not seen'.
+
+    Raises:
+        DeviceError: A device failed; from `read`.
+    """
+
+    first: float | None = None
+
+    def __init__(self, rig: Rig, robot: Robot, path: SlidePath, folder: Path | None = None) -> None:
+        self.name, self.counts = f"rig {rig.name}", Counter[str]()
+        self._rig, self._robot, self._path, self._folder = rig, robot, path, folder
+        self._coils = {f"/tracker/{coil.name}": coil for coil in rig.coils}
+        self._travel, self.finished = 0.0, False
+        self._stack = ExitStack()
+
+    def __enter__(self) -> Self:
+        if self._folder is None:
+            self._folder = Path(self._stack.enter_context(TemporaryDirectory())) / "session"
+        context = multiprocessing.get_context("spawn")
+        self._messages = context.Queue()
+        arguments = self._rig, self._path, self._folder, self._messages
+        self._process = context.Process(target=_capture, args=arguments)
+        self._process.start()
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        if self._process.is_alive() and self._process.pid is not None:
+            with suppress(ProcessLookupError):
+                os.kill(self._process.pid, signal.SIGINT)  # stops the slide first
+        self._drain(_END)
+        self._process.join(_END)
+        if self._process.is_alive():
+            self._process.terminate()
+        self._messages.cancel_join_thread()
+        self._stack.close()
+
+    def _drain(self, within: float) -> None:
+        """Empty the queue until its end, without which the process does not end."""
+        with suppress(queue.Empty):
+            while not self.finished and self._messages.get(timeout=within) is not None:
+                pass
+
+    @property
+    def problem(self) -> str:
+        """Why nothing comes; empty once messages have."""
+        return "" if self.counts["heard"] or self.finished else f"{self.name} is starting"
+
+    def read(self, clock: SessionClock) -> list[Readings]:
+        """The readings that have come since the last call."""
+        out = []
+        for _ in range(_MOST):
+            try:
+                item = self._messages.get_nowait()
+            except queue.Empty:
+                break
+            if item is None or isinstance(item, DeviceError):
+                self.finished = True
+                if item is not None:
+                    raise item
+                break
+            topic, message = item
+            self.counts["heard"] += 1
+            if topic == "/slide":
+                self._travel = message["travel"]
+            elif topic in self._coils:
+                if message["position"] is None:
+                    self.counts["not seen"] += 1
+                else:
+                    out.append(self._reading(self._coils[topic], message, clock))
+        return out
+
+    def _reading(self, coil: Coil, message: dict[str, Any], clock: SessionClock) -> Readings:
+        pose = np.eye(4)
+        pose[:3, :3] = se3.rotation_from_quaternion(np.array(message["quaternion"]))
+        pose[:3, 3] = message["position"]
+        place = float(coil.arclengths(np.array([self._travel]))[0])
+        place = float(np.clip(place, 0.0, self._robot.length))
+        time = clock.of_monotonic(message["time"])
+        return reading(self._robot, "coil", coil.name, time, place, self._rig.frame @ pose)
+
+
+def _capture(rig: Rig, path: SlidePath, folder: Path, messages: Any) -> None:
+    """Run the experiment, pass on its messages, and then how it ended."""
+    end: DeviceError | None = None
+    with suppress(KeyboardInterrupt):
+        try:
+            capture(rig, path, folder, on_message=lambda *message: messages.put(message))
+        except DeviceError as problem:
+            end = DeviceError(str(problem))  # its subclasses may not survive pickling
+    if end is not None:
+        messages.put(end)
+    messages.put(None)
