@@ -384,7 +384,7 @@ for _name, _order, _signs, _how in (
     for _part, _label in (("sensors", "trackers"), ("truth", "truth")):
         MISTAKES[f"{_label}: {_name}"] = (
             _swapped(_part, _order, _signs, **_how),
-            frozenset(("axes", "frame", "base", "shape", "mount")),
+            frozenset(("axes", "frame", "base", "shape", "mount", "gyro")),
         )
 
 

@@ -16,7 +16,7 @@ from glissando.model.sensors.readings import Readings
 
 _TRAVEL = 5e-3  # m that a slide has to go to say something
 _STEP = 0.2  # s over which motion and travel are compared
-_DRIFT = 0.5  # Hz per robot motion: one polynomial term a so many seconds
+_DRIFT = 0.75  # terms a second of the polynomial that the robot's own motion is taken for
 _CLEAR = 0.35  # share of the motion's variance that the slide must explain, at the best
 _STD = 8.0  # standard deviations that a scale must differ from one
 _TILT = 0.12  # rad that a sensor may move off its axis
@@ -55,9 +55,15 @@ class _Course:
         columns = without_drift(rotation * self.travel[:, None, None]).reshape(-1, 3)
         target = without_drift(moved).reshape(-1)
         direction = np.asarray(np.linalg.lstsq(columns, target, rcond=None)[0], dtype=float)
-        left = float(np.sum((target - columns @ direction) ** 2))
+        error = target - columns @ direction
+        left = float(np.sum(error**2))
         freedom = max(target.size - 3 * self.drift.shape[1] - 3, 1)
-        cov = np.linalg.pinv(columns.T @ columns) * left / freedom
+        ahead, behind = (
+            error[3:],
+            error[:-3],
+        )  # what is left of the robot's motion is no white noise
+        rho = np.clip(np.sum(ahead * behind) / max(np.sum(error**2), 1e-30), 0.0, 0.95)
+        cov = np.linalg.pinv(columns.T @ columns) * left / freedom * (1.0 + rho) / (1.0 - rho)
         std: Array = np.sqrt(np.diagonal(cov))
         whole = max(float(np.sum(target**2)), 1e-30)
         straight = float(np.sum((target - columns[:, 2]) ** 2))
@@ -121,7 +127,7 @@ def _course(r: Readings, late: float = 0.0) -> _Course | None:
     moved = pose[ends, :3, 3] - pose[starts, :3, 3]
     middle = (starts + ends) // 2
     travel = np.interp(time[ends] - late, time, place) - np.interp(time[starts] - late, time, place)
-    count = int(np.clip(np.ptp(time) * _DRIFT * 0.5, 3, 9))
+    count = int(np.clip(np.ptp(time) * _DRIFT, 4, 12))
     x = 2.0 * (time[middle] - time[0]) / max(np.ptp(time), 1e-9) - 1.0
     drift = np.polynomial.chebyshev.chebvander(x, count - 1) * span[:, None]
     return _Course(moved, pose[middle, :3, :3], travel, drift)

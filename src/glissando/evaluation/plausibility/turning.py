@@ -114,7 +114,8 @@ def _compared(
         "gyro",
         f"{gyro.label!r} does not turn as {body!r} at its place does: it probably reads {what} "
         f"({unexplained[best]:.0%} of its signal is left unexplained then, "
-        f"{min(unexplained[0], 99.0):.0%} as it is); give rad/s in the cross-section's axes.",
+        f"{min(unexplained[0], 99.0):.0%} as it is), or the rotations of {body!r} are inverted or "
+        f"mirrored; give rad/s in the cross-section's axes.",
         True, (gyro.label,), what,
     )  # fmt: skip
 
