@@ -254,3 +254,20 @@ def test_streams_left_out_accuse_a_biased_one_and_no_other():
         judged = {(c.quantity, c.site): c for c in leave_out(robot, grid, streams)}
         assert least < judged["by the others", "second"].mean < most
         assert judged["by other times", "coil"].nees.size > 30
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_damaged_numbers_never_break_the_guard(session, seed):
+    """Numbers beyond all reason in any field are judged, or pass, without an error."""
+    rng = np.random.default_rng(seed)
+    robot, (coil,), truth, frames = session
+    rows = rng.integers(len(coil), size=3)
+    time, place, pose = coil.time.copy(), coil.arclength.copy(), coil.values.copy()
+    pose[rows if seed % 2 else slice(None), :3, 3] *= 10.0 ** rng.uniform(-300, 300)
+    time[rows] += 10.0 ** rng.uniform(-3, 300)
+    place[rows] = rng.uniform(0.0, 0.7, 3)
+    wrong = coil.changed(time=time, arclength=place, values=pose)
+    if seed > 3:
+        wrong = wrong.select(slice(0, int(rng.integers(1, 4))))
+    findings = examine(robot, [wrong], truth[: seed % 3], frames=frames, window=(0.0, 5.0))
+    assert all(np.all([f.name in CHECKS, f.sentence.endswith(".")]) for f in findings)

@@ -31,6 +31,15 @@ if TYPE_CHECKING:
     import xarray
 
 _FORMAT = "glissando posterior 1"
+_DAMAGED = (
+    ValueError,
+    KeyError,
+    TypeError,
+    AttributeError,
+    IndexError,
+    RuntimeError,
+    OverflowError,
+)
 _SIX = ["x", "y", "z", "rx", "ry", "rz"]
 _FIELDS = ("pose", "strain", "velocity", "strain_rate")
 COMPONENTS = [f"{field}_{part}" for field in _FIELDS for part in _SIX]
@@ -131,19 +140,27 @@ def load_posterior(path: str | Path) -> Posterior:
     try:
         with _xarray().open_dataset(path, engine="h5netcdf") as opened:
             dataset = opened.load()
-    except (OSError, ValueError) as problem:
+    except (OSError, *_DAMAGED) as problem:
         raise GlissandoError(f"{path} cannot be read as NetCDF ({problem}).") from None
     if dataset.attrs.get("format") != _FORMAT:
         raise GlissandoError(
             f"{path} is not a glissando posterior; give a file that save_posterior wrote."
         )
+    try:
+        return _posterior(dataset, Path(path).name)
+    except (GlissandoError, np.linalg.LinAlgError, *_DAMAGED) as problem:
+        raise GlissandoError(f"{path} is damaged ({problem}); estimate again.") from None
+
+
+def _posterior(dataset: xarray.Dataset, name: str) -> Posterior:
+    """The posterior that a dataset holds."""
     attributes = dataset.attrs
     parameters = attributes.get("sensor_parameters") or attributes.get("unknowns", "[]")
     system = BlockTridiagonal(dataset["information"].values, dataset["information_below"].values)
     return Posterior(
-        _as_prior(json.loads(attributes["prior"]), Path(path).name),
+        _as_prior(json.loads(attributes["prior"]), name),
         Grid(dataset["arclength"].values, dataset["time"].values),
-        State(*(dataset[name].values for name in _FIELDS if name in dataset)),
+        State(*(dataset[field].values for field in _FIELDS if field in dataset)),
         system,
         factor(system).marginals(consume=True),
         SolveReport.from_table(json.loads(attributes["solve"])),

@@ -30,6 +30,7 @@ OLD_KINDS = {
     "delay": "time_offset",
 }
 """Kinds of priors and of sensor parameters by the names of files of before."""
+_LENGTHS = 1e-3, 50.0  # m of a robot
 _LOSSES: dict[str, type[Huber] | type[GemanMcClure]] = {
     "huber": Huber,
     "geman-mcclure": GemanMcClure,
@@ -82,6 +83,8 @@ def parse_robot(table: Table) -> Robot:
     """
     name = table.text("name", Path(table.where).stem)
     length = table.number("length")
+    if not _LENGTHS[0] <= length <= _LENGTHS[1]:
+        raise table.fail("length", f"is {length:g} m; give metres, not millimetres or inches.")
     prior = _prior(table)
     if prior.joints.size and prior.joints[-1] >= length:
         raise table.fail("[prior]", f"has a joint at {prior.joints[-1]:g} m, beyond the tip.")

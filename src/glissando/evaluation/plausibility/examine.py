@@ -55,15 +55,28 @@ def examine(
     streams = Streams(
         robot, tuple(r for r in right if len(r)), tuple(t for t in truth if len(t)), frames or {}
     )
+    with np.errstate(all="ignore"):  # absurd numbers are what it looks for
+        try:
+            findings = _examined(streams, window)
+        except np.linalg.LinAlgError:
+            text = (
+                "Some readings are beyond what can be computed: probably in another unit or frame"
+            )
+            findings = [Finding("shape", f"{text}; look at their numbers.", True)]
+    return [finding for finding in findings if finding.name not in allow]
+
+
+def _examined(streams: Streams, window: tuple[float, float] | None) -> list[Finding]:
+    """Every finding on a session."""
     findings = [
         *check_sampling(streams.sensors, streams.truth),
-        *check_noise(streams.sensors, robot.length),
+        *check_noise(streams.sensors, streams.robot.length),
     ]
     if window is not None and streams.sensors:
         findings += check_grid(streams, window)
     if not any(f.refusal and f.name in ("time-unit", "clock", "grid") for f in findings):
         findings += _on_motion(streams)
-    return [finding for finding in _without_echoes(findings) if finding.name not in allow]
+    return _without_echoes(findings)
 
 
 def _on_motion(streams: Streams) -> list[Finding]:

@@ -15,6 +15,7 @@ from glissando.geometry.se3 import Array
 from glissando.model.quantiles import chi_square_exceedance
 
 _MISS = {False: 1.3, True: 2.5}  # typical miss in generous standard deviations, of few streams more
+_HUGE = 1e9  # beyond any miss of interest
 _FEWER = 3  # streams, which leave a shape to bend so that it almost fits
 _CHANCE = 1e-4  # with which a random bend is taken for a mistake
 _ROWS = 36  # numbers that a shape of the guard has
@@ -70,13 +71,16 @@ def _judge(fit: Fit, seen: Sightings, count: int = 1) -> tuple[Array, Array]:
     Both are in units of what is tolerated. An effort is that of the bends and of all misses, which
     a random walk of curvature with generous noise exceeds with a small chance.
     """
-    misses = np.nan_to_num(fit.misses, nan=0.0).reshape(count, -1, *fit.misses.shape[1:])
+    unseen = np.stack([seen.weight[..., 0] == 0.0, seen.weight[..., 1:].max(-1) == 0.0], axis=-1)
+    finite = np.where(np.isfinite(fit.misses), np.minimum(fit.misses, _HUGE), _HUGE)
+    misses = np.where(unseen, 0.0, finite).reshape(count, -1, *fit.misses.shape[1:])
+    bends = np.where(np.isfinite(fit.effort), np.minimum(fit.effort, _HUGE), _HUGE)
     weight = seen.weight.reshape(count, -1, *seen.weight.shape[1:])
     axes = weight[..., 1:].sum(axis=-1)
     rows = 3.0 * weight[..., 0] + np.select([axes > 1.0, axes > 0.0], [3.0, 2.0], 0.0)
     freedom = np.clip(np.median(rows.sum(axis=-1), axis=1), 1.0, _ROWS)
-    every = fit.effort + np.sum(np.nan_to_num(fit.misses, nan=0.0) ** 2, axis=(1, 2))
-    efforts = np.median(every.reshape(count, -1), axis=1)
+    every = bends.reshape(count, -1) + np.sum(misses**2, axis=(2, 3))
+    efforts = np.median(every, axis=1)
     few = bool(np.median((seen.weight.max(axis=-1) > 0.0).sum(axis=-1)) < _FEWER)
     limit = chi_square_exceedance(_CHANCE, freedom)
     return np.median(misses, axis=1).max(axis=-1) / _MISS[few], efforts / limit

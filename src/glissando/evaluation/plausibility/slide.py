@@ -253,7 +253,7 @@ def _explained(
     for check, text, turned, shifted in tries:
         judged.append((course.along(turned, shifted)[3], check, text))
     share, check, text = min(judged)
-    if share > 0.4 * left or share > 0.4:
+    if not share < min(0.4 * left, 0.4):  # nor where they are not finite
         return None
     return Finding(
         check,
