@@ -15,7 +15,8 @@ from glissando.errors import (
     UnobservableError,
 )
 from glissando.estimation.posterior import Posterior, SolveReport
-from glissando.estimation.starting_point import starting_point
+from glissando.estimation.starting_point import starting_point, with_parameters
+from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
 from glissando.model.priors.prior import Prior
 from glissando.model.sensors.parameters import SensorParameter, corrected
@@ -32,6 +33,7 @@ def estimate(
     *,
     sensor_parameters: Sequence[SensorParameter] = (),
     initial: State | None = None,
+    initial_parameters: Sequence[tuple[SensorParameter, Array]] = (),
     options: SolverOptions | None = None,
     progress: Progress | None = None,
 ) -> Posterior:
@@ -46,6 +48,8 @@ def estimate(
         sensor_parameters: Parameters of the sensors, matched by the readings' names; estimated with
             the states where they are uncertain, applied where they are known.
         initial: Nodes (K, N) to start from instead.
+        initial_parameters: Sensor parameters with their values (K, size) to start from, as an
+            earlier posterior of this grid holds them.
         options: When to stop.
         progress: Called after each iteration.
 
@@ -62,6 +66,7 @@ def estimate(
     known = [parameter for parameter in sensor_parameters if parameter.known]
     with one_thread():
         located = locate(grid, [corrected(r, known) for r in readings], sensor_parameters)  # (16)
+        located = with_parameters(located, initial_parameters)
         start, before = initial, 0
         if start is None:
             start, located, before = starting_point(prior, located, progress, clock)

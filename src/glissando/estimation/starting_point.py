@@ -6,6 +6,8 @@ all of them, at a fraction of the cost (nested iteration, as multigrid methods s
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from glissando.errors import UnobservableError
@@ -13,6 +15,7 @@ from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
 from glissando.model.priors.prior import Prior
+from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
 from glissando.solver.gauss_newton import Progress, SolverOptions, Stopwatch, minimize
@@ -57,6 +60,23 @@ def starting_point(
         rough = minimize(soft, located, state, options, progress, clock)
         state, located, iterations = rough.state, rough.located, rough.iterations
     return state, located, iterations
+
+
+def with_parameters(
+    located: LocatedReadings, values: Sequence[tuple[SensorParameter, Array]]
+) -> LocatedReadings:
+    """The readings where sensor parameters of other values put them.
+
+    Args:
+        located: The readings.
+        values: Parameters, of which those of the same names are taken, with values (K, size).
+    """
+    process, step = located.parameters.process, np.zeros_like(located.parameters.values)
+    known = {parameter.name: value for parameter, value in values}
+    for parameter, at in zip(process.each, process.columns, strict=True):
+        if parameter.name in known:
+            step[:, at] = known[parameter.name] - located.parameters.values[:, at]
+    return located.moved(step)
 
 
 def _coarsened(located: LocatedReadings) -> LocatedReadings | None:

@@ -148,14 +148,14 @@ def minimize(
         if iteration >= _SETTLED and (fixed is None or short) and rounds < _ROUNDS:
             fixed, rounds = _renewed(here, fixed, at), rounds + 1
         here, gain = _try_step(here, candidates, fixed, predicted, at)
-        if idle and damping == 0.0 and not gain > WORTHWHILE:
-            # readings that move across nodes leave kinks in the cost, below any confidence
-            cholesky = factor(here.system, cholesky)
-            end = here.state, here.located, here, cholesky
-            return Solution(*end, Outcome.CONVERGED, iteration, length)
+        # readings that move across nodes leave kinks in the cost, below any confidence
+        ended = Outcome.CONVERGED if idle and damping == 0.0 and not gain > WORTHWHILE else None
         damping = _next_damping(damping, gain)
-        if iteration == options.max_iterations or damping > _DAMPING[1]:
-            ended = Outcome.NO_DESCENT if damping > _DAMPING[1] else Outcome.ITERATION_LIMIT
+        if ended is None and damping > _DAMPING[1]:
+            ended = Outcome.NO_DESCENT
+        elif ended is None and iteration == options.max_iterations:
+            ended = Outcome.ITERATION_LIMIT
+        if ended is not None:
             cholesky = factor(here.system, cholesky)
             return Solution(here.state, here.located, here, cholesky, ended, iteration, length)
 

@@ -89,6 +89,10 @@ class Learned:
     steps: int
 
 
+_Start = tuple[State | None, Sequence[tuple[SensorParameter, Array]]]
+"""Nodes, and the sensor parameters with their values."""
+
+
 @dataclass
 class Objective:
     """Score of robot files on cases; the first estimate of each case starts all later ones.
@@ -102,7 +106,7 @@ class Objective:
     cases: Sequence[Case]
     calibrate: bool
     constants: tuple[SensorParameter, ...] = ()
-    _starts: dict[int, State] = field(default_factory=dict)
+    _starts: dict[int, _Start] = field(default_factory=dict)
 
     def score(self, document: Document) -> Score:
         """Log-likelihood per degree of freedom of truth, else of the readings.
@@ -153,9 +157,9 @@ class Objective:
 
     def _estimate(self, i: int, robot: Robot, readings: list[Readings]) -> Posterior:
         grid, parameters = self.cases[i].grid(robot), robot.sensor_parameters
-        initial = self._starts.get(i)
-        posterior = quiet_estimate(robot.prior, grid, readings, parameters, _TIGHT, initial)
-        self._starts.setdefault(i, posterior.state)
+        start = self._starts.get(i, (None, ()))
+        posterior = quiet_estimate(robot.prior, grid, readings, parameters, _TIGHT, *start)
+        self._starts.setdefault(i, (posterior.state, posterior.sensor_parameters))
         return posterior
 
 

@@ -56,12 +56,19 @@ def quiet_estimate(
     parameters: Sequence[SensorParameter],
     options: SolverOptions,
     initial: State | None = None,
+    initial_parameters: Sequence[tuple[SensorParameter, Array]] = (),
 ) -> Posterior:
     """Estimate as `estimate` does, without a warning where the options end it early."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", NotConvergedWarning)
         return estimate(
-            prior, grid, readings, sensor_parameters=parameters, initial=initial, options=options
+            prior,
+            grid,
+            readings,
+            sensor_parameters=parameters,
+            initial=initial,
+            initial_parameters=initial_parameters,
+            options=options,
         )
 
 
