@@ -177,7 +177,7 @@ def solve(tendons, tensions=(), **loads):
         (lambda: beam(np.nan), "A rod of length nan m cannot be"),
         (lambda: Rod(1.0, np.ones(5)), r"stiffness is \[1.0, .*\]; give an array \(6,\) of finite"),
         (lambda: Rod(1.0, np.ones(6), np.ones(3)), r"rest_strain is .*; give an array \(6,\)"),
-        (lambda: Rod(1.0, np.ones(6), mass_per_length=-1.0), "A rod of -1 kg/m cannot be"),
+        (lambda: Rod(1.0, np.ones(6), mass_per_length=-1.0), "mass_per_length cannot be -1.0"),
         (lambda: Rod(1.0, np.ones(6), base=np.eye(3)), r"base is .*; give an array \(4, 4\)"),
         (lambda: solve([Tendon(np.zeros(3), 1.0)], [1.0]), r"offset is .*; give an array \(2,\)"),
         (lambda: Rod(1.0, -np.ones(6)), r"stiffness is \[-1.0, .*\]; give six numbers above zero"),

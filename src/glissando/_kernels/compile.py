@@ -9,6 +9,8 @@ from glissando._kernels import (  # noqa: F401  (importing them makes their kern
     intervals,
     normal_equations,
     process,
+    rod_forces,
+    rod_motion,
     se3,
     sensors,
     steps,

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import ClassVar
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -66,16 +67,23 @@ def magnus(strain: Array, step: Array) -> Array:
 
 @dataclass(frozen=True)
 class Mesh:
-    """Elements with twelve Gauss points each; `edges` (E + 1,) in metres from 0 to the length."""
+    """Elements with twelve Gauss points each; `edges` (E + 1,) in metres from 0 to the length.
+
+    Between an element's points and ends there are 13 intervals of `widths` (E, 13) metres; `steps`
+    (13, 3, 12) takes values at the points to the three inner points of each.
+    """
 
     edges: Array
     points: Array = field(init=False)
     weights: Array = field(init=False)
+    widths: Array = field(init=False, repr=False)
+    steps: ClassVar[Array] = _STEPS
 
     def __post_init__(self) -> None:
         middle, half = 0.5 * (self.edges[1:] + self.edges[:-1]), 0.5 * np.diff(self.edges)
         object.__setattr__(self, "points", (middle[:, None] + half[:, None] * _NODES).ravel())
         object.__setattr__(self, "weights", (half[:, None] * _WEIGHTS).ravel())
+        object.__setattr__(self, "widths", half[:, None] * np.diff(_ENDS))
 
     @staticmethod
     def through(breaks: Sequence[float] | Array, largest: float) -> Mesh:
@@ -130,8 +138,7 @@ class Mesh:
     def roll_out(self, strain: Array, base: Array) -> tuple[Array, Array]:
         """Poses at the points (…, G, 4, 4) and the edges (…, E + 1, 4, 4) of strains (…, G, 6)."""
         inner = np.einsum("ipn,...enj->...eipj", _STEPS, self._split(strain))
-        step = 0.5 * np.diff(self.edges)[:, None] * np.diff(_ENDS)
-        moves = se3.exp(magnus(inner, step[..., None]))
+        moves = se3.exp(magnus(inner, self.widths[..., None]))
         elements = self.edges.size - 1
         points = np.empty((*strain.shape[:-2], elements, _COUNT, 4, 4))
         edges = np.empty((*strain.shape[:-2], elements + 1, 4, 4))

@@ -36,6 +36,10 @@ class Rod:
         rest_strain: Unloaded strain (6,), or a function of arclength (M,) → (M, 6).
         mass_per_length: Mass, kg/m.
         base: T_wb (4, 4) at s = 0.
+        rotary_inertia: Moment of inertia of a metre of rod about body x, y, z (3,), kg m.
+        retardation: Kelvin–Voigt retardation time, s: the material resists a rate of strain by its
+            stiffness times this.
+        air_damping: Force that a metre of rod feels in air that it moves through at 1 m/s, N s/m².
 
     Source: Rucker and Webster 2011, equations (1) to (9).
     """
@@ -45,9 +49,12 @@ class Rod:
     rest_strain: Array | Field = field(default_factory=STRAIGHT.copy)
     mass_per_length: float = 0.0
     base: Array = field(default_factory=lambda: np.eye(4))
+    rotary_inertia: Array = field(default_factory=lambda: np.zeros(3))
+    retardation: float = 0.0
+    air_damping: float = 0.0
 
     def __post_init__(self) -> None:
-        for name, shape in (("stiffness", (6,)), ("base", (4, 4))):
+        for name, shape in (("stiffness", (6,)), ("base", (4, 4)), ("rotary_inertia", (3,))):
             object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=float))
             _require_finite(name, getattr(self, name), shape)
         if not (np.isfinite(self.length) and self.length > 0.0):
@@ -57,10 +64,10 @@ class Rod:
                 f"A rod's stiffness is {self.stiffness.tolist()}; give six numbers above zero: "
                 f"shear, shear, extension (N), bending, bending, twist (N m²)."
             )
-        if not (np.isfinite(self.mass_per_length) and self.mass_per_length >= 0.0):
-            raise SimulationError(
-                f"A rod of {self.mass_per_length:g} kg/m cannot be; give zero or more."
-            )
+        for name in ("mass_per_length", "retardation", "air_damping", "rotary_inertia"):
+            value = getattr(self, name)
+            if not np.all(np.isfinite(value) & (np.asarray(value) >= 0.0)):
+                raise SimulationError(f"A rod's {name} cannot be {value}; give zero or more.")
         _require_finite("rest_strain", self.rest(np.zeros(1)), (1, 6))
 
     def rest(self, arclength: Array) -> Array:
@@ -81,6 +88,8 @@ class Rod:
         density: float = 0.0,
         rest_strain: Array | Field = STRAIGHT,
         base: Array | None = None,
+        retardation: float = 0.0,
+        air_damping: float = 0.0,
     ) -> Rod:
         """Concentric tubes of one material that bend together.
 
@@ -92,6 +101,8 @@ class Rod:
             density: Density, kg/m³.
             rest_strain: Unloaded strain, as of the rod.
             base: T_wb (4, 4) at s = 0; the world's frame unless given.
+            retardation: Kelvin–Voigt retardation time, s.
+            air_damping: Force of air on a metre of rod at 1 m/s, N s/m².
 
         Raises:
             SimulationError: A diameter or a ratio is impossible.
@@ -114,7 +125,10 @@ class Rod:
         stiffness = [shear * area, shear * area, young * area]
         stiffness += [young * inertia, young * inertia, 2.0 * shear * inertia]
         base = np.eye(4) if base is None else base
-        return Rod(length, np.array(stiffness), rest_strain, density * area, base)
+        rotary = density * inertia * np.array([1.0, 1.0, 2.0])
+        mass = density * area
+        damping = {"retardation": retardation, "air_damping": air_damping}
+        return Rod(length, np.array(stiffness), rest_strain, mass, base, rotary, **damping)
 
 
 @dataclass(frozen=True)

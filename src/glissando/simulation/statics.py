@@ -1,19 +1,8 @@
-"""The static shape of a loaded rod: equilibrium at Gauss points, solved by Newton's method.
-
-The rod with its tendons is one body on which only the outside acts, so the force N and moment M it
-carries at s follow from the loads beyond s. What the rod's own material carries is that less the
-pull of the tendons, and linear elasticity turns it into strain:
-
-    K (ε − ε_rest) + Σ τ [t; r × t] = [Rᵀ N; Rᵀ M],   t = (ν + u × r + r′)/|…|,
-    N(s) = Σ forces beyond s,   M(s) = Σ moments beyond s + ∫ₛᴸ p′ × N dσ.
-
-This is Rucker and Webster 2011 with the tendons' distributed and end loads integrated once: what
-passes between tendon and disks is inside the body, friction too, and needs no term of its own.
-"""
+"""The static shape of a loaded rod: equilibrium at Gauss points, solved by Newton's method."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,9 +10,11 @@ from scipy.linalg import lu_factor, lu_solve
 
 from glissando._kernels.threads import one_thread
 from glissando.errors import NoShapeError
-from glissando.geometry.se3 import Array, hat3
+from glissando.geometry.se3 import Array
 from glissando.simulation.mesh import Mesh
-from glissando.simulation.rod import Loads, Rod, Tendon, require_possible
+from glissando.simulation.rod import Loads, Rod, Tendon, Wrench, require_possible
+from glissando.simulation.rod_equations import Balance, Instant, RodEquations
+from glissando.simulation.rod_mechanics import matrices
 from glissando.simulation.shape import Shape
 
 _CLOSE = 1e-10  # residual in strain at which a shape is found
@@ -54,16 +45,38 @@ def solve_shape(
     """
     require_possible(rod, tendons, loads)
     breaks = [0.0, rod.length, *(t.end for t in tendons), *(w.arclength for w in loads.wrenches)]
-    largest = rod.length / 2.0
-    if start is not None and start.mesh.has(breaks):
+    return settle(lambda mesh: Equilibrium.of(rod, tendons, loads, mesh), rod, breaks, start=start)
+
+
+def settle(
+    equilibrium: Callable[[Mesh], Equilibrium],
+    rod: Rod,
+    breaks: Sequence[float],
+    mesh: Mesh | None = None,
+    *,
+    start: Shape | None = None,
+) -> Shape:
+    """The stable static shape of an equilibrium, on a mesh that resolves it.
+
+    Args:
+        equilibrium: The equilibrium on a mesh.
+        rod: The rod.
+        breaks: Where the mesh needs edges, m.
+        mesh: The mesh to use; found, unless given.
+        start: A shape under similar loads.
+
+    Raises:
+        NoShapeError: The rod buckles on the way, or no shape is found.
+    """
+    largest, guess, given = rod.length / 2.0, None, mesh is not None
+    if mesh is None and start is not None and start.mesh.has(breaks):
         mesh, guess = start.mesh, start.strain
-    else:
-        mesh, guess = Mesh.through(breaks, largest), None
+    mesh = mesh or Mesh.through(breaks, largest)
     with one_thread():
         while True:
-            problem = _Problem.of(rod, tendons, loads, mesh)
+            problem = equilibrium(mesh)
             strain = problem.load_up(guess)
-            smooth = mesh.unresolved(strain) < _SMOOTH
+            smooth = given or mesh.unresolved(strain) < _SMOOTH
             if smooth or np.diff(mesh.edges).max() < rod.length / _FINEST:
                 return problem.shape(strain)
             finer = Mesh.through(mesh.edges, 0.5 * np.diff(mesh.edges).max())
@@ -77,61 +90,33 @@ def resample(mesh: Mesh, strain: Array, other: Mesh) -> Array:
 
 
 @dataclass(frozen=True)
-class _At:
-    """A trial strain (G, 6), its residual, and what the residual's derivative is made of."""
+class Equilibrium:
+    """A rod on a mesh under loads that do not change.
 
-    strain: Array
-    residual: Array
-    turn: Array
-    along: Array
-    force: Array
-    moment: Array
-    tendon_slope: Array
+    Attributes:
+        equations: The rod with its tendons on a mesh.
+        instant: What acts on it.
+    """
 
-
-def _each(left: Array, right: Array) -> Array:
-    """Product (G, 3, H, 3) of matrices (G, 3, 3) with blocks (G, 3, H, 3)."""
-    return (left @ right.reshape(len(left), 3, -1)).reshape(right.shape)
-
-
-@dataclass(frozen=True)
-class _Problem:
-    """Loads on a mesh: everything that does not depend on the shape."""
-
-    rod: Rod
-    mesh: Mesh
-    rest: Array  # (G, 6)
-    force: Array  # (G, 3) N, world
-    moment: Array  # (G, 3) of moments beyond s, world
-    pull: Array  # (T, G) tension of each tendon at each point but for friction, zero beyond its end
-    friction: Array  # (T, 1)
-    place: Array  # (T, G, 3)
-    slope: Array  # (T, G, 3)
-    before: Array  # (G, G) integral from 0
-    beyond: Array  # (G, G) integral to L
+    equations: RodEquations
+    instant: Instant
 
     @staticmethod
-    def of(rod: Rod, tendons: Sequence[Tendon], loads: Loads, mesh: Mesh) -> _Problem:
-        s = mesh.points
-        weight = rod.mass_per_length * np.asarray(loads.gravity, dtype=float)
-        force = (rod.length - s)[:, None] * weight
-        moment = np.zeros((s.size, 3))
-        for wrench in loads.wrenches:
-            force += (s < wrench.arclength)[:, None] * np.asarray(wrench.force)
-            moment += (s < wrench.arclength)[:, None] * np.asarray(wrench.moment)
-        tensions = np.reshape(loads.tensions, (-1, 1))
-        pull = tensions * (s < np.reshape([tendon.end for tendon in tendons], (-1, 1)))
-        friction = np.reshape([tendon.friction for tendon in tendons], (-1, 1))
-        paths = np.reshape([tendon.path(s) for tendon in tendons], (-1, 2, s.size, 3))
-        load = (rod.rest(s), force, moment, pull, friction, paths[:, 0], paths[:, 1])
-        return _Problem(rod, mesh, *load, mesh.integral, mesh.weights - mesh.integral)
+    def of(rod: Rod, tendons: Sequence[Tendon], loads: Loads, mesh: Mesh) -> Equilibrium:
+        """The equilibrium of a rod on a mesh with an edge at every tendon's end and load."""
+        cables = np.zeros((len(tendons), 4))
+        cables[:, 0], cables[:, 3] = loads.tensions, [tendon.friction for tendon in tendons]
+        sites = [site(mesh, wrench) for wrench in loads.wrenches if wrench.arclength > 0.0]
+        gravity = np.asarray(loads.gravity, dtype=float)
+        instant = Instant(rod.base, gravity, cables, np.reshape(sites, (-1, 12)))
+        return Equilibrium(RodEquations.of(rod, tendons, mesh), instant)
 
     def load_up(self, guess: Array | None) -> Array:
         """Strain (G, 6) under the whole load, which is put on bit by bit if it must be."""
         warm = None if guess is None else self._newton(guess, 1.0)
         if warm is not None:
             return warm
-        strain, share, step = np.array(self.rest), 0.0, 1.0
+        strain, share, step = np.array(self.equations.rest), 0.0, 1.0
         while share < 1.0:
             step = min(step, 1.0 - share)
             loaded = self._newton(strain, share + step)
@@ -153,89 +138,62 @@ class _Problem:
         A derivative is kept for as long as each step with it makes the residual five times smaller.
         """
         here = self._at(strain, share)
-        size, slope = np.abs(here.residual).max(), None
+        size, slope = self._size(here), None
         for _ in range(_ITERATIONS):
             if size < _CLOSE * (1.0 + np.abs(strain).max()):
-                return strain if self._is_stable(self._jacobian(here)) else None
+                return strain if self._is_stable(self._slope(here, share)) else None
             fresh = slope is None
             if slope is None:
-                slope = lu_factor(self._jacobian(here), check_finite=False)
-            step = lu_solve(slope, here.residual.ravel(), check_finite=False)
-            if not np.abs(step).max() * self.rod.length < _LONGEST:
+                slope = lu_factor(self._slope(here, share), check_finite=False)
+            work = self.equations.mesh.weights[:, None] * here.residual
+            step = lu_solve(slope, work.ravel(), check_finite=False)
+            if not np.abs(step).max() * self.equations.rod.length < _LONGEST:
                 return None
-            there, found = self._shorten(strain, step.reshape(strain.shape), share, size)
+            trial, there, found = self._shorten(strain, step.reshape(strain.shape), share, size)
             if not found < (2.0 * size if fresh else size):
                 if fresh:
                     return None
                 slope = None
                 continue
-            strain, here = there.strain, there
+            strain, here = trial, there
             slope = slope if found < 0.2 * size else None
             size = found
         return None
 
-    def _shorten(self, strain: Array, step: Array, share: float, size: float) -> tuple[_At, float]:
+    def _shorten(
+        self, strain: Array, step: Array, share: float, size: float
+    ) -> tuple[Array, Balance, float]:
         """Where a step leads, halved up to three times if the residual would grow."""
         shorter = 1.0
         while True:
-            there = self._at(strain - shorter * step, share)
-            found = float(np.abs(there.residual).max())
+            trial = strain - shorter * step
+            there = self._at(trial, share)
+            found = self._size(there)
             if found < size or shorter < 0.2:
-                return there, found
+                return trial, there, found
             shorter *= 0.5
 
-    def _at(self, strain: Array, share: float) -> _At:
-        """Residual at a strain, and what its derivative is made of."""
-        turn = self.mesh.roll_out(strain, self.rod.base)[0][:, :3, :3]
-        force = share * self.force
-        along = np.einsum("gij,gj->gi", turn, strain[:, :3])  # p′
-        moment = share * self.moment + self.beyond @ np.cross(along, force)
-        carried = np.einsum("gji,cgj->cgi", turn, np.stack([force, moment]))
-        tendon, tendon_slope = self._tendons(strain, share)
-        carried = np.concatenate([*carried], axis=-1)
-        residual = strain - self.rest + (tendon - carried) / self.rod.stiffness
-        return _At(strain, residual, turn, along, force, moment, tendon_slope)
+    def _at(self, strain: Array, share: float) -> Balance:
+        """The balance of a strain under a share of the loads."""
+        state = np.stack([strain, np.zeros_like(strain), np.zeros_like(strain)])
+        return self.equations.at(state, self.instant.share(share))
 
-    def _jacobian(self, at: _At) -> Array:
-        """Derivative (6G, 6G) of the residual by strain."""
-        turn, back = at.turn, np.swapaxes(at.turn, -1, -2)
-        points = self.mesh.points.size
-        # a rotation δθ(σ) = ∫₀^σ R δu turns p′, and with it the moment of everything beyond
-        turned = self.before[:, None, :, None] * np.swapaxes(turn, 0, 1)[None]  # (G, 3, G, 3)
-        levered = _each(hat3(at.force) @ hat3(at.along), turned).reshape(points, -1)
-        by_turn = (self.beyond @ levered).reshape(turned.shape)
-        by_stretch = self.beyond[:, None, :, None] * np.swapaxes(-hat3(at.force) @ turn, 0, 1)[None]
-        jacobian = np.zeros((points, 6, points, 6))
-        jacobian[:, :3, :, 3:] = _each(-back @ hat3(at.force), turned)
-        jacobian[:, 3:, :, :3] = _each(-back, by_stretch)
-        jacobian[:, 3:, :, 3:] = _each(-back @ hat3(at.moment), turned) - _each(back, by_turn)
-        g = np.arange(points)
-        jacobian[g, :, g] += at.tendon_slope
-        jacobian /= self.rod.stiffness[None, :, None, None]
-        jacobian[g, :, g] += np.eye(6)
-        return jacobian.reshape(6 * points, 6 * points)
+    def _size(self, here: Balance) -> float:
+        """Largest residual, in strain."""
+        return float(np.abs(here.residual / self.equations.rod.stiffness).max())
 
-    def _tendons(self, strain: Array, share: float) -> tuple[Array, Array]:
-        """Wrench (G, 6) of all tendons on the section and its derivative (G, 6, 6) by strain.
+    def _slope(self, here: Balance, share: float) -> Array:
+        """Derivative (6G, 6G) of the residual by strain, each row times its point's weight."""
+        instant = self.instant.share(share)
+        if instant.planes.size or np.any(instant.sites[:, 10]):
+            return matrices(self.equations, here, instant).stiffness
+        return self.equations.stiffness(here, instant.cables)
 
-        The derivative leaves friction out: Newton's method then gains a digit or so an iteration.
-        """
-        arm = hat3(self.place)
-        along = strain[:, :3] + np.cross(strain[:, 3:], self.place) + self.slope  # (T, G, 3)
-        length = np.linalg.norm(along, axis=-1, keepdims=True)
-        unit = along / length
-        bend = np.linalg.norm(np.cross(strain[:, 3:], unit), axis=-1) @ self.before.T
-        pull = (share * self.pull * np.exp(-self.friction * bend))[..., None]
-        reach = np.concatenate([np.broadcast_to(np.eye(3), arm.shape), -arm], axis=-1)  # ∂along/∂ε
-        across = np.eye(3) - unit[..., :, None] * unit[..., None, :]
-        back = np.swapaxes(reach, -1, -2)
-        wrench = np.einsum("tgij,tgj->gi", back, pull * unit)
-        return wrench, np.sum(back @ ((pull / length)[..., None] * across) @ reach, axis=0)
-
-    def _is_stable(self, jacobian: Array) -> bool:
+    def _is_stable(self, slope: Array) -> bool:
         """Whether the potential energy has a minimum here: its Hessian is positive definite."""
-        scale = np.sqrt(self.mesh.weights[:, None] * self.rod.stiffness).ravel()
-        hessian = scale[:, None] * jacobian / scale
+        mesh, rod = self.equations.mesh, self.equations.rod
+        scale = 1.0 / np.sqrt(mesh.weights[:, None] * rod.stiffness).ravel()
+        hessian = scale[:, None] * slope * scale
         try:
             np.linalg.cholesky(0.5 * (hessian + hessian.T))
         except np.linalg.LinAlgError:
@@ -244,5 +202,13 @@ class _Problem:
 
     def shape(self, strain: Array) -> Shape:
         """The shape, with what its material carries."""
-        edges = self.mesh.roll_out(strain, self.rod.base)[1]
-        return Shape(self.rod, self.mesh, strain, edges)
+        rod, mesh = self.equations.rod, self.equations.mesh
+        return Shape(rod, mesh, strain, mesh.roll_out(strain, rod.base)[1])
+
+
+def site(mesh: Mesh, wrench: Wrench) -> Array:
+    """A dead load at an edge of a mesh, as a row (12,) of `Instant.sites`."""
+    row = np.zeros(12)
+    row[0] = np.abs(mesh.edges - wrench.arclength).argmin() - 1
+    row[1:4], row[4:7] = wrench.force, wrench.moment
+    return row

@@ -1,0 +1,220 @@
+"""A motion that was computed: poses, velocities, accelerations and loads at any place and time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from glissando.errors import SimulationError
+from glissando.geometry.se3 import Array
+from glissando.simulation.dynamics.scenario import Acting
+from glissando.simulation.mesh import Mesh
+from glissando.simulation.rod import Rod
+from glissando.simulation.shape import Section
+
+_CHUNK = 500  # queries at a time, to bound memory
+
+
+class Moment(NamedTuple):
+    """The end of a step: state (3, G, 6), energies (3,) and works so far (3,), J.
+
+    `base` is force and moment on the base (2, 3), `tension` that of tendons (T,), and `begins`
+    whether a stretch begins here.
+    """
+
+    time: float
+    state: Array
+    energy: Array
+    work: Array
+    base: Array
+    tension: Array
+    begins: bool
+
+
+@dataclass(frozen=True)
+class MovingSection(Section):
+    """Cross-sections of a rod that moves, with the leading shape of the query.
+
+    Attributes:
+        velocity: Velocity and angular velocity (…, 6), body frame.
+        acceleration: Their true derivatives, of the section's origin and of its turning, in body
+            axes (…, 6), m/s² and rad/s².
+        specific_force: What an accelerometer feels: acceleration less gravity (…, 3), body axes.
+    """
+
+    velocity: Array
+    acceleration: Array
+    specific_force: Array
+
+
+@dataclass(frozen=True)
+class Energies:
+    """Energies and works over time, J; kinetic + strain + weight = what it was + all works.
+
+    Attributes:
+        time: Times (K,), s.
+        kinetic, strain, weight: Energies (K,).
+        supplied: Work of tendons, loads and the base (K,).
+        contact: Work of contacts and holds (K,).
+        dissipated: Work of the material's and the air's damping, negative (K,).
+    """
+
+    time: Array
+    kinetic: Array
+    strain: Array
+    weight: Array
+    supplied: Array
+    contact: Array
+    dissipated: Array
+
+    @property
+    def total(self) -> Array:
+        """Sum of the energies (K,)."""
+        return self.kinetic + self.strain + self.weight
+
+    @property
+    def imbalance(self) -> Array:
+        """What energies gained since the start less the works (K,): an error of integration."""
+        works = self.supplied + self.contact + self.dissipated
+        return self.total - self.total[0] - works
+
+
+@dataclass(frozen=True)
+class DynamicMotion:
+    """A rod's motion: strains at the ends of steps, quintic in time between.
+
+    Attributes:
+        time: Ends of the steps (K,), s; an event stands twice.
+        state: Strain and its two derivatives by time (3, K, G, 6).
+        energies: Energies and works at these times.
+        base_wrench: Force and moment of the rod on its base (K, 6), world axes.
+        tensions: Tension of each tendon at the base (K, T), N.
+        begins: Which of the times begin a stretch after an event (K,).
+    """
+
+    acting: Acting
+    time: Array
+    state: Array
+    energies: Energies
+    base_wrench: Array
+    tensions: Array
+    begins: Array
+
+    @staticmethod
+    def of(acting: Acting, moments: list[Moment]) -> DynamicMotion:
+        """The motion that consists of moments in order."""
+        time = np.array([m.time for m in moments])
+        energy, work = np.array([m.energy for m in moments]), np.array([m.work for m in moments])
+        state = np.stack([m.state for m in moments], axis=1)
+        begins = np.array([m.begins for m in moments])
+        first = np.flatnonzero(begins)
+        state[2, first] = state[2, np.minimum(first + 1, len(time) - 1)]
+        base = np.array([m.base.ravel() for m in moments])
+        tension = np.array([m.tension for m in moments])
+        return DynamicMotion(
+            acting, time, state, Energies(time, *energy.T, *work.T), base, tension, begins
+        )
+
+    @property
+    def rod(self) -> Rod:
+        """The rod."""
+        return self.acting.equations.rod
+
+    @property
+    def mesh(self) -> Mesh:
+        """Its Gauss points."""
+        return self.acting.equations.mesh
+
+    def at(self, arclength: ArrayLike, time: ArrayLike) -> MovingSection:
+        """Cross-sections at arclengths (m) and times (s), which broadcast together.
+
+        Before the first time and after the last the state there is meant. Raises SimulationError
+        off the rod.
+        """
+        s, t = np.broadcast_arrays(
+            np.asarray(arclength, dtype=float), np.asarray(time, dtype=float)
+        )
+        shape, s, t = s.shape, s.ravel(), np.clip(t.ravel(), self.time[0], self.time[-1])
+        off = ~((s >= -1e-9) & (s <= self.rod.length + 1e-9))
+        if np.any(off):
+            raise SimulationError(
+                f"Arclength {s[off][0]:g} m is off a rod of {self.rod.length:g} m; give 0 to "
+                f"{self.rod.length:g} m."
+            )
+        instants, which = np.unique(t, return_inverse=True)
+        parts = [np.empty((s.size, *tail)) for tail in ((4, 4), (6,), (6,), (6,), (6,), (3,))]
+        order = np.argsort(which, kind="stable")
+        for rows in np.array_split(order, max(1, s.size // _CHUNK)):
+            first, last = which[rows[0]], which[rows[-1]]
+            times = instants[first : last + 1]
+            for part, found in zip(
+                parts, self._rows(s[rows], times, which[rows] - first), strict=True
+            ):
+                part[rows] = found
+        return MovingSection(*(part.reshape(*shape, *part.shape[1:]) for part in parts))
+
+    def _rows(self, s: Array, times: Array, which: np.ndarray) -> tuple[Array, ...]:
+        """The parts of sections at arclengths (M,), each at one (M,) of the times."""
+        equations, mesh, points = self.acting.equations, self.mesh, len(self.acting.equations.rest)
+        states = np.empty((len(times), 3, points, 6))
+        rates = np.empty((len(times), 4, points, 3))
+        edges = np.tile(np.eye(4), (len(times), mesh.edges.size, 1, 1))
+        gravity = np.asarray(self.acting.scenario.gravity, dtype=float)
+        for k, time in enumerate(times):
+            states[k], middle = self.state_at(float(time))
+            instant = self.acting.at(float(time), middle)
+            at = equations.at(states[k], instant)
+            rates[k], edges[k, 0] = at.rates[:, :points], instant.base
+            edges[k, 1:, :3, :3], edges[k, 1:, :3, 3] = at.turn[points:], at.place[points:]
+        every = np.concatenate(
+            [*np.moveaxis(states[:, :2], 1, 0), *np.moveaxis(rates, 1, 0)], axis=-1
+        )
+        values = mesh.interpolate(every[which], s)
+        strain, rate, motion = values[:, :6], values[:, 6:12], values[:, 12:].reshape(-1, 4, 3)
+        pose = mesh.pose_at(states[which, 0], edges[which], s)
+        spring = strain - self.rod.rest(s) + self.rod.retardation * rate
+        back = np.swapaxes(pose[:, :3, :3], -1, -2)[:, None]
+        body = (back @ motion[..., None])[..., 0]
+        felt = body[:, 2] - back[:, 0] @ gravity
+        velocity, acceleration = body[:, :2].reshape(-1, 6), body[:, 2:].reshape(-1, 6)
+        return pose, strain, self.rod.stiffness * spring, velocity, acceleration, felt
+
+    def state_at(self, time: float) -> tuple[Array, float]:
+        """Strain and its derivatives (3, G, 6) at a time, and the middle of its step, s."""
+        k = int(np.searchsorted(self.time, time, "right")) - 1
+        k = min(max(k, 0), self.time.size - 2)
+        if self.begins[k + 1]:
+            k -= 1
+        low, high = self.time[k], self.time[k + 1]
+        span, x = high - low, (time - low) / (high - low)
+        return _quintic(self.state[:, k], self.state[:, k + 1], span, x), 0.5 * (low + high)
+
+
+def _quintic(first: Array, last: Array, span: float, x: float) -> Array:
+    """Value and two derivatives of the quintic through those at both ends of a step."""
+    scale = np.array([1.0, span, span**2])[:, None, None]
+    known = np.concatenate([first * scale, last * scale])
+    coefficients = np.tensordot(_TO_QUINTIC, known, 1)
+    powers = np.array(
+        [
+            [x**k for k in range(6)],
+            [k * x ** max(k - 1, 0) for k in range(6)],
+            [k * (k - 1) * x ** max(k - 2, 0) for k in range(6)],
+        ]
+    )
+    return np.tensordot(powers, coefficients, 1) / scale
+
+
+_TO_QUINTIC = np.linalg.inv(
+    [
+        [1, 0, 0, 0, 0, 0],
+        [0, 1, 0, 0, 0, 0],
+        [0, 0, 2, 0, 0, 0],
+        [1, 1, 1, 1, 1, 1],
+        [0, 1, 2, 3, 4, 5],
+        [0, 0, 2, 6, 12, 20],
+    ]
+)
