@@ -14,6 +14,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import update_wrapper
@@ -27,7 +28,7 @@ except ImportError:  # Windows: two processes at once may compile twice
 
 _KERNELS: list[Kernel] = []
 _LOCK = threading.RLock()
-_NOTICE = 1.0  # seconds of compiling after which a person should know why nothing happens
+_NOTICE, _AGAIN = 1.0, 5.0  # seconds of compiling until a person reads why, and between lines
 
 
 class Kernel:
@@ -129,9 +130,8 @@ def _compile_once(kernels: list[Kernel], folder: Path) -> None:
     wanted = sorted((k for k in kernels if k.signatures), key=lambda kernel: kernel.name)
     if not _missing(wanted, folder):
         return
-    notice = threading.Timer(_NOTICE, _say, [folder])
-    notice.daemon = True
-    notice.start()
+    over = threading.Event()
+    threading.Thread(target=_say, args=(folder, over), daemon=True).start()
     try:
         with _locked(folder):
             missing = _missing(wanted, folder)  # another process may have compiled meanwhile
@@ -144,7 +144,7 @@ def _compile_once(kernels: list[Kernel], folder: Path) -> None:
             with suppress(OSError), (folder / "compiled").open("a", encoding="utf-8") as file:
                 file.write("".join(f"{name}\n" for name in missing))
     finally:
-        notice.cancel()
+        over.set()
 
 
 def _missing(kernels: list[Kernel], folder: Path) -> list[str]:
@@ -179,8 +179,16 @@ def _compiling(names: list[str], folder: Path) -> subprocess.Popen[bytes] | None
     return None
 
 
-def _say(folder: Path) -> None:
-    print(f"glissando: compiling its inner loops, once, into {folder}", file=sys.stderr, flush=True)
+def _say(folder: Path, over: threading.Event) -> None:
+    """Say what is being compiled, and how much of it is done, until it is over."""
+    began, wait = time.monotonic(), _NOTICE
+    while not over.wait(wait):
+        wait, elapsed = _AGAIN, time.monotonic() - began
+        share = min(sum(1 for _ in folder.rglob("*.nbi")) / len(_KERNELS), 0.99)
+        what = f"compiling its inner loops, once, into {folder}"
+        if share > 0.0:
+            what += f"; {100 * share:.0f} % done, about {elapsed * (1 / share - 1):.0f} s left"
+        print(f"glissando: {what}", file=sys.stderr, flush=True)
 
 
 def cache_folder(numba_version: str) -> Path:

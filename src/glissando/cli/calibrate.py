@@ -16,6 +16,7 @@ from glissando.calibration.rig.calibrate import calibrate
 from glissando.calibration.rig.result import Calibration, apply
 from glissando.calibration.rig.rig import RigData
 from glissando.calibration.rig.session_data import rig_data
+from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_command, require_writable
 from glissando.errors import RecordingError, RobotFileError
 from glissando.hardware.capture.capture import LOG
@@ -70,7 +71,8 @@ def _calibrate(options: argparse.Namespace) -> int:
         require_new(options.recording, RecordingError)
     data = rig_data(read_session(options.session))
     robot = _robot(options, data)
-    result = calibrate(data, robot)
+    with working("calibrating"):
+        result = calibrate(data, robot)
     result.save(options.out)
     if options.recording:
         name = options.robot or data.robot

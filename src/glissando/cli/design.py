@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from glissando.cli.plan import add_task, stage_of
+from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_command, require_writable
 from glissando.errors import GlissandoError
 from glissando.io.robot_file import load_robot
@@ -65,20 +66,21 @@ def _design(options: argparse.Namespace) -> int:
         raise GlissandoError(f"--coils {options.coils}: give whole numbers.")
     stage, upper = stage_of(options)
     strokes = [part * stage.stroke for part in (0.5, 1.0, 2.0)]
-    designs = list(
-        sweep(
-            load_robot(options.robot),
-            [read_zone(text) for text in options.zone],
-            strokes=options.strokes or [s for s in strokes if s <= upper],
-            speeds=options.speeds or [0.5 * stage.speed, stage.speed],
-            rates=options.rates,
-            coils=[int(count) for count in options.coils],
-            acceleration=stage.acceleration,
-            upper=upper,
-            horizon=options.horizon,
-            objective=objective_named(options.objective, options.bound),
+    with working("planning every design"):
+        designs = list(
+            sweep(
+                load_robot(options.robot),
+                [read_zone(text) for text in options.zone],
+                strokes=options.strokes or [s for s in strokes if s <= upper],
+                speeds=options.speeds or [0.5 * stage.speed, stage.speed],
+                rates=options.rates,
+                coils=[int(count) for count in options.coils],
+                acceleration=stage.acceleration,
+                upper=upper,
+                horizon=options.horizon,
+                objective=objective_named(options.objective, options.bound),
+            )
         )
-    )
     best = pareto_front(designs)
     rows = [{**asdict(d), "best": bool(b)} for d, b in zip(designs, best, strict=True)]
     report = {"zones": options.zone, "designs": rows}

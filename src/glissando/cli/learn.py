@@ -10,13 +10,13 @@ from typing import Any
 
 import tomli_w
 from rich.console import Console
-from rich.progress import BarColumn, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table as Grid
 
 from glissando.calibration.robot.hyperparameters import Document, expanded, learnable
 from glissando.calibration.robot.joint_calibration import lasting, locate
 from glissando.calibration.robot.learn import Learned, RecordingCase, learn
-from glissando.cli.shared import Commands, add_command, names, progress_bar
+from glissando.cli.progress import working
+from glissando.cli.shared import Commands, add_command, names
 from glissando.errors import GlissandoError, RecordingError
 from glissando.evaluation.metrics import pool
 from glissando.evaluation.run import checked_window, run_estimate
@@ -96,11 +96,12 @@ def _learn(options: argparse.Namespace) -> int:
             f"{'; '.join(p.label for p in everything)}."
         )
     constants: tuple[SensorParameter, ...] = ()
-    if options.joint:
-        document, constants = locate(document, recordings[0], cases[0].window, cases[0].use, truth)
-    columns = SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn()
-    with progress_bar(*columns) as bar:
-        task = bar.add_task("learning", total=options.steps)
+    with working("learning") as work:
+        if options.joint:
+            work.begin("finding frames and mounts")
+            first = cases[0]
+            document, constants = locate(document, recordings[0], first.window, first.use, truth)
+            work.begin("learning")
         result = learn(
             document,
             parameters,
@@ -108,8 +109,8 @@ def _learn(options: argparse.Namespace) -> int:
             calibrate=options.calibrate,
             constants=constants,
             steps=options.steps,
-            watch=lambda step, value: bar.update(
-                task, completed=step, description=f"learning: {value:.4f} a degree of freedom"
+            watch=lambda step, value: work.update(
+                step, options.steps, f"step {step}, {value:.4f} a degree of freedom"
             ),
         )
     written = _with_constants(result)

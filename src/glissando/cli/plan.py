@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_command, require_writable
 from glissando.errors import GlissandoError, RobotFileError, SimulationError
 from glissando.geometry.se3 import Array
@@ -124,14 +125,15 @@ def _plan(options: argparse.Namespace) -> int:
     source = load_posterior(options.posterior) if options.posterior else robot
     sensor = sliding_sensor(robot, rate=options.rate)
     reach = upper - stage.stroke, upper
-    problem = predict_information(
-        source, reach, options.horizon, sensor, node_step=options.node_step
-    )
-    path_objective = path_objective_of(problem, zones, objective)
-    path_space = path_space_of(stage, upper, start, options.horizon)
-    plan = plan_slide(
-        path_objective, path_space, zones, speed_weight=options.speed_weight, seed=options.seed
-    )
+    with working("planning"):
+        problem = predict_information(
+            source, reach, options.horizon, sensor, node_step=options.node_step
+        )
+        path_objective = path_objective_of(problem, zones, objective)
+        path_space = path_space_of(stage, upper, start, options.horizon)
+        plan = plan_slide(
+            path_objective, path_space, zones, speed_weight=options.speed_weight, seed=options.seed
+        )
     baselines = baseline_paths(stage, upper, start, path_space.times, options.seed)
     paths = {"planned": plan.arclength, **baselines}
     results = {name: evaluate_path(problem, zones, objective, path) for name, path in paths.items()}

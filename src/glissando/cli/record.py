@@ -14,6 +14,7 @@ from rich.live import Live
 from rich.markup import escape
 from rich.table import Table
 
+from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_command, findings_in, require_writable, warn
 from glissando.errors import DeviceError, GlissandoError
 from glissando.hardware.capture import (
@@ -145,10 +146,16 @@ def _limits(stage: Stage | GcodeStage) -> SlideLimits:
 
 
 def _capture_shown(rig: Rig, path: SlidePath, folder: Path, on_message: OnMessage | None) -> None:
-    """Run the experiment behind a live table on stderr, if that is a terminal."""
+    """Run the experiment while stderr shows a live table, or lines where it is no terminal."""
     console = Console(stderr=True)
     if not console.is_terminal:
-        capture(rig, path, folder, on_message=on_message)
+        with working("recording") as work:
+
+            def line(progress: Progress) -> None:
+                into, count = time.monotonic() - progress.began, sum(progress.count.values())
+                work.update(into, progress.total, f"{count:,} messages")
+
+            capture(rig, path, folder, on_progress=line, on_message=on_message)
         return
     with Live(console=console, auto_refresh=False, transient=True) as live:
         shown = 0.0

@@ -12,15 +12,14 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from glissando.cli.progress import working
 from glissando.cli.shared import (
     Commands,
     add_choices,
     add_command,
     chosen_robot,
-    progress_bar,
     require_writable,
 )
 from glissando.errors import GlissandoError
@@ -79,13 +78,11 @@ def _replay(options: argparse.Namespace) -> int:
         require_writable(options.out)
         if (options.out / "replay.json").exists():
             raise GlissandoError(f"{options.out} holds a finished run; give another --out.")
-    columns = TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn()
-    with progress_bar(*columns) as bar, ExitStack() as stack:
-        task = bar.add_task(f"replaying {escape(recording.name)}", total=None)
+    with working(f"replaying {recording.name}") as work, ExitStack() as stack:
         view = _live_view(robot, stack) if options.live else None
 
         def watch(done: int, total: int, smoother: FixedLagSmoother) -> None:
-            bar.update(task, completed=done, total=total)
+            work.update(done, total)
             if view is not None:
                 follow(view, smoother)
 

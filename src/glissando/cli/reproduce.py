@@ -8,9 +8,9 @@ from pathlib import Path
 
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_command, require_writable
 from glissando.experiments.claims import CLAIMS, Verdict, load_claims
 from glissando.experiments.run import reproduce
@@ -43,14 +43,11 @@ def add_to(commands: Commands) -> None:
 def _reproduce(options: argparse.Namespace) -> int:
     claims = load_claims(options.claims)
     require_writable(options.out)
-
-    console = Console(stderr=True)
-    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()
-    with Progress(*columns, TimeElapsedColumn(), console=console, transient=True) as bar:
-        task = bar.add_task("starting", total=None)
+    with working("starting") as work:
 
         def show(doing: str, done: int, whole: int) -> None:
-            bar.update(task, description=doing, completed=done, total=whole)
+            work.begin(doing)
+            work.update(done, whole, f"{done} of {whole}" if whole > 1 else "")
 
         verdicts, written = reproduce(claims, options.out, quick=options.quick, progress=show)
     _print_verdicts(verdicts, Console())

@@ -6,16 +6,14 @@ import argparse
 import os
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TypeAlias
 
-from rich.console import Console
-from rich.markup import escape
-from rich.progress import Progress, ProgressColumn, SpinnerColumn, TextColumn, TimeElapsedColumn
+import numpy as np
 
 from glissando.cli.commands import COMMANDS
+from glissando.cli.progress import working
 from glissando.errors import GlissandoError, NotConvergedWarning, RobotFileError
 from glissando.estimation.posterior import Posterior
 from glissando.evaluation.plausibility.examine import examine_recording
@@ -26,6 +24,7 @@ from glissando.io.robot_file import load_robot
 from glissando.io.shipped_robots import shipped_robots
 from glissando.model.robot import Robot
 from glissando.model.sensors.readings import Readings
+from glissando.solver.gauss_newton import SolverOptions
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 """Where a command adds its parser."""
@@ -97,32 +96,27 @@ def streams_of(
     return chosen_streams(recording, robot, window, options.use, options.truth)[:2]
 
 
-@contextmanager
-def progress_bar(*columns: str | ProgressColumn) -> Iterator[Progress]:
-    """A progress bar on stderr, which is shown on a terminal only and then removed."""
-    console = Console(stderr=True)
-    hidden = not console.is_terminal
-    with Progress(*columns, console=console, transient=True, disable=hidden) as bar:
-        yield bar
-
-
 def estimate_watched(
     recording: Recording, robot: Robot, options: argparse.Namespace
 ) -> tuple[Run, str]:
-    """Estimate a recording behind a progress line on stderr.
+    """Estimate a recording while stderr shows how far the iteration is.
+
+    The share done is that of the way which the step's length has to shrink, in its logarithm.
 
     Returns:
         The run, and the sentence of a warning that it has not converged, else an empty one.
     """
-    columns = SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn()
-    with warnings.catch_warnings(record=True) as caught, progress_bar(*columns) as bar:
+    work = working(f"estimating {recording.name}")
+    with warnings.catch_warnings(record=True) as caught, work as shown:
         warnings.simplefilter("always", NotConvergedWarning)
-        doing = f"estimating {escape(recording.name)}"
-        task = bar.add_task(doing, total=None)
+        tolerance, longest, done = SolverOptions().tolerance, 0.0, 0.0
 
         def advance(iteration: int, cost: float, length: float) -> None:
-            text = f"{doing}: iteration {iteration}, cost {cost:.6g}, step {length:.3g} σ"
-            bar.update(task, description=text)
+            nonlocal longest, done
+            way, longest = float(np.log(max(length / tolerance, 1.0))), max(longest, length)
+            whole = float(np.log(max(longest / tolerance, 1.0 + 1e-9)))
+            done = max(done, 1.0 - way / whole)
+            shown.update(done, 1, f"iteration {iteration}, cost {cost:.6g}, step {length:.3g} σ")
 
         run = run_estimate(
             recording,

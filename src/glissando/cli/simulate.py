@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_command, names, require_writable
 from glissando.errors import SimulationError
 from glissando.io.atomic_folder import require_new
@@ -65,16 +66,17 @@ def _simulate(options: argparse.Namespace) -> int:
     require_writable(options.out.parent)
     require_new(options.out, SimulationError)
     given = {name: getattr(options, name) for name in ("at", "cycles", "stroke", "speed")}
-    session = simulate(
-        options.robot,
-        shape=options.shape,
-        slide=options.slide,
-        seed=options.seed,
-        duration=options.duration,
-        without=options.without,
-        name=options.out.resolve().name,
-        **{name: value for name, value in given.items() if value is not None},
-    )
+    with working("simulating"):
+        session = simulate(
+            options.robot,
+            shape=options.shape,
+            slide=options.slide,
+            seed=options.seed,
+            duration=options.duration,
+            without=options.without,
+            name=options.out.resolve().name,
+            **{name: value for name, value in given.items() if value is not None},
+        )
     shipped = options.robot in shipped_robots()
     write_session(session, options.out, options.robot if shipped else file)
     rows, lasts = len(session.coil.time), session.duration

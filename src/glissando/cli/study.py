@@ -8,16 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.markup import escape
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 
+from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_command, require_writable
 from glissando.errors import GlissandoError
 from glissando.experiments.runner import cluster
@@ -88,20 +80,11 @@ def _is_left(store: Store, cell: Cell, *, retry: bool) -> bool:
 
 
 def _run(options: argparse.Namespace, todo: list[Cell], store: Store, doing: str) -> None:
-    console = Console(stderr=True)
-    columns = (
-        *(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()),
-        *(TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn()),
-    )
-    with (
-        cluster(options.scheduler, options.workers) as client,
-        Progress(*columns, console=console, disable=not console.is_terminal) as bar,
-    ):
-        task = bar.add_task(escape(doing), total=len(todo))
+    with working(doing) as work, cluster(options.scheduler, options.workers) as client:
 
         def show(done: int, failed: int) -> None:
-            note = f", {failed} failed" if failed else ""
-            bar.update(task, completed=done, description=escape(doing + note))
+            note = f"{done:,} of {len(todo):,} cells" + (f", {failed} failed" if failed else "")
+            work.update(done, len(todo), note)
 
         run_cells(client, todo, store, show)
 

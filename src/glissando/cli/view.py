@@ -6,13 +6,13 @@ import argparse
 import sys
 from pathlib import Path
 
+from glissando.cli.progress import working
 from glissando.cli.shared import (
     Commands,
     add_choices,
     add_command,
     chosen_robot,
     estimate_watched,
-    progress_bar,
     require_writable,
     streams_of,
 )
@@ -62,15 +62,14 @@ def _view(options: argparse.Namespace) -> int:
     require_writable(options.html.parent)
     posterior, readings, truth, title, complaint, tube = _shown(options)
     window = tuple(options.window) if options.window else None
-    with progress_bar() as bar:
-        task = bar.add_task("evaluating the posterior")
+    with working("evaluating the posterior") as work:
         scene = scene_of(
             posterior,
             readings,
             truth,
             window=window,
             tube=tube,
-            progress=lambda done, of: bar.update(task, completed=done, total=of),
+            progress=work.update,
         )
     if options.live:
         play(scene, options.port)

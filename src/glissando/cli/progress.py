@@ -1,0 +1,100 @@
+"""Where long work is: a bar on a terminal, else a line on stderr every few seconds."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import (
+    BarColumn,
+    Progress,
+    SpinnerColumn,
+    TaskProgressColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+EVERY = 5.0
+"""Seconds between lines where stderr is no terminal."""
+_SOON = 0.02  # share done below which nothing is said of the time left
+
+
+class Work:
+    """What a command is doing and how much of it is done, shown while it lasts.
+
+    Args:
+        doing: What is being done.
+    """
+
+    def __init__(self, doing: str) -> None:
+        self.doing = ""
+        self.begin(doing)
+
+    def begin(self, doing: str) -> None:
+        """Begin the next part of the work; nothing if it is the one under way."""
+        if doing != self.doing:
+            self.doing, self.note, self._began = doing, "", time.monotonic()
+            self.share: float | None = None
+
+    def update(self, done: float, total: float, note: str = "") -> None:
+        """State how much is done, of how much in all, and what else is worth a word."""
+        self.share, self.note = min(done / total, 1.0) if total else None, note
+
+    def line(self) -> str:
+        """The state of the work as one line of text.
+
+        >>> work = Work("estimating arm")
+        >>> work.update(1, 4, "iteration 3")
+        >>> work.line()
+        'estimating arm: iteration 3, 25 % done, 0 s, about 0 s left'
+        """
+        elapsed = time.monotonic() - self._began
+        parts = [self.note] if self.note else []
+        parts += [f"{100 * self.share:.0f} % done"] if self.share is not None else []
+        parts.append(f"{elapsed:.0f} s")
+        if self.share is not None and self.share > _SOON:
+            parts.append(f"about {elapsed * (1.0 / self.share - 1.0):.0f} s left")
+        return f"{self.doing}: {', '.join(parts)}"
+
+
+@contextmanager
+def working(doing: str) -> Iterator[Work]:
+    """Show work on stderr while the context lasts; a bar on a terminal is then removed.
+
+    Args:
+        doing: What is being done.
+    """
+    work, over, console = Work(doing), threading.Event(), Console(stderr=True)
+    show = _show_bar if console.is_terminal else _show_lines
+    shown = threading.Thread(target=show, args=(work, over, console), daemon=True)
+    shown.start()
+    try:
+        yield work
+    finally:
+        over.set()
+        shown.join()
+
+
+def _show_lines(work: Work, over: threading.Event, _: Console) -> None:
+    while not over.wait(EVERY):
+        print(f"glissando: {work.line()}", file=sys.stderr, flush=True)
+
+
+def _show_bar(work: Work, over: threading.Event, console: Console) -> None:
+    columns = SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TaskProgressColumn()
+    times = TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn()
+    with Progress(*columns, *times, console=console, transient=True) as bar:
+        task, doing = bar.add_task(escape(work.doing), total=None), work.doing
+        while not over.wait(0.1):
+            if work.doing != doing:
+                bar.reset(task, total=None)
+                doing = work.doing
+            text = escape(f"{doing}: {work.note}" if work.note else doing)
+            total = None if work.share is None else 1.0
+            bar.update(task, description=text, completed=work.share or 0.0, total=total)
