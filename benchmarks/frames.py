@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from glissando.hardware.capture import capture, simulated_rig
-from glissando.hardware.capture.capture import LOG
 from glissando.io.session_log import read_session
+from glissando.io.session_recording import LOG
 from glissando.simulation import SlideLimits, SlidePath
 
 

@@ -16,6 +16,7 @@ from glissando.io.netcdf import save_posterior
 from glissando.io.recording import load_recording
 from glissando.io.shipped_robots import robot_file
 from glissando.simulation import SlidePath, load_bench, simulate_session, write_session
+from outputs import Renamed, watched
 
 
 def commands():
@@ -111,7 +112,10 @@ def test_an_example_of_every_command_runs(name, bench, monkeypatch, capsys):
     line = next(line for line in examples(name) if part in line)
     monkeypatch.chdir(bench)
     words = shlex.split(f"{line} {quick}")[1:]
-    assert main(words) == 0
+    renamed = Renamed(bench)
+    with watched(bench, renamed):
+        assert main(words) == 0
+    assert not renamed.written_in_place()  # nothing that a kill could leave cut off
     for flag, file in pairwise(words):
         if flag in ("--out", "--html"):
             assert Path(file).exists()

@@ -45,7 +45,7 @@ def test_tracks_become_streams_where_and_when_the_user_says(tmp_path):
     np.testing.assert_allclose(coil.rows.values, tracks[0].values[1:4], atol=1e-10)
     np.testing.assert_allclose(moved.rows.time, np.arange(5) / 10 - 0.25)
     assert [s.truth for s in (coil, tip, moved)] == [False, True, False]
-    assert "# Fill in where each frame" in (tmp_path / "out" / "recording.toml").read_text()
+    assert recording.unknown_frames == {"tracker"}
 
 
 def test_times_since_1970_begin_at_the_first_of_them(tmp_path):

@@ -100,7 +100,7 @@ def test_a_gyro_cannot_be_truth():
 def test_a_posterior_that_cannot_be_written_is_one_sentence(tmp_path):
     posterior = estimate(*SCENE)
     with pytest.raises(GlissandoError, match="cannot be written"):
-        save_posterior(posterior, tmp_path / "nowhere" / "posterior.nc")
+        save_posterior(posterior, tmp_path)
 
 
 def test_a_loss_without_a_threshold_is_refused():

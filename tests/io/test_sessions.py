@@ -12,8 +12,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 
+import rigs_drawn as rigs
 from draws import law
 from glissando.errors import GlissandoError, RecordingError
+from glissando.geometry import se3
+from glissando.hardware.capture import Body, Coil, Rig, write_recording
+from glissando.io.recording import load_recording
 from glissando.io.session_log import (
     INTEGER,
     NUMBER,
@@ -268,3 +272,48 @@ def test_without_mcap_the_extra_is_named(tmp_path, monkeypatch):
         with pytest.raises(GlissandoError, match=r"pip install 'glissando\[hardware\]'"):
             use(tmp_path / ("b.mcap" if use is SessionWriter else "a.mcap"))
     assert not (tmp_path / "b.mcap").exists()
+
+
+def test_a_session_that_was_killed_opens_as_the_whole_one_does(tmp_path):
+    """Only its log is there, and that is cut off: the same rows up to the cut."""
+    coils = (Coil("coil", 0.7), Coil("fixed", 0.3, slides=False))
+    bodies = (Body("tip", 0.7, se3.exp(np.full(6, 0.01))),)
+    frame = se3.exp(np.array([0.3, 0.2, 0.1, 0.5, 0.4, 0.3]))
+    rig = Rig("bench", "sliding700", coils=coils, bodies=bodies, frame=frame)
+    pose = {"time": NUMBER, "position": numbers(3), "quaternion": numbers(4)}
+    log = tmp_path / "whole" / "session.mcap"
+    log.parent.mkdir()
+    with SessionWriter(log, {"setup": json.dumps(rig.described())}) as writer:
+        writer.add_topic("/slide", schema("Slide", time=NUMBER, travel=NUMBER))
+        for topic in ("/tracker/coil", "/tracker/fixed", "/mocap/tip"):
+            writer.add_topic(topic, schema("Pose", **pose))
+        for k in range(200):
+            writer.write("/slide", {"time": 5 + 0.05 * k, "travel": 3e-4 * k})
+            seen = {"time": 5 + 0.05 * k, "position": [0.1, 0.2, 1e-3 * k]}
+            for topic in ("/tracker/coil", "/tracker/fixed", "/mocap/tip"):
+                writer.write(topic, {**seen, "quaternion": [1.0, 0.0, 0.0, 0.0]})
+            if k % 20 == 0:
+                writer.sync()
+    cut = tmp_path / "cut" / "session.mcap"
+    cut.parent.mkdir()
+    cut.write_bytes(log.read_bytes()[:-3000])
+    from_log = load_recording(log.parent)
+    write_recording(read_session(log), rig, log.parent)
+    whole, killed = load_recording(log.parent), load_recording(cut.parent)
+    assert load_recording(cut).streams.keys() == whole.streams.keys() == killed.streams.keys()
+    for name, stream in whole.streams.items():
+        rows, part, same = stream.rows, killed.streams[name].rows, from_log.streams[name].rows
+        assert 20 < part.time.size <= rows.time.size
+        np.testing.assert_allclose(same.table(), rows.table(), atol=1e-9)
+        np.testing.assert_allclose(part.table(), rows.table()[: part.time.size], atol=1e-9)
+        assert killed.streams[name].truth == stream.truth
+        np.testing.assert_allclose(killed.streams[name].mount, stream.mount, atol=1e-12)
+    assert killed.robot.name == whole.robot.name
+
+
+def test_a_log_that_says_nothing_of_its_frame_leaves_it_unknown(tmp_path):
+    data, _ = rigs.drawn(0, "bent")
+    rigs.write(tmp_path / "session.mcap", data.at(np.arange(40)))
+    recording = load_recording(tmp_path)
+    assert recording.unknown_frames == {"tracker"}
+    assert recording.streams["coil"].frame == "tracker"

@@ -13,18 +13,20 @@ from rich.markup import escape
 from rich.table import Table
 
 from glissando.calibration.rig.calibrate import calibrate
+from glissando.calibration.rig.recording_data import calibrated, recording_data
 from glissando.calibration.rig.result import Calibration, apply
 from glissando.calibration.rig.rig import RigData
 from glissando.calibration.rig.session_data import rig_data
 from glissando.cli.progress import working
-from glissando.cli.shared import Commands, add_command, require_writable
-from glissando.errors import RecordingError, RobotFileError
-from glissando.hardware.capture.capture import LOG
+from glissando.cli.shared import Commands, add_command, chosen_robot, require_writable
+from glissando.errors import GlissandoError, RecordingError, RobotFileError
 from glissando.io.atomic_folder import require_new
-from glissando.io.recording import save_recording
+from glissando.io.recording import load_recording, save_recording
 from glissando.io.robot_file import load_robot
 from glissando.io.session_log import read_session
-from glissando.io.shipped_robots import shipped_robots
+from glissando.io.session_recording import LOG
+from glissando.io.shipped_robots import robot_file, shipped_robots
+from glissando.io.toml_table import read_document
 from glissando.model.robot import Robot
 
 _HELP = """\
@@ -32,20 +34,22 @@ Find the constants of a rig that a sliding sensor needs: the clocks of tracker a
 motion capture's, the tracker's frame, the coil's mount, and the slide's zero, direction and lead
 scale, all with their covariance.
 
-SESSION is a raw session log (MCAP) whose metadata 'setup' says where coil and bodies sit. Bend the
-robot to and fro in both planes while the coil slides at two speeds. Constants that a session does
-not show are listed, with the motion that would show them.
+SESSION is a folder that `record` wrote, or its raw log (MCAP). RECORDING is any recording with a
+coil and motion capture as truth, such as `import` writes: what is found is applied to it and listed
+in its recording.toml, with units and standard deviations, and RECORDING.uncalibrated keeps it as it
+was. Bend the robot to and fro in both planes while the coil slides at two speeds. Constants that a
+session does not show are listed, with the motion that would show them.
 """
 _EXAMPLES = """\
 examples:
+  glissando calibrate imported                            # puts the recording itself right
+  glissando calibrate imported --recording calibrated     # writes another one
   glissando calibrate session --out rig.toml --recording calibrated
   glissando estimate calibrated --out results
   glissando calibrate session.mcap --robot my_robot.toml --out rig.toml --json
 
 exit status: 0 done, whatever the warnings; 2 something given was wrong.
 """
-_LENGTH, _ANGLE = ("mm", 1e3), ("mrad", 1e3)
-_UNITS = {"delay": ("ms", 1e3), "rate": ("ppm", 1e6), "lead": ("", 1.0)}
 
 
 def add_to(commands: Commands) -> None:
@@ -53,30 +57,32 @@ def add_to(commands: Commands) -> None:
     texts = _HELP, _EXAMPLES
     parser = add_command(commands, "calibrate", texts, _calibrate)
     add = parser.add_argument
-    given = "folder that `record` wrote, or its raw log, .mcap"
-    add("session", type=Path, metavar="SESSION", help=given)
+    given = "folder that `record` wrote, or its raw log, .mcap; or a recording"
+    add("session", type=Path, metavar="SESSION|RECORDING", help=given)
     robots = ", ".join(shipped_robots())
     add("--robot", metavar="FILE|NAME", help=f"robot file, or one of {robots}")
-    add("--out", type=Path, metavar="FILE", required=True, help="TOML file to write")
-    made = "also write the session as a recording that is right, to estimate"
+    add(
+        "--coil",
+        metavar="NAME",
+        help="the stream of a recording to calibrate, if several",
+    )
+    add("--out", type=Path, metavar="FILE", help="TOML file to write (needed for a SESSION)")
+    made = "write what was recorded, put right, as a new recording"
     add("--recording", type=Path, metavar="DIR", help=made)
     add("--json", action="store_true", help="print one JSON object and nothing else")
 
 
 def _calibrate(options: argparse.Namespace) -> int:
-    require_writable(options.out.parent)
-    if options.session.is_dir():
-        options.session = options.session / LOG
+    if options.out:
+        require_writable(options.out.parent)
     if options.recording:
         require_new(options.recording, RecordingError)
-    data = rig_data(read_session(options.session))
-    robot = _robot(options, data)
-    with working("calibrating"):
-        result = calibrate(data, robot)
-    result.save(options.out)
-    if options.recording:
-        name = options.robot or data.robot
-        save_recording(apply(result, data, robot), options.recording, name)
+    folder = options.session
+    is_recording = (folder / "recording.toml").is_file() and not (folder / LOG).is_file()
+    result, written = (_of_recording if is_recording else _of_session)(options)
+    if options.out:
+        result.save(options.out)
+        written.insert(0, options.out)
     if options.json:
         print(json.dumps(_as_json(result)))
         return 0
@@ -86,9 +92,60 @@ def _calibrate(options: argparse.Namespace) -> int:
         console.print(_fits(result))
     for sentence in result.warnings:
         console.print(f"! {sentence}", markup=False)
-    also = f" and {options.recording}" if options.recording else ""
-    console.print(f"Wrote {options.out}{also}", markup=False)
+    console.print(f"Wrote {', '.join(map(str, written))}", markup=False)
     return 0
+
+
+def _of_session(options: argparse.Namespace) -> tuple[Calibration, list[Path]]:
+    """Calibrate a session; the result, and the recording that was written, if any."""
+    if options.out is None:
+        raise GlissandoError("A session is kept as it is: give --out FILE for what is found.")
+    if options.session.is_dir():
+        options.session = options.session / LOG
+    data = rig_data(read_session(options.session))
+    robot = _robot(options, data)
+    with working("calibrating"):
+        result = calibrate(data, robot)
+    if options.recording is None:
+        return result, []
+    name = options.robot or data.robot
+    made = apply(result, data, robot)
+    save_recording(made, options.recording, name, _listed(result))
+    return result, [options.recording]
+
+
+def _of_recording(options: argparse.Namespace) -> tuple[Calibration, list[Path]]:
+    """Calibrate a recording; the result, and the recording that was written."""
+    folder: Path = options.session
+    kept = folder.with_name(folder.resolve().name + ".uncalibrated")
+    if options.recording is None:
+        require_new(kept, RecordingError)
+    recording = load_recording(folder)
+    robot = chosen_robot(recording, options.robot)
+    data = recording_data(recording, options.coil)
+    with working("calibrating"):
+        result = calibrate(data, robot)
+    made = calibrated(recording, result, data, robot)
+    named = options.robot or read_document(folder / "recording.toml").get("robot", "")
+    beside = folder / named
+    where: str | Path = beside if named and not options.robot and beside.is_file() else named
+    if isinstance(where, str) and where and where not in shipped_robots():
+        where = robot_file(where)
+    out = options.recording or folder.with_name(f".{folder.resolve().name}-calibrated")
+    save_recording(made, out, where, _listed(result))
+    if options.recording:
+        return result, [out]
+    folder.rename(kept)
+    out.rename(folder)
+    return result, [folder, kept]
+
+
+def _listed(result: Calibration) -> dict[str, dict[str, float | str]]:
+    """What was found, as recording.toml lists it."""
+    return {
+        name: {"value": float(f"{value:.6g}"), "std": float(f"{std:.2g}"), "unit": unit}
+        for name, value, std, unit in result.displayed()
+    }
 
 
 def _robot(options: argparse.Namespace, data: RigData) -> Robot:
@@ -123,12 +180,8 @@ def _table(result: Calibration) -> Table:
     table = Table(title=f"{result.coil_name}, direction {result.rig.direction:+d}", box=SIMPLE_HEAD)
     for heading in ("", "value", "±", "unit"):
         table.add_column(heading, justify="left" if heading in ("", "unit") else "right")
-    for name, (value, std) in result.values().items():
-        if std > 0.0:
-            last = name.split()[-1]
-            angle = "rotation" in name or "tilt" in name
-            unit, size = _ANGLE if angle else _UNITS.get(last, _LENGTH)
-            table.add_row(name, f"{size * value:.3f}", f"{size * std:.3f}", unit)
+    for name, value, std, unit in result.displayed():
+        table.add_row(name, f"{value:.3f}", f"{std:.3f}", "" if unit == "1" else unit)
     return table
 
 

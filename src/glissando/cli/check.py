@@ -29,12 +29,15 @@ from glissando.evaluation.conformal import block_scores, conformal_tube, inside_
 from glissando.evaluation.consistency import LEVELS, Consistency, check, check_readings
 from glissando.evaluation.leave_out import leave_out
 from glissando.evaluation.metrics import Errors, errors_against
+from glissando.io.atomic_file import write_text
+from glissando.io.atomic_folder import renewed_folder
 from glissando.io.netcdf import load_posterior
 from glissando.io.recording import load_recording
 from glissando.io.robot_file import with_tube
 from glissando.io.shipped_robots import robot_file
 from glissando.model.robot import Robot
 from glissando.visualization.evaluation_figures import calibration_figure
+from glissando.visualization.figures import save_figure
 
 _HELP = """\
 Check whether the confidence of an estimate is true: errors against truth in units of their own
@@ -109,10 +112,9 @@ def _check(options: argparse.Namespace) -> int:
         if tube:
             print(_TUBE.format(**tube))
     if options.out:
-        options.out.mkdir(parents=True, exist_ok=True)
-        text = json.dumps(document, indent=2)
-        (options.out / "check.json").write_text(text + "\n", encoding="utf-8")
-        calibration_figure(checks).savefig(options.out / "calibration.png", dpi=150)
+        with renewed_folder(options.out, ("check.json", "calibration.png")) as building:
+            write_text(building / "check.json", json.dumps(document, indent=2) + "\n")
+            save_figure(calibration_figure(checks), building / "calibration.png")
     return status
 
 

@@ -15,10 +15,13 @@ from glissando.cli.plan import add_task, stage_of
 from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_command, require_writable
 from glissando.errors import GlissandoError
+from glissando.io.atomic_file import write_text
+from glissando.io.atomic_folder import renewed_folder
 from glissando.io.robot_file import load_robot
 from glissando.planning.design import Design, pareto_front, sweep
 from glissando.planning.objectives import objective_named
 from glissando.planning.zones import read_zone
+from glissando.visualization.figures import save_figure
 from glissando.visualization.planning_figures import design_figure
 
 _HELP = """\
@@ -89,10 +92,9 @@ def _design(options: argparse.Namespace) -> int:
     else:
         Console().print(_table(designs, best.tolist(), options.zone))
     if options.out:
-        options.out.mkdir(parents=True, exist_ok=True)
-        text = json.dumps(report, indent=2)
-        (options.out / "design.json").write_text(text + "\n", encoding="utf-8")
-        design_figure(designs).savefig(options.out / "design.png", dpi=150)
+        with renewed_folder(options.out, ("design.json", "design.png")) as building:
+            write_text(building / "design.json", json.dumps(report, indent=2) + "\n")
+            save_figure(design_figure(designs), building / "design.png")
     return 0
 
 

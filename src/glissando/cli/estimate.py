@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from glissando.cli.progress import working
 from glissando.cli.shared import (
     Commands,
     add_choices,
@@ -24,6 +25,7 @@ from glissando.errors import GlissandoError
 from glissando.evaluation.metrics import Errors, pool
 from glissando.evaluation.run import Run, checked_window, write_run
 from glissando.geometry.se3 import Array
+from glissando.io.atomic_folder import renewed_folder
 from glissando.io.query_csv import read_query, write_query
 from glissando.io.recording import Recording, load_recording
 from glissando.model.robot import Robot
@@ -159,20 +161,37 @@ def _answers(options: argparse.Namespace) -> Path:
     return (options.out or Path()) / "query.csv"
 
 
+_OUTPUTS = (
+    *("report.json", "posterior.nc", "shape.png", "confidence.png", "error.png"),
+    *("shape.mp4", "shape.gif", "view.html", "query.csv"),
+)
+
+
 def _write(options: argparse.Namespace, run: Run, query: tuple[Array, Array] | None) -> list[Path]:
-    folder, written = options.out, list[Path]()
-    if folder:
-        written += write_run(run, folder)
-        written += save_figures(run.posterior, run.readings, run.truth, folder)
-    if options.animate:
-        film = save_animation(run.posterior, run.readings, run.truth, folder / "shape.mp4")
-        written.append(film)
-    if options.view:
-        path, name = folder / "view.html", run.recording.name
-        page = save_view(run.posterior, path, title=name, readings=run.readings, truth=run.truth)
-        written.append(page)
-    if query is not None:
-        path = _answers(options)
-        write_query(run.posterior, query, path)
-        written.append(path)
-    return written
+    """Write all that was asked for; in --out nothing of an earlier run stays beside it."""
+    if options.out is None:
+        if query is not None:
+            write_query(run.posterior, query, _answers(options))
+        return [] if query is None else [_answers(options)]
+    shown = run.posterior, run.readings, run.truth
+    with renewed_folder(options.out, _OUTPUTS) as building, working("writing the results") as work:
+        written = [*write_run(run, building), *save_figures(*shown, building)]
+        if options.animate:
+            work.begin("drawing the film")
+            film = save_animation(*shown, building / "shape.mp4", progress=work.update)
+            written.append(film)
+        if options.view:
+            work.begin("evaluating the posterior for the view")
+            page = save_view(
+                run.posterior,
+                building / "view.html",
+                title=run.recording.name,
+                readings=run.readings,
+                truth=run.truth,
+                progress=work.update,
+            )
+            written.append(page)
+        if query is not None:
+            write_query(run.posterior, query, building / _answers(options).name)
+            written.append(_answers(options))
+    return [options.out / path.name for path in written]

@@ -17,23 +17,32 @@ from glissando.cli.shared import (
 from glissando.errors import GlissandoError, RecordingError
 from glissando.io.atomic_folder import require_new
 from glissando.io.foreign import Choices, read_tracks, write_recording
+from glissando.io.recording import load_recording
 
 _HELP = """\
 Bring files of motion capture and trackers into a recording folder that every command takes.
 
-Known are CSV of Vicon Tracker (helical rotations) and of Nexus, CSV of NDI Track and ToolBox, c3d,
-ROS 1 bags and folders of ROS 2 bags. A file does not say where on the robot its objects sit:
---arclength does, and objects without one are left out.
+Known are CSV of Vicon Tracker (helical rotations) and of Nexus, of NDI Track and ToolBox, of
+OptiTrack Motive; TSV of Qualisys; c3d, ROS 1 bags and folders of ROS 2 bags. Any other delimited
+text is read with --columns. Semicolons, tabs and decimal commas are understood. A file does not say
+where on the robot its objects sit: --arclength does, and objects without one are left out.
 """
 _EXAMPLES = """\
 examples:
   glissando import take3.csv --rate 100 --arclength tip=0.7,mid=0.35 --out take3
   glissando import aurora.csv take3.csv --rate aurora.csv=40,take3.csv=100 --shift tip=-0.25 \\
       --arclength coil=path.csv,tip=0.7 --truth tip --robot sliding700 --out both
+  glissando import log.txt --columns time=1,x=2,y=3,z=4,length=mm --arclength log=0.7 --out log
+  glissando import gyro.csv --columns 'time=t [ms],clock=ms,wx=gx,wy=gy,wz=gz,angle=deg' \\
+      --arclength gyro=0.4 --out gyro
   glissando import run.bag --topic /vicon/tip --arclength vicon_tip=0.7 --out run
 
-A sensor that slides takes a CSV file, columns time,arclength, in the place of its arclength. What
-an NDI file holds is in the tracker's frame: fill in [frames.tracker] of recording.toml.
+A sensor that slides takes a file in the place of its arclength, with the columns time,arclength or
+those that --columns FILE:time=…,travel=…,zero=M says. What an NDI file holds is in the tracker's
+frame, which `glissando calibrate` finds.
+
+Keys of --columns: time or count (of frames); x,y,z; qw,qx,qy,qz or rx,ry,rz or a1,a2,a3 with euler;
+wx,wy,wz and other sensors' columns; clock=ms, length=mm, angle=deg, frame=tracker.
 
 exit status: 0 done; 2 something given was wrong.
 """
@@ -47,6 +56,9 @@ def add_to(commands: Commands) -> None:
     add("files", type=Path, nargs="+", metavar="FILE", help="files or folders of one session")
     add("--out", type=Path, required=True, metavar="RECORDING", help="folder to write")
     add("--rate", default="", metavar="HZ|FILE=HZ,…", help="frame rate, where a file has none")
+    columns = "what the columns of any other text hold, or a TOML file that says it"
+    metavar = "[FILE:]KEY=COLUMN,…"
+    add("--columns", action="append", default=[], metavar=metavar, help=columns)
     add("--arclength", default="", metavar="NAME=M|FILE,…", help="where each object sits")
     add("--robot", metavar="FILE|NAME", help="robot that the recording names")
     add("--truth", type=names, default=[], metavar="NAME,…", help="objects to judge by")
@@ -58,18 +70,49 @@ def add_to(commands: Commands) -> None:
 def _import(options: argparse.Namespace) -> int:
     arclength = {name: _place(text) for name, text in pairs(options.arclength).items()}
     shift = {name: number("--shift", text) for name, text in pairs(options.shift).items()}
-    choices = Choices(arclength, options.truth, shift, pairs(options.kind), options.robot)
     rates = _rates(options.rate, options.files)
+    paths = [place for place in arclength.values() if isinstance(place, Path)]
+    mappings = _mappings(options.columns, options.files, paths)
+    kinds = pairs(options.kind)
+    choices = Choices(arclength, options.truth, shift, kinds, options.robot, mappings)
     require_writable(options.out.parent)
     require_new(options.out, RecordingError)
     tracks = []
     for file in options.files:
-        tracks += read_tracks(file, rate=rates.get(file.name), topics=options.topic)
+        rate, columns = rates.get(file.name), mappings.get(file.name, "")
+        tracks += read_tracks(file, rate=rate, topics=options.topic, columns=columns)
     for line in write_recording(tracks, options.out, choices):
         print(line)
-    print(f"Wrote {options.out}. Now: glissando estimate {options.out} --out results")
+    unknown = load_recording(options.out).unknown_frames
+    print(f"Wrote {options.out}. {_next(options.out, sorted(unknown), bool(choices.truth))}")
     warn(findings_in(options.out))
     return 0
+
+
+def _next(folder: Path, unknown: list[str], truth: bool) -> str:
+    """What to do with a recording that was imported."""
+    if not unknown:
+        return f"Now: glissando estimate {folder} --out results"
+    where = f"Where the frame {' and '.join(unknown)} is in the world is not known"
+    if truth:
+        return f"{where}. Now: glissando calibrate {folder}"
+    file = folder / "recording.toml"
+    return f"{where}: state it in {file}, or import motion capture with --truth."
+
+
+def _mappings(given: list[str], files: list[Path], paths: list[Path]) -> dict[str, str]:
+    """The mapping of columns of each file by its name; one without a name is for all files."""
+    known = [file.name for file in (*files, *paths)]
+    out: dict[str, str] = {}
+    for text in given:
+        name, colon, mapping = text.partition(":")
+        if not colon:
+            out |= dict.fromkeys([file.name for file in files], text)
+        elif name not in known:
+            raise GlissandoError(f"--columns names {name!r}; the files are {', '.join(known)}.")
+        else:
+            out[name] = mapping
+    return out
 
 
 def pairs(text: str) -> dict[str, str]:

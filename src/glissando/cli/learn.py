@@ -20,6 +20,7 @@ from glissando.cli.shared import Commands, add_command, names
 from glissando.errors import GlissandoError, RecordingError
 from glissando.evaluation.metrics import pool
 from glissando.evaluation.run import checked_window, run_estimate
+from glissando.io.atomic_file import write_text
 from glissando.io.recording import Recording, load_recording
 from glissando.io.robot_file import load_robot, parse_robot, read_robot_document
 from glissando.io.shipped_robots import robot_file
@@ -114,7 +115,7 @@ def _learn(options: argparse.Namespace) -> int:
             ),
         )
     written = _with_constants(result)
-    options.out.write_text(_HEADER.format(options.robot) + tomli_w.dumps(written), encoding="utf-8")
+    write_text(options.out, _HEADER.format(options.robot) + tomli_w.dumps(written))
     report = _as_json(result, options.out)
     if options.hold_out:
         report["held_out"] = [

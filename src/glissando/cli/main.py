@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
@@ -61,12 +62,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except GlissandoError as problem:
         print(f"glissando: {problem}", file=sys.stderr)
         return 2
+    except BrokenPipeError:  # whoever read the output has read enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141
     except OSError as problem:
-        print(f"glissando: {problem.filename or ''}: {problem.strerror}", file=sys.stderr)
+        where = f"{problem.filename}: " if problem.filename else ""
+        print(f"glissando: {where}{problem.strerror or problem}", file=sys.stderr)
         return 2
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, SystemError) as problem:
+        if isinstance(problem, SystemError) and not _interrupted(problem):
+            raise
         print("glissando: interrupted", file=sys.stderr)
         return 130
+
+
+def _interrupted(problem: BaseException | None) -> bool:
+    """Whether Ctrl-C caused an error; numba makes a SystemError of it inside a kernel."""
+    while problem is not None and not isinstance(problem, KeyboardInterrupt):
+        problem = problem.__cause__ or problem.__context__
+    return problem is not None
 
 
 @contextmanager

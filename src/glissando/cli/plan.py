@@ -16,6 +16,8 @@ from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_command, require_writable
 from glissando.errors import GlissandoError, RobotFileError, SimulationError
 from glissando.geometry.se3 import Array
+from glissando.io.atomic_file import write_table, write_text
+from glissando.io.atomic_folder import renewed_folder
 from glissando.io.netcdf import load_posterior
 from glissando.io.robot_file import load_robot
 from glissando.io.shipped_robots import robot_file, shipped_robots
@@ -29,6 +31,7 @@ from glissando.planning.planning_problem import PlanningProblem, predict_informa
 from glissando.planning.sliding_sensor import sliding_sensor
 from glissando.planning.zones import Zone, read_zone
 from glissando.simulation.bench import load_bench
+from glissando.visualization.figures import save_figure
 from glissando.visualization.planning_figures import plan_figure, save_plan_film
 
 _HELP = """\
@@ -167,15 +170,14 @@ def _write(
     paths: dict[str, Array],
 ) -> None:
     """Write path.csv, plan.json and plan.png, and plan.gif if asked."""
-    options.out.mkdir(parents=True, exist_ok=True)
-    knots, head = np.column_stack(plan.knots()), "time,arclength,speed"
-    np.savetxt(options.out / "path.csv", knots, "%.15g", ",", header=head, comments="")
-    text = json.dumps(report, indent=2)
-    (options.out / "plan.json").write_text(text + "\n", encoding="utf-8")
+    knots, head = np.column_stack(plan.knots()), ("time", "arclength", "speed")
     shown = {name: paths[name] for name in ("planned", "oscillating", "fixed")}
-    plan_figure(problem, shown, zones).savefig(options.out / "plan.png", dpi=150)
-    if options.animate:
-        save_plan_film(problem, shown, zones, options.out / "plan.gif")
+    with renewed_folder(options.out, ("path.csv", "plan.json", "plan.png", "plan.gif")) as building:
+        write_table(building / "path.csv", head, knots)
+        write_text(building / "plan.json", json.dumps(report, indent=2) + "\n")
+        save_figure(plan_figure(problem, shown, zones), building / "plan.png")
+        if options.animate:
+            save_plan_film(problem, shown, zones, building / "plan.gif")
     if not options.json:
         print(f"Wrote {options.out / 'path.csv'}")
 

@@ -25,11 +25,12 @@ from glissando.hardware.capture import (
     simulated_rig,
     write_recording,
 )
-from glissando.hardware.capture.capture import LOG
 from glissando.hardware.capture.online import OnMessage, live_estimate
 from glissando.hardware.drivers import GcodeStage, Stage
+from glissando.io.atomic_file import write_text
 from glissando.io.atomic_folder import require_new
 from glissando.io.session_log import read_session
+from glissando.io.session_recording import LOG
 from glissando.model.slide_path import read_slide
 from glissando.simulation import SlideLimits, SlidePath
 from glissando.visualization.page.live import Live as BrowserView
@@ -193,7 +194,7 @@ def _keep(rig: Rig, options: argparse.Namespace, *, quietly: bool = False) -> No
             raise
         return
     if options.setup:
-        shutil.copy(options.setup, folder / "setup.toml")
+        write_text(folder / "setup.toml", options.setup.read_text(encoding="utf-8"))
     if quietly:
         return
     counts = ", ".join(f"{len(t.messages)} {name}" for name, t in session.topics.items())

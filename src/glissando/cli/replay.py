@@ -25,10 +25,13 @@ from glissando.cli.shared import (
 from glissando.errors import GlissandoError
 from glissando.estimation.fixed_lag import FixedLagSmoother
 from glissando.evaluation.replay import Replay, replay
+from glissando.io.atomic_file import write_text
+from glissando.io.atomic_folder import renewed_folder
 from glissando.io.query_csv import write_states
 from glissando.io.recording import load_recording
 from glissando.model.robot import Robot
 from glissando.visualization.evaluation_figures import replay_figure
+from glissando.visualization.figures import save_figure
 from glissando.visualization.page import Live
 from glissando.visualization.page.live import follow
 
@@ -112,13 +115,15 @@ def _live_view(robot: Robot, stack: ExitStack) -> Live:
 
 
 def _write(result: Replay, folder: Path) -> list[Path]:
-    report, newest, figure = (folder / n for n in ("replay.json", "newest.csv", "replay.png"))
-    report.write_text(json.dumps(result.as_json(), indent=2) + "\n", encoding="utf-8")
+    names = "replay.json", "newest.csv", "replay.png"
     nodes = result.robot.arclength_nodes
     pairs = zip(result.time, result.states, strict=True)
-    write_states(((np.full(nodes.size, t), nodes, at) for t, at in pairs), newest)
-    replay_figure(result).savefig(figure, dpi=150)
-    return [folder / "log", report, newest, figure]
+    with renewed_folder(folder, names) as building:
+        report, newest, figure = (building / name for name in names)
+        write_text(report, json.dumps(result.as_json(), indent=2) + "\n")
+        write_states(((np.full(nodes.size, t), nodes, at) for t, at in pairs), newest)
+        save_figure(replay_figure(result), figure)
+    return [folder / "log", *(folder / name for name in names)]
 
 
 def _print(result: Replay, console: Console) -> None:

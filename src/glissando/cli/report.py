@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from glissando.cli.shared import Commands, add_command, require_writable
+from glissando.io.atomic_file import write_text
 from glissando.visualization.page.comparison import comparison, written_runs
 
 _HELP = """\
@@ -37,6 +38,6 @@ def add_to(commands: Commands) -> None:
 
 def _report(options: argparse.Namespace) -> int:
     require_writable(options.out.parent)
-    options.out.write_text(comparison(written_runs(options.runs)), encoding="utf-8")
+    write_text(options.out, comparison(written_runs(options.runs)))
     print(f"Wrote {options.out}; open it in a browser.")
     return 0

@@ -17,6 +17,8 @@ from glissando.experiments.study.figures import study_figure
 from glissando.experiments.study.plan import Cell, load_study
 from glissando.experiments.study.store import TABLE, Store, run_cells
 from glissando.experiments.study.summary import print_summary, summarise
+from glissando.io.atomic_file import write_text
+from glissando.visualization.figures import save_figure
 
 _HELP = """\
 Simulate, estimate and check every combination of settings that a TOML file names, over many seeds,
@@ -90,7 +92,6 @@ def _run(options: argparse.Namespace, todo: list[Cell], store: Store, doing: str
 
 
 def _write(told: dict[str, Any], folder: Path) -> list[Path]:
-    summary, picture = folder / "summary.json", folder / "study.png"
-    summary.write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
-    study_figure(told).savefig(picture, dpi=150)
-    return [summary, picture]
+    summary = folder / "summary.json"
+    write_text(summary, json.dumps(told, indent=2) + "\n")
+    return [summary, save_figure(study_figure(told), folder / "study.png")]

@@ -18,6 +18,7 @@ from glissando.cli.shared import (
 )
 from glissando.errors import GlissandoError
 from glissando.estimation.posterior import Posterior
+from glissando.io.atomic_file import write_text
 from glissando.io.netcdf import load_posterior
 from glissando.io.recording import load_recording
 from glissando.io.robot_file import load_robot
@@ -74,7 +75,7 @@ def _view(options: argparse.Namespace) -> int:
     if options.live:
         play(scene, options.port)
     else:
-        options.html.write_text(page(scene, title, subtitle(posterior, scene)), encoding="utf-8")
+        write_text(options.html, page(scene, title, subtitle(posterior, scene)))
         print(f"Wrote {options.html}; open it in a browser.")
     if complaint:
         print(f"glissando: {complaint}", file=sys.stderr)

@@ -18,6 +18,7 @@ from glissando.evaluation.environment import versions
 from glissando.evaluation.metrics import Errors, errors_against, pool
 from glissando.evaluation.plausibility.examine import after_estimate, examine_recording
 from glissando.evaluation.plausibility.finding import Finding, refuse
+from glissando.io.atomic_file import write_text
 from glissando.io.netcdf import save_posterior
 from glissando.io.recording import Recording
 from glissando.model.robot import Robot
@@ -214,8 +215,7 @@ def write_run(run: Run, folder: Path) -> list[Path]:
     Returns:
         Paths of both files.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     report, saved = folder / "report.json", folder / "posterior.nc"
-    report.write_text(json.dumps(run.as_json(), indent=2) + "\n", encoding="utf-8")
+    write_text(report, json.dumps(run.as_json(), indent=2) + "\n")
     save_posterior(run.posterior, saved)
     return [report, saved]

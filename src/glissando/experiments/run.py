@@ -19,6 +19,8 @@ from glissando.experiments.figures_numbers import causes_figure, moving_figure, 
 from glissando.experiments.page import page
 from glissando.experiments.scenes import ROBOT, Scene, Trial, trial
 from glissando.experiments.studies import Studies
+from glissando.io.atomic_file import write_text
+from glissando.visualization.figures import save_figure
 from glissando.visualization.film import save_animation
 
 Progress = Callable[[str, int, int], None]
@@ -61,8 +63,8 @@ def reproduce(
     finally:  # a mistake in the claims does not cost the numbers
         record = _record(results, verdicts, studies, quick=quick)
         record["seconds"] = round(time.monotonic() - began, 1)
-        file.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
-    text.write_text(page(record), encoding="utf-8")
+        write_text(file, json.dumps(record, indent=1) + "\n")
+    write_text(text, page(record))
     progress("figures", 0, 1)
     written = [file, text, *save_experiment_figures(results, trials, sliding, scene, folder)]
     written.append(_animate(folder, quick, progress))
@@ -110,7 +112,6 @@ def save_experiment_figures(
     Returns:
         The files written.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     draw: dict[str, Callable[[Any], Any]] = {
         "confidence": lambda section: coil_figure(trials, section),
         "following": lambda section: following_figure(sliding, scene, section),
@@ -121,8 +122,7 @@ def save_experiment_figures(
     paths = []
     for name, figure in draw.items():
         if results.get(name):
-            paths.append(folder / f"{name}.png")
-            figure(results[name]).savefig(paths[-1], dpi=150)
+            paths.append(save_figure(figure(results[name]), folder / f"{name}.png"))
     return paths
 
 

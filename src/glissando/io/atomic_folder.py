@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -45,6 +45,41 @@ def new_folder(folder: Path, error: type[GlissandoError]) -> Iterator[Path]:
     except BaseException:
         shutil.rmtree(building, ignore_errors=True)
         raise
+
+
+@contextmanager
+def renewed_folder(folder: Path, owned: Collection[str]) -> Iterator[Path]:
+    """A folder to write into, whose files take the place of those of an earlier run.
+
+    Until the context ends without an exception the files in `folder` stay as they were; then those
+    of the names `owned` go, for they belong to the earlier run, and the new ones come. Files of
+    other names stay.
+
+    Args:
+        folder: The folder whose files are renewed; made if it is missing.
+        owned: Names of all files that such a run may write.
+
+    Yields:
+        The folder to write into.
+
+    Raises:
+        GlissandoError: The disk refused; the sentence says why.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(
+            prefix=".writing-", dir=folder, ignore_cleanup_errors=True
+        ) as building:
+            yield Path(building)
+            for name in owned:
+                (folder / name).unlink(missing_ok=True)
+            for path in sorted(Path(building).iterdir()):
+                path.replace(folder / path.name)
+    except OSError as problem:
+        raise GlissandoError(
+            f"{folder} cannot be written to ({problem.strerror or problem}); free space, or give "
+            f"another folder."
+        ) from problem
 
 
 def _umask() -> int:

@@ -15,6 +15,7 @@ import numpy as np
 from glissando.errors import RecordingError
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
+from glissando.io.atomic_file import write_table
 from glissando.model.sensors.readings import Readings
 from glissando.model.sensors.sensors import sensor_class
 
@@ -176,8 +177,7 @@ def read_named(
 
 def write_named(path: Path, rows: Rows) -> None:
     """Write rows as one header line of column names and a line a row, SI units."""
-    header = ",".join(rows.columns)
-    np.savetxt(path, rows.table(), "%.12g", ",", header=header, comments="")
+    write_table(path, rows.columns, rows.table())
 
 
 def clean(rows: Rows, clip: float | None = None, keep_repeats: bool = False) -> Rows:

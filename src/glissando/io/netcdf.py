@@ -16,6 +16,7 @@ from glissando.errors import GlissandoError
 from glissando.estimation.posterior import Posterior, SolveReport
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
+from glissando.io.atomic_file import new_file
 from glissando.io.robot_file import OLD_KINDS
 from glissando.io.toml_table import Table
 from glissando.model.grid import Grid
@@ -125,10 +126,9 @@ def save_posterior(posterior: Posterior, path: str | Path) -> None:
     dataset.attrs["solve"] = json.dumps(posterior.solve.to_table())
     packed = {"zlib": True, "complevel": 4, "shuffle": True}
     encoding = dict.fromkeys(("information", "information_below", "cov"), packed)
-    try:
-        dataset.to_netcdf(path, engine="h5netcdf", encoding=encoding)
-    except OSError as problem:
-        raise GlissandoError(f"{path} cannot be written ({problem}).") from None
+    image = dataset.to_netcdf(engine="h5netcdf", encoding=encoding)  # HDF5 dies of a full disk
+    with new_file(path) as building:
+        building.write_bytes(image)
 
 
 def load_posterior(path: str | Path) -> Posterior:

@@ -11,6 +11,7 @@ import numpy as np
 from glissando.errors import GlissandoError
 from glissando.estimation.posterior import Posterior, StateEstimate
 from glissando.geometry.se3 import Array
+from glissando.io.atomic_file import write_table
 
 QUERY_COLUMNS = [
     *("time", "arclength", "x", "y", "z", "qw", "qx", "qy", "qz"),
@@ -68,7 +69,6 @@ def write_query(posterior: Posterior, query: tuple[Array, Array], path: Path) ->
         path: File to write; its folder is made if it is missing.
     """
     time, arclength = query
-    path.parent.mkdir(parents=True, exist_ok=True)
     write_states([(time, arclength, posterior.at(arclength, time))], path)
 
 
@@ -80,8 +80,7 @@ def write_states(states: Iterable[tuple[Array, Array, StateEstimate]], path: Pat
         path: File to write.
     """
     rows = [state_rows(*each) for each in states]
-    header = ",".join(QUERY_COLUMNS)
-    np.savetxt(path, np.concatenate(rows), "%.12g", ",", header=header, comments="")
+    write_table(path, QUERY_COLUMNS, np.concatenate(rows))
 
 
 def state_rows(time: Array, arclength: Array, at: StateEstimate) -> Array:

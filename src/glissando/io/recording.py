@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +15,8 @@ from glissando.io.atomic_folder import new_folder
 from glissando.io.csv_stream import Rows, Stream, clean, read_named, read_public, scale_of, steady
 from glissando.io.recording_writer import write_streams
 from glissando.io.robot_file import load_robot
+from glissando.io.session_log import read_session
+from glissando.io.session_recording import LOG, session_setup, session_streams
 from glissando.io.shipped_robots import shipped_robots
 from glissando.io.toml_table import Table, read_toml
 from glissando.model.robot import Robot
@@ -36,6 +39,7 @@ class Recording:
         frames: Poses T_wf (4, 4) of the frames that streams came in, by stream; the world's
             streams are not there.
         allow: Names of checks of plausibility that are switched off.
+        unknown_frames: Frames whose place in the world is not known; their streams stay in them.
     """
 
     name: str
@@ -45,6 +49,7 @@ class Recording:
     window: tuple[float, float] | None
     frames: dict[str, Array] = field(default_factory=dict)
     allow: tuple[str, ...] = ()
+    unknown_frames: frozenset[str] = frozenset()
 
     def readings(
         self,
@@ -67,7 +72,8 @@ class Recording:
             Readings of each stream, and the counts of dropped rows by stream and reason.
 
         Raises:
-            RecordingError: A name is unknown, a stream has no noise, an arclength is off the robot.
+            RecordingError: A name is unknown, a stream has no noise, an arclength is off the robot,
+                or nothing says where the stream's frame is.
         """
         out, dropped = [], {}
         for name in names:
@@ -77,6 +83,7 @@ class Recording:
                 )
             stream = self.streams[name]
             kind = stream.rows.kind
+            self._require_frame(stream, robot)
             rows = clean(stream.rows, robot.sensor_range.get(kind), stream.keep_repeats)
             if not as_truth and kind in robot.sensor_rate:
                 rows = steady(rows, robot.sensor_rate[kind])
@@ -86,6 +93,17 @@ class Recording:
             readings = _as_readings(replace(stream, rows=rows), robot, as_truth)
             out.append(readings.select((rows.time >= window[0]) & (rows.time <= window[1])))
         return out, dropped
+
+    def _require_frame(self, stream: Stream, robot: Robot) -> None:
+        """Raise RecordingError unless the frame of a stream is known or will be estimated."""
+        estimated = [p.streams for p in robot.sensor_parameters if p.kind == "frame"]
+        if stream.frame in self.unknown_frames and not any(stream.name in s for s in estimated):
+            raise RecordingError(
+                f"Stream {stream.name!r} is in the frame {stream.frame!r}, whose place in the "
+                f"world is not known: run glissando calibrate {self.folder}, which finds it from "
+                f"motion capture, with mount, delay and arclength, or state it in "
+                f"[frames.{stream.frame}] of recording.toml."
+            )
 
     def choose(
         self, use: Sequence[str] | None, truth: Sequence[str] | None
@@ -121,18 +139,22 @@ class Recording:
 
 
 def load_recording(folder: str | Path) -> Recording:
-    """Read a recording folder.
+    """Read a recording folder, or the log of a session, also of one that was killed.
 
     Raises:
         RecordingError: Something is wrong in it, with the file, the line and what to do.
     """
     folder = Path(folder)
+    if folder.suffix == ".mcap" and folder.is_file():
+        return _of_log(folder)
     if not folder.is_dir():
         raise RecordingError(
             f"There is no recording folder {str(folder)!r}; give a folder with one CSV a stream."
         )
     if (folder / "recording.toml").exists():
         return _described(folder)
+    if (folder / LOG).is_file():
+        return _of_log(folder / LOG)
     files = sorted(folder.glob("*.csv"))
     if not files:
         raise RecordingError(
@@ -145,19 +167,52 @@ def load_recording(folder: str | Path) -> Recording:
     return Recording(folder.resolve().name, folder, streams, _fitting_robot(streams), None)
 
 
-def save_recording(recording: Recording, folder: Path, robot: str = "") -> None:
+def _of_log(path: Path) -> Recording:
+    """The recording that a session log holds, also one that was killed."""
+    session = read_session(path)
+    found = session_streams(session, session_setup(session))
+    beside = path.parent / found.robot
+    robot = load_robot(beside if beside.is_file() else found.robot)
+    frame = np.eye(4) if found.frame is None else found.frame
+    unknown = frozenset({"tracker"} if found.frame is None else ())
+    streams = {}
+    for stream in found.streams:
+        if stream.frame not in unknown and stream.frame != "world":
+            values = stream.rows.sensor.in_frame(stream.rows.values, frame)
+            stream = replace(stream, rows=replace(stream.rows, values=values), frame="world")
+        streams[stream.name] = replace(stream, rows=clean(stream.rows, None, stream.keep_repeats))
+    return Recording(
+        found.name, path.parent, streams, robot, None, unknown_frames=unknown
+    )
+
+
+def save_recording(
+    recording: Recording,
+    folder: Path,
+    robot: str | Path = "",
+    calibration: Mapping[str, Mapping[str, Any]] | None = None,
+) -> None:
     """Write streams as they are, in the world frame, into a new folder that is a recording.
 
     Args:
         recording: Recording to write.
         folder: Folder to make.
-        robot: Name of a shipped robot or path of a robot file.
+        robot: Text that names the robot, or a robot file, which is copied into the folder.
+        calibration: Value, std and unit of each constant that was found and applied.
 
     Raises:
         RecordingError: The folder holds something.
     """
     with new_folder(folder, RecordingError) as building:
-        write_streams(building, recording.name, recording.streams.values(), robot=robot)
+        write_streams(
+            building,
+            recording.name,
+            recording.streams.values(),
+            robot=robot,
+            frames=dict.fromkeys(sorted(recording.unknown_frames)),
+            calibration=calibration,
+            **({"window": list(recording.window)} if recording.window else {}),
+        )
 
 
 def _fitting_robot(streams: dict[str, Stream]) -> Robot | None:
@@ -179,14 +234,17 @@ def _described(folder: Path) -> Recording:
         first, last = table.vector("window", 2).tolist()
         window = first, last
     allow = tuple(table.texts("allow")) if table.peek("allow") is not None else ()
-    frames, streams = {"world": np.eye(4)}, {}
+    frames, streams, unknown = {"world": np.eye(4)}, {}, set()
     for frame, entry in table.named_tables("frames"):
-        frames[frame] = entry.pose()
+        if entry.flag("unknown"):
+            unknown.add(frame)
+        frames[frame] = entry.pose() if frame not in unknown else np.eye(4)
         entry.close()
+    table.skip("calibration")  # what was found, for the reader
     came_in = {}
     for entry in table.tables("streams"):
         frame = entry.peek("frame")
-        stream = _stream(folder, entry, frames, journal)
+        stream = _stream(folder, entry, frames, unknown, journal)
         if journal and not len(stream.rows.time):
             continue  # described, but nothing was written to it
         if stream.name in streams:
@@ -197,10 +255,12 @@ def _described(folder: Path) -> Recording:
     table.close()
     if not streams and not journal:
         raise RecordingError("recording.toml names no [[streams]]; add one for each CSV file.")
-    return Recording(name, folder, streams, robot, window, came_in, allow)
+    return Recording(name, folder, streams, robot, window, came_in, allow, frozenset(unknown))
 
 
-def _stream(folder: Path, entry: Table, frames: dict[str, Array], journal: bool) -> Stream:
+def _stream(
+    folder: Path, entry: Table, frames: dict[str, Array], unknown: set[str], journal: bool
+) -> Stream:
     name = entry.text("name")
     kind = entry.text("kind", choices=sensor_kinds())
     sensor = sensor_class(kind)
@@ -222,7 +282,8 @@ def _stream(folder: Path, entry: Table, frames: dict[str, Array], journal: bool)
     entry.close()
     rows = read_named(file, kind, settings, length_unit=length, angle_unit=angle, journal=journal)
     rows = replace(rows, values=sensor.in_frame(rows.values, frames[frame]))
-    return Stream(name, clean(rows, None, keep_repeats), truth, std, mount, keep_repeats)
+    left = frame if frame in unknown else "world"
+    return Stream(name, clean(rows, None, keep_repeats), truth, std, mount, keep_repeats, left)
 
 
 def _require_on_robot(name: str, rows: Rows, robot: Robot) -> None:

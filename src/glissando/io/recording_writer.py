@@ -12,38 +12,54 @@ import numpy as np
 
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
+from glissando.io.atomic_file import write_text
 from glissando.io.csv_stream import Stream, write_named
 
 
 def write_streams(
-    folder: Path,
+    building: Path,
     name: str,
     streams: Iterable[Stream],
     *,
     robot: str | Path = "",
-    frames: Mapping[str, Array] | None = None,
-    comment: str = "",
+    frames: Mapping[str, Array | None] | None = None,
+    calibration: Mapping[str, Mapping[str, Any]] | None = None,
+    **more: Any,
 ) -> None:
     """Write a recording into a folder that exists, such as one of `new_folder`.
 
     Args:
-        folder: Folder to write into.
+        building: Folder to write into.
         name: Name of the recording.
         streams: Streams, rows in the frames they name.
         robot: Text that names the robot, or a robot file, which is copied into the folder.
-        frames: Pose (4, 4) in the world of each frame that a stream names.
-        comment: Line above the frames, without its #.
+        frames: Pose (4, 4) in the world of each frame that a stream names; None if not known.
+        calibration: Value, std and unit of each constant that was found and applied.
+        **more: Further fields of the recording.
     """
     if isinstance(robot, Path):
-        shutil.copy(robot, folder / "robot.toml")
+        shutil.copy(robot, building / "robot.toml")
         robot = "robot.toml"
-    text = describe_recording(name, robot) + (f"\n# {comment}\n" if comment and frames else "")
+    text = describe_recording(name, robot, **more)
     for frame, pose in (frames or {}).items():
-        text += f"\n[frames.{frame}]\n{_pose(pose)}"
+        text += f"\n[frames.{frame}]\n{_UNKNOWN if pose is None else _pose(pose)}"
+    if calibration:
+        text += (
+            "\n[calibration]          # found by glissando calibrate, and applied to the streams\n"
+        )
+    for constant, found in (calibration or {}).items():
+        inner = ", ".join(f"{key} = {_value(value)}" for key, value in found.items())
+        text += f"{_value(constant)} = {{ {inner} }}\n"
     for stream in streams:
-        write_named(folder / f"{stream.name}.csv", stream.rows)
+        write_named(building / f"{stream.name}.csv", stream.rows)
         text += describe_stream(stream)
-    (folder / "recording.toml").write_text(text, encoding="utf-8")
+    write_text(building / "recording.toml", text)
+
+
+_UNKNOWN = (
+    "# glissando calibrate finds it from motion capture; else state position and quaternion (w, x, "
+    "y, z).\nunknown = true\n"
+)
 
 
 def describe_recording(name: str, robot: str = "", **more: Any) -> str:
@@ -54,7 +70,8 @@ def describe_recording(name: str, robot: str = "", **more: Any) -> str:
 def describe_stream(stream: Stream) -> str:
     """The lines of a recording.toml on one stream.
 
-    >>> from glissando.io.csv_stream import Rows
+    >>> from glissando.io.atomic_file import write_text
+    from glissando.io.csv_stream import Rows
     >>> gyro = Rows("gyro", np.zeros(1), np.zeros(1), np.zeros((1, 3)), {})
     >>> print(describe_stream(Stream("tip", gyro, std=np.full(3, 0.2))), end="")
     <BLANKLINE>

@@ -219,11 +219,6 @@ class SlidePath:
         )
         return SlidePath(np.cumsum(durations), start + np.cumsum(ways), speeds, limits)
 
-    def write(self, path: Path) -> None:
-        """Write the knots as CSV: time,displacement,speed in SI units."""
-        table = np.column_stack([self.time, self.displacement, self.speed])
-        np.savetxt(path, table, "%.12g", ",", header="time,displacement,speed", comments="")
-
 
 def _require_increasing(time: Array) -> None:
     if time.size < 2 or not np.all(np.isfinite(time)) or np.any(np.diff(time) <= 0.0):

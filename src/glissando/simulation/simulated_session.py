@@ -9,6 +9,7 @@ import numpy as np
 
 from glissando.errors import SimulationError
 from glissando.geometry.se3 import Array
+from glissando.io.atomic_file import write_table
 from glissando.io.atomic_folder import new_folder
 from glissando.io.csv_stream import Rows, Stream
 from glissando.io.recording_writer import write_streams
@@ -121,5 +122,7 @@ def write_session(session: Session, folder: Path, robot: str | Path) -> list[Pat
     with new_folder(folder, SimulationError) as building:
         frames = {"tracker": session.T_wt}
         write_streams(building, session.name, streams, robot=robot, frames=frames)
-        session.path.write(building / "slide_path.csv")
+        path = session.path
+        knots = np.column_stack([path.time, path.displacement, path.speed])
+        write_table(building / "slide_path.csv", ["time", "displacement", "speed"], knots)
     return sorted(folder.iterdir())

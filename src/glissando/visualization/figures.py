@@ -16,6 +16,7 @@ import numpy as np
 from glissando.errors import GlissandoError
 from glissando.estimation.posterior import Posterior, StateEstimate
 from glissando.geometry.se3 import Array, adjoint, inverse
+from glissando.io.atomic_file import new_file
 from glissando.model.grid import Grid
 from glissando.model.sensors.readings import Readings
 from glissando.model.sensors.sensors import CoilReadings, PoseReadings, PositionReadings
@@ -314,11 +315,26 @@ def save_figures(
 
     The folder is made if it is missing. Raises GlissandoError without matplotlib.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     figures = {"shape": shape_figure(posterior, truth)}
     figures["confidence"] = confidence_figure(posterior, readings)
     if _places(truth, posterior.grid):
         figures["error"] = error_figure(posterior, truth)
-    for name, figure in figures.items():
-        figure.savefig(folder / f"{name}.png", dpi=150)
-    return [folder / f"{name}.png" for name in figures]
+    return [save_figure(figure, folder / f"{name}.png") for name, figure in figures.items()]
+
+
+def save_figure(figure: Figure, path: str | Path) -> Path:
+    """Write a figure as its file's ending says, whole or not at all; returns the path.
+
+    Args:
+        figure: The figure.
+        path: A .png, .pdf or .svg.
+
+    Raises:
+        GlissandoError: Another ending, or the disk refused.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in (".png", ".pdf", ".svg"):
+        raise GlissandoError(f"{path.name} is no figure: end it in .png, .pdf or .svg.")
+    with new_file(path) as building:
+        figure.savefig(building, dpi=150)
+    return path

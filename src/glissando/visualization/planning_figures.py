@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from glissando.geometry.se3 import Array
+from glissando.io.atomic_file import new_file
 from glissando.planning.design import NUMBERS, Design, pareto_front
 from glissando.planning.planning_problem import PlanningProblem
 from glissando.planning.zones import Zone
@@ -97,7 +98,7 @@ def save_plan_film(
 
         axes: Any = figure.subplots()
         writer = PillowWriter(fps=max(1, round(_TIMES / (problem.end - problem.start))))
-        with writer.saving(figure, file, dpi=90):
+        with new_file(file) as building, writer.saving(figure, building, dpi=90):
             for k, now in enumerate(time):
                 axes.clear()
                 for zone in zones:

@@ -14,6 +14,7 @@ from glissando.calibration.rig.rig import MOUNT, PARAMETERS, Rig, RigData
 from glissando.errors import GlissandoError, RecordingError
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
+from glissando.io.atomic_file import write_text
 from glissando.io.csv_stream import Rows, Stream
 from glissando.io.recording import Recording
 from glissando.io.toml_table import Table, read_toml
@@ -21,6 +22,7 @@ from glissando.model.robot import Robot
 from glissando.model.sensors.parameters import SensorParameter
 
 FORMAT = "glissando calibration 1"
+_UNITS = {"delay": ("ms", 1e3), "rate": ("ppm", 1e6), "lead": ("1", 1.0)}
 
 
 @dataclass(frozen=True)
@@ -60,6 +62,16 @@ class Calibration:
             name: (float(value), float(std))
             for name, value, std in zip(PARAMETERS, numbers, self.std, strict=True)
         }
+
+    def displayed(self) -> list[tuple[str, float, float, str]]:
+        """Name, value, standard deviation and unit of what was found, in mm, mrad, ms or ppm."""
+        out = []
+        for name, (value, std) in self.values().items():
+            if std > 0.0:
+                angle = "rotation" in name or "tilt" in name
+                unit, size = ("mrad", 1e3) if angle else _UNITS.get(name.split()[-1], ("mm", 1e3))
+                out.append((name, size * value, size * std, unit))
+        return out
 
     def sensor_parameters(self) -> tuple[SensorParameter, ...]:
         """Frame, mount and delay of the coil as known sensor parameters for a robot file.
@@ -112,7 +124,7 @@ class Calibration:
                 for u in self.sensor_parameters()
             ],
         }
-        path.write_text(tomli_w.dumps(document), encoding="utf-8")
+        write_text(path, tomli_w.dumps(document))
 
 
 def _pose(pose: Array) -> dict[str, Any]:

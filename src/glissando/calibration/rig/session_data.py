@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
 import numpy as np
@@ -12,6 +11,7 @@ from glissando.errors import RecordingError
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.io.session_log import RawSession, Topic
+from glissando.io.session_recording import session_setup
 from glissando.io.toml_table import Table
 
 _NOISE = {"mocap": "mocap_std", "coil": "coil_std", "bias": "coil_bias", "play": "play"}
@@ -28,7 +28,7 @@ def rig_data(session: RawSession) -> RigData:
         RecordingError: If the setup or a tracker topic is missing or wrong, if there are several
             coils and the setup names none, or if a body has no place.
     """
-    setup = _setup(session)
+    setup = Table(session_setup(session), "setup", RecordingError)
     name, time, coil = _coil(session, setup)
     slide_time, travel = _slide(session)
     direction = setup.number("direction", 0.0, positive=False)
@@ -47,22 +47,6 @@ def rig_data(session: RawSession) -> RigData:
         noise=_noise(setup),
         robot=setup.text("robot", ""),
     )
-
-
-def _setup(session: RawSession) -> Table:
-    text = session.metadata.get("setup")
-    if text is None:
-        raise RecordingError(
-            "The session has no 'setup' in its metadata; it says where coil and bodies sit, see "
-            "docs/calibration.md."
-        )
-    try:
-        setup = json.loads(text)
-    except ValueError as problem:
-        raise RecordingError(f"The session's setup is no JSON ({problem}); correct it.") from None
-    if not isinstance(setup, dict):
-        raise RecordingError("The session's setup is no JSON object; give one, {…}.")
-    return Table(setup, "setup", RecordingError)
 
 
 def _noise(setup: Table) -> Noise:

@@ -1,14 +1,12 @@
 """Results of a study on disk: a Parquet file for each batch as it comes, one table at the end.
 
-A part is written beside its place and renamed into it, so that whatever kills the program leaves
-whole parts only. The table depends on the study alone: not on the order of cells, on workers, or on
-how often it was resumed.
+A part is written whole or not at all, so whatever kills the program leaves whole parts. The table
+depends on the study alone: not on the order of cells, on workers, or on how often it was resumed.
 """
 
 from __future__ import annotations
 
 import json
-import os
 import time
 import uuid
 from collections.abc import Callable, Sequence
@@ -19,6 +17,7 @@ from glissando import __version__
 from glissando.errors import GlissandoError
 from glissando.experiments.runner import METRICS, Row, run_trials
 from glissando.experiments.study.plan import SETTINGS, Cell, Study, StudyError
+from glissando.io.atomic_file import new_file
 
 if TYPE_CHECKING:
     import distributed
@@ -99,12 +98,10 @@ class Store:
         asked = {"name": study.name, "grid": study.axes, "fixed": study.fixed, "seeds": seeds}
         metadata = json.dumps({"version": __version__, "study": asked, "metrics": METRICS})
         table = pyarrow.Table.from_pylist(rows, schema=_schema(path.name == TABLE))
-        building = path.with_suffix(".writing")
-        with building.open("wb") as file:
-            parquet().write_table(table.replace_schema_metadata({_KEY: metadata.encode()}), file)
-            file.flush()
-            os.fsync(file.fileno())
-        building.replace(path)
+        with new_file(path) as building:
+            parquet().write_table(
+                table.replace_schema_metadata({_KEY: metadata.encode()}), building
+            )
         return table
 
 

@@ -28,9 +28,9 @@ from glissando.hardware.drivers import SlideReading, Tracker, ViconStream, opene
 from glissando.hardware.drivers.aurora_setup import Tool
 from glissando.hardware.openigtlink.tracker import IgtlTracker
 from glissando.io.session_log import INTEGER, NUMBER, SessionWriter, numbers, schema
+from glissando.io.session_recording import LOG
 from glissando.model.slide_path import SlidePath
 
-LOG = "session.mcap"
 _POSE = {"position": numbers(3), "quaternion": numbers(4)}
 _TRACKER = schema(
     "glissando.Coil", time=NUMBER, frame=INTEGER, **_POSE, error=NUMBER, status=INTEGER

@@ -14,7 +14,7 @@ from glissando.geometry.se3 import Array
 from glissando.hardware.drivers import GcodeStage, Stage
 from glissando.hardware.drivers.stage import optional_number
 from glissando.io.robot_file import load_robot
-from glissando.io.shipped_robots import robot_file
+from glissando.io.shipped_robots import robot_file, shipped_robots
 from glissando.io.toml_table import Table, read_toml
 
 _ARCLENGTH_STD = 2e-3  # m: how well one measures by hand where the coil is
@@ -86,9 +86,11 @@ class Rig:
     def described(self) -> dict[str, Any]:
         """What a session log states about the rig, in JSON's types."""
         sliding = next((c for c in self.coils if c.slides), None)
+        shipped = self.robot in shipped_robots()
+        robot = self.robot if shipped else str(Path(self.robot).resolve())
         return {
             "name": self.name,
-            "robot": self.robot,
+            "robot": robot,
             "coils": {c.name: {"arclength": c.arclength, "slides": c.slides} for c in self.coils},
             "coil_arclength": sliding.arclength if sliding else None,
             "coil_arclength_std": sliding.arclength_std if sliding else None,

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from glissando.errors import SimulationError
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
+from glissando.io.atomic_file import new_file
 from glissando.simulation.imperfections import Imperfections
 from glissando.simulation.motion import Motion
 
@@ -99,9 +100,9 @@ class Scene:
             "seed": self.seed,
         }
         everything_else = json.dumps(device)
-        np.savez(
-            path, time=self.time, arclength=self.arclength, T_wb=self.T_wb, device=everything_else
-        )
+        time, arclength, T_wb = self.time, self.arclength, self.T_wb
+        with new_file(path) as building:
+            np.savez(building, time=time, arclength=arclength, T_wb=T_wb, device=everything_else)
 
     @staticmethod
     def load(path: Path) -> Scene:

@@ -1,10 +1,12 @@
 """CSV files of NDI's Track and ToolBox, and of programs that write the same columns.
 
 A block a tool: Port …, Frame, Time [sec], Face, State, Q0 Qx Qy Qz, Tx Ty Tz (mm), Error, and for
-optical tools the markers; or one block without a Port. A tool that was not seen has a State that is
-not OK, empty cells, or the device's huge negative number. [inferred]: State is OK when all is well,
-an empty or absent State says nothing against the row; a tool with one coil reports its direction
-only, so rows are read as a 'coil', which ignores roll, unless the user says otherwise.
+optical tools the markers; or one block without a Port. Rz Ry Rx in the place of the quaternion are
+Euler angles in degrees, R = Rz Ry Rx [inferred from NDI's guides]. A tool that was not seen has a
+State that is not OK, empty cells, or the device's huge negative number. [inferred]: State is OK
+when all is well, an empty or absent State says nothing against the row; a tool with one coil
+reports its direction only, so rows are read as a 'coil', which ignores roll, unless the user says
+otherwise.
 """
 
 from __future__ import annotations
@@ -13,27 +15,34 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from glissando.errors import RecordingError
 from glissando.geometry import se3
+from glissando.io.foreign.delimited import cells_of
 from glissando.io.foreign.tracks import (
     Track,
     as_numbers,
     plain_name,
     poses,
     require_ahead,
-    text_lines,
 )
 
-_VALUES = ["q0", "qx", "qy", "qz", "tx", "ty", "tz"]
+_PLACE = ["tx", "ty", "tz"]
+_VALUES, _EULER = ["q0", "qx", "qy", "qz", *_PLACE], ["rz", "ry", "rx", *_PLACE]
 _FRAMES, _STATES = ("frame#", "frame"), ("state", "transformstatus", "status")
 _TIMES = ("time [sec]", "time")
 _VALID = ("", "OK", "ENABLED", "VALID")  # [inferred] beyond OK
 
 
-def is_ndi_header(line: str) -> bool:
-    """Whether a first line names the columns of an NDI file."""
-    return set(_VALUES) <= {cell.strip().lower() for cell in line.split(",")}
+def is_ndi_header(cells: list[str]) -> bool:
+    """Whether the cells of a first line name the columns of an NDI file."""
+    return bool(_columns([cell.lower() for cell in cells]))
+
+
+def _columns(labels: list[str]) -> list[str]:
+    """Those of quaternions, else those of Euler angles, else none."""
+    return next((names for names in (_VALUES, _EULER) if set(names) <= set(labels)), [])
 
 
 def read_ndi_csv(path: Path, rate: float | None) -> list[Track]:
@@ -46,14 +55,10 @@ def read_ndi_csv(path: Path, rate: float | None) -> list[Track]:
     Raises:
         RecordingError: There are no times, or a row or a column is wrong.
     """
-    lines = text_lines(path)
-    heads = [cell.strip() for cell in lines[0].split(",")]
+    lines = cells_of(path)
+    heads = lines[0][1]
     starts = [c for c, head in enumerate(heads) if head.lower().startswith("port")] or [0]
-    rows = [
-        (number, [cell.strip() for cell in line.split(",")])
-        for number, line in enumerate(lines[1:], start=2)
-        if line.strip(" ,")
-    ]
+    rows = [(number, cells) for number, cells in lines[1:] if any(cells)]
     if not rows:
         raise RecordingError(f"{path.name} holds no rows; record some.")
     return [_tool(path, heads, *span, rows, rate) for span in pairwise([*starts, len(heads)])]
@@ -68,13 +73,14 @@ def _tool(
     rate: float | None,
 ) -> Track:
     labels = [head.lower() for head in heads[start:end]]
-    missing_heads = [name for name in _VALUES if name not in labels]
-    if missing_heads:
+    columns = _columns(labels)
+    if not columns:
+        lacking = [name for name in _VALUES if name not in labels]
         raise RecordingError(
-            f"{path.name}: {heads[start]!r} lacks the columns {', '.join(missing_heads)}; export "
+            f"{path.name}: {heads[start]!r} lacks the columns {', '.join(lacking)}; export "
             f"quaternions and positions."
         )
-    at = [start + labels.index(name) for name in _VALUES]
+    at = [start + labels.index(name) for name in columns]
     clock, absolute = _clock(path, labels, rate)
     state = next((start + labels.index(s) for s in _STATES if s in labels), None)
     times, values, missing = [], [], 0
@@ -89,14 +95,18 @@ def _tool(
         before, first = tick[0], tick[0] if first == -np.inf else first
         numbers = as_numbers(path, line, [cells[c] for c in at])
         valid = state is None or cells[state].upper() in _VALID
-        if numbers is None or not valid or not numbers[:4].any():
+        if numbers is None or not valid or not numbers[: 4 if columns == _VALUES else 6].any():
             missing += 1
             continue
         times.append(tick[0] if absolute else (tick[0] - first) / (rate or 1.0))
         values.append(numbers)
     name = _tool_name(heads[start], rows[0][1][start], path)
-    table = np.array(values).reshape(-1, 7)
-    pose = poses(se3.rotation_from_quaternion(table[:, :4]), 1e-3 * table[:, 4:])
+    table = np.array(values).reshape(-1, len(columns))
+    if columns == _VALUES:
+        turn = se3.rotation_from_quaternion(table[:, :4])
+    else:
+        turn = Rotation.from_euler("ZYX", table[:, :3], degrees=True).as_matrix()
+    pose = poses(turn, 1e-3 * table[:, -3:])
     return Track(name, "coil", np.array(times), pose, missing, "tracker", absolute=absolute)
 
 

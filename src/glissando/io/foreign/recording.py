@@ -11,14 +11,13 @@ import numpy as np
 from glissando.errors import RecordingError
 from glissando.io.atomic_folder import new_folder
 from glissando.io.csv_stream import Rows, Stream
+from glissando.io.foreign.columns import EPOCH, read_path
 from glissando.io.foreign.tracks import Track
-from glissando.io.query_csv import read_query
 from glissando.io.recording_writer import write_streams
 from glissando.io.robot_file import load_robot
 from glissando.io.shipped_robots import robot_file, shipped_robots
 
-_FRAMES = "Fill in where each frame stands in the world; quaternions are w, x, y, z."
-_KINDS = ("pose", "coil", "position")
+_KINDS = ("pose", "coil"), ("position",)
 
 
 @dataclass(frozen=True)
@@ -26,11 +25,12 @@ class Choices:
     """What the user adds to foreign files, by track name.
 
     Attributes:
-        arclength: Metres, or a CSV file with the columns time,arclength of a sensor that slides.
+        arclength: Metres, or a file that says where a sensor that slides was.
         truth: Tracks that estimates are judged by.
         shift: Seconds added to a track's times.
         kind: pose, coil or position.
         robot: Name of a shipped robot, or a robot file.
+        columns: Mapping of the columns of a file of arclengths, by its name, see `read_path`.
     """
 
     arclength: Mapping[str, float | Path]
@@ -38,6 +38,7 @@ class Choices:
     shift: Mapping[str, float] = field(default_factory=dict)
     kind: Mapping[str, str] = field(default_factory=dict)
     robot: str | None = None
+    columns: Mapping[str, str] = field(default_factory=dict)
 
 
 def write_recording(tracks: Sequence[Track], folder: Path, choices: Choices) -> list[str]:
@@ -79,10 +80,10 @@ def write_recording(tracks: Sequence[Track], folder: Path, choices: Choices) -> 
     if robot:
         load_robot(robot)
         robot = robot if robot in shipped_robots() else robot_file(robot)
-    frames = {name: np.eye(4) for name in sorted({s.frame for s in streams} - {"world"})}
+    frames = dict.fromkeys(sorted({s.frame for s in streams} - {"world"}))
     with new_folder(folder, RecordingError) as building:
         name = folder.resolve().name
-        write_streams(building, name, streams, robot=robot, frames=frames, comment=_FRAMES)
+        write_streams(building, name, streams, robot=robot, frames=frames)
     return lines
 
 
@@ -114,13 +115,13 @@ def _placed(track: Track, choices: Choices, start: float) -> Rows | None:
         return None
     time = track.time - (start if track.absolute else 0.0) + choices.shift.get(track.name, 0.0)
     kind = choices.kind.get(track.name, track.kind)
-    if (kind == "position") != (track.kind == "position") or kind not in _KINDS:
+    alike = next((kinds for kinds in _KINDS if track.kind in kinds), (track.kind,))
+    if kind not in alike:
         raise RecordingError(f"{track.name} is a {track.kind}; it cannot be read as {kind!r}.")
     if not isinstance(place, Path):
         return Rows(kind, time, np.full(time.size, place), track.values, {})
-    at, arclength = read_query(place)
-    if not np.all(np.diff(at) > 0.0):
-        raise RecordingError(f"{place.name}: its times must increase; sort its rows.")
+    at, arclength = read_path(place, choices.columns.get(place.name, ""))
+    at = at - (start if at[0] > EPOCH else 0.0)
     inside = (time >= at[0]) & (time <= at[-1])
     dropped = {"outside its path": int(np.sum(~inside))} if not inside.all() else {}
     where = np.interp(time[inside], at, arclength)

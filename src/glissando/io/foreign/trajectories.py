@@ -10,6 +10,7 @@ import numpy as np
 from glissando.errors import GlissandoError
 from glissando.estimation.posterior import Posterior, StateEstimate
 from glissando.geometry.se3 import Array
+from glissando.io.atomic_file import new_file
 from glissando.io.query_csv import write_query
 from glissando.io.session_log import NUMBER, TEXT, SessionWriter, numbers, schema
 
@@ -69,8 +70,10 @@ def export(
     arclength = np.asarray(arclength, dtype=float)
     time = _times(posterior.grid.time, rate)
     posterior.grid.require(arclength, np.full_like(arclength, time[0]), "Export")
-    out.parent.mkdir(parents=True, exist_ok=True)
-    writers[out.suffix](posterior, out, time, arclength)
+    if out.is_dir():
+        raise GlissandoError(f"{out} is a folder; give --out the name of a file.")
+    with new_file(out) as building:
+        writers[out.suffix](posterior, building, time, arclength)
     return time.size
 
 
@@ -83,7 +86,7 @@ def _times(nodes: Array, rate: float | None) -> Array:
     return np.minimum(nodes[0] + np.arange(int(count + 1e-9) + 1) / rate, nodes[-1])
 
 
-def _write_tum(posterior: Posterior, out: Path, time: Array, arclength: Array) -> None:
+def _write_tum(posterior: Posterior, building: Path, time: Array, arclength: Array) -> None:
     """Lines of `t x y z qx qy qz qw`, which is what evo and other SLAM tools read."""
     if arclength.size != 1:
         raise GlissandoError(
@@ -91,22 +94,21 @@ def _write_tum(posterior: Posterior, out: Path, time: Array, arclength: Array) -
         )
     at = posterior.at(arclength[0], time)
     table = np.column_stack([time, at.position, np.roll(at.quaternion, -1, axis=1)])
-    np.savetxt(out, table, "%.15g")
+    np.savetxt(building, table, "%.15g")
 
 
-def _write_csv(posterior: Posterior, out: Path, time: Array, arclength: Array) -> None:
+def _write_csv(posterior: Posterior, building: Path, time: Array, arclength: Array) -> None:
     when, where = (a.ravel() for a in np.meshgrid(time, arclength, indexing="ij"))
-    write_query(posterior, (when, where), out)
+    write_query(posterior, (when, where), building)
 
 
-def _write_mcap(posterior: Posterior, out: Path, time: Array, arclength: Array) -> None:
+def _write_mcap(posterior: Posterior, building: Path, time: Array, arclength: Array) -> None:
     if time[0] < 0.0:
         raise GlissandoError(
             f"MCAP has no times before zero, and the posterior begins at {time[0]:g} s."
         )
-    out.unlink(missing_ok=True)
     clocks = {"format": "glissando posterior 1", "monotonic_ns": "0", "wall_ns": "0"}
-    with SessionWriter(out, clocks) as log:
+    with SessionWriter(building, clocks) as log:
         for topic, described in SCHEMAS.items():
             log.add_topic(topic, described)
         for some in np.array_split(time, time.size // _CHUNK + 1):

@@ -18,6 +18,7 @@ import numpy as np
 from glissando.errors import RecordingError
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
+from glissando.io.foreign.delimited import cells_of
 from glissando.io.foreign.tracks import (
     LENGTHS,
     Track,
@@ -25,7 +26,6 @@ from glissando.io.foreign.tracks import (
     plain_name,
     poses,
     require_ahead,
-    text_lines,
 )
 
 TITLES = ("Objects", "Segments", "Trajectories")
@@ -69,10 +69,7 @@ def read_vicon_csv(path: Path, rate: float | None) -> list[Track]:
 
 
 def _sections(path: Path) -> Iterator[_Section]:
-    lines = [
-        (number, [cell.strip() for cell in line.split(",")])
-        for number, line in enumerate(text_lines(path), start=1)
-    ]
+    lines = cells_of(path)
     at = 0
     while at < len(lines):
         title = lines[at][1][0]

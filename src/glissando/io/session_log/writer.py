@@ -55,10 +55,16 @@ class SessionWriter:
         self._failure: OSError | None = None
         self._flushed = 0.0
         clocks = {"monotonic_ns": str(time.monotonic_ns()), "wall_ns": str(time.time_ns())}
-        with self._sound():
-            self._writer.start(profile="", library="glissando")
-            self._writer.add_metadata("session", {"format": FORMAT, **clocks, **(metadata or {})})
-        self.sync()
+        try:
+            with self._sound():
+                self._writer.start(profile="", library="glissando")
+                stated = {"format": FORMAT, **clocks, **(metadata or {})}
+                self._writer.add_metadata("session", stated)
+            self.sync()
+        except BaseException:
+            with suppress(OSError):
+                self._file.close()
+            raise
         self._keeper = threading.Thread(target=self._keep_safe, name="session", daemon=True)
         self._keeper.start()
 

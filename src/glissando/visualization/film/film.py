@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from subprocess import CalledProcessError
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
 from glissando.errors import GlissandoError
 from glissando.estimation.posterior import Posterior
+from glissando.io.atomic_file import new_file
 from glissando.model.grid import Grid
 from glissando.model.sensors.readings import Readings
 from glissando.visualization.figures import _canvas
@@ -67,11 +67,8 @@ def save_animation(
         write = _write_mp4 if path.suffix.lower() == ".mp4" else _write_gif
         frames = frames_at(posterior, readings, truth, times)
         stage = Stage(figure, frames, width, span / seconds or 1.0)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with TemporaryDirectory(prefix=f".{path.name}-", dir=path.parent) as building:
-            part = Path(building, path.name)
-            write(stage, part, rate, progress or (lambda done, frames: None))
-            part.replace(path)
+        with new_file(path) as building:
+            write(stage, building, rate, progress or (lambda done, frames: None))
     return path
 
 
@@ -93,7 +90,7 @@ def _has_ffmpeg() -> bool:
     return bool(FFMpegWriter.isAvailable())
 
 
-def _write_mp4(stage: Stage, path: Path, rate: float, progress: Progress) -> None:
+def _write_mp4(stage: Stage, building: Path, rate: float, progress: Progress) -> None:
     """Encode every frame with ffmpeg."""
     from matplotlib.animation import FFMpegWriter
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -105,7 +102,7 @@ def _write_mp4(stage: Stage, path: Path, rate: float, progress: Progress) -> Non
     pace: Any = rate  # matplotlib asks for an int, ffmpeg does not
     writer = FFMpegWriter(fps=pace, codec="h264")
     try:
-        with writer.saving(sheet, str(path), 100):
+        with writer.saving(sheet, str(building), 100):
             for k in range(stage.frames.time.size):
                 image.set_data(np.asarray(stage.picture(k)))
                 writer.grab_frame()
@@ -116,7 +113,7 @@ def _write_mp4(stage: Stage, path: Path, rate: float, progress: Progress) -> Non
         ) from None
 
 
-def _write_gif(stage: Stage, path: Path, rate: float, progress: Progress) -> None:
+def _write_gif(stage: Stage, building: Path, rate: float, progress: Progress) -> None:
     """Give all frames one palette, so that Pillow writes only what changes between them."""
     from PIL import Image
 
@@ -131,4 +128,4 @@ def _write_gif(stage: Stage, path: Path, rate: float, progress: Progress) -> Non
         progress(k + 1, count)
     ends = np.round(np.arange(count + 1) * 100.0 / rate)  # a delay is a whole number of 10 ms
     look = {"duration": (10 * np.diff(ends)).tolist(), "loop": 0}
-    pictures[0].save(path, "GIF", save_all=True, append_images=pictures[1:], **look)
+    pictures[0].save(building, "GIF", save_all=True, append_images=pictures[1:], **look)

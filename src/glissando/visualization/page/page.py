@@ -18,6 +18,7 @@ from glissando.estimation.confidence_tube import SIGMAS_95
 from glissando.estimation.posterior import Posterior
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
+from glissando.io.atomic_file import write_text
 from glissando.model.sensors.readings import Readings
 from glissando.visualization.page.scene import Progress, Scene, scene_of
 
@@ -58,8 +59,7 @@ def save_view(
     """
     scene = scene_of(posterior, readings, truth, window=window, progress=progress)
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(page(scene, title, subtitle(posterior, scene)), encoding="utf-8")
+    write_text(path, page(scene, title, subtitle(posterior, scene)))
     return path
 
 

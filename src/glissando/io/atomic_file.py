@@ -1,0 +1,82 @@
+"""Files that are written whole or not at all: aside, flushed to disk, then renamed into place."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from glissando.errors import GlissandoError
+from glissando.geometry.se3 import Array
+
+
+@contextmanager
+def new_file(path: str | Path) -> Iterator[Path]:
+    """A file to write, which takes the place of `path` if the context ends without an exception.
+
+    Whatever stops the writer before, the file that was there stays as it was; after a kill a hidden
+    folder beside it may remain. What is no plain file, such as a pipe, is written directly.
+
+    Args:
+        path: The file to write; its folder is made if it is missing.
+
+    Yields:
+        The path to write to, of the same name in a folder of its own.
+
+    Raises:
+        GlissandoError: The disk refused; the sentence says why.
+    """
+    path = Path(path)
+    try:
+        if path.exists() and not path.is_file():
+            yield path
+            return
+        place = Path(os.path.realpath(path))  # a link stays one
+        place.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(
+            prefix=".writing-", dir=place.parent, ignore_cleanup_errors=True
+        ) as folder:
+            building = Path(folder, place.name)
+            yield building
+            with building.open("rb+") as file:
+                os.fsync(file.fileno())
+            building.replace(place)
+    except OSError as problem:
+        reason = problem.strerror or str(problem)
+        kept = "; what was there is as it was" if path.exists() else ""
+        raise GlissandoError(
+            f"{path} cannot be written ({reason}){kept}. Free space, or give another name."
+        ) from problem
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write a text in UTF-8, whole or not at all.
+
+    Args:
+        path: The file to write; its folder is made if it is missing.
+        text: What it will hold.
+
+    Raises:
+        GlissandoError: The disk refused.
+    """
+    with new_file(path) as building:
+        building.write_text(text, encoding="utf-8")
+
+
+def write_table(path: str | Path, columns: Sequence[str], table: Array) -> None:
+    """Write numbers as CSV with a header line, whole or not at all.
+
+    Args:
+        path: The file to write; its folder is made if it is missing.
+        columns: Names of the columns.
+        table: The rows (M, C).
+
+    Raises:
+        GlissandoError: The disk refused.
+    """
+    with new_file(path) as building:
+        np.savetxt(building, table, "%.12g", ",", header=",".join(columns), comments="")

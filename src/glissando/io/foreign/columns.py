@@ -1,0 +1,296 @@
+"""Any delimited text, read by a mapping that says which column holds what.
+
+The mapping is a line, time=t,x=px,…,length=mm, or a TOML file with a table for each object. A
+column is named by its title, or by its number from 1. The columns of an object say what it is:
+x, y, z are a position, with a rotation they are a pose; columns of another sensor's kind, such as
+wx, wy, wz of a gyroscope, are readings of it. A rotation is qw, qx, qy, qz, a rotation vector
+rx, ry, rz, or angles a1, a2, a3 whose axes `euler` names: capitals turn about the body's own axes,
+small letters about fixed ones.
+"""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from glissando.errors import RecordingError
+from glissando.geometry import se3
+from glissando.geometry.se3 import Array
+from glissando.io.csv_stream import scale_of
+from glissando.io.foreign.delimited import Line, cells_of, samples
+from glissando.io.foreign.tracks import LENGTHS, Track, plain_name, poses
+from glissando.io.toml_table import Table, read_toml
+from glissando.model.sensors.readings import SENSORS
+
+_TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_ANGLES = {"rad": 1.0, "deg": np.pi / 180.0}
+_PLACE, _QUATERNION = ("x", "y", "z"), ("qw", "qx", "qy", "qz")
+_VECTOR, _TURNS = ("rx", "ry", "rz"), ("a1", "a2", "a3")
+EPOCH = 1e8
+"""Seconds: times beyond it count from 1970."""
+
+
+def read_path(path: Path, columns: str) -> tuple[Array, Array]:
+    """Where a sensor was: times (M,), s, and arclengths (M,), m, of a delimited text.
+
+    Args:
+        path: The file.
+        columns: Mapping with time and arclength, or time, travel and zero, the arclength at travel
+            zero; direction=1 where arclength grows with travel. Empty for time=time and
+            arclength=arclength.
+
+    Raises:
+        RecordingError: A column is not there, a row is wrong, or time does not increase.
+    """
+    table = Table(_entries(columns or "time=time,arclength=arclength"), "--columns", RecordingError)
+    clock, seconds = table.text("time"), _TIMES[table.text("clock", "s", choices=_TIMES)]
+    length = LENGTHS[table.text("length", "m", choices=LENGTHS)]
+    zero, slope, place = 0.0, 1.0, "arclength"
+    if table.peek("travel") is not None:
+        zero, place = _number(table, "zero", None), "travel"
+        slope = _number(table, "direction", -1.0)
+    wanted = [clock, table.text(place)]
+    table.close()
+    if slope not in (1.0, -1.0):
+        raise table.fail("direction", f"is {slope:g}; give 1 or -1.")
+    lines = [(number, cells) for number, cells in cells_of(path) if any(cells)]
+    titles, rows = _titled(path, lines, wanted)
+    at = [_find(path, titles, column) for column in wanted]
+    seen = samples(path, rows, at[0], at[1:], seconds, zeros=True)
+    if seen.time.size < 2:
+        raise RecordingError(f"{path.name} holds fewer than two rows; a path needs them.")
+    return seen.time, zero + slope * length * seen.values[:, 0]
+
+
+def _number(table: Table, key: str, default: float | None) -> float:
+    """A number of a mapping, which may be a text."""
+    value = table.text(key, None if default is None else repr(default))
+    try:
+        return float(value)
+    except ValueError:
+        raise table.fail(key, f"is {value!r}; give a number.") from None
+
+
+@dataclass(frozen=True)
+class Mapping:
+    """Which columns of a file hold what.
+
+    Attributes:
+        clock: Column of the time, or of a frame number where `rate` is given.
+        objects: Columns by what they hold, of each object by its name.
+        counts: Whether the clock counts frames.
+        seconds: Seconds of the clock's unit.
+        length: Metres of the file's unit of length.
+        angle: Radians of the file's unit of angle.
+        euler: Axes of the angles a1, a2, a3 in their order.
+        frame: Frame of the values.
+    """
+
+    clock: str
+    objects: dict[str, dict[str, str]]
+    counts: bool = False
+    seconds: float = 1.0
+    length: float = 1.0
+    angle: float = 1.0
+    euler: str = ""
+    frame: str = "world"
+
+
+def parse_mapping(text: str, name: str) -> Mapping:
+    """The mapping of a line `time=…,x=…` for one object, or of a TOML file.
+
+    Args:
+        text: The line, or the name of a file that ends in .toml.
+        name: Name of the object that a line describes.
+
+    Raises:
+        RecordingError: A key is missing, unknown or has a wrong value.
+    """
+    if text.endswith(".toml"):
+        return _mapping(read_toml(Path(text), RecordingError))
+    entries = _entries(text)
+    general = {key: entries.pop(key) for key in _GENERAL if key in entries}
+    return _mapping(Table({**general, "objects": {name: entries}}, "--columns", RecordingError))
+
+
+def _entries(text: str) -> dict[str, str]:
+    """The parts of a line KEY=COLUMN,… by key."""
+    entries = {}
+    for part in text.split(","):
+        key, equals, value = part.partition("=")
+        if not equals or not key.strip() or not value.strip():
+            raise RecordingError(
+                f"--columns: {part!r} is no KEY=COLUMN; write time=1,x=2,… or name a .toml file."
+            )
+        entries[key.strip()] = value.strip()
+    return entries
+
+
+_GENERAL = ("time", "count", "clock", "length", "angle", "euler", "frame")
+
+
+def _mapping(table: Table) -> Mapping:
+    counts = table.peek("count") is not None
+    clock = _column(table, "count" if counts else "time")
+    seconds = _TIMES[table.text("clock", "s", choices=_TIMES)]
+    length = LENGTHS[table.text("length", "m", choices=LENGTHS)]
+    angle = _ANGLES[table.text("angle", "rad", choices=_ANGLES)]
+    euler, frame = table.text("euler", ""), table.text("frame", "world")
+    if euler and (
+        sorted(euler.lower()) != ["x", "y", "z"] or not (euler.isupper() or euler.islower())
+    ):
+        raise table.fail("euler", f"is {euler!r}; give three axes such as ZYX, or zyx for fixed.")
+    objects = {}
+    for name, entries in table.named_tables("objects"):
+        objects[name] = {key: _column(entries, key) for key in entries.names()}
+    table.close()
+    if not objects or not all(objects.values()):
+        raise table.fail("objects", "say no column; give x, y, z or those of another sensor.")
+    return Mapping(clock, objects, counts, seconds, length, angle, euler, frame)
+
+
+def _column(table: Table, key: str) -> str:
+    """A column by its title, or its number."""
+    value = table.peek(key)
+    return str(int(table.number(key))) if isinstance(value, int) else table.text(key)
+
+
+def read_columns(path: Path, mapping: Mapping, rate: float | None) -> list[Track]:
+    """The objects of a delimited text.
+
+    Args:
+        path: The file.
+        mapping: Which columns hold what.
+        rate: Frames a second of a clock that counts frames.
+
+    Raises:
+        RecordingError: A column is not there, or a row is wrong, with the line.
+    """
+    if mapping.counts and rate is None:
+        raise RecordingError(f"{path.name} counts frames; give their rate with --rate HZ.")
+    lines = [(number, cells) for number, cells in cells_of(path) if any(cells)]
+    wanted = [mapping.clock, *(c for columns in mapping.objects.values() for c in columns.values())]
+    titles, rows = _titled(path, lines, wanted)
+    clock = _find(path, titles, mapping.clock)
+    rows = [(number, _dated(cells, clock)) for number, cells in rows]
+    seconds = 1.0 / rate if mapping.counts and rate else mapping.seconds
+    return [
+        _track(path, mapping, name, columns, (titles, rows, clock, seconds))
+        for name, columns in mapping.objects.items()
+    ]
+
+
+def _titled(path: Path, lines: list[Line], wanted: Sequence[str]) -> tuple[list[str], list[Line]]:
+    """The titles of the columns, none where all are asked for by number, and the rows."""
+    named = [column for column in wanted if not column.isdigit()]
+    if not named:
+        first = next(
+            (k for k, (_, cells) in enumerate(lines) if _is_row(cells, wanted)), len(lines)
+        )
+        return [], lines[first:]
+    for k, (_, cells) in enumerate(lines):
+        if all(name in cells for name in named):
+            return cells, lines[k + 1 :]
+    shown = ", ".join(repr(c) for c in (lines[0][1] if lines else []))[:200]
+    raise RecordingError(
+        f"{path.name} has no line with the titles {', '.join(named)}; it begins with {shown}. Name "
+        f"columns as the file does, or by number from 1."
+    )
+
+
+def _is_row(cells: list[str], wanted: Sequence[str]) -> bool:
+    """Whether the clock's cell of a line holds a time."""
+    at = int(wanted[0]) - 1
+    try:
+        float(_dated(cells, at)[at])
+    except (IndexError, ValueError):
+        return False
+    return True
+
+
+def _find(path: Path, titles: list[str], column: str) -> int:
+    if column in titles:
+        return titles.index(column)
+    if column.isdigit() and int(column) > 0:
+        return int(column) - 1
+    raise RecordingError(f"{path.name} has no column {column!r}; it has {', '.join(titles)}.")
+
+
+def _dated(cells: list[str], clock: int) -> list[str]:
+    """The cells with a date and time of day, as ISO 8601 writes them, in seconds since 1970."""
+    if clock < len(cells) and cells[clock][4:5] == "-":
+        try:
+            stamp = datetime.datetime.fromisoformat(cells[clock])
+        except ValueError:
+            return cells
+        stamp = stamp if stamp.tzinfo else stamp.replace(tzinfo=datetime.UTC)
+        cells = [*cells]
+        cells[clock] = repr(stamp.timestamp())
+    return cells
+
+
+def _track(
+    path: Path,
+    mapping: Mapping,
+    name: str,
+    columns: dict[str, str],
+    parts: tuple[list[str], list[Line], int, float],
+) -> Track:
+    titles, rows, clock, seconds = parts
+    kind, keys = _kind(path, mapping, name, columns)
+    at = [_find(path, titles, columns[key]) for key in keys]
+    zeros = "x" not in keys  # a tracker writes them for what it does not see
+    seen = samples(path, rows, clock, at, seconds, zeros=zeros)
+    values = _values(path, mapping, kind, keys, seen.values)
+    absolute = bool(seen.time.size and seen.time[0] > EPOCH)
+    named = plain_name(name)
+    return Track(named, kind, seen.time, values, seen.missing, mapping.frame, absolute=absolute)
+
+
+def _kind(
+    path: Path, mapping: Mapping, name: str, columns: dict[str, str]
+) -> tuple[str, tuple[str, ...]]:
+    """What an object is by the columns it has, and these in their order."""
+    given = set(columns)
+    for turn in (_QUATERNION, _VECTOR, _TURNS):
+        if given == {*_PLACE, *turn}:
+            if turn == _TURNS and not mapping.euler:
+                raise RecordingError(f"--columns of {name}: say the axes of a1, a2, a3, euler=ZYX.")
+            return "pose", (*_PLACE, *turn)
+    kinds = {k: tuple(s.value_columns({})) for k, s in SENSORS.items() if not s.settings}
+    for kind, keys in kinds.items():
+        if given == set(keys):
+            return kind, keys
+    known = "; ".join(f"{kind}: {','.join(keys)}" for kind, keys in kinds.items())
+    raise RecordingError(
+        f"{path.name}: the columns {','.join(sorted(given))} of {name!r} make no sensor; give all "
+        f"of one of {known}; a pose may have rx,ry,rz or a1,a2,a3 for its rotation."
+    )
+
+
+def _values(path: Path, mapping: Mapping, kind: str, keys: tuple[str, ...], table: Array) -> Array:
+    """The values of a kind, SI units, from the columns of the file."""
+    if kind == "pose":
+        turn = table[:, 3:]
+        if keys[3:] == _QUATERNION:
+            norm = np.linalg.norm(turn, axis=1)
+            if np.any(np.abs(norm - 1.0) > 0.01):
+                raise RecordingError(
+                    f"{path.name}: a quaternion has norm {norm[np.argmax(np.abs(norm - 1))]:.3g}; "
+                    f"check which columns are qw, qx, qy and qz."
+                )
+            rotation = se3.rotation_from_quaternion(turn)
+        elif keys[3:] == _VECTOR:
+            rotation = se3.so3_exp(mapping.angle * turn)
+        else:
+            rotation = Rotation.from_euler(mapping.euler, mapping.angle * turn).as_matrix()
+        return poses(rotation, mapping.length * table[:, :3])
+    sensor = SENSORS[kind]
+    units = sensor.value_columns({})
+    scale = [scale_of(units[key], mapping.length, mapping.angle) for key in keys]
+    return sensor.from_columns(table * scale)

@@ -1,0 +1,102 @@
+"""TSV files of Qualisys Track Manager: markers (3D) and rigid bodies (6D), with their header.
+
+Lines of a name and a value, among them FREQUENCY, DATA_INCLUDED and the names of markers or bodies;
+then, if it was asked for, a line of column titles; then a row a frame, in millimetres. [inferred],
+to be verified on an export of one's own: a marker that was not seen has zeros or empty cells, a
+body zeros or NaN; the nine elements of a body's rotation go down the columns of its matrix.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from glissando.errors import RecordingError
+from glissando.io.foreign.delimited import Line, cells_of, samples
+from glissando.io.foreign.tracks import Track, plain_name, poses
+
+_MM = 1e-3
+_BODY, _TURN = 16, 7  # columns of a body, and the first of them that is of its rotation
+
+
+def is_qualisys_header(cells: list[str]) -> bool:
+    """Whether the cells of a first line begin the header of a Qualisys file."""
+    return cells[0] in ("FILE_VERSION", "NO_OF_FRAMES")
+
+
+def read_qualisys_tsv(path: Path, rate: float | None) -> list[Track]:
+    """Markers or rigid bodies of a Qualisys TSV file.
+
+    Args:
+        path: The file.
+        rate: Frames a second, which override the header's FREQUENCY.
+
+    Raises:
+        RecordingError: The header lacks something, or a row is wrong.
+    """
+    header, titles, rows = _parts(cells_of(path))
+    hz = rate or _frequency(path, header)
+    bodies = header.get("DATA_INCLUDED", ["3D"])[0].upper() == "6D"
+    names = [n for n in header.get("BODY_NAMES" if bodies else "MARKER_NAMES", []) if n]
+    if not names or not rows:
+        raise RecordingError(f"{path.name} names no markers or bodies, or has no rows; export it")
+    first = 2 if titles and titles[0].lower() == "frame" else 0
+    rows = [(number, [str(k), *cells]) for k, (number, cells) in enumerate(rows)]
+    width = _BODY if bodies else 3
+    tracks = []
+    for k, name in enumerate(names):
+        start = 1 + first + k * width
+        turn = range(start + _TURN, start + _TURN + 9) if bodies else range(0)
+        seen = samples(path, rows, 0, [*range(start, start + 3), *turn], 1.0 / hz)
+        at = _MM * seen.values[:, :3]
+        if not bodies:
+            track = Track(plain_name(name), "position", seen.time, at, seen.missing)
+        else:
+            matrix = seen.values[:, 3:].reshape(-1, 3, 3).swapaxes(1, 2)
+            sound = np.abs(np.linalg.det(matrix) - 1.0) < 1e-2
+            pose = poses(_orthonormal(matrix[sound]), at[sound])
+            lost = seen.missing + int(np.sum(~sound))
+            track = Track(plain_name(name), "pose", seen.time[sound], pose, lost)
+        tracks.append(track)
+    return tracks
+
+
+def _parts(lines: list[Line]) -> tuple[dict[str, list[str]], list[str], list[Line]]:
+    """The header's values by name, the titles of the columns if there are any, and the rows."""
+    header: dict[str, list[str]] = {}
+    titles: list[str] = []
+    rows: list[Line] = []
+    for number, cells in lines:
+        if not any(cells):
+            continue
+        if rows or _is_number(cells[0]):
+            rows.append((number, cells))
+        elif (cells[0].isupper() and "_" in cells[0]) or cells[0] in ("FREQUENCY", "DESCRIPTION"):
+            header[cells[0]] = cells[1:]
+        else:
+            titles = cells
+    return header, titles, rows
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
+
+
+def _frequency(path: Path, header: dict[str, list[str]]) -> float:
+    value = header.get("FREQUENCY", [""])[0]
+    if not _is_number(value) or not 0.0 < float(value) < np.inf:
+        raise RecordingError(
+            f"{path.name}: FREQUENCY is {value!r}; give the frames a second with --rate HZ."
+        )
+    return float(value)
+
+
+def _orthonormal(matrix: np.ndarray) -> np.ndarray:
+    """The rotations nearest to matrices (M, 3, 3) that were rounded."""
+    u, _, vt = np.linalg.svd(matrix)
+    return np.asarray(u @ vt)

@@ -1,0 +1,157 @@
+"""A session log as a recording: a coil's arclength is where the slide was at its frame."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from glissando.errors import RecordingError
+from glissando.geometry import se3
+from glissando.geometry.se3 import Array
+from glissando.io.csv_stream import Rows, Stream
+from glissando.io.robot_file import load_robot
+from glissando.io.session_log import RawSession, Topic
+from glissando.io.shipped_robots import robot_file
+from glissando.io.toml_table import Table
+
+LOG = "session.mcap"
+"""Name of a session's log in its folder."""
+_GAP = 0.5  # s without a pose that is reported
+_MOCAP_STD = np.repeat([3e-4, 5e-3], 3)  # m, rad: a marker body of some centimetres
+
+
+@dataclass(frozen=True)
+class SessionStreams:
+    """What a session log holds, as a recording has it.
+
+    Attributes:
+        name: Name of the rig.
+        robot: Shipped robot, or path of a robot file.
+        streams: The streams; a coil's are in the frame 'tracker'.
+        frame: Pose (4, 4) of the tracker in the world, None where the setup does not state it.
+        warnings: Sentences on bodies that were never seen, and on gaps.
+    """
+
+    name: str
+    robot: str
+    streams: list[Stream]
+    frame: Array | None
+    warnings: list[str]
+
+
+def session_setup(session: RawSession) -> dict[str, Any]:
+    """What a session log states of its rig.
+
+    Raises:
+        RecordingError: It states nothing, or what is no JSON object.
+    """
+    text = session.metadata.get("setup")
+    if text is None:
+        raise RecordingError(
+            "The session has no 'setup' in its metadata; it says where coil and bodies sit, see "
+            "docs/calibration.md."
+        )
+    try:
+        setup = json.loads(text)
+    except ValueError as problem:
+        raise RecordingError(f"The session's setup is no JSON ({problem}); correct it.") from None
+    if not isinstance(setup, dict):
+        raise RecordingError("The session's setup is no JSON object; give one, {…}.")
+    return setup
+
+
+def session_streams(session: RawSession, setup: Mapping[str, Any]) -> SessionStreams:
+    """The streams of a session, of one that was cut off as well.
+
+    Times begin at the slide's first reading. Messages before the slide's first reading and after
+    its last, and frames without a pose, are left out.
+
+    Args:
+        session: The log.
+        setup: What is known of the rig, as its metadata 'setup' states it.
+
+    Raises:
+        RecordingError: Nothing is left, or the setup is wrong.
+    """
+    table = Table(dict(setup), "setup", RecordingError)
+    robot = table.text("robot")
+    length = load_robot(robot_file(robot)).length
+    slide = session.topics.get("/slide")
+    if slide and slide.messages:
+        slide_time, travel = slide.column("time"), slide.column("travel")
+        zero, span = float(slide_time[0]), (slide_time[0], slide_time[-1])
+    else:
+        slide_time, travel = np.zeros(1), np.zeros(1)
+        begins = [topic.time_ns[0] for topic in session.topics.values() if topic.time_ns.size]
+        zero, span = 1e-9 * float(min(begins, default=0.0)), (-np.inf, np.inf)
+    warnings: list[str] = []
+    streams: list[Stream] = []
+
+    def seen(topic: str, name: str) -> tuple[Array, Array]:
+        time, poses = _poses(session.topics.get(f"/{topic}/{name}"), span)
+        gaps = _gaps(name, time, span, zero) if time.size else [f"{name} was never seen"]
+        warnings.extend(gaps)
+        return time, poses
+
+    for name, (place, direction) in _coils(session, table).items():
+        time, poses = seen("tracker", name)
+        if time.size:
+            arclength = place + direction * np.interp(time, slide_time, travel)
+            arclength = np.clip(arclength, 0.0, length)
+            rows = Rows("coil", time - zero, arclength, poses, {})
+            streams.append(Stream(name, rows, frame="tracker"))
+    for name, body in table.named_tables("bodies"):
+        time, poses = seen("mocap", name)
+        if time.size:
+            place = body.number("arclength", positive=False)
+            rows = Rows("pose", time - zero, np.full(time.size, place), poses, {})
+            streams.append(Stream(name, rows, True, _MOCAP_STD, body.pose()))
+    if not streams:
+        raise RecordingError(
+            f"The session holds no pose of any device ({'; '.join(warnings)}); record again."
+        )
+    frame = table.table("frame")
+    pose = frame.pose() if frame else None
+    return SessionStreams(table.text("name", "session"), robot, streams, pose, warnings)
+
+
+def _coils(session: RawSession, setup: Table) -> dict[str, tuple[float, float]]:
+    """Arclength at travel zero of each coil, m, and its change with travel: −1, 0 or 1."""
+    given = dict(setup.named_tables("coils"))
+    if given:
+        return {
+            name: (coil.number("arclength", positive=False), -1.0 if coil.flag("slides") else 0.0)
+            for name, coil in given.items()
+        }
+    names = [t.removeprefix("/tracker/") for t in session.topics if t.startswith("/tracker/")]
+    name = setup.text("coil", names[0] if len(names) == 1 else None) if names else ""
+    if not name:
+        return {}
+    direction = setup.number("direction", -1.0, positive=False)
+    return {name: (setup.number("coil_arclength", positive=False), direction or -1.0)}
+
+
+def _poses(topic: Topic | None, span: tuple[float, float]) -> tuple[Array, Array]:
+    """Times (M,) in a span and poses (M, 4, 4) of the messages that have one, in order of time."""
+    if topic is None or not topic.messages or topic.column("position").ndim != 2:  # never seen
+        return np.zeros(0), np.zeros((0, 4, 4))
+    time, position, quaternion = map(topic.column, ("time", "position", "quaternion"))
+    seen = np.all(np.isfinite(position), axis=1) & (time >= span[0]) & (time <= span[1])
+    order = np.flatnonzero(seen)[np.argsort(time[seen], kind="stable")]
+    poses = np.tile(np.eye(4), (order.size, 1, 1))
+    poses[:, :3, :3] = se3.rotation_from_quaternion(quaternion[order])
+    poses[:, :3, 3] = position[order]
+    return time[order], poses
+
+
+def _gaps(name: str, time: Array, span: tuple[float, float], zero: float) -> list[str]:
+    """A sentence on each stretch of the recording in which something was not seen."""
+    ends = np.concatenate([span[:1], time, span[1:]]) if np.isfinite(span[0]) else time
+    return [
+        f"{name} was not seen from {ends[k] - zero:.1f} to {ends[k + 1] - zero:.1f} s"
+        for k in np.flatnonzero(np.diff(ends) > _GAP)
+    ]

@@ -1,0 +1,125 @@
+"""A recording whose tracker stands nobody knows where is calibrated, and says so before."""
+
+import json
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rigs_drawn as rigs
+from glissando.calibration.rig.calibrate import calibrate
+from glissando.calibration.rig.recording_data import calibrated, recording_data
+from glissando.cli.main import main
+from glissando.errors import RecordingError
+from glissando.io.csv_stream import Rows, Stream
+from glissando.io.recording import Recording, load_recording, save_recording
+from glissando.io.shipped_robots import robot_file
+
+
+def recording_of(data, *, thin=1):
+    """What import makes of the exports of a rig: arclengths by the encoder, the frame unknown."""
+    off = data.travel if data.coil_arclength > 0.65 else -data.travel
+    place = data.coil_arclength - np.interp(data.coil_time, data.slide_time, off)
+    rows = Rows("coil", data.coil_time, place, data.coil, {})
+    streams = {"coil": Stream("coil", rows, keep_repeats=True, frame="tracker")}
+    std = np.repeat(data.noise.mocap, 3)
+    for name, b in data.bodies.items():
+        at = np.full(b.time.size, b.arclength)
+        truth = Rows("pose", b.time[::thin], at[::thin], b.poses[::thin], {})
+        streams[name] = Stream(name, truth, True, std, b.mount, keep_repeats=True)
+    return Recording("drawn", Path(), streams, None, None, frozenset({"tracker"}))
+
+
+def off_in_space(recording, shape, seed, mount):
+    """RMS distance of the coil's positions from where the simulated robot was, m."""
+    rows = recording.streams["coil"].rows
+    inside = (rows.time > 0.5) & (rows.time < rigs.DURATION - 0.5)
+    at = rigs.motion(shape, seed).at(rows.arclength[inside], rows.time[inside]).pose @ mount
+    return np.sqrt(np.mean((at[:, :3, 3] - rows.values[inside, :3, 3]) ** 2))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 1])
+def test_frame_delay_and_arclength_of_a_recording_are_found_within_their_confidence(seed):
+    data, known = rigs.drawn(seed)
+    recording, robot = recording_of(data), rigs.robot(rigs.NODES)
+    own = recording_data(recording)
+    assert own.slides
+    found = calibrate(own, robot, readings=rigs.READINGS)
+    true = rigs.at_epoch(known, found.rig.epoch)
+    off = np.r_[found.rig.minus(true)[:6], found.rig.tracker_clock[0] - true.tracker_clock[0]]
+    std = np.r_[found.std[:6], found.std[13]]
+    print("off in standard deviations", off / std)
+    assert np.all(np.abs(off) < 4.0 * std)
+    assert found.std[13] < 5e-3
+    made = calibrated(recording, found, own, robot)
+    assert not made.unknown_frames
+    assert off_in_space(made, "waving", seed, known.coil_mount) < 2e-3
+
+
+@pytest.fixture
+def folder(tmp_path):
+    data, _ = rigs.drawn(0, "bent")
+    few = data.at(np.arange(0, data.coil_time.size, 4))
+    save_recording(recording_of(few, thin=4), tmp_path / "bench", "sliding700")
+    return tmp_path / "bench"
+
+
+def test_an_estimate_asks_for_calibration_and_takes_its_result(folder, capsys):
+    assert main(["estimate", str(folder)]) == 2
+    told = capsys.readouterr().err
+    assert f"run glissando calibrate {folder}" in told
+    assert "frame 'tracker'" in told
+    before = (folder / "recording.toml").read_bytes()
+    assert main(["calibrate", str(folder), "--out", str(folder.parent / "rig.toml")]) == 0
+    told = capsys.readouterr().out
+    assert "tracker delay" in told
+    assert "ms" in told
+    kept = folder.with_name("bench.uncalibrated")
+    assert (kept / "recording.toml").read_bytes() == before
+    listed = tomllib.loads((folder / "recording.toml").read_text())["calibration"]
+    assert listed["frame x"]["unit"] == "mm"
+    assert listed["tracker delay"]["unit"] == "ms"
+    assert all(entry["std"] > 0.0 for entry in listed.values())
+    robot = load_recording(folder).robot
+    load_recording(folder).readings(["coil"], robot, (0.0, 5.0))
+    assert main(["calibrate", str(folder)]) == 2  # the kept one is not overwritten
+    assert "bench.uncalibrated exists" in capsys.readouterr().err
+
+
+def test_a_calibrated_recording_can_be_another_one(folder, capsys):
+    made = folder.parent / "made"
+    assert main(["calibrate", str(folder), "--recording", str(made), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["values"]["tracker delay"]["std"] > 0.0
+    assert load_recording(folder).unknown_frames == {"tracker"}
+    again = load_recording(made)
+    assert not again.unknown_frames
+    assert again.streams.keys() == load_recording(folder).streams.keys()
+    assert again.robot.name == "sliding700"
+
+
+def test_a_recording_that_cannot_be_calibrated_says_why(tmp_path):
+    data, _ = rigs.drawn(0, "bent")
+    recording = recording_of(data)
+    alone = replace(recording, streams={"coil": recording.streams["coil"]})
+    with pytest.raises(RecordingError, match="no motion capture to calibrate against"):
+        recording_data(alone)
+    coil = recording.streams["coil"]
+    two = replace(recording, streams={**recording.streams, "b": replace(coil, name="b")})
+    with pytest.raises(RecordingError, match=r"say with --coil .* coil, b"):
+        recording_data(two)
+    assert recording_data(two, "b").coil_name == "b"
+
+
+def test_a_frame_parameter_of_the_robot_stands_for_an_unknown_frame(folder):
+    text = (folder / "recording.toml").read_text()
+    (folder / "recording.toml").write_text(text.replace('"sliding700"', '"mine.toml"'))
+    parameter = '[[sensor_parameters]]\nname = "f"\nkind = "frame"\nstreams = ["coil"]\n'
+    parameter += f"std = {[1.0] * 6}\n"
+    (folder / "mine.toml").write_text(robot_file("sliding700").read_text() + "\n" + parameter)
+    recording = load_recording(folder)
+    readings, _ = recording.readings(["coil"], recording.robot, (0.0, 5.0))
+    assert len(readings[0])

@@ -1,0 +1,209 @@
+"""Any delimited text is read as what the user says its columns hold, or refused with a sentence."""
+
+import re
+
+import numpy as np
+import pytest
+from hypothesis import given
+from scipy.spatial.transform import Rotation
+
+from draws import generators, law, poses
+from foreign_files import hole, motive_csv, ndi_csv, qualisys_tsv, semicolons, tracker_csv
+from glissando.errors import RecordingError
+from glissando.io.foreign import read_tracks
+from glissando.io.foreign.columns import read_path
+
+
+@law
+@given(generators)
+def test_a_motive_csv_is_read_back_with_quaternions_or_angles_and_gaps(tmp_path_factory, rng):
+    tip, mid, point = poses(rng, 6, largest_angle=3.0), poses(rng, 6), rng.normal(size=(6, 3))
+    point[2] = np.nan
+    turn, unit = ("Quaternion", "XYZ", "ZYX")[rng.integers(3)], ("Meters", "Millimeters")
+    file = tmp_path_factory.mktemp("f") / "take.csv"
+    motive_csv(file, {"tip": hole(tip, 2, 5), "mid one": mid}, {"dot": point}, turn=turn,
+               unit=unit[rng.integers(2)])  # fmt: skip
+    if rng.integers(2):
+        semicolons(file)
+    found = {t.name: t for t in read_tracks(file)}
+    assert list(found) == ["tip", "mid_one", "dot"]
+    np.testing.assert_allclose(found["tip"].values, tip[[0, 1, 3, 4]], atol=1e-9)
+    np.testing.assert_allclose(found["mid_one"].values, mid, atol=1e-9)
+    np.testing.assert_allclose(found["dot"].values, point[[0, 1, 3, 4, 5]], atol=1e-9)
+    np.testing.assert_allclose(found["tip"].time, np.array([0, 1, 3, 4]) / 120)
+    assert (found["tip"].missing, found["dot"].missing, found["dot"].kind) == (2, 1, "position")
+    assert read_tracks(file, rate=60.0)[0].time[-1] == pytest.approx(4 / 60)
+
+
+@law
+@given(generators)
+def test_a_qualisys_tsv_is_read_back_as_bodies_or_markers(tmp_path_factory, rng):
+    file, titles = tmp_path_factory.mktemp("f") / "take.tsv", bool(rng.integers(2))
+    tip, mid = poses(rng, 5, largest_angle=3.0), poses(rng, 5)
+    qualisys_tsv(file, {"tip": hole(tip, 1), "mid": mid}, titles=titles)
+    first, second = read_tracks(file)
+    np.testing.assert_allclose(first.values, tip[[0, 2, 3, 4]], atol=1e-7)
+    np.testing.assert_allclose(first.time, np.array([0, 2, 3, 4]) / 100)
+    assert (first.kind, first.missing, second.missing) == ("pose", 1, 0)
+    points = rng.normal(size=(5, 3))
+    gone = points.copy()
+    gone[3] = np.nan
+    qualisys_tsv(file, {"a": gone, "b": points}, titles=titles)
+    first, second = read_tracks(file)
+    np.testing.assert_allclose(first.values, points[[0, 1, 2, 4]], atol=1e-9)
+    assert (first.kind, first.missing) == ("position", 1)
+
+
+@law
+@given(generators)
+def test_an_ndi_csv_may_hold_euler_angles(tmp_path_factory, rng):
+    tip = poses(rng, 4)
+    angles = Rotation.from_matrix(tip[:, :3, :3]).as_euler("ZYX", degrees=True)
+    rows = [
+        ",".join(["Port 1", str(k), "OK", *(repr(float(v)) for v in (*a, *(1e3 * t[:3, 3])))])
+        for k, (a, t) in enumerate(zip(angles, tip, strict=True))
+    ]
+    file = tmp_path_factory.mktemp("f") / "a.csv"
+    file.write_text("\n".join(["Port 1,Frame,State,Rz,Ry,Rx,Tx,Ty,Tz", *rows]) + "\n")
+    (track,) = read_tracks(file, rate=40.0)
+    np.testing.assert_allclose(track.values, tip, atol=1e-9)
+
+
+def test_semicolons_and_decimal_commas_are_read_as_points_and_commas(tmp_path):
+    rng = np.random.default_rng(0)
+    tip = poses(rng, 5)
+    for file in (
+        tracker_csv(tmp_path / "a.csv", {"tip": hole(tip, 1)}),
+        ndi_csv(tmp_path / "b.csv", {"tip": hole(tip, 1)}, [1, 2, 3, 4, 5]),
+    ):
+        before = read_tracks(file, rate=50.0)
+        after = read_tracks(semicolons(file), rate=50.0)
+        np.testing.assert_array_equal(before[0].values, after[0].values)
+        np.testing.assert_array_equal(before[0].time, after[0].time)
+
+
+TURNS = {
+    "qw,qx,qy,qz": lambda turn: np.roll(turn.as_quat(), 1, axis=1),
+    "rx,ry,rz": lambda turn: turn.as_rotvec(degrees=True),
+    "a1,a2,a3": lambda turn: turn.as_euler("zyx", degrees=True),
+}
+
+
+@law
+@given(generators)
+@pytest.mark.parametrize("turn", TURNS)
+@pytest.mark.parametrize("delimiter", [",", ";", "\t", " "])
+def test_poses_are_read_from_any_columns(tmp_path_factory, delimiter, turn, rng):
+    """Columns in any order, named or numbered, in millimetres, degrees and milliseconds."""
+    track = poses(rng, 6)
+    keys = ["time", "x", "y", "z", *turn.split(",")]
+    table = np.column_stack(
+        [
+            25.0 * np.arange(6) + 7.0,
+            1e3 * track[:, :3, 3],
+            TURNS[turn](Rotation.from_matrix(track[:, :3, :3])),
+        ]
+    )
+    order = rng.permutation(len(keys))
+    names = [f"c_{key}" for key in keys]
+    lines = ["# a program's remark", delimiter.join(names[k] for k in order)]
+    lines += [delimiter.join(repr(float(row[k])) for k in order) for row in table]
+    text = "\n".join(lines) + "\n"
+    file = tmp_path_factory.mktemp("f") / "log.txt"
+    file.write_text(text.replace(".", ",") if delimiter == ";" else text)
+    if rng.integers(2):
+        names = [str(1 + list(order).index(k)) for k in range(len(keys))]
+    said = ",".join(f"{key}={name}" for key, name in zip(keys, names, strict=True))
+    said += ",clock=ms,length=mm,angle=deg,euler=zyx,frame=tracker"
+    (found,) = read_tracks(file, columns=said)
+    np.testing.assert_allclose(found.values, track, atol=1e-9)
+    np.testing.assert_allclose(found.time, 0.025 * np.arange(6) + 0.007)
+    assert (found.name, found.kind, found.frame) == ("log", "pose", "tracker")
+
+
+def test_a_toml_file_says_it_for_several_objects(tmp_path):
+    (tmp_path / "log.csv").write_text(
+        "stamp,gx,gy,gz,px,py,pz\n2026-11-22T10:00:00,1,2,3,10,20,30\n"
+        "2026-11-22T10:00:00.025,0,0,0,,,\n2026-11-22T10:00:00.050,4,5,6,40,50,60\n"
+    )
+    (tmp_path / "columns.toml").write_text(
+        'time = "stamp"\nlength = "mm"\nangle = "deg"\n'
+        '[objects.gyro]\nwx = "gx"\nwy = "gy"\nwz = "gz"\n'
+        '[objects."tip marker"]\nx = 5\ny = 6\nz = 7\n'
+    )
+    gyro, tip = read_tracks(tmp_path / "log.csv", columns=str(tmp_path / "columns.toml"))
+    assert (gyro.name, gyro.kind, tip.name, tip.kind) == ("gyro", "gyro", "tip_marker", "position")
+    np.testing.assert_allclose(gyro.values, np.deg2rad([[1, 2, 3], [0, 0, 0], [4, 5, 6]]))
+    np.testing.assert_allclose(tip.values, [[0.01, 0.02, 0.03], [0.04, 0.05, 0.06]])
+    assert (gyro.missing, tip.missing) == (0, 1)
+    np.testing.assert_allclose(np.diff(gyro.time), 0.025, atol=1e-6)
+    assert gyro.absolute
+
+
+def test_frames_that_are_counted_need_their_rate(tmp_path):
+    (tmp_path / "a.csv").write_text("n,x,y,z\n10,1,2,3\n11,2,3,4\n")
+    said = "count=n,x=x,y=y,z=z"
+    with pytest.raises(RecordingError, match="give their rate with --rate"):
+        read_tracks(tmp_path / "a.csv", columns=said)
+    (track,) = read_tracks(tmp_path / "a.csv", columns=said, rate=100.0)
+    np.testing.assert_allclose(track.time, [0.1, 0.11])
+
+
+def test_a_path_of_a_slide_is_read_from_its_travel(tmp_path):
+    (tmp_path / "stage.csv").write_text("Zeit;Weg\n0,0;0,0\n1,5;20,5\n3,0;60,0\n")
+    time, place = read_path(tmp_path / "stage.csv", "time=Zeit,travel=Weg,length=mm,zero=0.7")
+    np.testing.assert_allclose(time, [0.0, 1.5, 3.0])
+    np.testing.assert_allclose(place, [0.7, 0.6795, 0.64])
+    _, place = read_path(tmp_path / "stage.csv", "time=1,travel=2,length=mm,zero=0.1,direction=1")
+    np.testing.assert_allclose(place, [0.1, 0.1205, 0.16])
+    _, place = read_path(tmp_path / "stage.csv", "time=1,arclength=2,length=mm")
+    np.testing.assert_allclose(place, [0.0, 0.0205, 0.06])
+
+
+@pytest.mark.parametrize(
+    ("text", "said", "sentence"),
+    [
+        ("t,x,y\n1,2,3\n", "time=t,x=x,y=y,z=z", "has no line with the titles t, x, y, z; it begi"),
+        ("t,x,y\n1,2,3\n", "time=t,x=x,y=y", "the columns x,y of 'log' make no sensor"),
+        ("t,x,y,z\n1,2,3,4\n", "x=x,y=y,z=z", "time is missing"),
+        ("t,x,y,z\n1,2,3,4\n", "time=t,x", "'x' is no KEY=COLUMN"),
+        ("t,x,y,z\n1,2,3,4\n", "time=t,x=x,y=y,z=z,length=inch", "length is 'inch'; give one of"),
+        ("t,x,y,z\n1,2,a,4\n", "time=t,x=x,y=y,z=z", "line 2: '2,a,4' is not all numbers"),
+        ("t,x,y,z\n2,2,3,4\n1,2,3,4\n", "time=t,x=x,y=y,z=z", "line 3: frame 1 follows"),
+        ("t,x,y,z,a,b,c\n1,2,3,4,5,6,7\n", "time=t,x=x,y=y,z=z,a1=a,a2=b,a3=c", "say the axes of"),
+        ("t,x,y,z,a,b,c,d\n1,2,3,4,5,6,7,8\n",
+         "time=t,x=x,y=y,z=z,qw=a,qx=b,qy=c,qz=d", "a quaternion has norm 13.2"),
+        ("t,x,y,z\n1,2,3,4\n", "time=t,x=x,y=y,z=z,euler=XYX", "euler is 'XYX'"),
+    ],
+)  # fmt: skip
+def test_a_mapping_that_does_not_fit_says_why(tmp_path, text, said, sentence):
+    (tmp_path / "log.csv").write_text(text)
+    with pytest.raises(RecordingError, match=re.escape(sentence)):
+        read_tracks(tmp_path / "log.csv", columns=said)
+
+
+def test_mutilated_exports_are_read_or_refused_with_a_sentence(tmp_path):
+    rng = np.random.default_rng(0)
+    tip = {"tip": poses(rng, 4), "mid": poses(rng, 4)}
+    whole = [
+        motive_csv(tmp_path / "a.csv", tip, {}).read_bytes(),
+        qualisys_tsv(tmp_path / "b.tsv", tip).read_bytes(),
+        b"t;x;y;z\n0,0;1,5;2;3\n0,1;1;2;3\n0,2;1;2;4\n",
+    ]
+    refused = read = 0
+    for trial in range(600):
+        data = bytearray(whole[trial % 3])
+        for at in rng.integers(0, len(data), rng.integers(1, 6)):
+            data[at] = rng.choice(list(b",\n,;.\tx0-9e\xff\x00 S"))
+        (tmp_path / "c.csv").write_bytes(data[: rng.integers(len(data) // 3, len(data) + 1)])
+        said = "time=1,x=2,y=3,z=4" if trial % 3 == 2 else ""
+        try:
+            for found in read_tracks(tmp_path / "c.csv", rate=100.0, columns=said):
+                assert np.all(np.isfinite(found.time))
+                assert np.all(np.isfinite(found.values))
+                assert np.all(np.diff(found.time) > 0)
+                assert len(found.time) == len(found.values)
+            read += 1
+        except RecordingError:
+            refused += 1
+    assert min(read, refused) > 50
