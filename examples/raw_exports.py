@@ -21,7 +21,7 @@ from glissando.simulation import SlidePath, load_bench
 from glissando.simulation.bench import Actuation, Tendon
 from glissando.simulation.tracker import coil_rows, mocap_rows
 
-LATE, SECONDS, BODIES = 0.12, 20.0, (0.0, 0.34, 0.58, 0.7)  # s, s, m
+LATE, SECONDS, BODIES = 0.12, 16.0, (0.0, 0.34, 0.58, 0.7)  # s, s, m
 EPOCH = 1778067471.0  # s since 1970 when motion capture begins; the tracker begins later
 WAYS = 5e-3 * np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])  # of four tendons, m
 PULLS = np.array(

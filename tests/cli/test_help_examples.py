@@ -46,6 +46,7 @@ RUNS = {  # what must stand in the line that is run, and what makes it quick; or
     "design": ("--out design", "--horizon 1 --strokes 0.06"),
     "study": ("--out results", "--workers 1"),
     "view": ("view results --recording my_recording", ""),
+    "figure": ("--font-size 7", ""),
     "report": ("report results/fixed", ""),
     "record": "its devices take as long as real ones: tests/hardware/test_rig.py runs it",
     "calibrate": "it wants a recorded session: tests/hardware/test_rig.py runs it",

@@ -240,14 +240,14 @@ def test_a_value_whose_cells_all_failed_has_no_numbers(tmp_path):
     rows[1] |= failure("no shape")
     told = summarise(study, rows)
     assert "position_rmse" not in told["axes"]["shape"][1]
-    labels = study_figure(told).axes[1].get_xticklabels()
+    labels = study_figure(told)[1, 0].get_xticklabels()
     assert [label.get_text() for label in labels] == ["straight", "buckled.toml"]
 
 
 def test_the_figure_draws_each_axis_with_its_bars(tmp_path):
     study = load_study(write_study(tmp_path, NOISE + "\nnodes = [2, 3, 4]", seeds=20))
     told = summarise(study, rows_of(study, np.random.default_rng(1)))
-    figure = study_figure(told)
+    figure = study_figure(told)[0, 0].figure
     assert [axes.get_xlabel() for axes in figure.axes[2:]] == ["noise", "nodes"]
     line = figure.axes[1].lines[0]
     wanted = [1e3 * point["position_rmse"]["value"] for point in told["axes"]["nodes"]]

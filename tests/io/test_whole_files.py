@@ -24,7 +24,7 @@ from glissando.io.atomic_folder import new_folder, renewed_folder
 from glissando.io.csv_stream import Rows, Stream
 from glissando.io.foreign import export
 from glissando.io.recording import Recording, load_recording, save_recording
-from glissando.visualization.figures import save_figure
+from glissando.visualization.canvas import save_figure
 from glissando.visualization.film import save_animation
 from outputs import contents, watched
 
@@ -37,6 +37,7 @@ PRIMITIVES = {
 GROWING = {
     "io/journal.py": "rows are handed over as they come, and a cut-off one is left out",
     "io/session_log/writer.py": "messages are flushed twice a second, and a cut-off log is read",
+    "hardware/live/sinks.py": "rows are appended while the robot moves, whole or not at all",
     "_kernels/jit.py": "a list of what is compiled: what is missing is compiled again",
 }
 

@@ -12,10 +12,11 @@ from hypothesis.extra.numpy import array_shapes, arrays
 from glissando import GlissandoError, Grid
 from glissando.cli.main import main
 from glissando.errors import OutsideGridError
+from glissando.estimation.confidence_tube import SIGMAS_95
 from glissando.geometry import se3
 from glissando.io.netcdf import save_posterior
 from glissando.visualization.page import Scene, page, save_view, scene_of
-from glissando.visualization.page.page import SIGMAS, packed
+from glissando.visualization.page.page import packed
 from glissando.visualization.page.scene import moments, symmetric_root
 from pages import OUTSIDE, carried, unpacked
 from scenes import LENGTH, judged_scene
@@ -138,7 +139,7 @@ def test_a_page_decodes_to_the_posterior_within_the_step_it_states(run, html):
     worst = 500.0 * max(told[name]["step"] for name in ("centre", "root"))
     assert stated == pytest.approx(worst, rel=0.1)
     assert stated < 0.01
-    assert told["sigmas"] == SIGMAS == pytest.approx(2.7955, abs=1e-4)
+    assert told["sigmas"] == SIGMAS_95 == pytest.approx(2.7955, abs=1e-4)
 
 
 def test_a_page_needs_nothing_else_and_takes_names_as_they_are(html):

@@ -9,9 +9,8 @@ from PIL import Image
 
 from browser import Told, chromium, wait_until
 from glissando import estimate
-from glissando.estimation.confidence_tube import confidence_tube
+from glissando.estimation.confidence_tube import SIGMAS_95, confidence_tube
 from glissando.visualization.page import save_view, scene_of
-from glissando.visualization.page.page import SIGMAS
 from pages import carried, unpacked
 from scenes import LENGTH, sliding_scene
 
@@ -92,9 +91,9 @@ def test_ellipsoids_have_the_axes_of_the_covariance(page, posterior, moment):
         off = np.reshape(found, (-1, 9))[:, :3] - scene.pose[moment, point, :3, 3]
         variance, axes = np.linalg.eigh(scene.root[moment, point] @ scene.root[moment, point])
         reach = np.abs(off @ axes).max(axis=0)
-        np.testing.assert_allclose(reach, SIGMAS * np.sqrt(variance), rtol=0.01, atol=2e-5)
+        np.testing.assert_allclose(reach, SIGMAS_95 * np.sqrt(variance), rtol=0.01, atol=2e-5)
         size = np.linalg.norm(off @ np.linalg.inv(scene.root[moment, point]), axis=1)
-        np.testing.assert_allclose(size, SIGMAS, rtol=0.02)
+        np.testing.assert_allclose(size, SIGMAS_95, rtol=0.02)
 
 
 @pytest.mark.parametrize("moment", [0, 13])
@@ -115,11 +114,11 @@ def test_the_tube_is_the_outline_of_the_ellipsoids_across_the_body(page, posteri
     assert np.abs(body[..., 2]).max() < 5e-5  # across the body
     weight = np.linalg.inv(of_body[:, :2, :2])
     squared = np.einsum("nai,nij,naj->na", body[..., :2], weight, body[..., :2])
-    np.testing.assert_allclose(np.sqrt(squared), SIGMAS, rtol=0.02)
+    np.testing.assert_allclose(np.sqrt(squared), SIGMAS_95, rtol=0.02)
     reach = np.einsum("ni,nai->na", pose[[0, -1], :3, 2], ends - pose[[0, -1], None, :3, 3])
-    along = SIGMAS * np.sqrt(of_body[[0, -1], 2, 2])
+    along = SIGMAS_95 * np.sqrt(of_body[[0, -1], 2, 2])
     np.testing.assert_allclose(np.abs(reach), np.tile(along[:, None], 24), rtol=0.02, atol=2e-5)
-    films, _ = confidence_tube(pose[None], of_body[None], SIGMAS)  # as a film draws it
+    films, _ = confidence_tube(pose[None], of_body[None], SIGMAS_95)  # as a film draws it
     assert np.abs(rings - 1e-3 * films[0, 5:-5]).max() < 5e-5
 
 

@@ -36,8 +36,8 @@ from glissando.io.recording import load_recording
 from glissando.io.robot_file import with_tube
 from glissando.io.shipped_robots import robot_file
 from glissando.model.robot import Robot
+from glissando.visualization.canvas import save_figure
 from glissando.visualization.evaluation_figures import calibration_figure
-from glissando.visualization.figures import save_figure
 
 _HELP = """\
 Check whether the confidence of an estimate is true: errors against truth in units of their own
@@ -127,7 +127,7 @@ def _tube(
         tube = conformal_tube(block_scores(errors, options.block), options.block, options.level)
         file = robot_file(options.robot or robot.name)
         text = with_tube(file.read_text(encoding="utf-8"), tube)
-        options.store_tube.write_text(text, encoding="utf-8")
+        write_text(options.store_tube, text)
     if tube is None or not errors:
         return None
     scores = block_scores(errors, tube.seconds)

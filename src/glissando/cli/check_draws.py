@@ -8,19 +8,22 @@ from pathlib import Path
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from glissando.cli.shared import chosen_robot, progress_bar
+from glissando.cli.progress import working
+from glissando.cli.shared import chosen_robot
 from glissando.errors import GlissandoError
 from glissando.evaluation.run import checked_window, chosen_streams
 from glissando.evaluation.simulation_based import SimulationCheck, simulate_and_rank
 from glissando.geometry.se3 import Array
+from glissando.io.atomic_file import write_text
+from glissando.io.atomic_folder import renewed_folder
 from glissando.io.recording import load_recording
 from glissando.io.robot_file import load_robot
 from glissando.model.grid import Grid
 from glissando.model.robot import Robot
 from glissando.model.sensors.readings import Readings
+from glissando.visualization.canvas import save_figure
 from glissando.visualization.evaluation_figures import ecdf_figure
 
 
@@ -39,16 +42,14 @@ def check_draws(options: argparse.Namespace) -> int:
     if not options.prior_factor > 0.0:
         raise GlissandoError(f"--prior-factor is {options.prior_factor:g}; give one above zero.")
     robot, layout = _robot_and_layout(options)
-    columns = TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn()
-    with progress_bar(*columns) as bar:
-        task = bar.add_task(f"sessions of {robot.name}", total=options.draws)
+    with working(f"sessions of {robot.name}") as work:
         found = simulate_and_rank(
             robot,
             options.draws,
             layout=layout,
             prior_factor=options.prior_factor,
             seed=options.seed,
-            progress=lambda done, of: bar.update(task, completed=done, total=of),
+            progress=work.update,
         )
     document = {"name": robot.name, "simulation": [check.as_json() for check in found]}
     if options.json:
@@ -57,10 +58,9 @@ def check_draws(options: argparse.Namespace) -> int:
         for check in found:
             _print(robot, check)
     if options.out:
-        options.out.mkdir(parents=True, exist_ok=True)
-        text = json.dumps(document, indent=2)
-        (options.out / "check.json").write_text(text + "\n", encoding="utf-8")
-        ecdf_figure(found).savefig(options.out / "ranks.png", dpi=150)
+        with renewed_folder(options.out, ("check.json", "ranks.png")) as building:
+            write_text(building / "check.json", json.dumps(document, indent=2) + "\n")
+            save_figure(ecdf_figure(found), building / "ranks.png")
     return 1 if any(check.outside for check in found) else 0
 
 

@@ -11,6 +11,7 @@ COMMANDS = {
     "design": ("design", "compare designs of the slide"),
     "study": ("study", "sweep settings over many seeds"),
     "view": ("view", "show the robot over time"),
+    "figure": ("figure", "draw a figure as PNG, PDF or SVG"),
     "report": ("report", "compare runs on one page"),
     "record": ("record", "record an experiment"),
     "calibrate": ("calibrate", "find clocks, frames and zeros"),

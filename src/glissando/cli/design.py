@@ -21,7 +21,7 @@ from glissando.io.robot_file import load_robot
 from glissando.planning.design import Design, pareto_front, sweep
 from glissando.planning.objectives import objective_named
 from glissando.planning.zones import read_zone
-from glissando.visualization.figures import save_figure
+from glissando.visualization.canvas import save_figure
 from glissando.visualization.planning_figures import design_figure
 
 _HELP = """\

@@ -31,7 +31,7 @@ from glissando.planning.planning_problem import PlanningProblem, predict_informa
 from glissando.planning.sliding_sensor import sliding_sensor
 from glissando.planning.zones import Zone, read_zone
 from glissando.simulation.bench import load_bench
-from glissando.visualization.figures import save_figure
+from glissando.visualization.canvas import save_figure
 from glissando.visualization.planning_figures import plan_figure, save_plan_film
 
 _HELP = """\

@@ -30,8 +30,8 @@ from glissando.io.atomic_folder import renewed_folder
 from glissando.io.query_csv import write_states
 from glissando.io.recording import load_recording
 from glissando.model.robot import Robot
+from glissando.visualization.canvas import save_figure
 from glissando.visualization.evaluation_figures import replay_figure
-from glissando.visualization.figures import save_figure
 from glissando.visualization.page import Live
 from glissando.visualization.page.live import follow
 

@@ -7,6 +7,7 @@ import os
 import sys
 import warnings
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias
 
@@ -19,11 +20,13 @@ from glissando.estimation.posterior import Posterior
 from glissando.evaluation.plausibility.examine import examine_recording
 from glissando.evaluation.plausibility.finding import Finding
 from glissando.evaluation.run import Run, chosen_streams, run_estimate
+from glissando.io.netcdf import load_posterior
 from glissando.io.recording import Recording, load_recording
 from glissando.io.robot_file import load_robot
 from glissando.io.shipped_robots import shipped_robots
 from glissando.model.robot import Robot
 from glissando.model.sensors.readings import Readings
+from glissando.model.tube import Tube
 from glissando.solver.gauss_newton import SolverOptions
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
@@ -149,6 +152,55 @@ def findings_in(folder: Path) -> list[Finding]:
         return examine_recording(recording, recording.robot, *streams, window)
     except GlissandoError as problem:  # such as a stream without noise: an estimate will say so
         return [Finding("shape", str(problem), False)]
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What a page or a figure shows.
+
+    Attributes:
+        posterior: The posterior.
+        readings: Streams that were used; empty where no recording is known.
+        truth: Streams to compare with.
+        title: Name of the recording or of the posterior's folder.
+        complaint: Sentence of a warning that it has not converged, else empty.
+        tube: The robot file's tube, where it has one.
+    """
+
+    posterior: Posterior
+    readings: list[Readings]
+    truth: list[Readings]
+    title: str
+    complaint: str = ""
+    tube: Tube | None = None
+
+
+def posterior_shown(options: argparse.Namespace) -> Shown:
+    """The posterior of `options.target`, which is one, its folder, or a recording to estimate.
+
+    Raises:
+        GlissandoError: There is neither.
+    """
+    target: Path = options.target
+    inside = target / "posterior.nc"
+    if target.is_dir() and not inside.is_file():
+        recording = load_recording(target)
+        robot = chosen_robot(recording, options.robot)
+        run, complaint = estimate_watched(recording, robot, options)
+        return Shown(run.posterior, run.readings, run.truth, recording.name, complaint, robot.tube)
+    target = inside if target.is_dir() else target
+    if not target.is_file():
+        raise GlissandoError(
+            f"There is no recording folder or posterior {str(target)!r}; give one."
+        )
+    posterior = load_posterior(target)
+    if options.recording is None:
+        tube = load_robot(options.robot).tube if options.robot else None
+        return Shown(posterior, [], [], options.target.resolve().name, "", tube)
+    recording = load_recording(options.recording)
+    tube = chosen_robot(recording, options.robot).tube
+    streams = streams_of(posterior, recording, options)
+    return Shown(posterior, *streams, recording.name, "", tube)
 
 
 def require_writable(folder: Path) -> None:

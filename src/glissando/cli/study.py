@@ -18,7 +18,7 @@ from glissando.experiments.study.plan import Cell, load_study
 from glissando.experiments.study.store import TABLE, Store, run_cells
 from glissando.experiments.study.summary import print_summary, summarise
 from glissando.io.atomic_file import write_text
-from glissando.visualization.figures import save_figure
+from glissando.visualization.canvas import save_figure
 
 _HELP = """\
 Simulate, estimate and check every combination of settings that a TOML file names, over many seeds,

@@ -11,19 +11,10 @@ from glissando.cli.shared import (
     Commands,
     add_choices,
     add_command,
-    chosen_robot,
-    estimate_watched,
+    posterior_shown,
     require_writable,
-    streams_of,
 )
-from glissando.errors import GlissandoError
-from glissando.estimation.posterior import Posterior
 from glissando.io.atomic_file import write_text
-from glissando.io.netcdf import load_posterior
-from glissando.io.recording import load_recording
-from glissando.io.robot_file import load_robot
-from glissando.model.sensors.readings import Readings
-from glissando.model.tube import Tube
 from glissando.visualization.page import page, scene_of, subtitle
 from glissando.visualization.page.live import play
 
@@ -61,47 +52,23 @@ def add_to(commands: Commands) -> None:
 
 def _view(options: argparse.Namespace) -> int:
     require_writable(options.html.parent)
-    posterior, readings, truth, title, complaint, tube = _shown(options)
+    shown = posterior_shown(options)
+    posterior = shown.posterior
     window = tuple(options.window) if options.window else None
     with working("evaluating the posterior") as work:
         scene = scene_of(
             posterior,
-            readings,
-            truth,
+            shown.readings,
+            shown.truth,
             window=window,
-            tube=tube,
+            tube=shown.tube,
             progress=work.update,
         )
     if options.live:
         play(scene, options.port)
     else:
-        write_text(options.html, page(scene, title, subtitle(posterior, scene)))
+        write_text(options.html, page(scene, shown.title, subtitle(posterior, scene)))
         print(f"Wrote {options.html}; open it in a browser.")
-    if complaint:
-        print(f"glissando: {complaint}", file=sys.stderr)
+    if shown.complaint:
+        print(f"glissando: {shown.complaint}", file=sys.stderr)
     return 0 if posterior.solve.converged else 1
-
-
-def _shown(
-    options: argparse.Namespace,
-) -> tuple[Posterior, list[Readings], list[Readings], str, str, Tube | None]:
-    """The posterior, its readings and truth, a title, a warning if any, the robot file's tube."""
-    target: Path = options.target
-    inside = target / "posterior.nc"
-    if target.is_dir() and not inside.is_file():
-        recording = load_recording(target)
-        robot = chosen_robot(recording, options.robot)
-        run, complaint = estimate_watched(recording, robot, options)
-        return run.posterior, run.readings, run.truth, recording.name, complaint, robot.tube
-    target = inside if target.is_dir() else target
-    if not target.is_file():
-        raise GlissandoError(
-            f"There is no recording folder or posterior {str(target)!r}; give one."
-        )
-    posterior = load_posterior(target)
-    if options.recording is None:
-        tube = load_robot(options.robot).tube if options.robot else None
-        return posterior, [], [], options.target.resolve().name, "", tube
-    recording = load_recording(options.recording)
-    tube = chosen_robot(recording, options.robot).tube
-    return posterior, *streams_of(posterior, recording, options), recording.name, "", tube

@@ -14,16 +14,8 @@ import numpy as np
 from glissando.experiments.confidence import std_along
 from glissando.experiments.scenes import Scene, Trial, bench, path
 from glissando.geometry.se3 import Array
-from glissando.visualization.figures import (
-    _AXES,
-    _DOT,
-    _MM,
-    _canvas,
-    _draw_ellipsoids,
-    _draw_truth,
-    _legend,
-    _places,
-)
+from glissando.visualization.canvas import AXES, MM, canvas, legend
+from glissando.visualization.figures import _DOT, _draw_ellipsoids, _draw_truth, _places
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -46,13 +38,13 @@ _TRIAD = 26.0  # mm
 def coil_figure(trials: Mapping[str, Trial], confidence: Mapping[str, Any]) -> Figure:
     """Confidence is highest at the coil, wherever it is: straight, C and S robots.
 
-    Drawn half-way through each trial: bodies with 3σ ellipsoids and truth, and below them the
+    Drawn half-way through each trial: bodies with 95 % ellipsoids and truth, and below them the
     standard deviation of position. `trials` and `confidence` are those of `confidence_at_coil`.
     """
     from matplotlib.lines import Line2D
 
     shapes = list(dict.fromkeys(name.rsplit(" ", 1)[0] for name in trials))
-    with _canvas(8.4, 11.3) as figure:
+    with canvas(8.4, 11.3) as figure:
         figure.set_layout_engine("none")
         bodies = _Bodies(figure, len(_KINDS), len(shapes))
         pitch = 7.5 / len(shapes)
@@ -66,14 +58,14 @@ def coil_figure(trials: Mapping[str, Trial], confidence: Mapping[str, Any]) -> F
             time, found = float(result.posterior.grid.time.mean()), confidence[name]
             bodies.draw(row, column, result, time, found["coil"], colour)
             arclength, std = std_along(result, time)
-            curves[column].axvline(found["coil"] * _MM, color=colour, **_DASHES, zorder=1)
-            curves[column].plot(arclength * _MM, std * _MM, color=colour, lw=2.2)
-            least = np.interp(found["minimum"], arclength, std) * _MM
-            curves[column].plot(found["minimum"] * _MM, least, mfc=colour, **_MINIMUM)
+            curves[column].axvline(found["coil"] * MM, color=colour, **_DASHES, zorder=1)
+            curves[column].plot(arclength * MM, std * MM, color=colour, lw=2.2)
+            least = np.interp(found["minimum"], arclength, std) * MM
+            curves[column].plot(found["minimum"] * MM, least, mfc=colour, **_MINIMUM)
         bodies.finish((0.8, 3.35, 7.5, 7.2), (0.2, 0.05))
         top = 1.08 * max(axes.get_ylim()[1] for axes in curves)
         for axes, shape in zip(curves, shapes, strict=True):
-            axes.set(xlim=(0.0, 1.03 * bench().rod.length * _MM), ylim=(0.0, top))
+            axes.set(xlim=(0.0, 1.03 * bench().rod.length * MM), ylim=(0.0, top))
             axes.set_xlabel("arclength (mm)")
             axes.tick_params(labelleft=axes is curves[0])
             middle = axes.get_position().x0 + 0.5 * axes.get_position().width
@@ -90,20 +82,20 @@ def coil_figure(trials: Mapping[str, Trial], confidence: Mapping[str, Any]) -> F
         entries["coil"] = tuple(Line2D([], [], color=c, **_DASHES) for c in colours)
         lows = tuple(Line2D([], [], mfc=c, **_MINIMUM) for c in colours)
         entries["minimum nearest to it"] = lows
-        _legend(figure, entries, loc="lower center", ncols=4, columnspacing=1.5, handletextpad=0.5)
+        legend(figure, entries, loc="lower center", ncols=4, columnspacing=1.5, handletextpad=0.5)
     return figure
 
 
 def following_figure(result: Trial, scene: Scene, following: Mapping[str, Any]) -> Figure:
     """The place of highest confidence follows the coil through the whole length of the body.
 
-    Left the body with 3σ ellipsoids at six of the estimate's nodes in time, on the coil's way in;
+    Left the body with 95 % ellipsoids at six of the estimate's nodes in time, on the coil's way in;
     right the standard deviation of position along it, and the arclengths of coil and minimum over
     time. The arguments are those of `confidence_follows`.
     """
     from matplotlib import colormaps
 
-    with _canvas(10.4, 7.4) as figure:
+    with canvas(10.4, 7.4) as figure:
         figure.set_layout_engine("none")
         bodies = _Bodies(figure, 2, _INSTANTS // 2)
         curves = _plane(figure, (7.55, 4.05, 2.7, 2.55), label="std")
@@ -114,11 +106,11 @@ def following_figure(result: Trial, scene: Scene, following: Mapping[str, Any]) 
             place = (1.6 + 2.05 * column) / 10.4, (6.72 - 3.25 * row) / 7.4
             figure.text(*place, f"{time:.1f} s", color=colours[i], ha="center", fontweight="bold")
             arclength, std = std_along(result, time)
-            height = np.interp(coil, arclength, std) * _MM
-            curves.plot(arclength * _MM, std * _MM, color=colours[i], lw=2.0)
+            height = np.interp(coil, arclength, std) * MM
+            curves.plot(arclength * MM, std * MM, color=colours[i], lw=2.0)
             look = {**_DASHES, "lw": 1.4, "color": colours[i]}
-            curves.plot([coil * _MM] * 2, [1e-9, height], **look)
-            curves.scatter(coil * _MM, height, s=55, zorder=5, **_COIL)
+            curves.plot([coil * MM] * 2, [1e-9, height], **look)
+            curves.scatter(coil * MM, height, s=55, zorder=5, **_COIL)
         bodies.finish((0.6, 0.4, 6.15, 6.5), (0.1, 0.5))
         _finish_curves(curves)
         _draw_following(_plane(figure, (7.55, 0.65, 2.7, 2.5), label="way"), scene, following)
@@ -143,7 +135,7 @@ def _finish_curves(axes: Any) -> None:
     std = np.concatenate([line.get_ydata() for line in axes.lines])
     std = std[std > 1e-6]
     axes.set(xlabel="arclength (mm)", ylabel="position std. dev. (mm)", yscale="log")
-    axes.set(ylim=(0.7 * std.min(), 1.3 * std.max()), xlim=(0, 1.03 * bench().rod.length * _MM))
+    axes.set(ylim=(0.7 * std.min(), 1.3 * std.max()), xlim=(0, 1.03 * bench().rod.length * MM))
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
     axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axes.yaxis.set_minor_formatter(NullFormatter())
@@ -153,18 +145,18 @@ def _draw_following(axes: Any, scene: Scene, following: Mapping[str, Any]) -> No
     """Coil and minimum over time."""
     from matplotlib.ticker import MaxNLocator
 
-    length, instants = bench().rod.length * _MM, following["instants"]
+    length, instants = bench().rod.length * MM, following["instants"]
     time = np.linspace(0.0, scene.duration, 701)
-    axes.plot(time, length - path(scene).at(time) * _MM, color="0.45", lw=2.0, label="coil")
+    axes.plot(time, length - path(scene).at(time) * MM, color="0.45", lw=2.0, label="coil")
     look = {**_MINIMUM, "mfc": "#CC79A7", "ms": 6.5}
-    minima = [entry["minimum"] * _MM for entry in instants.values()]
+    minima = [entry["minimum"] * MM for entry in instants.values()]
     axes.plot([float(t) for t in instants], minima, **look, label="minimum")
     axes.axhspan(0.0, _JUDGED * length, color="0.93", zorder=0)
     axes.text(0.25, 0.5 * _JUDGED * length, "clamped:\nnot judged", va="center", fontsize=9)
     axes.set(xlabel="time (s)", ylabel="arclength (mm)", xlim=(0.0, scene.duration))
     axes.set(ylim=(0.0, 1.03 * length))
     axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
-    axes.set_title(f"≤ {following['worst'] * _MM:.1f} mm apart at these instants", loc="left")
+    axes.set_title(f"≤ {following['worst'] * MM:.1f} mm apart at these instants", loc="left")
     axes.legend(loc="upper center", handlelength=1.2)
 
 
@@ -191,7 +183,7 @@ class _Bodies:
         """Draw the robot at a time in s, with the coil at an arclength in m."""
         axes, posterior = self.axes[row][column], result.posterior
         sites, ends = _places(result.truth, posterior.grid), posterior.grid.arclength
-        line = posterior.at(np.linspace(ends[0], ends[-1], 141), time).position * _MM
+        line = posterior.at(np.linspace(ends[0], ends[-1], 141), time).position * MM
         at_sites = posterior.at([site.arclength[0] for site in sites], time)
         corners = _draw_ellipsoids(axes, at_sites, colour)
         for ellipsoid in axes.collections:
@@ -199,7 +191,7 @@ class _Bodies:
         axes.plot(*line.T, color=colour, linewidth=1.9, zorder=3)
         corners += [_draw_truth(axes, site, time, _TRIAD) for site in sites]
         axes.scatter(*line[0], **_DOT, s=50, marker="s", zorder=5)
-        place = posterior.at(coil, time).position * _MM
+        place = posterior.at(coil, time).position * MM
         axes.scatter(*place, s=75, zorder=6, depthshade=False, **_COIL)
         self.points[column] += [line, *corners]
 
@@ -284,8 +276,8 @@ def _explain_bodies(figure: Any) -> None:
         "base": Line2D([], [], color="black", marker="s", ms=7, ls="none"),
         "coil": Line2D([], [], **dot),
         "estimate": Line2D([], [], color="0.3", lw=1.9),
-        "3σ of position": Patch(color="0.5", alpha=0.45, linewidth=0),
-        "motion capture: x, y, z": tuple(Line2D([], [], lw=2, c=c) for c in _AXES.values()),
+        "95 % of positions": Patch(color="0.5", alpha=0.45, linewidth=0),
+        "motion capture: x, y, z": tuple(Line2D([], [], lw=2, c=c) for c in AXES.values()),
     }
     look = {"ncols": len(entries), "columnspacing": 1.5, "handletextpad": 0.5}
-    _legend(figure, entries, loc="upper center", **look)
+    legend(figure, entries, loc="upper center", **look)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from glissando.visualization.figures import _MM, _canvas, _legend
+from glissando.visualization.canvas import MM, canvas, legend
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -67,7 +67,7 @@ def table_figure(table: Mapping[str, Mapping[str, Any]]) -> Figure:
     from matplotlib.lines import Line2D
 
     rows = _table_rows({arm for arms in table.values() for arm in arms})
-    with _canvas(10.0, 1.7 + 2 * max(1.0, 0.31 * len(rows))) as figure:
+    with canvas(10.0, 1.7 + 2 * max(1.0, 0.31 * len(rows))) as figure:
         grid = figure.add_gridspec(2, len(table))
         for i, kind in enumerate(_KINDS):
             for j, (shape, arms) in enumerate(table.items()):
@@ -75,7 +75,7 @@ def table_figure(table: Mapping[str, Mapping[str, Any]]) -> Figure:
         dots = [Line2D([], [], color=_colour(s), marker="o", ms=7.5, mec="black") for s in table]
         hollow = [Line2D([], [], color=_colour(s), **_PAPER_LOOK) for s in table]
         entries = {"ours, with 95 % interval": tuple(dots), "paper": tuple(hollow)}
-        _legend(figure, entries, loc="outside upper center", ncols=2)
+        legend(figure, entries, loc="outside upper center", ncols=2)
     return figure
 
 
@@ -189,7 +189,7 @@ def moving_figure(moving: Mapping[str, Mapping[str, Any]]) -> Figure:
 
     strokes = sorted({arm["stroke"] for arms in moving.values() for arm in arms.values()} - {0.0})
     markers = dict(zip(strokes, "ov^sDP", strict=False))
-    with _canvas(10.0 if len(moving) > 1 else 7.0, 6.2) as figure:
+    with canvas(10.0 if len(moving) > 1 else 7.0, 6.2) as figure:
         table: Any = figure.subplots(
             2, len(moving), sharex=True, sharey="row", squeeze=False, gridspec_kw={"hspace": 0.06}
         )
@@ -205,8 +205,8 @@ def moving_figure(moving: Mapping[str, Mapping[str, Any]]) -> Figure:
         entries: dict[str, Any] = {"fixed at the tip": (Patch(color="0.82"), line)}
         look: dict[str, Any] = {"color": "0.6", "mec": "black", "ms": 8, "ls": "none"}
         for stroke, marker in markers.items():
-            entries[f"sliding by {stroke * _MM:.0f} mm"] = Line2D([], [], marker=marker, **look)
-        _legend(figure, entries, loc="outside upper center", ncols=len(entries))
+            entries[f"sliding by {stroke * MM:.0f} mm"] = Line2D([], [], marker=marker, **look)
+        legend(figure, entries, loc="outside upper center", ncols=len(entries))
     return figure
 
 
@@ -223,7 +223,7 @@ def _draw_moving(
         sliding = [arm for arm in arms.values() if arm["stroke"] == stroke]
         sliding.sort(key=lambda arm: arm["slide_speed"])
         if sliding:
-            speed = [arm["slide_speed"] * _MM for arm in sliding]
+            speed = [arm["slide_speed"] * MM for arm in sliding]
             numbers = [[arm[kind][k] for k in ("value", "low", "high")] for arm in sliding]
             value, low, high = unit * np.transpose(numbers)
             look = {"color": colour, "marker": marker, "ms": 8, "lw": 1.4, "elinewidth": 2.0}
@@ -257,7 +257,7 @@ def causes_figure(causes: Mapping[str, Mapping[str, Any]]) -> Figure:
     from matplotlib.lines import Line2D
 
     shapes = list(dict.fromkeys(shape for cause in causes.values() for shape in cause))
-    with _canvas(10.0, 1.5 + 0.42 * len(causes)) as figure:
+    with canvas(10.0, 1.5 + 0.42 * len(causes)) as figure:
         pair: Any = figure.subplots(1, 2, sharey=True)
         for axes, kind, name in zip(pair, _KINDS, ("position", "orientation"), strict=True):
             axes.axvline(0.0, color="0.35", lw=1.2, zorder=1)
@@ -279,7 +279,7 @@ def causes_figure(causes: Mapping[str, Mapping[str, Any]]) -> Figure:
             entries[f"{s}, with 95 % interval"] = Line2D([], [], **look)
         lines = (Line2D([], [], c=_colour(s), lw=1.2, ls=_DASHES) for s in shapes)
         entries["paper"] = tuple(lines)
-        _legend(figure, entries, loc="outside upper center", ncols=len(entries))
+        legend(figure, entries, loc="outside upper center", ncols=len(entries))
     return figure
 
 

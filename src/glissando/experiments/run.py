@@ -20,7 +20,7 @@ from glissando.experiments.page import page
 from glissando.experiments.scenes import ROBOT, Scene, Trial, trial
 from glissando.experiments.studies import Studies
 from glissando.io.atomic_file import write_text
-from glissando.visualization.figures import save_figure
+from glissando.visualization.canvas import save_figure
 from glissando.visualization.film import save_animation
 
 Progress = Callable[[str, int, int], None]

@@ -3,37 +3,48 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from glissando.evaluation.consistency import Consistency
 from glissando.evaluation.replay import Replay
 from glissando.evaluation.simulation_based import SimulationCheck, bands, rank_points
+from glissando.geometry.se3 import Array
 from glissando.model.quantiles import chi_square_quantile
-from glissando.visualization.figures import _SENSORS, _canvas
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from glissando.visualization.canvas import NO_STYLE, SENSORS, Style, describe, panels_on
 
 
-def calibration_figure(checks: Sequence[Consistency]) -> Figure:
+def calibration_figure(
+    checks: Sequence[Consistency], *, ax: Any = None, style: Style = NO_STYLE
+) -> Any:
     """Actual against nominal coverage in %, position and rotation, a line a site.
 
     The grey band holds a consistent estimate's line over all sites at each level with probability
-    95 %. Below the diagonal an estimate is overconfident. Raises GlissandoError without matplotlib.
+    95 %. Below the diagonal an estimate is overconfident.
+
+    Args:
+        checks: What `check` returns.
+        ax: Axes (1, Q) to draw into, one a quantity; those of a new figure unless given.
+        style: rcParams to draw with.
+
+    Returns:
+        The axes (1, Q).
+
+    Raises:
+        GlissandoError: matplotlib is not installed.
     """
     quantities = [q for q in ("position", "rotation") if any(c.quantity == q for c in checks)]
-    with _canvas(5.2 * len(quantities), 5.0) as figure:
-        panels: Any = figure.subplots(1, len(quantities), squeeze=False)
+    shape, size = (1, len(quantities)), (5.2 * len(quantities), 5.0)
+    with panels_on(ax, shape, size, style) as panels:
         for axes, quantity in zip(panels[0], quantities, strict=True):
             _draw(axes, [c for c in checks if c.quantity == quantity])
             axes.set_title(quantity, loc="left", fontweight="bold")
             axes.set(xlabel="nominal coverage (%)", xlim=(0, 100), ylim=(0, 101), aspect="equal")
         panels[0][0].set_ylabel("errors inside (%)")
-        handles, labels = panels[0][0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper center", ncols=4)
-    return figure
+        entries = dict(zip(*panels[0][0].get_legend_handles_labels()[::-1], strict=True))
+        describe(panels[0][0], ax is None, entries, loc="outside upper center", ncols=4)
+    return panels
 
 
 def _draw(axes: Any, checks: Sequence[Consistency]) -> None:
@@ -45,45 +56,66 @@ def _draw(axes: Any, checks: Sequence[Consistency]) -> None:
     for order, c in enumerate(checks):
         inside = np.mean(c.nees[:, None] <= chi_square_quantile(level, c.dof), axis=0)
         last = c is whole and len(checks) > 1
-        colour = "black" if last else _SENSORS[(0, 1, 3, 4, 6, 7)[order % 6]]
+        colour = "black" if last else SENSORS[(0, 1, 3, 4, 6, 7)[order % 6]]
         width = 2.8 if last else 1.3
         axes.plot(100 * level, 100 * inside, color=colour, linewidth=width, label=c.site)
 
 
-def ecdf_figure(checks: Sequence[SimulationCheck]) -> Figure:
+def ecdf_figure(
+    checks: Sequence[SimulationCheck], *, ax: Any = None, style: Style = NO_STYLE
+) -> Any:
     """Distribution functions of ranks less that of uniform ones, a panel an estimator.
 
     The grey band holds the lines of all quantities at once with the check's level if confidence is
     true. A line above it on the left and below on the right is that of an overconfident estimate,
-    the other way round an underconfident one; above or below throughout, a biased one. Raises
-    GlissandoError without matplotlib.
+    the other way round an underconfident one; above or below throughout, a biased one.
+
+    Args:
+        checks: What is drawn.
+        ax: Axes, one an estimator, to draw into; those of a new figure unless given.
+        style: rcParams to draw with.
+
+    Returns:
+        The axes (1, E).
+
+    Raises:
+        GlissandoError: matplotlib is not installed.
     """
     points = rank_points()
-    with _canvas(5.2 * len(checks), 4.2) as figure:
-        panels: Any = figure.subplots(1, len(checks), squeeze=False, sharey=True)
+    shape, size = (1, len(checks)), (5.2 * len(checks), 4.2)
+    with panels_on(ax, shape, size, style, sharey=True) as panels:
         for axes, check in zip(panels[0], checks, strict=True):
             low, high = bands(check.checks[0].ranks.size, check.p_limit)
             axes.fill_between(points, low, high, color="0.88", label=f"uniform, {check.level:.0%}")
             axes.axhline(0.0, color="0.5", linewidth=0.9)
             for c in check.checks:
                 outside = c.p_value < check.p_limit
-                look = {"color": _SENSORS[6], "linewidth": 1.8, "label": c.name}
+                look = {"color": SENSORS[6], "linewidth": 1.8, "label": c.name}
                 plain = {"color": "0.35", "linewidth": 0.8}
                 axes.plot(points, c.ecdf_difference, **(look if outside else plain))
             axes.set_title(check.estimator, loc="left", fontweight="bold")
             axes.set(xlabel="rank of the truth", xlim=(0, 1))
             axes.legend(fontsize="small", loc="upper right")
         panels[0][0].set_ylabel("ECDF − uniform")
-    return figure
+    return panels
 
 
-def replay_figure(run: Replay) -> Figure:
+def replay_figure(run: Replay, *, ax: Any = None, style: Style = NO_STYLE) -> Any:
     """Errors of the newest states and their confidence over time, and latencies by frequency.
 
-    Raises GlissandoError without matplotlib.
+    Args:
+        run: What `replay` returns.
+        ax: Two axes to draw into; those of a new figure unless given.
+        style: rcParams to draw with.
+
+    Returns:
+        The axes (2, 1).
+
+    Raises:
+        GlissandoError: matplotlib is not installed.
     """
-    with _canvas(9.0, 5.6) as figure:
-        upper, lower = figure.subplots(2, 1)
+    with panels_on(ax, (2, 1), (9.0, 5.6), style) as panels:
+        upper, lower = panels[:, 0]
         _draw_newest(upper, run)
         latency = 1e3 * np.sort(run.latency)
         lower.plot(latency, 100.0 * (np.arange(latency.size) + 1) / latency.size, color="black")
@@ -92,18 +124,42 @@ def replay_figure(run: Replay) -> Figure:
             value = float(np.percentile(latency, share))
             lower.axvline(value, color="0.6", linewidth=0.9)
             lower.text(value, 5, f" {share} %: {value:.1f} ms", color="0.35")
-    return figure
+    return panels
 
 
 def _draw_newest(axes: Any, run: Replay) -> None:
     length = run.robot.length
-    std = np.array([s.std_position for s in run.states])
-    for order, share in enumerate((0.5, 1.0)):
+    radius = 1e3 * np.array([radius95(s.cov[:, :3, :3]) for s in run.states])
+    shown = [radius]
+    for share, line in ((0.5, "--"), (1.0, "-")):
         at = int(np.argmin(np.abs(run.robot.arclength_nodes - share * length)))
-        label = f"one σ at {1e3 * run.robot.arclength_nodes[at]:.0f} mm"
-        axes.plot(run.time, 1e3 * std[:, at], color=_SENSORS[order], label=label)
-    for order, errors in enumerate(run.newest):
-        look = {"color": _SENSORS[(3, 4, 6, 7)[order % 4]], "markersize": 3, "alpha": 0.6}
+        label = f"95 % at {1e3 * run.robot.arclength_nodes[at]:.0f} mm"
+        axes.plot(run.time, radius[:, at], line, color="black", linewidth=1.0, label=label)
+    colours = _different(len(run.newest))
+    for errors, colour in zip(run.newest, colours, strict=True):
+        look = {"color": colour, "markersize": 3, "alpha": 0.6}
         axes.plot(errors.time, 1e3 * errors.position, ".", **look, label=errors.name)
-    axes.set(xlabel="time (s)", ylabel="position error (mm)", ylim=(0, None))
+        shown.append(1e3 * errors.position)
+    top = 1.1 * float(np.nanquantile(np.concatenate([s.ravel() for s in shown]), 0.99))
+    axes.set(xlabel="time (s)", ylabel="position error (mm)", ylim=(0, top or None))
     axes.legend(ncols=4, fontsize="small", loc="upper left")
+
+
+def _different(count: int) -> list[Any]:
+    """So many colours that differ: those safe for all eyes, and beyond eight shades of a map."""
+    from matplotlib import colormaps
+
+    safe = [c for c in SENSORS if c not in ("#FFFFFF", "#000000")]
+    shades = colormaps["viridis"](np.linspace(0.0, 0.95, max(count, 1)))
+    return safe[:count] if count <= len(safe) else list(shades)
+
+
+def radius95(cov: Array) -> Array:
+    """Distance (…) that 95 % of errors of these covariances (…, 3, 3) stay within.
+
+    The squared distance is taken for a scaled chi-square of the same mean and variance.
+    """
+    mean = np.einsum("...ii->...", cov)
+    square = np.einsum("...ij,...ji->...", cov, cov)
+    dof = mean**2 / square
+    return np.asarray(np.sqrt(square / mean * chi_square_quantile(0.95, dof)))

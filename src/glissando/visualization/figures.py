@@ -1,71 +1,47 @@
 """Three figures of a posterior: the robot in space, its confidence everywhere, its errors.
 
-Lengths are drawn in millimetres. matplotlib is imported when a figure is asked for, not before;
+Lengths are drawn in millimetres, confidence at 95 %: ellipsoids and tubes hold 95 % of positions,
+bands 95 % of a component. Every function takes axes to draw into and a style, rcParams that it
+draws with, and returns the axes. matplotlib is imported when a figure is asked for, not before;
 figures carry their own Agg canvas, so no window opens and no global plotting state changes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from glissando.errors import GlissandoError
+from glissando.estimation.confidence_tube import SIGMAS_95
 from glissando.estimation.posterior import Posterior, StateEstimate
 from glissando.geometry.se3 import Array, adjoint, inverse
-from glissando.io.atomic_file import new_file
 from glissando.model.grid import Grid
 from glissando.model.sensors.readings import Readings
 from glissando.model.sensors.sensors import CoilReadings, PoseReadings, PositionReadings
+from glissando.visualization.canvas import (
+    AXES,
+    BAND,
+    MARKERS,
+    MM,
+    NO_STYLE,
+    SENSORS,
+    Style,
+    describe,
+    panels_on,
+    save_figure,
+)
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from matplotlib.axes import Axes
 
-_MM = 1e3
-_SIGMAS = 3.0
 _NEAR = 0.1  # s: a truth sample this close to a drawn time is drawn with it
 _FIXED_SITES = 12  # a stream at more arclengths than this slides and is one row of errors
 _SAMPLES = 1000  # truth samples drawn a site
-_AXES = {"x": "#D55E00", "y": "#009E73", "z": "#0072B2"}  # Okabe and Ito: safe for all eyes
-_SENSORS = ("#E69F00", "#56B4E9", "#FFFFFF", "#CC79A7", "#D55E00", "#000000", "#F0E442", "#009E73")
-_MARKERS = "osD^vP*X"
 _POSITIONED = PoseReadings | CoilReadings | PositionReadings  # streams that see a position
 _DOT: dict[str, Any] = {"color": "black", "depthshade": False}
-_STYLE: dict[Any, Any] = {
-    "font.size": 11,
-    "axes.titlesize": 11,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "figure.constrained_layout.w_pad": 0.1,
-    "grid.color": "0.85",
-    "legend.frameon": False,
-}
-
-
-@contextmanager
-def _canvas(width: float, height: float) -> Iterator[Figure]:
-    """An empty figure of that size in inches on its own canvas, and our look while it is filled."""
-    try:
-        import matplotlib
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError as missing:
-        raise GlissandoError(
-            "Figures need matplotlib, which is not installed: run pip install 'glissando[plot]'."
-        ) from missing
-    with matplotlib.rc_context(_STYLE):
-        yield FigureCanvasAgg(Figure(figsize=(width, height), layout="constrained")).figure
-
-
-def _legend(figure: Figure, entries: dict[str, Any], **look: Any) -> None:
-    """A legend outside the axes, in which a tuple of lines is one entry."""
-    from matplotlib.legend_handler import HandlerTuple
-
-    look["handler_map"] = {tuple: HandlerTuple(ndivide=None, pad=0.4)}
-    figure.legend(list(entries.values()), list(entries), **look)
 
 
 def _places(streams: Sequence[Readings], grid: Grid, kind: Any = _POSITIONED) -> list[Readings]:
@@ -90,17 +66,26 @@ def _seen(readings: Readings) -> Array:
 
 
 def shape_figure(
-    posterior: Posterior, truth: Sequence[Readings], times: Sequence[float] | None = None
-) -> Figure:
-    """The robot in space at several times, with 3σ ellipsoids and the truth.
+    posterior: Posterior,
+    truth: Sequence[Readings],
+    times: Sequence[float] | None = None,
+    *,
+    ax: Axes | None = None,
+    size: tuple[float, float] = (8.0, 7.6),
+    style: Style = NO_STYLE,
+) -> Axes:
+    """The robot in space at several times, with 95 % ellipsoids and the truth.
 
     Args:
         posterior: What is drawn.
         truth: Streams of poses become triads and of positions points, at their sample within 0.1 s.
         times: Seconds; five across the grid unless given.
+        ax: Axes to draw into, with projection="3d"; those of a new figure unless given.
+        size: Width and height of a new figure, inches.
+        style: rcParams to draw with.
 
     Returns:
-        The figure, in the world frame and millimetres.
+        The axes, in the world frame and millimetres; `.figure` is their figure.
 
     Raises:
         OutsideGridError: A time is off the grid.
@@ -110,12 +95,13 @@ def shape_figure(
     if times is None:
         times = np.unique(np.linspace(grid.time[0], grid.time[-1], 5)).tolist()
     dense, few = (np.linspace(grid.arclength[0], grid.arclength[-1], n) for n in (100, 6))
-    lines = [posterior.at(dense, time).position * _MM for time in times]
+    lines = [posterior.at(dense, time).position * MM for time in times]
     sites = _places(truth, grid)
-    with _canvas(8.0, 7.6) as figure:
+    look = {"projection": "3d", "elev": 20, "azim": -60, "computed_zorder": False}
+    with panels_on(ax, (1, 1), size, style, subplot_kw=look) as panels:
         from matplotlib import colormaps
 
-        axes: Any = figure.add_subplot(projection="3d", elev=20, azim=-60, computed_zorder=False)
+        axes: Any = panels[0, 0]
         colours = colormaps["viridis"](np.linspace(0.0, 0.88, len(times)))
         reach = 0.06 * np.ptp(np.concatenate(lines), axis=0).max()
         corners = [*lines]
@@ -126,17 +112,17 @@ def shape_figure(
         base = np.stack([line[0] for line in lines]).T
         axes.scatter(*base, **_DOT, s=90, marker="s", zorder=5, label="base")
         _frame(axes, np.concatenate(corners))
-        _explain(figure, axes, sites)
-    return figure
+        _explain(axes, ax is None, sites)
+    return axes
 
 
 def _draw_ellipsoids(axes: Any, at: StateEstimate, colour: Any) -> list[Array]:
-    """Draw the 3σ position ellipsoids of the points (M,); their bounding corners in mm."""
+    """Draw the 95 % position ellipsoids of the points (M,); their bounding corners in mm."""
     around, down = np.meshgrid(np.linspace(0.0, 2.0 * np.pi, 25), np.linspace(0.0, np.pi, 15))
     ball = np.stack([np.cos(around) * np.sin(down), np.sin(around) * np.sin(down), np.cos(down)])
     variance, directions = np.linalg.eigh(at.cov_position_world)
-    stretch = _SIGMAS * _MM * np.sqrt(np.maximum(variance, 0.0))[:, None, :] * directions
-    centre = at.position * _MM
+    stretch = SIGMAS_95 * MM * np.sqrt(np.maximum(variance, 0.0))[:, None, :] * directions
+    centre = at.position * MM
     for place, axis in zip(centre, stretch, strict=True):
         x, y, z = place[:, None, None] + np.einsum("ij,jkl->ikl", axis, ball)
         axes.plot_surface(x, y, z, color=colour, alpha=0.12, linewidth=0, shade=False, zorder=2)
@@ -149,12 +135,12 @@ def _draw_truth(axes: Any, site: Readings, time: float, reach: float) -> Array:
     row = int(np.argmin(np.abs(site.time - time)))
     if abs(site.time[row] - time) > _NEAR:
         return np.empty((0, 3))
-    origin = _seen(site)[row] * _MM
+    origin = _seen(site)[row] * MM
     if site.values.ndim == 2:
         axes.scatter(*origin[:, None], **_DOT, s=24, zorder=4, label="truth: point")
         return origin[None]
     tips: Array = origin + reach * site.values[row, :3, :3].T  # a row an axis
-    for tip, colour in zip(tips, _AXES.values(), strict=True):
+    for tip, colour in zip(tips, AXES.values(), strict=True):
         axes.plot(*np.stack([origin, tip]).T, color=colour, linewidth=1.8, zorder=4)
     return tips
 
@@ -174,19 +160,26 @@ def _frame(axes: Any, points: Array) -> None:
     axes.set_box_aspect(half, zoom=1.06)
 
 
-def _explain(figure: Figure, axes: Any, sites: Sequence[Readings]) -> None:
+def _explain(axes: Any, own: bool, sites: Sequence[Readings]) -> None:
     """The legend of the shape: a line a time, the base, the ellipsoids, and what truth there is."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
     entries = dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))
-    entries["3σ of position"] = Patch(color="0.5", alpha=0.35, linewidth=0)
+    entries["95 % of positions"] = Patch(color="0.5", alpha=0.35, linewidth=0)
     if any(site.values.ndim == 3 for site in sites):
-        entries["truth: x, y, z"] = tuple(Line2D([], [], color=c) for c in _AXES.values())
-    _legend(figure, entries, loc="outside right upper")
+        entries["truth: x, y, z"] = tuple(Line2D([], [], color=c) for c in AXES.values())
+    describe(axes, own, entries, loc="outside right upper")
 
 
-def confidence_figure(posterior: Posterior, readings: Sequence[Readings]) -> Figure:
+def confidence_figure(
+    posterior: Posterior,
+    readings: Sequence[Readings],
+    *,
+    ax: Axes | None = None,
+    size: tuple[float, float] = (10.0, 5.2),
+    style: Style = NO_STYLE,
+) -> Axes:
     """The std of position at every arclength and time, and where each sensor was.
 
     Colour is the root of the total position variance, at the grid's own times if they are 100 or
@@ -195,9 +188,12 @@ def confidence_figure(posterior: Posterior, readings: Sequence[Readings]) -> Fig
     Args:
         posterior: What is drawn.
         readings: Streams that were used.
+        ax: Axes to draw into; those of a new figure unless given.
+        size: Width and height of a new figure, inches.
+        style: rcParams to draw with.
 
     Returns:
-        The figure, in millimetres and seconds.
+        The axes, in millimetres and seconds; `.figure` is their figure.
 
     Raises:
         GlissandoError: matplotlib is not installed.
@@ -205,22 +201,25 @@ def confidence_figure(posterior: Posterior, readings: Sequence[Readings]) -> Fig
     grid = posterior.grid
     time, time_drawn = _fill(grid.time, 120)
     arclength, arclength_drawn = _fill(grid.arclength, 80)
-    std = posterior.at(arclength[:, None], time).std_position * _MM
+    std = posterior.at(arclength[:, None], time).std_position * MM
     top = float(np.quantile(std, 0.99))
     over: Any = "max" if std.max() > 1.02 * top else "neither"
     used = [stream for stream in (r.inside(grid) for r in readings) if len(stream)]
-    with _canvas(10.0, 5.2) as figure:
-        axes: Any = figure.add_subplot()
-        at = time_drawn, arclength_drawn * _MM
-        shade = axes.pcolormesh(*at, std, vmin=0.0, vmax=top, cmap="viridis", shading="gouraud")
-        figure.colorbar(shade, label="position standard deviation (mm)", pad=0.015, extend=over)
+    with panels_on(ax, (1, 1), size, style) as panels:
+        axes: Any = panels[0, 0]
+        at = time_drawn, arclength_drawn * MM
+        look = {"cmap": "viridis", "shading": "gouraud", "rasterized": True}
+        shade = axes.pcolormesh(*at, std, vmin=0.0, vmax=top, **look)
+        label = "position standard deviation (mm)"
+        axes.figure.colorbar(shade, ax=axes, label=label, pad=0.015, extend=over)
         for order, stream in enumerate(used):
             _draw_path(axes, stream, order, len(used))
         axes.set(xlabel="time (s)", ylabel="arclength (mm)")
         axes.margins(0.0)
+        entries = dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))
         if used:
-            figure.legend(loc="outside upper center", ncols=min(len(used), 5))
-    return figure
+            describe(axes, ax is None, entries, loc="outside upper center", ncols=min(len(used), 5))
+    return axes
 
 
 def _fill(nodes: Array, count: int) -> tuple[Array, Array]:
@@ -238,43 +237,54 @@ def _fill(nodes: Array, count: int) -> tuple[Array, Array]:
 def _draw_path(axes: Any, stream: Readings, order: int, count: int) -> None:
     """One sensor's path over time and arclength; markers of sensors in one place alternate."""
     stream = stream.select(np.argsort(stream.time, kind="stable"))
-    time, arclength = stream.time, stream.arclength * _MM
+    time, arclength = stream.time, stream.arclength * MM
     wanted = time[0] + (time[-1] - time[0]) * (np.arange(16) + (order + 0.5) / count) / 16
     at = np.unique(np.searchsorted(time, wanted).clip(0, time.size - 1))
     thin = slice(None, None, -(-time.size // 2000))
-    colour, marker = _SENSORS[order % len(_SENSORS)], _MARKERS[order % len(_MARKERS)]
+    colour, marker = SENSORS[order % len(SENSORS)], MARKERS[order % len(MARKERS)]
     look = {"mfc": colour, "mec": "black", "mew": 0.8, "ms": 7.5, "clip_on": False, "zorder": 5}
     axes.plot(time[thin], arclength[thin], color="white", lw=1.0, alpha=0.7)
     axes.plot(time[at], arclength[at], marker, **look, label=stream.label)
 
 
-def error_figure(posterior: Posterior, truth: Sequence[Readings]) -> Figure:
-    """Position errors at every truth site over time, each component in its ±3σ band.
+def error_figure(
+    posterior: Posterior,
+    truth: Sequence[Readings],
+    *,
+    ax: Any = None,
+    size: tuple[float, float] | None = None,
+    style: Style = NO_STYLE,
+) -> Any:
+    """Position errors at every truth site over time, each component in its 95 % band.
 
     Args:
         posterior: The estimate.
         truth: Streams it is compared with.
+        ax: Axes (S, 3) to draw into, a row a site; those of a new figure unless given.
+        size: Width and height of a new figure, inches.
+        style: rcParams to draw with.
 
     Returns:
-        The figure: estimate minus truth in the world frame, mm; the band is of both together.
+        The axes (S, 3): estimate minus truth in the world frame, mm; the band is of both together.
 
     Raises:
-        GlissandoError: No truth position lies on the grid, or matplotlib is not installed.
+        GlissandoError: No truth position lies on the grid, the axes are not as many, or matplotlib
+            is not installed.
     """
     sites = _places(truth, posterior.grid)
     if not sites:
         raise GlissandoError("No truth position lies on the grid: give a stream that overlaps it.")
-    with _canvas(11.0, 0.9 + 1.75 * len(sites)) as figure:
-        table: Any = figure.subplots(len(sites), 3, sharex=True, sharey="row", squeeze=False)
+    size, shares = size or (11.0, 0.9 + 1.75 * len(sites)), {"sharex": True, "sharey": "row"}
+    with panels_on(ax, (len(sites), 3), size, style, **shares) as table:
         for row, site in zip(table, sites, strict=True):
             _draw_errors(row, posterior, site)
-        for name, top, bottom in zip(_AXES, table[0], table[-1], strict=True):
+        for name, top, bottom in zip(AXES, table[0], table[-1], strict=True):
             top.set_title(name, loc="right", fontweight="bold", fontsize=13)
             bottom.set_xlabel("time (s)")
         drawn = [axes.get_legend_handles_labels()[0] for axes in table[0]]
-        entries = {"±3σ": drawn[0][0], "estimate − truth": tuple(keys[1] for keys in drawn)}
-        _legend(figure, entries, loc="outside upper right", ncols=2)
-    return figure
+        entries = {"95 %": drawn[0][0], "estimate − truth": tuple(keys[1] for keys in drawn)}
+        describe(table[0, 0], ax is None, entries, loc="outside upper right", ncols=2)
+    return table
 
 
 def _draw_errors(row: Sequence[Any], posterior: Posterior, site: Readings) -> None:
@@ -282,28 +292,28 @@ def _draw_errors(row: Sequence[Any], posterior: Posterior, site: Readings) -> No
     drawn = site.select(slice(None, None, -(-len(site) // _SAMPLES)))
     estimate = posterior.at(drawn.arclength, drawn.time)
     at = estimate.pose @ drawn.mount
-    error = (at[:, :3, 3] - _seen(drawn)) * _MM
+    error = (at[:, :3, 3] - _seen(drawn)) * MM
     lever = at[:, :3, :3] @ adjoint(inverse(drawn.mount))[:3]
     cov = drawn.cov[..., :3, :3]
     if drawn.values.ndim == 3:
         cov = at[:, :3, :3] @ cov @ np.swapaxes(at[:, :3, :3], -1, -2)
     cov = cov + lever @ estimate.cov[:, :6, :6] @ np.swapaxes(lever, -1, -2)
-    band = _SIGMAS * _MM * np.sqrt(np.einsum("mii->mi", cov))
+    band = BAND * MM * np.sqrt(np.einsum("mii->mi", cov))
     steps = np.diff(drawn.time, prepend=drawn.time[0])
     gaps = np.flatnonzero(steps > 8.0 * np.median(steps))
     time = np.insert(drawn.time, gaps, np.nan)
     line, wide = (np.insert(values, gaps, np.nan, axis=0) for values in (error, band))
     if time.size == 1:  # drawn 1 s wide
         time, line, wide = time + np.array([-0.5, 0.5]), line.repeat(2, 0), wide.repeat(2, 0)
-    for i, (axes, colour) in enumerate(zip(row, _AXES.values(), strict=True)):
-        axes.fill_between(time, -wide[:, i], wide[:, i], color="0.87", linewidth=0, label="±3σ")
+    for i, (axes, colour) in enumerate(zip(row, AXES.values(), strict=True)):
+        axes.fill_between(time, -wide[:, i], wide[:, i], color="0.87", linewidth=0, label="95 %")
         axes.axhline(0.0, color="0.55", linewidth=0.8)
         axes.plot(time, line[:, i], color=colour, linewidth=1.5, label="estimate − truth")
         axes.margins(x=0.0)
         axes.locator_params(axis="y", nbins=5)
     few = "" if len(drawn) == len(site) else f" ({len(drawn)} of {len(site)} samples)"
     rmse = np.sqrt(np.mean(np.sum(error**2, axis=1)))
-    ends = dict.fromkeys(f"{s:.4g}" for s in _MM * np.sort(site.arclength)[[0, -1]])
+    ends = dict.fromkeys(f"{s:.4g}" for s in MM * np.sort(site.arclength)[[0, -1]])
     row[0].set_title(f"{site.label}, {' to '.join(ends)} mm: RMSE {rmse:.2f} mm{few}", loc="left")
     row[0].set_ylabel("error (mm)")
 
@@ -320,21 +330,3 @@ def save_figures(
     if _places(truth, posterior.grid):
         figures["error"] = error_figure(posterior, truth)
     return [save_figure(figure, folder / f"{name}.png") for name, figure in figures.items()]
-
-
-def save_figure(figure: Figure, path: str | Path) -> Path:
-    """Write a figure as its file's ending says, whole or not at all; returns the path.
-
-    Args:
-        figure: The figure.
-        path: A .png, .pdf or .svg.
-
-    Raises:
-        GlissandoError: Another ending, or the disk refused.
-    """
-    path = Path(path)
-    if path.suffix.lower() not in (".png", ".pdf", ".svg"):
-        raise GlissandoError(f"{path.name} is no figure: end it in .png, .pdf or .svg.")
-    with new_file(path) as building:
-        figure.savefig(building, dpi=150)
-    return path

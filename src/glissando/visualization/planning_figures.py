@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -13,19 +13,21 @@ from glissando.io.atomic_file import new_file
 from glissando.planning.design import NUMBERS, Design, pareto_front
 from glissando.planning.planning_problem import PlanningProblem
 from glissando.planning.zones import Zone
-from glissando.visualization.figures import _SENSORS, _canvas
+from glissando.visualization.canvas import NO_STYLE, SENSORS, Style, canvas, describe, panels_on
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-_MM = 1e3
+MM = 1e3
 _PLACES, _TIMES = 60, 81  # points of a map along the body and in time
 _LINES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
 
 
 def plan_figure(
-    problem: PlanningProblem, paths: Mapping[str, Array], zones: Sequence[Zone]
-) -> Figure:
+    problem: PlanningProblem,
+    paths: Mapping[str, Array],
+    zones: Sequence[Zone],
+    *,
+    ax: Any = None,
+    style: Style = NO_STYLE,
+) -> Any:
     """Draw the predicted uncertainty over arclength and time for each path.
 
     The colour is the root of the total position variance, mm; a white line is the path of the
@@ -35,28 +37,39 @@ def plan_figure(
         problem: The planning problem.
         paths: Arclengths (T,) at the problem's `times` by name, m.
         zones: The zones that count.
+        ax: Axes, one a path, to draw into; those of a new figure unless given.
+        style: rcParams to draw with.
+
+    Returns:
+        The axes (1, P).
 
     Raises:
         GlissandoError: matplotlib is not installed.
     """
     place, time, maps = _maps(problem, paths)
     top = float(np.quantile(np.stack(list(maps.values())), 0.97))
-    with _canvas(4.6 * len(maps) + 0.8, 4.8) as figure:
-        row: Any = figure.subplots(1, len(maps), sharey=True, squeeze=False)[0]
+    size = (4.6 * len(maps) + 0.8, 4.8)
+    with panels_on(ax, (1, len(maps)), size, style, sharey=True) as panels:
+        row = panels[0]
         for axes, (name, std) in zip(row, maps.items(), strict=True):
-            style = {"vmin": 0.0, "vmax": top, "cmap": "viridis", "shading": "gouraud"}
-            shade = axes.pcolormesh(time, place * _MM, std, **style)
-            axes.plot(problem.times, paths[name] * _MM, color="white", lw=2.0)
+            style = {
+                "vmin": 0.0,
+                "vmax": top,
+                "cmap": "viridis",
+                "shading": "gouraud",
+                "rasterized": True,
+            }
+            shade = axes.pcolormesh(time, place * MM, std, **style)
+            axes.plot(problem.times, paths[name] * MM, color="white", lw=2.0)
             for zone in zones:
                 _outline(axes, zone, problem)
             axes.set_title(name, loc="left", fontweight="bold")
-            axes.set(xlabel="time (s)", xlim=time[[0, -1]], ylim=place[[0, -1]] * _MM)
+            axes.set(xlabel="time (s)", xlim=time[[0, -1]], ylim=place[[0, -1]] * MM)
         row[0].set_ylabel("arclength (mm)")
         over: Any = "max"
-        figure.colorbar(
-            shade, ax=row, label="position standard deviation (mm)", pad=0.015, extend=over
-        )
-    return figure
+        label = "position standard deviation (mm)"
+        row[0].figure.colorbar(shade, ax=list(row), label=label, pad=0.015, extend=over)
+    return panels
 
 
 def _maps(
@@ -70,7 +83,7 @@ def _maps(
     maps = {}
     for name, path in paths.items():
         cov = problem.predict(path).cov_pose(where, when)
-        std = _MM * np.sqrt(np.einsum("zii->z", cov[:, :3, :3]))
+        std = MM * np.sqrt(np.einsum("zii->z", cov[:, :3, :3]))
         maps[name] = std.reshape(_PLACES, _TIMES)
     return place, time, maps
 
@@ -93,7 +106,7 @@ def save_plan_film(
     """
     place, time, maps = _maps(problem, paths)
     top = float(np.quantile(np.stack(list(maps.values())), 0.97))
-    with _canvas(7.0, 4.2) as figure:
+    with canvas(7.0, 4.2) as figure:
         from matplotlib.animation import PillowWriter
 
         axes: Any = figure.subplots()
@@ -104,12 +117,12 @@ def save_plan_film(
                 for zone in zones:
                     if zone.overlap(now, now):
                         low, high = (float(end[0]) for end in zone.ends(np.array([now])))
-                        axes.axvspan(low * _MM, high * _MM, color="#E69F00", alpha=0.2, lw=0)
+                        axes.axvspan(low * MM, high * MM, color="#E69F00", alpha=0.2, lw=0)
                 for (name, std), colour in zip(maps.items(), _LINES, strict=False):
-                    axes.plot(place * _MM, std[:, k], color=colour, label=name)
+                    axes.plot(place * MM, std[:, k], color=colour, label=name)
                     at = float(np.interp(now, problem.times, paths[name]))
-                    axes.plot(at * _MM, 0.02 * top, "^", color=colour, clip_on=False)
-                axes.set(xlim=place[[0, -1]] * _MM, ylim=(0.0, top), xlabel="arclength (mm)")
+                    axes.plot(at * MM, 0.02 * top, "^", color=colour, clip_on=False)
+                axes.set(xlim=place[[0, -1]] * MM, ylim=(0.0, top), xlabel="arclength (mm)")
                 axes.set_ylabel("position standard deviation (mm)")
                 axes.set_title(f"{now - problem.start:.1f} s", loc="left")
                 axes.legend(loc="upper left", ncols=len(maps))
@@ -124,24 +137,33 @@ def _outline(axes: Any, zone: Zone, problem: PlanningProblem) -> None:
     low, high = zone.ends(time)
     around = np.concatenate([low, high[::-1], low[:1]])
     style = {"color": "#E69F00", "lw": 1.6, "ls": "--"}
-    axes.plot(np.concatenate([time, time[::-1], time[:1]]), around * _MM, **style)
+    axes.plot(np.concatenate([time, time[::-1], time[:1]]), around * MM, **style)
 
 
-def design_figure(designs: Sequence[Design]) -> Figure:
+def design_figure(designs: Sequence[Design], *, ax: Any = None, style: Style = NO_STYLE) -> Any:
     """Draw the uncertainty of every design against each of its costs.
 
     A line joins the best designs of each cost; large marks are designs on the Pareto front.
+
+    Args:
+        designs: The designs.
+        ax: Axes, one a cost, to draw into; those of a new figure unless given.
+        style: rcParams to draw with.
+
+    Returns:
+        The axes (1, C).
 
     Raises:
         GlissandoError: matplotlib is not installed.
     """
     best = pareto_front(designs)
-    std = _MM * np.array([d.std for d in designs])
-    with _canvas(3.6 * len(NUMBERS), 4.6) as figure:
-        row: Any = figure.subplots(1, len(NUMBERS), sharey=True)
+    std = MM * np.array([d.std for d in designs])
+    size = (3.6 * len(NUMBERS), 4.6)
+    with panels_on(ax, (1, len(NUMBERS)), size, style, sharey=True) as panels:
+        row = panels[0]
         for axes, (name, (unit, scale)) in zip(row, NUMBERS.items(), strict=True):
             cost = scale * np.array([float(getattr(d, name)) for d in designs])
-            for zone, colour in zip(range(std.shape[1]), _SENSORS, strict=False):
+            for zone, colour in zip(range(std.shape[1]), SENSORS, strict=False):
                 axes.plot(cost, std[:, zone], "o", color=colour, ms=4, alpha=0.5)
                 label = f"zone {zone + 1}, worth its cost"
                 style = {"mfc": colour, "mec": "black", "ms": 7, "label": label}
@@ -150,7 +172,12 @@ def design_figure(designs: Sequence[Design]) -> Figure:
                 floor = [std[cost == level, zone].min() for level in levels]
                 axes.plot(levels, floor, color=colour, lw=1.2)
             axes.set_xlabel(f"{name} ({unit})" if unit else name)
+            levels = np.unique(cost)
+            if levels.size < 6:
+                axes.set_xticks(levels, [f"{level:g}" for level in levels])
+            if levels.size == 1:
+                axes.set_xlim(0.0, 2.0 * levels[0] or 1.0)
         row[0].set_ylabel("position standard deviation (mm)")
-        handles, labels = row[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper center", ncols=4)
-    return figure
+        entries = dict(zip(*row[0].get_legend_handles_labels()[::-1], strict=True))
+        describe(row[0], ax is None, entries, loc="outside upper center", ncols=4)
+    return panels

@@ -2,29 +2,35 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from glissando.visualization.figures import _canvas
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from glissando.visualization.canvas import NO_STYLE, Style, panels_on
 
 _UNITS = {"at": "m", "stroke": "m", "speed": "m/s", "duration": "s", "time_rate": "1/s"}
 _COLOUR = "#0072B2"
 
 
-def study_figure(summary: dict[str, Any]) -> Figure:
+def study_figure(summary: dict[str, Any], *, ax: Any = None, style: Style = NO_STYLE) -> Any:
     """Position RMSE in mm above, share inside the 95 % ellipsoid below, a column an axis.
 
-    `summary` is what `summarise` gives; bars are its 95 % intervals. Raises GlissandoError without
-    matplotlib.
+    Args:
+        summary: What `summarise` gives; bars are its 95 % intervals.
+        ax: Axes (2, C) to draw into; those of a new figure unless given.
+        style: rcParams to draw with.
+
+    Returns:
+        The axes (2, C).
+
+    Raises:
+        GlissandoError: matplotlib is not installed.
     """
     axes: dict[str, Any] = summary["axes"]
-    with _canvas(1.2 + 3.2 * len(axes), 5.6) as figure:
-        figure.suptitle(summary["name"], x=0.02, ha="left", fontweight="bold")
-        panels: Any = figure.subplots(2, len(axes), squeeze=False, sharex="col", sharey="row")
+    shares, size = {"sharex": "col", "sharey": "row"}, (1.2 + 3.2 * len(axes), 5.6)
+    with panels_on(ax, (2, len(axes)), size, style, **shares) as panels:
+        if ax is None:
+            panels[0, 0].figure.suptitle(summary["name"], x=0.02, ha="left", fontweight="bold")
         for column, (name, points) in enumerate(axes.items()):
             upper, lower = panels[:, column]
             sound = [p for p in points if "position_rmse" in p]
@@ -36,7 +42,7 @@ def study_figure(summary: dict[str, Any]) -> Figure:
             lower.set_xlabel(f"{name} ({_UNITS[name]})" if name in _UNITS else name)
         panels[0, 0].set(ylabel="position RMSE (mm)", ylim=(0.0, None))
         panels[1, 0].set(ylabel="inside 95 % (%)", ylim=(0.0, 101.0))
-    return figure
+    return panels
 
 
 def _places(axes: Any, values: list[Any]) -> list[float]:

@@ -9,8 +9,9 @@ import numpy as np
 
 from glissando.errors import GlissandoError
 from glissando.estimation.posterior import Posterior, StateEstimate
-from glissando.geometry.se3 import Array
+from glissando.geometry.se3 import Array, inverse, quaternion
 from glissando.io.atomic_file import new_file
+from glissando.io.csv_stream import Stream, write_named
 from glissando.io.query_csv import write_query
 from glissando.io.session_log import NUMBER, TEXT, SessionWriter, numbers, schema
 
@@ -75,6 +76,43 @@ def export(
     with new_file(out) as building:
         writers[out.suffix](posterior, building, time, arclength)
     return time.size
+
+
+def export_stream(stream: Stream, out: str | Path) -> int:
+    """Write the rows of a stream, such as the truth, to a .tum (.txt) or .csv file.
+
+    A TUM file holds the cross-section's poses in the world, the mount taken off, as an exported
+    posterior does; of a stream of positions, identity rotations.
+
+    Args:
+        stream: A stream of a recording, in the world frame.
+        out: File to write; its suffix chooses the format.
+
+    Returns:
+        The number of rows.
+
+    Raises:
+        GlissandoError: The suffix is none that can be written, or the stream has no positions.
+    """
+    out, rows = Path(out), stream.rows
+    if out.suffix == ".csv":
+        write_named(out, rows)
+        return rows.time.size
+    if out.suffix not in (".tum", ".txt"):
+        raise GlissandoError(f"{out.name}: a stream is written as .tum, .txt or .csv.")
+    if rows.values.shape[1:] == (4, 4):
+        poses = rows.values @ inverse(stream.mount)
+    elif rows.kind == "position":
+        poses = np.tile(np.eye(4), (rows.time.size, 1, 1))
+        poses[:, :3, 3] = rows.values
+    else:
+        raise GlissandoError(f"{stream.name} is a {rows.kind}; a trajectory needs positions.")
+    order = np.argsort(rows.time, kind="stable")
+    turn = np.roll(quaternion(poses[:, :3, :3]), -1, axis=1)
+    table = np.column_stack([rows.time, poses[:, :3, 3], turn])[order]
+    with new_file(out) as building:
+        np.savetxt(building, table, "%.15g")
+    return rows.time.size
 
 
 def _times(nodes: Array, rate: float | None) -> Array:

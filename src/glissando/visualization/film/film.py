@@ -14,7 +14,7 @@ from glissando.estimation.posterior import Posterior
 from glissando.io.atomic_file import new_file
 from glissando.model.grid import Grid
 from glissando.model.sensors.readings import Readings
-from glissando.visualization.figures import _canvas
+from glissando.visualization.canvas import canvas
 from glissando.visualization.film.frames import frames_at
 from glissando.visualization.film.stage import INCHES, Stage
 
@@ -36,7 +36,7 @@ def save_animation(
     width: int = 900,
     progress: Progress | None = None,
 ) -> Path:
-    """Write a film of the robot in its 3σ tube and of its confidence; whole or not at all.
+    """Write a film of the robot in its 95 % tube and of its confidence; whole or not at all.
 
     Args:
         posterior: What is shown, in the world frame and millimetres.
@@ -61,7 +61,7 @@ def save_animation(
     _require(path, grid, seconds, rate, width)
     count = max(1, round(seconds * rate)) if span else 1
     times = np.linspace(grid.time[0], grid.time[-1], count)
-    with _canvas(*INCHES) as figure:
+    with canvas(*INCHES) as figure:
         if path.suffix.lower() == ".mp4" and not _has_ffmpeg():
             path = path.with_suffix(".gif")
         write = _write_mp4 if path.suffix.lower() == ".mp4" else _write_gif

@@ -8,12 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from glissando.estimation.confidence_tube import confidence_tube
+from glissando.estimation.confidence_tube import SIGMAS_95, confidence_tube
 from glissando.estimation.posterior import Posterior
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Index
 from glissando.model.sensors.readings import Readings
-from glissando.visualization.figures import _MM, _NEAR, _SIGMAS, _places, _seen
+from glissando.visualization.canvas import MM
+from glissando.visualization.figures import _NEAR, _places, _seen
 
 _DROPPED = 0.25  # s: without a reading this near, a sensor is not shown
 _ALONG = 64  # points along the tube
@@ -28,7 +29,7 @@ class Frames:
         arclength: Points along the body (N,).
         line: Their positions (F, N, 3).
         std: Std of their positions (F, N).
-        tube: Rings (F, R, A, 3) of the 3σ surface across the body.
+        tube: Rings (F, R, A, 3) of the 95 % surface across the body.
         shade: Std (F, R) at the rings.
         sensors: Labels (S).
         place: Arclengths of the sensors (F, S).
@@ -66,20 +67,20 @@ def frames_at(
     body = np.linspace(grid.arclength[0], grid.arclength[-1], _ALONG)
     asked = np.nan_to_num(np.hstack([np.tile(body, (times.size, 1)), place]), nan=body[0])
     at = posterior.at(asked, times[:, None])
-    std, hidden = at.std_position * _MM, np.where(np.isnan(place), np.nan, _MM)
+    std, hidden = at.std_position * MM, np.where(np.isnan(place), np.nan, MM)
     of_body = np.s_[:, : body.size]
-    tube, ring = confidence_tube(at.pose[of_body], at.cov[of_body][..., :3, :3], _SIGMAS)
+    tube, ring = confidence_tube(at.pose[of_body], at.cov[of_body][..., :3, :3], SIGMAS_95)
     true = _places(truth, grid)
     reach = 0.05 * (body[-1] - body[0])
     return Frames(
         time=times,
-        arclength=body * _MM,
-        line=at.position[:, : body.size] * _MM,
+        arclength=body * MM,
+        line=at.position[:, : body.size] * MM,
         std=std[:, : body.size],
-        tube=tube * _MM,
+        tube=tube * MM,
         shade=std[:, ring],
         sensors=[site.label for site in sites],
-        place=place * _MM,
+        place=place * MM,
         dot=at.position[:, body.size :] * hidden[..., None],
         dot_std=at.std_position[:, body.size :] * hidden,
         triad=_true([s for s in true if s.values.ndim == 3], times, reach),
@@ -113,4 +114,4 @@ def _true(sites: Sequence[Readings], times: Array, reach: float) -> Array:
         out[near, i] = origin[:, None]
         if site.values.ndim == 3:
             out[near, i, 1:] += reach * np.swapaxes(site.values[rows[near], :3, :3], -1, -2)
-    return out * _MM
+    return out * MM

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from glissando.geometry.se3 import Array
-from glissando.visualization.figures import _AXES, _MARKERS, _SENSORS, _frame, _legend
+from glissando.visualization.canvas import AXES, MARKERS, SENSORS, legend
+from glissando.visualization.figures import _frame
 from glissando.visualization.film.frames import Frames
 
 if TYPE_CHECKING:
@@ -36,7 +37,7 @@ class Stage:
         names = list(dict.fromkeys(frames.sensors))
         edge = {"mec": "black", "mew": 1.2, "ls": "none", "clip_on": False}
         self.looks: list[dict[str, Any]] = [
-            {"color": _SENSORS[i % len(_SENSORS)], "marker": _MARKERS[i % len(_MARKERS)], **edge}
+            {"color": SENSORS[i % len(SENSORS)], "marker": MARKERS[i % len(MARKERS)], **edge}
             for i in map(names.index, frames.sensors)
         ]
         figure.set_dpi(_FINER * width / INCHES[0])
@@ -80,7 +81,7 @@ class Stage:
         self.skin = Poly3DCollection(np.zeros((1, 4, 3)), linewidth=0.5)
         self._add(axes.add_collection3d(self.skin, autolim=False))
         self.spine = self._line(axes, color="0.1", lw=2.2, solid_capstyle="round")
-        self.true = [self._line(axes, color=colour, lw=1.8) for colour in _AXES.values()]
+        self.true = [self._line(axes, color=colour, lw=1.8) for colour in AXES.values()]
         self.points = self._line(axes, color="black", marker="o", ms=5, ls="none")
         self.base = self._line(axes, color="black", marker="s", ms=9, ls="none")
         self.dots = [self._line(axes, **look, ms=13) for look in self.looks]
@@ -127,9 +128,9 @@ class Stage:
 
         named = zip(self.frames.sensors, self.looks, strict=True)
         entries: dict[str, Any] = {label: Line2D([], [], ms=11, **look) for label, look in named}
-        entries["3σ of position"] = Patch(color=self.colours(0.5), alpha=0.6, linewidth=0)
+        entries["95 % of positions"] = Patch(color=self.colours(0.5), alpha=0.6, linewidth=0)
         if self.frames.triad.size:
-            entries["truth: x, y, z"] = tuple(Line2D([], [], lw=2, c=c) for c in _AXES.values())
+            entries["truth: x, y, z"] = tuple(Line2D([], [], lw=2, c=c) for c in AXES.values())
         if self.frames.point.size:
             entries["truth"] = Line2D([], [], color="black", marker="o", ms=5, ls="none")
         place = {
@@ -137,7 +138,7 @@ class Stage:
             "bbox_to_anchor": (0.01, 1.0),
             "ncols": len(entries) if len(entries) < 5 else 3,
         }
-        _legend(panel, entries, **place, columnspacing=1.4, handletextpad=0.5, handlelength=1.8)
+        legend(panel, entries, **place, columnspacing=1.4, handletextpad=0.5, handlelength=1.8)
 
     def picture(self, k: int) -> Image:
         """Frame k."""

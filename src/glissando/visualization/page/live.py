@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from glissando.errors import GlissandoError
-from glissando.estimation.confidence_tube import confidence_tube, tube_faces
+from glissando.estimation.confidence_tube import SIGMAS_95, confidence_tube, tube_faces
 from glissando.estimation.fixed_lag import FixedLagSmoother
 from glissando.geometry.se3 import Array
-from glissando.visualization.figures import _MM
-from glissando.visualization.page.page import SIGMAS
+from glissando.visualization.canvas import MM
 from glissando.visualization.page.scene import Scene
 
 _TUBE, _COIL = (130, 160, 190), (230, 159, 0)
@@ -56,7 +55,7 @@ class Live:
         )
         self._text = self._server.gui.add_markdown("Waiting for the first estimate.")
         self._server.gui.add_markdown(
-            f"Tube: 95 %. Body: dark is sure, yellow ± {_MM * top:.3g} mm or more."
+            f"Tube: 95 %. Body: dark is sure, yellow ± {MM * top:.3g} mm or more."
         )
         self._look_at(np.zeros(3))  # before the first update a browser shows the base's place
         self._body: Any = None
@@ -84,7 +83,7 @@ class Live:
         self._require(centres, frames, cov)
         std = np.sqrt(np.einsum("nii->n", cov))
         turn = frames[:, :3, :3]
-        rings, _ = confidence_tube(frames, np.swapaxes(turn, -1, -2) @ cov @ turn, SIGMAS)
+        rings, _ = confidence_tube(frames, np.swapaxes(turn, -1, -2) @ cov @ turn, SIGMAS_95)
         shade = self._shades[np.minimum(255 * std / self.top, 255).astype(int)]
         if self._body is None:
             self._look_at(centres.mean(axis=0))
@@ -97,10 +96,10 @@ class Live:
             self._coil.visible = bool(np.isfinite(place))
             if np.isfinite(place):
                 self._coil.position = [np.interp(place, self.arclength, c) for c in centres.T]
-        where = f", coil at {_MM * place:.0f} mm" if np.isfinite(place) else ""
+        where = f", coil at {MM * place:.0f} mm" if np.isfinite(place) else ""
         self._text.content = (
-            f"**{time:.2f} s**: tip ± {_MM * std[-1]:.1f} mm, least sure ± "
-            f"{_MM * std.max():.1f} mm{where}"
+            f"**{time:.2f} s**: tip ± {MM * std[-1]:.1f} mm, least sure ± "
+            f"{MM * std.max():.1f} mm{where}"
         )
 
     def _require(self, centres: Array, frames: Array, cov: Array) -> None:

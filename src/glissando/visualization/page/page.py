@@ -22,11 +22,9 @@ from glissando.io.atomic_file import write_text
 from glissando.model.sensors.readings import Readings
 from glissando.visualization.page.scene import Progress, Scene, scene_of
 
-_MM = 1e3
+MM = 1e3
 _NOTHING = 65535  # stands for NaN
 _SIX = np.triu_indices(3)
-SIGMAS = SIGMAS_95
-"""Standard deviations to the surface of an ellipsoid that holds 95 % of positions."""
 
 
 def save_view(
@@ -72,7 +70,7 @@ def subtitle(posterior: Posterior, scene: Scene) -> str:
 def page(scene: Scene, title: str, subtitle: str) -> str:
     """The HTML of a scene. Coordinates are rounded to a step that the page states."""
     content = contents(scene)
-    coarse = 0.5 * _MM * max(content[name]["step"] for name in ("centre", "root"))
+    coarse = 0.5 * MM * max(content[name]["step"] for name in ("centre", "root"))
     scripts = ("scene.js", "stage.js", "panels.js", "page.js", "hands.js")
     footer = (
         f"glissando {__version__}. World frame, parallel view; positions and deviations are rounded"
@@ -101,7 +99,7 @@ def contents(scene: Scene) -> dict[str, Any]:
     misses = scene.miss[np.isfinite(scene.miss)]
     tall = 1.08 * max(float(std.max()), top, float(np.quantile(misses, 0.99)) if misses.size else 0)
     return {
-        "sigmas": SIGMAS,
+        "sigmas": SIGMAS_95,
         "tube": None if scene.tube is None else vars(scene.tube),
         "top": top,
         "tall": min(tall, 4.0 * top),

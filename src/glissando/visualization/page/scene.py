@@ -13,7 +13,8 @@ from glissando.evaluation.metrics import errors_against
 from glissando.geometry.se3 import Array
 from glissando.model.sensors.readings import Readings
 from glissando.model.tube import Tube
-from glissando.visualization.figures import _MM, _NEAR, _places
+from glissando.visualization.canvas import MM
+from glissando.visualization.figures import _NEAR, _places
 from glissando.visualization.film.frames import _nearest, _sensor_places, _true
 
 Progress = Callable[[int, int], None]  # moments done, moments in all
@@ -106,7 +107,7 @@ def scene_of(
         place=_sensor_places(used, times),
         sites=[site.label for site in true],
         site_place=site_place,
-        truth=_true(true, times, 0.05 * (body[-1] - body[0])) / _MM,
+        truth=_true(true, times, 0.05 * (body[-1] - body[0])) / MM,
         miss=miss,
         nees=nees,
         tube=tube,

@@ -1,0 +1,83 @@
+"""`glissando figure`: one figure of a posterior, for a page or a paper."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any
+
+from glissando.cli.importing import number
+from glissando.cli.progress import working
+from glissando.cli.shared import (
+    Commands,
+    add_choices,
+    add_command,
+    names,
+    posterior_shown,
+    require_writable,
+)
+from glissando.errors import GlissandoError
+from glissando.visualization.canvas import save_figure
+from glissando.visualization.figures import confidence_figure, error_figure, shape_figure
+
+_HELP = """\
+Draw one figure of a posterior: the robot's shape in space with 95 % ellipsoids, its confidence over
+arclength and time, or its errors against truth in 95 % bands. The ending of --out chooses PNG, PDF
+or SVG.
+
+RECORDING is estimated first; POSTERIOR is a posterior.nc of an earlier estimate, or the folder it
+is in, and takes sensors and truth from --recording.
+"""
+_EXAMPLES = """\
+examples:
+  glissando figure shape results --recording my_recording --out shape.pdf
+  glissando figure confidence results --recording my_recording --size 88,60 --out confidence.pdf
+  glissando figure error results --recording my_recording --font-size 7 --out error.svg
+  glissando figure shape results --times 0.5,1.5 --out two.png
+
+exit status: 0 done; 1 the estimate did not converge; 2 something given was wrong.
+"""
+_KINDS = ("shape", "confidence", "error")
+_INCH = 25.4  # mm
+
+
+def add_to(commands: Commands) -> None:
+    """Add the command to the parser's."""
+    parser = add_command(commands, "figure", (_HELP, _EXAMPLES), _figure)
+    add = parser.add_argument
+    add("kind", choices=_KINDS, metavar="|".join(_KINDS), help="what to draw")
+    add("target", type=Path, metavar="RECORDING|POSTERIOR", help="folder, or a posterior.nc")
+    add("--recording", type=Path, metavar="FOLDER", help="sensors and truth of a posterior")
+    add_choices(parser)
+    add("--times", type=names, metavar="S,…", help="of the shapes (default: five)")
+    add("--size", type=names, metavar="MM,MM", help="width and height of the figure")
+    add("--font-size", type=float, metavar="PT", help="of all text (default 11)")
+    add("--out", type=Path, required=True, metavar="FILE", help="ends in .png, .pdf or .svg")
+
+
+def _figure(options: argparse.Namespace) -> int:
+    require_writable(options.out.parent)
+    size = [number("--size", text) / _INCH for text in options.size or ()]
+    if options.size and (len(size) != 2 or min(size) <= 0.0):
+        raise GlissandoError(f"--size {','.join(options.size)}: give width and height in mm.")
+    look: dict[str, Any] = {"size": (size[0], size[1])} if size else {}
+    points = options.font_size
+    if points is not None:
+        if not points > 0.0:
+            raise GlissandoError(f"--font-size {points:g}: give points above zero.")
+        look["style"] = {"font.size": points, "axes.titlesize": points}
+    times = [number("--times", text) for text in options.times] if options.times else None
+    shown = posterior_shown(options)
+    with working("drawing"):
+        if options.kind == "shape":
+            drawn: Any = shape_figure(shown.posterior, shown.truth, times, **look)
+        elif options.kind == "confidence":
+            drawn = confidence_figure(shown.posterior, shown.readings, **look)
+        else:
+            drawn = error_figure(shown.posterior, shown.truth, **look)
+        save_figure(drawn, options.out)
+    print(f"Wrote {options.out}")
+    if shown.complaint:
+        print(f"glissando: {shown.complaint}", file=sys.stderr)
+    return 0 if shown.posterior.solve.converged else 1

@@ -1,0 +1,114 @@
+"""What every figure is drawn on and with: axes, colours, sizes of confidence, legends, files.
+
+matplotlib is imported when a figure is asked for, not before; figures carry their own Agg canvas,
+so no window opens and no global plotting state changes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+from scipy.stats import chi2
+
+from glissando.errors import GlissandoError
+from glissando.io.atomic_file import new_file
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+MM = 1e3
+BAND = float(np.sqrt(chi2.ppf(0.95, 1)))
+"""Standard deviations to the ends of a band that holds 95 % of one component."""
+AXES = {"x": "#D55E00", "y": "#009E73", "z": "#0072B2"}  # Okabe and Ito: safe for all eyes
+SENSORS = ("#E69F00", "#56B4E9", "#FFFFFF", "#CC79A7", "#D55E00", "#000000", "#F0E442", "#009E73")
+MARKERS = "osD^vP*X"
+_STYLE: dict[Any, Any] = {
+    "font.size": 11,
+    "axes.titlesize": 11,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "figure.constrained_layout.w_pad": 0.1,
+    "grid.color": "0.85",
+    "legend.frameon": False,
+    "pdf.fonttype": 42,  # TrueType, which publishers ask for
+    "svg.fonttype": "none",
+}
+Style: TypeAlias = "Mapping[str, Any]"
+"""rcParams that are drawn with, such as {"font.size": 8}."""
+NO_STYLE: Style = {}
+
+
+@contextmanager
+def canvas(width: float, height: float, style: Style = NO_STYLE) -> Iterator[Figure]:
+    """An empty figure of that size in inches on its own canvas, and the look while it is filled."""
+    try:
+        import matplotlib
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ImportError as missing:
+        raise GlissandoError(
+            "Figures need matplotlib, which is not installed: run pip install 'glissando[plot]'."
+        ) from missing
+    look: dict[Any, Any] = {**_STYLE, **style}
+    with matplotlib.rc_context(look):
+        yield FigureCanvasAgg(Figure(figsize=(width, height), layout="constrained")).figure
+
+
+@contextmanager
+def panels_on(
+    given: Any, shape: tuple[int, int], size: tuple[float, float], style: Style, **look: Any
+) -> Iterator[Any]:
+    """Axes (R, C) of a new figure of that size, or those that were given, and the look."""
+    with canvas(*size, style) as figure:
+        if given is None:
+            yield figure.subplots(*shape, squeeze=False, **look)
+            return
+        axes = np.asarray(given, dtype=object)
+        if axes.size != shape[0] * shape[1]:
+            raise GlissandoError(
+                f"This figure has {shape[0]} × {shape[1]} axes; {axes.size} were given."
+            )
+        yield axes.reshape(shape)
+
+
+def describe(axes: Any, own: bool, entries: dict[str, Any], **look: Any) -> None:
+    """A legend: outside the axes of a figure of our own, else inside those that were given."""
+    if own:
+        legend(axes.figure, entries, **look)
+    elif entries:
+        axes.legend(list(entries.values()), list(entries), handler_map=_tuples())
+
+
+def legend(figure: Figure, entries: dict[str, Any], **look: Any) -> None:
+    """A legend outside the axes, in which a tuple of lines is one entry."""
+    figure.legend(list(entries.values()), list(entries), handler_map=_tuples(), **look)
+
+
+def _tuples() -> dict[Any, Any]:
+    """How a legend draws a tuple of lines."""
+    from matplotlib.legend_handler import HandlerTuple
+
+    return {tuple: HandlerTuple(ndivide=None, pad=0.4)}
+
+
+def save_figure(drawn: Any, path: str | Path) -> Path:
+    """Write a figure as its file's ending says, whole or not at all; returns the path.
+
+    Args:
+        drawn: Axes, an array of them as the functions of figures return it, or a figure.
+        path: A .png, .pdf or .svg.
+
+    Raises:
+        GlissandoError: Another ending, or the disk refused.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in (".png", ".pdf", ".svg"):
+        raise GlissandoError(f"{path.name} is no figure: end it in .png, .pdf or .svg.")
+    figure = np.ravel(np.asarray(drawn, dtype=object))[0].figure
+    with canvas(1.0, 1.0), new_file(path) as building:  # for the fonts of its style
+        figure.savefig(building, dpi=150)
+    return path

@@ -1,0 +1,98 @@
+"""Figures are drawn into any axes, as any file, and their confidence is 95 % everywhere."""
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from scipy.stats import chi2
+
+from glissando import GlissandoError, PoseReadings, estimate, load_robot, save_posterior
+from glissando.cli.main import main
+from glissando.estimation.confidence_tube import SIGMAS_95
+from glissando.visualization import figures
+from glissando.visualization.canvas import BAND, save_figure
+from glissando.visualization.evaluation_figures import radius95
+from glissando.visualization.figures import confidence_figure, error_figure, shape_figure
+
+
+@pytest.fixture(scope="module")
+def scene():
+    robot = load_robot("tdcr466")
+    tip = np.tile(np.eye(4), (5, 1, 1))
+    tip[:, 2, 3] = robot.length
+    time, place = np.linspace(0, 0.2, 5), np.full(5, robot.length)
+    seen = PoseReadings(time=time, arclength=place, values=tip, cov=1e-6, name="tip")
+    return estimate(robot.prior, robot.grid(0.0, 0.2), [seen]), [seen]
+
+
+def test_a_figure_is_drawn_into_given_axes_and_returns_them(scene):
+    posterior, streams = scene
+    page = Figure(figsize=(8, 6))
+    flat = page.add_subplot(2, 1, 1)
+    assert confidence_figure(posterior, streams, ax=flat) is flat
+    assert flat.get_xlabel() == "time (s)"
+    space = page.add_subplot(2, 1, 2, projection="3d")
+    assert shape_figure(posterior, streams, [0.1], ax=space, style={"font.size": 6}) is space
+    assert space.get_legend().get_texts()[0].get_size() == pytest.approx(6)
+    three = Figure().subplots(1, 3)
+    drawn = error_figure(posterior, streams, ax=three)
+    assert drawn.shape == (1, 3)
+    assert drawn[0, 0] is three[0]
+    with pytest.raises(GlissandoError, match="1 × 3 axes; 1 were given"):
+        error_figure(posterior, streams, ax=flat)
+
+
+def test_a_figure_of_its_own_has_the_size_that_is_asked_for(scene):
+    axes = confidence_figure(*scene, size=(3.4, 2.0), style={"font.size": 7})
+    assert axes.figure.get_size_inches().tolist() == [3.4, 2.0]
+    assert axes.xaxis.get_label().get_size() == pytest.approx(7)
+
+
+def test_bands_and_ellipsoids_hold_95_percent(scene):
+    """The band of a component is 1.96 and an ellipsoid 2.80 standard deviations wide."""
+    assert pytest.approx(chi2.ppf(0.95, 1)) == BAND**2
+    assert pytest.approx(chi2.ppf(0.95, 3)) == SIGMAS_95**2
+    posterior, streams = scene
+    drawn = error_figure(posterior, streams)[0, 2]
+    at = posterior.at(streams[0].arclength, streams[0].time)
+    wide = BAND * 1e3 * np.sqrt(at.cov_position_world[:, 2, 2] + 1e-6)
+    (band,) = drawn.collections
+    heights = band.get_paths()[0].vertices[:, 1]
+    assert heights.max() == pytest.approx(wide.max(), rel=1e-6)
+    corners = figures._draw_ellipsoids(
+        shape_figure(posterior, [], [0.1]), posterior.at([0.3], [0.1]), "black"
+    )
+    half = 0.5 * np.ptp(np.stack(corners), axis=0)[0]
+    cov = posterior.at([0.3], [0.1]).cov_position_world[0]
+    np.testing.assert_allclose(half, 1e3 * SIGMAS_95 * np.sqrt(np.diagonal(cov)), rtol=1e-6)
+
+
+def test_the_radius_holds_95_percent_of_errors_of_any_covariance():
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        root = rng.standard_normal((3, 3)) * 10.0 ** rng.uniform(-1, 1, 3)
+        errors = rng.standard_normal((40_000, 3)) @ root.T
+        inside = np.linalg.norm(errors, axis=1) <= radius95(root @ root.T)
+        assert 0.94 < inside.mean() < 0.96
+
+
+@pytest.mark.parametrize(
+    ("ending", "begins"), [("png", b"\x89PNG"), ("pdf", b"%PDF"), ("svg", b"<")]
+)
+def test_the_ending_of_a_file_chooses_its_format(tmp_path, ending, begins):
+    path = save_figure(Figure(figsize=(1, 1)), tmp_path / f"a.{ending}")
+    assert path.read_bytes().startswith(begins)
+    with pytest.raises(GlissandoError, match="end it in"):
+        save_figure(Figure(), tmp_path / "a.bmp")
+
+
+def test_the_command_draws_what_is_asked_for(scene, tmp_path, capsys):
+    save_posterior(scene[0], tmp_path / "posterior.nc")
+    call = ["figure", "confidence", str(tmp_path), "--out", str(tmp_path / "c.svg")]
+    assert main([*call, "--size", "80,50", "--font-size", "7"]) == 0
+    text = (tmp_path / "c.svg").read_text()
+    assert 'width="226.771654pt"' in text  # 80 mm
+    assert "arclength (mm)" in text  # letters stay letters
+    assert main([*call, "--size", "80"]) == 2
+    assert "give width and height in mm" in capsys.readouterr().err
+    assert main(["figure", "error", str(tmp_path), "--out", str(tmp_path / "e.pdf")]) == 2
+    assert "No truth position" in capsys.readouterr().err
