@@ -1,7 +1,9 @@
 """Pages agree with the code: functions, equations, names in files, pictures."""
 
+import argparse
 import importlib
 import re
+import runpy
 from functools import reduce
 from pathlib import Path
 
@@ -9,6 +11,7 @@ import numpy as np
 import pytest
 
 import glissando
+from glissando.cli.main import build_parser
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -41,6 +44,22 @@ def test_every_equation_is_linked_to_what_computes_it():
     assert len(items) >= 20
     for item in items:
         assert "](../src/" in item.split("\n\n")[0], item[:60]
+
+
+def test_equations_become_mathml_and_code_stays_code():
+    pytest.importorskip("latex2mathml")
+    marked, equations = runpy.run_path(str(DOCS / "_site.py"))["marked"], []
+    text = "a $x_1$ b `$PATH` c\n```sh\necho $A $B\n```\n$$\\frac{a}{b}$$ end $5 alone"
+    out = marked(text, equations)
+    assert out == "a equation0here b `$PATH` c\n```sh\necho $A $B\n```\nequation1here end $5 alone"
+    assert len(equations) == 2
+    assert 'display="inline"' in equations[0]
+    assert 'display="block"' in equations[1]
+    assert "<mfrac>" in equations[1]
+    for page in DOCS.rglob("*.md"):
+        found = []
+        marked(page.read_text(encoding="utf-8"), found)
+        assert not [e for e in found if "\\" in e], page.name  # a command that is not understood
 
 
 def test_every_equation_that_the_code_names_is_on_the_page():
@@ -107,4 +126,19 @@ def test_every_page_is_in_the_navigation():
     navigation = (ROOT / "mkdocs.yml").read_text(encoding="utf-8").partition("\nnav:\n")[2]
     listed = re.findall(r"[\w./-]+\.md", navigation)
     assert len(listed) == len(set(listed))
-    assert set(listed) == {p.relative_to(DOCS).as_posix() for p in DOCS.rglob("*.md")}
+    made = {"commands.md"}  # by docs/_site.py, of the parsers
+    assert set(listed) == made | {p.relative_to(DOCS).as_posix() for p in DOCS.rglob("*.md")}
+
+
+def test_the_page_of_commands_names_every_option_of_every_command():
+    pytest.importorskip("latex2mathml")
+    page = runpy.run_path(str(DOCS / "_site.py"))["commands_page"]()
+    sections = dict(re.findall(r"^## glissando (\w+)\n(.*?)(?=^## |\Z)", page, re.M | re.S))
+    parser = build_parser()
+    (commands,) = (a.choices for a in parser._actions if isinstance(a, argparse._SubParsersAction))
+    assert sections.keys() == commands.keys()
+    for name, command in commands.items():
+        for action in command._actions:
+            for flag in set(action.option_strings) - {"-h", "--help"}:
+                assert f"`{flag}" in sections[name] or f", {flag}" in sections[name], (name, flag)
+        assert f"glissando {name} " in sections[name].partition("```")[2]

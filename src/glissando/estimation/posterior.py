@@ -18,6 +18,7 @@ from glissando.estimation.loads import (
 )
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
+from glissando.model.brief import Brief
 from glissando.model.grid import Grid
 from glissando.model.interpolation import sort_points
 from glissando.model.priors.prior import Prior
@@ -84,7 +85,7 @@ class SolveReport:
 
 
 @dataclass(frozen=True)
-class StateEstimate:
+class StateEstimate(Brief):
     """State and covariance at queried points, with the leading shape of the query.
 
     `pose` (…, 4, 4), `strain` (…, 6), `velocity` (…, 6) and `cov` (…, 18, 18) of
@@ -119,7 +120,7 @@ class StateEstimate:
 
 
 @dataclass(frozen=True)
-class Posterior:
+class Posterior(Brief):
     """Gaussian posterior over the whole motion, continuous in arclength and time.
 
     `state` is the mean at the nodes, `system` the information matrix of the nodes in time order,

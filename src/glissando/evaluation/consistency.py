@@ -16,6 +16,7 @@ import numpy as np
 from glissando.estimation.posterior import Posterior
 from glissando.evaluation.metrics import Errors, innovations
 from glissando.geometry.se3 import Array
+from glissando.model.brief import Brief
 from glissando.model.quantiles import binomial_quantile, chi_square_quantile
 from glissando.model.sensors.parameters import SensorParameter, corrected
 from glissando.model.sensors.readings import Readings
@@ -25,7 +26,7 @@ LEVELS = (0.5, 0.9, 0.95, 0.99)
 
 
 @dataclass(frozen=True)
-class Consistency:
+class Consistency(Brief):
     """Normalised errors of one quantity at one site, or at all of them.
 
     Attributes:

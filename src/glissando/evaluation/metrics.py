@@ -13,6 +13,7 @@ from glissando.errors import SensorError
 from glissando.estimation.posterior import Posterior, StateEstimate
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
+from glissando.model.brief import Brief
 from glissando.model.interpolation import sort_points
 from glissando.model.noise import sqrt_information
 from glissando.model.priors.transitions import symmetrize
@@ -32,7 +33,7 @@ _TRUTH = (PoseReadings, CoilReadings, PositionReadings, OrientationReadings)
 
 
 @dataclass(frozen=True)
-class Errors:
+class Errors(Brief):
     """Errors of an estimate at M truth samples in order of time; what a stream lacks is NaN.
 
     Attributes:

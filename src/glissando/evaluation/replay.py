@@ -26,6 +26,7 @@ from glissando.evaluation.run import checked_window, chosen_streams
 from glissando.geometry.se3 import Array
 from glissando.io.journal import Journal
 from glissando.io.recording import Recording, load_recording
+from glissando.model.brief import Brief
 from glissando.model.robot import Robot
 from glissando.model.sensors.parameters import SensorParameter, corrected
 from glissando.model.sensors.readings import Readings
@@ -38,7 +39,7 @@ Watch = Callable[[int, int, FixedLagSmoother], None]
 
 
 @dataclass(frozen=True)
-class Replay:
+class Replay(Brief):
     """A recording replayed: an estimate and a latency for each update, and errors against truth.
 
     Attributes:

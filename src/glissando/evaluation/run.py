@@ -21,6 +21,7 @@ from glissando.evaluation.plausibility.finding import Finding, refuse
 from glissando.io.atomic_file import write_text
 from glissando.io.netcdf import save_posterior
 from glissando.io.recording import Recording
+from glissando.model.brief import Brief
 from glissando.model.robot import Robot
 from glissando.model.sensors.parameters import corrected
 from glissando.model.sensors.readings import Readings
@@ -28,7 +29,7 @@ from glissando.solver.gauss_newton import Progress
 
 
 @dataclass(frozen=True)
-class Run:
+class Run(Brief):
     """A recording estimated: what went in, the posterior, and its errors against truth.
 
     Attributes:

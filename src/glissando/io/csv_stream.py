@@ -16,6 +16,7 @@ from glissando.errors import RecordingError
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.io.atomic_file import write_table
+from glissando.model.brief import Brief
 from glissando.model.sensors.readings import Readings
 from glissando.model.sensors.sensors import sensor_class
 
@@ -26,7 +27,7 @@ _OFF_RATE = 2e-3  # share by which two clocks may differ
 
 
 @dataclass(frozen=True)
-class Rows:
+class Rows(Brief):
     """Readings of one stream as a file holds them, without noise.
 
     Attributes:
@@ -61,7 +62,7 @@ class Rows:
 
 
 @dataclass(frozen=True)
-class Stream:
+class Stream(Brief):
     """One sensor's rows and their description.
 
     Attributes:

@@ -19,6 +19,7 @@ from glissando.io.session_log import read_session
 from glissando.io.session_recording import LOG, session_setup, session_streams
 from glissando.io.shipped_robots import shipped_robots
 from glissando.io.toml_table import Table, read_toml
+from glissando.model.brief import Brief
 from glissando.model.robot import Robot
 from glissando.model.sensors.readings import SENSORS, Readings
 from glissando.model.sensors.sensors import sensor_class, sensor_kinds
@@ -27,7 +28,7 @@ _TRUTH_STD = 1e-6  # noise of a truth stream that states none: negligible agains
 
 
 @dataclass(frozen=True)
-class Recording:
+class Recording(Brief):
     """A recorded session.
 
     Attributes:

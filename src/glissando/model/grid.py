@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from glissando.errors import OutsideGridError
 from glissando.geometry.se3 import Array
+from glissando.model.brief import Brief
 
 Index = NDArray[np.intp]
 
@@ -66,7 +67,7 @@ def _locate(nodes: Array, values: Array) -> Cells:
 
 
 @dataclass(frozen=True)
-class Grid:
+class Grid(Brief):
     """Nodes over arclength (N,) in metres and time (K,) in seconds, both increasing.
 
     A node (k, n) stands for the time span `time_spans[k]` and the arclength span

@@ -9,6 +9,7 @@ import numpy as np
 
 from glissando.errors import OutsideGridError
 from glissando.geometry.se3 import Array
+from glissando.model.brief import Brief
 from glissando.model.grid import Grid
 from glissando.model.mechanics import Mechanics
 from glissando.model.noise import Loss
@@ -23,7 +24,7 @@ _SHARE = 0.6  # of the machine's memory that an estimate may take
 
 
 @dataclass(frozen=True)
-class Robot:
+class Robot(Brief):
     """A robot before any reading: its length, grid, prior and sensors.
 
     Attributes:

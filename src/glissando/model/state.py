@@ -9,6 +9,7 @@ import numpy as np
 
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
+from glissando.model.brief import Brief
 from glissando.model.grid import Grid
 
 DOF = 18
@@ -18,7 +19,7 @@ POSE, STRAIN, VELOCITY, STRAIN_RATE = (slice(i, i + 6) for i in (0, 6, 12, 18))
 
 
 @dataclass(frozen=True)
-class State:
+class State(Brief):
     """Pose T_wb, strain and velocity at points; any leading shape, (K, N) on a grid.
 
     `pose` (…, 4, 4); `strain` (…, 6) with dT/ds = T strain^ (1/m on the angular half);

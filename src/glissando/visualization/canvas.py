@@ -12,16 +12,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
-from scipy.stats import chi2
 
 from glissando.errors import GlissandoError
 from glissando.io.atomic_file import new_file
+from glissando.model.quantiles import chi_square_quantile
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MM = 1e3
-BAND = float(np.sqrt(chi2.ppf(0.95, 1)))
+BAND = float(np.sqrt(chi_square_quantile(0.95, 1)))
 """Standard deviations to the ends of a band that holds 95 % of one component."""
 AXES = {"x": "#D55E00", "y": "#009E73", "z": "#0072B2"}  # Okabe and Ito: safe for all eyes
 SENSORS = ("#E69F00", "#56B4E9", "#FFFFFF", "#CC79A7", "#D55E00", "#000000", "#F0E442", "#009E73")

@@ -18,6 +18,7 @@ from glissando.io.atomic_file import write_text
 from glissando.io.csv_stream import Rows, Stream
 from glissando.io.recording import Recording
 from glissando.io.toml_table import Table, read_toml
+from glissando.model.brief import Brief
 from glissando.model.robot import Robot
 from glissando.model.sensors.parameters import SensorParameter
 
@@ -26,7 +27,7 @@ _UNITS = {"delay": ("ms", 1e3), "rate": ("ppm", 1e6), "lead": ("1", 1.0)}
 
 
 @dataclass(frozen=True)
-class Calibration:
+class Calibration(Brief):
     """Constants of a rig with their joint covariance.
 
     Attributes:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
+from glissando.model.brief import Brief
 
 PARAMETERS = (
     *(f"frame {part}" for part in ("x", "y", "z", "rotation x", "rotation y", "rotation z")),
@@ -69,7 +70,7 @@ class Body:
 
 
 @dataclass(frozen=True)
-class RigData:
+class RigData(Brief):
     """Data of a session; the arrays of a missing device are empty.
 
     Attributes:

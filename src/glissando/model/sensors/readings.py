@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from glissando.errors import SensorError
 from glissando.geometry.se3 import Array
+from glissando.model.brief import Brief
 from glissando.model.grid import Grid
 from glissando.model.noise import Loss, covariance_matrix
 from glissando.model.state import DOF, State
@@ -30,7 +31,7 @@ SENSORS: dict[str, type[Readings]] = {}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Readings:
+class Readings(Brief):
     """M readings of one sensor, the base class of all sensors.
 
     A subclass `class Mine(Readings, kind="mine")` declares the sensor: `kind` is its name in
