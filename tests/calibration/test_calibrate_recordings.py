@@ -29,7 +29,8 @@ def recording_of(data, *, thin=1):
         at = np.full(b.time.size, b.arclength)
         truth = Rows("pose", b.time[::thin], at[::thin], b.poses[::thin], {})
         streams[name] = Stream(name, truth, True, std, b.mount, keep_repeats=True)
-    return Recording("drawn", Path(), streams, None, None, frozenset({"tracker"}))
+    unknown = frozenset({"tracker"})
+    return Recording("drawn", Path(), streams, None, None, unknown_frames=unknown)
 
 
 def off_in_space(recording, shape, seed, mount):

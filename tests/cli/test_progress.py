@@ -17,8 +17,8 @@ from glissando.cli.commands import COMMANDS
 from glissando.cli.progress import Work, working
 
 CLI = Path(glissando.cli.__file__).parent
-SHORT = {"completion", "doctor", "exporting", "importing", "report"}
-"""Modules of commands that read and write files, and compute next to nothing."""
+SHORT = {"completion", "doctor", "exporting", "importing", "report", "live"}
+"""Modules of commands that compute next to nothing, or say at a steady rate what they do."""
 
 
 @pytest.fixture

@@ -3,20 +3,29 @@
 from __future__ import annotations
 
 import argparse
+import json
 import math
 from pathlib import Path
 
 from glissando.cli.shared import (
     Commands,
     add_command,
+    chosen_robot,
     findings_in,
     names,
     require_writable,
     warn,
 )
 from glissando.errors import GlissandoError, RecordingError
+from glissando.evaluation.foreign_estimate import (
+    estimate_of_tracks,
+    foreign_report,
+    read_estimate,
+)
+from glissando.io.atomic_file import write_text
 from glissando.io.atomic_folder import require_new
 from glissando.io.foreign import Choices, read_tracks, write_recording
+from glissando.io.foreign.tracks import Track
 from glissando.io.recording import load_recording
 
 _HELP = """\
@@ -35,6 +44,7 @@ examples:
   glissando import log.txt --columns time=1,x=2,y=3,z=4,length=mm --arclength log=0.7 --out log
   glissando import gyro.csv --columns 'time=t [ms],clock=ms,wx=gx,wy=gy,wz=gz,angle=deg' \\
       --arclength gyro=0.4 --out gyro
+  glissando import theirs.csv --estimate my_recording --out theirs    # then: glissando report
   glissando import run.bag --topic /vicon/tip --arclength vicon_tip=0.7 --out run
 
 A sensor that slides takes a file in the place of its arclength, with the columns time,arclength or
@@ -58,6 +68,10 @@ def add_to(commands: Commands) -> None:
     add("--rate", default="", metavar="HZ|FILE=HZ,…", help="frame rate, where a file has none")
     columns = "what the columns of any other text hold, or a TOML file that says it"
     metavar = "[FILE:]KEY=COLUMN,…"
+    judged = (
+        "the files are somebody's estimate: judge it by this recording's truth, as a run in --out"
+    )
+    add("--estimate", type=Path, metavar="RECORDING", help=judged)
     add("--columns", action="append", default=[], metavar=metavar, help=columns)
     add("--arclength", default="", metavar="NAME=M|FILE,…", help="where each object sits")
     add("--robot", metavar="FILE|NAME", help="robot that the recording names")
@@ -68,6 +82,8 @@ def add_to(commands: Commands) -> None:
 
 
 def _import(options: argparse.Namespace) -> int:
+    if options.estimate:
+        return _import_estimate(options)
     arclength = {name: _place(text) for name, text in pairs(options.arclength).items()}
     shift = {name: number("--shift", text) for name, text in pairs(options.shift).items()}
     rates = _rates(options.rate, options.files)
@@ -85,7 +101,37 @@ def _import(options: argparse.Namespace) -> int:
         print(line)
     unknown = load_recording(options.out).unknown_frames
     print(f"Wrote {options.out}. {_next(options.out, sorted(unknown), bool(choices.truth))}")
-    warn(findings_in(options.out))
+    if not unknown:
+        warn(findings_in(options.out))
+    return 0
+
+
+def _import_estimate(options: argparse.Namespace) -> int:
+    """Write a run that `report` takes, of somebody else's estimate."""
+    require_writable(options.out)
+    recording = load_recording(options.estimate)
+    robot = chosen_robot(recording, options.robot)
+    names_of_files = ", ".join(file.name for file in options.files)
+    if options.arclength:
+        places = {name: number("--arclength", at) for name, at in pairs(options.arclength).items()}
+        rates = _rates(options.rate, options.files)
+        mappings = _mappings(options.columns, options.files, [])
+        tracks: list[Track] = []
+        for file in options.files:
+            rate, columns = rates.get(file.name), mappings.get(file.name, "")
+            tracks += read_tracks(file, rate=rate, columns=columns)
+        estimate = estimate_of_tracks(tracks, places)
+    elif len(options.files) == 1:
+        estimate = read_estimate(options.files[0])
+    else:
+        raise GlissandoError("Give one file with a column arclength, or --arclength NAME=M,…")
+    truth = recording.choose([], options.truth or None)[1]
+    judges = recording.readings(truth, robot, recording.span(), as_truth=True)[0]
+    report = foreign_report(names_of_files, estimate, recording, robot, judges)
+    write_text(options.out / "report.json", json.dumps(report, indent=2) + "\n")
+    rmse = 1e3 * report["overall"]["position_rmse"]
+    print(f"Wrote {options.out}: {rmse:.2f} mm RMSE against {', '.join(truth)}.")
+    print(f"Now: glissando report RUN {options.out}")
     return 0
 
 

@@ -182,9 +182,7 @@ def _of_log(path: Path) -> Recording:
             values = stream.rows.sensor.in_frame(stream.rows.values, frame)
             stream = replace(stream, rows=replace(stream.rows, values=values), frame="world")
         streams[stream.name] = replace(stream, rows=clean(stream.rows, None, stream.keep_repeats))
-    return Recording(
-        found.name, path.parent, streams, robot, None, unknown_frames=unknown
-    )
+    return Recording(found.name, path.parent, streams, robot, None, unknown_frames=unknown)
 
 
 def save_recording(
@@ -213,6 +211,7 @@ def save_recording(
             frames=dict.fromkeys(sorted(recording.unknown_frames)),
             calibration=calibration,
             **({"window": list(recording.window)} if recording.window else {}),
+            **({"allow": list(recording.allow)} if recording.allow else {}),
         )
 
 
@@ -251,7 +250,7 @@ def _described(folder: Path) -> Recording:
         if stream.name in streams:
             raise entry.fail("name", f"{stream.name!r} is given twice; name each stream once.")
         streams[stream.name] = stream
-        if frame not in (None, "world"):
+        if frame not in (None, "world", *unknown):
             came_in[stream.name] = frames[frame]
     table.close()
     if not streams and not journal:

@@ -115,6 +115,8 @@ def _course(r: Readings, late: float = 0.0) -> _Course | None:
     order = np.argsort(r.time, kind="stable")
     time, place, pose = r.time[order], r.arclength[order], as_poses(r)[order]
     grid = np.arange(time[0], time[-1], _STEP)
+    if not grid.size:
+        return None
     at = np.searchsorted(time, grid).clip(0, time.size - 1)
     at = at[np.append(True, np.diff(at) > 0)]
     ends = at[1:]

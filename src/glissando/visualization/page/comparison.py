@@ -191,8 +191,9 @@ def _setting(report: dict[str, Any]) -> Iterable[tuple[str, str]]:
     yield "window (s)", " to ".join(f"{t:g}" for t in report["window"])
     if "nodes" in report:
         yield "nodes", "{} times × {} arclengths".format(*report["nodes"])
-    yield "log evidence", f"{report['log_evidence']:.1f}"
-    yield "processor time (s)", f"{report['seconds']['total']:.2f}"
+    if "log_evidence" in report:  # an estimate of our own
+        yield "log evidence", f"{report['log_evidence']:.1f}"
+        yield "processor time (s)", f"{report['seconds']['total']:.2f}"
     for name, count in report["readings"].items():
         reasons = report["dropped"].get(name, {})
         lost = "".join(f", {n} {reason} dropped" for reason, n in reasons.items())

@@ -1,0 +1,208 @@
+"""Somebody else's estimate of a robot's shape, judged as our own are."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from glissando.errors import GlissandoError
+from glissando.estimation.posterior import StateEstimate
+from glissando.evaluation.consistency import check
+from glissando.evaluation.metrics import Errors, errors_against, pool
+from glissando.geometry import se3
+from glissando.geometry.se3 import Array
+from glissando.io.foreign.delimited import cells_of, samples
+from glissando.io.foreign.tracks import Track
+from glissando.io.query_csv import QUERY_COLUMNS
+from glissando.io.recording import Recording
+from glissando.model.brief import Brief
+from glissando.model.robot import Robot
+from glissando.model.sensors.readings import Readings
+
+_SAME = 1e-4  # m: samples no farther apart along the body are of one place
+_POINT = ["time", "arclength", "x", "y", "z"]
+_TURN, _COV = QUERY_COLUMNS[5:9], QUERY_COLUMNS[-36:]
+
+
+@dataclass(frozen=True)
+class ForeignEstimate(Brief):
+    """Trajectories at some arclengths, between which poses are interpolated.
+
+    Attributes:
+        arclength: Increasing arclengths (K,), m.
+        time: Increasing times of each, s.
+        pose: Poses in the world of each (M, 4, 4).
+        cov: Covariances of each (M, 6, 6) in the body frame, NaN where there are none.
+        turns: Whether rotations are known; positions alone have identity rotations.
+    """
+
+    arclength: Array
+    time: Sequence[Array]
+    pose: Sequence[Array]
+    cov: Sequence[Array]
+    turns: bool
+
+    @property
+    def window(self) -> tuple[float, float]:
+        """First and last time that all trajectories cover, s."""
+        return max(float(t[0]) for t in self.time), min(float(t[-1]) for t in self.time)
+
+    def covers(self, arclength: Array, time: Array) -> NDArray[np.bool_]:
+        """Which points (M,) lie within the arclengths and times of the estimate."""
+        first, last = self.window
+        low, high = self.arclength[0] - _SAME, self.arclength[-1] + _SAME
+        inside = (time >= first) & (time <= last) & (arclength >= low) & (arclength <= high)
+        return np.asarray(inside)
+
+    def at(self, arclength: ArrayLike, time: ArrayLike) -> StateEstimate:
+        """Pose and covariance at points (M,), linear in time and arclength; the rest is zero."""
+        place, when = np.asarray(arclength, dtype=float), np.asarray(time, dtype=float)
+        upper = np.clip(np.searchsorted(self.arclength, place - _SAME), 0, len(self.arclength) - 1)
+        lower = np.maximum(upper - (place < self.arclength[upper] - _SAME), 0)
+        gap = self.arclength[upper] - self.arclength[lower]
+        share = np.where(gap > 0.0, (place - self.arclength[lower]) / np.where(gap, gap, 1.0), 0.0)
+        each = [
+            _between(t, p, c, when) for t, p, c in zip(self.time, self.pose, self.cov, strict=True)
+        ]
+        pose, cov = (np.stack([e[i] for e in each]) for i in range(2))
+        rows = np.arange(place.size)
+        near, far = pose[lower, rows], pose[upper, rows]
+        whole = np.zeros((place.size, 18, 18))
+        whole[:, :6, :6] = (1.0 - share)[:, None, None] * cov[lower, rows]
+        whole[:, :6, :6] += share[:, None, None] * cov[upper, rows]
+        zeros = np.zeros((place.size, 6))
+        return StateEstimate(_part(near, far, share), zeros, zeros, whole)
+
+    def errors(self, truth: Readings) -> Errors:
+        """Errors at the samples of a truth stream that the estimate covers."""
+        if truth.values.ndim == 3:  # at the cross-section itself, which positions are of
+            values, mount = truth.values @ se3.inverse(truth.mount), np.eye(4)
+            truth = replace(truth, values=values, mount=mount)
+        truth = truth.select(self.covers(truth.arclength, truth.time))
+        errors = errors_against(self, truth)
+        if self.turns:
+            return errors
+        none = np.full(len(truth), np.nan)
+        return replace(errors, rotation=none, nees_rotation=none)
+
+
+def read_estimate(path: Path) -> ForeignEstimate:
+    """An estimate from delimited text with the columns time,arclength,x,y,z in SI units.
+
+    Rotations qw,qx,qy,qz and covariances c_0_0 … c_5_5 of [linear, angular] in the body frame may
+    follow, as `estimate --query` writes them.
+
+    Raises:
+        GlissandoError: A column is missing, or a row is wrong.
+    """
+    lines = [(number, cells) for number, cells in cells_of(path) if any(cells)]
+    titles = lines[0][1] if lines else []
+    missing = [name for name in _POINT if name not in titles]
+    if missing:
+        raise GlissandoError(
+            f"{path.name} line 1: an estimate needs the columns {','.join(_POINT)}; "
+            f"{', '.join(missing)} is missing. Or give trajectories, with --arclength of each."
+        )
+    turns = set(_TURN) <= set(titles)
+    names = [*_POINT, *(_TURN if turns else []), *(_COV if turns and _COV[0] in titles else [])]
+    numbered = [(number, [str(k), *cells]) for k, (number, cells) in enumerate(lines[1:])]
+    at = [1 + titles.index(name) for name in names]
+    table = samples(path, numbered, 0, at, 1.0, zeros=True).values
+    tracks = {}
+    for place in np.unique(np.round(table[:, 1] / _SAME)) * _SAME:
+        rows = table[np.abs(table[:, 1] - place) < _SAME]
+        rows = rows[np.argsort(rows[:, 0], kind="stable")]
+        rows = rows[np.append(True, np.diff(rows[:, 0]) > 0.0)]
+        tracks[float(rows[0, 1])] = rows
+    if not tracks:
+        raise GlissandoError(f"{path.name} holds no rows; an estimate needs some.")
+    poses = [np.tile(np.eye(4), (len(rows), 1, 1)) for rows in tracks.values()]
+    cov = [np.full((len(rows), 6, 6), np.nan) for rows in tracks.values()]
+    for pose, spread, rows in zip(poses, cov, tracks.values(), strict=True):
+        pose[:, :3, 3] = rows[:, 2:5]
+        if turns:
+            pose[:, :3, :3] = se3.rotation_from_quaternion(rows[:, 5:9])
+        if len(names) == 45:
+            spread[:] = rows[:, 9:].reshape(-1, 6, 6)
+    return ForeignEstimate(
+        np.array([*tracks]), [r[:, 0] for r in tracks.values()], poses, cov, turns
+    )
+
+
+def estimate_of_tracks(tracks: Sequence[Track], arclength: Mapping[str, float]) -> ForeignEstimate:
+    """An estimate of trajectories, each at an arclength.
+
+    Args:
+        tracks: Trajectories of poses or of positions, by name.
+        arclength: Arclength of each that counts, m.
+
+    Raises:
+        GlissandoError: There is none, or a track has no positions.
+    """
+    known = sorted((t for t in tracks if t.name in arclength), key=lambda t: arclength[t.name])
+    if not known or any(t.kind not in ("pose", "coil", "position") for t in known):
+        raise GlissandoError(
+            f"Say where on the robot the trajectories {', '.join(t.name for t in tracks)} are: "
+            f"--arclength NAME=METRES,…"
+        )
+    turns = all(t.kind != "position" for t in known)
+    poses = [np.tile(np.eye(4), (t.time.size, 1, 1)) for t in known]
+    for pose, t in zip(poses, known, strict=True):
+        pose[:, :3, 3] = t.values if t.kind == "position" else t.values[:, :3, 3]
+        pose[:, :3, :3] = t.values[:, :3, :3] if turns else np.eye(3)
+    none = [np.full((t.time.size, 6, 6), np.nan) for t in known]
+    places = np.array([arclength[t.name] for t in known])
+    return ForeignEstimate(places, [t.time for t in known], poses, none, turns)
+
+
+def foreign_report(
+    name: str, estimate: ForeignEstimate, recording: Recording, robot: Robot, truth: list[Readings]
+) -> dict[str, Any]:
+    """A report of an estimate's errors, as `glissando report` compares them.
+
+    Raises:
+        GlissandoError: No sample of the truth lies within the estimate.
+    """
+    errors = [e for e in (estimate.errors(t) for t in truth) if e.arclength.size]
+    if not errors:
+        raise GlissandoError(
+            f"No truth of {recording.name} lies within the estimate's arclengths and times; name "
+            f"streams with --truth, or check units and clock."
+        )
+    sure = all(np.all(np.isfinite(e.nees_position)) for e in errors)
+    return {
+        "recording": recording.name,
+        "robot": robot.name,
+        "window": list(estimate.window),
+        "status": f"imported from {name}",
+        "readings": {},
+        "dropped": {},
+        "calibration": [],
+        "overall": pool(errors).summary(),
+        "sites": [e.site_summary() for e in errors],
+        "consistency": [c.as_json() for c in check(errors)] if sure else [],
+    }
+
+
+def _between(time: Array, pose: Array, cov: Array, when: Array) -> tuple[Array, Array]:
+    """Poses (M, 4, 4) and covariances (M, 6, 6) of one trajectory at times (M,)."""
+    if time.size == 1:
+        return np.repeat(pose, when.size, 0), np.repeat(cov, when.size, 0)
+    k = np.clip(np.searchsorted(time, when) - 1, 0, time.size - 2)
+    share = np.clip((when - time[k]) / (time[k + 1] - time[k]), 0.0, 1.0)
+    part = share[:, None, None]
+    return _part(pose[k], pose[k + 1], share), (1.0 - part) * cov[k] + part * cov[k + 1]
+
+
+def _part(near: Array, far: Array, share: Array) -> Array:
+    """Poses (M, 4, 4) a share of the way, in a straight line with a steady turn."""
+    out = np.tile(np.eye(4), (len(near), 1, 1))
+    out[:, :3, 3] = near[:, :3, 3] + share[:, None] * (far[:, :3, 3] - near[:, :3, 3])
+    turn = se3.so3_log(np.swapaxes(near[:, :3, :3], 1, 2) @ far[:, :3, :3])
+    out[:, :3, :3] = near[:, :3, :3] @ se3.so3_exp(share[:, None] * turn)
+    return out

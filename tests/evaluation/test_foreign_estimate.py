@@ -1,0 +1,106 @@
+"""An estimate that leaves and comes back as somebody else's is judged as it was."""
+
+import json
+
+import numpy as np
+import pytest
+
+from glissando import GlissandoError, PoseReadings, estimate, load_robot
+from glissando.cli.main import main
+from glissando.evaluation.foreign_estimate import estimate_of_tracks, read_estimate
+from glissando.evaluation.metrics import errors_against
+from glissando.io.csv_stream import Rows, Stream
+from glissando.io.foreign import export, read_tracks
+from glissando.io.recording import Recording, save_recording
+from glissando.visualization.page.comparison import comparison, written_runs
+
+PLACES = np.array([0.0, 0.1, 0.233, 0.35, 0.466])
+
+
+@pytest.fixture(scope="module")
+def scene():
+    robot = load_robot("tdcr466")
+    rng = np.random.default_rng(2)
+    time = np.linspace(0.0, 0.3, 13)
+    tip = np.tile(np.eye(4), (13, 1, 1))
+    tip[:, 2, 3] = robot.length
+    tip[:, 0, 3] = 0.02 * np.sin(9 * time)
+    seen = robot_readings("coil", time, robot.length, tip, 2e-3)
+    posterior = estimate(robot.prior, robot.grid(0.0, 0.3), [seen])
+    streams = {}
+    for place in (0.233, 0.466):
+        truth = posterior.at(np.full(13, place), time).pose.copy()
+        truth[:, :3, 3] += 2e-3 * rng.standard_normal((13, 3))
+        rows = Rows("pose", time, np.full(13, place), truth, {})
+        streams[f"at_{1e3 * place:.0f}"] = Stream(f"at_{1e3 * place:.0f}", rows, True,
+                                                  np.full(6, 1e-4), keep_repeats=True)  # fmt: skip
+    return robot, posterior, Recording("bench", None, streams, robot, None)
+
+
+def robot_readings(name, time, place, values, std):
+    return PoseReadings(
+        time=time, arclength=np.full(time.size, place), values=values, cov=std**2, name=name
+    )
+
+
+def test_its_errors_and_their_nees_come_back(scene, tmp_path):
+    robot, posterior, recording = scene
+    export(posterior, tmp_path / "all.csv", arclength=PLACES, rate=40.0)
+    theirs = read_estimate(tmp_path / "all.csv")
+    for truth in recording.readings(["at_233", "at_466"], robot, (0.0, 0.3), as_truth=True)[0]:
+        mine, its = errors_against(posterior, truth), theirs.errors(truth)
+        np.testing.assert_allclose(its.position, mine.position, atol=1e-6)
+        np.testing.assert_allclose(its.rotation, mine.rotation, atol=1e-6)
+        np.testing.assert_allclose(its.nees_position, mine.nees_position, rtol=1e-3)
+
+
+def test_positions_alone_and_trajectories_have_errors_without_confidence(scene, tmp_path):
+    robot, posterior, recording = scene
+    (truth,) = recording.readings(["at_466"], robot, (0.0, 0.3), as_truth=True)[0]
+    mine = errors_against(posterior, truth)
+    at = posterior.at(np.full(13, 0.466), truth.time).position
+    lines = [
+        f"{t!r};0.466;{x!r};{y!r};{z!r}"
+        for t, (x, y, z) in zip(truth.time.tolist(), at.tolist(), strict=True)
+    ]
+    (tmp_path / "p.csv").write_text(
+        "time;arclength;x;y;z\n" + "\n".join(lines).replace(".", ",") + "\n"
+    )
+    its = read_estimate(tmp_path / "p.csv").errors(truth)
+    np.testing.assert_allclose(its.position, mine.position, atol=1e-9)
+    assert np.all(np.isnan(its.rotation))
+    export(posterior, tmp_path / "tip.txt", rate=40.0)
+    said = "time=1,x=2,y=3,z=4,qx=5,qy=6,qz=7,qw=8"
+    tracks = read_tracks(tmp_path / "tip.txt", columns=said)
+    its = estimate_of_tracks(tracks, {"tip": 0.466}).errors(truth)
+    np.testing.assert_allclose(its.position, mine.position, atol=1e-6)
+    np.testing.assert_allclose(its.rotation, mine.rotation, atol=1e-6)
+    with pytest.raises(GlissandoError, match="Say where on the robot the trajectories tip are"):
+        estimate_of_tracks(tracks, {})
+
+
+def test_between_arclengths_and_times_a_steady_motion_is_exact(tmp_path):
+    lines = ["time,arclength,x,y,z"]
+    lines += [f"{t},{s},{t * s},{2 * s},{s - t}" for t in (0, 1, 2) for s in (0, 0.2, 0.5)]
+    (tmp_path / "a.csv").write_text("\n".join(lines) + "\n")
+    theirs = read_estimate(tmp_path / "a.csv")
+    rng = np.random.default_rng(0)
+    s, t = rng.uniform(0, 0.5, 50), rng.uniform(0, 2, 50)
+    at = theirs.at(s, t).position
+    np.testing.assert_allclose(at[:, 1:], np.stack([2 * s, s - t], axis=1), atol=1e-12)
+    assert theirs.covers(np.array([0.1, 0.6, 0.1]), np.array([1.0, 1.0, 2.1])).tolist() == [
+        *(True, False, False)
+    ]
+
+
+def test_the_command_makes_a_run_that_a_report_shows(scene, tmp_path):
+    _, posterior, recording = scene
+    save_recording(recording, tmp_path / "bench", "tdcr466")
+    export(posterior, tmp_path / "theirs.csv", arclength=PLACES, rate=40.0)
+    call = ["import", str(tmp_path / "theirs.csv"), "--estimate", str(tmp_path / "bench")]
+    assert main([*call, "--out", str(tmp_path / "run")]) == 0
+    report = json.loads((tmp_path / "run" / "report.json").read_text())
+    assert {s["name"] for s in report["sites"]} == {"at_233", "at_466"}
+    assert report["overall"]["position_rmse"] == pytest.approx(2e-3 * 3**0.5, rel=0.4)
+    page = comparison(written_runs([tmp_path / "run"]))
+    assert "imported from theirs.csv" in page
