@@ -62,6 +62,7 @@ def test_leaving_the_loop_stops_the_stage_and_keeps_its_position():
         assert slide.move(0.0)[-1].travel == pytest.approx(0.0, abs=1e-5)
 
 
+@pytest.mark.slow
 def test_a_noisy_line_is_counted_and_survived_and_a_dead_one_is_a_sentence():
     with (
         started("grbl", "--faults", "lost=0.1,corrupt=0.2", "--seed", "4") as address,
@@ -98,6 +99,7 @@ def test_an_alarm_loses_the_position_until_the_stage_is_homed_again():
         assert slide.read().travel == pytest.approx(0.02, abs=1e-5)
 
 
+@pytest.mark.slow
 def test_what_no_controller_says_is_refused():
     for line in (b"", b"ok", b"<Idle|WPos:1,2,3>", b"<Idle|MPos:1,x>", b"<Idle>"):
         with pytest.raises(DeviceError, match="machine position"):

@@ -35,6 +35,7 @@ def _shown(options: str):
     return updates[stamp], latest
 
 
+@pytest.mark.slow
 def test_frames_line_tube_and_ellipsoids_are_the_estimates():
     update, read = _shown("")
     frames = read["Robot", "TDATA"].tools

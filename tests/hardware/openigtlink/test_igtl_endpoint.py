@@ -54,6 +54,7 @@ def _newest(messages) -> int:
     return int(arrays[-1].content.values[0]) if arrays else -1
 
 
+@pytest.mark.slow
 def test_a_stream_cut_anywhere_is_the_same_messages():
     rng = np.random.default_rng(1)
     wires = [encode(m) for m in random_messages(rng)]
@@ -106,6 +107,7 @@ def test_peers_get_the_same_whole_updates_and_can_answer():
             assert _numbers(read) == [7]
 
 
+@pytest.mark.slow
 def test_a_slow_peer_misses_old_updates_and_the_others_none():
     with Endpoint("igtl-server://:0") as server:
         slow, quick = _connected(server, 2)
@@ -142,6 +144,7 @@ def test_malicious_and_dead_peers_are_let_go_and_the_others_served():
         garbage.close()
 
 
+@pytest.mark.slow
 def test_a_flood_is_heard_at_a_bounded_rate():
     flood = b"".join(_update(1)) * 50
     with Endpoint("igtl-server://:0") as server:
@@ -158,6 +161,7 @@ def test_a_flood_is_heard_at_a_bounded_rate():
         client.close()
 
 
+@pytest.mark.slow
 def test_the_seventeenth_peer_is_turned_away():
     with Endpoint("igtl-server://:0") as server:
         clients = _connected(server, 16)
@@ -168,6 +172,7 @@ def test_the_seventeenth_peer_is_turned_away():
             client.close()
 
 
+@pytest.mark.slow
 def test_sending_never_waits_even_if_the_process_stands_still():
     with Endpoint("igtl-server://:0") as server:
         os.kill(server._process.pid, signal.SIGSTOP)
@@ -183,6 +188,7 @@ def test_sending_never_waits_even_if_the_process_stands_still():
             os.kill(server._process.pid, signal.SIGCONT)
 
 
+@pytest.mark.slow
 def test_a_client_calls_until_somebody_answers_and_again_when_he_is_gone():
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]

@@ -74,6 +74,7 @@ def test_the_librarys_values_are_read(openigtlink):
     assert mesh.attributes[0].values.ravel().tolist() == list(range(8))
 
 
+@pytest.mark.slow
 def test_random_messages_come_back_as_they_were():
     rng = np.random.default_rng(1)
     for _ in range(20):
@@ -121,6 +122,7 @@ def _mutated(wire: bytes, rng, *, sealed: bool) -> bytes:
     return bytes(out)
 
 
+@pytest.mark.slow
 def test_ten_thousand_mutated_messages_are_read_or_refused_in_bounded_time_and_memory():
     rng = np.random.default_rng(3)
     wires = [encode(m) for _ in range(4) for m in random_messages(rng)]
