@@ -99,6 +99,7 @@ def _replay(options: argparse.Namespace) -> int:
             real_time=options.rate == "real",
             journal=options.out / "log" if options.out else None,
             watch=watch,
+            allow=options.allow,
         )
     print(json.dumps(result.as_json())) if options.json else _print(result, Console())
     written = _write(result, options.out) if options.out else []

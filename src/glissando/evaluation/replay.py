@@ -22,6 +22,8 @@ from glissando.evaluation.metrics import (
     pool,
     prediction_scores,
 )
+from glissando.evaluation.plausibility.examine import examine_recording
+from glissando.evaluation.plausibility.finding import refuse
 from glissando.evaluation.run import checked_window, chosen_streams
 from glissando.geometry.se3 import Array
 from glissando.io.journal import Journal
@@ -120,6 +122,7 @@ def replay(
     real_time: bool = False,
     journal: Path | None = None,
     watch: Watch | None = None,
+    allow: Sequence[str] = (),
 ) -> Replay:
     """Run a window of a recording through `FixedLagSmoother` at the robot's rate of time nodes.
 
@@ -134,14 +137,17 @@ def replay(
         journal: Folder to which readings are written before they are used; if it holds some
             already, the run continues where they end.
         watch: Called after each update.
+        allow: Checks of plausibility that are left out, besides the recording's own.
 
     Raises:
         RecordingError: For an empty window, an unknown stream, or another recording's journal.
+        ImplausibleError: Readings cannot be what they are said to be.
     """
     first, last = checked_window(recording, window)
     readings, references, _ = chosen_streams(recording, robot, (first, last), use, truth)
     if not sum(map(len, readings)):
         raise RecordingError(f"{recording.name} holds no readings from {first:g} to {last:g} s.")
+    refuse(examine_recording(recording, robot, readings, references, (first, last), allow))
     times = np.linspace(first, last, max(2, round((last - first) * robot.time_rate) + 1))
     nodes = _NODES if lag is None else max(1, round(lag * robot.time_rate) + 1)
     smoother = FixedLagSmoother(
