@@ -212,6 +212,25 @@ def _of_recording(folder):
     return examine(recording.robot, *streams, frames=recording.frames, allow=recording.allow)
 
 
+def test_a_reading_out_of_reach_is_named_and_left_out(folder, tmp_path, capsys):
+    """One reading a kilometre off is named with its row, and the answer is that without it."""
+    rows, chosen = iter(range(10**6)), 61
+
+    def kilometre(row):
+        return [*row[:2], row[2] + 1e3, *row[3:]] if next(rows) == chosen else row
+
+    wrong = edited(folder, tmp_path, kilometre)
+    answers = []
+    for recording in (folder, wrong):
+        assert main(["estimate", str(recording), "--window", "1", "2", "--json"]) == 0
+        told = capsys.readouterr()
+        answers.append(json.loads(told.out))
+    assert answers[1]["dropped"] == {"coil": {"out of reach": 1}}
+    assert f"Row {chosen - 40} of 'coil'" in told.err
+    right, without = (a["overall"]["position_rmse"] for a in answers)
+    assert without == pytest.approx(right, rel=0.1)
+
+
 def test_findings_stand_in_the_report(folder, capsys):
     assert main(["estimate", str(folder), "--window", "1", "2", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["findings"] == []

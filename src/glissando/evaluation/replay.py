@@ -22,7 +22,10 @@ from glissando.evaluation.metrics import (
     pool,
     prediction_scores,
 )
-from glissando.evaluation.plausibility.examine import examine_recording
+from glissando.evaluation.plausibility.examine import (
+    examine_recording,
+    without_false_readings,
+)
 from glissando.evaluation.plausibility.finding import refuse
 from glissando.evaluation.run import checked_window, chosen_streams
 from glissando.geometry.se3 import Array
@@ -148,6 +151,7 @@ def replay(
     if not sum(map(len, readings)):
         raise RecordingError(f"{recording.name} holds no readings from {first:g} to {last:g} s.")
     refuse(examine_recording(recording, robot, readings, references, (first, last), allow))
+    readings = without_false_readings(robot, readings, {}, {*recording.allow, *allow})
     times = np.linspace(first, last, max(2, round((last - first) * robot.time_rate) + 1))
     nodes = _NODES if lag is None else max(1, round(lag * robot.time_rate) + 1)
     smoother = FixedLagSmoother(

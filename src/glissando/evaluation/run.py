@@ -16,7 +16,11 @@ from glissando.estimation.posterior import Posterior
 from glissando.evaluation.consistency import Consistency, check, check_readings
 from glissando.evaluation.environment import versions
 from glissando.evaluation.metrics import Errors, errors_against, pool
-from glissando.evaluation.plausibility.examine import after_estimate, examine_recording
+from glissando.evaluation.plausibility.examine import (
+    after_estimate,
+    examine_recording,
+    without_false_readings,
+)
 from glissando.evaluation.plausibility.finding import Finding, refuse
 from glissando.io.atomic_file import write_text
 from glissando.io.netcdf import save_posterior
@@ -187,6 +191,7 @@ def run_estimate(
         )
     findings = examine_recording(recording, robot, readings, references, window, allow)
     refuse(findings)
+    readings = without_false_readings(robot, readings, dropped, {*recording.allow, *allow})
     parameters = robot.sensor_parameters
     try:
         posterior = estimate(

@@ -12,6 +12,7 @@ from glissando.evaluation.plausibility.finding import Finding, require_known
 from glissando.evaluation.plausibility.lag import check_lag
 from glissando.evaluation.plausibility.noise import check_noise
 from glissando.evaluation.plausibility.poses import check_poses
+from glissando.evaluation.plausibility.reach import check_reach, out_of_reach
 from glissando.evaluation.plausibility.sampling import check_sampling
 from glissando.evaluation.plausibility.session import Streams
 from glissando.evaluation.plausibility.slide import check_slide
@@ -71,6 +72,7 @@ def _examined(streams: Streams, window: tuple[float, float] | None) -> list[Find
     findings = [
         *check_sampling(streams.sensors, streams.truth),
         *check_noise(streams.sensors, streams.robot.length),
+        *check_reach(streams),
     ]
     if window is not None and streams.sensors:
         findings += check_grid(streams, window)
@@ -85,9 +87,9 @@ def _on_motion(streams: Streams) -> list[Finding]:
     lags = list(check_lag(streams))
     poses = [] if lags else list(check_poses(streams))
     slid = {name for f in own for name in f.streams if f.name != "gyro"}
-    told = [f for f in poses if f.name not in ("shape", "base", "reach")]
+    told = [f for f in poses if f.name not in ("shape", "base")]
     if slid and not told:  # what a slide shows explains the rest
-        poses = [f for f in poses if f.name == "reach"]
+        poses = []
     same = {(f.name, f.streams) for f in poses}
     own = [f for f in own if (f.name, f.streams) not in same]
     return [*([] if own or poses else check_speed(streams)), *own, *lags, *poses]
@@ -128,6 +130,31 @@ def examine_recording(
     switched_off = {*recording.allow, *allow}
     frames = recording.frames
     return examine(robot, readings, truth, frames=frames, window=window, allow=switched_off)
+
+
+def without_false_readings(
+    robot: Robot,
+    readings: Sequence[Readings],
+    dropped: dict[str, dict[str, int]],
+    allow: Collection[str] = (),
+) -> list[Readings]:
+    """The readings less those out of the robot's reach, which are counted.
+
+    Args:
+        robot: The robot.
+        readings: Streams to estimate from.
+        dropped: Rows that are not used, counted by stream and reason; counts are added.
+        allow: Names of checks that are switched off; with "reach" all readings stay.
+    """
+    if "reach" in allow:
+        return list(readings)
+    out = []
+    for r in readings:
+        false = out_of_reach(robot, corrected(r, robot.sensor_parameters))
+        if false.any():
+            dropped[r.name] = {**dropped.get(r.name, {}), "out of reach": int(false.sum())}
+        out.append(r.select(~false))
+    return out
 
 
 def after_estimate(

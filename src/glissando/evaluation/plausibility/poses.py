@@ -9,8 +9,8 @@ import numpy as np
 
 from glissando.evaluation.plausibility.corrections import Correction, corrections
 from glissando.evaluation.plausibility.finding import Finding, listed
-from glissando.evaluation.plausibility.session import Streams, as_poses
-from glissando.evaluation.plausibility.shape import Fit, Rod, Sightings, stretch
+from glissando.evaluation.plausibility.session import Streams
+from glissando.evaluation.plausibility.shape import Fit, Rod, Sightings
 from glissando.geometry.se3 import Array
 from glissando.model.quantiles import chi_square_exceedance
 
@@ -23,7 +23,6 @@ _FEW = 3  # moments at which every correction is tried
 _ENOUGH = 2  # other streams that tell a shape without those that are corrected
 _QUICK = 8  # steps of those fits
 _BEST = 6  # corrections that are tried at all moments
-_FAR = 10.0  # robot lengths: beyond, a row ruins an estimate
 _GROUPS = 3  # groups of streams on which corrections are tried
 
 
@@ -56,7 +55,6 @@ def check_poses(streams: Streams) -> Iterator[Finding]:
     """
     if not streams.tracked:
         return
-    yield from _rows_out_of_reach(streams)
     rod = Rod(streams.robot)
     _, seen = streams.moments()
     miss, effort = _judge(rod.fit(seen), seen)
@@ -84,30 +82,6 @@ def _judge(fit: Fit, seen: Sightings, count: int = 1) -> tuple[Array, Array]:
     few = bool(np.median((seen.weight.max(axis=-1) > 0.0).sum(axis=-1)) < _FEWER)
     limit = chi_square_exceedance(_CHANCE, freedom)
     return np.median(misses, axis=1).max(axis=-1) / _MISS[few], efforts / limit
-
-
-def _rows_out_of_reach(streams: Streams) -> Iterator[Finding]:
-    """Findings on the few rows of a stream that lie where the robot cannot be."""
-    robot = streams.robot
-    if not robot.prior.fixes_base:
-        return
-    base = Rod(robot).base[:3, 3]
-    for r in streams.tracked:
-        if r.values.shape[1:] == (3, 3):
-            continue
-        distance = np.linalg.norm(as_poses(r)[:, :3, 3] - base, axis=1)
-        reach = r.arclength * (1.0 + 3.0 * stretch(robot)) + 0.15 * robot.length
-        beyond = np.flatnonzero(distance > reach)
-        if 0 < beyond.size <= 0.2 * len(r):
-            row = int(beyond[np.argmax(distance[beyond])])
-            more = f" (and {beyond.size - 1} more rows)" * (beyond.size > 1)
-            yield Finding(
-                "reach",
-                f"Row {row} of {r.label!r}, at {r.time[row]:.4g} s, lies {distance[row]:.4g} m "
-                f"from the base at arclength {r.arclength[row]:.3g} m{more}: probably a false "
-                f'reading; delete it, or give the sensor a loss = "huber".',
-                bool(distance[row] > _FAR * robot.length), (r.label,), "row",
-            )  # fmt: skip
 
 
 def _explained(streams: Streams, rod: Rod, seen: Sightings, miss: Array, effort: float) -> Finding:

@@ -1,0 +1,68 @@
+"""Single readings that lie where the robot cannot be, whatever its shape."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glissando.evaluation.plausibility.finding import Finding
+from glissando.evaluation.plausibility.session import Streams, as_poses, weights
+from glissando.evaluation.plausibility.shape import stretch
+from glissando.geometry.se3 import Array
+from glissando.model.grid import Grid
+from glissando.model.robot import Robot
+from glissando.model.sensors.readings import Readings
+
+_SLACK = 0.15  # of the robot's length, beyond what it reaches
+_FEW = 0.2  # share of a stream that can be false readings; more is a unit or a frame
+
+
+def check_reach(streams: Streams) -> Iterator[Finding]:
+    """Findings on false readings, with the row that is farthest off.
+
+    Args:
+        streams: A session.
+
+    Yields:
+        Findings.
+    """
+    for r in streams.tracked:
+        beyond = np.flatnonzero(out_of_reach(streams.robot, r))
+        if beyond.size:
+            distance = _distance(streams.robot, r)
+            row = int(beyond[np.argmax(distance[beyond])])
+            more = f" (and {beyond.size - 1} more rows)" * (beyond.size > 1)
+            yield Finding(
+                "reach",
+                f"Row {row} of {r.label!r}, at {r.time[row]:.4g} s, lies {distance[row]:.4g} m "
+                f"from the base at arclength {r.arclength[row]:.3g} m{more}, out of the robot's "
+                f"reach: probably a false reading, which an estimate leaves out; delete it.",
+                False, (r.label,), "row",
+            )  # fmt: skip
+
+
+def out_of_reach(robot: Robot, r: Readings) -> NDArray[np.bool_]:
+    """Which of a tracker's readings (M,) are false; none if they are many, or the base is free.
+
+    Args:
+        robot: The robot.
+        r: Readings, known sensor parameters applied.
+    """
+    none = np.zeros(len(r), dtype=bool)
+    if not len(r) or not r.tracker or weights(r)[0] == 0.0 or not robot.prior.fixes_base:
+        return none
+    slack = _SLACK * robot.length
+    for p in robot.sensor_parameters:
+        if p.kind == "frame" and r.name in p.streams:
+            slack += 3.0 * float(np.linalg.norm(p.std[:3]) + robot.length * p.std[3:].max())
+    reach = r.arclength * (1.0 + 3.0 * stretch(robot)) + slack
+    beyond = ~(_distance(robot, r) <= reach)
+    return beyond if beyond.mean() <= _FEW else none
+
+
+def _distance(robot: Robot, r: Readings) -> Array:
+    """Distances (M,) from where the robot's base is expected."""
+    base = robot.prior.rest_state(Grid(robot.arclength_nodes, [0.0])).pose[0, 0, :3, 3]
+    return np.linalg.norm(as_poses(r)[:, :3, 3] - base, axis=1)
