@@ -4,6 +4,7 @@ COMMANDS = {
     "estimate": ("estimate", "estimate a recording"),
     "check": ("check", "check whether confidence is true"),
     "learn": ("learn", "learn a robot file from recordings"),
+    "predict": ("predict", "foretell a robot from its tendons"),
     "replay": ("replay", "estimate a recording as if live"),
     "live": ("live", "estimate sensors live"),
     "simulate": ("simulate", "simulate a recording"),

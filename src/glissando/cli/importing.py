@@ -32,9 +32,11 @@ _HELP = """\
 Bring files of motion capture and trackers into a recording folder that every command takes.
 
 Known are CSV of Vicon Tracker (helical rotations) and of Nexus, of NDI Track and ToolBox, of
-OptiTrack Motive; TSV of Qualisys; c3d, ROS 1 bags and folders of ROS 2 bags. Any other delimited
-text is read with --columns. Semicolons, tabs and decimal commas are understood. A file does not say
-where on the robot its objects sit: --arclength does, and objects without one are left out.
+OptiTrack Motive; TSV of Qualisys; c3d, ROS 1 bags and folders of ROS 2 bags; CSV of servos that
+pull tendons with the position of a marker (timestamp, servo_<id>_mm, tip_x, tip_y, tip_z), of which
+--robot names a file with [tendons]. Any other delimited text is read with --columns. Semicolons,
+tabs and decimal commas are understood. A file does not say where on the robot its objects sit:
+--arclength does, and objects without one are left out.
 """
 _EXAMPLES = """\
 examples:
@@ -45,6 +47,7 @@ examples:
   glissando import gyro.csv --columns 'time=t [ms],clock=ms,wx=gx,wy=gy,wz=gz,angle=deg' \\
       --arclength gyro=0.4 --out gyro
   glissando import theirs.csv --estimate my_recording --out theirs    # then: glissando report
+  glissando import v4_train.csv --robot v4.toml --arclength tip=0.1865 --truth tip --out v4
   glissando import run.bag --topic /vicon/tip --arclength vicon_tip=0.7 --out run
 
 A sensor that slides takes a file in the place of its arclength, with the columns time,arclength or

@@ -8,19 +8,18 @@ import math
 from pathlib import Path
 from typing import Any
 
-import tomli_w
 from rich.console import Console
 from rich.table import Table as Grid
 
 from glissando.calibration.robot.hyperparameters import Document, expanded, learnable
 from glissando.calibration.robot.joint_calibration import lasting, locate
 from glissando.calibration.robot.learn import Learned, RecordingCase, learn
+from glissando.cli.learn_tendons import learn_from_tendons
 from glissando.cli.progress import working
-from glissando.cli.shared import Commands, add_command, names
+from glissando.cli.shared import Commands, add_command, names, write_robot
 from glissando.errors import GlissandoError, RecordingError
 from glissando.evaluation.metrics import pool
 from glissando.evaluation.run import checked_window, run_estimate
-from glissando.io.atomic_file import write_text
 from glissando.io.recording import Recording, load_recording
 from glissando.io.robot_file import load_robot, parse_robot, read_robot_document
 from glissando.io.shipped_robots import robot_file
@@ -32,6 +31,9 @@ Learn the numbers of a robot file from recordings: densities, time scale, streng
 noise, drifts. Without truth, the numbers that make the readings most likely (their evidence); with
 truth, those that predict it best from the sensors alone: small errors and a true confidence. A
 number that the recordings do not determine stays near its start; a factor of three is expected.
+
+Recordings of displacements of tendons and of a marker at the tip give the numbers of [tendons] and
+[mechanics] with the error of the model, and --robot then needs a mechanical prior.
 
 The file written has the same keys and is given to estimate with --robot.
 """
@@ -75,6 +77,8 @@ def _learn(options: argparse.Namespace) -> int:
     document = expanded(read_robot_document(robot_file(options.robot)))
     document.pop("tube", None)  # it was calibrated for the numbers of before
     _require_writable(options)
+    if any(s.rows.kind == "tendon" for r in recordings for s in r.streams.values()):
+        return learn_from_tendons(recordings, document, options)
     truth = options.truth or []
     for flag in ("calibrate", "joint"):
         if getattr(options, flag) and not truth:
@@ -115,7 +119,7 @@ def _learn(options: argparse.Namespace) -> int:
             ),
         )
     written = _with_constants(result)
-    write_text(options.out, _HEADER.format(options.robot) + tomli_w.dumps(written))
+    write_robot(written, options.robot, options.out)
     report = _as_json(result, options.out)
     if options.hold_out:
         report["held_out"] = [
@@ -133,9 +137,6 @@ def _learn(options: argparse.Namespace) -> int:
 def _matches(label: str, only: list[str]) -> bool:
     """Whether a number's name contains all words of one of those asked for."""
     return any(all(word in label for word in words.split()) for words in only)
-
-
-_HEADER = "# Learned from recordings, beginning with {}; comments of that file are not kept.\n"
 
 
 def _require_writable(options: argparse.Namespace) -> None:

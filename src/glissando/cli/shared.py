@@ -9,9 +9,10 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
+import tomli_w
 
 from glissando.cli.commands import COMMANDS
 from glissando.cli.progress import working
@@ -20,6 +21,7 @@ from glissando.estimation.posterior import Posterior
 from glissando.evaluation.plausibility.examine import examine_recording
 from glissando.evaluation.plausibility.finding import Finding
 from glissando.evaluation.run import Run, chosen_streams, run_estimate
+from glissando.io.atomic_file import write_text
 from glissando.io.netcdf import load_posterior
 from glissando.io.recording import Recording, load_recording
 from glissando.io.robot_file import load_robot
@@ -212,3 +214,15 @@ def require_writable(folder: Path) -> None:
     above = next((p for p in (folder, *folder.absolute().parents) if p.exists()), folder)
     if not above.is_dir() or not os.access(above, os.W_OK):
         raise GlissandoError(f"--out {folder}: {above} is not a folder that can be written to.")
+
+
+def write_robot(document: dict[str, Any], start: str, out: Path) -> None:
+    """Write a learned robot file, whole or not at all, with a line that says what it came from.
+
+    Args:
+        document: The robot file.
+        start: Robot that it began with.
+        out: File to write.
+    """
+    header = f"# Learned from recordings, beginning with {start}; its comments are not kept.\n"
+    write_text(out, header + tomli_w.dumps(document))

@@ -56,6 +56,7 @@ def add_to(commands: Commands) -> None:
     add("--duration", type=float, metavar="S", help="seconds (default: until at rest; hold 15)")
     parts = ", ".join((*PARTS, "all"))
     add("--without", type=names, default=[], metavar="NAME,…", help=f"switch off: {parts}")
+    add("--tendons", action="store_true", help="record displacements of the tendons, too")
     add("--seed", type=int, default=0, metavar="N", help="of all noise (default 0)")
     add("--out", type=Path, required=True, metavar="RECORDING", help="folder to write")
 
@@ -75,6 +76,7 @@ def _simulate(options: argparse.Namespace) -> int:
             duration=options.duration,
             without=options.without,
             name=options.out.resolve().name,
+            tendons=options.tendons,
             **{name: value for name, value in given.items() if value is not None},
         )
     shipped = options.robot in shipped_robots()

@@ -97,6 +97,10 @@ class StateEstimate(Brief):
     velocity: Array
     cov: Array
 
+    def take(self, index: Any) -> StateEstimate:
+        """The estimate at leading indices, as numpy would index an array of points."""
+        return StateEstimate(*(field[index] for field in vars(self).values()))
+
     @property
     def position(self) -> Array:
         """Position (…, 3) in the world, metres."""

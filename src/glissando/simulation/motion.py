@@ -12,7 +12,7 @@ from scipy.interpolate import CubicSpline
 
 from glissando.geometry.se3 import Array
 from glissando.simulation.mesh import Mesh
-from glissando.simulation.rod import Loads, Rod, Tendon
+from glissando.simulation.rod import STRAIGHT, Loads, Rod, Tendon
 from glissando.simulation.shape import Section, Shape, sections
 from glissando.simulation.statics import resample, solve_shape
 
@@ -60,6 +60,21 @@ class Motion:
         return Section(
             pose.reshape(*shape, 4, 4), strain.reshape(*shape, 6), wrench.reshape(*shape, 6)
         )
+
+    def shortening(self, tendons: Sequence[Tendon], time: Array) -> Array:
+        """How much shorter (M, T) channels are at times (M,) than in the straight rod, m.
+
+        What servos pull in of tendons that do not stretch. Source: (M5).
+        """
+        strain, points = self._strain(np.clip(time, self.time[0], self.time[-1])), self.mesh.points
+        columns = []
+        for tendon in tendons:
+            place, slope = tendon.path(points)
+            along = strain[..., :3] + np.cross(strain[..., 3:], place) + slope
+            straight = np.linalg.norm(STRAIGHT[:3] + slope, axis=-1)
+            lost = straight - np.linalg.norm(along, axis=-1)
+            columns.append(lost @ (self.mesh.weights * (points < tendon.end)))
+        return np.stack(columns, axis=-1)
 
     def _strain(self, time: Array) -> Array:
         if self.time.size == 1:

@@ -167,6 +167,14 @@ class Tendon:
         slope[:, :2] = sum(k * quartic[k] * x ** (k - 1) for k in range(1, 5)) / step
         return place, slope
 
+    def channel(self) -> tuple[float, float, float]:
+        """Radius (m), angle at the base (rad) and pitch (m, zero if straight) of its channel."""
+        place, slope = (each[0] for each in self.path(np.zeros(1)))
+        radius = float(np.linalg.norm(place))
+        rate = float(np.cross(place, slope)[2] / radius**2)
+        pitch = 2.0 * np.pi / rate if abs(rate) > 1e-9 else 0.0
+        return radius, float(np.arctan2(place[1], place[0])), pitch
+
     @staticmethod
     def helical(
         radius: float, angle: float, pitch: float, end: float, friction: float = 0.0

@@ -30,6 +30,7 @@ def simulate(
     duration: float | None = None,
     without: Sequence[str] = (),
     name: str = "simulated",
+    tendons: bool = False,
     **options: float,
 ) -> Session:
     """What the sensors of a robot with a sliding coil record, and what truly happened.
@@ -42,6 +43,7 @@ def simulate(
         duration: Seconds; until robot and slide stand still unless given.
         without: Imperfections to switch off, "all" for every one.
         name: Name of the session.
+        tendons: Whether displacements of the tendons are recorded, too.
         options: Of the slide: `at` (m, of hold), `cycles`, `stroke` (m), `speed` (m/s).
 
     Raises:
@@ -59,7 +61,14 @@ def simulate(
     path = slide_path(bench, slide, duration, options)
     motion = bench.move(bench.shape(shape), flaws, seed)
     return simulate_session(
-        bench, motion, path, seed=seed, duration=duration, flaws=flaws, name=name
+        bench,
+        motion,
+        path,
+        seed=seed,
+        duration=duration,
+        flaws=flaws,
+        name=name,
+        tendons=tendons,
     )
 
 

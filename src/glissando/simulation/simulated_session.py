@@ -19,7 +19,8 @@ from glissando.simulation.imperfections import Imperfections
 from glissando.simulation.motion import Motion
 from glissando.simulation.tracker import coil_rows, mocap_rows
 
-COIL_RATE, MOCAP_RATE = 40.0, 10.0  # Hz
+COIL_RATE, MOCAP_RATE, TENDON_RATE = 40.0, 10.0, 5.0  # Hz
+_TENDON_STD = 5e-5  # m: servos and what friction keeps from the tendons
 _LONGEST = 100_000.0  # s
 
 
@@ -36,6 +37,7 @@ class Session:
         mocap: Readings of motion capture in the world, by the name of the frame.
         T_wt: Pose of the tracker (4, 4).
         mocap_std: Std of motion capture's noise (6,), [linear m, angular rad].
+        tendons: Displacements of the tendons, if they are recorded.
     """
 
     name: str
@@ -46,6 +48,7 @@ class Session:
     mocap: dict[str, Rows]
     T_wt: Array
     mocap_std: Array
+    tendons: Rows | None = None
 
 
 def simulate_session(
@@ -57,6 +60,7 @@ def simulate_session(
     duration: float | None = None,
     flaws: Imperfections | None = None,
     name: str = "simulated",
+    tendons: bool = False,
 ) -> Session:
     """What the bench's sensors record of a motion while the coil slides along a path.
 
@@ -70,6 +74,7 @@ def simulate_session(
         duration: Length of the session, s; until motion and path end unless given.
         flaws: Imperfections; the bench's unless given.
         name: Name of the session.
+        tendons: Whether displacements of the tendons are recorded.
 
     Raises:
         SimulationError: The duration or the seed is impossible, the coil would leave the robot, or
@@ -84,7 +89,7 @@ def simulate_session(
     if seed < 0:
         raise SimulationError(f"Seed {seed} cannot be; give a whole number from 0 up.")
     _require_coil_on_robot(bench, path)
-    coil_noise, *mocap_noise = np.random.default_rng(seed).spawn(1 + bench.truth.size)
+    coil_noise, *mocap_noise, pull_noise = np.random.default_rng(seed).spawn(2 + bench.truth.size)
     time = np.arange(0.0, lasts + 1e-9, 1.0 / COIL_RATE)
     coil = coil_rows(motion, path, time, bench.coil_offset, bench.tracker, flaws, coil_noise)
     time = np.arange(0.0, lasts + 1e-9, 1.0 / MOCAP_RATE)
@@ -95,7 +100,19 @@ def simulate_session(
     if not all(np.all(np.isfinite(rows.values)) for rows in (coil, *mocap.values())):
         raise SimulationError("Imperfections so large leave readings that are no numbers.")
     std = np.repeat(np.maximum([flaws.mocap, flaws.mocap_angle], 1e-6), 3) / np.sqrt(3.0)
-    return Session(name, lasts, motion, path, coil, mocap, bench.tracker, std)
+    time = np.arange(0.0, lasts + 1e-9, 1.0 / TENDON_RATE)
+    pulled = _tendon_rows(bench, motion, time, pull_noise) if tendons else None
+    return Session(name, lasts, motion, path, coil, mocap, bench.tracker, std, pulled)
+
+
+def _tendon_rows(bench: Bench, motion: Motion, time: Array, rng: np.random.Generator) -> Rows:
+    """What servos report of tendons that do not stretch, at times (M,)."""
+    channels = np.array([tendon.channel() for tendon in bench.tendons]).T
+    ends = np.array([tendon.end for tendon in bench.tendons])
+    settings = dict(zip(("radius", "angle", "pitch"), channels, strict=True)) | {"end": ends}
+    pulled = motion.shortening(bench.tendons, time)
+    pulled = pulled + _TENDON_STD * rng.standard_normal(pulled.shape)
+    return Rows("tendon", time, np.full(time.size, ends.max()), pulled, {}, settings)
 
 
 def _require_coil_on_robot(bench: Bench, path: SlidePath) -> None:
@@ -119,6 +136,8 @@ def write_session(session: Session, folder: Path, robot: str | Path) -> list[Pat
         Stream(name, rows, True, session.mocap_std, keep_repeats=True)
         for name, rows in session.mocap.items()
     ]
+    if session.tendons is not None:
+        streams.append(Stream("tendons", session.tendons, std=np.array([_TENDON_STD])))
     with new_folder(folder, SimulationError) as building:
         frames = {"tracker": session.T_wt}
         write_streams(building, session.name, streams, robot=robot, frames=frames)

@@ -157,6 +157,16 @@ def without_false_readings(
     return out
 
 
+def _residual(posterior: Posterior, readings: Readings) -> Array:
+    """Expected minus measured (M, rows) at the estimate."""
+    if readings.spans:
+        nodes = posterior.grid.arclength
+        at = posterior.at(nodes, readings.time[:, None])
+        return readings.residual_over(nodes, State(at.pose, at.strain, at.velocity))
+    at = posterior.at(readings.arclength, readings.time)
+    return readings.residual(State(at.pose, at.strain, at.velocity))
+
+
 def after_estimate(
     posterior: Posterior,
     readings: Sequence[Readings],
@@ -177,8 +187,7 @@ def after_estimate(
         r = r.inside(posterior.grid)
         if not len(r):
             continue
-        at = posterior.at(r.arclength, r.time)
-        residual = r.residual(State(at.pose, at.strain, at.velocity))
+        residual = _residual(posterior, r)
         whitened = np.linalg.solve(np.linalg.cholesky(r.cov), residual[..., None])[..., 0]
         size = float(np.sqrt(np.median(np.mean(whitened**2, axis=1))))
         if size > _FOLLOWED:

@@ -13,12 +13,13 @@ from glissando.io.foreign.ndi_csv import is_ndi_header, read_ndi_csv
 from glissando.io.foreign.optitrack_csv import is_motive_header, read_motive_csv
 from glissando.io.foreign.qualisys_tsv import is_qualisys_header, read_qualisys_tsv
 from glissando.io.foreign.rosbag import read_bag
+from glissando.io.foreign.servo_csv import is_servo_header, servo_tracks
 from glissando.io.foreign.tracks import Track
 from glissando.io.foreign.vicon_csv import TITLES, read_vicon_csv
 
 _KNOWN = (
-    "CSV of Vicon Tracker or Nexus, NDI Track or ToolBox, OptiTrack Motive; TSV of Qualisys; c3d, "
-    "ROS 1 .bag, folder of a ROS 2 bag"
+    "CSV of Vicon Tracker or Nexus, NDI Track or ToolBox, OptiTrack Motive; TSV of Qualisys; "
+    "CSV of servos with a tip; c3d, ROS 1 .bag, folder of a ROS 2 bag"
 )
 
 
@@ -67,6 +68,8 @@ def read_tracks(
         return read_motive_csv(path, rate)
     if is_qualisys_header(cells):
         return read_qualisys_tsv(path, rate)
+    if is_servo_header(cells):
+        return servo_tracks(path)
     if cells[:2] == ["time", "arclength"]:
         raise RecordingError(f"{path} is a recording's stream already; name it in recording.toml.")
     raise RecordingError(

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from glissando.errors import RecordingError
+from glissando.geometry.se3 import Array
 from glissando.io.atomic_folder import new_folder
 from glissando.io.csv_stream import Rows, Stream
 from glissando.io.foreign.columns import EPOCH, read_path
@@ -16,6 +17,7 @@ from glissando.io.foreign.tracks import Track
 from glissando.io.recording_writer import write_streams
 from glissando.io.robot_file import load_robot
 from glissando.io.shipped_robots import robot_file, shipped_robots
+from glissando.model.robot import Robot
 
 _KINDS = ("pose", "coil"), ("position",)
 
@@ -58,10 +60,11 @@ def write_recording(tracks: Sequence[Track], folder: Path, choices: Choices) -> 
     """
     tracks = _distinct(tracks)
     _require_known(tracks, choices)
+    robot = load_robot(choices.robot) if choices.robot else None
     start = min((float(t.time[0]) for t in tracks if t.absolute and t.time.size), default=0.0)
     streams, lines = [], []
     for track in tracks:
-        rows = _placed(track, choices, start)
+        rows = _placed(track, choices, start, robot)
         if rows is None or not rows.time.size:
             why = "no arclength was given" if rows is None else "it was never seen"
             lines.append(f"{track.name}: left out, {why}")
@@ -76,14 +79,13 @@ def write_recording(tracks: Sequence[Track], folder: Path, choices: Choices) -> 
             f"Nothing is left to write ({'; '.join(lines)}); say where on the robot each one sits "
             f"with --arclength NAME=METRES,…"
         )
-    robot: str | Path = choices.robot or ""
-    if robot:
-        load_robot(robot)
-        robot = robot if robot in shipped_robots() else robot_file(robot)
+    named: str | Path = choices.robot or ""
+    if named:
+        named = named if named in shipped_robots() else robot_file(named)
     frames = dict.fromkeys(sorted({s.frame for s in streams} - {"world"}))
     with new_folder(folder, RecordingError) as building:
         name = folder.resolve().name
-        write_streams(building, name, streams, robot=robot, frames=frames)
+        write_streams(building, name, streams, robot=named, frames=frames)
     return lines
 
 
@@ -108,8 +110,24 @@ def _require_known(tracks: Sequence[Track], choices: Choices) -> None:
                 )
 
 
-def _placed(track: Track, choices: Choices, start: float) -> Rows | None:
+def _tendon_rows(track: Track, time: Array, robot: Robot | None) -> Rows:
+    """Rows of displacements, whose channels the robot states."""
+    tendons = None if robot is None else robot.tendons
+    if tendons is None or len(tendons) != track.values.shape[1]:
+        count = 0 if tendons is None else len(tendons)
+        raise RecordingError(
+            f"{track.name} has {track.values.shape[1]} tendons, the robot {count}; name a robot "
+            f"file with their [tendons] by --robot."
+        )
+    place = np.full(time.size, tendons.end.max())
+    return Rows("tendon", time, place, track.values, {}, tendons.settings())
+
+
+def _placed(track: Track, choices: Choices, start: float, robot: Robot | None) -> Rows | None:
     """Rows of a track where it sat and when, None when nobody says where that is."""
+    if track.kind == "tendon":
+        shift = choices.shift.get(track.name, 0.0)
+        return _tendon_rows(track, track.time - start * track.absolute + shift, robot)
     place = choices.arclength.get(track.name)
     if place is None:
         return None

@@ -40,9 +40,9 @@ class ServoLog:
     pattern: list[str]
 
 
-def is_servo_header(line: str) -> bool:
+def is_servo_header(cells: list[str]) -> bool:
     """Whether a file begins with this layout's names."""
-    return line.startswith("timestamp") and bool(_SERVO.search(line))
+    return cells[0] == "timestamp" and any(_SERVO.fullmatch(cell) for cell in cells)
 
 
 def read_servo_csv(path: Path) -> ServoLog:

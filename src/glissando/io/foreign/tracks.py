@@ -23,9 +23,9 @@ class Track:
 
     Attributes:
         name: Name of the object.
-        kind: pose, coil or position.
+        kind: pose, coil, position or tendon.
         time: Increasing times (M,), s.
-        values: Poses (M, 4, 4), or positions (M, 3) in m.
+        values: Poses (M, 4, 4), positions (M, 3) or displacements (M, T) in m.
         missing: Number of rows in which it was not seen.
         frame: Name of the frame of its values.
         absolute: Whether times count from 1970.

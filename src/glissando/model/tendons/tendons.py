@@ -7,7 +7,6 @@ it. Source: (M5) and (M6) of docs/tendons.md.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -108,6 +107,12 @@ class Tendons:
         tension = self.stiffness * self.softness * np.logaddexp(0.0, x)
         return tension, self.stiffness * 0.5 * (1.0 + np.tanh(0.5 * x))
 
+    def settings(self) -> dict[str, Array]:
+        """What a stream of their displacements says of them, as `TendonReadings` takes it."""
+        pitch = np.where(np.isinf(self.pitch), 0.0, self.pitch)
+        named = ("radius", "angle", "end", "slack")
+        return {**{name: getattr(self, name) for name in named}, "pitch": pitch}
+
     def to_table(self) -> dict[str, Any]:
         """What [tendons] of a robot file says, as `read_tendons` reads it."""
         table: dict[str, Any] = {"names": list(self.names)}
@@ -184,19 +189,3 @@ def _require_plausible(table: PriorTable, tendons: Tendons, length: float) -> No
     for name in ("play", "friction"):
         if np.any(getattr(tendons, name) < 0.0):
             raise table.fail(name, f"is {getattr(tendons, name).tolist()}; give zero or more.")
-
-
-def require_columns(names: Sequence[str], found: Sequence[str], where: str) -> None:
-    """Raise SensorError unless every tendon has its column in a file.
-
-    Args:
-        names: Columns of the tendons.
-        found: Columns of the file.
-        where: Name of the file, for the message.
-    """
-    missing = [name for name in names if name not in found]
-    if missing:
-        raise SensorError(
-            f"{where} has {len(found)} columns for {len(names)} tendons and lacks "
-            f"{', '.join(missing)}; give a column a tendon, named as in [tendons] names."
-        )

@@ -1,0 +1,104 @@
+"""The part of `glissando learn` for recordings of tendons and a marker at the tip."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from glissando.calibration.robot.hyperparameters import Document
+from glissando.calibration.robot.learn_tendons import LearnedTendons, TendonData, learn_tendons
+from glissando.calibration.robot.tendon_numbers import TIP
+from glissando.cli.shared import write_robot
+from glissando.errors import RecordingError
+from glissando.geometry.se3 import Array
+from glissando.io.recording import Recording
+from glissando.io.robot_file import load_robot
+from glissando.model.robot import Robot
+
+
+def learn_from_tendons(
+    recordings: Sequence[Recording], document: Document, options: argparse.Namespace
+) -> int:
+    """Learn [tendons] and [mechanics], write the robot file, and say how far it errs.
+
+    Args:
+        recordings: Recordings, each with a stream of kind tendon and positions named tip.
+        document: The robot file to start from.
+        options: Those of the command.
+
+    Raises:
+        RecordingError: A recording lacks one of the streams.
+    """
+    parts = [_rows(recording) for recording in recordings]
+    displacement, tip = (np.concatenate(column) for column in zip(*parts, strict=True))
+    robot = load_robot(options.robot)
+    learned = learn_tendons(robot, TendonData.of(displacement, tip), _say)
+    write_robot(_document(document, learned.robot), options.robot, options.out)
+    report = _report(learned, len(tip), str(options.out))
+    if options.json:
+        print(json.dumps(report))
+        return 0
+    print(
+        f"The tip errs by {report['rmse_mm']:.3g} mm on the {len(tip)} rows learned from, by "
+        f"{report['rmse_left_out_mm']:.3g} mm on rows left out.\nWrote {options.out}. Now: "
+        f"glissando predict --robot {options.out} --tendons commands.csv --out foretold"
+    )
+    return 0
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+
+
+def _rows(recording: Recording) -> tuple[Array, Array]:
+    """Displacements (M, T) and positions (M, 3) of the times that both streams have."""
+    streams = recording.streams.values()
+    tendons = next((s.rows for s in streams if s.rows.kind == "tendon"), None)
+    tip = next((s.rows for s in streams if s.name == TIP and s.rows.kind == "position"), None)
+    if tendons is None or tip is None:
+        lacks = "stream of kind tendon" if tendons is None else f"positions named {TIP!r}"
+        raise RecordingError(f"{recording.name} has no {lacks}; tendons are learned from both.")
+    _, mine, its = np.intersect1d(tendons.time, tip.time, return_indices=True)
+    if not mine.size:
+        raise RecordingError(
+            f"{recording.name}: tendons and {TIP} have no time in common; give them one clock."
+        )
+    return tendons.values[mine][:, : np.size(tendons.settings["radius"])], tip.values[its]
+
+
+def _document(document: Document, robot: Robot) -> Document:
+    """The robot file with the numbers of a learned robot."""
+    assert robot.tendons is not None
+    prior = robot.prior.to_table()
+    sensors = dict(document.get("sensors", {}))
+    position = dict(sensors.get("position", {})) | {"std": robot.sensor_std["position"].tolist()}
+    known: list[dict[str, Any]] = [
+        {"name": p.name, "kind": p.kind, "streams": list(p.streams), "value": p.value.tolist()}
+        for p in robot.sensor_parameters
+        if TIP in p.streams
+    ]
+    others = [p for p in document.get("sensor_parameters", []) if TIP not in p["streams"]]
+    return {
+        **document,
+        **{name: prior[name] for name in ("rest_strain", "rest_slope", "mechanics")},
+        "tendons": robot.tendons.to_table(),
+        "sensors": sensors | {"position": position},
+        "sensor_parameters": others + known,
+    }
+
+
+def _report(learned: LearnedTendons, rows: int, out: str) -> dict[str, Any]:
+    tendons = learned.robot.tendons
+    assert tendons is not None
+    return {
+        "out": out,
+        "rows": rows,
+        "rmse_mm": 1e3 * learned.rmse,
+        "rmse_left_out_mm": 1e3 * learned.held_out_rmse,
+        "tendons": tendons.to_table(),
+    }

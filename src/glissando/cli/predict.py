@@ -1,0 +1,69 @@
+"""`glissando predict`: where a robot goes by the commands of its tendons alone."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from glissando.cli.importing import number
+from glissando.cli.shared import Commands, add_command, names, require_writable
+from glissando.errors import GlissandoError
+from glissando.estimation.tendon_prediction import predict
+from glissando.io.atomic_folder import new_folder, require_new
+from glissando.io.query_csv import write_states
+from glissando.io.robot_file import load_robot
+from glissando.io.tendon_commands import read_tendon_commands
+
+_HELP = """\
+Foretell pose, strain and velocity along a robot, with covariance, from the commands of its tendons.
+
+The robot file has [tendons] and a mechanical prior; glissando learn finds their numbers. Commands
+are a CSV file: time, and one column a tendon, named as [tendons] names says. Displacements are
+positive when pulled, in metres, or in millimetres in columns whose names end in _mm.
+"""
+_EXAMPLES = """\
+examples:
+  glissando predict --robot learned.toml --tendons commands.csv --out foretold
+  glissando predict --robot learned.toml --tendons commands.csv --arclength 0.1,0.18 --out foretold
+
+DIR/query.csv has a row for each time and arclength, with the columns of glissando estimate --query.
+The robot stands still at every time and nothing outside touches it.
+
+exit status: 0 done; 1 the tendons leave no static shape; 2 something given was wrong.
+"""
+
+
+def add_to(commands: Commands) -> None:
+    """Add the command to the parser's."""
+    texts = _HELP, _EXAMPLES
+    parser = add_command(commands, "predict", texts, _predict)
+    add = parser.add_argument
+    add("--robot", required=True, metavar="FILE|NAME", help="robot file with [tendons]")
+    add("--tendons", required=True, type=Path, metavar="FILE", help="CSV of the commands")
+    add("--arclength", type=names, metavar="M,…", help="where (default: the robot's nodes)")
+    add("--out", required=True, type=Path, metavar="DIR", help="folder to write query.csv into")
+
+
+def _predict(options: argparse.Namespace) -> int:
+    require_writable(options.out.parent)
+    require_new(options.out, GlissandoError)
+    robot = load_robot(options.robot)
+    if robot.tendons is None:
+        raise GlissandoError(
+            f"Robot {robot.name!r} has no [tendons]; add this table to predict from tendons."
+        )
+    given = [number("--arclength", place) for place in options.arclength or ()]
+    places = np.unique(given) if given else robot.arclength_nodes
+    time, displacement = read_tendon_commands(options.tendons, robot.tendons.names)
+    found = predict(robot, time, displacement, places)
+    with new_folder(options.out, GlissandoError) as building:
+        rows = ((np.full(places.size, t), places, found.take(k)) for k, t in enumerate(time))
+        write_states(rows, building / "query.csv")
+    tip = 1e3 * float(np.mean(found.std_position[:, -1]))
+    print(
+        f"Wrote {options.out / 'query.csv'}: {time.size} times at {places.size} arclengths; at "
+        f"{places[-1]:g} m positions are known within {tip:.3g} mm."
+    )
+    return 0

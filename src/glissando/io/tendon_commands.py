@@ -1,0 +1,64 @@
+"""CSV files of commands: a time and a column a tendon."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from glissando.errors import RecordingError
+from glissando.geometry.se3 import Array
+from glissando.io.foreign.tracks import as_numbers, text_lines
+
+
+def read_tendon_commands(path: Path, names: tuple[str, ...]) -> tuple[Array, Array]:
+    """Times and displacements of tendons; other columns are left alone.
+
+    Args:
+        path: CSV file with the column time, or timestamp, and one a tendon: its name, in metres, or
+            its name and _mm, in millimetres.
+        names: Names of the tendons.
+
+    Returns:
+        Times (M,), s, and displacements (M, T), m.
+
+    Raises:
+        RecordingError: A column is missing, a cell is no number, or times do not increase.
+    """
+    lines = text_lines(path)
+    head = [cell.strip() for cell in lines[0].split(",")] if lines else []
+    clock = next((name for name in ("time", "timestamp") if name in head), None)
+    columns, scales = [], []
+    for name in names:
+        found = next((n for n in (name, f"{name}_mm") if n in head), None)
+        if clock is None or found is None:
+            raise RecordingError(
+                f"{path.name} line 1 has {len(head)} columns and no "
+                f"{'time' if clock is None else name}; give time and a column for each of the "
+                f"{len(names)} tendons: {', '.join(names)}."
+            )
+        columns.append(head.index(found))
+        scales.append(1.0 if found == name else 1e-3)
+    assert clock is not None
+    rows: list[Array] = []
+    for number, line in enumerate(lines[1:], start=2):
+        if not line.strip():
+            continue
+        cells = line.split(",")
+        values = None
+        if len(cells) == len(head):
+            values = as_numbers(path, number, [cells[c] for c in (head.index(clock), *columns)])
+        if values is None or not np.all(np.isfinite(values)):
+            raise RecordingError(
+                f"{path.name} line {number}: give a number in each of the {len(head)} columns."
+            )
+        if rows and values[0] <= rows[-1][0]:
+            raise RecordingError(
+                f"{path.name} line {number}: time {values[0]:g} s does not follow "
+                f"{rows[-1][0]:g} s; sort the rows."
+            )
+        rows.append(values)
+    if not rows:
+        raise RecordingError(f"{path.name} holds no commands; give a row for each time.")
+    table = np.array(rows)
+    return table[:, 0], table[:, 1:] * scales

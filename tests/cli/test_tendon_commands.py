@@ -1,0 +1,117 @@
+"""Tendons from the command line: files of servos in, a robot learned, its tip foretold."""
+
+import json
+
+import numpy as np
+import pytest
+import tomli_w
+from scipy.stats import chi2
+
+from glissando.cli.main import main
+from glissando.estimation.tendon_prediction import predict_tip
+from glissando.io.query_csv import QUERY_COLUMNS
+from glissando.io.robot_file import load_robot
+from glissando.model.tendons.statics import equilibrium, tendon_rod
+from tendon_robot import NAMES, document, tendon_robot
+
+TRUTH = {
+    "angle": [0.05, 2.05, 4.25, 0.45, 2.65, 4.7],
+    "slack": [2e-4, -1e-4, 0.0, 3e-4, 0.0, -2e-4],
+    "play": 3e-4,
+}
+
+
+def moves(rng, rows):
+    """Displacements of patterns, back and forth, m."""
+    time = np.linspace(0.0, 2.0 * np.pi, 30)
+    patterns = -(-rows // time.size)
+    size = 2.5e-3 * rng.uniform(-1.0, 1.0, (patterns, 1, 6))
+    return (np.sin(time)[:, None] * size).reshape(-1, 6)[:rows]
+
+
+def servo_file(path, pulled, rng, noise=5e-4):
+    """A file of servos of a robot that differs from its file, seen from a turned tracker."""
+    robot = tendon_robot(**TRUTH)
+    reached = robot.tendons.effective(pulled)
+    pose = equilibrium(tendon_rod(robot, np.zeros(0)), displacement=reached).pose()[:, -1]
+    tip = (pose @ [0.0, 0.0, 0.008, 1.0])[:, :3] * [-1.0, -1.0, 1.0] + [0.002, 0.0, 0.001]
+    tip = tip + noise * rng.standard_normal(tip.shape)
+    table = np.column_stack([1.7e9 + 0.5 * np.arange(len(tip)), 1e3 * pulled, 1e3 * tip])
+    head = ",".join(["timestamp", *(f"{name}_mm" for name in NAMES), "tip_x", "tip_y", "tip_z"])
+    np.savetxt(path, table, "%.6f", ",", header=head, comments="")
+    return tip
+
+
+@pytest.fixture
+def start(tmp_path):
+    path = tmp_path / "start.toml"
+    path.write_text(tomli_w.dumps(document(play=2e-4)))
+    return str(path)
+
+
+@pytest.mark.slow
+def test_a_robot_is_learned_from_imported_servos_and_foretells_other_moves(tmp_path, start, capsys):
+    rng, out = np.random.default_rng(0), tmp_path / "learned.toml"
+    servo_file(tmp_path / "servo.csv", moves(rng, 300), rng)
+    record = ["import", str(tmp_path / "servo.csv"), "--robot", start, "--arclength", "tip=0.2"]
+    assert main([*record, "--truth", "tip", "--out", str(tmp_path / "rec")]) == 0
+    learn = ["learn", str(tmp_path / "rec"), "--robot", start, "--out", str(out), "--json"]
+    assert main(learn) == 0
+    report = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert report["rmse_left_out_mm"] < 1.3
+    other = moves(rng, 90)
+    tip = servo_file(tmp_path / "other.csv", other, rng, noise=0.0)
+    assert main(["predict", "--robot", str(out), "--tendons", str(tmp_path / "other.csv"),
+                 "--arclength", "0.1,0.2", "--out", str(tmp_path / "foretold")]) == 0  # fmt: skip
+    table = np.loadtxt(tmp_path / "foretold" / "query.csv", delimiter=",", skiprows=1)
+    head = (tmp_path / "foretold" / "query.csv").read_text().splitlines()[0]
+    assert head == ",".join(QUERY_COLUMNS)
+    assert len(table) == 180
+    position, cov = predict_tip(load_robot(out), other, "tip")
+    error = tip - position
+    assert np.sqrt(np.mean(np.sum(error**2, axis=1))) < 1e-3
+    square = np.einsum("mi,mij,mj->m", error, np.linalg.inv(cov), error)
+    assert np.mean(square < chi2.ppf(0.95, 3)) > 0.9
+    truth = tendon_robot(**TRUTH)
+    before = predict_tip(tendon_robot(), other, "tip")[0] * [-1.0, -1.0, 1.0]
+    assert np.sqrt(np.mean(np.sum((tip - before) ** 2, axis=1))) > 3e-3
+    learned = load_robot(out).tendons
+    assert np.abs(learned.slack - truth.tendons.slack).max() < 2e-4
+    assert learned.play == pytest.approx(truth.tendons.play, rel=0.4)
+
+
+def test_what_predict_cannot_use_is_one_sentence(tmp_path, start, capsys):
+    commands = tmp_path / "commands.csv"
+
+    def told(text, *more):
+        commands.write_text(text)
+        out = str(tmp_path / "out")
+        status = main(
+            ["predict", "--robot", start, "--tendons", str(commands), "--out", out, *more]
+        )
+        assert not (tmp_path / "out").exists()
+        return status, capsys.readouterr().err
+
+    head = "time," + ",".join(NAMES) + "\n"
+    for text, sentence in [
+        ("time,servo_0\n0,0\n", "has 2 columns and no servo_1; give time and a column for each"),
+        (head + "0,0,0,0,0,0,0\n0,0,0,0,0,0,0\n", "line 3: time 0 s does not follow"),
+        (head + "0,0,0,0,0,0\n", "line 2: give a number in each of the 7 columns"),
+        (head, "holds no commands"),
+        (head + "0,2,0,0,0,0,0\n", "give metres, not millimetres"),
+    ]:
+        status, error = told(text)
+        assert status == 2
+        assert sentence in error
+        assert error.count("\n") == 1
+    status, error = told(head + "0,0,0,0,0,0,0\n", "--arclength", "0.3")
+    assert status == 2
+    assert "leave a robot of 0.2 m" in error
+
+
+def test_servos_need_a_robot_with_as_many_tendons(tmp_path, capsys):
+    rng = np.random.default_rng(1)
+    servo_file(tmp_path / "servo.csv", moves(rng, 5), rng)
+    given = ["import", str(tmp_path / "servo.csv"), "--arclength", "tip=0.2"]
+    assert main([*given, "--out", str(tmp_path / "rec")]) == 2
+    assert "has 6 tendons, the robot 0; name a robot" in capsys.readouterr().err
