@@ -1,5 +1,6 @@
 import csv
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -36,6 +37,47 @@ def test_a_recording_becomes_a_table_a_report_a_posterior_and_figures(recording,
     assert [s["name"] for s in report["sites"]] == ["truth1", "truth2", "truth3", "truth4"]
     for name in ("shape.png", "confidence.png", "error.png", "posterior.nc"):
         assert (out / name).stat().st_size > 10_000
+
+
+@pytest.mark.parametrize("metres", [0.2, 1000.0])
+def test_a_reading_that_is_far_off_is_named_and_every_command_goes_on(
+    recording, tmp_path, capsys, metres
+):
+    spoilt = tmp_path / "spoilt"
+    shutil.copytree(recording, spoilt)
+    lines = (spoilt / "coil.csv").read_text().splitlines()
+    cells = lines[21].split(",")
+    cells[2] = str(float(cells[2]) + metres)
+    (spoilt / "coil.csv").write_text("\n".join([*lines[:21], ",".join(cells), *lines[22:]]) + "\n")
+    assert run("estimate", spoilt, "--window", 0, 1, "--json") == 0
+    report = json.loads(capsys.readouterr().out)
+    if metres < 1.0:  # where the robot could be
+        assert report["refused"] == {"coil": [float(cells[0])]}
+    else:
+        assert sum(report["dropped"]["coil"].values()) == 1
+    assert report["overall"]["position_rmse"] < 2e-3
+    assert run("estimate", spoilt, "--window", 0, 1) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    assert ("which all others refute: at" if metres < 1.0 else "coil: 1 ") in printed
+    assert run("replay", spoilt, "--window", 0, 1, "--json") == 0
+    replayed = json.loads(capsys.readouterr().out)
+    assert replayed["newest"]["overall"]["position_rmse"] < 3e-3
+
+
+def test_an_estimate_starts_from_an_earlier_one_and_says_how_to_go_on(recording, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert run("estimate", recording, "--window", 0, 1, "--max-iterations", 1) == 1
+    complaint = capsys.readouterr().err
+    for option in ("--max-iterations", "--start"):
+        assert option in complaint
+    assert run("estimate", recording, "--window", 0, 1, "--out", out) == 0
+    capsys.readouterr()
+    start = out / "posterior.nc"
+    assert run("estimate", recording, "--window", 0, 1, "--start", start, "--json") == 0
+    assert json.loads(capsys.readouterr().out)["iterations"] == 1
+    assert run("estimate", recording, "--window", 0.5, 1.5, "--start", start) == 0
+    assert run("estimate", recording, "--window", 0, 1, "--max-iterations", 0) == 2
+    assert "give 1 or more" in capsys.readouterr().err
 
 
 def test_json_is_one_object_and_nothing_else(recording, capsys):
@@ -159,7 +201,7 @@ def test_not_converging_exits_1_and_says_what_to_try(recording, capsys, monkeypa
     monkeypatch.setattr(
         evaluation.run,
         "estimate",
-        lambda *a, **k: original(*a, **k, options=SolverOptions(max_iterations=1)),
+        lambda *a, **k: original(*a, **(k | {"options": SolverOptions(max_iterations=1)})),
     )
     assert run("estimate", recording, "--window", 0, 1) == 1
     assert "not converged: 1 iterations" in capsys.readouterr().err.replace("\n", " ")

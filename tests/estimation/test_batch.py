@@ -105,7 +105,7 @@ def test_a_robust_loss_shrugs_off_gross_outliers_and_counts_them(loss):
     spoilt = dataclasses.replace(coil, values=values)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", NotConvergedWarning)  # least squares may not even settle
-        plain = estimate(prior, grid, [base, spoilt, gyro])
+        plain = estimate(prior, grid, [base, spoilt, gyro], gate=None)
     robust = estimate(prior, grid, [base, dataclasses.replace(spoilt, loss=loss), gyro])
 
     def off(posterior):

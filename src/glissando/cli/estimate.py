@@ -63,6 +63,8 @@ def add_to(commands: Commands) -> None:
     add("--out", type=Path, metavar="DIR", help="write posterior.nc, report.json and figures here")
     add("--animate", action="store_true", help="also write an animation, shape.mp4 or .gif, in DIR")
     add("--view", action="store_true", help="also write view.html, the robot over time, in DIR")
+    add("--start", type=Path, metavar="FILE.nc", help="start from an earlier posterior.nc")
+    add("--max-iterations", type=int, metavar="N", help="most iterations (default: 100)")
     add("--json", action="store_true", help="print one JSON object and nothing else")
 
 
@@ -89,6 +91,7 @@ def _estimate(options: argparse.Namespace) -> int:
     return 0 if run.posterior.solve.converged else 1
 
 
+_SHOWN = 5  # times of readings that were not used
 _COLUMNS = (  # heading, key of the summary, scale, format
     ("position RMSE (mm)", "position_rmse", 1e3, "{:.2f}"),
     ("rotation RMSE (deg)", "rotation_rmse", 180.0 / np.pi, "{:.2f}"),
@@ -109,6 +112,13 @@ def _print(run: Run, console: Console) -> None:
     for name, reasons in run.dropped.items():
         counted = ", ".join(f"{count} {reason}" for reason, count in reasons.items())
         console.print(f"  {escape(name)}: {counted} rows dropped in the whole recording")
+    for name, times in run.refused().items():
+        shown = ", ".join(f"{t:.3f}" for t in times[:_SHOWN]) + ", …" * (len(times) > _SHOWN)
+        one = len(times) == 1
+        console.print(
+            f"  {escape(name)}: {len(times)} reading{'' if one else 's'} not used, which all "
+            f"others refute: at {shown} s"
+        )
     for parameter in run.sensor_parameters():
         pairs = zip(parameter["value"], parameter["std"], strict=True)
         numbers = ", ".join(f"{value:.3g} ± {std:.2g}" for value, std in pairs)

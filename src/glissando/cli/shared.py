@@ -111,6 +111,9 @@ def estimate_watched(
     Returns:
         The run, and the sentence of a warning that it has not converged, else an empty one.
     """
+    most = getattr(options, "max_iterations", None)
+    if most is not None and most < 1:
+        raise GlissandoError(f"--max-iterations is {most}; give 1 or more.")
     work = working(f"estimating {recording.name}")
     with warnings.catch_warnings(record=True) as caught, work as shown:
         warnings.simplefilter("always", NotConvergedWarning)
@@ -131,6 +134,8 @@ def estimate_watched(
             truth=options.truth,
             progress=advance,
             allow=options.allow,
+            start=_start(options),
+            max_iterations=most,
         )
     warn(run.findings)
     complaints = [w for w in caught if issubclass(w.category, NotConvergedWarning)]
@@ -203,6 +208,12 @@ def posterior_shown(options: argparse.Namespace) -> Shown:
     tube = chosen_robot(recording, options.robot).tube
     streams = streams_of(posterior, recording, options)
     return Shown(posterior, *streams, recording.name, "", tube)
+
+
+def _start(options: argparse.Namespace) -> Posterior | None:
+    """The earlier estimate to start from, if the command has that option and it is given."""
+    path = getattr(options, "start", None)
+    return None if path is None else load_posterior(path)
 
 
 def require_writable(folder: Path) -> None:

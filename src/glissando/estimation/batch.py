@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +16,7 @@ from glissando.errors import (
     SensorError,
     UnobservableError,
 )
+from glissando.estimation.outliers import CHANCE, Mask, beyond, refuted, scale_of, spikes, suspects
 from glissando.estimation.posterior import Posterior, SolveReport
 from glissando.estimation.starting_point import starting_point, with_parameters
 from glissando.geometry.se3 import Array
@@ -24,6 +27,9 @@ from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
 from glissando.solver.gauss_newton import Progress, Solution, SolverOptions, Stopwatch, minimize
 from glissando.solver.located_readings import locate
+
+_FAR = 3.0  # lengths of the robot: readings beyond are said to be why equations break down
+_ROUNDS = 5  # of solving and judging readings
 
 
 def estimate(
@@ -36,10 +42,12 @@ def estimate(
     initial_parameters: Sequence[tuple[SensorParameter, Array]] = (),
     options: SolverOptions | None = None,
     progress: Progress | None = None,
+    gate: float | None = CHANCE,
 ) -> Posterior:
     """Posterior over pose, strain and velocity, continuous in arclength and time.
 
-    The iteration starts at rest, over coarse time nodes.
+    The iteration starts at rest, over coarse time nodes. A reading that all others refute is left
+    out and named in the report; streams with a robust loss keep all of theirs.
 
     Args:
         prior: What is believed before any reading.
@@ -52,22 +60,81 @@ def estimate(
             earlier posterior of this grid holds them.
         options: When to stop.
         progress: Called after each iteration.
+        gate: Chance below which the innovation of a reading refutes it; None uses them all.
 
     Raises:
         OutsideGridError: A reading or the initial state is not on the grid.
         UnobservableError: Prior and readings leave a direction of the state undetermined.
-        SensorError: Readings are not in a list, or a sensor is not sound.
+        SensorError: Readings are not in a list, a sensor is not sound, or no shape comes near.
 
     Warns:
         NotConvergedWarning: The iteration stopped early; the posterior's report says so, too.
     """
     _require_sound(prior, grid, readings, initial)
-    clock, options = Stopwatch(), options or SolverOptions()
+    options = options or SolverOptions()
     known = [parameter for parameter in sensor_parameters if parameter.known]
+    readings = [corrected(r, known) for r in readings]
+    used = [_at_first(r, gate) for r in readings]
+    if not all(rows.all() for rows in used):
+        locate(grid, readings, sensor_parameters)  # raises for readings off the grid, spikes too
+    start = initial, initial_parameters
+    posterior, solution = _first_solve(
+        prior, grid, readings, used, sensor_parameters, start, options, progress
+    )
+    for _ in range(_ROUNDS):
+        if gate is None:
+            break
+        judged = _judged(posterior, solution, readings, used, gate)
+        if all(map(np.array_equal, used, judged)):
+            break
+        start = solution.state, solution.located.parameters.by_name()
+        try:
+            posterior, solution = _solve(
+                prior, grid, readings, judged, sensor_parameters, start, options, progress
+            )
+        except np.linalg.LinAlgError:  # of an estimate that had not converged
+            break
+        used = judged
+    refused = {
+        r.label: np.flatnonzero(~rows).tolist() for r, rows in zip(readings, used, strict=True)
+    }
+    refused = {name: rows for name, rows in refused.items() if rows}
+    report = replace(posterior.solve, refused=refused)
+    if not report.converged:
+        message = f"The estimate has {report.status}. {report.outcome.remedy}"
+        warnings.warn(message, NotConvergedWarning, stacklevel=2)
+    return replace(posterior, solve=report)
+
+
+def _first_solve(
+    prior: Prior, grid: Grid, readings: Sequence[Readings], *arguments: Any
+) -> tuple[Posterior, Solution]:
+    """The first solve, which says so where readings are so far off that it breaks down."""
+    try:
+        return _solve(prior, grid, readings, *arguments)
+    except (np.linalg.LinAlgError, UnobservableError) as error:
+        far = _far_off(grid, prior, readings)
+        if far is None and isinstance(error, UnobservableError):
+            raise
+        raise far or SensorError("No shape of this robot comes near the readings.") from error
+
+
+def _solve(
+    prior: Prior,
+    grid: Grid,
+    readings: Sequence[Readings],
+    used: Sequence[Mask],
+    sensor_parameters: Sequence[SensorParameter],
+    initial: tuple[State | None, Sequence[tuple[SensorParameter, Array]]],
+    options: SolverOptions,
+    progress: Progress | None,
+) -> tuple[Posterior, Solution]:
+    """The posterior of the readings that are used, and where the iteration ended."""
+    readings, clock = [r.select(k) for r, k in zip(readings, used, strict=True)], Stopwatch()
     with one_thread():
-        located = locate(grid, [corrected(r, known) for r in readings], sensor_parameters)  # (16)
-        located = with_parameters(located, initial_parameters)
-        start, before = initial, 0
+        located = locate(grid, readings, sensor_parameters)  # (16)
+        located = with_parameters(located, initial[1])
+        start, before = initial[0], 0
         if start is None:
             start, located, before = starting_point(prior, located, progress, clock)
         solution = minimize(prior, located, start, options, _after(before, progress), clock)  # (19)
@@ -75,13 +142,62 @@ def estimate(
         with clock("covariance"):
             marginals = solution.cholesky.marginals(consume=True)  # (21)
     report = _report(solution, before, evidence, clock)
-    if not report.converged:
-        message = f"The estimate has {report.status}. {report.outcome.remedy}"
-        warnings.warn(message, NotConvergedWarning, stacklevel=2)
     parameters = solution.located.parameters.by_name()
-    return Posterior(
+    posterior = Posterior(
         prior, grid, solution.state, solution.equations.system, marginals, report, parameters
     )
+    return posterior, solution
+
+
+def _at_first(readings: Readings, gate: float | None) -> Mask:
+    """Which readings (M,) the first solve uses."""
+    if gate is None or readings.loss is not None:
+        return np.ones(len(readings), dtype=bool)
+    return ~spikes(readings)
+
+
+def _judged(
+    posterior: Posterior,
+    solution: Solution,
+    readings: Sequence[Readings],
+    used: Sequence[Mask],
+    gate: float,
+) -> list[Mask]:
+    """Which readings (M,) of each stream the others do not refute."""
+    streams = iter(solution.equations.reading_terms())
+    out = []
+    for stream, rows in zip(readings, used, strict=True):
+        terms = next(streams) if rows.any() else None
+        if stream.loss is not None or terms is None:
+            out.append(rows)
+            continue
+        asked = np.flatnonzero(~rows | suspects(terms, rows))
+        judged = rows.copy()
+        if asked.size:
+            limit = beyond(gate, terms.residual.shape[1]) * scale_of(terms)
+            values = solution.located.parameters
+            judged[asked] = ~refuted(posterior, values, stream.select(asked), rows[asked], limit)
+        out.append(judged)
+    return out
+
+
+def _far_off(grid: Grid, prior: Prior, readings: Sequence[Readings]) -> SensorError | None:
+    """What to say when equations break down since readings are far beyond the robot's reach."""
+    base = prior.rest_state(Grid(grid.arclength, grid.time[:1])).pose[0, 0, :3, 3]
+    farthest, where = _FAR * float(grid.arclength[-1]), ""
+    for r in readings:
+        if r.value_shape in ((4, 4), (3,)) and r.fixes_base and len(r):
+            place = r.values[:, :3, 3] if r.value_shape == (4, 4) else r.values
+            away = np.linalg.norm(place - base, axis=1)
+            if away.max() > farthest:
+                row = int(np.argmax(away))
+                farthest = float(away[row])
+                where = f"{r.label} row {row} at {r.time[row]:g} s, {farthest:.3g} m from the base"
+    said = (
+        f"No shape of this robot of {grid.arclength[-1]:g} m comes near the readings: {where}. "
+        f"Check units (mm for m, degrees for radians) and frames."
+    )
+    return SensorError(said) if where else None
 
 
 def _require_sound(

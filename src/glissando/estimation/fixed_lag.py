@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from glissando._kernels.jit import load
 from glissando._kernels.threads import one_thread
-from glissando.errors import NotConvergedWarning, OutsideGridError, UnobservableError
+from glissando.errors import NotConvergedWarning, OutsideGridError, SensorError, UnobservableError
 from glissando.estimation.batch import estimate
 from glissando.estimation.contact import ContactScan, scan_contacts
 from glissando.estimation.innovation_gate import InnovationGate
@@ -139,14 +139,14 @@ class FixedLagSmoother:
         fresh, earliest = self._arrive()
         if fresh or before is None or newest > before:
             if not self._started and fresh:
-                self._start()  # all there is, as a recording is estimated
+                self._start(fresh)  # all there is, as a recording is estimated
             try:
                 self._update(self._first_changed(earliest), fresh)  # (19) to (21), and the gate
             except (np.linalg.LinAlgError, UnobservableError, _LostError):
                 if not self._started:
                     raise
                 self._restart(min(earliest, newest - self._silence.step), fresh)
-            if fresh:
+            if fresh.total():
                 self._silence.end(before, newest)
             elif self._started:
                 self._note_silence(newest)
@@ -237,10 +237,10 @@ class FixedLagSmoother:
         if self._oldest < newest:
             self._window.append(newest)
         if fresh:
-            self._start()
+            self._start(fresh)
         self._update(0, fresh)
 
-    def _start(self) -> None:
+    def _start(self, fresh: Counter[str]) -> None:
         """The first readings: estimate all there is from rest, as a recording is."""
         window = self._window
         readings = self._buffer.since(float(window.nodes.time[0]))
@@ -256,34 +256,62 @@ class FixedLagSmoother:
                 )
         except UnobservableError:
             return  # not yet: some other sensor will fix the base
+        except SensorError:  # no shape comes near
+            for stream in readings:
+                for row in range(len(stream)):
+                    self._refuse(stream, row)
+            fresh.clear()
+            return
         window.restate(posterior.state)
         self._started = True
 
     def _update(self, first: int, fresh: Counter[str]) -> None:
-        """Solve from a node on, more than once if far; refuse what nothing else agrees with."""
-        located = self._located(first)
-        for _ in range(_MOST):
+        """Solve from a node on, more than once if far; refuse what nothing else agrees with.
+
+        Where a wrong reading led, its neighbours look wrong: which one it is, is seen from where
+        nodes were before.
+        """
+        window, before = self._window, self._window.points
+        for again in range(_MOST + 1):
+            located, wrong, broke = self._located(first), None, None
+            try:
+                self._solve(first, located, _MOST)
+                wrong = self._most_wrong(located, fresh, first_look=not again) if fresh else None
+                if wrong is None or again == _MOST:
+                    return
+            except (np.linalg.LinAlgError, UnobservableError) as error:
+                if not fresh or again == _MOST:
+                    raise
+                broke = error
+            if self._silence.curved:
+                raise _LostError  # it is the belief that is not to be trusted
+            window.points = before
+            self._solve(first, located, 1)
+            wrong = self._most_wrong(located, fresh, first_look=False) or wrong
+            if wrong is None:
+                raise broke or _LostError
+            self._refuse(*wrong)
+            fresh[wrong[0].label] -= 1
+            window.points = before
+
+    def _solve(self, first: int, located: LocatedReadings, most: int) -> None:
+        """Linearise and solve from a node on until a step misses by little."""
+        for _ in range(most):
             self._window.relinearize(first)
             self._window.solve(first, located)
             self._missed = self._window.miss(first)
             if self._missed < _MISS:
                 break
-        for again in range(_MOST if fresh else 0):
-            if not self._refused(located, fresh, first_look=not again):
-                break
-            located = self._located(first)
-            self._window.solve(first, located)
 
     def _located(self, first: int) -> LocatedReadings:
         """Readings at and after a node."""
         begin = float(self._window.nodes.time[first])
         return self._window.locate(first, self._buffer.since(begin))
 
-    def _refused(self, located: LocatedReadings, fresh: Counter[str], *, first_look: bool) -> bool:
-        """Refuse the new reading that fits the others least, if it is beyond belief.
-
-        One at a time, as a wrong one makes its neighbours look wrong. Returns whether there was.
-        """
+    def _most_wrong(
+        self, located: LocatedReadings, fresh: Counter[str], *, first_look: bool
+    ) -> tuple[Readings, int] | None:
+        """Stream and row of the new reading that fits the others least, if it is beyond belief."""
         worst, wrong = 1.0, None
         streams = located.streams
         for innovations in self._window.innovations([len(r) - fresh[r.label] for r in streams]):
@@ -292,16 +320,13 @@ class FixedLagSmoother:
                 self._gate.note(stream.label, nis, dof)
             excess = self._gate.excess(stream.label, nis, dof)
             if excess > worst:
-                worst, wrong = excess, (stream, innovations.rows[int(np.argmax(nis))])
-        if wrong is None:
-            return False
-        if self._silence.curved:
-            raise _LostError  # it is the belief that is not to be trusted
-        stream, row = wrong
+                worst, wrong = excess, (stream, int(innovations.rows[int(np.argmax(nis))]))
+        return wrong
+
+    def _refuse(self, stream: Readings, row: int) -> None:
+        """Let go of a reading, one at a time as a wrong one makes its neighbours look wrong."""
         self._gate.strike(stream.label)
         self._buffer.discard(stream.label, float(stream.time[row]), float(stream.arclength[row]))
-        fresh[stream.label] -= 1
-        return True
 
     def newest(self) -> StateEstimate:
         """The newest state at the nodes (N,) with covariance (N, 18, 18)."""

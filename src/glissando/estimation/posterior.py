@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -44,6 +44,7 @@ class SolveReport:
         log_evidence: Laplace log marginal likelihood up to a constant (equation 22).
         suspects: How many readings a robust loss gave less than half their weight.
         seconds: Processor time by phase.
+        refused: Rows of each stream that were not used, as all other readings refute them.
     """
 
     outcome: Outcome
@@ -54,6 +55,7 @@ class SolveReport:
     log_evidence: float
     suspects: int
     seconds: dict[str, float]
+    refused: dict[str, list[int]] = field(default_factory=dict)
 
     @property
     def converged(self) -> bool:
@@ -65,6 +67,8 @@ class SolveReport:
         """The outcome as a sentence."""
         if self.converged:
             return self.outcome.sentence
+        if self.outcome is Outcome.NO_DESCENT:  # the last step was damped to nothing
+            return f"{self.outcome.sentence} after {self.iterations} iterations"
         return (
             f"{self.outcome.sentence}: {self.iterations} iterations, the last step still "
             f"{self.last_step:.2g} standard deviations long"
@@ -215,6 +219,22 @@ class Posterior(Brief):
         found = point_loads(prior, grid, state, self._joint, s.ravel(), k, frame)
         wrench, cov = found.wrench.reshape(*s.shape, 6), found.cov.reshape(*s.shape, 6, 6)
         return WrenchEstimate(wrench, cov, frame)
+
+    def states_on(self, grid: Grid) -> State:
+        """Its mean at the nodes (K, N) of another grid, a start for another estimate.
+
+        Beyond its ends the nearest time stands. A strain rate counts as zero between its nodes.
+
+        Raises:
+            OutsideGridError: The other grid is of a longer robot.
+        """
+        mine = self.grid
+        if np.array_equal(grid.time, mine.time) and np.array_equal(grid.arclength, mine.arclength):
+            return self.state
+        time = np.clip(grid.time, self.grid.time[0], self.grid.time[-1])
+        found = self.at(grid.arclength, time[:, None])
+        rate = None if self.state.strain_rate is None else np.zeros_like(found.strain)
+        return State(found.pose, found.strain, found.velocity, rate)
 
     def _joint(self, nodes: np.ndarray) -> Array:
         """Joint covariance (M, c·dof, c·dof) of the touched nodes (M, c)."""

@@ -213,6 +213,16 @@ class SlidingWindow:
         """The first node after `first` whose linearisation may move; the oldest unless fixed."""
         return first + (first > 0 or self.before is not None)
 
+    @property
+    def points(self) -> tuple[Nodes, Array]:
+        """Where nodes are linearised, to come back to: with what the prior says from there."""
+        return self.nodes, self._prior_rhs
+
+    @points.setter
+    def points(self, before: tuple[Nodes, Array]) -> None:
+        """Come back to where nodes were linearised."""
+        self.nodes, self._prior_rhs = before
+
     def relinearize(self, first: int) -> None:
         """Linearise the nodes after `first` at their estimates; the oldest too unless fixed."""
         fixed = self._fixed(first)

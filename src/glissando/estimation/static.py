@@ -186,7 +186,7 @@ def estimate_static(
         alone = [r.select(r.time == k) for r in given]
         alone = [r.changed(time=np.zeros(len(r))) for r in alone]
         own = prior.of_shape(int(k)) if isinstance(prior, MechanicalPrior) else prior
-        one = estimate(own, Grid(grid.arclength, [0.0]), alone, options=options)
+        one = estimate(own, Grid(grid.arclength, [0.0]), alone, options=options, gate=None)
         outcomes[k] = one.solve.outcome
         state.pose[k], state.strain[k] = one.state.pose[0], one.state.strain[0]
         cov[k], cross[k] = _node_blocks(one)

@@ -12,7 +12,7 @@ import numpy as np
 
 from glissando.errors import GlissandoError, RecordingError
 from glissando.estimation.fixed_lag import FixedLagSmoother
-from glissando.estimation.posterior import StateEstimate
+from glissando.estimation.posterior import Posterior, StateEstimate
 from glissando.evaluation.conformal import AdaptiveSet
 from glissando.evaluation.metrics import (
     Errors,
@@ -281,5 +281,7 @@ class _Run:
 
     def _errors(self, estimate: StateSource, after: float, until: float) -> list[Errors]:
         """Errors in an interval, those of each truth stream."""
+        if isinstance(estimate, Posterior):  # after silence it begins later
+            after = max(after, np.nextafter(estimate.grid.time[0], -np.inf))
         inside = [t.select((t.time > after) & (t.time <= until)) for t in self.truth]
         return [errors_against(estimate, t) for t in inside]

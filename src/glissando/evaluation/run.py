@@ -29,7 +29,7 @@ from glissando.model.brief import Brief
 from glissando.model.robot import Robot
 from glissando.model.sensors.parameters import corrected
 from glissando.model.sensors.readings import Readings
-from glissando.solver.gauss_newton import Progress
+from glissando.solver.gauss_newton import Progress, SolverOptions
 
 
 @dataclass(frozen=True)
@@ -80,6 +80,11 @@ class Run(Brief):
             )
         return out
 
+    def refused(self) -> dict[str, list[float]]:
+        """Times (s) of each stream's readings that all others refute, which were not used."""
+        rows = self.posterior.solve.refused
+        return {r.label: r.time[rows[r.label]].tolist() for r in self.readings if r.label in rows}
+
     def as_json(self) -> dict[str, Any]:
         """The run's settings and results as JSON holds them, SI units and radians."""
         solve = self.posterior.solve
@@ -96,6 +101,7 @@ class Run(Brief):
             "readings": {r.label: len(r) for r in self.readings},
             "log_evidence": solve.log_evidence,
             "suspects": solve.suspects,
+            "refused": self.refused(),
             "seconds": solve.seconds,
             "dropped": self.dropped,
             "findings": [finding.as_json() for finding in self.findings],
@@ -164,6 +170,8 @@ def run_estimate(
     truth: Sequence[str] | None,
     progress: Progress | None = None,
     allow: Sequence[str] = (),
+    start: Posterior | None = None,
+    max_iterations: int | None = None,
 ) -> Run:
     """Estimate a window of a recording and compare it with its truth streams.
 
@@ -175,6 +183,8 @@ def run_estimate(
         truth: Names of truth streams; those that are marked so unless given.
         progress: Called after each iteration, as `estimate` does.
         allow: Checks of plausibility that are left out, besides the recording's own.
+        start: An earlier estimate of the same robot to start from, instead of rest.
+        max_iterations: Most iterations, unless the solver's own.
 
     Raises:
         RecordingError: For an empty window, an unknown stream, or nothing to use.
@@ -192,13 +202,15 @@ def run_estimate(
     findings = examine_recording(recording, robot, readings, references, window, allow)
     refuse(findings)
     readings = without_false_readings(robot, readings, dropped, {*recording.allow, *allow})
-    parameters = robot.sensor_parameters
+    parameters, grid = robot.sensor_parameters, robot.grid(*window)
     try:
         posterior = estimate(
             robot.prior,
-            robot.grid(*window),
+            grid,
             readings,
             sensor_parameters=parameters,
+            initial=None if start is None else start.states_on(grid),
+            options=SolverOptions(max_iterations or SolverOptions.max_iterations),
             progress=progress,
         )
     except np.linalg.LinAlgError:

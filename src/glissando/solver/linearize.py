@@ -44,6 +44,12 @@ class NormalEquations:
             mine.cost(theirs.residual) for mine, theirs in zip(self.terms, other.terms, strict=True)
         )
 
+    def reading_terms(self) -> list[Residuals]:
+        """Residuals of the readings alone, those of each stream in the order of its rows."""
+        streams, extra = len(self.located.streams), self.located.parameters.process.size > 0
+        end = len(self.terms) - extra
+        return self.terms[end - streams : end]
+
     def split(self, step: Array) -> tuple[Array, Array]:
         """A step (K, D) as that of the nodes (K, N, dof) and that of the parameters (K, E)."""
         k_count, n_count = self.located.grid.shape

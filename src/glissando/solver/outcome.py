@@ -12,11 +12,13 @@ class Outcome(Enum):
     UPDATED = ("updated online", "")
     ITERATION_LIMIT = (
         "not converged",
-        "Try a finer time grid, a robust loss, a start nearer the shape, or more iterations.",
+        "Try a finer time grid (time_rate), a robust loss, a start nearer the shape (initial or "
+        "--start) or more iterations (max_iterations or --max-iterations).",
     )
     NO_DESCENT = (
         "not converged: no step lowers the cost",
-        "Try a start nearer the shape, a robust loss, or leave out readings that disagree.",
+        "Try a start nearer the shape (initial or --start), a robust loss, or leave out readings "
+        "that disagree.",
     )
 
     def __init__(self, sentence: str, remedy: str) -> None:

@@ -69,6 +69,7 @@ def quiet_estimate(
             initial=initial,
             initial_parameters=initial_parameters,
             options=options,
+            gate=None,
         )
 
 

@@ -1,0 +1,117 @@
+"""Outliers of a recording: readings that all others refute.
+
+A spike beside its own stream's neighbours is left out of the first solve, which it could wreck.
+Then each suspicious reading is judged by its innovation against all others, whether it was used or
+not. How large innovations of a stream may be is measured on the stream itself: a model that fits a
+whole stream badly makes none of its readings an outlier. Source: equation (25).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import gammainccinv
+
+from glissando.estimation.posterior import Posterior
+from glissando.geometry.se3 import Array
+from glissando.model.factors import Residuals
+from glissando.model.interpolation import sort_points
+from glissando.model.sensors.parameter_process import ParameterValues
+from glissando.model.sensors.readings import Readings
+from glissando.model.state import State
+
+CHANCE = 1e-9
+"""By which the innovation of a sound reading would be refused."""
+
+_NEIGHBOURS = 3  # on either side
+_SPIKE = 10.0  # spreads of its neighbours, and standard deviations, at which a reading is a spike
+_LIKELY = 1e-6  # chance of a residual below which a reading is judged
+_WORST = 0.2  # of a stream's largest squared innovation: what is refused together
+_STIFF = 1e-3  # least share of its variance that a reading leaves to the others
+
+Mask = NDArray[np.bool_]
+
+
+def beyond(chance: float, dof: int) -> float:
+    """What a sum of so many squared standard normals exceeds with that chance."""
+    return float(2.0 * gammainccinv(0.5 * dof, chance))
+
+
+def spikes(readings: Readings) -> Mask:
+    """Readings (M,) far from the median of their neighbours in time, and those not far from it."""
+    count, wide = len(readings), 2 * _NEIGHBOURS
+    poses = readings.values.shape[1:] == (4, 4)
+    values = readings.values[:, :3, 3] if poses else readings.values.reshape(count, -1)
+    if count <= wide or readings.values.shape[1:] == (3, 3) or not values.shape[1]:
+        return np.zeros(count, dtype=bool)
+    order = np.argsort(readings.time, kind="stable")
+    first = np.clip(np.arange(count) - _NEIGHBOURS, 0, count - wide - 1)
+    near = first[:, None] + np.arange(wide + 1)
+    near = near[near != np.arange(count)[:, None]].reshape(count, wide)  # all but itself
+    around, own = values[order][near], values[order]
+    middle = np.median(around, axis=1)
+    spread = np.median(np.linalg.norm(around - middle[:, None], axis=2), axis=1)
+    variance = np.trace(readings.cov[..., : values.shape[1], : values.shape[1]], axis1=-2, axis2=-1)
+    limit = _SPIKE * (spread + np.sqrt(variance))
+    found = np.zeros(count, dtype=bool)
+    found[order] = np.linalg.norm(own - middle, axis=1) > limit
+    return found
+
+
+def suspects(terms: Residuals, sound: Mask) -> Mask:
+    """Readings (M,) with residuals that are unlikely for their stream, of those that were used."""
+    out = np.zeros(sound.size, dtype=bool)
+    out[sound] = _size(terms) > beyond(_LIKELY, terms.residual.shape[1]) * scale_of(terms)
+    return out
+
+
+def _size(terms: Residuals) -> Array:
+    white = terms.whiten(terms.residual)
+    return np.einsum("mr,mr->m", white, white)
+
+
+def scale_of(terms: Residuals) -> float:
+    """By how much a stream's squared residuals are larger than its noise says, 1 or more."""
+    if not len(terms.residual):
+        return 1.0
+    return max(1.0, float(np.median(_size(terms))) / beyond(0.5, terms.residual.shape[1]))
+
+
+def refuted(
+    posterior: Posterior, values: ParameterValues, readings: Readings, used: Mask, limit: float
+) -> Mask:
+    """Which readings (M,) all others refute: squared innovations beyond a limit.
+
+    Of those that were used only the worst, as a wrong one makes its neighbours look wrong.
+
+    Args:
+        posterior: The estimate.
+        values: Values of the estimated sensor parameters.
+        readings: Readings of one stream.
+        used: Which of them were used for the estimate.
+        limit: Largest squared innovation that is believed.
+    """
+    moved = values.relocated(readings)
+    moved = values.corrected(moved, values.at(moved.time))
+    estimate = posterior.at(moved.arclength, moved.time)
+    at = State(estimate.pose, estimate.strain, estimate.velocity)
+    slope, bridged = moved.jacobian(at), np.zeros_like(estimate.cov)
+    for points in sort_points(posterior.grid, moved.arclength, moved.time):
+        state = posterior.state
+        bridged[points.rows] = posterior.prior.interpolate(posterior.grid, state, state, points).cov
+    known = slope @ (estimate.cov - bridged) @ np.swapaxes(slope, -1, -2)
+    own = moved.cov + slope @ bridged @ np.swapaxes(slope, -1, -2)
+    squared = _squared(moved.residual(at), own, np.where(used, -1.0, 1.0), known)
+    return np.asarray(squared > np.where(used, max(limit, _WORST * squared.max()), limit))
+
+
+def _squared(residual: Array, own: Array, sign: Array, known: Array) -> Array:
+    """Squares (M,) of residuals in units of own + sign · known covariance, never negative."""
+    try:
+        root = np.linalg.inv(np.linalg.cholesky(own))
+    except np.linalg.LinAlgError:  # of a state that is absurd, which judges nobody
+        return np.zeros(len(residual))
+    share, axes = np.linalg.eigh(root @ known @ np.swapaxes(root, -1, -2))
+    left = np.maximum(1.0 + sign[:, None] * share, _STIFF)
+    white = np.einsum("mji,mjk,mk->mi", axes, root, residual)
+    return np.einsum("mi,mi->m", white / left, white)
