@@ -6,6 +6,7 @@ import argparse
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -22,6 +23,8 @@ from glissando.cli.shared import (
     require_writable,
 )
 from glissando.errors import GlissandoError
+from glissando.estimation.loads import require_mechanics
+from glissando.estimation.posterior import Posterior
 from glissando.evaluation.metrics import Errors, pool
 from glissando.evaluation.run import Run, checked_window, write_run
 from glissando.geometry.se3 import Array
@@ -45,6 +48,7 @@ examples:
   glissando estimate slow_free_space --window 19 29 --out results
   glissando estimate my_recording --robot my_robot.toml --use coil,gyro --truth mocap_tip
   glissando estimate my_recording --query points.csv --out results   # pose anywhere, any time
+  glissando estimate my_recording --robot my_rod.toml --loads        # what acts on it
   glissando estimate my_recording --json | python -m json.tool
 
 exit status: 0 done; 1 the estimate did not converge; 2 something given was wrong.
@@ -65,12 +69,16 @@ def add_to(commands: Commands) -> None:
     add("--view", action="store_true", help="also write view.html, the robot over time, in DIR")
     add("--start", type=Path, metavar="FILE.nc", help="start from an earlier posterior.nc")
     add("--max-iterations", type=int, metavar="N", help="most iterations (default: 100)")
+    wrenches = "print what acts on the robot and add internal wrenches to query.csv"
+    add("--loads", action="store_true", help=wrenches)
     add("--json", action="store_true", help="print one JSON object and nothing else")
 
 
 def _estimate(options: argparse.Namespace) -> int:
     recording = load_recording(options.recording)
     robot = chosen_robot(recording, options.robot)
+    if options.loads:
+        require_mechanics(robot.prior)
     query = _checked_query(options, recording, robot) if options.query else None
     if options.out:
         require_writable(options.out)
@@ -80,9 +88,12 @@ def _estimate(options: argparse.Namespace) -> int:
 
     run, complaint = estimate_watched(recording, robot, options)
     if options.json:
-        print(json.dumps(run.as_json()))
+        loads = {"loads": _loads_rows(run.posterior)} if options.loads else {}
+        print(json.dumps(run.as_json() | loads))
     else:
         _print(run, Console())
+        if options.loads:
+            Console().print(_loads_table(_loads_rows(run.posterior)))
     written = _write(options, run, query)
     if written and not options.json:
         Console().print("Wrote " + ", ".join(str(path) for path in written), markup=False)
@@ -145,6 +156,47 @@ def _add_row(table: Table, errors: Errors, place: str) -> None:
     table.add_row(escape(errors.name), place, str(errors.arclength.size), *cells)
 
 
+_MOMENTS = 6  # of the window, in the table of loads
+
+
+def _loads_rows(posterior: Posterior) -> list[dict[str, Any]]:
+    """What acts where loads are expected at a few times of the window, world frame.
+
+    Raises:
+        GlissandoError: The robot's prior knows no loads.
+    """
+    prior, nodes = require_mechanics(posterior.prior), posterior.grid.time
+    places = np.union1d(prior.points, posterior.grid.arclength[-1:])
+    rows = np.unique(np.linspace(0, nodes.size - 1, min(_MOMENTS, nodes.size)).round().astype(int))
+    load = posterior.load(places, nodes[rows, None], frame="world")
+    return [
+        {
+            "time": float(nodes[k]),
+            "arclength": float(place),
+            "force": load.force[i, j].tolist(),
+            "moment": load.moment[i, j].tolist(),
+            "std": load.std[i, j].tolist(),
+        }
+        for i, k in enumerate(rows)
+        for j, place in enumerate(places)
+    ]
+
+
+def _loads_table(rows: list[dict[str, Any]]) -> Table:
+    """Forces and moments with their standard deviations, a row for each time and place."""
+    table = Table("time (s)", "arclength (m)", title="What acts on the robot, world frame")
+    for what in ("force x, y, z (N)", "moment x, y, z (N m)"):
+        table.add_column(what, justify="right")
+    for row in rows:
+        pairs = [
+            f"{value:.3g} ± {std:.2g}"
+            for value, std in zip(row["force"] + row["moment"], row["std"], strict=True)
+        ]
+        cells = ", ".join(pairs[:3]), ", ".join(pairs[3:])
+        table.add_row(f"{row['time']:.3f}", f"{row['arclength']:.4f}", *cells)
+    return table
+
+
 def _checked_query(
     options: argparse.Namespace, recording: Recording, robot: Robot
 ) -> tuple[Array, Array]:
@@ -181,7 +233,7 @@ def _write(options: argparse.Namespace, run: Run, query: tuple[Array, Array] | N
     """Write all that was asked for; in --out nothing of an earlier run stays beside it."""
     if options.out is None:
         if query is not None:
-            write_query(run.posterior, query, _answers(options))
+            write_query(run.posterior, query, _answers(options), loads=options.loads)
         return [] if query is None else [_answers(options)]
     shown = run.posterior, run.readings, run.truth
     with renewed_folder(options.out, _OUTPUTS) as building, working("writing the results") as work:
@@ -202,6 +254,7 @@ def _write(options: argparse.Namespace, run: Run, query: tuple[Array, Array] | N
             )
             written.append(page)
         if query is not None:
-            write_query(run.posterior, query, building / _answers(options).name)
+            answers = building / _answers(options).name
+            write_query(run.posterior, query, answers, loads=options.loads)
             written.append(_answers(options))
     return [options.out / path.name for path in written]

@@ -20,6 +20,7 @@ from glissando.io.atomic_file import new_file
 from glissando.io.robot_file import OLD_KINDS
 from glissando.io.toml_table import Table
 from glissando.model.grid import Grid
+from glissando.model.priors.mechanical import MechanicalPrior
 from glissando.model.priors.prior import Prior
 from glissando.model.priors.registry import prior_class
 from glissando.model.priors.separable import BaseVariance
@@ -95,7 +96,9 @@ def to_xarray(posterior: Posterior) -> xarray.Dataset:
     if state.strain_rate is not None:
         units = {"units": "1/s, 1/m/s", "frame": "body"}
         variables["strain_rate"] = ((*node, six), state.strain_rate, units)
-    coordinates = {
+    if isinstance(posterior.prior, MechanicalPrior):
+        variables |= _loads(posterior, posterior.prior)
+    coordinates: dict[str, Any] = {
         "time": ("time", posterior.grid.time, {"units": "s"}),
         "arclength": ("arclength", posterior.grid.arclength, {"units": "m"}),
         "axis": ["x", "y", "z"],
@@ -104,9 +107,27 @@ def to_xarray(posterior: Posterior) -> xarray.Dataset:
         "component": COMPONENTS[:dof],
         "component_": COMPONENTS[:dof],
     }
+    if "load" in variables:
+        coordinates["place"] = ("place", variables.pop("place"), {"units": "m"})
     attributes = {"title": "Posterior of a continuum robot's motion", "format": _FORMAT}
     dataset: xarray.Dataset = _xarray().Dataset(variables, coordinates, attributes)
     return dataset
+
+
+def _loads(posterior: Posterior, prior: MechanicalPrior) -> dict[str, Any]:
+    """Internal wrenches at the nodes and the loads where some are expected, with their places."""
+    time, arclength = posterior.grid.time[:, None], posterior.grid.arclength
+    place = np.union1d(prior.points, arclength[-1:])
+    inner, load = posterior.wrench(arclength, time), posterior.load(place, time)
+    units = {"units": "N, N m", "frame": "body"}
+    six = "component6"
+    return {
+        "wrench": (("time", "arclength", six), inner.wrench, units),
+        "wrench_std": (("time", "arclength", six), inner.std, units),
+        "load": (("time", "place", six), load.wrench, units),
+        "load_std": (("time", "place", six), load.std, units),
+        "place": place,
+    }
 
 
 def save_posterior(posterior: Posterior, path: str | Path) -> None:

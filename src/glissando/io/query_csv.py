@@ -22,6 +22,10 @@ QUERY_COLUMNS = [
 """Columns of an estimate: point, pose, strain, velocity, covariance of the pose (body frame)."""
 
 
+LOAD_COLUMNS = [f"{what}_{axis}" for what in ("n", "m", "std_n", "std_m") for axis in "xyz"]
+"""Columns of an internal wrench: force and moment in the body frame, N and N m, and their std."""
+
+
 def read_query(path: Path) -> tuple[Array, Array]:
     """Read the points of a CSV file with the columns time and arclength.
 
@@ -60,27 +64,41 @@ def read_query(path: Path) -> tuple[Array, Array]:
     return points[:, 0], points[:, 1]
 
 
-def write_query(posterior: Posterior, query: tuple[Array, Array], path: Path) -> None:
+def write_query(
+    posterior: Posterior, query: tuple[Array, Array], path: Path, *, loads: bool = False
+) -> None:
     """Write the estimate at query points as CSV.
 
     Args:
         posterior: The estimate.
         query: Times (M,) in seconds and arclengths (M,) in metres.
         path: File to write; its folder is made if it is missing.
+        loads: Whether to add the internal wrench, in the columns LOAD_COLUMNS.
+
+    Raises:
+        GlissandoError: Loads are asked for and the robot's prior knows none.
     """
     time, arclength = query
-    write_states([(time, arclength, posterior.at(arclength, time))], path)
+    wrench = posterior.wrench(arclength, time) if loads else None
+    more = None if wrench is None else np.hstack([wrench.wrench, wrench.std])
+    write_states([(time, arclength, posterior.at(arclength, time))], path, more)
 
 
-def write_states(states: Iterable[tuple[Array, Array, StateEstimate]], path: Path) -> None:
+def write_states(
+    states: Iterable[tuple[Array, Array, StateEstimate]], path: Path, loads: Array | None = None
+) -> None:
     """Write estimates one after another as CSV with the columns QUERY_COLUMNS.
 
     Args:
         states: Times (M,) s, arclengths (M,) m and the estimates there.
         path: File to write.
+        loads: Columns LOAD_COLUMNS (rows, 12) to add.
     """
     rows = [state_rows(*each) for each in states]
-    write_table(path, QUERY_COLUMNS, np.concatenate(rows))
+    table, names = np.concatenate(rows), QUERY_COLUMNS
+    if loads is not None:
+        table, names = np.hstack([table, loads]), [*names, *LOAD_COLUMNS]
+    write_table(path, names, table)
 
 
 def state_rows(time: Array, arclength: Array, at: StateEstimate) -> Array:

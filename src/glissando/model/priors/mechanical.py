@@ -8,7 +8,7 @@ strain is its internal wrench in other units, W = K (ε − ε*). Source: equati
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
@@ -42,6 +42,7 @@ from glissando.model.state import STRAIN, STRAIN_RATE, State
 _REACH = 0.3  # m, over which a load acts, for orders of magnitude
 _SOFT = 0.022  # m, of shear over curvature
 _NO_FORCE = 1e-6
+_SHOTS = 2
 _STATIC = slice(0, STATIC_DOF)
 _POSE_ROWS = np.r_[0:6, 12:18]
 
@@ -207,18 +208,43 @@ class MechanicalPrior:
     def bent(self, grid: Grid, state: State, step: Array) -> State:
         """The state moved by `step` (K, N, 24) interval by interval from the base outwards.
 
-        The errors of intervals move as the step says to first order, so poses and wrenches stay
-        together however long it is.
+        The errors of intervals and of the tip move as the step says to first order, so poses and
+        wrenches stay together however long it is. The wrench at the base is what that takes.
         """
-        moved, times = [state.take(np.s_[:, 0]).retract(step[:, 0])], np.arange(len(step))
+        times, errors = np.arange(len(step)), []
         for n in range(grid.arclength.size - 1):
-            piece = self._pick(grid, times, np.full(len(step), n))
             ends = state.take(np.s_[:, n]), state.take(np.s_[:, n + 1])
-            error, j0, j1 = interval_error(*ends, piece)
+            error, j0, j1 = interval_error(*ends, self._pick(grid, times, np.full(len(step), n)))
             change = (j0 @ step[:, n, :, None] + j1 @ step[:, n + 1, :, None])[..., 0]
-            moved.append(interval_end(moved[-1], error + change, piece))
-        fields = zip(*(node.fields() for node in moved), strict=True)
+            errors.append(error + change)
+        error, slope = self._tip_error(grid, state.take(np.s_[:, -1]))
+        wanted = error + (slope @ step[:, -1, :, None])[..., 0]
+        start = state.take(np.s_[:, 0]).retract(step[:, 0])
+        for _ in range(_SHOTS):
+            nodes, by_base = self._shot(grid, start, errors)
+            error, slope = self._tip_error(grid, nodes[-1])
+            by_base = slope[:, :6, _STATIC] @ by_base
+            miss = (wanted - error).reshape(len(step), 2, 6)
+            by_strain, by_rate = np.moveaxis(
+                np.linalg.solve(by_base[:, None], miss[..., None])[..., 0], 1, 0
+            )
+            strain, rate = start.strain + by_strain, strain_rate_of(start) + by_rate
+            start = replace(start, strain=strain, strain_rate=rate)
+        nodes, _ = self._shot(grid, start, errors)
+        fields = zip(*(node.fields() for node in nodes), strict=True)
         return State(*(np.stack(field, axis=1) for field in fields))
+
+    def _shot(self, grid: Grid, start: State, errors: Sequence[Array]) -> tuple[list[State], Array]:
+        """Nodes of a rod with these `errors`, and the last one's slope (K, 12, 6) by the base's."""
+        nodes, times = [start], np.arange(len(start.strain))
+        by_base = np.zeros((times.size, 12, 6))
+        by_base[:, 6:] = np.eye(6)
+        for n, error in enumerate(errors):
+            piece = self._pick(grid, times, np.full(times.size, n))
+            end, onward = interval_end(nodes[-1], error, piece)
+            nodes.append(end)
+            by_base = onward @ by_base
+        return nodes, by_base
 
     def _tiled(self, grid: Grid, count: int) -> Intervals:
         """The intervals of the grid, `count` times over (count · (N−1),)."""

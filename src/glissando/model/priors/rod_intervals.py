@@ -149,8 +149,11 @@ def _rated(slope: Array, change: Array, velocity: Array) -> Array:
     return out
 
 
-def interval_end(start: State, error: Array, intervals: Intervals) -> State:
-    """The end (M,) of intervals that have this `error` [r; ṙ] (M, 24): `interval_error` undone."""
+def interval_end(start: State, error: Array, intervals: Intervals) -> tuple[State, Array]:
+    """The end (M,) of intervals that have this `error` [r; ṙ] (M, 24): `interval_error` undone.
+
+    Also the slope (M, 12, 12) of where they end without an error.
+    """
     ahead = intervals.flow(start, noisy=False)
     xi = error[:, :6]
     pose = start.pose @ ahead.pose @ se3.exp(xi)
@@ -160,7 +163,8 @@ def interval_end(start: State, error: Array, intervals: Intervals) -> State:
     left[:, :6] += (se3.right_jacobian_inverse(-xi) @ carried[:, :6, None])[..., 0]
     left[:, 6:] += carried[:, 6:]
     velocity = (se3.right_jacobian(xi) @ left[:, :6, None])[..., 0]
-    return State(pose, ahead.wrench + error[:, 6:12], velocity, left[:, 6:])
+    end = State(pose, ahead.wrench + error[:, 6:12], velocity, left[:, 6:])
+    return end, ahead.transition
 
 
 def bridge(start: State, intervals: Intervals, offset: Array) -> tuple[Array, Array]:
