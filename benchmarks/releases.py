@@ -69,6 +69,21 @@ def simulate(release: Release, rod: Rod, duration: float) -> DynamicMotion:
     return simulate_motion(rod, [], scenario, duration)
 
 
+def rod_of(release: Release, options: argparse.Namespace) -> Rod:
+    """The rod that the options and a file's damping describe."""
+    base = np.eye(4)
+    base[:3, :3] = AXES
+    return Rod.of_tubes(
+        options.length,
+        [(2.0 * options.radius, 0.0)],
+        young=options.young,
+        poisson=options.poisson,
+        density=options.density,
+        base=base,
+        retardation=release.damping,
+    )
+
+
 def main_frequency(motion: np.ndarray, rate: float) -> float:
     """The frequency (Hz) of the strongest oscillation of a decaying motion (K, 3).
 
@@ -94,17 +109,7 @@ def modes(rod: Rod) -> np.ndarray:
 def judge(path: Path, options: argparse.Namespace) -> dict[str, Any]:
     """What a file says and what we say: shares of travel, frequencies, time taken."""
     release = read_release(path)
-    base = np.eye(4)
-    base[:3, :3] = AXES
-    rod = Rod.of_tubes(
-        options.length,
-        [(2.0 * options.radius, 0.0)],
-        young=options.young,
-        poisson=options.poisson,
-        density=options.density,
-        base=base,
-        retardation=release.damping,
-    )
+    rod = rod_of(release, options)
     first = release.time <= options.seconds + 1e-9
     times = release.time[first]
     begin = time.process_time()
@@ -138,6 +143,28 @@ def judge(path: Path, options: argparse.Namespace) -> dict[str, Any]:
     }
 
 
+def draw(path: Path, options: argparse.Namespace) -> None:
+    """Draw the tip of a release over time, ours and the file's, and the difference."""
+    import matplotlib.pyplot as plt
+
+    release = read_release(path)
+    times = release.time[release.time <= options.seconds + 1e-9]
+    motion = simulate(release, rod_of(release, options), float(times[-1]))
+    ours, theirs = motion.at(options.length, times).pose[:, :3, 3], release.place[1, : times.size]
+    figure, (top, low) = plt.subplots(2, 1, sharex=True, figsize=(7, 4.5), height_ratios=[2, 1])
+    for k, (name, colour) in enumerate(zip("xyz", ("C0", "C1", "C2"), strict=True)):
+        top.plot(times, 1e3 * theirs[:, k], color=colour, lw=4, alpha=0.3)
+        top.plot(times, 1e3 * ours[:, k], color=colour, lw=1, label=name)
+    low.plot(times, 1e3 * np.linalg.norm(ours - theirs, axis=1), color="k", lw=1)
+    top.set_ylabel("tip (mm)")
+    top.set_title("Ours (thin) and SoroSim's (broad)")
+    top.legend(loc="right")
+    low.set_ylabel("distance (mm)")
+    low.set_xlabel("time (s)")
+    figure.tight_layout()
+    figure.savefig(options.figure, dpi=110)
+
+
 def main() -> int:
     """Print a row a file, and write them all as JSON if asked for."""
     parser = argparse.ArgumentParser(
@@ -149,6 +176,7 @@ def main() -> int:
     add("--radius", type=float, required=True, help="m")
     add("--length", type=float, required=True, help="m")
     add("--seconds", type=float, default=1.0, help="how much of each file (default 1)")
+    add("--figure", type=Path, metavar="PNG", help="draw the tip of the first file")
     add("--json", action="store_true", help="print JSON instead of a table")
     add("files", type=Path, nargs="+", metavar="FILE")
     options = parser.parse_args()
@@ -173,6 +201,8 @@ def main() -> int:
                 f"{row['real_time_factor']:.1f} |",
                 flush=True,
             )
+    if options.figure:
+        draw(options.files[0], options)
     if options.json:
         print(json.dumps(rows, indent=1))
     return 0

@@ -13,7 +13,8 @@ from glissando.io.robot_file import load_robot
 from glissando.io.session_log import INTEGER, NUMBER, SessionWriter, numbers, schema
 from glissando.io.shipped_robots import robot_file
 from glissando.simulation import SlidePath, Tendon
-from glissando.simulation.bench import Actuation, load_bench
+from glissando.simulation.actuation import Actuation
+from glissando.simulation.bench import load_bench
 from glissando.simulation.tracker import coil_rows, mocap_rows
 
 DURATION, LONGER = 15.0, 45.0  # s; of a session as docs/calibration.md asks for

@@ -18,9 +18,10 @@ from glissando.simulation.simulated_session import write_session
 _HELP = """\
 Simulate a tendon-driven robot with a sliding coil, and write what its sensors would record.
 
-The robot's shapes are static Cosserat rods, so slow motions only. The coil reports five degrees of
-freedom with noise, bias that depends on place, drop-outs, and the slide's own errors; motion
-capture stands beside as truth. The folder is estimated like any other recording.
+The robot's shapes are static Cosserat rods, so slow motions only; with --dynamic it has inertia and
+damping, and gyroscopes, accelerometer_*.csv, truth.csv and loads.csv are written, too. The coil
+reports five degrees of freedom with noise, bias that depends on place, drop-outs, and the slide's
+own errors; motion capture stands beside as truth. The folder is estimated like any other recording.
 """
 _EXAMPLES = """\
 examples:
@@ -28,12 +29,18 @@ examples:
   glissando estimate s_oscillating --out results
   glissando simulate --shape C --slide hold --at 0.06 --without bias,dropouts --out c_fixed
   glissando simulate --shape C-to-S --slide traverse --speed 0.1 --seed 7 --out moving
+  glissando simulate --dynamic --shape C --slide traverse --out swinging
   glissando simulate --shape my_shape.toml --slide my_path.csv --out mine
 
 A shape file is TOML: tensions = [10, 20] in newtons, or one such row for each of time = [0, 20];
 gravity = [0, 0, 9.81] and [[loads]] with arclength, force and moment may follow. A slide file is
 CSV: time,displacement (at rest at each row), or time,displacement,speed; arclength may stand in the
 place of displacement, as `glissando plan` writes it.
+
+With --dynamic the file may also have displacements (m) and tendon_stiffness (N/m) in the place of
+tensions, `from` and `until` (s) in [[loads]], [[half_spaces]] (point, normal, stiffness in N/m²,
+damping, friction), [[holds]] (arclength, stiffness in N/m, damping, place), and [base] (time,
+positions in m, rotations in rad).
 
 exit status: 0 done; 1 the physics has no static shape there; 2 something given was wrong.
 """
@@ -54,6 +61,7 @@ def add_to(commands: Commands) -> None:
     add("--speed", type=float, metavar="M/S", help="of the slide (default: the stage's)")
     add("--at", type=float, metavar="M", help="displacement of hold, from the tip (default 0)")
     add("--duration", type=float, metavar="S", help="seconds (default: until at rest; hold 15)")
+    add("--dynamic", action="store_true", help="a robot with inertia, which swings")
     parts = ", ".join((*PARTS, "all"))
     add("--without", type=names, default=[], metavar="NAME,…", help=f"switch off: {parts}")
     add("--tendons", action="store_true", help="record displacements of the tendons, too")
@@ -75,6 +83,7 @@ def _simulate(options: argparse.Namespace) -> int:
             seed=options.seed,
             duration=options.duration,
             without=options.without,
+            dynamic=options.dynamic,
             name=options.out.resolve().name,
             tendons=options.tendons,
             **{name: value for name, value in given.items() if value is not None},

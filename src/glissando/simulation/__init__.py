@@ -5,7 +5,8 @@ Nothing here knows the estimator's priors, so that an estimate can be judged on 
 
 from glissando.errors import NoShapeError, SimulationError
 from glissando.model.slide_path import SlideLimits, SlidePath, read_slide
-from glissando.simulation.bench import Actuation, Bench, load_bench
+from glissando.simulation.actuation import Actuation
+from glissando.simulation.bench import Bench, load_bench
 from glissando.simulation.imperfections import Imperfections
 from glissando.simulation.motion import Motion, solve_motion
 from glissando.simulation.rod import Loads, Rod, Tendon, Wrench

@@ -13,46 +13,17 @@ from glissando.errors import SimulationError
 from glissando.geometry.se3 import Array
 from glissando.io.toml_table import Table, read_toml
 from glissando.model.slide_path import SlideLimits
+from glissando.simulation.actuation import Actuation, read_actuation
+from glissando.simulation.dynamics.integrate import simulate_motion
+from glissando.simulation.dynamics.motion import DynamicMotion
+from glissando.simulation.dynamics.scenario import Scenario
+from glissando.simulation.dynamics.scenario_file import read_scenario, scenario_of
 from glissando.simulation.imperfections import ROLLS, Imperfections, SmoothField
 from glissando.simulation.motion import Motion, solve_motion
-from glissando.simulation.rod import STRAIGHT, Loads, Rod, Tendon, Wrench
+from glissando.simulation.rod import STRAIGHT, Rod, Tendon
 
 _FRAME = 0.2  # s between solved shapes of a robot that moves
 _FEWEST, _MOST = 10, 20_000  # of them between two times of an actuation
-
-
-@dataclass(frozen=True)
-class Actuation:
-    """What pulls on a robot over time; between two times tensions change as 3x² − 2x³.
-
-    Attributes:
-        time: Times (K,), s.
-        tensions: Tension of every tendon at these times (K, T), N.
-        gravity: Gravity (3,), m/s².
-        wrenches: Dead loads.
-    """
-
-    time: Array
-    tensions: Array
-    gravity: Array
-    wrenches: tuple[Wrench, ...] = ()
-
-    def loads_at(self, time: float) -> Loads:
-        """The loads at a time in seconds."""
-        last = self.time.size - 1
-        k = int(np.clip(np.searchsorted(self.time, time, "right") - 1, 0, last))
-        tensions = self.tensions[k]
-        if k < last:
-            x = np.clip((time - self.time[k]) / (self.time[k + 1] - self.time[k]), 0.0, 1.0)
-            tensions = tensions + x * x * (3.0 - 2.0 * x) * (self.tensions[k + 1] - tensions)
-        return Loads(tensions, self.gravity, self.wrenches)
-
-    def lasting(self, duration: float) -> Actuation:
-        """The same tensions stretched over another time, from 0 to `duration` seconds."""
-        if self.time.size == 1:
-            return self
-        start, stop = self.time[0], self.time[-1]
-        return replace(self, time=(self.time - start) * (duration / (stop - start)))
 
 
 @dataclass(frozen=True)
@@ -70,6 +41,7 @@ class Bench:
         flaws: Imperfections of robot and sensors.
         truth: Arclengths of the motion capture frames (C,), m.
         shapes: Actuations by name.
+        inertial: Arclengths of gyroscopes with accelerometers (I,), m.
     """
 
     rod: Rod
@@ -82,6 +54,7 @@ class Bench:
     flaws: Imperfections
     truth: Array
     shapes: dict[str, Actuation]
+    inertial: Array
 
     def shape(self, name: str) -> Actuation:
         """A shape of the robot file by name, or of a TOML file by path.
@@ -90,31 +63,33 @@ class Bench:
         """
         if name in self.shapes:
             return self.shapes[name]
+        return read_actuation(self._file(name), len(self.tendons), self.gravity)
+
+    def scenario(self, name: str) -> tuple[Scenario, float]:
+        """The scenario of a shape by name, or of a TOML file, and the last of its times, s.
+
+        Raises SimulationError when there is neither.
+        """
+        if name in self.shapes:
+            return scenario_of(self.shapes[name]), float(self.shapes[name].time[-1])
+        table = self._file(name)
+        return read_scenario(table, len(self.tendons), self.gravity, self.rod.base)
+
+    def _file(self, name: str) -> Table:
         path = Path(name)
         if not path.is_file():
             raise SimulationError(
                 f"There is no shape named {name!r} and no such file; give a TOML file with "
                 f"tensions, or one of {', '.join(self.shapes)}."
             )
-        table = read_toml(path, SimulationError)
-        return _actuation(table, len(self.tendons), self.gravity)
+        return read_toml(path, SimulationError)
 
     def move(self, actuation: Actuation, flaws: Imperfections, seed: int) -> Motion:
         """The static shapes of an actuation, in time, of a robot with the set that `seed` gives it.
 
         Raises SimulationError for a motion that is too long, NoShapeError where the rod buckles.
         """
-        rod = self.rod
-        if flaws.set_curvature > 0.0:
-            rng = np.random.default_rng([seed, 1])
-            bent = SmoothField.draw(rng, 1, 2, flaws.set_length)
-
-            def rest(arclength: Array) -> Array:
-                strain = np.array(self.rod.rest(arclength))
-                strain[:, 3:5] += flaws.set_curvature * bent(arclength[:, None])
-                return strain
-
-            rod = replace(rod, rest_strain=rest)
+        rod = self._with_set(flaws, seed)
         frames = [actuation.time[:1]]
         for start, stop in pairwise(actuation.time):
             count = max(_FEWEST, np.ceil((stop - start) / _FRAME))
@@ -126,6 +101,31 @@ class Bench:
             frames.append(np.linspace(start, stop, int(count) + 1)[1:])
         times = np.concatenate(frames)
         return solve_motion(rod, self.tendons, actuation.loads_at, times, actuation.time)
+
+    def move_dynamically(
+        self, scenario: Scenario, flaws: Imperfections, seed: int, duration: float
+    ) -> DynamicMotion:
+        """The motion with inertia of a robot with the set that `seed` gives it, for `duration` s.
+
+        Raises SimulationError for what cannot be, NoShapeError where the rod cannot be followed.
+        """
+        rod = self._with_set(flaws, seed)
+        return simulate_motion(rod, self.tendons, scenario, duration)
+
+    def _with_set(self, flaws: Imperfections, seed: int) -> Rod:
+        """The rod with the curvature that it keeps when unloaded."""
+        rod = self.rod
+        if flaws.set_curvature > 0.0:
+            rng = np.random.default_rng([seed, 1])
+            bent = SmoothField.draw(rng, 1, 2, flaws.set_length)
+
+            def rest(arclength: Array) -> Array:
+                strain = np.array(self.rod.rest(arclength))
+                strain[:, 3:5] += flaws.set_curvature * bent(arclength[:, None])
+                return strain
+
+            rod = replace(rod, rest_strain=rest)
+        return rod
 
 
 def load_bench(path: Path) -> Bench:
@@ -154,7 +154,10 @@ def _bench(table: Table, length: float, rest_strain: Array, base: Array) -> Benc
     mount.close()
     listed = table.table("imperfections")
     flaws = _imperfections(listed) if listed else Imperfections()
-    places = _places(table, length)
+    places = _places(table, "truth_arclengths", length)
+    inertial = np.zeros(0)
+    if table.peek("inertial_arclengths") is not None:
+        inertial = _places(table, "inertial_arclengths", length)
     if not 0.0 <= length + offset <= length:
         raise table.fail("coil_offset", f"is {offset:g} m, off the robot; give −{length:g} to 0.")
     shapes = {}
@@ -162,20 +165,19 @@ def _bench(table: Table, length: float, rest_strain: Array, base: Array) -> Benc
         for name in entries.names():
             entry = entries.table(name, required=True)
             assert entry is not None
-            shapes[name] = _actuation(entry, len(tendons), gravity)
+            shapes[name] = read_actuation(entry, len(tendons), gravity)
     table.close()
-    return Bench(rod, tendons, gravity, slide, full_slide, offset, tracker, flaws, places, shapes)
+    stages = slide, full_slide, offset
+    return Bench(rod, tendons, gravity, *stages, tracker, flaws, places, shapes, inertial)
 
 
-def _places(table: Table, length: float) -> Array:
-    given = table.peek("truth_arclengths")
+def _places(table: Table, key: str, length: float) -> Array:
+    given = table.peek(key)
     if not isinstance(given, list) or not given:
-        raise table.fail("truth_arclengths", f"is {given!r}; give a list of places in metres.")
-    places = table.vector("truth_arclengths", len(given), pairs=False)
+        raise table.fail(key, f"is {given!r}; give a list of places in metres.")
+    places = table.vector(key, len(given), pairs=False)
     if np.any(places < 0.0) or np.any(places > length) or np.unique(places).size < places.size:
-        raise table.fail(
-            "truth_arclengths", f"is {given}; give each place once, 0 to {length:g} m."
-        )
+        raise table.fail(key, f"is {given}; give each place once, 0 to {length:g} m.")
     return places
 
 
@@ -196,9 +198,18 @@ def _rod(table: Table, length: float, rest_strain: Array, base: Array) -> Rod:
         density=density,
         rest_strain=rest_strain,
         base=base,
+        retardation=table.number("retardation", 0.0, positive=False),
+        air_damping=table.number("air_damping", 0.0, positive=False),
     )
-    disks = table.number("disk_mass_per_length", 0.0, positive=False)
-    return replace(rod, mass_per_length=rod.mass_per_length + disks)
+    if rod.retardation > 1.0:
+        raise table.fail("retardation", f"is {rod.retardation:g} s; give seconds, 1 at most.")
+    disks, radius = (
+        table.number("disk_mass_per_length", 0.0, positive=False),
+        table.peek("disk_radius"),
+    )
+    turning = disks * float(radius or 0.0) ** 2 * np.array([0.25, 0.25, 0.5])
+    mass, rotary = rod.mass_per_length + disks, rod.rotary_inertia + turning
+    return replace(rod, mass_per_length=mass, rotary_inertia=rotary)
 
 
 def _tendon(table: Table, rod: Rod, disk_radius: float) -> Tendon:
@@ -239,23 +250,3 @@ def _imperfections(table: Table) -> Imperfections:
             given[name] = table.number(name, default, positive=False)
     table.close()
     return Imperfections(**given)
-
-
-def _actuation(table: Table, tendons: int, gravity: Array) -> Actuation:
-    """Keys tensions (and time, one a row of them), gravity, and [[loads]]."""
-    tensions = table.matrix("tensions", tendons)
-    time = np.zeros(1)
-    if len(tensions) > 1 or table.peek("time") is not None:
-        time = table.vector("time", len(tensions))
-        if np.any(np.diff(time) <= 0.0):
-            raise table.fail("time", f"is {time.tolist()}; give times that increase.")
-    if np.any(tensions < 0.0):
-        raise table.fail("tensions", f"is {tensions.tolist()}; a tendon only pulls, give N ≥ 0.")
-    gravity = table.vector("gravity", 3, gravity)
-    wrenches = []
-    for entry in table.tables("loads"):
-        force, moment = (entry.vector(key, 3, np.zeros(3)) for key in ("force", "moment"))
-        wrenches.append(Wrench(entry.number("arclength"), force, moment))
-        entry.close()
-    table.close()
-    return Actuation(time, tensions, gravity, tuple(wrenches))

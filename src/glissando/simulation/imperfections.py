@@ -39,6 +39,11 @@ class Imperfections:
         roll: What the tracker reports: 'arbitrary' (one a session), 'minimal' (the smallest
             rotation in its frame) or 'true'.
         mocap, mocap_angle: White noise of motion capture.
+        latency: How much earlier than its time the tracker saw what it reports, s.
+        exposure: How long the tracker looks before that, s; it reports the mean.
+        drive_stiffness: Of the tube between motor and coil, N/m; zero for a rigid one.
+        drive_mass, drive_damping, drive_friction, drive_stiction: As of `DriveTube`.
+        gyro, accelerometer: White noise of inertial sensors, each axis, rad/s and m/s².
         set_curvature: Curvature that the tubes keep when unloaded, about each axis, rad/m.
         set_length: Length along the body over which it varies.
     """
@@ -60,6 +65,15 @@ class Imperfections:
     roll: str = "arbitrary"
     mocap: float = 1.5e-4
     mocap_angle: float = 1.5e-3
+    latency: float = 0.0
+    exposure: float = 0.0
+    drive_stiffness: float = 0.0
+    drive_mass: float = 2e-3
+    drive_damping: float = 0.5
+    drive_friction: float = 0.2
+    drive_stiction: float = 1.5
+    gyro: float = 2e-3
+    accelerometer: float = 0.02
     set_curvature: float = 0.3
     set_length: float = 0.15
 
@@ -68,11 +82,20 @@ class Imperfections:
             value = getattr(self, entry.name)
             if entry.type != "float":
                 continue
-            least = 1e-6 if entry.name in _LENGTHS else 0.0
+            least = 1e-6 if entry.name in (*_LENGTHS, "drive_mass") else 0.0
             if not (isinstance(value, (int, float, np.number)) and least <= value <= _MOST):
                 raise SimulationError(
                     f"{entry.name} is {value}; give a number from {least:g} to {_MOST:g}, SI units."
                 )
+        for name in ("latency", "exposure"):
+            if getattr(self, name) > 1.0:
+                raise SimulationError(
+                    f"{name} is {getattr(self, name):g} s; give seconds, 1 at most."
+                )
+        if self.drive_stiction < 1.0:
+            raise SimulationError(
+                f"drive_stiction is {self.drive_stiction:g}; give 1 or more, times the friction."
+            )
         low, high = self.dropout_duration
         if not 0.0 <= low <= high:
             raise SimulationError(
@@ -104,6 +127,11 @@ PARTS = {
     "dropouts": ("dropouts",),
     "roll": ("roll",),
     "mocap": ("mocap", "mocap_angle"),
+    "latency": ("latency",),
+    "exposure": ("exposure",),
+    "drive": ("drive_stiffness",),
+    "gyro": ("gyro",),
+    "accelerometer": ("accelerometer",),
     "set": ("set_curvature",),
 }
 """What `Imperfections.without` can switch off, and the fields that are then zero."""

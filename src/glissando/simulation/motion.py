@@ -66,15 +66,8 @@ class Motion:
 
         What servos pull in of tendons that do not stretch. Source: (M5).
         """
-        strain, points = self._strain(np.clip(time, self.time[0], self.time[-1])), self.mesh.points
-        columns = []
-        for tendon in tendons:
-            place, slope = tendon.path(points)
-            along = strain[..., :3] + np.cross(strain[..., 3:], place) + slope
-            straight = np.linalg.norm(STRAIGHT[:3] + slope, axis=-1)
-            lost = straight - np.linalg.norm(along, axis=-1)
-            columns.append(lost @ (self.mesh.weights * (points < tendon.end)))
-        return np.stack(columns, axis=-1)
+        strain = self._strain(np.clip(time, self.time[0], self.time[-1]))
+        return shortening(self.mesh, strain, tendons)
 
     def _strain(self, time: Array) -> Array:
         if self.time.size == 1:
@@ -86,6 +79,18 @@ class Motion:
             spline = CubicSpline(self.time[knots], self.strain[knots], bc_type="clamped")
             out[inside] = spline(time[inside])
         return out
+
+
+def shortening(mesh: Mesh, strain: Array, tendons: Sequence[Tendon]) -> Array:
+    """How much shorter (M, T) channels are under strains (M, G, 6) than in the straight rod, m."""
+    points, columns = mesh.points, []
+    for tendon in tendons:
+        place, slope = tendon.path(points)
+        along = strain[..., :3] + np.cross(strain[..., 3:], place) + slope
+        straight = np.linalg.norm(STRAIGHT[:3] + slope, axis=-1)
+        lost = straight - np.linalg.norm(along, axis=-1)
+        columns.append(lost @ (mesh.weights * (points < tendon.end)))
+    return np.stack(columns, axis=-1)
 
 
 def solve_motion(

@@ -9,6 +9,8 @@ from glissando.errors import SimulationError
 from glissando.io.shipped_robots import robot_file
 from glissando.model.slide_path import SlidePath, read_slide
 from glissando.simulation.bench import Bench, load_bench
+from glissando.simulation.dynamics.motion import DynamicMotion
+from glissando.simulation.motion import Motion
 from glissando.simulation.simulated_session import Session, simulate_session
 
 _HOLD = 15.0  # s that a slide holds still unless told how long
@@ -29,6 +31,7 @@ def simulate(
     seed: int = 0,
     duration: float | None = None,
     without: Sequence[str] = (),
+    dynamic: bool = False,
     name: str = "simulated",
     tendons: bool = False,
     **options: float,
@@ -42,6 +45,7 @@ def simulate(
         seed: Seed of all noise, from 0 up.
         duration: Seconds; until robot and slide stand still unless given.
         without: Imperfections to switch off, "all" for every one.
+        dynamic: Whether the robot has inertia; else it is at rest at every instant.
         name: Name of the session.
         tendons: Whether displacements of the tendons are recorded, too.
         options: Of the slide: `at` (m, of hold), `cycles`, `stroke` (m), `speed` (m/s).
@@ -59,7 +63,13 @@ def simulate(
         raise SimulationError(f"Seed {seed} cannot be; give a whole number from 0 up.")
     flaws = bench.flaws.without(*without)
     path = slide_path(bench, slide, duration, options)
-    motion = bench.move(bench.shape(shape), flaws, seed)
+    motion: Motion | DynamicMotion
+    if dynamic:
+        scenario, last = bench.scenario(shape)
+        lasts = duration or max(path.duration, last)
+        motion = bench.move_dynamically(scenario, flaws, seed, lasts)
+    else:
+        motion = bench.move(bench.shape(shape), flaws, seed)
     return simulate_session(
         bench,
         motion,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -15,11 +15,13 @@ from glissando.io.csv_stream import Rows, Stream
 from glissando.io.recording_writer import write_streams
 from glissando.model.slide_path import SlidePath
 from glissando.simulation.bench import Bench
+from glissando.simulation.dynamics.motion import DynamicMotion
 from glissando.simulation.imperfections import Imperfections
 from glissando.simulation.motion import Motion
-from glissando.simulation.tracker import coil_rows, mocap_rows
+from glissando.simulation.session_truth import write_dynamics
+from glissando.simulation.tracker import coil_rows, inertial_rows, mocap_rows
 
-COIL_RATE, MOCAP_RATE, TENDON_RATE = 40.0, 10.0, 5.0  # Hz
+COIL_RATE, MOCAP_RATE, TENDON_RATE, INERTIAL_RATE = 40.0, 10.0, 5.0, 100.0  # Hz
 _TENDON_STD = 5e-5  # m: servos and what friction keeps from the tendons
 _LONGEST = 100_000.0  # s
 
@@ -38,22 +40,28 @@ class Session:
         T_wt: Pose of the tracker (4, 4).
         mocap_std: Std of motion capture's noise (6,), [linear m, angular rad].
         tendons: Displacements of the tendons, if they are recorded.
+        gyros: Readings of gyroscopes, by name, of a robot that moves with inertia.
+        forces: Specific forces (M, 3), m/s², of the accelerometers beside them, by the same name.
+        gyro_std: Std of the gyroscopes' noise (3,), rad/s.
     """
 
     name: str
     duration: float
-    motion: Motion
+    motion: Motion | DynamicMotion
     path: SlidePath
     coil: Rows
     mocap: dict[str, Rows]
     T_wt: Array
     mocap_std: Array
     tendons: Rows | None = None
+    gyros: dict[str, Rows] = field(default_factory=dict)
+    forces: dict[str, Array] = field(default_factory=dict)
+    gyro_std: Array = field(default_factory=lambda: np.ones(3))
 
 
 def simulate_session(
     bench: Bench,
-    motion: Motion,
+    motion: Motion | DynamicMotion,
     path: SlidePath,
     *,
     seed: int,
@@ -102,10 +110,21 @@ def simulate_session(
     std = np.repeat(np.maximum([flaws.mocap, flaws.mocap_angle], 1e-6), 3) / np.sqrt(3.0)
     time = np.arange(0.0, lasts + 1e-9, 1.0 / TENDON_RATE)
     pulled = _tendon_rows(bench, motion, time, pull_noise) if tendons else None
-    return Session(name, lasts, motion, path, coil, mocap, bench.tracker, std, pulled)
+    gyros, forces = {}, {}
+    if isinstance(motion, DynamicMotion):
+        time = np.arange(0.0, lasts + 1e-9, 1.0 / INERTIAL_RATE)
+        draws = np.random.default_rng([seed, 2]).spawn(bench.inertial.size)
+        for s, noise in zip(bench.inertial, draws, strict=True):
+            rows = inertial_rows(motion, float(s), time, flaws, noise)
+            gyros[f"gyro_{1e3 * s:g}"], forces[f"gyro_{1e3 * s:g}"] = rows
+    gyro = np.full(3, max(flaws.gyro, 1e-6))
+    inertial = gyros, forces, gyro
+    return Session(name, lasts, motion, path, coil, mocap, bench.tracker, std, pulled, *inertial)
 
 
-def _tendon_rows(bench: Bench, motion: Motion, time: Array, rng: np.random.Generator) -> Rows:
+def _tendon_rows(
+    bench: Bench, motion: Motion | DynamicMotion, time: Array, rng: np.random.Generator
+) -> Rows:
     """What servos report of tendons that do not stretch, at times (M,)."""
     channels = np.array([tendon.channel() for tendon in bench.tendons]).T
     ends = np.array([tendon.end for tendon in bench.tendons])
@@ -138,10 +157,13 @@ def write_session(session: Session, folder: Path, robot: str | Path) -> list[Pat
     ]
     if session.tendons is not None:
         streams.append(Stream("tendons", session.tendons, std=np.array([_TENDON_STD])))
+    streams += [Stream(name, rows, std=session.gyro_std) for name, rows in session.gyros.items()]
     with new_folder(folder, SimulationError) as building:
         frames = {"tracker": session.T_wt}
         write_streams(building, session.name, streams, robot=robot, frames=frames)
         path = session.path
         knots = np.column_stack([path.time, path.displacement, path.speed])
         write_table(building / "slide_path.csv", ["time", "displacement", "speed"], knots)
+        if isinstance(session.motion, DynamicMotion):
+            write_dynamics(session.motion, session.gyros, session.forces, building)
     return sorted(folder.iterdir())

@@ -12,12 +12,16 @@ from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.io.csv_stream import Rows
 from glissando.model.slide_path import SlidePath
+from glissando.simulation.drive_tube import STEP, DriveTube
+from glissando.simulation.dynamics.motion import DynamicMotion
 from glissando.simulation.imperfections import Imperfections, SmoothField
 from glissando.simulation.motion import Motion
 
+_EXPOSED = (np.arange(5) + 0.5) / 5.0  # shares of an exposure at which the coil is looked at
+
 
 def coil_rows(
-    motion: Motion,
+    motion: Motion | DynamicMotion,
     path: SlidePath,
     time: Array,
     offset: float,
@@ -41,11 +45,14 @@ def coil_rows(
     """
     streams = iter(rng.spawn(7))  # a stream a part: switching one off leaves the others as they are
     commanded = path.at(time)
-    real = _follow(commanded, flaws.backlash)
     encoded = commanded + flaws.encoder * next(streams).standard_normal(time.size)
     length = motion.rod.length
-    place, named = (np.clip(length - d + offset, 0.0, length) for d in (real, encoded))
-    pose = motion.at(place, time).pose @ _play(next(streams), place, flaws.play)
+    named = np.clip(length - encoded + offset, 0.0, length)
+    shares = _EXPOSED if flaws.exposure > 0.0 else np.zeros(1)
+    seen = (time[:, None] - flaws.latency - flaws.exposure * shares).ravel()
+    place = np.clip(length - _coil_at(path, seen, flaws) + offset, 0.0, length)
+    pose = motion.at(place, seen).pose @ _play(next(streams), place, flaws.play)
+    pose = _mean(pose.reshape(time.size, shares.size, 4, 4))
     pose = pose @ se3.exp(_tracker_error(next(streams), next(streams), pose, flaws))
     centre = np.eye(4)
     centre[:3, 3] = flaws.field_centre
@@ -53,6 +60,31 @@ def coil_rows(
     reported = rolled(se3.inverse(T_wt) @ slip @ pose, flaws.roll, next(streams))
     kept = _kept(next(streams), time, flaws)
     return Rows("coil", time[kept], named[kept], reported[kept], {})
+
+
+def _coil_at(path: SlidePath, time: Array, flaws: Imperfections) -> Array:
+    """Displacement (M,) of the coil at times (M,) that increase but for those of one exposure."""
+    sequence = np.sort(time)
+    back = np.searchsorted(sequence, time)
+    if flaws.drive_stiffness <= 0.0:
+        return _follow(path.at(sequence), flaws.backlash)[back]
+    tube = DriveTube(
+        flaws.drive_stiffness,
+        flaws.drive_mass,
+        flaws.drive_damping,
+        flaws.drive_friction,
+        flaws.drive_stiction,
+    )
+    fine = np.arange(sequence[0], sequence[-1] + 2.0 * STEP, STEP)
+    return np.interp(time, fine, tube.follow(_follow(path.at(fine), flaws.backlash)))
+
+
+def _mean(poses: Array) -> Array:
+    """Mean poses (M, 4, 4) of several (M, J, 4, 4) that lie close together."""
+    if poses.shape[1] == 1:
+        return poses[:, 0]
+    first = poses[:, :1]
+    return first[:, 0] @ se3.exp(np.mean(se3.log(se3.inverse(first) @ poses), axis=1))
 
 
 def _follow(commanded: Array, width: float) -> Array:
@@ -137,10 +169,32 @@ def _kept(rng: np.random.Generator, time: Array, flaws: Imperfections) -> np.nda
 
 
 def mocap_rows(
-    motion: Motion, arclength: float, time: Array, flaws: Imperfections, rng: np.random.Generator
+    motion: Motion | DynamicMotion,
+    arclength: float,
+    time: Array,
+    flaws: Imperfections,
+    rng: np.random.Generator,
 ) -> Rows:
     """What motion capture reports of the frame at one arclength (m): times (M,), world frame."""
     place = np.full(time.size, arclength)
     noise = rng.standard_normal((time.size, 6)) / np.sqrt(3.0)
     noise *= np.repeat([flaws.mocap, flaws.mocap_angle], 3)
     return Rows("pose", time, place, motion.at(place, time).pose @ se3.exp(noise), {})
+
+
+def inertial_rows(
+    motion: DynamicMotion,
+    arclength: float,
+    time: Array,
+    flaws: Imperfections,
+    rng: np.random.Generator,
+) -> tuple[Rows, Array]:
+    """What a gyroscope and an accelerometer say, aligned with the body at one arclength (m).
+
+    Returns:
+        Angular velocities, and specific forces (M, 3), m/s²: acceleration less gravity.
+    """
+    place = np.full(time.size, arclength)
+    at, noise = motion.at(place, time), rng.standard_normal((2, time.size, 3))
+    spin = at.velocity[:, 3:] + flaws.gyro * noise[0]
+    return Rows("gyro", time, place, spin, {}), at.specific_force + flaws.accelerometer * noise[1]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -12,7 +13,8 @@ from glissando.errors import SimulationError
 from glissando.geometry.se3 import Array
 from glissando.simulation.dynamics.scenario import Acting
 from glissando.simulation.mesh import Mesh
-from glissando.simulation.rod import Rod
+from glissando.simulation.motion import shortening
+from glissando.simulation.rod import Rod, Tendon
 from glissando.simulation.shape import Section
 
 _CHUNK = 500  # queries at a time, to bound memory
@@ -181,6 +183,12 @@ class DynamicMotion:
         felt = body[:, 2] - back[:, 0] @ gravity
         velocity, acceleration = body[:, :2].reshape(-1, 6), body[:, 2:].reshape(-1, 6)
         return pose, strain, self.rod.stiffness * spring, velocity, acceleration, felt
+
+    def shortening(self, tendons: Sequence[Tendon], time: Array) -> Array:
+        """How much shorter (M, T) channels are at times (M,) than in the straight rod, m."""
+        inside = np.clip(time, self.time[0], self.time[-1])
+        strain = np.stack([self.state_at(float(t))[0][0] for t in inside])
+        return shortening(self.mesh, strain, tendons)
 
     def state_at(self, time: float) -> tuple[Array, float]:
         """Strain and its derivatives (3, G, 6) at a time, and the middle of its step, s."""
