@@ -1,19 +1,23 @@
 """What acts on a robot, from the command line: printed, in query.csv and in posterior.nc."""
 
 import json
+import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from glissando import estimate, load_recording
+from glissando.calibration.robot.hyperparameters import expanded, learnable, moved
 from glissando.cli.main import main
+from glissando.errors import GlissandoError
 from glissando.geometry import se3
 from glissando.io.csv_stream import Rows, Stream
 from glissando.io.netcdf import load_posterior, save_posterior, to_xarray
 from glissando.io.query_csv import LOAD_COLUMNS
 from glissando.io.recording_writer import write_streams
-from glissando.io.robot_file import load_robot
+from glissando.io.robot_file import load_robot, parse_robot
+from glissando.io.toml_table import Table
 from glissando.simulation import Loads, Rod, Wrench, solve_shape
 
 ROBOT = """
@@ -112,3 +116,27 @@ def test_loads_are_printed_answered_and_saved(recording, tmp_path, capsys, monke
 def test_a_robot_of_unknown_mechanics_is_one_sentence(recording, capsys):
     assert main(["estimate", str(recording), "--robot", "tdcr466", "--loads"]) == 2
     assert "what the robot is made of" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("label", "field"),
+    [
+        ("load, linear", "psd_load"),
+        ("strain error, angular", "psd_strain_error"),
+        ("tip, linear", "var_tip"),
+        ("points 1, linear", "var_points"),
+    ],
+)
+def test_loads_can_be_learned(label, field):
+    document = expanded(tomllib.loads(ROBOT))
+    (parameter,) = (p for p in learnable(document, []) if p.label == label)
+    doubled = moved(document, [parameter], np.log([2.0]))
+    was, now = (
+        parse_robot(Table(each, "rod", GlissandoError)).prior for each in (document, doubled)
+    )
+    for name in ("psd_load", "psd_strain_error", "var_tip", "var_points"):
+        ratio = np.ravel(getattr(now, name) / getattr(was, name))
+        half = slice(3, 6) if label.endswith("angular") else slice(0, 3)
+        expected = np.ones(6)
+        expected[half] += name == field
+        np.testing.assert_allclose(ratio, expected)

@@ -19,6 +19,8 @@ _HALVES: dict[str, tuple[int, ...]] = {"linear": (0, 1, 2), "angular": (3, 4, 5)
 _STRAINS = ("psd_strain_arclength", "psd_strain_time", "var_strain", "psd_strain")
 _JUMPS = ("var_jumps", "psd_jumps")
 _RATES = ("psd_velocity_time", "psd_velocity_arclength")
+_LOADS = ("psd_load", "psd_strain_error", "var_tip")
+_POINTS = "var_points"
 
 
 @dataclass(frozen=True)
@@ -77,7 +79,9 @@ def expanded(document: Document) -> Document:
     out = copy.deepcopy(document)
     for table in (out["prior"], out.get("base", {})):
         for key, value in table.items():
-            if key in _JUMPS or (key == "psd_strain_arclength" and isinstance(value[0], list)):
+            if key in (*_JUMPS, _POINTS) or (
+                key == "psd_strain_arclength" and isinstance(value[0], list)
+            ):
                 table[key] = [_six(row) for row in value]
             elif key.startswith(("psd_", "var_")):
                 table[key] = _six(value)
@@ -119,9 +123,13 @@ def _all(document: Document, kinds: Sequence[str], alike: bool) -> Iterator[Para
                 if isinstance(value[0], list):
                     paths = [(table, key, row) for row in range(len(value))]
                 yield from _by_segment(name, paths, alike)
-            elif key in _RATES:
+            elif key in _RATES + _LOADS:
                 for part, entries in _HALVES.items():
                     yield Parameter(f"{name}, {part}", (table, key), entries)
+            elif key == _POINTS:
+                for row in range(len(value)):
+                    for part, entries in _HALVES.items():
+                        yield Parameter(f"{name} {row + 1}, {part}", (table, key, row), entries)
     for kind in dict.fromkeys(kinds):
         size = len(document.get("sensors", {}).get(kind, {}).get("std", []))
         path = ("sensors", kind, "std")
