@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from glissando.errors import DeviceError
-from glissando.hardware.capture import Coil, Rig, capture, load_rig, write_recording
+from glissando.hardware.capture import Coil, FurtherStage, Rig, capture, load_rig, write_recording
 from glissando.hardware.drivers import GcodeSlide, GcodeStage
 from glissando.hardware.drivers.gcode_stage import parse_status
 from glissando.hardware.openigtlink import Endpoint, Message, encode, stamp_of
@@ -132,48 +132,71 @@ address = "igtl://127.0.0.1:18944"
 [[tracker.coils]]
 name = "CoilToTracker"
 arclength = 0.7
+[[tracker.coils]]
+name = "OuterToTracker"
+arclength = 0.5
+slide = "outer"
 [slide]
 protocol = "grbl"
 address = "/dev/ttyACM0"
 stroke = [0.0, 0.06]
 axis = "Y"
 standing = 0.0
+[[slides]]
+name = "outer"
+protocol = "grbl"
+address = "/dev/ttyACM1"
+stroke = [0.0, 0.1]
+home = -0.001
 """)
     rig = load_rig(tmp_path / "bench.toml")
     assert rig.stage == GcodeStage(stroke=(0.0, 0.06), axis="Y")
     assert rig.tracker == "igtl://127.0.0.1:18944"
+    (outer,) = rig.further
+    assert (outer.name, outer.stage.stroke, outer.standing) == ("outer", (0.0, 0.1), None)
+    assert [coil.slide_topic for coil in rig.coils] == ["/slide", "/slide/outer"]
 
 
 @pytest.mark.slow
-def test_an_experiment_with_both_becomes_a_recording(tmp_path):
+def test_an_experiment_with_two_stages_and_such_a_tracker_becomes_a_recording(tmp_path):
     over = threading.Event()
-    with started("grbl") as address, Endpoint("igtl-server://:0") as plus:
+    names = ("inner", "outer")
+    with (
+        started("grbl") as first, started("grbl") as second, Endpoint("igtl-server://:0") as plus,
+    ):  # fmt: skip
 
         def track() -> None:
             while not over.is_set():
                 now = time.time()
                 pose = np.eye(4)
                 pose[:3, 3] = 700.0, 10.0 * np.sin(now), 0.0
-                tool = c.TrackingData((c.Tool("CoilToTracker", c.TOOL_5D, pose),))
+                tools = tuple(c.Tool(name, c.TOOL_5D, pose) for name in names)
                 plus.receive()
-                plus.send([encode(Message(tool, "plus", stamp_of(now)))])
+                plus.send([encode(Message(c.TrackingData(tools), "plus", stamp_of(now)))])
                 over.wait(0.025)
 
+        coils = Coil("inner", 0.7), Coil("outer", 0.5, slide="outer")
         rig = Rig(
-            "bench", "sliding700", f"igtl://127.0.0.1:{plus.address.port}",
-            (Coil("CoilToTracker", 0.7),), address, STAGE, 0.0,
+            "bench", "sliding700", f"igtl://127.0.0.1:{plus.address.port}", coils, first, STAGE,
+            0.0, further=(FurtherStage("outer", second, STAGE, 0.0),),
         )  # fmt: skip
-        path = SlidePath.oscillate(1, 0.02, SlideLimits(0.06, 0.024, 0.1))
+        limits = SlideLimits(0.06, 0.024, 0.1)
+        paths = SlidePath.oscillate(1, 0.02, limits), SlidePath.oscillate(1, 0.01, limits)
         thread = threading.Thread(target=track)
         thread.start()
         try:
-            capture(rig, path, tmp_path / "session")
+            capture(rig, paths[0], tmp_path / "session", further={"outer": paths[1]})
         finally:
             over.set()
             thread.join()
+        with GcodeSlide(second, STAGE) as stands:  # the port is free again
+            stands.home_here(0.0)
+            assert stands.read().speed == 0.0
     session = read_session(tmp_path / "session" / "session.mcap")
     write_recording(session, rig, tmp_path / "session")
-    rows = load_recording(tmp_path / "session").streams["CoilToTracker"].rows
-    assert rows.time.size > 30
-    assert rows.arclength.min() == pytest.approx(0.68, abs=1e-3)
-    np.testing.assert_allclose(rows.values[:, 0, 3], 0.7, atol=1e-6)
+    streams = load_recording(tmp_path / "session").streams
+    for name, lowest in (("inner", 0.68), ("outer", 0.49)):
+        rows = streams[name].rows
+        assert rows.time.size > 30
+        assert rows.arclength.min() == pytest.approx(lowest, abs=1e-3)
+        np.testing.assert_allclose(rows.values[:, 0, 3], 0.7, atol=1e-6)

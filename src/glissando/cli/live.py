@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.live import Live as Line
 from rich.text import Text
 
-from glissando.cli.record import add_slide, slide_path
+from glissando.cli.record import add_slide, further_paths, slide_path
 from glissando.cli.shared import Commands, add_command, require_writable
 from glissando.errors import GlissandoError
 from glissando.hardware.capture import Rig, load_rig, simulated_rig
@@ -102,7 +102,7 @@ def _run(options: argparse.Namespace, devices: ExitStack) -> int:
     session = LiveSession(
         robot,
         [
-            RigSource(rigs[text], robot, slide_path(options, rigs[text]))
+            _rig_source(rigs[text], robot, options)
             if text in rigs
             else source_of(text, robot, placements)
             for text in options.source
@@ -132,6 +132,11 @@ def _run(options: argparse.Namespace, devices: ExitStack) -> int:
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
     raise KeyboardInterrupt
+
+
+def _rig_source(rig: Rig, robot: Robot, options: argparse.Namespace) -> RigSource:
+    paths = slide_path(options, rig), further_paths(options, rig)
+    return RigSource(rig, robot, paths[0], further=paths[1])
 
 
 def _is_rig(text: str) -> bool:

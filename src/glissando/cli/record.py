@@ -18,6 +18,7 @@ from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_command, findings_in, require_writable, warn
 from glissando.errors import DeviceError, GlissandoError
 from glissando.hardware.capture import (
+    FurtherStage,
     Progress,
     Rig,
     capture,
@@ -109,7 +110,8 @@ def _record(options: argparse.Namespace) -> int:
                 view = live_estimate(rig, BrowserView, follow)
                 address, on_message = stack.enter_context(view)
                 print(f"Look at {address}", file=sys.stderr)
-            _capture_shown(rig, path, options.out, on_message)
+            further = further_paths(options, rig)
+            _capture_shown(rig, path, further, options.out, on_message)
             status = 0
         except KeyboardInterrupt:
             print("Stopped; what was recorded is kept.")
@@ -122,9 +124,20 @@ def _record(options: argparse.Namespace) -> int:
     return status
 
 
-def slide_path(options: argparse.Namespace, rig: Rig) -> SlidePath:
-    """The slide's path as asked for, within the stage's limits. Raises GlissandoError."""
-    stage = rig.stage
+def further_paths(options: argparse.Namespace, rig: Rig) -> dict[str, SlidePath]:
+    """Paths of the rig's further stages, of the kind asked for, each in its own stroke."""
+    return {one.name: slide_path(options, rig, one) for one in rig.further}
+
+
+def slide_path(
+    options: argparse.Namespace, rig: Rig, further: FurtherStage | None = None
+) -> SlidePath:
+    """A stage's path as asked for, within its limits; the first's unless a further one is given.
+
+    Raises:
+        GlissandoError: There is no such path.
+    """
+    stage, name = (further.stage, further.name) if further else (rig.stage, "")
     limits = _limits(stage) if stage else SlideLimits(1.0, 1.0, 1.0)
     if options.slide == "hold" or stage is None:
         return SlidePath.hold(0.0, options.duration or 15.0, limits)
@@ -138,7 +151,7 @@ def slide_path(options: argparse.Namespace, rig: Rig) -> SlidePath:
             f"There is no slide named {options.slide!r} and no such file; give oscillate, "
             f"calibrate, hold or a CSV file."
         )
-    drawn_out = next((c.arclength for c in rig.coils if c.slides), None)
+    drawn_out = next((c.arclength for c in rig.coils if c.slides and c.slide == name), None)
     return read_slide(Path(options.slide), limits, drawn_out)
 
 
@@ -146,7 +159,13 @@ def _limits(stage: Stage | GcodeStage) -> SlideLimits:
     return SlideLimits(stage.stroke[1], stage.speed, stage.acceleration)
 
 
-def _capture_shown(rig: Rig, path: SlidePath, folder: Path, on_message: OnMessage | None) -> None:
+def _capture_shown(
+    rig: Rig,
+    path: SlidePath,
+    further: dict[str, SlidePath],
+    folder: Path,
+    on_message: OnMessage | None,
+) -> None:
     """Run the experiment while stderr shows a live table, or lines where it is no terminal."""
     console = Console(stderr=True)
     if not console.is_terminal:
@@ -156,7 +175,7 @@ def _capture_shown(rig: Rig, path: SlidePath, folder: Path, on_message: OnMessag
                 into, count = time.monotonic() - progress.began, sum(progress.count.values())
                 work.update(into, progress.total, f"{count:,} messages")
 
-            capture(rig, path, folder, on_progress=line, on_message=on_message)
+            capture(rig, path, folder, further=further, on_progress=line, on_message=on_message)
         return
     with Live(console=console, auto_refresh=False, transient=True) as live:
         shown = 0.0
@@ -167,7 +186,7 @@ def _capture_shown(rig: Rig, path: SlidePath, folder: Path, on_message: OnMessag
                 live.update(_table(progress), refresh=True)
                 shown = time.monotonic()
 
-        capture(rig, path, folder, on_progress=refresh, on_message=on_message)
+        capture(rig, path, folder, further=further, on_progress=refresh, on_message=on_message)
 
 
 def _table(progress: Progress) -> Table:

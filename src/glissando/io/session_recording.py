@@ -97,10 +97,13 @@ def session_streams(session: RawSession, setup: Mapping[str, Any]) -> SessionStr
         warnings.extend(gaps)
         return time, poses
 
-    for name, (place, direction) in _coils(session, table).items():
+    for name, (place, direction, moved_by) in _coils(session, table).items():
         time, poses = seen("tracker", name)
         if time.size:
-            arclength = place + direction * np.interp(time, slide_time, travel)
+            moved = slide_time, travel
+            if moved_by:
+                moved = _travels(session, moved_by)
+            arclength = place + direction * np.interp(time, *moved)
             arclength = np.clip(arclength, 0.0, length)
             rows = Rows("coil", time - zero, arclength, poses, {})
             streams.append(Stream(name, rows, frame="tracker"))
@@ -119,12 +122,24 @@ def session_streams(session: RawSession, setup: Mapping[str, Any]) -> SessionStr
     return SessionStreams(table.text("name", "session"), robot, streams, pose, warnings)
 
 
-def _coils(session: RawSession, setup: Table) -> dict[str, tuple[float, float]]:
-    """Arclength at travel zero of each coil, m, and its change with travel: −1, 0 or 1."""
+def _travels(session: RawSession, name: str) -> tuple[Array, Array]:
+    """Times and travels of a further stage. Raises RecordingError when it has none."""
+    topic = session.topics.get(f"/slide/{name}")
+    if topic is None or not topic.messages:
+        raise RecordingError(f"The session holds no travel of the stage {name!r}; record again.")
+    return topic.column("time"), topic.column("travel")
+
+
+def _coils(session: RawSession, setup: Table) -> dict[str, tuple[float, float, str]]:
+    """Each coil's arclength at travel zero, m, its change with travel (−1, 0, 1), its stage."""
     given = dict(setup.named_tables("coils"))
     if given:
         return {
-            name: (coil.number("arclength", positive=False), -1.0 if coil.flag("slides") else 0.0)
+            name: (
+                coil.number("arclength", positive=False),
+                -1.0 if coil.flag("slides") else 0.0,
+                coil.text("slide", ""),
+            )
             for name, coil in given.items()
         }
     names = [t.removeprefix("/tracker/") for t in session.topics if t.startswith("/tracker/")]
@@ -132,7 +147,7 @@ def _coils(session: RawSession, setup: Table) -> dict[str, tuple[float, float]]:
     if not name:
         return {}
     direction = setup.number("direction", -1.0, positive=False)
-    return {name: (setup.number("coil_arclength", positive=False), direction or -1.0)}
+    return {name: (setup.number("coil_arclength", positive=False), direction or -1.0, "")}
 
 
 def _poses(topic: Topic | None, span: tuple[float, float]) -> tuple[Array, Array]:

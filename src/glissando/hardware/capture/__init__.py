@@ -2,9 +2,10 @@
 
 from glissando.hardware.capture.capture import Progress, capture
 from glissando.hardware.capture.folder import write_recording
-from glissando.hardware.capture.setup import Body, Coil, Rig, load_rig
+from glissando.hardware.capture.setup import Body, Coil, FurtherStage, Rig, load_rig
 from glissando.hardware.capture.simulated import simulated_rig
 
 __all__ = [
-    "Body", "Coil", "Progress", "Rig", "capture", "load_rig", "simulated_rig", "write_recording",
+    "Body", "Coil", "FurtherStage", "Progress", "Rig", "capture", "load_rig", "simulated_rig",
+    "write_recording",
 ]  # fmt: skip

@@ -11,7 +11,7 @@ import json
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -23,8 +23,14 @@ from glissando.errors import DeviceError
 from glissando.geometry.se3 import Array
 from glissando.hardware.capture.online import OnMessage
 from glissando.hardware.capture.remote_tracker import remote_tracker
-from glissando.hardware.capture.setup import Coil, Rig, pose_entries
-from glissando.hardware.drivers import SlideReading, Tracker, ViconStream, opened_stage
+from glissando.hardware.capture.setup import (
+    Coil,
+    FurtherStage,
+    Rig,
+    pose_entries,
+    slide_topic,
+)
+from glissando.hardware.drivers import LinearStage, SlideReading, Tracker, ViconStream, opened_stage
 from glissando.hardware.drivers.aurora_setup import Tool
 from glissando.hardware.openigtlink.tracker import IgtlTracker
 from glissando.io.session_log import INTEGER, NUMBER, SessionWriter, numbers, schema
@@ -74,6 +80,7 @@ def capture(
     path: SlidePath,
     folder: Path,
     *,
+    further: Mapping[str, SlidePath] | None = None,
     on_progress: OnProgress | None = None,
     on_message: OnMessage | None = None,
 ) -> Progress:
@@ -83,6 +90,7 @@ def capture(
         rig: The devices.
         path: What the slide follows.
         folder: New folder for the log.
+        further: Paths of the rig's further stages by name; by default the same as the first.
         on_progress: Shows the progress, from the caller's thread.
         on_message: Takes each message after it is logged, from the devices' threads.
 
@@ -107,6 +115,10 @@ def capture(
         if rig.mocap is not None:
             mocap = stack.enter_context(ViconStream(rig.mocap, timeout=_PATIENCE))
             steps.append(lambda: _log_mocap(mocap, rig, log))
+        for one in rig.further:
+            driven = _Driven(one, (further or {}).get(one.name, path), log)
+            stack.callback(driven.close)
+            steps.append(driven)
         threads = [threading.Thread(target=_repeat, args=(s, over, failures)) for s in steps]
         stack.callback(_finish, over, threads)
         for thread in threads:
@@ -172,15 +184,44 @@ def _experiment(rig: Rig, path: SlidePath, log: _Log) -> Iterator[None]:
         yield from _wait(path.duration)
         return
     with opened_stage(rig.slide, rig.stage) as slide:
-        if rig.standing is None:
-            slide.home_at_stop()
-        else:
-            slide.home_here(rig.standing)
+        _home(slide, rig.standing)
         times = np.append(np.arange(0.0, path.duration, _PATH_STEP), path.duration)
         for reading in slide.follow(times, path.at(times)):
-            _log_slide(reading, log)
+            _log_slide(reading, log, "")
             yield
         progress.problems.update({f"slide {k}": str(n) for k, n in slide.counts.items() if n})
+
+
+def _home(slide: LinearStage, standing: float | None) -> None:
+    if standing is None:
+        slide.home_at_stop()
+    else:
+        slide.home_here(standing)
+
+
+class _Driven:
+    """A further stage on its path: each call logs its next reading; it is opened by the first."""
+
+    def __init__(self, one: FurtherStage, path: SlidePath, log: _Log) -> None:
+        self._name, self._log = one.name, log
+        self._readings = self._follow(one, path)
+
+    def __call__(self) -> None:
+        _log_slide(next(self._readings), self._log, self._name)
+
+    def close(self) -> None:
+        """Stand still."""
+        self._readings.close()
+
+    @staticmethod
+    def _follow(one: FurtherStage, path: SlidePath) -> Generator[SlideReading, None, None]:
+        with opened_stage(one.address, one.stage) as slide:
+            _home(slide, one.standing)
+            times = np.append(np.arange(0.0, path.duration, _PATH_STEP), path.duration)
+            yield from slide.follow(times, path.at(times))
+            while True:  # the first may still move
+                yield slide.read()
+                time.sleep(_PATH_STEP)
 
 
 def _wait(seconds: float) -> Iterator[None]:
@@ -190,11 +231,11 @@ def _wait(seconds: float) -> Iterator[None]:
         yield
 
 
-def _log_slide(reading: SlideReading, log: _Log) -> None:
+def _log_slide(reading: SlideReading, log: _Log, name: str) -> None:
     text = f"{1e3 * reading.travel:.1f} mm, {1e3 * reading.speed:+.1f} mm/s"
     place = {"travel": reading.travel, "speed": reading.speed}
     message = {"time": reading.time, "tick": reading.servo_time, **place}
-    log.write("/slide", _SLIDE, message, reading.time, text)
+    log.write(slide_topic(name), _SLIDE, message, reading.time, text)
 
 
 def _name_by_handle(tools: Sequence[Tool], coils: tuple[Coil, ...]) -> dict[int, str]:

@@ -89,15 +89,17 @@ def _estimate(rig: Rig, open_view: Any, show: Any, messages: Any, address: Any) 
     smoother = FixedLagSmoother(
         robot.prior, robot.arclength_nodes, sensor_parameters=robot.sensor_parameters
     )
-    step, due, travel = 1.0 / robot.time_rate, -np.inf, np.zeros(1)
+    step, due, travel = 1.0 / robot.time_rate, -np.inf, dict[str, Array]()
     with open_view(np.linspace(0.0, robot.length, _POINTS)) as view:
         address.put(view.address)
         while (item := messages.get()) is not None:
             topic, message = item
-            if topic == "/slide":
-                travel = np.array([message["travel"]])
+            if topic.startswith("/slide"):
+                travel[topic] = np.array([message["travel"]])
             elif topic in coils and message["position"] is not None:
-                smoother.add(_reading(rig, robot, coils[topic], message, travel))
+                coil = coils[topic]
+                place = travel.get(coil.slide_topic, np.zeros(1))
+                smoother.add(_reading(rig, robot, coil, message, place))
                 if message["time"] >= due and messages.empty():  # else catch up first
                     smoother.advance(message["time"])
                     due = message["time"] + step

@@ -31,6 +31,7 @@ class Coil:
         slides: Whether the slide's travel reduces its arclength.
         serial: Serial number that identifies it; without one, coils are taken in plug order.
         arclength_std: Standard deviation of `arclength`, m.
+        slide: Name of the further stage that moves it; empty for the first.
     """
 
     name: str
@@ -38,10 +39,31 @@ class Coil:
     slides: bool = True
     serial: str = ""
     arclength_std: float = _ARCLENGTH_STD
+    slide: str = ""
+
+    @property
+    def slide_topic(self) -> str:
+        """The topic of the stage that moves it."""
+        return slide_topic(self.slide)
 
     def arclengths(self, travel: Array) -> Array:
         """Arclengths (M,) m at travels (M,) m of the slide."""
         return self.arclength - travel if self.slides else np.full(travel.shape, self.arclength)
+
+
+def slide_topic(name: str) -> str:
+    """The topic of a stage's readings in a session log; the first stage has no name."""
+    return f"/slide/{name}" if name else "/slide"
+
+
+@dataclass(frozen=True)
+class FurtherStage:
+    """A stage beside the first: its name, address and settings, and where it stands at first."""
+
+    name: str
+    address: str
+    stage: Stage | GcodeStage
+    standing: float | None = None
 
 
 @dataclass(frozen=True)
@@ -69,6 +91,7 @@ class Rig:
         bodies: Objects of motion capture.
         baud: Rate of the tracker's serial line.
         frame: T_world,tracker (4, 4), as far as it is known.
+        further: Stages beside the first, each with coils of its own.
     """
 
     name: str
@@ -82,6 +105,7 @@ class Rig:
     bodies: tuple[Body, ...] = ()
     baud: int = _BAUD
     frame: Array = field(default_factory=lambda: np.eye(4))
+    further: tuple[FurtherStage, ...] = ()
 
     def described(self) -> dict[str, Any]:
         """What a session log states about the rig, in JSON's types."""
@@ -91,7 +115,10 @@ class Rig:
         return {
             "name": self.name,
             "robot": robot,
-            "coils": {c.name: {"arclength": c.arclength, "slides": c.slides} for c in self.coils},
+            "coils": {
+                c.name: {"arclength": c.arclength, "slides": c.slides, "slide": c.slide}
+                for c in self.coils
+            },
             "coil_arclength": sliding.arclength if sliding else None,
             "coil_arclength_std": sliding.arclength_std if sliding else None,
             "direction": -1,
@@ -124,10 +151,11 @@ def load_rig(path: str | Path) -> Rig:
     robot = str(beside) if beside.is_file() else robot
     length = load_robot(robot_file(robot)).length
     tracker, slide, mocap = (table.table(key) for key in ("tracker", "slide", "mocap"))
+    further = tuple(_further(entry) for entry in table.tables("slides"))
     table.close()
     if tracker is None and mocap is None:
         raise DeviceError(f"{path.name}: nothing to record; add [tracker], [mocap] or both.")
-    devices: dict[str, Any] = {}
+    devices: dict[str, Any] = {"further": further}
     if tracker:
         devices |= {"frame": tracker.pose(), "tracker": tracker.text("address")}
         devices |= {"baud": int(tracker.number("baud", _BAUD))}
@@ -138,7 +166,21 @@ def load_rig(path: str | Path) -> Rig:
         devices |= {"mocap": int(mocap.number("port", _PORT))}
         devices |= {"bodies": tuple(_body(entry, length) for entry in mocap.tables("bodies"))}
         mocap.close()
+    known = {"", *(one.name for one in further)}
+    for coil in devices.get("coils", ()):
+        if coil.slide not in known:
+            raise DeviceError(
+                f"{path.name}: coil {coil.name} is moved by {coil.slide!r}; name one of [[slides]]."
+            )
     return Rig(name, robot, **devices)
+
+
+def _further(table: Table) -> FurtherStage:
+    name = table.text("name")
+    if not name.isidentifier():
+        raise table.fail("name", f"is {name!r}; give letters, digits and underscores.")
+    parts = _slide(table)
+    return FurtherStage(name, parts["slide"], parts["stage"], parts["standing"])
 
 
 def _coils(table: Table, length: float) -> tuple[Coil, ...]:
@@ -147,7 +189,8 @@ def _coils(table: Table, length: float) -> tuple[Coil, ...]:
         name, arclength = entry.text("name"), _arclength(entry, length)
         slides, serial = not entry.flag("fixed"), entry.text("serial", "")
         std = entry.number("arclength_std", _ARCLENGTH_STD)
-        coils.append(Coil(name, arclength, slides, serial, std))
+        slide = entry.text("slide", "")
+        coils.append(Coil(name, arclength, slides, serial, std, slide))
         entry.close()
     table.close()
     if not coils:

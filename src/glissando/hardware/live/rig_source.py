@@ -11,6 +11,7 @@ import os
 import queue
 import signal
 from collections import Counter
+from collections.abc import Mapping
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -39,6 +40,7 @@ class RigSource:
         robot: The robot, which states the noise of coils.
         path: What the slide follows from the beginning; the source finishes at its end.
         folder: New folder for the session log; a temporary one unless given.
+        further: Paths of the rig's further stages by name.
 
     Attributes:
         counts: Messages 'heard', coils 'not seen'.
@@ -49,11 +51,20 @@ class RigSource:
 
     first: float | None = None
 
-    def __init__(self, rig: Rig, robot: Robot, path: SlidePath, folder: Path | None = None) -> None:
+    def __init__(
+        self,
+        rig: Rig,
+        robot: Robot,
+        path: SlidePath,
+        folder: Path | None = None,
+        *,
+        further: Mapping[str, SlidePath] | None = None,
+    ) -> None:
         self.name, self.counts = f"rig {rig.name}", Counter[str]()
-        self._rig, self._robot, self._path, self._folder = rig, robot, path, folder
+        self._rig, self._robot, self._folder = rig, robot, folder
+        self._paths = path, dict(further or {})
         self._coils = {f"/tracker/{coil.name}": coil for coil in rig.coils}
-        self._travel, self.finished = 0.0, False
+        self._travel, self.finished = dict[str, float](), False
         self._stack = ExitStack()
 
     def __enter__(self) -> Self:
@@ -61,7 +72,7 @@ class RigSource:
             self._folder = Path(self._stack.enter_context(TemporaryDirectory())) / "session"
         context = multiprocessing.get_context("spawn")
         self._messages = context.Queue()
-        arguments = self._rig, self._path, self._folder, self._messages
+        arguments = self._rig, self._paths, self._folder, self._messages
         self._process = context.Process(target=_capture, args=arguments)
         self._process.start()
         return self
@@ -103,8 +114,8 @@ class RigSource:
                 break
             topic, message = item
             self.counts["heard"] += 1
-            if topic == "/slide":
-                self._travel = message["travel"]
+            if topic.startswith("/slide"):
+                self._travel[topic] = message["travel"]
             elif topic in self._coils:
                 if message["position"] is None:
                     self.counts["not seen"] += 1
@@ -116,18 +127,23 @@ class RigSource:
         pose = np.eye(4)
         pose[:3, :3] = se3.rotation_from_quaternion(np.array(message["quaternion"]))
         pose[:3, 3] = message["position"]
-        place = float(coil.arclengths(np.array([self._travel]))[0])
+        place = float(coil.arclengths(np.array([self._travel.get(coil.slide_topic, 0.0)]))[0])
         place = float(np.clip(place, 0.0, self._robot.length))
         time = clock.of_monotonic(message["time"])
         return reading(self._robot, "coil", coil.name, time, place, self._rig.frame @ pose)
 
 
-def _capture(rig: Rig, path: SlidePath, folder: Path, messages: Any) -> None:
+def _capture(
+    rig: Rig, paths: tuple[SlidePath, dict[str, SlidePath]], folder: Path, messages: Any
+) -> None:
     """Run the experiment, pass on its messages, and then how it ended."""
     end: DeviceError | None = None
     with suppress(KeyboardInterrupt):
         try:
-            capture(rig, path, folder, on_message=lambda *message: messages.put(message))
+            capture(
+                rig, paths[0], folder, further=paths[1],
+                on_message=lambda *message: messages.put(message),
+            )  # fmt: skip
         except DeviceError as problem:
             end = DeviceError(str(problem))  # its subclasses may not survive pickling
     if end is not None:
