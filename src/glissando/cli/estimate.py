@@ -18,9 +18,11 @@ from glissando.cli.shared import (
     Commands,
     add_choices,
     add_command,
-    chosen_robot,
     estimate_watched,
+    parameter_text,
+    recording_and_robot,
     require_writable,
+    site_table,
 )
 from glissando.errors import GlissandoError
 from glissando.estimation.loads import require_mechanics
@@ -30,7 +32,7 @@ from glissando.evaluation.run import Run, checked_window, write_run
 from glissando.geometry.se3 import Array
 from glissando.io.atomic_folder import renewed_folder
 from glissando.io.query_csv import read_query, write_query
-from glissando.io.recording import Recording, load_recording
+from glissando.io.recording import Recording
 from glissando.model.robot import Robot
 from glissando.visualization.figures import save_figures
 from glissando.visualization.film import save_animation
@@ -75,8 +77,7 @@ def add_to(commands: Commands) -> None:
 
 
 def _estimate(options: argparse.Namespace) -> int:
-    recording = load_recording(options.recording)
-    robot = chosen_robot(recording, options.robot)
+    recording, robot = recording_and_robot(options)
     if options.loads:
         require_mechanics(robot.prior)
     query = _checked_query(options, recording, robot) if options.query else None
@@ -104,8 +105,8 @@ def _estimate(options: argparse.Namespace) -> int:
 
 _SHOWN = 5  # times of readings that were not used
 _COLUMNS = (  # heading, key of the summary, scale, format
-    ("position RMSE (mm)", "position_rmse", 1e3, "{:.2f}"),
-    ("rotation RMSE (deg)", "rotation_rmse", 180.0 / np.pi, "{:.2f}"),
+    ("position (mm)", "position_rmse", 1e3, "{:.2f}"),
+    ("rotation (deg)", "rotation_rmse", 180.0 / np.pi, "{:.2f}"),
     ("NEES / dof", "nees_position", 1.0, "{:.2f}"),
     ("inside 95 %", "coverage95_position", 100.0, "{:.1f} %"),
 )
@@ -131,15 +132,14 @@ def _print(run: Run, console: Console) -> None:
             f"others refute: at {shown} s"
         )
     for parameter in run.sensor_parameters():
-        pairs = zip(parameter["value"], parameter["std"], strict=True)
-        numbers = ", ".join(f"{value:.3g} ± {std:.2g}" for value, std in pairs)
-        console.print(f"  {escape(parameter['name'])} ({parameter['kind']}): {numbers}")
+        kind = parameter["kind"]
+        text = parameter_text(kind, parameter["value"], parameter["std"])
+        console.print(f"  {escape(parameter['name'])} ({kind}): {text}")
     if not run.errors:
         console.print("No truth streams: nothing to compare with. Name some with --truth.")
         return
-    table = Table("site", title="Error against truth, and whether its confidence is true")
-    for heading in ("arclength (m)", "samples", *(column[0] for column in _COLUMNS)):
-        table.add_column(heading, justify="right")
+    headings = ("s (m)", "samples", *(column[0] for column in _COLUMNS))
+    table = site_table("RMSE against truth, and whether its confidence is true", headings)
     for errors in run.errors:
         _add_row(table, errors, f"{np.mean(errors.arclength):.4f}")
     table.add_section()

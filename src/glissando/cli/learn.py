@@ -16,10 +16,11 @@ from glissando.calibration.robot.joint_calibration import lasting, locate
 from glissando.calibration.robot.learn import Learned, RecordingCase, learn
 from glissando.cli.learn_tendons import learn_from_tendons
 from glissando.cli.progress import working
-from glissando.cli.shared import Commands, add_command, names, write_robot
+from glissando.cli.shared import Commands, add_command, names, parameter_text, write_robot
 from glissando.errors import GlissandoError, RecordingError
 from glissando.evaluation.metrics import pool
 from glissando.evaluation.run import checked_window, run_estimate
+from glissando.geometry.se3 import Array
 from glissando.io.recording import Recording, load_recording
 from glissando.io.robot_file import load_robot, parse_robot, read_robot_document
 from glissando.io.shipped_robots import robot_file
@@ -101,11 +102,14 @@ def _learn(options: argparse.Namespace) -> int:
             f"{'; '.join(p.label for p in everything)}."
         )
     constants: tuple[SensorParameter, ...] = ()
+    std: dict[str, Array] = {}
     with working("learning") as work:
         if options.joint:
             work.begin("finding frames and mounts")
             first = cases[0]
-            document, constants = locate(document, recordings[0], first.window, first.use, truth)
+            document, constants, std = locate(
+                document, recordings[0], first.window, first.use, truth
+            )
             work.begin("learning")
         result = learn(
             document,
@@ -130,7 +134,7 @@ def _learn(options: argparse.Namespace) -> int:
     if options.json:
         print(json.dumps(report))
     else:
-        _print(result, report)
+        _print(result, report, std)
     return 0
 
 
@@ -206,7 +210,12 @@ def _as_json(result: Learned, out: Path) -> dict[str, Any]:
     }
 
 
-def _print(result: Learned, report: dict[str, Any]) -> None:
+def _parameters_of(document: Document) -> tuple[SensorParameter, ...]:
+    """The sensor parameters of a robot file."""
+    return parse_robot(Table(document, "learned", GlissandoError)).sensor_parameters
+
+
+def _print(result: Learned, report: dict[str, Any], std: dict[str, Array]) -> None:
     console = Console()
     table = Grid(title="What was learned", title_justify="left")
     table.add_column("number")
@@ -216,8 +225,14 @@ def _print(result: Learned, report: dict[str, Any]) -> None:
         within = "–" if p["log_std"] is None else f"× {math.exp(min(p['log_std'], 20.0)):.3g}"
         table.add_row(p["name"], f"{p['value']:.4g}", f"{p['factor']:.3g}", within)
     console.print(table)
-    for c in result.after.constants:
-        console.print(f"  {c.name}: " + ", ".join(f"{v:.4g}" for v in c.value), markup=False)
+    found = [
+        *result.after.constants,
+        *(p for p in _parameters_of(result.document) if p.name in std),
+    ]
+    for c in found:
+        text = parameter_text(c.kind, c.value.tolist(), std.get(c.name, 0.0 * c.value).tolist())
+        left = " (of this recording, not written)" if c.kind == "time_offset" else ""
+        console.print(f"  {c.name} ({c.kind}): {text}{left}", markup=False)
     console.print(
         f"{result.steps} steps; log-likelihood a degree of freedom {result.before.value:.4f} → "
         f"{result.after.value:.4f} ({result.before.samples:,} of them)"

@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
 
 from glissando.cli.progress import working
 from glissando.cli.shared import (
     Commands,
     add_choices,
     add_command,
-    chosen_robot,
+    recording_and_robot,
     require_writable,
+    site_table,
 )
 from glissando.errors import GlissandoError
 from glissando.estimation.fixed_lag import FixedLagSmoother
@@ -28,7 +28,6 @@ from glissando.evaluation.replay import Replay, replay
 from glissando.io.atomic_file import write_text
 from glissando.io.atomic_folder import renewed_folder
 from glissando.io.query_csv import write_states
-from glissando.io.recording import load_recording
 from glissando.model.robot import Robot
 from glissando.visualization.canvas import save_figure
 from glissando.visualization.evaluation_figures import replay_figure
@@ -75,8 +74,7 @@ def add_to(commands: Commands) -> None:
 def _replay(options: argparse.Namespace) -> int:
     if options.lag is not None and not (np.isfinite(options.lag) and options.lag >= 0.0):
         raise GlissandoError(f"--lag is {options.lag:g} s; give seconds, 0 or more.")
-    recording = load_recording(options.recording)
-    robot = chosen_robot(recording, options.robot)
+    recording, robot = recording_and_robot(options)
     if options.out:
         require_writable(options.out)
         if (options.out / "replay.json").exists():
@@ -150,10 +148,8 @@ def _print(result: Replay, console: Console) -> None:
     if report["newest"] is None:
         console.print("No truth streams: nothing to compare with. Name some with --truth.")
         return
-    table = Table("site", title="RMSE against truth: the newest states, and those that leave")
-    headings = ("newest (mm)", "(deg)", "inside 95 %", "lagged (mm)", "(deg)", "inside 95 %")
-    for heading in headings:
-        table.add_column(heading, justify="right")
+    headings = ("newest (mm)", "(deg)", "in 95 %", "lagged (mm)", "(deg)", "in 95 %")
+    table = site_table("RMSE against truth: the newest states, and those that leave", headings)
     for name in [*(e.name for e in result.newest), ""]:
         cells = [_cells(report[kind], name) for kind in ("newest", "lagged")]
         if not name:

@@ -13,6 +13,8 @@ from typing import Any, TypeAlias
 
 import numpy as np
 import tomli_w
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
 
 from glissando.cli.commands import COMMANDS
 from glissando.cli.progress import working
@@ -214,6 +216,47 @@ def _start(options: argparse.Namespace) -> Posterior | None:
     """The earlier estimate to start from, if the command has that option and it is given."""
     path = getattr(options, "start", None)
     return None if path is None else load_posterior(path)
+
+
+def recording_and_robot(options: argparse.Namespace) -> tuple[Recording, Robot]:
+    """The recording of `options.recording`, and its robot or the one that was asked for."""
+    recording = load_recording(options.recording)
+    return recording, chosen_robot(recording, options.robot)
+
+
+def site_table(title: str, headings: Sequence[str]) -> Table:
+    """A table with a row a site, which 80 columns hold."""
+    table = Table(
+        title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False, collapse_padding=True
+    )
+    table.add_column("site", no_wrap=True)
+    for heading in headings:
+        table.add_column(heading, justify="right")
+    return table
+
+
+def parameter_text(kind: str, value: Sequence[float], std: Sequence[float]) -> str:
+    """Values of a sensor parameter with their deviations and units; known ones have none.
+
+    >>> parameter_text("time_offset", [0.012], [0.0003])
+    '12 ± 0.3 ms'
+    """
+    parts = _PARAMETER_UNITS.get(kind, (("", 1.0, len(value)),))
+    out, at = [], 0
+    for unit, size, count in parts:
+        pairs = zip(value[at : at + count], std[at : at + count], strict=True)
+        numbers = [f"{size * v:.4g}" + (f" ± {size * s:.2g}" if s else "") for v, s in pairs]
+        out.append(f"{', '.join(numbers)} {unit}".rstrip())
+        at += count
+    return "; ".join(out)
+
+
+_PARAMETER_UNITS = {
+    "frame": (("mm", 1e3, 3), ("mrad", 1e3, 3)),
+    "mount": (("mm", 1e3, 3), ("mrad", 1e3, 3)),
+    "arclength_offset": (("mm", 1e3, 1),),
+    "time_offset": (("ms", 1e3, 1),),
+}
 
 
 def require_writable(folder: Path) -> None:

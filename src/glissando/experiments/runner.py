@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+import threading
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -132,12 +134,13 @@ def cluster(address: str | None = None, workers: int | None = None) -> Iterator[
     with ExitStack() as stack:
         if address is None:
             # 50: of logging's levels the one that nothing reaches; errors are in the rows
-            local = LocalCluster(
-                n_workers=workers,
-                threads_per_worker=1,
-                dashboard_address="127.0.0.1:0",
-                silence_logs=50,
-            )
+            with _left_to_us():
+                local = LocalCluster(
+                    n_workers=workers,
+                    threads_per_worker=1,
+                    dashboard_address="127.0.0.1:0",
+                    silence_logs=50,
+                )
             client = stack.enter_context(Client(stack.enter_context(local)))
         else:
             try:
@@ -148,6 +151,19 @@ def cluster(address: str | None = None, workers: int | None = None) -> Iterator[
                 ) from None
         _require_workers(client)
         yield client
+
+
+@contextmanager
+def _left_to_us() -> Iterator[None]:
+    """Let processes that begin inside ignore Ctrl-C: this one hears it, and ends them."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _require_workers(client: distributed.Client) -> None:

@@ -112,8 +112,9 @@ def read_public(path: Path) -> tuple[Rows, bool]:
     head = [part.strip() for part in lines[0].split(",")] if lines else []
     if len(head) < 2 or not head[0].lower().startswith("sensor type"):
         raise RecordingError(
-            f"{path.name} line 1: the header has no sensor type; begin the file with "
-            f"'sensor type:,aurora' (or gyro, vicon), or describe it in a recording.toml."
+            f"{path.name} line 1: the header has no sensor type, as those of the public recordings "
+            f"have. Name the folder's streams and their kinds in a recording.toml, see "
+            f"docs/recordings.md, or bring files of other programs in with glissando import."
         )
     if head[1].lower() not in _PUBLIC_KINDS:
         raise RecordingError(

@@ -21,6 +21,8 @@ from glissando.calibration.robot.predictive import (
     quiet_estimate,
 )
 from glissando.errors import GlissandoError
+from glissando.estimation.posterior import Posterior
+from glissando.geometry.se3 import Array
 from glissando.io.recording import Recording
 from glissando.io.robot_file import parse_robot
 from glissando.io.toml_table import Table
@@ -40,7 +42,7 @@ def locate(
     window: tuple[float, float],
     use: Sequence[str],
     truth: Sequence[str],
-) -> tuple[Document, tuple[SensorParameter, ...]]:
+) -> tuple[Document, tuple[SensorParameter, ...], dict[str, Array]]:
     """Estimate the constants of sensors and truth together with the shape.
 
     Args:
@@ -52,7 +54,8 @@ def locate(
             that the robot file states for such a sensor.
 
     Returns:
-        The robot file with its sensors' constants known, and the truth's constants as known.
+        The robot file with its sensors' constants known, the truth's constants as known, and the
+        standard deviations of all that was found, by name.
     """
     robot = parse_robot(Table(document, "located", GlissandoError))
     sensors, bodies = (recording.readings(names, robot, window)[0] for names in (use, truth))
@@ -77,7 +80,15 @@ def locate(
         if constant and not parameter.known:
             entry["value"] = estimated(parameter).value.tolist()
             del entry["std"]
-    return known, tuple(map(estimated, constants))
+    found = [p for p in parameters if not p.known]
+    deviations = {p.name: _std(posterior, p.name) for p in found}
+    return known, tuple(map(estimated, constants)), deviations
+
+
+def _std(posterior: Posterior, name: str) -> Array:
+    """Standard deviations of a sensor parameter half-way through."""
+    _, cov = posterior.parameter(name)
+    return np.sqrt(np.diagonal(cov[len(cov) // 2]))
 
 
 def in_motion(readings: Sequence[Readings], truth: Sequence[Readings]) -> list[Readings]:
