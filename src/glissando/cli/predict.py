@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from glissando.cli.importing import number
+from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_command, names, require_writable
 from glissando.errors import GlissandoError
 from glissando.estimation.tendon_prediction import predict
@@ -57,7 +58,8 @@ def _predict(options: argparse.Namespace) -> int:
     given = [number("--arclength", place) for place in options.arclength or ()]
     places = np.unique(given) if given else robot.arclength_nodes
     time, displacement = read_tendon_commands(options.tendons, robot.tendons.names)
-    found = predict(robot, time, displacement, places)
+    with working("predicting"):
+        found = predict(robot, time, displacement, places)
     with new_folder(options.out, GlissandoError) as building:
         rows = ((np.full(places.size, t), places, found.take(k)) for k, t in enumerate(time))
         write_states(rows, building / "query.csv")
