@@ -17,8 +17,9 @@ _RATE = 25.0  # Hz at which motion is compared
 _SMOOTH = 5  # samples
 _FARTHEST = 0.3  # of the common time: the longest lag that is looked for
 _ALIKE = 0.75  # correlation of two streams' speeds that makes a lag of them
-_BETTER = 0.08  # by which it exceeds that without a lag
+_BETTER = 0.12  # by which it exceeds that without a lag
 _LEAST = 0.15  # s
+_AGREE = 3  # other streams, where there are so many, with which a stream has a known lag
 _TRAVEL = 5e-3  # m: beyond, a sensor moves by itself
 
 
@@ -59,7 +60,8 @@ def _reported(
     known: NDArray[np.bool_],
     is_truth: NDArray[np.bool_],
 ) -> Iterator[Finding]:
-    off = (np.abs(late) > _LEAST) & known.any(axis=1)
+    agreed = known.sum(axis=1) >= np.minimum(_AGREE, len(signals) - 1)
+    off = (np.abs(late) > _LEAST) & agreed
     if off[is_truth].sum() > 1 and off[is_truth].mean() > 0.6:
         value = float(np.median(late[is_truth]))
         names = tuple(r.label for (r, _), t in zip(signals, is_truth, strict=True) if t)

@@ -10,17 +10,18 @@ import numpy as np
 from glissando.evaluation.plausibility.corrections import Correction, corrections
 from glissando.evaluation.plausibility.finding import Finding, listed
 from glissando.evaluation.plausibility.session import Streams
-from glissando.evaluation.plausibility.shape import Fit, Rod, Sightings
+from glissando.evaluation.plausibility.shape import ROUNDS, Fit, Rod, Sightings
 from glissando.geometry.se3 import Array
 from glissando.model.quantiles import chi_square_exceedance
 
 _MISS = {False: 1.3, True: 2.5}  # typical miss in generous standard deviations, of few streams more
 _HUGE = 1e9  # beyond any miss of interest
 _FEWER = 3  # streams, which leave a shape to bend so that it almost fits
-_CHANCE = 1e-4  # with which a random bend is taken for a mistake
+_CHANCE = 1e-7  # with which a random bend is taken for a mistake
 _ROWS = 36  # numbers that a shape of the guard has
 _FEW = 3  # moments at which every correction is tried
 _ENOUGH = 2  # other streams that tell a shape without those that are corrected
+_CAREFUL = 48  # steps of a fit that decides
 _QUICK = 8  # steps of those fits
 _BEST = 6  # corrections that are tried at all moments
 _GROUPS = 3  # groups of streams on which corrections are tried
@@ -57,9 +58,10 @@ def check_poses(streams: Streams) -> Iterator[Finding]:
         return
     rod = Rod(streams.robot)
     _, seen = streams.moments()
-    miss, effort = _judge(rod.fit(seen), seen)
-    if miss[0].max() < 1.0 and effort[0] < 1.0:
-        return
+    for rounds in (ROUNDS, _CAREFUL):  # a strongly bent robot is found from a start nearer by
+        miss, effort = _judge(rod.fit(seen, rounds), seen)
+        if miss[0].max() < 1.0 and effort[0] < 1.0:
+            return
     yield _explained(streams, rod, seen, miss[0], float(effort[0]))
 
 

@@ -16,7 +16,7 @@ from glissando.model.grid import Grid
 from glissando.model.robot import Robot
 
 _KNOTS, _PIECES = 5, 12  # of strain along the robot, of its integration
-_ROUNDS, _COARSE = 14, 5  # steps, of which the first trust readings less
+ROUNDS, _COARSE = 14, 5  # steps, of which the first trust readings less
 _POSITION, _AXIS = 0.02, 0.12  # readings' std, of the length and rad; the model errs by less
 _BASE = np.repeat([0.01, 0.05], 3)  # the base's std, of the length and rad
 _AXES = np.stack([se3.hat3(-axis) for axis in np.eye(3)])  # of turns, on each body axis
@@ -92,14 +92,17 @@ class Rod:
             out[np.ix_(at, at)] = np.linalg.inv(std**2 * (1.0 + 1.5 * walk))
         return out
 
-    def fit(self, seen: Sightings, rounds: int = _ROUNDS) -> Fit:
+    def fit(self, seen: Sightings, rounds: int = ROUNDS) -> Fit:
         """The shapes that fit sightings best, by damped Gauss–Newton steps."""
         x = np.zeros((len(seen.place), len(self.information)))
         damping = np.full(len(x), 1e-2)
+        starts = {0: 0.2, _COARSE: 1.0}
+        if rounds > ROUNDS:  # from afar in smaller steps
+            starts = {0: 0.03, rounds // 4: 0.1, rounds // 2: 0.3, 3 * rounds // 4: 1.0}
         scale = np.array([1.0 / (_POSITION * self.length), *[1.0 / _AXIS] * 3])
         for step in range(rounds):
-            if step in (0, _COARSE):
-                weight = seen.weight * scale * (0.2 if step == 0 else 1.0)
+            if step in starts:
+                weight = seen.weight * scale * starts[step]
                 here = self._linearized(x, seen, weight)
             _, cost, gradient, hessian = here
             diagonal = np.einsum("bii->bi", hessian)[..., None] * np.eye(x.shape[1])
