@@ -29,7 +29,7 @@ from glissando.solver.normal_equations import system_shape
 
 _FINER = 4  # times as many nodes as the estimator has
 _NODES = 6  # time nodes of a session without a recording
-_READINGS = 2  # a time node, of every sensor
+_READINGS = 1  # a time node, of every sensor
 
 
 @dataclass(frozen=True)
@@ -171,7 +171,7 @@ def noisy_values(readings: Readings, at: State, rng: np.random.Generator) -> Arr
 def session_layout(robot: Robot) -> tuple[Grid, list[Readings]]:
     """A short session of the robot's own sensors, where no recording gives one.
 
-    Every kind of sensor that the robot file names reads twice a time node: a coil while it slides
+    Every kind of sensor that the robot file names reads at each time node: a coil while it slides
     over the last quarter of the body and back, others at the tip. Streams that sensor parameters
     name are spread evenly over the body, the last at the tip, and are of the kind whose name theirs
     contains, else gyroscopes if they have a bias, else the first tracker of the file.

@@ -37,7 +37,7 @@ from glissando.model.priors.rest_shape import STRAIGHT, RestShape
 from glissando.model.priors.static import static_factors
 from glissando.model.priors.stationary import chain_factors, interpolate_process, require_digits
 from glissando.model.priors.transitions import bridge, process_covariances, transition
-from glissando.model.state import State
+from glissando.model.state import POSE, STRAIN, State
 
 
 @dataclass(frozen=True)
@@ -58,6 +58,8 @@ class SeparablePrior:
     segments gives densities (S, 6), the `joints` (S−1,) between them in metres, and `jumps`
     (S−1, 6), variances of the strain's jump there; it may be curved at rest, with the strain
     `rest_strain` (S, 6) where each segment begins and its change per metre `rest_slope` (S, 6).
+    A clamped base stands where it stands, though nobody knows exactly where: with a
+    `base_time_scale` in seconds its pose is remembered for that long, and not for ℓ only.
     Source: equations (6) to (9).
     """
 
@@ -69,6 +71,7 @@ class SeparablePrior:
     joints: Array = field(default_factory=lambda: np.zeros(0))
     jumps: Array = field(default_factory=lambda: np.zeros((0, 6)))
     rest_slope: Array = field(default_factory=lambda: np.zeros(6))
+    base_time_scale: float | None = None
     kind: ClassVar[str] = "separable"
 
     @classmethod
@@ -81,6 +84,8 @@ class SeparablePrior:
         fields["base_pose"] = base.pose()
         parts = (base.vector(f"var_{part}", 6, positive=True) for part in ("pose", "strain"))
         variance = BaseVariance(*parts)
+        if base.peek("time_scale") is not None:
+            fields["base_time_scale"] = base.number("time_scale")
         base.close()
         return cls(time_scale=prior.number("time_scale"), base=variance, **fields)
 
@@ -90,6 +95,8 @@ class SeparablePrior:
         prior = {"kind": self.kind, "time_scale": float(self.time_scale)}
         base = pose_table(self.base_pose)
         base |= {f"var_{part}": variance.tolist() for part, variance in vars(self.base).items()}
+        if self.base_time_scale is not None:
+            base["time_scale"] = float(self.base_time_scale)
         rest = {key: getattr(self, key).tolist() for key in ("rest_strain", "rest_slope")}
         return {**rest, "prior": prior | segments_table(*segments, "var_jumps"), "base": base}
 
@@ -144,14 +151,17 @@ class SeparablePrior:
         Every interval, and the base, at the first time and from each of `times` to the next.
         """
         k_count, n_count = grid.shape
-        require_digits(grid, self.time_scale)
+        require_digits(grid, max(self.time_scale, self.base_time_scale or 0.0))
         node = np.arange(k_count * n_count).reshape(k_count, n_count)
         touched = slice(times.start, min(times.stop + 1, k_count))
         here, steps = node[touched], np.diff(grid.time[touched])
         local = state.take(touched)
         first = times.start == 0 and grid.before is None
         base = self._base(local)
-        yield from chain_factors(self.time_scale, first, steps, here[:, :1, None], *base)
+        if self.base_time_scale is None:
+            yield from chain_factors(self.time_scale, first, steps, here[:, :1, None], *base)
+        else:
+            yield from self._base_apart(first, steps, here[:, :1, None], *base)
         if n_count == 1:
             return
         ends = local.take(np.s_[:, :-1]), local.take(np.s_[:, 1:])
@@ -168,6 +178,16 @@ class SeparablePrior:
             np.stack(jacobians, axis=3),
             cov,
         )
+
+    def _base_apart(
+        self, first: bool, steps: Array, nodes: Index, error: Array, jacobian: Array, cov: Array
+    ) -> Iterator[Factors]:
+        """Factors of the base whose pose is remembered for longer than its strain."""
+        scales = self.base_time_scale or self.time_scale, self.time_scale
+        for scale, part in zip(scales, (POSE, STRAIN), strict=True):
+            rows = np.r_[part, part.start + 12 : part.stop + 12]
+            parts = error[..., rows], jacobian[..., rows, :, :], cov[..., part, part]
+            yield from chain_factors(scale, first, steps, nodes, *parts, paired=False)
 
     def _base(self, state: State) -> tuple[Array, Array, Array]:
         """Error [r; ṙ] (K, 1, 24) of the base, its Jacobian (K, 1, 24, 1, 24) and variance."""
@@ -244,7 +264,8 @@ class SeparablePrior:
         times, which = np.unique(k, return_inverse=True)
         there = noise_state.take(times)
         cov = np.empty((*there.strain.shape[:2], 12, 12))
-        cov[:, 0] = np.diag(np.concatenate([self.base.pose, self.base.strain]))
+        pose = np.zeros(6) if self.base_time_scale else self.base.pose  # as good as at its nodes
+        cov[:, 0] = np.diag(np.concatenate([pose, self.base.strain]))
         strain, noise = self._interval_covariances(grid, there)
         onward = transition(strain, np.broadcast_to(np.diff(grid.arclength), strain.shape[:2]))
         for i in range(grid.arclength.size - 1):
