@@ -11,7 +11,7 @@ from pathlib import Path
 
 SECTIONS = ("invariance", "shapes", "nodes", "real_slide", "outliers", "real")
 OPTIONS = {  # learning takes some minutes and leaves its file in results/
-    "real_slide": ["--robot", "tdcr466-segments", "--twist", "0.01", "--periods", "1", "2"],
+    "real_slide": ["--robot", "tdcr466-segments", "--periods", "1", "2"],
     "real": ["--learn", "results"],
 }
 

@@ -11,12 +11,12 @@ All arms are compared on the same truth: samples of bodies that no arm of the pe
 That leaves out the tip, which the fixed coil always reads, and body 3 while the swinging coil reads
 it, which is while the traversing one is far from it: it flatters the traverse. Each against the
 fixed coil where neither reads is fairer, and own truth tells what sliding away from the tip costs.
-A coil does not see roll; --twist scales the prior's variance of twist.
 Usage: real_slide.py [FOLDER of public recordings] [--recording FOLDER] [--window T0 T1]
-[--robot FILE] [--periods S …] [--twist FACTOR] [--json]
+[--robot FILE] [--periods S …] [--json]
 """
 
 import argparse
+import json
 import os
 import warnings
 from dataclasses import dataclass, replace
@@ -27,7 +27,6 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ[name] = "1"
 
 import numpy as np
-from scipy.stats import chi2
 
 from glissando import CoilReadings, NotConvergedWarning, SensorParameter, estimate, load_robot
 from glissando.evaluation.metrics import Errors, errors_against, pool
@@ -39,7 +38,7 @@ DATA = Path("../shared/data/spacetime")
 WINDOWS = [("slow_free_space", (19.0, 45.0)), ("fast_contact", (10.0, 30.0))]
 BODIES = [f"vicon{i}" for i in range(5)]
 STD = np.repeat([1e-3, np.radians(1.0)], 3)  # m, rad: motion capture, from one frame to the next
-MOUNT_STD = np.repeat([2.5e-3, np.radians(1.0)], 3)  # m, rad: where a body sits on the robot
+MOUNT_STD = np.repeat([1.5e-3, np.radians(1.0)], 3)  # m, rad: where a body sits on the robot
 SWINGS = {"fixed": (0.466, 0.466), "oscillating": (0.3495, 0.466), "traverse": (0.1165, 0.466)}
 PERIODS = (0.5, 1.0, 2.0, 4.0)
 BLOCK = 2.0  # seconds of one block of the bootstrap
@@ -106,20 +105,6 @@ def mounts(readings):
     return [SensorParameter(f"mount of {r.name}", "mount", (r.name,), zero, std) for r in readings]
 
 
-def twisting(robot, factor):
-    """The robot whose prior's variances of twist are so many times what they were."""
-    prior, scale = robot.prior, np.array([1, 1, 1, 1, 1, factor])
-    return replace(
-        robot,
-        prior=replace(
-            prior,
-            psd_strain_arclength=prior.psd_strain_arclength * scale,
-            jumps=prior.jumps * scale,
-            base=replace(prior.base, strain=prior.base.strain * scale),
-        ),
-    )
-
-
 @dataclass(frozen=True)
 class Arm:
     """A trial: which body was read when, errors at every sample of every body, and the solve."""
@@ -136,10 +121,7 @@ def trial(bodies, robot, window, swing, period):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", NotConvergedWarning)
         posterior = estimate(
-            robot.prior,
-            robot.grid(*window),
-            readings,
-            sensor_parameters=mounts(readings),
+            robot.prior, robot.grid(*window), readings, sensor_parameters=mounts(readings)
         )
     return Arm(read, [errors_against(posterior, s) for s in bodies.streams], posterior.solve)
 
@@ -179,71 +161,102 @@ def relative_change(time, errors, against, rng):
     return found, *np.quantile(np.sqrt(drawn[0] / drawn[1]) - 1.0, [0.025, 0.975])
 
 
-def cells(errors):
-    """The cells of a table that tell of pooled errors."""
-    told = errors.summary()
-    inside = 100 * np.mean(errors.nees_position <= chi2.ppf(0.95, 3))
-    return (
-        f"{errors.position.size} | {1e3 * told['position_rmse']:.1f} | "
-        f"{np.degrees(told['rotation_rmse']):.1f} | {inside:.0f} % | {told['nees_position']:.2f} | "
-        f"{told['nees_rotation']:.2f}"
-    )
-
-
-def table(bodies, robot, window, periods):
-    """Yield lines of the table: a row an arm and period, on the same truth and on its own."""
+def rows(bodies, robot, window, periods):
+    """Yield a dictionary an arm, period and kind of truth: the same for all arms, or its own."""
     trials = cache(lambda arm, period: trial(bodies, robot, window, SWINGS[arm], period))
-    head = "period (s) | arm | truth | samples | position (mm) | rotation (°) | inside 95 % |"
-    yield f"| {head} NEES position | NEES rotation | against fixed, 95 % interval | solve |"
-    yield "|" + "---|" * 11
     for period in periods:
         arms = {arm: trials(arm, np.inf if arm == "fixed" else period) for arm in SWINGS}
         same = unread(bodies, arms.values())
-        for label, truth_of in (("same", lambda _, t=same: t), ("own", None)):
+        for label in ("same", "own"):
             for arm, found in arms.items():
-                truth = truth_of(arm) if truth_of else unread(bodies, [found])
-                errors, time = chosen(bodies, found, truth)
-                change = ""
-                if arm != "fixed":
-                    rng = np.random.default_rng(SEED)
-                    if label == "own":  # the fixed coil judged at the same samples, bar the tip
-                        truth = truth & unread(bodies, [arms["fixed"]])
-                    mine, time = chosen(bodies, found, truth)
-                    fixed, _ = chosen(bodies, arms["fixed"], truth)
-                    told = relative_change(time, mine, fixed, rng)
-                    change = "{:+.0f} % ({:+.0f} to {:+.0f})".format(*(100 * t for t in told))
-                solve = f"{found.solve.iterations} it."
-                solve += "" if found.solve.converged else ", not converged"
-                yield f"| {period:g} | {arm} | {label} | {cells(errors)} | {change} | {solve} |"
+                truth = same if label == "same" else unread(bodies, [found])
+                yield {
+                    "period": period, "arm": arm, "truth": label,
+                    **summary(chosen(bodies, found, truth)[0]),
+                    "against_fixed": against_fixed(bodies, arms, arm, truth),
+                    "converged": found.solve.converged, "iterations": found.solve.iterations,
+                }  # fmt: skip
+
+
+def against_fixed(bodies, arms, arm, truth):
+    """An arm's RMSE over that of the fixed coil less one with its interval, where neither reads."""
+    if arm == "fixed":
+        return None
+    truth = truth & unread(bodies, [arms["fixed"]])
+    (mine, time), (fixed, _) = (chosen(bodies, arms[name], truth) for name in (arm, "fixed"))
+    return relative_change(time, mine, fixed, np.random.default_rng(SEED))
+
+
+def summary(errors):
+    """What is said of pooled errors: metres, radians, shares."""
+    told = errors.summary()
+    return {
+        "samples": int(errors.position.size),
+        "position_rmse": told["position_rmse"],
+        "rotation_rmse": told["rotation_rmse"],
+        "inside_95": told["coverage95_position"],
+        "nees_position": told["nees_position"],
+        "nees_rotation": told["nees_rotation"],
+    }
+
+
+HEAD = """\
+| period (s) | arm | truth | samples | position (mm) | rotation (°) | inside 95 % | \
+NEES position | NEES rotation | against fixed, 95 % interval | solve |
+|---|---|---|---|---|---|---|---|---|---|---|"""
+
+
+def line(row):
+    """A row of the table."""
+    change = row["against_fixed"]
+    change = "{:+.0f} % ({:+.0f} to {:+.0f})".format(*(100 * c for c in change)) if change else ""
+    solve = f"{row['iterations']} it." + ("" if row["converged"] else ", not converged")
+    return (
+        f"| {row['period']:g} | {row['arm']} | {row['truth']} | {row['samples']} | "
+        f"{1e3 * row['position_rmse']:.1f} | {np.degrees(row['rotation_rmse']):.1f} | "
+        f"{100 * row['inside_95']:.0f} % | {row['nees_position']:.2f} | "
+        f"{row['nees_rotation']:.2f} | {change} | {solve} |"
+    )
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folder", nargs="?", default=DATA, type=Path)
-    parser.add_argument("--robot", default="tdcr466-segments")
-    parser.add_argument("--periods", nargs="+", type=float, default=PERIODS)
-    parser.add_argument("--twist", default=1.0, type=float)
+    parser.add_argument("folder", nargs="?", default=DATA, type=Path, help="of the recordings")
+    parser.add_argument("--recording", type=Path, metavar="FOLDER", help="this recording alone")
+    parser.add_argument("--window", nargs=2, type=float, metavar=("T0", "T1"))
+    parser.add_argument("--robot", default="tdcr466-segments", metavar="FILE|NAME")
+    parser.add_argument("--periods", nargs="+", type=float, default=PERIODS, metavar="S")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
     options = parser.parse_args()
-    if not options.folder.is_dir():
-        print(f"Skipped: there are no public recordings in {options.folder}.")
+    cases = [(options.folder / name, window) for name, window in WINDOWS]
+    if options.recording:
+        window = options.window or load_recording(options.recording).span()
+        cases = [(options.recording, tuple(window))]
+    cases = [(folder, window) for folder, window in cases if folder.is_dir()]
+    if not cases:
+        print("Skipped: there are no such recordings; see the usage above.")
         return
-    robot = twisting(load_robot(options.robot), options.twist)
-    scale = getattr(robot.prior, "time_scale", None)
-    remembers = "" if scale is None else f", whose prior remembers a shape for {scale:.2g} s"
-    print(
-        f"Robot `{robot.name}`{remembers}; variance of twist × {options.twist:g}. A coil is read "
-        f"with {1e3 * STD[0]:g} mm and {np.degrees(STD[3]):.2g}°, truth is as uncertain. *Same*: "
-        f"bodies 1 to 4 where none of the three arms reads them; *own*: where the arm itself does "
-        f"not; against fixed at the samples of both. Blocks of {BLOCK:g} s."
-    )
-    for name, window in WINDOWS:
-        if not (options.folder / name).is_dir():
-            print(f"\nSkipped: {name} is not in {options.folder}.")
-            continue
-        bodies = load_bodies(load_recording(options.folder / name), robot, window)
-        print(f"\n{name}, {window[0]:g} to {window[1]:g} s\n")
-        for line in table(bodies, robot, window, options.periods):
-            print(line, flush=True)
+    robot, found = load_robot(options.robot), []
+    if not options.json:
+        print(TEXT.format(robot=robot.name, mm=1e3 * STD[0], deg=np.degrees(STD[3]),
+                          mount=1e3 * MOUNT_STD[0], block=BLOCK))  # fmt: skip
+    for folder, window in cases:
+        bodies = load_bodies(load_recording(folder), robot, window)
+        if not options.json:
+            print(f"\n{folder.name}, {window[0]:g} to {window[1]:g} s\n\n{HEAD}")
+        for row in rows(bodies, robot, window, options.periods):
+            found.append({"recording": folder.name, "window": window, **row})
+            if not options.json:
+                print(line(row), flush=True)
+    if options.json:
+        print(json.dumps({"robot": robot.name, "rows": found}))
+
+
+TEXT = """\
+Robot `{robot}`. A coil is read with {mm:g} mm and {deg:.2g}°; where a body sits on the robot is
+known to {mount:g} mm and {deg:.2g}°, for truth and for the coil. *Same*: bodies 1 to 4 where none
+of the three arms reads them; *own*: where the arm itself does not; against fixed at the samples of
+both. Blocks of {block:g} s."""
 
 
 if __name__ == "__main__":

@@ -38,6 +38,7 @@ ALL = [(name, line) for name in commands() for line in examples(name)]
 RUNS = {  # what must stand in the line that is run, and what makes it quick; or why none is
     "estimate": ("--query", ""),
     "check": ("my_recording --json", ""),
+    "robot": ("--sensors coil", ""),
     "learn": ("--only noise", "--window 0 1 --steps 1"),
     "replay": ("my_recording --json", ""),
     "live": ("csv:newest.csv", ""),

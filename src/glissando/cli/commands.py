@@ -3,6 +3,7 @@
 COMMANDS = {
     "estimate": ("estimate", "estimate a recording"),
     "check": ("check", "check whether confidence is true"),
+    "robot": ("robot", "write a robot file for a robot of one's own"),
     "learn": ("learn", "learn a robot file from recordings"),
     "predict": ("predict", "foretell a robot from its tendons"),
     "replay": ("replay", "estimate a recording as if live"),

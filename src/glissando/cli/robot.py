@@ -1,0 +1,92 @@
+"""`glissando robot new`: a robot file with broad defaults from a few physical numbers."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from pathlib import Path
+
+from glissando.cli.shared import Commands, add_command, names
+from glissando.errors import GlissandoError
+from glissando.io.robot_template import RobotOutline, robot_text
+
+_HELP = """\
+Write a commented robot file for a robot of one's own, with nothing learned: length, segments,
+diameter, largest bend and sensors give broad numbers that keep confidence true. What is not given
+is asked for on a terminal.
+
+A sensor is a kind (pose, coil, position, orientation, gyro, strain, fbg), or KIND:STREAM for a
+stream of a recording, whose mount, drift or delay is then estimated.
+"""
+_EXAMPLES = """\
+examples:
+  glissando robot new --length 0.4 --segments 2 --diameter 0.012 --bend 180 --sensors coil \\
+      --out first.toml
+  glissando robot new --length 0.466 --segments 2 --diameter 0.012 --bend 180 \\
+      --sensors pose:aurora0,pose:aurora1,gyro:gyro_mid,gyro:gyro_ee --out mine.toml
+  glissando robot new --out asked.toml
+
+exit status: 0 done; 2 something given was wrong.
+"""
+_ASKED = {
+    "length": "Length of the robot in metres",
+    "segments": "Number of segments that are driven each on its own",
+    "diameter": "Outer diameter in metres",
+    "bend": "Largest bend of one segment in degrees",
+    "sensors": "Sensors, separated by commas (such as coil, or pose:STREAM)",
+}
+
+
+def add_to(commands: Commands) -> None:
+    """Add the command to the parser's."""
+    parser = add_command(commands, "robot", (_HELP, _EXAMPLES), _robot)
+    add = parser.add_argument
+    add("action", choices=["new"], help="what to do")
+    add("--length", type=float, metavar="M", help="length, m")
+    add("--segments", type=int, metavar="N", help="segments of equal length")
+    add("--diameter", type=float, metavar="M", help="outer diameter, m")
+    add("--bend", type=float, metavar="DEG", help="largest bend of one segment, degrees")
+    add("--sensors", type=names, metavar="KIND[:STREAM],…", help="what reads the robot")
+    stretch = "largest stretch, or slip of discs, as a share of the length (default 0.04)"
+    add("--stretch", type=float, default=0.04, metavar="SHARE", help=stretch)
+    change = "seconds in which the shape can change altogether (default 0.5)"
+    add("--time-scale", type=float, default=0.5, metavar="S", help=change)
+    add("--out", type=Path, required=True, metavar="FILE", help="robot file to write, a new one")
+
+
+def _robot(options: argparse.Namespace) -> int:
+    out: Path = options.out
+    if out.exists() or not out.absolute().parent.is_dir():
+        raise GlissandoError(f"--out {out} is there already, or in no folder; give a new file.")
+    answers = {key: getattr(options, key) for key in _ASKED}
+    missing = [key for key, value in answers.items() if value is None]
+    if missing and not sys.stdin.isatty():
+        flags = ", ".join(f"--{key}" for key in missing)
+        raise GlissandoError(f"A robot file needs {flags} as well.")
+    for key in missing:
+        answers[key] = _answer(key)
+    outline = RobotOutline(
+        name=out.stem,
+        length=answers["length"],
+        segments=answers["segments"],
+        diameter=answers["diameter"],
+        bend=math.radians(answers["bend"]),
+        sensors=answers["sensors"],
+        stretch=options.stretch,
+        time_scale=options.time_scale,
+    )
+    out.write_text(robot_text(outline), encoding="utf-8")
+    print(f"Wrote {out}. Now: glissando estimate RECORDING --robot {out} --out results")
+    return 0
+
+
+def _answer(key: str) -> object:
+    """What a user answers on the terminal, as the option's type."""
+    text = input(f"{_ASKED[key]}: ").strip()
+    if key == "sensors":
+        return names(text)
+    try:
+        return int(text) if key == "segments" else float(text)
+    except ValueError:
+        raise GlissandoError(f"{text!r} is no number; give {_ASKED[key].lower()}.") from None

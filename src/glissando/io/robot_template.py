@@ -1,0 +1,179 @@
+"""A robot file for a robot of which little is known: broad numbers from a few physical ones."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from glissando.errors import RobotFileError
+from glissando.model.sensors.sensors import sensor_class, sensor_kinds
+
+_LIKELY = {  # least and largest value that is likely, and their unit
+    "length": (0.02, 5.0, "m"),
+    "diameter": (2e-4, 0.2, "m"),
+    "bend": (math.radians(5.0), 4.0 * math.pi, "rad"),
+    "stretch": (1e-4, 1.0, "of the length"),
+    "time_scale": (0.02, 1000.0, "s"),
+}
+_NOISE = {  # standard deviations of common devices, broad
+    "pose": "[1.5e-3, 0.015]",
+    "coil": "[1.5e-3, 0.015]",
+    "position": "[1.5e-3, 1.5e-3, 1.5e-3]",
+    "orientation": "[0.015, 0.015, 0.015]",
+    "gyro": "[0.1, 0.1, 1.0]",
+    "strain": "[0.01, 0.01, 0.01, 0.3, 0.3, 0.3]",
+    "fbg": "[2e-5]",
+}
+
+
+@dataclass(frozen=True)
+class RobotOutline:
+    """What is known of a robot before anything was learned of it.
+
+    Attributes:
+        name: Its name.
+        length: Length, m.
+        segments: Segments of equal length, each driven on its own.
+        diameter: Outer diameter of the discs or of the body, m.
+        bend: Largest bend of one segment, rad.
+        stretch: Largest extension or slip of discs along the backbone, a share of the length.
+        time_scale: Seconds in which the shape can change altogether.
+        sensors: Kinds of sensor, or KIND:STREAM for a stream of a recording.
+    """
+
+    name: str
+    length: float
+    segments: int
+    diameter: float
+    bend: float
+    sensors: Sequence[str]
+    stretch: float = 0.04
+    time_scale: float = 0.5
+
+    def __post_init__(self) -> None:
+        for key, (low, high, unit) in _LIKELY.items():
+            value = getattr(self, key)
+            if not low <= value <= high:
+                raise RobotFileError(
+                    f"A robot's {key.replace('_', ' ')} of {value:g} {unit} is not likely; give "
+                    f"{low:.3g} to {high:.3g} {unit}."
+                )
+        if self.diameter > self.length:
+            raise RobotFileError(
+                f"A robot {self.length:g} m long cannot be {self.diameter:g} m across; give both "
+                f"in metres."
+            )
+        if not 1 <= self.segments <= 20:
+            raise RobotFileError(f"{self.segments} segments are not likely; give 1 to 20.")
+        for kind, _ in self.streams:
+            if kind not in _NOISE:
+                known = ", ".join(k for k in sensor_kinds() if k in _NOISE)
+                raise RobotFileError(f"{kind!r} is no kind of sensor; known: {known}.")
+
+    @property
+    def streams(self) -> list[tuple[str, str]]:
+        """Kinds of the sensors and names of their streams, empty where none is given."""
+        parts = (sensor.partition(":") for sensor in self.sensors)
+        return [(kind, stream) for kind, _, stream in parts]
+
+
+def robot_text(outline: RobotOutline) -> str:
+    """The text of a robot file with broad numbers, each with the reason for it.
+
+    Curvature at the base, and its jump between segments, is as uncertain as if the largest bend of
+    a segment were two standard deviations; inside a segment it varies by a quarter of that. A
+    broad prior costs little where sensors are, and keeps confidence true where they are not.
+
+    Args:
+        outline: What is known of the robot.
+    """
+    piece = outline.length / outline.segments
+    bending = (outline.bend / (2.0 * piece)) ** 2
+    inside, axial = bending / (16.0 * piece), (0.5 * outline.stretch) ** 2
+    joints = [round(piece * i, 9) for i in range(1, outline.segments)]
+    row = f"[1e-7, 1e-7, {axial / 40:.2g}, {inside:.3g}, {inside:.3g}, {inside / 15:.3g}]"
+    jump = f"[1e-9, 1e-9, {4 * axial:.2g}, {bending:.3g}, {bending:.3g}, {bending / 25:.2g}]"
+    rows = row
+    if joints:
+        rows = f"[{', '.join([row] * outline.segments)}]"
+        rows += f"\nvar_jumps = [{', '.join([jump] * len(joints))}]"
+    return _TEXT.format(
+        name=outline.name,
+        length=outline.length,
+        nodes=max(5, 2 * outline.segments + 1),
+        rate=round(7.5 / outline.time_scale, 3),
+        off=f"{(0.2 * outline.diameter + 1e-3) ** 2:.2g}",
+        clamped=20.0 * outline.time_scale,
+        bend=math.degrees(outline.bend),
+        strain=f"[1e-7, 1e-7, {axial:.2g}, {bending:.3g}, {bending:.3g}, {bending / 25:.2g}]",
+        stretch=100.0 * outline.stretch,
+        scale=outline.time_scale,
+        joints=f"joints = {joints}\n" if joints else "",
+        rows=rows,
+        sensors=_sensors(outline),
+        parameters=_parameters(outline),
+    )
+
+
+def _sensors(outline: RobotOutline) -> str:
+    """The tables of noise, one a kind."""
+    out = []
+    for kind in dict.fromkeys(kind for kind, _ in outline.streams):
+        robust = "" if sensor_class(kind).rows == 1 else 'loss = "huber"\n'
+        out.append(f"[sensors.{kind}]\nstd = {_NOISE[kind]}\n{robust}")
+    return "\n".join(out)
+
+
+def _parameters(outline: RobotOutline) -> str:
+    """What is unknown of each stream: where it sits, its drift, how late its clock is."""
+    where = 0.1 * outline.diameter + 1e-3
+    out = []
+    for kind, stream in outline.streams:
+        if stream and sensor_class(kind).tracker:
+            each = f"{where:.2g}, 0.03"
+            out.append(_PARAMETER.format(stream, "mount", "mount", stream, each, ""))
+            memory = "correlation_time = 1.0\n"
+            out.append(_PARAMETER.format(stream, "drift", "mount", stream, "3e-3, 0.03", memory))
+        elif stream:
+            out.append(_PARAMETER.format(stream, "delay", "time_offset", stream, "0.02", ""))
+    return "\n".join(out)
+
+
+_PARAMETER = """\
+[[sensor_parameters]]
+name = "{} {}"
+kind = "{}"
+streams = ["{}"]
+std = [{}]
+{}"""
+
+_TEXT = """\
+# Written by `glissando robot new`: broad numbers, nothing learned. Densities and variances are of
+# strain, [shear x, shear y, extension, bending x, bending y, torsion], in SI units and radians.
+# `glissando learn` makes them sharper, `glissando check` says whether confidence is true.
+name = "{name}"
+length = {length}
+rest_strain = [0, 0, 1, 0, 0, 0]  # straight; at rest as it is unloaded
+
+[grid]
+arclength_nodes = {nodes}
+time_rate = {rate}                # time nodes a second, about seven to a time scale
+
+[base]                            # clamped where it is, but registered only so well
+position = [0, 0, 0]
+quaternion = [1, 0, 0, 0]
+var_pose = [{off}, 4e-4]
+time_scale = {clamped}            # s: what is off stays off
+# A segment bends by {bend:.0f} degrees at most, taken as two standard deviations; what is mounted
+# on the body slips, or the body stretches, by {stretch:.3g} % of its length.
+var_strain = {strain}
+
+[prior]
+kind = "separable"
+time_scale = {scale}              # s in which the shape can change altogether
+{joints}psd_strain_arclength = {rows}
+
+{sensors}
+# What is constant but unknown of each sensor: every reading repeats it.
+{parameters}"""

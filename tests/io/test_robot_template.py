@@ -1,0 +1,100 @@
+"""Robot files for robots of which little is known: they load, scale, and refuse wrong units."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from draws import law
+from glissando.cli.main import main
+from glissando.errors import RobotFileError
+from glissando.io.robot_file import load_robot
+from glissando.io.robot_template import RobotOutline, robot_text
+
+SENSORS = ["pose:a", "coil", "gyro:b", "strain", "fbg", "position:c"]
+KNOWN = {
+    "name": "mine",
+    "length": 0.466,
+    "segments": 2,
+    "diameter": 0.012,
+    "bend": math.pi,
+    "sensors": ["pose:base", "pose:tip", "gyro:mid", "coil"],
+}
+
+
+@law
+@given(
+    st.floats(0.05, 3.0),
+    st.integers(1, 8),
+    st.floats(0.001, 0.04),
+    st.floats(0.2, 6.0),
+    st.floats(0.05, 50.0),
+    st.lists(st.sampled_from(SENSORS), max_size=4),
+)
+def test_every_likely_robot_has_a_file_that_loads(
+    tmp_path_factory, length, segments, diameter, bend, time_scale, sensors
+):
+    outline = RobotOutline("mine", length, segments, diameter, bend, sensors, 0.04, time_scale)
+    file = tmp_path_factory.mktemp("new") / "mine.toml"
+    file.write_text(robot_text(outline), encoding="utf-8")
+    robot = load_robot(file)
+    assert robot.length == length
+    assert np.allclose(np.diff(robot.prior.joints, prepend=0.0), length / segments, rtol=1e-6)
+    # Two standard deviations of a segment's mean curvature are the largest bend over its length.
+    piece = length / segments
+    assert 2.0 * piece * np.sqrt(robot.prior.base.strain[3]) == pytest.approx(bend, rel=0.01)
+    assert set(robot.sensor_std) == {s.partition(":")[0] for s in sensors}
+    robot.prior.rest_state(robot.grid(0.0, 5.0 * time_scale))
+
+
+def test_a_stream_gets_what_is_unknown_of_it(tmp_path):
+    file = tmp_path / "mine.toml"
+    file.write_text(robot_text(RobotOutline(**KNOWN)), encoding="utf-8")
+    parameters = load_robot(file).sensor_parameters
+    kinds = [(p.streams[0], p.kind, np.isinf(p.correlation_time)) for p in parameters]
+    assert kinds == [
+        ("base", "mount", True),
+        ("base", "mount", False),
+        ("tip", "mount", True),
+        ("tip", "mount", False),
+        ("mid", "time_offset", True),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"length": 466.0}, "length of 466 m is not likely"),
+        ({"length": math.nan}, "length of nan"),
+        ({"diameter": 12.0}, "diameter of 12 m is not likely"),
+        ({"bend": 180.0}, "bend of 180 rad is not likely"),
+        ({"time_scale": 5000.0}, "time scale of 5000 s"),
+        ({"segments": 0}, "0 segments"),
+        ({"length": 0.05, "diameter": 0.1}, "give both"),
+        ({"sensors": ["camera"]}, "'camera' is no kind of sensor; known: pose"),
+    ],
+)
+def test_unlikely_numbers_are_refused_with_what_is_likely(wrong, said):
+    with pytest.raises(RobotFileError, match=said):
+        RobotOutline(**{**KNOWN, **wrong})
+
+
+def test_the_command_writes_once_and_says_what_it_lacks(tmp_path, capsys, monkeypatch):
+    out = tmp_path / "mine.toml"
+    words = ["robot", "new", "--length", "0.4", "--segments", "2", "--out", str(out)]
+    monkeypatch.setattr("sys.stdin.isatty", lambda: False, raising=False)
+    assert main(words) == 2
+    assert "needs --diameter, --bend, --sensors as well" in capsys.readouterr().err
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True, raising=False)
+    answers = iter(["0.01", "90", "coil, gyro"])
+    monkeypatch.setattr("builtins.input", lambda _: next(answers))
+    assert main(words) == 0
+    robot = load_robot(out)
+    assert set(robot.sensor_std) == {"coil", "gyro"}
+    assert main(words) == 2
+    assert "there already" in capsys.readouterr().err
+    answers = iter(["wide"])
+    assert main([*words[:-1], str(tmp_path / "other.toml")]) == 2
+    assert "'wide' is no number" in capsys.readouterr().err

@@ -1,0 +1,44 @@
+"""A base that stays where it is: its mean over a long time is no surer than its clamp."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from glissando import Grid, PoseReadings, estimate
+from glissando.errors import RobotFileError
+from glissando.io.robot_file import parse_robot
+from glissando.io.toml_table import Table
+from separable_sessions import PRIOR
+
+
+def base_std(prior, seconds):
+    """Standard deviation of the base's mean x over a time, without any reading."""
+    grid = Grid([0.0, 0.5], np.linspace(0.0, seconds, round(8 * seconds) + 1))
+    posterior = estimate(prior, grid, [])
+    return posterior.sample(np.random.default_rng(1), 400).pose[:, :, 0, 0, 3].mean(axis=1).std()
+
+
+def test_the_mean_of_a_base_that_stays_is_as_unsure_as_the_base():
+    std = float(np.sqrt(PRIOR.base.pose[0]))
+    restless, stays = base_std(PRIOR, 8.0), base_std(replace(PRIOR, base_time_scale=20.0), 8.0)
+    assert restless < 0.6 * std
+    assert 0.8 * std < stays < 1.15 * std
+
+
+def test_with_the_shapes_own_time_scale_nothing_changes():
+    grid = Grid([0.0, 0.2, 0.5], np.linspace(0.0, 1.0, 9))
+    tip = np.tile(np.eye(4), (5, 1, 1))
+    tip[:, :3, 3] = [0.1, 0.0, 0.48]
+    read = PoseReadings(time=np.linspace(0, 1, 5), arclength=np.full(5, 0.5), values=tip, cov=1e-5)
+    plain = estimate(PRIOR, grid, [read])
+    stated = estimate(replace(PRIOR, base_time_scale=PRIOR.time_scale), grid, [read])
+    assert np.allclose(plain.state.pose, stated.state.pose, atol=1e-7)
+    assert np.allclose(plain.std_pose(), stated.std_pose(), rtol=1e-6)
+
+
+def test_a_robot_file_states_it_and_gets_it_back():
+    prior = replace(PRIOR, base_time_scale=12.0)
+    entries = {"length": 0.5, "grid": {"arclength_nodes": 3, "time_rate": 8.0}, **prior.to_table()}
+    robot = parse_robot(Table(entries, "robot", RobotFileError))
+    assert robot.prior.base_time_scale == pytest.approx(12.0)
