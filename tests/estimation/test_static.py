@@ -29,7 +29,7 @@ from glissando.geometry import se3
 from glissando.model.priors.rest_shape import STRAIGHT
 from glissando.solver.gauss_newton import SolverOptions
 
-EXACT = SolverOptions(tolerance=1e-4)
+EXACT = SolverOptions(tolerance=1e-6)
 PRIORS = {
     "kinematic": load_robot("sliding700").prior,
     "separable": replace(load_robot("tdcr466-segments").prior, base_pose=se3.exp(np.full(6, 0.1))),

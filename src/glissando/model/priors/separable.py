@@ -35,7 +35,12 @@ from glissando.model.priors.prior_table import (
 )
 from glissando.model.priors.rest_shape import STRAIGHT, RestShape
 from glissando.model.priors.static import static_factors
-from glissando.model.priors.stationary import chain_factors, interpolate_process, require_digits
+from glissando.model.priors.stationary import (
+    chain_factors,
+    interpolate_process,
+    longest_scale,
+    require_digits,
+)
 from glissando.model.priors.transitions import bridge, process_covariances, transition
 from glissando.model.state import POSE, STRAIN, State
 
@@ -59,7 +64,7 @@ class SeparablePrior:
     (S−1, 6), variances of the strain's jump there; it may be curved at rest, with the strain
     `rest_strain` (S, 6) where each segment begins and its change per metre `rest_slope` (S, 6).
     A clamped base stands where it stands, though nobody knows exactly where: with a
-    `base_time_scale` in seconds its pose is remembered for that long, and not for ℓ only.
+    `base_time_scale` in seconds its pose is remembered for that long, or 200 time nodes, not for ℓ.
     Source: equations (6) to (9).
     """
 
@@ -84,10 +89,10 @@ class SeparablePrior:
         fields["base_pose"] = base.pose()
         parts = (base.vector(f"var_{part}", 6, positive=True) for part in ("pose", "strain"))
         variance = BaseVariance(*parts)
-        if base.peek("time_scale") is not None:
-            fields["base_time_scale"] = base.number("time_scale")
+        own = None if base.peek("time_scale") is None else base.number("time_scale")
         base.close()
-        return cls(time_scale=prior.number("time_scale"), base=variance, **fields)
+        shape = cls(time_scale=prior.number("time_scale"), base=variance, **fields)  # type: ignore[arg-type]
+        return replace(shape, base_time_scale=own)
 
     def to_table(self) -> dict[str, Any]:
         """What a robot file says of this prior, as `from_table` reads it."""
@@ -151,7 +156,7 @@ class SeparablePrior:
         Every interval, and the base, at the first time and from each of `times` to the next.
         """
         k_count, n_count = grid.shape
-        require_digits(grid, max(self.time_scale, self.base_time_scale or 0.0))
+        require_digits(grid, self.time_scale)
         node = np.arange(k_count * n_count).reshape(k_count, n_count)
         touched = slice(times.start, min(times.stop + 1, k_count))
         here, steps = node[touched], np.diff(grid.time[touched])
@@ -161,7 +166,8 @@ class SeparablePrior:
         if self.base_time_scale is None:
             yield from chain_factors(self.time_scale, first, steps, here[:, :1, None], *base)
         else:
-            yield from self._base_apart(first, steps, here[:, :1, None], *base)
+            scale = max(self.time_scale, min(self.base_time_scale, longest_scale(grid)))
+            yield from self._base_apart(scale, first, steps, here[:, :1, None], *base)
         if n_count == 1:
             return
         ends = local.take(np.s_[:, :-1]), local.take(np.s_[:, 1:])
@@ -180,11 +186,17 @@ class SeparablePrior:
         )
 
     def _base_apart(
-        self, first: bool, steps: Array, nodes: Index, error: Array, jacobian: Array, cov: Array
+        self,
+        pose_scale: float,
+        first: bool,
+        steps: Array,
+        nodes: Index,
+        error: Array,
+        jacobian: Array,
+        cov: Array,
     ) -> Iterator[Factors]:
         """Factors of the base whose pose is remembered for longer than its strain."""
-        scales = self.base_time_scale or self.time_scale, self.time_scale
-        for scale, part in zip(scales, (POSE, STRAIN), strict=True):
+        for scale, part in ((pose_scale, POSE), (self.time_scale, STRAIN)):
             rows = np.r_[part, part.start + 12 : part.stop + 12]
             parts = error[..., rows], jacobian[..., rows, :, :], cov[..., part, part]
             yield from chain_factors(scale, first, steps, nodes, *parts, paired=False)

@@ -60,12 +60,18 @@ class StationaryPrior(Protocol):
 def require_digits(grid: Grid, time_scale: float) -> None:
     """Raise OutsideGridError where time nodes are so dense that information loses digits."""
     steps = np.diff(grid.time)
-    if steps.size and np.median(steps) * _DENSEST < time_scale:
+    if longest_scale(grid) < time_scale:
         raise OutsideGridError(
             f"Time nodes {np.median(steps):.3g} s apart are too dense for a time scale of "
             f"{time_scale:g} s: they add nothing and cost all digits; leave "
             f"{time_scale / _DENSEST:.3g} s at least between them."
         )
+
+
+def longest_scale(grid: Grid) -> float:
+    """The longest time scale, s, that information on these time nodes has digits for."""
+    steps = np.diff(grid.time)
+    return _DENSEST * float(np.median(steps)) if steps.size else np.inf
 
 
 def chain_factors(
