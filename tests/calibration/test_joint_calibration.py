@@ -50,7 +50,10 @@ def recording():
 @pytest.fixture(scope="module")
 def found():
     document = expanded(shipped("tdcr466-segments"))
-    document["sensors"]["pose"]["std"] = [2e-4] * 3 + [2e-3] * 3
+    document["sensors"]["pose"] = {"std": [2e-4] * 3 + [2e-3] * 3}  # stamps that are its own
+    calm = [1e-5, 1e-5, 1e-5, 1.0, 1.0, 1.0]  # as the motion drawn here
+    document["prior"] |= {"psd_strain_arclength": [calm, calm], "var_jumps": [calm]}
+    document["base"] |= {"var_pose": [1e-6] * 3 + [1e-4] * 3, "var_strain": calm}
     tilt = {"name": "tip mount", "kind": "mount", "streams": ["tip"], "std": [1e-3, 0.1]}
     drift = {**tilt, "name": "drift", "std": [1e-4, 1e-3], "correlation_time": 1.0}
     late = {"name": "late", "kind": "time_offset", "streams": ["tip"], "std": [1e-3]}
