@@ -28,7 +28,7 @@ _MOST = 700  # rows that numbers are learned from
 _STEPS = 25
 _ENOUGH = 0.5  # fall of the cost at which to stop
 _GIVE_UP = 1e6  # damping
-_INSIDE = 0.95
+_COVERED, _ELLIPSOID = 0.97, 0.95  # motions to come combine more than those left out do
 
 Watch = Callable[[str], None]
 
@@ -167,7 +167,7 @@ def _model_error(model: TendonModel, numbers: Numbers, data: TendonData, error: 
     """The model error (3,) that explains errors (M, 3) of blocks left out.
 
     Its parts (displacements, missing moments, the marker) make the errors most likely under
-    Student's t; all are then scaled so that 95 % of the errors lie inside their 95 % ellipsoid.
+    Student's t; all are then scaled so that 97 % of the errors lie inside their 95 % ellipsoid.
     """
     parts = np.stack(model.error_parts(numbers, data.displacement))
     size = np.sqrt(np.einsum("cmii->c", parts) / len(error))
@@ -185,5 +185,5 @@ def _model_error(model: TendonModel, numbers: Numbers, data: TendonData, error: 
 
     start = np.log(total / size / np.sqrt(len(parts)))
     logs = minimize(cost, start, method="Nelder-Mead", options={"maxiter": 300}).x
-    inside = np.quantile(squares(logs)[0], _INSIDE) / chi2.ppf(_INSIDE, 3)
+    inside = np.quantile(squares(logs)[0], _COVERED) / chi2.ppf(_ELLIPSOID, 3)
     return np.asarray(np.exp(logs) * np.sqrt(inside))

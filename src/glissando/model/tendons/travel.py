@@ -1,0 +1,66 @@
+"""Where a sensor is that slides in a channel off the axis: its travel depends on the shape."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from glissando.errors import SensorError
+from glissando.geometry.se3 import Array
+from glissando.model.tendons.channel import Channel
+
+_STEPS = 8  # parts that an interval between nodes is divided into
+
+
+def travel_of(channel: Channel, nodes: Array, strain: Array, arclength: Array) -> Array:
+    """Length of a channel (…,) from the base to arclengths (…,) of the backbone.
+
+    Args:
+        channel: The channel.
+        nodes: Arclengths (N,) where strain is known, from 0 up, m.
+        strain: Strain there (N, 6), linear between.
+        arclength: Where on the backbone, m.
+
+    Source: (M8), dσ/ds = |ν + u × r + dr/ds|.
+    """
+    places, lengths = _cumulated(channel, nodes, strain)
+    _require_inside(arclength, places, "arclength")
+    return np.interp(arclength, places, lengths)
+
+
+def arclength_of(channel: Channel, nodes: Array, strain: Array, travel: Array) -> Array:
+    """Arclengths (…,) of the backbone beside which a sensor is after a travel (…,) from the base.
+
+    Args:
+        channel: The channel.
+        nodes: Arclengths (N,) where strain is known, from 0 up, m.
+        strain: Strain there (N, 6), linear between.
+        travel: Travel that an encoder reports, less its zero, m.
+
+    Raises:
+        SensorError: A travel leaves the channel.
+
+    Source: (M8).
+    """
+    places, lengths = _cumulated(channel, nodes, strain)
+    _require_inside(travel, lengths, "travel")
+    return np.interp(travel, lengths, places)
+
+
+def _cumulated(channel: Channel, nodes: Array, strain: Array) -> tuple[Array, Array]:
+    """Arclengths of fine steps (F,), and the length of the channel up to each."""
+    fine = np.linspace(nodes[:-1], nodes[1:], _STEPS, endpoint=False, axis=-1).ravel()
+    fine = np.append(fine, nodes[-1])
+    values = np.stack([np.interp(fine, nodes, column) for column in strain.T], axis=-1)
+    speed = np.linalg.norm(channel.tangent(fine, values), axis=-1)
+    steps = 0.5 * (speed[1:] + speed[:-1]) * np.diff(fine)
+    return fine, np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def _require_inside(given: Array, limits: Array, name: str) -> None:
+    off = np.asarray(given)
+    off = off[(off < limits[0] - 1e-9) | (off > limits[-1] + 1e-9)]
+    if off.size:
+        raise SensorError(
+            f"A {name} of {off.ravel()[0]:g} m leaves the channel of {limits[-1]:g} m; correct its "
+            f"zero, or give metres."
+        )
