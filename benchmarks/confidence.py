@@ -49,6 +49,9 @@ neither of them reads.
 
 {real_slide}
 
+A prior broad enough for impacts claims less than is known of slow motion, where a sliding coil's
+errors are half the deviations, and more than is known where a coil at the tip is all there is.
+
 ## Outliers
 
 {outliers}

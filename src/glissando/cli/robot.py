@@ -48,8 +48,8 @@ def add_to(commands: Commands) -> None:
     add("--diameter", type=float, metavar="M", help="outer diameter, m")
     add("--bend", type=float, metavar="DEG", help="largest bend of one segment, degrees")
     add("--sensors", type=names, metavar="KIND[:STREAM],…", help="what reads the robot")
-    stretch = "largest stretch, or slip of discs, as a share of the length (default 0.04)"
-    add("--stretch", type=float, default=0.04, metavar="SHARE", help=stretch)
+    stretch = "largest stretch, or slip of discs, as a share of the length (default 0.05)"
+    add("--stretch", type=float, default=0.05, metavar="SHARE", help=stretch)
     change = "seconds in which the shape can change altogether (default 0.5)"
     add("--time-scale", type=float, default=0.5, metavar="S", help=change)
     add("--out", type=Path, required=True, metavar="FILE", help="robot file to write, a new one")

@@ -48,7 +48,7 @@ class RobotOutline:
     diameter: float
     bend: float
     sensors: Sequence[str]
-    stretch: float = 0.04
+    stretch: float = 0.05
     time_scale: float = 0.5
 
     def __post_init__(self) -> None:
@@ -82,7 +82,7 @@ def robot_text(outline: RobotOutline) -> str:
     """The text of a robot file with broad numbers, each with the reason for it.
 
     Curvature at the base, and its jump between segments, is as uncertain as if the largest bend of
-    a segment were two standard deviations; inside a segment it varies by a quarter of that. A
+    a segment were two standard deviations; inside a segment it varies by three tenths of that. A
     broad prior costs little where sensors are, and keeps confidence true where they are not.
 
     Args:
@@ -90,7 +90,7 @@ def robot_text(outline: RobotOutline) -> str:
     """
     piece = outline.length / outline.segments
     bending = (outline.bend / (2.0 * piece)) ** 2
-    inside, axial = bending / (16.0 * piece), (0.5 * outline.stretch) ** 2
+    inside, axial = bending / (12.0 * piece), (0.5 * outline.stretch) ** 2
     joints = [round(piece * i, 9) for i in range(1, outline.segments)]
     row = f"[1e-7, 1e-7, {axial / 40:.2g}, {inside:.3g}, {inside:.3g}, {inside / 15:.3g}]"
     jump = f"[1e-9, 1e-9, {4 * axial:.2g}, {bending:.3g}, {bending:.3g}, {bending / 25:.2g}]"
