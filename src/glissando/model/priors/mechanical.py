@@ -205,6 +205,7 @@ class MechanicalPrior:
         pose = np.broadcast_to(pose, (*grid.shape, 4, 4)).copy()
         return State(pose, np.broadcast_to(strain, still.shape).copy(), still, still.copy())
 
+    @np.errstate(over="ignore", invalid="ignore")
     def bent(self, grid: Grid, state: State, step: Array) -> State:
         """The state moved by `step` (K, N, 24) interval by interval from the base outwards.
 
@@ -225,9 +226,11 @@ class MechanicalPrior:
             error, slope = self._tip_error(grid, nodes[-1])
             by_base = slope[:, :6, _STATIC] @ by_base
             miss = (wanted - error).reshape(len(step), 2, 6)
-            by_strain, by_rate = np.moveaxis(
-                np.linalg.solve(by_base[:, None], miss[..., None])[..., 0], 1, 0
-            )
+            try:
+                found = np.linalg.solve(by_base[:, None], miss[..., None])[..., 0]
+            except np.linalg.LinAlgError:  # so far off that the base has no say in the tip
+                break
+            by_strain, by_rate = found[:, 0], found[:, 1]
             strain, rate = start.strain + by_strain, strain_rate_of(start) + by_rate
             start = replace(start, strain=strain, strain_rate=rate)
         nodes, _ = self._shot(grid, start, errors)

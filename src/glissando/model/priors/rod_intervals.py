@@ -80,6 +80,7 @@ def in_strain(found: Flow, begin: Array, end: Array, rest: Array) -> Flow:
     return Flow(found.pose, rest + found.wrench / end, transition, noise)
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def still_error(start: State, end: State, intervals: Intervals) -> tuple[Array, Array, Array]:
     """Error r (M, 12) of intervals and Jacobians (M, 12, 12) by pose and strain of both ends."""
     ahead = intervals.flow(start, noisy=False)
@@ -91,6 +92,7 @@ def still_error(start: State, end: State, intervals: Intervals) -> tuple[Array, 
     return error, j0, j1
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def interval_error(start: State, end: State, intervals: Intervals) -> tuple[Array, Array, Array]:
     """Error [r; ṙ] (M, 24) of intervals, Jacobians (M, 24, 24) by both ends. Source: (27), (9)."""
     (error, *slopes), change = _along_motion(still_error, start, end, intervals)
@@ -149,6 +151,7 @@ def _rated(slope: Array, change: Array, velocity: Array) -> Array:
     return out
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def interval_end(start: State, error: Array, intervals: Intervals) -> tuple[State, Array]:
     """The end (M,) of intervals that have this `error` [r; ṙ] (M, 24): `interval_error` undone.
 
