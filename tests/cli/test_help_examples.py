@@ -53,6 +53,7 @@ RUNS = {  # what must stand in the line that is run, and what makes it quick; or
     "calibrate": "it wants a recorded session: tests/hardware/test_rig.py runs it",
     "import": ("take3.csv --rate", ""),
     "export": ("--out tip.tum", ""),
+    "predict": "it wants a robot with tendons: tests/cli/test_tendon_commands.py runs it",
     "doctor": ("--json", ""),
     "reproduce": "even --quick takes long: tests/experiments/test_experiments.py runs it",
 }
