@@ -67,7 +67,10 @@ def test_two_processes_may_compile_at_once_and_say_so_in_a_line(tmp_path):
     for process in both:
         out, err = process.communicate(timeout=300)
         assert (process.returncode, out) == (0, "1.0\n")
-        assert err.count("\n") == 1
-        assert err.startswith("glissando: compiling its inner loops, once, into ")
+        lines = err.splitlines()  # one at once, then one every few seconds
+        assert lines
+        assert all(
+            line.startswith("glissando: compiling its inner loops, once, into ") for line in lines
+        )
     again = subprocess.run(command, env=environment, check=True, capture_output=True, text=True)
     assert (again.stdout, again.stderr) == ("1.0\n", "")

@@ -119,7 +119,7 @@ def test_the_tube_is_the_outline_of_the_ellipsoids_across_the_body(page, posteri
     along = SIGMAS_95 * np.sqrt(of_body[[0, -1], 2, 2])
     np.testing.assert_allclose(np.abs(reach), np.tile(along[:, None], 24), rtol=0.02, atol=2e-5)
     films, _ = confidence_tube(pose[None], of_body[None], SIGMAS_95)  # as a film draws it
-    assert np.abs(rings - 1e-3 * films[0, 5:-5]).max() < 5e-5
+    assert np.abs(rings - films[0, 5:-5]).max() < 5e-5
 
 
 def test_the_slider_moves_the_robot_and_the_numbers(page, posterior):

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from glissando.cli.shared import Commands, add_command, names
 from glissando.errors import GlissandoError
+from glissando.io.atomic_file import write_text
 from glissando.io.robot_template import RobotOutline, robot_text
 
 _HELP = """\
@@ -76,7 +77,7 @@ def _robot(options: argparse.Namespace) -> int:
         stretch=options.stretch,
         time_scale=options.time_scale,
     )
-    out.write_text(robot_text(outline), encoding="utf-8")
+    write_text(out, robot_text(outline))
     print(f"Wrote {out}. Now: glissando estimate RECORDING --robot {out} --out results")
     return 0
 

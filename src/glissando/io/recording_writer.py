@@ -70,8 +70,7 @@ def describe_recording(name: str, robot: str = "", **more: Any) -> str:
 def describe_stream(stream: Stream) -> str:
     """The lines of a recording.toml on one stream.
 
-    >>> from glissando.io.atomic_file import write_text
-    from glissando.io.csv_stream import Rows
+    >>> from glissando.io.csv_stream import Rows
     >>> gyro = Rows("gyro", np.zeros(1), np.zeros(1), np.zeros((1, 3)), {})
     >>> print(describe_stream(Stream("tip", gyro, std=np.full(3, 0.2))), end="")
     <BLANKLINE>
