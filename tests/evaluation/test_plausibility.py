@@ -12,7 +12,7 @@ from glissando.errors import GlissandoError, ImplausibleError, OutsideGridError
 from glissando.evaluation.consistency import check_readings
 from glissando.evaluation.leave_out import leave_out
 from glissando.evaluation.metrics import innovations
-from glissando.evaluation.plausibility.examine import examine
+from glissando.evaluation.plausibility.examine import after_estimate, examine
 from glissando.evaluation.plausibility.finding import CHECKS, Finding, refuse
 from glissando.evaluation.run import chosen_streams
 from glissando.io.recording import load_recording
@@ -290,3 +290,13 @@ def test_damaged_numbers_never_break_the_guard(session, seed):
         wrong = wrong.select(slice(0, int(rng.integers(1, 4))))
     findings = examine(robot, [wrong], truth[: seed % 3], frames=frames, window=(0.0, 5.0))
     assert all(np.all([f.name in CHECKS, f.sentence.endswith(".")]) for f in findings)
+
+
+@pytest.mark.slow
+def test_readings_between_time_nodes_are_judged_by_the_state_there(spacetime):
+    recording = load_recording(spacetime / "slow_free_space")
+    robot, window = load_robot("tdcr466"), (19.0, 22.0)
+    names = ["aurora0", "aurora1", "gyro_mid", "gyro_ee"]
+    readings = recording.readings(names, robot, window)[0]
+    posterior = estimate(robot.prior, robot.grid(*window), readings)
+    assert not after_estimate(posterior, readings)

@@ -157,14 +157,18 @@ def without_false_readings(
     return out
 
 
-def _residual(posterior: Posterior, readings: Readings) -> Array:
-    """Expected minus measured (M, rows) at the estimate."""
+def _residual(posterior: Posterior, readings: Readings) -> tuple[Array, Array]:
+    """Expected minus measured (M, rows) at the estimate, and its covariance with the state's."""
     if readings.spans:
         nodes = posterior.grid.arclength
         at = posterior.at(nodes, readings.time[:, None])
-        return readings.residual_over(nodes, State(at.pose, at.strain, at.velocity))
+        state = State(at.pose, at.strain, at.velocity)
+        return readings.residual_over(nodes, state), readings.cov
     at = posterior.at(readings.arclength, readings.time)
-    return readings.residual(State(at.pose, at.strain, at.velocity))
+    state = State(at.pose, at.strain, at.velocity)
+    jacobian = readings.jacobian(state)  # between time nodes the state is uncertain by the bridge
+    cov = readings.cov + jacobian @ at.cov @ np.swapaxes(jacobian, -1, -2)
+    return readings.residual(state), cov
 
 
 def after_estimate(
@@ -187,8 +191,8 @@ def after_estimate(
         r = r.inside(posterior.grid)
         if not len(r):
             continue
-        residual = _residual(posterior, r)
-        whitened = np.linalg.solve(np.linalg.cholesky(r.cov), residual[..., None])[..., 0]
+        residual, cov = _residual(posterior, r)
+        whitened = np.linalg.solve(np.linalg.cholesky(cov), residual[..., None])[..., 0]
         size = float(np.sqrt(np.median(np.mean(whitened**2, axis=1))))
         if size > _FOLLOWED:
             findings.append(
