@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from glissando.errors import (
     SensorError,
     UnobservableError,
 )
-from glissando.estimation.outliers import CHANCE, Mask, beyond, refuted, scale_of, spikes, suspects
+from glissando.estimation.outliers import CHANCE, Mask, judged, used_at_first
 from glissando.estimation.posterior import Posterior, SolveReport
 from glissando.estimation.starting_point import starting_point, with_parameters
 from glissando.geometry.se3 import Array
@@ -71,114 +70,99 @@ def estimate(
         NotConvergedWarning: The iteration stopped early; the posterior's report says so, too.
     """
     _require_sound(prior, grid, readings, initial)
-    options = options or SolverOptions()
     known = [parameter for parameter in sensor_parameters if parameter.known]
-    readings = [corrected(r, known) for r in readings]
-    used = [_at_first(r, gate) for r in readings]
-    if not all(rows.all() for rows in used):
-        locate(grid, readings, sensor_parameters)  # raises for readings off the grid, spikes too
-    start = initial, initial_parameters
-    posterior, solution = _first_solve(
-        prior, grid, readings, used, sensor_parameters, start, options, progress
+    problem = _Problem(
+        prior,
+        grid,
+        [corrected(r, known) for r in readings],
+        sensor_parameters,
+        options or SolverOptions(),
+        progress,
     )
-    for _ in range(_ROUNDS):
-        if gate is None:
-            break
-        judged = _judged(posterior, solution, readings, used, gate)
-        if all(map(np.array_equal, used, judged)):
-            break
-        start = solution.state, solution.located.parameters.by_name()
-        try:
-            posterior, solution = _solve(
-                prior, grid, readings, judged, sensor_parameters, start, options, progress
-            )
-        except np.linalg.LinAlgError:  # of an estimate that had not converged
-            break
-        used = judged
-    refused = {
-        r.label: np.flatnonzero(~rows).tolist() for r, rows in zip(readings, used, strict=True)
-    }
-    refused = {name: rows for name, rows in refused.items() if rows}
-    report = replace(posterior.solve, refused=refused)
+    used = [used_at_first(r, gate) for r in problem.readings]
+    if not all(rows.all() for rows in used):
+        locate(grid, problem.readings, sensor_parameters)  # raises for spikes off the grid, too
+    posterior, solution = problem.first_solve(used, (initial, initial_parameters))
+    if gate is not None:
+        posterior, used = problem.solve_without_refuted(posterior, solution, used, gate)
+    report = replace(posterior.solve, refused=problem.left_out(used))
     if not report.converged:
         message = f"The estimate has {report.status}. {report.outcome.remedy}"
         warnings.warn(message, NotConvergedWarning, stacklevel=2)
     return replace(posterior, solve=report)
 
 
-def _first_solve(
-    prior: Prior, grid: Grid, readings: Sequence[Readings], *arguments: Any
-) -> tuple[Posterior, Solution]:
-    """The first solve, which says so where readings are so far off that it breaks down."""
-    try:
-        return _solve(prior, grid, readings, *arguments)
-    except (np.linalg.LinAlgError, UnobservableError) as error:
-        far = _far_off(grid, prior, readings)
-        if far is None and isinstance(error, UnobservableError):
-            raise
-        raise far or SensorError("No shape of this robot comes near the readings.") from error
+_Start = tuple[State | None, Sequence[tuple[SensorParameter, Array]]]
+"""Nodes to start from, and sensor parameters with their values."""
 
 
-def _solve(
-    prior: Prior,
-    grid: Grid,
-    readings: Sequence[Readings],
-    used: Sequence[Mask],
-    sensor_parameters: Sequence[SensorParameter],
-    initial: tuple[State | None, Sequence[tuple[SensorParameter, Array]]],
-    options: SolverOptions,
-    progress: Progress | None,
-) -> tuple[Posterior, Solution]:
-    """The posterior of the readings that are used, and where the iteration ended."""
-    readings, clock = [r.select(k) for r, k in zip(readings, used, strict=True)], Stopwatch()
-    with one_thread():
-        located = locate(grid, readings, sensor_parameters)  # (16)
-        located = with_parameters(located, initial[1])
-        start, before = initial[0], 0
-        if start is None:
-            start, located, before = starting_point(prior, located, progress, clock)
-        solution = minimize(prior, located, start, options, _after(before, progress), clock)  # (19)
-        evidence = _log_evidence(solution)  # (22)
-        with clock("covariance"):
-            marginals = solution.cholesky.marginals(consume=True)  # (21)
-    report = _report(solution, before, evidence, clock)
-    parameters = solution.located.parameters.by_name()
-    posterior = Posterior(
-        prior, grid, solution.state, solution.equations.system, marginals, report, parameters
-    )
-    return posterior, solution
+@dataclass(frozen=True)
+class _Problem:
+    """What is estimated, from which readings, and how."""
 
+    prior: Prior
+    grid: Grid
+    readings: list[Readings]
+    sensor_parameters: Sequence[SensorParameter]
+    options: SolverOptions
+    progress: Progress | None
 
-def _at_first(readings: Readings, gate: float | None) -> Mask:
-    """Which readings (M,) the first solve uses."""
-    if gate is None or readings.loss is not None:
-        return np.ones(len(readings), dtype=bool)
-    return ~spikes(readings)
+    def first_solve(self, used: Sequence[Mask], start: _Start) -> tuple[Posterior, Solution]:
+        """Solve, and say so where readings are so far off that this breaks down."""
+        try:
+            return self.solve(used, start)
+        except (np.linalg.LinAlgError, UnobservableError) as error:
+            far = _far_off(self.grid, self.prior, self.readings)
+            if far is None and isinstance(error, UnobservableError):
+                raise
+            raise far or SensorError("No shape of this robot comes near the readings.") from error
 
+    def solve(self, used: Sequence[Mask], initial: _Start) -> tuple[Posterior, Solution]:
+        """The posterior of the readings that are used, and where the iteration ended."""
+        readings = [r.select(rows) for r, rows in zip(self.readings, used, strict=True)]
+        clock, progress = Stopwatch(), self.progress
+        with one_thread():
+            located = locate(self.grid, readings, self.sensor_parameters)  # (16)
+            located = with_parameters(located, initial[1])
+            start, before = initial[0], 0
+            if start is None:
+                start, located, before = starting_point(self.prior, located, progress, clock)
+            progress = _after(before, progress)
+            solution = minimize(self.prior, located, start, self.options, progress, clock)  # (19)
+            evidence = _log_evidence(solution)  # (22)
+            with clock("covariance"):
+                marginals = solution.cholesky.marginals(consume=True)  # (21)
+        posterior = Posterior(
+            self.prior,
+            self.grid,
+            solution.state,
+            solution.equations.system,
+            marginals,
+            _report(solution, before, evidence, clock),
+            solution.located.parameters.by_name(),
+        )
+        return posterior, solution
 
-def _judged(
-    posterior: Posterior,
-    solution: Solution,
-    readings: Sequence[Readings],
-    used: Sequence[Mask],
-    gate: float,
-) -> list[Mask]:
-    """Which readings (M,) of each stream the others do not refute."""
-    streams = iter(solution.equations.reading_terms())
-    out = []
-    for stream, rows in zip(readings, used, strict=True):
-        terms = next(streams) if rows.any() else None
-        if stream.loss is not None or terms is None:
-            out.append(rows)
-            continue
-        asked = np.flatnonzero(~rows | suspects(terms, rows))
-        judged = rows.copy()
-        if asked.size:
-            limit = beyond(gate, terms.residual.shape[1]) * scale_of(terms)
-            values = solution.located.parameters
-            judged[asked] = ~refuted(posterior, values, stream.select(asked), rows[asked], limit)
-        out.append(judged)
-    return out
+    def solve_without_refuted(
+        self, posterior: Posterior, solution: Solution, used: list[Mask], gate: float
+    ) -> tuple[Posterior, list[Mask]]:
+        """Judge readings and solve again until those used are those that no others refute."""
+        for _ in range(_ROUNDS):
+            kept = judged(posterior, solution, self.readings, used, gate)  # (25)
+            if all(map(np.array_equal, used, kept)):
+                break
+            start = solution.state, solution.located.parameters.by_name()
+            try:
+                posterior, solution = self.solve(kept, start)
+            except np.linalg.LinAlgError:  # of an estimate that had not converged
+                break
+            used = kept
+        return posterior, used
+
+    def left_out(self, used: Sequence[Mask]) -> dict[str, list[int]]:
+        """Rows of each stream that were not used, of streams that have such rows."""
+        pairs = zip(self.readings, used, strict=True)
+        return {r.label: np.flatnonzero(~rows).tolist() for r, rows in pairs if not rows.all()}
 
 
 def _far_off(grid: Grid, prior: Prior, readings: Sequence[Readings]) -> SensorError | None:

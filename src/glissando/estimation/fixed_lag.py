@@ -8,7 +8,6 @@ Filtering and Smoothing* (2nd ed.), chapter 12.
 
 from __future__ import annotations
 
-import warnings
 from collections import Counter
 from collections.abc import Sequence
 from copy import copy
@@ -19,9 +18,9 @@ from numpy.typing import ArrayLike
 
 from glissando._kernels.jit import load
 from glissando._kernels.threads import one_thread
-from glissando.errors import NotConvergedWarning, OutsideGridError, SensorError, UnobservableError
-from glissando.estimation.batch import estimate
+from glissando.errors import OutsideGridError, UnobservableError
 from glissando.estimation.contact import ContactScan, scan_contacts
+from glissando.estimation.gated_update import GatedUpdate, LostError
 from glissando.estimation.innovation_gate import InnovationGate
 from glissando.estimation.posterior import Posterior, StateEstimate
 from glissando.estimation.reading_buffer import ReadingBuffer
@@ -34,18 +33,8 @@ from glissando.model.priors.prior import Prior
 from glissando.model.sensors.parameters import SensorParameter, corrected
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
-from glissando.solver.gauss_newton import SolverOptions
-from glissando.solver.located_readings import LocatedReadings
 
-_RENEWED = 2  # intervals before the newest node that an update linearises again
-_CLOSE = 0.02  # standard deviations: where the last step missed by less, the newest alone will do
-_MISS = 0.1  # standard deviations by which a step may miss before it is followed by another
-_MOST = 5  # steps an update
 _CLOSEST = 0.2  # of the last interval: no node is put nearer to the newest one to look ahead
-
-
-class _LostError(Exception):
-    """After silence, what is read is beyond a linear belief."""
 
 
 class FixedLagSmoother:
@@ -86,7 +75,8 @@ class FixedLagSmoother:
         self._window = SlidingWindow(prior, self.arclength, sensor_parameters)
         self._gate = InnovationGate(gate)
         self._buffer = ReadingBuffer(float(self.arclength[-1]), self._gate)
-        self._started, self._missed = False, np.inf
+        self._update = GatedUpdate(self._window, self._buffer, self._gate)
+        self._started = False
         self._oldest, self._silence = -np.inf, Silence()
 
     @property
@@ -139,10 +129,10 @@ class FixedLagSmoother:
         fresh, earliest = self._arrive()
         if fresh or before is None or newest > before:
             if not self._started and fresh:
-                self._start(fresh)  # all there is, as a recording is estimated
+                self._started = self._update.start(fresh)  # all there is, as in a batch
             try:
-                self._update(self._first_changed(earliest), fresh)  # (19) to (21), and the gate
-            except (np.linalg.LinAlgError, UnobservableError, _LostError):
+                self._solve(self._update.first_changed(earliest), fresh)  # (19) to (21), gated
+            except (np.linalg.LinAlgError, UnobservableError, LostError):
                 if not self._started:
                     raise
                 self._restart(min(earliest, newest - self._silence.step), fresh)
@@ -212,13 +202,6 @@ class FixedLagSmoother:
         time = self._window.nodes.time
         return self._buffer.arrive(float(time[0]), float(time[-1]))
 
-    def _first_changed(self, earliest: float) -> int:
-        """The first node whose interval is to be linearised again."""
-        time = self._window.nodes.time
-        renewed = _RENEWED if self._missed > _CLOSE else 1
-        late = int(np.searchsorted(time, earliest, side="right")) - 1
-        return max(0, min(len(time) - 1 - renewed, late))
-
     def _marginalize(self) -> None:
         """Let nodes and readings go that are older than the lag."""
         while len(self._window.nodes) > self.lag:
@@ -237,96 +220,12 @@ class FixedLagSmoother:
         if self._oldest < newest:
             self._window.append(newest)
         if fresh:
-            self._start(fresh)
-        self._update(0, fresh)
+            self._started = self._update.start(fresh)
+        self._solve(0, fresh)
 
-    def _start(self, fresh: Counter[str]) -> None:
-        """The first readings: estimate all there is from rest, as a recording is."""
-        window = self._window
-        readings = self._buffer.since(float(window.nodes.time[0]))
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", NotConvergedWarning)
-                posterior = estimate(
-                    window.prior,
-                    window.grid(),
-                    readings,
-                    sensor_parameters=window.believed_parameters(),
-                    options=SolverOptions(max_iterations=30),
-                )
-        except UnobservableError:
-            return  # not yet: some other sensor will fix the base
-        except SensorError:  # no shape comes near
-            for stream in readings:
-                for row in range(len(stream)):
-                    self._refuse(stream, row)
-            fresh.clear()
-            return
-        window.restate(posterior.state)
-        self._started = True
-
-    def _update(self, first: int, fresh: Counter[str]) -> None:
-        """Solve from a node on, more than once if far; refuse what nothing else agrees with.
-
-        Where a wrong reading led, its neighbours look wrong: which one it is, is seen from where
-        nodes were before.
-        """
-        window, before = self._window, self._window.points
-        for again in range(_MOST + 1):
-            located, wrong, broke = self._located(first), None, None
-            try:
-                self._solve(first, located, _MOST)
-                wrong = self._most_wrong(located, fresh, first_look=not again) if fresh else None
-                if wrong is None or again == _MOST:
-                    return
-            except (np.linalg.LinAlgError, UnobservableError) as error:
-                if not fresh or again == _MOST:
-                    raise
-                broke = error
-            if self._silence.curved:
-                raise _LostError  # it is the belief that is not to be trusted
-            window.points = before
-            self._solve(first, located, 1)
-            wrong = self._most_wrong(located, fresh, first_look=False) or wrong
-            if wrong is None:
-                raise broke or _LostError
-            self._refuse(*wrong)
-            fresh[wrong[0].label] -= 1
-            window.points = before
-
-    def _solve(self, first: int, located: LocatedReadings, most: int) -> None:
-        """Linearise and solve from a node on until a step misses by little."""
-        for _ in range(most):
-            self._window.relinearize(first)
-            self._window.solve(first, located)
-            self._missed = self._window.miss(first)
-            if self._missed < _MISS:
-                break
-
-    def _located(self, first: int) -> LocatedReadings:
-        """Readings at and after a node."""
-        begin = float(self._window.nodes.time[first])
-        return self._window.locate(first, self._buffer.since(begin))
-
-    def _most_wrong(
-        self, located: LocatedReadings, fresh: Counter[str], *, first_look: bool
-    ) -> tuple[Readings, int] | None:
-        """Stream and row of the new reading that fits the others least, if it is beyond belief."""
-        worst, wrong = 1.0, None
-        streams = located.streams
-        for innovations in self._window.innovations([len(r) - fresh[r.label] for r in streams]):
-            stream, nis, dof = streams[innovations.stream], innovations.nis, innovations.dof
-            if first_look:
-                self._gate.note(stream.label, nis, dof)
-            excess = self._gate.excess(stream.label, nis, dof)
-            if excess > worst:
-                worst, wrong = excess, (stream, int(innovations.rows[int(np.argmax(nis))]))
-        return wrong
-
-    def _refuse(self, stream: Readings, row: int) -> None:
-        """Let go of a reading, one at a time as a wrong one makes its neighbours look wrong."""
-        self._gate.strike(stream.label)
-        self._buffer.discard(stream.label, float(stream.time[row]), float(stream.arclength[row]))
+    def _solve(self, first: int, fresh: Counter[str]) -> None:
+        """Solve from a node on, with the new readings that the gate believes."""
+        self._update.update(first, fresh, linear=not self._silence.curved)
 
     def newest(self) -> StateEstimate:
         """The newest state at the nodes (N,) with covariance (N, 18, 18)."""
@@ -388,7 +287,7 @@ class FixedLagSmoother:
         while moved >= tolerance and rounds < most:
             rounds += 1
             self._window.relinearize(0)
-            self._window.solve(0, self._located(0))
+            self._window.solve(0, self._update.located(0))
             moved = float(np.abs(self._window.nodes.step).max())
         return rounds
 

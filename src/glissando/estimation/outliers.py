@@ -8,17 +8,20 @@ whole stream badly makes none of its readings an outlier. Source: equation (25).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammainccinv
 
 from glissando.estimation.posterior import Posterior
 from glissando.geometry.se3 import Array
 from glissando.model.factors import Residuals
 from glissando.model.interpolation import sort_points
+from glissando.model.quantiles import chi_square_exceedance
 from glissando.model.sensors.parameter_process import ParameterValues
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
+from glissando.solver.gauss_newton import Solution
 
 CHANCE = 1e-9
 """By which the innovation of a sound reading would be refused."""
@@ -30,11 +33,6 @@ _WORST = 0.2  # of a stream's largest squared innovation: what is refused togeth
 _STIFF = 1e-3  # least share of its variance that a reading leaves to the others
 
 Mask = NDArray[np.bool_]
-
-
-def beyond(chance: float, dof: int) -> float:
-    """What a sum of so many squared standard normals exceeds with that chance."""
-    return float(2.0 * gammainccinv(0.5 * dof, chance))
 
 
 def spikes(readings: Readings) -> Mask:
@@ -58,10 +56,50 @@ def spikes(readings: Readings) -> Mask:
     return found
 
 
-def suspects(terms: Residuals, sound: Mask) -> Mask:
+def used_at_first(readings: Readings, gate: float | None) -> Mask:
+    """Which readings (M,) the first solve uses: no spikes, unless nothing is to be left out."""
+    if gate is None or readings.loss is not None:
+        return np.ones(len(readings), dtype=bool)
+    return ~spikes(readings)
+
+
+def judged(
+    posterior: Posterior,
+    solution: Solution,
+    readings: Sequence[Readings],
+    used: Sequence[Mask],
+    gate: float,
+) -> list[Mask]:
+    """Which readings of each stream the others do not refute.
+
+    Args:
+        posterior: The estimate.
+        solution: Where its iteration ended.
+        readings: All readings of each stream.
+        used: Which of them (M,) it used.
+        gate: Chance of an innovation below which a reading is refuted.
+    """
+    streams, out = iter(solution.equations.reading_terms()), []
+    for stream, rows in zip(readings, used, strict=True):
+        terms = next(streams) if rows.any() else None
+        kept = rows.copy()
+        if stream.loss is None and terms is not None:
+            asked = np.flatnonzero(~rows | _suspects(terms, rows))
+            limit = chi_square_exceedance(gate, terms.residual.shape[1]) * _scale_of(terms)
+            if asked.size:
+                kept[asked] = ~_refuted(
+                    posterior, solution.located.parameters, stream.select(asked), rows[asked], limit
+                )
+        out.append(kept)
+    return out
+
+
+def _suspects(terms: Residuals, sound: Mask) -> Mask:
     """Readings (M,) with residuals that are unlikely for their stream, of those that were used."""
     out = np.zeros(sound.size, dtype=bool)
-    out[sound] = _size(terms) > beyond(_LIKELY, terms.residual.shape[1]) * scale_of(terms)
+    out[sound] = _size(terms) > chi_square_exceedance(_LIKELY, terms.residual.shape[1]) * _scale_of(
+        terms
+    )
     return out
 
 
@@ -70,14 +108,16 @@ def _size(terms: Residuals) -> Array:
     return np.einsum("mr,mr->m", white, white)
 
 
-def scale_of(terms: Residuals) -> float:
+def _scale_of(terms: Residuals) -> float:
     """By how much a stream's squared residuals are larger than its noise says, 1 or more."""
     if not len(terms.residual):
         return 1.0
-    return max(1.0, float(np.median(_size(terms))) / beyond(0.5, terms.residual.shape[1]))
+    return max(
+        1.0, float(np.median(_size(terms))) / chi_square_exceedance(0.5, terms.residual.shape[1])
+    )
 
 
-def refuted(
+def _refuted(
     posterior: Posterior, values: ParameterValues, readings: Readings, used: Mask, limit: float
 ) -> Mask:
     """Which readings (M,) all others refute: squared innovations beyond a limit.

@@ -1,0 +1,141 @@
+"""An update of a sliding window: solve with what came, refuse what nothing else agrees with."""
+
+from __future__ import annotations
+
+import warnings
+from collections import Counter
+
+import numpy as np
+
+from glissando.errors import NotConvergedWarning, SensorError, UnobservableError
+from glissando.estimation.batch import estimate
+from glissando.estimation.innovation_gate import InnovationGate
+from glissando.estimation.reading_buffer import ReadingBuffer
+from glissando.estimation.sliding_window import SlidingWindow
+from glissando.model.sensors.readings import Readings
+from glissando.solver.gauss_newton import SolverOptions
+from glissando.solver.located_readings import LocatedReadings
+
+_RENEWED = 2  # intervals before the newest node that an update linearises again
+_CLOSE = 0.02  # standard deviations: where the last step missed by less, the newest alone will do
+_MISS = 0.1  # standard deviations by which a step may miss before it is followed by another
+_MOST = 5  # steps an update
+
+
+class LostError(Exception):
+    """What is read is beyond what a linear belief allows."""
+
+
+class GatedUpdate:
+    """Updates of a window from a buffer of readings, each of which a gate judges."""
+
+    def __init__(self, window: SlidingWindow, buffer: ReadingBuffer, gate: InnovationGate) -> None:
+        self._window, self._buffer, self._gate = window, buffer, gate
+        self._missed = np.inf
+
+    def first_changed(self, earliest: float) -> int:
+        """The first node whose interval is to be linearised again for readings since `earliest`."""
+        time = self._window.nodes.time
+        renewed = _RENEWED if self._missed > _CLOSE else 1
+        late = int(np.searchsorted(time, earliest, side="right")) - 1
+        return max(0, min(len(time) - 1 - renewed, late))
+
+    def start(self, fresh: Counter[str]) -> bool:
+        """Estimate all there is from rest, as a recording is; whether that could be done.
+
+        Args:
+            fresh: New readings of each stream, cleared where no shape comes near.
+        """
+        window = self._window
+        readings = self._buffer.since(float(window.nodes.time[0]))
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", NotConvergedWarning)
+                posterior = estimate(
+                    window.prior,
+                    window.grid(),
+                    readings,
+                    sensor_parameters=window.believed_parameters(),
+                    options=SolverOptions(max_iterations=30),
+                )
+        except UnobservableError:
+            return False  # not yet: some other sensor will fix the base
+        except SensorError:  # no shape comes near
+            for stream in readings:
+                for row in range(len(stream)):
+                    self._refuse(stream, row)
+            fresh.clear()
+            return False
+        window.restate(posterior.state)
+        return True
+
+    def update(self, first: int, fresh: Counter[str], *, linear: bool) -> None:
+        """Solve from a node on, more than once if far; refuse what nothing else agrees with.
+
+        Where a wrong reading led, its neighbours look wrong: which one it is, is seen from where
+        nodes were before.
+
+        Args:
+            first: The node.
+            fresh: New readings of each stream; refused ones are taken off.
+            linear: Whether belief is narrow enough to refuse a reading by.
+
+        Raises:
+            LostError: New readings contradict a belief that cannot refuse them.
+        """
+        window, before = self._window, self._window.points
+        for again in range(_MOST + 1):
+            located, wrong, broke = self.located(first), None, None
+            try:
+                self._solve(first, located, _MOST)
+                wrong = self._most_wrong(located, fresh, first_look=not again) if fresh else None
+                if wrong is None or again == _MOST:
+                    return
+            except (np.linalg.LinAlgError, UnobservableError) as error:
+                if not fresh or again == _MOST:
+                    raise
+                broke = error
+            if not linear:
+                raise LostError
+            window.points = before
+            self._solve(first, located, 1)
+            wrong = self._most_wrong(located, fresh, first_look=False) or wrong
+            if wrong is None:
+                raise broke or LostError
+            self._refuse(*wrong)
+            fresh[wrong[0].label] -= 1
+            window.points = before
+
+    def located(self, first: int) -> LocatedReadings:
+        """Readings at and after a node."""
+        begin = float(self._window.nodes.time[first])
+        return self._window.locate(first, self._buffer.since(begin))
+
+    def _solve(self, first: int, located: LocatedReadings, most: int) -> None:
+        """Linearise and solve from a node on until a step misses by little."""
+        for _ in range(most):
+            self._window.relinearize(first)
+            self._window.solve(first, located)
+            self._missed = self._window.miss(first)
+            if self._missed < _MISS:
+                break
+
+    def _most_wrong(
+        self, located: LocatedReadings, fresh: Counter[str], *, first_look: bool
+    ) -> tuple[Readings, int] | None:
+        """Stream and row of the new reading that fits the others least, if it is beyond belief."""
+        worst, wrong = 1.0, None
+        streams = located.streams
+        for innovations in self._window.innovations([len(r) - fresh[r.label] for r in streams]):
+            stream, nis, dof = streams[innovations.stream], innovations.nis, innovations.dof
+            if first_look:
+                self._gate.note(stream.label, nis, dof)
+            excess = self._gate.excess(stream.label, nis, dof)
+            if excess > worst:
+                worst, wrong = excess, (stream, int(innovations.rows[int(np.argmax(nis))]))
+        return wrong
+
+    def _refuse(self, stream: Readings, row: int) -> None:
+        """Let go of a reading, one at a time as a wrong one makes its neighbours look wrong."""
+        self._gate.strike(stream.label)
+        self._buffer.discard(stream.label, float(stream.time[row]), float(stream.arclength[row]))
