@@ -1,7 +1,6 @@
 """The examples in every command's help are lines that can be typed, and one of each does run."""
 
 import argparse
-import json
 import re
 import shlex
 import shutil
@@ -11,8 +10,7 @@ from pathlib import Path
 import pytest
 
 from glissando.cli.main import build_parser, main
-from glissando.evaluation.run import run_estimate
-from glissando.io.netcdf import save_posterior
+from glissando.evaluation.run import run_estimate, write_run
 from glissando.io.recording import load_recording
 from glissando.io.shipped_robots import robot_file
 from glissando.simulation import SlidePath, load_bench, simulate_session, write_session
@@ -48,6 +46,7 @@ RUNS = {  # what must stand in the line that is run, and what makes it quick; or
     "study": ("--out results", "--workers 1"),
     "view": ("view results --recording my_recording", ""),
     "figure": ("--font-size 7", ""),
+    "rerun": ("results/report.json --json", ""),
     "report": ("report results/fixed", ""),
     "record": "its devices take as long as real ones: tests/hardware/test_rig.py runs it",
     "calibrate": "it wants a recorded session: tests/hardware/test_rig.py runs it",
@@ -85,10 +84,11 @@ def bench(tmp_path_factory):
         )
         recording = load_recording("my_recording")
         run = run_estimate(recording, recording.robot, window=None, use=None, truth=None)
+        keys = ("robot", "window", "use", "truth", "start", "max_iterations")
+        request = {"recording": "my_recording", "allow": [], **dict.fromkeys(keys)}
         for out in map(Path, ("results", "results/fixed", "results/sliding")):
             out.mkdir()
-            save_posterior(run.posterior, out / "posterior.nc")
-            (out / "report.json").write_text(json.dumps(run.as_json()))
+            write_run(run, out, request=request, inputs={})
     return folder
 
 

@@ -160,7 +160,7 @@ def results(run, out, *, view):
         quick = lambda *_: [save_figure(FIGURE, _[-1] / "shape.png")]  # noqa: E731
         patch.setattr(estimate_command, "save_figures", quick)
         options = Namespace(out=out, animate=False, view=view, loads=False)
-        estimate_command._write(options, run, (np.zeros(1), np.zeros(1)))
+        estimate_command._write(options, run, (np.zeros(1), np.zeros(1)), {})
 
 
 FIGURE = Figure(figsize=(1, 1))

@@ -32,6 +32,7 @@ from glissando.evaluation.metrics import Errors, errors_against
 from glissando.io.atomic_file import write_text
 from glissando.io.atomic_folder import renewed_folder
 from glissando.io.netcdf import load_posterior
+from glissando.io.provenance import write_report
 from glissando.io.recording import load_recording
 from glissando.io.robot_file import with_tube
 from glissando.io.shipped_robots import robot_file
@@ -113,7 +114,7 @@ def _check(options: argparse.Namespace) -> int:
             print(_TUBE.format(**tube))
     if options.out:
         with renewed_folder(options.out, ("check.json", "calibration.png")) as building:
-            write_text(building / "check.json", json.dumps(document, indent=2) + "\n")
+            write_report(building / "check.json", document)
             save_figure(calibration_figure(checks), building / "calibration.png")
     return status
 

@@ -16,8 +16,8 @@ from glissando.errors import GlissandoError
 from glissando.evaluation.run import checked_window, chosen_streams
 from glissando.evaluation.simulation_based import SimulationCheck, simulate_and_rank
 from glissando.geometry.se3 import Array
-from glissando.io.atomic_file import write_text
 from glissando.io.atomic_folder import renewed_folder
+from glissando.io.provenance import write_report
 from glissando.io.recording import load_recording
 from glissando.io.robot_file import load_robot
 from glissando.model.grid import Grid
@@ -59,7 +59,7 @@ def check_draws(options: argparse.Namespace) -> int:
             _print(robot, check)
     if options.out:
         with renewed_folder(options.out, ("check.json", "ranks.png")) as building:
-            write_text(building / "check.json", json.dumps(document, indent=2) + "\n")
+            write_report(building / "check.json", document)
             save_figure(ecdf_figure(found), building / "ranks.png")
     return 1 if any(check.outside for check in found) else 0
 

@@ -14,6 +14,7 @@ COMMANDS = {
     "study": ("study", "sweep settings over many seeds"),
     "view": ("view", "show the robot over time"),
     "figure": ("figure", "draw a figure as PNG, PDF or SVG"),
+    "rerun": ("rerun", "compute a result again, and say what differs"),
     "report": ("report", "compare runs on one page"),
     "record": ("record", "record an experiment"),
     "calibrate": ("calibrate", "find clocks, frames and zeros"),

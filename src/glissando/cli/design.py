@@ -15,8 +15,8 @@ from glissando.cli.plan import add_task, stage_of
 from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_command, require_writable
 from glissando.errors import GlissandoError
-from glissando.io.atomic_file import write_text
 from glissando.io.atomic_folder import renewed_folder
+from glissando.io.provenance import write_report
 from glissando.io.robot_file import load_robot
 from glissando.planning.design import Design, pareto_front, sweep
 from glissando.planning.objectives import objective_named
@@ -93,7 +93,7 @@ def _design(options: argparse.Namespace) -> int:
         Console().print(_table(designs, best.tolist(), options.zone))
     if options.out:
         with renewed_folder(options.out, ("design.json", "design.png")) as building:
-            write_text(building / "design.json", json.dumps(report, indent=2) + "\n")
+            write_report(building / "design.json", report)
             save_figure(design_figure(designs), building / "design.png")
     return 0
 

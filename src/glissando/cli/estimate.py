@@ -19,8 +19,10 @@ from glissando.cli.shared import (
     add_choices,
     add_command,
     estimate_watched,
+    input_digests,
     parameter_text,
     recording_and_robot,
+    request_of,
     require_writable,
     site_table,
 )
@@ -95,7 +97,8 @@ def _estimate(options: argparse.Namespace) -> int:
         _print(run, Console())
         if options.loads:
             Console().print(_loads_table(_loads_rows(run.posterior)))
-    written = _write(options, run, query)
+    stated = {"request": request_of(options), "inputs": input_digests(recording, robot, options)}
+    written = _write(options, run, query, stated)
     if written and not options.json:
         Console().print("Wrote " + ", ".join(str(path) for path in written), markup=False)
     if complaint:
@@ -229,7 +232,12 @@ _OUTPUTS = (
 )
 
 
-def _write(options: argparse.Namespace, run: Run, query: tuple[Array, Array] | None) -> list[Path]:
+def _write(
+    options: argparse.Namespace,
+    run: Run,
+    query: tuple[Array, Array] | None,
+    stated: dict[str, Any],
+) -> list[Path]:
     """Write all that was asked for; in --out nothing of an earlier run stays beside it."""
     if options.out is None:
         if query is not None:
@@ -237,7 +245,7 @@ def _write(options: argparse.Namespace, run: Run, query: tuple[Array, Array] | N
         return [] if query is None else [_answers(options)]
     shown = run.posterior, run.readings, run.truth
     with renewed_folder(options.out, _OUTPUTS) as building, working("writing the results") as work:
-        written = [*write_run(run, building), *save_figures(*shown, building)]
+        written = [*write_run(run, building, **stated), *save_figures(*shown, building)]
         if options.animate:
             work.begin("drawing the film")
             film = save_animation(*shown, building / "shape.mp4", progress=work.update)

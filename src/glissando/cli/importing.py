@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import math
 from pathlib import Path
 
@@ -22,10 +21,10 @@ from glissando.evaluation.foreign_estimate import (
     foreign_report,
     read_estimate,
 )
-from glissando.io.atomic_file import write_text
 from glissando.io.atomic_folder import require_new
 from glissando.io.foreign import Choices, read_tracks, write_recording
 from glissando.io.foreign.tracks import Track
+from glissando.io.provenance import write_report
 from glissando.io.recording import load_recording
 
 _HELP = """\
@@ -131,7 +130,7 @@ def _import_estimate(options: argparse.Namespace) -> int:
     truth = recording.choose([], options.truth or None)[1]
     judges = recording.readings(truth, robot, recording.span(), as_truth=True)[0]
     report = foreign_report(names_of_files, estimate, recording, robot, judges)
-    write_text(options.out / "report.json", json.dumps(report, indent=2) + "\n")
+    write_report(options.out / "report.json", report)
     rmse = 1e3 * report["overall"]["position_rmse"]
     print(f"Wrote {options.out}: {rmse:.2f} mm RMSE against {', '.join(truth)}.")
     print(f"Now: glissando report RUN {options.out}")

@@ -16,9 +16,10 @@ from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_command, require_writable
 from glissando.errors import GlissandoError, RobotFileError, SimulationError
 from glissando.geometry.se3 import Array
-from glissando.io.atomic_file import write_table, write_text
+from glissando.io.atomic_file import write_table
 from glissando.io.atomic_folder import renewed_folder
 from glissando.io.netcdf import load_posterior
+from glissando.io.provenance import write_report
 from glissando.io.robot_file import load_robot
 from glissando.io.shipped_robots import robot_file, shipped_robots
 from glissando.model.slide_path import SlideLimits
@@ -174,7 +175,7 @@ def _write(
     shown = {name: paths[name] for name in ("planned", "oscillating", "fixed")}
     with renewed_folder(options.out, ("path.csv", "plan.json", "plan.png", "plan.gif")) as building:
         write_table(building / "path.csv", head, knots)
-        write_text(building / "plan.json", json.dumps(report, indent=2) + "\n")
+        write_report(building / "plan.json", report)
         save_figure(plan_figure(problem, shown, zones), building / "plan.png")
         if options.animate:
             save_plan_film(problem, shown, zones, building / "plan.gif")

@@ -25,8 +25,8 @@ from glissando.cli.shared import (
 from glissando.errors import GlissandoError
 from glissando.estimation.fixed_lag import FixedLagSmoother
 from glissando.evaluation.replay import Replay, replay
-from glissando.io.atomic_file import write_text
 from glissando.io.atomic_folder import renewed_folder
+from glissando.io.provenance import write_report
 from glissando.io.query_csv import write_states
 from glissando.model.robot import Robot
 from glissando.visualization.canvas import save_figure
@@ -119,7 +119,7 @@ def _write(result: Replay, folder: Path) -> list[Path]:
     pairs = zip(result.time, result.states, strict=True)
     with renewed_folder(folder, names) as building:
         report, newest, figure = (building / name for name in names)
-        write_text(report, json.dumps(result.as_json(), indent=2) + "\n")
+        write_report(report, result.as_json())
         write_states(((np.full(nodes.size, t), nodes, at) for t, at in pairs), newest)
         save_figure(replay_figure(result), figure)
     return [folder / "log", *(folder / name for name in names)]

@@ -25,9 +25,10 @@ from glissando.evaluation.plausibility.finding import Finding
 from glissando.evaluation.run import Run, chosen_streams, run_estimate
 from glissando.io.atomic_file import write_text
 from glissando.io.netcdf import load_posterior
+from glissando.io.provenance import digests, made_by, stated_format
 from glissando.io.recording import Recording, load_recording
 from glissando.io.robot_file import load_robot
-from glissando.io.shipped_robots import shipped_robots
+from glissando.io.shipped_robots import robot_file, shipped_robots
 from glissando.model.robot import Robot
 from glissando.model.sensors.readings import Readings
 from glissando.model.tube import Tube
@@ -224,6 +225,26 @@ def recording_and_robot(options: argparse.Namespace) -> tuple[Recording, Robot]:
     return recording, chosen_robot(recording, options.robot)
 
 
+def request_of(options: argparse.Namespace) -> dict[str, Any]:
+    """What was asked of an estimate, as its report.json states it for `glissando rerun`."""
+    keys = ("recording", "robot", "window", "use", "truth", "allow", "start", "max_iterations")
+    given = {key: getattr(options, key) for key in keys}
+    return {key: str(v) if isinstance(v, Path) else v for key, v in given.items()}
+
+
+def input_digests(
+    recording: Recording, robot: Robot, options: argparse.Namespace
+) -> dict[str, str]:
+    """SHA-256 of the files that an estimate reads: the recording's, the robot's, the start's."""
+    kinds = (".csv", ".mcap", ".toml")
+    files = digests(f for f in sorted(recording.folder.iterdir()) if f.suffix in kinds)
+    if options.robot or robot.name in shipped_robots():
+        files["--robot"] = next(iter(digests([robot_file(options.robot or robot.name)]).values()))
+    if options.start:
+        files["--start"] = next(iter(digests([options.start]).values()))
+    return files
+
+
 def site_table(title: str, headings: Sequence[str]) -> Table:
     """A table with a row a site, which 80 columns hold."""
     table = Table(
@@ -278,5 +299,8 @@ def write_robot(document: dict[str, Any], start: str, out: Path) -> None:
         start: Robot that it began with.
         out: File to write.
     """
-    header = f"# Learned from recordings, beginning with {start}; its comments are not kept.\n"
+    header = (
+        f"# Learned from recordings by {made_by()}, beginning with {start}, without its comments.\n"
+    )
+    document = {"format": stated_format("robot"), **document}
     write_text(out, header + tomli_w.dumps(document))

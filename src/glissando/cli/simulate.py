@@ -89,7 +89,7 @@ def _simulate(options: argparse.Namespace) -> int:
             **{name: value for name, value in given.items() if value is not None},
         )
     shipped = options.robot in shipped_robots()
-    write_session(session, options.out, options.robot if shipped else file)
+    write_session(session, options.out, options.robot if shipped else file, seed=options.seed)
     rows, lasts = len(session.coil.time), session.duration
     print(
         f"Wrote {options.out}: {lasts:.3g} s, {rows} readings of the coil, {len(session.mocap)} "

@@ -17,7 +17,7 @@ from glissando.experiments.study.figures import study_figure
 from glissando.experiments.study.plan import Cell, load_study
 from glissando.experiments.study.store import TABLE, Store, run_cells
 from glissando.experiments.study.summary import print_summary, summarise
-from glissando.io.atomic_file import write_text
+from glissando.io.provenance import write_report
 from glissando.visualization.canvas import save_figure
 
 _HELP = """\
@@ -93,5 +93,5 @@ def _run(options: argparse.Namespace, todo: list[Cell], store: Store, doing: str
 
 def _write(told: dict[str, Any], folder: Path) -> list[Path]:
     summary = folder / "summary.json"
-    write_text(summary, json.dumps(told, indent=2) + "\n")
+    write_report(summary, told)
     return [summary, save_figure(study_figure(told), folder / "study.png")]

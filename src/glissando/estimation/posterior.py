@@ -43,7 +43,7 @@ class SolveReport:
         cost: Half the sum of squared whitened residuals, or of their losses.
         log_evidence: Laplace log marginal likelihood up to a constant (equation 22).
         suspects: How many readings a robust loss gave less than half their weight.
-        seconds: Processor time by phase.
+        seconds: Processor time by phase; empty of a posterior that was loaded.
         refused: Rows of each stream that were not used, as all other readings refute them.
     """
 
@@ -75,8 +75,10 @@ class SolveReport:
         )
 
     def to_table(self) -> dict[str, Any]:
-        """The report as JSON holds it."""
-        return {**vars(self), "outcome": self.outcome.name}
+        """The report as JSON holds it, without the times, which differ from run to run."""
+        table = {**vars(self), "outcome": self.outcome.name}
+        del table["seconds"]
+        return table
 
     @staticmethod
     def from_table(table: dict[str, Any]) -> SolveReport:
@@ -85,7 +87,7 @@ class SolveReport:
             status = table.pop("status")
             named = {"converged": "CONVERGED", "online": "UPDATED"}
             table |= {"outcome": named.get(status, "ITERATION_LIMIT"), "last_step": np.nan}
-        return SolveReport(**{**table, "outcome": Outcome[table["outcome"]]})
+        return SolveReport(**{"seconds": {}, **table, "outcome": Outcome[table["outcome"]]})
 
 
 @dataclass(frozen=True)

@@ -11,23 +11,10 @@ from typing import Any
 
 from threadpoolctl import threadpool_info
 
-from glissando import __version__
+from glissando.io.provenance import versions
 
 _LATENCY = Path("/sys/bus/usb-serial/devices")
 _EXTRA = re.compile(r"^([A-Za-z0-9_.-]+).*;.*extra == ['\"]([\w-]+)['\"]")
-
-
-def versions() -> dict[str, str]:
-    """Versions of python, glissando, numpy and scipy, as results should state them.
-
-    >>> list(versions())
-    ['python', 'glissando', 'numpy', 'scipy']
-    """
-    return {
-        "python": platform.python_version(),
-        "glissando": __version__,
-        **{name: version(name) for name in ("numpy", "scipy")},
-    }
 
 
 def system() -> dict[str, Any]:

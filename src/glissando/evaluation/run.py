@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,7 +13,6 @@ from glissando.errors import ImplausibleError, RecordingError
 from glissando.estimation.batch import estimate
 from glissando.estimation.posterior import Posterior
 from glissando.evaluation.consistency import Consistency, check, check_readings
-from glissando.evaluation.environment import versions
 from glissando.evaluation.metrics import Errors, errors_against, pool
 from glissando.evaluation.plausibility.examine import (
     after_estimate,
@@ -22,8 +20,8 @@ from glissando.evaluation.plausibility.examine import (
     without_false_readings,
 )
 from glissando.evaluation.plausibility.finding import Finding, refuse
-from glissando.io.atomic_file import write_text
 from glissando.io.netcdf import save_posterior
+from glissando.io.provenance import versions, write_report
 from glissando.io.recording import Recording
 from glissando.model.brief import Brief
 from glissando.model.robot import Robot
@@ -223,17 +221,20 @@ def run_estimate(
     return Run(recording, robot, window, readings, references, dropped, posterior, errors, findings)
 
 
-def write_run(run: Run, folder: Path) -> list[Path]:
-    """Write report.json and posterior.nc into a folder.
+def write_run(run: Run, folder: Path, **more: Any) -> list[Path]:
+    """Write report.json and posterior.nc into a folder: the same bytes for the same run.
 
     Args:
         run: The run.
         folder: Where to write; made if it is missing.
+        **more: Further entries of the report, such as what was asked for.
 
     Returns:
         Paths of both files.
     """
     report, saved = folder / "report.json", folder / "posterior.nc"
-    write_text(report, json.dumps(run.as_json(), indent=2) + "\n")
+    results = run.as_json() | more
+    del results["seconds"]  # which differ from run to run
+    write_report(report, results)
     save_posterior(run.posterior, saved)
     return [report, saved]

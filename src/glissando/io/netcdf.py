@@ -17,6 +17,7 @@ from glissando.estimation.posterior import Posterior, SolveReport
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.io.atomic_file import new_file
+from glissando.io.provenance import require_readable, stated_format, versions
 from glissando.io.robot_file import OLD_KINDS
 from glissando.io.toml_table import Table
 from glissando.model.grid import Grid
@@ -32,7 +33,6 @@ from glissando.solver.block_tridiagonal import BlockTridiagonal, factor
 if TYPE_CHECKING:
     import xarray
 
-_FORMAT = "glissando posterior 1"
 _DAMAGED = (
     ValueError,
     KeyError,
@@ -109,7 +109,10 @@ def to_xarray(posterior: Posterior) -> xarray.Dataset:
     }
     if "load" in variables:
         coordinates["place"] = ("place", variables.pop("place"), {"units": "m"})
-    attributes = {"title": "Posterior of a continuum robot's motion", "format": _FORMAT}
+    attributes = {
+        "title": "Posterior of a continuum robot's motion",
+        "format": stated_format("posterior"),
+    }
     dataset: xarray.Dataset = _xarray().Dataset(variables, coordinates, attributes)
     return dataset
 
@@ -144,6 +147,7 @@ def save_posterior(posterior: Posterior, path: str | Path) -> None:
     dataset.attrs["sensor_parameters"] = json.dumps(
         [_plain({**vars(u), "values": values}) for u, values in posterior.sensor_parameters]
     )
+    dataset.attrs["versions"] = json.dumps(versions())
     dataset.attrs["solve"] = json.dumps(posterior.solve.to_table())
     packed = {"zlib": True, "complevel": 4, "shuffle": True}
     encoding = dict.fromkeys(("information", "information_below", "cov"), packed)
@@ -163,10 +167,7 @@ def load_posterior(path: str | Path) -> Posterior:
             dataset = opened.load()
     except (OSError, *_DAMAGED) as problem:
         raise GlissandoError(f"{path} cannot be read as NetCDF ({problem}).") from None
-    if dataset.attrs.get("format") != _FORMAT:
-        raise GlissandoError(
-            f"{path} is not a glissando posterior; give a file that save_posterior wrote."
-        )
+    require_readable(dataset.attrs.get("format", "unknown"), "posterior", path)
     try:
         return _posterior(dataset, Path(path).name)
     except (GlissandoError, np.linalg.LinAlgError, *_DAMAGED) as problem:

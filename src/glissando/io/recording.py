@@ -13,6 +13,7 @@ from glissando.errors import RecordingError
 from glissando.geometry.se3 import Array
 from glissando.io.atomic_folder import new_folder
 from glissando.io.csv_stream import Rows, Stream, clean, read_named, read_public, scale_of, steady
+from glissando.io.provenance import require_readable
 from glissando.io.recording_writer import write_streams
 from glissando.io.robot_file import load_robot
 from glissando.io.session_log import read_session
@@ -171,6 +172,7 @@ def load_recording(folder: str | Path) -> Recording:
 def _of_log(path: Path) -> Recording:
     """The recording that a session log holds, also one that was killed."""
     session = read_session(path)
+    require_readable(session.metadata.get("format"), "session", path, RecordingError)
     found = session_streams(session, session_setup(session))
     beside = path.parent / found.robot
     robot = load_robot(beside if beside.is_file() else found.robot)
@@ -223,7 +225,9 @@ def _fitting_robot(streams: dict[str, Stream]) -> Robot | None:
 
 
 def _described(folder: Path) -> Recording:
-    table = read_toml(folder / "recording.toml", RecordingError)
+    file = folder / "recording.toml"
+    table = read_toml(file, RecordingError)
+    require_readable(table.text("format", ""), "recording", file, RecordingError)
     name = table.text("name", folder.resolve().name)
     journal = table.flag("journal")
     robot_name = table.text("robot", "")
@@ -240,7 +244,8 @@ def _described(folder: Path) -> Recording:
             unknown.add(frame)
         frames[frame] = entry.pose() if frame not in unknown else np.eye(4)
         entry.close()
-    table.skip("calibration")  # what was found, for the reader
+    for told in ("calibration", "made_by", "seed"):  # for the reader
+        table.skip(told)
     came_in = {}
     for entry in table.tables("streams"):
         frame = entry.peek("frame")

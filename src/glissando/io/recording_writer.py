@@ -14,6 +14,7 @@ from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.io.atomic_file import write_text
 from glissando.io.csv_stream import Stream, write_named
+from glissando.io.provenance import made_by, stated_format
 
 
 def write_streams(
@@ -63,8 +64,9 @@ _UNKNOWN = (
 
 
 def describe_recording(name: str, robot: str = "", **more: Any) -> str:
-    """The first lines of a recording.toml: its name, its robot, and any `more` fields."""
-    return _fields({"name": name, **({"robot": robot} if robot else {}), **more})
+    """The first lines of a recording.toml: format, name, robot, and any `more` fields."""
+    stated = {"format": stated_format("recording"), "made_by": made_by()}
+    return _fields({**stated, "name": name, **({"robot": robot} if robot else {}), **more})
 
 
 def describe_stream(stream: Stream) -> str:

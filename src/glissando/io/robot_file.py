@@ -11,6 +11,7 @@ import numpy as np
 
 from glissando.errors import OldNameWarning, RobotFileError
 from glissando.geometry.se3 import Array
+from glissando.io.provenance import require_readable
 from glissando.io.shipped_robots import robot_file
 from glissando.io.toml_table import Table, read_document
 from glissando.model.mechanics import read_mechanics, require_plausible
@@ -60,6 +61,7 @@ def read_robot_document(path: Path) -> dict[str, Any]:
         RobotFileError: It cannot be read or parsed.
     """
     document, renamed = read_document(path, RobotFileError), []
+    require_readable(document.get("format"), "robot", path, RobotFileError)
     if "unknowns" in document and "sensor_parameters" not in document:
         document["sensor_parameters"] = document.pop("unknowns")
         renamed.append("[[unknowns]] is now [[sensor_parameters]]")
@@ -98,6 +100,7 @@ def parse_robot(table: Table) -> Robot:
         _sensor_parameter(entry) for entry in table.tables("sensor_parameters")
     )
     tube, tendons = _tube(table.table("tube")), read_tendons(table, length)
+    table.skip("format")
     table.skip("physics")  # of the simulator, which checks it
     table.close()
     beside = (mechanics, tube, tendons)

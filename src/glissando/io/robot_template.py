@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from glissando.errors import RobotFileError
+from glissando.io.provenance import stated_format
 from glissando.model.sensors.sensors import sensor_class, sensor_kinds
 
 _LIKELY = {  # least and largest value that is likely, and their unit
@@ -99,6 +100,7 @@ def robot_text(outline: RobotOutline) -> str:
         rows = f"[{', '.join([row] * outline.segments)}]"
         rows += f"\nvar_jumps = [{', '.join([jump] * len(joints))}]"
     return _TEXT.format(
+        format=stated_format("robot"),
         name=outline.name,
         length=outline.length,
         nodes=max(5, 2 * outline.segments + 1),
@@ -152,6 +154,7 @@ _TEXT = """\
 # Written by `glissando robot new`: broad numbers, nothing learned. Densities and variances are of
 # strain, [shear x, shear y, extension, bending x, bending y, torsion], in SI units and radians.
 # `glissando learn` makes them sharper, `glissando check` says whether confidence is true.
+format = "{format}"
 name = "{name}"
 length = {length}
 rest_strain = [0, 0, 1, 0, 0, 0]  # straight; at rest as it is unloaded

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -144,10 +145,11 @@ def _require_coil_on_robot(bench: Bench, path: SlidePath) -> None:
         )
 
 
-def write_session(session: Session, folder: Path, robot: str | Path) -> list[Path]:
+def write_session(session: Session, folder: Path, robot: str | Path, **more: Any) -> list[Path]:
     """Write a recording folder, whole or not at all; returns its files.
 
-    `robot` is the name of a shipped robot or a robot file, which is copied into the folder. Raises
+    `robot` is the name of a shipped robot or a robot file, which is copied into the folder; `more`
+    are further fields of recording.toml. Raises
     SimulationError when the folder holds something already.
     """
     streams = [Stream("coil", session.coil, keep_repeats=True, frame="tracker")]
@@ -160,7 +162,7 @@ def write_session(session: Session, folder: Path, robot: str | Path) -> list[Pat
     streams += [Stream(name, rows, std=session.gyro_std) for name, rows in session.gyros.items()]
     with new_folder(folder, SimulationError) as building:
         frames = {"tracker": session.T_wt}
-        write_streams(building, session.name, streams, robot=robot, frames=frames)
+        write_streams(building, session.name, streams, robot=robot, frames=frames, **more)
         path = session.path
         knots = np.column_stack([path.time, path.displacement, path.speed])
         write_table(building / "slide_path.csv", ["time", "displacement", "speed"], knots)

@@ -36,6 +36,7 @@ _STYLE: dict[Any, Any] = {
     "legend.frameon": False,
     "pdf.fonttype": 42,  # TrueType, which publishers ask for
     "svg.fonttype": "none",
+    "svg.hashsalt": "glissando",  # the same names of parts in every file
 }
 Style: TypeAlias = "Mapping[str, Any]"
 """rcParams that are drawn with, such as {"font.size": 8}."""
@@ -98,6 +99,8 @@ def _tuples() -> dict[Any, Any]:
 def save_figure(drawn: Any, path: str | Path) -> Path:
     """Write a figure as its file's ending says, whole or not at all; returns the path.
 
+    The same figure gives the same bytes: no date is written.
+
     Args:
         drawn: Axes, an array of them as the functions of figures return it, or a figure.
         path: A .png, .pdf or .svg.
@@ -110,5 +113,6 @@ def save_figure(drawn: Any, path: str | Path) -> Path:
         raise GlissandoError(f"{path.name} is no figure: end it in .png, .pdf or .svg.")
     figure = np.ravel(np.asarray(drawn, dtype=object))[0].figure
     with canvas(1.0, 1.0), new_file(path) as building:  # for the fonts of its style
-        figure.savefig(building, dpi=150)
+        undated = {".pdf": "CreationDate", ".svg": "Date"}.get(path.suffix.lower())
+        figure.savefig(building, dpi=150, metadata={undated: None} if undated else None)
     return path

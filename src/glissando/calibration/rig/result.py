@@ -16,13 +16,13 @@ from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.io.atomic_file import write_text
 from glissando.io.csv_stream import Rows, Stream
+from glissando.io.provenance import require_readable, stated_format, versions
 from glissando.io.recording import Recording
 from glissando.io.toml_table import Table, read_toml
 from glissando.model.brief import Brief
 from glissando.model.robot import Robot
 from glissando.model.sensors.parameters import SensorParameter
 
-FORMAT = "glissando calibration 1"
 _UNITS = {"delay": ("ms", 1e3), "rate": ("ppm", 1e6), "lead": ("1", 1.0)}
 
 
@@ -96,7 +96,8 @@ class Calibration(Brief):
         """Write the TOML file that `load_calibration` reads, laid out as docs/calibration.md."""
         rig, std = self.rig, self.std
         document: dict[str, Any] = {
-            "format": FORMAT,
+            "format": stated_format("calibration"),
+            "versions": versions(),
             "epoch": rig.epoch,
             "log_odds": float(self.log_odds),
             "frames": {"tracker": {**_pose(rig.T_wt), "std": std[:6].tolist()}},
@@ -147,7 +148,7 @@ def load_calibration(path: str | Path) -> Calibration:
         GlissandoError: If the file cannot be read, with the key that is wrong.
     """
     table = read_toml(Path(path), GlissandoError)
-    table.text("format", choices=(FORMAT,))
+    require_readable(table.text("format"), "calibration", path)
     frames, coil, slide, covariance = (
         _subtable(table, key) for key in ("frames", "coil", "slide", "covariance")
     )

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any, Self
 
 from glissando.errors import GlissandoError
+from glissando.io.provenance import stated_format
 from glissando.io.session_log.messages import encoded
 
-FORMAT = "glissando session 1"
 _SAFE_EVERY = 0.5  # s between flushes: a crash loses at most a second
 _CHUNK_BYTES = 256 * 1024
 
@@ -58,7 +58,7 @@ class SessionWriter:
         try:
             with self._sound():
                 self._writer.start(profile="", library="glissando")
-                stated = {"format": FORMAT, **clocks, **(metadata or {})}
+                stated = {"format": stated_format("session"), **clocks, **(metadata or {})}
                 self._writer.add_metadata("session", stated)
             self.sync()
         except BaseException:

@@ -1,0 +1,100 @@
+"""What files state of themselves: the version of their format, and what computed them."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import platform
+import re
+from collections.abc import Iterable, Mapping
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from glissando import __version__
+from glissando.errors import GlissandoError
+from glissando.io.atomic_file import write_text
+
+FORMATS = {"posterior": 2, "recording": 1, "session": 1, "robot": 1, "calibration": 1}
+"""Version of each format that is written; those before it are read, too (docs/formats.md)."""
+
+
+def stated_format(kind: str) -> str:
+    """The words by which a file states its format.
+
+    >>> stated_format("recording")
+    'glissando recording 1'
+    """
+    return f"glissando {kind} {FORMATS[kind]}"
+
+
+def require_readable(
+    stated: object, kind: str, where: str | Path, error: type[GlissandoError] = GlissandoError
+) -> None:
+    """Require that a file is of a format that this version reads.
+
+    Args:
+        stated: What the file states; None counts as the first version of its format.
+        kind: Kind of file, a key of FORMATS.
+        where: The file, for the message.
+        error: Class of the error.
+
+    Raises:
+        GlissandoError: It is of another kind, or of a version to come.
+    """
+    found = re.fullmatch(rf"glissando {kind} ([1-9]\d{{0,3}})", str(stated or stated_format(kind)))
+    if found is None:
+        raise error(
+            f"{where} is not a glissando {kind}: its format is {str(stated)[:60]!r}; give one of "
+            f"format {stated_format(kind)!r}."
+        )
+    if int(found[1]) > FORMATS[kind]:
+        raise error(
+            f"{where} is a {found[0]!r}, which a later version wrote; this one, {__version__}, "
+            f"reads up to {stated_format(kind)!r}. Install a newer glissando."
+        )
+
+
+@cache
+def versions() -> dict[str, str]:
+    """Versions of all that numbers depend on, as results state them.
+
+    >>> list(versions())
+    ['python', 'glissando', 'numpy', 'scipy', 'numba']
+    """
+    return {
+        "python": platform.python_version(),
+        "glissando": __version__,
+        **{name: version(name) for name in ("numpy", "scipy", "numba")},
+    }
+
+
+def made_by() -> str:
+    """The program and its version, as text files state it."""
+    return f"glissando {__version__}"
+
+
+def write_report(path: Path, document: Mapping[str, Any]) -> None:
+    """Write results as JSON with the versions that made them, whole or not at all.
+
+    Args:
+        path: The file to write.
+        document: What JSON can hold.
+
+    Raises:
+        GlissandoError: The disk refused.
+    """
+    write_text(path, json.dumps({**document, "versions": versions()}, indent=2) + "\n")
+
+
+def digests(files: Iterable[Path]) -> dict[str, str]:
+    """SHA-256 of each file's bytes, by its name.
+
+    Raises:
+        GlissandoError: A file cannot be read.
+    """
+    try:
+        return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
+    except OSError as problem:
+        raise GlissandoError(f"{problem.filename} cannot be read ({problem.strerror}).") from None
