@@ -16,7 +16,7 @@ from glissando.estimation.contact import locate_contact, scan_contacts
 from glissando.geometry import se3
 from glissando.io.shipped_robots import robot_file
 from glissando.model.mechanics import Mechanics
-from glissando.model.priors.mechanical import MechanicalPrior
+from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.simulation import Loads, Wrench, solve_shape
 from glissando.simulation.bench import load_bench
 

@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from glissando import BaseVariance, CoilReadings, SeparablePrior, estimate_static
 from glissando.geometry import se3
 from glissando.model.mechanics import Mechanics
-from glissando.model.priors.mechanical import MechanicalPrior
+from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.simulation import Loads, Rod, Wrench, solve_shape
 
 NODES = 13

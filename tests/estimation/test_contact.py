@@ -8,7 +8,7 @@ from glissando.errors import OutsideGridError
 from glissando.estimation.contact import locate_contact, scan_contacts
 from glissando.geometry import se3
 from glissando.model.mechanics import Mechanics
-from glissando.model.priors.mechanical import MechanicalPrior
+from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.simulation import Loads, Rod, Wrench, solve_shape
 
 LENGTH, NODES = 0.5, np.linspace(0.0, 0.5, 8)

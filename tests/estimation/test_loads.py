@@ -8,7 +8,7 @@ from glissando import CoilReadings, Grid, PoseReadings, estimate, estimate_stati
 from glissando.errors import GlissandoError, OutsideGridError
 from glissando.geometry import se3
 from glissando.model.mechanics import Mechanics
-from glissando.model.priors.mechanical import MechanicalPrior
+from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.simulation import Loads, Rod, Wrench, solve_shape
 
 LENGTH, MIDDLE, COUNT = 0.6, 0.3, 40

@@ -9,7 +9,7 @@ from glissando.model.grid import Grid
 from glissando.model.interpolation import sort_points
 from glissando.model.mechanics import Mechanics
 from glissando.model.priors.intervals import RATED
-from glissando.model.priors.rod_intervals import interval_end, interval_error
+from glissando.model.priors.mechanical.intervals import interval_end, interval_error
 from glissando.model.state import DOF
 from glissando.simulation import Loads, Rod, Wrench, solve_shape
 from mechanical_rod import GRID, NODES_S, mechanical, moving

@@ -6,7 +6,7 @@ from draws import sixes
 from glissando.geometry import se3
 from glissando.model.grid import Grid
 from glissando.model.mechanics import Mechanics, tube_section
-from glissando.model.priors.mechanical import MechanicalPrior
+from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.model.state import State
 
 JOINT, POINT = 0.15, 0.3

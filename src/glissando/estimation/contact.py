@@ -20,8 +20,8 @@ from glissando.estimation.loads import require_mechanics
 from glissando.estimation.posterior import Posterior
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid, Index
-from glissando.model.priors.mechanical import MechanicalPrior
-from glissando.model.priors.rod_intervals import still_error
+from glissando.model.priors.mechanical.intervals import still_error
+from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
 

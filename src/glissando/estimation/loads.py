@@ -11,7 +11,7 @@ from glissando.errors import GlissandoError, OutsideGridError
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid, Index
-from glissando.model.priors.mechanical import MechanicalPrior
+from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.model.priors.prior import Prior
 from glissando.model.priors.transitions import symmetrize
 from glissando.model.state import State

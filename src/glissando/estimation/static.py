@@ -26,7 +26,7 @@ from glissando.estimation.posterior import Posterior, StateEstimate
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid, Index
 from glissando.model.interpolation import sort_points
-from glissando.model.priors.mechanical import MechanicalPrior
+from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.model.priors.prior import Prior
 from glissando.model.priors.static import STATIC_DOF
 from glissando.model.sensors.readings import Readings

@@ -21,7 +21,7 @@ from glissando.io.provenance import require_readable, stated_format, versions
 from glissando.io.robot_file import OLD_KINDS
 from glissando.io.toml_table import Table
 from glissando.model.grid import Grid
-from glissando.model.priors.mechanical import MechanicalPrior
+from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.model.priors.prior import Prior
 from glissando.model.priors.registry import prior_class
 from glissando.model.priors.separable import BaseVariance

@@ -7,7 +7,7 @@ posteriors know it.
 from __future__ import annotations
 
 from glissando.errors import GlissandoError
-from glissando.model.priors.mechanical import MechanicalPrior
+from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.model.priors.prior import Prior
 from glissando.model.priors.separable import SeparablePrior
 from glissando.model.priors.white_noise import WhiteNoisePrior

@@ -18,7 +18,7 @@ import numpy as np
 from glissando.errors import GlissandoError, NoShapeError
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
-from glissando.model.priors.mechanical import MechanicalPrior
+from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.model.priors.rest_shape import STRAIGHT
 from glissando.model.robot import Robot
 from glissando.model.tendons.tendons import Tendons

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from glissando.errors import GlissandoError
 from glissando.geometry.se3 import Array
 from glissando.model.mechanics import Mechanics
-from glissando.model.priors.rod_intervals import Intervals
+from glissando.model.priors.mechanical.intervals import Intervals
 from glissando.model.priors.transitions import symmetrize
 from glissando.model.state import State
 

@@ -17,7 +17,7 @@ import numpy as np
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.priors.intervals import RATED, strain_rate_of
-from glissando.model.priors.rod_flow import Flow, Section, flow
+from glissando.model.priors.mechanical.flow import Flow, Section, flow
 from glissando.model.state import POSE, State, concatenate
 
 V = TypeVar("V")

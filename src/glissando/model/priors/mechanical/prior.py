@@ -8,8 +8,9 @@ strain is its internal wrench in other units, W = K (ε − ε*). Source: equati
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -22,27 +23,28 @@ from glissando.model.grid import Cells, Grid, Index
 from glissando.model.interpolation import Interpolation, Points
 from glissando.model.mechanics import Mechanics, read_mechanics
 from glissando.model.noise import sqrt_information
-from glissando.model.priors.intervals import RATED, at_nodes, place_error, strain_rate_of
-from glissando.model.priors.prior_table import PriorTable, pose_table, read_rest
-from glissando.model.priors.rest_shape import STRAIGHT, RestShape
-from glissando.model.priors.rod_flow import Section
-from glissando.model.priors.rod_intervals import (
+from glissando.model.priors.intervals import RATED, at_nodes, place_error
+from glissando.model.priors.mechanical.bend import bent
+from glissando.model.priors.mechanical.flow import Section
+from glissando.model.priors.mechanical.intervals import (
     Intervals,
     bridge,
     interval_between,
-    interval_end,
     interval_error,
     still_error,
 )
-from glissando.model.priors.rod_section import hanging_rod, section_covariances
+from glissando.model.priors.mechanical.point_load import PointLoad, point_load
+from glissando.model.priors.mechanical.section import hanging_rod, section_covariances
+from glissando.model.priors.mechanical.tip import tip_error
+from glissando.model.priors.prior_table import PriorTable, pose_table, read_rest
+from glissando.model.priors.rest_shape import STRAIGHT, RestShape
 from glissando.model.priors.static import STATIC_DOF
 from glissando.model.priors.stationary import chain_factors, interpolate_process, require_digits
-from glissando.model.state import STRAIN, STRAIN_RATE, State
+from glissando.model.state import State
 
 _REACH = 0.3  # m, over which a load acts, for orders of magnitude
 _SOFT = 0.022  # m, of shear over curvature
 _NO_FORCE = 1e-6
-_SHOTS = 2
 _STATIC = slice(0, STATIC_DOF)
 _POSE_ROWS = np.r_[0:6, 12:18]
 
@@ -205,49 +207,13 @@ class MechanicalPrior:
         pose = np.broadcast_to(pose, (*grid.shape, 4, 4)).copy()
         return State(pose, np.broadcast_to(strain, still.shape).copy(), still, still.copy())
 
-    @np.errstate(over="ignore", invalid="ignore")
     def bent(self, grid: Grid, state: State, step: Array) -> State:
-        """The state moved by `step` (K, N, 24) interval by interval from the base outwards.
-
-        The errors of intervals and of the tip move as the step says to first order, so poses and
-        wrenches stay together however long it is. The wrench at the base is what that takes.
-        """
-        times, errors = np.arange(len(step)), []
-        for n in range(grid.arclength.size - 1):
-            ends = state.take(np.s_[:, n]), state.take(np.s_[:, n + 1])
-            error, j0, j1 = interval_error(*ends, self._pick(grid, times, np.full(len(step), n)))
-            change = (j0 @ step[:, n, :, None] + j1 @ step[:, n + 1, :, None])[..., 0]
-            errors.append(error + change)
-        error, slope = self._tip_error(grid, state.take(np.s_[:, -1]))
-        wanted = error + (slope @ step[:, -1, :, None])[..., 0]
-        start = state.take(np.s_[:, 0]).retract(step[:, 0])
-        for _ in range(_SHOTS):
-            nodes, by_base = self._shot(grid, start, errors)
-            error, slope = self._tip_error(grid, nodes[-1])
-            by_base = slope[:, :6, _STATIC] @ by_base
-            miss = (wanted - error).reshape(len(step), 2, 6)
-            try:
-                found = np.linalg.solve(by_base[:, None], miss[..., None])[..., 0]
-            except np.linalg.LinAlgError:  # so far off that the base has no say in the tip
-                break
-            by_strain, by_rate = found[:, 0], found[:, 1]
-            strain, rate = start.strain + by_strain, strain_rate_of(start) + by_rate
-            start = replace(start, strain=strain, strain_rate=rate)
-        nodes, _ = self._shot(grid, start, errors)
-        fields = zip(*(node.fields() for node in nodes), strict=True)
-        return State(*(np.stack(field, axis=1) for field in fields))
-
-    def _shot(self, grid: Grid, start: State, errors: Sequence[Array]) -> tuple[list[State], Array]:
-        """Nodes of a rod with these `errors`, and the last one's slope (K, 12, 6) by the base's."""
-        nodes, times = [start], np.arange(len(start.strain))
-        by_base = np.zeros((times.size, 12, 6))
-        by_base[:, 6:] = np.eye(6)
-        for n, error in enumerate(errors):
-            piece = self._pick(grid, times, np.full(times.size, n))
-            end, onward = interval_end(nodes[-1], error, piece)
-            nodes.append(end)
-            by_base = onward @ by_base
-        return nodes, by_base
+        """The state moved by `step` (K, N, 24) interval by interval from the base outwards."""
+        times = np.arange(len(step))
+        pieces = [
+            self._pick(grid, times, np.full(times.size, n)) for n in range(grid.arclength.size - 1)
+        ]
+        return bent(pieces, partial(self._tip_error, grid), state, step)
 
     def _tiled(self, grid: Grid, count: int) -> Intervals:
         """The intervals of the grid, `count` times over (count · (N−1),)."""
@@ -312,26 +278,14 @@ class MechanicalPrior:
         )
 
     def _tip_error(self, grid: Grid, at: State, shape: Index | None = None) -> tuple[Array, Array]:
-        """Wrench at the tip less its tool's weight, and its rate (…, 12); Jacobian (…, 12, 24).
+        """Error of the tip's wrench (…, 12) and its Jacobian (…, 12, 24), see `tip_error`.
 
         `shape` (M,) says of which static shapes the cross-sections are; of all in turn if absent.
         """
         mechanics = self.mechanics
         if shape is not None and mechanics.gravity.ndim == 2:
             mechanics = replace(mechanics, gravity=mechanics.gravity[shape])
-        stiffness, rest = mechanics.stiffness[-1], self.rest.at(grid.arclength[-1:])[0]
-        rotation, turning = at.pose[..., :3, :3], at.velocity[..., 3:]
-        by_turn = mechanics.tip_slope(rotation)
-        error = np.zeros((*turning.shape[:-1], 12))
-        error[..., :6] = stiffness * (at.strain - rest) - mechanics.tip_wrench(rotation)
-        error[..., 6:] = stiffness * strain_rate_of(at)
-        error[..., 6:] -= np.einsum("...ij,...j->...i", by_turn, turning)
-        jacobian = np.zeros((*turning.shape[:-1], 12, RATED))
-        jacobian[..., :6, 3:6] = jacobian[..., 6:, 15:18] = -by_turn
-        jacobian[..., :6, STRAIN] = jacobian[..., 6:, STRAIN_RATE] = np.diag(stiffness)
-        lever, spin = se3.hat3(mechanics.tip_center), se3.hat3(turning) @ by_turn[..., :3, :]
-        jacobian[..., 6:9, 3:6], jacobian[..., 9:, 3:6] = spin, lever @ spin
-        return error, jacobian
+        return tip_error(mechanics, self.rest.at(grid.arclength[-1:])[0], at)
 
     def static_factors(self, grid: Grid, state: State) -> Iterator[Factors]:
         """Factors of shapes that hold still, linearised at nodes (S, N) of pose and strain."""
@@ -395,44 +349,13 @@ class MechanicalPrior:
     def point_load(self, grid: Grid, state: State, k: Index, n: Index) -> PointLoad:
         """The unknown wrench that acts at arclength nodes n (M,) > 0 at time nodes k (M,).
 
-        It is what an interval's error says of a jump at its end, and at the tip what is carried
-        there beside the tool. Source: equation (28).
+        Source: equation (28).
         """
-        jacobian, mean = np.zeros((n.size, 6, 2, STATIC_DOF)), np.zeros((n.size, 6))
-        left = np.zeros((n.size, 6, 6))
         start, end = state.take((k, n - 1)), state.take((k, n))
-        piece = self._pick(grid, k, n - 1)
-        error, *slopes = still_error(start, end, piece)
-        noise = piece.flow(start, noisy=True).noise
-        share = np.zeros((n.size, 6, 12))
-        share[:, range(6), range(6, 12)] = -piece.jump / piece.end_stiffness
-        gain = np.swapaxes(np.linalg.solve(noise, _transposed(share)), -1, -2)
-        mean += np.einsum("mij,mj->mi", gain, error)
-        jacobian += np.stack([gain @ slope for slope in slopes], axis=2)
-        left += piece.jump[:, :, None] * np.eye(6) - gain @ _transposed(share)
-        at_tip, slope = self._tip_error(grid, end, k)
-        last = n == grid.arclength.size - 1
-        mean[last] += at_tip[last, :6]
-        jacobian[last, :, 1] += slope[last, :6, _STATIC]
         nodes = (k * grid.arclength.size + n)[:, None] + np.arange(-1, 1)
-        return PointLoad(mean, nodes, jacobian, left)
-
-
-@dataclass(frozen=True)
-class PointLoad:
-    """Wrenches (M, 6) in the body frame, what they depend on, and what is left when that is sure.
-
-    Attributes:
-        mean: N and N m.
-        nodes: Nodes k·N + n (M, 2) that they follow from.
-        jacobian: Slopes (M, 6, 2, 12) by pose and strain there.
-        cov: Covariance (M, 6, 6) that the nodes leave.
-    """
-
-    mean: Array
-    nodes: Index
-    jacobian: Array
-    cov: Array
+        last = n == grid.arclength.size - 1
+        piece = self._pick(grid, k, n - 1)
+        return point_load(start, end, piece, nodes, (last, *self._tip_error(grid, end, k)))
 
 
 _ENDS = (slice(None, -1), slice(1, None))

@@ -1,0 +1,68 @@
+"""Unknown wrenches that act at a point, from the errors of the intervals that end there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glissando.geometry.se3 import Array
+from glissando.model.grid import Index
+from glissando.model.priors.mechanical.intervals import Intervals, still_error
+from glissando.model.priors.static import STATIC_DOF
+from glissando.model.state import State
+
+_STATIC = slice(0, STATIC_DOF)
+
+
+@dataclass(frozen=True)
+class PointLoad:
+    """Wrenches (M, 6) in the body frame, what they depend on, and what is left when that is sure.
+
+    Attributes:
+        mean: N and N m.
+        nodes: Nodes k·N + n (M, 2) that they follow from.
+        jacobian: Slopes (M, 6, 2, 12) by pose and strain there.
+        cov: Covariance (M, 6, 6) that the nodes leave.
+    """
+
+    mean: Array
+    nodes: Index
+    jacobian: Array
+    cov: Array
+
+
+def point_load(
+    start: State,
+    end: State,
+    piece: Intervals,
+    nodes: Index,
+    tip: tuple[NDArray[np.bool_], Array, Array],
+) -> PointLoad:
+    """The unknown wrench that acts where intervals end. Source: equation (28).
+
+    It is what an interval's error says of a jump at its end, and at the tip what is carried there
+    beside the tool.
+
+    Args:
+        start: Nodes (M,) where the intervals begin.
+        end: Nodes (M,) where they end.
+        piece: The intervals.
+        nodes: Numbers (M, 2) of both nodes.
+        tip: Which ends are the tip (M,), and `tip_error` of all.
+    """
+    last, at_tip, slope = tip
+    count = len(last)
+    jacobian, mean = np.zeros((count, 6, 2, STATIC_DOF)), np.zeros((count, 6))
+    left, share = np.zeros((count, 6, 6)), np.zeros((count, 6, 12))
+    error, *slopes = still_error(start, end, piece)
+    noise = piece.flow(start, noisy=True).noise
+    share[:, range(6), range(6, 12)] = -piece.jump / piece.end_stiffness
+    gain = np.swapaxes(np.linalg.solve(noise, np.swapaxes(share, -1, -2)), -1, -2)
+    mean += np.einsum("mij,mj->mi", gain, error)
+    jacobian += np.stack([gain @ slope for slope in slopes], axis=2)
+    left += piece.jump[:, :, None] * np.eye(6) - gain @ np.swapaxes(share, -1, -2)
+    mean[last] += at_tip[last, :6]
+    jacobian[last, :, 1] += slope[last, :6, _STATIC]
+    return PointLoad(mean, nodes, jacobian, left)
