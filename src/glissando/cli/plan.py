@@ -1,4 +1,4 @@
-"""`glissando plan`: the path of the slide after which zones of the body are known best."""
+"""`glissando plan`: paths of the slide, or of robot and slides together among obstacles."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from glissando.cli.plan_scene import plan_scene
 from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_command, require_writable
 from glissando.errors import GlissandoError, RobotFileError, SimulationError
@@ -41,6 +42,10 @@ Plan where a sliding sensor goes so that zones of the body are known best.
 The information of a reading depends on where and when it is taken, not on its value. The best path
 is therefore found before it is taken: from a robot file alone, or from the end of an estimate. It
 is compared with baseline paths, by the uncertainty that the estimator will state after each.
+
+With --scene the robot moves as well: tendons and slides are planned as one, so that the tip reaches
+its targets and any part of the body hits anything at any moment with no more than a stated
+probability. Of sensing as much is planned as the passage needs.
 """
 _EXAMPLES = """\
 examples:
@@ -50,8 +55,13 @@ examples:
   glissando plan --zone 0.2:0.3..0.6:0.7@0:20 --horizon 20 --limits 0.7,0.1,0.2 --json
   glissando plan --from results/posterior.nc --zone 0.5:0.6 --out next
 
+  glissando plan --scene scene.toml --robot arm.toml --out motion
+
 A zone is S0:S1 in metres, always or @T0:T1 in seconds; S0:S1..S2:S3@T0:T1 moves from one place to
 another; *W weighs it against others. path.csv has the columns time,arclength,speed.
+--scene writes tendons.csv and slides.csv with the commands over time, plan.json, a figure, and
+view.html, the motion with its tube, obstacles and targets. How a scene is written and an example:
+docs/how-to/scenes.md.
 
 exit status: 0 done; 2 something given was wrong.
 """
@@ -62,7 +72,9 @@ def add_to(commands: Commands) -> None:
     parser = add_command(commands, "plan", (_HELP, _EXAMPLES), _plan)
     add = parser.add_argument
     add("--from", dest="posterior", type=Path, metavar="POSTERIOR", help="go on from its end")
-    add_task(parser)
+    add_task(parser, zones_required=False)
+    add("--scene", type=Path, metavar="FILE", help="obstacles, targets, limits of the actuators")
+    add("--figure", default="png", choices=("png", "pdf", "svg"), help="of --scene (default png)")
     add("--start", type=float, metavar="M", help="arclength now (default: drawn out)")
     add("--rate", type=float, default=40.0, metavar="HZ", help="readings a second (default 40)")
     add("--node-step", type=float, metavar="S", help="between time nodes (default: the robot's)")
@@ -73,12 +85,13 @@ def add_to(commands: Commands) -> None:
     add("--json", action="store_true", help="print one JSON object and nothing else")
 
 
-def add_task(parser: argparse.ArgumentParser) -> None:
+def add_task(parser: argparse.ArgumentParser, *, zones_required: bool = True) -> None:
     """Add the options that say what is to be known, and what the stage can do."""
     add = parser.add_argument
     robots = ", ".join(shipped_robots())
     add("--robot", default="sliding700", metavar="FILE|NAME", help=f"robot file, or of {robots}")
-    add("--zone", action="append", required=True, metavar="S0:S1[@T0:T1]", help="may be repeated")
+    zone = "may be repeated"
+    add("--zone", action="append", required=zones_required, metavar="S0:S1[@T0:T1]", help=zone)
     add("--horizon", type=float, default=10.0, metavar="S", help="seconds ahead (default 10)")
     add("--objective", default="trace", choices=OBJECTIVES, help="default trace")
     add("--bound", type=float, default=5e-3, metavar="M", help="error of chance (default 0.005)")
@@ -121,6 +134,12 @@ def _plan(options: argparse.Namespace) -> int:
         require_writable(options.out)
     elif options.animate:
         raise GlissandoError("--animate writes into a folder: give --out DIR.")
+    if options.scene:
+        if options.zone:
+            raise GlissandoError("--scene and --zone exclude each other; give [[zones]] in it.")
+        return plan_scene(options)
+    if not options.zone:
+        raise GlissandoError("Nothing is to be known: give --zone S0:S1, or --scene FILE.")
     zones = [read_zone(text) for text in options.zone]
     objective = objective_named(options.objective, options.bound)
     robot = load_robot(options.robot)

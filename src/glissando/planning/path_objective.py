@@ -72,7 +72,7 @@ class PathObjective:
         step = lattice[1] - lattice[0]
         place = (arclength[:, None] - self.problem.sensor.behind - lattice[0]) / step
         lower = np.clip(np.floor(place).astype(np.intp), 0, lattice.size - 2)
-        weights = _cubic(place - lower)
+        weights = cubic_weights(place - lower)
         weights[..., 1, :] /= step
         at = np.arange(arclength.size)[:, None, None], lower[..., None] + np.arange(4)
         rows = weights @ table[at].reshape(*lower.shape, 4, -1)
@@ -196,7 +196,7 @@ def by_cell(rows: Array, steps_per_cell: int) -> Array:
     return out.reshape(cells, -1, rows.shape[-1])
 
 
-def _cubic(x: Array) -> Array:
+def cubic_weights(x: Array) -> Array:
     """Weights (…, 2, 4) of the neighbours of a place x in [0, 1] between the middle two; slopes."""
     basis = 0.5 * np.array([[0, -1, 2, -1], [2, 0, -5, 3], [0, 1, 4, -3], [0, 0, -1, 1]])
     order = np.arange(4)

@@ -12,6 +12,7 @@ numbers a shape. Source: (M5) to (M7); Rucker and Webster 2011 without external 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -51,10 +52,15 @@ class TendonRod:
         """Lengths (P,) of the pieces, m."""
         return np.diff(self.nodes)
 
-    @property
+    @cached_property
     def middle(self) -> Array:
         """Arclengths (P,) of the middles of the pieces, m."""
         return 0.5 * (self.nodes[1:] + self.nodes[:-1])
+
+    @cached_property
+    def path(self) -> tuple[Array, Array]:
+        """Places (T, P, 3) of the tendons in the middles of the pieces, and their slopes."""
+        return self.tendons.path(self.middle)
 
 
 def mechanical(robot: Robot) -> MechanicalPrior:
@@ -295,7 +301,7 @@ def misfit(
 
 def _reaches(rod: TendonRod, strain: Array) -> tuple[Array, Array, Array, Array]:
     """∂|tangent|/∂strain (M, T, P, 6), unit tangents, their lengths, and where tendons are."""
-    place, slope = rod.tendons.path(rod.middle)
+    place, slope = rod.path
     tangent = strain[:, None, :, :3] + np.cross(strain[:, None, :, 3:], place) + slope
     speed = np.linalg.norm(tangent, axis=-1)
     unit = tangent / speed[..., None]
@@ -306,7 +312,7 @@ def _reaches(rod: TendonRod, strain: Array) -> tuple[Array, Array, Array, Array]
 
 def shortening(rod: TendonRod, strain: Array) -> Array:
     """How much shorter (M, T) channels are at strains (M, P, 6) than in the straight rod, m."""
-    place, slope = rod.tendons.path(rod.middle)
+    place, slope = rod.path
     inside = rod.length * (rod.middle < rod.tendons.end[:, None])
     straight = np.linalg.norm(STRAIGHT[:3] + slope, axis=-1)
     tangent = strain[:, None, :, :3] + np.cross(strain[:, None, :, 3:], place) + slope
@@ -325,7 +331,7 @@ def _friction(rod: TendonRod, strain: Array, unit: Array) -> Array:
 
 def _hessian(rod: TendonRod, unit: Array, force: Array) -> Array:
     """Stiffness (M, P, 6, 6) of the sections under the tendons' `force` (M, T, P) over length."""
-    place = rod.tendons.path(rod.middle)[0]
+    place = rod.path[0]
     lever = np.concatenate([np.broadcast_to(np.eye(3), (*place.shape, 3)), -se3.hat3(place)], -1)
     out = np.zeros((unit.shape[0], unit.shape[2], 6, 6))
     out += rod.stiffness[:, :, None] * np.eye(6)

@@ -117,6 +117,14 @@ def contents(scene: Scene) -> dict[str, Any]:
         "truth": packed(scene.truth),
         "miss": packed(scene.miss),
         "nees": packed(np.minimum(scene.nees, 1e3)),
+        "solids": [
+            {
+                **vars(solid),
+                "vertices": solid.vertices.round(6).tolist(),
+                "triangles": solid.triangles.tolist(),
+            }
+            for solid in scene.solids
+        ],
     }
 
 

@@ -11,6 +11,7 @@ from glissando.errors import GlissandoError, OutsideGridError
 from glissando.estimation.posterior import Posterior
 from glissando.evaluation.metrics import errors_against
 from glissando.geometry.se3 import Array
+from glissando.model.grid import Index
 from glissando.model.sensors.readings import Readings
 from glissando.model.tube import Tube
 from glissando.visualization.canvas import MM
@@ -23,6 +24,16 @@ _RATE = 20.0  # Hz: a coarser grid is asked between its nodes as well
 _ALONG = 49  # points along the body
 _MOST = 1500  # moments a page holds, which bounds its size
 _CHUNK = 100  # moments a query, to bound memory
+
+
+@dataclass(frozen=True)
+class Solid:
+    """Something beside the robot: vertices (V, 3), m, triangles (F, 3), a colour, see-through."""
+
+    vertices: Array
+    triangles: Index
+    colour: str
+    clear: bool = False
 
 
 @dataclass(frozen=True)
@@ -42,6 +53,7 @@ class Scene:
         miss: Distance of truth from the estimate (F, C).
         nees: Its square in units of its covariance (F, C), of three degrees of freedom.
         tube: The tube whose coverage the robot file promises, if there is one.
+        solids: What surrounds the robot.
     """
 
     time: Array
@@ -56,6 +68,7 @@ class Scene:
     miss: Array
     nees: Array
     tube: Tube | None = None
+    solids: tuple[Solid, ...] = ()
 
 
 def scene_of(

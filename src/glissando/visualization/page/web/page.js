@@ -6,6 +6,7 @@ const EVERY = 8; // points along the body from one ellipsoid to the next
 const START = { yaw: -0.9, pitch: 0.35 };
 const long = scene.arclength.at(-1) - scene.arclength[0];
 const heat = heatOf(scene), stage = stageOn(of("stage"));
+const around = (scene.solids || []).map(solidOf);
 const state = { moment: -1, time: scene.time[0], playing: false, moved: false, waiting: false,
   camera: { ...START, half: 1, target: [0, 0, 0] } };
 
@@ -41,6 +42,10 @@ function partsAt(body, moment) {
     const far = (scene.tube.sigmas / scene.sigmas) * wide, grey = rgb("#888888");
     const mesh = sweep(body, body.map((at) => sectionOf(at, far)), body.map(() => grey));
     shells.push({ mesh, dense: 0.06 });
+  }
+  for (const { mesh, clear } of around) {
+    if (clear) shells.push({ mesh, dense: 0.2 });
+    else solid.push(mesh);
   }
   return { solid: joined(solid), shells, lines: groundIn(rgb(css("--rule"))) };
 }

@@ -169,6 +169,20 @@ function ellipsoid({ centre, root }, scale, colour, around = 20, down = 11) {
   return { vertices, indices: sheet(down, around) };
 }
 
+// What surrounds the robot: triangles, each lit by its own normal.
+function solidOf({ vertices, triangles, colour, clear }) {
+  const mesh = { vertices: [], indices: [] }, tint = rgb(colour);
+  for (const corners of triangles) {
+    const [a, b, c] = corners.map((i) => vertices[i]);
+    const normal = unit(cross(plus(b, a, -1), plus(c, a, -1)));
+    for (const at of [a, b, c]) {
+      mesh.indices.push(mesh.vertices.length / 9);
+      mesh.vertices.push(...at, ...normal, ...tint);
+    }
+  }
+  return { mesh, clear };
+}
+
 // Triangles between neighbouring rings of `around` vertices.
 function sheet(rings, around) {
   const indices = [];

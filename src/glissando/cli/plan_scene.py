@@ -1,0 +1,92 @@
+"""`glissando plan --scene`: robot and sensors planned together among obstacles."""
+
+from __future__ import annotations
+
+import argparse
+import json
+
+import numpy as np
+
+from glissando.cli.progress import working
+from glissando.errors import GlissandoError
+from glissando.io.atomic_file import write_table, write_text
+from glissando.io.atomic_folder import renewed_folder
+from glissando.io.robot_file import load_robot
+from glissando.planning.scene.plan_motion import MotionPlan, motion_problem, plan_motion
+from glissando.planning.scene.scene_file import read_scene
+from glissando.visualization.canvas import save_figure
+from glissando.visualization.page import page
+from glissando.visualization.scene_figure import scene_figure, scene_page
+
+_WRITTEN = (
+    "tendons.csv",
+    "slides.csv",
+    "plan.json",
+    "plan.png",
+    "plan.pdf",
+    "plan.svg",
+    "view.html",
+)
+
+
+def plan_scene(options: argparse.Namespace) -> int:
+    """Plan the motion of --scene, print what it is worth, and write it to --out."""
+    robot = load_robot(options.robot)
+    scene = read_scene(options.scene, robot)
+    if options.seed < 0:
+        raise GlissandoError(f"--seed is {options.seed}; give 0 or more.")
+    problem = motion_problem(scene, robot)
+    with working("planning") as work:
+        plan = plan_motion(problem, seed=options.seed, progress=work.update)
+    report = _report(plan)
+    print(json.dumps(report) if options.json else _sentence(report))
+    if options.out:
+        with working("drawing"):
+            _write(options, plan, report, robot.tendons.names if robot.tendons else ())
+        if not options.json:
+            print(f"Wrote {options.out / 'tendons.csv'}; open {options.out / 'view.html'}.")
+    return 0
+
+
+def _report(plan: MotionPlan) -> dict[str, object]:
+    at = plan.evaluation
+    tip = np.sqrt(np.einsum("kii->k", at.cov[:, -1]))
+    return {
+        "risk": plan.risk,
+        "risk_std": plan.risk_std,
+        "bound": at.hits.value,
+        "delta": plan.problem.scene.delta,
+        "miss": plan.miss,
+        "tip_std": float(tip[-1]),
+        "clearance": float(np.min(at.clearances.mean, initial=np.inf)),
+        "cost": at.cost,
+        "terms": at.terms,
+    }
+
+
+def _sentence(report: dict[str, object]) -> str:
+    mm = {key: 1e3 * float(str(report[key])) for key in ("miss", "tip_std", "clearance")}
+    risk, delta = (100.0 * float(str(report[key])) for key in ("risk", "delta"))
+    return (
+        f"The tip comes within {mm['miss']:.3g} mm of its targets, known to ± {mm['tip_std']:.3g} "
+        f"mm in the end. Anything is hit with a probability of {risk:.2g} %, and {delta:g} % are "
+        f"allowed; the nearest obstacle is expected {mm['clearance']:.3g} mm away."
+    )
+
+
+def _write(
+    options: argparse.Namespace, plan: MotionPlan, report: dict[str, object], names: tuple[str, ...]
+) -> None:
+    time, values = plan.commands()
+    count = len(plan.problem.scene.tendons)
+    with renewed_folder(options.out, _WRITTEN) as building:
+        tendons = np.column_stack([time, values[:, :count]])
+        write_table(building / "tendons.csv", ("time", *names), tendons)
+        if plan.problem.scene.slides:
+            heads = [f"slide_{k + 1}" for k in range(len(plan.problem.scene.slides))]
+            slides = np.column_stack([time, values[:, count:]])
+            write_table(building / "slides.csv", ("time", *heads), slides)
+        write_text(building / "plan.json", json.dumps(report, indent=2) + "\n")
+        save_figure(scene_figure(plan), building / f"plan.{options.figure}")
+        title, subtitle = f"Plan of {options.scene.name}", _sentence(report)
+        write_text(building / "view.html", page(scene_page(plan), title, subtitle))

@@ -1,0 +1,109 @@
+"""What is known of a robot's model error over time: the filter's covariance, and its slopes.
+
+A model error is a stationary Gauss–Markov process of unit variance, ξ_k+1 = a ξ_k + noise with
+a = exp(−step / time scale). Readings tell of it as they come; the covariance depends on where
+sensors are and how the robot is bent, not on what they read. Commands of a moment know what was
+read before it. Source: Kalman 1960; backwards, of P⁺ = F P with F = I − K H,
+dP⁺ = F dP Fᵀ − P⁺ (dHᵀ H + Hᵀ dH) P⁺.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from glissando.geometry.se3 import Array
+
+
+@dataclass(frozen=True)
+class ErrorBelief:
+    """The belief about a model error: mean (q,) and covariance (q, q)."""
+
+    mean: Array
+    cov: Array
+
+    @staticmethod
+    def unknown(size: int) -> ErrorBelief:
+        """The belief before any reading."""
+        return ErrorBelief(np.zeros(size), np.eye(size))
+
+    def after(self, time: float, time_scale: float) -> ErrorBelief:
+        """The belief after a time in seconds without readings."""
+        kept = np.exp(-time / time_scale)
+        eye = np.eye(self.mean.size)
+        return ErrorBelief(kept * self.mean, kept**2 * self.cov + (1.0 - kept**2) * eye)
+
+    def updated(self, rows: Array, residual: Array) -> ErrorBelief:
+        """The belief after whitened readings with rows (r, q) and residuals (r,)."""
+        gain = _gain(self.cov, rows)
+        free = np.eye(self.mean.size) - gain @ rows
+        cov = free @ self.cov @ free.T + gain @ gain.T
+        return ErrorBelief(self.mean + gain @ residual, cov)
+
+
+def _gain(cov: Array, rows: Array) -> Array:
+    """Kalman's gain (q, r) for whitened rows (r, q)."""
+    seen = rows @ cov
+    return np.asarray(np.linalg.solve(np.eye(len(rows)) + seen @ rows.T, seen).T)
+
+
+@dataclass(frozen=True)
+class PredictedCovariance:
+    """Covariances of a model error at K moments, before and after the readings of each.
+
+    Attributes:
+        before: What commands of a moment know (K, q, q).
+        after: With the readings of the moment (K, q, q).
+        free: I − K H of each moment (K, q, q).
+        rows: Whitened rows of the readings (K, r, q).
+        kept: What is left of a model error from one moment to the next.
+    """
+
+    before: Array
+    after: Array
+    free: Array
+    rows: Array
+    kept: float
+
+    @property
+    def lagged(self) -> Array:
+        """Covariance (K−1, q, q) of the error of what is known with that a moment later."""
+        return self.kept * self.after[:-1]
+
+    def back(self, by_before: Array, by_lagged: Array) -> Array:
+        """Slope (K, r, q) by the rows, of a value with slopes by `before` and `lagged`.
+
+        Args:
+            by_before: Slope (K, q, q).
+            by_lagged: Slope (K−1, q, q).
+        """
+        out = np.empty_like(self.rows)
+        by_after = np.zeros_like(self.before[0])
+        for k in range(len(self.rows) - 1, -1, -1):
+            by_after = 0.5 * (by_after + by_after.T)
+            out[k] = -2.0 * self.rows[k] @ (self.after[k] @ by_after @ self.after[k])
+            if k:
+                by_here = self.free[k].T @ by_after @ self.free[k] + by_before[k]
+                by_after = self.kept**2 * by_here + self.kept * by_lagged[k - 1]
+        return out
+
+
+def predict_covariance(cov: Array, rows: Array, kept: float) -> PredictedCovariance:
+    """Covariances of a model error over K moments.
+
+    Args:
+        cov: Covariance (q, q) before the readings of the first moment.
+        rows: Whitened rows (K, r, q) of the readings of each moment.
+        kept: What is left of a model error from one moment to the next.
+    """
+    shape = (len(rows), *cov.shape)
+    before, after, free = np.empty(shape), np.empty(shape), np.empty(shape)
+    eye = np.eye(len(cov))
+    for k, seen in enumerate(rows):
+        before[k] = cov
+        free[k] = eye - _gain(cov, seen) @ seen
+        new = free[k] @ cov
+        after[k] = 0.5 * (new + new.T)
+        cov = kept**2 * after[k] + (1.0 - kept**2) * eye
+    return PredictedCovariance(before, after, free, rows, kept)

@@ -1,0 +1,213 @@
+"""One problem for robot and sensors: the cost and the risk of a motion, with their slopes.
+
+A motion is the paths of all tendons and slides, quadratic B-splines within the limits of each. Its
+shapes follow from the tendons, what is known from the shapes and the slides, the risk from both;
+one backward pass takes all slopes back to the control points.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from glissando.geometry.se3 import Array
+from glissando.model.grid import Index
+from glissando.model.noise import sqrt_information
+from glissando.model.state import State
+from glissando.planning.path_objective import cubic_weights
+from glissando.planning.scene.error_belief import (
+    ErrorBelief,
+    PredictedCovariance,
+    predict_covariance,
+)
+from glissando.planning.scene.motion_cost import Evaluation, Slopes, cost_terms, tip_misses
+from glissando.planning.scene.motion_space import MotionSpace
+from glissando.planning.scene.obstacles import distances
+from glissando.planning.scene.risk import Clearances, bound_hits
+from glissando.planning.scene.scene_file import Scene
+from glissando.planning.scene.tendon_body import BodyShapes, TendonBody
+from glissando.planning.sliding_sensor import SlidingSensor
+
+
+@dataclass(frozen=True)
+class MotionProblem:
+    """A scene and a body with a belief about its model error: what a motion is judged by.
+
+    Attributes:
+        scene: The scene.
+        body: The body.
+        belief: What is known of the model error at the start.
+        space: The motions.
+        senses: Whether readings to come are counted on.
+    """
+
+    scene: Scene
+    body: TendonBody
+    belief: ErrorBelief
+    space: MotionSpace
+    senses: bool = True
+
+    @cached_property
+    def kept(self) -> float:
+        """What is left of a model error from one moment to the next."""
+        return float(np.exp(-self.pause / self.body.time_scale))
+
+    @property
+    def pause(self) -> float:
+        """Time between moments, s."""
+        return float(self.space.moments[1] - self.space.moments[0])
+
+    def evaluate(self, control: Array, like: Evaluation | None = None) -> Evaluation:
+        """What a motion with control points (C, S+2) is worth.
+
+        Args:
+            control: The control points.
+            like: A similar motion, from whose shapes the search for these begins.
+
+        Raises:
+            NoShapeError: A shape was not found.
+        """
+        values = self.space.basis @ control.T
+        start = None if like is None else like.shapes.balance.strain
+        error = self.kept ** np.arange(len(values))[:, None] * self.belief.mean
+        shapes = self.body.shapes(values[:, : len(self.scene.tendons)], error, start)
+        rows = self._rows(shapes, values)[0]
+        known = predict_covariance(self.belief.cov, rows, self.kept)
+        clearances, slopes, curvature = self._clearances(shapes, known)
+        hits = bound_hits(clearances)
+        out = Evaluation(control, values, shapes, known, clearances, slopes, curvature, hits, {})
+        return replace(out, terms=cost_terms(self.scene, self.space, out))
+
+    def log_risk(self, at: Evaluation) -> float:
+        """Logarithm of the bound of the risk, plus how deep the expected body is in obstacles.
+
+        The depth, a sum of squares in robot radii, is zero where the risk is small; where a hit is
+        certain it has a slope, and the risk has none.
+        """
+        deep = np.minimum(at.clearances.mean, 0.0) / self.scene.robot_radius
+        return float(np.log(max(at.hits.value, 1e-30)) + np.sum(deep**2))
+
+    def cost_gradient(self, at: Evaluation) -> Array:
+        """Slope (n,) of the cost by the free numbers."""
+        slopes = Slopes.zero(at)
+        cost_terms(self.scene, self.space, at, slopes)
+        return self._back(at, slopes)
+
+    def log_risk_gradient(self, at: Evaluation) -> Array:
+        """Slope (n,) of `log_risk` by the free numbers."""
+        slopes, share = Slopes.zero(at), 1.0 / max(at.hits.value, 1e-30)
+        slopes.before += share * at.hits.by_cov
+        slopes.lagged += share * at.hits.by_lagged
+        self._add_hits(at, share, slopes)
+        deep = np.minimum(at.clearances.mean, 0.0) / self.scene.robot_radius**2
+        slopes.place += 2.0 * np.einsum("okn,okni->kni", deep, at.slopes)
+        return self._back(at, slopes)
+
+    def misses(self, at: Evaluation) -> Array:
+        """How far the tip is from each target (G,) at its time, over what is allowed, squared."""
+        return np.array([float(away @ away) for _, away in tip_misses(self.scene, self.space, at)])
+
+    def misses_gradient(self, at: Evaluation) -> Array:
+        """Slopes (G, n) of `misses` by the free numbers."""
+        tip, rows = at.shapes.tip_by_displacement(), []
+        for (k, away), target in zip(
+            tip_misses(self.scene, self.space, at), self.scene.targets, strict=True
+        ):
+            by_value = np.zeros_like(at.values)
+            by_tip = 2.0 * away / target.tolerance
+            by_value[k, : tip.shape[-1]] = by_tip @ tip[k]
+            rows.append(self.space.free_gradient(by_value, np.zeros_like(at.control)))
+        return np.stack(rows)
+
+    def _back(self, at: Evaluation, slopes: Slopes) -> Array:
+        """Slope (n,) by the free numbers, of a value whose partial slopes are given."""
+        by_rows = at.known.back(slopes.before, slopes.lagged)
+        by_twist, by_slides = self._back_rows(at, by_rows)
+        by_tendons = at.shapes.back(slopes.place, slopes.moves, by_twist)
+        by_value = np.concatenate([by_tendons, by_slides], axis=1)
+        return self.space.free_gradient(by_value, slopes.control)
+
+    def _clearances(
+        self, shapes: BodyShapes, known: PredictedCovariance
+    ) -> tuple[Clearances, Array, Array]:
+        """Clearances of all places, slopes (O, K, N, 3) of the distances, and curvatures."""
+        lead = shapes.place.shape[:2]
+        parts = distances(self.scene.obstacles, shapes.place.reshape(-1, 3))
+        signed, slope, curved = (part.reshape(len(part), *lead, *part.shape[2:]) for part in parts)
+        by_error = (slope[..., None, :] @ shapes.moves)[..., 0, :]
+        mean = signed - self.scene.robot_radius
+        floor = self.scene.model_std
+        return Clearances(mean, by_error, known.before, known.lagged, floor), slope, curved
+
+    def _add_hits(self, at: Evaluation, weight: float, slopes: Slopes) -> None:
+        """Add slopes of the risk by places and by how they move with the model error."""
+        events = np.nonzero(at.hits.by_mean)
+        by_mean, by_error = weight * at.hits.by_mean[events], weight * at.hits.by_error[events]
+        normal, here = at.slopes[events], events[1:]
+        moved = (at.shapes.moves[here] @ by_error[..., None])[..., 0]
+        turned = (at.curvature[events] @ moved[..., None])[..., 0]
+        np.add.at(slopes.place, here, by_mean[:, None] * normal + turned)
+        np.add.at(slopes.moves, here, normal[:, :, None] * by_error[:, None, :])
+
+    def _rows(self, shapes: BodyShapes, values: Array) -> tuple[Array, Array]:
+        """Whitened rows (K, r, q) of the readings of each moment, and their slopes by place."""
+        rows = [np.zeros((len(values), 0, self.body.errors))]
+        slopes = [rows[0]]
+        first = len(self.scene.tendons)
+        for c, sensor in enumerate(self.scene.sensors if self.senses else ()):
+            own = self._white[c]
+            for behind in sensor.behind:
+                at, weights = self._neighbours(values[:, first + c] - behind)
+                near = shapes.body_twist[np.arange(len(values))[:, None], at]
+                both = (weights @ near.reshape(*near.shape[:2], -1)).reshape(
+                    len(near), 2, *near.shape[2:]
+                )
+                rows.append(own @ both[:, 0])
+                slopes.append(own @ both[:, 1])
+        return np.concatenate(rows, axis=1), np.concatenate(slopes, axis=1)
+
+    def _back_rows(self, at: Evaluation, by_rows: Array) -> tuple[Array, Array]:
+        """Slopes (K, N, 6, q) by the twists and (K, L) by the slides, of that by the rows."""
+        by_twist = np.zeros_like(at.shapes.body_twist)
+        moments, first = np.arange(len(at.values))[:, None], len(self.scene.tendons)
+        by_slides = np.zeros((len(at.values), at.values.shape[1] - first))
+        if not self.senses:
+            return by_twist, by_slides
+        slopes = self._rows(at.shapes, at.values)[1]
+        row = 0
+        for c, sensor in enumerate(self.scene.sensors):
+            own = self._white[c]
+            for behind in sensor.behind:
+                part = by_rows[:, row : row + len(own)]
+                by_slides[:, c] += np.sum(part * slopes[:, row : row + len(own)], axis=(1, 2))
+                near, weights = self._neighbours(at.values[:, first + c] - behind)
+                back = own.T @ part
+                np.add.at(by_twist, (moments, near), weights[:, 0, :, None, None] * back[:, None])
+                row += len(own)
+        return by_twist, by_slides
+
+    @cached_property
+    def _white(self) -> list[Array]:
+        """Whitened rows (r, 6) of each sensor by its pose, worth its readings of a moment."""
+        return [sensor_rows(sensor, self.pause) for sensor in self.scene.sensors]
+
+    def _neighbours(self, arclength: Array) -> tuple[Index, Array]:
+        """Four places (K, 4) about arclengths (K,), and their weights and slopes (K, 2, 4)."""
+        nodes = self.body.arclength
+        last = nodes.size - 2
+        lower = np.clip(np.searchsorted(nodes, arclength, side="right") - 1, 0, last)
+        width = nodes[lower + 1] - nodes[lower]
+        weights = cubic_weights((arclength - nodes[lower]) / width)
+        weights[:, 1] /= width[:, None]
+        return np.clip(lower[:, None] + np.arange(-1, 3), 0, nodes.size - 1), weights
+
+
+def sensor_rows(sensor: SlidingSensor, time: float) -> Array:
+    """Whitened rows (r, 6) by the pose of a coil, worth all its readings of a time in seconds."""
+    pose = np.eye(4)[None]
+    at = State(pose, np.zeros((1, 6)), np.zeros((1, 6)))
+    readings = sensor.readings(pose, np.zeros(1), np.zeros(1))
+    white: Array = sqrt_information(readings.cov) @ readings.jacobian(at)[0, :, :6]
+    return np.sqrt(sensor.rate * time) * white

@@ -1,0 +1,109 @@
+"""Where a search for a motion begins: what is possible at all, and ways to the targets."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from glissando.errors import GlissandoError
+from glissando.geometry.se3 import Array
+from glissando.planning.scene.motion_problem import MotionProblem
+from glissando.planning.scene.sampled_risk import sample_risk
+
+
+def require_possible_start(problem: MotionProblem) -> None:
+    """Raise unless the robot is clear of everything where it starts.
+
+    Raises:
+        GlissandoError: It is in collision, or more likely to be than is allowed.
+    """
+    space, scene = problem.space, problem.scene
+    still = np.stack([np.full(path.steps + 2, path.start) for path in space.paths])
+    at = problem.evaluate(still)
+    if not scene.obstacles:
+        return
+    clearance = at.clearances.mean[:, 0]
+    o, n = np.unravel_index(int(np.argmin(clearance)), clearance.shape)
+    if clearance[o, n] < 0.0:
+        raise GlissandoError(
+            f"The robot starts in collision: at arclength {problem.body.arclength[n]:.3g} m it is "
+            f"{-1e3 * clearance[o, n]:.3g} mm inside obstacle {o + 1}; move the obstacle, or start "
+            f"elsewhere."
+        )
+    risk, std = sample_risk(problem, at, moments=1)
+    if risk > scene.delta + 2.0 * std:
+        raise GlissandoError(
+            f"Where it starts, the robot already touches something with a probability of "
+            f"{100 * risk:.3g} %, nearest to obstacle {o + 1}; {100 * scene.delta:.3g} % are "
+            f"allowed. Know the robot better, start elsewhere, or allow more."
+        )
+
+
+def reach_target(problem: MotionProblem, number: int) -> Array:
+    """Displacements (T,) with which the tip comes to a target, by damped Gauss–Newton."""
+    scene, body, target = problem.scene, problem.body, problem.scene.targets[number]
+    lower, upper = (
+        np.array([getattr(a, end) for a in scene.tendons]) for end in ("lower", "upper")
+    )
+    error = problem.kept ** (target.time / problem.pause) * problem.belief.mean
+    rng = np.random.default_rng(number)
+    best: tuple[float, Array] = (np.inf, lower)
+    for attempt in range(4):
+        at = np.array([a.start for a in scene.tendons])
+        if attempt:
+            at = lower + rng.uniform(0.1, 0.6, lower.size) * (upper - lower)
+        at, damping, miss = np.clip(at, lower, upper), 1e-3, np.inf
+        for _ in range(60):
+            shape = body.shapes(at[None], error[None])
+            away = shape.place[0, -1] - target.position
+            if float(np.linalg.norm(away)) < best[0]:
+                best = float(np.linalg.norm(away)), at
+            jacobian = shape.tip_by_displacement()[0]
+            damping = damping * (0.5 if np.linalg.norm(away) < miss else 4.0)
+            miss = float(np.linalg.norm(away))
+            weight = damping * float(np.trace(jacobian @ jacobian.T))
+            step = jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + weight * np.eye(3), away)
+            new = np.clip(at - step, lower, upper)
+            if miss < 0.1 * target.tolerance or np.abs(new - at).max() < 1e-9:
+                break
+            at = new
+        if best[0] < target.tolerance:
+            break
+    if best[0] > target.tolerance:
+        raise GlissandoError(
+            f"Target {target.position.tolist()} m is out of reach: within the limits of its "
+            f"tendons the tip comes no nearer than {1e3 * best[0]:.3g} mm, and "
+            f"{1e3 * target.tolerance:.3g} mm are asked for; move the target, or allow more."
+        )
+    return best[1]
+
+
+def starts(problem: MotionProblem, reaches: Array, seed: int) -> list[Array]:
+    """Motions (C, S+2) that a search begins with.
+
+    Straight to displacements (G, T) that reach the targets, at once and slowly, and by way of
+    random bends; the slides hold, go in, or oscillate.
+    """
+    scene, space = problem.scene, problem.space
+    rng, path = np.random.default_rng(seed), space.paths[0]
+    time, count = path.control_times, len(scene.tendons)
+    at = np.array([p.start for p in space.paths])
+    ends = np.array([target.time for target in scene.targets])
+    knots = np.concatenate([[0.0], ends])
+    upper = np.array([a.upper for a in scene.tendons])
+    lower = np.array([a.lower for a in scene.tendons])
+    ways = []
+    for early in (1.0, 0.6):
+        via = np.stack([np.interp(time, early * knots, column) for column in
+                        np.concatenate([at[None, :count], reaches]).T])  # fmt: skip
+        ways.append(via)
+    for _ in range(4):
+        middle = lower + rng.uniform(0.0, 0.6, count) * (upper - lower)
+        places = np.concatenate([at[None, :count], middle[None], reaches])
+        when = np.concatenate([[0.0, 0.45 * ends[0]], ends])
+        ways.append(np.stack([np.interp(time, when, column) for column in places.T]))
+    slides = [np.repeat(at[count:, None], time.size, axis=1)]
+    if scene.slides and problem.senses:
+        low, high = (np.array([[getattr(s, e)] for s in scene.slides]) for e in ("lower", "upper"))
+        wave = 0.5 - 0.5 * np.cos(2.0 * np.pi * time / max(time[-1] / 3.0, 1e-9))
+        slides += [np.repeat(0.5 * (low + high), time.size, axis=1), high + (low - high) * wave]
+    return [space.follow(np.concatenate([way, slide])) for way in ways for slide in slides]

@@ -1,0 +1,255 @@
+"""Obstacles in the world frame: signed distances of points, their slopes and curvatures.
+
+Spheres, capsules and boxes are one thing: a box with rounded edges, of which a sphere's has no size
+and a capsule's only a length. A half-space and a mesh are the other two. Distances are negative
+inside. Source: the distance to a convex set has slope n = v / |v| for v from its nearest point, and
+curvature (I − n nᵀ − A) / |v|, A the projector along the face that the nearest point lies in.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from scipy.ndimage import map_coordinates, spline_filter
+
+from glissando.errors import GlissandoError
+from glissando.estimation.confidence_tube import tube_faces
+from glissando.geometry.se3 import Array
+from glissando.model.grid import Index
+
+_TINY = 1e-12
+_RINGS = 6  # of a quarter of a surface that is shown
+_CELLS = 24  # of a mesh's lattice along its longest side
+_MARGIN = 0.35  # of that side, by which the lattice goes beyond the mesh
+
+Distances = tuple[Array, Array, Array]
+"""Signed distances (M,), their slopes (M, 3) and curvatures (M, 3, 3)."""
+
+
+Surface = tuple[Array, Index]
+"""Vertices (V, 3) and triangles (F, 3)."""
+
+
+class Obstacle(Protocol):
+    """Something to keep away from."""
+
+    def distance(self, point: Array) -> Distances:
+        """Signed distances of points (M, 3) from the surface, slopes and curvatures."""
+        ...
+
+    def surface(self) -> Surface:
+        """Its surface as triangles, by which it is shown."""
+        ...
+
+
+@dataclass(frozen=True)
+class RoundedBox:
+    """A box with rounded edges: a sphere without size, a capsule with one, or a plain box.
+
+    Attributes:
+        pose: Pose (4, 4) of its middle.
+        half: Half its sizes (3,) before rounding, m.
+        radius: Radius of the rounding, m.
+    """
+
+    pose: Array
+    half: Array
+    radius: float = 0.0
+
+    def distance(self, point: Array) -> Distances:
+        """Signed distances of points (M, 3), slopes and curvatures."""
+        turn, half = self.pose[:3, :3], self.half
+        local = (point - self.pose[:3, 3]) @ turn
+        away = local - np.clip(local, -half, half)
+        size = np.linalg.norm(away, axis=-1)
+        outside = size > _TINY
+        safe = np.where(outside, size, 1.0)
+        normal = away / safe[:, None]
+        depth = half - np.abs(local)
+        side = np.argmin(depth, axis=-1)
+        within = np.where(local < 0.0, -1.0, 1.0) * (np.arange(3) == side[:, None])
+        normal = np.where(outside[:, None], normal, within)
+        signed = np.where(outside, size, -depth[np.arange(len(local)), side]) - self.radius
+        free = (np.abs(local) > half).astype(float)
+        curved = free[:, :, None] * np.eye(3) - normal[:, :, None] * normal[:, None, :]
+        curved = np.where(outside[:, None, None], curved / safe[:, None, None], 0.0)
+        return signed, normal @ turn.T, turn @ curved @ turn.T
+
+    def surface(self) -> Surface:
+        """The surface of a ball whose parts are moved to the corners."""
+        down, around = np.linspace(0.0, np.pi, 2 * _RINGS), 4 * _RINGS
+        turn = 2.0 * np.pi * (np.arange(around) + 0.5) / around
+        away = np.stack(
+            [np.outer(np.sin(down), np.cos(turn)), np.outer(np.sin(down), np.sin(turn)),
+             np.outer(np.cos(down), np.ones(around))], axis=-1,
+        ).reshape(-1, 3)  # fmt: skip
+        points = np.sign(away) * self.half + self.radius * away
+        return points @ self.pose[:3, :3].T + self.pose[:3, 3], tube_faces(2 * _RINGS, around)
+
+
+def sphere(center: Array, radius: float) -> RoundedBox:
+    """A sphere around a centre (3,), m."""
+    return RoundedBox(_placed(center), np.zeros(3), radius)
+
+
+def capsule(start: Array, end: Array, radius: float) -> RoundedBox:
+    """All points within a radius of the line from a start (3,) to an end (3,), m."""
+    axis = end - start
+    pose = _placed(0.5 * (start + end))
+    size = float(np.linalg.norm(axis))
+    if size > 0.0:
+        across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+        across /= np.linalg.norm(across)
+        pose[:3, :3] = np.stack([across, np.cross(axis / size, across), axis / size], axis=-1)
+    return RoundedBox(pose, np.array([0.0, 0.0, 0.5 * size]), radius)
+
+
+def _placed(center: Array) -> Array:
+    pose = np.eye(4)
+    pose[:3, 3] = center
+    return pose
+
+
+@dataclass(frozen=True)
+class HalfSpace:
+    """All that lies behind a plane.
+
+    Attributes:
+        point: A point of the plane (3,), m.
+        normal: Unit vector (3,) out of it.
+    """
+
+    point: Array
+    normal: Array
+
+    def distance(self, point: Array) -> Distances:
+        """Signed distances of points (M, 3), slopes and curvatures."""
+        slope = np.broadcast_to(self.normal, point.shape)
+        return (point - self.point) @ self.normal, slope, np.zeros((*point.shape, 3))
+
+    def surface(self) -> Surface:
+        """A square of the plane, 0.2 m wide, about its point."""
+        u = np.cross(self.normal, np.eye(3)[np.argmin(np.abs(self.normal))])
+        u *= 0.1 / np.linalg.norm(u)
+        v = np.cross(self.normal, u)
+        corners = np.array([-u - v, u - v, -u + v, u + v])
+        return self.point + corners, np.array([[0, 1, 2], [1, 3, 2]])
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """A closed surface of triangles, by cubic splines through its distances on a lattice.
+
+    Attributes:
+        low: Lowest corner (3,) of the lattice, m.
+        step: Distance of its points, m.
+        values: Signed distances (X, Y, Z) there, m.
+        vertices: Points (V, 3) of the surface, m.
+        triangles: Its triangles (F, 3).
+    """
+
+    low: Array
+    step: float
+    values: Array
+    vertices: Array
+    triangles: Index
+
+    @cached_property
+    def _spline(self) -> Array:
+        return np.asarray(spline_filter(self.values, order=3, mode="nearest"))
+
+    def distance(self, point: Array) -> Distances:
+        """Signed distances of points (M, 3), slopes and curvatures, by differences of the spline.
+
+        Beyond the lattice the distance to the lattice is added.
+        """
+        top = self.low + self.step * (np.array(self.values.shape) - 3.0)
+        inner = np.clip(point, self.low + 2.0 * self.step, top)
+        beyond = point - inner
+        h = 0.25 * self.step
+        offsets = h * np.array(
+            [[0, 0, 0], *np.eye(3), *-np.eye(3), [1, 1, 0], [-1, -1, 0], [1, 0, 1], [-1, 0, -1],
+             [0, 1, 1], [0, -1, -1]]
+        )  # fmt: skip
+        at = ((inner[:, None] + offsets - self.low) / self.step).reshape(-1, 3).T
+        f = map_coordinates(self._spline, at, order=3, prefilter=False, mode="nearest")
+        f = f.reshape(len(point), -1)
+        slope = (f[:, 1:4] - f[:, 4:7]) / (2.0 * h)
+        own = (f[:, 1:4] + f[:, 4:7] - 2.0 * f[:, :1]) / h**2
+        curved = np.zeros((len(point), 3, 3))
+        curved[:, range(3), range(3)] = own
+        for pair, (i, j) in zip(range(7, 13, 2), ((0, 1), (0, 2), (1, 2)), strict=True):
+            both = (f[:, pair] + f[:, pair + 1] - 2.0 * f[:, 0]) / h**2
+            curved[:, i, j] = curved[:, j, i] = 0.5 * (both - own[:, i] - own[:, j])
+        size = np.linalg.norm(beyond, axis=-1)
+        far = size > _TINY
+        direction = beyond / np.where(far, size, 1.0)[:, None]
+        slope = np.where(far[:, None], direction, slope)
+        return f[:, 0] + size, slope, np.where(far[:, None, None], 0.0, curved)
+
+    def surface(self) -> Surface:
+        """The triangles it was made from."""
+        return self.vertices, self.triangles
+
+
+def read_mesh(path: Path, pose: Array, scale: float = 1.0) -> Mesh:
+    """A closed surface from a file, of a kind that trimesh reads, such as STL, OBJ or PLY.
+
+    Args:
+        path: The file.
+        pose: Pose (4, 4) of its frame in the world.
+        scale: Metres of a unit of the file.
+
+    Raises:
+        GlissandoError: The file cannot be read, the surface is open, or trimesh is not installed.
+    """
+    try:
+        import rtree  # noqa: F401  which trimesh needs for distances
+        import trimesh
+    except ImportError as missing:
+        raise GlissandoError(
+            "Meshes need trimesh and rtree, which are not both installed: run pip install "
+            "'glissando[mesh]'."
+        ) from missing
+    try:
+        surface: Any = trimesh.load(path, force="mesh")
+    except (OSError, ValueError) as problem:
+        raise GlissandoError(f"{path} is no mesh ({problem}); give STL, OBJ or PLY.") from None
+    surface.apply_transform(pose @ np.diag([scale, scale, scale, 1.0]))
+    if not surface.is_watertight:
+        raise GlissandoError(
+            f"{path.name} has holes, so it has no inside; close its surface, or give boxes."
+        )
+    low, high = surface.bounds
+    size = float(np.max(high - low))
+    if size > 10.0:
+        raise GlissandoError(
+            f"{path.name} is {size:.3g} m long; give scale = 0.001 if it is in millimetres."
+        )
+    step = size / _CELLS
+    low = low - _MARGIN * size
+    counts = np.ceil((high + _MARGIN * size - low) / step).astype(int) + 1
+    lattice = np.stack(np.meshgrid(*(np.arange(n) for n in counts), indexing="ij"), axis=-1)
+    inside_out: Any = trimesh.proximity.signed_distance
+    points = low + step * lattice.reshape(-1, 3)
+    signed = -np.asarray(inside_out(surface, points))
+    faces = np.asarray(surface.faces, dtype=np.intp)
+    return Mesh(low, step, signed.reshape(*counts), np.asarray(surface.vertices), faces)
+
+
+def distances(obstacles: Sequence[Obstacle], point: Array) -> Distances:
+    """Signed distances (O, M) of points (M, 3) from all obstacles, slopes and curvatures."""
+    if not obstacles:
+        return (
+            np.zeros((0, len(point))),
+            np.zeros((0, *point.shape)),
+            np.zeros((0, *point.shape, 3)),
+        )
+    every = [obstacle.distance(point) for obstacle in obstacles]
+    signed, slope, curved = (np.stack(part) for part in zip(*every, strict=True))
+    return signed, slope, curved

@@ -1,0 +1,248 @@
+"""The best motion of a scene: starts of several kinds, descent within limits, risk as promised.
+
+The risk is held by a penalty on its logarithm over the largest that is allowed; its bound errs on
+the careful side, so it is sampled at the end and the allowance raised until the risk is used up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import minimize
+
+from glissando._kernels.threads import one_thread
+from glissando.errors import GlissandoError, NoShapeError
+from glissando.geometry.se3 import Array
+from glissando.model.robot import Robot
+from glissando.planning.scene.error_belief import ErrorBelief
+from glissando.planning.scene.motion_cost import Evaluation
+from glissando.planning.scene.motion_problem import MotionProblem
+from glissando.planning.scene.motion_space import motion_space
+from glissando.planning.scene.motion_starts import reach_target, require_possible_start, starts
+from glissando.planning.scene.sampled_risk import sample_risk
+from glissando.planning.scene.scene_file import Scene
+from glissando.planning.scene.tendon_body import tendon_body
+
+Progress = Callable[[int, int, str], None]
+"""Called with parts done, parts in all and a note."""
+
+_SPACING = 1.5  # robot radii between two places of the body, at most
+_PLACES = 30  # of them at most over the whole body
+_SHARE = 0.9  # of the allowed risk that a plan aims at
+_FAR = 10.0  # of the cost, a constraint missed by its own size
+_WITHIN = 0.9  # of what the tip may miss a target by, squared, that a plan aims at
+_CLOSE = 1e-5  # of the cost, that an iteration must gain
+_BRIEF = 12  # iterations of each candidate
+_ROUNDS = 3  # of raising the allowance
+
+
+@dataclass(frozen=True)
+class MotionPlan:
+    """A motion with what it is worth.
+
+    Attributes:
+        problem: The problem it solves.
+        evaluation: What it is worth.
+        risk: Probability that anything is hit, sampled.
+        risk_std: Standard deviation of that number.
+        allowed: What its bound was held below, so that the risk is what was asked for.
+    """
+
+    problem: MotionProblem
+    evaluation: Evaluation
+    risk: float
+    risk_std: float
+    allowed: float
+
+    def commands(self) -> tuple[Array, Array]:
+        """Times (S,), s, at 20 a second, and values (S, C) of tendons and slides, m."""
+        count = max(2, round(20.0 * self.problem.scene.horizon) + 1)
+        time = np.linspace(0.0, self.problem.scene.horizon, count)
+        basis = replace(self.problem.space, moments=time).basis
+        return time, basis @ self.evaluation.control.T
+
+    @property
+    def miss(self) -> float:
+        """Largest distance of the tip from a target at its time, m."""
+        moments = self.problem.space.moments
+        return max(
+            float(np.linalg.norm(
+                self.evaluation.tip[int(np.argmin(np.abs(moments - target.time)))] - target.position
+            ))
+            for target in self.problem.scene.targets
+        )  # fmt: skip
+
+
+def motion_problem(
+    scene: Scene, robot: Robot, belief: ErrorBelief | None = None, *,
+    step: float = 1.0, moment: float = 0.25, senses: bool = True,
+    start: Array | None = None, speed: Array | None = None,
+) -> MotionProblem:  # fmt: skip
+    """The problem of a scene for a robot.
+
+    Args:
+        scene: The scene.
+        robot: The robot, with [tendons] and a mechanical prior.
+        belief: What is known of the model error; nothing but what [tendons] states unless given.
+        step: Duration of a piece of the paths, s.
+        moment: Largest time between moments at which a motion is judged, s.
+        senses: Whether readings to come are counted on.
+        start: Where the actuators (C,) are; where the scene starts unless given.
+        speed: Their speeds (C,); at rest unless given.
+    """
+    spacing = max(_SPACING * scene.robot_radius, robot.length / _PLACES)
+    body = tendon_body(robot, spacing)
+    belief = belief or ErrorBelief.unknown(body.errors)
+    space = motion_space(scene, step, moment, start, speed)
+    return MotionProblem(scene, body, belief, space, senses)
+
+
+def plan_motion(
+    problem: MotionProblem, *, seed: int = 0, candidates: int = 5, iterations: int = 60,
+    warm_start: Array | None = None, progress: Progress | None = None,
+) -> MotionPlan:  # fmt: skip
+    """The motion of least cost whose risk is what the scene allows.
+
+    Args:
+        problem: The problem.
+        seed: Seed of the random starts and of the samples of the risk.
+        candidates: How many of the best starts are improved.
+        iterations: Iterations at most for the best of them.
+        warm_start: Control points (C, S+2) of a further start.
+        progress: Called as the search goes on.
+
+    Raises:
+        GlissandoError: The scene is impossible: the sentence says which part, and by how much.
+    """
+    with one_thread():
+        require_possible_start(problem)
+        reaches = [reach_target(problem, k) for k in range(len(problem.scene.targets))]
+        first = starts(problem, np.stack(reaches), seed)
+        if warm_start is not None:
+            first.insert(0, problem.space.follow(warm_start))
+        search = _Search(problem, problem.scene.delta * _SHARE)
+        worth = [(search.merit(search.at(control)), k) for k, control in enumerate(first)]
+        ranked = [first[k] for _, k in sorted(worth)[:candidates]]
+        found = []
+        for part, control in enumerate(ranked):
+            found.append(search.improve(control, _BRIEF))
+            if progress:
+                progress(part + 1, len(ranked) + _ROUNDS, f"cost {found[-1].cost:.4g}")
+        best = search.improve(min(found, key=search.merit).control, iterations)
+        return _use_up(problem, best, iterations, seed, progress, len(ranked))
+
+
+def _use_up(
+    problem: MotionProblem, best: Evaluation, iterations: int, seed: int,
+    progress: Progress | None, parts: int,
+) -> MotionPlan:  # fmt: skip
+    """Raise what the bound may be until the sampled risk is the one that is allowed."""
+    delta = problem.scene.delta
+    allowed = _SHARE * delta
+    plan: MotionPlan | None = None
+    for part in range(_ROUNDS):
+        risk, std = sample_risk(problem, best, seed=seed)
+        new = MotionPlan(problem, best, risk, std, allowed)
+        if risk <= delta and (
+            plan is None or plan.risk > delta or best.cost <= plan.evaluation.cost
+        ):
+            plan = new
+        plan = plan or new
+        if progress:
+            progress(parts + part + 1, parts + _ROUNDS, f"risk {100 * risk:.3g} %")
+        binding = best.hits.value > 0.5 * allowed
+        if 0.7 * delta <= risk <= delta or (risk < delta and not binding) or part == _ROUNDS - 1:
+            break
+        allowed *= float(np.clip(_SHARE * delta / max(risk, 1e-4), 0.2, 3.0))
+        best = _Search(problem, allowed).improve(best.control, iterations)
+    assert plan is not None
+    return _checked(plan)
+
+
+def _checked(plan: MotionPlan) -> MotionPlan:
+    """The plan, if it keeps the risk and reaches its targets."""
+    scene = plan.problem.scene
+    if plan.risk > scene.delta + 2.0 * plan.risk_std:
+        raise GlissandoError(
+            f"A risk of {100 * scene.delta:.3g} % was not reached: the best motion found hits with "
+            f"{100 * plan.risk:.3g} %. Allow more, give more time or sensing, or move what is in "
+            f"the way."
+        )
+    for target in scene.targets:
+        k = int(np.argmin(np.abs(plan.problem.space.moments - target.time)))
+        miss = float(np.linalg.norm(plan.evaluation.tip[k] - target.position))
+        if miss > target.tolerance:
+            raise GlissandoError(
+                f"With a risk of {100 * scene.delta:.3g} % the tip comes no nearer than "
+                f"{1e3 * miss:.3g} mm to the target {target.position.tolist()} m by "
+                f"{target.time:g} s, and {1e3 * target.tolerance:.3g} mm are asked for; allow more "
+                f"risk, time or distance."
+            )
+    return plan
+
+
+@dataclass
+class _Search:
+    """A search for the motion of least cost whose bound of the risk is below `allowed`.
+
+    Sequential quadratic programming: the limits of the actuators are linear, the risk and the
+    distances from the targets are constraints. Source: Kraft 1988, as scipy has it.
+    """
+
+    problem: MotionProblem
+    allowed: float
+    last: Evaluation | None = None
+
+    def merit(self, at: Evaluation) -> float:
+        """Cost and how far the constraints are missed."""
+        over = max(0.0, self.problem.log_risk(at) - float(np.log(self.allowed)))
+        far = np.maximum(np.sqrt(self.problem.misses(at)) - 1.0, 0.0)
+        return at.cost + _FAR * (over + float(far.sum()))
+
+    def at(self, control: Array) -> Evaluation:
+        """What a motion is worth; that of the last one if it is the same."""
+        if self.last is None or not np.array_equal(control, self.last.control):
+            self.last = self.problem.evaluate(control, self.last)
+        return self.last
+
+    def improve(self, control: Array, iterations: int) -> Evaluation:
+        """The best motion that the search leads to."""
+        problem, space = self.problem, self.problem.space
+        rows, centre, width = space.polytope
+        edges, ends = (
+            np.concatenate([rows, -rows]),
+            np.concatenate([width + centre, width - centre]),
+        )
+        limit = float(np.log(self.allowed))
+
+        def at(free: Array) -> Evaluation:
+            return self.at(space.control(free))
+
+        def gaps(free: Array) -> Array:
+            return np.append(_WITHIN - problem.misses(at(free)), limit - problem.log_risk(at(free)))
+
+        def gap_slopes(free: Array) -> Array:
+            e = at(free)
+            return -np.vstack([problem.misses_gradient(e), problem.log_risk_gradient(e)])
+
+        constraints = [
+            {"type": "ineq", "fun": lambda x: ends - edges @ x, "jac": lambda x: -edges},
+            {"type": "ineq", "fun": gaps, "jac": gap_slopes},
+        ]
+        begin = self.at(control)
+        low, high = space.bounds
+        try:
+            found = minimize(
+                lambda x: at(x).cost, np.clip(space.free(control), low, high), method="SLSQP",
+                bounds=np.stack([low, high], axis=-1), constraints=constraints,
+                jac=lambda x: problem.cost_gradient(at(x)),
+                options={"maxiter": iterations, "ftol": _CLOSE},
+            )  # fmt: skip
+        except NoShapeError:  # a trial step bent the robot beyond what has a shape
+            return begin
+        new = space.control(found.x)
+        if np.any(edges @ found.x > ends + 1e-9):  # rounding of the quadratic programs
+            new = space.follow(new)
+        return min((self.at(new), begin), key=self.merit)

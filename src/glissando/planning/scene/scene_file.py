@@ -1,0 +1,291 @@
+"""A scene: obstacles, targets and zones in the world, and the limits of the actuators.
+
+scene.toml, lengths in metres, times in seconds, in the world frame of the robot's base.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from glissando.errors import GlissandoError, RobotFileError
+from glissando.geometry.se3 import Array
+from glissando.io.toml_table import Table, read_toml
+from glissando.model.robot import Robot
+from glissando.planning.scene.obstacles import (
+    HalfSpace,
+    Obstacle,
+    RoundedBox,
+    capsule,
+    read_mesh,
+    sphere,
+)
+from glissando.planning.sliding_sensor import SlidingSensor
+
+_FAR = 10.0  # m, beyond which a length was given in another unit
+_WIDE = 0.1  # m, of a robot's radius likewise
+
+
+@dataclass(frozen=True)
+class Target:
+    """A point that the tip reaches: position (3,) m, how near m, and when at the latest s."""
+
+    position: Array
+    tolerance: float
+    time: float
+
+
+@dataclass(frozen=True)
+class SpaceZone:
+    """A part of space or of the body whose positions should be known well.
+
+    Attributes:
+        center: Middle (3,) of a ball in space, m, if it is in space.
+        radius: Its radius, m.
+        arclength: Both ends of a part of the body, m, if it is along the body.
+        weight: Its share beside other zones.
+    """
+
+    center: Array | None = None
+    radius: float = 0.0
+    arclength: tuple[float, float] | None = None
+    weight: float = 1.0
+
+
+@dataclass(frozen=True)
+class Actuator:
+    """Limits of all paths of one actuator: m, m/s, m/s², and where it starts."""
+
+    lower: float
+    upper: float
+    speed: float
+    acceleration: float
+    start: float
+
+
+@dataclass(frozen=True)
+class Weights:
+    """What a motion should be good at, beside reaching its targets at the risk that is allowed.
+
+    Attributes:
+        accuracy: Variance of the tip at each target over the square of its tolerance.
+        time: Mean square distance from the target on the way over that at the start.
+        wear: Mean square speed of all actuators over their limits.
+        information: Variance in the zones over the square of the robot's radius.
+    """
+
+    accuracy: float = 0.0
+    time: float = 1.0
+    wear: float = 0.1
+    information: float = 0.0
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What surrounds a robot, where it should go, and what it may do.
+
+    Attributes:
+        obstacles: What must not be touched.
+        targets: Where the tip should go, in the order of time.
+        robot_radius: Radius of the body, m.
+        delta: Largest probability that any part hits anything at any moment.
+        horizon: Duration of the motion, s.
+        tendons: Limits of each tendon.
+        slides: Limits of each slide; lower and upper are arclengths of its first coil.
+        sensors: What slides on each.
+        zones: Where confidence is wanted.
+        weights: What counts.
+        model_std: Standard deviation of a place that no model error explains, m.
+    """
+
+    obstacles: Sequence[Obstacle]
+    targets: Sequence[Target]
+    robot_radius: float
+    delta: float
+    horizon: float
+    tendons: Sequence[Actuator]
+    slides: Sequence[Actuator] = ()
+    sensors: Sequence[SlidingSensor] = ()
+    zones: Sequence[SpaceZone] = ()
+    weights: Weights = field(default_factory=Weights)
+    model_std: float = 2e-4
+
+
+def read_scene(path: Path, robot: Robot) -> Scene:
+    """The scene of a file, for a robot with [tendons].
+
+    Args:
+        path: scene.toml.
+        robot: The robot, which says how noisy its sensors are.
+
+    Raises:
+        GlissandoError: A value is missing, impossible, or most likely in another unit.
+    """
+    table = read_toml(path, GlissandoError)
+    if robot.tendons is None:
+        raise GlissandoError(
+            f"Robot {robot.name!r} has no [tendons]; add this table to plan its motion."
+        )
+    radius = _length(table, "robot_radius", _WIDE)
+    delta = table.number("delta")
+    if delta >= 1.0:
+        raise table.fail("delta", f"is {delta:g}; give a probability below 1: 0.05 for 5 %.")
+    horizon = table.number("horizon", 10.0)
+    if horizon > 600.0:
+        raise table.fail("horizon", f"is {horizon:g} s; give seconds, 600 at most.")
+    model_std = table.number("model_std", 2e-4)
+    obstacles = [_obstacle(entry, path.parent) for entry in table.tables("obstacles")]
+    targets = [_target(entry, horizon, radius) for entry in table.tables("targets")]
+    if not targets:
+        raise table.fail("[[targets]]", "is missing; add one with a position.")
+    targets.sort(key=lambda target: target.time)
+    tendons = _tendons(table, len(robot.tendons), robot.length)
+    slides, sensors = [], []
+    for entry in table.tables("slides"):
+        slide, sensor = _slide(entry, robot)
+        slides.append(slide)
+        sensors.append(sensor)
+    zones = [_zone(entry, robot.length) for entry in table.tables("zones")]
+    weights = _weights(table)
+    table.close()
+    return Scene(
+        obstacles, targets, radius, delta, horizon, tendons, slides, sensors, zones, weights,
+        model_std,
+    )  # fmt: skip
+
+
+def _length(table: Table, key: str, most: float = _FAR, default: float | None = None) -> float:
+    value = table.number(key, default)
+    if value > most:
+        raise table.fail(key, f"is {value:g} m; give metres, not millimetres.")
+    return value
+
+
+def _point(table: Table, key: str) -> Array:
+    value = table.vector(key, 3)
+    if np.abs(value).max() > _FAR:
+        raise table.fail(key, f"is {value.tolist()} m; give metres, not millimetres.")
+    return value
+
+
+def _obstacle(table: Table, folder: Path) -> Obstacle:
+    kind = table.text("kind", choices=("sphere", "capsule", "box", "half-space", "mesh"))
+    made: Obstacle
+    if kind == "sphere":
+        made = sphere(_point(table, "center"), _length(table, "radius"))
+    elif kind == "capsule":
+        ends = _point(table, "start"), _point(table, "end")
+        made = capsule(*ends, _length(table, "radius"))
+    elif kind == "half-space":
+        point, normal = _point(table, "point"), table.vector("normal", 3)
+        size = float(np.linalg.norm(normal))
+        if size == 0.0:
+            raise table.fail("normal", "has no length; give the direction out of the matter.")
+        made = HalfSpace(point, normal / size)
+    elif kind == "box":
+        sizes, rounding = table.vector("size", 3, positive=True), 0.0
+        if table.peek("rounding") is not None:
+            rounding = _length(table, "rounding")
+        if sizes.max() > _FAR or 2.0 * rounding > sizes.min():
+            raise table.fail(
+                "size", f"is {sizes.tolist()} m with a rounding of {rounding:g} m; give metres, "
+                f"and a rounding of half the least size at most.",
+            )  # fmt: skip
+        made = RoundedBox(table.pose(), 0.5 * sizes - rounding, rounding)
+    else:
+        file = folder / table.text("file")
+        made = read_mesh(file, table.pose(), table.number("scale", 1.0))
+    table.close()
+    return made
+
+
+def _target(table: Table, horizon: float, radius: float) -> Target:
+    position, time = _point(table, "position"), table.number("time", horizon)
+    if time > horizon:
+        raise table.fail("time", f"is {time:g} s, after the horizon of {horizon:g} s.")
+    target = Target(position, _length(table, "tolerance", _WIDE, radius), time)
+    table.close()
+    return target
+
+
+def _tendons(table: Table, count: int, length: float) -> list[Actuator]:
+    limits = table.table("tendons", required=True)
+    assert limits is not None
+    lower, upper, start = (_each(limits, key, count, default) for key, default in
+                           (("lower", 0.0), ("upper", None), ("start", 0.0)))  # fmt: skip
+    speed, acceleration = limits.number("speed"), limits.number("acceleration")
+    limits.close()
+    if max(np.abs(lower).max(), np.abs(upper).max()) > 0.2 * length:
+        raise limits.fail(
+            "upper", f"reaches {upper.max():g} m on a robot of {length:g} m; give metres of "
+            f"displacement, not millimetres.",
+        )  # fmt: skip
+    off = np.flatnonzero((start < lower) | (start > upper) | (lower >= upper))
+    if off.size:
+        j = int(off[0])
+        raise limits.fail(
+            "start", f"is {start[j]:g} m for tendon {j}, whose limits are {lower[j]:g} and "
+            f"{upper[j]:g} m; start between them.",
+        )  # fmt: skip
+    return [
+        Actuator(float(low), float(high), speed, acceleration, float(at))
+        for low, high, at in zip(lower, upper, start, strict=True)
+    ]
+
+
+def _each(table: Table, key: str, count: int, default: float | None) -> Array:
+    """A number for all tendons, or a list with one each."""
+    if isinstance(table.peek(key), list):
+        return table.vector(key, count, pairs=False)
+    return np.full(count, table.number(key, default, positive=False))
+
+
+def _slide(table: Table, robot: Robot) -> tuple[Actuator, SlidingSensor]:
+    kind, rate = table.text("kind", "coil"), table.number("rate", 40.0)
+    if kind not in robot.sensor_std:
+        raise RobotFileError(
+            f"Robot {robot.name} states no noise of a {kind}; add [sensors.{kind}] with a std."
+        )
+    sensor = SlidingSensor(robot.sensor_std[kind] ** 2, rate=rate, kind=kind)
+    reach = table.vector("reach", 2)
+    if not 0.0 <= reach[0] < reach[1] <= robot.length + 1e-9:
+        raise table.fail(
+            "reach", f"is {reach.tolist()} m on a body of {robot.length:g} m; give two arclengths "
+            f"on it, in metres, the lower first.",
+        )  # fmt: skip
+    start = table.number("start", float(reach[1]), positive=False)
+    if not reach[0] <= start <= reach[1]:
+        raise table.fail("start", f"is {start:g} m, outside its reach {reach.tolist()} m.")
+    speed, acceleration = table.number("speed"), table.number("acceleration")
+    table.close()
+    return Actuator(float(reach[0]), float(reach[1]), speed, acceleration, start), sensor
+
+
+def _zone(table: Table, length: float) -> SpaceZone:
+    weight = table.number("weight", 1.0)
+    if table.peek("arclength") is not None:
+        low, high = table.vector("arclength", 2).tolist()
+        table.close()
+        if not 0.0 <= low <= high <= length + 1e-9:
+            raise table.fail("arclength", f"is {[low, high]} m on a body of {length:g} m.")
+        return SpaceZone(arclength=(low, high), weight=weight)
+    zone = SpaceZone(_point(table, "center"), _length(table, "radius"), weight=weight)
+    table.close()
+    return zone
+
+
+def _weights(table: Table) -> Weights:
+    given = table.table("weights")
+    if given is None:
+        return Weights()
+    values = {name: given.number(name, default, positive=False)
+              for name, default in vars(Weights()).items()}  # fmt: skip
+    given.close()
+    if min(values.values()) < 0.0:
+        raise given.fail(
+            min(values, key=lambda name: values[name]), "is below zero; give 0 or more."
+        )
+    return Weights(**values)

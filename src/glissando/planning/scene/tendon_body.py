@@ -1,0 +1,313 @@
+"""A tendon robot's shapes over time, how model errors move them, and one backward pass.
+
+A model error ξ has a number for each tendon, by whose standard deviation displacements differ from
+the commands, and two for each piece, bending moments that the model lacks: what [tendons] of a
+robot file states, whitened. Spatial twists by ξ add up along the body, V(s) = Σ h Ad(T) ∂ε/∂ξ, and
+a place moves by V_linear + V_angular × p. The backward pass takes slopes by places, twists and
+their covariance back to the tendons' commands, through the second derivative of the equilibrium's
+energy. Source: (M5) to (M7) of docs/tendons.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from glissando.geometry import se3
+from glissando.geometry.se3 import Array
+from glissando.model.grid import Index
+from glissando.model.robot import Robot
+from glissando.model.tendons.statics import Equilibrium, TendonRod, equilibrium, tendon_rod
+
+
+@dataclass(frozen=True)
+class TendonBody:
+    """A rod of P pieces with T tendons, and N places along it, a half-step between two.
+
+    Friction and play of the tendons are left to the model error.
+
+    Attributes:
+        rod: The rod.
+        steps: How many steps each piece (P,) is cut into, N = 1 + Σ steps.
+        time_scale: How long a model error lasts, s.
+    """
+
+    rod: TendonRod
+    steps: Index
+    time_scale: float
+
+    @property
+    def errors(self) -> int:
+        """Number q = T + 2 P of a model error's components."""
+        return len(self.rod.tendons) + 2 * len(self.rod.length)
+
+    @cached_property
+    def piece(self) -> Index:
+        """The piece of each step (N−1,)."""
+        return np.repeat(np.arange(self.steps.size), self.steps)
+
+    @cached_property
+    def step(self) -> Array:
+        """Lengths (N−1,) of the steps, m."""
+        return (self.rod.length / self.steps)[self.piece]
+
+    @cached_property
+    def arclength(self) -> Array:
+        """The places (N,), m."""
+        return np.concatenate([[0.0], np.cumsum(self.step)])
+
+    @property
+    def moment_std(self) -> Array:
+        """Standard deviations (2 P,) of the moments that the model lacks, N m."""
+        return np.sqrt(self.rod.tendons.psd_moment / np.repeat(self.rod.length, 2))
+
+    def shapes(
+        self, displacement: Array, error: Array | None = None, start: Array | None = None
+    ) -> BodyShapes:
+        """The shapes that displacements (K, T) pull the robot into.
+
+        Args:
+            displacement: Displacements of the tendons, m.
+            error: Model errors (K, q) that are expected; none unless given.
+            start: Strains (K, P, 6) of a similar motion, from where the search begins.
+
+        Raises:
+            NoShapeError: There is no static shape.
+        """
+        rod, count = self.rod, len(self.rod.tendons)
+        if error is not None:
+            displacement = displacement + rod.tendons.std * error[..., :count]
+            rest = np.broadcast_to(rod.rest, (len(displacement), *rod.rest.shape)).copy()
+            moment = np.broadcast_to(
+                self.moment_std * error[..., count:], (len(rest), rest[0, :, :2].size)
+            )
+            rest[..., 3:5] += moment.reshape(rest[..., 3:5].shape) / rod.stiffness[:, 3:5]
+            rod, start = replace(rod, rest=rest), rest if start is None else start
+        return BodyShapes(self, equilibrium(rod, displacement=displacement, start=start))
+
+
+def tendon_body(robot: Robot, spacing: float) -> TendonBody:
+    """The body of a robot file with [tendons] and a mechanical prior.
+
+    Straight tendons bend a segment evenly, so a piece is a segment; helical ones need the nodes.
+
+    Args:
+        robot: The robot.
+        spacing: Largest distance between two places, m.
+
+    Raises:
+        GlissandoError: The robot has no tendons or another prior.
+    """
+    tendons = robot.tendons
+    rod = tendon_rod(robot, np.zeros(0) if tendons is not None and tendons.straight else None)
+    count = len(rod.tendons)
+    rod = replace(rod, tendons=replace(rod.tendons, friction=np.zeros(count), play=np.zeros(count)))
+    steps = np.maximum(2, np.ceil(rod.length / spacing)).astype(np.intp)
+    return TendonBody(rod, steps, float(getattr(robot.prior, "time_scale", np.inf)))
+
+
+@dataclass(frozen=True)
+class BodyShapes:
+    """K shapes of a body; world frame.
+
+    Attributes:
+        body: The body.
+        balance: The equilibria.
+    """
+
+    body: TendonBody
+    balance: Equilibrium
+
+    @cached_property
+    def _fine(self) -> Array:
+        """Poses (K, 2N−1, 4, 4) at the places and in the middles between."""
+        body, piece = self.body, np.repeat(self.body.piece, 2)
+        half = (0.5 * body.rod.length / body.steps)[:, None] * self.balance.strain
+        step = se3.exp(half)
+        out = np.empty((len(half), piece.size + 1, 4, 4))
+        out[:, 0] = body.rod.base
+        for n, p in enumerate(piece):
+            np.matmul(out[:, n], step[:, p], out=out[:, n + 1])
+        return out
+
+    @property
+    def pose(self) -> Array:
+        """Poses (K, N, 4, 4) at the places."""
+        return self._fine[:, ::2]
+
+    @property
+    def place(self) -> Array:
+        """Positions (K, N, 3), m."""
+        return self.pose[..., :3, 3]
+
+    @cached_property
+    def strain_by_error(self) -> Array:
+        """∂strain/∂ξ (K, P, 6, q)."""
+        balance, body = self.balance, self.body
+        by_pull = body.rod.tendons.std * balance.strain_by_displacement()
+        return np.concatenate([by_pull, body.moment_std * balance.strain_by_moment()], axis=-1)
+
+    @cached_property
+    def twist(self) -> Array:
+        """Spatial twists (K, N, 6, q) of the places by ξ; the midpoint rule over each step."""
+        middle, by_error = self._fine[:, 1::2], self.strain_by_error[:, self.body.piece]
+        steps = self.body.step[:, None, None] * (se3.adjoint(middle) @ by_error)
+        out = np.zeros((len(steps), self.body.arclength.size, *steps.shape[2:]))
+        np.cumsum(steps, axis=1, out=out[:, 1:])
+        return out
+
+    @cached_property
+    def moves(self) -> Array:
+        """∂place/∂ξ (K, N, 3, q), m."""
+        place = self.place[..., None]
+        return self.twist[..., :3, :] + _cross(self.twist[..., 3:, :], place)
+
+    @cached_property
+    def body_twist(self) -> Array:
+        """Twists (K, N, 6, q) of the places by ξ, in the body frame."""
+        back = np.swapaxes(self.pose[..., :3, :3], -1, -2)
+        return np.concatenate([back @ self.moves, back @ self.twist[..., 3:, :]], axis=-2)
+
+    def tip_by_displacement(self) -> Array:
+        """∂(position of the tip)/∂displacement (K, 3, T), world frame."""
+        slope = self.balance.pose_by(self.balance.strain_by_displacement())[:, -1, :3]
+        return self.pose[:, -1, :3, :3] @ slope
+
+    def back(self, by_place: Array, by_moves: Array, by_body_twist: Array) -> Array:
+        """Slope (K, T) by displacements, of a value whose partial slopes are given.
+
+        Args:
+            by_place: By `place` (K, N, 3).
+            by_moves: By `moves` (K, N, 3, q).
+            by_body_twist: By `body_twist` (K, N, 6, q).
+        """
+        turn, twist = self.pose[..., :3, :3], self.twist
+        linear, angular = turn @ by_body_twist[..., :3, :], turn @ by_body_twist[..., 3:, :]
+        by_turn = -_summed(self.moves, linear) - _summed(twist[..., 3:, :], angular)
+        by_moves = by_moves + linear
+        by_place = by_place + _summed(by_moves, twist[..., 3:, :])
+        about = _cross(self.place[..., None], by_moves)
+        by_twist = np.concatenate([by_moves, about + angular], axis=-2)
+        by_step = np.flip(np.cumsum(np.flip(by_twist[:, 1:], axis=1), axis=1), axis=1)
+        by_step *= self.body.step[:, None, None]
+        by_strain_slope, wrench_middle = self._back_steps(by_step)
+        wrench = np.zeros((*self._fine.shape[:2], 6))
+        wrench[:, ::2, :3] = by_place
+        wrench[:, ::2, 3:] = np.cross(self.place, by_place) + by_turn
+        wrench[:, 1::2] = wrench_middle
+        return self._to_displacement(self._by_strain(wrench), by_strain_slope)
+
+    def _back_steps(self, by_step: Array) -> tuple[Array, Array]:
+        """From slopes (K, N−1, 6, q) by the twists of steps to those by `strain_by_error`.
+
+        Also the wrenches (K, N−1, 6) by a spatial twist of the middles.
+        """
+        middle = self._fine[:, 1::2]
+        turn, place = middle[..., :3, :3], middle[..., :3, 3, None]
+        moved = by_step[..., 3:, :] + _cross(by_step[..., :3, :], place)
+        slope = np.concatenate([by_step[..., :3, :], moved], axis=-2)
+        rows = turn.mT[:, :, None] @ slope.reshape(*slope.shape[:2], 2, 3, -1)
+        rows = rows.reshape(slope.shape)
+        own = self.strain_by_error[:, self.body.piece]
+        linear, angular = turn @ own[..., :3, :], turn @ own[..., 3:, :]
+        by_place = _summed(angular, by_step[..., :3, :])
+        by_turn = _summed(linear, by_step[..., :3, :]) + _summed(angular, moved)
+        wrench = np.concatenate([by_place, np.cross(place[..., 0], by_place) + by_turn], axis=-1)
+        return self._by_piece(rows), wrench
+
+    def _by_piece(self, by_step: Array) -> Array:
+        """Sums (K, P, …) of rows (K, N−1, …) over the steps of each piece."""
+        first = np.concatenate([[0], np.cumsum(self.body.steps)[:-1]])
+        return np.add.reduceat(by_step, first, axis=1)
+
+    def _by_strain(self, wrench: Array) -> Array:
+        """Slope (K, P, 6) by strain, of wrenches (K, 2N−1, 6) on the spatial twists of poses."""
+        ahead = np.flip(np.cumsum(np.flip(wrench[:, 1:], axis=1), axis=1), axis=1)
+        local = np.einsum("knij,kni->knj", se3.adjoint(self._fine[:, :-1]), ahead)
+        local = self._by_piece(local[:, ::2] + local[:, 1::2])
+        half = (0.5 * self.body.rod.length / self.body.steps)[:, None]
+        along = half[..., None] * se3.left_jacobian(half * self.balance.strain)
+        return np.einsum("kpij,kpi->kpj", along, local)
+
+    def _to_displacement(self, by_strain: Array, by_slope: Array) -> Array:
+        """Slope (K, T) by displacements, of slopes by strain and by `strain_by_error`.
+
+        With E the energy and A the inverse of its Hessian, dS = −A (dH S + dC); so that with
+        Y = A ∂φ/∂S the value changes by −Y : dH S − Y : dC, in terms of each tendon's tension τ,
+        stiffness k, its slope k′, and the length |t| of its tangent.
+        """
+        balance, rod = self.balance, self.balance.rod
+        length, count = rod.length, len(rod.tendons)
+        own = self.strain_by_error
+        back = self._inverse_hessian(by_slope)
+        reach = length[:, None] * balance.reach  # of z = stretch by strain
+        along, along_back = (np.einsum("ktpi,kpiq->ktq", reach, x) for x in (own, back))
+        arm, unit, speed, inside = _tangents(rod, balance.strain)
+        bend, bend_back = (np.einsum("tpai,kpiq->ktpaq", arm, x) for x in (own, back))
+        flat = [x - unit[..., None] * np.einsum("ktpa,ktpaq->ktpq", unit, x)[..., None, :]
+                for x in (bend, bend_back)]  # fmt: skip
+        weight = inside * length / speed
+        squared = np.einsum("ktpaq,ktpaq->ktp", flat[0], flat[1])
+        k, slope = balance.slope, _stiffening(rod, k=balance.slope)
+        curved = np.sum(weight * squared, axis=-1)
+        by_stretch = k * curved + slope * np.sum(along * along_back, axis=-1)
+        std, picked = rod.tendons.std, np.arange(count)
+        by_stretch += std * slope * along_back[:, picked, picked]
+        # ∂/∂t of |t|: through reach in `along` and through what is across t
+        lever = flat[0] @ along_back[..., None, :, None] + flat[1] @ along[..., None, :, None]
+        lever = lever[..., 0] + std * flat[1][:, picked, :, :, picked].transpose(1, 0, 2, 3)
+        unit_parts = [np.einsum("ktpa,ktpaq->ktpq", unit, x) for x in (bend, bend_back)]
+        third = flat[0] @ unit_parts[1][..., None] + flat[1] @ unit_parts[0][..., None]
+        third = third[..., 0] + unit * squared[..., None]
+        by_tangent = weight[..., None] * (
+            k[..., None, None] * lever - (balance.tension[..., None] / speed)[..., None] * third
+        )
+        partial = np.einsum("tpai,ktpa->kpi", arm, by_tangent)
+        partial += np.einsum("kt,ktpi->kpi", by_stretch, reach)
+        total = by_strain - partial
+        return np.einsum("kpit,kpi->kt", balance.strain_by_displacement(), total) - by_stretch
+
+    def _inverse_hessian(self, gradient: Array) -> Array:
+        """The inverse Hessian of the energy times columns (K, P, 6, q)."""
+        balance = self.balance
+        free = balance.compliance @ (gradient / balance.rod.length[:, None, None])
+        short = np.einsum("p,ktpi,kpiq->ktq", balance.rod.length, balance.reach, free)
+        back = balance.yielding() @ (balance.slope[..., None] * short)
+        return free - balance.compliance @ (balance.pull @ back[:, None])
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Cross products of columns (…, 3, q)."""
+    (ax, ay, az), (bx, by, bz) = np.moveaxis(a, -2, 0), np.moveaxis(b, -2, 0)
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-2)
+
+
+def _summed(a: Array, b: Array) -> Array:
+    """Sums (…, 3) of the cross products of columns (…, 3, q)."""
+    product = a @ b.mT
+    return np.stack(
+        [
+            product[..., 1, 2] - product[..., 2, 1],
+            product[..., 2, 0] - product[..., 0, 2],
+            product[..., 0, 1] - product[..., 1, 0],
+        ],
+        axis=-1,
+    )
+
+
+def _tangents(rod: TendonRod, strain: Array) -> tuple[Array, Array, Array, Array]:
+    """Levers (T, P, 3, 6) of tangents by strain, their units, sizes, and where tendons are."""
+    place, slope = rod.path
+    arm = np.concatenate([np.broadcast_to(np.eye(3), (*place.shape, 3)), -se3.hat3(place)], -1)
+    tangent = np.einsum("tpai,kpi->ktpa", arm, strain) + slope
+    speed = np.linalg.norm(tangent, axis=-1)
+    inside = (rod.middle < rod.tendons.end[:, None]).astype(float)
+    return arm, tangent / speed[..., None], speed, inside
+
+
+def _stiffening(rod: TendonRod, k: Array) -> Array:
+    """Slope (K, T) of a tendon's stiffness (K, T) by its stretch, of the softened ramp."""
+    share = k / rod.tendons.stiffness
+    return k * (1.0 - share) / rod.tendons.softness

@@ -1,0 +1,126 @@
+"""What a planned motion among obstacles looks like: a figure, and a page that moves."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from glissando.estimation.confidence_tube import SIGMAS_95, confidence_tube, tube_faces
+from glissando.planning.scene.motion_cost import Evaluation
+from glissando.planning.scene.obstacles import HalfSpace, sphere
+from glissando.planning.scene.plan_motion import MotionPlan
+from glissando.visualization.canvas import MM, NO_STYLE, SENSORS, Style, canvas
+from glissando.visualization.figures import _frame
+from glissando.visualization.page.scene import Scene as PageScene
+from glissando.visualization.page.scene import Solid, symmetric_root
+
+_SHOWN = 5  # shapes of a motion in one picture
+_OBSTACLE, _TARGET = "#8c8c8c", "#009E73"
+
+
+def scene_figure(plan: MotionPlan, *, style: Style = NO_STYLE) -> Any:
+    """Draw a planned motion: in space with its 95 % tube, and its commands and clearance over time.
+
+    Args:
+        plan: The plan.
+        style: rcParams to draw with.
+
+    Returns:
+        The axes (4,): space, tendons, slides with the tip's confidence, clearance.
+
+    Raises:
+        GlissandoError: matplotlib is not installed.
+    """
+    with canvas(11.0, 6.0, style) as figure:
+        grid = figure.add_gridspec(3, 2, width_ratios=[1.5, 1.0])
+        space = figure.add_subplot(grid[:, 0], projection="3d", computed_zorder=False)
+        panels = [figure.add_subplot(grid[row, 1]) for row in range(3)]
+        _draw_space(space, plan)
+        _draw_time(panels, plan)
+    return np.array([space, *panels], dtype=object)
+
+
+def _draw_space(axes: Any, plan: MotionPlan) -> None:
+    from matplotlib import colormaps
+    from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+
+    at, scene = plan.evaluation, plan.problem.scene
+    axes.view_init(elev=18.0, azim=-60.0)
+    for obstacle in scene.obstacles:
+        vertices, faces = obstacle.surface()
+        look = {"facecolor": _OBSTACLE, "alpha": 0.25, "linewidth": 0.0}
+        axes.add_collection3d(Poly3DCollection(MM * vertices[faces], **look))
+    for target in scene.targets:
+        axes.plot(*(MM * target.position[:, None]), "*", color=_TARGET, ms=12, label="target")
+    chosen = np.unique(np.linspace(0, len(at.tip) - 1, _SHOWN).round().astype(int))
+    for share, k in zip(np.linspace(0.0, 0.85, chosen.size), chosen, strict=True):
+        colour = colormaps["viridis"](share)
+        rings, _ = confidence_tube(at.shapes.pose[k], _body_cov(at, k), SIGMAS_95)
+        tube = MM * rings.reshape(-1, 3)[tube_faces(*rings.shape[:2])]
+        axes.add_collection3d(Poly3DCollection(tube, facecolor=colour, alpha=0.15, linewidth=0.0))
+        time = plan.problem.space.moments[k]
+        axes.plot(*(MM * at.shapes.place[k].T), color=colour, lw=2.2, label=f"{time:.1f} s")
+    axes.plot(*(MM * at.tip.T), color="0.3", lw=0.8, ls=":")
+    shown = [at.shapes.place.reshape(-1, 3), *(target.position[None] for target in scene.targets)]
+    shown += [o.surface()[0] for o in scene.obstacles if not isinstance(o, HalfSpace)]
+    _frame(axes, MM * np.concatenate(shown))
+    axes.legend(loc="upper left", fontsize=9)
+    axes.set(xlabel="x (mm)", ylabel="y (mm)", zlabel="z (mm)")
+
+
+def _draw_time(panels: list[Any], plan: MotionPlan) -> None:
+    time, values = plan.commands()
+    at, scene, moments = plan.evaluation, plan.problem.scene, plan.problem.space.moments
+    count = len(scene.tendons)
+    panels[0].plot(time, MM * values[:, :count], lw=1.2)
+    panels[0].set_ylabel("tendons (mm)")
+    tip = MM * np.sqrt(np.einsum("kii->k", at.cov[:, -1]))
+    panels[1].plot(moments, tip, color="black", label="tip's standard deviation (mm)")
+    if scene.slides:
+        slides = panels[1].twinx()
+        for slide, colour in zip(MM * values[:, count:].T, SENSORS, strict=False):
+            slides.plot(time, slide, color=colour)
+        slides.set_ylabel("slide (mm)", color=SENSORS[0])
+    panels[1].set_ylabel("tip σ (mm)")
+    if scene.obstacles:
+        c = at.clearances
+        worst = MM * c.mean.min(axis=(0, 2))
+        low = MM * (c.mean - SIGMAS_95 * c.std()).min(axis=(0, 2))
+        panels[2].plot(moments, worst, color="black", label="expected")
+        panels[2].fill_between(moments, low, worst, color="0.8", label="to 2.8 σ")
+        panels[2].axhline(0.0, color="#D55E00", lw=1.0)
+        panels[2].legend(loc="upper right", fontsize=9)
+    panels[2].set(xlabel="time (s)", ylabel="clearance (mm)")
+
+
+def _body_cov(at: Evaluation, k: int) -> Any:
+    turn = at.shapes.pose[k, :, :3, :3]
+    return turn.mT @ at.cov[k] @ turn
+
+
+def scene_page(plan: MotionPlan) -> PageScene:
+    """A planned motion as `page` shows it: the robot, its confidence, obstacles and targets."""
+    at, scene = plan.evaluation, plan.problem.scene
+    moments, count = plan.problem.space.moments, len(scene.tendons)
+    solids = [Solid(*obstacle.surface(), _OBSTACLE) for obstacle in scene.obstacles]
+    solids += [
+        Solid(*sphere(target.position, target.tolerance).surface(), _TARGET, clear=True)
+        for target in scene.targets
+    ]
+    frames = moments.size
+    nothing = np.zeros((frames, 0))
+    return PageScene(
+        time=moments,
+        arclength=plan.problem.body.arclength,
+        pose=at.shapes.pose,
+        root=symmetric_root(at.cov),
+        sensors=[sensor.name for sensor in scene.sensors],
+        place=at.values[:, count:],
+        sites=[],
+        site_place=nothing,
+        truth=np.zeros((frames, 0, 4, 3)),
+        miss=nothing,
+        nees=nothing,
+        solids=tuple(solids),
+    )

@@ -1,0 +1,80 @@
+"""`glissando plan --scene`: the example among obstacles, its files, and mistakes in scenes."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from glissando.cli.main import main
+from glissando.io.robot_file import load_robot
+from glissando.io.tendon_commands import read_tendon_commands
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "scene"
+
+
+def planned(folder, *words):
+    """The exit status of a plan of the scene and robot in a folder."""
+    files = ["--scene", str(folder / "scene.toml"), "--robot", str(folder / "arm.toml")]
+    return main(["plan", *files, *map(str, words)])
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A copy of the example."""
+    for file in EXAMPLE.glob("*.toml"):
+        shutil.copy(file, tmp_path)
+    return tmp_path
+
+
+@pytest.mark.slow
+def test_the_example_is_planned_and_its_commands_are_such_as_predict_reads(folder, capsys):
+    assert planned(folder, "--out", folder / "motion", "--figure", "svg", "--json") == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["risk"] <= report["delta"] + 2.0 * report["risk_std"]
+    assert report["miss"] <= 0.003
+    robot = load_robot(folder / "arm.toml")
+    time, pulled = read_tendon_commands(folder / "motion" / "tendons.csv", robot.tendons.names)
+    assert time[-1] == 10.0
+    assert np.abs(pulled[0]).max() < 1e-6
+    slides = (folder / "motion" / "slides.csv").read_text().splitlines()
+    assert slides[0] == "time,slide_1"
+    assert len(slides) == len(time) + 1
+    assert (folder / "motion" / "plan.svg").read_text(encoding="utf-8").count("<path") > 100
+    view = (folder / "motion" / "view.html").read_text(encoding="utf-8")
+    assert '"solids":[{"vertices"' in view.replace(" ", "")
+    assert json.loads((folder / "motion" / "plan.json").read_text()) == report
+
+
+MISTAKES = [
+    ("robot_radius = 0.005", "robot_radius = 5", "robot_radius is 5 m; give metres"),
+    ("delta = 0.05", "delta = 5", "delta is 5; give a probability below 1: 0.05 for 5 %"),
+    ("center = [0.03, 0.008, 0.185]", "center = [30, 8, 185]", "give metres, not millimetres"),
+    ('kind = "sphere"', 'kind = "ball"', "give one of sphere, capsule, box, half-space, mesh"),
+    ("radius = 0.012", "radios = 0.012", "radius is missing"),
+    ("upper = 0.006", "upper = 6", "give metres of displacement, not millimetres"),
+    ("reach = [0.06, 0.18]", "reach = [60, 180]", "give two arclengths on it, in metres"),
+    ("[[targets]]", "[[goals]]", "[[targets]] is missing"),
+    ("rounding = 0.003", "rounding = 0.03", "a rounding of half the least size at most"),
+    ("position = [0.06, 0.02, 0.155]", "position = [0.3, 0, 0]", "is out of reach: within"),
+]
+
+
+@pytest.mark.parametrize(("right", "wrong", "sentence"), MISTAKES)
+def test_a_mistake_in_a_scene_is_one_sentence(right, wrong, sentence, folder, capsys):
+    scene = folder / "scene.toml"
+    text = scene.read_text()
+    assert right in text
+    scene.write_text(text.replace(right, wrong, 1))
+    assert planned(folder) == 2
+    error = capsys.readouterr().err.strip().splitlines()[-1]
+    assert sentence in error
+    assert error.startswith("glissando: ")
+
+
+def test_a_scene_and_zones_exclude_each_other_and_one_of_them_is_needed(folder, capsys):
+    assert planned(folder, "--zone", "0.1:0.2") == 2
+    assert "exclude each other" in capsys.readouterr().err
+    assert main(["plan", "--robot", "sliding700"]) == 2
+    assert "give --zone" in capsys.readouterr().err

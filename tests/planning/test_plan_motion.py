@@ -1,0 +1,149 @@
+"""Planned motions: near the best, within limits and risk, or a sentence on what cannot be."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from glissando.errors import GlissandoError
+from glissando.planning.scene.obstacles import HalfSpace, sphere
+from glissando.planning.scene.plan_motion import motion_problem, plan_motion
+from glissando.planning.scene.scene_file import Actuator, Target, Weights
+from motion_scenes import ROBOT, SLIDE, TENDON, small_scene
+
+BALL = sphere(np.array([0.02, 0.006, 0.205]), 0.006)
+
+
+@pytest.fixture(scope="module")
+def planned():
+    """A plan past a ball."""
+    scene = small_scene([BALL], target=(0.045, 0.012, 0.185))
+    return plan_motion(motion_problem(scene, ROBOT, moment=0.5), candidates=2, iterations=30)
+
+
+def test_a_plan_reaches_its_target_within_limits_at_the_risk_that_is_allowed(planned):
+    scene = planned.problem.scene
+    assert planned.miss <= scene.targets[0].tolerance
+    assert planned.risk <= scene.delta + 2.0 * planned.risk_std
+    time, values = planned.commands()
+    step = time[1] - time[0]
+    for actuator, column in zip([*scene.tendons, *scene.slides], values.T, strict=True):
+        assert column.min() >= actuator.lower - 1e-9
+        assert column.max() <= actuator.upper + 1e-9
+        assert np.abs(np.diff(column)).max() <= actuator.speed * step * (1.0 + 1e-6)
+        assert np.abs(np.diff(column, 2)).max() <= actuator.acceleration * step**2 * (1.0 + 1e-6)
+        assert column[0] == pytest.approx(actuator.start)
+        assert abs(column[-1] - column[-2]) < 1e-3 * actuator.speed
+
+
+def test_the_straight_way_would_not_have_kept_the_risk(planned):
+    problem = planned.problem
+    ends = planned.evaluation.values[-1]
+    start = planned.evaluation.values[0]
+    share = np.linspace(0.0, 1.0, problem.space.paths[0].steps + 2)
+    straight = problem.space.follow(start[:, None] + np.outer(ends - start, share))
+    assert problem.evaluate(straight).hits.value > 2.0 * problem.scene.delta
+
+
+@pytest.mark.slow
+def test_more_risk_costs_no_more(planned):
+    scene = replace(planned.problem.scene, delta=0.3)
+    looser = plan_motion(
+        motion_problem(scene, ROBOT, moment=0.5),
+        warm_start=planned.evaluation.control,
+        candidates=1,
+    )
+    assert looser.evaluation.cost <= planned.evaluation.cost * (1.0 + 1e-3)
+
+
+@pytest.mark.parametrize(
+    ("fields", "sentence"),
+    [
+        ({"target": (0.3, 0.0, 0.1)}, r"out of reach: .* no nearer than 207 mm"),
+        (
+            {"obstacles": [sphere(np.array([0.0, 0.0, 0.15]), 0.01)]},
+            r"starts in collision: .* 10.7 mm inside obstacle 1",
+        ),
+        (
+            {"obstacles": [HalfSpace(np.array([-0.0045, 0.0, 0.0]), np.array([1.0, 0.0, 0.0]))]},
+            r"Where it starts, .* probability of \d\d",
+        ),
+        (
+            {"obstacles": [sphere(np.array([0.045, 0.012, 0.185]), 0.003)]},
+            r"risk of 5 % (was not reached|the tip comes no nearer than)",
+        ),
+    ],
+)
+def test_a_scene_that_is_impossible_says_which_part_and_by_how_much(fields, sentence):
+    given = {"obstacles": [], "target": (0.045, 0.012, 0.185), **fields}
+    problem = motion_problem(small_scene(**given), ROBOT, moment=0.5)
+    with pytest.raises(GlissandoError, match=sentence):
+        plan_motion(problem, iterations=5, candidates=1)
+
+
+def exhaustive(problem, count, rounds):
+    """The least cost of all motions on a lattice, made finer about the best, that keep all."""
+    space, delta = problem.space, problem.scene.delta
+    rows, centre, width = space.polytope
+    middle, reach, best = np.zeros(space.size), 1.5, (np.inf, None)
+    for _ in range(rounds):
+        for offset in itertools.product(np.linspace(-reach, reach, count), repeat=space.size):
+            free = middle + np.array(offset)
+            if np.any(np.abs(rows @ free - centre) > width):
+                continue
+            at = problem.evaluate(space.control(free))
+            if at.cost < best[0] and at.hits.value <= delta and problem.misses(at).max() <= 1.0:
+                best = at.cost, free
+        middle, reach = (middle if best[1] is None else best[1]), reach / (0.4 * count)
+    return best[0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("weights", [Weights(accuracy=0.3), Weights(time=0.0, wear=1.0)])
+def test_a_plan_is_within_one_percent_of_the_best_of_all_motions(weights):
+    held = Actuator(-1e-9, 1e-9, 2e-3, 4e-3, 0.0)
+    tendons = [held, replace(TENDON, upper=6e-3, speed=4e-3), held, held, held, held]
+    slide = replace(SLIDE, speed=0.2, acceleration=0.4)
+    ball = sphere(np.array([-0.028, 0.042, 0.17]), 0.006)
+    scene = small_scene([ball], weights=weights, tendons=tendons, slides=[slide])
+    wished = motion_problem(scene, ROBOT).body.shapes(np.array([[0, 3e-3, 0, 0, 0, 0]]))
+    scene = replace(scene, targets=[Target(wished.place[0, -1], 0.008, 4.0)])
+    problem = motion_problem(scene, ROBOT, step=2.0, moment=0.5)
+    best = exhaustive(Reduced(problem, np.array([1, 6])), 15, 4)
+    plan = plan_motion(problem)
+    assert plan.evaluation.cost <= best * 1.01
+
+
+class Reduced:
+    """A problem of which only some free numbers move."""
+
+    def __init__(self, problem, moving):
+        self.problem, self.moving, self.scene, self.space = problem, moving, problem.scene, self
+        self.whole = problem.space
+        self.rest = self.whole.free(
+            self.whole.follow(np.array([[p.start] * (p.steps + 2) for p in self.whole.paths]))
+        )
+        self.size, self.paths = len(moving), self.whole.paths
+        rows, centre, width = self.whole.polytope
+        held = np.delete(np.arange(self.whole.size), moving)
+        kept = np.any(rows[:, moving] != 0.0, axis=1)
+        centre = centre - rows[:, held] @ self.rest[held]
+        self.polytope = rows[kept][:, moving], centre[kept], width[kept]
+
+    def follow(self, target):
+        return self.whole.follow(target)
+
+    def free(self, control):
+        return self.whole.free(control)[self.moving]
+
+    def control(self, free):
+        whole = self.rest.copy()
+        whole[self.moving] = free
+        return self.whole.control(whole)
+
+    def evaluate(self, control):
+        return self.problem.evaluate(control)
+
+    def misses(self, at):
+        return self.problem.misses(at)

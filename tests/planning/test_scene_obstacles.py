@@ -1,0 +1,99 @@
+"""Signed distances: what they are, their slopes and curvatures, for every kind of obstacle."""
+
+import numpy as np
+import pytest
+
+from glissando.errors import GlissandoError
+from glissando.geometry import se3
+from glissando.planning.scene.obstacles import (
+    HalfSpace,
+    RoundedBox,
+    capsule,
+    distances,
+    read_mesh,
+    sphere,
+)
+
+KINDS = ["sphere", "capsule", "box", "rounded box", "half-space"]
+
+
+@pytest.fixture
+def rng():
+    """A generator of its own for each test."""
+    return np.random.default_rng(0)
+
+
+def drawn(kind, rng):
+    """An obstacle of a kind, of about 0.1 m."""
+    pose = se3.exp(np.concatenate([0.05 * rng.standard_normal(3), rng.standard_normal(3)]))
+    half, a, b = rng.uniform(0.02, 0.06, 3), *(0.05 * rng.standard_normal((2, 3)))
+    normal = rng.standard_normal(3)
+    return {
+        "sphere": sphere(a, 0.03),
+        "capsule": capsule(a, b, 0.02),
+        "box": RoundedBox(pose, half),
+        "rounded box": RoundedBox(pose, half, 0.01),
+        "half-space": HalfSpace(a, normal / np.linalg.norm(normal)),
+    }[kind]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_slopes_and_curvatures_are_those_of_the_distance(kind, rng):
+    obstacle, step = drawn(kind, rng), 1e-6
+    points = 0.1 * rng.standard_normal((40, 3))
+    near = (
+        np.stack([points + step * e for e in np.eye(3)]),
+        np.stack([points - step * e for e in np.eye(3)]),
+    )
+    ahead, behind = ([obstacle.distance(x) for x in side] for side in near)
+    slope = np.stack([(a[0] - b[0]) / (2 * step) for a, b in zip(ahead, behind, strict=True)], -1)
+    curved = np.stack([(a[1] - b[1]) / (2 * step) for a, b in zip(ahead, behind, strict=True)], -1)
+    smooth = np.abs(curved).max(axis=(1, 2)) < 1e3  # not across an edge inside
+    _, found, bent = obstacle.distance(points)
+    np.testing.assert_allclose(found[smooth], slope[smooth], atol=1e-6)
+    np.testing.assert_allclose(bent[smooth], curved[smooth], atol=1e-3)
+    assert smooth.sum() > 30
+
+
+@pytest.mark.parametrize("kind", KINDS[:4])
+def test_outside_the_distance_is_that_to_the_nearest_point_of_the_surface(kind, rng):
+    obstacle = drawn(kind, rng)
+    vertices, faces = obstacle.surface()
+    weights = rng.dirichlet(np.ones(3), (60, len(faces)))
+    surface = np.einsum("wft,ftc->wfc", weights, vertices[faces]).reshape(-1, 3)
+    assert np.abs(obstacle.distance(surface)[0]).max() < 2e-3  # facets of what is round
+    points = 0.2 * rng.standard_normal((30, 3))
+    signed = obstacle.distance(points)[0]
+    nearest = np.linalg.norm(points[:, None] - surface, axis=-1).min(axis=1)
+    outside = signed > 0.0
+    np.testing.assert_allclose(signed[outside], nearest[outside], atol=6e-3)
+    assert np.all(signed[outside] <= nearest[outside] + 2e-3)
+
+
+def test_all_obstacles_at_once_are_each_by_itself(rng):
+    every, points = [drawn(kind, rng) for kind in KINDS], rng.standard_normal((7, 3))
+    signed = distances(every, points)[0]
+    for obstacle, row in zip(every, signed, strict=True):
+        np.testing.assert_array_equal(row, obstacle.distance(points)[0])
+
+
+@pytest.mark.slow
+def test_a_mesh_is_as_far_as_the_box_it_is_of(tmp_path, rng):
+    trimesh = pytest.importorskip("trimesh", reason="trimesh is not installed")
+    pytest.importorskip("rtree", reason="rtree is not installed")
+    size, pose = np.array([0.06, 0.04, 0.05]), se3.exp(np.array([0.01, 0, 0.02, 0.3, 0.2, 0.1]))
+    file = tmp_path / "box.stl"
+    trimesh.creation.box(1e3 * size).export(file)
+    mesh, box = read_mesh(file, pose, 1e-3), RoundedBox(pose, 0.5 * size)
+    points = 0.05 * rng.standard_normal((200, 3))
+    points = points[np.abs(box.distance(points)[0]) < 0.015]
+    (near, slope, _), (true, direct, _) = mesh.distance(points), box.distance(points)
+    assert np.abs(near - true).max() < 1.5e-3
+    outside = true > 3e-3
+    assert np.sum(slope[outside] * direct[outside], axis=1).min() > 0.95
+    open_file = tmp_path / "open.stl"
+    whole = trimesh.creation.box(size)
+    whole.update_faces(np.arange(len(whole.faces)) > 0)
+    whole.export(open_file)
+    with pytest.raises(GlissandoError, match="has holes"):
+        read_mesh(open_file, pose)

@@ -1,0 +1,62 @@
+"""A small tendon robot with a sliding coil, and scenes for it."""
+
+import numpy as np
+
+from glissando.planning.scene.error_belief import ErrorBelief
+from glissando.planning.scene.motion_problem import MotionProblem
+from glissando.planning.scene.motion_space import motion_space
+from glissando.planning.scene.obstacles import HalfSpace, RoundedBox, capsule, sphere
+from glissando.planning.scene.scene_file import Actuator, Scene, SpaceZone, Target, Weights
+from glissando.planning.scene.tendon_body import tendon_body
+from glissando.planning.sliding_sensor import SlidingSensor
+from tendon_robot import LENGTH, tendon_robot
+
+ROBOT = tendon_robot(std=2e-4, psd_moment=2e-8)
+COIL = SlidingSensor(np.array([1e-3] * 3 + [0.01] * 2) ** 2, rate=20.0)
+TENDON = Actuator(-2e-3, 4e-3, 2e-3, 4e-3, 0.0)
+SLIDE = Actuator(0.05, LENGTH, 0.05, 0.1, 0.15)
+
+
+def around(rng, count=3):
+    """Obstacles of all kinds about the robot, some of them in its way."""
+    placed = np.array([0.0, 0.0, 0.6 * LENGTH]) + 0.05 * rng.standard_normal((count + 4, 3))
+    pose = np.eye(4)
+    pose[:3, 3] = placed[0] + [0.06, 0.0, 0.0]
+    return [
+        HalfSpace(np.array([0.0, 0.12, 0.0]), np.array([0.0, -1.0, 0.0])),
+        RoundedBox(pose, np.array([0.01, 0.02, 0.01]), 0.002),
+        capsule(placed[1] - [0.07, 0.0, 0.0], placed[2] - [0.07, 0.0, 0.0], 0.004),
+        *(sphere(np.add(at, [0.03, 0.0, 0.03]), 0.008) for at in placed[3 : 3 + count]),
+    ]
+
+
+def small_scene(obstacles, target=(0.03, 0.01, 0.19), **fields):
+    """A scene of four seconds for `ROBOT`."""
+    named = {"delta": 0.05, "robot_radius": 0.004, "horizon": 4.0}
+    named |= {"tendons": [TENDON] * 6, "slides": [SLIDE], "sensors": [COIL], **fields}
+    return Scene(
+        obstacles,
+        [Target(np.array(target), 0.004, named["horizon"])],
+        **named,
+    )
+
+
+def any_problem(rng, **fields):
+    """A problem with all terms, at a random belief, and a motion (C, S+2) within its limits."""
+    fields.setdefault("obstacles", around(rng))
+    weights = Weights(accuracy=1.0, time=1.0, wear=0.3, information=1.0)
+    zones = [
+        SpaceZone(np.array([0.01, 0.01, 0.15]), 0.05),
+        SpaceZone(arclength=(0.1, 0.15), weight=2.0),
+    ]
+    scene = small_scene(weights=weights, zones=zones, **fields)
+    body = tendon_body(ROBOT, 0.025)
+    root = 0.3 * rng.standard_normal((body.errors, body.errors))
+    belief = ErrorBelief(
+        0.5 * rng.standard_normal(body.errors), root @ root.T + 0.1 * np.eye(len(root))
+    )
+    space = motion_space(scene, moment=0.5)
+    times = space.paths[0].steps + 2
+    pulled = rng.uniform(-1e-3, 3e-3, (6, times))
+    control = space.follow(np.vstack([pulled, rng.uniform(0.05, LENGTH, (1, times))]))
+    return MotionProblem(scene, body, belief, space), control
