@@ -1,20 +1,29 @@
-"""Whether damaged recordings, robot files and posteriors end in a sentence, soon and in bounds.
+"""Whether damaged files and messages end in an answer or a sentence: soon, in bounds, in place.
 
-Mutates cells, keys, numbers, lines and bytes at random; reads what comes out, looks at it as a
-command does before an estimate, and estimates every K-th that passes. Anything but an answer or
-one of the package's own errors is a traceback, and is printed with the mutation's seed.
+Each parser reads samples that are damaged at random, in a process that is watched from outside. An
+answer and one of the package's own errors are well; else it is a traceback, a hang (more than 10
+s), a death of the process, more than 1 GB of memory beyond what it had, or a file written outside
+the output folder, and is printed with its number.
 
-Usage: mutations.py --recording FOLDER [--robot FILE] [--count N] [--estimate-every K] [--seed S]
+Usage: mutations.py [--count N] [--seed S] [--parser NAME,…] [--recording FOLDER] [--json FILE]
+       mutations.py --parser NAME --only K     # one mutation again, with its traceback
 """
 
 import argparse
+import json
 import os
 import resource
+import select
 import shutil
+import signal
+import sys
 import tempfile
 import time
+import traceback
 import warnings
 from collections import Counter
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import dataclass, field
 from pathlib import Path
 
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
@@ -22,200 +31,238 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 
 import numpy as np
 
-from glissando.errors import GlissandoError
-from glissando.evaluation.plausibility.examine import examine_recording
-from glissando.evaluation.run import checked_window, chosen_streams, run_estimate
-from glissando.io.netcdf import load_posterior, save_posterior
-from glissando.io.recording import load_recording
-from glissando.io.robot_file import load_robot
-from glissando.io.shipped_robots import robot_file
+from glissando.errors import GlissandoError, NoShapeError
+from mutation_kinds import pick
+from mutation_parsers import parsers
 
-ROWS = 60  # of each stream that are kept: damage does not need many
-NUMBERS = (
-    "0",
-    "-1",
-    "1e308",
-    "-1e308",
-    "1e-308",
-    "nan",
-    "inf",
-    "1e9",
-    "-0.0",
-    "1e-9",
-    "3",
-    "",
-    "x",
-    "true",
-    "[]",
-    "1e400",
+HANG, MEMORY = 10.0, 1.0  # s, GB
+WELL = ("answer", "sentence")
+ENDS = (*WELL, "traceback", "hang", "death", "memory", "outside")
+_CACHES = (
+    os.environ.get("GLISSANDO_CACHE", "/dev/null"),
+    str(Path.home() / ".cache" / "glissando"),
+)
+_WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT
+_OUTSIDE = {"allowed": (), "seen": []}
+_CHANGES = (
+    "os.rename",
+    "os.remove",
+    "os.mkdir",
+    "os.rmdir",
+    "os.symlink",
+    "os.link",
+    "os.truncate",
 )
 
 
-def mutated_number(rng, text):
-    """Another number, or something that is none, in the place of one."""
-    if rng.random() < 0.5:
-        return str(rng.choice(NUMBERS))
-    try:
-        return repr(float(text) * float(10.0 ** rng.integers(-6, 7)) * rng.choice([1.0, -1.0]))
-    except (ValueError, OverflowError):
-        return str(rng.choice(NUMBERS))
-
-
-def mutated_table(rng, text):
-    """A CSV file with cells, columns or lines damaged."""
-    lines = text.splitlines()
-    for _ in range(rng.integers(1, 4)):
-        kind, at = rng.integers(7), int(rng.integers(len(lines)))
-        cells = lines[at].split(",")
-        column = int(rng.integers(len(cells)))
-        if kind <= 2:
-            cells[column] = mutated_number(rng, cells[column])
-            lines[at] = ",".join(cells)
-        elif kind == 3:  # a whole column in another unit
-            factor = float(rng.choice([1e3, 1e-3, 1e6, -1.0, 57.3, 0.0, 1e200]))
-            for k in range(1, len(lines)):
-                parts = lines[k].split(",")
-                try:
-                    parts[column] = repr(float(parts[column]) * factor)
-                except (ValueError, IndexError):
-                    continue
-                lines[k] = ",".join(parts)
-        elif kind == 4:
-            lines = lines[:at] + lines[at + int(rng.integers(1, len(lines) + 1)) :]
-        elif kind == 5:
-            lines[at:at] = lines[at : at + int(rng.integers(1, 20))]
-        else:
-            rng.shuffle(cells)
-            lines[at] = ",".join(cells)
-        if not lines:
-            break
-    return "\n".join(lines) + "\n"
-
-
-def mutated_toml(rng, text):
-    """A TOML file with numbers, keys or lines damaged."""
-    lines = text.splitlines()
-    for _ in range(rng.integers(1, 3)):
-        at = int(rng.integers(len(lines)))
-        key, equals, value = lines[at].partition("=")
-        kind = rng.integers(5)
-        if kind <= 2 and equals:
-            parts = value.strip().strip("[]").split(",")
-            k = int(rng.integers(len(parts)))
-            parts[k] = mutated_number(rng, parts[k].strip())
-            inner = ", ".join(parts)
-            lines[at] = f"{key}= [{inner}]" if "[" in value else f"{key}= {inner}"
-        elif kind == 3:
-            del lines[at]
-        else:
-            lines.insert(int(rng.integers(len(lines) + 1)), lines[at])
-        if not lines:
-            break
-    return "\n".join(lines) + "\n"
-
-
-def mutated_bytes(rng, data):
-    """Bytes with some changed, or cut short."""
-    out = bytearray(data)
-    for _ in range(rng.integers(1, 30)):
-        out[int(rng.integers(len(out)))] = int(rng.integers(256))
-    return bytes(out[: rng.integers(len(out))]) if rng.random() < 0.2 else bytes(out)
-
-
-def shortened(source, folder):
-    """A copy of a recording with the first rows of each stream."""
-    folder.mkdir()
-    for file in source.iterdir():
-        if file.suffix == ".csv":
-            lines = file.read_text().splitlines()[: ROWS + 2]
-            (folder / file.name).write_text("\n".join(lines) + "\n")
-        elif file.suffix == ".toml":
-            shutil.copy(file, folder / file.name)
-
-
-def looked_at(folder, robot, estimates):
-    """Read a recording as a command does; whether it came to an estimate."""
-    recording = load_recording(folder)
-    robot = robot or recording.robot
-    if robot is None:
+def _heard(event, args):
+    """Note changes of files outside the folders that are allowed."""
+    if not _OUTSIDE["allowed"] or (event != "open" and event not in _CHANGES):
         return
-    window = checked_window(recording, None)
-    readings, truth, _ = chosen_streams(recording, robot, window, None, None)
-    findings = examine_recording(recording, robot, readings, truth, window)
-    if any(f.refusal for f in findings):
-        raise GlissandoError(findings[0].sentence)
-    robot.grid(*window)
-    if estimates:
-        run_estimate(recording, robot, window=None, use=None, truth=None)
+    if event == "open" and not (isinstance(args[2], int) and args[2] & _WRITES):
+        return
+    paths = [
+        a for a in args[: 1 + (event == "os.rename")] if isinstance(a, str | bytes | os.PathLike)
+    ]
+    for path in map(os.path.realpath, map(os.fsdecode, paths)):
+        if not path.startswith(_OUTSIDE["allowed"]):
+            _OUTSIDE["seen"].append(f"{event} {path}")
 
 
+sys.addaudithook(_heard)
+
+
+@dataclass
 class Tally:
-    """Counts answers, errors and tracebacks, and the longest time."""
+    """What became of the mutations of one parser."""
 
-    def __init__(self):
-        self.counts, self.longest, self.tracebacks = Counter(), 0.0, []
+    counts: Counter = field(default_factory=Counter)
+    longest: float = 0.0
+    memory: float = 0.0
+    notes: list = field(default_factory=list)
 
-    def run(self, what, seed, function, *arguments):
-        """Call a function and count how it ends."""
-        start = time.process_time()
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                function(*arguments)
-            self.counts[what, "answers"] += 1
-        except GlissandoError:
-            self.counts[what, "sentences"] += 1
-        except Exception as problem:
-            self.counts[what, "tracebacks"] += 1
-            self.tracebacks.append(f"{what} seed {seed}: {type(problem).__name__}: {problem}")
-        self.longest = max(self.longest, time.process_time() - start)
+    def add(self, number, end, seconds, gigabytes, note):
+        """Count one."""
+        self.counts[end] += 1
+        self.longest, self.memory = max(self.longest, seconds), max(self.memory, gigabytes)
+        if end not in WELL:
+            self.notes.append(f"{number}: {end}: {note}")
+
+
+def _peak():
+    """The largest resident memory since it was cleared, GB."""
+    for line in Path("/proc/self/status").read_text().splitlines():
+        if line.startswith("VmHWM"):
+            return float(line.split()[1]) / 1e6
+    return 0.0
+
+
+def _clear_peak():
+    Path("/proc/self/clear_refs").write_text("5")
+
+
+def mutated(parser, seed, number):
+    """The damaged files of a number."""
+    rng = np.random.default_rng([seed, number])
+    return parser.mutate(rng, pick(rng, parser.samples))
+
+
+def tried(parser, files, place):
+    """Read files; how it ended, how long it took, how much memory, and why."""
+    folder, out = place / "in", place / "out"
+    for path in (folder, out):
+        shutil.rmtree(path, ignore_errors=True)
+        path.mkdir(parents=True)
+    if "line" not in files:
+        for name, data in files.items():
+            (folder / name).parent.mkdir(exist_ok=True, parents=True)
+            (folder / name).write_bytes(data)
+    _clear_peak()
+    before, note, start = _peak(), "", time.monotonic()
+    _OUTSIDE.update(allowed=(str(out), "/dev/null", *_CACHES), seen=[])
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            parser.read(files, folder, out)
+        end = "answer"
+    except (GlissandoError, NoShapeError) as problem:
+        end, note = "sentence", str(problem)
+    except Exception as problem:
+        where = traceback.extract_tb(problem.__traceback__)
+        inner = [f for f in where if "/glissando/" in f.filename] or where
+        at = f"{Path(inner[-1].filename).name}:{inner[-1].lineno}"
+        end, note = "traceback", f"{at} {type(problem).__name__}: {problem}"[:200]
+        if os.environ.get("SHOW"):
+            traceback.print_exc()
+    seconds = time.monotonic() - start
+    _OUTSIDE["allowed"] = ()
+    gigabytes = max(_peak() - before, 0.0)
+    if _OUTSIDE["seen"]:
+        end, note = "outside", _OUTSIDE["seen"][0]
+    elif seconds > HANG and end in WELL:
+        end, note = "hang", f"{seconds:.0f} s"
+    elif gigabytes > MEMORY and end in WELL:
+        end, note = "memory", f"{gigabytes:.1f} GB"
+    return end, seconds, gigabytes, note
+
+
+def _serve(parser, seed, numbers, place, pipe):
+    """Try numbers one after the other and report each, until they are over."""
+    here = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (here + (4 << 30),) * 2)
+    with open(os.devnull, "w") as nowhere, redirect_stdout(nowhere), redirect_stderr(nowhere):
+        for number in numbers:
+            end, *rest = tried(parser, mutated(parser, seed, number), place)
+            os.write(pipe, (json.dumps([number, end, *rest]) + "\n").encode())
+
+
+def run(parser, seed, count, place):
+    """The tally of a parser's mutations; a process that hangs or dies is followed by another."""
+    for sample in parser.samples:
+        end, *_, note = tried(parser, sample, place)
+        if end != "answer":
+            raise RuntimeError(f"A sound {parser.name} ends in a {end}: {note}")
+    tally, number = Tally(), 0
+    while number < count:
+        ours, theirs = os.pipe()
+        child = os.fork()
+        if not child:
+            os.close(ours)
+            try:
+                _serve(parser, seed, range(number, count), place, theirs)
+            except BaseException:
+                traceback.print_exc(file=sys.__stderr__)
+                os._exit(1)
+            os._exit(0)
+        os.close(theirs)
+        number = _follow(tally, ours, child, number)
+        os.close(ours)
+    return tally
+
+
+def _follow(tally, pipe, child, number):
+    """Take reports until the process ends; the number to go on with."""
+    held = b""
+    while True:
+        ready = select.select([pipe], [], [], 2.0 * HANG)[0]
+        came = os.read(pipe, 1 << 16) if ready else b""
+        if not came:
+            break
+        *lines, held = (held + came).split(b"\n")
+        for line in lines:
+            report = json.loads(line)
+            tally.add(*report)
+            number = report[0] + 1
+    if ready:
+        code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+        if code > 0:
+            raise RuntimeError("The program that mutates failed itself; see above.")
+        if code < 0:
+            tally.add(number, "death", 0.0, 0.0, f"signal {-code}")
+        return number + (code < 0)
+    os.kill(child, signal.SIGKILL)
+    os.waitpid(child, 0)
+    tally.add(number, "hang", 2.0 * HANG, 0.0, "killed")
+    return number + 1
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--recording", type=Path, required=True)
-    parser.add_argument("--robot", default=None)
-    parser.add_argument("--count", type=int, default=1000)
-    parser.add_argument("--estimate-every", type=int, default=0)
-    parser.add_argument("--seed", type=int, default=0)
+    add = parser.add_argument
+    add("--count", type=int, default=1000, help="mutations, shared by the parsers evenly")
+    add("--seed", type=int, default=0)
+    add("--parser", type=lambda text: text.split(","), default=[])
+    add("--recording", type=Path, help="to damage beside a simulated one")
+    add("--only", type=int, help="the number of one mutation")
+    add("--json", type=Path)
     options = parser.parse_args()
-    tally = Tally()
     with tempfile.TemporaryDirectory() as scratch:
-        scratch = Path(scratch)
-        base = scratch / "base"
-        shortened(options.recording, base)
-        robot = load_robot(options.robot) if options.robot else load_recording(base).robot
-        shipped = robot_file(options.robot or robot.name).read_text()
-        run = run_estimate(load_recording(base), robot, window=None, use=None, truth=None)
-        save_posterior(run.posterior, scratch / "posterior.nc")
-        saved = (scratch / "posterior.nc").read_bytes()
-        files = sorted(base.iterdir())
-        for k in range(options.count):
-            rng = np.random.default_rng([options.seed, k])
-            if k % 10 < 7:
-                file = files[rng.integers(len(files))]
-                text = file.read_text()
-                mutate = mutated_toml if file.suffix == ".toml" else mutated_table
-                file.write_text(mutate(rng, text))
-                every = options.estimate_every
-                estimates = bool(every) and k % every == 0
-                tally.run(
-                    "recording", k, looked_at, base, robot if options.robot else None, estimates
-                )
-                file.write_text(text)
-            elif k % 10 < 9:
-                (scratch / "robot.toml").write_text(mutated_toml(rng, shipped))
-                tally.run("robot", k, lambda: load_robot(scratch / "robot.toml").grid(0.0, 10.0))
-            else:
-                (scratch / "damaged.nc").write_bytes(mutated_bytes(rng, saved))
-                tally.run("posterior", k, load_posterior, scratch / "damaged.nc")
-    for line in tally.tracebacks:
-        print(line[:300])
-    for (what, end), count in sorted(tally.counts.items()):
-        print(f"{what}: {count} {end}")
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
-    print(f"longest {tally.longest:.2f} s of CPU, peak {peak:.2f} GB")
+        scratch = Path(os.path.realpath(scratch))
+        (scratch / "samples").mkdir()
+        known = parsers(scratch / "samples", options.recording)
+        chosen = [p for p in known if not options.parser or p.name in options.parser]
+        if options.only is not None:
+            os.environ["SHOW"] = "1"
+            print(
+                tried(chosen[0], mutated(chosen[0], options.seed, options.only), scratch / "place")
+            )
+            return 0
+        tallies = {}
+        each = -(-options.count // sum(one.share for one in chosen))
+        for one in chosen:
+            began = time.monotonic()
+            count = max(round(each * one.share), 1)
+            tallies[one.name] = run(one, options.seed, count, scratch / "place")
+            print(f"{one.name}: {time.monotonic() - began:.0f} s", file=sys.stderr, flush=True)
+    for name, tally in tallies.items():
+        for note in tally.notes[:12]:
+            print(f"{name} {note}")
+    print_table(tallies)
+    if options.json:
+        options.json.write_text(json.dumps(as_json(tallies, options), indent=1) + "\n")
+    return int(any(t.counts[e] for t in tallies.values() for e in ENDS if e not in WELL))
+
+
+def as_json(tallies, options):
+    """What the page about it is written from."""
+    rows = [
+        {"parser": name, **{e: t.counts[e] for e in ENDS}, "longest_s": t.longest,
+         "memory_gb": t.memory}
+        for name, t in tallies.items()
+    ]  # fmt: skip
+    return {"seed": options.seed, "count": sum(sum(t.counts.values()) for t in tallies.values()),
+            "rows": rows}  # fmt: skip
+
+
+def print_table(tallies):
+    """A row a parser."""
+    print(f"{'parser':20}" + "".join(f"{e:>10}" for e in ENDS) + "  longest s   more GB")
+    for name, t in tallies.items():
+        cells = "".join(f"{t.counts[e]:10}" for e in ENDS)
+        print(f"{name:20}{cells}{t.longest:11.2f}{t.memory:10.2f}")
+    total = sum((t.counts for t in tallies.values()), Counter())
+    print(f"{'all':20}" + "".join(f"{total[e]:10}" for e in ENDS))
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -310,3 +310,29 @@ def test_a_saved_window_is_sound_and_commands_take_it(tmp_path, capsys):
     assert main(["view", str(tmp_path), "--html", str(tmp_path / "view.html")]) == 0
     assert "updated online" in (tmp_path / "view.html").read_text()
     capsys.readouterr()
+
+
+@pytest.mark.parametrize("name", ["tdcr466", "sliding700"])
+@pytest.mark.parametrize("apart", [1e-12, 3e-4])
+def test_updates_that_are_hardly_apart_cost_neither_the_state_nor_a_reading(name, apart):
+    robot = load_robot(name)
+    rest = robot.prior.rest_state(Grid(robot.arclength_nodes, [0.0])).take(0).pose[-1:]
+    place, cov = np.array([robot.length]), np.full(6, 1e-6)
+    smoother = FixedLagSmoother(robot.prior, robot.arclength_nodes)
+    time = 0.0
+    for step in [1 / 30] * 8 + [apart] * 3 + [1 / 30] * 8:
+        time += step
+        smoother.add(PoseReadings(time=np.array([time]), arclength=place, values=rest, cov=cov))
+        newest = smoother.advance(time)
+    assert smoother.restarts == 0
+    assert newest.std_position[-1] < 3e-3
+    assert not smoother.dropped
+
+
+def test_a_clock_that_was_set_back_is_refused_and_not_answered_with_an_old_state():
+    robot = load_robot("tdcr466")
+    smoother = FixedLagSmoother(robot.prior, robot.arclength_nodes)
+    smoother.advance(7200.0)
+    smoother.advance(7199.9)
+    with pytest.raises(OutsideGridError, match="the clock was set"):
+        smoother.advance(3600.0)

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from draws import generators, law
+from glissando.hardware.drivers.aurora import Aurora
 from glissando.hardware.drivers.aurora_protocol import (
     bx_length,
     crc16,
@@ -17,7 +18,7 @@ from glissando.hardware.drivers.aurora_protocol import (
     parse_handles,
     parse_tx,
 )
-from glissando.hardware.drivers.aurora_reply import ERRORS, GarbledError, RefusedError
+from glissando.hardware.drivers.aurora_reply import ERRORS, GarbledError, RefusedError, Reply
 from glissando.hardware.simulated_devices.aurora_wire import (
     PortReport,
     bx_reply,
@@ -215,3 +216,26 @@ def test_an_unknown_error_and_a_wrong_beginning_are_sentences():
     with pytest.raises(GarbledError, match="beginning"):
         bx_length(b"ERROR0")
     assert frame_command("PHSR:02") == b"PHSR:02E17E\r"  # as clients frame it
+
+
+def test_one_command_that_came_damaged_does_not_change_how_frames_are_read(monkeypatch):
+    """ERROR01 is what a device says that does not know BX, and of a damaged BX as well."""
+    tracker, replies = Aurora("nowhere"), []
+    monkeypatch.setattr(tracker, "_request", lambda: replies.pop(0)())
+
+    def refuse():
+        raise RefusedError(1)
+
+    def answer():
+        return Reply((), 0)
+
+    for _ in range(20):
+        replies[:] = [refuse, refuse, answer]
+        assert [tracker._poll() for _ in range(3)] == [None, None, answer()]
+    assert tracker._binary
+    replies[:] = [refuse] * 8
+    while replies and tracker._binary:
+        assert tracker._poll() is None
+    assert len(replies) == 4
+    with pytest.raises(RefusedError):
+        [tracker._poll() for _ in range(4)]

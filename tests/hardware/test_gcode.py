@@ -1,14 +1,16 @@
 """A stage on a GRBL controller follows its path, stays in its stroke, and stands when it must."""
 
+import socket
 import threading
 import time
+from contextlib import suppress
 
 import numpy as np
 import pytest
 
 from glissando.errors import DeviceError
 from glissando.hardware.capture import Coil, FurtherStage, Rig, capture, load_rig, write_recording
-from glissando.hardware.drivers import GcodeSlide, GcodeStage
+from glissando.hardware.drivers import Aurora, GcodeSlide, GcodeStage
 from glissando.hardware.drivers.gcode_stage import parse_status
 from glissando.hardware.openigtlink import Endpoint, Message, encode, stamp_of
 from glissando.hardware.openigtlink import contents as c
@@ -200,3 +202,32 @@ def test_an_experiment_with_two_stages_and_such_a_tracker_becomes_a_recording(tm
         assert rows.time.size > 30
         assert rows.arclength.min() == pytest.approx(lowest, abs=1e-3)
         np.testing.assert_allclose(rows.values[:, 0, 3], 0.7, atol=1e-6)
+
+
+def test_a_peer_that_floods_is_given_up_soon():
+    """Bytes without end are no answer: to an Aurora's start, and to a controller's."""
+    over = threading.Event()
+
+    def flood(server):
+        while not over.is_set():
+            with suppress(OSError):
+                peer, _ = server.accept()
+                with peer:
+                    while not over.is_set():
+                        peer.sendall(b"\r\nnoise" * 4096)
+
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.settimeout(1.0)
+        thread = threading.Thread(target=flood, args=(server,))
+        thread.start()
+        address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        begun = time.monotonic()
+        try:
+            with pytest.raises(DeviceError):
+                Aurora(address, patience=1.0).__enter__()
+            with pytest.raises(DeviceError):
+                GcodeSlide(address, GcodeStage(stroke=(0.0, 0.06))).__enter__()
+        finally:
+            over.set()
+            thread.join()
+    assert time.monotonic() - begun < 20.0

@@ -163,7 +163,9 @@ def test_a_frame_may_come_in_several_datagrams(stream):
 
 
 def test_silence_says_what_to_check_in_tracker(stream):
-    with pytest.raises(DeviceError, match=rf"Nothing came on UDP port {stream.port} for 0.3 s; ch"):
+    with pytest.raises(
+        DeviceError, match=rf"Nothing came on UDP port {stream.port} of 127.0.0.1 for 0.3 s; ch"
+    ):
         stream.read()
     sent(stream, b"who is there", b"?")
     with pytest.raises(DeviceError, match="2 datagrams came, but no Vicon objects"):

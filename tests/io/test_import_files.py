@@ -3,17 +3,13 @@
 import re
 import sys
 
-import ezc3d
 import numpy as np
 import pytest
 from hypothesis import given
-from rosbags.rosbag1 import Writer as Bag1
 from rosbags.rosbag2 import StoragePlugin
-from rosbags.rosbag2 import Writer as Bag2
-from rosbags.typesys import Stores, get_typestore
-from scipy.spatial.transform import Rotation
 
 from draws import generators, law, poses
+from foreign_bags import bag, c3d
 from foreign_files import hole, ndi_csv, tracker_csv
 from glissando.errors import GlissandoError, RecordingError
 from glissando.io.foreign import read_tracks
@@ -115,59 +111,13 @@ def test_nexus_sections_are_read_with_the_rate_they_state(tmp_path):
 
 @pytest.mark.parametrize("unit", ["mm", "m", "cm"])
 def test_c3d_points_are_read_back_in_their_units_without_gaps(tmp_path, unit):
-    rng = np.random.default_rng(0)
-    points = rng.uniform(-1, 1, (2, 20, 3))  # m
-    file = ezc3d.c3d()
-    file["parameters"]["POINT"]["RATE"]["value"] = [120.0]
-    file["parameters"]["POINT"]["LABELS"]["value"] = ["tip", "mid one"]
-    file["parameters"]["POINT"]["UNITS"]["value"] = [unit]
-    written = np.ones((4, 2, 20))
-    written[:3] = np.moveaxis(points, 2, 0) / {"mm": 1e-3, "cm": 1e-2, "m": 1.0}[unit]
-    residual = np.zeros((1, 2, 20))
-    residual[0, 0, 4], written[:3, 1, 6] = -1.0, np.nan
-    file["data"]["points"], file["data"]["meta_points"]["residuals"] = written, residual
-    file.write(str(tmp_path / "trial.c3d"))
+    points = c3d(tmp_path / "trial.c3d", unit)
     tip, mid = read_tracks(tmp_path / "trial.c3d")
     (tmp_path / "trial.c3d").rename(tmp_path / "unnamed.dat")
     assert len(read_tracks(tmp_path / "unnamed.dat")) == 2  # known by what stands in it
     assert (tip.name, mid.name, tip.missing, mid.missing) == ("tip", "mid_one", 1, 1)
     np.testing.assert_allclose(tip.values, np.delete(points[0], 4, axis=0), atol=1e-6)
     np.testing.assert_allclose(mid.time, np.delete(np.arange(20), 6) / 120)
-
-
-def bag(path, version, rng, storage=StoragePlugin.SQLITE3):
-    """A bag of a PoseStamped, a TransformStamped and a text topic; poses and stamps in ns."""
-    store = get_typestore(Stores.ROS1_NOETIC if version == 1 else Stores.ROS2_HUMBLE)
-    types = store.types
-    more = {"seq": 0} if version == 1 else {}
-    stamps = 1778067471_000000000 + np.cumsum(rng.integers(1, 10**8, 5))
-    track = poses(rng, 5, largest_angle=np.pi)
-    encode = store.serialize_ros1 if version == 1 else store.serialize_cdr
-    made = Bag1(path) if version == 1 else Bag2(path, version=9, storage_plugin=storage)
-    with made as out:
-        kinds = {"/vicon/tip": "PoseStamped", "/vicon/mid": "TransformStamped"}
-        for topic, kind in kinds.items():
-            kind = f"geometry_msgs/msg/{kind}"
-            connection = out.add_connection(topic, kind, typestore=store)
-            for at, pose in zip(stamps.tolist(), track, strict=True):
-                time = types["builtin_interfaces/msg/Time"](at // 10**9, at % 10**9)
-                header = types["std_msgs/msg/Header"](stamp=time, frame_id="aurora", **more)
-                x, y, z, w = Rotation.from_matrix(pose[:3, :3]).as_quat()
-                turn = types["geometry_msgs/msg/Quaternion"](x, y, z, w)
-                if topic.endswith("tip"):
-                    place = types["geometry_msgs/msg/Point"](*pose[:3, 3])
-                    inner = types["geometry_msgs/msg/Pose"](place, turn)
-                    message = types[kind](header, inner)
-                else:
-                    place = types["geometry_msgs/msg/Vector3"](*pose[:3, 3])
-                    inner = types["geometry_msgs/msg/Transform"](place, turn)
-                    message = types[kind](header, "mid", inner)
-                for late in (10**6, 2 * 10**6):  # each stamp comes twice
-                    out.write(connection, at + late, encode(message, kind))
-        talk = out.add_connection("/talk", "std_msgs/msg/String", typestore=store)
-        message = types["std_msgs/msg/String"]("hello")
-        out.write(talk, int(stamps[0]), encode(message, "std_msgs/msg/String"))
-    return track, stamps
 
 
 @pytest.mark.parametrize(
@@ -265,12 +215,8 @@ def test_broken_binary_files_say_so(tmp_path):
         read_tracks(tmp_path / "run_0.db3")
 
 
-@pytest.mark.parametrize(
-    ("package", "file", "extra"),
-    [("ezc3d", "a.c3d", "hardware"), ("rosbags.highlevel", "a.bag", "ros")],
-)
-def test_a_missing_package_names_the_extra(tmp_path, monkeypatch, package, file, extra):
-    monkeypatch.setitem(sys.modules, package, None)
-    (tmp_path / file).write_bytes(b"")
-    with pytest.raises(GlissandoError, match=rf"pip install 'glissando\[{extra}\]'"):
-        read_tracks(tmp_path / file)
+def test_a_missing_package_names_the_extra(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
+    (tmp_path / "a.bag").write_bytes(b"")
+    with pytest.raises(GlissandoError, match=r"pip install 'glissando\[ros\]'"):
+        read_tracks(tmp_path / "a.bag")

@@ -192,7 +192,8 @@ def test_a_run_given_twice_is_one_sentence(runs, capsys):
 
 def test_in_a_browser_scenes_share_their_time_and_nothing_else_is_asked_for(runs, html):
     with chromium() as browser:
-        context = browser.new_context(offline=True)
+        tall = {"width": 1280, "height": 6000}  # a browser draws no frame that is out of sight
+        context = browser.new_context(offline=True, viewport=tall)
         page = context.new_page()
         told = Told(page)
         page.goto((runs[0] / "report.html").as_uri())
@@ -203,3 +204,47 @@ def test_in_a_browser_scenes_share_their_time_and_nothing_else_is_asked_for(runs
         wait_until(other, "state.moment === 10")
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
         assert told == []
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("sites", 3),
+        ("window", ["a", "b"]),
+        ("consistency", [{"site": "x"}]),
+        ("readings", []),
+        ("dropped", None),
+    ],
+)
+def test_an_entry_that_nobody_wrote_so_is_one_sentence(runs, tmp_path, capsys, key, value):
+    wrong = {**runs[1]["fixed"], key: value}
+    (tmp_path / "report.json").write_text(json.dumps(wrong))
+    assert main(["report", str(tmp_path), "--out", str(tmp_path / "r.html")]) == 2
+    told = capsys.readouterr().err
+    assert "estimate again" in told
+    assert told.count("\n") == 1
+
+
+def test_a_page_that_somebody_else_wrote_stays_in_its_frame(runs, tmp_path):
+    """What stands in a run's view.html may be anybody's: it can neither leave, open nor submit."""
+    (tmp_path / "report.json").write_text(json.dumps(runs[1]["fixed"]))
+    (tmp_path / "view.html").write_text(
+        """<script>
+        for (const act of [
+          () => { top.location = "about:blank#gone" }, () => window.open("about:blank#new"),
+          () => { parent.document.title = "taken" }, () => localStorage.setItem("a", "b"),
+          () => document.forms[0].submit(), () => alert(1),
+        ]) { try { act() } catch (refused) {} }
+        document.title = "tried"
+        </script><form action="about:blank#sent"></form>"""
+    )
+    assert main(["report", str(tmp_path), "--out", str(tmp_path / "r.html")]) == 0
+    with chromium() as browser:
+        context = browser.new_context(offline=True)
+        page, opened = context.new_page(), []
+        context.on("page", lambda new: opened.append(new.url))
+        page.goto((tmp_path / "r.html").as_uri())
+        page.wait_for_timeout(300)
+        assert page.url.endswith("r.html")
+        assert page.title() == tmp_path.name
+        assert not opened

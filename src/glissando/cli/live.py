@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import signal
 import sys
 import time
 from collections import deque
 from contextlib import ExitStack, suppress
 from pathlib import Path
-from types import FrameType
 
 import numpy as np
 from rich.console import Console
@@ -117,7 +115,6 @@ def _run(options: argparse.Namespace, devices: ExitStack) -> int:
         patience=options.patience,
     )
     status = _Status(session)
-    signal.signal(signal.SIGTERM, _interrupt)
     with suppress(KeyboardInterrupt), ExitStack() as stack:
         view = _view(robot, stack) if options.view else None
         stack.enter_context(status)
@@ -128,10 +125,6 @@ def _run(options: argparse.Namespace, devices: ExitStack) -> int:
                 follow(view, update.smoother)
     print(status.summary())
     return 0
-
-
-def _interrupt(number: int, frame: FrameType | None) -> None:
-    raise KeyboardInterrupt
 
 
 def _rig_source(rig: Rig, robot: Robot, options: argparse.Namespace) -> RigSource:

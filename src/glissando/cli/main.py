@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import argparse
 import os
+import signal
 import sys
+import threading
+import time
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib import import_module
+from types import FrameType
 from typing import Any
 
 from glissando import __version__
 from glissando.cli.commands import COMMANDS
 from glissando.errors import GlissandoError, NoShapeError, OldNameWarning
+
+_CLEAN_UP = 15.0  # s in which a second signal does not interrupt how the first one ends
 
 
 class _PrintCompletion(argparse.Action):
@@ -54,7 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     command = next((word for word in words if not word.startswith("-")), "")
     options = build_parser(command).parse_args(words)
     try:
-        with _old_names_shown():
+        with _old_names_shown(), _stopped_by_signals():
             return int(options.run(options))
     except NoShapeError as problem:
         print(f"glissando: {problem}", file=sys.stderr)
@@ -69,11 +75,45 @@ def main(arguments: Sequence[str] | None = None) -> int:
         where = f"{problem.filename}: " if problem.filename else ""
         print(f"glissando: {where}{problem.strerror or problem}", file=sys.stderr)
         return 2
+    except MemoryError:
+        print(
+            "glissando: this needs more memory than there is; choose a shorter --window, fewer "
+            "nodes in the robot file, or a larger machine.",
+            file=sys.stderr,
+        )
+        return 2
     except (KeyboardInterrupt, SystemError) as problem:
         if isinstance(problem, SystemError) and not _interrupted(problem):
             raise
         print("glissando: interrupted", file=sys.stderr)
         return 130
+
+
+@contextmanager
+def _stopped_by_signals() -> Iterator[None]:
+    """Let Ctrl-C, SIGTERM and SIGHUP interrupt, once: what stops a stage must not be stopped."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    began = -_CLEAN_UP
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        nonlocal began
+        if time.monotonic() < began + _CLEAN_UP:
+            os.write(2, b"glissando: stopping, as asked; everything is being put away.\n")
+            return
+        began = time.monotonic()
+        raise KeyboardInterrupt
+
+    names = ("SIGINT", "SIGTERM", "SIGHUP")  # Windows has no SIGHUP; nohup leaves it ignored
+    numbers = [getattr(signal, name) for name in names if hasattr(signal, name)]
+    heeded = [n for n in numbers if signal.getsignal(n) != signal.SIG_IGN]
+    before = {number: signal.signal(number, stop) for number in heeded}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _interrupted(problem: BaseException | None) -> bool:

@@ -193,7 +193,8 @@ def _table(progress: Progress) -> Table:
     into = min(time.monotonic() - progress.began, progress.total)
     table = Table("stream", "Hz", "messages", "last", title=f"{into:.0f} of {progress.total:.0f} s")
     for topic, count in progress.count.items():
-        table.add_row(topic, f"{progress.rate(topic):.1f}", str(count), progress.last[topic])
+        last = escape(progress.last[topic])
+        table.add_row(escape(topic), f"{progress.rate(topic):.1f}", str(count), last)
     for device, problem in progress.problems.items():
         table.add_row(escape(device), "", escape(problem), "")
     return table

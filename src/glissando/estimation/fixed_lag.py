@@ -34,6 +34,8 @@ from glissando.model.sensors.parameters import SensorParameter, corrected
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
 
+_MERGED = 0.01  # of the longest interval: a node as close to the newest one would be singular
+_BACK = 2.0  # s before the oldest node: a clock that was set, not a reading that came late
 _CLOSEST = 0.2  # of the last interval: no node is put nearer to the newest one to look ahead
 
 
@@ -41,7 +43,7 @@ class FixedLagSmoother:
     """A smoother over the last time nodes of a prior on fixed arclength nodes.
 
     A reading is refused when its innovation would come by chance once in 1 / `gate` times, unless
-    its stream has been refused for long.
+    its stream has been refused for long. One thread at a time may use it.
     """
 
     def __init__(
@@ -98,21 +100,37 @@ class FixedLagSmoother:
     def advance(self, time: float) -> StateEstimate:
         """Go on to a time with all readings up to then; the newest state at the nodes (N,).
 
-        A time that is not after the newest node's changes nothing but brings in what came late.
+        A time that is not after the newest node's, or hardly, changes nothing but brings in what
+        came late.
 
         Args:
             time: Seconds.
 
         Raises:
-            OutsideGridError: The time is not finite.
+            OutsideGridError: The time is not finite, or lies seconds before all that is estimated.
         """
         if not np.isfinite(time):
             raise OutsideGridError(f"The time to advance to is {time}; give seconds.")
+        time = self._new_time(time)
         with one_thread():
             self._buffer.refuse_ahead(max(time, self.time or time))
             while self._step(self._next_node(time)) < time:
                 pass
             return self._newest_nodes()
+
+    def _new_time(self, time: float) -> float:
+        """The time, or the newest node's where a node at it would be too close to that."""
+        if not self._window.started:
+            return time
+        nodes, before = self._window.nodes.time, self._window.before
+        if time < nodes[0] - _BACK:
+            raise OutsideGridError(
+                f"Time went back from {nodes[-1]:g} to {time:g} s; the clock was set. Begin anew "
+                f"with another smoother, and give times of a monotonic clock."
+            )
+        spans = np.diff(nodes if before is None else np.append(before, nodes))
+        close = float(time - nodes[-1]) < _MERGED * spans.max(initial=0.0)
+        return float(nodes[-1]) if close else time
 
     def _next_node(self, time: float) -> float:
         """The next node on the way to a time: that time, but in silence nodes lie closer."""

@@ -109,7 +109,8 @@ def read_estimate(path: Path) -> ForeignEstimate:
             f"{', '.join(missing)} is missing. Or give trajectories, with --arclength of each."
         )
     turns = set(_TURN) <= set(titles)
-    names = [*_POINT, *(_TURN if turns else []), *(_COV if turns and _COV[0] in titles else [])]
+    spread_too = turns and set(_COV) <= set(titles)
+    names = [*_POINT, *(_TURN if turns else []), *(_COV if spread_too else [])]
     numbered = [(number, [str(k), *cells]) for k, (number, cells) in enumerate(lines[1:])]
     at = [1 + titles.index(name) for name in names]
     table = samples(path, numbered, 0, at, 1.0, zeros=True).values
@@ -127,7 +128,7 @@ def read_estimate(path: Path) -> ForeignEstimate:
         pose[:, :3, 3] = rows[:, 2:5]
         if turns:
             pose[:, :3, :3] = se3.rotation_from_quaternion(rows[:, 5:9])
-        if len(names) == 45:
+        if spread_too:
             spread[:] = rows[:, 9:].reshape(-1, 6, 6)
     return ForeignEstimate(
         np.array([*tracks]), [r[:, 0] for r in tracks.values()], poses, cov, turns

@@ -16,6 +16,7 @@ from glissando.errors import RecordingError
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.io.atomic_file import write_table
+from glissando.io.plain_file import plain_text
 from glissando.model.brief import Brief
 from glissando.model.sensors.readings import Readings
 from glissando.model.sensors.sensors import sensor_class
@@ -255,7 +256,7 @@ def _require_unit(path: Path, quaternion: Array) -> None:
 def _lines(path: Path, *, whole: bool = False) -> list[str]:
     """The lines of a file, or only those that end."""
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = plain_text(path)
     except OSError as problem:
         raise RecordingError(
             f"Stream file {path} cannot be read ({problem.strerror}); check the name."

@@ -16,9 +16,17 @@ import numpy as np
 
 from glissando.errors import RecordingError, SensorError
 from glissando.geometry.se3 import Array
+from glissando.io.atomic_file import write_text
 from glissando.io.csv_stream import Rows, Stream
+from glissando.io.plain_file import file_stem
 from glissando.io.recording_writer import describe_recording, describe_stream
+from glissando.io.toml_table import read_toml
 from glissando.model.sensors.readings import SENSORS, Readings
+
+try:
+    import fcntl
+except ImportError:  # Windows: two programs may write to one folder
+    fcntl = None  # type: ignore[assignment]
 
 _SYNC = 1.0  # s between flushes to disk
 
@@ -31,7 +39,7 @@ class Journal:
         name: Name of a new recording.
 
     Raises:
-        RecordingError: The folder holds something else.
+        RecordingError: The folder holds something else, or another program writes to it.
     """
 
     def __init__(self, folder: str | Path, name: str = "journal") -> None:
@@ -47,9 +55,19 @@ class Journal:
                     f"{self.folder} holds something else; give the journal a new folder."
                 )
             self.folder.mkdir(parents=True, exist_ok=True)
-            self._describe(describe_recording(name, journal=True))
-        for path in self.folder.glob("*.csv"):
-            _cut_unfinished(path)
+        self._lock = _locked(self.folder)
+        try:
+            if not self._described.exists():
+                self._describe(describe_recording(name, journal=True))
+            if not read_toml(self._described, RecordingError).flag("journal"):
+                raise RecordingError(
+                    f"{self.folder} is a recording and no journal; give the journal a new folder."
+                )
+            for path in self.folder.glob("*.csv"):
+                _cut_unfinished(path)
+        except BaseException:
+            self._unlock()
+            raise
 
     def write(self, readings: Readings) -> None:
         """Append readings of one stream, told apart by name.
@@ -83,10 +101,19 @@ class Journal:
 
     def close(self) -> None:
         """Flush everything and close the files."""
-        self.sync()
-        for file in self._files.values():
-            file.close()
-        self._files = {}
+        try:
+            self.sync()
+        finally:
+            for file in self._files.values():
+                file.close()
+            self._files = {}
+            self._unlock()
+
+    def _unlock(self) -> None:
+        """Let other programs write to the folder."""
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
 
     def __enter__(self) -> Self:
         return self
@@ -96,10 +123,8 @@ class Journal:
 
     def _begin(self, readings: Readings, rows: Rows) -> BinaryIO:
         """The stream's file, described in recording.toml unless it was before."""
-        name = readings.label
+        name = file_stem(readings.label, SensorError)
         path = self.folder / f"{name}.csv"
-        if path.parent != self.folder or not name.isprintable():
-            raise SensorError(f"A stream named {name!r} cannot be a file; name it plainly.")
         if not path.exists():
             stream = Stream(name, rows, False, _std(readings), readings.mount, keep_repeats=True)
             described = self._described.read_text(encoding="utf-8") + describe_stream(stream)
@@ -110,9 +135,7 @@ class Journal:
 
     def _describe(self, text: str) -> None:
         """Write recording.toml, whole or not at all."""
-        building = self._described.with_suffix(".new")
-        building.write_text(text, encoding="utf-8")
-        building.replace(self._described)
+        write_text(self._described, text)
 
 
 def _std(readings: Readings) -> Array:
@@ -126,8 +149,32 @@ def _std(readings: Readings) -> Array:
     return np.sqrt(np.diagonal(cov))[: readings.rows]
 
 
+def _locked(folder: Path) -> int | None:
+    """A lock on a folder that ends with this process, where the system has such locks.
+
+    Raises RecordingError where another process has it.
+    """
+    try:
+        lock = os.open(folder, os.O_RDONLY)
+    except OSError:  # Windows
+        return None
+    try:
+        if fcntl is not None:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(lock)
+        raise RecordingError(
+            f"Another program writes to {folder} now; wait for it, or give another folder."
+        ) from None
+    except OSError:  # a file system without locks
+        pass
+    return lock
+
+
 def _cut_unfinished(path: Path) -> None:
-    """Cut a last line that was not written to its end."""
+    """Cut a last line that was not written to its end. Raises RecordingError for a link."""
+    if path.is_symlink() or not path.is_file():
+        raise RecordingError(f"{path} is no plain file; a journal writes to its own files alone.")
     with path.open("rb+") as file:
         text = file.read()
         file.truncate(text.rfind(b"\n") + 1)

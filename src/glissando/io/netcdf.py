@@ -7,6 +7,7 @@ covariances follow; standard deviations and node covariances are written too, fo
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,7 @@ from glissando.estimation.posterior import Posterior, SolveReport
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.io.atomic_file import new_file
+from glissando.io.plain_file import largest_unpacked, require_plain
 from glissando.io.provenance import require_readable, stated_format, versions
 from glissando.io.robot_file import OLD_KINDS
 from glissando.io.toml_table import Table
@@ -42,8 +44,10 @@ _DAMAGED = (
     RuntimeError,
     OverflowError,
 )
+_SKEW = 1e-6  # by which rotations may fail to be orthogonal
 _SIX = ["x", "y", "z", "rx", "ry", "rz"]
 _FIELDS = ("pose", "strain", "velocity", "strain_rate")
+_READ = ("time", "arclength", *_FIELDS, "information", "information_below")
 COMPONENTS = [f"{field}_{part}" for field in _FIELDS for part in _SIX]
 """Names of a node's components in the order of every covariance; 18, or 24 with a strain rate."""
 
@@ -160,16 +164,23 @@ def load_posterior(path: str | Path) -> Posterior:
     """Read a posterior; covariances are computed again from its information matrix.
 
     Raises:
-        GlissandoError: The file cannot be read or is no posterior.
+        GlissandoError: The file cannot be read, is no posterior, or announces more than it holds.
     """
+    path = Path(path)
     try:
-        with _xarray().open_dataset(path, engine="h5netcdf") as opened:
-            dataset = opened.load()
-    except (OSError, *_DAMAGED) as problem:
+        require_plain(path, 1 << 40)
+        open_dataset, options = _xarray().open_dataset, {"decode_cf": False, "phony_dims": "sort"}
+        with open_dataset(path, engine="h5netcdf", **options) as opened:
+            announced = sum(int(v.nbytes) for v in opened.variables.values())
+            if announced > largest_unpacked(path.stat().st_size):
+                raise ValueError(f"it announces {announced:,} bytes of numbers and has them not")
+            names = [name for name in _READ if name in opened.variables]
+            dataset = opened[names].load()
+    except (OSError, MemoryError, *_DAMAGED) as problem:
         raise GlissandoError(f"{path} cannot be read as NetCDF ({problem}).") from None
     require_readable(dataset.attrs.get("format", "unknown"), "posterior", path)
     try:
-        return _posterior(dataset, Path(path).name)
+        return _posterior(dataset, path.name)
     except (GlissandoError, np.linalg.LinAlgError, *_DAMAGED) as problem:
         raise GlissandoError(f"{path} is damaged ({problem}); estimate again.") from None
 
@@ -178,16 +189,48 @@ def _posterior(dataset: xarray.Dataset, name: str) -> Posterior:
     """The posterior that a dataset holds."""
     attributes = dataset.attrs
     parameters = attributes.get("sensor_parameters") or attributes.get("unknowns", "[]")
-    system = BlockTridiagonal(dataset["information"].values, dataset["information_below"].values)
+    prior = _as_prior(json.loads(attributes["prior"]), name)
+    grid = Grid(_numbers(dataset, "arclength"), _numbers(dataset, "time"))
+    state = State(*(_numbers(dataset, field) for field in _FIELDS if field in dataset))
+    blocks = (_numbers(dataset, key) for key in ("information", "information_below"))
+    estimated = [_as_sensor_parameter(table) for table in json.loads(parameters)]
+    system = BlockTridiagonal(*blocks)
+    _require_whole(grid, state, system, estimated)
+    solve = SolveReport.from_table(json.loads(attributes["solve"]))
+    f"{solve.status}{solve.iterations:d}{solve.cost:g}{sum(solve.seconds.values()):g}"  # or raises
     return Posterior(
-        _as_prior(json.loads(attributes["prior"]), name),
-        Grid(dataset["arclength"].values, dataset["time"].values),
-        State(*(dataset[field].values for field in _FIELDS if field in dataset)),
-        system,
-        factor(system).marginals(consume=True),
-        SolveReport.from_table(json.loads(attributes["solve"])),
-        [_as_sensor_parameter(table) for table in json.loads(parameters)],
+        prior, grid, state, system, factor(system).marginals(consume=True), solve, estimated
     )
+
+
+def _numbers(dataset: xarray.Dataset, name: str) -> Array:
+    """A variable's numbers. Raises ValueError unless they are finite."""
+    values = np.asarray(dataset[name].values, dtype=float)
+    if not np.all(np.isfinite(values)):
+        raise ValueError(f"{name} is not finite")
+    return values
+
+
+def _require_whole(
+    grid: Grid,
+    state: State,
+    system: BlockTridiagonal,
+    estimated: Sequence[tuple[SensorParameter, Array]],
+) -> None:
+    """Raise ValueError unless shapes fit each other and poses are rigid motions."""
+    k, n = grid.shape
+    size = sum(parameter.size for parameter, _ in estimated)
+    each = n * 6 * (4 if state.strain_rate is not None else 3) + size
+    wanted = [(k, n, 4, 4), *[(k, n, 6)] * (len(state.fields()) - 1), (k, each, each)]
+    found = [field.shape for field in state.fields()] + [system.diagonal.shape]
+    values = [v.shape == (k, parameter.size) for parameter, v in estimated]
+    if found != wanted or system.lower.shape != (k - 1, each, each) or not all(values):
+        raise ValueError(f"arrays of shapes {found} do not fit {k} times and {n} arclengths")
+    turn = state.pose[..., :3, :3]
+    skew = np.abs(turn @ np.swapaxes(turn, -1, -2) - np.eye(3)).max()
+    last = np.abs(state.pose[..., 3, :] - [0.0, 0.0, 0.0, 1.0]).max()
+    if max(skew, last) > _SKEW or np.any(np.linalg.det(turn) < 0.0):
+        raise ValueError("a pose is no rigid motion")
 
 
 def _plain(table: dict[str, Any]) -> dict[str, Any]:

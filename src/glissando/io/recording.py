@@ -13,6 +13,7 @@ from glissando.errors import RecordingError
 from glissando.geometry.se3 import Array
 from glissando.io.atomic_folder import new_folder
 from glissando.io.csv_stream import Rows, Stream, clean, read_named, read_public, scale_of, steady
+from glissando.io.plain_file import file_stem
 from glissando.io.provenance import require_readable
 from glissando.io.recording_writer import write_streams
 from glissando.io.robot_file import load_robot
@@ -269,7 +270,9 @@ def _stream(
     name = entry.text("name")
     kind = entry.text("kind", choices=sensor_kinds())
     sensor = sensor_class(kind)
-    file = folder / entry.text("file", f"{name}.csv")
+    file = folder / entry.text("file", "")
+    if file == folder:
+        file = folder / f"{file_stem(name, RecordingError)}.csv"
     truth, keep_repeats = entry.flag("truth"), entry.flag("keep_repeats")
     length = {"m": 1.0, "mm": 1e-3}[entry.text("length_unit", "m", choices=("m", "mm"))]
     angle = {"rad": 1.0, "deg": np.pi / 180.0}[

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -10,10 +11,12 @@ from typing import Any
 
 import numpy as np
 
+from glissando.errors import RecordingError
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.io.atomic_file import write_text
 from glissando.io.csv_stream import Stream, write_named
+from glissando.io.plain_file import file_stem
 from glissando.io.provenance import made_by, stated_format
 
 
@@ -37,13 +40,16 @@ def write_streams(
         frames: Pose (4, 4) in the world of each frame that a stream names; None if not known.
         calibration: Value, std and unit of each constant that was found and applied.
         **more: Further fields of the recording.
+
+    Raises:
+        RecordingError: The name of a stream cannot be that of a file.
     """
     if isinstance(robot, Path):
         shutil.copy(robot, building / "robot.toml")
         robot = "robot.toml"
     text = describe_recording(name, robot, **more)
     for frame, pose in (frames or {}).items():
-        text += f"\n[frames.{frame}]\n{_UNKNOWN if pose is None else _pose(pose)}"
+        text += f"\n[frames.{_key(frame)}]\n{_UNKNOWN if pose is None else _pose(pose)}"
     if calibration:
         text += (
             "\n[calibration]          # found by glissando calibrate, and applied to the streams\n"
@@ -52,7 +58,7 @@ def write_streams(
         inner = ", ".join(f"{key} = {_value(value)}" for key, value in found.items())
         text += f"{_value(constant)} = {{ {inner} }}\n"
     for stream in streams:
-        write_named(building / f"{stream.name}.csv", stream.rows)
+        write_named(building / f"{file_stem(stream.name, RecordingError)}.csv", stream.rows)
         text += describe_stream(stream)
     write_text(building / "recording.toml", text)
 
@@ -95,6 +101,11 @@ def describe_stream(stream: Stream) -> str:
 
 def _fields(fields: Mapping[str, Any]) -> str:
     return "".join(f"{key} = {_value(value)}\n" for key, value in fields.items())
+
+
+def _key(name: str) -> str:
+    """A key in TOML, bare where it may be."""
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else _value(name)
 
 
 def _value(value: Any) -> str:

@@ -31,6 +31,7 @@ OLD_KINDS = {
     "delay": "time_offset",
 }
 """Kinds of priors and of sensor parameters by the names of files of before."""
+_NODES = 10_000  # along a robot: more is another unit
 _LENGTHS = 1e-3, 50.0  # m of a robot
 _LOSSES: dict[str, type[Huber] | type[GemanMcClure]] = {
     "huber": Huber,
@@ -147,10 +148,10 @@ def _grid(table: Table, length: float) -> tuple[Array, float]:
             )
     else:
         count = grid.number("arclength_nodes")
-        if count != int(count) or count < 2:
+        if count != int(count) or not 2 <= count <= _NODES:
             raise grid.fail(
                 "arclength_nodes",
-                f"is {count:g}; give a whole number from 2 up, or the nodes themselves.",
+                f"is {count:g}; give a whole number from 2 up to {_NODES}, or the nodes.",
             )
         nodes = np.linspace(0.0, length, int(count))
     grid.close()

@@ -57,7 +57,7 @@ def session_setup(session: RawSession) -> dict[str, Any]:
         )
     try:
         setup = json.loads(text)
-    except ValueError as problem:
+    except (ValueError, RecursionError) as problem:
         raise RecordingError(f"The session's setup is no JSON ({problem}); correct it.") from None
     if not isinstance(setup, dict):
         raise RecordingError("The session's setup is no JSON object; give one, {…}.")

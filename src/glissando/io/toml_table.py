@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import sys
 import tomllib
 from collections.abc import Iterable
 from pathlib import Path
@@ -13,6 +14,7 @@ import numpy as np
 from glissando.errors import GlissandoError
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
+from glissando.io.plain_file import plain_text
 
 
 class Table:
@@ -195,7 +197,7 @@ class Table:
 
 def _is_number(value: Any) -> bool:
     plain = isinstance(value, (int, float)) and not isinstance(value, bool)
-    return plain and bool(np.isfinite(value))
+    return plain and abs(value) <= sys.float_info.max
 
 
 def _shown(value: Any) -> str:
@@ -210,10 +212,12 @@ def read_toml(path: Path, error: type[GlissandoError]) -> Table:
 def read_document(path: Path, error: type[GlissandoError] = GlissandoError) -> dict[str, Any]:
     """The file as TOML gives it; raises `error` when it cannot be read or parsed."""
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        return tomllib.loads(plain_text(path))
     except OSError as problem:
         raise error(f"{path} cannot be read ({problem.strerror}); check the path.") from None
     except UnicodeDecodeError:
         raise error(f"{path} is not a text in UTF-8; save it as such.") from None
-    except tomllib.TOMLDecodeError as problem:
+    except ValueError as problem:  # tomllib's own, or of a number or a date that cannot be
         raise error(f"{path} is not valid TOML: {problem}. Correct that line.") from None
+    except RecursionError:
+        raise error(f"{path} nests tables or lists far too deep; write them flat.") from None

@@ -113,7 +113,9 @@ def capture(
             names = _name_by_identity(tracker.tools, _name_by_handle(tracker.tools, rig.coils))
             steps.append(lambda: _log_tracker(tracker, names, log))
         if rig.mocap is not None:
-            mocap = stack.enter_context(ViconStream(rig.mocap, timeout=_PATIENCE))
+            mocap = stack.enter_context(
+                ViconStream(rig.mocap, host=rig.mocap_host, timeout=_PATIENCE)
+            )
             steps.append(lambda: _log_mocap(mocap, rig, log))
         for one in rig.further:
             driven = _Driven(one, (further or {}).get(one.name, path), log)

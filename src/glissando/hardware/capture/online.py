@@ -18,6 +18,7 @@ from glissando.errors import GlissandoError
 from glissando.estimation.fixed_lag import FixedLagSmoother
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
+from glissando.hardware.capture.child_process import blocked_signals, end_with_parent
 from glissando.hardware.capture.setup import Coil, Rig
 from glissando.io.robot_file import load_robot
 from glissando.io.shipped_robots import robot_file
@@ -66,7 +67,8 @@ def live_estimate(
     messages, address = context.Queue(), context.SimpleQueue()
     arguments = rig, open_view, show, messages, address
     process = context.Process(target=_estimate, args=arguments, daemon=True)
-    process.start()
+    with blocked_signals():
+        process.start()
     try:
         while address.empty():
             if not process.is_alive():
@@ -84,6 +86,7 @@ def live_estimate(
 
 
 def _estimate(rig: Rig, open_view: Any, show: Any, messages: Any, address: Any) -> None:
+    end_with_parent()
     robot = load_robot(robot_file(rig.robot))
     coils = {f"/tracker/{coil.name}": coil for coil in rig.coils}
     smoother = FixedLagSmoother(

@@ -7,13 +7,13 @@ that is not requested within its 25 ms is lost.
 from __future__ import annotations
 
 import multiprocessing
-import signal
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection
 from typing import Any
 
 from glissando.errors import DeviceError
+from glissando.hardware.capture.child_process import blocked_signals
 from glissando.hardware.drivers import Aurora
 from glissando.hardware.drivers.aurora_reply import Frame
 from glissando.hardware.drivers.aurora_setup import Tool
@@ -66,7 +66,7 @@ def remote_tracker(address: str, baud: int) -> Iterator[RemoteTracker]:
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
     process = context.Process(target=_serve, args=(address, baud, theirs), daemon=True)
-    with _blocked_interrupts():
+    with blocked_signals():
         process.start()
     theirs.close()
     try:
@@ -79,19 +79,6 @@ def remote_tracker(address: str, baud: int) -> Iterator[RemoteTracker]:
         if process.is_alive():
             process.terminate()
             process.join()
-
-
-@contextmanager
-def _blocked_interrupts() -> Iterator[None]:
-    """A process that starts here never sees Ctrl-C; its parent ends it."""
-    if not hasattr(signal, "pthread_sigmask"):  # Windows
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _receive(pipe: Connection) -> Any:

@@ -13,6 +13,7 @@ from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.hardware.drivers import GcodeStage, Stage
 from glissando.hardware.drivers.stage import optional_number
+from glissando.io.plain_file import file_stem
 from glissando.io.robot_file import load_robot
 from glissando.io.shipped_robots import robot_file, shipped_robots
 from glissando.io.toml_table import Table, read_toml
@@ -88,6 +89,7 @@ class Rig:
         stage: What that moves.
         standing: Travel in m when recording begins; None homes the slide at its stop.
         mocap: UDP port of motion capture.
+        mocap_host: Address of this computer that listens for it.
         bodies: Objects of motion capture.
         baud: Rate of the tracker's serial line.
         frame: T_world,tracker (4, 4), as far as it is known.
@@ -106,6 +108,7 @@ class Rig:
     baud: int = _BAUD
     frame: Array = field(default_factory=lambda: np.eye(4))
     further: tuple[FurtherStage, ...] = ()
+    mocap_host: str = "127.0.0.1"
 
     def described(self) -> dict[str, Any]:
         """What a session log states about the rig, in JSON's types."""
@@ -164,6 +167,7 @@ def load_rig(path: str | Path) -> Rig:
         devices |= _slide(slide)
     if mocap:
         devices |= {"mocap": int(mocap.number("port", _PORT))}
+        devices |= {"mocap_host": mocap.text("host", Rig.mocap_host)}
         devices |= {"bodies": tuple(_body(entry, length) for entry in mocap.tables("bodies"))}
         mocap.close()
     known = {"", *(one.name for one in further)}
@@ -186,7 +190,7 @@ def _further(table: Table) -> FurtherStage:
 def _coils(table: Table, length: float) -> tuple[Coil, ...]:
     coils = []
     for entry in table.tables("coils"):
-        name, arclength = entry.text("name"), _arclength(entry, length)
+        name, arclength = file_stem(entry.text("name"), DeviceError), _arclength(entry, length)
         slides, serial = not entry.flag("fixed"), entry.text("serial", "")
         std = entry.number("arclength_std", _ARCLENGTH_STD)
         slide = entry.text("slide", "")
@@ -213,7 +217,7 @@ def _slide(table: Table) -> dict[str, Any]:
 
 
 def _body(table: Table, length: float) -> Body:
-    body = Body(table.text("name"), _arclength(table, length), table.pose())
+    body = Body(file_stem(table.text("name"), DeviceError), _arclength(table, length), table.pose())
     table.close()
     return body
 

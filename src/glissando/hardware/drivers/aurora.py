@@ -28,6 +28,7 @@ _PAUSE = 5e-4  # s between asking and asking again
 _REPLY, _REST = 0.2, 0.05  # s that a reply may take to begin, and its rest to follow
 _SILENCE = 2.0  # s without a whole reply after which the link is taken for lost
 _BETWEEN = 0.3  # s between attempts to connect again
+_REFUSALS = 4  # of requests in a row, after which the device is believed
 _TELLS_STATE = (0x0C, 0x10)  # errors that say it is not tracking, or was reset
 _GARBLED = (0x02, 0x03, 0x04, 0x05)  # errors that say the command came damaged
 _ABSENT = ("unoccupied", "disabled")
@@ -79,6 +80,7 @@ class Aurora:
         self._status, self._absent = 0, frozenset[int]()
         self._early, self._in_vain = self._period, False
         self._stale: int | None = None
+        self._refusals = 0  # of requests, one after the other
 
     def __enter__(self) -> Aurora:
         self._connect()
@@ -196,7 +198,7 @@ class Aurora:
         except RefusedError as refusal:
             self._refused(refusal)
             return None
-        self._heard = time.monotonic()
+        self._heard, self._refusals = time.monotonic(), 0
         return reply
 
     def _request(self) -> Reply:
@@ -213,12 +215,16 @@ class Aurora:
         return parse_tx(raw)
 
     def _refused(self, refusal: RefusedError) -> None:
+        if refusal.code in _TELLS_STATE:
+            raise LostError(f"The Aurora has stopped tracking. {refusal}")
         if refusal.code in _GARBLED:
             self.counts.bad_crc += 1
-        elif refusal.code in _TELLS_STATE:
-            raise LostError(f"The Aurora has stopped tracking. {refusal}")
+            return
+        self._refusals += 1
+        if self._refusals < _REFUSALS:  # the request may have come damaged
+            self.counts.bad_crc += 1
         elif self._binary:
-            self._binary = False
+            self._binary, self._refusals = False, 0
         else:
             raise refusal
 

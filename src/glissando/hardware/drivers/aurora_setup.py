@@ -94,7 +94,7 @@ def _reset(link: Link, patience: float) -> None:
     if not link.send_break():
         link.write(b"\r" + frame_command("RESET:"))
     deadline = time.monotonic() + patience
-    while True:
+    while time.monotonic() < deadline:
         try:
             reply = link.read_until(b"\r", deadline - time.monotonic())
             if b"RESET" in reply or parse_ascii(reply) == "OKAY":

@@ -307,9 +307,11 @@ class GcodeSlide:
             )
 
     def _line(self, timeout: float) -> bytes:
-        """The next line that is not empty. Raises SilentError."""
-        end = monotonic() + max(timeout, 0.0)
+        """The next line that is not empty. Raises SilentError, however much comes after that."""
+        end = monotonic() + timeout
         while True:
+            if monotonic() > end:
+                raise SilentError(f"{self.address} did not answer in time.")
             line = self._open().read_until(b"\n", max(end - monotonic(), 0.0)).strip()
             if line:
                 return line

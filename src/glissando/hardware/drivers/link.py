@@ -15,6 +15,7 @@ from urllib.parse import urlsplit
 from glissando.errors import DeviceError
 
 _CONNECT = 5.0  # s for a network device to accept
+_FLOOD = 1 << 20  # bytes between two requests, which no device sends
 _BREAK = 0.3  # s that a BREAK lasts
 
 
@@ -55,10 +56,15 @@ class Link:
 
     def write(self, data: bytes) -> None:
         """Send bytes; bytes that came before and were not read are dropped."""
-        self._held = b""
+        self._held, dropped = b"", 0
         with self._watched():
-            while self._wire.receive(0.0):
-                pass
+            while came := self._wire.receive(0.0):
+                dropped += len(came)
+                if dropped > _FLOOD:
+                    raise LostError(
+                        f"{self.address} sends without end what nobody asked for; give the address "
+                        f"of the device."
+                    )
             self._wire.send(data)
         self._fresh = True
 

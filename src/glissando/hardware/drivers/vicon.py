@@ -111,7 +111,7 @@ class ViconStream:
 
     Args:
         port: UDP port; 0 takes any free one.
-        host: Address to listen on.
+        host: Address of this computer to listen on; 0.0.0.0 hears every network.
         timeout: Seconds without a useful datagram after which `read` raises.
 
     Attributes:
@@ -123,7 +123,7 @@ class ViconStream:
         DeviceError: The port is taken; in `read`, nothing useful came.
     """
 
-    def __init__(self, port: int = PORT, *, host: str = "0.0.0.0", timeout: float = 2.0) -> None:
+    def __init__(self, port: int = PORT, *, host: str = "127.0.0.1", timeout: float = 2.0) -> None:
         self.port, self.host, self.timeout = port, host, timeout
         self.counts: Counter[str] = Counter()
         self._socket: socket.socket | None = None
@@ -205,7 +205,8 @@ class ViconStream:
     def _silence(self, refused: int) -> str:
         what = f"{refused} datagrams came, but no Vicon objects" if refused else "Nothing came"
         return (
-            f"{what} on UDP port {self.port} for {self.timeout:g} s; check in Tracker that the UDP "
-            f"object stream is on and names this computer's address and port {self.port}, that an "
-            f"object is switched on, and that no firewall is between."
+            f"{what} on UDP port {self.port} of {self.host} for {self.timeout:g} s; check in "
+            f"Tracker that the UDP object stream is on and names this computer's address and port "
+            f"{self.port}, that an object is switched on, and that no firewall is between; "
+            f"127.0.0.1 hears this computer alone, 0.0.0.0 every one."
         )

@@ -17,6 +17,7 @@ from glissando.hardware.openigtlink import contents as c
 from glissando.hardware.openigtlink.sender_clock import SenderClock
 from glissando.hardware.openigtlink.tracker import is_rigid, normalized, poses_in
 from glissando.hardware.openigtlink.wire_frame import WireFrame
+from glissando.io.plain_file import file_stem
 from glissando.model.robot import Robot
 from glissando.model.sensors.readings import SENSORS, Readings
 
@@ -157,7 +158,9 @@ class IgtlSource:
         if self._endpoint.address.clock == "sender":
             time = table[:, 0]
         values = SENSORS[kind].from_columns(table[:, 2:])
-        return batch(self._robot, kind, message.device, time, table[:, 1], values)
+        return batch(
+            self._robot, kind, file_stem(message.device, DeviceError), time, table[:, 1], values
+        )
 
     def _time(self, stamp: int, arrival: float, clock: SessionClock) -> float:
         """Session time of a stamp, s."""

@@ -22,6 +22,7 @@ import numpy as np
 from glissando.errors import DeviceError
 from glissando.geometry import se3
 from glissando.hardware.capture import Coil, Rig, capture
+from glissando.hardware.capture.child_process import blocked_signals, end_with_parent
 from glissando.hardware.live.clock import SessionClock
 from glissando.hardware.live.placement import reading
 from glissando.model.robot import Robot
@@ -74,13 +75,14 @@ class RigSource:
         self._messages = context.Queue()
         arguments = self._rig, self._paths, self._folder, self._messages
         self._process = context.Process(target=_capture, args=arguments)
-        self._process.start()
+        with blocked_signals():
+            self._process.start()
         return self
 
     def __exit__(self, *raised: object) -> None:
         if self._process.is_alive() and self._process.pid is not None:
             with suppress(ProcessLookupError):
-                os.kill(self._process.pid, signal.SIGINT)  # stops the slide first
+                os.kill(self._process.pid, signal.SIGTERM)  # stops the slide first
         self._drain(_END)
         self._process.join(_END)
         if self._process.is_alive():
@@ -138,6 +140,13 @@ def _capture(
 ) -> None:
     """Run the experiment, pass on its messages, and then how it ended."""
     end: DeviceError | None = None
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+
+    def stop() -> None:
+        messages.cancel_join_thread()  # nobody reads them any more
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    end_with_parent(stop)
     with suppress(KeyboardInterrupt):
         try:
             capture(

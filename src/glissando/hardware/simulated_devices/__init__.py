@@ -13,7 +13,7 @@ import sys
 import tempfile
 import threading
 from collections.abc import Iterator
-from typing import IO
+from typing import IO, Any
 
 from glissando.errors import SimulationError
 
@@ -35,7 +35,9 @@ def started(name: str, *options: str | os.PathLike[str], within: float = 60.0) -
     command = [sys.executable, "-m", f"{__name__}.{name}", *(os.fspath(one) for one in options)]
     with tempfile.TemporaryFile() as errors:
         pipe = subprocess.PIPE
-        with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=errors) as process:
+        streams: dict[str, Any] = {"stdin": pipe, "stdout": pipe, "stderr": errors}
+        # A session of its own: Ctrl-C at the terminal is for whoever uses the device.
+        with subprocess.Popen(command, **streams, start_new_session=True) as process:
             try:
                 yield _first_line(process, errors, name, within)
             finally:

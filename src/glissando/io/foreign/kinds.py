@@ -59,7 +59,7 @@ def read_tracks(
         begins = file.read(2)
     if path.suffix.lower() == ".c3d" or begins == b"\x02\x50":
         return read_c3d(path, rate)
-    cells = next((cells for _, cells in cells_of(path)), [""])
+    cells = next((cells for _, cells in cells_of(path) if cells), [""])
     if cells[0] in TITLES:
         return read_vicon_csv(path, rate)
     if is_ndi_header(cells):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -92,12 +93,14 @@ def write_recording(tracks: Sequence[Track], folder: Path, choices: Choices) -> 
 def _distinct(tracks: Sequence[Track]) -> list[Track]:
     """Tracks with a number behind the names that several have."""
     names = [track.name for track in tracks]
-    return [
-        replace(track, name=f"{track.name}_{names[: k + 1].count(track.name)}")
-        if names.count(track.name) > 1
-        else track
-        for k, track in enumerate(tracks)
-    ]
+    taken, out = {name for name in names if names.count(name) == 1}, []
+    for track in tracks:
+        numbered = (f"{track.name}_{number}" for number in count(1))
+        several = names.count(track.name) > 1
+        name = next(name for name in numbered if name not in taken) if several else track.name
+        taken.add(name)
+        out.append(replace(track, name=name))
+    return out
 
 
 def _require_known(tracks: Sequence[Track], choices: Choices) -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 from glissando.errors import GlissandoError, RecordingError
 from glissando.geometry import se3
 from glissando.io.foreign.tracks import Track, plain_name, poses
+from glissando.io.plain_file import largest_unpacked, require_plain
 
 _KINDS = {
     "geometry_msgs/msg/PoseStamped": lambda m: (m.pose.position, m.pose.orientation),
@@ -23,6 +25,7 @@ _KINDS = {
         m.transform.rotation,
     ),
 }
+_WORK = 1 << 28  # bytes that reading takes beside what a bag unpacks to
 _WORLDS = ("", "world", "map")
 
 
@@ -40,19 +43,53 @@ def read_bag(path: Path, topics: Sequence[str]) -> list[Track]:
         GlissandoError: rosbags is not installed.
     """
     try:
-        from rosbags.highlevel import AnyReader, AnyReaderError
+        from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
     except ImportError:
         raise GlissandoError(
             "Reading ROS bags needs the package rosbags; run pip install 'glissando[ros]'."
         ) from None
     known = get_typestore(Stores.ROS2_HUMBLE)  # for bags that do not carry their types
+    files = [path] if path.is_file() else [f for f in path.rglob("*") if not f.is_dir()]
     try:
-        with AnyReader([path], default_typestore=known) as bag:
+        for file in files:
+            require_plain(file, 1 << 40)
+        size = sum(file.stat().st_size for file in files)
+        with _bounded_memory(size), AnyReader([path], default_typestore=known) as bag:
             chosen = _chosen(path, {c.topic: c.msgtype for c in bag.connections}, topics)
             return [_track(bag, topic) for topic in chosen]
-    except (AnyReaderError, OSError) as problem:
-        raise RecordingError(f"{path} cannot be read as a ROS bag ({problem}).") from None
+    except GlissandoError:
+        raise
+    except MemoryError:
+        raise RecordingError(
+            f"{path} cannot be read as a ROS bag (it announces more than a file of its size holds)."
+        ) from None
+    except Exception as problem:  # whatever damaged bytes make the reader raise
+        what = str(problem) or type(problem).__name__
+        raise RecordingError(f"{path} cannot be read as a ROS bag ({what[:200]}).") from None
+
+
+@contextmanager
+def _bounded_memory(size: int) -> Iterator[None]:
+    """Where the system can, let this process grow by no more than a bag of a size needs.
+
+    The reader unpacks whatever a bag holds before anybody can ask how much it is.
+    """
+    try:
+        import resource
+
+        pages = int(Path("/proc/self/statm").read_text().split()[0])
+    except (ImportError, OSError):  # Windows, macOS
+        yield
+        return
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    most = pages * resource.getpagesize() + _WORK + largest_unpacked(size)
+    most = most if before[0] == resource.RLIM_INFINITY else min(most, before[0])
+    resource.setrlimit(resource.RLIMIT_AS, (most, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, before)
 
 
 def _chosen(path: Path, types: dict[str, str], topics: Sequence[str]) -> list[str]:

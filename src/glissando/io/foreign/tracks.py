@@ -11,6 +11,7 @@ import numpy as np
 
 from glissando.errors import RecordingError
 from glissando.geometry.se3 import Array
+from glissando.io.plain_file import plain_text
 
 _NO_NUMBER = 1e20  # NDI's devices write -3.697314e28 where there is no value
 LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
@@ -58,7 +59,7 @@ def text_lines(path: Path) -> list[str]:
         RecordingError: The file cannot be read.
     """
     try:
-        return path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
+        return plain_text(path, errors="replace").splitlines()
     except OSError as problem:
         raise RecordingError(f"{path} cannot be read ({problem.strerror}).") from None
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import struct
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 
 from glissando.errors import GlissandoError, RecordingError
 from glissando.geometry.se3 import Array
+from glissando.io.plain_file import largest_unpacked, require_plain
 
 _MAGIC = b"\x89MCAP0\r\n"
 _HEAD = struct.Struct("<BQ")  # of a record: its kind and the length of its body
@@ -51,7 +53,7 @@ class Topic:
         none = np.full(np.shape(like), np.nan) if isinstance(like, list) else np.nan
         try:
             return np.array([none if row is None else row for row in rows], dtype=float)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise RecordingError(
                 f"Topic {self.name!r}: {key!r} is not a number, or as many, a message."
             ) from None
@@ -92,8 +94,9 @@ def read_session(path: str | Path) -> RawSession:
         raise GlissandoError(
             "Reading MCAP files needs the package mcap; run pip install 'glissando[hardware]'."
         ) from None
-    contents = _Contents()
     try:
+        require_plain(Path(path), 1 << 40)
+        contents = _Contents(largest_unpacked(Path(path).stat().st_size))
         with Path(path).open("rb") as file:
             for kind, body in _records(file, path):
                 try:
@@ -111,8 +114,14 @@ def _records(file: BinaryIO, path: str | Path) -> Iterator[tuple[int, bytes]]:
     magic = file.read(len(_MAGIC))
     if not _MAGIC.startswith(magic):
         raise RecordingError(f"{path} is no MCAP file; give one that SessionWriter wrote.")
+    yield from _records_from(file)
+
+
+def _records_from(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
+    """Kinds and bodies of the complete records from here on."""
+    begin = file.tell()
     size = file.seek(0, os.SEEK_END)
-    file.seek(len(_MAGIC))
+    file.seek(begin)
     while len(head := file.read(_HEAD.size)) == _HEAD.size:
         kind, length = _HEAD.unpack(head)
         if kind == 0 or file.tell() + length > size:
@@ -124,8 +133,12 @@ def _records(file: BinaryIO, path: str | Path) -> Iterator[tuple[int, bytes]]:
 
 @dataclass
 class _Contents:
-    """The contents of the records so far; messages by channel, not yet decoded."""
+    """The contents of the records so far; messages by channel, not yet decoded.
 
+    Chunks may unpack to so many `left` bytes more.
+    """
+
+    left: int
     schemas: dict[int, Any] = field(default_factory=dict)
     channels: dict[int, Any] = field(default_factory=dict)
     messages: dict[int, list[Any]] = field(default_factory=dict)
@@ -137,12 +150,12 @@ class _Contents:
         """Read one record; the kinds that an index repeats are skipped."""
         from mcap import records
         from mcap.data_stream import ReadDataStream
-        from mcap.stream_reader import breakup_chunk
 
         stream = ReadDataStream(BytesIO(body))
         if kind == _CHUNK:
-            for part in breakup_chunk(records.Chunk.read(stream), validate_crc=True):
-                self.keep(part)
+            for inner, part in _records_from(BytesIO(self.unpacked(records.Chunk.read(stream)))):
+                if inner in (_SCHEMA, _CHANNEL, _MESSAGE):
+                    self.take(inner, part)
         elif kind == _MESSAGE:
             self.keep(records.Message.read(stream, len(body)))
         elif kind in (_SCHEMA, _CHANNEL):
@@ -151,6 +164,24 @@ class _Contents:
             record = records.Metadata.read(stream)
             self.metadata |= record.metadata if record.name == "session" else {}
         self.complete |= kind == _FOOTER
+
+    def unpacked(self, chunk: Any) -> bytes:
+        """The records of a chunk; ValueError for one that is damaged or holds too much."""
+        data: bytes = chunk.data
+        if chunk.compression == "lz4":
+            from lz4.frame import LZ4FrameDecompressor
+
+            data = LZ4FrameDecompressor().decompress(chunk.data, self.left + 1)
+        elif chunk.compression == "zstd":
+            from zstandard import ZstdDecompressor
+
+            data = ZstdDecompressor().stream_reader(BytesIO(chunk.data)).read(self.left + 1)
+        self.left -= len(data)
+        if self.left < 0:
+            raise ValueError("the log unpacks to more than a log of its size may")
+        if chunk.uncompressed_crc not in (0, zlib.crc32(data)):
+            raise ValueError("the chunk is damaged")
+        return data
 
     def keep(self, record: Any) -> None:
         """A schema, a channel or a message."""
@@ -167,7 +198,7 @@ class _Contents:
         """The topic of a channel with all of its messages that can be read."""
         rows = self.messages.get(channel.id, [])
         rows = [(row.log_time, self._decoded(row.data)) for row in rows]
-        rows = [row for row in rows if row[1] is not None]
+        rows = [row for row in rows if row[1] is not None and row[0] < 1 << 63]
         made = self.schemas.get(channel.schema_id)
         described = (self._decoded(made.data) if made else None) or {}
         times = np.array([t for t, _ in rows], dtype=np.int64)
@@ -176,7 +207,7 @@ class _Contents:
     def _decoded(self, data: bytes) -> dict[str, Any] | None:
         try:
             message = json.loads(data)
-        except ValueError:
+        except (ValueError, RecursionError):
             message = None
         if not isinstance(message, dict):
             self.damaged += 1

@@ -15,6 +15,7 @@ import numpy as np
 
 from glissando.errors import GlissandoError
 from glissando.io.netcdf import load_posterior
+from glissando.io.plain_file import plain_text
 from glissando.visualization.page import svg
 from glissando.visualization.page.page import asset, page, subtitle
 from glissando.visualization.page.scene import scene_of
@@ -22,6 +23,7 @@ from glissando.visualization.page.scene import scene_of
 _SCALES = {"position": (1e3, "mm"), "rotation": (180.0 / np.pi, "deg")}
 _LEVELS = ("0.5", "0.9", "0.95", "0.99")
 _DASH = "–"
+_WRONG = (ValueError, KeyError, TypeError, AttributeError, IndexError, ArithmeticError)
 
 
 @dataclass(frozen=True)
@@ -66,13 +68,13 @@ def written_runs(folders: Sequence[Path]) -> list[WrittenRun]:
 def _report(folder: Path) -> dict[str, Any]:
     file = folder / "report.json"
     try:
-        report: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+        report: dict[str, Any] = json.loads(plain_text(file))
         report["sites"], report["consistency"], report["overall"]
     except OSError:
         raise GlissandoError(
             f"{folder} holds no report.json; make one with glissando estimate RECORDING --out DIR."
         ) from None
-    except (ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, RecursionError):
         raise GlissandoError(
             f"{file} was not written by glissando estimate, or by an older one; estimate again."
         ) from None
@@ -84,7 +86,23 @@ def comparison(runs: Sequence[WrittenRun]) -> str:
 
     Scenes are those that `glissando estimate --view` wrote, else made of posterior.nc, without
     sensors and truth. Figures are the runs' own PNG files.
+
+    Raises:
+        GlissandoError: What a report.json holds is not what `glissando estimate` writes.
     """
+    try:
+        return _page(runs)
+    except _WRONG as problem:
+        if isinstance(problem, GlissandoError):
+            raise
+        files = ", ".join(str(run.folder / "report.json") for run in runs)
+        raise GlissandoError(
+            f"{files}: an entry is not what glissando estimate writes ({problem}); estimate again."
+        ) from None
+
+
+def _page(runs: Sequence[WrittenRun]) -> str:
+    """The HTML of runs whose reports are as they should be."""
     labels = [run.label for run in runs]
     parts = [svg.key(labels) if len(runs) > 1 else ""]
     parts += [_errors(runs, quantity) for quantity in _SCALES]
@@ -209,10 +227,13 @@ def _scenes(runs: Sequence[WrittenRun]) -> str:
     frames = []
     for run in runs:
         ready = run.folder / "view.html"
-        source = ready.read_text(encoding="utf-8") if ready.is_file() else _scene(run)
+        source = plain_text(ready, errors="replace") if ready.is_file() else _scene(run)
         if source:
             named = f'title="{escape(run.label)} over time"'
-            frames.append(f'<iframe {named} srcdoc="{escape(source)}"></iframe>')
+            # A script of a page that somebody else wrote reaches nothing beyond its frame.
+            frames.append(
+                f'<iframe {named} sandbox="allow-scripts" srcdoc="{escape(source)}"></iframe>'
+            )
     return f'<section class="scenes"><h2>Over time</h2>{"".join(frames)}</section>'
 
 

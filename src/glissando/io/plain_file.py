@@ -1,0 +1,78 @@
+"""Files and names of others: plain files of a size that memory holds, names that are no paths."""
+
+from __future__ import annotations
+
+import errno
+import stat
+from pathlib import Path
+
+from glissando.errors import GlissandoError
+
+_MOST = 1 << 31  # bytes of a text
+_LONGEST_NAME = 200  # bytes
+_PACKED, _LEAST = 50, 1 << 24  # bytes that one byte of a file may unpack to; always allowed
+
+
+def largest_unpacked(size: int) -> int:
+    """Bytes that a compressed file of a size in bytes may unpack to.
+
+    What was measured hardly packs; a file that holds more was made to fill the memory.
+    """
+    return max(_PACKED * size, _LEAST)
+
+
+def require_plain(path: Path, most: int = _MOST) -> None:
+    """Raise OSError unless a path is a file with an end: no pipe, no device, no folder.
+
+    Args:
+        path: The path, whose name may be anything that a file of others holds.
+        most: Bytes that it may have.
+    """
+    try:
+        found = path.stat()
+    except ValueError:
+        raise OSError(errno.EINVAL, "no file has such a name") from None
+    if stat.S_ISDIR(found.st_mode):
+        raise IsADirectoryError(errno.EISDIR, "it is a folder")
+    if not stat.S_ISREG(found.st_mode):
+        raise OSError(errno.EINVAL, "it is no plain file")
+    if found.st_size > most:
+        raise OSError(errno.EFBIG, f"it has {found.st_size:,} bytes, and {most:,} are read")
+
+
+def plain_text(path: Path, *, errors: str = "strict") -> str:
+    """The text of a plain file in UTF-8, without a byte order mark.
+
+    Args:
+        path: The file.
+        errors: What becomes of other bytes, as `str.decode` has it.
+
+    Raises:
+        OSError: It is no plain file, or cannot be read.
+        UnicodeDecodeError: It is no UTF-8.
+    """
+    require_plain(path)
+    return path.read_text(encoding="utf-8-sig", errors=errors)
+
+
+def file_stem(name: str, error: type[GlissandoError] = GlissandoError) -> str:
+    """A name that somebody else gave, if it may be a file's name before its suffix.
+
+    Args:
+        name: The name of a stream, a coil, a body.
+        error: Class of the error to raise otherwise.
+
+    Raises:
+        GlissandoError: It is empty or hidden, leads elsewhere, cannot be printed, or is too long.
+
+    >>> file_stem("mocap_700")
+    'mocap_700'
+    """
+    length = len(name.encode("utf-8", "replace"))
+    plain = name.isprintable() and not set(name) & set("/\\") and not name.startswith(".")
+    if not plain or not name.strip() or length > _LONGEST_NAME:
+        raise error(
+            f"The name {name[:60]!r} cannot be that of a file; give one of 1 to {_LONGEST_NAME} "
+            f"letters, digits and signs, without / and \\ and without a point in front."
+        )
+    return name
