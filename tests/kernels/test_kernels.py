@@ -22,6 +22,7 @@ from glissando.model.priors import intervals as intervals_
 from glissando.model.priors import steps, transitions
 from glissando.model.priors.steps import ARCLENGTH, TIME
 from glissando.model.state import State
+from glissando.solver.block_tridiagonal import factor
 from glissando.solver.normal_equations import Layout, NormalEquationsBuilder, kernel_arguments
 
 SHAPES = [(), (1,), (5,), (2, 3), (0,)]
@@ -131,11 +132,6 @@ def inside_rated(rng, lead):
     return (*ends, step, 0.4 * step, 0.1 * gain, rest), {}
 
 
-def explained(rng, lead):
-    m = int(np.prod(lead))
-    return (rng.standard_normal((m, 4)), 0.05 * rng.standard_normal((m, 4, 20))), {}
-
-
 def inside_steps(rng, lead):
     direction = (ARCLENGTH, TIME)[rng.integers(2)]
     start, end, step = states(rng, lead), states(rng, lead), rng.uniform(0.01, 0.3, lead)
@@ -189,7 +185,6 @@ KERNELS = {
     sensors.pose_error: sensed,
     sensors.pose_error_jacobian: missed,
     normal_equations.at_nodes: seen_between,
-    normal_equations.squared_innovations: explained,
 }
 """Kernels that are called as they are, on lists."""
 
@@ -286,7 +281,11 @@ def dense(batch, layout, count, *, robust=True):
 def test_sums_are_those_of_the_dense_jacobian(count, parameters, by_interval):
     rng = np.random.default_rng(count)
     layout = Layout(4, 18, parameters)
-    builder = NormalEquationsBuilder(layout, count, by_interval=by_interval)
+    builder = NormalEquationsBuilder.joined(layout, count)
+    if by_interval:
+        shape = count, layout.size
+        blocks = (np.empty((k, layout.size, layout.size)) for k in (count, count, count - 1))
+        builder = NormalEquationsBuilder(layout, *blocks, np.empty(shape), np.empty(shape))
     matrix, rhs = np.zeros((2, count * layout.size, count * layout.size)), 0.0
     matrix = matrix[0]
     for batch in batches(rng, layout, count):
@@ -307,12 +306,37 @@ def test_sums_are_those_of_the_dense_jacobian(count, parameters, by_interval):
 
 @pytest.mark.parametrize("parameters", [0, 5])
 @pytest.mark.parametrize("count", [1, 3])
-def test_factors_spread_out_are_the_dense_jacobian(count, parameters):
+def test_innovations_are_those_of_the_dense_system(count, parameters):
     rng = np.random.default_rng(count)
     layout = Layout(4, 18, parameters)
-    for batch in batches(rng, layout, count):
-        shape = layout.nodes, layout.dof, layout.size, count
-        residual, jacobian = normal_equations.spread_out(*kernel_arguments(batch), *shape)
-        expected = dense(batch, layout, count, robust=False)
-        same(residual.ravel(), expected[0])
-        same(jacobian.reshape(residual.size, -1), expected[1])
+    found, builder = list(batches(rng, layout, count)), NormalEquationsBuilder.joined(layout, count)
+    for batch in found:
+        builder.accumulate(replace(batch, terms=replace(batch.terms, loss=None)))
+    system = builder.system().add_to_diagonal(np.full((count, layout.size), 0.3))
+    cholesky = factor(system)
+    step = cholesky.solve(builder.rhs_begin)
+    cov = np.linalg.inv(dense_matrix(system))
+    for batch in found:
+        which = np.flatnonzero(rng.random(len(batch.nodes)) < 0.6)
+        residual, jacobian = dense(batch, layout, count, robust=False)
+        rows = residual.reshape(-1, 3), jacobian.reshape(-1, 3, count * layout.size)
+        expected = oracles.factors.squared_innovations(*rows, cov, step.ravel())[which]
+        same(
+            normal_equations.squared_innovations(
+                *kernel_arguments(batch), which, layout.nodes, layout.dof,
+                cholesky.inverse, cholesky.coupling, step,
+            ),
+            expected,
+            1e-7,
+        )  # fmt: skip
+
+
+def dense_matrix(system):
+    """A block-tridiagonal matrix in full."""
+    (count, size), lower = system.diagonal.shape[:2], system.lower
+    out = np.zeros((count, size, count, size))
+    for k in range(count):
+        out[k, :, k] = system.diagonal[k]
+        if k + 1 < count:
+            out[k + 1, :, k], out[k, :, k + 1] = lower[k], lower[k].T
+    return out.reshape(count * size, -1)

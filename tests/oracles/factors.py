@@ -139,12 +139,13 @@ def by_nodes(batch: Factors) -> tuple[Index, Array, Array]:
     return nodes, hessian, pull
 
 
-def squared_innovations(residual: Array, known: Array) -> Array:
-    """Squared innovations (M,) of residuals at a solution, each against all other factors.
+def squared_innovations(residual: Array, jacobian: Array, cov: Array, step: Array) -> Array:
+    """Squared innovations (M,) of white factors at a solution `step`, each against all others.
 
-    `residual` (M, r) is white with its own factor left out; of its unit covariance the solution
-    explains J P Jᵀ = Y Yᵀ, `known` being Y (M, r, …). A residual e that keeps a share S = 1 − Y Yᵀ
-    stands for the innovation S⁻¹ e, whose square in units of its covariance is eᵀ S⁻¹ e.
+    The solution has covariance `cov` and contains each factor, with white residual (M, r) and
+    slopes (M, r, …). A residual e at the solution keeps a share S = 1 − J cov Jᵀ of its unit
+    covariance and stands for the innovation S⁻¹ e, whose square is eᵀ S⁻¹ e.
     """
-    share = (1.0 + 1e-9) * np.eye(residual.shape[1]) - known @ np.swapaxes(known, 1, 2)
-    return np.einsum("mr,mr->m", residual, np.linalg.solve(share, residual[..., None])[..., 0])
+    share = (1.0 + 1e-9) * np.eye(residual.shape[1]) - jacobian @ cov @ np.swapaxes(jacobian, 1, 2)
+    left = residual + jacobian @ step
+    return np.einsum("mr,mr->m", left, np.linalg.solve(share, left[..., None])[..., 0])

@@ -15,6 +15,7 @@ from glissando._kernels.jit import jit
 from glissando._kernels.process import whiten_into
 
 _BASE = 12  # rows of a block up to which its inverse factor is found row by row
+_PIVOT_FLOOR = 1e-13  # a pivot this small against its diagonal entry carries no information
 
 
 @jit()
@@ -39,26 +40,35 @@ def _inverse_factor(a, out):
     out[0:h, h:n] = 0.0
 
 
-@jit("(f8[:,:,::1], f8[:,:,::1], i8, f8[:,:,::1], f8[:,:,::1])")
-def factor(diagonal, lower, start, inverse, coupling):
+@jit("(f8[:,:,::1], f8[:,:,::1], i8, f8[:,:,::1], f8[:,:,::1], i8[::1])")
+def factor(diagonal, lower, start, inverse, coupling, at):
     """Block Cholesky from slab `start` on; raises LinAlgError where it is not positive definite.
 
     `inverse` (K, D, D) of the factor's diagonal blocks and `coupling` (K−1, D, D) = inverse[k]
-    A[k, k+1] are written; those before `start` are used as they are.
+    A[k, k+1] are written; those before `start` are used as they are. `at` (1,) is the slab come to.
+    Returns the first slab with a direction that has no information, −1 where there is none.
     """
-    d = diagonal.shape[1]
+    d, vanished = diagonal.shape[1], -1
     schur = np.empty((d, d))
     for k in range(start, len(diagonal)):
-        schur[:, :] = diagonal[k]
+        at[0] = k
+        for i in range(d):
+            for j in range(d):
+                schur[i, j] = diagonal[k, i, j]
         if k:
             lower_product(coupling[k - 1], coupling[k - 1], schur, -1.0, 1.0, True)
         _inverse_factor(schur[0:d, 0:d], inverse[k, 0:d, 0:d])
         if k < len(coupling):
             banded_product(inverse[k], lower[k], coupling[k])
+        for i in range(d):
+            pivot = inverse[k, i, i] ** -2.0
+            if vanished < 0 and not pivot >= _PIVOT_FLOOR * diagonal[k, i, i]:  # or is not a number
+                vanished = k
+    return vanished
 
 
-@jit("(f8[:,:,::1], f8[:,:,::1], f8[:,::1])")
-def forward(inverse, coupling, x):
+@jit()
+def _forward(inverse, coupling, x):
     """Solve with the factor, in place (K, D)."""
     for k in range(len(x)):
         if k:
@@ -86,6 +96,13 @@ def backward(inverse, coupling, x):
             x[k, j] = 0.0
             for i in range(j + 1):
                 x[k, i] += inverse[k, j, i] * value
+
+
+@jit("(f8[:,:,::1], f8[:,:,::1], f8[:,::1])")
+def solve(inverse, coupling, x):
+    """Solve with the matrix, in place (K, D)."""
+    _forward(inverse, coupling, x)
+    backward(inverse, coupling, x)
 
 
 @jit("(f8[:,:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,:,::1])")

@@ -113,45 +113,61 @@ def accumulate(
             row += height
 
 
-@jit(f"({_BATCH}, i8, i8, i8, i8)")
-def spread_out(
-    nodes, first_dof, jacobian, residual, sqrt_info, extras, n_count, dof, size, count
+@jit(f"({_BATCH}, i8[::1], i8, i8, f8[:,:,::1], f8[:,:,::1], f8[:,::1])")
+def squared_innovations(
+    nodes, first_dof, jacobian, residual, sqrt_info, extras, which, n_count, dof,
+    inverse, coupling, step,
 ):  # fmt: skip
-    """Whitened residuals (M, r) and Jacobians (M, r, count · size) by all time nodes."""
-    m, r, c, d = jacobian.shape
-    q = c * d + extras.shape[2]
+    """Squared innovations of `which` factors (M,) of a batch, each against all others.
+
+    `inverse` and `coupling` are the block Cholesky factor of a system whose solution is `step`
+    (K, D). A white residual e there that keeps a share S = 1 − Y Yᵀ of its unit covariance stands
+    for the innovation S⁻¹ e, whose square in units of its covariance is eᵀ S⁻¹ e.
+    """
+    r, c, d = jacobian.shape[1:]
+    q, count, size, m = c * d + extras.shape[2], len(inverse), step.shape[1], len(which)
     slopes, white, room = np.empty((r, q)), np.empty((r, q)), np.empty((q + 2, 4), np.int64)
-    out, miss = np.zeros((m, r, count * size)), np.empty((m, r))
-    for i in range(m):
+    rows, miss, first = np.zeros((count, m * r, size)), np.empty((m, r)), count
+    for n in range(m):
+        i = which[n]
         k, found = _groups(nodes[i], first_dof, jacobian[i], extras[i], n_count, dof, count, room)
         groups, column = room[:found], 0
-        _whitened(sqrt_info[i], jacobian[i], extras[i], residual[i], groups, slopes, white, miss[i])
+        _whitened(sqrt_info[i], jacobian[i], extras[i], residual[i], groups, slopes, white, miss[n])
+        first = min(first, k)
         for g in range(found):
-            at = (k + groups[g, 0]) * size + groups[g, 1]
+            slab, at = k + groups[g, 0], groups[g, 1]
             for y in range(r):
                 for x in range(groups[g, 2]):
-                    out[i, y, at + x] = white[y, column + x]
+                    rows[slab, n * r + y, at + x] = white[y, column + x]
+                    miss[n, y] += white[y, column + x] * step[slab, at + x]
             column += groups[g, 2]
-    return miss, out
+    return _squared(rows[first:], inverse[first:], coupling[first:], miss)
 
 
-@jit("(f8[:,::1], f8[:,:,::1])")
-def squared_innovations(residual, explained):
-    """Squared innovations (M,) of white residuals (M, r): eᵀ (1 − Y Yᵀ)⁻¹ e."""
-    m, r = residual.shape
-    out, share, root = np.zeros(m), np.empty((r, r)), np.empty((r, r))
-    for i in range(m):
+@jit()
+def _squared(rows, inverse, coupling, miss):
+    """Squares (M,) from white rows (K, M · r, D) and white residuals (M, r) at the solution."""
+    m, r = miss.shape
+    share, root, out = np.zeros((m, r, r)), np.empty((r, r)), np.zeros(m)
+    before, explained = np.empty(rows.shape[1:]), np.empty(rows.shape[1:])
+    for n in range(m):
         for a in range(r):
-            for b in range(r):
-                share[a, b] = (1.0 + 1e-9) * (a == b)
-                for k in range(explained.shape[2]):
-                    share[a, b] -= explained[i, a, k] * explained[i, b, k]
-        whiten_into(share, root)
+            share[n, a, a] = 1.0 + 1e-9
+    for k in range(len(rows)):
+        if k:
+            product(before, coupling[k - 1], rows[k], -1.0, 1.0, False, False)
+        product(rows[k], inverse[k], explained, 1.0, 0.0, False, True)
+        for n in range(m):
+            own = explained[n * r : n * r + r]
+            product(own, own, share[n], -1.0, 1.0, False, True)
+        before, explained = explained, before
+    for n in range(m):
+        whiten_into(share[n], root)
         for a in range(r):
             value = 0.0
             for b in range(a + 1):
-                value += root[a, b] * residual[i, b]
-            out[i] += value * value
+                value += root[a, b] * miss[n, b]
+            out[n] += value * value
     return out
 
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -280,7 +279,7 @@ class FixedLagSmoother:
         self._require_started()
         window, nodes = self._window, self._window.nodes.time
         if latest > nodes[-1]:
-            window = copy(window)
+            window = window.copied()
             before = window.before if len(nodes) == 1 else nodes[-2]
             # Nodes may be too close; one further ahead than asked for does not change the answer.
             least = 0.0 if before is None else _CLOSEST * float(nodes[-1] - before)

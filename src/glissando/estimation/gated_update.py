@@ -38,7 +38,7 @@ class GatedUpdate:
         time = self._window.nodes.time
         renewed = _RENEWED if self._missed > _CLOSE else 1
         late = int(np.searchsorted(time, earliest, side="right")) - 1
-        return max(0, min(len(time) - 1 - renewed, late))
+        return max(0, min(len(time) - 1 - renewed, late, self._window.intact - 1))
 
     def start(self, fresh: Counter[str]) -> bool:
         """Estimate all there is from rest, as a recording is; whether that could be done.

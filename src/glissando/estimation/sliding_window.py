@@ -9,14 +9,15 @@ Huang, Mourikis and Roumeliotis (2010) on first estimates.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from glissando._kernels import normal_equations as kernels
-from glissando._kernels.arrays import whole
 from glissando.estimation.posterior import Posterior, SolveReport, StateEstimate
-from glissando.estimation.window_nodes import Nodes, Sums
+from glissando.estimation.window_nodes import Nodes
+from glissando.estimation.window_system import WindowSystem
 from glissando.geometry.se3 import Array
 from glissando.model.factors import Factors
 from glissando.model.grid import Grid, Index
@@ -24,11 +25,10 @@ from glissando.model.priors.prior import Prior
 from glissando.model.sensors.parameter_process import EstimatedParameters
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.sensors.readings import Readings
-from glissando.model.state import DOF, POSE, State
-from glissando.solver.block_tridiagonal import BlockTridiagonal, Cholesky, factor
+from glissando.model.state import DOF, POSE, STRAIN, State
 from glissando.solver.located_readings import LocatedReadings, locate
 from glissando.solver.measurement_factors import measurement_factors
-from glissando.solver.normal_equations import Layout, NormalEquationsBuilder, kernel_arguments
+from glissando.solver.normal_equations import Layout, kernel_arguments
 from glissando.solver.outcome import Outcome
 
 
@@ -60,6 +60,7 @@ class SlidingWindow:
         self.before: float | None = None
         self._process = EstimatedParameters(Grid(arclength, [0.0]), self.sensor_parameters)
         self._parameters = self._process.mean, np.diag(self._process.std**2)
+        self._root = np.zeros((0, 0))  # its square is the covariance of the newest node
         self._factors: list[tuple[int, Index, Factors]] = []
         self._first = 0
 
@@ -70,20 +71,20 @@ class SlidingWindow:
         self.before = None
         self.nodes = self._node(time, state, values)
         size, own = self.layout.size, slice(state.numbers, None)
-        self._prior_info, self._prior_rhs = np.zeros((size, size)), np.zeros(size)
+        info, rhs = np.zeros((size, size)), np.zeros(size)
         own_info = self._process.std**-2.0  # which the first node has anyway
-        self._prior_info[own, own] = np.linalg.inv(cov) - np.diag(own_info)
-        self._prior_rhs[own] = own_info * (values - self._process.mean)
-        blocks, rhs = np.zeros((0, size, size)), np.zeros((0, size))
-        self._sums = Sums(blocks, blocks, blocks, rhs, rhs)
-        self._cholesky = Cholesky(blocks, blocks)
+        info[own, own] = np.linalg.inv(cov) - np.diag(own_info)
+        rhs[own] = own_info * (values - self._process.mean)
+        self._system = WindowSystem(self.layout, info, rhs)
+        self._system.append()
+        self._root = np.zeros((0, 0))
 
     def _carry(self, time: float) -> None:
         """Predict the sensor parameters from the newest node to a time."""
         process, parameters = self._process, self._parameters
-        if self.started and len(self._cholesky.inverse):
-            own = self._cholesky.inverse[-1][:, self.nodes.state.numbers :]
-            values = self.nodes.take(slice(-1, None)).estimate[1][0]
+        if self._root.size:
+            own = self._root[:, self.nodes.state.numbers :]
+            values = self.nodes.estimate[1][-1]
             fade = np.exp((float(self.nodes.time[-1]) - time) / process.memory)
             cov = fade[:, None] * (own.T @ own) * fade
             cov += np.diag(process.std**2 * (1.0 - fade**2))
@@ -96,6 +97,11 @@ class SlidingWindow:
         std = np.sqrt(np.diagonal(cov))
         pairs = zip(self._process.each, self._process.columns, strict=True)
         return [replace(p, value=values[at], std=std[at]) for p, at in pairs]
+
+    @property
+    def intact(self) -> int:
+        """How many nodes, from the oldest on, are solved: a solution begins at none beyond them."""
+        return self._system.intact
 
     @property
     def started(self) -> bool:
@@ -114,16 +120,20 @@ class SlidingWindow:
 
     def append(self, time: float) -> None:
         """One more node, where constant velocity (and strain rate) lead from the newest."""
-        newest = self.nodes.take(slice(-1, None))
-        state, parameters = newest.estimate
-        lasts = time - float(newest.time[0])
-        ahead = np.zeros((*state.strain.shape[:2], state.dof))
-        ahead[..., :6] = lasts * state.velocity
+        states, parameters = self.nodes.estimate
+        state, lasts = states.take(-1), time - float(self.nodes.time[-1])
+        ahead = np.zeros((state.pose.shape[0], state.dof))
+        ahead[:, POSE] = lasts * state.velocity
         if state.strain_rate is not None:
-            ahead[..., 6:12] = lasts * state.strain_rate
-        self.nodes = self.nodes.joined(
-            self._node(time, state.retract(ahead).take(0), parameters[0])
-        )
+            ahead[:, STRAIN] = lasts * state.strain_rate
+        self.nodes = self.nodes.joined(self._node(time, state.retract(ahead), parameters[-1]))
+        self._system.append()
+
+    def copied(self) -> SlidingWindow:
+        """The same window, to go on with without a change to this one."""
+        out = copy(self)
+        out._system = self._system.copied()
+        return out
 
     def _node(self, time: float, state: State, parameters: Array) -> Nodes:
         numbers = state.numbers + self._process.size
@@ -135,14 +145,9 @@ class SlidingWindow:
 
         Source: equation (20).
         """
-        sums, coupling = self._sums, self._cholesky.coupling[0]
-        solved = self._cholesky.inverse[0] @ (self._prior_rhs + sums.rhs_begin[0])
-        self._prior_info = sums.end[0] - coupling.T @ coupling
-        self._prior_rhs = sums.rhs_end[0] - coupling.T @ solved
+        self._system.drop()
         self.before = float(self.nodes.time[0])
         self.nodes = self.nodes.take(slice(1, None))
-        self._sums = Sums(*(blocks[1:] for blocks in vars(sums).values()))
-        self._cholesky = Cholesky(self._cholesky.inverse[1:], self._cholesky.coupling[1:])
         self._first = max(0, self._first - 1)
 
     def _fixed(self, first: int) -> int:
@@ -152,21 +157,19 @@ class SlidingWindow:
     @property
     def points(self) -> tuple[Nodes, Array]:
         """Where nodes are linearised, to come back to: with what the prior says from there."""
-        return self.nodes, self._prior_rhs
+        return self.nodes, self._system.rhs
 
     @points.setter
     def points(self, before: tuple[Nodes, Array]) -> None:
         """Come back to where nodes were linearised."""
-        self.nodes, self._prior_rhs = before
+        self.nodes, self._system.rhs = before
 
     def relinearize(self, first: int) -> None:
         """Linearise the nodes after `first` at their estimates; the oldest too unless fixed."""
         fixed = self._fixed(first)
         if not fixed:  # what is known of the sensor parameters is about their old point
-            self._prior_rhs = self._prior_rhs - self._prior_info @ self.nodes.step[0]
-        self.nodes = self.nodes.take(slice(fixed)).joined(
-            self.nodes.take(slice(fixed, None)).at_estimate()
-        )
+            self._system.rhs = self._system.rhs - self._system.info @ self.nodes.step[0]
+        self.nodes = self.nodes.at_estimate(fixed)
 
     def restate(self, state: State) -> None:
         """Take states (K, N) for the estimates of all nodes."""
@@ -181,15 +184,14 @@ class SlidingWindow:
     def solve(self, first: int, located: LocatedReadings) -> None:
         """Linearise all that begins at the nodes from `first` on, eliminate, find every step."""
         self._linearize(first, located)
-        system, rhs = self._system()
-        self._cholesky = factor(system, self._resized(len(rhs)), start=first)
-        self.nodes = replace(self.nodes, step=self._cholesky.solve(rhs))
+        self.nodes = replace(self.nodes, step=self._system.solve(first))
+        self._root = self._system.cholesky.inverse[-1].copy()
 
     def _linearize(self, first: int, located: LocatedReadings) -> None:
         """Sum the factors of the intervals from `first` on. Source: equation (19)."""
         nodes, grid = self.nodes.take(slice(first, None)), located.grid
         located = located.moved(nodes.parameters - located.parameters.values)
-        builder = NormalEquationsBuilder(self.layout, len(nodes), by_interval=True)
+        builder = self._system.builder(first)
         self._factors, self._first = [], first
         for i, times in enumerate(located.blocks):
             for batch in self.prior.factors(grid, nodes.state, nodes.state, times):
@@ -200,27 +202,6 @@ class SlidingWindow:
         if self._process.size:
             drift = EstimatedParameters(grid, self.sensor_parameters).drift(nodes.parameters)
             builder.accumulate_drift(*drift)
-        self._sums = self._sums.resumed(first, builder)
-
-    def _system(self) -> tuple[BlockTridiagonal, Array]:
-        """The normal equations of the whole window with the prior on its oldest node."""
-        sums = self._sums
-        diagonal, rhs = sums.begin.copy(), sums.rhs_begin.copy()
-        diagonal[1:] += sums.end[:-1]
-        rhs[1:] += sums.rhs_end[:-1]
-        diagonal[0] += self._prior_info
-        rhs[0] += self._prior_rhs
-        return BlockTridiagonal(diagonal, sums.across), rhs
-
-    def _resized(self, count: int) -> Cholesky:
-        """The factor with memory for `count` slabs."""
-        size = self.layout.size
-        inverse, coupling = np.empty((count, size, size)), np.empty((count - 1, size, size))
-        kept = min(count, len(self._cholesky.inverse))
-        inverse[:kept] = self._cholesky.inverse[:kept]
-        kept = min(count - 1, len(self._cholesky.coupling))
-        coupling[:kept] = self._cholesky.coupling[:kept]
-        return Cholesky(inverse, coupling)
 
     def miss(self, first: int) -> float:
         """How far the last step may have missed, in standard deviations of the newest poses.
@@ -232,63 +213,38 @@ class SlidingWindow:
         free = self.nodes.step[self._fixed(first) :, : n_count * dof]
         if not free.size:
             return 0.0
-        inverse = self._cholesky.inverse[-1]
+        inverse = self._root
         variance = np.einsum("ij,ij->j", inverse, inverse)
         length = np.abs(free[-1] / np.sqrt(variance[: n_count * dof])).reshape(n_count, dof)
         turn = np.abs(free.reshape(-1, dof)[:, 3:6]).max()
         return float(0.5 * turn * length[:, POSE].max())
 
     def innovations(self, fresh: Sequence[int]) -> list[Innovations]:
-        """Squared innovations of each stream's rows from `fresh` on, each against all others.
-
-        A whitened residual e that keeps a share S = 1 − Y Yᵀ of its unit covariance at the solution
-        stands for the innovation S⁻¹ e, whose square in units of its covariance is eᵀ S⁻¹ e.
-        """
-        kept = [
-            (stream, rows, batch) if new.all() else (stream, rows[new], batch.take(new))
-            for stream, rows, batch in self._factors
-            if (new := rows >= fresh[stream]).any()
-        ]
-        if not kept:
-            return []
-        n_count, steps = self.arclength.size, self.nodes.step[self._first :]
-        oldest = min(int(batch.nodes[:, 0].min()) for _, _, batch in kept) // n_count
-        oldest = max(0, min(oldest, len(steps) - 2))  # parameters are those of an interval
-        steps, begin = steps[oldest:], self._first + oldest
-        spread = [
-            self._spread(replace(batch, nodes=batch.nodes - oldest * n_count), len(steps))
-            for _, _, batch in kept
-        ]
-        rows = np.concatenate([j.reshape(-1, steps.size) for _, j in spread])
-        cholesky = Cholesky(self._cholesky.inverse[begin:], self._cholesky.coupling[begin:])
-        explained, out, at = cholesky.substitute(rows), [], 0
-        for (stream, which, _), (residual, jacobian) in zip(kept, spread, strict=True):
-            own = explained[at : at + residual.size].reshape(jacobian.shape)
-            white = residual + jacobian @ steps.ravel()
-            nis = kernels.squared_innovations(whole(white), whole(own))
-            out.append(Innovations(stream, which, nis, residual.shape[1]))
-            at += residual.size
+        """Squared innovations of each stream's rows from `fresh` on, each against all others."""
+        cholesky, out = self._system.cholesky, []
+        since = slice(self._first, None)
+        solved = cholesky.inverse[since], cholesky.coupling[since], self.nodes.step[since]
+        for stream, rows, batch in self._factors:
+            which = np.flatnonzero(rows >= fresh[stream])
+            if which.size:
+                nis = kernels.squared_innovations(
+                    *kernel_arguments(batch), which, self.layout.nodes, self.layout.dof, *solved
+                )
+                dof = batch.terms.residual.shape[1]
+                out.append(Innovations(stream, rows[which], nis, dof))
         return out
-
-    def _spread(self, batch: Factors, count: int) -> tuple[Array, Array]:
-        """White residuals (M, r), Jacobians (M, r, count · D); no robust weights."""
-        layout = self.layout
-        residual, jacobian = kernels.spread_out(
-            *kernel_arguments(batch), layout.nodes, layout.dof, layout.size, count
-        )
-        return residual, jacobian
 
     def newest(self) -> tuple[State, Array]:
         """Estimate (N,) of the newest time and its covariance (D, D)."""
-        inverse = self._cholesky.inverse[-1]
-        return self.nodes.take(slice(-1, None)).estimate[0].take(0), inverse.T @ inverse
+        inverse = self._root
+        return self.nodes.estimate[0].take(-1), inverse.T @ inverse
 
     def newest_nodes(self) -> StateEstimate:
         """The newest time at the nodes (N,), each with its own covariance (N, 18, 18)."""
         layout = self.layout
-        own = self._cholesky.inverse[-1][:, : layout.nodes * layout.dof]
+        own = self._root[:, : layout.nodes * layout.dof]
         halves = np.ascontiguousarray(own.T).reshape(layout.nodes, layout.dof, -1)[:, :DOF]
-        state = self.nodes.take(slice(-1, None)).estimate[0].take(0)
+        state = self.nodes.estimate[0].take(-1)
         return StateEstimate(
             state.pose, state.strain, state.velocity, halves @ np.swapaxes(halves, 1, 2)
         )
@@ -296,9 +252,9 @@ class SlidingWindow:
     def posterior(self) -> Posterior:
         """The window as a posterior, as an estimate of a recording is."""
         state, values = self.nodes.estimate
-        system, rhs = self._system()
+        system, rhs = self._system.copied().system()
         report = SolveReport(Outcome.UPDATED, 1, 0.0, rhs.size, 0.0, 0.0, 0, {})
         pairs = zip(self._process.each, self._process.columns, strict=True)
         parameters = [(p, values[:, at]) for p, at in pairs]
-        marginals = self._cholesky.marginals()
+        marginals = self._system.cholesky.marginals()
         return Posterior(self.prior, self.grid(), state, system, marginals, report, parameters)

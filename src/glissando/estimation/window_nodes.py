@@ -1,14 +1,14 @@
-"""What a sliding window holds: its nodes, and the normal equations of its intervals."""
+"""The time nodes of a sliding window."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from glissando.geometry.se3 import Array
 from glissando.model.state import State, concatenate
-from glissando.solver.normal_equations import NormalEquationsBuilder
 
 
 @dataclass(frozen=True)
@@ -43,34 +43,20 @@ class Nodes:
             np.concatenate([self.step, other.step]),
         )
 
-    @property
+    @cached_property
     def estimate(self) -> tuple[State, Array]:
         """The states (K, N) and sensor parameters (K, E) to which the step leads."""
         of_nodes = self.state.numbers
         step = self.step[:, :of_nodes].reshape(*self.state.pose.shape[:2], -1)
         return self.state.retract(step), self.parameters + self.step[:, of_nodes:]
 
-    def at_estimate(self) -> Nodes:
-        """The nodes with their estimates as linearisation points."""
+    def at_estimate(self, first: int) -> Nodes:
+        """The nodes with their estimates as linearisation points from `first` on."""
+        kept, moved = slice(None, first), slice(first, None)
         state, parameters = self.estimate
-        return Nodes(self.time, state, parameters, np.zeros_like(self.step))
-
-
-@dataclass(frozen=True)
-class Sums:
-    """Normal equations of a window by interval: see `NormalEquationsBuilder`."""
-
-    begin: Array
-    end: Array
-    across: Array
-    rhs_begin: Array
-    rhs_end: Array
-
-    def resumed(self, first: int, builder: NormalEquationsBuilder) -> Sums:
-        """The sums of the intervals before `first`, then those of a builder."""
-        return Sums(
-            *(
-                np.concatenate([getattr(self, name)[:first], getattr(builder, name)])
-                for name in ("begin", "end", "across", "rhs_begin", "rhs_end")
-            )
+        return Nodes(
+            self.time,
+            concatenate(self.state.take(kept), state.take(moved)) if first else state,
+            np.concatenate([self.parameters[kept], parameters[moved]]),
+            np.concatenate([self.step[kept], np.zeros_like(self.step[moved])]),
         )

@@ -211,4 +211,4 @@ def _builder(
     grid: Grid, mean: State, sensor_parameters: EstimatedParameters
 ) -> NormalEquationsBuilder:
     layout = Layout(grid.shape[1], mean.dof, sensor_parameters.size)
-    return NormalEquationsBuilder(layout, grid.shape[0])
+    return NormalEquationsBuilder.joined(layout, grid.shape[0])

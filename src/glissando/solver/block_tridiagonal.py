@@ -18,8 +18,6 @@ from glissando._kernels.threads import one_thread
 from glissando.errors import UnobservableError
 from glissando.geometry.se3 import Array
 
-_PIVOT_FLOOR = 1e-13  # a pivot this small against its diagonal entry carries no information
-
 
 @dataclass(frozen=True)
 class BlockTridiagonal:
@@ -93,18 +91,11 @@ class Cholesky:
         """Log-determinant of the matrix."""
         return -2.0 * float(np.sum(np.log(np.einsum("kii->ki", self.inverse))))
 
-    def forward(self, rhs: Array) -> Array:
-        """L⁻¹ rhs (K, D)."""
-        x = np.array(rhs, dtype=float)
-        with one_thread():
-            kernels.forward(self.inverse, self.coupling, x)
-        return x
-
     def solve(self, rhs: Array) -> Array:
         """Solution x (K, D) of A x = rhs (K, D)."""
-        x = self.forward(rhs)
+        x = np.array(rhs, dtype=float)
         with one_thread():
-            kernels.backward(self.inverse, self.coupling, x)
+            kernels.solve(self.inverse, self.coupling, x)
         return x
 
     def sample(self, rng: np.random.Generator) -> Array:
@@ -113,22 +104,6 @@ class Cholesky:
         with one_thread():
             kernels.backward(self.inverse, self.coupling, white)
         return white
-
-    def substitute(self, rows: Array) -> Array:
-        """Y with J A⁻¹ Jᵀ = Y Yᵀ.
-
-        Args:
-            rows: J (R, K · D).
-
-        Returns:
-            Y (R, K · D).
-        """
-        rows = rows.reshape(len(rows), len(self.inverse), -1)
-        out = np.empty_like(rows)
-        for k, inverse in enumerate(self.inverse):
-            row = rows[:, k] - out[:, k - 1] @ self.coupling[k - 1] if k else rows[:, k]
-            out[:, k] = row @ inverse.T
-        return out.reshape(len(rows), -1)
 
     def marginals(self, *, consume: bool = False) -> Marginals:
         """All blocks of A⁻¹ on the diagonal and next to it. Source: equation (21).
@@ -159,33 +134,16 @@ def factor(
     """
     if workspace is None:
         workspace = Cholesky(np.empty_like(matrix.diagonal), np.empty_like(matrix.lower))
-    inverse, diagonal = workspace.inverse, whole(matrix.diagonal)
+    blocks, at = (whole(matrix.diagonal), whole(matrix.lower)), np.zeros(1, dtype=np.int64)
     try:
         with one_thread():
-            kernels.factor(diagonal, whole(matrix.lower), start, inverse, workspace.coupling)
+            vanished = kernels.factor(*blocks, start, workspace.inverse, workspace.coupling, at)
     except np.linalg.LinAlgError:
-        raise _unobservable(_first_indefinite(matrix, start)) from None
-    pivots = np.einsum("kii->ki", inverse[start:]) ** -2.0
-    sound = pivots >= _PIVOT_FLOOR * np.einsum("kii->ki", diagonal[start:])
-    if not np.all(sound):  # so that NaN counts as vanished
-        raise _unobservable(start + int(np.argmin(np.all(sound, axis=1))))
+        vanished = int(at[0])
+    if vanished >= 0:
+        raise UnobservableError(
+            f"The normal equations are singular at time node {vanished}: prior and readings leave "
+            f"a direction of the state undetermined. Give the robot a [base], or a pose stream, or "
+            f"coils or positions at several places of a bent shape."
+        )
     return workspace
-
-
-def _first_indefinite(matrix: BlockTridiagonal, start: int) -> int:
-    """The slab at which a factor fails: the last of the shortest stretch that is not definite."""
-    for stop in range(start + 1, len(matrix.diagonal)):
-        stretch = BlockTridiagonal(matrix.diagonal[:stop], matrix.lower[: stop - 1])
-        try:
-            factor(stretch)
-        except UnobservableError:
-            return stop - 1
-    return len(matrix.diagonal) - 1
-
-
-def _unobservable(k: int) -> UnobservableError:
-    return UnobservableError(
-        f"The normal equations are singular at time node {k}: prior and readings leave a direction "
-        f"of the state undetermined. Give the robot a [base], or a pose stream, or coils or "
-        f"positions at several places of a bent shape."
-    )

@@ -76,7 +76,7 @@ def linearize(
         fixed_weights: Terms of an earlier linearisation whose weights are to be used as they are.
     """
     grid, size = located.grid, located.parameters.process.size
-    builder = NormalEquationsBuilder(
+    builder = NormalEquationsBuilder.joined(
         Layout(grid.arclength.size, state.dof, size), grid.time.size, workspace
     )
     terms: list[Residuals] = []

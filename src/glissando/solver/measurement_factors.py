@@ -82,10 +82,8 @@ def _factor(
     by_nodes, whitener = kernels.at_nodes(
         *map(whole, (by_state, at.jacobian, at.cov)), items(cov, (m,), r, r)
     )
-    touched = np.flatnonzero(by_nodes.reshape(-1, at.dof).any(axis=0))
-    dofs = slice(int(touched[0]), int(touched[-1]) + 1) if touched.size else slice(0, 1)
     terms = Residuals(residual, whitener, corrected.loss)
-    return Factors(at.nodes, dofs, by_nodes[..., dofs], terms, extras)
+    return Factors(at.nodes, slice(0, at.dof), by_nodes, terms, extras)
 
 
 def _along(
@@ -124,11 +122,9 @@ def _spanning_factor(
     )
     std = np.sqrt(np.maximum(left, 0.0)).sum(axis=1)
     cov = np.broadcast_to(readings.cov, (m, rows, rows)) + std[..., None] ** 2 * np.eye(rows)
-    touched = np.flatnonzero(by_nodes.reshape(-1, dof).any(axis=0))
-    dofs = slice(int(touched[0]), int(touched[-1]) + 1) if touched.size else slice(0, 1)
     terms = Residuals(residual, sqrt_information(cov), readings.loss)
     nodes = spread.nodes.reshape(m, s.size * c)
-    return Factors(nodes, dofs, np.ascontiguousarray(by_nodes[..., dofs]), terms)
+    return Factors(nodes, slice(0, dof), np.ascontiguousarray(by_nodes), terms)
 
 
 def _by_parameters(

@@ -41,10 +41,11 @@ def system_shape(count: int, size: int) -> tuple[int, int, int]:
 class NormalEquationsBuilder:
     """JᵀJ and −Jᵀr of factors, summed by the interval between slabs in which they lie.
 
-    What an interval adds to the slab where it begins and to the one where it ends is kept apart if
-    `by_interval`, so that some intervals can be summed anew and others kept.
+    What an interval adds to the slab where it begins and to the one where it ends may be kept
+    apart, so that some intervals can be summed anew and others kept.
 
     Attributes:
+        layout: How the numbers of a slab are laid out.
         begin: Blocks (K, D, D) of the slabs where intervals begin.
         end: Blocks of the slabs where they end, (K, D, D) or the same memory as `begin`.
         across: Blocks (K−1, D, D) that couple an interval's end (rows) with its beginning.
@@ -53,23 +54,23 @@ class NormalEquationsBuilder:
     """
 
     def __init__(
-        self,
-        layout: Layout,
-        count: int,
-        workspace: Array | None = None,
-        *,
-        by_interval: bool = False,
-    ) -> None:
-        self.layout, size = layout, layout.size
+        self, layout: Layout, begin: Array, end: Array, across: Array, rhs_begin: Array,
+        rhs_end: Array,
+    ) -> None:  # fmt: skip
+        self.layout, self.begin, self.end, self.across = layout, begin, end, across
+        self.rhs_begin, self.rhs_end = rhs_begin, rhs_end
+        for memory in (begin, end, across, rhs_begin, rhs_end):
+            memory.fill(0.0)
+
+    @staticmethod
+    def joined(
+        layout: Layout, count: int, workspace: Array | None = None
+    ) -> NormalEquationsBuilder:
+        """A builder of `count` slabs that keeps no interval apart; memory of `system_shape`."""
         if workspace is None:
-            workspace = np.empty(system_shape(count, size))
-        workspace.fill(0.0)
-        self.begin, self.across = workspace[:count], workspace[count:]
-        self.rhs_begin = np.zeros((count, size))
-        if by_interval:
-            self.end, self.rhs_end = np.zeros((count, size, size)), np.zeros((count, size))
-        else:
-            self.end, self.rhs_end = self.begin[1:], self.rhs_begin[1:]
+            workspace = np.empty(system_shape(count, layout.size))
+        begin, rhs = workspace[:count], np.empty((count, layout.size))
+        return NormalEquationsBuilder(layout, begin, begin[1:], workspace[count:], rhs, rhs[1:])
 
     def accumulate(self, batch: Factors) -> None:
         """Whiten a batch of factors and add it. Source: equation (19)."""

@@ -79,7 +79,7 @@ def linearize_static(prior: Prior, located: LocatedReadings, state: State) -> St
                 f"once; use estimate, with a time for each shape."
             )
     n_count = located.grid.arclength.size
-    builder = NormalEquationsBuilder(Layout(1, STATIC_DOF), state.strain[..., 0].size)
+    builder = NormalEquationsBuilder.joined(Layout(1, STATIC_DOF), state.strain[..., 0].size)
     terms: list[tuple[Index, Residuals]] = []
     for batch in _factors(prior, located, state):
         builder.accumulate(batch)
@@ -92,7 +92,7 @@ def _factors(prior: Prior, located: LocatedReadings, state: State) -> Iterator[F
     yield from prior.static_factors(located.grid, state)
     for block in range(len(located.blocks)):
         for stream, _, batch in measurement_factors(prior, located, state, state, block):
-            if batch.dofs.stop > STATIC_DOF:
+            if batch.jacobian[..., STATIC_DOF:].any():
                 raise SensorError(
                     f"{located.streams[stream].label}: a shape that holds still has no velocity "
                     f"to read; leave these readings out."

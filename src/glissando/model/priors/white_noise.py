@@ -31,7 +31,7 @@ from glissando.model.priors.static import static_factors
 from glissando.model.priors.steps import ARCLENGTH, TIME, Direction, bridged, weighted_steps
 from glissando.model.state import DOF, POSE, STRAIN, VELOCITY, State, rest_state
 
-_POSE_STRAIN, _ALL = slice(0, 12), slice(0, DOF)
+_ALL = slice(0, DOF)
 
 
 @dataclass(frozen=True)
@@ -230,12 +230,8 @@ class WhiteNoisePrior:
     ) -> Iterator[Factors]:
         nodes = np.stack(ends, axis=1)
         found = weighted_steps(direction, flat, noise_state, nodes, step, np.sqrt(span), densities)
-        dofs = (
-            (_POSE_STRAIN if direction is ARCLENGTH else _ALL),
-            _ALL if direction.rigid else STRAIN,
-        )
-        for columns, (error, jacobian, info) in zip(dofs, found, strict=True):
-            yield Factors(nodes, columns, jacobian[..., columns], Residuals(error, info))
+        for error, jacobian, info in found:
+            yield Factors(nodes, _ALL, jacobian, Residuals(error, info))
 
     def _base(self, spans: Array, flat: State, nodes: Index) -> Factors:
         assert self.base is not None

@@ -1,0 +1,100 @@
+"""The normal equations of a sliding window, by interval, and their factor."""
+
+from __future__ import annotations
+
+from copy import copy
+
+import numpy as np
+
+from glissando.geometry.se3 import Array
+from glissando.solver.block_tridiagonal import BlockTridiagonal, Cholesky, factor
+from glissando.solver.normal_equations import Layout, NormalEquationsBuilder
+
+_ROOM = 8  # slabs that memory is made for at first
+
+
+class WindowSystem:
+    """Slabs of a window: they come at its end and leave at its front as a prior on the next.
+
+    Each interval's sums are kept apart, so that those which did not change need not be found again,
+    in memory that is larger than the window, so that they seldom move.
+
+    Attributes:
+        layout: How the numbers of a slab are laid out.
+        info: What is known (D, D) of the oldest slab from before.
+        rhs: The right-hand side (D,) of that.
+        intact: How many slabs, from the oldest on, have sums and factor up to date.
+    """
+
+    def __init__(self, layout: Layout, info: Array, rhs: Array) -> None:
+        self.layout, self.info, self.rhs = layout, info, rhs
+        self._blocks = np.empty((6, _ROOM, layout.size, layout.size))
+        self._vectors = np.empty((2, _ROOM, layout.size))
+        self._first = self._stop = self.intact = 0
+
+    def __len__(self) -> int:
+        return self._stop - self._first
+
+    def copied(self) -> WindowSystem:
+        """The same in memory of its own."""
+        out = copy(self)
+        out._blocks, out._vectors = self._blocks.copy(), self._vectors.copy()
+        return out
+
+    def append(self) -> None:
+        """One slab more, of which nothing is known yet."""
+        if self._stop == self._blocks.shape[1]:
+            used, count = slice(self._first, self._stop), len(self)
+            room = max(_ROOM, 4 * count)
+            for name in ("_blocks", "_vectors"):
+                before = getattr(self, name)
+                after = np.empty((len(before), room, *before.shape[2:]))
+                after[:, :count] = before[:, used]
+                setattr(self, name, after)
+            self._first, self._stop = 0, count
+        self._stop += 1
+
+    def _used(self, which: int, fewer: int = 0) -> Array:
+        """Blocks of one kind, without the last `fewer`."""
+        return self._blocks[which, self._first : self._stop - fewer]
+
+    def builder(self, first: int) -> NormalEquationsBuilder:
+        """What sums the intervals from slab `first` on anew."""
+        self.intact = min(self.intact, first)
+        rhs_begin, rhs_end = self._vectors[:, self._first + first : self._stop]
+        begin, end, across = (self._used(i, i == 2)[first:] for i in range(3))
+        return NormalEquationsBuilder(self.layout, begin, end, across, rhs_begin, rhs_end)
+
+    def system(self, first: int = 0) -> tuple[BlockTridiagonal, Array]:
+        """The normal equations from slab `first` on, in memory that is used again; all of rhs."""
+        begin, end, across, diagonal = (self._used(i, i == 2) for i in range(4))
+        rhs_begin, rhs_end = self._vectors[:, self._first : self._stop]
+        diagonal[first:] = begin[first:]
+        diagonal[max(first, 1) :] += end[max(first, 1) - 1 : -1]
+        rhs = rhs_begin.copy()
+        rhs[1:] += rhs_end[:-1]
+        rhs[0] += self.rhs
+        if not first:
+            diagonal[0] += self.info
+        return BlockTridiagonal(diagonal, across), rhs
+
+    @property
+    def cholesky(self) -> Cholesky:
+        """The factor."""
+        return Cholesky(self._used(4), self._used(5, 1))
+
+    def solve(self, first: int) -> Array:
+        """Eliminate from slab `first` on, where sums are new; the solution (K, D)."""
+        system, rhs = self.system(first)
+        solution = factor(system, self.cholesky, start=first).solve(rhs)
+        self.intact = len(self)
+        return solution
+
+    def drop(self) -> None:
+        """Leave the oldest slab behind, as a prior on the next. Source: equation (20)."""
+        rhs_begin, rhs_end = self._vectors[:, self._first]
+        inverse, coupling = self._blocks[4:, self._first]
+        solved = inverse @ (self.rhs + rhs_begin)
+        self.info = self._blocks[1, self._first] - coupling.T @ coupling
+        self.rhs = rhs_end - coupling.T @ solved
+        self._first, self.intact = self._first + 1, self.intact - 1
