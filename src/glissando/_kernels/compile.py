@@ -13,7 +13,9 @@ from glissando._kernels import (  # noqa: F401  (importing them makes their kern
     rod_motion,
     se3,
     sensors,
+    static_steps,
     steps,
+    transitions,
 )
 from glissando._kernels.jit import compile_named
 

@@ -1,6 +1,8 @@
 """Kernels: functions that numba compiles when the first of them is called, and keeps on disk.
 
-Importing a kernel costs nothing, and a process that calls none never imports numba. What is
+Importing a kernel costs nothing, and a process that calls none never imports numba. Those modules
+that every estimate uses are compiled together, any other with the first call of a kernel of it, so
+that nobody waits for the kernels of a prior that he does not use. What is
 compiled stands in a folder of its own for these sources, this numba and this Python, so an upgrade
 never meets what was compiled before it.
 """
@@ -29,6 +31,8 @@ except ImportError:  # Windows: two processes at once may compile twice
 _KERNELS: list[Kernel] = []
 _LOCK = threading.RLock()
 _NOTICE, _AGAIN = 1.0, 5.0  # seconds of compiling until a person reads why, and between lines
+_SHARED = {"blas", "lie"}  # modules of what only kernels call
+_ALWAYS = ("block_tridiagonal", "normal_equations", "process", "se3", "sensors")
 
 
 class Kernel:
@@ -38,8 +42,17 @@ class Kernel:
         update_wrapper(self, function)
         self.function, self.signatures = function, signatures
         self.name = f"{function.__module__}.{function.__qualname__}"
+        self.module = function.__module__.rpartition(".")[2]
         self.compiled: Any = None
+        self.ready = False
         _KERNELS.append(self)
+
+    @property
+    def _numba_type_(self) -> Any:
+        """What numba takes it for in kernels that call it."""
+        from numba import types
+
+        return types.Dispatcher(self.compiled)
 
     def compile(self) -> None:
         """Compile every signature, or load it from the cache, which calls find by types alone."""
@@ -49,8 +62,8 @@ class Kernel:
             self.compiled.compile(normalize_signature(signature)[0])
 
     def __call__(self, *arguments: Any) -> Any:
-        if self.compiled is None:
-            load()
+        if not self.ready:
+            load(self.module)
         return self.compiled(*arguments)
 
 
@@ -79,11 +92,20 @@ def jit(*signatures: str) -> Callable[[Callable[..., Any]], Any]:
     return lambda function: Kernel(function, signatures)
 
 
-def load() -> None:
-    """Make every kernel callable: compile it, the first time on this machine, or load it."""
+def load(module: str = "") -> None:
+    """Make kernels callable: compile them, the first time on this machine, or load them.
+
+    Args:
+        module: A module whose kernels are made callable besides those of every estimate.
+    """
     with _LOCK:
-        kernels, folder = _dispatchers()
-        _compile_once(kernels, folder)
+        folder = _dispatchers()
+        modules = {*_ALWAYS, module}
+        kernels = [k for k in _KERNELS if k.signatures and not k.ready and k.module in modules]
+        _compile_once(sorted(kernels, key=lambda kernel: kernel.name), folder)
+        for kernel in kernels:
+            kernel.ready = True
+            kernel.function.__globals__[kernel.function.__name__] = kernel.compiled
 
 
 def compile_named(names: Sequence[str]) -> None:
@@ -92,13 +114,14 @@ def compile_named(names: Sequence[str]) -> None:
     Args:
         names: Full names of kernels that have signatures.
     """
-    for kernel in _dispatchers()[0]:
+    _dispatchers()
+    for kernel in _KERNELS:
         if kernel.name in names:
             kernel.compile()
 
 
-def _dispatchers() -> tuple[list[Kernel], Path]:
-    """The kernels that numba has not met, made known to it and to one another; their cache."""
+def _dispatchers() -> Path:
+    """Make numba know the kernels that it has not met, and them one another; their cache."""
     import numba
 
     config: Any = numba.config
@@ -107,18 +130,17 @@ def _dispatchers() -> tuple[list[Kernel], Path]:
     config.CACHE_DIR = str(folder)
     try:
         for kernel in kernels:
-            kernel.compiled = numba.njit(
-                cache=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"}
-            )(kernel.function)
+            doors = {"no_cfunc_wrapper": True, "no_cpython_wrapper": not kernel.signatures}
+            options: dict[str, Any] = {**doors, "fastmath": {"contract", "reassoc", "nsz"}}
+            options["error_model"] = "numpy"
+            kernel.compiled = numba.njit(cache=True, **options)(kernel.function)
     finally:
         config.CACHE_DIR = before
     for kernel in kernels:
         for name, value in kernel.function.__globals__.items():
-            if isinstance(value, Kernel):
-                kernel.function.__globals__[name] = value.compiled
-            elif isinstance(value, External):
+            if isinstance(value, External):
                 kernel.function.__globals__[name] = value.compiled()
-    return kernels, folder
+    return folder
 
 
 def _compile_once(kernels: list[Kernel], folder: Path) -> None:
@@ -127,19 +149,20 @@ def _compile_once(kernels: list[Kernel], folder: Path) -> None:
     Two processes compile and all others load, so that every process runs the same code: numba's
     own varies in the last digit with what is in its cache.
     """
-    wanted = sorted((k for k in kernels if k.signatures), key=lambda kernel: kernel.name)
-    if not _missing(wanted, folder):
+    if not _missing(kernels, folder):
         return
     over = threading.Event()
-    threading.Thread(target=_say, args=(folder, over), daemon=True).start()
+    threading.Thread(target=_say, args=(kernels, folder, over), daemon=True).start()
     try:
         with _locked(folder):
-            missing = _missing(wanted, folder)  # another process may have compiled meanwhile
-            half = len(missing) * 2 // 5  # modules apart, as kernels of one share what they call
+            missing = _missing(kernels, folder)  # another process may have compiled meanwhile
+            half = (
+                (len(missing) + 1) * 2 // 5
+            )  # modules apart, as kernels of one share what they call
             parts = [_compiling(names, folder) for names in (missing[:half], missing[half:])]
             for process in filter(None, parts):
                 process.wait()
-            for kernel in wanted:  # from the cache, or here if a process could not
+            for kernel in kernels:  # from the cache, or here if a process could not
                 kernel.compile()
             with suppress(OSError), (folder / "compiled").open("a", encoding="utf-8") as file:
                 file.write("".join(f"{name}\n" for name in missing))
@@ -179,12 +202,15 @@ def _compiling(names: list[str], folder: Path) -> subprocess.Popen[bytes] | None
     return None
 
 
-def _say(folder: Path, over: threading.Event) -> None:
+def _say(kernels: list[Kernel], folder: Path, over: threading.Event) -> None:
     """Say what is being compiled, and how much of it is done, until it is over."""
+    modules = {kernel.module for kernel in kernels} | _SHARED
+    count = sum(kernel.module in modules for kernel in _KERNELS)
     began, wait = time.monotonic(), _NOTICE
     while not over.wait(wait):
         wait, elapsed = _AGAIN, time.monotonic() - began
-        share = min(sum(1 for _ in folder.rglob("*.nbi")) / len(_KERNELS), 0.99)
+        done = [path.name.partition(".")[0] in modules for path in folder.rglob("*.nbi")]
+        share = min(sum(done) / count, 0.99)
         what = f"compiling its inner loops, once, into {folder}"
         if share > 0.0:
             what += f"; {100 * share:.0f} % done, about {elapsed * (1 / share - 1):.0f} s left"

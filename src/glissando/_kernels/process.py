@@ -116,15 +116,6 @@ def middle_into(rate0, rate1, step, psd, jump, out):
         out[i] = rate0[i] + share * (rate1[i] - rate0[i])
 
 
-@jit("(f8[:,::1], f8[::1], f8[:,::1], f8[:,::1], f8[:,::1], b1)")
-def process_covariances(rate, step, psd, carried_psd, jump, rigid):
-    """Noise (M, 12, 12) and (M, 6, 6) of intervals."""
-    cov, carried = np.empty((len(rate), 12, 12)), np.empty((len(rate), 6, 6))
-    for i in range(len(rate)):
-        process_into(rate[i], step[i], psd[i], carried_psd[i], jump[i], rigid, cov[i], carried[i])
-    return cov, carried
-
-
 @jit()
 def _condition(near, cross, whole, gain, cov):
     """Gain = crossᵀ whole⁻¹ and cov = near − gain cross."""
@@ -133,7 +124,9 @@ def _condition(near, cross, whole, gain, cov):
     whiten_into(whole, root)
     product(root, cross, half, 1.0, 0.0, False, False)
     product(half, root, gain, 1.0, 0.0, True, False)
-    cov[:, :] = near
+    for i in range(n):
+        for j in range(n):
+            cov[i, j] = near[i, j]
     product(half, half, cov, -1.0, 1.0, True, False)
 
 
@@ -168,20 +161,6 @@ def bridge_into(
     _condition(near6, cross6, whole6, carried_gain, carried_cov)
 
 
-@jit("(f8[:,::1], f8[::1], f8[::1], f8[:,::1], f8[:,::1], b1)")
-def bridge(rate, step, offset, psd, jump, rigid):
-    """Gains and covariances (M, 12, 12) of the pair, whatever is carried."""
-    m = len(rate)
-    gain, cov = np.empty((m, 12, 12)), np.empty((m, 12, 12))
-    unused, unused_too = np.empty((6, 6)), np.empty((6, 6))
-    for i in range(m):
-        bridge_into(
-            rate[i], step[i], offset[i], psd[i], psd[i], jump[i], rigid, gain[i], cov[i],
-            unused, unused_too,
-        )  # fmt: skip
-    return gain, cov
-
-
 @jit("(f8[:,:,::1],)")
 def sqrt_information(cov):
     """Whiteners (M, r, r) of covariances."""
@@ -211,12 +190,3 @@ def pair_whiten_into(cov, out):
             out[i, j] = root[i, j]
             for k in range(i + 1):
                 out[i, 6 + j] -= root[i, k] * slope[k, j]
-
-
-@jit("(f8[:,:,::1],)")
-def pair_sqrt_information(cov):
-    """Whiteners (M, 12, 12) of covariances whose last block is diagonal."""
-    out = np.zeros(cov.shape)
-    for n in range(len(cov)):
-        pair_whiten_into(cov[n], out[n])
-    return out

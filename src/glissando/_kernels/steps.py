@@ -34,7 +34,7 @@ from glissando._kernels.process import (
 
 
 @jit()
-def _pair(start, end, rate0, rate1, step, error, back, pull, spread):
+def pair_into(start, end, rate0, rate1, step, error, back, pull, spread):
     """Error (12,) of a step; its Jacobian is [back, pull; 0, −1] at the start, [spread, 0; 0, 1].
 
     In the order [pose, rate]; the three blocks (6, 6) are written.
@@ -62,27 +62,6 @@ def _pair(start, end, rate0, rate1, step, error, back, pull, spread):
         for j in range(6):
             back[i, j] *= -1.0
             pull[i, j] *= -step
-
-
-@jit("(f8[:,:,::1], f8[:,::1], i8[:,::1], f8[::1], f8[:,::1], f8[:,::1], b1)")
-def static_steps(pose, strain, nodes, step, psd, jump, rigid):
-    """Errors (M, 12) of steps that hold still, Jacobians (M, 12, 2, 12), whiteners (M, 12, 12)."""
-    m = len(step)
-    error, jacobian, info = np.empty((m, 12)), np.zeros((m, 12, 2, 12)), np.zeros((m, 12, 12))
-    back, pull, spread = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
-    middle, cov, unused = np.empty(6), np.empty((12, 12)), np.empty((6, 6))
-    for n in range(m):
-        a, b, h = nodes[n, 0], nodes[n, 1], step[n]
-        _pair(pose[a], pose[b], strain[a], strain[b], h, error[n], back, pull, spread)
-        out = jacobian[n]
-        for i in range(6):
-            for j in range(6):
-                out[i, 0, j], out[i, 0, 6 + j], out[i, 1, j] = back[i, j], pull[i, j], spread[i, j]
-            out[6 + i, 0, 6 + i], out[6 + i, 1, 6 + i] = -1.0, 1.0
-        middle_into(strain[a], strain[b], h, psd[n], jump[n], middle)
-        process_into(middle, h, psd[n], psd[n], jump[n], rigid, cov, unused)
-        pair_whiten_into(cov, info[n])
-    return error, jacobian, info
 
 
 @jit()
@@ -128,7 +107,7 @@ def weighted_steps(
     cov, carried_cov = np.empty((12, 12)), np.empty((6, 6))
     for n in range(m):
         a, b, h = nodes[n, 0], nodes[n, 1], step[n]
-        _pair(pose[a], pose[b], rates[a], rates[b], h, error[n], back, pull, spread)
+        pair_into(pose[a], pose[b], rates[a], rates[b], h, error[n], back, pull, spread)
         _carried(pose[a], pose[b], fields[a], fields[b], carried_at, rigid, lost[n], c0, c1)
         for i in range(6):
             for j in range(6):
@@ -198,7 +177,7 @@ def _onward(start, rate, offset, delta, pose, turn, back, pull):
 
 
 @jit()
-def _pair_point(start, end, rate0, rate1, step, offset, gain, at, pose, rate, turn, j0, j1):
+def pair_point_into(start, end, rate0, rate1, step, offset, gain, at, pose, rate, turn, j0, j1):
     """Pose and rate at `offset` into a step; their rows of the slopes (18, ·) by both ends.
 
     T(u) = T₀ exp(u rate₀) exp(δ), with [δ; δ_rate] = gain e, `gain` (12, 12); the slopes come as
@@ -207,7 +186,7 @@ def _pair_point(start, end, rate0, rate1, step, offset, gain, at, pose, rate, tu
     error, delta = np.empty(12), np.empty(12)
     slopes, bent = np.zeros((12, 24)), np.empty((12, 24))
     back, pull, curved = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 24))
-    _pair(start, end, rate0, rate1, step, error, back, pull, turn)
+    pair_into(start, end, rate0, rate1, step, error, back, pull, turn)
     for i in range(6):
         for j in range(6):
             slopes[i, j], slopes[i, 6 + j], slopes[i, 12 + j] = back[i, j], pull[i, j], turn[i, j]
@@ -224,20 +203,6 @@ def _pair_point(start, end, rate0, rate1, step, offset, gain, at, pose, rate, tu
             j0[at + i, j], j0[at + i, at + j] = bent[6 + i, j], bent[6 + i, 6 + j]
             j1[at + i, j], j1[at + i, at + j] = bent[6 + i, 12 + j], bent[6 + i, 18 + j]
         j0[at + i, at + i] += 1.0
-
-
-@jit("(f8[:,:,::1], f8[:,:,::1], f8[:,::1], f8[:,::1], f8[::1], f8[::1], f8[:,:,::1], i8, i8)")
-def pair_between(start, end, rate0, rate1, step, offset, gain, at, columns):
-    """Poses and rates inside steps; slopes (M, 18, columns) by both ends with those rows."""
-    m = len(step)
-    pose, rate, turn = np.empty((m, 4, 4)), np.empty((m, 6)), np.empty((6, 6))
-    j0, j1 = np.zeros((m, 18, columns)), np.zeros((m, 18, columns))
-    for n in range(m):
-        _pair_point(
-            start[n], end[n], rate0[n], rate1[n], step[n], offset[n], gain[n], at,
-            pose[n], rate[n], turn, j0[n], j1[n],
-        )  # fmt: skip
-    return pose, rate, j0, j1
 
 
 @jit()
@@ -273,7 +238,9 @@ def _carried_point(
     lost, c0, c1 = np.empty(6), np.empty((6, 18)), np.empty((6, 18))
     _carried(start, end, field0, field1, at, rigid, lost, c0, c1)
     apply_into(gain, lost, field)
-    left[at : at + 6, at : at + 6] = cov
+    for i in range(6):
+        for j in range(6):
+            left[at + i, at + j] = cov[i, j]
     product(gain, c0, j0[at : at + 6], 1.0, 1.0, False, False)
     product(gain, c1, j1[at : at + 6], 1.0, 1.0, False, False)
     if rigid:
@@ -303,7 +270,7 @@ def bridged(
             about[n], step[n], offset[n], psd[n], carried_psd[n], jump[n], rigid,
             gain, cov, carried_gain, carried_cov,
         )  # fmt: skip
-        _pair_point(
+        pair_point_into(
             start[n], end[n], rate0[n], rate1[n], step[n], offset[n], gain, at,
             pose[n], rate[n], turn, j0[n], j1[n],
         )  # fmt: skip

@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from glissando._kernels import process as kernels
+from glissando._kernels import process, transitions
 from glissando._kernels.arrays import items
 from glissando.errors import SensorError
 from glissando.geometry.se3 import Array
@@ -50,7 +50,7 @@ def sqrt_information(cov: Array) -> Array:
         LinAlgError: The covariance is not positive definite.
     """
     size = cov.shape[-1]
-    whitener: Array = kernels.sqrt_information(items(cov, cov.shape[:-2], size, size))
+    whitener: Array = process.sqrt_information(items(cov, cov.shape[:-2], size, size))
     return whitener.reshape(cov.shape)
 
 
@@ -62,7 +62,7 @@ def pair_sqrt_information(cov: Array) -> Array:
     Raises:
         LinAlgError: The covariance is not positive definite.
     """
-    whitener: Array = kernels.pair_sqrt_information(items(cov, cov.shape[:-2], 12, 12))
+    whitener: Array = transitions.pair_sqrt_information(items(cov, cov.shape[:-2], 12, 12))
     return whitener.reshape(cov.shape)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -117,8 +118,7 @@ def _batches(
     if not streams:
         return [[] for _ in blocks]
     streams = [parameters.relocated(r) for r in streams]
-    owner = np.repeat(np.arange(len(streams)), [len(r) for r in streams])
-    row = np.concatenate([np.arange(len(r)) for r in streams])
+    begins = np.cumsum([0, *map(len, streams)])
     arclength, time = _joined(streams)
     starts = [grid.time[block.start] for block in blocks]
     block_of = np.maximum(np.searchsorted(starts, time, side="right") - 1, 0)
@@ -128,8 +128,10 @@ def _batches(
         batches.append([])
         for points in sort_points(grid, arclength[in_block], time[in_block]):
             own = in_block[points.rows]
-            ends = np.cumsum(np.bincount(owner[own], minlength=len(streams)))
-            parts = np.split(row[own], ends[:-1])
+            ends = np.searchsorted(own, begins)
+            parts = (
+                own[a:b] - begin for (a, b), begin in zip(pairwise(ends), begins, strict=False)
+            )
             split = [
                 (j, at, r if at.size == len(r) else r.select(at))
                 for j, (r, at) in enumerate(zip(streams, parts, strict=True))

@@ -20,7 +20,9 @@ from glissando.model.sensors.parameter_process import ParameterValues
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import DOF, State
-from glissando.solver.located_readings import LocatedReadings
+from glissando.solver.located_readings import LocatedReadings, ReadingBatch
+
+_WAYS = ("arclength", "time")
 
 
 def measurement_factors(
@@ -40,7 +42,7 @@ def measurement_factors(
     """
     for batch in located.batches[block]:
         at = prior.interpolate(located.grid, state, noise_state, batch.points)
-        first = 0
+        first, slopes = 0, _slopes(prior, located, state, batch)
         for stream, rows, readings in batch.streams:
             mine = at.take(slice(first, first + len(readings)))
             first += len(readings)
@@ -48,21 +50,16 @@ def measurement_factors(
                 spread = _along(prior, located.grid, state, noise_state, readings)
                 yield stream, rows, _spanning_factor(readings, located, spread)
                 continue
-            parameters = located.parameters
-            moving = [p for p, _ in parameters.of(readings) if p.moves]
-            slopes = {
-                way: state_slope(prior, located.grid, state, readings, way)
-                for way in _ways(readings, moving)
-            }
-            yield stream, rows, _factor(readings, mine, parameters, slopes)
+            yield stream, rows, _factor(readings, mine, located.parameters, slopes[stream])
 
 
 def _factor(
     readings: Readings, at: Interpolation, parameters: ParameterValues, slopes: dict[str, Array]
 ) -> Factors:
     """Factors of readings at the states `at`, which have slopes (M, 18) along arclength or time."""
-    mine = parameters.of(readings)
-    now = parameters.at(readings.time) if mine else np.zeros((len(readings), 0))
+    mine, now, weights, left = parameters.of(readings), *np.zeros((3, len(readings), 0))
+    if mine:
+        now, weights, left = parameters.between(readings.time)
     corrected = parameters.corrected(readings, now)
     residual, by_state = _checked(corrected, at)
     cov = corrected.cov
@@ -75,7 +72,6 @@ def _factor(
         by_extras = np.zeros((*by_state.shape[:2], parameters.process.size))
         for columns, slope in _by_parameters(readings, corrected, at, by_state, mine, slopes, now):
             by_extras[..., columns] = slope
-        _, weights, left = parameters.process.between(readings.time)
         cov = cov + (by_extras * left[:, None]) @ np.swapaxes(by_extras, -1, -2)
         extras = (by_extras[:, :, None] * weights[:, None]).reshape(*residual.shape, -1)
     m, r = residual.shape
@@ -148,25 +144,43 @@ def _by_parameters(
             yield columns, np.einsum("mrd,md->mr", by_state, slope)[..., None]
 
 
-def _ways(readings: Readings, moving: Sequence[SensorParameter]) -> list[str]:
-    """Which slopes of the state readings need: along arclength, along time."""
-    kinds = {parameter.kind for parameter in moving}
-    uncertain = "arclength_offset" in kinds or np.any(readings.arclength_std)
-    return ["arclength"] * bool(uncertain) + ["time"] * ("time_offset" in kinds)
-
-
-def state_slope(prior: Prior, grid: Grid, state: State, readings: Readings, way: str) -> Array:
-    """Slope (M, 18) of the state along `way`, arclength or time, where readings were taken."""
-    nodes = getattr(grid, way)
-    nudge = 1e-6 * float(nodes[-1] - nodes[0])
-    centre, ends = getattr(readings, way), []
-    for sign in (1.0, -1.0):
-        place = np.clip(centre + sign * nudge, nodes[0], nodes[-1])
-        moved = readings.changed(**{way: place})
-        ends.append((place, states_at(prior, grid, state, moved.arclength, moved.time)))
-    (ahead, high), (behind, low) = ends
-    out: Array = high.difference(low) / (ahead - behind)[:, None]
+def _slopes(
+    prior: Prior, located: LocatedReadings, state: State, batch: ReadingBatch
+) -> dict[int, dict[str, Array]]:
+    """Slopes (M, 18) of the state that each stream of a batch needs, along arclength or time."""
+    out: dict[int, dict[str, Array]] = {stream: {} for stream, _, _ in batch.streams}
+    for way in _WAYS:
+        moved = [(i, r) for i, _, r in batch.streams if _is_moved(r, located, way)]
+        if moved:
+            place, when = (np.concatenate([getattr(r, n) for _, r in moved]) for n in _WAYS)
+            slopes = state_slope(prior, located.grid, state, place, when, way)
+            parts = np.split(slopes, np.cumsum([len(r) for _, r in moved])[:-1])
+            for (stream, _), part in zip(moved, parts, strict=True):
+                out[stream][way] = part
     return out
+
+
+def _is_moved(readings: Readings, located: LocatedReadings, way: str) -> bool:
+    """Whether it is uncertain where along `way` readings were taken."""
+    if readings.spans:
+        return False
+    if way == "arclength" and np.any(readings.arclength_std):
+        return True
+    return any(p.kind == f"{way}_offset" for p, _ in located.parameters.of(readings))
+
+
+def state_slope(
+    prior: Prior, grid: Grid, state: State, arclength: Array, time: Array, way: str
+) -> Array:
+    """Slope (M, 18) of the state along `way`, arclength or time, at points (M,) of the grid."""
+    nodes, points, m = getattr(grid, way), [arclength, time], time.size
+    nudge, along = 1e-6 * float(nodes[-1] - nodes[0]), _WAYS.index(way)
+    ends = np.concatenate([points[along] + nudge, points[along] - nudge])
+    ends = np.clip(ends, nodes[0], nodes[-1])
+    points[along], points[1 - along] = ends, np.tile(points[1 - along], 2)
+    at = states_at(prior, grid, state, *points)
+    rise = at.take(slice(m)).difference(at.take(slice(m, None)))
+    return np.asarray(rise / (ends[:m] - ends[m:])[:, None])
 
 
 def states_at(prior: Prior, grid: Grid, state: State, arclength: Array, time: Array) -> State:

@@ -9,7 +9,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from glissando._kernels import static_steps as still
 from glissando._kernels import steps as kernels
+from glissando._kernels import transitions
 from glissando._kernels.arrays import items, unflatten, whole
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Index
@@ -102,7 +104,7 @@ def static_steps(
     Returns:
         Errors, Jacobians (M, 12, 2, 12) by pose and strain of both ends, whiteners (M, 12, 12).
     """
-    error, jacobian, whitener = kernels.static_steps(
+    error, jacobian, whitener = still.static_steps(
         *map(whole, (flat.pose, flat.strain, nodes, step, psd, jump)), False
     )
     return error, jacobian, whitener
@@ -166,7 +168,7 @@ def pair_between(
     Returns:
         Pose (M, 4, 4), rate (M, 6), Jacobians (M, 18, dof) of a state with those two rows filled.
     """
-    pose, rate, j0, j1 = kernels.pair_between(
+    pose, rate, j0, j1 = transitions.pair_between(
         *map(whole, (start.pose, end.pose, direction.rate_of(start), direction.rate_of(end))),
         *map(whole, (step, offset, gain)), direction.rate.start, start.dof,
     )  # fmt: skip

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from glissando._kernels import process as kernels
+from glissando._kernels import transitions as kernels
 from glissando._kernels.arrays import items, unflatten
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array

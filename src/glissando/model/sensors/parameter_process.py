@@ -97,13 +97,18 @@ class ParameterValues:
         pairs = zip(self.process.each, self.process.columns, strict=True)
         return [(u, at) for u, at in pairs if readings.name in u.streams]
 
-    def at(self, time: Array) -> Array:
-        """Values (M, E) at times (M,)."""
-        nodes = self.process.grid.time
-        lower, weights, _ = self.process.between(np.clip(time, nodes[0], nodes[-1]))
+    def between(self, time: Array) -> tuple[Array, Array, Array]:
+        """Values (M, E) at times (M,), weights (M, 2, E) of nodes, leftover variance (M, E)."""
+        lower, weights, left = self.process.between(time)
         upper = np.minimum(lower + 1, len(self.values) - 1)
         off = self.values - self.process.mean
-        return self.process.mean + weights[:, 0] * off[lower] + weights[:, 1] * off[upper]
+        values = self.process.mean + weights[:, 0] * off[lower] + weights[:, 1] * off[upper]
+        return values, weights, left
+
+    def at(self, time: Array) -> Array:
+        """Values (M, E) at times (M,), held beyond the ends."""
+        nodes = self.process.grid.time
+        return self.between(np.clip(time, nodes[0], nodes[-1]))[0]
 
     def relocated(self, readings: Readings) -> Readings:
         """Readings where and when the parameters say they were taken, kept on the grid."""
