@@ -187,7 +187,7 @@ class FixedLagSmoother:
         window.begin(time, window.prior.rest_state(Grid(self.arclength, [time])).take(0))
         self._started = self._silence.curved = False
         if window.prior.fixes_base and not self._silence.has_rest:
-            window.solve(0, window.locate(0, []))
+            window.solve(0, [])
             self._silence.set_rest(self._spread(), float(self.arclength[-1]))
 
     def _spread(self) -> tuple[float, float]:
@@ -287,7 +287,7 @@ class FixedLagSmoother:
             first = max(0, len(window.nodes) - 2)
             readings = self._buffer.since(float(window.nodes.time[first]))
             with one_thread():
-                window.solve(first, window.locate(first, readings))
+                window.solve(first, readings)
         return window.posterior().at(arclength, time)
 
     def iterate(self, tolerance: float = 1e-9, most: int = 50) -> int:
@@ -304,7 +304,7 @@ class FixedLagSmoother:
         while moved >= tolerance and rounds < most:
             rounds += 1
             self._window.relinearize(0)
-            self._window.solve(0, self._update.located(0))
+            self._window.solve(0, self._update.readings(0))
             moved = float(np.abs(self._window.nodes.step).max())
         return rounds
 

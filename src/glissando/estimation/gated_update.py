@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections import Counter
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -14,7 +15,6 @@ from glissando.estimation.reading_buffer import ReadingBuffer
 from glissando.estimation.sliding_window import SlidingWindow
 from glissando.model.sensors.readings import Readings
 from glissando.solver.gauss_newton import SolverOptions
-from glissando.solver.located_readings import LocatedReadings
 
 _RENEWED = 2  # intervals before the newest node that an update linearises again
 _CLOSE = 0.02  # standard deviations: where the last step missed by less, the newest alone will do
@@ -85,10 +85,10 @@ class GatedUpdate:
         """
         window, before = self._window, self._window.points
         for again in range(_MOST + 1):
-            located, wrong, broke = self.located(first), None, None
+            readings, wrong, broke = self.readings(first), None, None
             try:
-                self._solve(first, located, _MOST)
-                wrong = self._most_wrong(located, fresh, first_look=not again) if fresh else None
+                self._solve(first, readings, _MOST)
+                wrong = self._most_wrong(readings, fresh, first_look=not again) if fresh else None
                 if wrong is None or again == _MOST:
                     return
             except (np.linalg.LinAlgError, UnobservableError) as error:
@@ -98,34 +98,32 @@ class GatedUpdate:
             if not linear:
                 raise LostError
             window.points = before
-            self._solve(first, located, 1)
-            wrong = self._most_wrong(located, fresh, first_look=False) or wrong
+            self._solve(first, readings, 1)
+            wrong = self._most_wrong(readings, fresh, first_look=False) or wrong
             if wrong is None:
                 raise broke or LostError
             self._refuse(*wrong)
             fresh[wrong[0].label] -= 1
             window.points = before
 
-    def located(self, first: int) -> LocatedReadings:
+    def readings(self, first: int) -> list[Readings]:
         """Readings at and after a node."""
-        begin = float(self._window.nodes.time[first])
-        return self._window.locate(first, self._buffer.since(begin))
+        return self._buffer.since(float(self._window.nodes.time[first]))
 
-    def _solve(self, first: int, located: LocatedReadings, most: int) -> None:
+    def _solve(self, first: int, readings: Sequence[Readings], most: int) -> None:
         """Linearise and solve from a node on until a step misses by little."""
         for _ in range(most):
             self._window.relinearize(first)
-            self._window.solve(first, located)
+            self._window.solve(first, readings)
             self._missed = self._window.miss(first)
             if self._missed < _MISS:
                 break
 
     def _most_wrong(
-        self, located: LocatedReadings, fresh: Counter[str], *, first_look: bool
+        self, streams: Sequence[Readings], fresh: Counter[str], *, first_look: bool
     ) -> tuple[Readings, int] | None:
         """Stream and row of the new reading that fits the others least, if it is beyond belief."""
         worst, wrong = 1.0, None
-        streams = located.streams
         for innovations in self._window.innovations([len(r) - fresh[r.label] for r in streams]):
             stream, nis, dof = streams[innovations.stream], innovations.nis, innovations.dof
             if first_look:

@@ -26,7 +26,7 @@ from glissando.model.sensors.parameter_process import EstimatedParameters
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import DOF, POSE, STRAIN, State
-from glissando.solver.located_readings import LocatedReadings, locate
+from glissando.solver.located_readings import locate
 from glissando.solver.measurement_factors import measurement_factors
 from glissando.solver.normal_equations import Layout, kernel_arguments
 from glissando.solver.outcome import Outcome
@@ -176,21 +176,21 @@ class SlidingWindow:
         still = np.zeros_like(self.nodes.step)
         self.nodes = replace(self.nodes, state=state, step=still)
 
-    def locate(self, first: int, readings: Sequence[Readings]) -> LocatedReadings:
-        """Readings of the nodes from `first` on and of the intervals after them, on their grid."""
-        values = self.nodes.parameters[first:]
-        return locate(self.grid(first), readings, self.sensor_parameters, values, keep_all=True)
+    def solve(self, first: int, readings: Sequence[Readings]) -> None:
+        """Linearise all that begins at the nodes from `first` on, eliminate, find every step.
 
-    def solve(self, first: int, located: LocatedReadings) -> None:
-        """Linearise all that begins at the nodes from `first` on, eliminate, find every step."""
-        self._linearize(first, located)
+        Args:
+            first: The node.
+            readings: All at and after it, a stream each, none empty.
+        """
+        self._linearize(first, readings)
         self.nodes = replace(self.nodes, step=self._system.solve(first))
         self._root = self._system.cholesky.inverse[-1].copy()
 
-    def _linearize(self, first: int, located: LocatedReadings) -> None:
+    def _linearize(self, first: int, readings: Sequence[Readings]) -> None:
         """Sum the factors of the intervals from `first` on. Source: equation (19)."""
-        nodes, grid = self.nodes.take(slice(first, None)), located.grid
-        located = located.moved(nodes.parameters - located.parameters.values)
+        nodes, grid = self.nodes.take(slice(first, None)), self.grid(first)
+        located = locate(grid, readings, self.sensor_parameters, nodes.parameters, keep_all=True)
         builder = self._system.builder(first)
         self._factors, self._first = [], first
         for i, times in enumerate(located.blocks):
@@ -200,8 +200,7 @@ class SlidingWindow:
                 builder.accumulate(factors[2])
                 self._factors.append(factors)
         if self._process.size:
-            drift = EstimatedParameters(grid, self.sensor_parameters).drift(nodes.parameters)
-            builder.accumulate_drift(*drift)
+            builder.accumulate_drift(*located.parameters.process.drift(nodes.parameters))
 
     def miss(self, first: int) -> float:
         """How far the last step may have missed, in standard deviations of the newest poses.

@@ -110,24 +110,31 @@ def by_parameters(
     Returns:
         A slope (M, r, size) for each parameter.
     """
-    kinds = [parameter.kind for parameter, _ in parameters]
-    slopes = []
-    for i, (parameter, x) in enumerate(parameters):
+    kinds = {parameter.kind for parameter, _ in parameters}
+    after = dict.fromkeys(kinds, np.eye(4))  # motions of a kind that come after a parameter's
+    slopes: list[Array] = []
+    for i, (parameter, x) in reversed(list(enumerate(parameters))):
         slope = None
-        if kinds.count(parameter.kind) == 1 and not {"frame", "bias"} <= set(kinds):
-            slope = _slope(parameter.kind, corrected, at, by_state, x)
+        if not {"frame", "bias"} <= kinds:
+            slope = _slope(parameter.kind, corrected, at, by_state, x, after)
         slopes.append(_differences(readings, at, parameters, i) if slope is None else slope)
-    return slopes
+    return slopes[::-1]
 
 
-def _slope(kind: str, readings: Readings, at: State, by_state: Array, x: Array) -> Array | None:
+def _slope(
+    kind: str, readings: Readings, at: State, by_state: Array, x: Array, after: dict[str, Array]
+) -> Array | None:
+    """Slope (M, r, size) by one parameter; its own motion joins those that come `after`."""
     if kind == "bias":
         return by_bias(readings, at, by_state)
+    later, own = after[kind], se3.exp(x)
     if kind == "frame":
-        moved, inner = by_frame(readings, at, by_state), se3.left_jacobian
+        moved, inner = by_frame(readings, at, by_state), se3.left_jacobian(x)
+        after[kind] = later @ own
     else:
-        moved, inner = by_mount(readings, at, by_state), se3.right_jacobian
-    return None if moved is None else moved @ inner(x)
+        moved, inner = by_mount(readings, at, by_state), se3.right_jacobian(x)
+        after[kind], later = own @ later, se3.inverse(later)
+    return None if moved is None else moved @ se3.adjoint(later) @ inner
 
 
 def _differences(
