@@ -1,8 +1,9 @@
-"""A process that compiles some kernels: `python -m glissando._kernels.compile NAME …`."""
+"""A process that compiles some kernels: `python -m glissando._kernels.compile CLAIMS NAME …`."""
 
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 
 from glissando._kernels import (  # noqa: F401  (importing them makes their kernels known)
     block_tridiagonal,
@@ -20,4 +21,4 @@ from glissando._kernels import (  # noqa: F401  (importing them makes their kern
 from glissando._kernels.jit import compile_named
 
 if __name__ == "__main__":
-    compile_named(sys.argv[1:])
+    compile_named(Path(sys.argv[1]), sys.argv[2:])

@@ -31,6 +31,7 @@ except ImportError:  # Windows: two processes at once may compile twice
 _KERNELS: list[Kernel] = []
 _LOCK = threading.RLock()
 _NOTICE, _AGAIN = 1.0, 5.0  # seconds of compiling until a person reads why, and between lines
+_PROCESSES = 4  # that compile at once, at most
 _SHARED = {"blas", "lie"}  # modules of what only kernels call
 _ALWAYS = ("block_tridiagonal", "normal_equations", "process", "se3", "sensors")
 
@@ -108,16 +109,19 @@ def load(module: str = "") -> None:
             kernel.function.__globals__[kernel.function.__name__] = kernel.compiled
 
 
-def compile_named(names: Sequence[str]) -> None:
-    """Compile some kernels into the cache: what `load` asks of a second process.
+def compile_named(claims: Path, names: Sequence[str]) -> None:
+    """Compile some kernels into the cache: what `load` asks of other processes.
 
     Args:
+        claims: Folder in which processes that share the work claim a kernel, each by a file.
         names: Full names of kernels that have signatures.
     """
     _dispatchers()
-    for kernel in _KERNELS:
-        if kernel.name in names:
-            kernel.compile()
+    kernels = {kernel.name: kernel for kernel in _KERNELS}
+    for name in names:
+        with suppress(FileExistsError):
+            (claims / name).touch(exist_ok=False)
+            kernels[name].compile()
 
 
 def _dispatchers() -> Path:
@@ -146,8 +150,8 @@ def _dispatchers() -> Path:
 def _compile_once(kernels: list[Kernel], folder: Path) -> None:
     """Compile the given signatures unless an earlier process did, with a word if it takes long.
 
-    Two processes compile and all others load, so that every process runs the same code: numba's
-    own varies in the last digit with what is in its cache.
+    Processes of their own compile and all others load, so that every process runs the same code:
+    numba's own varies in the last digit with what is in its cache.
     """
     if not _missing(kernels, folder):
         return
@@ -156,12 +160,12 @@ def _compile_once(kernels: list[Kernel], folder: Path) -> None:
     try:
         with _locked(folder):
             missing = _missing(kernels, folder)  # another process may have compiled meanwhile
-            half = (
-                (len(missing) + 1) * 2 // 5
-            )  # modules apart, as kernels of one share what they call
-            parts = [_compiling(names, folder) for names in (missing[:half], missing[half:])]
-            for process in filter(None, parts):
-                process.wait()
+            with tempfile.TemporaryDirectory(dir=folder) as claims:
+                count = min(os.cpu_count() or 1, _PROCESSES, len(missing))
+                starts = [i * len(missing) // count for i in range(count)]
+                for process in [_compiling(claims, missing, at, folder) for at in starts]:
+                    if process is not None:
+                        process.wait()
             for kernel in kernels:  # from the cache, or here if a process could not
                 kernel.compile()
             with suppress(OSError), (folder / "compiled").open("a", encoding="utf-8") as file:
@@ -188,11 +192,17 @@ def _locked(folder: Path) -> Iterator[None]:
         yield
 
 
-def _compiling(names: list[str], folder: Path) -> subprocess.Popen[bytes] | None:
-    """A process that compiles kernels into the cache; None inside a program that is no Python."""
-    if not names or "python" not in Path(sys.executable or "").name.lower():
+def _compiling(
+    claims: str, names: list[str], start: int, folder: Path
+) -> subprocess.Popen[bytes] | None:
+    """A process that compiles kernels into the cache; None inside a program that is no Python.
+
+    Each begins at another: kernels of one module share what they call.
+    """
+    if "python" not in Path(sys.executable or "").name.lower():
         return None
-    command = [sys.executable, "-m", "glissando._kernels.compile", *names]
+    names = names[start:] + names[:start]
+    command = [sys.executable, "-m", "glissando._kernels.compile", claims, *names]
     environment = {**os.environ, "GLISSANDO_CACHE": str(folder.parent)}
     nothing = subprocess.DEVNULL
     with suppress(OSError):
