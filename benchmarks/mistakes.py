@@ -31,10 +31,16 @@ from glissando.experiments import scenes
 from mistake_kinds import MISTAKES, Session
 
 TUNED_ON = {
-    "seeds": [*range(5000, 5200), *range(9000, 9200), *range(20000, 20200), *range(30000, 30100)],
+    "seeds": [
+        *range(5000, 5200),
+        *range(9000, 9200),
+        *range(20000, 20200),
+        *range(30000, 30100),
+        *range(40000, 40200),
+    ],
     "draws": range(0, 100),
 }
-REPORTED_ON = {"seeds": range(40000, 40400), "draws": range(1000, 1100)}
+REPORTED_ON = {"seeds": range(60000, 60400), "draws": range(1000, 1100)}
 """Seeds of simulated sessions and of random mistakes: thresholds were chosen on the former."""
 
 SHAPES = (*scenes.TUNED_ON, *scenes.REPORTED_ON)

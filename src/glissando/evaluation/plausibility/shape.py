@@ -15,8 +15,9 @@ from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
 from glissando.model.robot import Robot
 
-_KNOTS, _PIECES = 5, 12  # of strain along the robot, of its integration
-ROUNDS, _COARSE = 14, 5  # steps, of which the first trust readings less
+_KNOTS, _PIECES = 9, 12  # of strain along the robot, of its integration
+ROUNDS, _STAGES = 18, 6  # steps, in stages that trust more and more of the robot
+_AHEAD = 0.1  # of the trust, for readings beyond them
 _POSITION, _AXIS = 0.02, 0.12  # readings' std, of the length and rad; the model errs by less
 _BASE = np.repeat([0.01, 0.05], 3)  # the base's std, of the length and rad
 _AXES = np.stack([se3.hat3(-axis) for axis in np.eye(3)])  # of turns, on each body axis
@@ -96,13 +97,14 @@ class Rod:
         """The shapes that fit sightings best, by damped Gauss–Newton steps."""
         x = np.zeros((len(seen.place), len(self.information)))
         damping = np.full(len(x), 1e-2)
-        starts = {0: 0.2, _COARSE: 1.0}
-        if rounds > ROUNDS:  # from afar in smaller steps
-            starts = {0: 0.03, rounds // 4: 0.1, rounds // 2: 0.3, 3 * rounds // 4: 1.0}
+        stages = np.linspace(0, rounds, _STAGES, endpoint=False).astype(int)
         scale = np.array([1.0 / (_POSITION * self.length), *[1.0 / _AXIS] * 3])
         for step in range(rounds):
-            if step in starts:
-                weight = seen.weight * scale * starts[step]
+            if step in stages:  # from the base outwards: what comes next is never far off
+                edge = 1.01 * self.length * np.sum(stages <= step) / _STAGES
+                trust = np.where(seen.place <= edge, 1.0, _AHEAD)
+                weight = seen.weight * scale * trust[..., None]
+                damping[:] = 1e-2
                 here = self._linearized(x, seen, weight)
             _, cost, gradient, hessian = here
             diagonal = np.einsum("bii->bi", hessian)[..., None] * np.eye(x.shape[1])
@@ -163,14 +165,13 @@ class Rod:
         row = np.arange(len(x))[:, None]
         ahead = place - inside * step
         pose = edges[row, inside] @ se3.exp(ahead[..., None] * strain[row, inside])
-        by_piece = step * se3.adjoint(edges[:, 1:])[:, :, :, None] * self.blend[:, None, :, None]
-        by_piece = by_piece.reshape(len(x), _PIECES, 6, -1)  # twists in the world, (K, 6) columns
-        before = np.concatenate([np.zeros_like(by_piece[:, :1]), np.cumsum(by_piece, axis=1)], 1)
-        before = np.concatenate(
-            [np.broadcast_to(se3.adjoint(edges[:, 0])[:, None], (*edges.shape[:2], 6, 6)), before],
-            axis=-1,
-        )
-        slope = se3.adjoint(se3.inverse(pose)) @ before[row, inside]
+        twists = step * se3.adjoint(edges[:, 1:]).reshape(len(x), _PIECES, 36)  # in the world
+        before = (np.arange(_PIECES) < inside[..., None])[..., None, :] * self.blend.T
+        turned = before.reshape(len(x), -1, _PIECES) @ twists
+        turned = turned.reshape(*place.shape, _KNOTS, 6, 6).swapaxes(2, 3)
+        base = np.broadcast_to(se3.adjoint(edges[:, 0])[:, None], (*place.shape, 6, 6))
+        slope = np.concatenate([base, turned.reshape(*place.shape, 6, -1)], axis=-1)
+        slope = se3.adjoint(se3.inverse(pose)) @ slope
         own = (
             ahead[..., None, None, None]
             * np.eye(6)[:, None]
