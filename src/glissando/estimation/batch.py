@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,6 +30,7 @@ from glissando.solver.located_readings import locate
 
 _FAR = 3.0  # lengths of the robot: readings beyond are said to be why equations break down
 _ROUNDS = 5  # of solving and judging readings
+_ROUGH = 0.01  # standard deviations a number by which an estimate that is judged again may be off
 
 
 def estimate(
@@ -117,7 +119,9 @@ class _Problem:
                 raise
             raise far or SensorError("No shape of this robot comes near the readings.") from error
 
-    def solve(self, used: Sequence[Mask], initial: _Start) -> tuple[Posterior, Solution]:
+    def solve(
+        self, used: Sequence[Mask], initial: _Start, options: SolverOptions | None = None
+    ) -> tuple[Posterior, Solution]:
         """The posterior of the readings that are used, and where the iteration ended."""
         readings = [r.select(rows) for r, rows in zip(self.readings, used, strict=True)]
         clock, progress = Stopwatch(), self.progress
@@ -128,7 +132,9 @@ class _Problem:
             if start is None:
                 start, located, before = starting_point(self.prior, located, progress, clock)
             progress = _after(before, progress)
-            solution = minimize(self.prior, located, start, self.options, progress, clock)  # (19)
+            solution = minimize(  # (19)
+                self.prior, located, start, options or self.options, progress, clock
+            )
             evidence = _log_evidence(solution)  # (22)
             with clock("covariance"):
                 marginals = solution.cholesky.marginals(consume=True)  # (21)
@@ -146,23 +152,33 @@ class _Problem:
     def solve_without_refuted(
         self, posterior: Posterior, solution: Solution, used: list[Mask], gate: float
     ) -> tuple[Posterior, list[Mask]]:
-        """Judge readings and solve again until those used are those that no others refute."""
-        for _ in range(_ROUNDS):
-            kept = judged(posterior, solution, self.readings, used, gate)  # (25)
-            if all(map(np.array_equal, used, kept)):
-                break
-            start = solution.state, solution.located.parameters.by_name()
-            try:
-                posterior, solution = self.solve(kept, start)
-            except np.linalg.LinAlgError:  # of an estimate that had not converged
-                break
-            used = kept
+        """Judge readings and solve again until those used are those that no others refute.
+
+        Estimates that are judged again are rough.
+        """
+        first = used
+        tolerance = _ROUGH * float(np.sqrt(solution.equations.rhs.size))
+        rough = replace(self.options, tolerance=tolerance)
+        with suppress(np.linalg.LinAlgError):  # of an estimate that had not converged
+            for _ in range(_ROUNDS):
+                kept = judged(posterior, solution, self.readings, used, gate)  # (25)
+                if all(map(np.array_equal, used, kept)):
+                    break
+                posterior, solution = self.solve(kept, _end_of(solution), rough)
+                used = kept
+            if used is not first:
+                posterior, solution = self.solve(used, _end_of(solution))
         return posterior, used
 
     def left_out(self, used: Sequence[Mask]) -> dict[str, list[int]]:
         """Rows of each stream that were not used, of streams that have such rows."""
         pairs = zip(self.readings, used, strict=True)
         return {r.label: np.flatnonzero(~rows).tolist() for r, rows in pairs if not rows.all()}
+
+
+def _end_of(solution: Solution) -> _Start:
+    """Where a solution ended, to start from."""
+    return solution.state, solution.located.parameters.by_name()
 
 
 def _far_off(grid: Grid, prior: Prior, readings: Sequence[Readings]) -> SensorError | None:

@@ -23,10 +23,11 @@ from glissando.solver.normal_equations import system_shape
 from glissando.solver.outcome import Outcome
 
 WORTHWHILE = 1e-3  # share of the predicted fall in cost below which a step is refused
+_GOOD = 0.25  # share above which no other way to take the step is tried
 ROUNDING = 1e-11  # a fall in cost this small, relatively, cannot be told from rounding
 _SHORTER = (0.5, 0.2)  # parts of a refused step that are tried
 _SETTLED = 10  # iterations after which weights are fixed, so that the cost can only fall
-_ROUNDS = 5  # times they are renewed after that
+_CALMER = 0.5  # part of the step before above which steps do not shrink
 _IDLE = 3.0  # tolerances: a step this short that gains nothing ends the search
 _DAMPING = (1e-4, 1e8)  # smallest damping worth applying, and the one at which to give up
 _ROUGH = 10.0  # standard deviations a number that a rough start may be off by
@@ -129,31 +130,34 @@ def minimize(
             return linearize(prior, where[1], where[0], noise_state, workspace, weights)
 
     here, fixed, cholesky = at((start, located)), None, None
-    damping, iteration, rounds = 0.0, 0, 0
+    damping, iteration, length, after_renewal, last = 0.0, 0, np.inf, np.inf, False
     while True:
+        before = np.inf if damping else length
         with clock("solve"):
             cholesky, step, length, predicted = _step(here, damping, cholesky)
         iteration += 1
         if progress is not None:
             progress(iteration, here.cost_of(here), length)
-        candidates = _candidates(prior, here, step)
-        idle = length < _IDLE * options.tolerance
-        if idle and fixed is not None and fixed.state is here.state:
-            rounds = _ROUNDS  # to renew weights changes nothing worth another round
-        short = length < options.tolerance
-        fresh = fixed is None or fixed.state is here.state or rounds == _ROUNDS
-        if short and fresh and damping == 0.0:
-            end = next(candidates)[0]
+        # readings that move across nodes leave kinks in the cost, below any confidence: steps that
+        # no longer shrink are as short as they get
+        idle = not damping and length < _IDLE * options.tolerance
+        short = idle and (length < options.tolerance or length > _CALMER * before)
+        if fixed is here:
+            after_renewal, last = length, length > _CALMER * after_renewal
+        if short and (fixed is None or fixed is here or last):
+            end = next(_candidates(prior, here, step))[0]
             return Solution(*end, here, cholesky, Outcome.CONVERGED, iteration, length)
-        if iteration >= _SETTLED and (fixed is None or short) and rounds < _ROUNDS:
-            fixed, rounds = _renewed(here, fixed, at), rounds + 1
-        here, gain = _try_step(here, candidates, fixed, predicted, at)
-        # readings that move across nodes leave kinks in the cost, below any confidence
-        ended = Outcome.CONVERGED if idle and damping == 0.0 and not gain > WORTHWHILE else None
+        if short:
+            here = fixed = at((here.state, here.located))
+            continue
+        if iteration == _SETTLED:
+            fixed = here
+        here, gain = _try_step(here, _candidates(prior, here, step), fixed, predicted, at)
+        ended = Outcome.CONVERGED if idle and not gain > WORTHWHILE else None
         damping = _next_damping(damping, gain)
         if ended is None and damping > _DAMPING[1]:
             ended = Outcome.NO_DESCENT
-        elif ended is None and iteration == options.max_iterations:
+        elif ended is None and iteration >= options.max_iterations:
             ended = Outcome.ITERATION_LIMIT
         if ended is not None:
             cholesky = factor(here.system, cholesky)
@@ -187,16 +191,6 @@ def _candidates(prior: Prior, here: NormalEquations, step: Array) -> Iterator[tu
         yield (bent, located), part * (2.0 - part)
 
 
-def _renewed(
-    here: NormalEquations, fixed: NormalEquations | None, at: _Linearize
-) -> NormalEquations | None:
-    """The problem whose weights are fixed from now on: this one, if it has weights of its own."""
-    try:
-        return at((here.state, here.located), None)
-    except np.linalg.LinAlgError:
-        return fixed
-
-
 def _try_step(
     here: NormalEquations,
     candidates: Iterable[tuple[_Where, float]],
@@ -205,8 +199,8 @@ def _try_step(
     at: _Linearize,
 ) -> tuple[NormalEquations, float]:
     """The problem at the first candidate worth it, else as it was; and the share of the promise."""
-    cost = here.cost_of(here)
-    gain = -1.0
+    cost, best, best_gain = here.cost_of(here), (here.state, here.located), WORTHWHILE
+    gain, there = -1.0, here
     for candidate, share in candidates:
         try:
             there = at(candidate, fixed)
@@ -215,9 +209,12 @@ def _try_step(
         if predicted < ROUNDING * (1.0 + cost):
             return there, 1.0
         gain = (cost - here.cost_of(there)) / (share * predicted)
-        if gain > WORTHWHILE:
+        if gain > _GOOD:
             return there, gain
-    return at((here.state, here.located), fixed), gain
+        if gain > best_gain:
+            best, best_gain = candidate, gain
+    gain = best_gain if best_gain > WORTHWHILE else gain
+    return at(best, fixed), gain
 
 
 def _next_damping(damping: float, gain: float) -> float:

@@ -40,7 +40,7 @@ from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
 from glissando.solver.gauss_newton import SolverOptions
 
-_TIGHT = SolverOptions(max_iterations=10, tolerance=0.3)
+_TIGHT = SolverOptions(max_iterations=20, tolerance=1.0)
 _BAD = 1e3  # objective of a document that cannot be estimated
 _NUDGE = 0.05  # of a logarithm, for differences
 _GAIN = 1e-3  # gain a degree of freedom below which a step was idle
