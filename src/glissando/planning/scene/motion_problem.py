@@ -159,7 +159,7 @@ class MotionProblem:
         for c, sensor in enumerate(self.scene.sensors if self.senses else ()):
             own = self._white[c]
             for behind in sensor.behind:
-                at, weights = self._neighbours(values[:, first + c] - behind)
+                at, weights = self.neighbours(values[:, first + c] - behind)
                 near = shapes.body_twist[np.arange(len(values))[:, None], at]
                 both = (weights @ near.reshape(*near.shape[:2], -1)).reshape(
                     len(near), 2, *near.shape[2:]
@@ -182,7 +182,7 @@ class MotionProblem:
             for behind in sensor.behind:
                 part = by_rows[:, row : row + len(own)]
                 by_slides[:, c] += np.sum(part * slopes[:, row : row + len(own)], axis=(1, 2))
-                near, weights = self._neighbours(at.values[:, first + c] - behind)
+                near, weights = self.neighbours(at.values[:, first + c] - behind)
                 back = own.T @ part
                 np.add.at(by_twist, (moments, near), weights[:, 0, :, None, None] * back[:, None])
                 row += len(own)
@@ -193,8 +193,8 @@ class MotionProblem:
         """Whitened rows (r, 6) of each sensor by its pose, worth its readings of a moment."""
         return [sensor_rows(sensor, self.pause) for sensor in self.scene.sensors]
 
-    def _neighbours(self, arclength: Array) -> tuple[Index, Array]:
-        """Four places (K, 4) about arclengths (K,), and their weights and slopes (K, 2, 4)."""
+    def neighbours(self, arclength: Array) -> tuple[Index, Array]:
+        """Four places (M, 4) about arclengths (M,), and their weights and slopes (M, 2, 4)."""
         nodes = self.body.arclength
         last = nodes.size - 2
         lower = np.clip(np.searchsorted(nodes, arclength, side="right") - 1, 0, last)

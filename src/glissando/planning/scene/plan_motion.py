@@ -35,6 +35,8 @@ _FAR = 10.0  # of the cost, a constraint missed by its own size
 _WITHIN = 0.9  # of what the tip may miss a target by, squared, that a plan aims at
 _CLOSE = 1e-5  # of the cost, that an iteration must gain
 _BRIEF = 12  # iterations of each candidate
+_STRIDE = 1.0  # robot radii that a place may go between two moments
+_HALVINGS = 3  # of the time between moments at most
 _ROUNDS = 3  # of raising the allowance
 
 
@@ -122,7 +124,7 @@ def plan_motion(
         first = starts(problem, np.stack(reaches), seed)
         if warm_start is not None:
             first.insert(0, problem.space.follow(warm_start))
-        search = _Search(problem, problem.scene.delta * _SHARE)
+        search = Search(problem, problem.scene.delta * _SHARE)
         worth = [(search.merit(search.at(control)), k) for k, control in enumerate(first)]
         ranked = [first[k] for _, k in sorted(worth)[:candidates]]
         found = []
@@ -131,7 +133,24 @@ def plan_motion(
             if progress:
                 progress(part + 1, len(ranked) + _ROUNDS, f"cost {found[-1].cost:.4g}")
         best = search.improve(min(found, key=search.merit).control, iterations)
+        problem, best = _with_close_moments(problem, best, iterations)
         return _use_up(problem, best, iterations, seed, progress, len(ranked))
+
+
+def _with_close_moments(
+    problem: MotionProblem, best: Evaluation, iterations: int
+) -> tuple[MotionProblem, Evaluation]:
+    """The problem with so many moments that no place goes far between two, and its best motion."""
+    for _ in range(_HALVINGS):
+        step = np.linalg.norm(np.diff(best.shapes.place, axis=0), axis=-1).max()
+        if step <= _STRIDE * problem.scene.robot_radius:
+            break
+        moments = problem.space.moments
+        closer = np.linspace(moments[0], moments[-1], 2 * moments.size - 1)
+        problem = replace(problem, space=replace(problem.space, moments=closer))
+        search = Search(problem, problem.scene.delta * _SHARE)
+        best = search.improve(best.control, iterations)
+    return problem, best
 
 
 def _use_up(
@@ -156,7 +175,7 @@ def _use_up(
         if 0.7 * delta <= risk <= delta or (risk < delta and not binding) or part == _ROUNDS - 1:
             break
         allowed *= float(np.clip(_SHARE * delta / max(risk, 1e-4), 0.2, 3.0))
-        best = _Search(problem, allowed).improve(best.control, iterations)
+        best = Search(problem, allowed).improve(best.control, iterations)
     assert plan is not None
     return _checked(plan)
 
@@ -184,7 +203,7 @@ def _checked(plan: MotionPlan) -> MotionPlan:
 
 
 @dataclass
-class _Search:
+class Search:
     """A search for the motion of least cost whose bound of the risk is below `allowed`.
 
     Sequential quadratic programming: the limits of the actuators are linear, the risk and the

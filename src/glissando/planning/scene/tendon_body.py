@@ -137,6 +137,15 @@ class BodyShapes:
         """Poses (K, N, 4, 4) at the places."""
         return self._fine[:, ::2]
 
+    def pose_at(self, arclength: Array) -> Array:
+        """Poses (K, M, 4, 4) at arclengths (M,)."""
+        body = self.body
+        step = np.clip(np.searchsorted(body.arclength, arclength) - 1, 0, body.step.size - 1)
+        beyond = (arclength - body.arclength[step])[:, None] * self.balance.strain[
+            :, body.piece[step]
+        ]
+        return self.pose[:, step] @ se3.exp(beyond)
+
     @property
     def place(self) -> Array:
         """Positions (K, N, 3), m."""

@@ -1,0 +1,124 @@
+"""A tendon robot in foreign physics for `scenes.py`: it has inertia, and differs from its file.
+
+The wire keeps a set, tendons rub and have play, stiffness, angles and zeros are off, and it has
+weight: nothing of which the planner knows but what [tendons] says of errors in sum.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from glissando import CoilReadings
+from glissando.geometry import se3
+from glissando.simulation import Rod, Tendon
+from glissando.simulation.dynamics import Scenario, simulate_motion
+from glissando.simulation.imperfections import SmoothField
+
+PAUSE = 0.5  # s between corrections
+SET, SET_LENGTH = 0.35, 0.06  # rad/m, m
+FRICTION, PLAY, ZERO, ANGLE, STIFFNESS = 0.03, 1e-4, 1e-4, 0.02, 0.03
+MASS = 0.004  # kg/m
+PLACES, MOMENTS = 25, 4  # of the body, and of a pause, at which hits are looked for
+
+
+@dataclass
+class World:
+    """A simulated robot: `pull` moves it on, `read` is its coil, `clearance` the least so far."""
+
+    rod: Rod
+    tendons: list
+    stiffness: np.ndarray
+    zero: np.ndarray
+    scene: object
+    rng: np.random.Generator
+    time: float = 0.0
+    motion: object = None
+    reached: np.ndarray = None
+    clearance: float = np.inf
+
+    @staticmethod
+    def drawn(robot, scene, seed):
+        """The robot of a seed."""
+        rng, t = np.random.default_rng([seed, 7]), robot.tendons
+        bent = SmoothField.draw(rng, 1, 2, SET_LENGTH)
+
+        def rest(arclength):
+            strain = np.tile([0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (arclength.size, 1))
+            strain[:, 3:5] += SET * bent(arclength[:, None])
+            return strain
+
+        stiff = robot.mechanics.stiffness[0] * np.exp(STIFFNESS * rng.standard_normal())
+        rotary = MASS * np.array([1.0, 1.0, 2.0]) * 1e-5
+        rod = Rod(robot.length, stiff, rest, MASS, np.eye(4), rotary, retardation=0.03)
+        angle = t.angle + ANGLE * rng.standard_normal(len(t))
+        friction = FRICTION * rng.uniform()
+        tendons = [
+            Tendon(r * np.array([np.cos(a), np.sin(a)]), end, friction)
+            for r, a, end in zip(t.radius, angle, t.end, strict=True)
+        ]
+        return World(rod, tendons, t.stiffness, ZERO * rng.standard_normal(len(t)), scene, rng)
+
+    def pull(self, displacement):
+        """Go on for a pause, in which the tendons come evenly to displacements (T,)."""
+        half = 0.5 * PLAY
+        start = displacement if self.reached is None else self.reached
+        end = np.clip(start, displacement - half, displacement + half)
+        first, last = start + self.zero, end + self.zero
+
+        def pulled(time):
+            return first + min(max(time / PAUSE, 0.0), 1.0) * (last - first)
+
+        scenario = Scenario(
+            displacements=pulled, tendon_stiffness=self.stiffness, gravity=(0.0, 0.0, -9.81)
+        )
+        before = self.motion
+        begun = {} if before is None else {"mesh": before.mesh, "start": before.state[:2, -1]}
+        self.motion = simulate_motion(
+            self.rod, self.tendons, scenario, PAUSE, tolerance=1e-3, **begun
+        )
+        self.time, self.reached = self.time + PAUSE, end
+        s = np.linspace(0.0, self.rod.length, PLACES)
+        when = np.linspace(0.0, PAUSE, MOMENTS)[:, None]
+        place = self.motion.at(s, when).pose[..., :3, 3].reshape(-1, 3)
+        for obstacle in self.scene.obstacles:
+            clear = float(obstacle.distance(place)[0].min()) - self.scene.robot_radius
+            self.clearance = min(self.clearance, clear)
+
+    def read(self, sensor, first, last):
+        """Readings of the last pause of a coil that slid from one arclength to another."""
+        count = max(1, round(sensor.rate * PAUSE))
+        share = (np.arange(count) + 1.0) / count
+        place = first + share * (last - first)
+        pose = self.motion.at(place, share * PAUSE).pose
+        std = np.sqrt(np.diagonal(sensor.readings(pose, place, place).cov))
+        noise = np.pad(std * self.rng.standard_normal((count, std.size)), ((0, 0), (0, 1)))
+        return CoilReadings(
+            time=self.time - PAUSE * (1.0 - share),
+            arclength=place,
+            values=pose @ se3.exp(noise),
+            cov=sensor.cov,
+        )
+
+    @property
+    def tip(self):
+        """Where the tip is (3,), m."""
+        return self.motion.at(self.rod.length, PAUSE).pose[:3, 3]
+
+
+def run_loop(follower, world, senses=True):
+    """Follow a plan in the world to its end: least clearance, and the tip's miss, m."""
+    problem = follower.problem
+    count = len(problem.scene.tendons)
+    values = follower.command(0.0)
+    world.pull(values[:count])
+    world.time, world.clearance = 0.0, np.inf
+    for slide, sensor in enumerate(problem.scene.sensors if senses else ()):  # at rest before
+        follower.add(world.read(sensor, values[count + slide], values[count + slide]))
+    for k in range(1, round(problem.scene.horizon / PAUSE) + 1):
+        before, values = values, follower.command(k * PAUSE)
+        world.pull(values[:count])
+        follower.advance(k * PAUSE)
+        for slide, sensor in enumerate(problem.scene.sensors if senses else ()):
+            follower.add(world.read(sensor, before[count + slide], values[count + slide]))
+    target = problem.scene.targets[-1]
+    return world.clearance, float(np.linalg.norm(world.tip - target.position))

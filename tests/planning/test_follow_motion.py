@@ -1,0 +1,78 @@
+"""A plan in a loop: readings make the model error known, and commands correct for it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from glissando.geometry import se3
+from glissando.model.sensors.sensors import CoilReadings
+from glissando.planning.scene.follow import MotionFollower
+from glissando.planning.scene.plan_motion import MotionPlan
+from motion_scenes import COIL, any_problem
+
+
+def followed(seed, corrects):
+    """Errors of the places from the plan, and what was stated of them, of a robot off its model.
+
+    The robot is the model with an error of its own; its coil reads it twice a second.
+    """
+    rng = np.random.default_rng(seed)
+    problem, control = any_problem(rng, obstacles=[])
+    problem = replace(problem, body=replace(problem.body, time_scale=20.0))
+    evaluation = problem.evaluate(control)
+    root = np.linalg.cholesky(problem.belief.cov)
+    true = problem.belief.mean + root @ rng.standard_normal(len(root))
+    follower = MotionFollower(MotionPlan(problem, evaluation, 0.0, 0.0, 0.05))
+    std, body = (
+        np.sqrt(np.diagonal(COIL.readings(np.eye(4)[None], *np.zeros((2, 1))).cov)),
+        problem.body,
+    )
+    out = []
+    for k, time in enumerate(problem.space.moments):
+        values = follower.command(time)
+        shapes = body.shapes(values[None, :6], true[None])
+        off = shapes.place[0] - evaluation.shapes.place[k]
+        out.append((off, evaluation.cov[k]))
+        place = np.full(round(COIL.rate * problem.pause), values[6])
+        noise = np.pad(std * rng.standard_normal((place.size, 5)), ((0, 0), (0, 1)))
+        reading = shapes.pose_at(place[:1])[0] @ se3.exp(noise)
+        follower.advance(time)
+        drift = np.sqrt(1.0 - problem.kept**2) * rng.standard_normal(true.size)
+        moved = problem.kept * true + drift
+        if corrects:
+            follower.add(CoilReadings(time=np.full(place.size, time), arclength=place,
+                                      values=reading, cov=COIL.cov))  # fmt: skip
+        true = moved
+    return out, follower, true
+
+
+def test_readings_bring_the_robot_back_to_its_plan():
+    gained = []
+    for seed in range(6):
+        without, with_readings = (followed(seed, corrects)[0] for corrects in (False, True))
+        last = [np.linalg.norm(run[-1][0][-1]) for run in (without, with_readings)]
+        gained.append(last[1] / last[0])
+    assert np.median(gained) < 0.7
+
+
+def test_errors_from_the_plan_are_as_large_as_it_states():
+    squares = []
+    for seed in range(8):
+        for off, cov in followed(seed, True)[0][4::2]:
+            squares.append([off[-1] @ off[-1], np.trace(cov[-1])])
+    true, stated = np.sum(squares, axis=0)
+    assert 0.6 < true / stated < 1.6
+
+
+def test_commands_keep_the_limits_whatever_is_read():
+    _, follower, _ = followed(1, True)
+    follower.belief = replace(follower.belief, mean=5.0 * follower.belief.mean)
+    for time in np.linspace(0.0, 10.0, 15):  # beyond the end, without readings
+        values = follower.command(time)
+        tendons = follower.problem.scene.tendons
+        assert np.all(values[:6] >= [tendon.lower for tendon in tendons])
+        assert np.all(values[:6] <= [tendon.upper for tendon in tendons])
+    at_rest = follower.planned(20.0)
+    np.testing.assert_array_equal(at_rest, follower.planned(30.0))
+    assert at_rest == pytest.approx(follower.plan.evaluation.values[-1])
