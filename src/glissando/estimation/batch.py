@@ -16,6 +16,7 @@ from glissando.errors import (
     SensorError,
     UnobservableError,
 )
+from glissando.estimation.delays import with_unseen_delays
 from glissando.estimation.outliers import CHANCE, Mask, judged, used_at_first
 from glissando.estimation.posterior import Posterior, SolveReport
 from glissando.estimation.starting_point import starting_point, with_parameters
@@ -132,9 +133,9 @@ class _Problem:
             if start is None:
                 start, located, before = starting_point(self.prior, located, progress, clock)
             progress = _after(before, progress)
-            solution = minimize(  # (19)
-                self.prior, located, start, options or self.options, progress, clock
-            )
+            options = options or self.options
+            solution = minimize(self.prior, located, start, options, progress, clock)  # (19)
+            solution = with_unseen_delays(self.prior, solution, self.sensor_parameters, options)
             evidence = _log_evidence(solution)  # (22)
             with clock("covariance"):
                 marginals = solution.cholesky.marginals(consume=True)  # (21)

@@ -14,6 +14,7 @@ from glissando.model.interpolation import Points, sort_points
 from glissando.model.sensors.parameter_process import EstimatedParameters, ParameterValues
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.sensors.readings import Readings
+from glissando.model.state import State
 
 _FACTORS = 700  # prior factors linearised together: fewer waste calls, more outgrow the caches
 
@@ -48,6 +49,7 @@ class LocatedReadings:
         parameters: Values of the sensor parameters that are estimated.
         blocks: Runs of time nodes that are linearised together.
         batches: The readings of each block, by the part of a cell in which they lie.
+        motion: Nodes (K, N) by whose motion delays are seen; those linearised at unless given.
     """
 
     grid: Grid
@@ -55,6 +57,7 @@ class LocatedReadings:
     parameters: ParameterValues
     blocks: list[slice]
     batches: list[list[ReadingBatch]]
+    motion: State | None = None
 
     def moved(self, step: Array) -> LocatedReadings:
         """The readings after a step (K, E) of the sensor parameters, located anew if they move."""

@@ -153,7 +153,8 @@ def _slopes(
         moved = [(i, r) for i, _, r in batch.streams if _is_moved(r, located, way)]
         if moved:
             place, when = (np.concatenate([getattr(r, n) for _, r in moved]) for n in _WAYS)
-            slopes = state_slope(prior, located.grid, state, place, when, way)
+            motion = located.motion if way == "time" and located.motion is not None else state
+            slopes = state_slope(prior, located.grid, motion, place, when, way)
             parts = np.split(slopes, np.cumsum([len(r) for _, r in moved])[:-1])
             for (stream, _), part in zip(moved, parts, strict=True):
                 out[stream][way] = part

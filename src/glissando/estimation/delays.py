@@ -1,0 +1,89 @@
+"""What is known of delays: a motion dates only the readings that did not show it.
+
+Where all streams share a delay, a later motion explains their readings as well as this one: a prior
+that is the same at all times cannot tell. Gauss–Newton steps do not see that, as they leave out the
+curvature of the residuals, and would have the delay known from the motion that its own readings
+gave. So a delay is seen by the motion x₀ that streams without one give, and what is left of the
+motion, x − x₀, moves with it: with c = ∂(x − x₀)/∂t at the nodes, x = x′ + c d, and d enters the
+readings by ∂x₀/∂t alone. Streams that each have a delay of their own do not date one another.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+
+from glissando.errors import UnobservableError
+from glissando.geometry.se3 import Array
+from glissando.model.priors.prior import Prior
+from glissando.model.sensors.parameters import SensorParameter
+from glissando.model.state import State
+from glissando.solver.block_tridiagonal import BlockTridiagonal, factor
+from glissando.solver.gauss_newton import Solution, SolverOptions, Stopwatch, minimize
+from glissando.solver.linearize import linearize
+from glissando.solver.located_readings import locate
+from glissando.solver.normal_equations import system_shape
+
+
+def with_unseen_delays(
+    prior: Prior,
+    solution: Solution,
+    sensor_parameters: Sequence[SensorParameter],
+    options: SolverOptions,
+) -> Solution:
+    """A solution in which delays are known by what streams without one show, and no better.
+
+    Args:
+        prior: The prior.
+        solution: Where the iteration ended.
+        sensor_parameters: Parameters of the sensors.
+        options: When to stop the estimate from the streams without a delay.
+
+    Returns:
+        The solution with another information matrix, if a delay is estimated; else the same.
+    """
+    process = solution.located.parameters.process
+    delays = [c.start for p, c in zip(process.each, process.columns, strict=True) if _is_delay(p)]
+    if not delays:
+        return solution
+    others = [p for p in sensor_parameters if p.known or not _is_delay(p)]
+    late = {name for p in sensor_parameters if p not in others for name in p.streams}
+    streams = [r for r in solution.located.streams if r.name not in late]
+    grid, state = solution.located.grid, solution.state
+    motion = prior.rest_state(grid)
+    if streams:
+        with suppress(UnobservableError, np.linalg.LinAlgError):  # they show no motion
+            alone = locate(grid, streams, others)
+            motion = minimize(prior, alone, state, options, None, Stopwatch()).state
+    moving = replace(solution.located, motion=motion)
+    workspace = np.empty(system_shape(grid.time.size, state.numbers + process.size))
+    noise_state = solution.equations.noise_state
+    seen = linearize(prior, moving, state, noise_state, workspace, solution.equations.terms)
+    turn = np.tile(np.eye(state.numbers + process.size), (grid.time.size, 1, 1))
+    own = _slope(state, grid.time) - _slope(motion, grid.time)
+    for column in delays:
+        turn[:, : state.numbers, state.numbers + column] = -own.reshape(grid.time.size, -1)
+    system = _turned(seen.system, turn)
+    equations = replace(solution.equations, system=system)
+    return replace(solution, equations=equations, cholesky=factor(system, solution.cholesky))
+
+
+def _is_delay(parameter: SensorParameter) -> bool:
+    return parameter.kind == "time_offset" and not parameter.known
+
+
+def _slope(state: State, time: Array) -> Array:
+    """Slope (K, N, dof) of nodes along time, between their neighbours."""
+    k = np.arange(time.size)
+    before, after = np.maximum(k - 1, 0), np.minimum(k + 1, time.size - 1)
+    step = np.maximum(time[after] - time[before], np.finfo(float).tiny)
+    return state.take(after).difference(state.take(before)) / step[:, None, None]
+
+
+def _turned(system: BlockTridiagonal, turn: Array) -> BlockTridiagonal:
+    """The system (K slabs) in coordinates of which `turn` (K, D, D) gives the former ones."""
+    back = turn.swapaxes(-1, -2)
+    return BlockTridiagonal(back @ system.diagonal @ turn, back[1:] @ system.lower @ turn[:-1])

@@ -1,0 +1,68 @@
+"""A delay is known by the streams that do not have it, and by nothing else."""
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from glissando import PoseReadings, SensorParameter, estimate, load_robot
+from glissando.evaluation.prior_predictive import PriorPredictive
+from unknown_scenes import consistent
+
+ROBOT = Path(__file__).parents[2] / "benchmarks" / "sbc.toml"
+RATE, UNTIL, STD = 16.0, 1.5, 0.02
+NOISE = np.repeat([1e-3, 1e-2], 3) ** 2
+LATE = {"both": ("middle", "tip"), "tip": ("tip",), "middle": ("middle",)}
+
+
+@cache
+def scene(which):
+    """The delay, and sessions of two trackers that have it or not, drawn from the prior."""
+    robot = load_robot(str(ROBOT))
+    late = SensorParameter("late", "time_offset", LATE[which], np.zeros(1), np.array([STD]))
+    nodes = np.linspace(0.0, robot.length, 3)
+    robot = replace(robot, sensor_parameters=(late,), arclength_nodes=nodes, time_rate=RATE)
+    time = np.arange(0.1, UNTIL - 0.1, 1.0 / RATE)
+    layout = [
+        PoseReadings(
+            time=time,
+            arclength=np.full(time.size, place),
+            values=np.tile(np.eye(4), (time.size, 1, 1)),
+            cov=NOISE,
+            name=name,
+        )
+        for name, place in (("middle", robot.length / 2), ("tip", robot.length))
+    ]
+    return late, PriorPredictive(robot, robot.grid(0.0, UNTIL), layout)
+
+
+def estimated(which, seed, stated=STD, shift=0.0):
+    """The delay that was drawn, the estimated one and its standard deviation."""
+    late, predictive = scene(which)
+    session = predictive.draw(np.random.default_rng(seed))
+    readings = [r.changed(time=r.time + shift) for r in session.readings]
+    late = replace(late, std=np.array([stated]))
+    prior, grid = predictive.robot.prior, predictive.robot.grid(-0.3, UNTIL + 0.3)
+    posterior = estimate(prior, grid, readings, sensor_parameters=[late], gate=None)
+    values, cov = posterior.parameter("late")
+    middle = len(values) // 2
+    return session.parameters[0, 0], values[middle, 0], np.sqrt(cov[middle, 0, 0])
+
+
+@pytest.mark.parametrize(("stated", "shift"), [(0.02, 0.0), (0.2, 0.1)])
+def test_a_delay_that_all_streams_share_stays_as_uncertain_as_before(stated, shift):
+    _, value, std = estimated("both", 0, stated, shift)
+    assert std == pytest.approx(stated, rel=0.1)
+    assert abs(value) < stated
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("which", ["tip", "middle"])
+def test_a_delay_that_another_stream_shows_is_as_uncertain_as_stated(which):
+    drawn, values, std = np.array([estimated(which, seed) for seed in range(100, 114)]).T
+    squares = ((values - drawn) / std) ** 2
+    assert std.max() < STD / 2.0
+    assert consistent(squares, squares.size)
+    assert not consistent(9.0 * squares, squares.size)
