@@ -142,8 +142,8 @@ def test_a_document_that_cannot_be_estimated_is_a_bad_one_and_not_the_end(in_pro
     found = learn(document, of_label(document, "pose noise"), [case], steps=2)
     assert found.document["sensors"]["pose"]["std"][0] <= case.most
     assert found.after.value >= found.before.value
-    assert learning._evaluate(start(noise=1.0)) == learning._BAD
-    assert learning._evaluate(start(noise=0.3)) < learning._BAD
+    assert learning._evaluate(document, start(noise=1.0)) == learning._BAD
+    assert learning._evaluate(document, start(noise=0.3)) < learning._BAD
 
 
 def test_a_start_that_cannot_be_estimated_is_said_to_be(in_process):

@@ -11,9 +11,10 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table as Grid
 
-from glissando.calibration.robot.hyperparameters import Document, expanded, learnable
+from glissando.calibration.robot.case import RecordingCase
+from glissando.calibration.robot.hyperparameters import Document, Parameter, expanded, learnable
 from glissando.calibration.robot.joint_calibration import lasting, locate
-from glissando.calibration.robot.learn import Learned, RecordingCase, learn
+from glissando.calibration.robot.learn import Learned, learn
 from glissando.cli.learn_tendons import learn_from_tendons
 from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_command, names, parameter_text, write_robot
@@ -80,27 +81,9 @@ def _learn(options: argparse.Namespace) -> int:
     _require_writable(options)
     if any(s.rows.kind == "tendon" for r in recordings for s in r.streams.values()):
         return learn_from_tendons(recordings, document, options)
-    truth = options.truth or []
-    for flag in ("calibrate", "joint"):
-        if getattr(options, flag) and not truth:
-            raise GlissandoError(
-                f"--{flag} finds where the truth is mounted: name it with --truth."
-            )
-    if options.calibrate and options.joint:
-        raise GlissandoError("--joint and --calibrate find the same constants; give one of them.")
-    cases = [_case(recording, options, truth) for recording in recordings]
-    kinds = [
-        r.streams[name].rows.kind for r, c in zip(recordings, cases, strict=True) for name in c.use
-    ]
-    parameters = everything = learnable(document, kinds, alike=options.alike)
-    if options.only:
-        parameters = [p for p in parameters if _matches(p.label, options.only)]
-    if not parameters or options.steps < 1:
-        raise GlissandoError(
-            f"There is nothing to learn with --only {','.join(options.only or [])} and "
-            f"--steps {options.steps}; the numbers are: "
-            f"{'; '.join(p.label for p in everything)}."
-        )
+    _require_one_way(options)
+    cases = [_case(recording, options) for recording in recordings]
+    parameters = _parameters(document, cases, options)
     constants: tuple[SensorParameter, ...] = ()
     std: dict[str, Array] = {}
     with working("learning") as work:
@@ -108,7 +91,7 @@ def _learn(options: argparse.Namespace) -> int:
             work.begin("finding frames and mounts")
             first = cases[0]
             document, constants, std = locate(
-                document, recordings[0], first.window, first.use, truth
+                document, recordings[0], first.window, first.use, options.truth
             )
             work.begin("learning")
         result = learn(
@@ -138,6 +121,33 @@ def _learn(options: argparse.Namespace) -> int:
     return 0
 
 
+def _require_one_way(options: argparse.Namespace) -> None:
+    """Raise unless constants are found in one way, or in none, and there is truth to find them."""
+    for flag in ("calibrate", "joint"):
+        if getattr(options, flag) and not options.truth:
+            raise GlissandoError(
+                f"--{flag} finds where the truth is mounted: name it with --truth."
+            )
+    if options.calibrate and options.joint:
+        raise GlissandoError("--joint and --calibrate find the same constants; give one of them.")
+
+
+def _parameters(
+    document: Document, cases: list[RecordingCase], options: argparse.Namespace
+) -> list[Parameter]:
+    """The numbers to learn."""
+    kinds = [case.recording.streams[name].rows.kind for case in cases for name in case.use]
+    everything = learnable(document, kinds, alike=options.alike)
+    chosen = [p for p in everything if not options.only or _matches(p.label, options.only)]
+    if not chosen or options.steps < 1:
+        raise GlissandoError(
+            f"There is nothing to learn with --only {','.join(options.only or [])} and "
+            f"--steps {options.steps}; the numbers are: "
+            f"{'; '.join(p.label for p in everything)}."
+        )
+    return chosen
+
+
 def _matches(label: str, only: list[str]) -> bool:
     """Whether a number's name contains all words of one of those asked for."""
     return any(all(word in label for word in words.split()) for words in only)
@@ -151,8 +161,8 @@ def _require_writable(options: argparse.Namespace) -> None:
         raise GlissandoError(f"--out {out} is the file to start from; give another name.")
 
 
-def _case(recording: Recording, options: argparse.Namespace, truth: list[str]) -> RecordingCase:
-    held_out = options.hold_out or []
+def _case(recording: Recording, options: argparse.Namespace) -> RecordingCase:
+    truth, held_out = options.truth or [], options.hold_out or []
     both = set(truth) & set(held_out)
     if both:
         raise RecordingError(f"{', '.join(sorted(both))} cannot be learned from and held out.")

@@ -15,11 +15,11 @@ from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field
 from multiprocessing import get_context
-from typing import Protocol
 
 import numpy as np
 from scipy.optimize import minimize
 
+from glissando.calibration.robot.case import Case
 from glissando.calibration.robot.hyperparameters import Document, Parameter, moved
 from glissando.calibration.robot.predictive import (
     Score,
@@ -30,10 +30,8 @@ from glissando.calibration.robot.predictive import (
 from glissando.errors import GlissandoError, RecordingError
 from glissando.estimation.posterior import Posterior
 from glissando.geometry.se3 import Array
-from glissando.io.recording import Recording
 from glissando.io.robot_file import parse_robot
 from glissando.io.toml_table import Table
-from glissando.model.grid import Grid
 from glissando.model.robot import Robot
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.sensors.readings import Readings
@@ -47,19 +45,6 @@ _GAIN = 1e-3  # gain a degree of freedom below which a step was idle
 _IDLE = 3  # idle steps in a row that end the search
 _REACH = np.log(1e4)  # how far a number may move
 _PRIOR_STD = np.log(3.0)  # of a logarithm
-
-
-class Case(Protocol):
-    """Data to learn from: a grid, readings and truth that depend on the robot file."""
-
-    def grid(self, robot: Robot) -> Grid:
-        """The grid to estimate on."""
-
-    def readings(self, robot: Robot) -> list[Readings]:
-        """The sensors' readings."""
-
-    def truth(self, robot: Robot) -> list[Readings]:
-        """Truth to predict; empty to maximise the likelihood of the readings."""
 
 
 Watch = Callable[[int, float], None]
@@ -95,24 +80,27 @@ _Start = tuple[State | None, Sequence[tuple[SensorParameter, Array]]]
 
 @dataclass
 class Objective:
-    """Score of robot files on cases; the first estimate of each case starts all later ones.
+    """Score of robot files on cases; estimates of a centre start those of the files about it.
 
     Attributes:
         cases: The cases.
         calibrate: Whether frame and mounts of the truth are calibrated.
         constants: Frame, mounts and delays of the truth.
+        centre: The file that was scored as a centre last.
     """
 
     cases: Sequence[Case]
     calibrate: bool
     constants: tuple[SensorParameter, ...] = ()
+    centre: Document | None = None
     _starts: dict[int, _Start] = field(default_factory=dict)
 
-    def score(self, document: Document) -> Score:
+    def score(self, document: Document, *, centre: bool = False) -> Score:
         """Log-likelihood per degree of freedom of truth, else of the readings.
 
         Args:
             document: Robot file.
+            centre: Whether later estimates start from those of this file.
 
         Raises:
             GlissandoError: If the robot file is wrong or cannot be estimated.
@@ -120,6 +108,10 @@ class Objective:
         robot = parse_robot(Table(document, "learned", GlissandoError))
         readings = [self._readings(case, robot) for case in self.cases]
         posteriors = [self._estimate(i, robot, each) for i, each in enumerate(readings)]
+        if centre:
+            self.centre = document
+            ends = ((each.state, each.sensor_parameters) for each in posteriors)
+            self._starts = dict(enumerate(ends))
         truths = [case.truth(robot) for case in self.cases]
         if any(truths):
             return self._predictive(posteriors, truths)
@@ -158,9 +150,7 @@ class Objective:
     def _estimate(self, i: int, robot: Robot, readings: list[Readings]) -> Posterior:
         grid, parameters = self.cases[i].grid(robot), robot.sensor_parameters
         start = self._starts.get(i, (None, ()))
-        posterior = quiet_estimate(robot.prior, grid, readings, parameters, _TIGHT, *start)
-        self._starts.setdefault(i, (posterior.state, posterior.sensor_parameters))
-        return posterior
+        return quiet_estimate(robot.prior, grid, readings, parameters, _TIGHT, *start)
 
 
 _objective: Objective | None = None  # of a worker process
@@ -169,12 +159,14 @@ _objective: Objective | None = None  # of a worker process
 def _prepare(objective: Objective, document: Document) -> None:
     global _objective
     _objective = objective
-    _objective.score(document)
+    _objective.score(document, centre=True)
 
 
-def _evaluate(document: Document) -> float:
+def _evaluate(centre: Document, document: Document) -> float:
     assert _objective is not None
     try:
+        if centre != _objective.centre:
+            _objective.score(centre, centre=True)
         value = -_objective.score(document).value
     except (GlissandoError, np.linalg.LinAlgError):
         return _BAD
@@ -207,7 +199,7 @@ def learn(
     """
     parameters = list(parameters)
     objective = Objective(cases, calibrate, constants)
-    before = objective.score(document)
+    before = objective.score(document, centre=True)
     workers = min(os.cpu_count() or 1, 1 + len(parameters))
     spawned = get_context("spawn")
     with ProcessPoolExecutor(
@@ -233,7 +225,7 @@ class _EnoughError(Exception):
 
 @dataclass
 class _Search:
-    """Minus log posterior of the parameters, and its derivatives; all points at once."""
+    """Minus log posterior of the parameters, and its derivatives; the first point is the centre."""
 
     document: Document
     parameters: list[Parameter]
@@ -248,7 +240,8 @@ class _Search:
     def _all(self, points: Sequence[Array]) -> Array:
         documents = [moved(self.document, self.parameters, x) for x in points]
         prior = 0.5 * np.sum((np.array(points) / _PRIOR_STD) ** 2, axis=1)
-        return np.array(list(self.pool.map(_evaluate, documents))) + prior / self.independent
+        values = list(self.pool.map(_evaluate, [documents[0]] * len(documents), documents))
+        return np.array(values) + prior / self.independent
 
     def with_slope(self, x: Array) -> tuple[float, Array]:
         """The objective and its gradient (P,)."""
@@ -273,33 +266,3 @@ class _Search:
         ahead, behind = values[1 : 1 + x.size], values[1 + x.size :]
         curvature = (ahead + behind - 2.0 * values[0]) / (4.0 * _NUDGE) ** 2 * self.independent
         return np.where(curvature > 0.0, np.maximum(curvature, 1e-12) ** -0.5, np.inf)
-
-
-@dataclass(frozen=True)
-class RecordingCase:
-    """A window of a recording.
-
-    Attributes:
-        recording: The recording.
-        window: First and last time, s.
-        use: Streams to use.
-        predict: Truth streams to predict; none to maximise the evidence of those that are used.
-    """
-
-    recording: Recording
-    window: tuple[float, float]
-    use: Sequence[str]
-    predict: Sequence[str] = ()
-
-    def grid(self, robot: Robot) -> Grid:
-        """The robot's grid over the window."""
-        return robot.grid(*self.window)
-
-    def readings(self, robot: Robot) -> list[Readings]:
-        """The streams to use, inside the window."""
-        return self.recording.readings(self.use, robot, self.window)[0]
-
-    def truth(self, robot: Robot) -> list[Readings]:
-        """The streams to predict, inside the window."""
-        truth, _ = self.recording.readings(self.predict, robot, self.window, as_truth=True)
-        return [stream for stream in truth if len(stream)]

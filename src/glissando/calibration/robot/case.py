@@ -1,0 +1,55 @@
+"""What a robot file is learned from: a grid, readings and truth of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from glissando.io.recording import Recording
+from glissando.model.grid import Grid
+from glissando.model.robot import Robot
+from glissando.model.sensors.readings import Readings
+
+
+class Case(Protocol):
+    """Data to learn from: a grid, readings and truth that depend on the robot file."""
+
+    def grid(self, robot: Robot) -> Grid:
+        """The grid to estimate on."""
+
+    def readings(self, robot: Robot) -> list[Readings]:
+        """The sensors' readings."""
+
+    def truth(self, robot: Robot) -> list[Readings]:
+        """Truth to predict; empty to maximise the likelihood of the readings."""
+
+
+@dataclass(frozen=True)
+class RecordingCase:
+    """A window of a recording.
+
+    Attributes:
+        recording: The recording.
+        window: First and last time, s.
+        use: Streams to use.
+        predict: Truth streams to predict; none to maximise the evidence of those that are used.
+    """
+
+    recording: Recording
+    window: tuple[float, float]
+    use: Sequence[str]
+    predict: Sequence[str] = ()
+
+    def grid(self, robot: Robot) -> Grid:
+        """The robot's grid over the window."""
+        return robot.grid(*self.window)
+
+    def readings(self, robot: Robot) -> list[Readings]:
+        """The streams to use, inside the window."""
+        return self.recording.readings(self.use, robot, self.window)[0]
+
+    def truth(self, robot: Robot) -> list[Readings]:
+        """The streams to predict, inside the window."""
+        truth, _ = self.recording.readings(self.predict, robot, self.window, as_truth=True)
+        return [stream for stream in truth if len(stream)]
