@@ -11,6 +11,7 @@ from glissando.solver.block_tridiagonal import BlockTridiagonal, Cholesky, facto
 from glissando.solver.normal_equations import Layout, NormalEquationsBuilder
 
 _ROOM = 8  # slabs that memory is made for at first
+_BEGIN, _END, _ACROSS, _DIAGONAL, _INVERSE, _COUPLING = range(6)  # blocks of a slab, in memory
 
 
 class WindowSystem:
@@ -28,7 +29,7 @@ class WindowSystem:
 
     def __init__(self, layout: Layout, info: Array, rhs: Array) -> None:
         self.layout, self.info, self.rhs = layout, info, rhs
-        self._blocks = np.empty((6, _ROOM, layout.size, layout.size))
+        self._blocks = np.empty((_COUPLING + 1, _ROOM, layout.size, layout.size))
         self._vectors = np.empty((2, _ROOM, layout.size))
         self._first = self._stop = self.intact = 0
 
@@ -45,29 +46,26 @@ class WindowSystem:
         """One slab more, of which nothing is known yet."""
         if self._stop == self._blocks.shape[1]:
             used, count = slice(self._first, self._stop), len(self)
-            room = max(_ROOM, 4 * count)
-            for name in ("_blocks", "_vectors"):
-                before = getattr(self, name)
-                after = np.empty((len(before), room, *before.shape[2:]))
-                after[:, :count] = before[:, used]
-                setattr(self, name, after)
+            room = max(self._stop, 4 * count)
+            self._blocks = _moved(self._blocks, used, room)
+            self._vectors = _moved(self._vectors, used, room)
             self._first, self._stop = 0, count
         self._stop += 1
 
-    def _used(self, which: int, fewer: int = 0) -> Array:
-        """Blocks of one kind, without the last `fewer`."""
-        return self._blocks[which, self._first : self._stop - fewer]
+    def _used(self, which: int) -> Array:
+        """Blocks of one kind; those that couple slabs are one fewer."""
+        return self._blocks[which, self._first : self._stop - (which in (_ACROSS, _COUPLING))]
 
     def builder(self, first: int) -> NormalEquationsBuilder:
         """What sums the intervals from slab `first` on anew."""
         self.intact = min(self.intact, first)
         rhs_begin, rhs_end = self._vectors[:, self._first + first : self._stop]
-        begin, end, across = (self._used(i, i == 2)[first:] for i in range(3))
+        begin, end, across = (self._used(i)[first:] for i in (_BEGIN, _END, _ACROSS))
         return NormalEquationsBuilder(self.layout, begin, end, across, rhs_begin, rhs_end)
 
     def system(self, first: int = 0) -> tuple[BlockTridiagonal, Array]:
         """The normal equations from slab `first` on, in memory that is used again; all of rhs."""
-        begin, end, across, diagonal = (self._used(i, i == 2) for i in range(4))
+        begin, end, diagonal = (self._used(i) for i in (_BEGIN, _END, _DIAGONAL))
         rhs_begin, rhs_end = self._vectors[:, self._first : self._stop]
         diagonal[first:] = begin[first:]
         diagonal[max(first, 1) :] += end[max(first, 1) - 1 : -1]
@@ -76,12 +74,12 @@ class WindowSystem:
         rhs[0] += self.rhs
         if not first:
             diagonal[0] += self.info
-        return BlockTridiagonal(diagonal, across), rhs
+        return BlockTridiagonal(diagonal, self._used(_ACROSS)), rhs
 
     @property
     def cholesky(self) -> Cholesky:
         """The factor."""
-        return Cholesky(self._used(4), self._used(5, 1))
+        return Cholesky(self._used(_INVERSE), self._used(_COUPLING))
 
     def solve(self, first: int) -> Array:
         """Eliminate from slab `first` on, where sums are new; the solution (K, D)."""
@@ -93,8 +91,16 @@ class WindowSystem:
     def drop(self) -> None:
         """Leave the oldest slab behind, as a prior on the next. Source: equation (20)."""
         rhs_begin, rhs_end = self._vectors[:, self._first]
-        inverse, coupling = self._blocks[4:, self._first]
+        inverse, coupling = self._blocks[_INVERSE:, self._first]
         solved = inverse @ (self.rhs + rhs_begin)
-        self.info = self._blocks[1, self._first] - coupling.T @ coupling
+        self.info = self._blocks[_END, self._first] - coupling.T @ coupling
         self.rhs = rhs_end - coupling.T @ solved
         self._first, self.intact = self._first + 1, self.intact - 1
+
+
+def _moved(memory: Array, used: slice, room: int) -> Array:
+    """Memory for `room` slabs that begins with those which are used: the same, if it is enough."""
+    count = used.stop - used.start
+    out = memory if room == memory.shape[1] else np.empty((len(memory), room, *memory.shape[2:]))
+    out[:, :count] = memory[:, used]
+    return out
