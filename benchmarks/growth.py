@@ -39,9 +39,9 @@ A coil slides along the two-segment robot, base and gyroscope are read. Processo
 thread of {machine}, {day}, medians of up to {runs} runs; written by
 `python benchmarks/growth.py`. The floor is what factor and covariances of the block-tridiagonal
 system would cost at the rate of matrix products of its blocks on the same machine; linearising
-comes on top. An estimate is linear in time
-nodes and in readings; in arclength nodes it is cubic once blocks are large. What an update costs at
-few arclength nodes is the cost of calls on small arrays.
+comes on top. An estimate is linear in time nodes and in readings; in arclength nodes it is cubic
+once blocks are large. What an update costs at few arclength nodes is the cost of calls on small
+arrays.
 """
 
 
@@ -119,6 +119,8 @@ def draw(found, path):
     for plot, (panel, rows) in zip(axes, found.items(), strict=True):
         for key, style in (("seconds", "o-"), ("floor", "k--")):
             plot.loglog(list(rows), [row[key] for row in rows.values()], style, label=key)
+        plot.set_xticks(list(rows), [f"{amount:,}" for amount in rows], rotation=40, minor=False)
+        plot.minorticks_off()
         plot.set(xlabel=panel, ylabel="s")
     axes[0].legend(frameon=False)
     figure.savefig(path, dpi=110, metadata={"Software": None})
