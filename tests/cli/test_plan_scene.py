@@ -54,6 +54,7 @@ MISTAKES = [
     ('kind = "sphere"', 'kind = "ball"', "give one of sphere, capsule, box, half-space, mesh"),
     ("radius = 0.012", "radios = 0.012", "radius is missing"),
     ("upper = 0.006", "upper = 6", "give metres of displacement, not millimetres"),
+    ("speed = 0.002", "speed = 2", "speed is 2; give metres and seconds, 1 at most"),
     ("reach = [0.06, 0.18]", "reach = [60, 180]", "give two arclengths on it, in metres"),
     ("[[targets]]", "[[goals]]", "[[targets]] is missing"),
     ("rounding = 0.003", "rounding = 0.03", "a rounding of half the least size at most"),

@@ -1,7 +1,7 @@
-"""The best motion of a scene: starts of several kinds, descent within limits, risk as promised.
+"""The best motion of a scene: starts of several kinds, each improved, at the risk that is allowed.
 
-The risk is held by a penalty on its logarithm over the largest that is allowed; its bound errs on
-the careful side, so it is sampled at the end and the allowance raised until the risk is used up.
+What the search holds is a bound of the risk, which errs on the careful side; so the risk is sampled
+at the end, and the bound allowed to be as much larger as leaves the risk what it may be.
 """
 
 from __future__ import annotations
@@ -30,13 +30,14 @@ Progress = Callable[[int, int, str], None]
 
 _SPACING = 1.5  # robot radii between two places of the body, at most
 _PLACES = 30  # of them at most over the whole body
+_PIECES = 12  # of a path, unless that makes them shorter than a second
 _SHARE = 0.9  # of the allowed risk that a plan aims at
 _FAR = 10.0  # of the cost, a constraint missed by its own size
 _WITHIN = 0.9  # of what the tip may miss a target by, squared, that a plan aims at
 _CLOSE = 1e-5  # of the cost, that an iteration must gain
 _BRIEF = 12  # iterations of each candidate
 _STRIDE = 1.0  # robot radii that a place may go between two moments
-_HALVINGS = 3  # of the time between moments at most
+_HALVINGS = 4  # of the time between moments at most
 _ROUNDS = 3  # of raising the allowance
 
 
@@ -79,7 +80,7 @@ class MotionPlan:
 
 def motion_problem(
     scene: Scene, robot: Robot, belief: ErrorBelief | None = None, *,
-    step: float = 1.0, moment: float = 0.25, senses: bool = True,
+    step: float | None = None, moment: float = 0.25, senses: bool = True,
     start: Array | None = None, speed: Array | None = None,
 ) -> MotionProblem:  # fmt: skip
     """The problem of a scene for a robot.
@@ -88,7 +89,7 @@ def motion_problem(
         scene: The scene.
         robot: The robot, with [tendons] and a mechanical prior.
         belief: What is known of the model error; nothing but what [tendons] states unless given.
-        step: Duration of a piece of the paths, s.
+        step: Duration of a piece of the paths, s; by default a twelfth of the horizon, or 1 s.
         moment: Largest time between moments at which a motion is judged, s.
         senses: Whether readings to come are counted on.
         start: Where the actuators (C,) are; where the scene starts unless given.
@@ -97,6 +98,7 @@ def motion_problem(
     spacing = max(_SPACING * scene.robot_radius, robot.length / _PLACES)
     body = tendon_body(robot, spacing)
     belief = belief or ErrorBelief.unknown(body.errors)
+    step = step or max(1.0, scene.horizon / _PIECES)
     space = motion_space(scene, step, moment, start, speed)
     return MotionProblem(scene, body, belief, space, senses)
 
@@ -125,8 +127,8 @@ def plan_motion(
         if warm_start is not None:
             first.insert(0, problem.space.follow(warm_start))
         search = Search(problem, problem.scene.delta * _SHARE)
-        worth = [(search.merit(search.at(control)), k) for k, control in enumerate(first)]
-        ranked = [first[k] for _, k in sorted(worth)[:candidates]]
+        worth = [search.value(control) for control in first]
+        ranked = [first[k] for k in np.argsort(worth, kind="stable")[:candidates]]
         found = []
         for part, control in enumerate(ranked):
             found.append(search.improve(control, _BRIEF))
@@ -219,6 +221,13 @@ class Search:
         over = max(0.0, self.problem.log_risk(at) - float(np.log(self.allowed)))
         far = np.maximum(np.sqrt(self.problem.misses(at)) - 1.0, 0.0)
         return at.cost + _FAR * (over + float(far.sum()))
+
+    def value(self, control: Array) -> float:
+        """The merit of a motion; infinite where the robot has no shape."""
+        try:
+            return self.merit(self.at(control))
+        except NoShapeError:
+            return np.inf
 
     def at(self, control: Array) -> Evaluation:
         """What a motion is worth; that of the last one if it is the same."""

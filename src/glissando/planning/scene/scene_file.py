@@ -26,6 +26,7 @@ from glissando.planning.scene.obstacles import (
 from glissando.planning.sliding_sensor import SlidingSensor
 
 _FAR = 10.0  # m, beyond which a length was given in another unit
+_FAST, _SHARP = 1.0, 50.0  # m/s and m/s², beyond which a unit is another
 _WIDE = 0.1  # m, of a robot's radius likewise
 
 
@@ -216,7 +217,7 @@ def _tendons(table: Table, count: int, length: float) -> list[Actuator]:
     assert limits is not None
     lower, upper, start = (_each(limits, key, count, default) for key, default in
                            (("lower", 0.0), ("upper", None), ("start", 0.0)))  # fmt: skip
-    speed, acceleration = limits.number("speed"), limits.number("acceleration")
+    speed, acceleration = _quickness(limits)
     limits.close()
     if max(np.abs(lower).max(), np.abs(upper).max()) > 0.2 * length:
         raise limits.fail(
@@ -243,6 +244,15 @@ def _each(table: Table, key: str, count: int, default: float | None) -> Array:
     return np.full(count, table.number(key, default, positive=False))
 
 
+def _quickness(table: Table) -> tuple[float, float]:
+    """Largest speed, m/s, and acceleration, m/s²."""
+    values = table.number("speed"), table.number("acceleration")
+    for key, value, most in zip(("speed", "acceleration"), values, (_FAST, _SHARP), strict=True):
+        if value > most:
+            raise table.fail(key, f"is {value:g}; give metres and seconds, {most:g} at most.")
+    return values
+
+
 def _slide(table: Table, robot: Robot) -> tuple[Actuator, SlidingSensor]:
     kind, rate = table.text("kind", "coil"), table.number("rate", 40.0)
     if kind not in robot.sensor_std:
@@ -259,7 +269,7 @@ def _slide(table: Table, robot: Robot) -> tuple[Actuator, SlidingSensor]:
     start = table.number("start", float(reach[1]), positive=False)
     if not reach[0] <= start <= reach[1]:
         raise table.fail("start", f"is {start:g} m, outside its reach {reach.tolist()} m.")
-    speed, acceleration = table.number("speed"), table.number("acceleration")
+    speed, acceleration = _quickness(table)
     table.close()
     return Actuator(float(reach[0]), float(reach[1]), speed, acceleration, start), sensor
 
