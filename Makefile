@@ -1,7 +1,9 @@
-# Two commands do everything, their own set-up included: `make reproduce` and `make test`.
+# Three commands do everything, their own set-up included: `make reproduce`, `make test` and, before
+# a release, `make release`.
 
 VENV := .venv
 BIN := $(VENV)/bin
+TOOLS := .release
 READY := $(VENV)/.ready
 OUT ?= results
 
@@ -14,7 +16,7 @@ WINDOW ?= $(if $(filter $(PUBLIC),$(RECORDING)),19 29)
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: reproduce test lint check-types check-layers docs pytest bench picture clean
+.PHONY: reproduce release lock test lint check-types check-layers promises docs pytest bench picture clean
 
 reproduce: $(READY)
 	$(BIN)/glissando reproduce --out $(OUT)
@@ -22,7 +24,7 @@ reproduce: $(READY)
 	$(BIN)/glissando simulate --shape S --slide oscillate --out $(OUT)/simulated
 	$(BIN)/glissando estimate $(RECORDING) $(if $(WINDOW),--window $(WINDOW)) --out $(OUT)/estimate
 
-test: lint check-types check-layers docs pytest
+test: lint check-types check-layers promises docs pytest
 
 lint: $(READY)
 	$(BIN)/ruff check .
@@ -34,6 +36,10 @@ check-types: $(READY)
 
 check-layers: $(READY)
 	$(BIN)/lint-imports --no-cache
+
+# Every public promise and the tests that show it; one without is an error.
+promises: $(READY)
+	$(BIN)/python tests/support/promises.py
 
 # The site, from the pages in docs/ and the docstrings, in site/; a warning is an error.
 docs: $(READY)
@@ -52,6 +58,19 @@ picture: $(READY)
 	$(BIN)/glissando reproduce --out docs/reproduction
 	$(BIN)/python benchmarks/tutorials.py
 
+# What is committed, built twice and tried out: see docs/release.md.
+release: $(TOOLS)/.ready
+	$(TOOLS)/bin/python release/check.py
+
+# The tested set of packages and its bill of materials, anew.
+lock: $(TOOLS)/.ready
+	$(TOOLS)/bin/python release/lock.py
+
+$(TOOLS)/.ready: release/tools.txt
+	python3 -m venv $(TOOLS)
+	$(TOOLS)/bin/python -m pip install --quiet --requirement release/tools.txt
+	touch $@
+
 $(READY): pyproject.toml
 	python3 -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip
@@ -59,4 +78,4 @@ $(READY): pyproject.toml
 	touch $(READY)
 
 clean:
-	rm -rf $(VENV) $(OUT) site
+	rm -rf $(VENV) $(TOOLS) $(OUT) dist site

@@ -2,7 +2,8 @@
 
 Pages link to source files by path, [`se3.exp`](../src/glissando/geometry/se3.py). In the site
 such a link leads to the entry of the function in the reference. Any other linked file outside
-docs/ becomes a page of its own. The page commands.md is made of the parsers of the command line.
+docs/ becomes a page of its own. The page commands.md is made of the parsers of the command line,
+promises.md of tests/promises.toml.
 Equations, $…$ and $$…$$ in LaTeX, become MathML here, which browsers show by themselves: nothing is
 fetched, and nothing runs in the page.
 """
@@ -10,6 +11,7 @@ fetched, and nothing runs in the page.
 import argparse
 import posixpath
 import re
+import runpy
 from pathlib import Path
 
 import griffe
@@ -30,8 +32,10 @@ def _outside(page, target):
 
 
 def on_files(files, config):
-    """Add the page of commands, and one for each file outside docs/ and src/ that is linked to."""
+    """Add the pages that are made, and one for each file outside docs/ and src/ that is linked."""
     files.append(File.generated(config, "commands.md", content=commands_page()))
+    promises = runpy.run_path(str(_ROOT / "tests" / "support" / "promises.py"))
+    files.append(File.generated(config, "promises.md", content=promises["matrix_page"]()))
     linked = set()
     for page in files.documentation_pages():
         found = (_outside(page.src_uri, target) for _, target in _LINK.findall(page.content_string))

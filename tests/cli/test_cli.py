@@ -240,3 +240,19 @@ def test_an_old_name_in_a_robot_file_is_one_line_and_no_mistake(tmp_path, record
     assert run("estimate", recording, *robot, "--window", 0, 1, "--json") == 0
     line = 'glissando: old.toml: kind = "kinematic" is now kind = "white-noise"; rename it.\n'
     assert capsys.readouterr().err == line
+
+
+def test_ctrl_c_in_a_kernel_is_an_interruption(recording, monkeypatch, capsys):
+    """numba makes a SystemError of it, whose cause is the interruption."""
+
+    def interrupted(*_):
+        raise SystemError("returned a result with an exception set") from KeyboardInterrupt()
+
+    monkeypatch.setattr("glissando.cli.estimate.recording_and_robot", interrupted)
+    assert run("estimate", recording) == 130
+    assert capsys.readouterr().err == "glissando: interrupted\n"
+    monkeypatch.setattr(
+        "glissando.cli.estimate.recording_and_robot", lambda _: exec("raise SystemError")
+    )
+    with pytest.raises(SystemError):
+        run("estimate", recording)

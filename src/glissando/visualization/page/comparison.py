@@ -211,7 +211,6 @@ def _setting(report: dict[str, Any]) -> Iterable[tuple[str, str]]:
         yield "nodes", "{} times × {} arclengths".format(*report["nodes"])
     if "log_evidence" in report:  # an estimate of our own
         yield "log evidence", f"{report['log_evidence']:.1f}"
-        yield "processor time (s)", f"{report['seconds']['total']:.2f}"
     for name, count in report["readings"].items():
         reasons = report["dropped"].get(name, {})
         lost = "".join(f", {n} {reason} dropped" for reason, n in reasons.items())
