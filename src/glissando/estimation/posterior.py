@@ -54,7 +54,7 @@ class SolveReport:
     cost: float
     log_evidence: float
     suspects: int
-    seconds: dict[str, float]
+    seconds: dict[str, float] = field(compare=False)
     refused: dict[str, list[int]] = field(default_factory=dict)
 
     @property
