@@ -1,14 +1,12 @@
 """Motions among obstacles in foreign physics: whether the stated risk is true, and worth it.
 
     python benchmarks/scenes.py risk --robot arm.toml [--runs 100] [--scenes 5] [--delta 0.05]
-    python benchmarks/scenes.py margin --robot arm.toml …
     python benchmarks/scenes.py sensing --robot arm.toml …
     python benchmarks/scenes.py speed --robot arm.toml
 
 risk: motions are planned in random scenes and followed by robots drawn at random (see
 `scenes_world.py`), which read their coil and correct. Hits are given with their 95 % binomial
 interval, beside the largest risk that was allowed.
-margin: the same scenes planned with one margin for all that has the same risk on average.
 sensing: passages planned for slide and motion together, against a slide that is planned after the
 motion, one that oscillates, and one that stays.
 speed: what an evaluation with slopes and a replan from a warm start cost.
@@ -253,46 +251,6 @@ def sensing(robot, options):
     ]  # fmt: skip
 
 
-def margin(robot, options):
-    """The time term of plans with the risk, and with one margin for all of the same mean risk."""
-    delta = (options.delta or [0.05])[0]
-    found = [
-        (seed, plans[0]) for seed, plans in plans_of(robot, [delta], options.scenes, options.first)
-    ]
-    wanted = float(np.mean([plan.risk for _, plan in found]))
-    low, high, kept = 0.0, 8e-3, None
-    for _ in range(6):
-        middle, rows = 0.5 * (low + high), []
-        for _, plan in found:
-            problem = plan.problem
-            body = replace(problem.body, time_scale=1e9)
-            scene = replace(problem.scene, model_std=middle / 1.645, delta=0.05)
-            belief = replace(problem.belief, cov=1e-12 * problem.belief.cov)
-            certain = replace(problem, scene=scene, body=body, belief=belief)
-            try:
-                fixed = plan_motion(certain, candidates=2, iterations=30,
-                                    warm_start=plan.evaluation.control)  # fmt: skip
-            except GlissandoError:
-                rows.append((0.0, np.inf))
-                continue
-            own = replace(problem, space=fixed.problem.space)
-            again = own.evaluate(fixed.evaluation.control)
-            rows.append((sample_risk(own, again)[0], again.terms["time"]))
-        share = float(np.mean([risk for risk, _ in rows]))
-        print(f"  margin {1e3 * middle:.3g} mm: mean risk {100 * share:.3g} %", file=sys.stderr)
-        low, high = (middle, high) if share > wanted else (low, middle)
-        if kept is None or abs(share - wanted) < abs(kept[1] - wanted):
-            kept = middle, share, rows
-    size, share, rows = kept
-    ratio = [
-        time / plan.evaluation.terms["time"]
-        for (_, time), (_, plan) in zip(rows, found, strict=True)
-    ]
-    return [{"scenes": len(found), "risk": wanted, "margin_mm": 1e3 * size, "its risk": share,
-             "median time over ours": float(np.median(ratio)),
-             "impassable": int(np.sum(~np.isfinite(ratio)))}]  # fmt: skip
-
-
 def speed(robot, options):
     """CPU seconds of a motion's value, its slopes, and a replan of 10 s from a warm start."""
     ((_, (plan,)),) = plans_of(robot, [0.05], 1, options.first)
@@ -327,7 +285,7 @@ def speed(robot, options):
 
 
 WAYS = ("fixed", "oscillating", "motion first", "together")
-COMMANDS = {"risk": risk, "margin": margin, "sensing": sensing, "speed": speed}
+COMMANDS = {"risk": risk, "sensing": sensing, "speed": speed}
 
 
 def main():

@@ -54,7 +54,7 @@ def as_risky(problem, control, risk):
 @pytest.mark.parametrize("risk", [0.01, 0.1])
 def test_the_bound_is_above_the_risk_and_at_most_three_times_of_it(risk, rng):
     ratios = []
-    for _ in range(8):
+    for _ in range(6):
         problem, control = any_problem(rng)
         thick = as_risky(problem, control, risk)
         evaluation = thick.evaluate(control)
@@ -62,7 +62,7 @@ def test_the_bound_is_above_the_risk_and_at_most_three_times_of_it(risk, rng):
         assert share < evaluation.hits.value + 4.0 * std
         if thick.scene.robot_radius > 0.0031:
             ratios.append(evaluation.hits.value / share)
-    assert len(ratios) > 3
+    assert len(ratios) > 2
     assert max(ratios) < 3.0, ratios
     assert np.median(ratios) < 1.5, ratios
 
@@ -70,11 +70,11 @@ def test_the_bound_is_above_the_risk_and_at_most_three_times_of_it(risk, rng):
 @pytest.mark.slow
 def test_shapes_solved_anew_hit_as_often_as_the_samples_say(rng):
     pairs = []
-    for _ in range(3):
+    for _ in range(2):
         problem, control = any_problem(rng, horizon=2.0)
         thick = as_risky(problem, control, 0.08)
         evaluation = thick.evaluate(control)
         share = sample_risk(thick, evaluation, 10_000, seed=1)[0]
-        pairs.append((sampled_hits(thick, evaluation, 1500, rng), share))
+        pairs.append((sampled_hits(thick, evaluation, 1000, rng), share))
     for true, share in pairs:
         assert share / 2.0 < true < 1.5 * share, pairs
