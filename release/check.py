@@ -27,7 +27,7 @@ from packaging.requirements import Requirement
 from bill import SBOM, allowed, bill, licence, metadata
 from lock import LOCK, PYTHONS, ROOT, WHEELS, download, locked, run
 
-_TESTS = ("tests/geometry", "tests/io", "tests/model", "tests/solver", "tests/visualization")
+_TESTS = ("tests/geometry", "tests/io", "tests/solver", "tests/visualization")
 _VULNERABLE = "jinja2==2.11.0\n"  # CVE-2020-28493: a service that knows anything knows it
 _TOOLS = ("pytest", "hypothesis")  # of the tests; the others skip without theirs
 

@@ -40,6 +40,7 @@ def test_the_wheel_holds_all_that_is_imported_or_read(tmp_path):
     }
     wanted |= {"glissando/py.typed", "glissando/experiments/claims.toml"}
     assert wanted <= held
+    assert f"glissando-{glissando.__version__}.dist-info/sboms/sbom.cdx.json" in held
     assert not [name for name in held if name.startswith("tests")]
 
 
