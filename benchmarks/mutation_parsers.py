@@ -600,8 +600,8 @@ def parsers(scratch: Path, recording: Path | None = None) -> list[Parser]:
     posterior = [{"posterior.nc": (scratch / "posterior.nc").read_bytes()}]
     return [
         Parser("recording", [files_below(base) for base in bases], read_recording),
-        Parser("its estimate", [files_below(bases[0])], estimate_recording, share=0.1),
-        Parser("posterior", posterior, read_posterior, mutated_posterior, share=0.5),
+        Parser("its estimate", [files_below(bases[0])], estimate_recording, share=0.05),
+        Parser("posterior", posterior, read_posterior, mutated_posterior, share=0.25),
         report_parser(scratch, run),
         session_parser(),
         journal_parser(scratch),

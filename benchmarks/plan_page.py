@@ -1,4 +1,4 @@
-"""Write a part of docs/planning.md: what stands between <!-- NAME --> and <!-- /NAME -->."""
+"""Write a part of a page: what stands between <!-- NAME --> and <!-- /NAME -->."""
 
 import re
 from pathlib import Path
@@ -17,12 +17,12 @@ def number(value):
     return f"{value:.0f}" if abs(value) >= 10.0 else f"{value:.2g}"
 
 
-def write(name, lines):
+def write(name, lines, page=PAGE):
     """Put lines in place of the part of that name."""
-    text = PAGE.read_text(encoding="utf-8")
+    text = page.read_text(encoding="utf-8")
     part = re.compile(rf"(<!-- {name} -->\n).*?(<!-- /{name} -->)", re.DOTALL)
     if not part.search(text):
-        raise SystemExit(f"{PAGE.name} has no part <!-- {name} -->")
+        raise SystemExit(f"{page.name} has no part <!-- {name} -->")
     body = "\n".join(["", *lines, "", ""])
-    PAGE.write_text(part.sub(lambda m: m[1] + body + m[2], text), encoding="utf-8")
+    page.write_text(part.sub(lambda m: m[1] + body + m[2], text), encoding="utf-8")
     print("\n".join(lines))

@@ -58,9 +58,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command line; returns its exit status."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     command = next((word for word in words if not word.startswith("-")), "")
-    options = build_parser(command).parse_args(words)
     try:
-        with _old_names_shown(), _stopped_by_signals():
+        with _stopped_by_signals() as asked, _old_names_shown():
+            options = build_parser(command).parse_args(words)
+            if asked:  # an import may swallow what a signal raises
+                raise KeyboardInterrupt
             return int(options.run(options))
     except NoShapeError as problem:
         print(f"glissando: {problem}", file=sys.stderr)
@@ -90,19 +92,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 @contextmanager
-def _stopped_by_signals() -> Iterator[None]:
-    """Let Ctrl-C, SIGTERM and SIGHUP interrupt, once: what stops a stage must not be stopped."""
+def _stopped_by_signals() -> Iterator[list[float]]:
+    """Let Ctrl-C, SIGTERM and SIGHUP interrupt, and wait while all is put away; when they came."""
+    asked: list[float] = []
     if threading.current_thread() is not threading.main_thread():
-        yield
+        yield asked
         return
-    began = -_CLEAN_UP
 
     def stop(number: int, frame: FrameType | None) -> None:
-        nonlocal began
-        if time.monotonic() < began + _CLEAN_UP:
+        asked.append(time.monotonic())
+        if _interrupted(sys.exc_info()[1]) and asked[-1] < asked[0] + _CLEAN_UP:
             os.write(2, b"glissando: stopping, as asked; everything is being put away.\n")
             return
-        began = time.monotonic()
         raise KeyboardInterrupt
 
     names = ("SIGINT", "SIGTERM", "SIGHUP")  # Windows has no SIGHUP; nohup leaves it ignored
@@ -110,7 +111,7 @@ def _stopped_by_signals() -> Iterator[None]:
     heeded = [n for n in numbers if signal.getsignal(n) != signal.SIG_IGN]
     before = {number: signal.signal(number, stop) for number in heeded}
     try:
-        yield
+        yield asked
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

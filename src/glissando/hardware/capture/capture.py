@@ -12,7 +12,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import AbstractContextManager, ExitStack, closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -125,11 +125,12 @@ def capture(
         stack.callback(_finish, over, threads)
         for thread in threads:
             thread.start()
-        for _ in _experiment(rig, path, log):
-            if failures:
-                raise failures[0]
-            if on_progress is not None:
-                on_progress(progress)
+        with closing(_experiment(rig, path, log)) as steps_taken:
+            for _ in steps_taken:
+                if failures:
+                    raise failures[0]
+                if on_progress is not None:
+                    on_progress(progress)
     if failures:
         raise failures[0]
     return progress
@@ -177,7 +178,7 @@ class _Log:
             self.on_message(topic, message)
 
 
-def _experiment(rig: Rig, path: SlidePath, log: _Log) -> Iterator[None]:
+def _experiment(rig: Rig, path: SlidePath, log: _Log) -> Generator[None, None, None]:
     """Steps of the experiment: wait for clocks, home, follow the path."""
     progress = log.progress
     yield from _wait(_SETTLE)

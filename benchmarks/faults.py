@@ -1,0 +1,508 @@
+"""What is lost when a program is killed, stopped twice, or loses disk, device, clock or folder.
+
+Each trial runs `record`, `replay` or `live` on simulated devices that speak their devices' bytes,
+lets a fault happen at a random moment between the program's start and its end, and looks at what is
+left: does the stage stand still, with torque as its setup says, what did the log lose, does it
+open, is anything still running, was there a traceback; is a resumed replay the uninterrupted one.
+
+Usage: faults.py [--count N] [--seed S] [--lanes L] [--fault NAME,…] [--json FILE]
+"""
+
+import argparse
+import json
+import os
+import resource
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import uuid
+from collections import deque
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+
+from glissando.errors import DeviceError, GlissandoError
+from glissando.hardware.drivers import dynamixel
+from glissando.hardware.drivers.dynamixel import Servo
+from glissando.hardware.simulated_devices.scene import Scene, SceneCoil
+from glissando.hardware.simulated_devices.travel import MESSAGE
+from glissando.io.journal import Journal
+from glissando.io.recording import load_recording
+from glissando.io.session_log import read_session
+from glissando.io.shipped_robots import robot_file
+from glissando.simulation import load_bench
+from glissando.simulation.simulate import simulate
+from glissando.simulation.simulated_session import write_session
+
+WATCHDOG, SPEED, STROKE = 0.3, 0.024, 0.02  # s, m/s, m
+SPAN = 3.0  # s of a recording that is replayed as it was, and of a live estimate
+_EARLY = 0.2  # of the faults happen before a recording has begun, the others before its end
+END = 40.0  # s that a program may take to end
+SIGNALS = {"SIGTERM": signal.SIGTERM, "SIGHUP": signal.SIGHUP, "kill -9": signal.SIGKILL}
+RECORDED = (*SIGNALS, "Ctrl-C twice", "full disk", "vanished device", "jumped clock", "same folder")
+FAULTS = (*RECORDED, "replay stopped", "replay twice", "live, lost peer")
+_JUMP = """import os, time
+_from, _by, _wall, _ns = float(os.environ["JUMP_AT"]), 3600.0, time.time, time.time_ns
+_off = lambda: _by * float(os.environ["JUMP_BY"]) * (time.monotonic() > _from)
+time.time = lambda: _wall() + _off()
+time.time_ns = lambda: _ns() + int(1e9 * _off())
+"""
+_PEER = """import sys, time, numpy as np
+from glissando.hardware.openigtlink import Endpoint, Message, encode
+from glissando.hardware.openigtlink import contents as c
+with Endpoint(sys.argv[1]) as peer:
+    print("ready", flush=True)
+    k = 0
+    while True:
+        pose = np.eye(4); pose[2, 3] = 466.0 + 0.01 * np.sin(k); k += 1
+        base = np.eye(4); base[0, 3] = 0.001 * np.sin(k)
+        peer.send([encode(Message(c.Transform(p), n)) for n, p in (("base", base), ("tip", pose))])
+        time.sleep(1 / 30)
+"""
+_LISTENER = """import socket, sys, time
+while True:
+    try:
+        with socket.create_connection(("127.0.0.1", int(sys.argv[1]))) as link:
+            print("ready", flush=True)
+            while link.recv(65536): pass
+    except OSError: time.sleep(0.05)
+"""
+
+
+class Device:
+    """A program beside the one under test, and its first line."""
+
+    def __init__(self, *command):
+        self.process = subprocess.Popen(
+            [sys.executable, *command], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL, start_new_session=True,
+        )  # fmt: skip
+        self.address = self.process.stdout.readline().decode().strip()
+
+    def kill(self):
+        """End it as a plug that is pulled does."""
+        self.process.kill()
+        self.process.wait()
+
+
+class Bench:
+    """Simulated devices of one lane, and the true travel of the stage at all times."""
+
+    def __init__(self, folder):
+        self.folder = folder
+        bench = load_bench(robot_file("sliding700"))
+        motion = bench.move(bench.shape("C"), bench.flaws, 0)
+        tip = bench.rod.length + bench.coil_offset
+        scene = Scene.of(
+            motion, motion.time[:1], [SceneCoil(tip, -1.0, np.eye(4), port=0)],
+            T_wt=bench.tracker, flaws=bench.flaws, seed=0,
+        )  # fmt: skip
+        scene.save(folder / "scene.npz")
+        self.tip = tip
+        self._ear = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._ear.bind(("127.0.0.1", 0))
+        self._tracker_port, self.mocap_port = free_port(), free_port()
+        self.travel = deque(maxlen=20_000)
+        threading.Thread(target=self._listen, daemon=True).start()
+        self.devices = {}
+        for name in ("servo", "aurora", "vicon"):
+            self.start(name)
+
+    def _listen(self):
+        while True:
+            data = self._ear.recv(64)
+            self.travel.append(MESSAGE.unpack(data))
+            self._ear.sendto(data, ("127.0.0.1", self._tracker_port))
+
+    def start(self, name):
+        """Start a device, or start it again."""
+        place = self.travel[-1][1] if self.travel else 0.0
+        options = {
+            "servo": ["--travel", f"127.0.0.1:{self._ear.getsockname()[1]}", "--start", f"{place}"],
+            "aurora": ["--scene", str(self.folder / "scene.npz"), "--tcp", "0", "--travel",
+                       str(self._tracker_port)],
+            "vicon": ["--scene", str(self.folder / "scene.npz"), "--to",
+                      f"127.0.0.1:{self.mocap_port}", "--bodies", "tip=0.7"],
+        }[name]  # fmt: skip
+        module = f"glissando.hardware.simulated_devices.{name}"
+        self.devices[name] = Device("-m", module, *options)
+
+    def setup(self, hold):
+        """Write the setup file for where the stage stands now."""
+        standing = min(max(self.travel[-1][1], 0.0), 0.06)
+        (self.folder / "bench.toml").write_text(
+            f'robot = "sliding700"\n[tracker]\naddress = "{self.devices["aurora"].address}"\n'
+            f'[[tracker.coils]]\nname = "coil"\narclength = {self.tip}\n'
+            f'[slide]\naddress = "{self.devices["servo"].address}"\nlead = 0.0254\n'
+            f"stroke = [0.0, 0.06]\nstanding = {standing}\nwatchdog = {WATCHDOG}\n"
+            f"speed = {SPEED}\nacceleration = 0.2\nlag = 0.02\nhold = {str(hold).lower()}\n"
+            f"[mocap]\nport = {self.mocap_port}\n"
+            f'[[mocap.bodies]]\nname = "tip"\narclength = 0.7\n'
+        )
+
+    def moved_until(self, since):
+        """Seconds after a time at which the stage moved last; it must have stood since."""
+        time.sleep(0.5)
+        points = np.array([p for p in list(self.travel) if p[0] > since])
+        steps = np.flatnonzero(np.abs(np.diff(points[:, 1])) > 1e-7)
+        return float(points[steps[-1] + 1, 0] - since) if steps.size else 0.0
+
+    def torque(self):
+        """Whether the servo has torque."""
+        servo = Servo(self.devices["servo"].address, 1, 57600)
+        try:
+            return bool(servo.read(dynamixel.TORQUE, 1, heed=False).data[0])
+        finally:
+            servo.close()
+
+    def close(self):
+        """End all devices."""
+        for device in self.devices.values():
+            device.kill()
+
+
+def free_port():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+class Program:
+    """A command of glissando in a session of its own, and what it leaves."""
+
+    def __init__(self, arguments, *, room=None, **environment):
+        self.mark, self.began = uuid.uuid4().hex, time.monotonic()
+        self._errors = tempfile.TemporaryFile("w+")  # noqa: SIM115  (goes with this object)
+        limit = room and (lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (room, room)))
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "glissando", *map(str, arguments)],
+            env={**os.environ, "GLISSANDO_TRIAL": self.mark, **environment},
+            stdin=subprocess.DEVNULL, stdout=self._errors, stderr=self._errors,
+            start_new_session=True, preexec_fn=limit,
+        )  # fmt: skip
+
+    def send(self, number):
+        """Send a signal to all of its session, as a terminal does."""
+        with suppress(ProcessLookupError):
+            os.killpg(self.process.pid, number)
+
+    def alone(self, number):
+        """Send a signal to the program alone."""
+        self.process.send_signal(number)
+
+    def running_for(self, seconds):
+        """Wait so long, or until it ends."""
+        with suppress(subprocess.TimeoutExpired):
+            self.process.wait(seconds)
+
+    def ended(self):
+        """Its exit status, None if it had to be killed because it would not end."""
+        try:
+            return self.process.wait(END)
+        except subprocess.TimeoutExpired:
+            self.send(signal.SIGKILL)
+            self.process.wait()
+            return None
+
+    def said(self):
+        """All that it printed."""
+        self._errors.seek(0)
+        return self._errors.read()
+
+    def left(self, within=8.0):
+        """How many of its processes still run some seconds after its end."""
+        end = time.monotonic() + within
+        while (count := len(self._running())) and time.monotonic() < end:
+            time.sleep(0.1)
+        return count
+
+    def _running(self):
+        found = []
+        for entry in Path("/proc").iterdir():
+            with suppress(OSError):
+                ours = self.mark.encode() in (entry / "environ").read_bytes()
+                if ours and (entry / "stat").read_text().rpartition(")")[2].split()[0] != "Z":
+                    found.append(int(entry.name))
+        return found
+
+
+def record_trial(bench, fault, rng, lasts):
+    """One recording with a fault; what it left."""
+    out, hold = bench.folder / f"session-{uuid.uuid4().hex[:8]}", bool(rng.integers(2))
+    bench.setup(hold)
+    early, share = rng.random() < _EARLY, rng.random()
+    device = str(rng.choice(["servo", "aurora", "vicon"]))
+    room = int(rng.integers(500, 60_000)) if fault == "full disk" else None
+    more = {}
+    if fault == "jumped clock":
+        (bench.folder / "sitecustomize.py").write_text(_JUMP)
+        path = f"{bench.folder}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"
+        at = str(time.monotonic() + share * sum(lasts))
+        more = {"PYTHONPATH": path, "JUMP_AT": at, "JUMP_BY": str(rng.choice([-1, 1]))}
+    command = ["record", "--setup", bench.folder / "bench.toml", "--slide", "oscillate"]
+    command += ["--cycles", "2", "--stroke", STROKE, "--out", out]
+    program = Program(command, room=room, **more)
+    if early:
+        program.running_for(share * lasts[0])
+    else:
+        while not (out / "session.mcap").exists() and program.process.poll() is None:
+            time.sleep(0.002)
+        program.running_for(share * lasts[1])
+    happened, refused = time.monotonic(), None
+    over = program.process.poll() is not None
+    if fault in SIGNALS:
+        program.alone(SIGNALS[fault])
+    elif fault == "Ctrl-C twice":
+        program.send(signal.SIGINT)
+        time.sleep(rng.uniform(0.0, 0.5))
+        program.send(signal.SIGINT)
+    elif fault == "vanished device":
+        bench.devices[device].kill()
+    elif fault == "same folder" and not over:
+        refused = Program(command).ended()
+    status = program.ended()
+    row = {"fault": fault, "moment": happened - program.began, "status": status}
+    row |= {"traceback": "Traceback" in program.said(), "left": program.left()}
+    row["refused"] = refused in (None, 2)
+    gone = fault == "vanished device" and device
+    if gone != "servo":
+        row["moves_on"] = bench.moved_until(happened if fault in SIGNALS else time.monotonic())
+        row["torque"] = bench.torque() == hold or fault == "kill -9" or not moved(out)
+    if gone:
+        bench.start(device)
+    if fault in ("full disk", "vanished device"):
+        happened = None  # the log may end when it was, and not later
+    row |= kept(out, happened if fault in SIGNALS or fault == "Ctrl-C twice" else None)
+    row["said"] = (program.said().strip().splitlines() or [""])[-1][:200]
+    return row
+
+
+def moved(out):
+    """Whether a session came to moving its stage."""
+    log = out / "session.mcap"
+    return log.exists() and "/slide" in read_session(log).topics
+
+
+def kept(out, happened):
+    """What a session's log holds, and how much of the time before a moment it lost."""
+    log = out / "session.mcap"
+    if not log.exists():
+        return {"opens": True, "lost": 0.0}
+    session = read_session(log)
+    last = max((t.time_ns[-1] for t in session.topics.values() if t.time_ns.size), default=None)
+    lost = 0.0
+    if happened is not None and not session.complete:
+        begun = int(session.metadata.get("monotonic_ns", 1e9 * happened))
+        lost = max(happened - 1e-9 * (begun if last is None else last), 0.0)
+    try:
+        if any(name.startswith("/tracker") and t.messages for name, t in session.topics.items()):
+            load_recording(log)
+        return {"opens": True, "lost": lost}
+    except GlissandoError as problem:
+        return {"opens": False, "lost": lost, "why": str(problem)}
+
+
+def replay_command(recording, out):
+    return ["replay", recording, "--rate", "real", "--window", 0, SPAN, "--out", out]
+
+
+def newest(out):
+    """The newest states of a replay by time, and the rows that its journal holds by stream."""
+    table = np.genfromtxt(out / "newest.csv", delimiter=",", names=True)
+    values = np.array(table.tolist())
+    rows = {name: s.rows.table() for name, s in load_recording(out / "log").streams.items()}
+    return values, rows
+
+
+def replay_trial(folder, recording, whole, rng, lasts):
+    """A replay stopped at a random moment and resumed; how far it is from an uninterrupted one."""
+    out = folder / f"replay-{uuid.uuid4().hex[:8]}"
+    number = signal.Signals(rng.choice([*SIGNALS.values(), signal.SIGINT]))
+    program = Program(replay_command(recording, out))
+    moment = rng.uniform(0.1, 0.95) * lasts
+    program.running_for(moment)
+    program.alone(number)
+    status = program.ended()
+    row = {"fault": "replay stopped", "moment": moment, "status": status, "left": program.left()}
+    row["traceback"] = "Traceback" in program.said()
+    if not (out / "replay.json").exists():
+        again = Program(replay_command(recording, out))
+        row["status"] = again.ended()
+        row["said"] = again.said()[-200:]
+    values, rows = newest(out)
+    same = values[:, 0, None] == whole[0][:, 0]
+    match = same & (values[:, 1, None] == whole[0][:, 1])
+    row["differs"] = float(np.abs(values - whole[0][match.argmax(axis=1)]).max())
+    row["opens"] = all(np.array_equal(rows[name], whole[1][name]) for name in whole[1])
+    row["lost"] = 0.0 if row["opens"] else float("nan")
+    return row
+
+
+def twice_trial(folder, recording, whole, rng, lasts):
+    """Two replays into one folder, the second begun at a random moment of the first."""
+    out = folder / f"twice-{uuid.uuid4().hex[:8]}"
+    first = Program(replay_command(recording, out))
+    moment = rng.uniform(0.1, 0.9) * lasts
+    time.sleep(moment)
+    second = Program(replay_command(recording, out))
+    ends = first.ended(), second.ended()
+    _, rows = newest(out)
+    opens = all(np.array_equal(rows[name], whole[1][name]) for name in whole[1])
+    said = second.said().strip().splitlines()[-1][:200]
+    row = {"fault": "replay twice", "moment": moment, "status": max(ends), "said": said}
+    row |= {"refused": sorted(ends) == [0, 2], "opens": opens, "lost": 0.0}
+    row["left"] = first.left() + second.left()
+    return {**row, "traceback": "Traceback" in first.said() + second.said()}
+
+
+def live_trial(folder, rng):
+    """A live estimate that loses the peer that sends, or the one that listens."""
+    out, ports = folder / f"live-{uuid.uuid4().hex[:8]}", (free_port(), free_port())
+    sender = Device("-c", _PEER, f"igtl-server://:{ports[0]}")
+    source = f"igtl://127.0.0.1:{ports[0]}"
+    command = ["live", "--robot", "tdcr466", "--source", source, "--at", "base=0", "--at"]
+    command += ["tip=0.466", "--sink", f"igtl-server://:{ports[1]}", "--journal", out]
+    command += ["--duration", SPAN, "--patience", 2, "--sink", f"csv:{out}.csv"]
+    program = Program(command)
+    listener = Device("-c", _LISTENER, str(ports[1]))
+    moment, lost = rng.uniform(0.0, SPAN), [sender, listener][int(rng.integers(2))]
+    time.sleep(moment)
+    lost.kill()
+    status = program.ended()
+    for peer in (sender, listener):
+        peer.kill()
+    said = program.said()
+    row = {"fault": "live, lost peer", "moment": moment, "status": status, "left": program.left()}
+    row |= {"traceback": "Traceback" in said, "said": said.strip().splitlines()[-1][:200]}
+    times = np.genfromtxt(f"{out}.csv", delimiter=",", names=True)["time"]
+    with Journal(out):  # nobody else has it any more
+        pass
+    found = load_recording(out).streams
+    last = max((float(s.rows.time[-1]) for s in found.values()), default=0.0)
+    # An update without a reading grows no more certain: the newest used is in the journal.
+    row |= {"opens": True, "lost": max(float(times.min() - last), 0.0) if times.size else 0.0}
+    row["refused"] = status in (0, 2)
+    return row
+
+
+def run(options, scratch):
+    """All trials, lane by lane."""
+    chosen = options.fault or FAULTS
+    jobs = [(fault, k) for k in range(options.count) for fault in FAULTS if fault in chosen]
+    session = simulate("sliding700", shape="C", slide="hold", duration=SPAN + 1.0, seed=1)
+    write_session(session, scratch / "recording", "sliding700")
+    lock, rows, waiting = threading.Lock(), [], deque(jobs)
+
+    def lane(number):
+        folder = scratch / f"lane{number}"
+        folder.mkdir()
+        bench, lasts, whole = Bench(folder), None, None
+        try:
+            while True:
+                with lock:
+                    if not waiting:
+                        return
+                    fault, k = waiting.popleft()
+                rng = np.random.default_rng([options.seed, FAULTS.index(fault), k])
+                if lasts is None:
+                    lasts, whole = baseline(bench, scratch / "recording")
+                if fault in RECORDED:
+                    row = record_trial(bench, fault, rng, lasts[0])
+                elif fault == "replay stopped":
+                    row = replay_trial(folder, scratch / "recording", whole, rng, lasts[1])
+                elif fault == "replay twice":
+                    row = twice_trial(folder, scratch / "recording", whole, rng, lasts[1])
+                else:
+                    row = live_trial(folder, rng)
+                with lock:
+                    rows.append(row)
+                    save(rows, options)
+                    print(json.dumps(row), file=sys.stderr, flush=True)
+        finally:
+            bench.close()
+
+    with ThreadPoolExecutor(options.lanes) as pool:
+        for done in [pool.submit(lane, number) for number in range(options.lanes)]:
+            done.result()
+    return rows
+
+
+def baseline(bench, recording):
+    """How long a recording and a replay last without a fault, and what the replay gives."""
+    bench.setup(hold=True)
+    out = bench.folder / "baseline"
+    command = ["record", "--setup", bench.folder / "bench.toml", "--cycles", 2, "--stroke", STROKE]
+    program = Program([*command, "--out", out])
+    while not (out / "session.mcap").exists() and program.process.poll() is None:
+        time.sleep(0.002)
+    begun = time.monotonic()
+    if program.ended() != 0:
+        raise DeviceError(f"A recording without a fault failed: {program.said()}")
+    record = begun - program.began, time.monotonic() - begun
+    program = Program(replay_command(recording, bench.folder / "replay"))
+    if program.ended() != 0:
+        raise GlissandoError(f"A replay without a fault failed: {program.said()}")
+    return (record, time.monotonic() - program.began), newest(bench.folder / "replay")
+
+
+def table(rows):
+    """A row a fault: what was tried, and the worst of what was found."""
+    out = []
+    for fault in FAULTS:
+        some = [row for row in rows if row["fault"] == fault]
+        if some:
+            out.append(
+                {
+                    "fault": fault,
+                    "trials": len(some),
+                    "first_s": min(r["moment"] for r in some),
+                    "last_s": max(r["moment"] for r in some),
+                    "statuses": sorted({str(r["status"]) for r in some}),
+                    "tracebacks": sum(r["traceback"] for r in some),
+                    "left_running": sum(r["left"] for r in some),
+                    "lost_s": max(r["lost"] for r in some),
+                    "not_opened": sum(not r["opens"] for r in some),
+                    "moves_on_s": max(
+                        (r["moves_on"] for r in some if "moves_on" in r), default=None
+                    ),
+                    "torque_wrong": sum(not r.get("torque", True) for r in some),
+                    "not_refused": sum(not r.get("refused", True) for r in some),
+                    "differs": max((r["differs"] for r in some if "differs" in r), default=None),
+                }
+            )
+    return out
+
+
+def save(rows, options):
+    """Write what was found so far, for a run takes its time."""
+    if options.json:
+        document = {"seed": options.seed, "rows": table(rows), "trials": rows}
+        options.json.write_text(json.dumps(document, indent=1) + "\n")
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    add = parser.add_argument
+    add("--count", type=int, default=50, help="trials of each fault")
+    add("--seed", type=int, default=0)
+    add("--lanes", type=int, default=2, help="benches of devices that run at once")
+    add("--fault", type=lambda text: text.split(","), default=[], help=", ".join(FAULTS))
+    add("--json", type=Path)
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as scratch:
+        rows = run(options, Path(scratch))
+    found = table(rows)
+    for row in found:
+        print(json.dumps(row))
+    bad = ("tracebacks", "left_running", "not_opened", "torque_wrong", "not_refused")
+    return int(any(row[key] for row in found for key in bad))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,67 @@
+"""Write the tables of docs/hostile.md from what mutations.py and faults.py found.
+
+Usage: hostile_page.py --mutations FILE.json --faults FILE.json
+"""
+
+import argparse
+import json
+from pathlib import Path
+
+from plan_page import number, table, write
+
+PAGE = Path(__file__).parents[1] / "docs" / "hostile.md"
+_WORSE = ("traceback", "hang", "death", "memory", "outside")
+
+
+def mutations(found):
+    """The lines on damaged files: what ended how, by parser."""
+    rows = found["rows"]
+    cells = [
+        [
+            row["parser"],
+            f"{sum(row[end] for end in ('answer', 'sentence', *_WORSE)):,}",
+            *(f"{row[end]:,}" for end in ("answer", "sentence", *_WORSE)),
+            number(row["longest_s"]),
+            number(1e3 * row["memory_gb"]),
+        ]
+        for row in rows
+    ]
+    total = [sum(row[end] for row in rows) for end in ("answer", "sentence", *_WORSE)]
+    cells.append(["all", f"{sum(total):,}", *(f"{count:,}" for count in total), "", ""])
+    heads = ["read", "tried", "answer", "sentence", "traceback", "> 10 s", "died", "> 1 GB"]
+    lines = table([*heads, "elsewhere", "longest (s)", "memory (MB)"], cells)
+    return [f"`mutations.py --count {found['asked']} --seed {found['seed']}`:", "", *lines]
+
+
+def faults(found):
+    """The lines on faults: the moments tried, and the worst that was left."""
+    heads = ["fault", "trials", "moments (s)", "exit status", "tracebacks", "left running"]
+    heads += ["lost (s)", "log does not open", "stage moves on (s)", "torque not as set"]
+    heads += ["not refused", "replay differs by"]
+    cells = []
+    for row in found["rows"]:
+        span = f"{row['first_s']:.1f} to {row['last_s']:.1f}"
+        cells.append(
+            [row["fault"], row["trials"], span, ", ".join(row["statuses"]), row["tracebacks"]]
+            + [row["left_running"], number(row["lost_s"]), row["not_opened"]]
+            + ["–" if row[key] is None else number(row[key]) for key in ("moves_on_s",)]
+            + [row["torque_wrong"], row["not_refused"]]
+            + ["–" if row["differs"] is None else f"{row['differs']:.1g}"]
+        )
+    return [f"`faults.py --seed {found['seed']}`:", "", *table(heads, cells)]
+
+
+def main():
+    """Write what is given."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--mutations", type=Path)
+    parser.add_argument("--faults", type=Path)
+    options = parser.parse_args()
+    if options.mutations:
+        write("mutations", mutations(json.loads(options.mutations.read_text())), PAGE)
+    if options.faults:
+        write("faults", faults(json.loads(options.faults.read_text())), PAGE)
+
+
+if __name__ == "__main__":
+    main()
