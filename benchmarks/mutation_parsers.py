@@ -279,7 +279,7 @@ def session_parser():
         save_recording(recording, out / "recording")
         rig_data(read_session(folder / "session.mcap"))
 
-    return Parser("session log", [{"session.mcap": content["plain"]}], read, mutate)
+    return Parser("session log", [{"session.mcap": content["plain"]}], read, mutate, share=0.5)
 
 
 def _announcing(rng, data):
@@ -329,7 +329,7 @@ def import_parser(name, samples, mutate=damaged, **options):
         places = dict.fromkeys((t.name for t in tracks), 0.1)
         write_recording(tracks, out / "recording", Choices(places))
 
-    return Parser(name, samples, read, mutate)
+    return Parser(name, samples, read, mutate, share=0.5)
 
 
 def renamed(rng, files):
@@ -599,9 +599,9 @@ def parsers(scratch: Path, recording: Path | None = None) -> list[Parser]:
     save_posterior(run.posterior, scratch / "posterior.nc")
     posterior = [{"posterior.nc": (scratch / "posterior.nc").read_bytes()}]
     return [
-        Parser("recording", [files_below(base) for base in bases], read_recording),
+        Parser("recording", [files_below(base) for base in bases], read_recording, share=0.4),
         Parser("its estimate", [files_below(bases[0])], estimate_recording, share=0.05),
-        Parser("posterior", posterior, read_posterior, mutated_posterior, share=0.25),
+        Parser("posterior", posterior, read_posterior, mutated_posterior, share=0.15),
         report_parser(scratch, run),
         session_parser(),
         journal_parser(scratch),

@@ -5,7 +5,8 @@ answer and one of the package's own errors are well; else it is a traceback, a h
 of processor time), a death of the process, more than 1 GB of memory beyond what it had, or a file
 written outside the output folder, and is printed with its number.
 
-Usage: mutations.py [--count N] [--seed S] [--parser NAME,…] [--recording FOLDER] [--json FILE]
+Usage: mutations.py [--count N] [--seed S] [--jobs J] [--parser NAME,…]
+                    [--recording FOLDER] [--json FILE]
        mutations.py --parser NAME --only K     # one mutation again, with its traceback
 """
 
@@ -22,6 +23,7 @@ import time
 import traceback
 import warnings
 from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -215,6 +217,7 @@ def main():
     add("--parser", type=lambda text: text.split(","), default=[])
     add("--recording", type=Path, help="to damage beside a simulated one")
     add("--only", type=int, help="the number of one mutation")
+    add("--jobs", type=int, default=1, help="parsers at once")
     add("--json", type=Path)
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
@@ -228,13 +231,17 @@ def main():
                 tried(chosen[0], mutated(chosen[0], options.seed, options.only), scratch / "place")
             )
             return 0
-        tallies = {}
         each = -(-options.count // sum(one.share for one in chosen))
-        for one in chosen:
+
+        def watched(one):
             began = time.monotonic()
             count = max(round(each * one.share), 1)
-            tallies[one.name] = run(one, options.seed, count, scratch / "place")
+            tally = run(one, options.seed, count, scratch / one.name.replace(" ", "-"))
             print(f"{one.name}: {time.monotonic() - began:.0f} s", file=sys.stderr, flush=True)
+            return one.name, tally
+
+        with ThreadPoolExecutor(options.jobs) as pool:
+            tallies = dict(pool.map(watched, chosen))
     for name, tally in tallies.items():
         for note in tally.notes[:12]:
             print(f"{name} {note}")
