@@ -179,12 +179,17 @@ class Program:
     def __init__(self, arguments, *, room=None, **environment):
         self.mark, self.began = uuid.uuid4().hex, time.monotonic()
         self._errors = tempfile.TemporaryFile("w+")  # noqa: SIM115  (goes with this object)
-        limit = room and (lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (room, room)))
+
+        def prepare():
+            signal.signal(signal.SIGINT, signal.SIG_DFL)  # which a shell's background ignores
+            if room is not None:
+                resource.setrlimit(resource.RLIMIT_FSIZE, (room, room))
+
         self.process = subprocess.Popen(
             [sys.executable, "-m", "glissando", *map(str, arguments)],
             env={**os.environ, "GLISSANDO_TRIAL": self.mark, **environment},
             stdin=subprocess.DEVNULL, stdout=self._errors, stderr=self._errors,
-            start_new_session=True, preexec_fn=limit,
+            start_new_session=True, preexec_fn=prepare,
         )  # fmt: skip
 
     def send(self, number):
@@ -278,7 +283,8 @@ def record_trial(bench, fault, rng, lasts):
         bench.start(device)
     if fault in ("full disk", "vanished device"):
         happened = None  # the log may end when it was, and not later
-    row |= kept(out, happened if fault in SIGNALS or fault == "Ctrl-C twice" else None)
+    shown = "messages" in program.said()  # of its progress: some had been logged
+    row |= kept(out, happened if fault in SIGNALS or fault == "Ctrl-C twice" else None, shown)
     row["said"] = (program.said().strip().splitlines() or [""])[-1][:200]
     return row
 
@@ -289,7 +295,7 @@ def moved(out):
     return log.exists() and "/slide" in read_session(log).topics
 
 
-def kept(out, happened):
+def kept(out, happened, shown):
     """What a session's log holds, and how much of the time before a moment it lost."""
     log = out / "session.mcap"
     if not log.exists():
@@ -298,7 +304,7 @@ def kept(out, happened):
     last = max((t.time_ns[-1] for t in session.topics.values() if t.time_ns.size), default=None)
     lost = 0.0
     if happened is not None and not session.complete:
-        begun = int(session.metadata.get("monotonic_ns", 1e9 * happened))
+        begun = int(session.metadata["monotonic_ns"]) if shown else 1e9 * happened
         lost = max(happened - 1e-9 * (begun if last is None else last), 0.0)
     try:
         if any(name.startswith("/tracker") and t.messages for name, t in session.topics.items()):

@@ -154,6 +154,10 @@ def _serve(parser, seed, numbers, place, pipe):
     here = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (here + (4 << 30),) * 2)
     with open(os.devnull, "w") as nowhere, redirect_stdout(nowhere), redirect_stderr(nowhere):
+        for sample in parser.samples:
+            end, *_, note = tried(parser, sample, place)
+            if end not in ("answer", "hang"):
+                raise RuntimeError(f"A sound {parser.name} ends in a {end}: {note}")
         for number in numbers:
             end, *rest = tried(parser, mutated(parser, seed, number), place)
             os.write(pipe, (json.dumps([number, end, *rest]) + "\n").encode())
@@ -161,10 +165,6 @@ def _serve(parser, seed, numbers, place, pipe):
 
 def run(parser, seed, count, place):
     """The tally of a parser's mutations; a process that hangs or dies is followed by another."""
-    for sample in parser.samples:
-        end, *_, note = tried(parser, sample, place)
-        if end != "answer":
-            raise RuntimeError(f"A sound {parser.name} ends in a {end}: {note}")
     tally, number = Tally(), 0
     while number < count:
         ours, theirs = os.pipe()

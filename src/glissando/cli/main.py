@@ -59,10 +59,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if arguments is None else arguments)
     command = next((word for word in words if not word.startswith("-")), "")
     try:
-        with _stopped_by_signals() as asked, _old_names_shown():
+        with _stopped_by_signals(), _old_names_shown():
             options = build_parser(command).parse_args(words)
-            if asked:  # an import may swallow what a signal raises
-                raise KeyboardInterrupt
             return int(options.run(options))
     except NoShapeError as problem:
         print(f"glissando: {problem}", file=sys.stderr)
@@ -92,12 +90,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 @contextmanager
-def _stopped_by_signals() -> Iterator[list[float]]:
-    """Let Ctrl-C, SIGTERM and SIGHUP interrupt, and wait while all is put away; when they came."""
-    asked: list[float] = []
+def _stopped_by_signals() -> Iterator[None]:
+    """Let Ctrl-C, SIGTERM and SIGHUP interrupt, and wait while all is put away."""
     if threading.current_thread() is not threading.main_thread():
-        yield asked
+        yield
         return
+    asked: list[float] = []
 
     def stop(number: int, frame: FrameType | None) -> None:
         asked.append(time.monotonic())
@@ -111,7 +109,7 @@ def _stopped_by_signals() -> Iterator[list[float]]:
     heeded = [n for n in numbers if signal.getsignal(n) != signal.SIG_IGN]
     before = {number: signal.signal(number, stop) for number in heeded}
     try:
-        yield asked
+        yield
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

@@ -114,6 +114,10 @@ def _record(options: argparse.Namespace) -> int:
             _capture_shown(rig, path, further, options.out, on_message)
             status = 0
         except KeyboardInterrupt:
+            if not _has_messages(options.out):
+                shutil.rmtree(options.out, ignore_errors=True)
+                print("Stopped before anything was recorded.")
+                return 1
             print("Stopped; what was recorded is kept.")
             status = 1
         except DeviceError:
@@ -200,13 +204,19 @@ def _table(progress: Progress) -> Table:
     return table
 
 
+def _has_messages(folder: Path) -> bool:
+    """Whether a folder's log holds any message."""
+    log = folder / LOG
+    return log.exists() and any(topic.messages for topic in read_session(log).topics.values())
+
+
 def _keep(rig: Rig, options: argparse.Namespace, *, quietly: bool = False) -> None:
     """Make a recording of the log and print a summary."""
     folder = options.out
-    session = read_session(folder / LOG)
-    if quietly and not any(topic.messages for topic in session.topics.values()):
+    if quietly and not _has_messages(folder):
         shutil.rmtree(folder)  # nothing began
         return
+    session = read_session(folder / LOG)
     try:
         warnings = write_recording(session, rig, folder)
     except GlissandoError:
