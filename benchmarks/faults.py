@@ -43,6 +43,7 @@ from glissando.simulation.simulated_session import write_session
 WATCHDOG, SPEED, STROKE = 0.3, 0.024, 0.02  # s, m/s, m
 SPAN = 3.0  # s of a recording that is replayed as it was, and of a live estimate
 _EARLY = 0.2  # of the faults happen before a recording has begun, the others before its end
+_COMPILING = 600.0  # s that the first programs may take
 END = 40.0  # s that a program may take to end
 SIGNALS = {"SIGTERM": signal.SIGTERM, "SIGHUP": signal.SIGHUP, "kill -9": signal.SIGKILL}
 RECORDED = (*SIGNALS, "Ctrl-C twice", "full disk", "vanished device", "jumped clock", "same folder")
@@ -206,10 +207,10 @@ class Program:
         with suppress(subprocess.TimeoutExpired):
             self.process.wait(seconds)
 
-    def ended(self):
+    def ended(self, within=END):
         """Its exit status, None if it had to be killed because it would not end."""
         try:
-            return self.process.wait(END)
+            return self.process.wait(within)
         except subprocess.TimeoutExpired:
             self.send(signal.SIGKILL)
             self.process.wait()
@@ -448,11 +449,11 @@ def baseline(bench, recording):
     while not (out / "session.mcap").exists() and program.process.poll() is None:
         time.sleep(0.002)
     begun = time.monotonic()
-    if program.ended() != 0:
+    if program.ended(_COMPILING) != 0:
         raise DeviceError(f"A recording without a fault failed: {program.said()}")
     record = begun - program.began, time.monotonic() - begun
     program = Program(replay_command(recording, bench.folder / "replay"))
-    if program.ended() != 0:
+    if program.ended(_COMPILING) != 0:
         raise GlissandoError(f"A replay without a fault failed: {program.said()}")
     return (record, time.monotonic() - program.began), newest(bench.folder / "replay")
 

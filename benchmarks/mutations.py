@@ -47,15 +47,7 @@ _CACHES = (
 )
 _WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT
 _OUTSIDE = {"allowed": (), "seen": []}
-_CHANGES = (
-    "os.rename",
-    "os.remove",
-    "os.mkdir",
-    "os.rmdir",
-    "os.symlink",
-    "os.link",
-    "os.truncate",
-)
+_CHANGES = ("os.rename", "os.remove", "os.mkdir", "os.rmdir")
 
 
 def _heard(event, args):
@@ -64,12 +56,13 @@ def _heard(event, args):
         return
     if event == "open" and not (isinstance(args[2], int) and args[2] & _WRITES):
         return
-    paths = [
-        a for a in args[: 1 + (event == "os.rename")] if isinstance(a, str | bytes | os.PathLike)
-    ]
-    for path in map(os.path.realpath, map(os.fsdecode, paths)):
-        if not path.startswith(_OUTSIDE["allowed"]):
-            _OUTSIDE["seen"].append(f"{event} {path}")
+    count = 1 + (event == "os.rename")
+    for path, folder in zip(args[:count], (*args[count:], *[-1] * count)[-count:], strict=True):
+        if isinstance(path, str | bytes | os.PathLike):
+            base = f"/proc/self/fd/{folder}" if event != "open" and folder >= 0 else ""
+            place = os.path.realpath(os.path.join(base, os.fsdecode(path)))
+            if not place.startswith(_OUTSIDE["allowed"]):
+                _OUTSIDE["seen"].append(f"{event} {place}")
 
 
 sys.addaudithook(_heard)
