@@ -31,6 +31,23 @@ def test_a_signal_interrupts_and_the_next_ones_wait_until_all_is_put_away(name, 
     assert signal.getsignal(number) is before
 
 
+def test_a_signal_that_comes_in_a_destructor_is_not_lost(capfd):
+    class Doomed:
+        def __del__(self):
+            os.kill(os.getpid(), signal.SIGTERM)
+            sum(range(1000))
+
+    def work():
+        Doomed()
+        time.sleep(5.0)
+
+    begun = time.monotonic()
+    with _stopped_by_signals(), pytest.raises(KeyboardInterrupt):
+        work()
+    assert time.monotonic() - begun < 4.0
+    assert "Traceback" not in capfd.readouterr().err
+
+
 def test_a_hang_up_that_is_ignored_stays_ignored():
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:

@@ -19,6 +19,7 @@ from glissando import __version__
 from glissando.cli.commands import COMMANDS
 from glissando.errors import GlissandoError, NoShapeError, OldNameWarning
 
+_AGAIN = 0.05  # s after which an interrupt that was lost comes again
 _CLEAN_UP = 15.0  # s in which a second signal does not interrupt how the first one ends
 
 
@@ -104,13 +105,27 @@ def _stopped_by_signals() -> Iterator[None]:
             return
         raise KeyboardInterrupt
 
+    def again() -> None:
+        if hasattr(signal, "pthread_kill"):  # which ends a sleep, too
+            signal.pthread_kill(threading.main_thread().ident or 0, heeded[0])
+        else:
+            signal.raise_signal(heeded[0])
+
+    def unraisable(lost: Any) -> None:
+        if isinstance(lost.exc_value, KeyboardInterrupt):  # it came in a destructor: once more
+            threading.Timer(_AGAIN, again).start()
+        else:
+            show_lost(lost)
+
     names = ("SIGINT", "SIGTERM", "SIGHUP")  # Windows has no SIGHUP; nohup leaves it ignored
     numbers = [getattr(signal, name) for name in names if hasattr(signal, name)]
     heeded = [n for n in numbers if signal.getsignal(n) != signal.SIG_IGN]
     before = {number: signal.signal(number, stop) for number in heeded}
+    show_lost, sys.unraisablehook = sys.unraisablehook, unraisable
     try:
         yield
     finally:
+        sys.unraisablehook = show_lost
         for number, handler in before.items():
             signal.signal(number, handler)
 
