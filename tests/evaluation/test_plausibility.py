@@ -1,6 +1,7 @@
 """The guard: what is right passes, and mistakes with random parameters are named."""
 
 import json
+from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +15,8 @@ from glissando.evaluation.leave_out import leave_out
 from glissando.evaluation.metrics import innovations
 from glissando.evaluation.plausibility.examine import after_estimate, examine
 from glissando.evaluation.plausibility.finding import CHECKS, Finding, refuse
-from glissando.evaluation.run import chosen_streams
+from glissando.evaluation.plausibility.watch import Watch
+from glissando.evaluation.run import checked_window, chosen_streams
 from glissando.io.recording import load_recording
 from glissando.solver.gauss_newton import SolverOptions
 from scenes import LENGTH, angular_velocity, arc, sliding_scene
@@ -300,3 +302,36 @@ def test_readings_between_time_nodes_are_judged_by_the_state_there(spacetime):
     readings = recording.readings(names, robot, window)[0]
     posterior = estimate(robot.prior, robot.grid(*window), readings)
     assert not after_estimate(posterior, readings)
+
+
+@pytest.mark.parametrize(("unit", "kinds"), [(1.0, set()), (1e3, {"length-unit"})])
+def test_a_session_that_goes_on_is_warned_of_each_kind_once(session, unit, kinds):
+    robot, (coil,), _, _ = session
+    values = coil.values.copy()
+    values[:, :3, 3] *= unit
+    coil, said = coil.changed(values=values), []
+    with ThreadPoolExecutor(1) as executor:
+        watch = Watch(robot, executor, every=2.0)
+        for now in np.arange(coil.time[0], coil.time[-1], 0.5):
+            fresh = coil.select((coil.time > now - 0.5) & (coil.time <= now))
+            said += watch.take([fresh], now)
+            wait([watch._looking] if watch._looking else [])
+    names = [finding.name for finding in said]
+    assert len(names) == len(set(names))
+    assert kinds == set(names) - {"noise"}
+    assert watch.last(now) == []
+    short = Watch(robot, executor)
+    assert short.take([coil], coil.time[-1]) == []
+    assert kinds <= {finding.name for finding in short.last(coil.time[-1])}
+
+
+def test_the_default_window_is_that_of_the_sensors(folder):
+    recording = load_recording(folder)
+    body, coil = (
+        next(s for s in recording.streams.values() if s.truth == t) for t in (True, False)
+    )
+    longer = replace(body, rows=replace(body.rows, time=2.0 * body.rows.time))
+    streams = {**recording.streams, longer.name: longer}
+    found = checked_window(replace(recording, streams=streams), None)
+    assert found == (coil.rows.time[0], coil.rows.time[-1])
+    assert recording.span()[1] != replace(recording, streams=streams).span()[1]

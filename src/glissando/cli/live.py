@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import multiprocessing
 import sys
 import time
 from collections import deque
-from contextlib import ExitStack, suppress
+from collections.abc import Iterator
+from concurrent.futures import Executor, ProcessPoolExecutor
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +18,11 @@ from rich.live import Live as Line
 from rich.text import Text
 
 from glissando.cli.record import add_slide, further_paths, slide_path
-from glissando.cli.shared import Commands, add_command, require_writable
+from glissando.cli.shared import Commands, add_command, require_writable, warn
 from glissando.errors import GlissandoError
+from glissando.evaluation.plausibility.watch import Watch
 from glissando.hardware.capture import Rig, load_rig, simulated_rig
+from glissando.hardware.capture.child_process import blocked_signals, end_with_parent
 from glissando.hardware.live import LiveSession, Placement, Update
 from glissando.hardware.live.addresses import SINKS, SOURCES, sink_of, source_of
 from glissando.hardware.live.rig_source import RigSource
@@ -38,7 +43,8 @@ POLYDATA. An address may end in options, such as ?unit=m&axes=lps&clock=shared.
 A rig's setup file is that of `glissando record`; its slide follows --slide meanwhile.
 
 A slow, dead or malicious peer delays nobody. Every reading is in the --journal before it is used;
-it is a recording like any other.
+it is a recording like any other. Every ten seconds another process looks at the newest readings;
+each kind of thing that is implausible about them is a warning, once.
 """
 _EXAMPLES = """\
 examples:
@@ -114,17 +120,33 @@ def _run(options: argparse.Namespace, devices: ExitStack) -> int:
         duration=options.duration,
         patience=options.patience,
     )
-    status = _Status(session)
+    status, now = _Status(session), 0.0
+    watch = Watch(robot, devices.enter_context(_beside()))
     with suppress(KeyboardInterrupt), ExitStack() as stack:
         view = _view(robot, stack) if options.view else None
         stack.enter_context(status)
         stack.enter_context(session)
         for update in session:
+            with blocked_signals():
+                findings, now = watch.take(update.readings, update.time), update.time
             status.show(update)
+            warn(findings)
             if view is not None:
                 follow(view, update.smoother)
     print(status.summary())
+    warn(watch.last(now))
     return 0
+
+
+@contextmanager
+def _beside() -> Iterator[Executor]:
+    """A process that computes beside this one, begun when it is first given something."""
+    context = multiprocessing.get_context("spawn")
+    executor = ProcessPoolExecutor(1, mp_context=context, initializer=end_with_parent)
+    try:
+        yield executor
+    finally:
+        executor.shutdown(wait=False, cancel_futures=True)
 
 
 def _rig_source(rig: Rig, robot: Robot, options: argparse.Namespace) -> RigSource:

@@ -22,7 +22,7 @@ from glissando.errors import GlissandoError, NotConvergedWarning, RobotFileError
 from glissando.estimation.posterior import Posterior
 from glissando.evaluation.plausibility.examine import examine_recording
 from glissando.evaluation.plausibility.finding import Finding
-from glissando.evaluation.run import Run, chosen_streams, run_estimate
+from glissando.evaluation.run import Run, checked_window, chosen_streams, run_estimate
 from glissando.io.atomic_file import write_text
 from glissando.io.netcdf import load_posterior
 from glissando.io.provenance import digests, made_by, stated_format
@@ -157,7 +157,7 @@ def findings_in(folder: Path) -> list[Finding]:
     if recording.robot is None:
         return []
     try:
-        window = recording.span()
+        window = checked_window(recording, None)
         streams = chosen_streams(recording, recording.robot, window, None, None)[:2]
         return examine_recording(recording, recording.robot, *streams, window)
     except GlissandoError as problem:  # such as a stream without noise: an estimate will say so

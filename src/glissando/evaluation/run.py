@@ -111,7 +111,7 @@ class Run(Brief):
 
 
 def checked_window(recording: Recording, window: tuple[float, float] | None) -> tuple[float, float]:
-    """The window to estimate: as given, else the recording's own, else all of it.
+    """The window to estimate: as given, else the recording's own, else that of its sensors.
 
     Args:
         recording: The recording.
@@ -120,7 +120,8 @@ def checked_window(recording: Recording, window: tuple[float, float] | None) -> 
     Raises:
         RecordingError: Unless the window is finite and longer than nothing.
     """
-    first, last = window or recording.window or recording.span()
+    sensors, _ = recording.choose(None, None)  # where truth goes on alone nothing is estimated
+    first, last = window or recording.window or recording.span(sensors)
     if not (np.isfinite(first) and np.isfinite(last)):
         raise RecordingError(f"The window {first:g} to {last:g} s is not finite; give seconds.")
     if not first < last:

@@ -135,9 +135,9 @@ class Recording(Brief):
             )
         return list(dict.fromkeys(use)), chosen_truth
 
-    def span(self) -> tuple[float, float]:
-        """First and last time of any stream, seconds."""
-        times = [s.rows.time for s in self.streams.values()]
+    def span(self, names: Sequence[str] = ()) -> tuple[float, float]:
+        """First and last time of any of these streams, of all unless given, seconds."""
+        times = [self.streams[name].rows.time for name in names or self.streams]
         return min(float(t[0]) for t in times), max(float(t[-1]) for t in times)
 
 

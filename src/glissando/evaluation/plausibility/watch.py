@@ -1,0 +1,76 @@
+"""The guard beside a live session: looks at the newest readings in a process of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import Executor, Future
+from functools import reduce
+
+from glissando.evaluation.plausibility.examine import examine
+from glissando.evaluation.plausibility.finding import Finding
+from glissando.model.robot import Robot
+from glissando.model.sensors.readings import Readings
+
+_SPAN = 20.0  # s of readings that are looked at
+
+
+class Watch:
+    """Findings on the readings of a session that goes on, each kind of finding once.
+
+    Args:
+        robot: The robot they are of.
+        executor: Where looks are taken, a process so that they delay nothing.
+        every: Seconds of readings between looks.
+    """
+
+    def __init__(self, robot: Robot, executor: Executor, *, every: float = 10.0) -> None:
+        self._robot, self._executor, self._every = robot, executor, every
+        self._said: set[str] = set()
+        self._streams: dict[str, list[Readings]] = {}
+        self._due: float | None = None
+        self._looking: Future[list[Finding]] | None = None
+
+    def take(self, arrived: Sequence[Readings], now: float) -> list[Finding]:
+        """Take readings, and say what the last look found that was not said before.
+
+        Args:
+            arrived: Readings that came since the last call.
+            now: Time of the session, s.
+        """
+        for r in filter(len, arrived):
+            self._streams.setdefault(r.label, []).append(r)
+        self._due = now + self._every if self._due is None else self._due
+        if now >= self._due and self._looking is None:
+            self._due = now + self._every
+            self._looking = self._executor.submit(
+                examine, self._robot, self._newest(now), allow=tuple(self._said)
+            )
+        return self._found()
+
+    def last(self, now: float) -> list[Finding]:
+        """What was not said before, of the newest readings at the end of a session, looked at here.
+
+        Args:
+            now: Time of the session, s.
+        """
+        return self._new(examine(self._robot, self._newest(now), allow=tuple(self._said)))
+
+    def _newest(self, now: float) -> list[Readings]:
+        """A stream each, of which older readings are forgotten."""
+        for name, parts in self._streams.items():
+            whole = reduce(lambda one, other: one.joined(other), parts)
+            self._streams[name] = [whole.select(whole.time > now - _SPAN)]
+        return [parts[0] for parts in self._streams.values()]
+
+    def _found(self) -> list[Finding]:
+        """New findings of a look that has ended."""
+        if self._looking is None or not self._looking.done():
+            return []
+        findings, self._looking = self._looking.result(), None
+        return self._new(findings)
+
+    def _new(self, findings: Sequence[Finding]) -> list[Finding]:
+        """One of each kind that was not said before, and is from now on."""
+        new = {f.name: f for f in reversed(findings) if f.name not in self._said}
+        self._said |= new.keys()
+        return list(new.values())
