@@ -33,7 +33,9 @@ TIMOSHENKO = np.array([1.8751040687, 4.6940911330])  # cos x cosh x = −1
 
 
 class Release(NamedTuple):
-    """A file: damping (s), gravity (3,), times (K,) and positions (2, K, 3) of middle and tip.
+    """A file: damping (s), gravity (3,), times (K,), positions (2, K, 3) of middle and tip.
+
+    `turn` (2, K, 3) are their Euler angles X-Y-Z, rad.
 
     `holding` (2, 6) are moment and force that hold middle and tip until time 0.
     """
@@ -43,6 +45,7 @@ class Release(NamedTuple):
     holding: np.ndarray
     time: np.ndarray
     place: np.ndarray
+    turn: np.ndarray
 
 
 def read_release(path: Path) -> Release:
@@ -55,8 +58,9 @@ def read_release(path: Path) -> Release:
     if table.ndim != 2 or table.shape[1] != 13 or len(table) < 4:
         raise GlissandoError(f"{path} has a table {table.shape}; a release has 13 columns.")
     motion = table[2:]
-    place = np.stack([motion[:, 4:7], motion[:, 10:13]])
-    return Release(table[0, 0], table[0, 10:13], table[1, 1:].reshape(2, 6), motion[:, 0], place)
+    turn, place = np.moveaxis(motion[:, 1:].reshape(-1, 2, 2, 3), (2, 1), (0, 1))
+    holding = table[1, 1:].reshape(2, 6)
+    return Release(table[0, 0], table[0, 10:13], holding, motion[:, 0], place, turn)
 
 
 def simulate(release: Release, rod: Rod, duration: float) -> DynamicMotion:

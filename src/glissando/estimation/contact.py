@@ -20,7 +20,7 @@ from glissando.estimation.loads import require_mechanics
 from glissando.estimation.posterior import Posterior
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid, Index
-from glissando.model.priors.mechanical.intervals import still_error
+from glissando.model.priors.mechanical.intervals import still_columns, still_error
 from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
@@ -131,6 +131,7 @@ def _pulls(prior: MechanicalPrior, grid: Grid, state: State) -> tuple[Array, Ind
     n = np.repeat(np.arange(lengths.size), _PER_INTERVAL)
     offset = lengths[n] * np.tile((np.arange(_PER_INTERVAL) + 0.5) / _PER_INTERVAL, lengths.size)
     start, piece = state.take(n), prior.intervals(grid.arclength).take(n)
+    piece = piece.accelerated(start, state.take(n + 1))
     near = piece.before(offset).flow(start, noisy=False)
     there = State(start.pose @ near.pose, near.wrench, start.velocity)
     onward = piece.beyond(offset).flow(there, noisy=False).transition
@@ -150,9 +151,10 @@ def _evidence_of_errors(
     error, j0, j1 = still_error(start, end, intervals)
     noise = intervals.flow(start, noisy=True).noise
     dof = posterior.state.dof
-    chosen = (np.arange(count)[:, None] * dof + np.arange(12)).ravel()
+    width = j0.shape[2]
+    chosen = (np.arange(count)[:, None] * dof + still_columns(width)).ravel()
     cov = posterior.marginals.cov[k][np.ix_(chosen, chosen)]
-    slope = np.zeros((count - 1, 12, count, 12))
+    slope = np.zeros((count - 1, 12, count, width))
     rows = np.arange(count - 1)
     slope[rows, :, rows], slope[rows, :, rows + 1] = j0, j1
     flat = slope.reshape(12 * (count - 1), -1)

@@ -11,6 +11,7 @@ from glissando.errors import GlissandoError, OutsideGridError
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid, Index
+from glissando.model.priors.mechanical.intervals import still_columns
 from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.model.priors.prior import Prior
 from glissando.model.priors.transitions import symmetrize
@@ -147,10 +148,10 @@ def point_loads(
         both = np.zeros((n.size, 6, 6))
         both[:, :3, :3] = both[:, 3:, 3:] = rotation
         left = both @ left @ np.swapaxes(both, -1, -2)
-    slope = slope.reshape(n.size, 6, 2, 12)[:, :, ::-1]
+    slope = slope.reshape(n.size, 6, 2, -1)[:, :, ::-1]
     cov = joint(found.nodes)
     dof = cov.shape[-1] // 2
     wide = np.zeros((n.size, 6, 2, dof))
-    wide[..., :12] = slope
+    wide[..., still_columns(slope.shape[-1])] = slope
     flat = wide.reshape(n.size, 6, -1)
     return WrenchEstimate(wrench, symmetrize(flat @ cov @ np.swapaxes(flat, -1, -2) + left), frame)

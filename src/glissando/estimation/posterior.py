@@ -235,8 +235,8 @@ class Posterior(Brief):
             return self.state
         time = np.clip(grid.time, self.grid.time[0], self.grid.time[-1])
         found = self.at(grid.arclength, time[:, None])
-        rate = None if self.state.strain_rate is None else np.zeros_like(found.strain)
-        return State(found.pose, found.strain, found.velocity, rate)
+        rates = [np.zeros_like(found.strain)] * (len(self.state.fields()) - 3)
+        return State(found.pose, found.strain, found.velocity, *rates)
 
     def _joint(self, nodes: np.ndarray) -> Array:
         """Joint covariance (M, c·dof, c·dof) of the touched nodes (M, c)."""

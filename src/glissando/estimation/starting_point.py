@@ -43,7 +43,7 @@ def starting_point(
         State (K, N), the readings with the sensor parameters that go with it, iterations.
     """
     state, iterations, soft = prior.rest_state(located.grid), 0, prior.softened()
-    coarse = _coarsened(located)
+    coarse = _coarsened(located) if state.inertia is None else None  # coarse nodes miss vibration
     if coarse is not None:
         options = SolverOptions.rough(coarse.grid.time.size * state.numbers)
         try:

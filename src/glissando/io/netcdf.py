@@ -46,10 +46,13 @@ _DAMAGED = (
 )
 _SKEW = 1e-6  # by which rotations may fail to be orthogonal
 _SIX = ["x", "y", "z", "rx", "ry", "rz"]
-_FIELDS = ("pose", "strain", "velocity", "strain_rate")
+_FIELDS = ("pose", "strain", "velocity", "strain_rate", "inertia")
 _READ = ("time", "arclength", *_FIELDS, "information", "information_below")
 COMPONENTS = [f"{field}_{part}" for field in _FIELDS for part in _SIX]
-"""Names of a node's components in the order of every covariance; 18, or 24 with a strain rate."""
+"""Names of a node's components in the order of every covariance.
+
+18 for all priors, 24 with a strain rate, 30 with inertia.
+"""
 
 
 def _xarray() -> Any:
@@ -80,7 +83,9 @@ def to_xarray(posterior: Posterior) -> xarray.Dataset:
     cov = np.einsum("kninj->knij", blocks)
     node, six = ("time", "arclength"), "component6"
     std = np.sqrt(np.einsum("knii->kni", cov))
-    mixed = ", ".join(["m", "rad", "1", "1/m", "m/s", "rad/s", "1/s", "1/m/s"][: dof // 3])
+    mixed = ", ".join(
+        ["m", "rad", "1", "1/m", "m/s", "rad/s", "1/s", "1/m/s", "m/s²", "m/s³"][: dof // 3]
+    )
     variables: dict[str, Any] = {
         "position": ((*node, "axis"), state.pose[..., :3, 3], {"units": "m", "frame": "world"}),
         "quaternion": (
@@ -100,6 +105,9 @@ def to_xarray(posterior: Posterior) -> xarray.Dataset:
     if state.strain_rate is not None:
         units = {"units": "1/s, 1/m/s", "frame": "body"}
         variables["strain_rate"] = ((*node, six), state.strain_rate, units)
+    if state.inertia is not None:
+        units = {"units": "m/s², m/s³", "frame": "world"}
+        variables["inertia"] = ((*node, six), state.inertia, units)
     if isinstance(posterior.prior, MechanicalPrior):
         variables |= _loads(posterior, posterior.prior)
     coordinates: dict[str, Any] = {
@@ -220,7 +228,7 @@ def _require_whole(
     """Raise ValueError unless shapes fit each other and poses are rigid motions."""
     k, n = grid.shape
     size = sum(parameter.size for parameter, _ in estimated)
-    each = n * 6 * (4 if state.strain_rate is not None else 3) + size
+    each = n * state.dof + size
     wanted = [(k, n, 4, 4), *[(k, n, 6)] * (len(state.fields()) - 1), (k, each, each)]
     found = [field.shape for field in state.fields()] + [system.diagonal.shape]
     values = [v.shape == (k, parameter.size) for parameter, v in estimated]

@@ -15,7 +15,7 @@ from glissando.model.grid import Grid
 DOF = 18
 """Numbers of a state that a sensor or a user sees, in the order pose, strain, velocity."""
 
-POSE, STRAIN, VELOCITY, STRAIN_RATE = (slice(i, i + 6) for i in (0, 6, 12, 18))
+POSE, STRAIN, VELOCITY, STRAIN_RATE, INERTIA = (slice(6 * i, 6 * i + 6) for i in range(5))
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,9 @@ class State(Brief):
 
     `pose` (…, 4, 4); `strain` (…, 6) with dT/ds = T strain^ (1/m on the angular half);
     `velocity` (…, 6) with dT/dt = T velocity^; both in the body frame, [linear, angular].
-    `strain_rate` (…, 6) = ∂strain/∂t at the nodes of a prior that needs it, else None.
+    `strain_rate` (…, 6) = ∂strain/∂t at the nodes of a prior that needs it, else None; `inertia`
+    (…, 6), of a prior that knows inertia, the acceleration with what damping takes, and its rate,
+    both in the world frame: m/s² and m/s³ (equation 30).
     Source: equation (1).
     """
 
@@ -32,11 +34,12 @@ class State(Brief):
     strain: Array
     velocity: Array
     strain_rate: Array | None = None
+    inertia: Array | None = None
 
     @property
     def dof(self) -> int:
-        """Degrees of freedom of a point: 18, or 24 with a strain rate."""
-        return DOF if self.strain_rate is None else DOF + 6
+        """Degrees of freedom of a point: 18, 24 with a strain rate, 30 with inertia."""
+        return 6 + 6 * len(self._others())
 
     @property
     def numbers(self) -> int:
@@ -45,8 +48,8 @@ class State(Brief):
 
     def _others(self) -> list[Array]:
         """All fields but the pose, in the order of the degrees of freedom."""
-        rate = [] if self.strain_rate is None else [self.strain_rate]
-        return [self.strain, self.velocity, *rate]
+        rates = (each for each in (self.strain_rate, self.inertia) if each is not None)
+        return [self.strain, self.velocity, *rates]
 
     def fields(self) -> list[Array]:
         """Pose, then all other fields, in the order of the degrees of freedom."""

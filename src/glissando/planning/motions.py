@@ -51,8 +51,9 @@ def _state(shape: Shape, prior: Prior, arclength: Array, time: Array) -> State:
     )
     velocity = se3.log(se3.inverse(pose_before) @ pose_after) / (2.0 * _DT)
     rate = (strain_after - strain_before) / (2.0 * _DT)
-    has_rate = prior.rest_state(Grid(arclength, time[:1])).strain_rate is not None
-    return State(pose, strain, velocity, rate if has_rate else None)
+    still = prior.rest_state(Grid(arclength, time[:1]))
+    rates = [rate, np.zeros_like(rate)][: len(still.fields()) - 3]
+    return State(pose, strain, velocity, *rates)
 
 
 def _blended(

@@ -7,6 +7,8 @@ node, (M, 24) each, are [pose, strain, velocity, strain rate], and so are the co
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from glissando._kernels import intervals as kernels
@@ -124,7 +126,8 @@ def kron_pair(small: Array, large: Array) -> Array:
 
 
 def at_nodes(state: State, k: Index, n: Index) -> tuple[State, Index, Array]:
-    """State, nodes (M, 1) and Jacobian (M, 24, 1, 24) at time nodes k and arclength nodes n."""
+    """State, nodes (M, 1) and Jacobian (M, 24, 1, dof) at time nodes k and arclength nodes n."""
     nodes = (k * state.strain.shape[1] + n)[:, None]
-    eye = np.broadcast_to(np.eye(RATED)[:, None, :], (k.size, RATED, 1, RATED))
-    return state.flatten().take(nodes[:, 0]), nodes, eye
+    eye = np.eye(RATED, state.dof)[:, None, :]
+    at = replace(state.flatten().take(nodes[:, 0]), inertia=None)
+    return at, nodes, np.broadcast_to(eye, (k.size, *eye.shape))

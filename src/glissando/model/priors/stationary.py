@@ -24,7 +24,6 @@ from glissando.model.priors.intervals import RATED, kron_pair, strain_rate_of
 from glissando.model.priors.steps import TIME, pair_between
 from glissando.model.state import DOF, POSE, STRAIN, STRAIN_RATE, VELOCITY, State
 
-_ALL = slice(0, RATED)
 _DENSEST = 200.0  # time nodes a time scale: beyond, rounding shows in the covariance
 
 
@@ -43,7 +42,7 @@ class StationaryPrior(Protocol):
     def at_time_nodes(
         self, grid: Grid, state: State, k: Index, n: Index, s: Cells, gain: Array | None
     ) -> tuple[State, Index, Array]:
-        """State, nodes (M, c) and Jacobian (M, 24, c, 24) at time nodes k, on n or inside `s`."""
+        """State, nodes (M, c) and Jacobian (M, 24, c, dof) at time nodes k, on n or inside `s`."""
         ...
 
     def mean_strain(self, arclength: Array) -> Array:
@@ -93,32 +92,33 @@ def chain_factors(
         steps: Between times (K−1,), s.
         nodes: Nodes (K, I, c) that each process depends on.
         error: Errors [r; ṙ] (K, I, 2 r).
-        jacobian: Their Jacobians (K, I, 2 r, c, 24).
+        jacobian: Their Jacobians (K, I, 2 r, c, dof).
         cov: Covariances Q (K, I, r, r).
         paired: Whether the last six rows and columns of Q are diagonal.
     """
     whitener = pair_sqrt_information if paired else sqrt_information
-    count, rows = nodes.shape[2], error.shape[-1]
+    count, rows, dof = nodes.shape[2], error.shape[-1], jacobian.shape[-1]
+    every = slice(0, dof)
     if first:
         root = np.diag(np.diagonal(matern.stationary(time_scale)) ** -0.5)
         terms = Residuals(error[0], kron_pair(root, whitener(cov[0])))
-        yield Factors(nodes[0], _ALL, jacobian[0], terms)
+        yield Factors(nodes[0], every, jacobian[0], terms)
     if not len(steps):
         return
     fade = matern.transition(time_scale, steps)[:, None]
     root = np.linalg.inv(np.linalg.cholesky(matern.process_covariance(time_scale, steps)))
     before = error[:-1].reshape(*error[:-1].shape[:2], 2, rows // 2)
-    slopes = jacobian[:-1].reshape(*before.shape, count * RATED)
+    slopes = jacobian[:-1].reshape(*before.shape, count * dof)
     innovation = error[1:] - (fade @ before).reshape(error[1:].shape)
     fading = fade @ slopes.reshape(*before.shape[:3], -1)
-    both = np.empty((*innovation.shape, 2 * count, RATED))
+    both = np.empty((*innovation.shape, 2 * count, dof))
     both[..., :count, :] = -fading.reshape(both[..., :count, :].shape)
     both[..., count:, :] = jacobian[1:]
     joined = np.concatenate([nodes[:-1], nodes[1:]], axis=2)
     info = kron_pair(root[:, None], whitener(0.5 * (cov[:-1] + cov[1:])))
     terms = Residuals(innovation.reshape(-1, rows), info.reshape(-1, rows, rows))
-    shape = -1, rows, 2 * count, RATED
-    yield Factors(joined.reshape(-1, 2 * count), _ALL, both.reshape(shape), terms)
+    shape = -1, rows, 2 * count, dof
+    yield Factors(joined.reshape(-1, 2 * count), every, both.reshape(shape), terms)
 
 
 def interpolate_process(

@@ -31,6 +31,7 @@ class Section:
         rest_slope: Its change per metre (M, 6).
         weight: Weight per metre (M, 3) in the world frame, N/m.
         psd: Densities (M, 12) of the noise on strain and on the wrench.
+        weight_slope: Change of the weight per metre (M, 3), N/m².
     """
 
     stiffness: Array
@@ -38,6 +39,7 @@ class Section:
     rest_slope: Array
     weight: Array
     psd: Array
+    weight_slope: Array
 
     def take(self, index: np.ndarray) -> Section:
         """Those of the intervals."""
@@ -45,7 +47,9 @@ class Section:
 
     def ahead(self, offset: Array) -> Section:
         """The intervals without their first `offset` (M,) metres."""
-        return replace(self, rest=self.rest + offset[:, None] * self.rest_slope)
+        along = offset[:, None]
+        rest, weight = self.rest + along * self.rest_slope, self.weight + along * self.weight_slope
+        return replace(self, rest=rest, weight=weight)
 
 
 @dataclass(frozen=True)
@@ -57,12 +61,15 @@ class Flow:
         wrench: Internal wrench (M, 6) at the end.
         transition: Its slope Φ (M, 12, 12): [pose, wrench] of the end by those of the beginning.
         noise: Covariance Q (M, 12, 12) of [pose, wrench] at the end.
+        by_weight: Slope (M, 12, 6) of the end by the weight where the interval begins and by the
+            weight's slope.
     """
 
     pose: Array
     wrench: Array
     transition: Array
     noise: Array
+    by_weight: Array
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a step too long leads anywhere, and is refused
@@ -79,23 +86,25 @@ def flow(rotation: Array, wrench: Array, step: Array, section: Section, *, noisy
     count, part = len(step), step / _STEPS
     pose = np.broadcast_to(np.eye(4), (count, 4, 4))
     phi = np.broadcast_to(np.eye(12), (count, 12, 12))
-    noise = np.zeros((count, 12, 12))
-    weight = np.einsum("mji,mj->mi", rotation, section.weight)
+    noise, by_weight = np.zeros((count, 12, 12)), np.zeros((count, 12, 6))
     for i in range(_STEPS):
-        here = section.ahead(i * part)
+        here, turn = section.ahead(i * part), rotation @ pose[:, :3, :3]
+        middle = 0.5 * part[:, None]
+        weight = np.einsum("mji,mj->mi", turn, here.weight + middle * here.weight_slope)
         series = _Series(wrench, weight, here)
-        forward, wrench, onward = series.step(part)
+        forward, wrench, onward, by_own = series.step(part)
         if noisy:
             noise = onward @ noise @ _transposed(onward) + series.noise(part, here.psd)
+        by_world, along = by_own @ _transposed(turn), (i + 0.5) * part[:, None, None]
+        by_weight = onward @ by_weight + np.concatenate([by_world, along * by_world], axis=2)
         pose, phi = pose @ forward, onward @ phi
-        weight = np.einsum("mji,mj->mi", forward[:, :3, :3], weight)
-    return Flow(pose, wrench, phi, noise)
+    return Flow(pose, wrench, phi, noise, by_weight)
 
 
 class _Series:
     """Strain, wrench and weight with their derivatives by arclength, and the slopes of all those.
 
-    Slopes (M, 6, 9) are by [rotation, wrench] of the beginning.
+    Slopes (M, 6, 9) are by [weight, wrench] of the beginning.
     """
 
     def __init__(self, wrench: Array, weight: Array, section: Section) -> None:
@@ -104,7 +113,7 @@ class _Series:
         none = np.zeros_like(wrench)
         rest = [section.rest, section.rest_slope, none, none]
         self.by_weight = np.zeros((len(wrench), 3, 9))
-        self.by_weight[:, :, :3] = se3.hat3(weight)
+        self.by_weight[:, :, :3] = np.eye(3)
         self.by_wrench = np.zeros((len(wrench), 6, 9))
         self.by_wrench[:, :, 3:] = np.eye(6)
         wrenches, slopes = [wrench], [self.by_wrench]
@@ -139,8 +148,11 @@ class _Series:
             weights.append(turn)
             weight_slopes.append(turn_slope)
 
-    def step(self, h: Array) -> tuple[Array, Array, Array]:
-        """Pose (M, 4, 4) and wrench (M, 6) after `h` (M,), slope (M, 12, 12) of both."""
+    def step(self, h: Array) -> tuple[Array, Array, Array, Array]:
+        """Pose (M, 4, 4) and wrench (M, 6) after `h` (M,), slopes of both.
+
+        By pose and wrench of the beginning (M, 12, 12), and by its weight (M, 12, 3).
+        """
         a, b = h[:, None], h[:, None, None]
         e0, e1, e2, e3 = self.strain
         d0, d1, d2, d3 = self.by_strain
@@ -156,9 +168,11 @@ class _Series:
         wrench = _apply(_transposed(frame), carried)
         phi = np.zeros((len(h), 12, 12))
         phi[:, :6, :6] = se3.adjoint(se3.inverse(pose))
-        phi[:, :6, 3:] += moved
-        phi[:, 6:, 3:] = _transposed(frame) @ by_carried + _pull(wrench) @ moved
-        return pose, wrench, phi
+        carried_on = _transposed(frame) @ by_carried + _pull(wrench) @ moved
+        own = np.concatenate([moved, carried_on], axis=1)
+        phi[:, :, 3:6] += own[:, :, :3] @ se3.hat3(self.weight)
+        phi[:, :, 6:] += own[:, :, 3:]
+        return pose, wrench, phi, own[:, :, :3]
 
     def _less_weight(self, a: Array, b: Array) -> tuple[Array, Array]:
         """Wrench (M, 6) less the weight over a step, both about its beginning; slope (M, 6, 9)."""
@@ -182,7 +196,7 @@ class _Series:
         middle = 0.5 * h[:, None, None] * self.ad[1] + self.ad[0]
         generator[:, :6, :6] = -middle
         generator[:, :6, 6:] = self._compliance()
-        generator[:, 6:9, 3:6] = -self.by_weight[:, :, :3]
+        generator[:, 6:9, 3:6] = -se3.hat3(self.weight)
         force = self.pull[0] + 0.5 * h[:, None, None] * self.pull[1]
         generator[:, 6:, 6:] = _transposed(middle) + force @ self._compliance()
         scaled = h[:, None, None] * generator

@@ -2,20 +2,21 @@
 
 The error of an interval says how far its end is from where an undisturbed rod arrives, r =
 [log(T̂₁⁻¹ T₁); ε₁ − ε̂₁], in poses and strains; for a known stiffness strain is the internal wrench
-in other units. Both kinds of node, (M, 24) each, are [pose, strain, velocity, strain rate]. Source:
-equations (26) and (27).
+in other units. A node, (M, 24), is [pose, strain, velocity, strain rate]; with inertia it goes on
+with [acceleration, its rate], (M, 30), which act as weight does. Source: (26), (27) and (30).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
 
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
+from glissando.model.grid import Index
 from glissando.model.priors.intervals import RATED, strain_rate_of
 from glissando.model.priors.mechanical.flow import Flow, Section, flow
 from glissando.model.state import POSE, State, concatenate
@@ -35,6 +36,7 @@ class Intervals:
         end_stiffness: Stiffness (M, 6) beyond their ends.
         end_rest: Rest strain (M, 6) beyond their ends.
         jump: Variances (M, 6) of a point load at their ends, N² and N² m².
+        mass: Mass per metre (M,), kg/m.
     """
 
     step: Array
@@ -42,11 +44,25 @@ class Intervals:
     end_stiffness: Array
     end_rest: Array
     jump: Array
+    mass: Array
 
     def take(self, index: np.ndarray) -> Intervals:
         """Those of the intervals."""
         others = (self.end_stiffness[index], self.end_rest[index], self.jump[index])
-        return Intervals(self.step[index], self.section.take(index), *others)
+        return Intervals(self.step[index], self.section.take(index), *others, self.mass[index])
+
+    def accelerated(self, start: State, end: State) -> Intervals:
+        """The intervals with what inertia adds to the weight between two nodes. Source: (30)."""
+        if start.inertia is None or end.inertia is None:
+            return self
+        early, late = (-self.mass[:, None] * at[:, :3] for at in (start.inertia, end.inertia))
+        weight, slope = self.section.weight + early, (late - early) / self.step[:, None]
+        return replace(self, section=replace(self.section, weight=weight, weight_slope=slope))
+
+    def by_inertia(self, by_weight: Array) -> tuple[Array, Array]:
+        """Slopes (M, 12, 3) by the acceleration of both ends, from those by the weight."""
+        late = -self.mass[:, None, None] * by_weight[:, :, 3:] / self.step[:, None, None]
+        return -self.mass[:, None, None] * by_weight[:, :, :3] - late, late
 
     def wrench(self, start: State) -> Array:
         """Internal wrench (M, 6) of nodes where the intervals begin."""
@@ -63,11 +79,12 @@ class Intervals:
     def before(self, offset: Array) -> Intervals:
         """The intervals up to `offset` (M,) metres."""
         section, rest = self.section, self.section.ahead(offset).rest
-        return Intervals(offset, section, section.stiffness, rest, np.zeros_like(self.jump))
+        none = np.zeros_like(self.jump)
+        return Intervals(offset, section, section.stiffness, rest, none, self.mass)
 
     def beyond(self, offset: Array) -> Intervals:
         """The intervals from `offset` (M,) metres on."""
-        others = (self.end_stiffness, self.end_rest, self.jump)
+        others = (self.end_stiffness, self.end_rest, self.jump, self.mass)
         return Intervals(self.step - offset, self.section.ahead(offset), *others)
 
 
@@ -77,30 +94,38 @@ def in_strain(found: Flow, begin: Array, end: Array, rest: Array) -> Flow:
     into, out = np.concatenate([ones, begin], -1), np.concatenate([ones, 1.0 / end], -1)
     transition = out[:, :, None] * found.transition * into[:, None, :]
     noise = out[:, :, None] * found.noise * out[:, None, :]
-    return Flow(found.pose, rest + found.wrench / end, transition, noise)
+    by_weight = out[:, :, None] * found.by_weight
+    return Flow(found.pose, rest + found.wrench / end, transition, noise, by_weight)
 
 
 @np.errstate(over="ignore", invalid="ignore")
 def still_error(start: State, end: State, intervals: Intervals) -> tuple[Array, Array, Array]:
-    """Error r (M, 12) of intervals and Jacobians (M, 12, 12) by pose and strain of both ends."""
+    """Error r (M, 12) of intervals and Jacobians by pose and strain of both ends.
+
+    The Jacobians are (M, 12, 12), or (M, 12, 15) and by the acceleration, too.
+    """
+    intervals = intervals.accelerated(start, end)
     ahead = intervals.flow(start, noisy=False)
     xi = se3.log(se3.inverse(start.pose @ ahead.pose) @ end.pose)
     error = np.concatenate([xi, end.strain - ahead.wrench], axis=-1)
-    j0, j1 = -ahead.transition, np.zeros_like(ahead.transition)
-    j0[:, :6] = se3.right_jacobian_inverse(-xi) @ j0[:, :6]
-    j1[:, :6, :6], j1[:, 6:, 6:] = se3.right_jacobian_inverse(xi), np.eye(6)
+    j0, j1 = -ahead.transition, np.zeros((len(xi), 12, 12))
+    if start.inertia is not None:
+        early, late = intervals.by_inertia(ahead.by_weight)
+        j0, j1 = np.concatenate([j0, -early], axis=2), np.concatenate([j1, -late], axis=2)
+    back = se3.right_jacobian_inverse(-xi)
+    j0[:, :6], j1[:, :6] = back @ j0[:, :6], back @ j1[:, :6]
+    j1[:, :6, :6], j1[:, 6:, 6:12] = se3.right_jacobian_inverse(xi), np.eye(6)
     return error, j0, j1
 
 
 @np.errstate(over="ignore", invalid="ignore")
 def interval_error(start: State, end: State, intervals: Intervals) -> tuple[Array, Array, Array]:
-    """Error [r; ṙ] (M, 24) of intervals, Jacobians (M, 24, 24) by both ends. Source: (27), (9)."""
+    """Error [r; ṙ] (M, 24) of intervals, Jacobians (M, 24, dof) by both ends. Source: (27), (9)."""
     (error, *slopes), change = _along_motion(still_error, start, end, intervals)
     error = error[: len(intervals.step)]
     rate, jacobians = np.zeros_like(error), []
     for at, slope, changed in zip((start, end), slopes, change, strict=True):
-        motion = np.concatenate([at.velocity, strain_rate_of(at)], axis=-1)
-        rate += (slope @ motion[:, :, None])[..., 0]
+        rate += (slope @ _motion(at)[:, :, None])[..., 0]
         jacobians.append(_rated(slope, changed, at.velocity))
     j0, j1 = jacobians
     return np.concatenate([error, rate], axis=-1), j0, j1
@@ -135,20 +160,39 @@ def _moved(at: State, time: Array) -> State:
     """Nodes (M,) after times (M,) of their motion, without their rates."""
     step = time[:, None]
     pose = at.pose @ se3.exp(step * at.velocity)
-    return State(pose, at.strain + step * strain_rate_of(at), at.velocity)
+    inertia = None
+    if at.inertia is not None:
+        inertia = np.concatenate(
+            [at.inertia[:, :3] + step * at.inertia[:, 3:], at.inertia[:, 3:]], 1
+        )
+    rate = strain_rate_of(at)
+    return State(pose, at.strain + step * rate, at.velocity, rate, inertia)
+
+
+def _motion(at: State) -> Array:
+    """Rates of pose, strain and, with inertia, acceleration (M, 12 or 15)."""
+    last = [] if at.inertia is None else [at.inertia[:, 3:]]
+    return np.concatenate([at.velocity, strain_rate_of(at), *last], axis=-1)
 
 
 def _rated(slope: Array, change: Array, velocity: Array) -> Array:
-    """Jacobian (M, 24, 24) of [value, rate] by a node, from that of the value (M, 12, 12).
+    """Jacobian (M, 24, dof) of [value, rate] by a node, from that of the value (M, 12, dof / 2).
 
     Two motions of a pose do not commute, so a slope that changes along the motion does so less
     the slope of their bracket.
     """
-    out = np.zeros((len(slope), RATED, RATED))
-    out[:, :12, :12] = out[:, 12:, 12:] = slope
-    out[:, 12:, :12] = change
+    half = slope.shape[2]
+    value, rate = still_columns(half), np.r_[12:24, 12 + half : 2 * half]
+    out = np.zeros((len(slope), RATED, 2 * half))
+    out[:, :12, value] = out[:, 12:, rate] = slope
+    out[:, 12:, value] = change
     out[:, 12:, POSE] -= slope[:, :, :6] @ se3.ad(velocity)
     return out
+
+
+def still_columns(half: int) -> Index:
+    """Which numbers of a node are pose, strain and acceleration."""
+    return np.r_[0:12, 24 : 12 + half]
 
 
 @np.errstate(over="ignore", invalid="ignore")
@@ -186,7 +230,7 @@ def bridge(start: State, intervals: Intervals, offset: Array) -> tuple[Array, Ar
 def interval_between(
     start: State, end: State, intervals: Intervals, offset: Array, gain: Array
 ) -> tuple[State, Array, Array]:
-    """State inside intervals, with Jacobians (M, 24, 24) by both ends. Source: (27) and (10).
+    """State inside intervals, with Jacobians (M, 24, dof) by both ends. Source: (27) and (10).
 
     Args:
         start: State (M,) with strain rate where the intervals begin.
@@ -203,12 +247,11 @@ def interval_between(
     (at, j0, j1), change = _along_motion(linearize, start, end, intervals)
     rate = np.zeros((len(offset), 12))
     for node, slope in ((start, j0), (end, j1)):
-        motion = np.concatenate([node.velocity, strain_rate_of(node)], axis=-1)
-        rate += (slope @ motion[:, :, None])[..., 0]
+        rate += (slope @ _motion(node)[:, :, None])[..., 0]
     jacobians = []
     for node, slope, changed in zip((start, end), (j0, j1), change, strict=True):
         jacobian = _rated(slope, changed, node.velocity)
-        jacobian[:, 12:18, :12] += se3.ad(rate[:, :6]) @ slope[:, :6]
+        jacobian[:, 12:18, still_columns(slope.shape[2])] += se3.ad(rate[:, :6]) @ slope[:, :6]
         jacobians.append(jacobian)
     count = len(offset)
     return (
@@ -221,8 +264,9 @@ def interval_between(
 def _still_between(
     start: State, end: State, intervals: Intervals, offset: Array, gain: Array
 ) -> tuple[State, Array, Array]:
-    """Pose and strain inside intervals, Jacobians (M, 12, 12) by those of both ends."""
+    """Pose and strain inside intervals, Jacobians (M, 12, dof / 2) by those of both ends."""
     error, r0, r1 = still_error(start, end, intervals)
+    intervals = intervals.accelerated(start, end)
     off = (gain @ error[:, :, None])[..., 0]
     ahead = intervals.before(offset).flow(start, noisy=False)
     bend = se3.exp(off[:, :6])
@@ -230,6 +274,11 @@ def _still_between(
     j0, j1, carried = gain @ r0, gain @ r1, ahead.transition
     turn, back = se3.right_jacobian(off[:, :6]), se3.adjoint(se3.inverse(bend))
     j0[:, :6], j1[:, :6] = turn @ j0[:, :6], turn @ j1[:, :6]
-    j0[:, :6] += back @ carried[:, :6]
-    j0[:, 6:] += carried[:, 6:]
+    straight = [(j0[:, :, :12], carried)]
+    if start.inertia is not None:
+        early, late = intervals.by_inertia(ahead.by_weight)
+        straight += [(j0[:, :, 12:], early), (j1[:, :, 12:], late)]
+    for jacobian, own in straight:
+        jacobian[:, :6] += back @ own[:, :6]
+        jacobian[:, 6:] += own[:, 6:]
     return State(pose, strain, np.zeros_like(strain)), j0, j1

@@ -9,11 +9,8 @@ from numpy.typing import NDArray
 
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Index
-from glissando.model.priors.mechanical.intervals import Intervals, still_error
-from glissando.model.priors.static import STATIC_DOF
+from glissando.model.priors.mechanical.intervals import Intervals, still_columns, still_error
 from glissando.model.state import State
-
-_STATIC = slice(0, STATIC_DOF)
 
 
 @dataclass(frozen=True)
@@ -23,7 +20,8 @@ class PointLoad:
     Attributes:
         mean: N and N m.
         nodes: Nodes k·N + n (M, 2) that they follow from.
-        jacobian: Slopes (M, 6, 2, 12) by pose and strain there.
+        jacobian: Slopes (M, 6, 2, 12) by pose and strain there, or (M, 6, 2, 15) and by the
+            acceleration.
         cov: Covariance (M, 6, 6) that the nodes leave.
     """
 
@@ -54,15 +52,14 @@ def point_load(
     """
     last, at_tip, slope = tip
     count = len(last)
-    jacobian, mean = np.zeros((count, 6, 2, STATIC_DOF)), np.zeros((count, 6))
-    left, share = np.zeros((count, 6, 6)), np.zeros((count, 6, 12))
+    mean, left, share = np.zeros((count, 6)), np.zeros((count, 6, 6)), np.zeros((count, 6, 12))
     error, *slopes = still_error(start, end, piece)
     noise = piece.flow(start, noisy=True).noise
     share[:, range(6), range(6, 12)] = -piece.jump / piece.end_stiffness
     gain = np.swapaxes(np.linalg.solve(noise, np.swapaxes(share, -1, -2)), -1, -2)
     mean += np.einsum("mij,mj->mi", gain, error)
-    jacobian += np.stack([gain @ slope for slope in slopes], axis=2)
+    jacobian = np.stack([gain @ slope for slope in slopes], axis=2)
     left += piece.jump[:, :, None] * np.eye(6) - gain @ np.swapaxes(share, -1, -2)
     mean[last] += at_tip[last, :6]
-    jacobian[last, :, 1] += slope[last, :6, _STATIC]
+    jacobian[last, :, 1] += slope[last, :6][..., still_columns(jacobian.shape[-1])]
     return PointLoad(mean, nodes, jacobian, left)

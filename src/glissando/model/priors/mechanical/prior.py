@@ -24,8 +24,10 @@ from glissando.model.interpolation import Interpolation, Points
 from glissando.model.mechanics import Mechanics, read_mechanics
 from glissando.model.noise import sqrt_information
 from glissando.model.priors.intervals import RATED, at_nodes, place_error
+from glissando.model.priors.mechanical.beam_modes import beam_modes
 from glissando.model.priors.mechanical.bend import bent
 from glissando.model.priors.mechanical.flow import Section
+from glissando.model.priors.mechanical.inertia import Inertia, ModalMotion
 from glissando.model.priors.mechanical.intervals import (
     Intervals,
     bridge,
@@ -35,7 +37,7 @@ from glissando.model.priors.mechanical.intervals import (
 )
 from glissando.model.priors.mechanical.point_load import PointLoad, point_load
 from glissando.model.priors.mechanical.section import hanging_rod, section_covariances
-from glissando.model.priors.mechanical.tip import tip_error
+from glissando.model.priors.mechanical.tip import pushed, tip_error
 from glissando.model.priors.prior_table import PriorTable, pose_table, read_rest
 from glissando.model.priors.rest_shape import STRAIGHT, RestShape
 from glissando.model.priors.static import STATIC_DOF
@@ -67,6 +69,8 @@ class MechanicalPrior:
         rest_slope: Its change per metre, (6,) or (S, 6).
         points: Places (P,) where a wrench may act, m.
         var_points: Its variances (P, 6), N² and N² m².
+        inertia: How the rod's inertia is modelled; None where motion is so slow that it does not
+            matter.
     """
 
     mechanics: Mechanics
@@ -80,6 +84,7 @@ class MechanicalPrior:
     rest_slope: Array = field(default_factory=lambda: np.zeros(6))
     points: Array = field(default_factory=lambda: np.zeros(0))
     var_points: Array = field(default_factory=lambda: np.zeros((0, 6)))
+    inertia: Inertia | None = None
     kind: ClassVar[str] = "mechanical"
 
     @classmethod
@@ -100,7 +105,12 @@ class MechanicalPrior:
         assert base is not None
         fields |= {"base_pose": base.pose(), "var_base": base.vector("var_pose", 6, positive=True)}
         base.close()
-        return cls(mechanics, time_scale=prior.number("time_scale"), **fields)
+        return cls(
+            mechanics,
+            time_scale=prior.number("time_scale"),
+            inertia=_inertia(prior, mechanics),
+            **fields,
+        )
 
     def to_table(self) -> dict[str, Any]:
         """What a robot file says of this prior, as `from_table` reads it."""
@@ -109,6 +119,8 @@ class MechanicalPrior:
             prior[name] = getattr(self, name).tolist()
         if self.points.size:
             prior |= {"points": self.points.tolist(), "var_points": self.var_points.tolist()}
+        if self.inertia is not None:
+            prior["inertia"] = self.inertia.to_table()
         base = pose_table(self.base_pose) | {"var_pose": self.var_base.tolist()}
         rest = {key: getattr(self, key).tolist() for key in ("rest_strain", "rest_slope")}
         return {**rest, "mechanics": self.mechanics.to_table(), "prior": prior, "base": base}
@@ -136,6 +148,8 @@ class MechanicalPrior:
         Its shapes follow the readings as a strain prior's do, and the moments follow the shapes: a
         start in which only the forces are left to be found.
         """
+        if self.inertia is not None:
+            return self._loaded()
         wrench = self.var_tip + self.var_points.sum(axis=0) + _REACH * self.psd_load
         moment = np.repeat(wrench[3:].max() + _REACH**2 * wrench[:3].max(), 3)
         curvature = moment[0] / (_REACH * self.mechanics.stiffness[:, 3:5].min() ** 2)
@@ -147,6 +161,17 @@ class MechanicalPrior:
             psd_strain_error=np.concatenate([shear, self.psd_strain_error[3:]]),
             var_tip=np.concatenate([none, moment]),
             var_points=np.zeros_like(self.var_points),
+        )
+
+    def _loaded(self) -> MechanicalPrior:
+        """The prior of a rod under loads as large as inertia may be, a start for a moving one."""
+        assert self.inertia is not None
+        force = self.inertia.std_release**2
+        wide = np.repeat([force, force * _REACH**2 * 1e-4], 3)
+        return replace(
+            self,
+            psd_load=np.maximum(self.psd_load, wide / _REACH),
+            var_tip=np.maximum(self.var_tip, 0.1 * wide),
         )
 
     def of_shape(self, number: int) -> MechanicalPrior:
@@ -189,15 +214,17 @@ class MechanicalPrior:
         segment = mechanics.segment(0.5 * (begin + end))
         slope = rest.slope[np.searchsorted(rest.joints, 0.5 * (begin + end))]
         psd = np.concatenate([self.psd_strain_error, self.psd_load])
+        mass = mechanics.mass_per_length[segment]
         section = Section(
             mechanics.stiffness[segment],
             rest.at(begin),
             slope,
-            mechanics.mass_per_length[segment, None] * np.atleast_2d(mechanics.gravity)[0],
+            mass[:, None] * np.atleast_2d(mechanics.gravity)[0],
             np.broadcast_to(psd, (begin.size, 12)),
+            np.zeros((begin.size, 3)),
         )
         beyond = mechanics.stiffness[mechanics.segment(end)]
-        return Intervals(np.diff(arclength), section, beyond, rest.at(end), jump)
+        return Intervals(np.diff(arclength), section, beyond, rest.at(end), jump, mass)
 
     def rest_state(self, grid: Grid) -> State:
         """The robot on the grid under its own weight and no load, from which an estimate starts."""
@@ -205,10 +232,16 @@ class MechanicalPrior:
         base = np.broadcast_to(self.base_pose, (count, 4, 4))
         pose, strain = hanging_rod(self.mechanics, self._tiled(grid, count), base)
         pose = np.broadcast_to(pose, (*grid.shape, 4, 4)).copy()
-        return State(pose, np.broadcast_to(strain, still.shape).copy(), still, still.copy())
+        more = [still.copy()] if self.inertia is not None else []
+        return State(pose, np.broadcast_to(strain, still.shape).copy(), still, still.copy(), *more)
 
     def bent(self, grid: Grid, state: State, step: Array) -> State:
-        """The state moved by `step` (K, N, 24) interval by interval from the base outwards."""
+        """The state moved by `step` (K, N, dof) interval by interval from the base outwards.
+
+        With inertia it goes straight: accelerations and positions are tied in the world.
+        """
+        if self.inertia is not None:
+            return state.retract(step)
         times = np.arange(len(step))
         pieces = [
             self._pick(grid, times, np.full(times.size, n)) for n in range(grid.arclength.size - 1)
@@ -255,15 +288,18 @@ class MechanicalPrior:
         chain = self.time_scale, first, np.diff(grid.time[touched])
         at = local.take(np.s_[:, :1])
         error, slope = place_error(self.base_pose, at.strain[0, 0], at)
-        error, slope = error[..., _POSE_ROWS], slope[..., _POSE_ROWS, None, :]
+        error, slope = error[..., _POSE_ROWS], _widened(slope[..., _POSE_ROWS, :], state.dof)
         cov = np.broadcast_to(np.diag(self.var_base), (len(here), 1, 6, 6))
         yield from chain_factors(*chain, here[:, :1, None], error, slope, cov, paired=False)
         error, slope = self._tip_error(grid, local.take(np.s_[:, -1:]))
         cov = np.broadcast_to(np.diag(self.var_tip), (len(here), 1, 6, 6))
-        slope = slope[..., None, :]
+        slope = _widened(slope, state.dof)
         yield from chain_factors(*chain, here[:, -1:, None], error, slope, cov, paired=False)
         if n_count == 1:
             return
+        if self.inertia is not None:
+            motion = self._motion(grid.arclength)
+            yield from motion.factors(first, grid.time[touched], here, local)
         shape, every = (len(here), n_count - 1), self._tiled(grid, len(here))
         start, end = (local.take(np.s_[:, part]).flatten() for part in _ENDS)
         error, *slopes = interval_error(start, end, every)
@@ -272,10 +308,25 @@ class MechanicalPrior:
             *chain,
             np.stack([here[:, :-1], here[:, 1:]], axis=2),
             error.reshape(*shape, RATED),
-            np.stack(slopes, axis=2).reshape(*shape, RATED, 2, RATED),
+            np.stack(slopes, axis=2).reshape(*shape, RATED, 2, state.dof),
             every.flow(about, noisy=True).noise.reshape(*shape, 12, 12),
             paired=False,
         )
+
+    def _motion(self, arclength: Array) -> ModalMotion:
+        """How the rod's modes move on arclength nodes (N,)."""
+        inertia, mechanics = self.inertia, self.mechanics
+        assert inertia is not None
+        if arclength.size <= inertia.modes:
+            raise OutsideGridError(
+                f"A rod of {inertia.modes} modes needs {inertia.modes + 1} arclength nodes or more "
+                f"and has {arclength.size}; add nodes, or ask for fewer modes in [prior.inertia]."
+            )
+        loads = float(self.psd_load[:3].max()), float(self.var_tip[:3].max())
+        points = self.points, self.var_points[:, :3].max(axis=1, initial=0.0)
+        modes = beam_modes(mechanics, arclength, inertia.modes, loads, points)
+        damping = inertia.damping(modes, float(mechanics.mass_per_length.mean()))
+        return ModalMotion(modes, damping, inertia.std_release**2, self.time_scale)
 
     def _tip_error(self, grid: Grid, at: State, shape: Index | None = None) -> tuple[Array, Array]:
         """Error of the tip's wrench (…, 12) and its Jacobian (…, 12, 24), see `tip_error`.
@@ -285,10 +336,12 @@ class MechanicalPrior:
         mechanics = self.mechanics
         if shape is not None and mechanics.gravity.ndim == 2:
             mechanics = replace(mechanics, gravity=mechanics.gravity[shape])
-        return tip_error(mechanics, self.rest.at(grid.arclength[-1:])[0], at)
+        found = tip_error(mechanics, self.rest.at(grid.arclength[-1:])[0], at)
+        return found if at.inertia is None else pushed(mechanics, at, *found)
 
     def static_factors(self, grid: Grid, state: State) -> Iterator[Factors]:
         """Factors of shapes that hold still, linearised at nodes (S, N) of pose and strain."""
+        state = replace(state, inertia=None)
         count, n_count = grid.shape
         node = np.arange(count * n_count).reshape(count, n_count)
         if n_count > 1:
@@ -356,6 +409,22 @@ class MechanicalPrior:
         last = n == grid.arclength.size - 1
         piece = self._pick(grid, k, n - 1)
         return point_load(start, end, piece, nodes, (last, *self._tip_error(grid, end, k)))
+
+
+def _inertia(prior: PriorTable, mechanics: Mechanics) -> Inertia | None:
+    """The [prior.inertia] of a robot file, if it has one."""
+    table = prior.table("inertia")
+    if table is None:
+        return None
+    if np.any(mechanics.mass_per_length == 0.0):
+        raise table.fail("[prior.inertia]", "needs the mass of [mechanics]; give its density.")
+    return Inertia.from_table(table)
+
+
+def _widened(slope: Array, dof: int) -> Array:
+    """Jacobians (…, r, 1, dof) by a node, from those by its first numbers (…, r, d)."""
+    none = np.zeros((*slope.shape[:-1], dof - slope.shape[-1]))
+    return np.concatenate([slope, none], axis=-1)[..., None, :]
 
 
 _ENDS = (slice(None, -1), slice(1, None))

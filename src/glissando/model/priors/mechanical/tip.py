@@ -10,6 +10,8 @@ from glissando.model.mechanics import Mechanics
 from glissando.model.priors.intervals import RATED, strain_rate_of
 from glissando.model.state import STRAIN, STRAIN_RATE, State
 
+_PARTS = slice(0, 3), slice(3, 6)
+
 
 def tip_error(mechanics: Mechanics, rest: Array, at: State) -> tuple[Array, Array]:
     """Wrench at the tip less its tool's weight, and its rate (…, 12); Jacobian (…, 12, 24).
@@ -32,3 +34,28 @@ def tip_error(mechanics: Mechanics, rest: Array, at: State) -> tuple[Array, Arra
     lever, spin = se3.hat3(mechanics.tip_center), se3.hat3(turning) @ by_turn[..., :3, :]
     jacobian[..., 6:9, 3:6], jacobian[..., 9:, 3:6] = spin, lever @ spin
     return error, jacobian
+
+
+def pushed(mechanics: Mechanics, at: State, error: Array, jacobian: Array) -> tuple[Array, Array]:
+    """Error and Jacobian (…, 12, 30) of a tip whose tool resists acceleration. Source: (30).
+
+    The tool counts as a point where the tip is.
+    """
+    assert at.inertia is not None
+    back = np.swapaxes(at.pose[..., :3, :3], -1, -2)
+    push, rate = (mechanics.tip_mass * _turned(back, at.inertia[..., p]) for p in _PARTS)
+    turning = at.velocity[..., 3:]
+    wide = np.concatenate([jacobian, np.zeros((*jacobian.shape[:-1], 6))], axis=-1)
+    error = error.copy()
+    error[..., :3] += push
+    error[..., 6:9] += rate - np.cross(turning, push)
+    wide[..., :3, 3:6] += se3.hat3(push)
+    wide[..., 6:9, 3:6] += se3.hat3(rate) - se3.hat3(turning) @ se3.hat3(push)
+    wide[..., 6:9, 15:18] += se3.hat3(push)
+    wide[..., :3, 24:27] = wide[..., 6:9, 27:30] = mechanics.tip_mass * back
+    wide[..., 6:9, 24:27] = -se3.hat3(turning) @ (mechanics.tip_mass * back)
+    return error, wide
+
+
+def _turned(rotation: Array, vector: Array) -> Array:
+    return np.einsum("...ij,...j->...i", rotation, vector)
