@@ -135,28 +135,3 @@ def test_old_names_in_a_robot_file_are_read_and_named(tmp_path):
         robot = load_robot(tmp_path / "old.toml")
     assert isinstance(robot.prior, WhiteNoisePrior)
     assert [p.kind for p in robot.sensor_parameters] == ["time_offset"]
-
-
-@pytest.mark.parametrize("name", ["tdcr466", "tdcr466-segments"])
-def test_a_posterior_with_the_fields_and_kinds_of_before_is_read(tmp_path, name):
-    import xarray
-
-    robot = load_robot(name)
-    posterior = estimate(robot.prior, robot.grid(0.0, 0.2), [])
-    save_posterior(posterior, tmp_path / "new.nc")
-    dataset = xarray.load_dataset(tmp_path / "new.nc", engine="h5netcdf")
-    fields = {**vars(robot.prior), "base": vars(robot.prior.base)}
-    kind = {"white-noise": "kinematic"}.get(robot.prior.kind, robot.prior.kind)
-    old = {"name": "f", "kind": "world", "streams": ["a"], "value": [0.0] * 6, "std": [0.0] * 6}
-    old |= {"correlation_time": None, "values": [[0.0] * 6]}
-    dataset.attrs["prior"] = json.dumps({"kind": kind, **fields}, default=plain)
-    dataset.attrs["unknowns"] = json.dumps([old])
-    del dataset.attrs["sensor_parameters"]
-    dataset.to_netcdf(tmp_path / "old.nc", engine="h5netcdf")
-    again = load_posterior(tmp_path / "old.nc")
-    assert again.sensor_parameters[0][0].kind == "frame"
-    np.testing.assert_array_equal(again.at(0.2, 0.1).cov, posterior.at(0.2, 0.1).cov)
-
-
-def plain(value):
-    return {k: v.tolist() for k, v in value.items()} if isinstance(value, dict) else value.tolist()
