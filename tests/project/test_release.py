@@ -81,6 +81,9 @@ def test_every_lower_bound_is_a_version_that_can_be_tested():
         (specifier,) = requirement.specifier
         assert specifier.operator == ">=", requirement
         assert bounds.setdefault(requirement.name, specifier.version) == specifier.version
-    assert {"h5py": "3.11", "matplotlib": "3.10", "rosbags": "0.10.9", "shtab": "1.9.2"}.items() <= (
-        bounds.items()
-    )
+    assert {
+        "h5py": "3.11",
+        "matplotlib": "3.10",
+        "rosbags": "0.10.9",
+        "shtab": "1.9.2",
+    }.items() <= (bounds.items())

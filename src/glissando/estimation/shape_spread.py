@@ -41,7 +41,7 @@ def shape_covariances(arclength: Array, state: State, cov: Array) -> Array:
         cov: Joint covariance (D, D) of the nodes' numbers, and of whatever follows them.
 
     Returns:
-        Covariances (N, 18, 18) of [pose, strain, velocity], body frame. Source: equation (28).
+        Covariances (N, 18, 18) of [pose, strain, velocity], body frame. Source: equation (30).
     """
     count, dof = arclength.size, state.dof
     cov = cov[: count * dof, : count * dof]

@@ -31,10 +31,11 @@ from glissando.model.priors.prior import Prior
 from glissando.model.priors.static import STATIC_DOF
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import DOF, State
+from glissando.solver.curvature import curvature, with_curvature
 from glissando.solver.gauss_newton import ROUNDING, WORTHWHILE, SolverOptions
 from glissando.solver.located_readings import LocatedReadings, locate
 from glissando.solver.outcome import Outcome
-from glissando.solver.static_equations import StaticEquations, linearize_static
+from glissando.solver.static_equations import StaticEquations, linearize_static, static_factors
 
 _DOFS = slice(0, STATIC_DOF)
 _SOFT_ITERATIONS = 8
@@ -190,6 +191,9 @@ def estimate_static(
         outcomes[k] = one.solve.outcome
         state.pose[k], state.strain[k] = one.state.pose[0], one.state.strain[0]
         cov[k], cross[k] = _node_blocks(one)
+    if isinstance(prior, MechanicalPrior):
+        with one_thread():
+            cov, cross = _with_curvature(prior, located, state, cov)  # (31)
     return StaticPosterior(prior, grid, state, cov, cross, tuple(outcomes))
 
 
@@ -244,6 +248,17 @@ def _marginals(here: StaticEquations) -> tuple[Array, Array]:
     cov = found.cov.reshape(count, n_count, STATIC_DOF, STATIC_DOF)
     cross = np.concatenate([found.cross, np.zeros((1, STATIC_DOF, STATIC_DOF))])
     return cov, cross.reshape(cov.shape)[:, :-1].copy()
+
+
+def _with_curvature(
+    prior: Prior, located: LocatedReadings, state: State, cov: Array
+) -> tuple[Array, Array]:
+    """Covariances as `_marginals` gives, of the whole Hessian at a state with those found."""
+    here = linearize_static(prior, located, state)
+    step = here.factored().solve(here.rhs.reshape(-1, STATIC_DOF)).reshape(here.rhs.shape)
+    std = np.sqrt(np.einsum("snii->sni", cov))
+    added = curvature(lambda at: static_factors(prior, located, at), state, step, std)
+    return _marginals(replace(here, system=with_curvature(here, added)))
 
 
 def _worthwhile(here: StaticEquations, there: StaticEquations, promise: Array) -> NDArray[np.bool_]:

@@ -81,14 +81,19 @@ def linearize_static(prior: Prior, located: LocatedReadings, state: State) -> St
     n_count = located.grid.arclength.size
     builder = NormalEquationsBuilder.joined(Layout(1, STATIC_DOF), state.strain[..., 0].size)
     terms: list[tuple[Index, Residuals]] = []
-    for batch in _factors(prior, located, state):
+    for batch in static_factors(prior, located, state):
         builder.accumulate(batch)
         terms.append((batch.nodes[:, 0] // n_count, batch.terms))
     rhs = builder.rhs_begin.reshape(*state.strain.shape[:2], STATIC_DOF)
     return StaticEquations(state, builder.system(), rhs, terms)
 
 
-def _factors(prior: Prior, located: LocatedReadings, state: State) -> Iterator[Factors]:
+def static_factors(prior: Prior, located: LocatedReadings, state: State) -> Iterator[Factors]:
+    """Factors of prior and readings of every shape at nodes (S, N), always in the same order.
+
+    Raises:
+        SensorError: A sensor reads a velocity.
+    """
     yield from prior.static_factors(located.grid, state)
     for block in range(len(located.blocks)):
         for stream, _, batch in measurement_factors(prior, located, state, state, block):
