@@ -269,8 +269,8 @@ def speed(robot, options):
         ("slope of cost", lambda: problem.cost_gradient(problem.evaluate(at.control))),
         ("slope of risk", lambda: problem.log_risk_gradient(problem.evaluate(at.control))),
         (
-            "replan, 3 iterations",
-            lambda: Search(later, 0.045).improve(start, 3),
+            "replan, 5 iterations",
+            lambda: Search(later, 0.045).improve(start, 5),
         ),
     ):
         work()
