@@ -1,14 +1,11 @@
 """Motions among obstacles in foreign physics: whether the stated risk is true, and worth it.
 
     python benchmarks/scenes.py risk --robot arm.toml [--runs 100] [--scenes 5] [--delta 0.05]
-    python benchmarks/scenes.py sensing --robot arm.toml …
     python benchmarks/scenes.py speed --robot arm.toml
 
 risk: motions are planned in random scenes and followed by robots drawn at random (see
 `scenes_world.py`), which read their coil and correct. Hits are given with their 95 % binomial
 interval, beside the largest risk that was allowed.
-sensing: passages planned for slide and motion together, against a slide that is planned after the
-motion, one that oscillates, and one that stays.
 speed: what an evaluation with slopes and a replan from a warm start cost.
 Numbers of seeds below TUNED were used to set the physics and the example's [tendons].
 """
@@ -18,24 +15,20 @@ import json
 import os
 import sys
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ[name] = "1"
 
 import numpy as np
-from scipy.optimize import minimize
 from scipy.stats import beta
 
 from glissando import GlissandoError, load_robot
 from glissando.errors import NoShapeError
 from glissando.planning.scene.follow import MotionFollower
-from glissando.planning.scene.motion_space import MotionSpace
-from glissando.planning.scene.motion_starts import reach_target
 from glissando.planning.scene.obstacles import sphere
 from glissando.planning.scene.plan_motion import Search, motion_problem, plan_motion
-from glissando.planning.scene.sampled_risk import sample_risk
 from glissando.planning.scene.scene_file import Actuator, Scene, Target
 from glissando.planning.sliding_sensor import sliding_sensor
 from scenes_world import PAUSE, World, run_loop
@@ -43,7 +36,6 @@ from scenes_world import PAUSE, World, run_loop
 TUNED = 1000
 HORIZON, RADIUS, BALL, TOLERANCE = 6.0, 0.005, 0.010, 0.006
 MODEL_STD = 8e-4  # m: what robots of seeds below TUNED are off by that no model error explains
-GAP = (2e-3, 5e-3)  # m, clear of the straight way
 TENDON = {"lower": -1e-3, "upper": 6e-3, "speed": 1.2e-3, "acceleration": 1.5e-3}
 
 
@@ -131,126 +123,6 @@ def risk(robot, options):
     return rows
 
 
-@dataclass(frozen=True)
-class Held(MotionSpace):
-    """Motions of which some actuators follow given control points."""
-
-    rows: tuple = ()
-    given: object = None
-
-    def control(self, free):
-        """All control points of the free numbers, those held as given."""
-        out = super().control(free)
-        out[list(self.rows)] = self.given
-        return out
-
-    def free_gradient(self, by_value, by_control):
-        """Slope by the free numbers, zero for those held."""
-        own = super().free_gradient(by_value, by_control).reshape(len(self.paths), -1)
-        own[list(self.rows)] = 0.0
-        return own.ravel()
-
-
-def holding(problem, rows, given):
-    """The problem with some actuators held to control points."""
-    space = problem.space
-    return replace(problem, space=Held(space.paths, space.moments, tuple(rows), given))
-
-
-def passage(robot, seed, delta):
-    """Two balls: one beside the middle of the body early on, one beside the tip later."""
-    scene, rng = drawn_scene(robot, seed, delta), np.random.default_rng([seed, 2])
-    problem = motion_problem(scene, robot)
-    body, end = problem.body, reach_target(problem, 0)
-    balls = []
-    for share, part in ((0.45, 0.62), (0.8, 1.0)):
-        at = body.shapes(share * end[None])
-        n = int(part * (body.arclength.size - 1))
-        side = rng.standard_normal(3)
-        tangent = at.pose[0, n, :3, 2]
-        side -= (side @ tangent) * tangent
-        gap = RADIUS + BALL + rng.uniform(*GAP)
-        balls.append(sphere(at.place[0, n] + gap * side / np.linalg.norm(side), BALL))
-    return replace(scene, obstacles=balls, model_std=2e-4)
-
-
-def least_risk(problem, control, iterations):
-    """The evaluation of least risk that the free actuators can reach."""
-    space = problem.space
-    rows, centre, width = space.polytope
-    edges, ends = np.concatenate([rows, -rows]), np.concatenate([width + centre, width - centre])
-    found = minimize(
-        lambda x: problem.log_risk(problem.evaluate(space.control(x))),
-        space.free(control),
-        jac=lambda x: problem.log_risk_gradient(problem.evaluate(space.control(x))),
-        method="SLSQP", options={"maxiter": iterations},
-        constraints=[{"type": "ineq", "fun": lambda x: ends - edges @ x, "jac": lambda x: -edges}],
-    )  # fmt: skip
-    return problem.evaluate(space.control(found.x))
-
-
-def ways(robot, scene, delta):
-    """Risk and cost of each way to sense, or None where no motion keeps the risk."""
-    quick = {"candidates": 3, "iterations": 30}
-    problem = motion_problem(scene, robot, moment=0.5)
-    count = len(scene.tendons)
-    still = problem.space.follow(np.array([[p.start] * (p.steps + 2) for p in problem.space.paths]))
-
-    def planned(problem):
-        try:
-            plan = plan_motion(problem, **quick)
-        except GlissandoError:
-            return None
-        return plan.risk, plan.evaluation.cost, plan
-
-    time = problem.space.paths[count].control_times
-    slide = scene.slides[0]
-    wave = 0.5 - 0.5 * np.cos(2.0 * np.pi * time / 2.0)
-    blind = problem.space.paths[count].follow(slide.upper + (slide.lower - slide.upper) * wave)
-    out = {
-        "fixed": planned(holding(problem, [count], still[count:])),
-        "oscillating": planned(holding(problem, [count], blind[None])),
-        "together": planned(problem),
-    }
-    certain = replace(problem, belief=replace(problem.belief, cov=1e-12 * problem.belief.cov),
-                      body=replace(problem.body, time_scale=1e9))  # fmt: skip
-    first = planned(certain)
-    out["motion first"] = None
-    if first:
-        control = first[2].evaluation.control
-        own = replace(problem, space=replace(problem.space, moments=first[2].problem.space.moments))
-        own = holding(own, range(count), control[:count])
-        after = least_risk(own, control, 30)
-        share = sample_risk(own, after)[0]
-        out["motion first"] = (share, after.cost, None) if share <= delta else None
-    return out
-
-
-def sensing(robot, options):
-    """How many passages each way to sense makes passable, and at what cost."""
-    delta = (options.delta or [0.05])[0]
-    passed, costs, done = dict.fromkeys(WAYS, 0), {way: [] for way in WAYS}, 0
-    for seed in range(options.first, options.first + options.scenes):
-        try:
-            found = ways(robot, passage(robot, seed, delta), delta)
-        except GlissandoError as problem:
-            print(f"  passage {seed} left out: {str(problem)[:90]}", file=sys.stderr)
-            continue
-        done += 1
-        for way in WAYS:
-            passed[way] += found[way] is not None
-        if found["together"] and found["fixed"]:
-            costs["fixed"].append(found["fixed"][1] / found["together"][1])
-        if found["together"] and found["oscillating"]:
-            costs["oscillating"].append(found["oscillating"][1] / found["together"][1])
-        print(f"  passage {seed}: " + ", ".join(w for w in WAYS if found[w]), file=sys.stderr)
-    return [
-        {"way": way, "passages": done, "passed": passed[way],
-         "cost over together": float(np.median(costs[way])) if costs[way] else float("nan")}
-        for way in WAYS
-    ]  # fmt: skip
-
-
 def speed(robot, options):
     """CPU seconds of a motion's value, its slopes, and a replan of 10 s from a warm start."""
     ((_, (plan,)),) = plans_of(robot, [0.05], 1, options.first)
@@ -284,8 +156,7 @@ def speed(robot, options):
     return rows
 
 
-WAYS = ("fixed", "oscillating", "motion first", "together")
-COMMANDS = {"risk": risk, "sensing": sensing, "speed": speed}
+COMMANDS = {"risk": risk, "speed": speed}
 
 
 def main():
