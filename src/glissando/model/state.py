@@ -26,7 +26,7 @@ class State(Brief):
     `velocity` (…, 6) with dT/dt = T velocity^; both in the body frame, [linear, angular].
     `strain_rate` (…, 6) = ∂strain/∂t at the nodes of a prior that needs it, else None; `inertia`
     (…, 6), of a prior that knows inertia, the acceleration with what damping takes, and its rate,
-    both in the world frame: m/s² and m/s³ (equation 30).
+    both in the world frame: m/s² and m/s³ (equation 32).
     Source: equation (1).
     """
 

@@ -2,7 +2,7 @@
 
 Modes are Rayleigh–Ritz approximations over polynomials s² Pₖ(s), normalised so that ∫ρA b² ds, the
 tool's mass included, is one. They are functions of arclength: one amplitude is a vector of the
-world frame. Source: equation (30).
+world frame. Source: equation (32).
 """
 
 from __future__ import annotations

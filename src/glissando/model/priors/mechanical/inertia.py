@@ -3,7 +3,7 @@
 A node's `inertia` [β, β̇] is the acceleration with what damping takes of it, β = p̈ + C ṗ. In
 statics it acts as weight does (`intervals.accelerated`); here it is tied to positions and
 velocities. Amplitudes y of the modes obey ÿ + c ẏ = β, and D = β + ω² y varies slowly, so y and ẏ
-of the next time follow exactly from D and Ḋ at both ends. Source: equation (30).
+of the next time follow exactly from D and Ḋ at both ends. Source: equation (32).
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 The error of an interval says how far its end is from where an undisturbed rod arrives, r =
 [log(T̂₁⁻¹ T₁); ε₁ − ε̂₁], in poses and strains; for a known stiffness strain is the internal wrench
 in other units. A node, (M, 24), is [pose, strain, velocity, strain rate]; with inertia it goes on
-with [acceleration, its rate], (M, 30), which act as weight does. Source: (26), (27) and (30).
+with [acceleration, its rate], (M, 30), which act as weight does. Source: (26), (27) and (32).
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Intervals:
         return Intervals(self.step[index], self.section.take(index), *others, self.mass[index])
 
     def accelerated(self, start: State, end: State) -> Intervals:
-        """The intervals with what inertia adds to the weight between two nodes. Source: (30)."""
+        """The intervals with what inertia adds to the weight between two nodes. Source: (32)."""
         if start.inertia is None or end.inertia is None:
             return self
         early, late = (-self.mass[:, None] * at[:, :3] for at in (start.inertia, end.inertia))

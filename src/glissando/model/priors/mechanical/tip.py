@@ -37,7 +37,7 @@ def tip_error(mechanics: Mechanics, rest: Array, at: State) -> tuple[Array, Arra
 
 
 def pushed(mechanics: Mechanics, at: State, error: Array, jacobian: Array) -> tuple[Array, Array]:
-    """Error and Jacobian (…, 12, 30) of a tip whose tool resists acceleration. Source: (30).
+    """Error and Jacobian (…, 12, 30) of a tip whose tool resists acceleration. Source: (32).
 
     The tool counts as a point where the tip is.
     """
