@@ -145,7 +145,7 @@ class SeparablePrior:
             error, j0, j1 = interval_error(*ends, lengths)
             change = (j0 @ step[:, n, :, None] + j1 @ step[:, n + 1, :, None])[..., 0]
             moved.append(interval_end(moved[-1], error + change, lengths))
-        fields = zip(*(vars(node).values() for node in moved), strict=True)
+        fields = zip(*(node.fields() for node in moved), strict=True)
         return State(*(np.stack(field, axis=1) for field in fields))
 
     def factors(
