@@ -69,4 +69,4 @@ def matrix_page():
 
 if __name__ == "__main__":
     print(matrix_page())
-    raise SystemExit("\n".join(holes()))
+    raise SystemExit("\n".join(holes()) or 0)
