@@ -64,3 +64,33 @@ def test_too_little_memory_is_a_sentence(monkeypatch, capsys):
     monkeypatch.setattr(command_line, "_old_names_shown", greedy)
     assert main(["doctor"]) == 2
     assert "more memory than there is" in capsys.readouterr().err
+
+
+def test_no_signal_disturbs_the_end_of_a_program_that_was_interrupted(monkeypatch, capsys):
+    def interrupt():
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(5.0)
+
+    monkeypatch.setattr(command_line, "_old_names_shown", interrupt)
+    monkeypatch.setattr("sys.argv", ["glissando", "doctor"])
+    before = {n: signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    try:
+        assert main() == 130
+        for number in before:
+            os.kill(os.getpid(), number)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    assert capsys.readouterr().err == "glissando: interrupted\n"
+
+
+def test_a_signal_after_a_command_dealt_with_one_is_only_noted(capfd):
+    with _stopped_by_signals():
+        try:
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(5.0)
+        except KeyboardInterrupt:
+            pass
+        os.kill(os.getpid(), signal.SIGINT)  # while a session is closed, say
+        time.sleep(0.01)
+    assert "everything is being put away" in capfd.readouterr().err

@@ -60,7 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if arguments is None else arguments)
     command = next((word for word in words if not word.startswith("-")), "")
     try:
-        with _stopped_by_signals(), _old_names_shown():
+        with _stopped_by_signals(ends_process=arguments is None), _old_names_shown():
             options = build_parser(command).parse_args(words)
             return int(options.run(options))
     except NoShapeError as problem:
@@ -91,8 +91,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 @contextmanager
-def _stopped_by_signals() -> Iterator[None]:
-    """Let Ctrl-C, SIGTERM and SIGHUP interrupt, and wait while all is put away."""
+def _stopped_by_signals(*, ends_process: bool = False) -> Iterator[None]:
+    """Let Ctrl-C, SIGTERM and SIGHUP interrupt once, and wait while all is put away."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -100,7 +100,7 @@ def _stopped_by_signals() -> Iterator[None]:
 
     def stop(number: int, frame: FrameType | None) -> None:
         asked.append(time.monotonic())
-        if _interrupted(sys.exc_info()[1]) and asked[-1] < asked[0] + _CLEAN_UP:
+        if len(asked) > 1 and asked[-1] < asked[0] + _CLEAN_UP:
             os.write(2, b"glissando: stopping, as asked; everything is being put away.\n")
             return
         raise KeyboardInterrupt
@@ -113,6 +113,7 @@ def _stopped_by_signals() -> Iterator[None]:
 
     def unraisable(lost: Any) -> None:
         if isinstance(lost.exc_value, KeyboardInterrupt):  # it came in a destructor: once more
+            asked.clear()
             threading.Timer(_AGAIN, again).start()
         else:
             show_lost(lost)
@@ -126,8 +127,8 @@ def _stopped_by_signals() -> Iterator[None]:
         yield
     finally:
         sys.unraisablehook = show_lost
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        for number, handler in before.items():  # nothing disturbs the end of a program
+            signal.signal(number, signal.SIG_IGN if asked and ends_process else handler)
 
 
 def _interrupted(problem: BaseException | None) -> bool:
