@@ -6,6 +6,7 @@ import re
 import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from rich.console import Console
@@ -90,14 +91,15 @@ def test_every_command_that_computes_shows_its_work(module):
 
 
 def test_compiling_says_how_far_it_is(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(jit, "_KERNELS", [None] * 25)
+    kernels = [SimpleNamespace(module="steps")] * 25
+    monkeypatch.setattr(jit, "_KERNELS", kernels)
     monkeypatch.setattr(jit, "_NOTICE", 0.02)
     monkeypatch.setattr(jit, "_AGAIN", 0.02)
     over = threading.Event()
-    said = threading.Thread(target=jit._say, args=(tmp_path, over))
+    said = threading.Thread(target=jit._say, args=(kernels, tmp_path, over))
     said.start()
     for number in range(20):
-        (tmp_path / f"{number}.nbi").touch()
+        (tmp_path / f"steps.{number}.nbi").touch()
         time.sleep(0.02)
     over.set()
     said.join()

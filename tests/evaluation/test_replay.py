@@ -122,7 +122,7 @@ def test_what_a_journal_cannot_keep_is_a_sentence(tmp_path):
         assert not load_recording(tmp_path / "log").streams
         with pytest.raises(SensorError, match="one standard deviation a row"):
             journal.write(pose.changed(cov=np.full((6, 6), 1e-3)))
-        with pytest.raises(SensorError, match="cannot be a file"):
+        with pytest.raises(SensorError, match="cannot be that of a file"):
             journal.write(pose.changed(name="../pose"))
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "thesis.tex").write_text("words")

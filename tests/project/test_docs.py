@@ -63,10 +63,23 @@ def test_numbers_of_the_results_page_are_what_the_code_prints(spacetime):
     page = (ROOT / "docs" / "results.md").read_text()
     for label, run, published, _ in results.runs(spacetime):
         for line in results.accuracy(label, run, published):
-            assert line in page
-    for line in results.grid_lines().values():
-        assert line in page
-    assert sorosim.line(spacetime.parent / "sorosim" / sorosim.FILE.name) in page
+            assert stands_in(page, line)
+    for part in results.grid_lines().values():
+        assert part in page
+    assert stands_in(page, sorosim.line(spacetime.parent / "sorosim" / sorosim.FILE.name))
+
+
+def stands_in(page, line):
+    """Whether a page has a line, but for one in a number's last digit, which machines round."""
+    number = r"\d+\.\d+"
+    words, found = re.split(number, line), re.findall(number, line)
+    for other in page.splitlines():
+        if re.split(number, other) == words:
+            pairs = zip(found, re.findall(number, other), strict=True)
+            units = [abs(float(a) - float(b)) * 10 ** len(a.split(".")[1]) for a, b in pairs]
+            if max(units, default=0.0) < 1.5:
+                return True
+    return False
 
 
 def test_the_page_of_the_reproduction_is_written_from_its_record_and_every_claim_holds():

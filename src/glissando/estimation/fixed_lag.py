@@ -28,6 +28,7 @@ from glissando.estimation.silence import Silence
 from glissando.estimation.sliding_window import SlidingWindow
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
+from glissando.model.interpolation import sort_points
 from glissando.model.priors.prior import Prior
 from glissando.model.sensors.parameters import SensorParameter, corrected
 from glissando.model.sensors.readings import Readings
@@ -70,6 +71,7 @@ class FixedLagSmoother:
             raise OutsideGridError(f"A window of {window} time nodes is empty; give 1 or more.")
         load()
         self.arclength = np.asarray(arclength, dtype=float)
+        _meet(prior, self.arclength)
         self.lag = window
         self.updates = self.restarts = 0
         self._known = [p for p in sensor_parameters if p.known]
@@ -343,3 +345,14 @@ class FixedLagSmoother:
     def fits(self) -> bool:
         """Whether innovations of late are no larger than chance allows."""
         return self._gate.fits
+
+
+def _meet(prior: Prior, arclength: Array) -> None:
+    """Call what updates call of a prior, so that its kernels are there before any reading is."""
+    grid = Grid(arclength, [0.0, 0.1])
+    rest = prior.rest_state(grid)
+    for _ in (*prior.factors(grid, rest, rest, slice(0, 2)), *prior.static_factors(grid, rest)):
+        pass
+    s, t = np.meshgrid([arclength[0], arclength[:2].mean()], [0.0, 0.05])
+    for points in sort_points(grid, s.ravel(), t.ravel()):
+        prior.interpolate(grid, rest, rest, points)
