@@ -107,7 +107,7 @@ def bill(wheels: Path) -> str:
             licenses=told,
         )
 
-    library = ComponentType.LIBRARY
+    library = ComponentType("library")
     parts = {
         name: component(
             name, message["Version"], licence(message), library,

@@ -140,7 +140,8 @@ def estimate_static(
     """Posterior of independent static shapes, solved together.
 
     The answer of each is that of `estimate` at a single moment, which also takes over shapes that
-    this way does not lead to.
+    this way does not lead to. With a mechanical prior covariances are those of the whole Hessian
+    (31), which `estimate` has without its curvature.
 
     Args:
         prior: What is believed before any reading.
@@ -184,10 +185,7 @@ def estimate_static(
         state, (cov, cross), left = _iterated(prior, located, start, options)
     outcomes = [Outcome.CONVERGED] * count
     for k in np.flatnonzero(left):
-        alone = [r.select(r.time == k) for r in given]
-        alone = [r.changed(time=np.zeros(len(r))) for r in alone]
-        own = prior.of_shape(int(k)) if isinstance(prior, MechanicalPrior) else prior
-        one = estimate(own, Grid(grid.arclength, [0.0]), alone, options=options, gate=None)
+        one = _alone(prior, grid.arclength, given, int(k), options)
         outcomes[k] = one.solve.outcome
         state.pose[k], state.strain[k] = one.state.pose[0], one.state.strain[0]
         cov[k], cross[k] = _node_blocks(one)
@@ -195,6 +193,17 @@ def estimate_static(
         with one_thread():
             cov, cross = _with_curvature(prior, located, state, cov)  # (31)
     return StaticPosterior(prior, grid, state, cov, cross, tuple(outcomes))
+
+
+def _alone(
+    prior: Prior, arclength: Array, readings: Sequence[Readings], k: int, options: SolverOptions
+) -> Posterior:
+    """The estimate of shape k by itself, at a single moment."""
+    own = [r.select(r.time == k) for r in readings]
+    own = [r.changed(time=np.zeros(len(r))) for r in own]
+    if isinstance(prior, MechanicalPrior):
+        prior = prior.of_shape(k)
+    return estimate(prior, Grid(arclength, [0.0]), own, options=options, gate=None)
 
 
 def _node_blocks(one: Posterior) -> tuple[Array, Array]:
