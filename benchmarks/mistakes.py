@@ -22,6 +22,8 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 
 import numpy as np
 
+import mistakes_of_place  # noqa: F401 (fills MISTAKES)
+import mistakes_of_streams  # noqa: F401
 from glissando import estimate, load_recording, load_robot
 from glissando.errors import GlissandoError
 from glissando.evaluation.metrics import errors_against
