@@ -6,7 +6,8 @@ are estimated, to see whether they change the answer by more than its own σ (`-
 Thresholds were chosen on TUNED_ON; `--report` draws from REPORTED_ON instead.
 
 Usage: mistakes.py --recording FOLDER [--recording FOLDER …] [--robot FILE] [--window T0 T1]
-       [--sessions N] [--mistaken N] [--draws N] [--report] [--no-truth] [--quick | --all] [--json]
+       [--sessions N] [--mistaken N] [--draws N] [--report | --first-seed SEED] [--no-truth]
+       [--quick | --all] [--json]
 """
 
 import argparse
@@ -153,6 +154,7 @@ def main():
     parser.add_argument("--sessions", type=int, default=0, help="simulated, for false alarms")
     parser.add_argument("--mistaken", type=int, default=0, help="simulated, with every mistake")
     parser.add_argument("--report", action="store_true", help="seeds that tuned nothing")
+    parser.add_argument("--first-seed", type=int, help="of simulated sessions, in place of lists")
     parser.add_argument("--draws", type=int, default=1, help="of each mistake")
     parser.add_argument("--no-truth", action="store_true", help="leave truth out")
     parser.add_argument("--all", action="store_true", help="estimate every mistake, named or not")
@@ -176,7 +178,9 @@ def main():
 
     for folder in options.recording:
         take(folder.name, *session_of(folder, options.robot, options.window), True)
-    for k, seed in enumerate(drawn["seeds"][: max(options.sessions, options.mistaken)]):
+    first, count = options.first_seed, max(options.sessions, options.mistaken)
+    seeds = drawn["seeds"][:count] if first is None else range(first, first + count)
+    for k, seed in enumerate(seeds):
         take(f"simulated {seed}", *simulated(seed), k < options.mistaken)
     report(rows, alarms, seconds, options)
 

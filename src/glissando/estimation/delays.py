@@ -6,6 +6,7 @@ curvature of the residuals, and would have the delay known from the motion that 
 gave. So a delay is seen by the motion x₀ that streams without one give, and what is left of the
 motion, x − x₀, moves with it: with c = ∂(x − x₀)/∂t at the nodes, x = x′ + c d, and d enters the
 readings by ∂x₀/∂t alone. Streams that each have a delay of their own do not date one another.
+Online, x₀ is that of a second smoother, which streams with a delay never reach.
 """
 
 from __future__ import annotations
@@ -18,7 +19,9 @@ import numpy as np
 
 from glissando.errors import UnobservableError
 from glissando.geometry.se3 import Array
+from glissando.model.factors import Factors
 from glissando.model.priors.prior import Prior
+from glissando.model.sensors.parameter_process import EstimatedParameters
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.state import State
 from glissando.solver.block_tridiagonal import BlockTridiagonal, factor
@@ -46,11 +49,10 @@ def with_unseen_delays(
         The solution with another information matrix, if a delay is estimated; else the same.
     """
     process = solution.located.parameters.process
-    delays = [c.start for p, c in zip(process.each, process.columns, strict=True) if _is_delay(p)]
+    delays = delay_columns(process)
     if not delays:
         return solution
-    others = [p for p in sensor_parameters if p.known or not _is_delay(p)]
-    late = {name for p in sensor_parameters if p not in others for name in p.streams}
+    late, others = delayed(sensor_parameters)
     streams = [r for r in solution.located.streams if r.name not in late]
     grid, state = solution.located.grid, solution.state
     motion = prior.rest_state(grid)
@@ -63,12 +65,62 @@ def with_unseen_delays(
     noise_state = solution.equations.noise_state
     seen = linearize(prior, moving, state, noise_state, workspace, solution.equations.terms)
     turn = np.tile(np.eye(state.numbers + process.size), (grid.time.size, 1, 1))
-    own = _slope(state, grid.time) - _slope(motion, grid.time)
+    own = motion_left(state, motion, grid.time)
     for column in delays:
         turn[:, : state.numbers, state.numbers + column] = -own.reshape(grid.time.size, -1)
     system = _turned(seen.system, turn)
     equations = replace(solution.equations, system=system)
     return replace(solution, equations=equations, cholesky=factor(system, solution.cholesky))
+
+
+def delayed(
+    sensor_parameters: Sequence[SensorParameter],
+) -> tuple[set[str], list[SensorParameter]]:
+    """Names of the streams whose delay is estimated, and all parameters that are no such delay."""
+    others = [p for p in sensor_parameters if not _is_delay(p)]
+    return {name for p in sensor_parameters if _is_delay(p) for name in p.streams}, others
+
+
+def delay_columns(process: EstimatedParameters) -> list[int]:
+    """Which of the numbers of a time node's parameters are delays."""
+    return [c.start for p, c in zip(process.each, process.columns, strict=True) if _is_delay(p)]
+
+
+def motion_left(state: State, motion: State, time: Array) -> Array:
+    """∂(x − x₀)/∂t (K, N, dof) at the nodes `state` x, of which x₀ is the `motion`."""
+    return _slope(state, time) - _slope(motion, time)
+
+
+def at_times(state: State, nodes: Array, time: Array) -> State:
+    """Nodes (K, N) at other times (M,): straight between two, held before, straight on after."""
+    if nodes.size == 1:
+        return state.take(np.zeros(time.size, dtype=int))
+    lower = np.clip(np.searchsorted(nodes, time, side="right") - 1, 0, nodes.size - 2)
+    start, step = state.take(lower), nodes[lower + 1] - nodes[lower]
+    share = np.maximum(time - nodes[lower], 0.0) / step
+    return start.retract(share[:, None, None] * state.take(lower + 1).difference(start))
+
+
+def moving_with(factors: Factors, own: Array, columns: Sequence[int], size: int) -> Factors:
+    """Factors of x′ by x = x′ + c d.
+
+    Args:
+        factors: Linearised at the nodes (K, N), in order of time.
+        own: c (K, N, dof) of those nodes.
+        columns: Which parameters are delays.
+        size: How many numbers all parameters have.
+    """
+    m, r = factors.jacobian.shape[:2]
+    k, n = np.divmod(factors.nodes, own.shape[1])
+    by_node = np.einsum("mrcd,mcd->mcr", factors.jacobian, own[k, n][..., factors.dofs])
+    extras = np.zeros((m, r, 2, size))
+    if factors.extras is not None:
+        extras += factors.extras.reshape(extras.shape)
+    first = np.minimum(k[:, :1], max(len(own) - 2, 0))  # the interval in which the solver puts them
+    for end in range(2):
+        by_delay = np.sum(by_node * (k - first == end)[..., None], axis=1)
+        extras[:, :, end, columns] -= by_delay[..., None]
+    return replace(factors, extras=extras.reshape(m, r, -1))
 
 
 def _is_delay(parameter: SensorParameter) -> bool:

@@ -19,6 +19,7 @@ from glissando._kernels.jit import load
 from glissando._kernels.threads import one_thread
 from glissando.errors import OutsideGridError, UnobservableError
 from glissando.estimation.contact import ContactScan, scan_contacts
+from glissando.estimation.delays import delayed
 from glissando.estimation.gated_update import GatedUpdate, LostError
 from glissando.estimation.innovation_gate import InnovationGate
 from glissando.estimation.posterior import Posterior, StateEstimate
@@ -76,6 +77,14 @@ class FixedLagSmoother:
         self.updates = self.restarts = 0
         self._known = [p for p in sensor_parameters if p.known]
         self._window = SlidingWindow(prior, self.arclength, sensor_parameters)
+        self._late, others = delayed(sensor_parameters)
+        self._undelayed: FixedLagSmoother | None = None  # the motion by which delays are known
+        self._shown = prior.fixes_base
+        if self._late:  # slopes at the oldest node take one before it
+            self._undelayed = FixedLagSmoother(
+                prior, arclength, window=window + 2, sensor_parameters=others, gate=gate
+            )
+            self._window.undelayed = self._undelayed._window
         self._gate = InnovationGate(gate)
         self._buffer = ReadingBuffer(float(self.arclength[-1]), self._gate)
         self._update = GatedUpdate(self._window, self._buffer, self._gate)
@@ -96,6 +105,9 @@ class FixedLagSmoother:
         Raises:
             SensorError: The stream changed its kind.
         """
+        if self._undelayed is not None and readings.name not in self._late:
+            self._undelayed.add(readings)
+            self._shown |= readings.fixes_base and len(readings) > 0
         self._buffer.take(corrected(readings, self._known), self._oldest)
 
     def advance(self, time: float) -> StateEstimate:
@@ -113,6 +125,8 @@ class FixedLagSmoother:
         if not np.isfinite(time):
             raise OutsideGridError(f"The time to advance to is {time}; give seconds.")
         time = self._new_time(time)
+        if self._undelayed is not None and self._shown:
+            self._undelayed.advance(time)
         with one_thread():
             self._buffer.refuse_ahead(max(time, self.time or time))
             while self._step(self._next_node(time)) < time:

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from glissando._kernels import normal_equations as kernels
+from glissando.estimation.delays import at_times, delay_columns, motion_left, moving_with
 from glissando.estimation.posterior import Posterior, SolveReport, StateEstimate
 from glissando.estimation.window_nodes import Nodes
 from glissando.estimation.window_system import WindowSystem
@@ -50,7 +51,11 @@ class Innovations:
 
 
 class SlidingWindow:
-    """Time nodes of a prior on `arclength` (N,), solved together with `sensor_parameters`."""
+    """Time nodes of a prior on `arclength` (N,), solved together with `sensor_parameters`.
+
+    Attributes:
+        undelayed: A window of the streams that no estimated delay shifts, if there are delays.
+    """
 
     def __init__(
         self, prior: Prior, arclength: Array, sensor_parameters: Sequence[SensorParameter] = ()
@@ -58,6 +63,7 @@ class SlidingWindow:
         self.prior, self.arclength = prior, arclength
         self.sensor_parameters = tuple(p for p in sensor_parameters if not p.known)
         self.before: float | None = None
+        self.undelayed: SlidingWindow | None = None
         self._process = EstimatedParameters(Grid(arclength, [0.0]), self.sensor_parameters)
         self._parameters = self._process.mean, np.diag(self._process.std**2)
         self._root = np.zeros((0, 0))  # its square is the covariance of the newest node
@@ -137,8 +143,8 @@ class SlidingWindow:
 
     def _node(self, time: float, state: State, parameters: Array) -> Nodes:
         numbers = state.numbers + self._process.size
-        still = np.zeros((1, numbers))
-        return Nodes(np.array([time]), state.take(np.newaxis), parameters[None], still)
+        still, own = np.zeros((1, numbers)), np.zeros((1, state.pose.shape[0], state.dof))
+        return Nodes(np.array([time]), state.take(np.newaxis), parameters[None], still, own)
 
     def drop(self) -> None:
         """Leave the oldest node behind, as a prior on the next, which is not linearised again.
@@ -189,18 +195,42 @@ class SlidingWindow:
 
     def _linearize(self, first: int, readings: Sequence[Readings]) -> None:
         """Sum the factors of the intervals from `first` on. Source: equation (19)."""
+        motion = self._motion_of_others(first)
         nodes, grid = self.nodes.take(slice(first, None)), self.grid(first)
         located = locate(grid, readings, self.sensor_parameters, nodes.parameters, keep_all=True)
+        located = replace(located, motion=motion)
         builder = self._system.builder(first)
         self._factors, self._first = [], first
         for i, times in enumerate(located.blocks):
             for batch in self.prior.factors(grid, nodes.state, nodes.state, times):
-                builder.accumulate(batch)
-            for factors in measurement_factors(self.prior, located, nodes.state, nodes.state, i):
-                builder.accumulate(factors[2])
-                self._factors.append(factors)
+                builder.accumulate(self._dated(batch, nodes))
+            found = measurement_factors(self.prior, located, nodes.state, nodes.state, i)
+            for stream, rows, batch in found:
+                self._factors.append((stream, rows, self._dated(batch, nodes)))
+                builder.accumulate(self._factors[-1][2])
         if self._process.size:
             builder.accumulate_drift(*located.parameters.process.drift(nodes.parameters))
+
+    def _motion_of_others(self, first: int) -> State | None:
+        """The nodes from `first` on as streams without a delay show them, if there are delays.
+
+        What moves with a delay is found anew for nodes whose linearisation may move.
+        """
+        if self.undelayed is None:
+            return None
+        time, others = self.nodes.time, self.undelayed
+        motion = self.nodes.state.take(np.zeros(time.size, dtype=int))  # none
+        if others.started:
+            motion = at_times(others.nodes.estimate[0], others.nodes.time, time)
+        own, free = motion_left(self.nodes.state, motion, time), self._fixed(first)
+        self.nodes = replace(self.nodes, own=np.concatenate([self.nodes.own[:free], own[free:]]))
+        return motion.take(slice(first, None))
+
+    def _dated(self, factors: Factors, nodes: Nodes) -> Factors:
+        """Factors of a motion that moves with the delays, if there are any."""
+        if self.undelayed is None:
+            return factors
+        return moving_with(factors, nodes.own, delay_columns(self._process), self._process.size)
 
     def miss(self, first: int) -> float:
         """How far the last step may have missed, in standard deviations of the newest poses.

@@ -20,19 +20,22 @@ class Nodes:
         state: Linearisation point (K, N).
         parameters: That of the sensor parameters (K, E).
         step: Step (K, D) that leads to the estimate.
+        own: How the state (K, N, dof) moves with a delay, per second; see `delays`.
     """
 
     time: Array
     state: State
     parameters: Array
     step: Array
+    own: Array
 
     def __len__(self) -> int:
         return int(self.time.size)
 
     def take(self, rows: slice) -> Nodes:
         """Some of the nodes."""
-        return Nodes(self.time[rows], self.state.take(rows), self.parameters[rows], self.step[rows])
+        parts = self.parameters[rows], self.step[rows], self.own[rows]
+        return Nodes(self.time[rows], self.state.take(rows), *parts)
 
     def joined(self, other: Nodes) -> Nodes:
         """These nodes, then the others."""
@@ -41,6 +44,7 @@ class Nodes:
             concatenate(self.state, other.state),
             np.concatenate([self.parameters, other.parameters]),
             np.concatenate([self.step, other.step]),
+            np.concatenate([self.own, other.own]),
         )
 
     @cached_property
@@ -59,4 +63,5 @@ class Nodes:
             concatenate(self.state.take(kept), state.take(moved)) if first else state,
             np.concatenate([self.parameters[kept], parameters[moved]]),
             np.concatenate([self.step[kept], np.zeros_like(self.step[moved])]),
+            self.own,
         )
