@@ -61,7 +61,7 @@ def test_too_little_memory_is_a_sentence(monkeypatch, capsys):
     def greedy(*_):
         raise MemoryError
 
-    monkeypatch.setattr(command_line, "_old_names_shown", greedy)
+    monkeypatch.setattr(command_line, "_own_warnings_shown", greedy)
     assert main(["doctor"]) == 2
     assert "more memory than there is" in capsys.readouterr().err
 
@@ -71,7 +71,7 @@ def test_no_signal_disturbs_the_end_of_a_program_that_was_interrupted(monkeypatc
         os.kill(os.getpid(), signal.SIGINT)
         time.sleep(5.0)
 
-    monkeypatch.setattr(command_line, "_old_names_shown", interrupt)
+    monkeypatch.setattr(command_line, "_own_warnings_shown", interrupt)
     monkeypatch.setattr("sys.argv", ["glissando", "doctor"])
     before = {n: signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     try:

@@ -5,8 +5,10 @@ from pathlib import Path
 import numpy as np
 
 from glissando.geometry import se3
+from glissando.hardware.live import IgtlSource, LiveSession
 from glissando.hardware.live.clock import SessionClock
-from glissando.hardware.openigtlink import Message, encode, stamp_of
+from glissando.hardware.live.igtl_sink import readings_message
+from glissando.hardware.openigtlink import Endpoint, Message, encode, stamp_of
 from glissando.hardware.openigtlink import contents as c
 from glissando.hardware.openigtlink.wire_frame import WireFrame
 from glissando.io.csv_stream import Rows, Stream
@@ -75,3 +77,30 @@ class Lockstep(SessionClock):
             until(lambda: self.sender.send(some))
             until(lambda: self.source.poll() or self.source.counts["heard"] - before >= len(some))
         self._now = session
+
+
+def reading_messages(readings) -> list[tuple[float, bytes]]:
+    """Each reading as an NDARRAY message, exactly, with its time."""
+    return sorted(
+        (float(r.time[k]), encode(readings_message(r.select(slice(k, k + 1)), stamp_of(r.time[k]))))
+        for r in readings
+        for k in range(len(r))
+    )
+
+
+def through_wire(messages, folder, placements=(), updates=30):
+    """Newest states of a session whose readings a peer sends, and their times."""
+    with Endpoint("igtl-server://:0") as peer:
+        address = f"igtl://127.0.0.1:{peer.address.port}?clock=sender"
+        source = IgtlSource(address, ROBOT, placements)
+        clock = Lockstep(peer, messages, source)
+        session = LiveSession(ROBOT, [source], journal=folder, clock=clock, patience=1e9)
+        with session:
+            clock.sleep_until(SPAN[0])
+            done = []
+            for update in session:
+                done.append(update)
+                if len(done) == updates:
+                    break
+    assert session.skipped == 0
+    return done

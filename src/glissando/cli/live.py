@@ -25,11 +25,15 @@ from glissando.hardware.capture import Rig, load_rig, simulated_rig
 from glissando.hardware.capture.child_process import blocked_signals, end_with_parent
 from glissando.hardware.live import LiveSession, Placement, Update
 from glissando.hardware.live.addresses import SINKS, SOURCES, sink_of, source_of
+from glissando.hardware.live.replanning import Replanning
 from glissando.hardware.live.rig_source import RigSource
+from glissando.hardware.live.sinks import Sink
 from glissando.io.recording import load_recording
 from glissando.io.robot_file import load_robot
 from glissando.io.shipped_robots import robot_file
 from glissando.model.robot import Robot
+from glissando.model.slide_path import SlideLimits, SlidePath
+from glissando.planning.zones import read_zone
 from glissando.visualization.page import Live
 from glissando.visualization.page.live import follow
 
@@ -41,6 +45,9 @@ OpenIGTLink peers (PLUS, 3D Slicer, trackers, MATLAB) send TRANSFORM, POSITION a
 millimetres; --at says where on the robot each of their devices sits. They get TDATA, TRANSFORM and
 POLYDATA. An address may end in options, such as ?unit=m&axes=lps&clock=shared.
 A rig's setup file is that of `glissando record`; its slide follows --slide meanwhile.
+
+--replan has the slide of such a rig, or of a simulated one, go where a zone of the robot becomes
+known best. Plans are computed beside the estimate; the slide stands when no further one comes.
 
 A slow, dead or malicious peer delays nobody. Every reading is in the --journal before it is used;
 it is a recording like any other. Every ten seconds another process looks at the newest readings;
@@ -54,6 +61,7 @@ examples:
       --at Tip=0.466:coil --sink igtl-server://0.0.0.0:18945 --journal log --rate 60
   glissando live --source simulate --slide oscillate --sink igtl-server://:18945 --view
   glissando live --source bench.toml --slide oscillate --sink ros2 --journal log
+  glissando live --source bench.toml --replan 0.62:0.68 --journal log
   glissando live --robot sliding700 --source igtl-server://:18944 --at Coil=0.7:coil:slides
 
 Ctrl-C ends it.
@@ -65,6 +73,7 @@ _SIMULATED = "simulate"  # the source that is a simulated rig
 _SOURCES = f"{SOURCES}, a rig's setup file, or {_SIMULATED}"
 _POINTS = 41  # along the robot that is shown in a browser
 _RECENT = 300  # updates that the status is of
+_DAY = 86_400.0  # s that a slide is replanned at most
 _PLAIN, _TERMINAL = 5.0, 0.2  # s between statuses
 
 
@@ -89,6 +98,8 @@ def add_to(commands: Commands) -> None:
     patience = "seconds all sources may be silent (default 20)"
     add("--patience", type=float, default=20.0, metavar="S", help=patience)
     add_slide(parser, "hold")
+    zone = "plan the slide in the loop so that this zone is known best; may be repeated"
+    add("--replan", action="append", default=[], metavar="S0:S1[@T0:T1]", help=zone)
     add("--view", action="store_true", help="show it in a browser as it goes (needs viser)")
 
 
@@ -103,15 +114,14 @@ def _run(options: argparse.Namespace, devices: ExitStack) -> int:
     placements = [Placement.parse(text) for text in options.at]
     if options.journal is not None:
         require_writable(options.journal.parent)
+    steered = {text: _rig_source(rig, robot, options) for text, rig in rigs.items()}
+    sinks: list[Sink] = [sink_of(text) for text in options.sink]
+    if options.replan:
+        sinks.append(_replanning(rigs, steered, robot, options.replan))
     session = LiveSession(
         robot,
-        [
-            _rig_source(rigs[text], robot, options)
-            if text in rigs
-            else source_of(text, robot, placements)
-            for text in options.source
-        ],
-        [sink_of(text) for text in options.sink],
+        [steered.get(text) or source_of(text, robot, placements) for text in options.source],
+        sinks,
         rate=options.rate,
         lag=options.lag,
         delay=options.delay,
@@ -150,8 +160,25 @@ def _beside() -> Iterator[Executor]:
 
 
 def _rig_source(rig: Rig, robot: Robot, options: argparse.Namespace) -> RigSource:
-    paths = slide_path(options, rig), further_paths(options, rig)
-    return RigSource(rig, robot, paths[0], further=paths[1])
+    further = further_paths(options, rig)
+    if not options.replan:
+        return RigSource(rig, robot, slide_path(options, rig), further=further)
+    unlimited = SlideLimits(1.0, 1.0, 1.0)
+    lasts = SlidePath.hold(0.0, _DAY if options.duration is None else options.duration, unlimited)
+    return RigSource(rig, robot, lasts, further=further, steered=True)
+
+
+def _replanning(
+    rigs: dict[str, Rig], sources: dict[str, RigSource], robot: Robot, zones: list[str]
+) -> Replanning:
+    """The sink that steers the only rig."""
+    if len(rigs) != 1:
+        raise GlissandoError(
+            f"--replan steers the slide of a rig, and {len(rigs)} are among the sources; give one "
+            f"setup file, or {_SIMULATED}."
+        )
+    ((text, rig),) = rigs.items()
+    return Replanning(sources[text], rig, robot, [read_zone(zone) for zone in zones])
 
 
 def _is_rig(text: str) -> bool:

@@ -17,8 +17,9 @@ from typing import Any
 
 from glissando import __version__
 from glissando.cli.commands import COMMANDS
-from glissando.errors import GlissandoError, NoShapeError, OldNameWarning
+from glissando.errors import GlissandoError, NoShapeError, OldNameWarning, PlanWarning
 
+_OWN = (OldNameWarning, PlanWarning)
 _AGAIN = 0.05  # s after which an interrupt that was lost comes again
 _CLEAN_UP = 15.0  # s in which a second signal does not interrupt how the first one ends
 
@@ -60,7 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if arguments is None else arguments)
     command = next((word for word in words if not word.startswith("-")), "")
     try:
-        with _stopped_by_signals(ends_process=arguments is None), _old_names_shown():
+        with _stopped_by_signals(ends_process=arguments is None), _own_warnings_shown():
             options = build_parser(command).parse_args(words)
             return int(options.run(options))
     except NoShapeError as problem:
@@ -139,20 +140,21 @@ def _interrupted(problem: BaseException | None) -> bool:
 
 
 @contextmanager
-def _old_names_shown() -> Iterator[None]:
-    """Show each warning of an old name as one line on stderr."""
+def _own_warnings_shown() -> Iterator[None]:
+    """Show each warning of an old name, or of a plan, as one line on stderr."""
     shown: set[str] = set()
     with warnings.catch_warnings():
         show = warnings.showwarning
 
         def show_line(message: Warning | str, category: type[Warning], *args: Any) -> None:
-            if not issubclass(category, OldNameWarning):
+            if not issubclass(category, _OWN):
                 show(message, category, *args)
             elif str(message) not in shown:
                 shown.add(str(message))
                 print(f"glissando: {message}", file=sys.stderr)
 
-        warnings.simplefilter("always", OldNameWarning)
+        for category in _OWN:
+            warnings.simplefilter("always", category)
         warnings.showwarning = show_line  # type: ignore[assignment]
         yield
 

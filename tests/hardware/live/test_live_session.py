@@ -14,33 +14,14 @@ from glissando.hardware.live import (
     Placement,
     RecordingSource,
 )
-from glissando.hardware.live.igtl_sink import readings_message
 from glissando.hardware.openigtlink import Endpoint, Message, encode, stamp_of
 from glissando.hardware.openigtlink import contents as c
 from glissando.io.query_csv import QUERY_COLUMNS
 from glissando.io.recording import load_recording
-from live_recordings import ROBOT, SPAN, Lockstep, pose_messages, swaying
+from live_recordings import ROBOT, SPAN, pose_messages, reading_messages, swaying, through_wire
 from waiting import until
 
 PLACES = (Placement("base", 0.0), Placement("tip", ROBOT.length))
-
-
-def _through_wire(messages, folder, placements, updates=30):
-    """Newest states of a session whose readings a peer sends, and their times."""
-    with Endpoint("igtl-server://:0") as peer:
-        address = f"igtl://127.0.0.1:{peer.address.port}?clock=sender"
-        source = IgtlSource(address, ROBOT, placements)
-        clock = Lockstep(peer, messages, source)
-        session = LiveSession(ROBOT, [source], journal=folder, clock=clock, patience=1e9)
-        with session:
-            clock.sleep_until(SPAN[0])
-            done = []
-            for update in session:
-                done.append(update)
-                if len(done) == updates:
-                    break
-    assert session.skipped == 0
-    return done
 
 
 def _assert_same(live, replayed):
@@ -55,7 +36,7 @@ def _assert_same(live, replayed):
 @pytest.mark.slow
 def test_poses_through_openigtlink_estimate_what_a_replay_of_the_journal_does(tmp_path):
     recording = swaying()
-    live = _through_wire(pose_messages(recording), tmp_path / "log", PLACES)
+    live = through_wire(pose_messages(recording), tmp_path / "log", PLACES)
     window = live[0].time, live[-1].time
     assert window[0] == SPAN[0]
     _assert_same(live, replay(load_recording(tmp_path / "log"), ROBOT, window=window))
@@ -70,12 +51,7 @@ def test_poses_through_openigtlink_estimate_what_a_replay_of_the_journal_does(tm
 def test_readings_through_openigtlink_estimate_what_a_replay_of_the_recording_does(tmp_path):
     recording = swaying(1)
     readings, _ = recording.readings(["base", "tip"], ROBOT, SPAN)
-    messages = sorted(
-        (float(r.time[k]), encode(readings_message(r.select(slice(k, k + 1)), stamp_of(r.time[k]))))
-        for r in readings
-        for k in range(len(r))
-    )
-    live = _through_wire(messages, tmp_path / "log", ())
+    live = through_wire(reading_messages(readings), tmp_path / "log")
     window = live[0].time, live[-1].time
     _assert_same(live, replay(recording, ROBOT, window=window))
     logged = load_recording(tmp_path / "log").streams["tip"].rows

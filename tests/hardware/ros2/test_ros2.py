@@ -1,7 +1,10 @@
 """ROS 2 topics in and out, on a graph of this machine."""
 
 import os
+import threading
 import time
+from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 import pytest
@@ -14,7 +17,7 @@ from glissando.hardware.ros2.graph import Graph, Ros2Address, profile
 from glissando.hardware.ros2.ros2_sink import Ros2Sink, world_covariance
 from glissando.hardware.ros2.ros2_source import Ros2Source
 from glissando.io.recording import load_recording
-from live_recordings import ROBOT, SPAN, Lockstep, swaying
+from live_recordings import ROBOT, SPAN, Lockstep, reading_messages, swaying, through_wire
 from waiting import until
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of rclpy's own imports
@@ -70,8 +73,19 @@ def _ready(peer, source):
     until(lambda: not source.problem)
 
 
-def test_poses_through_ros_estimate_what_a_replay_does(domain, tmp_path):
-    recording = swaying(2)
+def _exact(recording):
+    """The recording with times of whole nanoseconds and the poses that a quaternion gives."""
+    streams = {}
+    for name, stream in recording.streams.items():
+        rows, values = stream.rows, stream.rows.values.copy()
+        values[:, :3, :3] = se3.rotation_from_quaternion(se3.quaternion(values[:, :3, :3]))
+        time_ns = [1e-9 * round(1e9 * t) for t in rows.time]
+        streams[name] = replace(stream, rows=replace(rows, time=np.array(time_ns), values=values))
+    return replace(recording, streams=streams)
+
+
+def _through_ros(recording, domain, journal):
+    """Newest states of a session whose poses come through a graph, and their times."""
     with Peer(domain, [p.name for p in PLACES]) as peer:
         source = Ros2Source(f"{domain}&clock=sender", ROBOT, PLACES)
         streams = list(recording.streams.values())
@@ -82,24 +96,26 @@ def test_poses_through_ros_estimate_what_a_replay_does(domain, tmp_path):
         ]
         clock = Lockstep(peer, messages, source)
         peer.receive = lambda: True
-        session = LiveSession(ROBOT, [source], journal=tmp_path / "log", clock=clock, patience=1e9)
+        session = LiveSession(ROBOT, [source], journal=journal, clock=clock, patience=1e9)
         with session:
             _ready(peer, source)
             clock.sleep_until(SPAN[0])
-            live = []
-            for update in session:
-                live.append(update)
-                if len(live) == 25:
-                    break
+            return list(islice(session, 25))
+
+
+def test_a_session_through_ros_openigtlink_and_replay_gives_the_same_estimates(domain, tmp_path):
+    recording = _exact(swaying(2))
+    live = _through_ros(recording, domain, tmp_path / "log")
+    readings, _ = recording.readings(["base", "tip"], ROBOT, SPAN)
+    wired = through_wire(reading_messages(readings), tmp_path / "igtl", updates=25)
     window = live[0].time, live[-1].time
-    again = replay(load_recording(tmp_path / "log"), ROBOT, window=window)
-    for update, state in zip(live, again.states, strict=True):
-        np.testing.assert_allclose(update.newest.pose, state.pose, rtol=0, atol=1e-12)
-        np.testing.assert_allclose(update.newest.cov, state.cov, rtol=1e-9, atol=1e-12)
-    logged = load_recording(tmp_path / "log").streams["tip_pose"].rows
-    true = streams[1].rows
-    np.testing.assert_allclose(logged.time, true.time[: logged.time.size], atol=1e-9)
-    np.testing.assert_allclose(logged.values, true.values[: logged.time.size], atol=1e-14)
+    for again in (recording, load_recording(tmp_path / "log")):
+        replayed = replay(again, ROBOT, window=window).states
+        for one, other, state in zip(live, wired, replayed, strict=True):
+            for newest in (one.newest, other.newest):
+                for name in ("pose", "strain", "velocity", "cov"):
+                    ours, theirs = getattr(newest, name), getattr(state, name)
+                    np.testing.assert_allclose(ours, theirs, rtol=1e-10, atol=1e-12)
 
 
 def test_what_is_no_pose_is_counted(domain):
@@ -132,7 +148,6 @@ def test_a_late_subscriber_of_any_quality_gets_the_newest_update(domain):
 
                 def keep(message, topic=topic):
                     got[topic] = message
-                    viewer.count += 1
 
                 viewer.node.create_subscription(kind, f"/glissando/{topic}", keep, quality)
             until(lambda: viewer.spin() or len(got) == 3)
@@ -164,6 +179,178 @@ def test_a_reader_that_stops_reading_holds_nobody_up(domain):
                 sink.send(update)
                 spent.append(time.thread_time() - began)
     assert np.median(spent) < 0.02
+
+
+@pytest.mark.parametrize(("reliable", "latched"), [(True, True), (True, False), (False, False)])
+def test_a_publisher_of_any_quality_is_heard(domain, reliable, latched):
+    source = Ros2Source(f"{domain}&clock=arrival", ROBOT, PLACES[1:])
+    with source, Peer(domain, []) as peer:
+        quality = profile(1, reliable=reliable, latched=latched)
+        peer.publishers = {"/tip/pose": peer.node.create_publisher(peer.kind, "/tip/pose", quality)}
+        _ready(peer, source)
+        send = peer.publishers["/tip/pose"].publish
+        until(lambda: send(peer.pose(1.0, np.eye(4))) or source.poll() or source.counts["heard"])
+
+
+def test_a_topic_of_another_type_is_named(domain):
+    source = Ros2Source(f"{domain}&type=transform", ROBOT, PLACES[1:])
+    with source, Peer(domain, ["/tip/pose"]):
+        why = "/tip/pose is of geometry_msgs/msg/PoseStamped, not geometry_msgs/msg/Transform"
+        until(lambda: source.poll() or source.problem.startswith(why))
+
+
+def test_a_subscriber_that_asks_for_more_than_is_offered_is_counted(domain):
+    sink = Ros2Sink(domain)
+    with sink, Graph(Ros2Address.parse(domain), "strict") as strict:
+        from geometry_msgs.msg import PoseArray
+        from rclpy.duration import Duration
+
+        quality = profile(1, reliable=True)
+        quality.deadline = Duration(seconds=0.01)
+        topic = "/glissando/frames"
+        strict.node.create_subscription(PoseArray, topic, lambda m: None, quality)
+        until(lambda: sink.poll() or sink.counts["incompatible subscribers"])
+        assert not sink.problem
+
+
+def _an_update():
+    with LiveSession(ROBOT, [RecordingSource(swaying(), ROBOT)], points=3) as session:
+        return next(iter(session))
+
+
+class Manager(Graph):
+    """A node that calls services of another, as a lifecycle manager does."""
+
+    def call(self, kind, service, nodes, **request):
+        client = self.node.create_client(kind, service)
+        until(lambda: [node.poll() for node in nodes] and client.service_is_ready())
+        answer = client.call_async(kind.Request(**request))
+        until(lambda: [node.poll() for node in nodes] and (self.spin() or answer.done()))
+        self.node.destroy_client(client)
+        return answer.result()
+
+    def change(self, who, number, nodes):
+        from lifecycle_msgs.msg import Transition
+        from lifecycle_msgs.srv import ChangeState
+
+        service, transition = f"/glissando_{who}/change_state", Transition(id=number)
+        assert self.call(ChangeState, service, nodes, transition=transition).success
+
+
+def test_a_manager_configures_activates_deactivates_and_cleans_up(domain):
+    from lifecycle_msgs.msg import Transition
+
+    source = Ros2Source(f"{domain}&start=managed&clock=arrival", ROBOT, PLACES[1:])
+    sink = Ros2Sink(f"{domain}&start=managed")
+    address, seen = Ros2Address.parse(domain), []
+    with source, sink, Manager(address, "manager") as manager, Peer(domain, ["/tip/pose"]) as peer:
+        from geometry_msgs.msg import PoseStamped
+
+        quality = profile(1, reliable=True)
+        tip = "/glissando/tip/measured_cp"
+        manager.node.create_subscription(PoseStamped, tip, seen.append, quality)
+        update = _an_update()
+        send = peer.publishers["/tip/pose"].publish
+
+        def exchanged(key):
+            """Messages pass until one is counted under the key."""
+            before = source.counts[key]
+            happened = lambda: source.poll() or source.counts[key] > before  # noqa: E731
+            until(lambda: send(peer.pose(1.0, np.eye(4))) or happened())
+            sink.send(update)
+            deadline = time.monotonic() + 0.3
+            while time.monotonic() < deadline and not seen:
+                manager.spin()
+            return len(seen)
+
+        nodes = (source, sink)
+        assert "unconfigured" in source.problem
+        assert "unconfigured" in sink.problem
+        assert peer.publishers["/tip/pose"].get_subscription_count() == 0
+        for _ in range(2):
+            for who in ("source", "sink"):
+                manager.change(who, Transition.TRANSITION_CONFIGURE, nodes)
+            assert "is inactive" in source.problem
+            assert exchanged("ignored") == 0
+            for who in ("source", "sink"):
+                manager.change(who, Transition.TRANSITION_ACTIVATE, nodes)
+            assert not sink.problem
+            until(lambda: manager.node.count_publishers(tip))
+            assert exchanged("heard") == 1
+            seen.clear()
+            for who in ("source", "sink"):
+                manager.change(who, Transition.TRANSITION_DEACTIVATE, nodes)
+            assert exchanged("ignored") == 0
+            for who in ("source", "sink"):
+                manager.change(who, Transition.TRANSITION_CLEANUP, nodes)
+            until(lambda: not peer.publishers["/tip/pose"].get_subscription_count())
+        manager.change("source", Transition.TRANSITION_UNCONFIGURED_SHUTDOWN, nodes)
+        assert source.finished
+
+
+def test_parameters_are_set_and_wrong_ones_refused(domain, tmp_path):
+    from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+    from rcl_interfaces.srv import SetParameters
+
+    file = tmp_path / "params.yaml"
+    file.write_text("/**:\n  ros__parameters:\n    frame_id: aurora\n    marker_rate: 5.0\n")
+    sink = Ros2Sink(f"{domain}&params={file}")
+    with sink, Manager(Ros2Address.parse(domain), "manager") as manager:
+
+        def set_to(name, **value):
+            wanted = Parameter(name=name, value=ParameterValue(**value))
+            service = "/glissando_sink/set_parameters"
+            return manager.call(SetParameters, service, [sink], parameters=[wanted]).results[0]
+
+        get = sink._graph.node.get_parameter
+        assert (get("frame_id").value, get("marker_rate").value) == ("aurora", 5.0)
+        text = ParameterType.PARAMETER_STRING
+        assert set_to("frame_id", type=text, string_value="map").successful
+        assert get("frame_id").value == "map"
+        refused = set_to("marker_rate", type=ParameterType.PARAMETER_DOUBLE, double_value=0.0)
+        assert "give 0.001 to 1000" in refused.reason
+    with pytest.raises(DeviceError, match="no file"):
+        Ros2Sink(f"{domain}&params={tmp_path / 'none.yaml'}")
+
+
+def test_a_session_follows_simulated_time(domain):
+    from rosgraph_msgs.msg import Clock
+
+    source = Ros2Source(f"{domain}&clock=sim", ROBOT, PLACES[1:])
+    session = LiveSession(ROBOT, [source], rate=20.0)
+    with Peer(domain, ["/tip/pose"]) as peer, session:
+        _ready(peer, source)
+        ticks = peer.node.create_publisher(Clock, "/clock", profile(1, reliable=True))
+        until(ticks.get_subscription_count)
+        began, lasts, updates = 1.7e9, 0.5, []
+
+        def simulate():
+            """Ten seconds of simulation pass in a second, from a date on."""
+            begin = time.monotonic()
+            while (into := 10.0 * (time.monotonic() - begin)) < 20.0 and not over.is_set():
+                tick = Clock()
+                tick.clock.sec, tick.clock.nanosec = int(began + into), int(1e9 * (into % 1.0))
+                ticks.publish(tick)
+                peer.send([("/tip/pose", peer.pose(began + into, np.eye(4)))])
+                time.sleep(0.002)
+            tick.clock.sec -= 15
+            ticks.publish(tick)
+
+        over, thread = threading.Event(), threading.Thread(target=simulate)
+        thread.start()
+        begin = time.monotonic()
+        for update in session:
+            updates.append(update)
+            if update.time - updates[0].time > 5.0:
+                break
+        lasts = time.monotonic() - begin
+        over.set()
+        thread.join()
+        assert lasts < 3.0
+        assert 0.0 <= updates[0].time < 5.0
+        assert abs((updates[-1].stamp >> 32) - began - updates[-1].time) < 1.0
+        with pytest.raises(DeviceError, match="went back"):
+            session.clock.sleep_until(1e9)
 
 
 def test_the_covariance_is_that_of_the_world_frame():

@@ -81,6 +81,7 @@ def capture(
     folder: Path,
     *,
     further: Mapping[str, SlidePath] | None = None,
+    steered: Callable[[float], float] | None = None,
     on_progress: OnProgress | None = None,
     on_message: OnMessage | None = None,
 ) -> Progress:
@@ -91,6 +92,8 @@ def capture(
         path: What the slide follows.
         folder: New folder for the log.
         further: Paths of the rig's further stages by name; by default the same as the first.
+        steered: Where the slide is to be, m, at a time.monotonic(), s, decided on the way; then
+            the path states for how long only.
         on_progress: Shows the progress, from the caller's thread.
         on_message: Takes each message after it is logged, from the devices' threads.
 
@@ -125,7 +128,7 @@ def capture(
         stack.callback(_finish, over, threads)
         for thread in threads:
             thread.start()
-        with closing(_experiment(rig, path, log)) as steps_taken:
+        with closing(_experiment(rig, path, steered, log)) as steps_taken:
             for _ in steps_taken:
                 if failures:
                     raise failures[0]
@@ -178,7 +181,9 @@ class _Log:
             self.on_message(topic, message)
 
 
-def _experiment(rig: Rig, path: SlidePath, log: _Log) -> Generator[None, None, None]:
+def _experiment(
+    rig: Rig, path: SlidePath, steered: Callable[[float], float] | None, log: _Log
+) -> Generator[None, None, None]:
     """Steps of the experiment: wait for clocks, home, follow the path."""
     progress = log.progress
     yield from _wait(_SETTLE)
@@ -188,11 +193,21 @@ def _experiment(rig: Rig, path: SlidePath, log: _Log) -> Generator[None, None, N
         return
     with opened_stage(rig.slide, rig.stage) as slide:
         _home(slide, rig.standing)
-        times = np.append(np.arange(0.0, path.duration, _PATH_STEP), path.duration)
-        for reading in slide.follow(times, path.at(times)):
+        for reading in _motion(slide, path, steered):
             _log_slide(reading, log, "")
             yield
         progress.problems.update({f"slide {k}": str(n) for k, n in slide.counts.items() if n})
+
+
+def _motion(
+    slide: LinearStage, path: SlidePath, steered: Callable[[float], float] | None
+) -> Iterator[SlideReading]:
+    """Readings of a stage on a path, or where it is steered for as long."""
+    if steered is not None:
+        begun = time.monotonic()
+        return slide.pursue(lambda into: steered(begun + into), path.duration)
+    times = np.append(np.arange(0.0, path.duration, _PATH_STEP), path.duration)
+    return slide.follow(times, path.at(times))
 
 
 def _home(slide: LinearStage, standing: float | None) -> None:
@@ -220,8 +235,7 @@ class _Driven:
     def _follow(one: FurtherStage, path: SlidePath) -> Generator[SlideReading, None, None]:
         with opened_stage(one.address, one.stage) as slide:
             _home(slide, one.standing)
-            times = np.append(np.arange(0.0, path.duration, _PATH_STEP), path.duration)
-            yield from slide.follow(times, path.at(times))
+            yield from _motion(slide, path, None)
             while True:  # the first may still move
                 yield slide.read()
                 time.sleep(_PATH_STEP)

@@ -69,11 +69,15 @@ class FurtherStage:
 
 @dataclass(frozen=True)
 class Body:
-    """A motion-capture object at `arclength` m; `mount` is its pose there, T_bm."""
+    """A motion-capture object at `arclength` m; `mount` is its pose there, T_bm.
+
+    One that `slides` is on the sliding tube and has neither.
+    """
 
     name: str
     arclength: float
     mount: Array
+    slides: bool = False
 
 
 @dataclass(frozen=True)
@@ -110,6 +114,13 @@ class Rig:
     further: tuple[FurtherStage, ...] = ()
     mocap_host: str = "127.0.0.1"
 
+    @property
+    def standing_travel(self) -> float:
+        """Travel at which the slide stands after homing, m."""
+        home = self.stage.home if self.stage and self.standing is None else self.standing
+        low, high = self.stage.stroke if self.stage else (0.0, 0.0)
+        return min(max(home or 0.0, low), high)
+
     def described(self) -> dict[str, Any]:
         """What a session log states about the rig, in JSON's types."""
         sliding = next((c for c in self.coils if c.slides), None)
@@ -127,7 +138,10 @@ class Rig:
             "direction": -1,
             "frame": pose_entries(self.frame),
             "bodies": {
-                b.name: {"arclength": b.arclength, **pose_entries(b.mount)} for b in self.bodies
+                b.name: {"slides": True}
+                if b.slides
+                else {"arclength": b.arclength, **pose_entries(b.mount)}
+                for b in self.bodies
             },
         }
 
@@ -217,7 +231,11 @@ def _slide(table: Table) -> dict[str, Any]:
 
 
 def _body(table: Table, length: float) -> Body:
-    body = Body(file_stem(table.text("name"), DeviceError), _arclength(table, length), table.pose())
+    name = file_stem(table.text("name"), DeviceError)
+    if table.flag("slides"):
+        body = Body(name, np.nan, np.eye(4), slides=True)
+    else:
+        body = Body(name, _arclength(table, length), table.pose())
     table.close()
     return body
 

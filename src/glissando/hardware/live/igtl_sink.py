@@ -78,9 +78,12 @@ class IgtlSink:
         calling = not self._endpoint.address.listens and not self._endpoint.peers
         return f"nobody answers at {self.name}" if calling else ""
 
+    def poll(self) -> None:
+        """Look who is there."""
+        self._endpoint.receive()
+
     def send(self, update: Update) -> None:
         """Hand an update over to the process that speaks with peers."""
-        self._endpoint.receive()
         if self._endpoint.peers:
             stamp = update.stamp
             self._endpoint.send(

@@ -44,6 +44,7 @@ class IgtlSource:
     """
 
     first: float | None = None
+    clock = None
     finished = False  # a peer may come back
 
     def __init__(self, address: str, robot: Robot, placements: Sequence[Placement] = ()) -> None:

@@ -13,6 +13,7 @@ import signal
 from collections import Counter
 from collections.abc import Mapping
 from contextlib import ExitStack, suppress
+from multiprocessing.connection import Connection
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Self
@@ -21,6 +22,7 @@ import numpy as np
 
 from glissando.errors import DeviceError
 from glissando.geometry import se3
+from glissando.geometry.se3 import Array
 from glissando.hardware.capture import Coil, Rig, capture
 from glissando.hardware.capture.child_process import blocked_signals, end_with_parent
 from glissando.hardware.live.clock import SessionClock
@@ -42,6 +44,7 @@ class RigSource:
         path: What the slide follows from the beginning; the source finishes at its end.
         folder: New folder for the session log; a temporary one unless given.
         further: Paths of the rig's further stages by name.
+        steered: Whether the slide goes where `steer` says, for as long as the path lasts.
 
     Attributes:
         counts: Messages 'heard', coils 'not seen'.
@@ -51,6 +54,7 @@ class RigSource:
     """
 
     first: float | None = None
+    clock = None
 
     def __init__(
         self,
@@ -60,12 +64,14 @@ class RigSource:
         folder: Path | None = None,
         *,
         further: Mapping[str, SlidePath] | None = None,
+        steered: bool = False,
     ) -> None:
         self.name, self.counts = f"rig {rig.name}", Counter[str]()
         self._rig, self._robot, self._folder = rig, robot, folder
         self._paths = path, dict(further or {})
         self._coils = {f"/tracker/{coil.name}": coil for coil in rig.coils}
         self._travel, self.finished = dict[str, float](), False
+        self._steered, self._times = steered, SessionClock()
         self._stack = ExitStack()
 
     def __enter__(self) -> Self:
@@ -73,10 +79,13 @@ class RigSource:
             self._folder = Path(self._stack.enter_context(TemporaryDirectory())) / "session"
         context = multiprocessing.get_context("spawn")
         self._messages = context.Queue()
-        arguments = self._rig, self._paths, self._folder, self._messages
+        heard, self._steering = context.Pipe(duplex=False)
+        steering = heard if self._steered else None
+        arguments = self._rig, self._paths, self._folder, self._messages, steering
         self._process = context.Process(target=_capture, args=arguments)
         with blocked_signals():
             self._process.start()
+        heard.close()
         return self
 
     def __exit__(self, *raised: object) -> None:
@@ -88,7 +97,19 @@ class RigSource:
         if self._process.is_alive():
             self._process.terminate()
         self._messages.cancel_join_thread()
+        self._steering.close()
         self._stack.close()
+
+    def steer(self, time: Array, travel: Array) -> None:
+        """Have the slide follow another path from now on; at its end it stands.
+
+        Args:
+            time: Session times (K,), s, from before now on.
+            travel: Travels (K,) at these times, m, which go on from where the slide is.
+        """
+        since = self._times.of_monotonic(0.0)
+        with suppress(OSError):  # the rig has ended, which `read` says
+            self._steering.send((time - since, travel))
 
     def _drain(self, within: float) -> None:
         """Empty the queue until its end, without which the process does not end."""
@@ -103,6 +124,7 @@ class RigSource:
 
     def read(self, clock: SessionClock) -> list[Readings]:
         """The readings that have come since the last call."""
+        self._times = clock
         out = []
         for _ in range(_MOST):
             try:
@@ -136,7 +158,11 @@ class RigSource:
 
 
 def _capture(
-    rig: Rig, paths: tuple[SlidePath, dict[str, SlidePath]], folder: Path, messages: Any
+    rig: Rig,
+    paths: tuple[SlidePath, dict[str, SlidePath]],
+    folder: Path,
+    messages: Any,
+    steering: Connection | None,
 ) -> None:
     """Run the experiment, pass on its messages, and then how it ended."""
     end: DeviceError | None = None
@@ -151,6 +177,7 @@ def _capture(
         try:
             capture(
                 rig, paths[0], folder, further=paths[1],
+                steered=_Steered(steering, rig.standing_travel) if steering else None,
                 on_message=lambda *message: messages.put(message),
             )  # fmt: skip
         except DeviceError as problem:
@@ -158,3 +185,17 @@ def _capture(
     if end is not None:
         messages.put(end)
     messages.put(None)
+
+
+class _Steered:
+    """Where the slide is to be by the newest path that came; before the first, where it stands."""
+
+    def __init__(self, paths: Connection, standing: float) -> None:
+        self._paths = paths
+        self._path = np.zeros(1), np.array([standing])
+
+    def __call__(self, monotonic: float) -> float:
+        with suppress(EOFError, OSError):  # nobody steers any more: the last path ends at rest
+            while self._paths.poll():
+                self._path = self._paths.recv()
+        return float(np.interp(monotonic, *self._path))

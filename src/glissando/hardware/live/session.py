@@ -45,7 +45,7 @@ class LiveSession:
         journal: New folder to which readings are written, a recording; None writes none.
         duration: Seconds after which the session ends; None for when all sources have.
         patience: Seconds that all sources may be silent before the session ends with an error.
-        clock: Session time.
+        clock: Session time; that of a source which has one, unless given.
 
     Raises:
         GlissandoError: An argument is wrong; while it runs, a source, a sink or a device failed.
@@ -77,7 +77,7 @@ class LiveSession:
             raise GlissandoError("A live estimate needs a source of readings; give one.")
         self.robot, self.sources, self.sinks = robot, tuple(sources), tuple(sinks)
         self.rate, self.delay, self.duration, self.patience = rate, delay, duration, patience
-        self.clock = clock or SessionClock()
+        self.clock, self._clock_given = clock or SessionClock(), clock is not None
         self.arclength = np.linspace(0.0, robot.length, points)
         self.skipped, self.journal_folder = 0, journal
         self._journal: Journal | None = None
@@ -98,6 +98,8 @@ class LiveSession:
                 stack.enter_context(sink)
             for source in self.sources:
                 stack.enter_context(source)
+                if source.clock is not None and not self._clock_given:
+                    self.clock = source.clock
             self._stack = stack.pop_all()
         return self
 
@@ -133,7 +135,9 @@ class LiveSession:
             arrived, number = [], number + 1
 
     def _read(self) -> list[Readings]:
-        """What all sources have, written to the journal."""
+        """What all sources have, written to the journal; sinks take what their peers say."""
+        for sink in self.sinks:
+            sink.poll()
         arrived = [readings for source in self.sources for readings in source.read(self.clock)]
         for readings in arrived:
             if self._journal is not None:

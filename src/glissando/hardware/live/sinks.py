@@ -32,6 +32,9 @@ class Sink(Protocol):
     def __exit__(self, *raised: object) -> None:
         """Close it."""
 
+    def poll(self) -> None:
+        """Take what peers say, without waiting; many times a second."""
+
     def send(self, update: Update) -> None:
         """Take an update without waiting for anybody."""
 
@@ -69,6 +72,9 @@ class CsvSink:
     def __exit__(self, *raised: object) -> None:
         if self._file is not None:
             self._file.close()
+
+    def poll(self) -> None:
+        """A file says nothing."""
 
     def send(self, update: Update) -> None:
         """Append the state at every point; a row is whole or missing if the process is killed."""

@@ -22,10 +22,15 @@ class Source(Protocol):
     Attributes:
         name: What it is called in messages.
         first: Session time of its beginning, s, where it has one of its own, else None.
+        clock: Session time, where the source alone can tell it, else None; once it is open.
     """
 
     name: str
     first: float | None
+
+    @property
+    def clock(self) -> SessionClock | None:
+        """Session time."""
 
     @property
     def finished(self) -> bool:
@@ -79,7 +84,7 @@ class RecordingSource:
         self._last, self._given = span[1], -np.inf
 
     finished = property(lambda self: self._given >= self._last)
-    problem = ""
+    problem, clock = "", None
 
     def __enter__(self) -> Self:
         return self

@@ -1,18 +1,25 @@
-"""A node in a ROS 2 graph of its own context, and the settings of an address."""
+"""A managed node in a ROS 2 graph of its own context, and the settings of an address.
+
+The node has the life cycle of https://design.ros2.org/articles/node_lifecycle.html: unconfigured,
+inactive, active, finalized. It activates itself unless a manager is to do that.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Self
 from urllib.parse import parse_qsl, urlsplit
 
 from glissando.errors import DeviceError
 
 _TYPES = ("pose", "transform")
-_CLOCKS = ("shared", "arrival", "sender")
+_CLOCKS = ("shared", "arrival", "sender", "sim")
+_STARTS = ("self", "managed")
 _HINT = (
     "give ros2, and after a ? domain=0, name=glissando, frame=world, type=pose|transform, "
-    "travel=/TOPIC, clock=shared|arrival|sender."
+    "travel=/TOPIC, clock=shared|arrival|sender|sim, start=self|managed, params=FILE."
 )
 
 
@@ -26,7 +33,11 @@ class Ros2Address:
         frame: The world frame's name in headers.
         type: What poses come as: PoseStamped ("pose") or TransformStamped ("transform").
         travel: Topic of a JointState whose first position is the slide's travel; empty for none.
-        clock: How stamps become times, as for OpenIGTLink: "shared", "arrival" or "sender".
+        clock: How stamps become times, as for OpenIGTLink: "shared", "arrival" or "sender"; "sim"
+            sets the parameter use_sim_time, with which the session follows the topic /clock.
+        start: Who configures and activates the node: it does so by itself ("self"), or waits for
+            a manager ("managed").
+        params: File of parameters, as `ros2 run … --params-file` takes it; empty for none.
     """
 
     domain: int = 0
@@ -35,6 +46,8 @@ class Ros2Address:
     type: str = "pose"
     travel: str = ""
     clock: str = "shared"
+    start: str = "self"
+    params: str = ""
 
     @classmethod
     def parse(cls, text: str) -> Ros2Address:
@@ -49,32 +62,45 @@ class Ros2Address:
             domain = int(options.pop("domain", "0"))
         except ValueError as problem:
             raise DeviceError(f"{text!r} is no ROS 2 address ({problem}); {_HINT}") from None
-        known = {*options} <= {"name", "frame", "type", "travel", "clock"}
+        known = {*options} <= {"name", "frame", "type", "travel", "clock", "start", "params"}
         if parts.path != "ros2" or not known or not 0 <= domain <= 232:
             raise DeviceError(f"{text!r} is no ROS 2 address; {_HINT}")
         out = cls(domain=domain, **options)
-        if out.type not in _TYPES or out.clock not in _CLOCKS:
+        if out.type not in _TYPES or out.clock not in _CLOCKS or out.start not in _STARTS:
             raise DeviceError(f"{text!r} is no ROS 2 address; {_HINT}")
+        if out.params and not Path(out.params).is_file():
+            raise DeviceError(f"There is no file {out.params!r} of parameters; correct params=.")
         return out
 
 
 class Graph:
-    """A node while the context lasts.
+    """A managed node while the context lasts.
 
     Args:
         address: How it takes part.
         suffix: Ends the node's name.
+        configure: Called when the node becomes inactive at first, to declare what it has.
+        cleanup: Called when it becomes unconfigured again, to give that back.
 
     Attributes:
         node: The rclpy node.
+        state: "unconfigured", "inactive", "active" or "finalized".
 
     Raises:
         DeviceError: rclpy or a package of messages is not installed, or the node does not start.
     """
 
-    def __init__(self, address: Ros2Address, suffix: str) -> None:
-        self.address, self._suffix = address, suffix
+    def __init__(
+        self,
+        address: Ros2Address,
+        suffix: str,
+        configure: Callable[[], None] = lambda: None,
+        cleanup: Callable[[], None] = lambda: None,
+    ) -> None:
+        self.address, self.name = address, f"{address.name}_{suffix}"
+        self.configure, self.cleanup = configure, cleanup
         self.node: Any = None
+        self.state = "unconfigured"
         self._context: Any = None
         self._executor: Any = None
 
@@ -82,17 +108,27 @@ class Graph:
         try:
             import rclpy
             from rclpy.context import Context
-            from rclpy.executors import SingleThreadedExecutor
+            from rclpy.executors import SingleThreadedExecutor, TimeoutException
         except ImportError as missing:
             raise DeviceError(
                 f"ROS 2 needs {missing.name}, which is not installed: run pip install "
                 f"'glissando[ros2]' (Python 3.11), or source a ROS 2 installation."
             ) from None
-        self._context = Context()
-        rclpy.init(args=[], context=self._context, domain_id=self.address.domain)
-        self.node = rclpy.create_node(f"{self.address.name}_{self._suffix}", context=self._context)
+        self._context, self._idle = Context(), TimeoutException
+        given = ["--ros-args", "--params-file", self.address.params] if self.address.params else []
+        try:
+            rclpy.init(args=given, context=self._context, domain_id=self.address.domain)
+            self.node = _managed_node(self, self._context)
+        except Exception as problem:  # rclpy's own errors share no other base
+            self._context.try_shutdown()
+            raise DeviceError(
+                f"The ROS 2 node {self.name} did not start ({problem}); correct params= and name=."
+            ) from None
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
+        if self.address.start == "self":
+            self.node.trigger_configure()
+            self.node.trigger_activate()
         return self
 
     def __exit__(self, *raised: object) -> None:
@@ -102,15 +138,48 @@ class Graph:
             self._context.try_shutdown()
         self.node = None
 
+    @property
+    def problem(self) -> str:
+        """Why the node does nothing; empty while it is active."""
+        return "" if self.state == "active" else f"the ROS 2 node {self.name} is {self.state}"
+
     def spin(self, most: int = 256) -> None:
         """Run what is ready, `most` callbacks at a time; never waits."""
-        for _ in range(most):
-            before = self.count
-            self._executor.spin_once(timeout_sec=0.0)
-            if self.count == before:
-                return
+        try:
+            for _ in range(most):
+                ready, _, _ = self._executor.wait_for_ready_callbacks(timeout_sec=0.0)
+                ready()
+                ready.result()  # raises what the callback raised
+        except self._idle:
+            pass
 
-    count = 0
+
+def _managed_node(graph: Graph, context: Any) -> Any:
+    """A node whose life cycle is that of a graph."""
+    from rclpy.lifecycle import LifecycleNode
+    from rclpy.parameter import Parameter
+
+    def moves_to(state: str, transition: Any, action: Callable[[], None] = lambda: None) -> Any:
+        def on_transition(self: Any, previous: Any) -> Any:
+            action()
+            graph.state = state
+            return transition(self, previous)
+
+        return on_transition
+
+    managed = type(
+        "ManagedNode",
+        (LifecycleNode,),
+        {
+            "on_configure": moves_to("inactive", LifecycleNode.on_configure, graph.configure),
+            "on_activate": moves_to("active", LifecycleNode.on_activate),
+            "on_deactivate": moves_to("inactive", LifecycleNode.on_deactivate),
+            "on_cleanup": moves_to("unconfigured", LifecycleNode.on_cleanup, graph.cleanup),
+            "on_shutdown": moves_to("finalized", LifecycleNode.on_shutdown, graph.cleanup),
+        },
+    )
+    simulated = [Parameter("use_sim_time", value=True)] if graph.address.clock == "sim" else []
+    return managed(graph.name, context=context, parameter_overrides=simulated)
 
 
 def profile(depth: int, *, reliable: bool, latched: bool = False) -> Any:

@@ -8,8 +8,8 @@
 | `/glissando/markers` | MarkerArray | centreline, ellipsoids and tube of 95 %, ten times a second |
 | `/diagnostics` | DiagnosticArray | once a second, if that package is installed |
 
-Publishers are reliable and keep the last message for late subscribers; any subscriber's quality of
-service is compatible with that.
+Publishers are reliable and keep the last message for late subscribers. A subscriber that asks for
+more, such as a deadline, gets nothing and is counted.
 """
 
 from __future__ import annotations
@@ -26,64 +26,97 @@ from glissando.geometry.se3 import Array
 from glissando.hardware.live.update import Update
 from glissando.hardware.ros2.graph import Graph, Ros2Address, profile
 
-_MARKERS, _DIAGNOSTICS = 0.1, 1.0  # s between them
+_RATES = {"marker_rate": 10.0, "diagnostic_rate": 1.0}  # Hz, by default
 _AROUND = 8  # points of a ring of the tube
 
 
 class Ros2Sink:
-    """Publishes updates.
+    """Publishes updates while its node is active.
+
+    Parameters of the node: `frame_id` of headers, `marker_rate` and `diagnostic_rate` in Hz.
 
     Args:
         address: As `Ros2Address.parse` takes it.
+
+    Attributes:
+        counts: Subscribers 'incompatible' with what is offered.
 
     Raises:
         DeviceError: The address is wrong, or ROS 2 is not installed.
     """
 
-    problem = ""
-
     def __init__(self, address: str) -> None:
         self.name, self.counts = address, Counter[str]()
         self._address = Ros2Address.parse(address)
-        self._graph = Graph(self._address, "sink")
+        self._graph = Graph(self._address, "sink", self._advertise, self._withdraw)
         self._publishers: dict[str, Any] = {}
         self._marked = self._diagnosed = -np.inf
 
     def __enter__(self) -> Self:
-        self._graph.__enter__()
         try:
             from geometry_msgs import msg as geometry
             from visualization_msgs import msg as visualization
         except ImportError as missing:
-            self._graph.__exit__()
             raise DeviceError(
                 f"ROS 2 needs {missing.name}: run pip install 'glissando[ros2]'."
             ) from None
-        self._geometry, self._visualization = geometry, visualization
-        name = self._address.name
-        kinds = {
-            f"/{name}/tip/measured_cp": geometry.PoseStamped,
-            f"/{name}/tip/pose": geometry.PoseWithCovarianceStamped,
-            f"/{name}/frames": geometry.PoseArray,
-            f"/{name}/markers": visualization.MarkerArray,
-        }
         try:
             from diagnostic_msgs import msg as diagnostic
         except ImportError:
             diagnostic = None
-        else:
-            kinds["/diagnostics"] = diagnostic.DiagnosticArray
+        self._geometry, self._visualization = geometry, visualization
         self._diagnostic: Any = diagnostic
-        quality = profile(1, reliable=True, latched=True)
-        create = self._graph.node.create_publisher
-        self._publishers = {topic: create(kind, topic, quality) for topic, kind in kinds.items()}
+        self._graph.__enter__()
         return self
 
     def __exit__(self, *raised: object) -> None:
         self._graph.__exit__()
 
+    @property
+    def problem(self) -> str:
+        """Why nothing is published; empty while the node is active."""
+        return "" if self._graph.node is None else self._graph.problem
+
+    def _advertise(self) -> None:
+        from rclpy.event_handler import PublisherEventCallbacks
+
+        node, name, geometry = self._graph.node, self._address.name, self._geometry
+        kinds = {
+            f"/{name}/tip/measured_cp": geometry.PoseStamped,
+            f"/{name}/tip/pose": geometry.PoseWithCovarianceStamped,
+            f"/{name}/frames": geometry.PoseArray,
+            f"/{name}/markers": self._visualization.MarkerArray,
+        }
+        if self._diagnostic is not None:
+            kinds["/diagnostics"] = self._diagnostic.DiagnosticArray
+        quality = profile(1, reliable=True, latched=True)
+        events = PublisherEventCallbacks(incompatible_qos=self._count_incompatible)
+        self._publishers = {
+            topic: node.create_lifecycle_publisher(kind, topic, quality, event_callbacks=events)
+            for topic, kind in kinds.items()
+        }
+        if not node.has_parameter("frame_id"):
+            node.declare_parameter("frame_id", self._address.frame)
+            for rate, default in _RATES.items():
+                node.declare_parameter(rate, default)
+            node.add_on_set_parameters_callback(_checked)
+
+    def _count_incompatible(self, event: Any) -> None:
+        self.counts["incompatible subscribers"] += event.total_count_change
+
+    def _withdraw(self) -> None:
+        for publisher in self._publishers.values():
+            self._graph.node.destroy_lifecycle_publisher(publisher)
+        self._publishers = {}
+
+    def poll(self) -> None:
+        """Answer managers and those who set parameters."""
+        self._graph.spin()
+
     def send(self, update: Update) -> None:
-        """Publish an update."""
+        """Publish an update, unless a manager has said not to."""
+        if self._graph.state != "active":
+            return
         name, geometry = self._address.name, self._geometry
         poses = [self._pose(pose) for pose in update.state.pose]
         tip = geometry.PoseStamped(pose=poses[-1])
@@ -98,16 +131,21 @@ class Ros2Sink:
         ):
             message.header = self._header(update)
             self._publishers[topic].publish(message)
-        if update.time - self._marked >= _MARKERS:
+        if update.time - self._marked >= self._period("marker_rate"):
             self._marked = update.time
             self._publishers[f"/{name}/markers"].publish(self._markers(update))
-        if self._diagnostic is not None and update.time - self._diagnosed >= _DIAGNOSTICS:
+        since = update.time - self._diagnosed
+        if self._diagnostic is not None and since >= self._period("diagnostic_rate"):
             self._diagnosed = update.time
             self._publishers["/diagnostics"].publish(self._diagnosis(update))
 
+    def _period(self, rate: str) -> float:
+        """Seconds between messages whose rate is a parameter, less what rounding may take."""
+        return 1.0 / float(self._graph.node.get_parameter(rate).value) - 1e-6
+
     def _header(self, update: Update) -> Any:
         header = self._geometry.PoseStamped().header
-        header.frame_id = self._address.frame
+        header.frame_id = self._graph.node.get_parameter("frame_id").value
         header.stamp.sec = update.stamp >> 32
         header.stamp.nanosec = ((update.stamp & 0xFFFFFFFF) * 1_000_000_000) >> 32
         return header
@@ -171,6 +209,19 @@ class Ros2Sink:
         out = self._diagnostic.DiagnosticArray(status=[status])
         out.header = self._header(update)
         return out
+
+
+def _checked(parameters: list[Any]) -> Any:
+    """Whether parameters may become what they are set to, and why not."""
+    from rcl_interfaces.msg import SetParametersResult
+
+    for parameter in parameters:
+        if parameter.name in _RATES and not 1e-3 <= parameter.value <= 1e3:
+            reason = f"{parameter.name} is {parameter.value:g} Hz; give 0.001 to 1000."
+            return SetParametersResult(successful=False, reason=reason)
+        if parameter.name == "frame_id" and not parameter.value:
+            return SetParametersResult(successful=False, reason="frame_id is empty; give a name.")
+    return SetParametersResult(successful=True)
 
 
 def world_covariance(pose: Array, cov: Array) -> Array:

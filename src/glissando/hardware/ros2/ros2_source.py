@@ -15,6 +15,7 @@ from glissando.geometry import se3
 from glissando.hardware.live.clock import SessionClock
 from glissando.hardware.live.placement import Placement, reading, require_on_robot
 from glissando.hardware.ros2.graph import Graph, Ros2Address, profile
+from glissando.hardware.ros2.simulated_clock import SimulatedClock
 from glissando.model.robot import Robot
 from glissando.model.sensors.readings import Readings
 
@@ -22,6 +23,7 @@ _DEPTH = 64  # messages of a topic that wait
 _WAITING = 4096  # messages in all
 _FAR = 20.0  # m from the origin: no tracker reaches there
 _FASTEST = 100.0  # rad/s
+_PATIENCE = 0.5  # s between looks at who publishes
 
 
 class Ros2Source:
@@ -33,14 +35,16 @@ class Ros2Source:
         placements: Devices named by their topics; a "gyro" is an Imu, others are poses.
 
     Attributes:
-        counts: Messages 'heard', 'invalid', 'dropped' because too many waited.
+        counts: Messages 'heard', 'invalid', 'dropped' because too many waited, 'ignored' while the
+            node was inactive.
+        clock: Simulated time, if the node's parameter use_sim_time is set.
 
     Raises:
         DeviceError: An address or a placement is wrong, or ROS 2 is not installed.
     """
 
     first: float | None = None
-    finished = False
+    clock: SimulatedClock | None = None
 
     def __init__(self, address: str, robot: Robot, placements: Sequence[Placement]) -> None:
         require_on_robot(placements, robot)
@@ -49,45 +53,75 @@ class Ros2Source:
         self.name, self._robot = address, robot
         self.counts: Counter[str] = Counter()
         self._address = Ros2Address.parse(address)
-        self._graph = Graph(self._address, "source")
+        self._graph = Graph(self._address, "source", self._subscribe, self._unsubscribe)
         self._placements, self._travel = placements, 0.0
+        self._subscriptions: list[Any] = []
+        self._silence, self._looked = "", -np.inf
         self._waiting: deque[tuple[Placement, Any, float]] = deque()
         self._begun = False
 
     def __enter__(self) -> Self:
-        self._graph.__enter__()
         try:
             from geometry_msgs.msg import PoseStamped, TransformStamped
             from sensor_msgs.msg import Imu, JointState
         except ImportError as missing:
-            self._graph.__exit__()
             raise DeviceError(
                 f"ROS 2 needs {missing.name}: run pip install 'glissando[ros2]'."
             ) from None
         poses = PoseStamped if self._address.type == "pose" else TransformStamped
-        quality = profile(_DEPTH, reliable=False)
-        subscribe = self._graph.node.create_subscription
-        for place in self._placements:
-            kind = Imu if place.kind == "gyro" else poses
-            subscribe(kind, place.name, partial(self._heard, place), quality)
-        if self._address.travel:
-            subscribe(JointState, self._address.travel, self._moved, quality)
+        self._kinds = {p: Imu if p.kind == "gyro" else poses for p in self._placements}
+        self._joints = JointState
+        self._graph.__enter__()
+        if self._graph.node.get_parameter("use_sim_time").value:
+            self.clock = SimulatedClock(self._graph)
         return self
 
     def __exit__(self, *raised: object) -> None:
         self._graph.__exit__()
 
+    def _subscribe(self) -> None:
+        quality = profile(_DEPTH, reliable=False)
+        subscribe = self._graph.node.create_subscription
+        for place, kind in self._kinds.items():
+            heard = partial(self._heard, place)
+            self._subscriptions.append(subscribe(kind, place.name, heard, quality))
+        if self._address.travel:
+            moved = subscribe(self._joints, self._address.travel, self._moved, quality)
+            self._subscriptions.append(moved)
+
+    def _unsubscribe(self) -> None:
+        while self._subscriptions:
+            self._graph.node.destroy_subscription(self._subscriptions.pop())
+
+    @property
+    def finished(self) -> bool:
+        """Whether a manager has shut the node down."""
+        return self._graph.state == "finalized"
+
     @property
     def problem(self) -> str:
-        """Which topics nobody publishes; empty if none."""
+        """Which topics nobody publishes, or as another type; empty if none."""
         if self._graph.node is None:
             return ""
-        names = [p.name for p in self._placements]
-        silent = [name for name in names if not self._graph.node.count_publishers(name)]
-        return f"nobody publishes {', '.join(silent)}" if silent else ""
+        if time.monotonic() - self._looked > _PATIENCE:
+            self._looked = time.monotonic()
+            silences = [self._silence_of(place, kind) for place, kind in self._kinds.items()]
+            self._silence = "; ".join(filter(None, silences))
+        return self._graph.problem or self._silence
+
+    def _silence_of(self, place: Placement, kind: Any) -> str:
+        """Why a topic says nothing; empty if somebody publishes it."""
+        wanted = f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
+        published = self._graph.node.get_publishers_info_by_topic(place.name)
+        types = {publisher.topic_type for publisher in published}
+        if not types:
+            return f"nobody publishes {place.name}"
+        return "" if wanted in types else f"{place.name} is of {', '.join(types)}, not {wanted}"
 
     def _heard(self, place: Placement, message: Any) -> None:
-        self._graph.count += 1
+        if self._graph.state != "active":
+            self.counts["ignored"] += 1
+            return
         self.counts["heard"] += 1
         self._waiting.append((place, message, time.monotonic()))
         if len(self._waiting) > _WAITING:
@@ -95,7 +129,6 @@ class Ros2Source:
             self.counts["dropped"] += 1
 
     def _moved(self, message: Any) -> None:
-        self._graph.count += 1
         if len(message.position) and abs(message.position[0]) < _FAR:
             self._travel = float(message.position[0])
         else:
@@ -137,6 +170,8 @@ class Ros2Source:
         stamp = message.header.stamp
         if self._address.clock == "arrival" or not (stamp.sec or stamp.nanosec):
             return clock.of_monotonic(arrival)
+        if isinstance(clock, SimulatedClock):
+            return clock.of_nanoseconds(stamp.sec * 1_000_000_000 + stamp.nanosec)
         if self._address.clock == "sender":
             seconds = stamp.sec + 1e-9 * stamp.nanosec
             if not self._begun:

@@ -1,0 +1,106 @@
+"""The slide of a rig planned again and again while a session estimates."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import Self
+
+import numpy as np
+
+from glissando.errors import DeviceError
+from glissando.hardware.capture import Rig
+from glissando.hardware.capture.child_process import blocked_signals
+from glissando.hardware.live.rig_source import RigSource
+from glissando.hardware.live.update import Update
+from glissando.model.robot import Robot
+from glissando.model.slide_path import SlideLimits
+from glissando.planning.path_space import path_space_of
+from glissando.planning.planners import ProcessPlanner
+from glissando.planning.replan import Replanner
+from glissando.planning.sliding_sensor import sliding_sensor
+from glissando.planning.zones import Zone
+
+_SETTLED = 0.3  # s ahead for which the path is with the stage and cannot change any more
+_LEAD = 0.7  # s that a plan may take at first
+_FIRST = 2  # updates without a plan: a belief of one reading leaves directions undetermined
+_NODE_STEP = 0.5  # s between the nodes of a plan
+_STEP = 0.02  # s between the points of a path that is sent to the stage
+_RATE = 40.0  # readings a second that a tracker gives
+_SPEED = 0.95  # of the stage's speed and acceleration that plans use, so that it can catch up
+
+
+class Replanning:
+    """A sink that plans a rig's slide after each update so that zones are known best.
+
+    Plans are computed by a process beside the session. The stage follows each plan until the next
+    has come, and stands at its end if none does. The first coil that the stage moves is planned.
+
+    Args:
+        source: The rig, which follows `source.steer`.
+        rig: Its devices.
+        robot: The robot.
+        zones: What is to be known when, in session time.
+        horizon: Seconds that each plan looks ahead.
+
+    Attributes:
+        replanner: The plans that were adopted, and where the coil is to be when.
+
+    Raises:
+        DeviceError: The rig has no stage, or no coil slides.
+
+        source = RigSource(rig, robot, path, steered=True)
+        replanning = Replanning(source, rig, robot, [Zone((0.5, 0.6))])
+        with LiveSession(robot, [source], [replanning]) as session: …
+    """
+
+    name, problem = "replanning", ""
+
+    def __init__(
+        self,
+        source: RigSource,
+        rig: Rig,
+        robot: Robot,
+        zones: Sequence[Zone],
+        *,
+        horizon: float = 5.0,
+    ) -> None:
+        coil = next((c for c in rig.coils if c.slides and not c.slide), None)
+        if rig.stage is None or coil is None:
+            raise DeviceError(
+                f"{rig.name} has no stage that moves a coil, so no slide is replanned; add "
+                f"[slide] to its setup file, or leave --replan out."
+            )
+        low, high = rig.stage.stroke
+        limits = SlideLimits(high - low, _SPEED * rig.stage.speed, _SPEED * rig.stage.acceleration)
+        space = path_space_of(
+            limits, coil.arclength - low, coil.arclength - rig.standing_travel, horizon
+        )
+        self.counts, self._source, self._coil = Counter[str](), source, coil
+        self._planner = ProcessPlanner()
+        self.replanner = Replanner(
+            sliding_sensor(robot, rate=_RATE, name=coil.name), space, zones,
+            node_step=_NODE_STEP, lead=_LEAD, planner=self._planner,
+        )  # fmt: skip
+
+    def __enter__(self) -> Self:
+        with blocked_signals():
+            self._planner.__enter__()
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        self._planner.__exit__()
+
+    def poll(self) -> None:
+        """Plans are looked for with each update."""
+
+    def send(self, update: Update) -> None:
+        """Have the next plan computed, and the stage follow one that is ready."""
+        if update.number < _FIRST:
+            return
+        now, last = update.time + update.latency, self.replanner.plan
+        plan = self.replanner.next(update.smoother, now + _SETTLED)
+        if plan is not None and plan is not last:
+            end = plan.start + self.replanner.path_space.duration
+            times = np.append(np.arange(now - 1.0, end, _STEP), end)
+            self._source.steer(times, self._coil.arclength - self.replanner.at(times)[0])

@@ -1,0 +1,74 @@
+"""A rig's slide goes where a zone becomes known best, planned while the session estimates."""
+
+import numpy as np
+import pytest
+
+from glissando.errors import DeviceError
+from glissando.hardware.capture import Rig, simulated_rig
+from glissando.hardware.drivers import GcodeStage
+from glissando.hardware.live import LiveSession
+from glissando.hardware.live.replanning import Replanning
+from glissando.hardware.live.rig_source import RigSource
+from glissando.hardware.simulated_devices import started
+from glissando.io.recording import load_recording
+from glissando.io.robot_file import load_robot
+from glissando.model.slide_path import SlideLimits, SlidePath
+from glissando.planning import Zone
+from waiting import until
+
+ROBOT = load_robot("sliding700")
+HELD = SlidePath.hold(0.0, 3600.0, SlideLimits(1.0, 1.0, 1.0))
+ZONE = (0.645, 0.665)
+
+
+@pytest.mark.slow
+@pytest.mark.alone
+@pytest.mark.filterwarnings("ignore::glissando.errors.PlanWarning")  # on a busy machine
+def test_a_replanned_slide_brings_its_coil_into_the_zone_within_the_stages_limits(tmp_path):
+    with simulated_rig() as rig:
+        source = RigSource(rig, ROBOT, HELD, steered=True)
+        replanning = Replanning(source, rig, ROBOT, [Zone(ZONE)])
+        session = LiveSession(
+            ROBOT, [source], [replanning], journal=tmp_path / "log", duration=60.0
+        )
+        with session:
+            for update in session:
+                places = [r.arclength[-1] for r in update.readings]
+                if places and ZONE[0] < places[-1] < ZONE[1]:
+                    break
+        planned, _ = replanning.replanner.at(update.time)
+    rows = load_recording(tmp_path / "log").streams["coil"].rows
+    assert rows.arclength[0] == pytest.approx(0.7, abs=1e-3)
+    assert ZONE[0] < rows.arclength[-1] < ZONE[1]
+    assert abs(planned - rows.arclength[-1]) < 5e-3
+    moved, passed = np.abs(np.diff(rows.arclength)), np.diff(rows.time)
+    assert np.all(moved < 2e-3 + 1.2 * rig.stage.speed * passed)
+    assert rows.arclength.min() > 0.7 - rig.stage.stroke[1] - 1e-3
+
+
+@pytest.mark.slow
+def test_a_steered_slide_follows_the_newest_path_and_stands_at_its_end():
+    stage = GcodeStage(stroke=(0.0, 0.06))
+    with started("grbl") as address:
+        rig = Rig("bench", "sliding700", slide=address, stage=stage, standing=0.0)
+        source = RigSource(rig, ROBOT, HELD, steered=True)
+        session = LiveSession(ROBOT, [source])
+        with source:
+            clock = session.clock
+
+            def travel():
+                source.read(clock)
+                return source._travel.get("/slide", 0.0)
+
+            until(lambda: travel() or source.counts["heard"])
+            for goal in (0.008, 0.003):
+                begin, way = clock.now() + 0.3, abs(goal - travel())
+                times = np.array([begin, begin + way / 0.015])
+                source.steer(times, np.array([travel(), goal]))
+                until(lambda goal=goal: abs(travel() - goal) < 2e-4)
+
+
+def test_a_rig_without_a_stage_is_not_replanned():
+    rig = Rig("bench", "sliding700")
+    with pytest.raises(DeviceError, match="no stage that moves a coil"):
+        Replanning(RigSource(rig, ROBOT, HELD), rig, ROBOT, [Zone(ZONE)])
