@@ -22,6 +22,7 @@ from glissando.cli.shared import (
     chosen_robot,
     estimate_watched,
     require_writable,
+    stated,
     streams_of,
 )
 from glissando.errors import GlissandoError, RecordingError
@@ -114,7 +115,7 @@ def _check(options: argparse.Namespace) -> int:
             print(_TUBE.format(**tube))
     if options.out:
         with renewed_folder(options.out, ("check.json", "calibration.png")) as building:
-            write_report(building / "check.json", document)
+            write_report(building / "check.json", document | stated(options, robot))
             save_figure(calibration_figure(checks), building / "calibration.png")
     return status
 

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from glissando.cli.progress import working
-from glissando.cli.shared import chosen_robot
+from glissando.cli.shared import chosen_robot, stated
 from glissando.errors import GlissandoError
 from glissando.evaluation.run import checked_window, chosen_streams
 from glissando.evaluation.simulation_based import SimulationCheck, simulate_and_rank
@@ -59,7 +59,7 @@ def check_draws(options: argparse.Namespace) -> int:
             _print(robot, check)
     if options.out:
         with renewed_folder(options.out, ("check.json", "ranks.png")) as building:
-            write_report(building / "check.json", document)
+            write_report(building / "check.json", document | stated(options, robot))
             save_figure(ecdf_figure(found), building / "ranks.png")
     return 1 if any(check.outside for check in found) else 0
 

@@ -13,7 +13,7 @@ from rich.table import Table
 
 from glissando.cli.plan import add_task, stage_of
 from glissando.cli.progress import working
-from glissando.cli.shared import Commands, add_command, require_writable
+from glissando.cli.shared import Commands, add_command, require_writable, stated
 from glissando.errors import GlissandoError
 from glissando.io.atomic_folder import renewed_folder
 from glissando.io.provenance import write_report
@@ -93,7 +93,7 @@ def _design(options: argparse.Namespace) -> int:
         Console().print(_table(designs, best.tolist(), options.zone))
     if options.out:
         with renewed_folder(options.out, ("design.json", "design.png")) as building:
-            write_report(building / "design.json", report)
+            write_report(building / "design.json", report | stated(options))
             save_figure(design_figure(designs), building / "design.png")
     return 0
 

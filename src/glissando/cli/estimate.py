@@ -19,12 +19,11 @@ from glissando.cli.shared import (
     add_choices,
     add_command,
     estimate_watched,
-    input_digests,
     parameter_text,
     recording_and_robot,
-    request_of,
     require_writable,
     site_table,
+    stated,
 )
 from glissando.errors import GlissandoError
 from glissando.estimation.loads import require_mechanics
@@ -97,8 +96,7 @@ def _estimate(options: argparse.Namespace) -> int:
         _print(run, Console())
         if options.loads:
             Console().print(_loads_table(_loads_rows(run.posterior)))
-    stated = {"request": request_of(options), "inputs": input_digests(recording, robot, options)}
-    written = _write(options, run, query, stated)
+    written = _write(options, run, query, stated(options, robot))
     if written and not options.json:
         Console().print("Wrote " + ", ".join(str(path) for path in written), markup=False)
     if complaint:
@@ -236,7 +234,7 @@ def _write(
     options: argparse.Namespace,
     run: Run,
     query: tuple[Array, Array] | None,
-    stated: dict[str, Any],
+    more: dict[str, Any],
 ) -> list[Path]:
     """Write all that was asked for; in --out nothing of an earlier run stays beside it."""
     if options.out is None:
@@ -245,7 +243,7 @@ def _write(
         return [] if query is None else [_answers(options)]
     shown = run.posterior, run.readings, run.truth
     with renewed_folder(options.out, _OUTPUTS) as building, working("writing the results") as work:
-        written = [*write_run(run, building, **stated), *save_figures(*shown, building)]
+        written = [*write_run(run, building, **more), *save_figures(*shown, building)]
         if options.animate:
             work.begin("drawing the film")
             film = save_animation(*shown, building / "shape.mp4", progress=work.update)

@@ -13,6 +13,7 @@ from glissando.cli.shared import (
     findings_in,
     names,
     require_writable,
+    stated,
     warn,
 )
 from glissando.errors import GlissandoError, RecordingError
@@ -130,7 +131,7 @@ def _import_estimate(options: argparse.Namespace) -> int:
     truth = recording.choose([], options.truth or None)[1]
     judges = recording.readings(truth, robot, recording.span(), as_truth=True)[0]
     report = foreign_report(names_of_files, estimate, recording, robot, judges)
-    write_report(options.out / "report.json", report)
+    write_report(options.out / "report.json", report | stated(options, robot))
     rmse = 1e3 * report["overall"]["position_rmse"]
     print(f"Wrote {options.out}: {rmse:.2f} mm RMSE against {', '.join(truth)}.")
     print(f"Now: glissando report RUN {options.out}")

@@ -63,6 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         with _stopped_by_signals(ends_process=arguments is None), _own_warnings_shown():
             options = build_parser(command).parse_args(words)
+            options.words = words
             return int(options.run(options))
     except NoShapeError as problem:
         print(f"glissando: {problem}", file=sys.stderr)

@@ -14,7 +14,7 @@ from rich.table import Table
 
 from glissando.cli.plan_scene import plan_scene
 from glissando.cli.progress import working
-from glissando.cli.shared import Commands, add_command, require_writable
+from glissando.cli.shared import Commands, add_command, require_writable, stated
 from glissando.errors import GlissandoError, RobotFileError, SimulationError
 from glissando.geometry.se3 import Array
 from glissando.io.atomic_file import write_table
@@ -177,7 +177,7 @@ def _plan(options: argparse.Namespace) -> int:
     else:
         Console().print(_table(options.objective, results))
     if options.out:
-        _write(options, report, plan, problem, zones, paths)
+        _write(options, report | stated(options), plan, problem, zones, paths)
     return 0
 
 

@@ -8,9 +8,11 @@ import json
 import numpy as np
 
 from glissando.cli.progress import working
+from glissando.cli.shared import stated
 from glissando.errors import GlissandoError
 from glissando.io.atomic_file import write_table, write_text
 from glissando.io.atomic_folder import renewed_folder
+from glissando.io.provenance import write_report
 from glissando.io.robot_file import load_robot
 from glissando.planning.scene.plan_motion import MotionPlan, motion_problem, plan_motion
 from glissando.planning.scene.scene_file import read_scene
@@ -86,7 +88,7 @@ def _write(
             heads = [f"slide_{k + 1}" for k in range(len(plan.problem.scene.slides))]
             slides = np.column_stack([time, values[:, count:]])
             write_table(building / "slides.csv", ("time", *heads), slides)
-        write_text(building / "plan.json", json.dumps(report, indent=2) + "\n")
+        write_report(building / "plan.json", report | stated(options))
         save_figure(scene_figure(plan), building / f"plan.{options.figure}")
         title, subtitle = f"Plan of {options.scene.name}", _sentence(report)
         write_text(building / "view.html", page(scene_page(plan), title, subtitle))

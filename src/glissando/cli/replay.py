@@ -21,6 +21,7 @@ from glissando.cli.shared import (
     recording_and_robot,
     require_writable,
     site_table,
+    stated,
 )
 from glissando.errors import GlissandoError
 from glissando.estimation.fixed_lag import FixedLagSmoother
@@ -100,7 +101,8 @@ def _replay(options: argparse.Namespace) -> int:
             allow=options.allow,
         )
     print(json.dumps(result.as_json())) if options.json else _print(result, Console())
-    written = _write(result, options.out) if options.out else []
+    more = stated(options, robot)
+    written = _write(result, options.out, more) if options.out else []
     if written and not options.json:
         Console().print("Wrote " + ", ".join(map(str, written)), markup=False)
     return 0
@@ -113,13 +115,13 @@ def _live_view(robot: Robot, stack: ExitStack) -> Live:
     return view
 
 
-def _write(result: Replay, folder: Path) -> list[Path]:
+def _write(result: Replay, folder: Path, more: dict[str, Any]) -> list[Path]:
     names = "replay.json", "newest.csv", "replay.png"
     nodes = result.robot.arclength_nodes
     pairs = zip(result.time, result.states, strict=True)
     with renewed_folder(folder, names) as building:
         report, newest, figure = (building / name for name in names)
-        write_report(report, result.as_json())
+        write_report(report, result.as_json() | more)
         write_states(((np.full(nodes.size, t), nodes, at) for t, at in pairs), newest)
         save_figure(replay_figure(result), figure)
     return [folder / "log", *(folder / name for name in names)]

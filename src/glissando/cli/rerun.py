@@ -1,29 +1,34 @@
-"""`glissando rerun`: a result computed again from its report.json, and what differs."""
+"""`glissando rerun`: a result computed again from its report, and what differs."""
 
 from __future__ import annotations
 
 import argparse
+import io
 import json
+import tempfile
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Any
 
-from glissando.cli.shared import (
-    Commands,
-    add_command,
-    estimate_watched,
-    input_digests,
-    recording_and_robot,
-)
+from glissando.cli.main import build_parser
+from glissando.cli.shared import Commands, add_command
 from glissando.errors import GlissandoError
-from glissando.evaluation.reproduction import SAME, differences, posterior_difference
+from glissando.evaluation.reproduction import (
+    SAME,
+    differences,
+    posterior_difference,
+    table_difference,
+)
 from glissando.io.netcdf import load_posterior
+from glissando.io.plain_file import plain_text
 
 _HELP = """\
-Compute again what report.json states, with the same options and inputs, and say what differs: bytes
-of the inputs, versions, entries of the report, and the posterior beside it.
+Compute again what a report states (report.json, replay.json, check.json, plan.json, design.json or
+summary.json), with the same options and inputs, and say what differs: bytes of the inputs,
+versions, entries of the report, and the tables and the posterior beside it. Nothing is written.
 
 Numbers count as the same if they agree to 1e-9 of their size: another BLAS or processor rounds
-differently. On one machine all bytes are the same.
+differently. On one machine all are the same to the last digit. Running times are not compared.
 """
 _EXAMPLES = """\
 examples:
@@ -33,7 +38,10 @@ examples:
 
 exit status: 0 the numbers are the same; 1 some differ; 2 something given was wrong.
 """
-_APART = "inputs", "versions", "request"  # compared by themselves, or not results
+_COMMANDS = "estimate", "replay", "check", "plan", "design", "study", "import"
+_STATED = {"request": list, "inputs": dict, "versions": dict}
+_TIMES = "latency", "real_time_factor"
+_LEFT_OUT = {"scheduler": None, "live": False, "animate": False, "view": False, "resume": False}
 _SHOWN = 12  # entries of the report that differ
 
 
@@ -41,7 +49,7 @@ def add_to(commands: Commands) -> None:
     """Add the command to the parser's."""
     parser = add_command(commands, "rerun", (_HELP, _EXAMPLES), _rerun)
     add = parser.add_argument
-    add("report", type=Path, metavar="REPORT", help="report.json that estimate --out wrote")
+    add("report", type=Path, metavar="REPORT", help="report that a command wrote into its --out")
     moved = "folder of the recording, if it is not where it was"
     add("--recording", type=Path, metavar="RECORDING", help=moved)
     add("--robot", metavar="FILE|NAME", help="robot file, if it is not where it was")
@@ -50,61 +58,99 @@ def add_to(commands: Commands) -> None:
 
 def _rerun(options: argparse.Namespace) -> int:
     report = _report(options.report)
-    request = _request(report, options)
-    recording, robot = recording_and_robot(request)
-    before, now = report["inputs"], input_digests(recording, robot, request)
-    inputs = sorted(k for k in {*before, *now} if before.get(k) != now.get(k))
-    run, _ = estimate_watched(recording, robot, request)
-    again = json.loads(json.dumps(run.as_json()))
-    versions = [vars(d) for d in differences(report["versions"], again["versions"])]
-    for document in (report, again):
-        for key in (*_APART, "seconds"):
-            document.pop(key, None)
-    entries = [vars(d) | {"size": d.size} for d in differences(report, again)]
-    differ = [e for e in entries if not e["size"] <= SAME]
-    saved = options.report.parent / "posterior.nc"
-    nodes = (
-        posterior_difference(load_posterior(saved), run.posterior) if saved.is_file() else (0, 0)
+    with tempfile.TemporaryDirectory() as place:
+        request = _request([*report["request"], "--out", f"{place}/out"], options)
+        if getattr(request, "store_tube", None):
+            request.store_tube = Path(place) / "tube.toml"
+        with redirect_stdout(io.StringIO()):
+            request.run(request)
+        again = _report(request.out / options.report.name)
+        found = _compared(report, again) | _files(options.report.parent, request.out)
+    differ = [e for e in found["report"] if not e["size"] <= SAME]
+    apart = found["posterior"]
+    found["same"] = (
+        not differ and apart is not None and max(*apart.values(), *found["tables"].values()) <= SAME
     )
-    same = not differ and nodes is not None and max(nodes) <= SAME
-    found = {"same": same, "inputs": inputs, "versions": versions, "report": entries}
-    found |= {"posterior": None if nodes is None else {"mean_in_std": nodes[0], "std": nodes[1]}}
     if options.json:
         print(json.dumps(found, default=str))
     else:
         _print(found, differ)
-    return 0 if same else 1
+    return 0 if found["same"] else 1
 
 
 def _report(path: Path) -> dict[str, Any]:
     """A report that can be computed again. Raises GlissandoError for anything else."""
     try:
-        report: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        wanted = {key: report[key] for key in _APART}
+        report: dict[str, Any] = json.loads(plain_text(path))
+        sound = all(isinstance(report[key], kind) for key, kind in _STATED.items())
     except OSError as problem:
         raise GlissandoError(f"{path} cannot be read ({problem.strerror}).") from None
-    except (ValueError, KeyError, TypeError):
-        wanted = {}
-    if not wanted or not all(isinstance(value, dict) for value in wanted.values()):
+    except (ValueError, KeyError, TypeError, RecursionError):
+        sound = False
+    if not sound:
         raise GlissandoError(
-            f"{path} does not state how it was made; give a report.json that glissando estimate "
-            f"--out wrote."
+            f"{path} does not state how it was made; give a report that one of glissando "
+            f"{', '.join(_COMMANDS)} wrote into its --out."
         )
     return report
 
 
-def _request(report: dict[str, Any], options: argparse.Namespace) -> argparse.Namespace:
-    """The options of the estimate, with those given now in their place."""
-    request = argparse.Namespace(**report["request"])
-    request.recording = options.recording or Path(request.recording)
-    request.robot = options.robot or request.robot
-    request.start = Path(request.start) if request.start else None
-    if not request.recording.exists():
+def _request(words: list[Any], options: argparse.Namespace) -> argparse.Namespace:
+    """The options of a report's command, with those given now in their place."""
+    said = io.StringIO()
+    try:
+        if words[:1] not in [[name] for name in _COMMANDS] or not all(
+            isinstance(word, str) for word in words
+        ):
+            raise ValueError(f"it may not run {str(words[:1])[:60]}")
+        with redirect_stderr(said), redirect_stdout(said):
+            request = build_parser(words[0]).parse_args(words)
+    except (ValueError, SystemExit) as problem:
+        why = problem if isinstance(problem, ValueError) else said.getvalue().strip()[-200:]
+        raise GlissandoError(f"{options.report} states no command to run again: {why}") from None
+    request.words = words
+    for name, value in _LEFT_OUT.items():
+        if hasattr(request, name):
+            setattr(request, name, value)
+    folders = [name for name in ("recording", "target", "estimate") if getattr(request, name, None)]
+    if folders and options.recording:
+        setattr(request, folders[0], options.recording)
+    if folders and not getattr(request, folders[0]).exists():
         raise GlissandoError(
-            f"The recording {str(request.recording)!r} of {options.report} is not there; run this "
-            f"where the estimate ran, or give --recording."
+            f"The recording {str(getattr(request, folders[0]))!r} of {options.report} is not "
+            f"there; run this where the command ran, or give --recording."
         )
+    if options.robot:
+        request.robot = options.robot
     return request
+
+
+def _compared(report: dict[str, Any], again: dict[str, Any]) -> dict[str, Any]:
+    """What differs between two reports: names of inputs, versions, and entries with their sizes."""
+    before, now = report["inputs"], again["inputs"]
+    inputs = sorted(k for k in {*before, *now} if before.get(k) != now.get(k))
+    versions = [vars(d) for d in differences(report["versions"], again["versions"])]
+    for document in (report, again):
+        for key in (*_STATED, *_TIMES):
+            document.pop(key, None)
+    entries = [vars(d) | {"size": d.size} for d in differences(report, again)]
+    return {"inputs": inputs, "versions": versions, "report": entries}
+
+
+def _files(before: Path, now: Path) -> dict[str, Any]:
+    """How far the tables and the posteriors of two folders are apart."""
+    pairs = [(path, now / path.name) for path in sorted(before.iterdir())]
+    tables = {
+        path.name: table_difference(path, other)
+        for path, other in pairs
+        if path.suffix == ".csv" and other.is_file()
+    }
+    nodes: tuple[float, float] | None = (0.0, 0.0)
+    saved = "posterior.nc"
+    if (before / saved).is_file() and (now / saved).is_file():
+        nodes = posterior_difference(load_posterior(before / saved), load_posterior(now / saved))
+    apart = None if nodes is None else {"mean_in_std": nodes[0], "std": nodes[1]}
+    return {"tables": tables, "posterior": apart}
 
 
 def _print(found: dict[str, Any], differ: list[dict[str, Any]]) -> None:
@@ -117,14 +163,17 @@ def _print(found: dict[str, Any], differ: list[dict[str, Any]]) -> None:
         print(f"{entry['key']}: {entry['before']} then, {entry['now']} now")
     if len(differ) > _SHOWN:
         print(f"… and {len(differ) - _SHOWN} more entries; --json lists all")
-    if found["posterior"] is None:
+    for name, size in found["tables"].items():
+        if size > SAME:
+            print(f"{name}: numbers up to {size:.2g} of the largest of their column apart")
+    apart = found["posterior"]
+    if apart is None:
         print("posterior.nc: another grid or state")
-    elif not found["same"]:
-        apart = found["posterior"]
+    elif max(apart.values()) > SAME:
         print(
             f"posterior.nc: means up to {apart['mean_in_std']:.2g} standard deviations apart, "
             f"standard deviations up to {apart['std']:.2g} of themselves"
         )
-    rounded = found["report"] or any((found["posterior"] or {}).values())
+    rounded = found["report"] or any((*(apart or {}).values(), *found["tables"].values()))
     extent = f"to {SAME:g}" if rounded else "to the last digit"
     print(f"The same {extent}." if found["same"] else "Not the same.")

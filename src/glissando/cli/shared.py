@@ -225,24 +225,47 @@ def recording_and_robot(options: argparse.Namespace) -> tuple[Recording, Robot]:
     return recording, chosen_robot(recording, options.robot)
 
 
-def request_of(options: argparse.Namespace) -> dict[str, Any]:
-    """What was asked of an estimate, as its report.json states it for `glissando rerun`."""
-    keys = ("recording", "robot", "window", "use", "truth", "allow", "start", "max_iterations")
-    given = {key: getattr(options, key) for key in keys}
-    return {key: str(v) if isinstance(v, Path) else v for key, v in given.items()}
+def stated(options: argparse.Namespace, robot: Robot | None = None) -> dict[str, Any]:
+    """What a report states for `glissando rerun`: the words of the command, digests of its inputs.
+
+    Args:
+        options: The options of the command.
+        robot: The robot, whose file may be one of those that are shipped.
+
+    Returns:
+        `request`, the words after `glissando` without --out; `inputs`, the SHA-256 of every file
+        that an option names, those of a folder by their names, a file by its option; `seed`, if
+        there is one.
+    """
+    found: dict[str, str] = {}
+    for option, value in vars(options).items():
+        for one in value if isinstance(value, list) else [value]:
+            if option != "out" and isinstance(one, Path) and one.exists():
+                found |= _digests_of(one, f"--{option}")
+    name = getattr(options, "robot", None) or (robot.name if robot else "")
+    if name in shipped_robots() or Path(name).is_file():
+        found |= _digests_of(robot_file(name), "--robot")
+    seed = {"seed": options.seed} if hasattr(options, "seed") else {}
+    return {"request": _without_out(options.words), "inputs": found, **seed}
 
 
-def input_digests(
-    recording: Recording, robot: Robot, options: argparse.Namespace
-) -> dict[str, str]:
-    """SHA-256 of the files that an estimate reads: the recording's, the robot's, the start's."""
-    kinds = (".csv", ".mcap", ".toml")
-    files = digests(f for f in sorted(recording.folder.iterdir()) if f.suffix in kinds)
-    if options.robot or robot.name in shipped_robots():
-        files["--robot"] = next(iter(digests([robot_file(options.robot or robot.name)]).values()))
-    if options.start:
-        files["--start"] = next(iter(digests([options.start]).values()))
-    return files
+def _without_out(words: list[str]) -> list[str]:
+    """The words of a command without `--out DIR`, so that results elsewhere are the same bytes."""
+    kept, left = [], iter(words)
+    for word in left:
+        flag, equals, _ = word.partition("=")
+        if not (len(flag) > 2 and "--out".startswith(flag)):
+            kept.append(word)
+        elif not equals:
+            next(left)
+    return kept
+
+
+def _digests_of(path: Path, option: str) -> dict[str, str]:
+    if path.is_file():
+        return {option: next(iter(digests([path]).values()))}
+    kinds = (".csv", ".mcap", ".toml", ".nc")
+    return digests(file for file in sorted(path.iterdir()) if file.suffix in kinds)
 
 
 def site_table(title: str, headings: Sequence[str]) -> Table:

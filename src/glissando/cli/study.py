@@ -10,7 +10,7 @@ from typing import Any
 from rich.console import Console
 
 from glissando.cli.progress import working
-from glissando.cli.shared import Commands, add_command, require_writable
+from glissando.cli.shared import Commands, add_command, require_writable, stated
 from glissando.errors import GlissandoError
 from glissando.experiments.runner import cluster
 from glissando.experiments.study.figures import study_figure
@@ -67,7 +67,7 @@ def _study(options: argparse.Namespace) -> int:
     if todo:
         _run(options, todo, store, f"{study.name}: {len(cells) - len(todo):,} kept, now")
     told = summarise(study, store.join(cells).to_pylist())
-    written = [folder / TABLE, *_write(told, folder)]
+    written = [folder / TABLE, *_write(told | stated(options), folder)]
     if options.json:
         print(json.dumps(told))
     else:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -54,6 +56,45 @@ def differences(before: Any, now: Any, key: str = "") -> Iterator[Difference]:
         return
     for name, (then, here) in pairs.items():
         yield from differences(then, here, f"{key}.{name}".lstrip("."))
+
+
+def table_difference(before: Path, now: Path) -> float:
+    """The largest difference of numbers of two CSV files, relative to the largest of their column.
+
+    Args:
+        before: The file then.
+        now: The file now.
+
+    Returns:
+        The difference, infinite if other cells than numbers differ, or the size of the tables.
+    """
+    tables = []
+    for path in (before, now):
+        with path.open(encoding="utf-8", newline="") as file:
+            tables.append(list(csv.reader(file)))
+    if len({tuple(map(len, table)) for table in tables}) > 1:
+        return np.inf
+    found = 0.0
+    for then, here in zip(*(zip(*table, strict=True) for table in tables), strict=True):
+        pairs = [pair for pair in zip(then, here, strict=True) if pair[0] != pair[1]]
+        if pairs:
+            try:
+                column = np.array([_number(cell) for cell in here])
+                apart = [abs(float(a) - float(b)) for a, b in pairs]
+            except ValueError:
+                return np.inf
+            size = float(np.nanmax(np.abs(column), initial=0.0))
+            largest = max(apart) / size if size > 0.0 else np.inf
+            found = max(found, largest if np.isfinite(largest) else np.inf)
+    return found
+
+
+def _number(cell: str) -> float:
+    """A cell's number, or nan for a heading."""
+    try:
+        return float(cell)
+    except ValueError:
+        return np.nan
 
 
 def posterior_difference(before: Posterior, now: Posterior) -> tuple[float, float] | None:
