@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from threadpoolctl import threadpool_info, threadpool_limits
 
 pytest.importorskip("pyarrow", reason="studies need pyarrow")
+pytest.importorskip("cryptography", reason="local studies need keys")
 
 from draws import generators, law
 from glissando import GlissandoError, __version__

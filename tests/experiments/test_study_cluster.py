@@ -13,8 +13,11 @@ import pytest
 
 pytest.importorskip("pyarrow", reason="studies need pyarrow")
 pytest.importorskip("distributed", reason="studies need dask")
+pytest.importorskip("cryptography", reason="local studies need keys")
 
 import dask
+from distributed import Client
+from distributed.security import Security
 
 from glissando import GlissandoError
 from glissando.cli.main import main
@@ -122,7 +125,7 @@ def test_a_cluster_by_address_does_the_cells_and_keeps_what_failed(loopback, tmp
     assert main(arguments) == 1
     printed = capsys.readouterr()
     assert "12 cells, 6 failed" in printed.out
-    assert printed.err == ""
+    assert all(line.startswith("glissando: ") for line in printed.err.splitlines())  # progress
     rows = parquet().read_table(out / TABLE).to_pylist()
     for cell, row in zip(load_study(file).cells(), rows, strict=True):
         alone = outcome(cell.scene, cell.seed)
@@ -181,7 +184,7 @@ def test_a_scheduler_that_is_not_there_is_one_sentence(tmp_path, monkeypatch, ca
 
 def test_a_cluster_without_workers_and_one_of_another_version_are_refused(monkeypatch):
     monkeypatch.setattr(runner, "_PATIENCE", 0.5)
-    with pytest.raises(GlissandoError, match="No worker has joined tcp://"), cluster(None, 0):
+    with pytest.raises(GlissandoError, match="No worker has joined tls://"), cluster(None, 0):
         pass
     monkeypatch.setattr(runner, "_PATIENCE", PATIENCE)
     monkeypatch.setattr(runner, "__version__", "99")
@@ -194,6 +197,18 @@ def test_no_process_is_left_behind(tmp_path):
         pids = client.run(os.getpid).values()
     for pid in pids:
         eventually(lambda pid=pid: not Path(f"/proc/{pid}").exists())
+
+
+def test_nobody_else_has_a_local_cluster_run_anything():
+    with cluster(None, 1) as client:
+        (worker,) = client.nthreads()
+        for address in (client.scheduler.address, worker):
+            assert address.startswith("tls://127.0.0.1:")
+        place = client.scheduler.address.removeprefix("tls://")
+        for protocol, key in (("tcp", None), ("tls", Security.temporary())):
+            with pytest.raises(OSError):  # noqa: PT011  (of whatever kind)
+                Client(f"{protocol}://{place}", security=key, timeout=3.0)
+        assert client.submit(abs, -1).result() == 1
 
 
 def test_workers_and_a_scheduler_at_once_are_refused(tmp_path, capsys):

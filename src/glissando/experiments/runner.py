@@ -114,6 +114,9 @@ def run_trials(
 def cluster(address: str | None = None, workers: int | None = None) -> Iterator[distributed.Client]:
     """Connect to a Dask cluster, or start one of local processes for as long as the context lasts.
 
+    Local processes speak TLS with a key that is made for this cluster and kept in memory: nobody
+    else on the computer can have it run anything.
+
     Args:
         address: Address of a running scheduler; None starts local processes.
         workers: Number of local processes, one a core unless given.
@@ -127,9 +130,13 @@ def cluster(address: str | None = None, workers: int | None = None) -> Iterator[
     """
     try:
         from distributed import Client, LocalCluster
+        from distributed.security import Security
+
+        ours = Security.temporary() if address is None else None
     except ImportError:
         raise GlissandoError(
-            'Trials run on Dask, which is not installed: run pip install "glissando[study]".'
+            "Trials run on Dask with cryptography, which are not both installed: run pip install "
+            '"glissando[study]".'
         ) from None
     with ExitStack() as stack:
         if address is None:
@@ -138,7 +145,9 @@ def cluster(address: str | None = None, workers: int | None = None) -> Iterator[
                 local = LocalCluster(
                     n_workers=workers,
                     threads_per_worker=1,
-                    dashboard_address="127.0.0.1:0",
+                    protocol="tls://",
+                    security=ours,
+                    dashboard_address=None,
                     silence_logs=50,
                 )
             client = stack.enter_context(Client(stack.enter_context(local)))
