@@ -157,6 +157,39 @@ def test_a_gross_outlier_is_refused_counted_and_leaves_no_trace():
     assert not smoother.fits  # what was refused counts against the model
 
 
+def test_a_tracker_that_freezes_is_not_believed_and_one_that_states_a_fact_is():
+    """A frozen coil goes on with new stamps; the base that is held says the same at all times."""
+    prior, grid, (base, coil, gyro) = sliding_scene()
+    frozen = (coil.time > 0.5) & (coil.time < 1.5)
+    values = coil.values.copy()
+    values[frozen] = values[np.argmax(frozen)]
+    smoother = FixedLagSmoother(prior, grid.arclength, window=4)
+    found = fed(smoother, grid, [base, replace(coil, values=values), gyro])
+    assert smoother.dropped == {"coil": {"repeated": np.count_nonzero(frozen) - 1}}
+    blind = FixedLagSmoother(prior, grid.arclength, window=4)
+    first = np.flatnonzero(frozen)[0]
+    heard = ~frozen | (np.arange(frozen.size) == first)
+    for now, then in zip(found, fed(blind, grid, [base, coil.select(heard), gyro]), strict=True):
+        np.testing.assert_array_equal(now.position, then.position)
+        np.testing.assert_array_equal(now.cov, then.cov)
+
+
+def test_a_hundred_thousand_readings_that_come_again_are_refused_soon():
+    prior, grid, (_, coil, _) = sliding_scene()
+    time = 1e-5 * np.random.default_rng(0).permutation(100_000)
+    many = PoseReadings(
+        time=time, arclength=np.full(time.size, LENGTH), cov=1e-6, name="pose",
+        values=np.repeat(coil.values[:1], time.size, axis=0),
+    )  # fmt: skip
+    smoother = FixedLagSmoother(prior, grid.arclength, window=4)
+    tracemalloc.start()
+    smoother.add(many)
+    smoother.add(many)
+    assert tracemalloc.get_traced_memory()[1] < 300e6
+    tracemalloc.stop()
+    assert smoother.dropped["pose"]["repeated"] == 100_000
+
+
 def test_a_stream_that_was_right_all_along_is_believed_in_the_end():
     prior, grid, readings = sliding_scene(duration=2.0)
     base, coil, gyro = readings

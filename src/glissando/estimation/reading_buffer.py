@@ -11,6 +11,7 @@ from glissando.estimation.innovation_gate import InnovationGate
 from glissando.model.sensors.readings import Readings
 
 _AHEAD = 2.0  # s: stamps further ahead of the time now are a clock's fault
+_FEW = 100_000  # pairs of stamps that are compared each with each
 _SPARE = 32  # old readings of a stream that are held before they are let go of at once
 
 
@@ -23,13 +24,16 @@ class ReadingBuffer:
     def __init__(self, length: float, gate: InnovationGate) -> None:
         self.held: dict[str, Readings] = {}
         self._waiting: dict[str, Readings] = {}
+        self._last: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+        self._measured: set[str] = set()
         self._length, self._gate = length, gate
 
     def take(self, readings: Readings, oldest: float) -> None:
         """Let readings of one stream wait; `oldest` is the time of the oldest node.
 
-        Those off the robot, before that node, or there already are refused. Raises SensorError when
-        the stream changed its kind.
+        Those off the robot, before that node, or there already are refused, and those of a tracker
+        that stopped measuring: no measurement has all digits of the one before. Raises SensorError
+        when the stream changed its kind.
         """
         name = readings.label
         before = self._waiting.get(name, self.held.get(name))
@@ -38,6 +42,8 @@ class ReadingBuffer:
         slack, time, place = 1e-9 * self._length, readings.time, readings.arclength
         faults = [("off the robot", (place < -slack) | (place > self._length + slack))]
         faults += [("late", time < oldest), ("repeated", self._repeated(readings))]
+        if readings.tracker:
+            faults.append(("repeated", self._frozen(readings)))
         kept = np.ones(len(readings), dtype=bool)
         for reason, bad in faults:
             if bad.any():
@@ -54,10 +60,32 @@ class ReadingBuffer:
         if len(readings) > 1:
             again[1:] = (time[1:] == time[:-1]) & (place[1:] == place[:-1])
         for other in (self.held.get(readings.label), self._waiting.get(readings.label)):
-            if other is not None and len(other) and time.min(initial=np.inf) <= other.time.max():
+            if other is None or not len(other) or time.min(initial=np.inf) > other.time.max():
+                continue
+            if time.size * other.time.size <= _FEW:
                 same = (time[:, None] == other.time) & (place[:, None] == other.arclength)
                 again |= same.any(axis=1)
+            else:
+                again |= np.isin(time + 1j * place, other.time + 1j * other.arclength)
         return again
+
+    def _frozen(self, readings: Readings) -> np.ndarray:
+        """Rows whose values are those of the row before; none of a stream that never changed."""
+        values, place = readings.values, readings.arclength
+        if not len(readings):
+            return np.zeros(0, dtype=bool)
+        before = self._last.get(readings.label)
+        self._last[readings.label] = values[-1:], place[-1:]
+        if before is not None:
+            values, place = np.concatenate([before[0], values]), np.concatenate([before[1], place])
+        flat = values.reshape(len(values), -1)
+        same = (flat[1:] == flat[:-1]).all(axis=1)
+        again = readings.repeated(values, place) if same.any() else np.zeros(len(values), bool)
+        if not same.all():
+            self._measured.add(readings.label)
+        elif readings.label not in self._measured:
+            again[:] = False
+        return again[-len(readings) :]
 
     def due(self, until: float) -> np.ndarray:
         """Times of readings that wait up to a time, in order."""
