@@ -34,8 +34,10 @@ from glissando.simulation.simulated_session import write_session
 SPAN = 3.0  # s of a recording that is replayed as it was, and of a live estimate
 _EARLY = 0.2  # of the faults happen before a recording has begun, the others before its end
 _COMPILING = 600.0  # s that the first programs may take
+_AGAIN = 100_000  # added to the number of a trial whose program had ended before its fault
 SIGNALS = {"SIGTERM": signal.SIGTERM, "SIGHUP": signal.SIGHUP, "kill -9": signal.SIGKILL}
-RECORDED = (*SIGNALS, "Ctrl-C twice", "full disk", "vanished device", "jumped clock", "same folder")
+GOES_ON = ("jumped clock", "flood")  # faults that a recording outlives
+RECORDED = (*SIGNALS, "Ctrl-C twice", "full disk", "vanished device", *GOES_ON, "same folder")
 FAULTS = (*RECORDED, "replay stopped", "replay twice", "live, lost peer")
 _JUMP = """import os, time
 _from, _by, _wall, _ns = float(os.environ["JUMP_AT"]), 3600.0, time.time, time.time_ns
@@ -55,6 +57,17 @@ with Endpoint(sys.argv[1]) as peer:
         peer.send([encode(Message(c.Transform(p), n)) for n, p in (("base", base), ("tip", pose))])
         time.sleep(1 / 30)
 """
+_FLOOD = """import os, socket, sys, time
+ear = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+frame = bytes(4) + b"\\x02\\0" + os.urandom(144)
+print("ready", flush=True)
+sent, end = 0, time.monotonic() + 20.0
+while time.monotonic() < end:
+    for data in (os.urandom(1 + sent % 1400), frame, b"", bytes(1400)):
+        ear.sendto(data, ("127.0.0.1", int(sys.argv[1])))
+    sent += 1
+    if sent % 25 == 0: time.sleep(0.005)
+"""
 _LISTENER = """import socket, sys, time
 while True:
     try:
@@ -71,16 +84,16 @@ def record_trial(bench, fault, rng, lasts):
     bench.setup(hold)
     early, share = rng.random() < _EARLY, rng.random()
     device = str(rng.choice(["servo", "aurora", "vicon"]))
-    room = int(rng.integers(500, 60_000)) if fault == "full disk" else None
-    more = {}
+    room = int(rng.integers(500, 30_000)) if fault == "full disk" else None
+    more, jump = {}, None
     if fault == "jumped clock":
         (bench.folder / "sitecustomize.py").write_text(_JUMP)
         path = f"{bench.folder}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"
-        at = str(time.monotonic() + share * sum(lasts))
-        more = {"PYTHONPATH": path, "JUMP_AT": at, "JUMP_BY": str(rng.choice([-1, 1]))}
+        jump = time.monotonic() + share * sum(lasts)
+        more = {"PYTHONPATH": path, "JUMP_AT": str(jump), "JUMP_BY": str(rng.choice([-1, 1]))}
     command = ["record", "--setup", bench.folder / "bench.toml", "--slide", "oscillate"]
-    command += ["--cycles", "2", "--stroke", STROKE, "--out", out]
-    program = Program(command, room=room, **more)
+    command += ["--cycles", "1", "--stroke", STROKE, "--out", out]
+    program, flood = Program(command, room=room, **more), None
     if early:
         program.running_for(share * lasts[0])
     else:
@@ -99,9 +112,16 @@ def record_trial(bench, fault, rng, lasts):
         bench.devices[device].kill()
     elif fault == "same folder" and not over:
         refused = Program(command).ended()
+    elif fault == "flood":
+        flood = Device("-c", _FLOOD, str(bench.mocap_port))
     status = program.ended()
+    if jump:
+        happened, over = jump, time.monotonic() < jump
+    if flood:
+        flood.kill()
     row = {"fault": fault, "moment": happened - program.began, "status": status}
     row |= {"traceback": "Traceback" in program.said(), "left": program.left()}
+    row["missed"] = status == 0 if room else over
     row["refused"] = refused in (None, 2)
     gone = fault == "vanished device" and device
     if gone != "servo":
@@ -113,6 +133,8 @@ def record_trial(bench, fault, rng, lasts):
         happened = None  # the log may end when it was, and not later
     shown = "messages" in program.said()  # of its progress: some had been logged
     row |= kept(out, happened if fault in SIGNALS or fault == "Ctrl-C twice" else None, shown)
+    if fault in GOES_ON and (out / "session.mcap").exists():
+        row["lost"] = longest_gap(out)
     row["said"] = (program.said().strip().splitlines() or [""])[-1][:200]
     return row
 
@@ -121,6 +143,13 @@ def moved(out):
     """Whether a session came to moving its stage."""
     log = out / "session.mcap"
     return log.exists() and "/slide" in read_session(log).topics
+
+
+def longest_gap(out):
+    """The longest time between two messages of the tracker or the slide in a log, s."""
+    topics = read_session(out / "session.mcap").topics.items()
+    times = [t.time_ns for name, t in topics if not name.startswith("/mocap")]
+    return 1e-9 * max((int(np.diff(t).max()) for t in times if len(t) > 1), default=0)
 
 
 def kept(out, happened, shown):
@@ -138,8 +167,8 @@ def kept(out, happened, shown):
         if any(name.startswith("/tracker") and t.messages for name, t in session.topics.items()):
             load_recording(log)
         return {"opens": True, "lost": lost}
-    except GlissandoError as problem:
-        return {"opens": False, "lost": lost, "why": str(problem)}
+    except GlissandoError as problem:  # it opens, and what it holds is no recording yet
+        return {"opens": "holds no pose" in str(problem), "lost": lost, "why": str(problem)}
 
 
 def replay_command(recording, out):
@@ -161,9 +190,11 @@ def replay_trial(folder, recording, whole, rng, lasts):
     program = Program(replay_command(recording, out))
     moment = rng.uniform(0.1, 0.95) * lasts
     program.running_for(moment)
+    missed = program.process.poll() is not None
     program.alone(number)
     status = program.ended()
     row = {"fault": "replay stopped", "moment": moment, "status": status, "left": program.left()}
+    row["missed"] = missed
     row["traceback"] = "Traceback" in program.said()
     if not (out / "replay.json").exists():
         again = Program(replay_command(recording, out))
@@ -255,6 +286,9 @@ def run(options, scratch):
                 else:
                     row = live_trial(folder, rng)
                 with lock:
+                    if row.pop("missed", False):  # it had ended: another moment instead
+                        waiting.append((fault, k + _AGAIN))
+                        continue
                     rows.append(row)
                     save(rows, options)
                     print(json.dumps(row), file=sys.stderr, flush=True)
@@ -270,19 +304,19 @@ def run(options, scratch):
 def baseline(bench, recording):
     """How long a recording and a replay last without a fault, and what the replay gives."""
     bench.setup(hold=True)
-    out = bench.folder / "baseline"
-    command = ["record", "--setup", bench.folder / "bench.toml", "--cycles", 2, "--stroke", STROKE]
-    program = Program([*command, "--out", out])
-    while not (out / "session.mcap").exists() and program.process.poll() is None:
-        time.sleep(0.002)
-    begun = time.monotonic()
-    if program.ended(_COMPILING) != 0:
-        raise DeviceError(f"A recording without a fault failed: {program.said()}")
-    record = begun - program.began, time.monotonic() - begun
-    program = Program(replay_command(recording, bench.folder / "replay"))
-    if program.ended(_COMPILING) != 0:
-        raise GlissandoError(f"A replay without a fault failed: {program.said()}")
-    return (record, time.monotonic() - program.began), newest(bench.folder / "replay")
+    command = ["record", "--setup", bench.folder / "bench.toml", "--cycles", 1, "--stroke", STROKE]
+    for out in (bench.folder / "compiling", bench.folder / "baseline"):
+        program = Program([*command, "--out", out])
+        while not (out / "session.mcap").exists() and program.process.poll() is None:
+            time.sleep(0.002)
+        begun = time.monotonic()
+        if program.ended(_COMPILING) != 0:
+            raise DeviceError(f"A recording without a fault failed: {program.said()}")
+        record = begun - program.began, time.monotonic() - begun
+        program = Program(replay_command(recording, out.with_suffix(".replay")))
+        if program.ended(_COMPILING) != 0:
+            raise GlissandoError(f"A replay without a fault failed: {program.said()}")
+    return (record, time.monotonic() - program.began), newest(out.with_suffix(".replay"))
 
 
 def table(rows):

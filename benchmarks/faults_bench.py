@@ -80,7 +80,7 @@ class Bench:
             "aurora": ["--scene", str(self.folder / "scene.npz"), "--tcp", "0", "--travel",
                        str(self._tracker_port)],
             "vicon": ["--scene", str(self.folder / "scene.npz"), "--to",
-                      f"127.0.0.1:{self.mocap_port}", "--bodies", "tip=0.7"],
+                      f"127.0.0.1:{self.mocap_port}", "--bodies", "tip=0.7", "--rate", "25"],
         }[name]  # fmt: skip
         module = f"glissando.hardware.simulated_devices.{name}"
         self.devices[name] = Device("-m", module, *options)
@@ -100,8 +100,10 @@ class Bench:
 
     def moved_until(self, since):
         """Seconds after a time at which the stage moved last; it must have stood since."""
-        time.sleep(0.5)
-        points = np.array([p for p in list(self.travel) if p[0] > since])
+        points = np.zeros((0, 2))
+        while len(points) < 2 or points[-1, 0] < since + 0.5:
+            time.sleep(0.1)
+            points = np.array([p for p in list(self.travel) if p[0] > since]).reshape(-1, 2)
         steps = np.flatnonzero(np.abs(np.diff(points[:, 1])) > 1e-7)
         return float(points[steps[-1] + 1, 0] - since) if steps.size else 0.0
 
@@ -133,7 +135,8 @@ class Program:
         self._errors = tempfile.TemporaryFile("w+")  # noqa: SIM115  (goes with this object)
 
         def prepare():
-            signal.signal(signal.SIGINT, signal.SIG_DFL)  # which a shell's background ignores
+            for number in (signal.SIGINT, signal.SIGHUP):  # which a shell's background ignores
+                signal.signal(number, signal.SIG_DFL)
             if room is not None:
                 resource.setrlimit(resource.RLIMIT_FSIZE, (room, room))
 

@@ -20,15 +20,17 @@ from glissando.io.foreign import read_tracks
 from glissando.io.foreign.recording import Choices, write_recording
 from mutation_samples import Parser, damaged, files_below
 
+_ARM = Path(__file__).parents[1] / "examples" / "scene" / "arm.toml"
 
-def import_parser(name, samples, mutate=damaged, **options):
-    """As `import` reads them, each object at some arclength."""
+
+def import_parser(name, samples, mutate=damaged, robot=None, **options):
+    """As `import` reads them, each object at some arclength, of a robot if they need it."""
 
     def read(files, folder, out):
         target = folder / next(iter(files)) if len(files) == 1 else folder
         tracks = read_tracks(target, **options)
         places = dict.fromkeys((t.name for t in tracks), 0.1)
-        write_recording(tracks, out / "recording", Choices(places))
+        write_recording(tracks, out / "recording", Choices(places, robot=robot))
 
     return Parser(name, samples, read, mutate, share=0.5)
 
@@ -58,6 +60,9 @@ def import_parsers(scratch):
     columns += [f"{k},0,0,{k}e-3,1,0,0,0" for k in range(12)]
     (made / "own.csv").write_text("\n".join(columns) + "\n")
     c3d(made / "points.c3d")
+    servos = ["timestamp," + "".join(f"servo_{j}_mm," for j in range(9)) + "tip_x,tip_y,tip_z"]
+    servos += [f"{17e8 + k},{','.join([str(0.1 * k)] * 9)},{k},0,{180 - k}" for k in range(12)]
+    (made / "servos.csv").write_text("\n".join(servos) + "\n")
     mapping = "time=t,x=x,y=y,z=z,qw=qw,qx=qx,qy=qy,qz=qz"
     bags = []
     for version, storage in ((1, None), *((2, plugin) for plugin in StoragePlugin)):
@@ -74,6 +79,7 @@ def import_parsers(scratch):
         import_parser("OptiTrack export", one("motive.csv")),
         import_parser("Qualisys export", one("qualisys.tsv")),
         import_parser("other columns", one("own.csv"), columns=mapping),
+        import_parser("servo export", one("servos.csv"), robot=str(_ARM)),
         import_parser("c3d", one("points.c3d")),
         import_parser("ROS bag", bags, renamed),
     ]

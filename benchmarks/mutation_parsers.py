@@ -41,6 +41,7 @@ from glissando.visualization.page.page import save_view
 from mutation_exports import import_parsers
 from mutation_logs import journal_parser, session_parser
 from mutation_samples import _LONGEST, Parser, files_below, shortened
+from mutation_scenes import calibration_parser, mesh_parser, scene_parser
 from mutation_wires import aurora_parser, igtl_parser, line_parser, read_servo, vicon_parser
 
 
@@ -227,6 +228,9 @@ def parsers(scratch: Path, recording: Path | None = None) -> list[Parser]:
         session_parser(),
         journal_parser(scratch),
         *small_parsers(scratch, run),
+        scene_parser(),
+        mesh_parser(),
+        calibration_parser(scratch),
         *import_parsers(scratch),
         aurora_parser(),
         vicon_parser(),

@@ -1,5 +1,7 @@
 """Signed distances: what they are, their slopes and curvatures, for every kind of obstacle."""
 
+import os
+
 import numpy as np
 import pytest
 
@@ -97,3 +99,24 @@ def test_a_mesh_is_as_far_as_the_box_it_is_of(tmp_path, rng):
     whole.export(open_file)
     with pytest.raises(GlissandoError, match="has holes"):
         read_mesh(open_file, pose)
+
+
+def test_a_mesh_of_others_is_refused_or_read_alone(tmp_path):
+    """Not a kind that unpacks or fetches, no pipe; materials that it names are left alone."""
+    trimesh = pytest.importorskip("trimesh", reason="trimesh is not installed")
+    pytest.importorskip("rtree", reason="rtree is not installed")
+    box = trimesh.creation.box((0.06, 0.04, 0.05)).export(file_type="obj")
+    os.mkfifo(tmp_path / "materials.mtl")  # whoever opens it waits for ever
+    (tmp_path / "box.obj").write_text("mtllib materials.mtl\nusemtl any\n" + box)
+    assert len(read_mesh(tmp_path / "box.obj", np.eye(4)).triangles) == 12
+    os.mkfifo(tmp_path / "pipe.stl")
+    (tmp_path / "box.3mf").write_bytes(b"PK\x03\x04")
+    (tmp_path / "long.stl").write_bytes(bytes(80) + b"\xff\xff\xff\x7f" + bytes(50))
+    (tmp_path / "long.ply").write_text(
+        "ply\nformat binary_little_endian 1.0\nelement vertex 4000000000\nproperty float x\n"
+        "property float y\nproperty float z\nelement face 1\n"
+        "property list uchar int vertex_indices\nend_header\n"
+    )
+    for name in ("pipe.stl", "box.3mf", "long.stl", "long.ply", "none.stl"):
+        with pytest.raises(GlissandoError, match="is no mesh|has 0 triangles"):
+            read_mesh(tmp_path / name, np.eye(4))

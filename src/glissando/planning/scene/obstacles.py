@@ -20,10 +20,13 @@ from scipy.ndimage import map_coordinates, spline_filter
 from glissando.errors import GlissandoError
 from glissando.estimation.confidence_tube import tube_faces
 from glissando.geometry.se3 import Array
+from glissando.io.plain_file import require_plain
 from glissando.model.grid import Index
 
 _TINY = 1e-12
 _RINGS = 6  # of a quarter of a surface that is shown
+_KINDS = "stl", "obj", "ply"
+_LARGEST, _TRIANGLES = 1 << 26, 200_000  # bytes and triangles of a mesh
 _CELLS = 24  # of a mesh's lattice along its longest side
 _MARGIN = 0.35  # of that side, by which the lattice goes beyond the mesh
 
@@ -198,7 +201,7 @@ class Mesh:
 
 
 def read_mesh(path: Path, pose: Array, scale: float = 1.0) -> Mesh:
-    """A closed surface from a file, of a kind that trimesh reads, such as STL, OBJ or PLY.
+    """A closed surface from a file: STL, OBJ or PLY. No file that it names is read.
 
     Args:
         path: The file.
@@ -206,7 +209,8 @@ def read_mesh(path: Path, pose: Array, scale: float = 1.0) -> Mesh:
         scale: Metres of a unit of the file.
 
     Raises:
-        GlissandoError: The file cannot be read, the surface is open, or trimesh is not installed.
+        GlissandoError: The file cannot be read, or has too many triangles; the surface is open or
+            not a few metres at most; trimesh is not installed.
     """
     try:
         import rtree  # noqa: F401  which trimesh needs for distances
@@ -216,11 +220,23 @@ def read_mesh(path: Path, pose: Array, scale: float = 1.0) -> Mesh:
             "Meshes need trimesh and rtree, which are not both installed: run pip install "
             "'glissando[mesh]'."
         ) from missing
+    kind = path.suffix.lower().removeprefix(".")
     try:
-        surface: Any = trimesh.load(path, force="mesh")
-    except (OSError, ValueError) as problem:
-        raise GlissandoError(f"{path} is no mesh ({problem}); give STL, OBJ or PLY.") from None
-    surface.apply_transform(pose @ np.diag([scale, scale, scale, 1.0]))
+        require_plain(path, _LARGEST)
+        if kind not in _KINDS:
+            raise ValueError(f"its name ends in {path.suffix[:20]!r}")
+        with path.open("rb") as file:
+            surface: Any = trimesh.load_mesh(file, file_type=kind, skip_materials=True)
+        surface.apply_transform(pose @ np.diag([scale, scale, scale, 1.0]))
+        sound = surface.faces.size and np.all(np.isfinite(surface.vertices))
+    except Exception as problem:  # trimesh has no errors of its own
+        why = str(problem)[:200] or type(problem).__name__
+        raise GlissandoError(f"{path} is no mesh ({why}); give STL, OBJ or PLY.") from None
+    if not sound or len(surface.faces) > _TRIANGLES:
+        raise GlissandoError(
+            f"{path.name} has {len(surface.faces):,} triangles, or points that are not finite; "
+            f"give 1 to {_TRIANGLES:,}."
+        )
     if not surface.is_watertight:
         raise GlissandoError(
             f"{path.name} has holes, so it has no inside; close its surface, or give boxes."
