@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from glissando.errors import DeviceError
 from glissando.hardware.drivers import dynamixel
 from glissando.hardware.drivers.dynamixel import Servo
 from glissando.hardware.simulated_devices.scene import Scene, SceneCoil
@@ -76,7 +77,7 @@ class Bench:
         """Start a device, or start it again."""
         place = self.travel[-1][1] if self.travel else 0.0
         options = {
-            "servo": ["--travel", f"127.0.0.1:{self._ear.getsockname()[1]}", "--start", f"{place}"],
+            "servo": ["--travel", f"127.0.0.1:{self._ear.getsockname()[1]}", f"--start={place}"],
             "aurora": ["--scene", str(self.folder / "scene.npz"), "--tcp", "0", "--travel",
                        str(self._tracker_port)],
             "vicon": ["--scene", str(self.folder / "scene.npz"), "--to",
@@ -102,6 +103,8 @@ class Bench:
         """Seconds after a time at which the stage moved last; it must have stood since."""
         points = np.zeros((0, 2))
         while len(points) < 2 or points[-1, 0] < since + 0.5:
+            if self.devices["servo"].process.poll() is not None:
+                raise DeviceError("The simulated servo has ended.")
             time.sleep(0.1)
             points = np.array([p for p in list(self.travel) if p[0] > since]).reshape(-1, 2)
         steps = np.flatnonzero(np.abs(np.diff(points[:, 1])) > 1e-7)
