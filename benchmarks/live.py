@@ -1,12 +1,12 @@
 """Live updates to OpenIGTLink viewers: how late they come, and what bad peers and kills cost.
 
-    python benchmarks/live.py RECORDING... [--rate 60] [--points 30] [--seconds 8] [--kills 50]
+    python benchmarks/live.py RECORDING... [--rate 60] [--points 30] [--seconds 8]
 
 For each recording, at its own pace: updates of all kinds (frames, tip, line, 95 % tube, ellipsoids)
 go to three viewers on loopback, each a process. Late is an update's last byte at a viewer, counted
 from the end of `advance`. On a machine that others use as well, `chrt -f 1 python …` keeps their
-load out of it. Then the same with a fourth peer that never reads, that is stopped, or
-that floods; and a tracker and a viewer that are killed again and again.
+load out of it. Then the same with a fourth peer that never reads, that is stopped, or that floods.
+What kills cost: benchmarks/live_peers.py.
 """
 
 from __future__ import annotations
@@ -22,14 +22,15 @@ import sys
 import tempfile
 import time
 from contextlib import ExitStack
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from glissando.evaluation.run import checked_window, chosen_streams
-from glissando.hardware.live import IgtlSink, IgtlSource, LiveSession, RecordingSource
+from glissando.evaluation.run import checked_window
+from glissando.hardware.live import IgtlSink, LiveSession, RecordingSource
 from glissando.hardware.live.igtl_sink import readings_message
-from glissando.hardware.openigtlink import Endpoint, encode, stamp_of
+from glissando.hardware.openigtlink import encode
 from glissando.hardware.openigtlink.crc import crc64
 from glissando.hardware.openigtlink.framer import Framer
 from glissando.hardware.openigtlink.message import HEADER, read_header
@@ -77,28 +78,8 @@ def flood(port: int, out: str) -> None:
             time.sleep(0.01)
 
 
-def track(port: int, out: str) -> None:
-    """Serve a recording's readings at `port`, at their pace, from where the clock stands."""
-    recording, began = Path(out).read_text().splitlines()
-    loaded = load_recording(recording)
-    robot = loaded.robot
-    readings = chosen_streams(loaded, robot, checked_window(loaded, None), None, None)[0]
-    first = min(r.time[0] for r in readings)
-    done = time.time() - float(began)
-    with Endpoint(f"igtl-server://127.0.0.1:{port}") as peer:
-        while True:
-            now = time.time() - float(began)
-            for r in readings:
-                some = r.select((r.time - first > done) & (r.time - first <= now))
-                if len(some):
-                    stamp = stamp_of(float(began) + some.time[-1] - first)
-                    peer.send([encode(readings_message(some, stamp))])
-            done = now
-            peer.receive()
-            time.sleep(0.005)
-
-
-CLIENTS = {f.__name__: f for f in (view, never_read, flood, track)}
+CLIENTS = {f.__name__: f for f in (view, never_read, flood)}
+FOURTH = {"slow": never_read, "stopped": view, "malicious": flood}
 
 
 def _one_reading() -> PoseReadings:
@@ -113,130 +94,114 @@ def started(stack: ExitStack, kind: str, port: int, out: Path | str) -> subproce
     return process
 
 
+@dataclass
+class Timed:
+    """A session that notes when estimates ended and what handing them over took.
+
+    Attributes:
+        session: The session; its only sink is timed.
+        ended: When the estimate of a session time ended, monotonic s.
+        handed: Seconds, and seconds of processor time, of each update that was handed over.
+        stamps: When the estimate of each update's stamp ended, monotonic s.
+        computing: Seconds of each estimate.
+    """
+
+    session: LiveSession
+    ended: dict[float, float] = field(default_factory=dict)
+    handed: list[tuple[float, float]] = field(default_factory=list)
+    stamps: dict[str, float] = field(default_factory=dict)
+    computing: list[float] = field(default_factory=list)
+
+    def run(self) -> None:
+        """Run the session to its end."""
+        smoother, (sink,) = self.session.smoother, self.session.sinks
+        advance, send = smoother.advance, sink.send
+
+        def timed_advance(at):
+            state = advance(at)
+            self.ended[at] = time.monotonic()
+            return state
+
+        def timed_send(update):
+            began, processor = time.perf_counter(), time.thread_time()
+            send(update)
+            self.handed.append((time.perf_counter() - began, time.thread_time() - processor))
+
+        smoother.advance, sink.send = timed_advance, timed_send
+        for update in self.session:
+            self.stamps[str(update.stamp)] = self.ended[update.time]
+            self.computing.append(update.computing)
+
+
 def run(recording: str, options, extra: str, folder: Path) -> dict:
     """One session with three viewers and perhaps an extra peer; its figures."""
-    loaded = load_recording(recording)
-    first, last = checked_window(loaded, None)
-    source = RecordingSource(
-        loaded, loaded.robot, window=(first, min(last, first + options.seconds + 4.0))
-    )
-    sink = IgtlSink("igtl-server://:0?send=frames,tip,line,tube,ellipsoids")
-    session = LiveSession(
-        loaded.robot, [source], [sink], rate=options.rate, points=options.points,
-        duration=options.seconds,
-    )  # fmt: skip
-    ended, spent, computed = {}, [], []
+    session = session_of(recording, options)
+    (sink,), timed = session.sinks, Timed(session)
+    outs = [folder / f"viewer{k}.json" for k in range(3)]
     with ExitStack() as stack:
-        outs = [folder / f"viewer{k}.json" for k in range(3)]
         with session:
             viewers = [started(stack, "view", sink.port, out) for out in outs]
-            if extra:
-                kind = {"slow": "never_read", "stopped": "view", "malicious": "flood"}[extra]
-                fourth = started(stack, kind, sink.port, folder / "extra.json")
-            peers = 3 + (extra in ("slow", "stopped"))
-            deadline = time.monotonic() + 60.0
-            while sink._endpoint.peers < peers and time.monotonic() < deadline:
-                sink._endpoint.receive()
-                time.sleep(0.01)
-            if extra == "stopped":
-                os.kill(fourth.pid, signal.SIGSTOP)
-            advance, send = session.smoother.advance, sink.send
-
-            def timed_advance(at):
-                state = advance(at)
-                ended[at] = time.monotonic()
-                return state
-
-            def timed_send(update):
-                began, processor = time.perf_counter(), time.thread_time()
-                send(update)
-                spent.append((time.perf_counter() - began, time.thread_time() - processor))
-
-            session.smoother.advance, sink.send = timed_advance, timed_send
-            stamps = {}
-            for update in session:
-                stamps[str(update.stamp)] = ended[update.time]
-                computed.append(update.computing)
+            join(stack, session, extra, folder)
+            timed.run()
             counts, skipped = dict(sink.counts), session.skipped
         for viewer in viewers:
             viewer.wait(20)
-    late, missed = [], 0
-    for out in outs:
-        came = json.loads(out.read_text())
-        late += [came[s] - at for s, at in stamps.items() if s in came]
-        missed += sum(s not in came for s in stamps)
+    late, missed = lateness(timed.stamps, outs)
     ms = 1e3
     return {
         "recording": Path(recording).name,
         "extra": extra or "none",
-        "updates": len(stamps),
+        "updates": len(timed.stamps),
         "skipped": skipped,
         "missed by viewers": missed,
-        "advance ms (p50, p99)": _percentiles(ms * np.array(computed), 50, 99),
+        "advance ms (p50, p99)": _percentiles(ms * np.array(timed.computing), 50, 99),
         "late ms (p50, p99, max)": _percentiles(ms * np.array(late), 50, 99, 100),
-        "send ms (p50, p99, max)": _percentiles(ms * np.array(spent)[:, 0], 50, 99, 100),
-        "its processor time": _percentiles(ms * np.array(spent)[:, 1], 50, 99, 100),
+        "send ms (p50, p99, max)": _percentiles(ms * np.array(timed.handed)[:, 0], 50, 99, 100),
+        "its processor time": _percentiles(ms * np.array(timed.handed)[:, 1], 50, 99, 100),
         "counts": counts,
         "load": os.getloadavg()[0],
     }
 
 
+def session_of(recording: str, options) -> LiveSession:
+    """A session that replays a recording to OpenIGTLink viewers."""
+    loaded = load_recording(recording)
+    first, last = checked_window(loaded, None)
+    window = first, min(last, first + options.seconds + 4.0)
+    return LiveSession(
+        loaded.robot,
+        [RecordingSource(loaded, loaded.robot, window=window)],
+        [IgtlSink("igtl-server://:0?send=frames,tip,line,tube,ellipsoids")],
+        rate=options.rate, points=options.points, duration=options.seconds,
+    )  # fmt: skip
+
+
+def join(stack: ExitStack, session: LiveSession, extra: str, folder: Path) -> None:
+    """Start the extra peer, and wait until all peers are connected."""
+    (sink,) = session.sinks
+    if extra:
+        fourth = started(stack, FOURTH[extra].__name__, sink.port, folder / "extra.json")
+    peers = 3 + (extra in ("slow", "stopped"))
+    deadline = time.monotonic() + 60.0
+    while sink._endpoint.peers < peers and time.monotonic() < deadline:
+        sink.poll()
+        time.sleep(0.01)
+    if extra == "stopped":
+        os.kill(fourth.pid, signal.SIGSTOP)
+
+
+def lateness(stamps: dict[str, float], outs: list[Path]) -> tuple[list[float], int]:
+    """Seconds from an estimate's end to each viewer, and how many updates viewers missed."""
+    late, missed = [], 0
+    for out in outs:
+        came = json.loads(out.read_text())
+        late += [came[s] - at for s, at in stamps.items() if s in came]
+        missed += sum(s not in came for s in stamps)
+    return late, missed
+
+
 def _percentiles(values, *which) -> list[float]:
     return [round(float(np.percentile(values, p)), 2) for p in which] if len(values) else []
-
-
-def kill(recording: str, options, folder: Path) -> dict:
-    """Tracker and viewer are killed again and again; what of the session and the journal."""
-    loaded = load_recording(recording)
-    rng = random.Random(options.seed)
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = free.getsockname()[1]
-    orders = folder / "orders.txt"
-    orders.write_text(f"{Path(recording).resolve()}\n{time.time()}")
-    source = IgtlSource(f"igtl://127.0.0.1:{port}?clock=shared", loaded.robot)
-    log = folder / "log"
-    sink = IgtlSink("igtl-server://:0")
-    session = LiveSession(
-        loaded.robot, [source], [sink], rate=options.rate, journal=log, patience=60.0
-    )
-    used, kills, returned, updates = 0, {"tracker": 0, "viewer": 0}, 0, 0
-    with ExitStack() as stack:
-        stack.enter_context(session)
-        tracker = started(stack, "track", port, orders)
-        viewer = started(stack, "view", sink.port, folder / "viewer.json")
-        heard, alive_until = False, 0.0
-        for update in session:
-            updates += 1
-            fresh = sum(map(len, update.readings))
-            used += fresh
-            if fresh and not heard:
-                heard, returned = True, returned + 1
-                alive_until = time.monotonic() + rng.uniform(0.0, 0.5)
-            if not heard or time.monotonic() < alive_until:
-                continue
-            if sum(kills.values()) >= options.kills:
-                break
-            alive_until = time.monotonic() + rng.uniform(0.0, 0.5)
-            if rng.random() < 0.5 and sink._endpoint.peers:
-                viewer.kill()
-                viewer.wait()
-                kills["viewer"] += 1
-                viewer = started(stack, "view", sink.port, folder / "viewer.json")
-            else:
-                tracker.kill()
-                tracker.wait()
-                kills["tracker"], heard = kills["tracker"] + 1, False
-                orders.write_text(f"{Path(recording).resolve()}\n{time.time()}")
-                tracker = started(stack, "track", port, orders)
-    logged = sum(s.rows.time.size for s in load_recording(log).streams.values())
-    return {
-        "recording": Path(recording).name,
-        "killed": kills,
-        "times readings came again": returned,
-        "updates": updates,
-        "readings used": used,
-        "in the journal": logged,
-    }
 
 
 def main() -> None:
@@ -248,8 +213,6 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=60.0)
     parser.add_argument("--points", type=int, default=30)
     parser.add_argument("--seconds", type=float, default=8.0)
-    parser.add_argument("--kills", type=int, default=50)
-    parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     results = []
@@ -257,10 +220,6 @@ def main() -> None:
         for extra in ("", "slow", "stopped", "malicious"):
             with tempfile.TemporaryDirectory() as folder:
                 results.append(run(recording, options, extra, Path(folder)))
-            _show(results[-1], options)
-        if options.kills:
-            with tempfile.TemporaryDirectory() as folder:
-                results.append(kill(recording, options, Path(folder)))
             _show(results[-1], options)
     if options.json:
         print(json.dumps(results))

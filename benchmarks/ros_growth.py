@@ -122,8 +122,8 @@ def measure(options, folder: Path) -> list[dict[str, float]]:
             rows[-1]["messages"] = int(last[-1]) if last else 0
             if len(rows) % 6 == 0:
                 print(", ".join(f"{k} {v:.6g}" for k, v in rows[-1].items()), flush=True)
-        live.send_signal(signal.SIGINT)
-        if live.wait(60.0) != 0:
+        live.send_signal(signal.SIGTERM)  # a background job of a shell ignores SIGINT
+        if live.wait(60.0) not in (0, 128 + signal.SIGTERM, -signal.SIGTERM):
             raise SystemExit(f"glissando live ended with status {live.returncode}.")
     return rows
 

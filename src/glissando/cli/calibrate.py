@@ -13,6 +13,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from glissando.calibration.rig.calibrate import calibrate
+from glissando.calibration.rig.carriage import SlideFit
 from glissando.calibration.rig.recording_data import calibrated, recording_data
 from glissando.calibration.rig.result import Calibration, apply
 from glissando.calibration.rig.rig import RigData
@@ -90,6 +91,8 @@ def _calibrate(options: argparse.Namespace) -> int:
     console.print(_table(result))
     if result.fits:
         console.print(_fits(result))
+    if result.tube is not None:
+        console.print(_tube(result.tube))
     for sentence in result.warnings:
         console.print(f"! {sentence}", markup=False)
     console.print(f"Wrote {', '.join(map(str, written))}", markup=False)
@@ -172,8 +175,16 @@ def _as_json(result: Calibration) -> dict[str, object]:
             {"name": f.name, "count": f.count, "rms": f.rms.tolist(), "whitened": f.whitened}
             for f in result.fits
         ],
+        "tube": None if result.tube is None else _tube_as_json(result.tube),
         "warnings": list(result.warnings),
     }
+
+
+def _tube_as_json(fit: SlideFit) -> dict[str, object]:
+    numbers = {"lead": fit.lead, "backlash": fit.backlash, "delay": fit.delay}
+    std = fit.cov.diagonal() ** 0.5
+    values = {k: {"value": v, "std": s} for (k, v), s in zip(numbers.items(), std, strict=True)}
+    return {"name": fit.name, **values, "along": fit.along, "across": fit.across}
 
 
 def _table(result: Calibration) -> Table:
@@ -182,6 +193,17 @@ def _table(result: Calibration) -> Table:
         table.add_column(heading, justify="left" if heading in ("", "unit") else "right")
     for name, value, std, unit in result.displayed():
         table.add_row(name, f"{value:.3f}", f"{std:.3f}", "" if unit == "1" else unit)
+    return table
+
+
+def _tube(fit: SlideFit) -> Table:
+    left = f"{1e3 * fit.along:.3g} mm RMS is left along its line, {1e3 * fit.across:.3g} mm across"
+    title = f"the slide by {fit.name} on the tube: {left}"
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD)
+    for heading in ("", "value", "±", "unit"):
+        table.add_column(heading, justify="left" if heading in ("", "unit") else "right")
+    for name, value, std, unit in fit.displayed():
+        table.add_row(name, f"{value:.4f}", f"{std:.4f}", "" if unit == "1" else unit)
     return table
 
 

@@ -108,6 +108,8 @@ def session_streams(session: RawSession, setup: Mapping[str, Any]) -> SessionStr
             rows = Rows("coil", time - zero, arclength, poses, {})
             streams.append(Stream(name, rows, frame="tracker"))
     for name, body in table.named_tables("bodies"):
+        if body.flag("slides"):  # on the sliding tube, not on the robot
+            continue
         time, poses = seen("mocap", name)
         if time.size:
             place = body.number("arclength", positive=False)

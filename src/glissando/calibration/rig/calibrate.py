@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glissando.calibration.rig.advice import advice, stream_fits
+from glissando.calibration.rig.carriage import fit_slide, judgement
 from glissando.calibration.rig.model import ROWS, CoilModel
 from glissando.calibration.rig.refine import RigFit, refine
 from glissando.calibration.rig.result import Calibration
@@ -47,13 +48,14 @@ def calibrate(data: RigData, robot: Robot, *, readings: int = _READINGS) -> Cali
         RecordingError: If there are too few coil readings while slide and motion capture ran.
     """
     data, notes = _usable(data)
+    tube = fit_slide(data)
     middle = 0.5 * float(data.coil_time[0] + data.coil_time[-1])
     expected = Rig(np.eye(4), data.direction or 1, data.coil_arclength, middle)
     std = _prior_std(data)
     if not data.bodies:
         rig, cov = against_slide(data, expected, std)
         notes += advice(data, cov, std)
-        return Calibration(rig, cov, data.coil_name, np.inf, (), notes)
+        return Calibration(rig, cov, data.coil_name, np.inf, (), notes, tube)
     shape = estimate_shape(data, robot)
     model = CoilModel(data, shape, factor(shape.system))
     best, expected, odds = _choose_direction(model, expected, std)
@@ -64,7 +66,9 @@ def calibrate(data: RigData, robot: Robot, *, readings: int = _READINGS) -> Cali
     left_out = model.data.coil_time.size - sound.data.coil_time.size
     left_out += bunched.data.coil_time.size - fit.model.data.coil_time.size
     notes += _doubts(data, fit, odds, left_out) + advice(data, fit.cov, std)
-    return Calibration(fit.rig, fit.cov, data.coil_name, odds, stream_fits(fit), notes)
+    if tube is not None:
+        notes += judgement(tube, fit.rig, fit.cov, data)
+    return Calibration(fit.rig, fit.cov, data.coil_name, odds, stream_fits(fit), notes, tube)
 
 
 def _prior_std(data: RigData) -> Array:

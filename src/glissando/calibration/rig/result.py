@@ -10,6 +10,7 @@ import numpy as np
 import tomli_w
 
 from glissando.calibration.rig.advice import StreamFit
+from glissando.calibration.rig.carriage import SlideFit
 from glissando.calibration.rig.rig import MOUNT, PARAMETERS, Rig, RigData
 from glissando.errors import GlissandoError, RecordingError
 from glissando.geometry import se3
@@ -39,6 +40,7 @@ class Calibration(Brief):
         log_odds: Log odds of the direction; infinite where only one is possible.
         fits: Residuals of each stream.
         warnings: Sentences on what the session does not show.
+        tube: What a body on the sliding tube says of the slide, if there was one.
     """
 
     rig: Rig
@@ -47,6 +49,7 @@ class Calibration(Brief):
     log_odds: float
     fits: tuple[StreamFit, ...] = ()
     warnings: tuple[str, ...] = ()
+    tube: SlideFit | None = None
 
     @property
     def std(self) -> Array:

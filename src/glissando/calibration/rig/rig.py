@@ -70,6 +70,21 @@ class Body:
 
 
 @dataclass(frozen=True)
+class TubeBody:
+    """A motion capture body on the sliding tube.
+
+    Attributes:
+        name: Its name.
+        time: Times (B,) at which it was seen, s.
+        poses: T_wm (B, 4, 4).
+    """
+
+    name: str
+    time: Array
+    poses: Array
+
+
+@dataclass(frozen=True)
 class RigData(Brief):
     """Data of a session; the arrays of a missing device are empty.
 
@@ -85,6 +100,7 @@ class RigData(Brief):
         direction: Sign of arclength with travel, ±1, or 0 when it is not known.
         noise: Noise of the devices.
         robot: Name or file of the robot, if it is known.
+        tube: The motion capture body on the sliding tube, if there is one.
     """
 
     coil_name: str
@@ -98,6 +114,7 @@ class RigData(Brief):
     direction: int = 0
     noise: Noise = field(default_factory=Noise)
     robot: str = ""
+    tube: TubeBody | None = None
 
     @property
     def slides(self) -> bool:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from glissando.calibration.rig.rig import Body, Noise, RigData
+from glissando.calibration.rig.rig import Body, Noise, RigData, TubeBody
 from glissando.errors import RecordingError
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
@@ -31,6 +31,7 @@ def rig_data(session: RawSession) -> RigData:
     setup = Table(session_setup(session), "setup", RecordingError)
     name, time, coil = _coil(session, setup)
     slide_time, travel = _slide(session)
+    bodies, tube = _bodies(session, setup)
     direction = setup.number("direction", 0.0, positive=False)
     if direction not in (-1.0, 0.0, 1.0):
         raise setup.fail("direction", f"is {direction:g}; give 1, -1, or 0 for not known.")
@@ -40,12 +41,13 @@ def rig_data(session: RawSession) -> RigData:
         coil=coil,
         slide_time=slide_time,
         travel=travel,
-        bodies=_bodies(session, setup),
+        bodies=bodies,
         coil_arclength=setup.number("coil_arclength", positive=False),
         coil_arclength_std=setup.number("coil_arclength_std"),
         direction=int(direction),
         noise=_noise(setup),
         robot=setup.text("robot", ""),
+        tube=tube,
     )
 
 
@@ -109,10 +111,11 @@ def _slide(session: RawSession) -> tuple[Array, Array]:
     return time, travel[rows][first]
 
 
-def _bodies(session: RawSession, setup: Table) -> dict[str, Body]:
+def _bodies(session: RawSession, setup: Table) -> tuple[dict[str, Body], TubeBody | None]:
+    """The bodies on the robot, and the one on the sliding tube."""
     given = setup.table("bodies")
     known = given.names() if given else []
-    out = {}
+    out, tubes = {}, []
     for topic in session.topics.values():
         name = topic.name.removeprefix(_MOCAP)
         if not topic.name.startswith(_MOCAP):
@@ -124,8 +127,16 @@ def _bodies(session: RawSession, setup: Table) -> dict[str, Body]:
             )
         entry = given.table(name, required=True)
         assert entry is not None
-        arclength, mount = entry.number("arclength", positive=False), entry.pose()
         time, poses = _poses(topic)
-        if time.size:
-            out[name] = Body(arclength, mount, time, poses)
-    return out
+        if entry.flag("slides"):
+            tubes.append(TubeBody(name, time, poses))
+        else:
+            arclength, mount = entry.number("arclength", positive=False), entry.pose()
+            if time.size:
+                out[name] = Body(arclength, mount, time, poses)
+    if len(tubes) > 1:
+        raise RecordingError(
+            f"Bodies {', '.join(tube.name for tube in tubes)} are on the sliding tube; leave "
+            f"`slides` to one of them."
+        )
+    return out, tubes[0] if tubes and tubes[0].time.size else None

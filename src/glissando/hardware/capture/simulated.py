@@ -7,6 +7,7 @@ import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from glissando.io.shipped_robots import robot_file
 from glissando.simulation import load_bench
 
 _LEAD = 0.0254  # m a revolution
+_BEHIND = 0.1  # m from the base to the body on the sliding tube
 _SCENE_RATE = 20.0  # Hz at which the devices are given a moving robot's shapes
 
 
@@ -50,20 +52,23 @@ def simulated_rig(
         acceleration=limits.acceleration, watchdog=2.0, lag=0.02,
     )  # fmt: skip
     bodies = tuple(Body(f"mocap_{1e3 * s:g}", float(s), np.eye(4)) for s in bench.truth)
-    travel, mocap = _free_port(), _free_port()
+    travel, tube_travel, mocap = _free_port(), _free_port(), _free_port()
     markers = ",".join(f"{body.name}={body.arclength!r}" for body in bodies)
+    tube = Body("tube", np.nan, np.eye(4), slides=True)
     with ExitStack() as stack:
         file = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "scene.npz"
         scene.save(file)
         begin = ("--epoch", repr(time.monotonic()), "--scene", str(file))
         options = ("--tcp", "0", "--travel", str(travel), "--faults", faults)
         tracker = stack.enter_context(started("aurora", *begin, *options))
-        servo = stack.enter_context(started("servo", "--travel", f"127.0.0.1:{travel}"))
+        to = (("--travel", f"127.0.0.1:{port}") for port in (travel, tube_travel))
+        servo = stack.enter_context(started("servo", *chain(*to)))
         options = ("--to", f"127.0.0.1:{mocap}", "--bodies", markers, "--seed", str(seed))
-        stack.enter_context(started("vicon", *begin, *options))
+        behind = ("--tube", f"{tube.name}={_BEHIND}", "--travel", str(tube_travel))
+        stack.enter_context(started("vicon", *begin, *options, *behind))
         yield Rig(
-            "simulated", robot, tracker, (Coil("coil", tip),), servo, stage, 0.0, mocap, bodies,
-            frame=bench.tracker,
+            "simulated", robot, tracker, (Coil("coil", tip),), servo, stage, 0.0, mocap,
+            (*bodies, tube), frame=bench.tracker,
         )  # fmt: skip
 
 

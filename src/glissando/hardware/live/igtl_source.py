@@ -67,6 +67,11 @@ class IgtlSource:
         self._endpoint.close()
 
     @property
+    def port(self) -> int:
+        """The port that is called or listened at."""
+        return self._endpoint.address.port
+
+    @property
     def counts(self) -> Counter[str]:
         """What was left out, and what happened to the connection."""
         return self._own + self._endpoint.counts

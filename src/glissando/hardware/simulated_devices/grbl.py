@@ -147,7 +147,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     add = parser.add_argument
     add("--pty", type=Path, metavar="LINK", help="make this link to the pseudo-terminal")
-    add("--travel", type=_address, metavar="HOST:PORT", help="send true travel there, 200 Hz")
+    there = "send true travel there, 200 Hz; may be repeated"
+    add("--travel", type=_address, action="append", default=[], metavar="HOST:PORT", help=there)
     add("--faults", default="", metavar="NAME=NUMBER,…", help="what goes wrong, listed below")
     add("--seed", type=int, default=0, help="of the faults")
     add("--limits", type=float, nargs=2, default=(-2.0, 62.0), help="machine positions, mm")
@@ -179,9 +180,9 @@ def _serve(options: argparse.Namespace) -> None:
 
         def beat(now: float) -> float:
             travel = 1e-3 * device.advance(now)
-            if options.travel:
+            for listener in options.travel:
                 with contextlib.suppress(OSError):  # nobody listens yet, or any more
-                    sender.sendto(MESSAGE.pack(now, travel), options.travel)
+                    sender.sendto(MESSAGE.pack(now, travel), listener)
             return now + _PERIOD
 
         serving = Serving(hear, beat=beat)

@@ -14,7 +14,7 @@ import socket
 import struct
 import time
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,6 +27,7 @@ from glissando.geometry.se3 import Array
 from glissando.hardware.simulated_devices.faults import Dice, parse_faults
 from glissando.hardware.simulated_devices.scene import Scene
 from glissando.hardware.simulated_devices.serving import Serving, run_device
+from glissando.hardware.simulated_devices.travel import Travel
 
 NOISE_MM, NOISE_RAD = 0.15, 1.5e-3  # RMS over all directions
 
@@ -66,13 +67,17 @@ class Sender:
         bodies: Arclengths of the bodies by name, m.
         faults: What goes wrong.
         seed: Of noise and faults.
+        tube: Name of the body on the sliding tube, and its distance from the robot's base, behind
+            it, at travel zero, m.
+        travel: Where the slide's travel comes from, in s of the scene and m.
     """
 
     def __init__(
         self, scene: Scene, bodies: dict[str, float], faults: MocapFaults | None = None,
-        seed: int = 0,
+        seed: int = 0, *, tube: tuple[str, float] | None = None,
+        travel: Callable[[float], float] = lambda at: 0.0,
     ) -> None:  # fmt: skip
-        self.scene, self._bodies = scene, bodies
+        self.scene, self._bodies, self._tube, self._travel = scene, bodies, tube, travel
         low, high = scene.arclength[[0, -1]]
         for arclength in bodies.values():
             if not low <= arclength <= high:
@@ -87,11 +92,11 @@ class Sender:
     def datagrams(self, number: int, at: float) -> list[bytes]:
         """Datagrams, none or more, of frame `number` at `at` s after the scene's start."""
         dice = self._dice
-        poses = self.scene.pose(list(self._bodies.values()), self.scene.time[0] + at)
+        poses, names = self._poses(at), [*self._bodies, *(self._tube or ())[:1]]
         noise = np.repeat([1e-3 * NOISE_MM, NOISE_RAD], 3) / np.sqrt(3.0)
         poses = poses @ se3.exp(noise * self._rng.standard_normal((len(poses), 6)))
-        data = struct.pack("<IB", number % (1 << 32), len(self._bodies))
-        for k, (name, pose) in enumerate(zip(self._bodies, poses, strict=True)):
+        data = struct.pack("<IB", number % (1 << 32), len(names))
+        for k, (name, pose) in enumerate(zip(names, poses, strict=True)):
             values = [0.0] * 6 if dice("occluded", number, k) else _values(pose)
             data += struct.pack("<BH24s6d", 0, 72, name.encode(), *values)
         data = dice.cut(data, "truncated", number)
@@ -102,6 +107,15 @@ class Sender:
             self._late = [data]
             return before
         return [data, *before] + [data] * dice("repeated", number)
+
+    def _poses(self, at: float) -> Array:
+        """Poses (B, 4, 4) of all bodies `at` s after the scene's start."""
+        poses = self.scene.pose(list(self._bodies.values()), self.scene.time[0] + at)
+        if self._tube is None:
+            return poses
+        behind = self.scene.pose([self.scene.arclength[0]], self.scene.time[0] + at)
+        behind[0, :3, 3] -= (self._tube[1] + self._travel(at)) * behind[0, :3, 2]
+        return np.concatenate([poses, behind])
 
 
 def _values(pose: Array) -> list[float]:
@@ -122,6 +136,9 @@ def _parser() -> argparse.ArgumentParser:
     add("--epoch", type=float, metavar="T", help="monotonic time of the scene's start (now)")
     add("--faults", default="", metavar="NAME=CHANCE,…", help="what goes wrong, listed below")
     add("--seed", type=int, default=0, metavar="N", help="of noise and faults (default 0)")
+    tube = "a body on the sliding tube, so far behind the robot's base at travel zero"
+    add("--tube", metavar="NAME=M", help=tube)
+    add("--travel", type=int, metavar="PORT", help="UDP port the slide's travel comes to")
     return parser
 
 
@@ -130,9 +147,15 @@ def _serve(options: argparse.Namespace) -> None:
     if not host or not port.isdigit() or not options.rate > 0.0:
         raise SimulationError("Give --to HOST:PORT and a --rate above zero.")
     faults, bodies = parse_faults(MocapFaults, options.faults), parse_bodies(options.bodies)
-    sender = Sender(Scene.load(options.scene), bodies, faults, options.seed)
-    Sender(sender.scene, bodies).datagrams(0, 0.0)  # compiles what it needs before it is due
+    scene = Scene.load(options.scene)
+    Sender(scene, bodies).datagrams(0, 0.0)  # compiles what it needs before it is due
     epoch = time.monotonic() if options.epoch is None else options.epoch
+    tube = next(iter(parse_bodies(options.tube).items())) if options.tube else None
+    come = Travel(options.travel) if options.travel is not None else None
+    sender = Sender(
+        scene, bodies, faults, options.seed, tube=tube,
+        travel=(lambda at: come.at(epoch + at)) if come else (lambda at: 0.0),
+    )  # fmt: skip
     number = max(0, int(np.ceil((time.monotonic() - epoch) * options.rate)))
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
 

@@ -1,0 +1,203 @@
+"""The slide's encoder against a motion capture body on the sliding tube.
+
+The body moves along a line with the tube. It shows scale, play and delay of the encoder without the
+robot's shape, the tracker or the coil, and so judges what these say of the slide.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from glissando.calibration.rig.rig import PARAMETERS, Rig, RigData, side_of_backlash
+from glissando.calibration.rig.slide_timing import LATEST
+from glissando.errors import RecordingError
+from glissando.geometry.se3 import Array
+from glissando.model.brief import Brief
+
+_RATE = 1e-4  # standard deviation of a crystal's rate before [inferred]
+_STEP = 0.025  # s between delays that are tried first
+_NUDGE = 1e-4  # s over which the carriage's speed is differenced
+_LEAST_PLAY = 1e-6  # m by which sides are told apart
+_ROUNDS = 8
+_OUTLYING = 5.0  # standard deviations from the others at which a reading is left out
+_FEWEST, _NO_TRAVEL = 50, 5e-3  # readings; m of travel below which nothing shows
+_DISAGREE = 4.0  # standard deviations
+_SLIPS = 3.0  # times the noise of motion capture at which encoder and body do not go together
+_SAME = {"lead scale": "lead", "slide's delay": "slide delay"}
+
+
+@dataclass(frozen=True)
+class SlideFit(Brief):
+    """What a body on the sliding tube says of the slide.
+
+    Attributes:
+        name: The body.
+        lead: Metres of the body for a metre of travel.
+        backlash: Play between encoder and body, m.
+        delay: Of the slide's stamps against motion capture's, at the rig's epoch, s.
+        cov: Covariance (3, 3) of lead, backlash and delay.
+        along: Root mean square of what is left along the body's line, m.
+        across: The same across it: what the tube bends and wobbles, m.
+    """
+
+    name: str
+    lead: float
+    backlash: float
+    delay: float
+    cov: Array
+    along: float
+    across: float
+
+    def displayed(self) -> list[tuple[str, float, float, str]]:
+        """Name, value, standard deviation and unit of lead, play and delay."""
+        std = np.sqrt(self.cov.diagonal())
+        rows = (
+            ("lead", self.lead, 1.0, "1"),
+            ("play", self.backlash, 1e3, "mm"),
+            ("slide delay", self.delay, 1e3, "ms"),
+        )
+        return [
+            (name, size * value, float(size * s), unit)
+            for (name, value, size, unit), s in zip(rows, std, strict=True)
+        ]
+
+
+def fit_slide(data: RigData) -> SlideFit | None:
+    """Scale, play and delay of the slide's encoder by the body on the tube; None without one.
+
+    Gauss–Newton on d = c + lead · travel behind the play at the stamp of each time, where d is the
+    body's place along the line that it moves on.
+
+    Args:
+        data: The session.
+
+    Raises:
+        RecordingError: The body was hardly seen, or the slide hardly moved.
+    """
+    body = data.tube
+    if body is None or not data.slides:
+        return None
+    epoch = 0.5 * float(data.coil_time[0] + data.coil_time[-1])
+    inside = (body.time > data.slide_time[0] + LATEST) & (body.time < data.slide_time[-1] - LATEST)
+    time, place = body.time[inside], body.poses[inside, :3, 3]
+    moved = float(np.ptp(data.travel))
+    if time.size < _FEWEST or moved < _NO_TRAVEL:
+        raise RecordingError(
+            f"The body {body.name!r} on the tube was seen {time.size} times while the slide moved "
+            f"{1e3 * moved:.3g} mm; show it longer, and slide over the stroke."
+        )
+    middle, axis = _line(place)
+    along = (place - middle) @ axis
+    theta = _start(data, time, along, epoch)
+    if theta[1] < 0.0:
+        axis, along, theta = -axis, -along, theta * [-1, -1, 1, 1, 1]
+    theta, cov, sound = _refined(data, time, along, epoch, theta)
+    off = (place - middle)[sound] - np.outer(along[sound], axis)
+    left = along[sound] - _predicted(data, time[sound], epoch, theta)
+    rms = [float(np.sqrt(np.mean(x**2))) for x in (left, np.linalg.norm(off, axis=1))]
+    lead, backlash, delay = (float(x) for x in theta[1:4])
+    return SlideFit(body.name, lead, backlash, delay, cov[1:4, 1:4], rms[0], rms[1])
+
+
+def judgement(fit: SlideFit, rig: Rig, cov: Array, data: RigData) -> tuple[str, ...]:
+    """Sentences on where the body on the tube contradicts a calibration by the coil.
+
+    Args:
+        fit: What the body says.
+        rig: What was calibrated.
+        cov: Its covariance (17, 17).
+        data: The session.
+    """
+    out = []
+    ours = {"lead scale": (fit.lead, fit.cov[0, 0]), "slide's delay": (fit.delay, fit.cov[2, 2])}
+    theirs = {"lead scale": rig.lead, "slide's delay": float(rig.slide_clock[0])}
+    for name, (value, var) in ours.items():
+        k = PARAMETERS.index(_SAME[name])
+        std = float(np.sqrt(var + cov[k, k]))
+        if abs(value - theirs[name]) > _DISAGREE * std:
+            out.append(
+                f"The {name} is {value:.5g} by the body {fit.name!r} on the tube and "
+                f"{theirs[name]:.5g} by the coil, {abs(value - theirs[name]) / std:.0f} standard "
+                f"deviations apart: does the tube slip, stretch or wind up?"
+            )
+    k = PARAMETERS.index("backlash")
+    more = fit.backlash - rig.backlash
+    if more > _DISAGREE * np.sqrt(fit.cov[1, 1] + cov[k, k]):
+        out.append(
+            f"The body {fit.name!r} on the tube shows {1e3 * fit.backlash:.3g} mm of play, and the "
+            f"coil behind it {1e3 * rig.backlash:.3g} mm: is it fixed to the tube?"
+        )
+    if fit.along > _SLIPS * data.noise.mocap[0]:
+        out.append(
+            f"The encoder and the body {fit.name!r} on the tube differ by {1e3 * fit.along:.3g} mm "
+            f"RMS, {fit.along / data.noise.mocap[0]:.0f} times motion capture's noise: the encoder "
+            f"misses steps, or the body is loose."
+        )
+    return tuple(out)
+
+
+def _line(place: Array) -> tuple[Array, Array]:
+    """A point and the direction of the line along which places (B, 3) lie."""
+    middle = np.median(place, axis=0)
+    return middle, np.linalg.svd(place - middle, full_matrices=False)[2][0]
+
+
+def _followed(data: RigData, stamps: Array, backlash: float) -> Array:
+    travel = data.travel - 0.5 * backlash * _side(data, backlash)
+    return np.interp(stamps, data.slide_time, travel)
+
+
+def _side(data: RigData, backlash: float) -> Array:
+    return side_of_backlash(data.travel, max(backlash, _LEAST_PLAY))
+
+
+def _stamps(time: Array, epoch: float, delay: float, rate: float) -> Array:
+    return (time + delay - rate * epoch) / (1.0 - rate)
+
+
+def _predicted(data: RigData, time: Array, epoch: float, theta: Array) -> Array:
+    offset, lead, backlash, delay, rate = theta
+    return np.asarray(offset + lead * _followed(data, _stamps(time, epoch, delay, rate), backlash))
+
+
+def _start(data: RigData, time: Array, along: Array, epoch: float) -> Array:
+    """Offset, lead and delay of the best of many delays, without play: (5,)."""
+    best, out = np.inf, np.zeros(5)
+    for delay in np.arange(-LATEST, LATEST + 1e-9, _STEP):
+        travel = _followed(data, time + delay, 0.0)
+        columns = np.stack([np.ones(time.size), travel], axis=1)
+        linear, left, rank, _ = np.linalg.lstsq(columns, along, rcond=None)
+        if rank == 2 and left[0] < best:
+            best, out = float(left[0]), np.array([*linear, 0.0, delay, 0.0])
+    return out
+
+
+def _refined(
+    data: RigData, time: Array, along: Array, epoch: float, theta: Array
+) -> tuple[Array, Array, Array]:
+    """Parameters (5,), their covariance (5, 5), and which readings (B,) agree with the others."""
+    sound = np.ones(time.size, dtype=bool)
+    for _ in range(_ROUNDS):
+        some = time[sound]
+        stamps = _stamps(some, epoch, theta[3], theta[4])
+        travel = _followed(data, stamps, theta[2])
+        speed = (
+            _followed(data, stamps + _NUDGE, theta[2]) - _followed(data, stamps - _NUDGE, theta[2])
+        ) / (2.0 * _NUDGE)
+        side = np.interp(stamps, data.slide_time, _side(data, theta[2]))
+        late = theta[1] * speed
+        J = np.stack(
+            [np.ones(some.size), travel, -0.5 * theta[1] * side, late, late * (some - epoch)], 1
+        )
+        left = along[sound] - (theta[0] + theta[1] * travel)
+        var = max(float(left @ left) / (some.size - 5), 1e-14)
+        information = J.T @ J / var
+        information[4, 4] += _RATE**-2
+        rhs = J.T @ left / var
+        rhs[4] -= theta[4] * _RATE**-2
+        theta = theta + np.linalg.solve(information, rhs)
+        off = along - _predicted(data, time, epoch, theta)
+        sound = np.abs(off) < _OUTLYING * max(1.4826 * float(np.median(np.abs(off))), 1e-6)
+    return theta, np.linalg.inv(information), sound
