@@ -402,10 +402,14 @@ def main() -> None:
     if options.json:
         options.json.write_text(json.dumps(rows, indent=1) + "\n")
     if options.page:
-        heads = ["peer", "kills", "in use again", "the session", "readings used", "in the journal"]
-        lines = table(heads, [list(row.values()) for row in rows])
-        made = f"`benchmarks/live_peers.py --seed {options.seed}`, {time.strftime('%Y-%m-%d')}:"
-        write("peers", [made, "", *lines], PAGE)
+        page(rows, options.seed)
+
+
+def page(rows: list[dict], seed: int) -> None:
+    """Write the table into the how-to."""
+    heads = ["peer", "kills", "in use again", "the session", "readings used", "in the journal"]
+    made = f"`benchmarks/live_peers.py --seed {seed}`, {time.strftime('%Y-%m-%d')}:"
+    write("peers", [made, "", *table(heads, [list(row.values()) for row in rows])], PAGE)
 
 
 if __name__ == "__main__":

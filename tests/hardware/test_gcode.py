@@ -101,6 +101,18 @@ def test_an_alarm_loses_the_position_until_the_stage_is_homed_again():
         assert slide.read().travel == pytest.approx(0.02, abs=1e-5)
 
 
+def test_a_controller_that_restarts_on_the_way_must_be_homed_again():
+    with (
+        started("grbl", "--faults", "restart=60") as address,
+        GcodeSlide(address, STAGE) as slide,
+    ):
+        slide.home_here(0.0)
+        with pytest.raises(DeviceError, match="restarted and lost its position"):
+            list(slide.pursue(lambda t: 0.01 * t, 3.0))
+        with pytest.raises(DeviceError, match="Home it first"):
+            slide.read()
+
+
 @pytest.mark.slow
 def test_what_no_controller_says_is_refused():
     for line in (b"", b"ok", b"<Idle|WPos:1,2,3>", b"<Idle|MPos:1,x>", b"<Idle>"):
@@ -115,14 +127,22 @@ def test_what_no_controller_says_is_refused():
 
 def test_the_simulated_axis_keeps_its_speed_and_acceleration():
     device, now = Grbl(acceleration=200.0), 0.0
-    device.hear(b"$J=G90G21X30.0F1200\n", now)
+    device.hear(b"$J=G53G90G21X30.0F1200\n", now)
     places = [device.advance(0.002 * k) for k in range(1500)]
     speed = np.diff(places) / 0.002
     assert places[-1] == 30.0
     assert np.abs(speed).max() <= 20.0 + 1e-6
     assert np.abs(np.diff(speed[:600])).max() / 0.002 <= 201.0
-    assert device.hear(b"$J=G90G21X99.0F1200\n", 9.0) == [b"error:15\r\n"]
+    assert device.hear(b"$J=G53G90G21X99.0F1200\n", 9.0) == [b"error:15\r\n"]
     assert device.hear(b"G1 X3\n", 9.0) == [b"error:16\r\n"]
+    assert device.hear(b"$J=G90G21X30.0F1200\n", 9.0) == [b"ok\r\n"]  # work coordinates
+    assert device.advance(12.0) == 30.0 + device.work
+    device.hear(b"$J=G53G90G21X60.0F1200\n$J=G53G90G21X0.0F1200\n", 12.0)
+    assert device.hear(b"!", 12.5) == []
+    assert device.state == "Jog"  # it slows down
+    held = device.advance(13.0)
+    assert device.state == "Idle"
+    assert held == device.advance(14.0) < 60.0
 
 
 def test_a_setup_file_names_a_grbl_stage_and_an_openigtlink_tracker(tmp_path):

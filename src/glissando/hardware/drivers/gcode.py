@@ -1,8 +1,9 @@
 """A stage that a GRBL controller drives: steps and direction by G-code over a serial line.
 
-Motions are jogs ($J=), which end at once when told to (0x85) and keep the position; a host that
-dies leaves at most the few that are on their way, some hundredths of a second. Written after the
-documentation of GRBL 1.1 [read: gnea/grbl, doc/markdown]; FluidNC and grblHAL speak the same.
+Motions are jogs ($J=) in machine coordinates (G53). A jog cancel (0x85) is a feed hold that drops
+all further jogs and keeps the position; a host that dies leaves at most the few that are on their
+way, some hundredths of a second. Written after the documentation of GRBL 1.1 [read: gnea/grbl,
+doc/markdown/commands.md, jogging.md and interface.md]; FluidNC and grblHAL speak the same.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from glissando.hardware.drivers.link import Link, SilentError
 _MM = 1e3
 _MINUTE = 60.0
 _CANCEL, _RESET = b"\x85", b"\x18"
+_BANNER = (b"grbl", b"fluidnc")  # how a controller greets when it has started
 _REPLY, _HOMING, _BOOT = 0.2, 120.0, 5.0  # s for a reply, a homing cycle, a restart
 _ATTEMPTS = 4
 _AHEAD = 3  # periods that a streamed goal is ahead of the path's now
@@ -66,7 +68,7 @@ class GcodeSlide:
         try:
             self._link.write(_RESET)
             end = monotonic() + _BOOT
-            while not self._line(end - monotonic()).lower().startswith((b"grbl", b"fluidnc")):
+            while not self._line(end - monotonic()).lower().startswith(_BANNER):
                 pass
         except SilentError:
             self._close()
@@ -210,9 +212,11 @@ class GcodeSlide:
     def stop(self) -> None:
         """Stand still at once; the position stays known."""
         link = self._open()
-        link.write(_CANCEL)
         end = monotonic() + _PATIENCE
-        while self._status()[0] in ("Jog", "Run", "Hold"):
+        while True:
+            link.write(_CANCEL)  # again and again: one that comes between two jogs has no effect
+            if self._status()[0] not in ("Jog", "Run", "Hold"):
+                return
             if monotonic() > end:
                 link.write(_RESET)
                 self._zero = None
@@ -225,7 +229,7 @@ class GcodeSlide:
             return since
         zero, feed = self._require_home(), max(_MM * _MINUTE * speed, 1.0)
         place = zero + _MM * self.stage.direction * travel
-        self._send(f"$J=G90G21{self.stage.axis}{place:.4f}F{feed:.1f}")
+        self._send(f"$J=G53G90G21{self.stage.axis}{place:.4f}F{feed:.1f}")
         return travel
 
     def _until_rest(self, goal: float, lasts: float) -> Iterator[SlideReading]:
@@ -299,6 +303,12 @@ class GcodeSlide:
             self._require_no_alarm(line)
 
     def _require_no_alarm(self, line: bytes) -> None:
+        if line.lower().startswith(_BANNER):
+            self._zero = None
+            raise _AlarmError(
+                f"The controller at {self.address} has restarted and lost its position; check its "
+                f"supply and home again."
+            )
         if line.startswith(b"ALARM"):
             self._zero = None
             raise _AlarmError(
@@ -323,7 +333,7 @@ class GcodeSlide:
 
 
 class _AlarmError(DeviceError):
-    """The controller has locked itself."""
+    """The controller has locked itself, or has restarted; it stands."""
 
 
 class _standing_still:  # noqa: N801

@@ -24,7 +24,7 @@ from glissando.hardware.simulated_devices.travel import MESSAGE
 _PERIOD = 0.005  # s between datagrams
 _BANNER = b"\r\nGrbl 1.1h ['$' for help]\r\n"
 _PLANNER = 15  # motions that wait at most
-_JOG = re.compile(r"\$J=G90G21([XYZ])(-?\d+\.?\d*)F(\d+\.?\d*)")
+_JOG = re.compile(r"\$J=(G53)?G90G21([XYZ])(-?\d+\.?\d*)F(\d+\.?\d*)")
 
 
 @dataclass(frozen=True)
@@ -32,13 +32,15 @@ class GrblFaults:
     """Faults of a controller by name; all off.
 
     Shares of replies: `corrupt` with a bit flipped, `lost`. Numbers of replies: from `dead` on it
-    neither hears nor answers; at `alarm` a limit switch is hit.
+    neither hears nor answers; at `alarm` a limit switch is hit; at `restart` its supply fails for a
+    moment.
     """
 
     corrupt: float = 0.0
     lost: float = 0.0
     dead: float = float("inf")
     alarm: float = float("inf")
+    restart: float = float("inf")
 
 
 @dataclass
@@ -51,6 +53,8 @@ class Grbl:
         fastest: Its largest speed, mm/s ($110 / 60).
         place: Machine position, mm.
         state: As status reports name it.
+        work: Machine position of the work coordinates' zero, mm; jogs without G53 count from it.
+        lost: What the axis stood at when the controller lost its position, mm.
     """
 
     limits: tuple[float, float] = (-2.0, 62.0)
@@ -58,6 +62,8 @@ class Grbl:
     fastest: float = 100.0
     place: float = 0.0
     state: str = "Idle"
+    work: float = -7.5
+    lost: float = field(default=0.0, init=False)
     speed: float = field(default=0.0, init=False)  # mm/s, signed
     jogs: deque[tuple[float, float]] = field(default_factory=deque, init=False)
     now: float | None = field(default=None, init=False)
@@ -108,8 +114,8 @@ class Grbl:
                 self.letters.clear()
                 self.speed, self.state = 0.0, "Alarm" if moving else self.state
                 out.append(_BANNER)
-            elif byte == 0x85:
-                self.jogs.clear()
+            elif byte in (0x85, ord("!")):
+                self.jogs.clear()  # a feed hold ends a jog as its cancel does
             elif byte in b"\r\n":
                 if self.letters:
                     out.append(self._obey(self.letters.decode("ascii", "replace")))
@@ -117,6 +123,14 @@ class Grbl:
             elif byte < 0x80:
                 self.letters.append(byte)
         return out
+
+    def restart(self) -> bytes:
+        """Lose speed, jogs and position as when the supply fails for a moment."""
+        self.lost, self.place = self.lost + self.place, 0.0
+        self.jogs.clear()
+        self.letters.clear()
+        self.speed, self.state = 0.0, "Idle"
+        return _BANNER
 
     def _report(self) -> bytes:
         feed = 60.0 * abs(self.speed)
@@ -132,12 +146,13 @@ class Grbl:
         if self.state == "Alarm":
             return b"error:9\r\n"
         jog = _JOG.fullmatch(line)
-        if jog is None or jog[1] != "X" or float(jog[3]) <= 0.0:
+        if jog is None or jog[2] != "X" or float(jog[4]) <= 0.0:
             return b"error:16\r\n"
-        if not self.limits[0] <= float(jog[2]) <= self.limits[1]:
+        goal = float(jog[3]) + (0.0 if jog[1] else self.work)
+        if not self.limits[0] <= goal <= self.limits[1]:
             return b"error:15\r\n"
         if len(self.jogs) < _PLANNER:
-            self.jogs.append((float(jog[2]), float(jog[3]) / 60.0))
+            self.jogs.append((goal, float(jog[4]) / 60.0))
             self.state = "Jog"
         return b"ok\r\n"
 
@@ -171,6 +186,8 @@ def _serve(options: argparse.Namespace) -> None:
             if sent == faults.alarm:
                 device.jogs.clear()
                 device.speed, device.state, reply = 0.0, "Alarm", b"ALARM:1\r\n" + reply
+            if sent == faults.restart:
+                reply = device.restart()
             if dice.draw("lost", sent) >= faults.lost:
                 out.append((now, dice.flip(reply, "corrupt", sent)))
             sent += 1
@@ -179,7 +196,7 @@ def _serve(options: argparse.Namespace) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
 
         def beat(now: float) -> float:
-            travel = 1e-3 * device.advance(now)
+            travel = 1e-3 * (device.advance(now) + device.lost)
             for listener in options.travel:
                 with contextlib.suppress(OSError):  # nobody listens yet, or any more
                     sender.sendto(MESSAGE.pack(now, travel), listener)
