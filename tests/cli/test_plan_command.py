@@ -74,6 +74,31 @@ def test_designs_are_compared_and_drawn(tmp_path, capsys):
     assert (tmp_path / "design.png").stat().st_size > 10_000
 
 
+def test_sensors_are_placed_within_a_budget(tmp_path, capsys):
+    sensors = ("--sensor", "coil=1", "--sensor", "gyro=0.5:0.01", "--sensor", "slide=2")
+    given = ("--zone", "0:0.7", "--horizon", 1, "--places", 4, "--budget", 3)
+    assert run("design", *given, *sensors, "--out", tmp_path, "--json") == 0
+    rows = json.loads(capsys.readouterr().out)["placements"]
+    assert [row["budget"] for row in rows] == [0.5, 1.0, 1.5, 2.0, 2.5, 3.0]
+    assert all(row["cost"] <= row["budget"] and row["bound"] <= row["std"] for row in rows)
+    assert rows[-1]["std"] < rows[0]["std"]
+    assert (tmp_path / "design.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--sensor", "coil"), "is not understood; give KIND=COST"),
+        (("--sensor", "coil=0"), "give a cost above 0"),
+        (("--sensor", "magnet=1"), "'magnet' is no kind of sensor"),
+        (("--sensor", "coil=2", "--budget", "1"), "the cheapest sensor costs 2"),
+    ],
+)
+def test_sensors_that_cannot_be_placed_say_why(arguments, said, capsys):
+    assert run("design", "--zone", "0:0.7", "--places", 2, "--horizon", 1, *arguments) == 2
+    assert said in capsys.readouterr().err
+
+
 def test_a_design_that_costs_more_for_the_same_is_not_worth_it():
     def made(stroke, coils, std):
         return Design(stroke, 0.024, 40.0, coils, 0.0, (std,))

@@ -11,6 +11,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
+from glissando.cli.placement import place
 from glissando.cli.plan import add_task, stage_of
 from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_command, require_writable, stated
@@ -29,13 +30,23 @@ Compare designs of a sliding sensor before one is built: strokes, speeds, rates,
 
 Every combination is evaluated on its own best path, by the uncertainty that the estimator will
 state of each zone. A design is marked if no other matches it with less stroke, speed or coils.
+
+With --sensor, it is sensors that are chosen and placed within a --budget instead: fixed ones of any
+kind along the body, a fibre, a slide. For each budget the set is printed that makes the zones most
+certain, with what no other set of the same budget could go below.
 """
 _EXAMPLES = """\
 examples:
   glissando design --zone 0.5:0.6 --strokes 0.03,0.06,0.12 --out design
   glissando design --robot my_robot.toml --zone 0.2:0.3 --zone 0.6:0.7 --coils 1,2 --rates 20,40
+  glissando design --zone 0:0.7 --sensor coil=1 --sensor gyro=0.3:0.01 --sensor slide=3 --budget 5
 
 What is not given is that of the robot file. Several coils follow each other a stroke apart.
+
+--sensor may be repeated. KIND is a kind of readings (coil, pose, position, orientation, gyro,
+strain), fbg for one fibre of gratings along the body, or slide for one coil on the stage. COST is
+in any unit. STD is the standard deviation of its readings, in their unit; that of the robot file
+unless given.
 
 exit status: 0 done; 2 something given was wrong.
 """
@@ -51,6 +62,9 @@ def add_to(commands: Commands) -> None:
     add("--speeds", type=_numbers, metavar="M/S,…", help="default: half and all of the stage's")
     add("--rates", type=_numbers, default=[20.0, 40.0], metavar="HZ,…", help="default 20,40")
     add("--coils", type=_numbers, default=[1, 2], metavar="N,…", help="default 1,2")
+    add("--sensor", action="append", metavar="KIND=COST[:STD]", help="a sensor to place; see below")
+    add("--budget", type=float, metavar="COST", help="most that sensors may cost (default: of 6)")
+    add("--places", type=int, default=14, metavar="N", help="places of fixed ones (default 14)")
     add("--out", type=Path, metavar="DIR", help="write design.json and design.png here")
     add("--json", action="store_true", help="print one JSON object and nothing else")
 
@@ -65,6 +79,8 @@ def _numbers(text: str) -> list[float]:
 def _design(options: argparse.Namespace) -> int:
     if options.out:
         require_writable(options.out)
+    if options.sensor:
+        return place(options)
     if any(count != int(count) for count in options.coils):
         raise GlissandoError(f"--coils {options.coils}: give whole numbers.")
     stage, upper = stage_of(options)

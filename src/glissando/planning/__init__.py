@@ -14,12 +14,14 @@ the best path within the limits of a stage.
 True
 """
 
+from glissando.planning.candidates import Candidate, candidates_of
 from glissando.planning.compare import baseline_paths, evaluate_everywhere, evaluate_path
 from glissando.planning.design import Design, pareto_front, sweep
 from glissando.planning.motions import draw_motions, expected_motion, plan_jointly
 from glissando.planning.objectives import Chance, LogDet, Trace, Worst
 from glissando.planning.path_objective import path_objective_of
 from glissando.planning.path_space import PathSpace, path_space_of
+from glissando.planning.placement import Placement, place_sensors, placement_problem
 from glissando.planning.plan_slide import plan_slide
 from glissando.planning.planners import ProcessPlanner
 from glissando.planning.planning_problem import predict_information
@@ -28,11 +30,13 @@ from glissando.planning.sliding_sensor import SlidingSensor, sliding_sensor
 from glissando.planning.zones import MovingInterval, Zone
 
 __all__ = [
+    "Candidate",
     "Chance",
     "Design",
     "LogDet",
     "MovingInterval",
     "PathSpace",
+    "Placement",
     "ProcessPlanner",
     "Replanner",
     "SlidingSensor",
@@ -40,6 +44,7 @@ __all__ = [
     "Worst",
     "Zone",
     "baseline_paths",
+    "candidates_of",
     "draw_motions",
     "evaluate_everywhere",
     "evaluate_path",
@@ -47,6 +52,8 @@ __all__ = [
     "pareto_front",
     "path_objective_of",
     "path_space_of",
+    "place_sensors",
+    "placement_problem",
     "plan_jointly",
     "plan_slide",
     "predict_information",

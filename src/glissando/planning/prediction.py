@@ -75,8 +75,14 @@ class PredictedInformation:
 
     def seen(self, sensor: SlidingSensor, arclength: Array, time: Array) -> Rows:
         """Whitened rows of readings at places and times (M,), one coil of the sensor each."""
-        located = self._located(sensor, arclength, time)
-        rows = self._empty_rows(arclength.size, located.streams[0].row_count)
+        return self._rows(self._located(sensor, arclength, time))
+
+    def rows_of(self, readings: Readings) -> Rows:
+        """Whitened rows of readings, linearised at the motion that is expected."""
+        return self._rows(locate(self.grid, [readings], self.sensor_parameters.each, keep_all=True))
+
+    def _rows(self, located: LocatedReadings) -> Rows:
+        rows = self._empty_rows(len(located.streams[0]), located.streams[0].row_count)
         for block in range(len(located.blocks)):
             batches = measurement_factors(self.prior, located, self.mean, self.mean, block)
             for _, at, batch in batches:

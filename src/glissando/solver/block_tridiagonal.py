@@ -98,6 +98,14 @@ class Cholesky:
             kernels.solve(self.inverse, self.coupling, x)
         return x
 
+    def whitened(self, rows: Array) -> Array:
+        """Rows (R, K, D) times L⁻ᵀ, whose products among each other are covariances."""
+        out = np.empty_like(rows)
+        for k, inverse in enumerate(self.inverse):
+            own = rows[:, k] if k == 0 else rows[:, k] - out[:, k - 1] @ self.coupling[k - 1]
+            out[:, k] = own @ inverse.T
+        return out
+
     def sample(self, rng: np.random.Generator) -> Array:
         """One draw (K, D) from N(0, A⁻¹)."""
         white = rng.standard_normal(self.inverse.shape[:2])

@@ -11,12 +11,15 @@ import numpy as np
 from glissando.geometry.se3 import Array
 from glissando.io.atomic_file import new_file
 from glissando.planning.design import NUMBERS, Design, pareto_front
+from glissando.planning.placement import Placement
 from glissando.planning.planning_problem import PlanningProblem
 from glissando.planning.zones import Zone
 from glissando.visualization.canvas import NO_STYLE, SENSORS, Style, canvas, describe, panels_on
 
 MM = 1e3
 _PLACES, _TIMES = 60, 81  # points of a map along the body and in time
+_SWING = 10.0  # s of a slide's motion, to draw its reach
+_FRONT = {"std": "best set found", "bound": "no set goes below"}
 _LINES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
 
 
@@ -180,4 +183,42 @@ def design_figure(designs: Sequence[Design], *, ax: Any = None, style: Style = N
         row[0].set_ylabel("position standard deviation (mm)")
         entries = dict(zip(*row[0].get_legend_handles_labels()[::-1], strict=True))
         describe(row[0], ax is None, entries, loc="outside upper center", ncols=4)
+    return panels
+
+
+def placement_figure(
+    placements: Sequence[Placement], length: float, *, ax: Any = None, style: Style = NO_STYLE
+) -> Any:
+    """Draw what sensors of each cost leave uncertain, and where along the body they are.
+
+    Args:
+        placements: The sets, by rising budget.
+        length: Length of the body, m.
+        ax: Two axes to draw into; those of a new figure unless given.
+        style: rcParams to draw with.
+
+    Returns:
+        The axes (1, 2).
+
+    Raises:
+        GlissandoError: matplotlib is not installed.
+    """
+    cost = np.array([each.cost for each in placements])
+    kinds = list(dict.fromkeys(s.name.split()[0] for each in placements for s in each.chosen))
+    with panels_on(ax, (1, 2), (9.2, 4.2), style) as panels:
+        front, body = panels[0]
+        for name, marker in (("std", "o-"), ("bound", ":")):
+            value = MM * np.array([getattr(each, name) for each in placements])
+            front.plot(cost, value, marker, color=_LINES[0], label=_FRONT[name])
+        front.set(xlabel="cost", ylabel="position standard deviation (mm)", ylim=(0.0, None))
+        front.legend(loc="upper right")
+        for each in placements:
+            for sensor in each.chosen:
+                place = MM * sensor.places(np.linspace(0.0, _SWING, _TIMES)).ravel()
+                kind = kinds.index(sensor.name.split()[0])
+                drawn = {"color": _LINES[kind % len(_LINES)], "label": kinds[kind]}
+                body.plot(place, np.full(place.size, each.cost), "s", ms=4, **drawn)
+        body.set(xlabel="arclength (mm)", ylabel="cost", xlim=(0.0, MM * length))
+        entries = dict(zip(*body.get_legend_handles_labels()[::-1], strict=True))
+        body.legend(entries.values(), entries.keys(), loc="upper left")
     return panels

@@ -1,0 +1,92 @@
+"""`glissando design --sensor`: which sensors to buy and where to put them."""
+
+from __future__ import annotations
+
+import argparse
+import json
+
+import numpy as np
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
+
+from glissando.cli.plan import stage_of
+from glissando.cli.progress import working
+from glissando.errors import GlissandoError
+from glissando.geometry.se3 import Array
+from glissando.io.atomic_folder import renewed_folder
+from glissando.io.provenance import write_report
+from glissando.io.robot_file import load_robot
+from glissando.model.robot import Robot
+from glissando.planning.candidates import SLIDE, Candidate, candidates_of
+from glissando.planning.placement import Placement, place_sensors, placement_problem
+from glissando.planning.zones import read_zone
+from glissando.visualization.canvas import save_figure
+from glissando.visualization.planning_figures import placement_figure
+
+_LEVELS = 6  # budgets that are tried up to the largest
+_SENSORS = 6.0  # of the cheapest kind, that the default budget buys
+
+
+def place(options: argparse.Namespace) -> int:
+    """Choose sensors for each budget; print, and write if asked."""
+    if options.objective != "trace":
+        raise GlissandoError(f"Sensors are placed by trace, not by {options.objective}.")
+    robot = load_robot(options.robot)
+    candidates = [each for text in options.sensor for each in _candidates(robot, text, options)]
+    least = min(each.cost for each in candidates)
+    most = options.budget if options.budget is not None else _SENSORS * least
+    budgets = np.unique(np.linspace(min(least, most), most, _LEVELS)).tolist()
+    with working("choosing sensors"):
+        zones = [read_zone(text) for text in options.zone]
+        problem = placement_problem(robot, candidates, zones, horizon=options.horizon)
+        found = list(place_sensors(problem, budgets))
+    report = {"zones": options.zone, "placements": [_row(each) for each in found]}
+    if options.json:
+        print(json.dumps(report))
+    else:
+        Console().print(_table(found))
+    if options.out:
+        with renewed_folder(options.out, ("design.json", "design.png")) as building:
+            write_report(building / "design.json", report)
+            save_figure(placement_figure(found, robot.length), building / "design.png")
+    return 0
+
+
+def _candidates(robot: Robot, text: str, options: argparse.Namespace) -> list[Candidate]:
+    """The candidates of KIND=COST[:STD]."""
+    kind, _, numbers = text.partition("=")
+    cost, _, noise = numbers.partition(":")
+    try:
+        price = float(cost)
+        std: Array | None = np.array([float(n) for n in noise.split(",")]) if noise else None
+    except ValueError:
+        raise GlissandoError(
+            f"--sensor {text!r} is not understood; give KIND=COST or KIND=COST:STD, as coil=1."
+        ) from None
+    if options.places < 1:
+        raise GlissandoError(f"--places {options.places}: give 1 or more.")
+    slide = None
+    if kind == SLIDE:
+        stage, upper = stage_of(options)
+        slide = upper - stage.stroke, upper, stage.speed
+    noise_of = std[0] if std is not None and std.size == 1 else std
+    return candidates_of(robot, kind, price, std=noise_of, count=options.places, slide=slide)
+
+
+def _row(found: Placement) -> dict[str, object]:
+    names = [each.name for each in found.chosen]
+    costs = {"budget": found.budget, "cost": found.cost}
+    return {**costs, "sensors": names, "std": found.std, "bound": found.bound}
+
+
+def _table(found: list[Placement]) -> Table:
+    table = Table(title="position σ in the zones", title_justify="left", box=SIMPLE_HEAD)
+    for heading in ("budget", "cost", "σ (mm)", "no set below (mm)"):
+        table.add_column(heading, justify="right")
+    table.add_column("sensors")
+    for each in found:
+        mm = (f"{1e3 * value:.2f}" for value in (each.std, each.bound))
+        names = ", ".join(sensor.name for sensor in each.chosen)
+        table.add_row(f"{each.budget:g}", f"{each.cost:g}", *mm, names)
+    return table

@@ -1,0 +1,127 @@
+"""Sensors that could be bought for a robot: fixed ones, a fibre along the body, a slide."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from glissando.errors import GlissandoError
+from glissando.geometry.se3 import Array
+from glissando.model.robot import Robot
+from glissando.model.sensors.readings import Readings
+from glissando.model.sensors.sensors import sensor_class
+from glissando.planning.prediction import PredictedInformation
+from glissando.solver.measurement_factors import states_at
+
+_GRATINGS = 16  # of a fibre along the body
+_CORES = {"core_radius": np.full(3, 35e-6), "core_angle": 2.0 * np.pi * np.arange(3) / 3.0}
+FIBRE, SLIDE = "fbg", "slide"
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A sensor that could be bought.
+
+    Attributes:
+        name: What a table calls it.
+        kind: Kind of its readings.
+        cost: What it costs, in any unit.
+        cov: Covariance of a reading, as `Readings` take it.
+        rate: Readings a second, Hz.
+        places: Where (M, P) it reads at times (M,), m; a fibre reads at several places at once.
+        settings: What the kind asks for besides.
+    """
+
+    name: str
+    kind: str
+    cost: float
+    cov: Array
+    rate: float
+    places: Callable[[Array], Array]
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+    def readings(self, ahead: PredictedInformation, time: Array) -> Readings:
+        """What it reads at times (M,) of the motion that is expected."""
+        places = self.places(time)
+        place, when = places.ravel(), np.repeat(time, places.shape[1])
+        sensor = sensor_class(self.kind)
+        try:
+            pose = states_at(ahead.prior, ahead.grid, ahead.mean, place, when).pose
+            values = sensor.values_at(pose)
+        except NotImplementedError:  # linear in strain or velocity: any value has these slopes
+            shape = sensor.value_shape or (np.size(self.settings["core_radius"]),)
+            values = np.zeros((place.size, *shape))
+        given = {"values": values, "cov": self.cov, "name": self.name, **self.settings}
+        return sensor(time=when, arclength=place, **given)
+
+
+def candidates_of(
+    robot: Robot,
+    kind: str,
+    cost: float,
+    *,
+    std: Array | None = None,
+    count: int = 15,
+    rate: float = 40.0,
+    slide: tuple[float, float, float] | None = None,
+) -> list[Candidate]:
+    """The candidates of one kind: at evenly spaced places, or one fibre, or one slide.
+
+    Args:
+        robot: The robot, whose file states noise.
+        kind: Kind of the readings; "fbg" is a fibre along the body, "slide" a coil that slides.
+        cost: What one costs.
+        std: Standard deviation of the rows; that of the robot file unless given.
+        count: Number of places of fixed ones.
+        rate: Readings a second, Hz.
+        slide: Both ends of the slide's reach, m, and its speed, m/s.
+
+    Raises:
+        GlissandoError: The cost is not positive, the noise is not known, or no slide is given.
+    """
+    if not (np.isfinite(cost) and cost > 0.0):
+        raise GlissandoError(f"A {kind} that costs {cost:g} cannot be; give a cost above 0.")
+    of = "coil" if kind == SLIDE else kind
+    sensor = sensor_class(of)
+    if sensor.spans:
+        raise GlissandoError(f"A {kind} reads the whole robot, and has no place to choose.")
+    known = robot.sensor_std.get(of) if std is None else std
+    if known is None:
+        raise GlissandoError(
+            f"Robot {robot.name} states no noise of a {of}; give {kind}=COST:STD, or add "
+            f"[sensors.{of}] with a std to its file."
+        )
+    noise = np.broadcast_to(known, (3,) if kind == FIBRE else (sensor.rows,)) ** 2
+    if kind == SLIDE:
+        if slide is None:
+            raise GlissandoError("A slide needs a reach and a speed.")
+        low, high, speed = slide
+        swing = _swing(low, high, speed)
+        return [Candidate(f"slide {_mm(low)}–{_mm(high)}", of, cost, noise, rate, swing)]
+    if kind == FIBRE:
+        nodes = np.linspace(0.0, robot.length, _GRATINGS)
+        return [Candidate("fibre", of, cost, noise, rate, _fixed(nodes), _CORES)]
+    places = np.linspace(robot.length / count, robot.length, count)
+    return [Candidate(f"{kind} {_mm(s)}", of, cost, noise, rate, _fixed([s])) for s in places]
+
+
+def _mm(metres: float) -> str:
+    return f"{1e3 * metres:.0f} mm"
+
+
+def _fixed(places: Any) -> Callable[[Array], Array]:
+    row = np.asarray(places, dtype=float)
+    return lambda time: np.broadcast_to(row, (time.size, row.size))
+
+
+def _swing(low: float, high: float, speed: float) -> Callable[[Array], Array]:
+    """To and fro at one speed, from the upper end."""
+
+    def places(time: Array) -> Array:
+        turns = speed * time / (high - low)
+        return np.asarray(high - (high - low) * (1.0 - np.abs(1.0 - turns % 2.0)))[:, None]
+
+    return places
