@@ -38,8 +38,9 @@ class WindowSystem:
 
     def copied(self) -> WindowSystem:
         """The same in memory of its own."""
-        out = copy(self)
-        out._blocks, out._vectors = self._blocks.copy(), self._vectors.copy()
+        out, used = copy(self), slice(self._first, self._stop)
+        out._blocks, out._vectors = self._blocks[:, used].copy(), self._vectors[:, used].copy()
+        out._first, out._stop = 0, len(self)
         return out
 
     def append(self) -> None:

@@ -12,11 +12,14 @@ import pytest
 from glissando.errors import DeviceError
 from glissando.evaluation.replay import replay
 from glissando.geometry import se3
+from glissando.hardware.capture import Coil, Rig, capture
 from glissando.hardware.live import LiveSession, Placement, RecordingSource
 from glissando.hardware.ros2.graph import Graph, Ros2Address, profile
 from glissando.hardware.ros2.ros2_sink import Ros2Sink, world_covariance
 from glissando.hardware.ros2.ros2_source import Ros2Source
 from glissando.io.recording import load_recording
+from glissando.io.session_log import read_session
+from glissando.model.slide_path import SlideLimits, SlidePath
 from live_recordings import ROBOT, SPAN, Lockstep, reading_messages, swaying, through_wire
 from waiting import until
 
@@ -179,6 +182,33 @@ def test_a_reader_that_stops_reading_holds_nobody_up(domain):
                 sink.send(update)
                 spent.append(time.thread_time() - began)
     assert np.median(spent) < 0.02
+
+
+def test_a_rig_records_a_tracker_that_is_topics(domain, tmp_path):
+    rig = Rig("bench", "sliding700", domain, (Coil("tip", 0.7, slides=False, serial="/tip/pose"),))
+    seen, over = np.eye(4), threading.Event()
+    seen[:3, 3] = 0.1, 0.2, 0.3
+    with Peer(domain, ["/tip/pose"]) as peer:
+
+        def track():
+            while not over.wait(0.02):
+                far = peer.pose(time.time(), np.eye(4))
+                far.pose.position.x = 700.0
+                peer.send([("/tip/pose", peer.pose(time.time(), seen)), ("/tip/pose", far)])
+
+        thread = threading.Thread(target=track)
+        thread.start()
+        try:
+            path = SlidePath.hold(0.0, 1.5, SlideLimits(1.0, 1.0, 1.0))
+            progress = capture(rig, path, tmp_path / "session")
+        finally:
+            over.set()
+            thread.join()
+    assert int(progress.problems["tracker invalid"]) > 0
+    topic = read_session(tmp_path / "session" / "session.mcap").topics["/tracker/tip"]
+    delay = 1e-9 * np.array(topic.time_ns) - topic.column("time")
+    assert np.all((delay > -1e-3) & (delay < 0.5))
+    np.testing.assert_allclose(topic.column("position"), np.tile(seen[:3, 3], (delay.size, 1)))
 
 
 @pytest.mark.parametrize(("reliable", "latched"), [(True, True), (True, False), (False, False)])

@@ -33,6 +33,7 @@ from glissando.hardware.capture.setup import (
 from glissando.hardware.drivers import LinearStage, SlideReading, Tracker, ViconStream, opened_stage
 from glissando.hardware.drivers.aurora_setup import Tool
 from glissando.hardware.openigtlink.tracker import IgtlTracker
+from glissando.hardware.ros2.ros2_tracker import Ros2Tracker
 from glissando.io.session_log import INTEGER, NUMBER, SessionWriter, numbers, schema
 from glissando.io.session_recording import LOG
 from glissando.model.slide_path import SlidePath
@@ -140,9 +141,12 @@ def capture(
 
 
 def _opened_tracker(rig: Rig, address: str) -> AbstractContextManager[Tracker]:
-    """The tracker at an address; an Aurora unless it speaks OpenIGTLink."""
+    """The tracker at an address; an Aurora unless it is one of OpenIGTLink or ROS 2."""
+    names = [coil.serial or coil.name for coil in rig.coils]
     if address.startswith("igtl"):
-        return IgtlTracker(address, [coil.serial or coil.name for coil in rig.coils])
+        return IgtlTracker(address, names)
+    if address.partition("?")[0] == "ros2":
+        return Ros2Tracker(address, names)
     return remote_tracker(address, rig.baud)
 
 

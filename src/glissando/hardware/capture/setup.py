@@ -87,7 +87,8 @@ class Rig:
     Attributes:
         name: Name of the rig.
         robot: Shipped robot, or path of a robot file.
-        tracker: Address of the Aurora, or of an OpenIGTLink peer, whose devices are the coils.
+        tracker: Address of the Aurora, or of an OpenIGTLink peer, whose devices are the coils, or
+            of a ROS 2 graph, whose topics are.
         coils: The tracker's coils.
         slide: Serial path of the slide's servo or controller.
         stage: What that moves.

@@ -34,7 +34,7 @@ class SlideReading:
 
 
 class Tracker(Protocol):
-    """A tracker that is read frame by frame: `Aurora`, `IgtlTracker`."""
+    """A tracker that is read frame by frame: `Aurora`, `IgtlTracker`, `Ros2Tracker`."""
 
     @property
     def tools(self) -> Sequence[Tool]:

@@ -12,6 +12,7 @@ import numpy as np
 
 from glissando.errors import DeviceError, GlissandoError, RobotFileError
 from glissando.geometry import se3
+from glissando.geometry.se3 import Array
 from glissando.hardware.live.clock import SessionClock
 from glissando.hardware.live.placement import Placement, reading, require_on_robot
 from glissando.hardware.ros2.graph import Graph, Ros2Address, profile
@@ -162,7 +163,7 @@ class Ros2Source:
             if not np.all(np.abs(value) < _FASTEST):
                 raise DeviceError(f"{place.name} turns by {value} rad/s; check its unit.")
         else:
-            value = _pose(message, place.name)
+            value = pose_of(message, place.name)
             value = value[:3, 3] if kind == "position" else value
         return reading(self._robot, kind, _stream(place.name), time, arclength, value)
 
@@ -187,8 +188,16 @@ def _stream(topic: str) -> str:
     return topic.strip("/").replace("/", "_")
 
 
-def _pose(message: Any, name: str) -> np.ndarray:
-    """Pose (4, 4) of a PoseStamped or a TransformStamped. Raises DeviceError."""
+def pose_of(message: Any, name: str) -> Array:
+    """Pose (4, 4) of a PoseStamped or a TransformStamped, m.
+
+    Args:
+        message: The message.
+        name: Its topic.
+
+    Raises:
+        DeviceError: It is no rigid motion nearby.
+    """
     inner = message.pose if hasattr(message, "pose") else message.transform
     place = inner.position if hasattr(inner, "position") else inner.translation
     turn = inner.orientation if hasattr(inner, "orientation") else inner.rotation
