@@ -7,7 +7,7 @@ Thresholds were chosen on TUNED_ON; `--report` draws from REPORTED_ON instead.
 
 Usage: mistakes.py --recording FOLDER [--recording FOLDER …] [--robot FILE] [--window T0 T1]
        [--sessions N] [--mistaken N] [--draws N] [--report | --first-seed SEED] [--no-truth]
-       [--quick | --all] [--json]
+       [--correct] [--only NAMES] [--quick | --all] [--json]
 """
 
 import argparse
@@ -23,7 +23,8 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 
 import numpy as np
 
-import mistakes_of_place  # noqa: F401 (fills MISTAKES)
+import mistakes_of_exports  # noqa: F401 (fills MISTAKES)
+import mistakes_of_place  # noqa: F401
 import mistakes_of_streams  # noqa: F401
 from glissando import estimate, load_recording, load_robot
 from glissando.errors import GlissandoError
@@ -56,6 +57,12 @@ def session_of(folder, robot, window):
     window = checked_window(recording, window)
     readings, truth, _ = chosen_streams(recording, robot, window, None, None)
     return Session(robot, tuple(readings), tuple(truth), recording.frames), window
+
+
+def windows_of(folder):
+    """The whole of a recording, then all its windows of 10 s."""
+    first, last = load_recording(folder).span()
+    return [None, *((t, t + 10.0) for t in np.arange(first, last - 10.0, 10.0))]
 
 
 def simulated(seed):
@@ -155,6 +162,9 @@ def main():
     parser.add_argument("--mistaken", type=int, default=0, help="simulated, with every mistake")
     parser.add_argument("--report", action="store_true", help="seeds that tuned nothing")
     parser.add_argument("--first-seed", type=int, help="of simulated sessions, in place of lists")
+    parser.add_argument("--correct", action="store_true",
+                        help="recordings as they are: whole, and every 10 s")  # fmt: skip
+    parser.add_argument("--only", default="", help="mistakes whose name holds one of these, by |")
     parser.add_argument("--draws", type=int, default=1, help="of each mistake")
     parser.add_argument("--no-truth", action="store_true", help="leave truth out")
     parser.add_argument("--all", action="store_true", help="estimate every mistake, named or not")
@@ -162,6 +172,9 @@ def main():
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     drawn = REPORTED_ON if options.report else TUNED_ON
+    for kind in list(MISTAKES):
+        if not any(part in kind for part in options.only.split("|")):
+            del MISTAKES[kind]
     draws, rows, alarms, seconds = drawn["draws"][: options.draws], [], {}, []
 
     def blind(session):
@@ -177,7 +190,9 @@ def main():
             rows.extend(judge(name, session, window, draws, None if options.quick else options.all))
 
     for folder in options.recording:
-        take(folder.name, *session_of(folder, options.robot, options.window), True)
+        for window in windows_of(folder) if options.correct else (options.window,):
+            label = f"{folder.name} {window}" if options.correct else folder.name
+            take(label, *session_of(folder, options.robot, window), not options.correct)
     first, count = options.first_seed, max(options.sessions, options.mistaken)
     seeds = drawn["seeds"][:count] if first is None else range(first, first + count)
     for k, seed in enumerate(seeds):

@@ -208,7 +208,7 @@ def errors_around_a_pause(rng, pause):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("pause", [0.5, 100.0])
+@pytest.mark.parametrize("pause", [0.5, 100.0, 10_000.0])
 def test_errors_before_during_and_after_a_pause_are_as_large_as_claimed(pause):
     rng = np.random.default_rng(6)
     nees = np.array([errors_around_a_pause(rng, pause) for _ in range(100)]).mean(axis=0) / 3.0

@@ -1,6 +1,7 @@
 """The guard: what is right passes, and mistakes with random parameters are named."""
 
 import json
+import re
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import replace
 
@@ -113,6 +114,19 @@ def moving(rng, duration=8.0):
         return PoseReadings(time=time, arclength=s, values=values, cov=1e-6, name=name)
 
     return pose(LENGTH, noise[0], "tip"), pose(LENGTH / 2, noise[1], "middle"), warped
+
+
+@pytest.mark.parametrize("factor", [*RNG.uniform(1.4, 2.0, 2), 1.1])
+def test_a_length_that_poses_contradict_is_named_with_its_factor(session, factor):
+    robot, *streams, frames = session
+    nodes = factor * robot.arclength_nodes
+    robot = replace(robot, length=factor * robot.length, arclength_nodes=nodes)
+    sensors, truth = ([r.changed(arclength=factor * r.arclength) for r in s] for s in streams)
+    said = {f for f in examine(robot, sensors, truth, frames=frames) if f.name == "length-unit"}
+    assert bool(said) == (factor > 1.3)
+    for finding in said:
+        stated = re.search(r"probably (\S+) times", finding.sentence)
+        assert float(stated[1]) == pytest.approx(factor, rel=0.05)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -302,6 +316,38 @@ def test_readings_between_time_nodes_are_judged_by_the_state_there(spacetime):
     readings = recording.readings(names, robot, window)[0]
     posterior = estimate(robot.prior, robot.grid(*window), readings)
     assert not after_estimate(posterior, readings)
+
+
+def swellings(robot, sensors, window):
+    """What is said of confidence between the nodes of an estimate on the robot's own grid."""
+    grid = robot.grid(*window)
+    posterior = estimate(
+        robot.prior, grid, [r.inside(grid) for r in sensors],
+        sensor_parameters=robot.sensor_parameters,
+    )  # fmt: skip
+    found = after_estimate(posterior, sensors, robot.sensor_parameters)
+    return [f.sentence for f in found if f.name == "grid"]
+
+
+def test_confidence_that_swells_between_nodes_is_named_and_the_rate_it_asks_for_is_enough(session):
+    robot, sensors, *_ = session
+    assert swellings(robot, sensors, (1.0, 7.0)) == []
+    for rate in (0.5, 1.0):
+        (said,) = swellings(replace(robot, time_rate=rate), sensors, (1.0, 7.0))
+        asked = float(re.search(r"time_rate = (\S+)", said)[1])
+        assert 1.2 * rate < asked < 8.0 * rate
+        assert swellings(replace(robot, time_rate=asked), sensors, (1.0, 7.0)) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["slow_free_space", "fast_contact"])
+def test_confidence_of_shipped_robots_does_not_swell_between_nodes(spacetime, name):
+    recording = load_recording(spacetime / name)
+    for robot in (load_robot("tdcr466"), load_robot("tdcr466-segments")):
+        sensors, *_ = chosen_streams(recording, robot, (19.0, 23.0), None, None)
+        assert swellings(robot, sensors, (19.0, 23.0)) == []
+    coarse = replace(robot, time_rate=10.0)
+    assert len(swellings(coarse, sensors, (19.0, 23.0))) == 1
 
 
 @pytest.mark.parametrize(("unit", "kinds"), [(1.0, set()), (1e3, {"length-unit"})])

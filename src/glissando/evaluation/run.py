@@ -217,7 +217,8 @@ def run_estimate(
             f"The estimate of {recording.name} broke down: readings and robot contradict each "
             f"other beyond what can be computed. Check units, frames and single false readings."
         ) from None
-    findings += after_estimate(posterior, readings, parameters)
+    after = after_estimate(posterior, readings, parameters)
+    findings += [f for f in after if f.name not in {*recording.allow, *allow}]
     errors = [errors_against(posterior, t) for t in references]
     return Run(recording, robot, window, readings, references, dropped, posterior, errors, findings)
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from glissando.experiments.scenes import Scene, Trial, bench, path, trial
+from glissando.experiments.scenes import PAPER_RATE, Scene, Trial, bench, path, trial
 from glissando.geometry.se3 import Array
 
 _INSTANTS = 0.35  # s between instants, which fall on and between time nodes
@@ -52,7 +52,8 @@ def confidence_at_coil(quick: bool) -> tuple[dict[str, Any], dict[str, Trial]]:
     for shape in ("straight", "C", "S"):
         for label, at in (("tip", 0.0), ("inside", 0.06)):
             name = f"{shape} {label}"
-            trials[name] = trial(Scene(shape, "hold", duration, at=at), seed=0)
+            scene = Scene(shape, "hold", duration, at=at, time_rate=PAPER_RATE)
+            trials[name] = trial(scene, seed=0)
             coil = bench().rod.length - at
             results[name] = _minimum_near(trials[name], 0.5 * duration, coil)
     return {**results, "worst": max(r["distance"] for r in results.values())}, trials

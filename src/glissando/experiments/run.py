@@ -17,7 +17,7 @@ from glissando.experiments.confidence import confidence_at_coil, confidence_foll
 from glissando.experiments.figures_bodies import coil_figure, following_figure
 from glissando.experiments.figures_numbers import causes_figure, moving_figure, table_figure
 from glissando.experiments.page import page
-from glissando.experiments.scenes import ROBOT, Scene, Trial, trial
+from glissando.experiments.scenes import PAPER_RATE, ROBOT, Scene, Trial, trial
 from glissando.experiments.studies import Studies
 from glissando.io.atomic_file import write_text
 from glissando.visualization.canvas import save_figure
@@ -128,7 +128,8 @@ def save_experiment_figures(
 
 def _animate(folder: Path, quick: bool, progress: Progress) -> Path:
     """The robot moves C → S while the coil slides its whole length, with its confidence tube."""
-    result = trial(Scene("C-to-S", "traverse", 12.0, speed=0.4, stroke=0.7, cycles=3), seed=0)
+    scene = Scene("C-to-S", "traverse", 12.0, 0.4, stroke=0.7, cycles=3, time_rate=PAPER_RATE)
+    result = trial(scene, seed=0)
     return save_animation(
         result.posterior,
         result.readings,

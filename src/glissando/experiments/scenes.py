@@ -38,6 +38,8 @@ from glissando.simulation import (
 )
 
 ROBOT = "sliding700"
+PAPER_RATE = 2.0
+"""Time nodes a second, with which the prior was chosen and the paper's claims are tested."""
 TUNED_ON: dict[str, Sequence[Sequence[float]]] = {
     "soft C": [[7, 0]],
     "back half": [[0, 14]],

@@ -10,7 +10,7 @@ import numpy as np
 
 from glissando.errors import GlissandoError
 from glissando.experiments.runner import cluster, run_trials
-from glissando.experiments.scenes import Scene, bench, path
+from glissando.experiments.scenes import PAPER_RATE, Scene, bench, path
 from glissando.experiments.statistics import COLUMNS, summary
 from glissando.geometry.se3 import Array
 
@@ -47,7 +47,7 @@ def table_arms(shape: str) -> Arms:
 
     The estimator of the 'still' arm knows that the robot holds still.
     """
-    fixed = Scene(shape, "hold", _CYCLES)
+    fixed = Scene(shape, "hold", _CYCLES, time_rate=PAPER_RATE)
     slow = replace(fixed, slide="traverse", speed=0.1, stroke=_LENGTH, cycles=1)
     return {
         "fixed": fixed,
@@ -60,7 +60,7 @@ def table_arms(shape: str) -> Arms:
 
 def _moving_arms(duration: float) -> Arms:
     """A robot that moves C → S in `duration` seconds while the coil slides at several speeds."""
-    fixed = Scene("C-to-S", "hold", duration)
+    fixed = Scene("C-to-S", "hold", duration, time_rate=PAPER_RATE)
     arms = {"fixed": fixed}
     for speed in (0.006, 0.012, 0.024):
         cycles = max(1, int(duration / (0.12 / speed + 0.5)))

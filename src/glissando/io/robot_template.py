@@ -104,7 +104,7 @@ def robot_text(outline: RobotOutline) -> str:
         name=outline.name,
         length=outline.length,
         nodes=max(5, 2 * outline.segments + 1),
-        rate=round(7.5 / outline.time_scale, 3),
+        rate=round(15.0 / outline.time_scale, 3),
         off=f"{(0.2 * outline.diameter + 1e-3) ** 2:.2g}",
         clamped=20.0 * outline.time_scale,
         bend=math.degrees(outline.bend),
@@ -161,7 +161,7 @@ rest_strain = [0, 0, 1, 0, 0, 0]  # straight; at rest as it is unloaded
 
 [grid]
 arclength_nodes = {nodes}
-time_rate = {rate}                # time nodes a second, about seven to a time scale
+time_rate = {rate}                # time nodes a second, fifteen to a time scale
 
 [base]                            # clamped where it is, but registered only so well
 position = [0, 0, 0]

@@ -33,12 +33,14 @@ from glissando.visualization.canvas import (
     panels_on,
     save_figure,
 )
+from glissando.visualization.sampling import drawn_at
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _NEAR = 0.1  # s: a truth sample this close to a drawn time is drawn with it
 _FIXED_SITES = 12  # a stream at more arclengths than this slides and is one row of errors
+_MOST = 301  # times or arclengths of a map of confidence
 _SAMPLES = 1000  # truth samples drawn a site
 _POSITIONED = PoseReadings | CoilReadings | PositionReadings  # streams that see a position
 _DOT: dict[str, Any] = {"color": "black", "depthshade": False}
@@ -94,7 +96,7 @@ def shape_figure(
     grid = posterior.grid
     if times is None:
         times = np.unique(np.linspace(grid.time[0], grid.time[-1], 5)).tolist()
-    dense, few = (np.linspace(grid.arclength[0], grid.arclength[-1], n) for n in (100, 6))
+    dense, few = drawn_at(grid.arclength, 99), np.linspace(grid.arclength[0], grid.arclength[-1], 6)
     lines = [posterior.at(dense, time).position * MM for time in times]
     sites = _places(truth, grid)
     look = {"projection": "3d", "elev": 20, "azim": -60, "computed_zorder": False}
@@ -182,8 +184,7 @@ def confidence_figure(
 ) -> Axes:
     """The std of position at every arclength and time, and where each sensor was.
 
-    Colour is the root of the total position variance, at the grid's own times if they are 100 or
-    more, else between them too.
+    Colour is the root of the total position variance, at nodes and between them.
 
     Args:
         posterior: What is drawn.
@@ -199,8 +200,8 @@ def confidence_figure(
         GlissandoError: matplotlib is not installed.
     """
     grid = posterior.grid
-    time, time_drawn = _fill(grid.time, 120)
-    arclength, arclength_drawn = _fill(grid.arclength, 80)
+    time, time_drawn = _drawn(grid.time, 120)
+    arclength, arclength_drawn = _drawn(grid.arclength, 80)
     std = posterior.at(arclength[:, None], time).std_position * MM
     top = float(np.quantile(std, 0.99))
     over: Any = "max" if std.max() > 1.02 * top else "neither"
@@ -222,15 +223,11 @@ def confidence_figure(
     return axes
 
 
-def _fill(nodes: Array, count: int) -> tuple[Array, Array]:
-    """Where to query and draw: up to 200 of many nodes, else cells cut alike to about `count`."""
-    if nodes.size == 1:  # drawn with a width of 1
+def _drawn(nodes: Array, steps: int) -> tuple[Array, Array]:
+    """Where to query and draw; a single node is drawn with a width of 1."""
+    if nodes.size == 1:
         return nodes[[0, 0]], nodes[0] + np.array([-0.5, 0.5])
-    cuts = max(1, round(count / (nodes.size - 1)))
-    places = np.arange(cuts * (nodes.size - 1) + 1) / cuts
-    if nodes.size >= 100:
-        places = np.unique(np.linspace(0, nodes.size - 1, 200).round())
-    at = np.interp(places, np.arange(nodes.size), nodes)
+    at = drawn_at(nodes, steps, _MOST)
     return at, at
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,6 +16,7 @@ from glissando.evaluation.plausibility.reach import check_reach, out_of_reach
 from glissando.evaluation.plausibility.sampling import check_sampling
 from glissando.evaluation.plausibility.session import Streams
 from glissando.evaluation.plausibility.slide import check_slide
+from glissando.evaluation.plausibility.span import check_span
 from glissando.evaluation.plausibility.speed import check_grid, check_speed
 from glissando.evaluation.plausibility.turning import check_gyros
 from glissando.geometry.se3 import Array
@@ -27,6 +28,8 @@ from glissando.model.state import State
 
 _ROWS = 60  # of a stream that an estimate is compared with
 _FOLLOWED = 5.0  # standard deviations within which it follows half of them
+_INTERVALS = 40  # between time nodes, in the middle of which confidence is looked at
+_SWOLLEN, _FLAT = 1.5, 1.25  # times as large between time nodes as there: too much, and enough
 
 
 def examine(
@@ -85,7 +88,7 @@ def _on_motion(streams: Streams) -> list[Finding]:
     """Findings that take times as they are: on speeds, slides, turns, lags and shapes."""
     own = [*check_slide(streams), *check_gyros(streams)]
     lags = list(check_lag(streams))
-    poses = [] if lags else list(check_poses(streams))
+    poses = [] if lags else list(check_poses(streams)) or list(check_span(streams))
     slid = {name for f in own for name in f.streams if f.name != "gyro"}
     told = [f for f in poses if f.name not in ("shape", "base")]
     if slid and not told:  # what a slide shows explains the rest
@@ -176,7 +179,7 @@ def after_estimate(
     readings: Sequence[Readings],
     sensor_parameters: Sequence[SensorParameter] = (),
 ) -> list[Finding]:
-    """What is implausible about an estimate: streams that it does not follow.
+    """What is implausible about an estimate: streams it does not follow, a coarse grid.
 
     Args:
         posterior: The estimate.
@@ -205,4 +208,37 @@ def after_estimate(
                     (r.label,),
                 )
             )
-    return findings
+    return [*findings, *_swelling(posterior)]
+
+
+def _swelling(posterior: Posterior) -> Iterator[Finding]:
+    """A finding on confidence that swells between time nodes.
+
+    What a step leaves open grows with its length cubed, so the rate that would do can be said.
+    """
+    nodes, arclength = posterior.grid.time, posterior.grid.arclength[1:]
+    if nodes.size < 2 or not arclength.size:
+        return
+    first = np.unique(np.linspace(0, nodes.size - 2, _INTERVALS).round().astype(int))
+    middle = 0.5 * (nodes[first] + nodes[first + 1])
+    between, before, after = (
+        posterior.at(arclength, time[:, None]).std_position
+        for time in (middle, nodes[first], nodes[first + 1])
+    )
+    share = between / np.maximum(before, after)
+    worst = share.max(axis=1)  # where it swells most, which may be where a sensor slides
+    k = int(np.argsort(worst)[worst.size // 2])
+    n, swell = int(np.argmax(share[k])), float(worst[k])
+    if swell <= _SWOLLEN:
+        return
+    rate = (nodes.size - 1) / float(nodes[-1] - nodes[0])
+    enough = rate * ((swell**2 - 1.0) / (_FLAT**2 - 1.0)) ** (1.0 / 3.0)
+    yield Finding(
+        "grid",
+        f"Confidence swells between time nodes: at {1e3 * arclength[n]:.4g} mm the standard "
+        f"deviation of position is {1e3 * max(before[k, n], after[k, n]):.3g} mm at a node and "
+        f"{1e3 * between[k, n]:.3g} mm half a step later, at {middle[k]:.4g} s. The nodes are too "
+        f"far apart for this prior; set time_rate = {float(f'{enough:.2g}'):g} in [grid] (it is "
+        f"{rate:.3g}).",
+        False,
+    )

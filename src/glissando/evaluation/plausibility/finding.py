@@ -13,7 +13,7 @@ CHECKS = {
     "clock": "streams whose times do not meet, or a clock that jumps",
     "fit": "streams that the estimate does not follow",
     "frame": "a frame inverted, left out, in millimetres or with another quaternion order",
-    "grid": "more time nodes than readings could need",
+    "grid": "more time nodes than readings could need, or too few for the confidence between",
     "gyro": "a gyroscope's unit, signs or axes against the turning of tracked bodies",
     "lag": "streams whose motion comes later or earlier than that of the others",
     "length-unit": "positions, arclengths or mounts that are not in metres",

@@ -92,7 +92,8 @@ def _compared(
     gyro: Readings, seen: Array, rates: Array, rotation: Array, body: str
 ) -> Finding | None:
     """The finding that a gyroscope turns otherwise than a body at its place."""
-    if len(seen) < _FEWEST or np.sqrt(np.mean(np.sum(rates**2, axis=1))) < _SLOW:
+    sizes = [np.sqrt(np.mean(np.sum(each**2, axis=1))) for each in (rates, seen)]
+    if len(seen) < _FEWEST or max(sizes) < _SLOW:
         return None
     turned = np.einsum("mij,mj->mi", rotation, rates)  # in the world
     tries = [(scale, "", rates) for scale in _SCALES]
@@ -114,8 +115,8 @@ def _compared(
         "gyro",
         f"{gyro.label!r} does not turn as {body!r} at its place does: it probably reads {what} "
         f"({unexplained[best]:.0%} of its signal is left unexplained then, "
-        f"{min(unexplained[0], 99.0):.0%} as it is), or the rotations of {body!r} are inverted or "
-        f"mirrored; give rad/s in the cross-section's axes.",
+        f"{min(unexplained[0], 99.0):.0%} as it is), or the rotations of {body!r} are inverted, "
+        f"mirrored or in another unit; give rad/s in the cross-section's axes.",
         True, (gyro.label,), what,
     )  # fmt: skip
 

@@ -15,9 +15,10 @@ from glissando.model.grid import Index
 from glissando.model.sensors.readings import Readings
 from glissando.visualization.canvas import MM
 from glissando.visualization.figures import _NEAR, _places, _seen
+from glissando.visualization.sampling import drawn_at
 
 _DROPPED = 0.25  # s: without a reading this near, a sensor is not shown
-_ALONG = 64  # points along the tube
+_ALONG = 63  # steps along the tube at least
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,7 @@ def frames_at(
     grid = posterior.grid
     sites = _places(readings, grid, Readings)
     place = _sensor_places(sites, times)
-    body = np.linspace(grid.arclength[0], grid.arclength[-1], _ALONG)
+    body = drawn_at(grid.arclength, _ALONG)
     asked = np.nan_to_num(np.hstack([np.tile(body, (times.size, 1)), place]), nan=body[0])
     at = posterior.at(asked, times[:, None])
     std, hidden = at.std_position * MM, np.where(np.isnan(place), np.nan, MM)

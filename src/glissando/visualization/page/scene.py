@@ -17,11 +17,12 @@ from glissando.model.tube import Tube
 from glissando.visualization.canvas import MM
 from glissando.visualization.figures import _NEAR, _places
 from glissando.visualization.film.frames import _nearest, _sensor_places, _true
+from glissando.visualization.sampling import drawn_at
 
 Progress = Callable[[int, int], None]  # moments done, moments in all
 
-_RATE = 20.0  # Hz: a coarser grid is asked between its nodes as well
-_ALONG = 49  # points along the body
+_RATE = 20.0  # Hz at least
+_ALONG = 48  # steps along the body at least
 _MOST = 1500  # moments a page holds, which bounds its size
 _CHUNK = 100  # moments a query, to bound memory
 
@@ -100,8 +101,9 @@ def scene_of(
     if grid.arclength.size == 1:
         raise GlissandoError("A grid of a single arclength has no body to show; give two.")
     times = moments(grid.time, window)
-    body = np.linspace(grid.arclength[0], grid.arclength[-1], _ALONG)
-    pose, root = np.empty((times.size, _ALONG, 4, 4)), np.empty((times.size, _ALONG, 3, 3))
+    body = drawn_at(grid.arclength, _ALONG)
+    shape = times.size, body.size
+    pose, root = np.empty((*shape, 4, 4)), np.empty((*shape, 3, 3))
     for first in range(0, times.size, _CHUNK):
         part = slice(first, first + _CHUNK)
         at = posterior.at(body, times[part, None])
@@ -140,11 +142,7 @@ def moments(nodes: Array, window: tuple[float, float] | None) -> Array:
         )
     nodes = nodes[(nodes >= first) & (nodes <= last)]
     nodes = np.unique(np.concatenate([[first], nodes, [last]]))
-    steps = nodes.size - 1
-    finer = max(1, int(np.ceil(_RATE * (last - first) / steps - 1e-9))) if steps else 1
-    if steps * finer + 1 > _MOST:
-        return np.linspace(first, last, _MOST)
-    return np.interp(np.arange(steps * finer + 1) / finer, np.arange(steps + 1), nodes)
+    return drawn_at(nodes, int(np.ceil(_RATE * (last - first) - 1e-9)), _MOST)
 
 
 def symmetric_root(cov: Array) -> Array:
