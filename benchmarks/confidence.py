@@ -36,8 +36,10 @@ there.
 
 {nodes}
 
-The separable prior is the same process for any number of nodes, so its robots have 10 time nodes a
-second; the published settings have 30.
+The separable prior is the same process for any number of nodes, but between time nodes confidence
+is that of the nodes and of the bridge between them. Where a step is long for the prior it swells
+there, so `tdcr466-segments` has 30 nodes a second; `estimate` and `check`
+[warn](guard.md#between-time-nodes) of fewer.
 
 ## A sliding sensor on real motion
 
