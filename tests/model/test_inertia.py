@@ -70,7 +70,7 @@ def test_every_factor_has_its_jacobian_and_names_its_nodes():
     prior = mechanical(inertia=SWING)
     state = swinging(np.random.default_rng(0), prior)
     where = np.broadcast_to(NODES_S, GRID.shape)
-    soft, ones = 0.1 / prior.wrench(state.strain, where)[1], np.ones((*GRID.shape, 6))
+    soft, ones = 0.1 / prior.rod.wrench(state.strain, where)[1], np.ones((*GRID.shape, 6))
     scale = np.concatenate([ones, soft, ones, soft, ones * np.repeat([1, 30], 3)], axis=-1)
 
     def batches(at):
@@ -95,7 +95,7 @@ def test_interpolation_has_its_jacobian():
     (points,) = sort_points(GRID, np.array([0.05, 0.13, 0.39]), np.array([0.004, 0.012, 0.02]))
     found = prior.interpolate(GRID, state, state, points)
     where = np.broadcast_to(NODES_S, GRID.shape)
-    soft, ones = 0.1 / prior.wrench(state.strain, where)[1], np.ones((*GRID.shape, 6))
+    soft, ones = 0.1 / prior.rod.wrench(state.strain, where)[1], np.ones((*GRID.shape, 6))
     scale = np.concatenate([ones, soft, ones, soft, ones], axis=-1)
 
     def moved(step):

@@ -22,7 +22,7 @@ NODES = GRID.shape[0] * GRID.shape[1]
 def unit(prior, grid=GRID):
     """Steps (K, N, 24) of a tenth of a newton or newton-metre in every strain, else of one."""
     where = np.broadcast_to(grid.arclength, grid.shape)
-    stiffness = prior.wrench(np.zeros((*grid.shape, 6)), where)[1]
+    stiffness = prior.rod.wrench(np.zeros((*grid.shape, 6)), where)[1]
     ones = np.ones_like(stiffness)
     return np.concatenate([ones, 0.1 / stiffness, ones, 0.1 / stiffness], axis=-1)
 
@@ -75,7 +75,7 @@ def test_a_robot_that_hangs_under_its_weight_costs_nothing():
 
 def test_an_interval_ends_where_its_error_says():
     rng, prior = np.random.default_rng(4), mechanical()
-    state, intervals = moving(rng, prior), prior.intervals(NODES_S).take(np.array([1, 3, 4]))
+    state, intervals = moving(rng, prior), prior.rod.intervals(NODES_S).take(np.array([1, 3, 4]))
     nodes = [state.take((0, np.array(n))) for n in ([1, 3, 4], [2, 4, 5])]
     error, _, _ = interval_error(*nodes, intervals)
     again, _ = interval_end(nodes[0], error, intervals)

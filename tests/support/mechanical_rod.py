@@ -46,7 +46,7 @@ def moving(rng, prior, grid=GRID):
     rest = prior.rest_state(grid)
     shape = rest.strain.shape
     loads = rng.standard_normal(shape) * np.repeat([1.0, 0.1], 3)
-    _, stiffness = prior.wrench(rest.strain, np.broadcast_to(grid.arclength, grid.shape))
+    _, stiffness = prior.rod.wrench(rest.strain, np.broadcast_to(grid.arclength, grid.shape))
     rate = rng.standard_normal(shape) * np.repeat([1.0, 0.1], 3) / stiffness
     return State(
         rest.pose @ se3.exp(sixes(rng, *grid.shape, reach=0.05)),

@@ -130,7 +130,7 @@ def _pulls(prior: MechanicalPrior, grid: Grid, state: State) -> tuple[Array, Ind
     lengths = np.diff(grid.arclength)
     n = np.repeat(np.arange(lengths.size), _PER_INTERVAL)
     offset = lengths[n] * np.tile((np.arange(_PER_INTERVAL) + 0.5) / _PER_INTERVAL, lengths.size)
-    start, piece = state.take(n), prior.intervals(grid.arclength).take(n)
+    start, piece = state.take(n), prior.rod.intervals(grid.arclength).take(n)
     piece = piece.accelerated(start, state.take(n + 1))
     near = piece.before(offset).flow(start, noisy=False)
     there = State(start.pose @ near.pose, near.wrench, start.velocity)
@@ -147,7 +147,7 @@ def _evidence_of_errors(
     """
     count = state.strain.shape[0]
     start, end = state.take(np.s_[:-1]), state.take(np.s_[1:])
-    intervals = prior.intervals(posterior.grid.arclength)
+    intervals = prior.rod.intervals(posterior.grid.arclength)
     error, j0, j1 = still_error(start, end, intervals)
     noise = intervals.flow(start, noisy=True).noise
     dof = posterior.state.dof

@@ -82,7 +82,7 @@ def internal_wrench(
     Raises:
         GlissandoError: The prior knows no loads.
     """
-    wrench, stiffness = require_mechanics(prior, frame).wrench(strain, arclength)
+    wrench, stiffness = require_mechanics(prior, frame).rod.wrench(strain, arclength)
     slope = np.zeros((*wrench.shape, 12))
     slope[..., 6:] = stiffness[..., None] * np.eye(6)
     if frame == "world":

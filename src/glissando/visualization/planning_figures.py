@@ -210,7 +210,7 @@ def placement_figure(
         for name, marker in (("std", "o-"), ("bound", ":")):
             value = MM * np.array([getattr(each, name) for each in placements])
             front.plot(cost, value, marker, color=_LINES[0], label=_FRONT[name])
-        front.set(xlabel="cost", ylabel="position standard deviation (mm)", ylim=(0.0, None))
+        front.set(xlabel="cost", ylabel="position standard deviation (mm)", yscale="log")
         front.legend(loc="upper right")
         for each in placements:
             for sensor in each.chosen:
@@ -220,5 +220,5 @@ def placement_figure(
                 body.plot(place, np.full(place.size, each.cost), "s", ms=4, **drawn)
         body.set(xlabel="arclength (mm)", ylabel="cost", xlim=(0.0, MM * length))
         entries = dict(zip(*body.get_legend_handles_labels()[::-1], strict=True))
-        body.legend(entries.values(), entries.keys(), loc="upper left")
+        body.legend(entries.values(), entries.keys(), loc="lower right")
     return panels

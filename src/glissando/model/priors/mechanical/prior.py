@@ -21,24 +21,23 @@ from glissando.geometry.se3 import Array
 from glissando.model.factors import Factors, Residuals
 from glissando.model.grid import Cells, Grid, Index
 from glissando.model.interpolation import Interpolation, Points
-from glissando.model.mechanics import Mechanics, read_mechanics
+from glissando.model.mechanics import Mechanics
 from glissando.model.noise import sqrt_information
 from glissando.model.priors.intervals import RATED, at_nodes, place_error
 from glissando.model.priors.mechanical.beam_modes import beam_modes
 from glissando.model.priors.mechanical.bend import bent
-from glissando.model.priors.mechanical.flow import Section
 from glissando.model.priors.mechanical.inertia import Inertia, ModalMotion
 from glissando.model.priors.mechanical.intervals import (
-    Intervals,
     bridge,
     interval_between,
     interval_error,
     still_error,
 )
 from glissando.model.priors.mechanical.point_load import PointLoad, point_load
+from glissando.model.priors.mechanical.rod import LoadedRod
 from glissando.model.priors.mechanical.section import hanging_rod, section_covariances
-from glissando.model.priors.mechanical.tip import pushed, tip_error
-from glissando.model.priors.prior_table import PriorTable, pose_table, read_rest
+from glissando.model.priors.mechanical.table import read_fields
+from glissando.model.priors.prior_table import PriorTable, pose_table
 from glissando.model.priors.rest_shape import STRAIGHT, RestShape
 from glissando.model.priors.static import STATIC_DOF
 from glissando.model.priors.stationary import chain_factors, interpolate_process, require_digits
@@ -90,27 +89,7 @@ class MechanicalPrior:
     @classmethod
     def from_table(cls, prior: PriorTable, robot: PriorTable) -> MechanicalPrior:
         """The prior of a robot file, from its [prior] table and the file with [mechanics]."""
-        mechanics = read_mechanics(robot)
-        if mechanics is None:
-            raise robot.fail("[mechanics]", "is missing; a mechanical prior needs this table.")
-        names = ("psd_load", "psd_strain_error", "var_tip")
-        fields = {name: prior.vector(name, 6, positive=True) for name in names}
-        fields |= read_rest(robot, len(mechanics.stiffness))
-        if prior.peek("points") is not None:
-            points = prior.numbers("points")
-            if np.any(np.diff(points, prepend=0.0) <= 0.0):
-                raise prior.fail("points", "must increase from above 0.")
-            fields |= {"points": points, "var_points": prior.rows("var_points", points.size, 6)}
-        base = robot.table("base", required=True)
-        assert base is not None
-        fields |= {"base_pose": base.pose(), "var_base": base.vector("var_pose", 6, positive=True)}
-        base.close()
-        return cls(
-            mechanics,
-            time_scale=prior.number("time_scale"),
-            inertia=_inertia(prior, mechanics),
-            **fields,
-        )
+        return cls(**read_fields(prior, robot))
 
     def to_table(self) -> dict[str, Any]:
         """What a robot file says of this prior, as `from_table` reads it."""
@@ -128,7 +107,13 @@ class MechanicalPrior:
     @property
     def joints(self) -> Array:
         """Where segments meet or a wrench may act (J,), m; these must be nodes of the grid."""
-        return np.union1d(self.mechanics.joints, self.points)
+        return self.rod.joints
+
+    @property
+    def rod(self) -> LoadedRod:
+        """The rod, to be cut into intervals."""
+        psd = np.concatenate([self.psd_strain_error, self.psd_load])
+        return LoadedRod(self.mechanics, self.rest, psd, self.points, self.var_points)
 
     @property
     def rest(self) -> RestShape:
@@ -180,57 +165,11 @@ class MechanicalPrior:
         own = gravity[number if len(gravity) > 1 else 0]
         return replace(self, mechanics=replace(self.mechanics, gravity=own))
 
-    def wrench(self, strain: Array, arclength: Array) -> tuple[Array, Array]:
-        """Internal wrench (…, 6) where strain is (…, 6), and the stiffness (…, 6) that makes it.
-
-        Args:
-            strain: Strain, body frame.
-            arclength: Where (…), m; at a joint or a point load just beyond it.
-        """
-        s = np.asarray(arclength, dtype=float)
-        stiffness = self.mechanics.stiffness[self.mechanics.segment(s)]
-        rest = self.rest.at(s.ravel()).reshape(*s.shape, 6)
-        return stiffness * (strain - rest), stiffness
-
-    def intervals(self, arclength: Array) -> Intervals:
-        """The intervals (N−1,) between nodes (N,) of arclength.
-
-        Raises:
-            OutsideGridError: A segment begins or a wrench acts between nodes.
-        """
-        jump = np.zeros((arclength.size - 1, 6))
-        for place in self.joints:
-            at = int(np.argmin(np.abs(arclength - place)))
-            if abs(arclength[at] - place) > 1e-9:
-                raise OutsideGridError(
-                    f"A segment begins or a load acts at {place:g} m, which is no arclength node "
-                    f"of the grid (the nearest is {arclength[at]:g} m); add it to the nodes."
-                )
-            which = np.flatnonzero(self.points == place)
-            if at and which.size:
-                jump[at - 1] = self.var_points[which[0]]
-        begin, end = arclength[:-1], arclength[1:]
-        mechanics, rest = self.mechanics, self.rest
-        segment = mechanics.segment(0.5 * (begin + end))
-        slope = rest.slope[np.searchsorted(rest.joints, 0.5 * (begin + end))]
-        psd = np.concatenate([self.psd_strain_error, self.psd_load])
-        mass = mechanics.mass_per_length[segment]
-        section = Section(
-            mechanics.stiffness[segment],
-            rest.at(begin),
-            slope,
-            mass[:, None] * np.atleast_2d(mechanics.gravity)[0],
-            np.broadcast_to(psd, (begin.size, 12)),
-            np.zeros((begin.size, 3)),
-        )
-        beyond = mechanics.stiffness[mechanics.segment(end)]
-        return Intervals(np.diff(arclength), section, beyond, rest.at(end), jump, mass)
-
     def rest_state(self, grid: Grid) -> State:
         """The robot on the grid under its own weight and no load, from which an estimate starts."""
         still, count = np.zeros((*grid.shape, 6)), len(np.atleast_2d(self.mechanics.gravity))
         base = np.broadcast_to(self.base_pose, (count, 4, 4))
-        pose, strain = hanging_rod(self.mechanics, self._tiled(grid, count), base)
+        pose, strain = hanging_rod(self.mechanics, self.rod.tiled(grid, count), base)
         pose = np.broadcast_to(pose, (*grid.shape, 4, 4)).copy()
         more = [still.copy()] if self.inertia is not None else []
         return State(pose, np.broadcast_to(strain, still.shape).copy(), still, still.copy(), *more)
@@ -244,32 +183,10 @@ class MechanicalPrior:
             return state.retract(step)
         times = np.arange(len(step))
         pieces = [
-            self._pick(grid, times, np.full(times.size, n)) for n in range(grid.arclength.size - 1)
+            self.rod.pick(grid, times, np.full(times.size, n))
+            for n in range(grid.arclength.size - 1)
         ]
-        return bent(pieces, partial(self._tip_error, grid), state, step)
-
-    def _tiled(self, grid: Grid, count: int) -> Intervals:
-        """The intervals of the grid, `count` times over (count · (N−1),)."""
-        pieces = grid.arclength.size - 1
-        return self._pick(
-            grid, np.repeat(np.arange(count), pieces), np.tile(np.arange(pieces), count)
-        )
-
-    def _pick(self, grid: Grid, k: Index, n: Index) -> Intervals:
-        """The intervals n (M,) of the grid at its times k (M,)."""
-        found, gravity = self.intervals(grid.arclength).take(n), self.mechanics.gravity
-        if gravity.ndim == 1:
-            return found
-        if len(gravity) <= k.max(initial=0):
-            raise OutsideGridError(
-                f"Gravity is given for {len(gravity)} shapes and there are {k.max() + 1} or more; "
-                f"give a row for each, or one for all."
-            )
-        mass = self.mechanics.mass_per_length
-        segment = self.mechanics.segment(grid.arclength[n])
-        return replace(
-            found, section=replace(found.section, weight=mass[segment, None] * gravity[k])
-        )
+        return bent(pieces, partial(self.rod.tip_error, grid), state, step)
 
     def factors(
         self, grid: Grid, state: State, noise_state: State, times: slice
@@ -291,7 +208,7 @@ class MechanicalPrior:
         error, slope = error[..., _POSE_ROWS], _widened(slope[..., _POSE_ROWS, :], state.dof)
         cov = np.broadcast_to(np.diag(self.var_base), (len(here), 1, 6, 6))
         yield from chain_factors(*chain, here[:, :1, None], error, slope, cov, paired=False)
-        error, slope = self._tip_error(grid, local.take(np.s_[:, -1:]))
+        error, slope = self.rod.tip_error(grid, local.take(np.s_[:, -1:]))
         cov = np.broadcast_to(np.diag(self.var_tip), (len(here), 1, 6, 6))
         slope = _widened(slope, state.dof)
         yield from chain_factors(*chain, here[:, -1:, None], error, slope, cov, paired=False)
@@ -300,7 +217,7 @@ class MechanicalPrior:
         if self.inertia is not None:
             motion = self._motion(grid.arclength)
             yield from motion.factors(first, grid.time[touched], here, local)
-        shape, every = (len(here), n_count - 1), self._tiled(grid, len(here))
+        shape, every = (len(here), n_count - 1), self.rod.tiled(grid, len(here))
         start, end = (local.take(np.s_[:, part]).flatten() for part in _ENDS)
         error, *slopes = interval_error(start, end, every)
         about = noise_state.take(touched).take(np.s_[:, _ENDS[0]]).flatten()
@@ -328,24 +245,13 @@ class MechanicalPrior:
         damping = inertia.damping(modes, float(mechanics.mass_per_length.mean()))
         return ModalMotion(modes, damping, inertia.std_release**2, self.time_scale)
 
-    def _tip_error(self, grid: Grid, at: State, shape: Index | None = None) -> tuple[Array, Array]:
-        """Error of the tip's wrench (…, 12) and its Jacobian (…, 12, 24), see `tip_error`.
-
-        `shape` (M,) says of which static shapes the cross-sections are; of all in turn if absent.
-        """
-        mechanics = self.mechanics
-        if shape is not None and mechanics.gravity.ndim == 2:
-            mechanics = replace(mechanics, gravity=mechanics.gravity[shape])
-        found = tip_error(mechanics, self.rest.at(grid.arclength[-1:])[0], at)
-        return found if at.inertia is None else pushed(mechanics, at, *found)
-
     def static_factors(self, grid: Grid, state: State) -> Iterator[Factors]:
         """Factors of shapes that hold still, linearised at nodes (S, N) of pose and strain."""
         state = replace(state, inertia=None)
         count, n_count = grid.shape
         node = np.arange(count * n_count).reshape(count, n_count)
         if n_count > 1:
-            every = self._tiled(grid, count)
+            every = self.rod.tiled(grid, count)
             start, end = (state.take(np.s_[:, part]).flatten() for part in _ENDS)
             error, *slopes = still_error(start, end, every)
             whitener = sqrt_information(every.flow(start, noisy=True).noise)
@@ -357,7 +263,7 @@ class MechanicalPrior:
         jacobian = np.zeros((count, 6, 1, STATIC_DOF))
         jacobian[:, :, 0, :6] = se3.right_jacobian_inverse(xi)
         yield Factors(node[:, :1], _STATIC, jacobian, Residuals(xi, _firm(self.var_base, count)))
-        error, slope = self._tip_error(grid, state.take(np.s_[:, -1]))
+        error, slope = self.rod.tip_error(grid, state.take(np.s_[:, -1]))
         terms = Residuals(error[:, :6], _firm(self.var_tip, count))
         yield Factors(node[:, -1:], _STATIC, slope[:, :6, None, _STATIC], terms)
 
@@ -370,7 +276,7 @@ class MechanicalPrior:
     def crossing(self, grid: Grid, noise_state: State, k: Index, s: Cells) -> tuple[Array, Array]:
         """Gain and covariance (M, 12, 12) inside the intervals `s` at time nodes k."""
         start = noise_state.take((k, s.lower))
-        return bridge(start, self._pick(grid, k, s.lower), s.offset)
+        return bridge(start, self.rod.pick(grid, k, s.lower), s.offset)
 
     def at_time_nodes(
         self, grid: Grid, state: State, k: Index, n: Index, s: Cells, gain: Array | None
@@ -380,7 +286,7 @@ class MechanicalPrior:
             return at_nodes(state, k, n)
         nodes = (k * grid.arclength.size + n)[:, None] + np.arange(2)
         start, end = (state.flatten().take(nodes[:, i]) for i in (0, 1))
-        intervals = self._pick(grid, k, s.lower)
+        intervals = self.rod.pick(grid, k, s.lower)
         at, j0, j1 = interval_between(start, end, intervals, s.offset, gain)
         return at, nodes, np.stack([j0, j1], axis=2)
 
@@ -393,8 +299,8 @@ class MechanicalPrior:
     ) -> Array:
         """Prior covariance (M, 12, 12) of pose and strain at time nodes k, on n or inside `s`."""
         times, which = np.unique(k, return_inverse=True)
-        there, every = noise_state.take(times), self._tiled(grid, times.size)
-        tip = self._tip_error(grid, there.take(np.s_[:, -1]))[1][:, :6, _STATIC]
+        there, every = noise_state.take(times), self.rod.tiled(grid, times.size)
+        tip = self.rod.tip_error(grid, there.take(np.s_[:, -1]))[1][:, :6, _STATIC]
         ends = np.diag(1.0 / self.var_base), _transposed(tip) @ (tip / self.var_tip[:, None])
         offsets = (which, n, s.offset) if inside else (which, n, None)
         return section_covariances(there, every, ends, *offsets)
@@ -407,18 +313,8 @@ class MechanicalPrior:
         start, end = state.take((k, n - 1)), state.take((k, n))
         nodes = (k * grid.arclength.size + n)[:, None] + np.arange(-1, 1)
         last = n == grid.arclength.size - 1
-        piece = self._pick(grid, k, n - 1)
-        return point_load(start, end, piece, nodes, (last, *self._tip_error(grid, end, k)))
-
-
-def _inertia(prior: PriorTable, mechanics: Mechanics) -> Inertia | None:
-    """The [prior.inertia] of a robot file, if it has one."""
-    table = prior.table("inertia")
-    if table is None:
-        return None
-    if np.any(mechanics.mass_per_length == 0.0):
-        raise table.fail("[prior.inertia]", "needs the mass of [mechanics]; give its density.")
-    return Inertia.from_table(table)
+        piece = self.rod.pick(grid, k, n - 1)
+        return point_load(start, end, piece, nodes, (last, *self.rod.tip_error(grid, end, k)))
 
 
 def _widened(slope: Array, dof: int) -> Array:

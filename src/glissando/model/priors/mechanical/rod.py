@@ -1,0 +1,120 @@
+"""The rod of a mechanical prior, cut into intervals: what it is made of and what may act on it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from glissando.errors import OutsideGridError
+from glissando.geometry.se3 import Array
+from glissando.model.grid import Grid, Index
+from glissando.model.mechanics import Mechanics
+from glissando.model.priors.mechanical.flow import Section
+from glissando.model.priors.mechanical.intervals import Intervals
+from glissando.model.priors.mechanical.tip import pushed, tip_error
+from glissando.model.priors.rest_shape import RestShape
+from glissando.model.state import State
+
+
+@dataclass(frozen=True)
+class LoadedRod:
+    """A rod under unknown loads.
+
+    Attributes:
+        mechanics: Stiffness, weight and the tool at the tip.
+        rest: Its shape without loads.
+        psd: Densities (12,) along arclength of errors of strain and of loads.
+        points: Places (P,) where a wrench may act, m.
+        var_points: Its variances (P, 6), N² and N² m².
+    """
+
+    mechanics: Mechanics
+    rest: RestShape
+    psd: Array
+    points: Array
+    var_points: Array
+
+    @property
+    def joints(self) -> Array:
+        """Where segments meet or a wrench may act (J,), m."""
+        return np.union1d(self.mechanics.joints, self.points)
+
+    def wrench(self, strain: Array, arclength: Array) -> tuple[Array, Array]:
+        """Internal wrench (…, 6) where strain is (…, 6), and the stiffness (…, 6) that makes it.
+
+        Args:
+            strain: Strain, body frame.
+            arclength: Where (…), m; at a joint or a point load just beyond it.
+        """
+        s = np.asarray(arclength, dtype=float)
+        stiffness = self.mechanics.stiffness[self.mechanics.segment(s)]
+        rest = self.rest.at(s.ravel()).reshape(*s.shape, 6)
+        return stiffness * (strain - rest), stiffness
+
+    def intervals(self, arclength: Array) -> Intervals:
+        """The intervals (N−1,) between nodes (N,) of arclength.
+
+        Raises:
+            OutsideGridError: A segment begins or a wrench acts between nodes.
+        """
+        jump = np.zeros((arclength.size - 1, 6))
+        for place in self.joints:
+            at = int(np.argmin(np.abs(arclength - place)))
+            if abs(arclength[at] - place) > 1e-9:
+                raise OutsideGridError(
+                    f"A segment begins or a load acts at {place:g} m, which is no arclength node "
+                    f"of the grid (the nearest is {arclength[at]:g} m); add it to the nodes."
+                )
+            which = np.flatnonzero(self.points == place)
+            if at and which.size:
+                jump[at - 1] = self.var_points[which[0]]
+        begin, end = arclength[:-1], arclength[1:]
+        mechanics, rest = self.mechanics, self.rest
+        segment = mechanics.segment(0.5 * (begin + end))
+        slope = rest.slope[np.searchsorted(rest.joints, 0.5 * (begin + end))]
+        mass = mechanics.mass_per_length[segment]
+        section = Section(
+            mechanics.stiffness[segment],
+            rest.at(begin),
+            slope,
+            mass[:, None] * np.atleast_2d(mechanics.gravity)[0],
+            np.broadcast_to(self.psd, (begin.size, 12)),
+            np.zeros((begin.size, 3)),
+        )
+        beyond = mechanics.stiffness[mechanics.segment(end)]
+        return Intervals(np.diff(arclength), section, beyond, rest.at(end), jump, mass)
+
+    def tiled(self, grid: Grid, count: int) -> Intervals:
+        """The intervals of the grid, `count` times over (count · (N−1),)."""
+        pieces = grid.arclength.size - 1
+        return self.pick(
+            grid, np.repeat(np.arange(count), pieces), np.tile(np.arange(pieces), count)
+        )
+
+    def pick(self, grid: Grid, k: Index, n: Index) -> Intervals:
+        """The intervals n (M,) of the grid at its times k (M,)."""
+        found, gravity = self.intervals(grid.arclength).take(n), self.mechanics.gravity
+        if gravity.ndim == 1:
+            return found
+        if len(gravity) <= k.max(initial=0):
+            raise OutsideGridError(
+                f"Gravity is given for {len(gravity)} shapes and there are {k.max() + 1} or more; "
+                f"give a row for each, or one for all."
+            )
+        mass = self.mechanics.mass_per_length
+        segment = self.mechanics.segment(grid.arclength[n])
+        return replace(
+            found, section=replace(found.section, weight=mass[segment, None] * gravity[k])
+        )
+
+    def tip_error(self, grid: Grid, at: State, shape: Index | None = None) -> tuple[Array, Array]:
+        """Error of the tip's wrench (…, 12) and its Jacobian (…, 12, 24), see `tip_error`.
+
+        `shape` (M,) says of which static shapes the cross-sections are; of all in turn if absent.
+        """
+        mechanics = self.mechanics
+        if shape is not None and mechanics.gravity.ndim == 2:
+            mechanics = replace(mechanics, gravity=mechanics.gravity[shape])
+        found = tip_error(mechanics, self.rest.at(grid.arclength[-1:])[0], at)
+        return found if at.inertia is None else pushed(mechanics, at, *found)

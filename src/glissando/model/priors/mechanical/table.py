@@ -1,0 +1,46 @@
+"""What a robot file says of a mechanical prior."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from glissando.model.mechanics import Mechanics, read_mechanics
+from glissando.model.priors.mechanical.inertia import Inertia
+from glissando.model.priors.prior_table import PriorTable, read_rest
+
+
+def read_fields(prior: PriorTable, robot: PriorTable) -> dict[str, Any]:
+    """Fields of the prior of a robot file, from its [prior] table and the file with [mechanics]."""
+    mechanics = read_mechanics(robot)
+    if mechanics is None:
+        raise robot.fail("[mechanics]", "is missing; a mechanical prior needs this table.")
+    names = ("psd_load", "psd_strain_error", "var_tip")
+    fields = {name: prior.vector(name, 6, positive=True) for name in names}
+    fields |= read_rest(robot, len(mechanics.stiffness))
+    if prior.peek("points") is not None:
+        points = prior.numbers("points")
+        if np.any(np.diff(points, prepend=0.0) <= 0.0):
+            raise prior.fail("points", "must increase from above 0.")
+        fields |= {"points": points, "var_points": prior.rows("var_points", points.size, 6)}
+    base = robot.table("base", required=True)
+    assert base is not None
+    fields |= {"base_pose": base.pose(), "var_base": base.vector("var_pose", 6, positive=True)}
+    base.close()
+    return {
+        "mechanics": mechanics,
+        "inertia": _inertia(prior, mechanics),
+        "time_scale": prior.number("time_scale"),
+        **fields,
+    }
+
+
+def _inertia(prior: PriorTable, mechanics: Mechanics) -> Inertia | None:
+    """The [prior.inertia] of a robot file, if it has one."""
+    table = prior.table("inertia")
+    if table is None:
+        return None
+    if np.any(mechanics.mass_per_length == 0.0):
+        raise table.fail("[prior.inertia]", "needs the mass of [mechanics]; give its density.")
+    return Inertia.from_table(table)
