@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from glissando.errors import DeviceError
-from glissando.hardware.capture import Rig, simulated_rig
+from glissando.hardware.capture import Coil, Rig, simulated_rig
 from glissando.hardware.drivers import GcodeStage
 from glissando.hardware.live import LiveSession
 from glissando.hardware.live.replanning import Replanning
@@ -66,6 +66,13 @@ def test_a_steered_slide_follows_the_newest_path_and_stands_at_its_end():
                 times = np.array([begin, begin + way / 0.015])
                 source.steer(times, np.array([travel(), goal]))
                 until(lambda goal=goal: abs(travel() - goal) < 2e-4)
+
+
+def test_a_zone_in_millimetres_is_refused():
+    stage, coils = GcodeStage(stroke=(0.0, 0.06)), (Coil("coil", 0.7),)
+    rig = Rig("bench", "sliding700", coils=coils, slide="tcp://1", stage=stage, standing=0.0)
+    with pytest.raises(DeviceError, match=r"off sliding700 of 0.7 m; correct it \(in metres\)"):
+        Replanning(RigSource(rig, ROBOT, HELD), rig, ROBOT, [Zone((645.0, 665.0))])
 
 
 def test_a_rig_without_a_stage_is_not_replanned():

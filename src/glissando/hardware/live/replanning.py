@@ -47,7 +47,7 @@ class Replanning:
         replanner: The plans that were adopted, and where the coil is to be when.
 
     Raises:
-        DeviceError: The rig has no stage, or no coil slides.
+        DeviceError: The rig has no stage, no coil slides, or a zone lies off the robot.
 
         source = RigSource(rig, robot, path, steered=True)
         replanning = Replanning(source, rig, robot, [Zone((0.5, 0.6))])
@@ -71,6 +71,7 @@ class Replanning:
                 f"{rig.name} has no stage that moves a coil, so no slide is replanned; add "
                 f"[slide] to its setup file, or leave --replan out."
             )
+        _require_on_robot(zones, robot)
         low, high = rig.stage.stroke
         limits = SlideLimits(high - low, _SPEED * rig.stage.speed, _SPEED * rig.stage.acceleration)
         space = path_space_of(
@@ -104,3 +105,13 @@ class Replanning:
             end = plan.start + self.replanner.path_space.duration
             times = np.append(np.arange(now - 1.0, end, _STEP), end)
             self._source.steer(times, self._coil.arclength - self.replanner.at(times)[0])
+
+
+def _require_on_robot(zones: Sequence[Zone], robot: Robot) -> None:
+    for zone in zones:
+        low, high = zone.ends(np.array(zone.time or (0.0, 0.0)))
+        if not (low.min() >= 0.0 and high.max() <= robot.length):
+            raise DeviceError(
+                f"A zone from {low.min():g} to {high.max():g} m lies off {robot.name} of "
+                f"{robot.length:g} m; correct it (in metres)."
+            )

@@ -5,7 +5,7 @@
 | `/glissando/tip/measured_cp` | PoseStamped | the last frame |
 | `/glissando/tip/pose` | PoseWithCovarianceStamped | with its covariance, in world axes |
 | `/glissando/frames` | PoseArray | all frames |
-| `/glissando/markers` | MarkerArray | centreline, ellipsoids and tube of 95 %, ten times a second |
+| `/glissando/markers` | MarkerArray | centreline, tube and ellipsoids of 95 %, axes measured |
 | `/diagnostics` | DiagnosticArray | once a second, if that package is installed |
 
 Publishers are reliable and keep the last message for late subscribers. A subscriber that asks for
@@ -28,6 +28,7 @@ from glissando.hardware.ros2.graph import Graph, Ros2Address, profile
 
 _RATES = {"marker_rate": 10.0, "diagnostic_rate": 1.0}  # Hz, by default
 _AROUND = 8  # points of a ring of the tube
+_ARROW = 0.06  # of the robot's length: a measured axis
 
 
 class Ros2Sink:
@@ -51,6 +52,7 @@ class Ros2Sink:
         self._graph = Graph(self._address, "sink", self._advertise, self._withdraw)
         self._publishers: dict[str, Any] = {}
         self._marked = self._diagnosed = -np.inf
+        self._measured: dict[str, Array] = {}
 
     def __enter__(self) -> Self:
         try:
@@ -118,6 +120,9 @@ class Ros2Sink:
         if self._graph.state != "active":
             return
         name, geometry = self._address.name, self._geometry
+        for readings in update.readings:
+            if readings.values.shape[1:] == (4, 4):
+                self._measured[readings.label] = readings.values[-1]
         poses = [self._pose(pose) for pose in update.state.pose]
         tip = geometry.PoseStamped(pose=poses[-1])
         uncertain = geometry.PoseWithCovarianceStamped()
@@ -192,6 +197,13 @@ class Ros2Sink:
             ball.scale.x, ball.scale.y, ball.scale.z = size.tolist()
             ball.color.a = 0.2
             out.append(ball)
+        for k, pose in enumerate(self._measured.values()):
+            arrow = self._marker(update, "measured", k, shapes.ARROW)
+            ends = pose[:3, 3] + np.outer([0.0, _ARROW * update.arclength[-1]], pose[:3, 2])
+            arrow.points = self._points(ends)
+            arrow.scale.x, arrow.scale.y = line.scale.x, 2.0 * line.scale.x
+            arrow.color.r, arrow.color.g, arrow.color.b = 0.85, 0.45, 0.1
+            out.append(arrow)
         return self._visualization.MarkerArray(markers=out)
 
     def _diagnosis(self, update: Update) -> Any:
