@@ -75,7 +75,7 @@ $(READY): pyproject.toml
 	python3 -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip
 	$(BIN)/python -m pip install --quiet --editable '.[test]'
-	$(BIN)/python -m pip install --quiet --only-binary :all: --editable '.[ros2]' \
+	$(BIN)/python -m pip install --quiet --prefer-binary --editable '.[ros2]' \
 	  || echo "ROS 2 has no wheels for this Python and system; its tests are skipped."
 	touch $(READY)
 
