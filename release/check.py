@@ -85,20 +85,21 @@ def carries_its_bill(clone: Path) -> None:
 def fetched(folder: Path) -> Path:
     """All files of the lock file come from the index with the hashes that it states."""
     shutil.copy(LOCK, folder)
+    with ThreadPoolExecutor(len(PYTHONS)) as pool:
+        list(pool.map(lambda python: download(python, folder / python), PYTHONS))
     for python in PYTHONS:
-        download(python, folder / WHEELS)
+        shutil.copytree(folder / python, folder / WHEELS, dirs_exist_ok=True)
     print(f"    {len(list((folder / WHEELS).iterdir()))} wheels for Python {', '.join(PYTHONS)}")
     return folder / LOCK.name
 
 
-def may_be_used(wheels: Path) -> None:
+def may_be_used(folder: Path) -> None:
     """Licences of all that glissando imports are known and compatible, and those of the bill."""
-    terms = {name: licence(message) for name, message in metadata(wheels).items()}
+    terms = {name: licence(message) for name, message in metadata(folder / WHEELS).items()}
     refused = {name: text for name, text in terms.items() if not allowed(text)}
     require(not refused, f"licences that are not allowed: {refused}")
-    with tempfile.TemporaryDirectory() as place:
-        download(PYTHONS[0], Path(place))
-        require(bill(Path(place)) == SBOM.read_text(encoding="utf-8"), "the bill is old: make lock")
+    told = bill(folder / PYTHONS[0])
+    require(told == SBOM.read_text(encoding="utf-8"), "the bill is old: make lock")
     print(f"    {len(terms)} packages: {', '.join(sorted(set(terms.values())))}")
 
 
@@ -234,7 +235,8 @@ def lowest() -> list[str]:
 def works_at_its_lowest(folder: Path, interpreter: str, clone: Path) -> None:
     """The lowest versions of all dependencies pass the fast tests of the rooms in _TESTS."""
     inside = environment(folder / "lowest", interpreter)
-    pip(inside, f"{wheel_of(clone)}[all]", *lowest(), *_TOOLS)
+    packages = f"{wheel_of(clone)}[all]", *lowest(), *_TOOLS
+    run("uv", "pip", "install", "--quiet", "--python", inside, *packages)
     print(f"    lowest versions: {runs_the_script(inside, folder / 'lowest' / 'empty')}")
     # warnings of old packages about each other are no errors of ours
     words = ["-q", "-x", "-m", "not slow and not alone", "--override-ini", "filterwarnings=default"]
@@ -267,11 +269,14 @@ def main() -> int:
         require(PYTHONS[0] in pythons, f"Python {PYTHONS[0]} is not on this machine")
         low = pool.submit(timed, works_at_its_lowest, folder, pythons[PYTHONS[0]], clone)
         timed(fetched, folder)
-        timed(may_be_used, folder / WHEELS)
+        tried = [
+            pool.submit(timed, installs, folder, python, interpreter, wheel_of(clone))
+            for python, interpreter in pythons.items()
+        ]
+        timed(may_be_used, folder)
         clean = timed(audited, folder)
-        for python, interpreter in pythons.items():
-            timed(installs, folder, python, interpreter, wheel_of(clone))
-        low.result()
+        for one in (low, *tried):
+            one.result()
         shutil.copytree(clone / "dist", out, dirs_exist_ok=True)
     missing = [python for python in PYTHONS if python not in pythons]
     print(f"Wrote {out}: all checks passed in {time.monotonic() - began:.0f} s.")

@@ -26,6 +26,8 @@ PYTHONS = ("3.11", "3.12", "3.13")
 WHEELS = "wheels"
 """Folder beside the lock file into which `pip download` puts what the lock file names."""
 _TAGS = re.compile(r"-(py3|py2\.py3|cp3\d+)-(none|abi3|cp3\d+)-(any|\S*linux\S*_x86_64)\.whl$")
+_GLIBC = re.compile(r"manylinux_2_(\d+)_x86_64")
+_OLDEST = 28  # the minor version of glibc that wheels may need
 _MADE = re.compile(r"-cp(3\d+)-cp3\d+-")  # for one version of Python only
 
 
@@ -130,7 +132,9 @@ def _fits(name: str) -> bool:
     """Whether a wheel is for one of the Pythons on Linux."""
     made = _MADE.search(name)
     wanted = {python.replace(".", "") for python in PYTHONS}
-    return bool(_TAGS.search(name)) and "musl" not in name and (made is None or made[1] in wanted)
+    known = "musl" not in name and (made is None or made[1] in wanted)
+    glibc = min(map(int, _GLIBC.findall(name)), default=0)
+    return bool(_TAGS.search(name)) and known and glibc <= _OLDEST
 
 
 def _entry(file: dict[str, Any]) -> str:
