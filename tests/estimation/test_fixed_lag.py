@@ -18,8 +18,10 @@ from glissando import Grid, PoseReadings, State, estimate, load_robot
 from glissando.cli.main import main
 from glissando.errors import OutsideGridError, SensorError
 from glissando.estimation.fixed_lag import FixedLagSmoother
+from glissando.estimation.innovation_gate import InnovationGate
 from glissando.geometry import se3
 from glissando.io.netcdf import load_posterior, save_posterior
+from glissando.model.noise import GemanMcClure
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.solver.gauss_newton import SolverOptions
 from glissando.solver.outcome import Outcome
@@ -172,6 +174,25 @@ def test_a_tracker_that_freezes_is_not_believed_and_one_that_states_a_fact_is():
     for now, then in zip(found, fed(blind, grid, [base, coil.select(heard), gyro]), strict=True):
         np.testing.assert_array_equal(now.position, then.position)
         np.testing.assert_array_equal(now.cov, then.cov)
+
+
+def test_outliers_of_a_stream_with_a_saturating_loss_are_survived_and_judged(monkeypatch):
+    rng, squares = np.random.default_rng(0), []
+    prior, grid, (base, coil, gyro) = sliding_scene(duration=2.0)
+    wrong = rng.random(len(coil)) < 0.2
+    values = coil.values.copy()
+    values[wrong, :3, 3] += 0.05 * rng.standard_normal((np.count_nonzero(wrong), 3))
+    coil = replace(coil, values=values, loss=GemanMcClure(3.0))
+    smoother = FixedLagSmoother(prior, grid.arclength, window=5)
+    note = InnovationGate.note
+    monkeypatch.setattr(
+        InnovationGate, "note",
+        lambda self, name, nis, dof: squares.extend(nis) or note(self, name, nis, dof),
+    )  # fmt: skip
+    tip = fed(smoother, grid, [base, coil, gyro])[-1].position[-1]
+    assert np.linalg.norm(tip - arc(LENGTH, grid.time[-1])[:3, 3]) < 5e-3
+    assert min(squares) >= 0.0
+    assert max(squares) > 100.0  # outliers are seen for what they are
 
 
 def test_a_hundred_thousand_readings_that_come_again_are_refused_soon():

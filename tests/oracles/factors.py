@@ -139,13 +139,19 @@ def by_nodes(batch: Factors) -> tuple[Index, Array, Array]:
     return nodes, hessian, pull
 
 
-def squared_innovations(residual: Array, jacobian: Array, cov: Array, step: Array) -> Array:
-    """Squared innovations (M,) of white factors at a solution `step`, each against all others.
+def squared_innovations(
+    residual: Array, jacobian: Array, cov: Array, step: Array, weight: Array
+) -> Array:
+    """Squared innovations (M,) of white factors, each against the solution without it.
 
-    The solution has covariance `cov` and contains each factor, with white residual (M, r) and
-    slopes (M, r, …). A residual e at the solution keeps a share S = 1 − J cov Jᵀ of its unit
-    covariance and stands for the innovation S⁻¹ e, whose square is eᵀ S⁻¹ e.
+    The solution `step` has covariance `cov` and contains each factor with a weight (M,), a white
+    residual (M, r) and slopes (M, r, …).
     """
-    share = (1.0 + 1e-9) * np.eye(residual.shape[1]) - jacobian @ cov @ np.swapaxes(jacobian, 1, 2)
-    left = residual + jacobian @ step
-    return np.einsum("mr,mr->m", left, np.linalg.solve(share, left[..., None])[..., 0])
+    out = []
+    for e, slope, w in zip(residual, jacobian, weight, strict=True):
+        information = np.linalg.inv(cov)
+        without = np.linalg.inv(information - w * slope.T @ slope)
+        innovation = e + slope @ without @ (information @ step + w * slope.T @ e)
+        spread = np.eye(len(e)) + slope @ without @ slope.T
+        out.append(innovation @ np.linalg.solve(spread, innovation))
+    return np.array(out)

@@ -113,16 +113,17 @@ def accumulate(
             row += height
 
 
-@jit(f"({_BATCH}, i8[::1], i8, i8, f8[:,:,::1], f8[:,:,::1], f8[:,::1])")
+@jit(f"({_BATCH}, i8[::1], i8, i8, f8[:,:,::1], f8[:,:,::1], f8[:,::1], f8[::1])")
 def squared_innovations(
     nodes, first_dof, jacobian, residual, sqrt_info, extras, which, n_count, dof,
-    inverse, coupling, step,
+    inverse, coupling, step, weight,
 ):  # fmt: skip
     """Squared innovations of `which` factors (M,) of a batch, each against all others.
 
-    `inverse` and `coupling` are the block Cholesky factor of a system whose solution is `step`
-    (K, D). A white residual e there that keeps a share S = 1 − Y Yᵀ of its unit covariance stands
-    for the innovation S⁻¹ e, whose square in units of its covariance is eᵀ S⁻¹ e.
+    `inverse` and `coupling` are the block Cholesky factor of a system that holds each factor with
+    a `weight` w (M,), and whose solution is `step` (K, D). With G = Y Yᵀ explained of its unit
+    covariance, a white residual e there keeps a share S = 1 − w G and stands for the innovation
+    S⁻¹ e of covariance S⁻¹ (S + G), whose square in units of it is eᵀ (S (S + G))⁻¹ e.
     """
     r, c, d = jacobian.shape[1:]
     q, count, size, m = c * d + extras.shape[2], len(inverse), step.shape[1], len(which)
@@ -141,28 +142,31 @@ def squared_innovations(
                     rows[slab, n * r + y, at + x] = white[y, column + x]
                     miss[n, y] += white[y, column + x] * step[slab, at + x]
             column += groups[g, 2]
-    return _squared(rows[first:], inverse[first:], coupling[first:], miss)
+    return _squared(rows[first:], inverse[first:], coupling[first:], miss, weight)
 
 
 @jit()
-def _squared(rows, inverse, coupling, miss):
-    """Squares (M,) from white rows (K, M · r, D) and white residuals (M, r) at the solution."""
+def _squared(rows, inverse, coupling, miss, weight):
+    """Squares (M,) from white rows (K, M · r, D), residuals (M, r) at the solution and weights."""
     m, r = miss.shape
-    share, root, out = np.zeros((m, r, r)), np.empty((r, r)), np.zeros(m)
+    gain, share, root, out = np.zeros((m, r, r)), np.empty((r, r)), np.empty((r, r)), np.zeros(m)
+    cov = np.empty((r, r))
     before, explained = np.empty(rows.shape[1:]), np.empty(rows.shape[1:])
-    for n in range(m):
-        for a in range(r):
-            share[n, a, a] = 1.0 + 1e-9
     for k in range(len(rows)):
         if k:
             product(before, coupling[k - 1], rows[k], -1.0, 1.0, False, False)
         product(rows[k], inverse[k], explained, 1.0, 0.0, False, True)
         for n in range(m):
             own = explained[n * r : n * r + r]
-            product(own, own, share[n], -1.0, 1.0, False, True)
+            product(own, own, gain[n], 1.0, 1.0, False, True)
         before, explained = explained, before
     for n in range(m):
-        whiten_into(share[n], root)
+        for a in range(r):
+            for b in range(r):
+                share[a, b] = (1.0 + 1e-9) * (a == b) - weight[n] * gain[n, a, b]
+                gain[n, a, b] += share[a, b]
+        product(share, gain[n], cov, 1.0, 0.0, False, False)
+        whiten_into(cov, root)
         for a in range(r):
             value = 0.0
             for b in range(a + 1):

@@ -257,8 +257,9 @@ class SlidingWindow:
             which = np.flatnonzero(rows >= fresh[stream])
             if which.size:
                 nis = kernels.squared_innovations(
-                    *kernel_arguments(batch), which, self.layout.nodes, self.layout.dof, *solved
-                )
+                    *kernel_arguments(batch), which, self.layout.nodes, self.layout.dof, *solved,
+                    batch.terms.robust_weights()[which],
+                )  # fmt: skip
                 dof = batch.terms.residual.shape[1]
                 out.append(Innovations(stream, rows[which], nis, dof))
         return out
