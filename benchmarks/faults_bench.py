@@ -25,7 +25,7 @@ from glissando.io.shipped_robots import robot_file
 from glissando.simulation import load_bench
 
 WATCHDOG, SPEED, STROKE = 0.3, 0.024, 0.02  # s, m/s, m
-END = 40.0  # s that a program may take to end
+END = 200.0  # s that a program may take to end
 
 
 class Device:

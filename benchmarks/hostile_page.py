@@ -1,12 +1,13 @@
 """Write the tables of docs/hostile.md from what mutations.py and faults.py found.
 
-Usage: hostile_page.py --mutations FILE.json --faults FILE.json
+Usage: hostile_page.py --mutations FILE.json --faults FILE.json …
 """
 
 import argparse
 import json
 from pathlib import Path
 
+from faults import table as by_fault
 from plan_page import number, table, write
 
 PAGE = Path(__file__).parents[1] / "docs" / "hostile.md"
@@ -33,13 +34,13 @@ def mutations(found):
     return [f"`mutations.py --count {found['asked']} --seed {found['seed']}`:", "", *lines]
 
 
-def faults(found):
-    """The lines on faults: the moments tried, and the worst that was left."""
+def faults(runs):
+    """The lines on faults: the moments tried in one run or several, and the worst that was left."""
     heads = ["fault", "trials", "moments (s)", "exit status", "tracebacks", "left running"]
     heads += ["lost (s)", "log does not open", "stage moves on (s)", "torque not as set"]
     heads += ["not refused", "replay differs by"]
     cells = []
-    for row in found["rows"]:
+    for row in by_fault([trial for run in runs for trial in run["trials"]]):
         span = f"{row['first_s']:.1f} to {row['last_s']:.1f}"
         cells.append(
             [row["fault"], row["trials"], span, ", ".join(row["statuses"]), row["tracebacks"]]
@@ -48,19 +49,20 @@ def faults(found):
             + [row["torque_wrong"], row["not_refused"]]
             + ["–" if row["differs"] is None else f"{row['differs']:.1g}"]
         )
-    return [f"`faults.py --seed {found['seed']}`:", "", *table(heads, cells)]
+    seeds = ", ".join(str(run["seed"]) for run in runs)
+    return [f"`faults.py --seed {seeds}`:", "", *table(heads, cells)]
 
 
 def main():
     """Write what is given."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--mutations", type=Path)
-    parser.add_argument("--faults", type=Path)
+    parser.add_argument("--faults", type=Path, nargs="+")
     options = parser.parse_args()
     if options.mutations:
         write("mutations", mutations(json.loads(options.mutations.read_text())), PAGE)
     if options.faults:
-        write("faults", faults(json.loads(options.faults.read_text())), PAGE)
+        write("faults", faults([json.loads(f.read_text()) for f in options.faults]), PAGE)
 
 
 if __name__ == "__main__":

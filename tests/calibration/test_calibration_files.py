@@ -1,6 +1,7 @@
 """Calibration files, sessions, and the command."""
 
 import json
+import re
 import tomllib
 from dataclasses import replace
 
@@ -40,9 +41,11 @@ def test_a_calibration_file_with_a_wrong_key_is_refused_with_its_name(tmp_path):
     made, _, _ = rigs.calibrated(0, "bent")
     made.save(tmp_path / "rig.toml")
     text = (tmp_path / "rig.toml").read_text()
-    for right, wrong in (("lead = ", "laed = "), ("glissando calibration 1", "something")):
-        (tmp_path / "bad.toml").write_text(text.replace(right, wrong))
-        with pytest.raises(GlissandoError, match=r"lead|format"):
+    wrong = [text.replace("lead = ", "laed = "), text.replace("glissando calibration 1", "some")]
+    wrong.append(re.sub(r"^warnings = \[.*?\]", "warnings = 3.0", text, flags=re.M | re.S))
+    for bad in wrong:
+        (tmp_path / "bad.toml").write_text(bad)
+        with pytest.raises(GlissandoError, match=r"lead|format|warnings"):
             load_calibration(tmp_path / "bad.toml")
 
 

@@ -26,6 +26,23 @@ def test_spoilt_answers_are_asked_for_again_and_counted():
     assert np.all(np.diff(travels) > -2 * TICK)
 
 
+def test_homing_believes_no_single_answer(monkeypatch):
+    """A false one, whose checksum fits by chance, would shift every goal of the day."""
+    with together(World(start=0.03)), Slide("w", STAGE) as slide:
+        state, heard = slide._servo.state, []
+
+        def false_once(*, heed=True):
+            heard.append(state(heed=heed))
+            return replace(heard[-1], position=6098) if len(heard) == 3 else heard[-1]
+
+        monkeypatch.setattr(slide._servo, "state", false_once)
+        with pytest.raises(DeviceError, match="stood at 6098 and then at"):
+            slide.home_here(0.03)
+        monkeypatch.undo()
+        slide.home_here(0.03)
+        assert slide.read().travel == pytest.approx(0.03, abs=TICK)
+
+
 def test_a_late_answer_is_never_taken_for_a_new_one():
     """Late by more than the SDK waits: without care a reading would be 40 ms, 1 mm, too old."""
     world = World("late=0.2:0.04", start=0.0)

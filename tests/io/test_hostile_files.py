@@ -28,6 +28,7 @@ from glissando.io.recording import load_recording, save_recording
 from glissando.io.recording_writer import write_streams
 from glissando.io.robot_file import load_robot
 from glissando.io.session_log import read_session
+from glissando.io.session_log.reader import Topic
 from glissando.io.shipped_robots import robot_file
 from glissando.model.sensors.sensors import PoseReadings
 
@@ -238,6 +239,13 @@ def test_a_frame_of_any_name_is_read_back(tmp_path):
         stream = Stream("tip", rows, std=np.full(6, 1e-3), frame=frame, keep_repeats=True)
         write_streams(folder, "x", [stream], frames={frame: None})
         assert load_recording(folder).unknown_frames == {frame}
+
+
+def test_names_lists_and_tables_of_no_use_are_sentences(tmp_path):
+    with pytest.raises(GlissandoError, match="no robot named"):
+        load_robot("n" * 5000)
+    with pytest.raises(GlissandoError, match="not a number"):
+        Topic("/slide", {}, {}, np.zeros(1, int), [{"travel": [1, [2, 3]]}]).column("travel")
 
 
 def test_one_program_at_a_time_writes_a_journal(tmp_path):

@@ -21,6 +21,7 @@ from glissando.cli.shared import (
     estimate_watched,
     parameter_text,
     recording_and_robot,
+    require_packages,
     require_writable,
     site_table,
     stated,
@@ -83,6 +84,7 @@ def _estimate(options: argparse.Namespace) -> int:
         require_mechanics(robot.prior)
     query = _checked_query(options, recording, robot) if options.query else None
     if options.out:
+        require_packages({"netcdf": ("xarray", "h5netcdf", "h5py"), "plot": ("matplotlib",)})
         require_writable(options.out)
     elif options.animate or options.view:
         wish = "--animate" if options.animate else "--view"

@@ -136,6 +136,10 @@ def _print(result: Replay, console: Console) -> None:
         f"{report['updates']} updates of {report['nodes']} time nodes, {latency} each, "
         f"{report['real_time_factor']:.1f} × real time; NIS {nis}"
     )
+    if report["judged_from"] > report["window"][0]:
+        console.print(
+            f"  went on with its log: all numbers are from {report['judged_from']:g} s on"
+        )
     for name, reasons in report["dropped"].items():
         counted = ", ".join(f"{count} {reason}" for reason, count in reasons.items())
         console.print(f"  {escape(name)}: {counted} readings not used")

@@ -6,8 +6,9 @@ import argparse
 import os
 import sys
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -312,6 +313,24 @@ def require_writable(folder: Path) -> None:
     above = next((p for p in (folder, *folder.absolute().parents) if p.exists()), folder)
     if not above.is_dir() or not os.access(above, os.W_OK):
         raise GlissandoError(f"--out {folder}: {above} is not a folder that can be written to.")
+
+
+def require_packages(extras: Mapping[str, Sequence[str]]) -> None:
+    """Make sure, before any work is done, that the packages of some extras are installed.
+
+    Args:
+        extras: Modules by the name of the extra that brings them.
+
+    Raises:
+        GlissandoError: One is not installed.
+    """
+    for extra, modules in extras.items():
+        missing = [name for name in modules if find_spec(name) is None]
+        if missing:
+            raise GlissandoError(
+                f"--out needs {', '.join(missing)}, not installed: run pip install "
+                f"'glissando[{extra}]'."
+            )
 
 
 def write_robot(document: dict[str, Any], start: str, out: Path) -> None:

@@ -87,6 +87,7 @@ class Replay(Brief):
             "recording": self.recording.name,
             "robot": self.robot.name,
             "window": list(self.window),
+            "judged_from": float(self.time[0]),
             "nodes": self.nodes,
             "updates": len(self.latency),
             "latency": {"median": median, "p99": p99, "max": float(self.latency.max())},

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from glissando.errors import RobotFileError
@@ -23,7 +24,7 @@ def robot_file(name: str | Path) -> Path:
     if str(name) in shipped_robots():
         return _SHIPPED / f"{name}.toml"
     path = Path(name)
-    if not path.exists():
+    if not os.path.exists(path):
         raise RobotFileError(
             f"There is no robot named {str(name)!r} and no such file; give a TOML file or one of "
             f"{', '.join(shipped_robots())}."

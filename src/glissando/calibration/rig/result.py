@@ -173,6 +173,8 @@ def load_calibration(path: str | Path) -> Calibration:
     )
     cov = covariance.matrix("rows", len(PARAMETERS))
     warnings = table.peek("warnings") or []
+    if not (isinstance(warnings, list) and all(isinstance(text, str) for text in warnings)):
+        raise table.fail("warnings", f"is {str(warnings)[:60]}; give a list of sentences.")
     return Calibration(rig, cov, coil.text("name"), float(odds or 0.0), (), tuple(warnings))
 
 

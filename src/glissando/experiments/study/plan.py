@@ -37,10 +37,13 @@ def _number(table: Table, key: str, *, positive: bool = True) -> Value:
     return value
 
 
+_SEEDS = 2**32  # more are no count
+
+
 def _count(table: Table, key: str, default: int | None = None, *, least: int = 1) -> int:
     value = table.number(key, default, positive=False)
-    if value != int(value) or value < least:
-        raise table.fail(key, f"is {value:g}; give a whole number from {least} up.")
+    if value != int(value) or not least <= value <= _SEEDS:
+        raise table.fail(key, f"is {value:g}; give a whole number from {least} to {_SEEDS:,}.")
     return int(value)
 
 

@@ -25,6 +25,7 @@ from glissando.hardware.drivers.stage import Stage
 _PACE = 0.01  # s between the readings of a move
 _PATIENCE = 2.0  # s after a move should have ended
 _NEAR = 5e-4  # m from its goal where a move has arrived
+_STILL = 8  # ticks that two readings of a stage at rest may differ by
 _BOOT = 5.0  # s within which a servo must answer after a reboot
 _AHEAD = 3  # periods that a streamed goal is ahead of the path's now
 
@@ -83,10 +84,20 @@ class Slide:
         return self._zero is not None
 
     def home_here(self, travel: float) -> None:
-        """Declare the stage's travel now, in metres."""
+        """Declare the stage's travel now, in metres.
+
+        Raises:
+            DeviceError: Two readings of where it is differ: it moves, or answers are damaged.
+        """
         self.stage.require_inside(travel)
         self._servo.power()
-        self._zero = self._servo.state().position - self.stage.ticks(travel)
+        places = [self._servo.state().position for _ in range(2)]
+        if abs(places[1] - places[0]) > _STILL:
+            raise DeviceError(
+                f"The servo stood at {places[0]} and then at {places[1]} ticks; let the stage come "
+                f"to rest, check the wiring, and home again."
+            )
+        self._zero = places[1] - self.stage.ticks(travel)
 
     def home_at_stop(self, *, speed: float = 0.004, pwm: float = 0.25) -> None:
         """Find home by touching the mechanical stop twice, gently, then enter the stroke.

@@ -50,8 +50,8 @@ class Topic:
         """
         rows = [message.get(key) for message in self.messages]
         like = next((row for row in rows if row is not None), None)
-        none = np.full(np.shape(like), np.nan) if isinstance(like, list) else np.nan
         try:
+            none = np.full(np.shape(like), np.nan) if isinstance(like, list) else np.nan
             return np.array([none if row is None else row for row in rows], dtype=float)
         except (TypeError, ValueError, OverflowError):
             raise RecordingError(
