@@ -12,6 +12,7 @@ Usage: plan_study.py [ROBOTS [DRAWS]]
 import os
 import sys
 import warnings
+from dataclasses import replace
 from datetime import date
 
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
@@ -38,7 +39,8 @@ from glissando.simulation import SlidePath, load_bench, simulate_session
 from plan_page import table, write
 
 LASTS, ZONE = 20.0, Zone((0.5, 0.6))
-ROBOT, BENCH = load_robot("sliding700"), load_bench(robot_file("sliding700"))
+ROBOT = replace(load_robot("sliding700"), time_rate=2.0)  # Hz, what the planner looks ahead with
+BENCH = load_bench(robot_file("sliding700"))
 TIP = BENCH.rod.length
 STAGES = {"60 mm": BENCH.slide, "700 mm": BENCH.full_slide}
 SHAPES = ("C", "S", "C-to-S")
