@@ -9,16 +9,46 @@ import subprocess
 import sys
 from pathlib import Path
 
-SECTIONS = ("invariance", "shapes", "nodes", "real_slide", "outliers", "real")
+SECTIONS = (
+    "claimed",
+    "invariance",
+    "shapes",
+    "nodes",
+    "real_slide",
+    "outliers",
+    "real",
+    "error_parts",
+)
 OPTIONS = {  # learning takes some minutes and leaves its file in results/
     "real_slide": ["--robot", "tdcr466-segments", "--periods", "1", "2"],
     "real": ["--learn", "results"],
+    "error_parts": [
+        *("--robot", "results", "--recording", "../shared/data/spacetime/slow_free_space"),
+        *("--window", "19", "29"),
+    ],
 }
 
 TEXT = """\
 # Is the stated confidence true?
 
 `python benchmarks/confidence.py` measures every number on this page and writes it.
+
+## Claimed against seen
+
+The share of true positions inside their 95 % ellipsoid, by robot file and recording. A shipped file
+is meant to stay within 88 to 99 %, the file of `glissando robot new` within 85 to 99.5 %.
+
+```
+python benchmarks/claimed.py
+python benchmarks/claimed.py --recording FOLDER --robot FILE --window T0 T1
+```
+
+{claimed}
+
+In its last seconds `fast_contact` moves little, and all of it is inside every ellipsoid. The rod of
+`extensible` is squeezed to a fraction of its length, which the default of 5 % stretch excludes, and
+the new file is then wrong. Its third row is no test: that outline was chosen after the two above it
+had been judged on the same second.
 
 ## Nodes, duration and confidence
 
@@ -82,6 +112,30 @@ two windows, with the frame and mounts of slow motion. Motion capture is 20 ms l
 `slow_free_space` and 2 ms in `fast_contact`; as this is no constant of the laboratory, it is not
 corrected. From 10 to 20 s the robot bends mostly beside the base. From 20 to 30 s the impact
 disturbs the tracker, and more flexible shapes buckle to follow it.
+
+## What the errors of the learned file are
+
+`python benchmarks/error_parts.py` takes errors apart by body and direction, in each body's own
+axes, and fits away what an estimate cannot be blamed for; a fit is an upper bound and is applied
+nowhere else. On the recording it was learned from, 19 to 29 s:
+
+{error_parts}
+
+The tip is within 3 mm and the delay of motion capture explains a tenth of a millimetre: what is
+wrong is the shape between. In free space curvature grows along the second segment; in contact it
+falls from the base. `--vary` scales numbers of the prior one by one. What helps one recording harms
+the other, in millimetres and share inside 95 %:
+
+| prior | slow_free_space 19–29 s | fast_contact 10–20 s | fast_contact 20–30 s |
+|---|---|---|---|
+| as learned | 7.87, 97 % | 4.86, 93 % | 6.48, 88 % |
+| bending of the last segment × 2 | 5.90, 97 % | 7.27, 88 % | not measured |
+| the same × 3.3 | 4.95, 97 % | 10.83, 84 % | 21.19, 75 % |
+| axial variance ÷ 4 at the base, ÷ 2.5 at the joint | 6.21, 97 % | 4.94, 89 % | 6.34, 71 % |
+
+No setting tried reaches 6 mm on the first and keeps confidence true on the others, so the file is
+left as it is. Some fifteen settings of bending, joints, axial strain, loss and mounts were judged
+on these windows, `fast_contact` among them: it is no held-out recording for what follows from this.
 """
 
 
