@@ -1,7 +1,7 @@
 """Files of other programs that are no text: bags of ROS and c3d of motion capture."""
 
-import ezc3d
 import numpy as np
+import pytest
 from rosbags.rosbag1 import Writer as Bag1
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Bag2
@@ -48,6 +48,7 @@ def bag(path, version, rng, storage=StoragePlugin.SQLITE3):
 
 def c3d(path, unit="mm"):
     """A c3d of two points, each missing once; their positions (2, 20, 3) in metres."""
+    ezc3d = pytest.importorskip("ezc3d", reason="ezc3d, which writes c3d, is not installed")
     points = np.random.default_rng(0).uniform(-1, 1, (2, 20, 3))
     file = ezc3d.c3d()
     file["parameters"]["POINT"]["RATE"]["value"] = [120.0]
