@@ -44,7 +44,8 @@ def test_the_example_is_planned_and_its_commands_are_such_as_predict_reads(folde
     assert (folder / "motion" / "plan.svg").read_text(encoding="utf-8").count("<path") > 100
     view = (folder / "motion" / "view.html").read_text(encoding="utf-8")
     assert '"solids":[{"vertices"' in view.replace(" ", "")
-    assert json.loads((folder / "motion" / "plan.json").read_text()) == report
+    written = json.loads((folder / "motion" / "plan.json").read_text())
+    assert report.items() <= written.items()
 
 
 MISTAKES = [

@@ -18,8 +18,8 @@ from glissando.cli.commands import COMMANDS
 from glissando.cli.progress import Work, working
 
 CLI = Path(glissando.cli.__file__).parent
-SHORT = {"completion", "doctor", "exporting", "importing", "report", "live", "robot"}
-"""Modules of commands that compute next to nothing, or say at a steady rate what they do."""
+SHORT = {"completion", "doctor", "exporting", "importing", "report", "rerun", "live", "robot"}
+"""Commands that compute next to nothing, or whose work shows itself: live, and what rerun runs."""
 
 
 @pytest.fixture

@@ -72,12 +72,12 @@ def test_slopes_by_shares_are_differences(rng):
 
 
 def test_the_variance_foretold_is_what_the_estimator_says():
-    zones, horizon = [Zone((0.3, 0.6))], 2.0
+    zones, horizon = [Zone((0.3, 0.6))], 4.0 / ROBOT.time_rate
     candidates = candidates_of(ROBOT, "coil", 1.0, count=4)
     problem = placement_problem(ROBOT, candidates, zones, horizon=horizon)
     share = np.array([0.0, 1.0, 0.0, 1.0])
     grid = Grid(ROBOT.arclength_nodes, np.linspace(0.0, horizon, 5))
-    time = (np.arange(80) + 0.5) / 40.0
+    time = (np.arange(round(40.0 * horizon)) + 0.5) / 40.0
     readings = []
     for place in (0.35, 0.7):
         pose = np.tile(np.eye(4), (time.size, 1, 1))

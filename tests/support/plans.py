@@ -19,7 +19,9 @@ from glissando.planning import (
 )
 
 LENGTH = 0.7
-KINEMATIC = replace(load_robot("sliding700"), arclength_nodes=np.linspace(0.0, LENGTH, 5))
+KINEMATIC = replace(
+    load_robot("sliding700"), arclength_nodes=np.linspace(0.0, LENGTH, 5), time_rate=2.0
+)
 SEPARABLE = replace(
     KINEMATIC,
     prior=SeparablePrior(

@@ -160,12 +160,15 @@ def replay(
     )
     known = [p for p in robot.sensor_parameters if p.known]
     run = _Run(smoother, references, watch, known)
-    if journal is None:
+    rest = readings, times
+    if journal is not None:
+        rest = _continued(smoother, journal, recording.name, readings, times)
+    if journal is None or not rest[1].size:  # nothing is to be logged
         run.through(readings, times, wait=real_time)
     else:
-        readings, times = _continued(smoother, journal, recording.name, readings, times)
+        times = rest[1]
         with Journal(journal, recording.name) as log:
-            run.through(readings, times, log, wait=real_time)
+            run.through(*rest, log, wait=real_time)
     return Replay(
         recording, robot, (first, last), nodes, smoother, times, np.array(run.latency), run.states,
         np.array(run.nis), _by_site(run.newest), _by_site(run.lagged), run.adaptive,
@@ -175,7 +178,10 @@ def replay(
 def _continued(
     smoother: FixedLagSmoother, journal: Path, name: str, readings: list[Readings], times: Array
 ) -> tuple[list[Readings], Array]:
-    """Give the smoother a journal's readings; the readings and update times still to come."""
+    """Give the smoother a journal's readings; the readings and update times still to come.
+
+    A journal that holds them all gives it none: what may be missing is what was made of them.
+    """
     if not (journal / "recording.toml").exists():
         return readings, times
     before = load_recording(journal)
@@ -192,7 +198,7 @@ def _continued(
     end = max(float(r.time[-1]) for r in logged)
     past, future = times[times <= end], times[times > end]
     if future.size == 0:
-        raise RecordingError(f"{journal} holds all of it already; give another folder.")
+        return [], future
     past = past[past >= end - _MEMORY]
     since = past[0] if past.size else -np.inf
     _Run(smoother, [], None).through([r.select(r.time >= since) for r in logged], past)

@@ -147,7 +147,8 @@ def cluster(address: str | None = None, workers: int | None = None) -> Iterator[
                     threads_per_worker=1,
                     protocol="tls://",
                     security=ours,
-                    dashboard_address=None,
+                    dashboard_address="127.0.0.1:0",  # None would be port 8787 of all networks
+                    scheduler_kwargs={"dashboard": False},
                     silence_logs=50,
                 )
             client = stack.enter_context(Client(stack.enter_context(local)))
