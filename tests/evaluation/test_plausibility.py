@@ -182,6 +182,8 @@ def test_refusals_are_one_error_that_says_how_to_go_on():
 
 def test_a_grid_beyond_memory_or_reason_is_refused_with_its_size(session):
     robot, sensors, _, _ = session
+    with pytest.raises(OutsideGridError, match="would be inf time nodes"):
+        replace(robot, time_rate=1e308).grid(0.0, 1e3)
     dense = replace(robot, time_rate=3000.0)
     finding = found(dense, sensors, window=(0.0, 5.0))["grid"]
     assert "15,000 time nodes" in finding.sentence

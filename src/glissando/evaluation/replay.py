@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from glissando.errors import GlissandoError, RecordingError
+from glissando.errors import GlissandoError, ImplausibleError, RecordingError
 from glissando.estimation.fixed_lag import FixedLagSmoother
 from glissando.estimation.posterior import Posterior, StateEstimate
 from glissando.evaluation.conformal import AdaptiveSet
@@ -268,7 +268,13 @@ class _Run:
             if log is not None:
                 log.write(readings)
             self.smoother.add(readings)
-        self.states.append(self.smoother.advance(now))
+        try:
+            self.states.append(self.smoother.advance(now))
+        except np.linalg.LinAlgError:
+            raise ImplausibleError(
+                f"The update at {now:g} s broke down: readings and robot contradict each other "
+                f"beyond what can be computed. Check units, frames and single false readings."
+            ) from None
         self.latency.append(time.perf_counter() - start)
         self.nis.append(np.nan if self.smoother.nis is None else self.smoother.nis)
 

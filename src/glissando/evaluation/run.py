@@ -212,14 +212,14 @@ def run_estimate(
             options=SolverOptions(max_iterations or SolverOptions.max_iterations),
             progress=progress,
         )
+        after = after_estimate(posterior, readings, parameters)
+        errors = [errors_against(posterior, t) for t in references]
     except np.linalg.LinAlgError:
         raise ImplausibleError(
             f"The estimate of {recording.name} broke down: readings and robot contradict each "
             f"other beyond what can be computed. Check units, frames and single false readings."
         ) from None
-    after = after_estimate(posterior, readings, parameters)
     findings += [f for f in after if f.name not in {*recording.allow, *allow}]
-    errors = [errors_against(posterior, t) for t in references]
     return Run(recording, robot, window, readings, references, dropped, posterior, errors, findings)
 
 

@@ -63,15 +63,15 @@ class Robot(Brief):
         Raises:
             OutsideGridError: An estimate would need more memory than the machine can give.
         """
-        count = max(2, round((stop - start) * self.time_rate) + 1)
-        if self.memory(count) > _SHARE * _installed():
+        wanted = max(2.0, float(np.round((stop - start) * self.time_rate)) + 1.0)
+        if self.memory(wanted) > _SHARE * _installed():
             raise OutsideGridError(
-                f"{start:g} to {stop:g} s at {self.time_rate:g} nodes a second would be {count:,} "
-                f"time nodes and about {self.memory(count) / 1e9:,.3g} GB, more than "
-                f"{_SHARE:.0%} of this machine's {_installed() / 1e9:,.3g} GB; choose a shorter "
-                f"window or a lower time_rate."
+                f"{start:g} to {stop:g} s at {self.time_rate:g} nodes a second would be "
+                f"{wanted:,.0f} time nodes and about {self.memory(wanted) / 1e9:,.3g} GB, more "
+                f"than {_SHARE:.0%} of this machine's {_installed() / 1e9:,.3g} GB; choose a "
+                f"shorter window or a lower time_rate."
             )
-        return Grid(self.arclength_nodes, np.linspace(start, stop, count))
+        return Grid(self.arclength_nodes, np.linspace(start, stop, int(wanted)))
 
     def memory(self, count: float) -> float:
         """Bytes that an estimate of so many time nodes takes, about.

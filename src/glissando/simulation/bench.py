@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from os.path import isfile
 from pathlib import Path
 from typing import Any
 
@@ -77,7 +78,7 @@ class Bench:
 
     def _file(self, name: str) -> Table:
         path = Path(name)
-        if not path.is_file():
+        if not isfile(path):
             raise SimulationError(
                 f"There is no shape named {name!r} and no such file; give a TOML file with "
                 f"tensions, or one of {', '.join(self.shapes)}."

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import product
 from math import ceil
+from os.path import isfile
 from pathlib import Path
 from typing import Any
 
@@ -211,7 +212,7 @@ def _scene(settings: dict[str, Value], folder: Path) -> Scene:
 
 def _resolved(name: str, folder: Path) -> str:
     """A file beside the study by its whole path, anything else as it is."""
-    return str(folder / name) if name and (folder / name).is_file() else name
+    return str(folder / name) if name and isfile(folder / name) else name
 
 
 def _content(name: str) -> str:
