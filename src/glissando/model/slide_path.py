@@ -160,7 +160,7 @@ class SlidePath(Brief):
         cycles: int, stroke: float, limits: SlideLimits, *, speed: float | None = None
     ) -> SlidePath:
         """From the tip `stroke` metres towards the base and back, `cycles` times."""
-        if not (np.isfinite(cycles) and cycles == int(cycles) and 0 < cycles <= _CYCLES):
+        if not (0 < cycles <= _CYCLES and cycles == int(cycles)):
             raise SimulationError(
                 f"{cycles:g} cycles cannot be; give a whole number from 1 to {_CYCLES:,}."
             )
