@@ -1,0 +1,214 @@
+"""A sliding window on its way: node after node with what was read, through silence and restarts.
+
+While nothing was read there is but one node, at rest. In silence nodes lie closer than the times
+asked for, and belief grows until a robot at rest is known as well; from then on it stays that.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+
+from glissando._kernels.threads import one_thread
+from glissando.errors import OutsideGridError, UnobservableError
+from glissando.estimation.gated_update import GatedUpdate, LostError
+from glissando.estimation.innovation_gate import InnovationGate
+from glissando.estimation.posterior import StateEstimate
+from glissando.estimation.reading_buffer import ReadingBuffer
+from glissando.estimation.shape_spread import shape_covariances, spread_of
+from glissando.estimation.silence import Silence
+from glissando.estimation.sliding_window import SlidingWindow
+from glissando.model.grid import Grid
+from glissando.model.sensors.readings import Readings
+
+_MERGED = 0.01  # of the longest interval: a node as close to the newest one would be singular
+_BACK = 2.0  # s before the oldest node: a clock that was set, not a reading that came late
+_CLOSEST = 0.2  # of the last interval: no node is put nearer to the newest one to look ahead
+
+
+class WindowSteps:
+    """Steps of a window of `lag` time nodes, with readings that a gate of a chance believes.
+
+    Attributes:
+        window: The window.
+        lag: How many time nodes it keeps.
+        gate: What judges readings.
+        buffer: The readings of the window, and those still to come.
+        update: Solutions of the window with new readings.
+        updates: How many there were.
+        restarts: How often it began again from rest.
+    """
+
+    def __init__(self, window: SlidingWindow, lag: int, gate: float | None) -> None:
+        self.window, self.lag = window, lag
+        self.gate = InnovationGate(gate)
+        self.buffer = ReadingBuffer(float(window.arclength[-1]), self.gate)
+        self.update = GatedUpdate(window, self.buffer, self.gate)
+        self.updates = self.restarts = 0
+        self._started = False
+        self._oldest, self._silence = -np.inf, Silence()
+
+    @property
+    def time(self) -> float | None:
+        """Time of the newest node, None before the first."""
+        return float(self.window.nodes.time[-1]) if self.window.started else None
+
+    def take(self, readings: Readings) -> None:
+        """Take readings of one stream, unless they came before or lie before the window."""
+        self.buffer.take(readings, self._oldest)
+
+    def advance(self, time: float) -> None:
+        """Go on to a time with all readings up to then.
+
+        Raises:
+            OutsideGridError: The time lies seconds before all that is estimated.
+        """
+        time = self._new_time(time)
+        with one_thread():
+            self.buffer.refuse_ahead(max(time, self.time or time))
+            while self._step(self._next_node(time)) < time:
+                pass
+
+    def ahead(self, time: float) -> SlidingWindow:
+        """The window, or where a time is ahead of it a copy with a node more."""
+        window, nodes = self.window, self.window.nodes.time
+        if time <= nodes[-1]:
+            return window
+        window = window.copied()
+        before = window.before if len(nodes) == 1 else nodes[-2]
+        # Nodes may be too close; one further ahead than asked for does not change the answer.
+        least = 0.0 if before is None else _CLOSEST * float(nodes[-1] - before)
+        window.append(max(time, float(nodes[-1]) + least))
+        first = max(0, len(window.nodes) - 2)
+        with one_thread():
+            window.solve(first, self.buffer.since(float(window.nodes.time[first])))
+        return window
+
+    def _new_time(self, time: float) -> float:
+        """The time, or the newest node's where a node at it would be too close to that."""
+        if not self.window.started:
+            return time
+        nodes, before = self.window.nodes.time, self.window.before
+        if time < nodes[0] - _BACK:
+            raise OutsideGridError(
+                f"Time went back from {nodes[-1]:g} to {time:g} s; the clock was set. Begin anew "
+                f"with another smoother, and give times of a monotonic clock."
+            )
+        spans = np.diff(nodes if before is None else np.append(before, nodes))
+        close = float(time - nodes[-1]) < _MERGED * spans.max(initial=0.0)
+        return float(nodes[-1]) if close else time
+
+    def _next_node(self, time: float) -> float:
+        """The next node on the way to a time: that time, but in silence nodes lie closer."""
+        newest = self.time
+        if newest is None or self.resting:
+            return time
+        return self._silence.next_node(newest, time, self.buffer)
+
+    def _step(self, time: float) -> float:
+        """One node more, or none if the time is not new, with what came; the newest time."""
+        before = self.time
+        self._append(time)  # the prior's mean leads there (2')
+        newest = float(self.window.nodes.time[-1])
+        fresh, earliest = self._arrive()
+        if fresh or before is None or newest > before:
+            if not self._started and fresh:
+                self._started = self.update.start(fresh)  # all there is, as in a batch
+            try:
+                self._solve(self.update.first_changed(earliest), fresh)  # (19) to (21), gated
+            except (np.linalg.LinAlgError, UnobservableError, LostError):
+                if not self._started:
+                    raise
+                self._restart(min(earliest, newest - self._silence.step), fresh)
+            if fresh.total():
+                self._silence.end(before, newest)
+            elif self._started:
+                self._note_silence(newest)
+            self._marginalize()  # the Schur complement of what leaves (20)
+            self.updates += 1
+        return newest
+
+    def _append(self, time: float) -> None:
+        """A node at a time after the newest; while nothing was read there is but one, at rest."""
+        window = self.window
+        if window.started and time <= window.nodes.time[-1]:
+            return
+        if window.started and not self.resting:
+            window.append(time)
+            return
+        begin, silence = time, self._silence
+        if window.started:
+            silence.step = min(silence.step, time - float(window.nodes.time[-1]))
+            due = self.buffer.due(time)
+            if due.size:
+                begin = max(self._oldest, min(float(due[0]), time - silence.step))
+        else:
+            self._oldest = time
+        self._rest(begin)
+        if begin < time:
+            window.append(time)
+
+    def _rest(self, time: float) -> None:
+        """A single node at rest."""
+        window = self.window
+        window.begin(time, window.prior.rest_state(Grid(self.window.arclength, [time])).take(0))
+        self._started = self._silence.curved = False
+        if window.prior.fixes_base and not self._silence.has_rest:
+            window.solve(0, [])
+            self._silence.set_rest(self._spread(), float(self.window.arclength[-1]))
+
+    def _spread(self) -> tuple[float, float]:
+        """RMS displacement (m) and turn (rad) of the newest tip."""
+        state, cov = self.window.newest()
+        return spread_of(cov, self.window.arclength.size - 1, state.dof)
+
+    @property
+    def resting(self) -> bool:
+        """Whether nothing is known but the prior."""
+        return not self._started and self._silence.has_rest
+
+    def _note_silence(self, newest: float) -> None:
+        """Begin again where the newest state is no better known than that of a robot at rest."""
+        spread = self._spread()
+        self._silence.note(spread)
+        if self._silence.is_at_rest(spread):
+            self._restart(newest, Counter())
+
+    def newest(self) -> StateEstimate:
+        """The newest state; after silence with the spread of shapes."""
+        linear = self.window.newest_nodes()
+        if not (self._silence.curved or self.resting):
+            return linear
+        return replace(linear, cov=shape_covariances(self.window.arclength, *self.window.newest()))
+
+    def _arrive(self) -> tuple[Counter[str], float]:
+        """New readings up to the newest node: how many of each stream, and the earliest's time."""
+        time = self.window.nodes.time
+        return self.buffer.arrive(float(time[0]), float(time[-1]))
+
+    def _marginalize(self) -> None:
+        """Let nodes and readings go that are older than the lag."""
+        while len(self.window.nodes) > self.lag:
+            self.window.drop()
+        if not self.resting:
+            self._oldest = float(self.window.nodes.time[0])
+        self.buffer.forget(self._oldest)
+
+    def _restart(self, since: float, fresh: Counter[str]) -> None:
+        """Begin again from rest, where states have become absurd or say nothing more."""
+        newest = float(self.window.nodes.time[-1])
+        self._oldest = max(since, self._oldest) if fresh else newest
+        self._rest(self._oldest)
+        self.restarts += 1
+        self.buffer.forget(self._oldest)
+        if self._oldest < newest:
+            self.window.append(newest)
+        if fresh:
+            self._started = self.update.start(fresh)
+        self._solve(0, fresh)
+
+    def _solve(self, first: int, fresh: Counter[str]) -> None:
+        """Solve from a node on, with the new readings that the gate believes."""
+        self.update.update(first, fresh, linear=not self._silence.curved)
