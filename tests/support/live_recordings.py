@@ -1,9 +1,11 @@
 """A small recording of a moving robot, and its readings as OpenIGTLink messages."""
 
+import tomllib
 from pathlib import Path
 
 import numpy as np
 
+from glissando.errors import RobotFileError
 from glissando.geometry import se3
 from glissando.hardware.live import IgtlSource, LiveSession
 from glissando.hardware.live.clock import SessionClock
@@ -13,11 +15,37 @@ from glissando.hardware.openigtlink import contents as c
 from glissando.hardware.openigtlink.wire_frame import WireFrame
 from glissando.io.csv_stream import Rows, Stream
 from glissando.io.recording import Recording
-from glissando.io.robot_file import load_robot
+from glissando.io.robot_file import load_robot, parse_robot
+from glissando.io.toml_table import Table
 from waiting import until
 
 ROBOT = load_robot("tdcr466")
 SPAN = (3.0, 4.5)
+_MECHANICAL = """
+name = "rod"
+length = 0.466
+rest_strain = [0, 0, 1, 0, 0, 0]
+[grid]
+arclength_nodes = 6
+time_rate = 10.0
+[base]
+var_pose = [1e-10, 1e-10]
+[mechanics]
+tubes = [{ outer = 1.2e-3 }]
+young = 60e9
+poisson = 0.33
+[prior]
+kind = "mechanical"
+time_scale = 1.0
+psd_load = [1e-6, 1e-10]
+psd_strain_error = [1e-10, 1e-6]
+var_tip = [0.04, 1e-6]
+points = [0.3]
+var_points = [[0.04, 1e-6]]
+[sensors.pose]
+std = [1e-4, 1e-4]
+"""
+ROD = parse_robot(Table(tomllib.loads(_MECHANICAL), "rod.toml", RobotFileError))
 
 
 def swaying(seed: int = 0, rate: float = 41.3) -> Recording:

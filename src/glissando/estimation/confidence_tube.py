@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -33,16 +35,13 @@ def confidence_tube(
         Rings (…, R, around, 3) in the world frame, m, and the point (R,) of each.
     """
     count = pose.shape[-3]
-    rest = np.linspace(0.0, 0.5 * np.pi, _CAP, endpoint=False)
-    tilt = np.concatenate([rest - 0.5 * np.pi, np.zeros(count), 0.5 * np.pi - rest[::-1]])
-    ring = np.concatenate([[0] * _CAP, np.arange(count), [count - 1] * _CAP])
+    ring, across, height = _unit_tube(count, around)
     flat = cov[..., :2, :2]
-    product = np.sqrt(np.maximum(np.linalg.det(flat), 0.0))
+    det = flat[..., 0, 0] * flat[..., 1, 1] - flat[..., 0, 1] * flat[..., 1, 0]
+    product = np.sqrt(np.maximum(det, 0.0))
     total = np.sqrt(np.einsum("...ii->...", flat) + 2.0 * product + 1e-24)
     root = (flat + product[..., None, None] * np.eye(2)) / total[..., None, None]
-    angle = np.linspace(0.0, 2.0 * np.pi, around, endpoint=False)
-    across = np.cos(tilt)[:, None, None] * (np.stack([np.cos(angle), np.sin(angle)], -1))
-    along = np.sin(tilt) * np.sqrt(np.maximum(cov[..., ring, 2, 2], 0.0))
+    along = height * np.sqrt(np.maximum(cov[..., ring, 2, 2], 0.0))
     body = np.empty((*along.shape, around, 3))
     body[..., :2] = across @ root[..., ring, :, :]
     body[..., 2] = along[..., None]
@@ -51,6 +50,18 @@ def confidence_tube(
     return pose[..., None, :3, 3] + sigmas * turned, ring
 
 
+@lru_cache(maxsize=16)
+def _unit_tube(count: int, around: int) -> tuple[Index, Array, Array]:
+    """The point (R,) of each ring, and a unit tube's rings: (R, around, 2) and height (R,)."""
+    rest = np.linspace(0.0, 0.5 * np.pi, _CAP, endpoint=False)
+    tilt = np.concatenate([rest - 0.5 * np.pi, np.zeros(count), 0.5 * np.pi - rest[::-1]])
+    ring = np.concatenate([[0] * _CAP, np.arange(count), [count - 1] * _CAP])
+    angle = np.linspace(0.0, 2.0 * np.pi, around, endpoint=False)
+    across = np.cos(tilt)[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], -1)
+    return ring, across, np.sin(tilt)
+
+
+@lru_cache(maxsize=16)
 def tube_faces(rings: int, around: int) -> NDArray[np.intp]:
     """Triangles (F, 3) between the points of rings, numbered ring by ring.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from glissando.estimation.loads import (
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.brief import Brief
-from glissando.model.grid import Grid
+from glissando.model.grid import Grid, Index
 from glissando.model.interpolation import sort_points
 from glissando.model.priors.prior import Prior
 from glissando.model.priors.transitions import symmetrize
@@ -151,35 +152,7 @@ class Posterior(Brief):
 
         Raises OutsideGridError for a point off the grid. Source: equations (10) to (12).
         """
-        s, t = np.broadcast_arrays(
-            np.asarray(arclength, dtype=float), np.asarray(time, dtype=float)
-        )
-        shape, s, t = s.shape, s.ravel(), t.ravel()
-        self.grid.require(s, t, "Query")
-        out = StateEstimate(
-            np.empty((s.size, 4, 4)),
-            np.empty((s.size, 6)),
-            np.empty((s.size, 6)),
-            np.empty((s.size, DOF, DOF)),
-        )
-        for first in range(0, s.size, _CHUNK):
-            here = slice(first, first + _CHUNK)
-            for points in sort_points(self.grid, s[here], t[here]):
-                found = self.prior.interpolate(self.grid, self.state, self.state, points)
-                jacobian = found.jacobian.reshape(points.rows.size, DOF, -1)
-                joint = self._joint(found.nodes)
-                rows = first + points.rows
-                out.pose[rows] = found.state.pose
-                out.strain[rows] = found.state.strain
-                out.velocity[rows] = found.state.velocity
-                cov = jacobian @ joint @ np.swapaxes(jacobian, -1, -2) + found.cov
-                out.cov[rows] = symmetrize(cov)
-        return StateEstimate(
-            *(
-                a.reshape(*shape, *a.shape[1:])
-                for a in (out.pose, out.strain, out.velocity, out.cov)
-            )
-        )
+        return state_at(self.prior, self.grid, self.state, self.marginals, arclength, time)
 
     def wrench(
         self, arclength: ArrayLike, time: ArrayLike, *, frame: str = "body"
@@ -218,7 +191,8 @@ class Posterior(Brief):
         self.grid.require(s.ravel(), t.ravel(), "Query")
         k = np.abs(t.ravel()[:, None] - self.grid.time).argmin(axis=1)
         prior, grid, state = self.prior, self.grid, self.state
-        found = point_loads(prior, grid, state, self._joint, s.ravel(), k, frame)
+        joint = partial(_joint, grid, state.dof, self.marginals)
+        found = point_loads(prior, grid, state, joint, s.ravel(), k, frame)
         wrench, cov = found.wrench.reshape(*s.shape, 6), found.cov.reshape(*s.shape, 6, 6)
         return WrenchEstimate(wrench, cov, frame)
 
@@ -237,14 +211,6 @@ class Posterior(Brief):
         found = self.at(grid.arclength, time[:, None])
         rates = [np.zeros_like(found.strain)] * (len(self.state.fields()) - 3)
         return State(found.pose, found.strain, found.velocity, *rates)
-
-    def _joint(self, nodes: np.ndarray) -> Array:
-        """Joint covariance (M, c·dof, c·dof) of the touched nodes (M, c)."""
-        slab, inner = np.divmod(nodes, self.grid.arclength.size)
-        (m, c), dof = nodes.shape, self.state.dof
-        at = (inner[:, :, None] * dof + np.arange(dof)).reshape(m, c * dof)
-        slab = np.repeat(slab, dof, axis=1)
-        return self.marginals.joint(slab, at)
 
     def sample(self, rng: np.random.Generator, size: int = 1) -> State:
         """Joint draws of the whole motion at the nodes, leading shape (size, K, N)."""
@@ -282,3 +248,58 @@ class Posterior(Brief):
         raise GlissandoError(
             f"No sensor parameter {name!r} was estimated; those that were: {known}."
         )
+
+
+def state_at(
+    prior: Prior,
+    grid: Grid,
+    state: State,
+    marginals: Marginals,
+    arclength: ArrayLike,
+    time: ArrayLike,
+) -> StateEstimate:
+    """State with its 18×18 covariance at points of a grid, given its nodes.
+
+    Args:
+        prior: The prior of the motion.
+        grid: The grid.
+        state: Mean (K, N) at the nodes.
+        marginals: Covariance of the nodes' numbers, a slab for each time.
+        arclength: Metres; broadcast with `time`.
+        time: Seconds.
+
+    Raises:
+        OutsideGridError: A point is off the grid.
+
+    Source: equations (10) to (12).
+    """
+    s, t = np.broadcast_arrays(np.asarray(arclength, dtype=float), np.asarray(time, dtype=float))
+    shape, s, t = s.shape, s.ravel(), t.ravel()
+    grid.require(s, t, "Query")
+    out = StateEstimate(
+        np.empty((s.size, 4, 4)),
+        np.empty((s.size, 6)),
+        np.empty((s.size, 6)),
+        np.empty((s.size, DOF, DOF)),
+    )
+    for first in range(0, s.size, _CHUNK):
+        here = slice(first, first + _CHUNK)
+        for points in sort_points(grid, s[here], t[here]):
+            found = prior.interpolate(grid, state, state, points)
+            jacobian = found.jacobian.reshape(points.rows.size, DOF, -1)
+            joint = _joint(grid, state.dof, marginals, found.nodes)
+            rows = first + points.rows
+            out.pose[rows] = found.state.pose
+            out.strain[rows] = found.state.strain
+            out.velocity[rows] = found.state.velocity
+            cov = jacobian @ joint @ np.swapaxes(jacobian, -1, -2) + found.cov
+            out.cov[rows] = symmetrize(cov)
+    return StateEstimate(*(a.reshape(*shape, *a.shape[1:]) for a in vars(out).values()))
+
+
+def _joint(grid: Grid, dof: int, marginals: Marginals, nodes: Index) -> Array:
+    """Joint covariance (M, c·dof, c·dof) of the touched nodes (M, c)."""
+    slab, inner = np.divmod(nodes, grid.arclength.size)
+    m, c = nodes.shape
+    at = (inner[:, :, None] * dof + np.arange(dof)).reshape(m, c * dof)
+    return marginals.joint(np.repeat(slab, dof, axis=1), at)

@@ -1,6 +1,7 @@
 """A live estimate is the replay's, loses nothing that it used, and ends with a sentence."""
 
 import time
+from itertools import islice
 
 import numpy as np
 import pytest
@@ -18,7 +19,16 @@ from glissando.hardware.openigtlink import Endpoint, Message, encode, stamp_of
 from glissando.hardware.openigtlink import contents as c
 from glissando.io.query_csv import QUERY_COLUMNS
 from glissando.io.recording import load_recording
-from live_recordings import ROBOT, SPAN, pose_messages, reading_messages, swaying, through_wire
+from glissando.io.robot_file import load_robot
+from live_recordings import (
+    ROBOT,
+    ROD,
+    SPAN,
+    pose_messages,
+    reading_messages,
+    swaying,
+    through_wire,
+)
 from waiting import until
 
 PLACES = (Placement("base", 0.0), Placement("tip", ROBOT.length))
@@ -78,6 +88,17 @@ def test_a_recording_at_its_pace_is_journaled_whole_and_written_as_csv(tmp_path)
     assert list(table.dtype.names) == list(QUERY_COLUMNS)
     assert table.size == 5 * len(updates)
     np.testing.assert_allclose(table["x"][4::5], [u.tip[0] for u in updates], atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["tdcr466", "tdcr466-segments", "rod"])
+def test_an_update_is_what_the_smoother_says_between_its_nodes(name):
+    robot = ROD if name == "rod" else load_robot(name)
+    with LiveSession(robot, [RecordingSource(swaying(), robot)], points=17) as session:
+        for update in islice(session, 4):
+            said = update.smoother.at(update.arclength, update.time)
+            for field, value in vars(said).items():
+                ours = getattr(update.state, field)
+                np.testing.assert_allclose(ours, value, rtol=1e-9, atol=1e-9 * np.abs(value).max())
 
 
 def _pose(translation, stamp=1) -> bytes:

@@ -18,6 +18,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Iterator
+from functools import lru_cache
 from typing import Self
 
 import numpy as np
@@ -134,6 +135,7 @@ class IgtlSink:
         return [encode(readings_message(r, update.stamp)) for r in update.readings if r.kind]
 
 
+@lru_cache(maxsize=4096)
 def frame_name(arclength: float) -> str:
     """The name of the frame at an arclength in m.
 

@@ -29,7 +29,7 @@ from glissando.hardware.openigtlink.fields import (
 from glissando.hardware.openigtlink.polydata import PolyData
 
 REFERENCE, TOOL_6D, TOOL_3D, TOOL_5D = 1, 2, 3, 4  # what a tool of TDATA measures
-_TOOL = struct.Struct(">20sBB48s")
+_TOOL = np.dtype([("name", "S20"), ("kind", "u1"), ("reserved", "u1"), ("columns", FLOAT, (4, 3))])
 _POINT = struct.Struct(">64s32s4s3ff20s")
 _STATUS = struct.Struct(">Hq20s")
 _STRING = struct.Struct(">HH")
@@ -118,16 +118,21 @@ class TrackingData:
 
     def pack(self) -> bytes:
         """70 bytes a tool."""
-        return b"".join(
-            _TOOL.pack(fixed_text(t.name, 20), t.kind, 0, pack_pose(t.matrix)) for t in self.tools
-        )
+        table = np.zeros(len(self.tools), _TOOL)
+        table["name"] = [fixed_text(tool.name, 20) for tool in self.tools]
+        table["kind"] = [tool.kind for tool in self.tools]
+        for k, tool in enumerate(self.tools):
+            table["columns"][k] = tool.matrix[:3].T
+        return table.tobytes()
 
     @classmethod
     def unpack(cls, data: bytes) -> Self:
         """From 70 bytes a tool."""
-        _require(len(data) % _TOOL.size == 0, cls.type_id, data)
-        parts = _TOOL.iter_unpack(data)
-        return cls(tuple(Tool(text_of(n), kind, unpack_pose(pose)) for n, kind, _, pose in parts))
+        _require(len(data) % _TOOL.itemsize == 0, cls.type_id, data)
+        tools = []
+        for name, kind, _, columns in np.frombuffer(data, _TOOL):
+            tools.append(Tool(text_of(name), int(kind), unpack_pose(columns.tobytes())))
+        return cls(tuple(tools))
 
 
 @dataclass(frozen=True)

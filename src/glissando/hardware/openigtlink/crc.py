@@ -1,7 +1,7 @@
 """The CRC-64 of OpenIGTLink: ECMA-182, most significant bit first, beginning at zero.
 
 The checksum is linear: that of a message is the sum (XOR) of its words' checksums, each shifted by
-the bytes that follow it. Neighbouring words are therefore folded by eight, all of them at once.
+the bytes that follow it. Neighbouring words are therefore folded by sixteen, all at once.
 Source: ECMA-182, annex B; the protocol's own name for it is crc64.
 """
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 _POLYNOMIAL = 0x42F0E1EBA9EA3693
 _WORD = 8  # bytes
-_FOLD = 8  # words that become one
+_FOLD = 16  # words that become one
 _ROWS = 256 * np.arange((_FOLD - 1) * _WORD)  # where the table of each byte begins
 
 Words = NDArray[np.uint64]
@@ -36,7 +36,7 @@ def crc64(data: bytes) -> int:
 
 
 def _folded(groups: Words, span: int) -> Words:
-    """The sums (M,) of words (M, 7) of which each is `span` bytes before the next, and the end."""
+    """The sums (M,) of words (M, 15) of which each is `span` bytes before the next, and the end."""
     count = len(groups)
     each = np.ascontiguousarray(groups).view(np.uint8).reshape(count, -1)
     rows = np.ascontiguousarray(each.T) + _ROWS[:, None]
@@ -46,7 +46,7 @@ def _folded(groups: Words, span: int) -> Words:
 
 @lru_cache(maxsize=16)
 def _fold_tables(span: int) -> Words:
-    """Tables of words that are 7, 6, … 1 spans from the end, one after another; (7 · 8 · 256,)."""
+    """Tables of words that are 15, 14, … 1 spans from the end, in turn; (15 · 8 · 256,)."""
     tables = [_tables(span)]
     while len(tables) < _FOLD - 1:
         tables.append(np.stack([_shifted(row, span) for row in tables[-1]]))

@@ -131,11 +131,14 @@ class _Bytes:
 
 def _pack_cells(cells: Cells | NDArray[np.integer]) -> bytes:
     """Each cell's number of points, then their numbers."""
+    if not len(cells):
+        return b""
     if isinstance(cells, np.ndarray):  # cells of one size: without a loop
-        sizes = np.full((len(cells), 1), cells.shape[1] if cells.size else 0)
-        return np.hstack([sizes, cells]).astype(">u4").tobytes()
+        table = np.empty((len(cells), 1 + cells.shape[1]), ">u4")
+        table[:, 0], table[:, 1:] = cells.shape[1], cells
+        return table.tobytes()
     flat = [np.concatenate([[len(cell)], cell]) for cell in cells]
-    return np.concatenate([np.zeros(0), *flat]).astype(">u4").tobytes()
+    return np.concatenate(flat).astype(">u4").tobytes()
 
 
 def _unpack_cells(number: int, data: bytes, points: int) -> Cells:
