@@ -2,10 +2,12 @@
 
 import json
 import os
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from draws import motion
 from glissando.cli import reproduce
 from glissando.cli.main import main
 from glissando.experiments import scenes, studies
@@ -116,6 +118,28 @@ def test_no_shape_is_both_tuned_on_and_reported_on():
 
 
 @pytest.mark.slow
+def test_an_estimator_that_knows_the_pace_judges_a_motion_as_its_slow_motion():
+    slow, fast = (Scene("C-to-S", "hold", seconds, paced=True) for seconds in (20.0, 5.0))
+    assert scenes.prior(slow) is scenes.known_robot(slow).prior
+    grids, costs = [scenes.grid(scene) for scene in (slow, fast)], []
+    np.testing.assert_allclose(grids[1].time, grids[0].time / 4.0)
+    state = motion(np.random.default_rng(0), grids[0])
+    quick = replace(state, velocity=4.0 * state.velocity)
+    for scene, grid, at in zip((slow, fast), grids, (state, quick), strict=True):
+        every = scenes.prior(scene).factors(grid, at, at, slice(0, grid.time.size))
+        costs.append([batch.terms.cost(batch.terms.residual) for batch in every])
+    np.testing.assert_allclose(*costs, rtol=1e-9)
+
+
+def test_a_scene_with_inertia_swings_past_its_static_shapes():
+    still = Scene("C-to-S", "hold", 0.5, flaws=(("set_curvature", 0.0),))
+    tip = [
+        scenes.motion(scene, 0).at(0.7, 0.5).pose[:3, 3]
+        for scene in (still, replace(still, dynamic=True))
+    ]
+    assert 0.02 < np.linalg.norm(tip[1] - tip[0]) < 0.5
+
+
 def test_the_same_seeds_give_the_same_numbers_on_all_cores_as_in_a_plain_loop():
     scene = Scene("C", "hold", 1.0)
     together = run_plan([(scene, 4), (scene, 6)])[scene]

@@ -32,6 +32,8 @@ def all_kinds(rng):
         unknown("bias", "gyro", memory=0.3, name="gyro bias"),
         unknown("bias", "point", name="point bias"),
         unknown("arclength_offset", "coil", "gyro", value=[0.003]),
+        unknown("slide_lag", "coil", value=[0.01]),
+        unknown("slide_play", "coil", value=[0.002]),
         unknown(
             "time_offset", "pose", value=[0.002]
         ),  # of nothing that drifts: that is second order

@@ -9,6 +9,7 @@ from glissando import GlissandoError, GyroReadings, PositionReadings, estimate
 from glissando.geometry import se3
 from glissando.io.netcdf import load_posterior, save_posterior
 from glissando.model.sensors.parameters import SIZES
+from glissando.model.sensors.readings import slide_motion
 from scenes import LENGTH, angular_velocity, arc, sliding_scene
 from unknown_scenes import COARSE, SOFT, STEADY, TIMES, consistent, tracker, unknown
 
@@ -29,7 +30,16 @@ TRUE = {
     "bias": np.r_[0.05, -0.1, 0.08],
     "arclength_offset": np.r_[-0.006],
     "time_offset": np.r_[0.015],
+    "slide_lag": np.r_[0.02],
+    "slide_play": np.r_[0.008],
 }
+
+
+def to_and_fro(rng, name):
+    """A tracker that slides to and fro."""
+    place = LENGTH * (0.75 - 0.15 * np.abs(np.linspace(-1.0, 1.0, TIMES.size)))
+    speed, way = slide_motion(TIMES, place)
+    return replace(tracker(rng, name, place, 4e-3), slide_speed=speed, slide_way=way)
 
 
 def miscalibrated(rng):
@@ -38,6 +48,9 @@ def miscalibrated(rng):
     mounted = tracker(rng, "mounted", LENGTH / 2, 4e-3)
     slid = tracker(rng, "slid", np.linspace(0.6, 0.9, TIMES.size) * LENGTH, 4e-3)
     late = tracker(rng, "late", LENGTH, 4e-3)
+    behind, tight = (to_and_fro(rng, name) for name in ("behind", "tight"))
+    lag = TRUE["slide_lag"] * behind.slide_speed
+    play = 0.5 * TRUE["slide_play"] * tight.slide_way
     place = np.full(TIMES.size, LENGTH / 2)
     rate = angular_velocity(place, TIMES) + 0.3 * rng.standard_normal((TIMES.size, 3))
     gyro = GyroReadings(time=TIMES, arclength=place, values=rate, cov=0.09, name="gyro")
@@ -49,6 +62,8 @@ def miscalibrated(rng):
         replace(gyro, values=gyro.values + TRUE["bias"]),
         replace(slid, arclength=slid.arclength - TRUE["arclength_offset"]),
         replace(late, time=late.time + TRUE["time_offset"]),
+        replace(behind, arclength=behind.arclength + lag),
+        replace(tight, arclength=tight.arclength + play),
     ]
 
 
@@ -58,6 +73,8 @@ STREAM = {
     "bias": "gyro",
     "arclength_offset": "slid",
     "time_offset": "late",
+    "slide_lag": "behind",
+    "slide_play": "tight",
 }
 ASKED = [unknown(kind, STREAM[kind], std=0.3) for kind in SIZES]
 
@@ -182,8 +199,10 @@ def test_a_memory_far_longer_than_the_recording_is_a_constant():
 
 
 def test_what_is_known_is_put_right_and_not_estimated():
-    base, middle, tip, framed, mounted, gyro, slid, late = miscalibrated(np.random.default_rng(2))
-    readings = [base, middle, tip, framed, mounted, gyro, slid, late]
+    readings = miscalibrated(np.random.default_rng(2))
+    base, middle, tip, framed, mounted, gyro, slid, late, behind, tight = readings
+    lag = TRUE["slide_lag"] * behind.slide_speed
+    play = 0.5 * TRUE["slide_play"] * tight.slide_way
     known = [unknown(k, STREAM[k], value=TRUE[k], std=0.0) for k in SIZES]
     by_hand = [
         base,
@@ -194,6 +213,8 @@ def test_what_is_known_is_put_right_and_not_estimated():
         replace(gyro, values=gyro.values - TRUE["bias"]),
         replace(slid, arclength=slid.arclength + TRUE["arclength_offset"]),
         replace(late, time=late.time - TRUE["time_offset"]),
+        replace(behind, arclength=behind.arclength - lag),
+        replace(tight, arclength=tight.arclength - play),
     ]
     told = estimate(STEADY, COARSE, readings, sensor_parameters=known)
     plain = estimate(STEADY, COARSE, by_hand)

@@ -53,10 +53,11 @@ def scattered(rng, count=6):
 
     pose = motion(rng, Grid([0.2], np.linspace(0, 1, count))).pose[:, 0]
     mount = se3.exp(0.1 * rng.standard_normal((2, 6)))
-    three = rng.standard_normal((2, count, 3))
+    three, slide = rng.standard_normal((2, count, 3)), rng.uniform(-1.0, 1.0, (2, count))
+    coil = {"mount": mount[1], "slide_speed": slide[0], "slide_way": slide[1]}
     return [
         PoseReadings(**where(), values=pose, cov=1e-2, name="pose", mount=mount[0]),
-        CoilReadings(**where(), values=pose, cov=1e-2, name="coil", mount=mount[1]),
+        CoilReadings(**where(), values=pose, cov=1e-2, name="coil", **coil),
         GyroReadings(**where(), values=three[0], cov=1e-2, name="gyro"),
         PositionReadings(**where(), values=three[1], cov=1e-2, name="point", mount=mount[0]),
     ]

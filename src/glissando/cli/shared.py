@@ -299,8 +299,8 @@ def parameter_text(kind: str, value: Sequence[float], std: Sequence[float]) -> s
 _PARAMETER_UNITS = {
     "frame": (("mm", 1e3, 3), ("mrad", 1e3, 3)),
     "mount": (("mm", 1e3, 3), ("mrad", 1e3, 3)),
-    "arclength_offset": (("mm", 1e3, 1),),
-    "time_offset": (("ms", 1e3, 1),),
+    **dict.fromkeys(("arclength_offset", "slide_play"), (("mm", 1e3, 1),)),
+    **dict.fromkeys(("time_offset", "slide_lag"), (("ms", 1e3, 1),)),
 }
 
 

@@ -22,7 +22,7 @@ from glissando.io.robot_file import load_robot
 from glissando.io.shipped_robots import robot_file
 from glissando.model.grid import Grid
 from glissando.model.priors.prior import Prior
-from glissando.model.priors.white_noise import WhiteNoisePrior
+from glissando.model.priors.white_noise import BaseDensity, WhiteNoisePrior
 from glissando.model.robot import Robot
 from glissando.model.sensors.parameters import corrected
 from glissando.model.sensors.readings import Readings
@@ -36,6 +36,9 @@ from glissando.simulation import (
     load_bench,
     simulate_session,
 )
+from glissando.simulation.dynamics import DynamicMotion
+from glissando.simulation.dynamics.scenario_file import scenario_of
+from glissando.simulation.simulated_session import COIL_RATE
 
 ROBOT = "sliding700"
 PAPER_RATE = 2.0
@@ -71,6 +74,9 @@ class Scene:
         time_rate: Time nodes a second, the robot file's unless given.
         robot: Shipped robot or robot file that is simulated.
         prior: The one that is estimated with, if it is another.
+        dynamic: Whether the robot that is simulated has inertia.
+        paced: Whether the estimator knows how long the motion lasts: its time nodes and densities
+            over time are then those of the robot file for a motion as long as the shape's own.
     """
 
     shape: str
@@ -86,6 +92,8 @@ class Scene:
     time_rate: float | None = None
     robot: str = ROBOT
     prior: str = ""
+    dynamic: bool = False
+    paced: bool = False
 
 
 @lru_cache(maxsize=8)
@@ -113,19 +121,26 @@ def flaws(scene: Scene) -> Imperfections:
     return out
 
 
-def motion(scene: Scene, seed: int) -> Motion:
+def motion(scene: Scene, seed: int) -> Motion | DynamicMotion:
     """The shapes of a scene in time, of a robot with the set that the seed gives it."""
     scaled = flaws(scene)
     if scaled.set_curvature == 0.0:
         seed = 0  # without a set all robots are alike: one motion does for every seed
     curvature, length = scaled.set_curvature, scaled.set_length
-    return _motion(scene.robot, scene.shape, scene.duration, curvature, length, seed)
+    inertia = scene.dynamic
+    return _motion(scene.robot, scene.shape, scene.duration, inertia, curvature, length, seed)
 
 
 @lru_cache(maxsize=32)
 def _motion(
-    name: str, shape: str, duration: float, curvature: float, length: float, seed: int
-) -> Motion:
+    name: str,
+    shape: str,
+    duration: float,
+    inertia: bool,
+    curvature: float,
+    length: float,
+    seed: int,
+) -> Motion | DynamicMotion:
     known = bench(name)
     if shape in TUNED_ON:
         tensions = np.array(TUNED_ON[shape], dtype=float)
@@ -134,6 +149,8 @@ def _motion(
     else:
         actuation = known.shape(shape).lasting(duration)
     bent = replace(known.flaws, set_curvature=curvature, set_length=length)
+    if inertia:
+        return known.move_dynamically(scenario_of(actuation), bent, seed, duration)
     return known.move(actuation, bent, seed)
 
 
@@ -179,8 +196,12 @@ def trial(scene: Scene, seed: int, other: WhiteNoisePrior | None = None) -> Tria
     used, judges = recorded.choose(None, None)
     readings, _ = recorded.readings(used, known, window)
     truth, _ = recorded.readings(judges, known, window, as_truth=True)
-    truth = [corrected(t, parameters) for t in truth]
-    posterior = estimate(other or prior(scene), grid(scene), readings, sensor_parameters=parameters)
+    truth, nodes = [corrected(t, parameters) for t in truth], grid(scene)
+    firm = [parameter for parameter in parameters if parameter.known]
+    where = [corrected(r, firm) for r in readings]  # late stamps may be from before the session
+    inside = [nodes.contains(r.arclength, r.time) for r in where]
+    readings = [r.select(rows) for r, rows in zip(readings, inside, strict=True)]
+    posterior = estimate(other or prior(scene), nodes, readings, sensor_parameters=parameters)
     return Trial(readings, truth, posterior, [errors_against(posterior, t) for t in truth])
 
 
@@ -192,7 +213,8 @@ def grid(scene: Scene) -> Grid:
         known = replace(known, arclength_nodes=np.union1d(nodes, known.prior.joints))
     if scene.time_rate is not None:
         known = replace(known, time_rate=scene.time_rate)
-    return known.grid(0.0, scene.duration)
+    rate = min(_pace(scene) * known.time_rate, max(COIL_RATE, known.time_rate))
+    return replace(known, time_rate=rate).grid(0.0, scene.duration)
 
 
 def prior(scene: Scene) -> Prior:
@@ -200,12 +222,25 @@ def prior(scene: Scene) -> Prior:
 
     Raises RobotFileError where a separable prior, which has a time scale, is asked to hold still.
     """
-    known = known_robot(scene).prior
-    if not scene.still:
+    known, pace = known_robot(scene).prior, _pace(scene)
+    if not scene.still and pace == 1.0:
         return known
     if not isinstance(known, WhiteNoisePrior):
         raise RobotFileError(
-            "A separable prior has a time_scale to say how still a robot is; leave still out."
+            "A separable prior has a time_scale to say how still a robot is; leave still and paced "
+            "out."
         )
-    names = ("psd_velocity_time", "psd_strain_time", "psd_velocity_arclength")
-    return replace(known, **{name: _STILL * getattr(known, name) for name in names})
+    still = _STILL if scene.still else 1.0
+    powers = {"psd_velocity_time": 3, "psd_strain_time": 1, "psd_velocity_arclength": 1}
+    densities = {name: still * pace**k * getattr(known, name) for name, k in powers.items()}
+    base = known.base
+    if base is not None:
+        base = BaseDensity(base.pose / pace, base.strain / pace, base.velocity * pace)
+    firm = {name: getattr(known, name) / pace for name in ("psd_strain_arclength", "jumps")}
+    return replace(known, **densities, **firm, base=base)
+
+
+def _pace(scene: Scene) -> float:
+    """How many times faster the motion is than the shape's own, to an estimator that knows it."""
+    time = bench(scene.robot).shape(scene.shape).time if scene.paced else np.zeros(1)
+    return float(np.ptp(time)) / scene.duration if time.size > 1 else 1.0

@@ -23,7 +23,7 @@ from glissando.io.shipped_robots import shipped_robots
 from glissando.io.toml_table import Table, read_toml
 from glissando.model.brief import Brief
 from glissando.model.robot import Robot
-from glissando.model.sensors.readings import SENSORS, Readings
+from glissando.model.sensors.readings import SENSORS, Readings, slide_motion
 from glissando.model.sensors.sensors import sensor_class, sensor_kinds
 
 _TRUTH_STD = 1e-6  # noise of a truth stream that states none: negligible against any posterior
@@ -316,6 +316,7 @@ def _as_readings(stream: Stream, robot: Robot, as_truth: bool) -> Readings:
             f"Stream {stream.name!r}: neither the recording nor robot {robot.name!r} states the "
             f"noise of a {rows.kind} sensor; add [sensors.{rows.kind}] std to the robot file."
         )
+    slide_speed, slide_way = slide_motion(rows.time, rows.arclength)
     return rows.sensor(
         time=rows.time,
         arclength=rows.arclength,
@@ -324,5 +325,7 @@ def _as_readings(stream: Stream, robot: Robot, as_truth: bool) -> Readings:
         mount=stream.mount,
         loss=None if as_truth else robot.sensor_loss.get(rows.kind),
         name=stream.name,
+        slide_speed=slide_speed,
+        slide_way=slide_way,
         **rows.settings,
     )

@@ -7,6 +7,7 @@ tube, where it sticks until the spring pulls harder than it holds. Source: Karno
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.linalg import expm
@@ -43,23 +44,24 @@ class DriveTube:
         """
         if self.stiffness <= 0.0:
             return np.array(motor)
-        onwards = self._onwards(step)
-        coil = np.empty(motor.size)
+        (p0, p1, p2, p3, p4), (v0, v1, v2, v3, v4) = self._onwards(step).tolist()
         place, speed, way = float(motor[0]), 0.0, 0.0
-        coil[0] = place
-        for k in range(1, motor.size):
-            before, after = float(motor[k - 1]), float(motor[k])
+        coil, moves = [place], pairwise(motor.tolist())
+        for before, after in moves:
             if way == 0.0 and abs(self.stiffness * (after - place)) > self.stiction * self.friction:
                 way = 1.0 if after > place else -1.0
             if way != 0.0:
-                known = np.array([place, speed, before, (after - before) / step, way])
-                place, speed = onwards @ known
+                rate = (after - before) / step
+                place, speed = (
+                    p0 * place + p1 * speed + p2 * before + p3 * rate + p4 * way,
+                    v0 * place + v1 * speed + v2 * before + v3 * rate + v4 * way,
+                )
                 if speed * way <= 0.0:
                     pull = self.stiffness * (after - place)
                     speed, stays = 0.0, abs(pull) <= self.stiction * self.friction
                     way = 0.0 if stays else float(np.sign(pull))
-            coil[k] = place
-        return coil
+            coil.append(place)
+        return np.array(coil)
 
     def _onwards(self, step: float) -> Array:
         """Matrix (2, 5) from [coil, its speed, motor, its speed, way] to coil and speed later."""

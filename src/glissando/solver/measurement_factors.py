@@ -138,10 +138,9 @@ def _by_parameters(
     found = by_parameters(readings, corrected, at.state, by_state, values)
     yield from zip((columns for _, columns in still), found, strict=True)
     for parameter, columns in mine:
-        if parameter.moves:  # a late stamp was taken earlier
-            along = parameter.kind == "arclength_offset"
-            slope = slopes["arclength"] if along else -slopes["time"]
-            yield columns, np.einsum("mrd,md->mr", by_state, slope)[..., None]
+        if parameter.moves:
+            found = np.einsum("mrd,md->mr", by_state, slopes[parameter.along])
+            yield columns, (found.T * parameter.lever(readings)).T[..., None]
 
 
 def _slopes(
@@ -167,7 +166,7 @@ def _is_moved(readings: Readings, located: LocatedReadings, way: str) -> bool:
         return False
     if way == "arclength" and np.any(readings.arclength_std):
         return True
-    return any(p.kind == f"{way}_offset" for p, _ in located.parameters.of(readings))
+    return any(p.moves and p.along == way for p, _ in located.parameters.of(readings))
 
 
 def state_slope(

@@ -64,7 +64,7 @@ SETTINGS: dict[str, tuple[Callable[[Table, str], Value], Value]] = {
     "duration": (_number, 15.0),
     "nodes": (partial(_count, least=2), None),
     "time_rate": (_number, None),
-    "still": (Table.flag, False),
+    **dict.fromkeys(("still", "paced", "dynamic"), (Table.flag, False)),
     "noise": (_FACTOR, 1.0),
     **dict.fromkeys(_SCALED, (_FACTOR, 1.0)),
 }

@@ -36,22 +36,18 @@ def _bias(r: Readings, x: Array) -> Readings:
     return r.changed(values=r.values - x)
 
 
-def _arclength_offset(r: Readings, x: Array) -> Readings:
-    return r.changed(arclength=r.arclength + x[:, 0])
-
-
-def _time_offset(r: Readings, x: Array) -> Readings:
-    return r.changed(time=r.time - x[:, 0])
-
-
 _SHIFTS: dict[str, Callable[[Readings, Array], Readings]] = {
     "frame": _frame,
     "mount": _mount,
     "bias": _bias,
-    "arclength_offset": _arclength_offset,
-    "time_offset": _time_offset,
 }
-SIZES = {"frame": 6, "mount": 6, "bias": 3, "arclength_offset": 1, "time_offset": 1}
+_MOVES: dict[str, tuple[str, Callable[[Readings], Array | float]]] = {
+    "arclength_offset": ("arclength", lambda r: 1.0),
+    "time_offset": ("time", lambda r: -1.0),
+    "slide_lag": ("arclength", lambda r: -r.slide_speed),
+    "slide_play": ("arclength", lambda r: -0.5 * r.slide_way),
+}  # what a parameter moves readings along, and by how much one unit of it
+SIZES = {"frame": 6, "mount": 6, "bias": 3} | dict.fromkeys(_MOVES, 1)
 """Kinds of sensor parameter and how many numbers each has."""
 
 _FOR = {"frame": ((4, 4), (3, 3), (3,)), "bias": ((3,),)}  # kinds of value each is made for
@@ -65,8 +61,10 @@ class SensorParameter:
         name: Its name, in messages and files.
         kind: frame (the transform (6,) from the streams' frame to the world, as a logarithm), mount
             (a further transform (6,) of the sensor in the cross-section), bias (3,) of a gyroscope
-            or a position, arclength_offset (1,) in metres, or time_offset (1,): how late stamps
-            are, in seconds.
+            or a position, arclength_offset (1,) in metres, time_offset (1,): how late stamps
+            are, in seconds; slide_lag (1,): how long, in seconds, a sliding sensor is behind where
+            its slide is said to be; or slide_play (1,): how far, in metres, the slide moves after
+            a turn before the sensor does.
         streams: Names of the readings that it shifts.
         value: Expected value (size,).
         std: Standard deviation (size,) about it; zeros if it is known.
@@ -115,7 +113,16 @@ class SensorParameter:
     @property
     def moves(self) -> bool:
         """Whether it changes where or when readings were taken."""
-        return self.kind in ("arclength_offset", "time_offset")
+        return self.kind in _MOVES
+
+    @property
+    def along(self) -> str:
+        """What a parameter that moves readings moves them along: arclength or time."""
+        return _MOVES[self.kind][0]
+
+    def lever(self, readings: Readings) -> Array | float:
+        """How far one unit of a parameter that moves readings moves each of them, (M,) or one."""
+        return _MOVES[self.kind][1](readings)
 
     def shift(self, readings: Readings, x: Array) -> Readings:
         """The readings corrected for a value `x` (M, size), or (size,) for all of them.
@@ -128,6 +135,10 @@ class SensorParameter:
             raise SensorError(
                 f"Sensor parameter {self.name!r}: a {type(readings).__name__} has no {self.kind}."
             )
+        if self.moves:
+            way, values = self.along, np.atleast_2d(x)[:, 0]
+            moved = getattr(readings, way) + self.lever(readings) * values
+            return readings.changed(**{way: moved})
         return _SHIFTS[self.kind](readings, np.atleast_2d(x))
 
 

@@ -23,8 +23,11 @@ from glissando.model.grid import Grid
 from glissando.model.noise import Loss, covariance_matrix
 from glissando.model.state import DOF, State
 
+_TURN = 2e-4  # m, over which a slide that turns is said to move the other way
 _EACH = ("time", "arclength", "values")
-_ONE_OR_EACH = (("cov", 2), ("mount", 2), ("arclength_std", 0))  # fields and dimensions of one
+_ONE_OR_EACH = (  # fields and dimensions of one
+    *(("cov", 2), ("mount", 2), ("arclength_std", 0), ("slide_speed", 0), ("slide_way", 0)),
+)
 
 SENSORS: dict[str, type[Readings]] = {}
 """Every sensor by its kind, in the order of definition; a class definition adds itself."""
@@ -47,6 +50,8 @@ class Readings(Brief):
         loss: Robust loss against outliers.
         name: The stream's name, in messages and for the sensor parameters that apply to it.
         arclength_std: Standard deviation of the arclength, m, one or (M,) (equation 16).
+        slide_speed: How fast a sliding sensor's arclength grew, m/s, one or (M,).
+        slide_way: Which way it slid last, −1 to 1, one or (M,): see `slide_motion`.
         rows: Declares the residual rows of one reading, and the numbers in a file's `std`.
         columns: Declares the value columns of a CSV file and their units.
         settings: Declares the fields that a whole stream shares, lists of numbers, and their units.
@@ -71,6 +76,8 @@ class Readings(Brief):
     loss: Loss | None = None
     name: str = ""
     arclength_std: Array | float = 0.0
+    slide_speed: Array | float = 0.0
+    slide_way: Array | float = 0.0
 
     kind: ClassVar[str] = ""
     rows: ClassVar[int]
@@ -160,6 +167,11 @@ class Readings(Brief):
         object.__setattr__(self, "arclength_std", std)
         if std.shape not in ((), count) or not np.all(std >= 0.0):
             raise SensorError(f"{self.label}: arclength_std must be one number from 0, or {count}.")
+        for given in ("slide_speed", "slide_way"):
+            value = np.asarray(getattr(self, given), dtype=float)
+            object.__setattr__(self, given, value)
+            if value.shape not in ((), count) or not np.all(np.isfinite(value)):
+                raise SensorError(f"{self.label}: {given} must be one number, or {count}.")
         object.__setattr__(self, "cov", covariance_matrix(self.cov, self.row_count, self.label))
         if self.cov.ndim == 3 and len(self.cov) != len(self):
             raise SensorError(
@@ -238,6 +250,21 @@ class Readings(Brief):
     def jacobian_over(self, arclength: Array, at: State) -> Array:
         """∂residual/∂[pose, strain, velocity] of the nodes (M, rows, N, 18), of what `spans`."""
         raise NotImplementedError(f"{type(self).__name__} must define jacobian_over(s, at).")
+
+
+def slide_motion(time: Array, arclength: Array) -> tuple[Array, Array]:
+    """How fast a sliding sensor moved (M,), m/s, and which way it moved last (M,), −1 to 1.
+
+    The speed is that since the reading before, so that a lag shorter than this leads between the
+    two. The way is zero until the sensor moves, and turns over 0.2 mm of travel, as a tube's play
+    is taken up.
+    """
+    way, ways = 0.0, []
+    moved, lasts = np.diff(arclength, prepend=arclength[:1]), np.diff(time, prepend=time[:1])
+    for step in (moved / (0.5 * _TURN)).tolist():
+        way = min(1.0, max(-1.0, way + step))
+        ways.append(way)
+    return np.divide(moved, lasts, out=np.zeros_like(moved), where=lasts > 0.0), np.array(ways)
 
 
 def _require_rotations(label: str, values: Array) -> None:

@@ -1,0 +1,207 @@
+"""Where sliding pays: errors of the body over slide speed and robot speed, against a fixed coil.
+
+A tendon-driven robot with inertia goes from C to S in 0.5 to 12 s while its coil slides over the
+whole length and back at 20 mm/s to 1 m/s, hung at a drive tube that yields, sticks and slips, under
+a tracker that exposes for 25 ms. The estimator knows how long the motion lasts (`paced`). Every
+cell of the map is the RMSE of six motion capture frames over seeds, each another robot with another
+set of its tubes and other draws of all noise; the fixed coil sits at the tip, has the same seeds
+and the same tracker.
+
+`--write DIR` writes the robot and two studies; `glissando study DIR/fixed.toml --out DIR/fixed` and
+the same of `sliding` fill them, on all cores, stopped and resumed as one likes; then `speed_map.py
+DIR` prints the map, of the seeds that all cells of a robot speed have.
+
+Usage: speed_map.py DIR [--write] [--seeds N] [--json]
+"""
+
+import argparse
+import json
+from pathlib import Path
+
+import numpy as np
+
+from glissando.errors import GlissandoError
+from glissando.experiments.scenes import bench
+from glissando.experiments.statistics import COLUMNS, summary
+from glissando.experiments.study.plan import load_study
+from glissando.experiments.study.store import Store
+from glissando.io.shipped_robots import robot_file
+
+SHAPE = "C-to-S"
+DURATIONS = [0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0]  # s
+SPEEDS = [0.02, 0.03, 0.05, 0.08, 0.12, 0.2, 0.3, 0.45, 0.65, 1.0]  # m/s
+TUBE = """\
+drive_stiffness = 400.0
+drive_friction = 0.2
+exposure = 0.025
+"""
+DELAY = """
+[[sensor_parameters]]
+name = "{kind}"
+kind = "{kind}"
+streams = ["coil"]
+value = [{value}]
+"""
+LAGS = {"time_offset": 0.0125, "slide_lag": 0.01375}  # s: half an exposure, and what damps the coil
+
+
+def write(folder, seeds):
+    """Write the robot with its drive tube, and both studies."""
+    folder.mkdir(parents=True, exist_ok=True)
+    head = "[physics.imperfections]"
+    before, after = robot_file("sliding700").read_text().split(head)
+    delays = "".join(DELAY.format(kind=kind, value=value) for kind, value in LAGS.items())
+    (folder / "robot.toml").write_text(f"{before}{head}\n{TUBE}{after}{delays}")
+    shared = f'robot = "robot.toml"\nshape = "{SHAPE}"\ndynamic = true\npaced = true\n'
+    for name, slide, axis in (("fixed", "hold", ""), ("sliding", "traverse", f"speed = {SPEEDS}")):
+        text = f'name = "{name}"\nseeds = {seeds}\n[fixed]\n{shared}slide = "{slide}"\n'
+        text += f"[grid]\nduration = {DURATIONS}\n{axis}\n"
+        (folder / f"{name}.toml").write_text(text)
+        print(f"Wrote {folder / name}.toml")
+
+
+def found(folder, name):
+    """Rows (D, V, S, 5) of COLUMNS by duration, speed and seed; NaN where not yet run."""
+    study = load_study(folder / f"{name}.toml")
+    rows = Store(study, folder / name, resume=True).rows
+    speeds = SPEEDS if name == "sliding" else [0.0]
+    out = np.full((len(DURATIONS), len(speeds), len(study.seeds), len(COLUMNS)), np.nan)
+    for cell in study.cells():
+        row = rows.get(cell.id)
+        if row is not None and row["error"] is None:
+            where = cell.settings["duration"], cell.settings["speed"] if name == "sliding" else 0.0
+            place = DURATIONS.index(where[0]), speeds.index(where[1]), cell.seed
+            out[place] = [row[each] for each in COLUMNS]
+    return out
+
+
+def tip_speed():
+    """Mean speed of the tip over its way from shape to shape, times the duration, m."""
+    known = bench()
+    actuation = known.shape(SHAPE)
+    motion = known.move(actuation, known.flaws.without("set"), 0)
+    time = np.linspace(actuation.time[0], actuation.time[-1], 200)
+    place = motion.at(np.full(time.size, known.rod.length), time).pose[:, :3, 3]
+    return float(np.linalg.norm(np.diff(place, axis=0), axis=1).sum())
+
+
+def judged(folder):
+    """The map: for every cell speeds, passes of the body and the change against the fixed coil."""
+    fixed, sliding = (found(folder, name) for name in ("fixed", "sliding"))
+    travel, length = tip_speed(), bench().rod.length
+    cells = []
+    for d, duration in enumerate(DURATIONS):
+        known = ~np.isnan(fixed[d, 0, :, 0]) & ~np.isnan(sliding[d, :, :, 0]).any(axis=0)
+        if known.sum() < 2:
+            continue
+        for v, speed in enumerate(SPEEDS):
+            cells.append(
+                {
+                    "duration": duration,
+                    "tip_speed": travel / duration,
+                    "slide_speed": speed,
+                    "passes": speed * duration / length,
+                    "fixed": summary(fixed[d, 0, known]),
+                    **summary(sliding[d, v, known], fixed[d, 0, known]),
+                }
+            )
+    return cells
+
+
+def rule(cells):
+    """Passes of the body during the motion from which on sliding pays, and below which it costs.
+
+    From the first on, the 95 % interval of the change lies below zero in all cells; below the
+    second in none. A cell of the last speeds pays less than a slower one where its change is
+    worse by more than five points than the best of its robot speed.
+    """
+    gains = sorted((c["passes"], c["position_change"]["high"] < 0.0) for c in cells)
+    fails = [n for n, pays in gains if not pays]
+    pays = [n for n, good in gains if good]
+    fastest = {}
+    for duration in sorted({c["duration"] for c in cells}):
+        own = [c for c in cells if c["duration"] == duration]
+        best = min(c["position_change"]["value"] for c in own)
+        near = [c for c in own if c["position_change"]["value"] < best + 5.0]
+        fastest[duration] = min(c["slide_speed"] for c in near)
+    return {
+        "pays_from": min((n for n in pays if n > max(fails, default=0.0)), default=None),
+        "fails_below": min(pays, default=None),
+        "enough_speed": fastest,
+    }
+
+
+def show(cells):
+    """Print the map as tables, and the rule."""
+    durations = sorted({c["duration"] for c in cells})
+    speeds = sorted({c["slide_speed"] for c in cells})
+    at = {(c["duration"], c["slide_speed"]): c for c in cells}
+    head = " | ".join(f"{1e3 * v:.0f} mm/s" for v in speeds)
+    for title, text in (
+        ("change of the body's RMSE against the fixed coil, %", _change),
+        ("inside 95 %, and NEES a degree of freedom", _confidence),
+    ):
+        print(f"\n{title}\n")
+        print(f"| robot: tip at | seeds | fixed (mm) | {head} |")
+        print("|---|---|---|" + "---|" * len(speeds))
+        for d in durations:
+            first = at[d, speeds[0]]
+            fixed = 1e3 * first["fixed"]["position"]["value"]
+            row = " | ".join(text(at[d, v]) for v in speeds)
+            print(
+                f"| {1e3 * first['tip_speed']:.0f} mm/s ({d:g} s) | {first['seeds']} "
+                f"| {fixed:.1f} | {row} |"
+            )
+    told = rule(cells)
+    print()
+    if told["pays_from"] is None:
+        print("No number of passes of the body during the motion makes sliding pay everywhere.")
+    else:
+        print(
+            f"Sliding pays wherever the coil passes the body {told['pays_from']:.2g} times or more "
+            f"while the robot moves from shape to shape; with less than {told['fails_below']:.2g} "
+            f"passes it pays nowhere."
+        )
+    for d, speed in told["enough_speed"].items():
+        tip = at[d, speed]["tip_speed"]
+        print(
+            f"Tip at {1e3 * tip:.0f} mm/s: {1e3 * speed:.0f} mm/s is within 5 points of the best."
+        )
+
+
+def _change(cell):
+    change = cell["position_change"]
+    return f"{change['value']:+.0f} ({change['low']:+.0f} … {change['high']:+.0f})"
+
+
+def _confidence(cell):
+    return f"{100 * cell['coverage']['value']:.0f} %, {cell['nees']['value']:.1f}"
+
+
+def main():
+    """Write the studies, or print their map."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument("folder", type=Path, metavar="DIR")
+    parser.add_argument("--write", action="store_true", help="write robot and studies")
+    parser.add_argument("--seeds", type=int, default=30, help="of the studies (default 30)")
+    parser.add_argument("--json", action="store_true", help="print JSON instead of tables")
+    options = parser.parse_args()
+    if options.write:
+        write(options.folder, options.seeds)
+        return 0
+    try:
+        cells = judged(options.folder)
+    except GlissandoError as problem:
+        print(problem)
+        return 2
+    if options.json:
+        print(json.dumps({"cells": cells, "rule": rule(cells)}, indent=1))
+    else:
+        show(cells)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
