@@ -12,7 +12,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, closing
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -21,8 +21,8 @@ import numpy as np
 
 from glissando.errors import DeviceError
 from glissando.geometry.se3 import Array
+from glissando.hardware.capture.devices import opened_stage, opened_tracker
 from glissando.hardware.capture.online import OnMessage
-from glissando.hardware.capture.remote_tracker import remote_tracker
 from glissando.hardware.capture.setup import (
     Coil,
     FurtherStage,
@@ -30,10 +30,8 @@ from glissando.hardware.capture.setup import (
     pose_entries,
     slide_topic,
 )
-from glissando.hardware.drivers import LinearStage, SlideReading, Tracker, ViconStream, opened_stage
+from glissando.hardware.drivers import LinearStage, SlideReading, Tracker, ViconStream
 from glissando.hardware.drivers.aurora_setup import Tool
-from glissando.hardware.openigtlink.tracker import IgtlTracker
-from glissando.hardware.ros2.ros2_tracker import Ros2Tracker
 from glissando.io.session_log import INTEGER, NUMBER, SessionWriter, numbers, schema
 from glissando.io.session_recording import LOG
 from glissando.model.slide_path import SlidePath
@@ -105,49 +103,53 @@ def capture(
         DeviceError: A device failed. What came before is in the log, and the slide stands still.
     """
     folder.mkdir(parents=True, exist_ok=False)
-    progress = Progress(total=path.duration)
-    over = threading.Event()
-    failures: list[BaseException] = []
-    metadata = {"setup": json.dumps(rig.described())}
-    with SessionWriter(folder / LOG, metadata) as writer, ExitStack() as stack:
+    progress, metadata = Progress(total=path.duration), {"setup": json.dumps(rig.described())}
+    with SessionWriter(folder / LOG, metadata) as writer:
         log = _Log(writer, progress, on_message)
-        steps: list[Callable[[], None]] = []
-        if rig.tracker is not None:
-            tracker = stack.enter_context(_opened_tracker(rig, rig.tracker))
-            names = _name_by_identity(tracker.tools, _name_by_handle(tracker.tools, rig.coils))
-            steps.append(lambda: _log_tracker(tracker, names, log))
-        if rig.mocap is not None:
-            mocap = stack.enter_context(
-                ViconStream(rig.mocap, host=rig.mocap_host, timeout=_PATIENCE)
-            )
-            steps.append(lambda: _log_mocap(mocap, rig, log))
-        for one in rig.further:
-            driven = _Driven(one, (further or {}).get(one.name, path), log)
-            stack.callback(driven.close)
-            steps.append(driven)
+        moving = closing(_experiment(rig, path, steered, log))
+        with _recorded(rig, path, further or {}, log) as failures, moving as steps:
+            for _ in steps:
+                if failures:
+                    break
+                if on_progress is not None:
+                    on_progress(progress)
+    return progress
+
+
+@contextmanager
+def _recorded(
+    rig: Rig, path: SlidePath, further: Mapping[str, SlidePath], log: _Log
+) -> Iterator[list[BaseException]]:
+    """Threads record all but the first stage; what fails is raised at the end."""
+    over, failures = threading.Event(), list[BaseException]()
+    with ExitStack() as stack:
+        steps = _steps(rig, path, further, log, stack)
         threads = [threading.Thread(target=_repeat, args=(s, over, failures)) for s in steps]
         stack.callback(_finish, over, threads)
         for thread in threads:
             thread.start()
-        with closing(_experiment(rig, path, steered, log)) as steps_taken:
-            for _ in steps_taken:
-                if failures:
-                    raise failures[0]
-                if on_progress is not None:
-                    on_progress(progress)
+        yield failures
     if failures:
         raise failures[0]
-    return progress
 
 
-def _opened_tracker(rig: Rig, address: str) -> AbstractContextManager[Tracker]:
-    """The tracker at an address; an Aurora unless it is one of OpenIGTLink or ROS 2."""
-    names = [coil.serial or coil.name for coil in rig.coils]
-    if address.startswith("igtl"):
-        return IgtlTracker(address, names)
-    if address.partition("?")[0] == "ros2":
-        return Ros2Tracker(address, names)
-    return remote_tracker(address, rig.baud)
+def _steps(
+    rig: Rig, path: SlidePath, further: Mapping[str, SlidePath], log: _Log, stack: ExitStack
+) -> list[Callable[[], None]]:
+    """What each device but the first stage does again and again; they are opened on the stack."""
+    steps: list[Callable[[], None]] = []
+    if rig.tracker is not None:
+        tracker = stack.enter_context(opened_tracker(rig, rig.tracker))
+        names = _name_by_identity(tracker.tools, _name_by_handle(tracker.tools, rig.coils))
+        steps.append(lambda: _log_tracker(tracker, names, log))
+    if rig.mocap is not None:
+        mocap = stack.enter_context(ViconStream(rig.mocap, host=rig.mocap_host, timeout=_PATIENCE))
+        steps.append(lambda: _log_mocap(mocap, rig, log))
+    for one in rig.further:
+        driven = _Driven(one, further.get(one.name, path), log)
+        stack.callback(driven.close)
+        steps.append(driven)
+    return steps
 
 
 def _repeat(step: Callable[[], None], over: threading.Event, failures: list[BaseException]) -> None:

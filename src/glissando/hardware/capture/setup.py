@@ -11,7 +11,7 @@ import numpy as np
 from glissando.errors import DeviceError
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
-from glissando.hardware.drivers import GcodeStage, Stage
+from glissando.hardware.drivers import GcodeStage, Stage, Stroke
 from glissando.hardware.drivers.stage import optional_number
 from glissando.io.plain_file import file_stem
 from glissando.io.robot_file import load_robot
@@ -63,7 +63,7 @@ class FurtherStage:
 
     name: str
     address: str
-    stage: Stage | GcodeStage
+    stage: Stroke
     standing: float | None = None
 
 
@@ -106,7 +106,7 @@ class Rig:
     tracker: str | None = None
     coils: tuple[Coil, ...] = ()
     slide: str | None = None
-    stage: Stage | GcodeStage | None = None
+    stage: Stroke | None = None
     standing: float | None = None
     mocap: int | None = None
     bodies: tuple[Body, ...] = ()
@@ -220,9 +220,9 @@ def _coils(table: Table, length: float) -> tuple[Coil, ...]:
 def _slide(table: Table) -> dict[str, Any]:
     address = table.text("address")
     standing = optional_number(table, "standing")
-    kinds = {"dynamixel": Stage, "grbl": GcodeStage}
+    kinds: dict[str, type[Stroke]] = {"dynamixel": Stage, "grbl": GcodeStage}
     protocol = table.text("protocol", "dynamixel", choices=tuple(kinds))
-    stage: Stage | GcodeStage = kinds[protocol].from_table(table)  # type: ignore[attr-defined]
+    stage = kinds[protocol].from_table(table)
     if standing is None and stage.home is None:
         raise DeviceError(
             f"{table.where}: the position of the stage is unknown; give `home`, its mechanical "

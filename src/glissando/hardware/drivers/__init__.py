@@ -5,17 +5,10 @@ from glissando.hardware.drivers.gcode import GcodeSlide
 from glissando.hardware.drivers.gcode_stage import GcodeStage
 from glissando.hardware.drivers.interfaces import LinearStage, SlideReading, Tracker
 from glissando.hardware.drivers.slide import Slide
-from glissando.hardware.drivers.stage import Stage
+from glissando.hardware.drivers.stage import Stage, Stroke
 from glissando.hardware.drivers.vicon import ViconFrame, ViconStream
 
 __all__ = [
     "Aurora", "GcodeSlide", "GcodeStage", "LinearStage", "Slide", "SlideReading", "Stage",
-    "Tracker", "ViconFrame", "ViconStream", "opened_stage",
+    "Stroke", "Tracker", "ViconFrame", "ViconStream",
 ]  # fmt: skip
-
-
-def opened_stage(address: str, stage: Stage | GcodeStage) -> LinearStage:
-    """The driver for a stage with these settings, not entered yet."""
-    if isinstance(stage, GcodeStage):
-        return GcodeSlide(address, stage)
-    return Slide(address, stage)

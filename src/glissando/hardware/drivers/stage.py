@@ -23,9 +23,19 @@ _MOST_TICKS = 1_000_000  # of the servo's ±1,048,575 in extended position mode
 
 
 class Stroke:
-    """What every stage checks before it moves: its `stroke`, and its speed on a path."""
+    """What every stage states, and checks before it moves: its stroke, and its speed on a path."""
 
     stroke: tuple[float, float]
+    direction: float
+    home: float | None
+    speed: float
+    acceleration: float
+    lag: float
+
+    @classmethod
+    def from_table(cls, table: Table) -> Self:
+        """The stage of a TOML table with the names of this class. Raises DeviceError."""
+        raise NotImplementedError
 
     def require_allowed(self, speed: float) -> None:
         """Raise DeviceError unless the stage allows a speed in m/s."""

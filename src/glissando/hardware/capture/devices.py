@@ -1,0 +1,37 @@
+"""The drivers of a rig's devices, by their addresses and settings; none is entered yet."""
+
+from __future__ import annotations
+
+from contextlib import AbstractContextManager
+
+from glissando.hardware.capture.remote_tracker import remote_tracker
+from glissando.hardware.capture.setup import Rig
+from glissando.hardware.drivers import (
+    GcodeSlide,
+    GcodeStage,
+    LinearStage,
+    Slide,
+    Stage,
+    Stroke,
+    Tracker,
+)
+from glissando.hardware.openigtlink.tracker import IgtlTracker
+from glissando.hardware.ros2.ros2_tracker import Ros2Tracker
+
+
+def opened_tracker(rig: Rig, address: str) -> AbstractContextManager[Tracker]:
+    """The tracker at an address; an Aurora unless it is one of OpenIGTLink or ROS 2."""
+    names = [coil.serial or coil.name for coil in rig.coils]
+    if address.startswith("igtl"):
+        return IgtlTracker(address, names)
+    if address.partition("?")[0] == "ros2":
+        return Ros2Tracker(address, names)
+    return remote_tracker(address, rig.baud)
+
+
+def opened_stage(address: str, stage: Stroke) -> LinearStage:
+    """The driver for a stage with these settings."""
+    if isinstance(stage, GcodeStage):
+        return GcodeSlide(address, stage)
+    assert isinstance(stage, Stage)
+    return Slide(address, stage)
