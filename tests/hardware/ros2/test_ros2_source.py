@@ -82,6 +82,17 @@ def test_what_is_no_pose_is_counted(domain):
         np.testing.assert_allclose(read.values[0], good, atol=1e-12)
 
 
+def test_one_look_takes_all_that_has_come(domain):
+    source = Ros2Source(f"{domain}&clock=arrival", ROBOT, PLACES)
+    with source, Peer(domain, [p.name for p in PLACES]) as peer:
+        meet(peer, source)
+        for _ in range(40):
+            peer.send([(place.name, peer.pose(1.0, np.eye(4))) for place in PLACES])
+        time.sleep(0.5)
+        source.poll()
+        assert source.counts["heard"] == 80
+
+
 @pytest.mark.parametrize(("reliable", "latched"), [(True, True), (True, False), (False, False)])
 def test_a_publisher_of_any_quality_is_heard(domain, reliable, latched):
     source = Ros2Source(f"{domain}&clock=arrival", ROBOT, PLACES[1:])

@@ -5,17 +5,21 @@ from __future__ import annotations
 from contextlib import AbstractContextManager
 
 from glissando.hardware.capture.remote_tracker import remote_tracker
-from glissando.hardware.capture.setup import Rig
+from glissando.hardware.capture.setup import Rig, is_remote
 from glissando.hardware.drivers import (
     GcodeSlide,
     GcodeStage,
     LinearStage,
+    RemoteSlide,
+    RemoteStage,
     Slide,
     Stage,
     Stroke,
     Tracker,
 )
+from glissando.hardware.openigtlink.stage import IgtlStagePeer
 from glissando.hardware.openigtlink.tracker import IgtlTracker
+from glissando.hardware.ros2.ros2_stage import Ros2StagePeer
 from glissando.hardware.ros2.ros2_tracker import Ros2Tracker
 
 
@@ -24,7 +28,7 @@ def opened_tracker(rig: Rig, address: str) -> AbstractContextManager[Tracker]:
     names = [coil.serial or coil.name for coil in rig.coils]
     if address.startswith("igtl"):
         return IgtlTracker(address, names)
-    if address.partition("?")[0] == "ros2":
+    if is_remote(address):
         return Ros2Tracker(address, names)
     return remote_tracker(address, rig.baud)
 
@@ -33,5 +37,8 @@ def opened_stage(address: str, stage: Stroke) -> LinearStage:
     """The driver for a stage with these settings."""
     if isinstance(stage, GcodeStage):
         return GcodeSlide(address, stage)
+    if isinstance(stage, RemoteStage):
+        kind = IgtlStagePeer if address.startswith("igtl") else Ros2StagePeer
+        return RemoteSlide(stage, kind(address, stage))
     assert isinstance(stage, Stage)
     return Slide(address, stage)

@@ -11,7 +11,7 @@ import numpy as np
 from glissando.errors import DeviceError
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
-from glissando.hardware.drivers import GcodeStage, Stage, Stroke
+from glissando.hardware.drivers import GcodeStage, RemoteStage, Stage, Stroke
 from glissando.hardware.drivers.stage import optional_number
 from glissando.io.plain_file import file_stem
 from glissando.io.robot_file import load_robot
@@ -90,7 +90,7 @@ class Rig:
         tracker: Address of the Aurora, or of an OpenIGTLink peer, whose devices are the coils, or
             of a ROS 2 graph, whose topics are.
         coils: The tracker's coils.
-        slide: Serial path of the slide's servo or controller.
+        slide: Serial path of the slide's servo or controller, or the address of its peer.
         stage: What that moves.
         standing: Travel in m when recording begins; None homes the slide at its stop.
         mocap: UDP port of motion capture.
@@ -220,8 +220,11 @@ def _coils(table: Table, length: float) -> tuple[Coil, ...]:
 def _slide(table: Table) -> dict[str, Any]:
     address = table.text("address")
     standing = optional_number(table, "standing")
-    kinds: dict[str, type[Stroke]] = {"dynamixel": Stage, "grbl": GcodeStage}
-    protocol = table.text("protocol", "dynamixel", choices=tuple(kinds))
+    kinds: dict[str, type[Stroke]] = {"dynamixel": Stage, "grbl": GcodeStage, "remote": RemoteStage}
+    usual = "remote" if is_remote(address) else "dynamixel"
+    protocol = table.text("protocol", usual, choices=tuple(kinds))
+    if (protocol == "remote") != is_remote(address):
+        raise table.fail("protocol", f"is {protocol!r}, which {address!r} does not speak.")
     stage = kinds[protocol].from_table(table)
     if standing is None and stage.home is None:
         raise DeviceError(
@@ -229,6 +232,11 @@ def _slide(table: Table) -> dict[str, Any]:
             f"stop, or `standing`, its travel when recording begins."
         )
     return {"slide": address, "standing": standing, "stage": stage}
+
+
+def is_remote(address: str) -> bool:
+    """Whether an address is one of OpenIGTLink or of ROS 2."""
+    return address.startswith("igtl") or address.partition("?")[0] == "ros2"
 
 
 def _body(table: Table, length: float) -> Body:

@@ -4,11 +4,12 @@ from glissando.hardware.drivers.aurora import Aurora
 from glissando.hardware.drivers.gcode import GcodeSlide
 from glissando.hardware.drivers.gcode_stage import GcodeStage
 from glissando.hardware.drivers.interfaces import LinearStage, SlideReading, Tracker
+from glissando.hardware.drivers.remote_stage import RemoteSlide, RemoteStage
 from glissando.hardware.drivers.slide import Slide
 from glissando.hardware.drivers.stage import Stage, Stroke
 from glissando.hardware.drivers.vicon import ViconFrame, ViconStream
 
 __all__ = [
-    "Aurora", "GcodeSlide", "GcodeStage", "LinearStage", "Slide", "SlideReading", "Stage",
-    "Stroke", "Tracker", "ViconFrame", "ViconStream",
+    "Aurora", "GcodeSlide", "GcodeStage", "LinearStage", "RemoteSlide", "RemoteStage", "Slide",
+    "SlideReading", "Stage", "Stroke", "Tracker", "ViconFrame", "ViconStream",
 ]  # fmt: skip

@@ -56,7 +56,7 @@ class Tracker(Protocol):
 
 
 class LinearStage(Protocol):
-    """A stage that slides a sensor: `Slide` (Dynamixel), `GcodeSlide` (GRBL); a context manager.
+    """A stage that slides a sensor: `Slide`, `GcodeSlide`, `RemoteSlide`; a context manager.
 
     Nothing moves before the travel is known. Every method raises DeviceError when the device fails;
     whatever ends the block, the stage stands still.

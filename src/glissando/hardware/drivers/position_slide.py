@@ -23,7 +23,6 @@ _ATTEMPTS = 4
 _NEAR = 5e-4  # m from its goal where a move has arrived
 _PACE = 0.02  # s between the readings of a move
 _PATIENCE = 2.0  # s after a move should have ended
-_STEP = 2e-6  # m: shorter steps are not sent
 
 
 class StandingError(DeviceError):
@@ -45,6 +44,7 @@ class PositionSlide:
 
     ahead = 3  # periods that a streamed goal is ahead of the path's now
     rate = 20.0  # Hz, of goals and readings
+    least = 2e-6  # m: shorter steps are not sent
 
     def __init__(self, stage: Stroke) -> None:
         self.stage = stage
@@ -196,7 +196,7 @@ class PositionSlide:
 
     def _go(self, travel: float, speed: float, since: float) -> float:
         """Aim at a travel, unless it is next to nothing; where the last goal is now, m."""
-        if abs(travel - since) < _STEP:
+        if abs(travel - since) < self.least:
             return since
         self._aim(self._require_home() + self.stage.direction * travel, speed)
         return travel

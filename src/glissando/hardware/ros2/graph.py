@@ -6,6 +6,7 @@ inactive, active, finalized. It activates itself unless a manager is to do that.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -70,6 +71,20 @@ class Ros2Address:
             raise DeviceError(f"{text!r} is no ROS 2 address; {_HINT}")
         if out.params and not Path(out.params).is_file():
             raise DeviceError(f"There is no file {out.params!r} of parameters; correct params=.")
+        return out
+
+    @classmethod
+    def of_rig(cls, text: str) -> Ros2Address:
+        """The address of a device of a rig, whose times are this computer's.
+
+        Raises:
+            DeviceError: The text is none, or keeps another time.
+        """
+        out = cls.parse(text)
+        if out.clock not in ("shared", "arrival"):
+            raise DeviceError(
+                f"{text}: a recording keeps this computer's time; give clock=shared or arrival."
+            )
         return out
 
 
@@ -144,14 +159,22 @@ class Graph:
         return "" if self.state == "active" else f"the ROS 2 node {self.name} is {self.state}"
 
     def spin(self, most: int = 256) -> None:
-        """Run what is ready, `most` callbacks at a time; never waits."""
-        try:
-            for _ in range(most):
+        """Run what is ready, about `most` callbacks at a time; never waits.
+
+        A look of the executor ends after one message of each topic: it is empty if there was none.
+        """
+        worked = True
+        for _ in range(most):
+            try:
                 ready, _, _ = self._executor.wait_for_ready_callbacks(timeout_sec=0.0)
-                ready()
-                ready.result()  # raises what the callback raised
-        except self._idle:
-            pass
+            except self._idle:
+                if not worked:
+                    return
+                worked = False
+                continue
+            worked = True
+            ready()
+            ready.result()  # raises what the callback raised
 
 
 def _managed_node(graph: Graph, context: Any) -> Any:
@@ -180,6 +203,19 @@ def _managed_node(graph: Graph, context: Any) -> Any:
     )
     simulated = [Parameter("use_sim_time", value=True)] if graph.address.clock == "sim" else []
     return managed(graph.name, context=context, parameter_overrides=simulated)
+
+
+def measured_at(stamp: Any, arrival: float, clock: str) -> float:
+    """When a message was measured, s of time.monotonic().
+
+    Args:
+        stamp: Of its header; zero if it states none.
+        arrival: When it came, s of time.monotonic().
+        clock: "shared", or "arrival" where stamps mean nothing.
+    """
+    if clock == "arrival" or not (stamp.sec or stamp.nanosec):
+        return arrival
+    return float(stamp.sec + 1e-9 * stamp.nanosec - (time.time() - time.monotonic()))
 
 
 def profile(depth: int, *, reliable: bool, latched: bool = False) -> Any:

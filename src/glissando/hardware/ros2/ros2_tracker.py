@@ -11,7 +11,7 @@ from typing import Any, Self
 from glissando.errors import DeviceError
 from glissando.hardware.drivers.aurora_reply import Frame, PortReading
 from glissando.hardware.drivers.aurora_setup import Tool
-from glissando.hardware.ros2.graph import Graph, Ros2Address, profile
+from glissando.hardware.ros2.graph import Graph, Ros2Address, measured_at, profile
 from glissando.hardware.ros2.ros2_source import pose_of
 
 _DEPTH = 64  # messages of a topic that wait
@@ -36,11 +36,7 @@ class Ros2Tracker:
     """
 
     def __init__(self, address: str, topics: Sequence[str]) -> None:
-        self._address = Ros2Address.parse(address)
-        if self._address.clock not in ("shared", "arrival"):
-            raise DeviceError(
-                f"{address}: a recording keeps this computer's time; give clock=shared or arrival."
-            )
+        self._address = Ros2Address.of_rig(address)
         self.tools = [Tool(k, topic, "ros2", str(k)) for k, topic in enumerate(topics)]
         self.counts = Counter[str]()
         self._graph = Graph(self._address, "tracker", self._subscribe)
@@ -87,10 +83,8 @@ class Ros2Tracker:
             time.sleep(_PAUSE)
 
     def _frame(self, tool: Tool, message: Any, arrival: float) -> Frame:
-        pose, measured = pose_of(message, tool.serial), arrival
-        stamp = message.header.stamp
-        if self._address.clock == "shared" and (stamp.sec or stamp.nanosec):
-            measured = stamp.sec + 1e-9 * stamp.nanosec - (time.time() - time.monotonic())
+        pose = pose_of(message, tool.serial)
+        measured = measured_at(message.header.stamp, arrival, self._address.clock)
         self._number += 1
         port = PortReading(tool.handle, "valid", self._number, 0, pose, 0.0)
         return Frame(self._number, measured, 0.0, arrival, (port,))

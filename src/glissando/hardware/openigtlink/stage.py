@@ -1,0 +1,79 @@
+"""A stage whose driver is an OpenIGTLink peer: goals as TRANSFORM, positions as it states them."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from typing import Self
+
+import numpy as np
+
+from glissando.hardware.drivers.remote_stage import RemoteStage
+from glissando.hardware.openigtlink import contents as c
+from glissando.hardware.openigtlink.endpoint import Endpoint
+from glissando.hardware.openigtlink.message import Message, encode, stamp_of
+from glissando.hardware.openigtlink.sender_clock import SenderClock
+from glissando.hardware.openigtlink.tracker import poses_in
+from glissando.hardware.openigtlink.wire_frame import WireFrame
+
+COMMAND, MEASURED = "StageTarget", "Stage"
+
+
+class IgtlStagePeer:
+    """Sends goals and hears positions along z of the stage's own frame; a context manager.
+
+    A SENSOR message states the position by its first number, in its own unit.
+
+    Args:
+        address: As `Endpoint` takes it.
+        stage: Names its devices.
+
+    Attributes:
+        counts: What happened to the peer.
+
+    Raises:
+        DeviceError: The address is wrong.
+    """
+
+    def __init__(self, address: str, stage: RemoteStage) -> None:
+        self._endpoint, self.counts = Endpoint(address), Counter[str]()
+        self._frame = WireFrame.of(self._endpoint.address)
+        self._clock = SenderClock(self._endpoint.address.clock)
+        self._command, self._measured = stage.command or COMMAND, stage.measured or MEASURED
+
+    def __enter__(self) -> Self:
+        self._endpoint.__enter__()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.counts += self._endpoint.counts
+        self._endpoint.close()
+
+    def positions(self) -> list[tuple[float, float]]:
+        """Times and positions that have come."""
+        out = []
+        while come := self._endpoint.receive():
+            for arrival, message in come:
+                places = self._places(message)
+                if places:
+                    out.append((self._clock.monotonic(message.stamp, arrival), places[0]))
+        return out
+
+    def _places(self, message: Message) -> list[float]:
+        content, poses = message.content, poses_in(message, self._frame)
+        if isinstance(content, c.SensorValues) and message.device == self._measured:
+            unit = self._frame.length_unit(content.unit)
+            return [unit * float(value) for value in content.values[:1]]
+        return [float(pose[2, 3]) for name, _, pose in poses if name == self._measured]
+
+    def send(self, place: float, speed: float) -> None:
+        """Send a goal; the protocol has no place for its speed."""
+        pose = np.eye(4)
+        pose[2, 3] = place
+        goal = c.Transform(self._frame.poses_out(pose))
+        self._endpoint.send([encode(Message(goal, self._command, stamp_of(time.time())))])
+
+    @property
+    def problem(self) -> str:
+        """Why nothing comes; empty while a peer is there."""
+        return "" if self._endpoint.peers else f"nobody answers at {self._endpoint.text}"
