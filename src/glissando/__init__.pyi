@@ -16,6 +16,7 @@ from .model.noise import GemanMcClure, Huber
 from .model.priors.separable import BaseVariance, SeparablePrior
 from .model.priors.white_noise import BaseDensity, WhiteNoisePrior
 from .model.robot import Robot
+from .model.sensors.accelerometer import AccelerometerReadings
 from .model.sensors.parameters import SensorParameter
 from .model.sensors.readings import Readings
 from .model.sensors.sensors import (
@@ -34,6 +35,7 @@ from .solver.gauss_newton import SolverOptions
 from .visualization.page.page import save_view
 
 __all__ = [
+    "AccelerometerReadings",
     "BaseDensity",
     "BaseVariance",
     "CoilReadings",

@@ -143,7 +143,8 @@ def test_what_is_written_is_read_back(tmp_path, kind):
     rng = np.random.default_rng(0)
     time, place = np.arange(6.0), np.linspace(0.1, 0.4, 6)
     pose = arc(place, time) @ se3.exp(rng.standard_normal((6, 6)))
-    width = {"position": 3, "gyro": 3, "strain": 6, "fbg": 4, "tendon": 8}.get(kind, 0)
+    three = dict.fromkeys(("position", "gyro", "accelerometer"), 3)
+    width = {**three, "strain": 6, "fbg": 4, "tendon": 8}.get(kind, 0)
     values = {"pose": pose, "coil": pose, "orientation": pose[:, :3, :3]}.get(
         kind, rng.standard_normal((6, width))
     )

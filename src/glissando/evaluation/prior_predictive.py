@@ -150,7 +150,14 @@ def noisy_values(readings: Readings, at: State, rng: np.random.Generator) -> Arr
         readings: The sensor; of its values only the shape matters.
         at: States (M,) where it reads.
         rng: Source of the noise.
+
+    Raises:
+        GlissandoError: The sensor needs the states' acceleration.
     """
+    if readings.accelerates:
+        raise GlissandoError(
+            f"{readings.label}: readings of an accelerometer are not drawn; leave its stream out."
+        )
     root = np.linalg.cholesky(
         np.broadcast_to(readings.cov, (len(readings), *readings.cov.shape[-2:]))
     )
@@ -188,7 +195,8 @@ def session_layout(robot: Robot) -> tuple[Grid, list[Readings]]:
     stop = _NODES / robot.time_rate
     grid = robot.grid(0.0, stop)
     time = np.linspace(0.0, stop, _READINGS * _NODES + 1)
-    kinds = [k for k in robot.sensor_std if not sensor_class(k).settings]
+    sensors = {kind: sensor_class(kind) for kind in robot.sensor_std}
+    kinds = [k for k, sensor in sensors.items() if not (sensor.settings or sensor.accelerates)]
     named: dict[str, str] = {}
     for parameter in robot.sensor_parameters:
         named |= {s: _kind_of(s, parameter, kinds) for s in parameter.streams}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -79,6 +79,23 @@ class State(Brief):
     def flatten(self) -> State:
         """The state as one list of points (M,), sharing memory."""
         return self.reshape(-1)
+
+
+@dataclass(frozen=True)
+class AcceleratedState(State):
+    """State at points with its acceleration (…, 6): [R^T p̈, body's angular acceleration].
+
+    Of its degrees of freedom, 24, acceleration comes last.
+    """
+
+    acceleration: Array = field(default_factory=lambda: np.zeros(6))
+
+    def retract(self, step: Array) -> AcceleratedState:
+        """The state moved by `step` (…, 24)."""
+        at = State(self.pose, self.strain, self.velocity).retract(step[..., :DOF])
+        return AcceleratedState(
+            at.pose, at.strain, at.velocity, acceleration=self.acceleration + step[..., DOF:]
+        )
 
 
 def concatenate(*states: State) -> State:

@@ -1,16 +1,13 @@
-"""What stands beside a recording of a robot with inertia: accelerometers, motion, loads."""
+"""What stands beside a recording of a robot with inertia: motion and loads."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
 from glissando.geometry import se3
-from glissando.geometry.se3 import Array
 from glissando.io.atomic_file import write_table
-from glissando.io.csv_stream import Rows
 from glissando.simulation.dynamics.motion import DynamicMotion
 
 _PLACES, _RATE = 15, 100.0
@@ -21,10 +18,8 @@ def _six(linear: str, angular: str) -> list[str]:
     return [f"{linear}{a}" for a in _AXES] + [f"{angular}{a}" for a in _AXES]
 
 
-def write_dynamics(
-    motion: DynamicMotion, gyros: Mapping[str, Rows], forces: Mapping[str, Array], folder: Path
-) -> None:
-    """Write accelerometer_*.csv, truth.csv and loads.csv into a folder, SI units.
+def write_dynamics(motion: DynamicMotion, folder: Path) -> None:
+    """Write truth.csv and loads.csv into a folder, SI units.
 
     truth.csv has pose, velocity (body), acceleration (body) and the material's wrench (body) at
     fifteen places a hundred times a second; loads.csv has energies, works, the wrench on the base
@@ -32,14 +27,8 @@ def write_dynamics(
 
     Args:
         motion: The motion.
-        gyros: Readings of gyroscopes, beside which the accelerometers are.
-        forces: Specific forces (M, 3) of the accelerometers.
         folder: Folder to write into.
     """
-    for name, rows in gyros.items():
-        table = np.column_stack([rows.time, rows.arclength, forces[name]])
-        file = folder / f"{name.replace('gyro', 'accelerometer')}.csv"
-        write_table(file, ["time", "arclength", *(f"f{a}" for a in _AXES)], table)
     time = np.arange(0.0, motion.time[-1] + 1e-9, 1.0 / _RATE)
     s = np.linspace(0.0, motion.rod.length, _PLACES)
     at = motion.at(s, time[:, None])

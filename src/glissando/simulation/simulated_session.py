@@ -42,8 +42,8 @@ class Session:
         mocap_std: Std of motion capture's noise (6,), [linear m, angular rad].
         tendons: Displacements of the tendons, if they are recorded.
         gyros: Readings of gyroscopes, by name, of a robot that moves with inertia.
-        forces: Specific forces (M, 3), m/s², of the accelerometers beside them, by the same name.
-        gyro_std: Std of the gyroscopes' noise (3,), rad/s.
+        accelerometers: Readings of the accelerometers beside them, by name.
+        inertial_std: Std of the noise of gyroscopes, rad/s, and accelerometers, m/s².
     """
 
     name: str
@@ -56,8 +56,8 @@ class Session:
     mocap_std: Array
     tendons: Rows | None = None
     gyros: dict[str, Rows] = field(default_factory=dict)
-    forces: dict[str, Array] = field(default_factory=dict)
-    gyro_std: Array = field(default_factory=lambda: np.ones(3))
+    accelerometers: dict[str, Rows] = field(default_factory=dict)
+    inertial_std: tuple[float, float] = (1.0, 1.0)
 
 
 def simulate_session(
@@ -111,15 +111,14 @@ def simulate_session(
     std = np.repeat(np.maximum([flaws.mocap, flaws.mocap_angle], 1e-6), 3) / np.sqrt(3.0)
     time = np.arange(0.0, lasts + 1e-9, 1.0 / TENDON_RATE)
     pulled = _tendon_rows(bench, motion, time, pull_noise) if tendons else None
-    gyros, forces = {}, {}
+    gyros, accelerometers = {}, {}
     if isinstance(motion, DynamicMotion):
         time = np.arange(0.0, lasts + 1e-9, 1.0 / INERTIAL_RATE)
         draws = np.random.default_rng([seed, 2]).spawn(bench.inertial.size)
         for s, noise in zip(bench.inertial, draws, strict=True):
             rows = inertial_rows(motion, float(s), time, flaws, noise)
-            gyros[f"gyro_{1e3 * s:g}"], forces[f"gyro_{1e3 * s:g}"] = rows
-    gyro = np.full(3, max(flaws.gyro, 1e-6))
-    inertial = gyros, forces, gyro
+            gyros[f"gyro_{1e3 * s:g}"], accelerometers[f"accelerometer_{1e3 * s:g}"] = rows
+    inertial = gyros, accelerometers, (max(flaws.gyro, 1e-6), max(flaws.accelerometer, 1e-6))
     return Session(name, lasts, motion, path, coil, mocap, bench.tracker, std, pulled, *inertial)
 
 
@@ -159,7 +158,9 @@ def write_session(session: Session, folder: Path, robot: str | Path, **more: Any
     ]
     if session.tendons is not None:
         streams.append(Stream("tendons", session.tendons, std=np.array([_TENDON_STD])))
-    streams += [Stream(name, rows, std=session.gyro_std) for name, rows in session.gyros.items()]
+    inertial = session.gyros, session.accelerometers
+    for every, std in zip(inertial, session.inertial_std, strict=True):
+        streams += [Stream(name, rows, std=np.full(3, std)) for name, rows in every.items()]
     with new_folder(folder, SimulationError) as building:
         frames = {"tracker": session.T_wt}
         write_streams(building, session.name, streams, robot=robot, frames=frames, **more)
@@ -167,5 +168,5 @@ def write_session(session: Session, folder: Path, robot: str | Path, **more: Any
         knots = np.column_stack([path.time, path.displacement, path.speed])
         write_table(building / "slide_path.csv", ["time", "displacement", "speed"], knots)
         if isinstance(session.motion, DynamicMotion):
-            write_dynamics(session.motion, session.gyros, session.forces, building)
+            write_dynamics(session.motion, building)
     return sorted(folder.iterdir())

@@ -188,13 +188,19 @@ def inertial_rows(
     time: Array,
     flaws: Imperfections,
     rng: np.random.Generator,
-) -> tuple[Rows, Array]:
+) -> tuple[Rows, Rows]:
     """What a gyroscope and an accelerometer say, aligned with the body at one arclength (m).
 
     Returns:
-        Angular velocities, and specific forces (M, 3), m/s²: acceleration less gravity.
+        Angular velocities, and specific forces, m/s²: acceleration less gravity.
     """
     place = np.full(time.size, arclength)
     at, noise = motion.at(place, time), rng.standard_normal((2, time.size, 3))
     spin = at.velocity[:, 3:] + flaws.gyro * noise[0]
-    return Rows("gyro", time, place, spin, {}), at.specific_force + flaws.accelerometer * noise[1]
+    force = at.specific_force + flaws.accelerometer * noise[1]
+    settings = {
+        "gravity": np.asarray(motion.acting.scenario.gravity, dtype=float),
+        "span": np.full(1, float(np.diff(time[:2])[0])),
+    }
+    gyro = Rows("gyro", time, place, spin, {})
+    return gyro, Rows("accelerometer", time, place, force, {}, settings)

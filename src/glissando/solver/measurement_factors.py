@@ -14,7 +14,9 @@ from glissando.model.factors import Factors, Residuals
 from glissando.model.grid import Grid, Index
 from glissando.model.interpolation import Interpolation, sort_points
 from glissando.model.noise import sqrt_information
+from glissando.model.priors.acceleration import accelerated
 from glissando.model.priors.prior import Prior
+from glissando.model.sensors.accelerometer import AccelerometerReadings
 from glissando.model.sensors.parameter_jacobians import by_parameters
 from glissando.model.sensors.parameter_process import ParameterValues
 from glissando.model.sensors.parameters import SensorParameter
@@ -50,6 +52,9 @@ def measurement_factors(
                 spread = _along(prior, located.grid, state, noise_state, readings)
                 yield stream, rows, _spanning_factor(readings, located, spread)
                 continue
+            if isinstance(readings, AccelerometerReadings):
+                place = located.grid, state, noise_state, readings.arclength, readings.time
+                mine = accelerated(prior, *place, float(readings.span[0]))
             yield stream, rows, _factor(readings, mine, located.parameters, slopes[stream])
 
 
@@ -57,6 +62,11 @@ def _factor(
     readings: Readings, at: Interpolation, parameters: ParameterValues, slopes: dict[str, Array]
 ) -> Factors:
     """Factors of readings at the states `at`, which have slopes (M, 18) along arclength or time."""
+    if readings.accelerates and any(p.moves for p, _ in parameters.of(readings)):
+        raise SensorError(
+            f"{readings.label}: where and when an accelerometer reads is not estimated; state "
+            f"offsets and lags of its stream as known, without a std."
+        )
     mine, now, weights, left = parameters.of(readings), *np.zeros((3, len(readings), 0))
     if mine:
         now, weights, left = parameters.between(readings.time)
@@ -162,7 +172,7 @@ def _slopes(
 
 def _is_moved(readings: Readings, located: LocatedReadings, way: str) -> bool:
     """Whether it is uncertain where along `way` readings were taken."""
-    if readings.spans:
+    if readings.spans or readings.accelerates:
         return False
     if way == "arclength" and np.any(readings.arclength_std):
         return True
@@ -197,6 +207,7 @@ def _checked(readings: Readings, at: Interpolation) -> tuple[Array, Array]:
     """Residual (M, r) and its Jacobian (M, r, 18), refused unless of that shape and finite."""
     m = at.nodes.shape[0]
     residual = readings.residual(at.state)
+    dof = at.jacobian.shape[1]
     if residual.shape != (m, readings.row_count):
         raise SensorError(
             f"{readings.label}: residual(at) returns shape {residual.shape}; return "
@@ -211,9 +222,9 @@ def _checked(readings: Readings, at: Interpolation) -> tuple[Array, Array]:
             f"every state a finite one."
         )
     by_state = readings.jacobian(at.state)
-    if by_state.shape != (m, readings.row_count, DOF):
+    if by_state.shape != (m, readings.row_count, dof):
         raise SensorError(
             f"{readings.label}: jacobian(at) returns shape {by_state.shape}; return "
-            f"{(m, readings.row_count, DOF)}, or leave it out."
+            f"{(m, readings.row_count, dof)}, or leave it out."
         )
     return residual, by_state

@@ -16,6 +16,7 @@ from glissando.geometry.se3 import Array
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.sensors.readings import Readings
 from glissando.model.sensors.sensors import (
+    AccelerometerReadings,
     CoilReadings,
     GyroReadings,
     OrientationReadings,
@@ -85,6 +86,7 @@ def by_bias(readings: Readings, at: State, by_state: Array) -> Array | None:
     return None
 
 
+@by_bias.register(AccelerometerReadings)
 @by_bias.register(GyroReadings)
 @by_bias.register(PositionReadings)
 def _(readings: Readings, at: State, by_state: Array) -> Array:

@@ -61,6 +61,8 @@ class Readings(Brief):
             the arclength nodes in the place of `residual` and `jacobian`.
         value_shape: Declares the shape of one reading's value; None for any.
         per_reading: Declares the fields of one's own that have a row a reading.
+        accelerates: Declares that it needs the state's acceleration: `residual` and `jacobian`
+            (M, rows, 24) take an `AcceleratedState`, and are zero of another.
         fixes_base: Declares whether readings fix the robot in the world.
         tracker: Declares a tracker: it may be truth, and repeated rows are one reading twice.
 
@@ -89,6 +91,7 @@ class Readings(Brief):
     fixes_base: ClassVar[bool] = False
     tracker: ClassVar[bool] = False
     spans: ClassVar[bool] = False
+    accelerates: ClassVar[bool] = False
 
     def __init_subclass__(cls, *, kind: str = "", **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)

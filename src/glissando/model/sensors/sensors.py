@@ -14,6 +14,7 @@ from glissando._kernels.arrays import items
 from glissando.errors import SensorError
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
+from glissando.model.sensors.accelerometer import AccelerometerReadings as AccelerometerReadings
 from glissando.model.sensors.readings import SENSORS, Readings
 from glissando.model.sensors.tendons import TendonReadings as TendonReadings
 from glissando.model.state import DOF, POSE, STRAIN, State

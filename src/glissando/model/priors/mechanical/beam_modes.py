@@ -31,6 +31,8 @@ class BeamModes:
         by_tangent: Weights (m, N) of tangents.
         at_tip: Values (m,) at the tip, and slopes (m,) there.
         load: What loads make of the amplitudes' accelerations: covariance (m, m).
+        length: Of the rod, m.
+        ritz: Weights (P, m) of polynomials in the modes.
     """
 
     rate: Array
@@ -39,6 +41,13 @@ class BeamModes:
     by_tangent: Array
     at_tip: Array
     load: Array
+    length: float
+    ritz: Array
+
+    def at(self, arclength: Array) -> tuple[Array, Array]:
+        """Values (M, m) at arclengths (M,), 1/√kg, and slopes by arclength."""
+        value, slope, _ = _polynomials(arclength, self.length, len(self.ritz))
+        return value @ self.ritz, slope @ self.ritz
 
     @property
     def fit(self) -> Array:
@@ -71,7 +80,7 @@ def beam_modes(
     even = np.linspace(0.0, length, _PIECES + 1)
     s, weight = _quadrature(np.unique(np.concatenate([even, mechanics.joints, arclength])))
     segment = mechanics.segment(s)
-    value, bend = _polynomials(s, length, count + _SPARE)
+    value, _, bend = _polynomials(s, length, count + _SPARE)
     tip = _polynomials(arclength[-1:], length, count + _SPARE)[0]
     mass = weight * mechanics.mass_per_length[segment]
     bending = weight * mechanics.stiffness[segment, 3:5].mean(axis=1)
@@ -94,7 +103,8 @@ def beam_modes(
     for place, variance in zip(*points, strict=True):
         there = (_polynomials(np.array([place]), length, count + _SPARE)[0] @ ritz)[0]
         load += variance * np.outer(there, there)
-    return BeamModes(np.sqrt(square[:count]), shape, by_place, by_tangent, at_tip, load)
+    weights = shape, by_place, by_tangent, at_tip, load
+    return BeamModes(np.sqrt(square[:count]), *weights, length, ritz)
 
 
 def _quadrature(edges: Array) -> tuple[Array, Array]:
@@ -104,13 +114,17 @@ def _quadrature(edges: Array) -> tuple[Array, Array]:
     return (edges[:-1, None] + half * (x + 1.0)).ravel(), (half * w).ravel()
 
 
-def _polynomials(s: Array, length: float, count: int) -> tuple[Array, Array]:
-    """s² Pₖ(s) and second derivatives (M, count), clamped at zero."""
+def _polynomials(s: Array, length: float, count: int) -> tuple[Array, Array, Array]:
+    """s² Pₖ(s), first and second derivatives (M, count), clamped at zero."""
     clamped = Legendre([1 / 3, 1 / 2, 1 / 6])  # (1 + z)² / 4 for z from −1 to 1
     each = [clamped * Legendre.basis(k) for k in range(count)]
     z = 2.0 * s / length - 1.0
-    second = [p.deriv(2)(z) * (2.0 / length) ** 2 for p in each]
-    return np.stack([p(z) for p in each], axis=-1), np.stack(second, axis=-1)
+    derivatives = (
+        np.stack([(p.deriv(k) if k else p)(z) * (2.0 / length) ** k for p in each], axis=-1)
+        for k in range(3)
+    )
+    value, slope, bend = derivatives
+    return value, slope, bend
 
 
 def _nodal(arclength: Array, s: Array) -> tuple[tuple[Array, Array], Array]:

@@ -30,9 +30,9 @@ from glissando.model.priors.stationary import chain_factors
 from glissando.model.state import INERTIA, POSE, STRAIN, STRAIN_RATE, VELOCITY, State
 
 _POINTS = 24  # to integrate over a time step
-_FASTEST = 5.0  # rad a time step, of oscillation; what is faster follows loads at once
-_QUICKEST = 30.0  # e-folds a time step, of decay
-_PINNED = 0.1  # m/s², of what no mode has
+FASTEST = 5.0  # rad a time step, of oscillation; what is faster follows loads at once
+QUICKEST = 30.0  # e-folds a time step, of decay
+PINNED = 0.1  # m/s², of what no mode has
 _ALL = slice(0, INERTIA.stop)
 _P, _R = slice(POSE.start, POSE.start + 3), slice(POSE.start + 3, POSE.stop)
 _NU, _NU_RATE = (slice(part.start, part.start + 3) for part in (STRAIN, STRAIN_RATE))
@@ -131,7 +131,7 @@ class ModalMotion:
         slope = np.broadcast_to(
             slope.reshape(1, rows, *slope.shape[2:]), (count, rows, *slope.shape[2:])
         )
-        std = _PINNED * np.repeat([1.0, self.modes.rate[-1]], 3)
+        std = PINNED * np.repeat([1.0, self.modes.rate[-1]], 3)
         firm = np.broadcast_to(np.diag(np.tile(1.0 / std, len(rest))), (count, rows, rows))
         return Factors(nodes, _ALL, np.ascontiguousarray(slope), Residuals(error, firm))
 
@@ -142,7 +142,7 @@ class ModalMotion:
         onward, early, late, white = (np.stack(each) for each in zip(*found, strict=True))
         maps, square = (
             (onward, early, late),
-            np.minimum(self.modes.rate, _FASTEST / steps[:, None]) ** 2,
+            np.minimum(self.modes.rate, FASTEST / steps[:, None]) ** 2,
         )
         carried, found_there = _ends(maps, square, values)
         before, after = _ends(maps, square, slopes)
@@ -182,7 +182,7 @@ def _transition(
     derivatives = np.diag([1.0, 1.0, 2.0, 6.0]) @ cubic
     maps, green = np.zeros((3, len(rate), 2, 2)), np.zeros((len(rate), 2, _POINTS))
     for j, (omega, c) in enumerate(zip(rate, damping, strict=True)):
-        omega, c = min(omega, _FASTEST / step), min(c, _QUICKEST / step)
+        omega, c = min(omega, FASTEST / step), min(c, QUICKEST / step)
         own = np.array([[0.0, 1.0], [-(omega**2), -c]])
         chain = np.zeros((6, 6))
         chain[:2, :2], chain[1, 2] = step * own, step
@@ -192,11 +192,13 @@ def _transition(
         maps[:, j] = found[:2, :2], driven[:, :2], driven[:, 2:]
         green[j] = scipy.linalg.expm((step - time)[:, None, None] * own)[:, :, 1].T
     weighted = green * weight
-    cov = np.einsum("iaq,qr,jbr->iajb", weighted, _bridge(step, time_scale, time), weighted)
+    cov = np.einsum(
+        "iaq,qr,jbr->iajb", weighted, bridge_covariance(step, time_scale, time), weighted
+    )
     return maps[0], maps[1], maps[2], cov
 
 
-def _bridge(step: float, time_scale: float, time: Array) -> Array:
+def bridge_covariance(step: float, time_scale: float, time: Array) -> Array:
     """Covariance (T, T) at times within a step of a Matérn process whose ends are known."""
     count, out = time.size, np.zeros((time.size, time.size))
     left = matern.bridge(time_scale, np.full(count, step), time)[2]

@@ -33,6 +33,7 @@ from glissando.model.priors.mechanical.intervals import (
     interval_error,
     still_error,
 )
+from glissando.model.priors.mechanical.modal_acceleration import modal_acceleration
 from glissando.model.priors.mechanical.point_load import PointLoad, point_load
 from glissando.model.priors.mechanical.rod import LoadedRod
 from glissando.model.priors.mechanical.section import hanging_rod, section_covariances
@@ -272,6 +273,15 @@ class MechanicalPrior:
     ) -> Interpolation:
         """State at points between the nodes, conditional on the nodes. Source: (10) to (12)."""
         return interpolate_process(self, grid, state, noise_state, points)
+
+    def acceleration(
+        self, grid: Grid, state: State, at: Interpolation, arclength: Array, time: Array
+    ) -> Interpolation | None:
+        """States with acceleration at points, if inertia is modelled. Source: equation (33)."""
+        if self.inertia is None:
+            return None
+        motion = self._motion(grid.arclength)
+        return modal_acceleration(motion, grid, state, at, arclength, time)
 
     def crossing(self, grid: Grid, noise_state: State, k: Index, s: Cells) -> tuple[Array, Array]:
         """Gain and covariance (M, 12, 12) inside the intervals `s` at time nodes k."""
