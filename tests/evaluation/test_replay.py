@@ -53,7 +53,8 @@ def some_readings(rng, kind, count):
     """Readings of a kind, out of order, with a mount."""
     noise = {"time": rng.uniform(0, 9, count), "arclength": rng.uniform(0, LENGTH, count)}
     pose = se3.exp(rng.uniform(-1, 1, (count, 6)))
-    width = {"position": 3, "gyro": 3, "strain": 6, "fbg": 2, "tendon": 2}.get(kind, 0)
+    three = dict.fromkeys(("position", "gyro", "accelerometer"), 3)
+    width = {**three, "strain": 6, "fbg": 2, "tendon": 2}.get(kind, 0)
     values = pose if kind in ("pose", "coil") else pose[:, :3, :3]
     if width:
         values = rng.standard_normal((count, width))

@@ -38,8 +38,7 @@ TRUE = {
 def to_and_fro(rng, name):
     """A tracker that slides to and fro."""
     place = LENGTH * (0.75 - 0.15 * np.abs(np.linspace(-1.0, 1.0, TIMES.size)))
-    speed, way = slide_motion(TIMES, place)
-    return replace(tracker(rng, name, place, 4e-3), slide_speed=speed, slide_way=way)
+    return replace(tracker(rng, name, place, 4e-3), **slide_motion(TIMES, place))
 
 
 def miscalibrated(rng):

@@ -40,8 +40,7 @@ def session(flaws, seed, motion):
     )
     time, rng = np.arange(0.0, path.duration, 1 / 40), np.random.default_rng(seed)
     rows = coil_rows(motion, path, time, 0.0, np.eye(4), flaws, rng)
-    speed, way = slide_motion(rows.time, rows.arclength)
-    slide = {"slide_speed": speed, "slide_way": way, "arclength": rows.arclength}
+    slide = {"arclength": rows.arclength, **slide_motion(rows.time, rows.arclength)}
     return CoilReadings(time=rows.time, values=rows.values, cov=STD**2, name="coil", **slide)
 
 

@@ -29,12 +29,13 @@ from glissando.evaluation.plausibility.examine import (
 from glissando.evaluation.plausibility.finding import refuse
 from glissando.evaluation.run import checked_window, chosen_streams
 from glissando.geometry.se3 import Array
+from glissando.io.csv_stream import Rows
 from glissando.io.journal import Journal
 from glissando.io.recording import Recording, load_recording
 from glissando.model.brief import Brief
 from glissando.model.robot import Robot
 from glissando.model.sensors.parameters import SensorParameter, corrected
-from glissando.model.sensors.readings import Readings
+from glissando.model.sensors.readings import Readings, slide_motion
 
 _NODES = 4  # in the smoother's window by default
 _MEMORY = 30.0  # s of a journal that are estimated again before a run continues
@@ -175,6 +176,12 @@ def replay(
     )  # fmt: skip
 
 
+def _when_and_where(rows: Rows) -> dict[str, Any]:
+    """Fields of readings that say when and where rows were taken."""
+    slide = slide_motion(rows.time, rows.arclength)
+    return {"time": rows.time, "arclength": rows.arclength, **slide}
+
+
 def _continued(
     smoother: FixedLagSmoother, journal: Path, name: str, readings: list[Readings], times: Array
 ) -> tuple[list[Readings], Array]:
@@ -189,9 +196,9 @@ def _continued(
         raise RecordingError(f"{journal} is a log of {before.name}; give another folder.")
     rows = {name: stream.rows for name, stream in before.streams.items()}
     logged = [
-        replace(r, time=old.time, arclength=old.arclength, values=old.values)
+        replace(r, values=o.values, **_when_and_where(o))
         for r in readings
-        if (old := rows.get(r.name)) is not None
+        if (o := rows.get(r.name)) is not None
     ]
     if not logged:
         return readings, times

@@ -316,7 +316,6 @@ def _as_readings(stream: Stream, robot: Robot, as_truth: bool) -> Readings:
             f"Stream {stream.name!r}: neither the recording nor robot {robot.name!r} states the "
             f"noise of a {rows.kind} sensor; add [sensors.{rows.kind}] std to the robot file."
         )
-    slide_speed, slide_way = slide_motion(rows.time, rows.arclength)
     return rows.sensor(
         time=rows.time,
         arclength=rows.arclength,
@@ -325,7 +324,6 @@ def _as_readings(stream: Stream, robot: Robot, as_truth: bool) -> Readings:
         mount=stream.mount,
         loss=None if as_truth else robot.sensor_loss.get(rows.kind),
         name=stream.name,
-        slide_speed=slide_speed,
-        slide_way=slide_way,
+        **slide_motion(rows.time, rows.arclength),
         **rows.settings,
     )

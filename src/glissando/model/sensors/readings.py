@@ -255,19 +255,24 @@ class Readings(Brief):
         raise NotImplementedError(f"{type(self).__name__} must define jacobian_over(s, at).")
 
 
-def slide_motion(time: Array, arclength: Array) -> tuple[Array, Array]:
-    """How fast a sliding sensor moved (M,), m/s, and which way it moved last (M,), −1 to 1.
+def slide_motion(time: Array, arclength: Array) -> dict[str, Any]:
+    """The fields `slide_speed` and `slide_way` of a sliding sensor's readings.
+
+    They are how fast it moved (M,), m/s, and which way it moved last (M,), −1 to 1.
 
     The speed is that since the reading before, so that a lag shorter than this leads between the
     two. The way is zero until the sensor moves, and turns over 0.2 mm of travel, as a tube's play
     is taken up.
     """
+    if not np.any(np.diff(arclength)):
+        return {"slide_speed": np.zeros(()), "slide_way": np.zeros(())}
     way, ways = 0.0, []
     moved, lasts = np.diff(arclength, prepend=arclength[:1]), np.diff(time, prepend=time[:1])
     for step in (moved / (0.5 * _TURN)).tolist():
         way = min(1.0, max(-1.0, way + step))
         ways.append(way)
-    return np.divide(moved, lasts, out=np.zeros_like(moved), where=lasts > 0.0), np.array(ways)
+    speed = np.divide(moved, lasts, out=np.zeros_like(moved), where=lasts > 0.0)
+    return {"slide_speed": speed, "slide_way": np.array(ways)}
 
 
 def _require_rotations(label: str, values: Array) -> None:
