@@ -1,30 +1,34 @@
 """What a viewer gets is the estimate: frames, surfaces and sigma, in its units and axes."""
 
 import json
+import re
 from contextlib import ExitStack
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from glissando.estimation.confidence_tube import SIGMAS_95, confidence_tube, tube_faces
+from glissando.geometry import se3
 from glissando.hardware.live import IgtlSink, LiveSession, RecordingSource
 from glissando.hardware.live.igtl_sink import frame_name
-from glissando.hardware.openigtlink import Endpoint
-from live_recordings import ROBOT, swaying
+from glissando.hardware.openigtlink import Endpoint, Message, encode
+from glissando.hardware.openigtlink import contents as c
+from live_recordings import ROBOT, ROD, swaying
 from waiting import until
 
 
-def _shown(options: str):
-    """An update, and the contents that a viewer got of it, by device."""
+def _shown(options: str, robot=ROBOT):
+    """An update, what acted then, and the contents that a viewer got of it, by device."""
     sink = IgtlSink(f"igtl-server://:0{options}")
-    source = RecordingSource(swaying(), ROBOT)
+    source = RecordingSource(swaying(), robot)
     with ExitStack() as stack:
-        session = stack.enter_context(LiveSession(ROBOT, [source], [sink], points=7))
+        session = stack.enter_context(LiveSession(robot, [source], [sink], points=7))
         viewer = stack.enter_context(Endpoint(f"igtl://127.0.0.1:{sink.port}"))
         until(lambda: viewer.receive() or viewer.peers)
         read, updates = [], {}
         for update in session:
-            updates[update.stamp] = update
+            updates[update.stamp] = update, update.loads()
             read += [m for _, m in viewer.receive()]
             stamps = [m.stamp for m in read if m.device == "Robot"]
             if len(stamps) > 12:
@@ -32,12 +36,12 @@ def _shown(options: str):
     stamp = stamps[-2]  # all of it has come: another followed
     assert stamp in updates
     latest = {(m.device, m.content.type_id): m.content for m in read if m.stamp <= stamp}
-    return updates[stamp], latest
+    return *updates[stamp], latest
 
 
 @pytest.mark.slow
 def test_frames_line_tube_and_ellipsoids_are_the_estimates():
-    update, read = _shown("")
+    update, _, read = _shown("")
     frames = read["Robot", "TDATA"].tools
     assert [tool.name for tool in frames] == [frame_name(s) for s in update.arclength]
     matrices = np.stack([tool.matrix for tool in frames])
@@ -59,13 +63,48 @@ def test_frames_line_tube_and_ellipsoids_are_the_estimates():
 
 
 def test_axes_and_units_are_switched_and_parts_left_out():
-    update, read = _shown("?axes=lps&unit=m&send=frames")
+    update, _, read = _shown("?axes=lps&unit=m&send=frames")
     assert {device for device, _ in read} == {"Robot"}
     matrices = np.stack([tool.matrix for tool in read["Robot", "TDATA"].tools])
     np.testing.assert_allclose(
         matrices[:, :3, 3], update.state.position * [-1.0, -1.0, 1.0], atol=1e-7
     )
     assert np.all(np.linalg.det(matrices[:, :3, :3]) > 0.999)
+
+
+def test_points_are_sensors_where_they_were_measured_and_forces_where_they_act():
+    update, loads, read = _shown("?send=frames,points,status", ROD)
+    points = read["Points", "POINT"].points
+    sensors = {p.name: p.position for p in points if p.group == "sensors"}
+    assert set(sensors) == {"base", "tip"}
+    np.testing.assert_allclose(sensors["tip"], 1e3 * update.tip, atol=20.0)
+    forces = [p for p in points if p.group == "loads"]
+    np.testing.assert_allclose([p.position for p in forces], 1e3 * loads.position, atol=1e-2)
+    sizes = np.linalg.norm(loads.wrench.force, axis=1)
+    for point, size, std in zip(forces, sizes, loads.std_force, strict=True):
+        said = re.fullmatch(r"(\S+) ± (\S+) N", point.name).groups()
+        np.testing.assert_allclose([float(x) for x in said], [size, std], rtol=0.05)
+    figures = json.loads(read["Estimate", "STRING"].text)["loads"]
+    assert [load["arclength"] for load in figures] == [0.3, ROD.length]
+    assert len(figures[0]["wrench"]) == len(figures[0]["std"]) == 6
+
+
+def test_the_bytes_that_the_page_reads_in_matlab_are_the_frames():
+    """The page's own indices, which count from one, applied to a message as MATLAB does."""
+    page = (Path(__file__).parents[3] / "docs" / "how-to" / "live.md").read_text(encoding="utf-8")
+    code = page.partition("t = tcpclient")[2].partition("```")[0]
+    head = int(re.search(r"read\(t, (\d+), ", code)[1])
+    first, last = map(int, re.search(r"head\((\d+):(\d+)\)", code).groups())
+    tool, begin, end = map(int, re.search(r"body\((\d+) \* k \+ \((\d+):(\d+)\)", code).groups())
+    poses = se3.exp(np.random.default_rng(3).normal(size=(5, 6)))
+    tools = tuple(c.Tool(frame_name(0.1 * k), c.TOOL_6D, pose) for k, pose in enumerate(poses))
+    wire = encode(Message(c.TrackingData(tools), "Robot", 1))
+    size = int.from_bytes(wire[first - 1 : last], "big")
+    body = wire[head : head + size]
+    assert len(wire) == head + size
+    for k, pose in enumerate(poses):
+        numbers = np.frombuffer(body[tool * k + begin - 1 : tool * k + end], ">f4")
+        np.testing.assert_allclose(numbers.reshape(3, 4, order="F"), pose[:3], rtol=1e-6)
 
 
 @pytest.mark.parametrize("around", [3, 12])

@@ -1,15 +1,17 @@
 """What ROS 2 subscribers get is the estimate, and none of them holds it up."""
 
 import time
+from functools import partial
 
 import numpy as np
 import pytest
 
+from glissando.estimation.confidence_tube import SIGMAS_95
 from glissando.geometry import se3
 from glissando.hardware.live import LiveSession, RecordingSource
 from glissando.hardware.ros2.graph import Graph, Ros2Address, profile
 from glissando.hardware.ros2.ros2_sink import Ros2Sink, world_covariance
-from live_recordings import ROBOT, swaying
+from live_recordings import ROBOT, ROD, swaying
 from waiting import until
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of rclpy's own imports
@@ -47,6 +49,39 @@ def test_a_late_subscriber_of_any_quality_gets_the_newest_update(domain):
     assert (
         tip[:3, 2] @ [arrow[1].x - arrow[0].x, arrow[1].y - arrow[0].y, arrow[1].z - arrow[0].z] > 0
     )
+
+
+def test_forces_are_arrows_with_their_ellipsoids_and_the_tips_is_a_wrench(domain):
+    sink = Ros2Sink(domain)
+    source, got = RecordingSource(swaying(), ROD), {}
+    with LiveSession(ROD, [source], [sink], points=4, duration=0.4) as session:
+        update = list(session)[-1]
+        with Graph(Ros2Address.parse(domain), "viewer") as viewer:
+            from geometry_msgs.msg import WrenchStamped
+            from visualization_msgs.msg import MarkerArray
+
+            latched = profile(1, reliable=True, latched=True)
+            kinds = {"tip/measured_cf": WrenchStamped, "markers": MarkerArray}
+            for topic, kind in kinds.items():
+                keep = partial(got.__setitem__, topic)
+                viewer.node.create_subscription(kind, f"/glissando/{topic}", keep, latched)
+            until(lambda: viewer.spin() or len(got) == 2)
+    loads, said = update.loads(), got["tip/measured_cf"].wrench
+    wrench = [getattr(part, axis) for part in (said.force, said.torque) for axis in "xyz"]
+    np.testing.assert_allclose(wrench, loads.wrench.wrench[-1], rtol=1e-9)
+    arrows = [m for m in got["markers"].markers if m.ns == "forces"]
+    balls = [m for m in got["markers"].markers if m.ns == "forces95"]
+    assert loads.arclength.tolist() == [0.3, ROD.length]
+    for k, (arrow, ball) in enumerate(zip(arrows, balls, strict=True)):
+        begin, end = ([p.x, p.y, p.z] for p in arrow.points)
+        np.testing.assert_allclose(begin, loads.position[k], atol=1e-12)
+        np.testing.assert_allclose(np.subtract(end, begin), 0.2 * loads.wrench.force[k], atol=1e-9)
+        at, turn, size = ball.pose.position, ball.pose.orientation, ball.scale
+        np.testing.assert_allclose([at.x, at.y, at.z], end, atol=1e-12)
+        axes = se3.rotation_from_quaternion(np.array([turn.w, turn.x, turn.y, turn.z]))
+        half = axes * [size.x, size.y, size.z] / (2.0 * SIGMAS_95 * 0.2)
+        cov = loads.wrench.cov[k, :3, :3]
+        np.testing.assert_allclose(half @ half.T, cov, atol=1e-6 * np.abs(cov).max())
 
 
 def test_a_reader_that_stops_reading_holds_nobody_up(domain):

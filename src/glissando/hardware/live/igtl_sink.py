@@ -7,6 +7,7 @@
 | Centreline | POLYDATA | a polyline with the attribute `sigma` |
 | Tube95 | POLYDATA | the surface inside which the robot lies with 95 %, with `sigma` |
 | Ellipsoids95 | POLYDATA | an ellipsoid of 95 % about each frame |
+| Points | POINT | ten times a second: sensors as they were measured last, and forces |
 | Estimate | STATUS, STRING | once a second: well or not, and figures as JSON |
 | (stream) | NDARRAY | readings, exactly, for another glissando |
 
@@ -36,7 +37,7 @@ from glissando.model.grid import Index
 from glissando.model.sensors.readings import Readings
 
 _AROUND = 12  # points of a ring of the tube
-_PATIENCE = 1.0  # s between statuses
+_PATIENCE, _POINTS = 1.0, 0.1  # s between statuses, and between points
 
 
 class IgtlSink:
@@ -54,7 +55,8 @@ class IgtlSink:
         self._endpoint = Endpoint(address, hears=False)
         self._frame = WireFrame.of(self._endpoint.address)
         self._send = self._endpoint.address.send
-        self._stated = -np.inf
+        self._stated = self._pointed = -np.inf
+        self._measured: dict[str, Array] = {}
 
     def __enter__(self) -> Self:
         self._endpoint.__enter__()
@@ -85,6 +87,9 @@ class IgtlSink:
 
     def send(self, update: Update) -> None:
         """Hand an update over to the process that speaks with peers."""
+        for readings in update.readings:
+            if readings.values.shape[1:] == (4, 4):
+                self._measured[readings.label] = readings.values[-1, :3, 3]
         if self._endpoint.peers:
             stamp = update.stamp
             self._endpoint.send(
@@ -118,10 +123,23 @@ class IgtlSink:
             first = len(_SPHERE) * np.arange(len(shells))
             faces = (_SPHERE_FACES + first[:, None, None]).reshape(-1, 3)
             yield "Ellipsoids95", self._mesh(shells, faces, sigma)
+        if "points" in send and update.time - self._pointed >= _POINTS - 1e-6:
+            self._pointed = update.time
+            yield "Points", c.Points(tuple(self._points(update)))
         if "status" in send and update.time - self._stated >= _PATIENCE:
             self._stated = update.time
             yield "Estimate", _status(update)
             yield "Estimate", c.Text(json.dumps(_figures(update)))
+
+    def _points(self, update: Update) -> Iterator[c.Point]:
+        """Sensors by their streams' names, and forces by their size."""
+        for label, place in self._measured.items():
+            yield c.Point(label[:64], self._frame.points_out(place), group="sensors")
+        if (loads := update.loads()) is not None:
+            size = np.linalg.norm(loads.wrench.force, axis=-1)
+            for place, force, std in zip(loads.position, size, loads.std_force, strict=True):
+                text = f"{force:.3g} ± {std:.2g} N"
+                yield c.Point(text, self._frame.points_out(place), group="loads")
 
     def _mesh(self, groups: Array, faces: Index, sigma: Array) -> PolyData:
         """Triangles between groups (G, A, 3) of points that share a sigma (G,)."""
@@ -166,7 +184,18 @@ def _status(update: Update) -> c.Status:
 
 
 def _figures(update: Update) -> dict[str, object]:
+    loads = update.loads()
+    wrenches = {} if loads is None else {
+        "loads": [
+            {"arclength": place, "wrench": wrench, "std": std}
+            for place, wrench, std in zip(
+                loads.arclength.tolist(), loads.wrench.wrench.tolist(), loads.wrench.std.tolist(),
+                strict=True,
+            )
+        ]
+    }  # fmt: skip
     return {
+        **wrenches,
         "time": update.time,
         "tip_sigma_m": update.std_tip,
         "latency_s": update.latency,

@@ -12,7 +12,7 @@ _LOCAL = "127.0.0.1"
 _UNITS = {"mm": 1e-3, "m": 1.0}
 _AXES = ("ras", "lps")
 _CLOCKS = ("fitted", "shared", "arrival", "sender")
-SENT = ("frames", "tip", "line", "tube", "ellipsoids", "status", "readings")
+SENT = ("frames", "tip", "line", "tube", "ellipsoids", "points", "status", "readings")
 """What can be sent of an update; all but the readings unless the address says otherwise."""
 
 

@@ -5,7 +5,8 @@
 | `/glissando/tip/measured_cp` | PoseStamped | the last frame |
 | `/glissando/tip/pose` | PoseWithCovarianceStamped | with its covariance, in world axes |
 | `/glissando/frames` | PoseArray | all frames |
-| `/glissando/markers` | MarkerArray | centreline, tube and ellipsoids of 95 %, axes measured |
+| `/glissando/markers` | MarkerArray | as `MarkerBuilder` makes them |
+| `/glissando/tip/measured_cf` | WrenchStamped | what acts at the tip, of a mechanical prior |
 | `/diagnostics` | DiagnosticArray | once a second, if that package is installed |
 
 Publishers are reliable and keep the last message for late subscribers. A subscriber that asks for
@@ -20,21 +21,20 @@ from typing import Any, Self
 import numpy as np
 
 from glissando.errors import DeviceError
-from glissando.estimation.confidence_tube import SIGMAS_95, confidence_tube, tube_faces
-from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.hardware.live.update import Update
 from glissando.hardware.ros2.graph import Graph, Ros2Address, profile
+from glissando.hardware.ros2.markers import MarkerBuilder
 
 _RATES = {"marker_rate": 10.0, "diagnostic_rate": 1.0}  # Hz, by default
-_AROUND = 8  # points of a ring of the tube
-_ARROW = 0.06  # of the robot's length: a measured axis
+_NUMBERS = {**_RATES, "metres_per_newton": 0.2}
 
 
 class Ros2Sink:
     """Publishes updates while its node is active.
 
-    Parameters of the node: `frame_id` of headers, `marker_rate` and `diagnostic_rate` in Hz.
+    Parameters of the node: `frame_id` of headers, `marker_rate` and `diagnostic_rate` in Hz, and
+    `metres_per_newton`, the length of the arrow of a force.
 
     Args:
         address: As `Ros2Address.parse` takes it.
@@ -52,7 +52,6 @@ class Ros2Sink:
         self._graph = Graph(self._address, "sink", self._advertise, self._withdraw)
         self._publishers: dict[str, Any] = {}
         self._marked = self._diagnosed = -np.inf
-        self._measured: dict[str, Array] = {}
 
     def __enter__(self) -> Self:
         try:
@@ -67,6 +66,7 @@ class Ros2Sink:
         except ImportError:
             diagnostic = None
         self._geometry, self._visualization = geometry, visualization
+        self._markers = MarkerBuilder(geometry, visualization)
         self._diagnostic: Any = diagnostic
         self._graph.__enter__()
         return self
@@ -86,6 +86,7 @@ class Ros2Sink:
         kinds = {
             f"/{name}/tip/measured_cp": geometry.PoseStamped,
             f"/{name}/tip/pose": geometry.PoseWithCovarianceStamped,
+            f"/{name}/tip/measured_cf": geometry.WrenchStamped,
             f"/{name}/frames": geometry.PoseArray,
             f"/{name}/markers": self._visualization.MarkerArray,
         }
@@ -99,8 +100,8 @@ class Ros2Sink:
         }
         if not node.has_parameter("frame_id"):
             node.declare_parameter("frame_id", self._address.frame)
-            for rate, default in _RATES.items():
-                node.declare_parameter(rate, default)
+            for number, default in _NUMBERS.items():
+                node.declare_parameter(number, default)
             node.add_on_set_parameters_callback(_checked)
 
     def _count_incompatible(self, event: Any) -> None:
@@ -120,10 +121,8 @@ class Ros2Sink:
         if self._graph.state != "active":
             return
         name, geometry = self._address.name, self._geometry
-        for readings in update.readings:
-            if readings.values.shape[1:] == (4, 4):
-                self._measured[readings.label] = readings.values[-1]
-        poses = [self._pose(pose) for pose in update.state.pose]
+        self._markers.note(update)
+        poses = [self._markers.pose(pose) for pose in update.state.pose]
         tip = geometry.PoseStamped(pose=poses[-1])
         uncertain = geometry.PoseWithCovarianceStamped()
         uncertain.pose.pose = poses[-1]
@@ -138,11 +137,24 @@ class Ros2Sink:
             self._publishers[topic].publish(message)
         if update.time - self._marked >= self._period("marker_rate"):
             self._marked = update.time
-            self._publishers[f"/{name}/markers"].publish(self._markers(update))
+            self._publish_markers(update)
         since = update.time - self._diagnosed
         if self._diagnostic is not None and since >= self._period("diagnostic_rate"):
             self._diagnosed = update.time
             self._publishers["/diagnostics"].publish(self._diagnosis(update))
+
+    def _publish_markers(self, update: Update) -> None:
+        """Publish the markers, and what acts at the tip."""
+        name, loads, header = self._address.name, update.loads(), self._header(update)
+        scale = float(self._graph.node.get_parameter("metres_per_newton").value)
+        markers = self._markers.array(update, loads, header, scale)
+        self._publishers[f"/{name}/markers"].publish(markers)
+        if loads is not None:
+            tip = self._geometry.WrenchStamped(header=header)
+            force, moment = tip.wrench.force, tip.wrench.torque
+            force.x, force.y, force.z = loads.wrench.force[-1].tolist()
+            moment.x, moment.y, moment.z = loads.wrench.moment[-1].tolist()
+            self._publishers[f"/{name}/tip/measured_cf"].publish(tip)
 
     def _period(self, rate: str) -> float:
         """Seconds between messages whose rate is a parameter, less what rounding may take."""
@@ -154,57 +166,6 @@ class Ros2Sink:
         header.stamp.sec = update.stamp >> 32
         header.stamp.nanosec = ((update.stamp & 0xFFFFFFFF) * 1_000_000_000) >> 32
         return header
-
-    def _pose(self, pose: Array) -> Any:
-        out = self._geometry.Pose()
-        out.position.x, out.position.y, out.position.z = pose[:3, 3].tolist()
-        w, x, y, z = se3.quaternion(pose[:3, :3]).tolist()
-        out.orientation.w, out.orientation.x = w, x
-        out.orientation.y, out.orientation.z = y, z
-        return out
-
-    def _points(self, points: Array) -> list[Any]:
-        point = self._geometry.Point
-        return [point(x=x, y=y, z=z) for x, y, z in points.reshape(-1, 3).tolist()]
-
-    def _marker(self, update: Update, space: str, number: int, kind: int) -> Any:
-        marker = self._visualization.Marker(ns=space, id=number, type=kind)
-        marker.header = self._header(update)
-        marker.pose.orientation.w = 1.0
-        marker.color.r, marker.color.g, marker.color.b, marker.color.a = 0.35, 0.55, 0.75, 1.0
-        return marker
-
-    def _markers(self, update: Update) -> Any:
-        shapes = self._visualization.Marker
-        line = self._marker(update, "centreline", 0, shapes.LINE_STRIP)
-        line.scale.x = 0.004 * float(update.arclength[-1])
-        line.points = self._points(update.state.position)
-        cov = update.state.cov[:, :3, :3]
-        rings, _ = confidence_tube(update.state.pose, cov, around=_AROUND)
-        faces = tube_faces(*rings.shape[:2])
-        tube = self._marker(update, "tube95", 0, shapes.TRIANGLE_LIST)
-        tube.scale.x = tube.scale.y = tube.scale.z = 1.0
-        tube.color.a, tube.points = 0.3, self._points(rings.reshape(-1, 3)[faces])
-        out = [line, tube]
-        variance, axes = np.linalg.eigh(cov)
-        axes[..., :, 0] *= np.sign(np.linalg.det(axes))[:, None]
-        for k, pose in enumerate(update.state.pose):
-            ball = self._marker(update, "ellipsoids95", k, shapes.SPHERE)
-            turned = pose.copy()
-            turned[:3, :3] = pose[:3, :3] @ axes[k]
-            ball.pose = self._pose(turned)
-            size = 2.0 * SIGMAS_95 * np.sqrt(np.maximum(variance[k], 1e-18))
-            ball.scale.x, ball.scale.y, ball.scale.z = size.tolist()
-            ball.color.a = 0.2
-            out.append(ball)
-        for k, pose in enumerate(self._measured.values()):
-            arrow = self._marker(update, "measured", k, shapes.ARROW)
-            ends = pose[:3, 3] + np.outer([0.0, _ARROW * update.arclength[-1]], pose[:3, 2])
-            arrow.points = self._points(ends)
-            arrow.scale.x, arrow.scale.y = line.scale.x, 2.0 * line.scale.x
-            arrow.color.r, arrow.color.g, arrow.color.b = 0.85, 0.45, 0.1
-            out.append(arrow)
-        return self._visualization.MarkerArray(markers=out)
 
     def _diagnosis(self, update: Update) -> Any:
         status = self._diagnostic.DiagnosticStatus(name="glissando: live estimate")
@@ -228,8 +189,9 @@ def _checked(parameters: list[Any]) -> Any:
     from rcl_interfaces.msg import SetParametersResult
 
     for parameter in parameters:
-        if parameter.name in _RATES and not 1e-3 <= parameter.value <= 1e3:
-            reason = f"{parameter.name} is {parameter.value:g} Hz; give 0.001 to 1000."
+        if parameter.name in _NUMBERS and not 1e-3 <= parameter.value <= 1e3:
+            unit = "Hz" if parameter.name in _RATES else "m/N"
+            reason = f"{parameter.name} is {parameter.value:g} {unit}; give 0.001 to 1000."
             return SetParametersResult(successful=False, reason=reason)
         if parameter.name == "frame_id" and not parameter.value:
             return SetParametersResult(successful=False, reason="frame_id is empty; give a name.")
