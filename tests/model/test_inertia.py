@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from glissando import CoilReadings, estimate
+from glissando import CoilReadings, FixedLagSmoother, estimate
 from glissando.errors import OutsideGridError
 from glissando.geometry import se3
 from glissando.model.grid import Grid
@@ -141,6 +141,44 @@ def test_a_rod_of_no_mass_is_answered_as_without_inertia():
     assert gap.max() < 1e-3 * other.std_position.max()
     std = [np.sqrt(np.einsum("...ii->...i", each.cov[..., 1:, :12, :12])) for each in answers]
     np.testing.assert_allclose(*std, rtol=1e-3)
+
+
+def followed(smoother, grid, coil):
+    """The newest states of a smoother at the time nodes, as the coil's readings come."""
+    states, before = [], -1.0
+    for now in grid.time:
+        smoother.add(coil.select((coil.time > before) & (coil.time <= now)))
+        states.append(smoother.advance(float(now)))
+        before = now
+    return states
+
+
+def test_a_smoother_with_a_long_window_says_what_the_batch_says():
+    _, coil = released(0.1)
+    grid = wire_grid(0.1, nodes=5)
+    smoother = FixedLagSmoother(wire(), grid.arclength, window=99, gate=None)
+    followed(smoother, grid, coil)
+    smoother.iterate(tolerance=1e-7)
+    batch = estimate(wire(), grid, [coil], options=SolverOptions(tolerance=1e-5), gate=None)
+    one, other = (
+        each.at(grid.arclength[1:], grid.time[:, None]) for each in (smoother.posterior(), batch)
+    )
+    gap = np.linalg.norm(one.position - other.position, axis=-1)
+    assert np.all(gap < 1e-3 * other.std_position)
+    np.testing.assert_allclose(one.std_position, other.std_position, rtol=1e-3)
+
+
+def test_a_smoother_follows_a_rod_that_is_let_go_without_beginning_again():
+    motion, coil = released(0.3)
+    grid = wire_grid(0.3)
+    smoother = FixedLagSmoother(wire(), grid.arclength, window=4, gate=None)
+    states = followed(smoother, grid, coil)[5:]  # two readings show no velocity yet
+    assert smoother.restarts == 0
+    truth = motion.at(0.3, grid.time[5:]).pose[:, :3, 3]
+    gap = np.array([at.position[3] for at in states]) - truth
+    cov = np.array([at.cov_position_world[3] for at in states])
+    assert np.sqrt(np.mean(gap**2)) < 0.7e-3
+    assert np.mean(np.einsum("mi,mij,mj->m", gap, np.linalg.inv(cov), gap)) / 3.0 < 1.6
 
 
 @pytest.mark.slow

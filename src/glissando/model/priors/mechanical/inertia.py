@@ -87,20 +87,22 @@ class ModalMotion:
     var_release: float
     time_scale: float
 
-    def factors(self, first: bool, time: Array, nodes: Index, state: State) -> Iterator[Factors]:
+    def factors(
+        self, first: bool, own: int, time: Array, nodes: Index, state: State
+    ) -> Iterator[Factors]:
         """Factors of the times (K,) with nodes (K, N), linearised at a state (K, N).
 
         Args:
             first: Whether the first time is the first of all.
+            own: How many of the times factors begin at; the last may be that where they end.
             time: Times, s.
             nodes: Numbers of the nodes.
             state: Where to linearise.
         """
         values, slopes = modal_values(self.modes, state), modal_slopes(self.modes, state)
         yield from self._bounded(first, np.diff(time), nodes, values[:, 2:], slopes[:, 2:])
-        fresh = slice(0 if first else 1, None)
-        if len(nodes[fresh]) and len(self.modes.remainder):
-            yield self._pinned(nodes[fresh], state.take(fresh))
+        if len(self.modes.remainder):
+            yield self._pinned(nodes[:own], state.take(slice(own)))
         if time.size > 1:
             yield self._moved(np.diff(time), nodes, values, slopes)
 

@@ -217,7 +217,8 @@ class MechanicalPrior:
             return
         if self.inertia is not None:
             motion = self._motion(grid.arclength)
-            yield from motion.factors(first, grid.time[touched], here, local)
+            own = min(times.stop, k_count) - times.start
+            yield from motion.factors(first, own, grid.time[touched], here, local)
         shape, every = (len(here), n_count - 1), self.rod.tiled(grid, len(here))
         start, end = (local.take(np.s_[:, part]).flatten() for part in _ENDS)
         error, *slopes = interval_error(start, end, every)
