@@ -1,15 +1,20 @@
 """One unknown lateral force on the robot of the paper: found, where and how large, by a coil.
 
-The simulator bends the robot of `sliding700` under its weight and a force of 0.1 to 1 N anywhere on
-its outer two thirds. A coil reads ten places over the length, or ten times the tip.
-Usage: contacts.py [--touched N] [--untouched N] [--seed SEED] [--json]
+The simulator bends the robot of `sliding700`, held at any angle to gravity, under its weight and a
+force of 0.1 to 1 N anywhere. A coil reads ten places over the length, or ten times the tip.
+Usage: contacts.py [--touched N] [--untouched N] [--seed SEED] [--json] [--page] [--figure FILE.png]
 """
 
 import argparse
 import json
+import sys
+import time
 import warnings
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+from scipy.stats import binomtest
 
 from glissando import CoilReadings, Grid, NotConvergedWarning, estimate
 from glissando.estimation.contact import locate_contact, scan_contacts
@@ -19,28 +24,32 @@ from glissando.model.mechanics import Mechanics
 from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.simulation import Loads, Wrench, solve_shape
 from glissando.simulation.bench import load_bench
+from glissando.visualization.canvas import canvas, save_figure
+from plan_page import table, write
 
 NOISE = np.repeat([0.7e-3, np.radians(0.4)], [3, 2])
-STD_FORCE = [0.6, 0.6, 0.02]  # N: what touches from the side hardly drags along
+STD_FORCE = 0.6  # N, each component
 READ = 10
 NODES = 11
+WAYS = {"sliding": np.linspace(0.1, 1.0, READ), "fixed": np.ones(READ)}  # of the length
+SIGMAS = 1.959964  # of a normal number's middle 95 %
+PAGE = Path(__file__).parents[1] / "docs" / "loads.md"
+COLUMNS = ("place", "force", "found", "miss", "off", "std_place", "std_force", "z_place", "z_force")
 
 
 def robot():
-    """The simulator's rod, gravity, and a prior of that rod."""
-    bench = load_bench(robot_file("sliding700"))
-    rod, gravity = bench.rod, np.asarray(bench.gravity, dtype=float)
-    mechanics = Mechanics(rod.stiffness[None], np.array([rod.mass_per_length]), gravity=gravity)
+    """The simulator's rod, and a prior of that rod."""
+    rod = load_bench(robot_file("sliding700")).rod
     prior = MechanicalPrior(
-        mechanics,
+        Mechanics(rod.stiffness[None], np.array([rod.mass_per_length])),
         psd_load=np.repeat([1e-4, 1e-8], 3),
-        psd_strain_error=np.repeat([1e-10, 1e-6], 3),
+        psd_strain_error=np.repeat([1e-9, 1e-6], 3),
         var_tip=np.repeat([1e-5, 1e-9], 3),
         time_scale=1.0,
         var_base=np.full(6, 1e-10),
         base_pose=rod.base,
     )
-    return rod, gravity, prior
+    return rod, prior
 
 
 def coil(rng, shape, places):
@@ -52,65 +61,153 @@ def coil(rng, shape, places):
     return CoilReadings(time=np.zeros(places.size), arclength=places, values=values, cov=NOISE**2)
 
 
-def trial(rng, setup, way, force):
-    """One shape: whether a contact is said, where and how large."""
-    rod, gravity, prior = setup
-    place = rng.uniform(0.3, 1.0) * rod.length
+def pushed(rng, rod, gravity, place, size):
+    """The shape under a force across the unbent rod, and that force."""
     angle = rng.uniform(0.0, 2.0 * np.pi)
-    push = np.array([np.cos(angle), np.sin(angle), 0.0])
-    for _ in range(6):  # what does not drag pushes across the rod as it is bent
-        wrench = Wrench(place, force * push)
-        shape = solve_shape(rod, [], Loads(gravity=gravity, wrenches=[wrench]))
-        tangent = shape.at(np.array([place])).pose[0, :3, 2]
-        across = push - tangent * (tangent @ push)
-        push = across / np.linalg.norm(across)
-    ends = np.linspace(0.1, 1.0, READ) if way == "sliding" else np.ones(READ)
-    seen = coil(rng, shape, rod.length * ends)
+    force = size * rod.base[:3, :3] @ np.array([np.cos(angle), np.sin(angle), 0.0])
+    return solve_shape(rod, [], Loads(gravity=gravity, wrenches=[Wrench(place, force)])), force
+
+
+def trial(seed, setup, way, touched):
+    """One shape: numbers by the names of COLUMNS, NaN where nothing was found."""
+    (rod, prior), rng = setup, np.random.default_rng(seed)
+    gravity = rng.standard_normal(3)
+    gravity *= 9.81 / np.linalg.norm(gravity)
+    prior = replace(prior, mechanics=replace(prior.mechanics, gravity=gravity))
+    place, size = rng.uniform(0.0, rod.length), np.exp(rng.uniform(np.log(0.1), 0.0)) * touched
+    shape, force = pushed(rng, rod, gravity, place, size)
+    seen = coil(rng, shape, rod.length * WAYS[way])
     grid = Grid(np.linspace(0.0, rod.length, NODES), [0.0])
     scan = scan_contacts(estimate(prior, grid, [seen]), 0.0, std_force=STD_FORCE)
-    if not scan.detected or not force:
-        return scan.detected, np.nan, np.nan
+    if not scan.detected or not touched:
+        return [place / rod.length, size, scan.detected, *[np.nan] * 6]
     start = float(scan.arclength[scan.best])
     found = locate_contact(prior, grid, [seen], start=start, std_force=STD_FORCE)
-    miss = abs(found.arclength - place) / rod.length
-    size = np.linalg.norm(found.force)
-    return True, miss, abs(size - force) / force
+    side = force / size
+    std = float(np.sqrt(side @ found.cov_force @ side))
+    miss = found.arclength - place
+    return [
+        *(place / rod.length, size, True),
+        abs(miss) / rod.length,
+        abs(np.linalg.norm(found.force) - size) / size,
+        found.std_arclength / rod.length,
+        std,
+        miss / found.std_arclength,
+        side @ (found.force - force) / std,
+    ]
+
+
+def trials(seeds, setup, way, touched):
+    """Trials (T, 9) of these seeds; a line every few seconds says how far they are."""
+    out, said = [], time.monotonic()
+    for k, seed in enumerate(seeds):
+        out.append(trial(seed, setup, way, touched))
+        if time.monotonic() - said > 5.0:
+            said = time.monotonic()
+            print(f"{way}, {'touched' if touched else 'untouched'}: {k + 1} of {len(seeds)}",
+                  file=sys.stderr, flush=True)  # fmt: skip
+    return np.array(out, dtype=float)
+
+
+def share(hits):
+    """A share and its exact 95 % interval."""
+    bounds = binomtest(int(hits.sum()), hits.size).proportion_ci(0.95)
+    return [float(hits.mean()), float(bounds.low), float(bounds.high)]
+
+
+def summary(untouched, touched):
+    """Rates with intervals, errors, and how true the standard deviations are."""
+    row = dict(zip(COLUMNS, touched.T, strict=True))
+    seen = row["found"] > 0.0
+    out = {"false_alarms": share(untouched[:, 2] > 0.0), "found": share(seen)}
+    for third in range(3):
+        here = (row["place"] * 3.0).astype(int) == third
+        out[f"found_third_{third + 1}"] = share(seen[here])
+    for name in ("miss", "off", "std_place", "std_force"):
+        out[name] = [float(np.quantile(row[name][seen], q)) for q in (0.5, 0.9)]
+    for name in ("z_place", "z_force"):
+        out[f"{name}_inside_95"] = float(np.mean(np.abs(row[name][seen]) < SIGMAS))
+    return out
+
+
+def lines(found, counts):
+    """The table of the page."""
+
+    def rate(cell):
+        return f"{100 * cell[0]:.1f} % ({100 * cell[1]:.1f} to {100 * cell[2]:.1f})"
+
+    def both(cell, scale, unit):
+        return f"{scale * cell[0]:.2g} {unit} ({scale * cell[1]:.2g} {unit})"
+
+    rows = [(f"false alarms of {counts[0]} untouched", [rate(f["false_alarms"]) for f in found])]
+    rows.append((f"found of {counts[1]} touched", [rate(f["found"]) for f in found]))
+    for third, name in enumerate(("third at the base", "middle third", "third at the tip"), 1):
+        rows.append((f"… in the {name}", [rate(f[f"found_third_{third}"]) for f in found]))
+    for key, name, scale, unit in (
+        ("miss", "place off by, median (90 %) of the length", 100.0, "%"),
+        ("off", "force off by, median (90 %)", 100.0, "%"),
+        ("std_place", "standard deviation of the place", 100.0, "%"),
+        ("std_force", "standard deviation of the force", 1e3, "mN"),
+    ):
+        rows.append((name, [both(f[key], scale, unit) for f in found]))
+    for key in ("place", "force"):
+        name = f"{key}s inside their 95 %"
+        rows.append((name, [f"{100 * f[f'z_{key}_inside_95']:.0f} %" for f in found]))
+    return table(["", "sliding coil", "fixed coil"], [[name, *cells] for name, cells in rows])
+
+
+def draw(touched, path):
+    """Standard deviations of force and place over where the contact is."""
+    colours = {"sliding": "#0072B2", "fixed": "#D55E00"}
+    with canvas(9.0, 3.6) as figure:
+        panels = figure.subplots(1, 2)
+        for way, rows in touched.items():
+            row = dict(zip(COLUMNS, rows.T, strict=True))
+            seen = row["found"] > 0.0
+            label = f"{way} coil"
+            for axes, key, scale in zip(
+                panels, ("std_force", "std_place"), (1e3, 100), strict=True
+            ):
+                at = 100 * row["place"][seen], scale * row[key][seen]
+                axes.plot(*at, ".", color=colours[way], ms=5, alpha=0.5)
+                edges = np.linspace(0.0, 100.0, 9)
+                bins = [at[1][(at[0] >= a) & (at[0] < a + 12.5)] for a in edges[:-1]]
+                middle = [np.median(b) if b.size > 2 else np.nan for b in bins]
+                axes.plot(edges[:-1] + 6.25, middle, color=colours[way], lw=2.5, label=label)
+        for axes, name in zip(
+            panels, ("of the force (mN)", "of the place (% of length)"), strict=True
+        ):
+            axes.set(xlabel="where something touches (% of length)", yscale="log")
+            axes.set_ylabel(f"standard deviation {name}")
+            axes.grid(True, which="both")
+        panels[0].legend()
+        save_figure(panels, path)
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--touched", type=int, default=40)
-    parser.add_argument("--untouched", type=int, default=200)
+    parser.add_argument("--touched", type=int, default=100, help="shapes with a contact")
+    parser.add_argument("--untouched", type=int, default=340, help="shapes without")
     parser.add_argument("--seed", type=int, default=1000)
     parser.add_argument("--json", action="store_true")
+    parser.add_argument("--page", action="store_true", help="write the table into docs/loads.md")
+    parser.add_argument("--figure", type=Path, metavar="FILE.png", help="draw standard deviations")
     options = parser.parse_args()
     warnings.simplefilter("ignore", NotConvergedWarning)
-    setup, out = robot(), {}
-    for way in ("sliding", "fixed"):
-        rng = np.random.default_rng(options.seed)
-        said = [trial(rng, setup, way, 0.0)[0] for _ in range(options.untouched)]
-        forces = np.exp(rng.uniform(np.log(0.1), 0.0, options.touched))
-        found = np.array([trial(rng, setup, way, force) for force in forces], dtype=float)
-        out[way] = {
-            "false_alarms": float(np.mean(said)),
-            "detected": float(np.mean(found[:, 0])),
-            "place_median": float(np.nanmedian(found[:, 1])),
-            "force_median": float(np.nanmedian(found[:, 2])),
-            "place_90": float(np.nanquantile(found[:, 1], 0.9)),
-            "force_90": float(np.nanquantile(found[:, 2], 0.9)),
-        }
+    setup, counts, touched, found = robot(), (options.untouched, options.touched), {}, {}
+    for way in WAYS:
+        seeds = [[options.seed, i] for i in range(sum(counts))]
+        untouched = trials(seeds[: counts[0]], setup, way, False)
+        touched[way] = trials(seeds[counts[0] :], setup, way, True)
+        found[way] = summary(untouched, touched[way])
+    if options.figure:
+        draw(touched, options.figure)
+    if options.page:
+        write("contacts", lines(list(found.values()), counts), PAGE)
+    elif not options.json:
+        print("\n".join(lines(list(found.values()), counts)))
     if options.json:
-        print(json.dumps(out, indent=2))
-        return
-    print("| coil | false alarms | found | place, median (90 %) of length | force, median (90 %) |")
-    print("|---|---|---|---|---|")
-    for way, row in out.items():
-        cells = [f"{100 * row[key]:.1f}" for key in ("false_alarms", "detected")]
-        cells += [
-            f"{100 * row[f'{what}_median']:.1f} % ({100 * row[f'{what}_90']:.1f} %)"
-            for what in ("place", "force")
-        ]
-        print(f"| {way} | {cells[0]} % | {cells[1]} % | {cells[2]} | {cells[3]} |")
+        print(json.dumps(found, indent=2))
 
 
 if __name__ == "__main__":

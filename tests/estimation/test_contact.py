@@ -63,6 +63,17 @@ def test_a_force_is_found_at_its_place_with_its_size():
     assert np.linalg.norm(gap[:2]) < 0.35 * np.linalg.norm(FORCE)
 
 
+def test_a_strong_force_is_found_though_the_search_begins_elsewhere_and_never_off_the_robot():
+    """The scan is linear about a shape without the force, which a strong one leaves far behind."""
+    readings = coil(np.random.default_rng(4), shape(6.0 * FORCE))
+    grid = Grid(NODES, [0.0])
+    for start in (0.02, 0.5):
+        found = locate_contact(PRIOR, grid, [readings], start=start, std_force=1.0)
+        assert abs(found.arclength - WHERE) < max(3.0 * found.std_arclength, 0.01 * LENGTH)
+        assert np.linalg.norm(found.force - 6.0 * FORCE) < 0.1 * np.linalg.norm(6.0 * FORCE)
+        assert 0.0 <= found.arclength <= LENGTH
+
+
 @pytest.mark.slow
 def test_false_alarms_are_no_more_frequent_than_stated():
     """The simulated rod has no unknown loads at all, so there may be fewer."""

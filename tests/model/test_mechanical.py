@@ -1,5 +1,7 @@
 """The mechanical prior: slopes, the rod it describes, and what it says between nodes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,12 +12,14 @@ from glissando.model.interpolation import sort_points
 from glissando.model.mechanics import Mechanics
 from glissando.model.priors.intervals import RATED
 from glissando.model.priors.mechanical.intervals import interval_end, interval_error
+from glissando.model.priors.rest_shape import STRAIGHT
 from glissando.model.state import DOF
 from glissando.simulation import Loads, Rod, Wrench, solve_shape
 from mechanical_rod import GRID, NODES_S, mechanical, moving
 from oracles import separable as oracle
 from slope import slope_test
 
+NO_POINTS = {"points": np.zeros(0), "var_points": np.zeros((0, 6))}
 NODES = GRID.shape[0] * GRID.shape[1]
 
 
@@ -156,3 +160,18 @@ def test_a_sections_prior_covariance_is_that_of_all_factors_together():
         np.testing.assert_allclose(
             found / np.outer(std, std), dense[at, at] / np.outer(std, std), atol=1e-4
         )
+
+
+@pytest.mark.slow
+def test_a_column_that_is_about_to_buckle_stands():
+    """Its weight is put on by steps where Newton's method fails with all of it."""
+    stiffness = np.array([[2.76e4, 2.76e4, 7.35e4, 2.11e-2, 2.11e-2, 1.59e-2]])
+    rod = mechanical(rest_strain=STRAIGHT, rest_slope=np.zeros(6), **NO_POINTS)
+    gravity = np.array([2.4, 0.0, -9.5])
+    heavy = replace(rod, mechanics=Mechanics(stiffness, np.array([0.0379]), gravity=gravity))
+    grid = Grid(np.linspace(0.0, 0.7, 11), [0.0])
+    shape = heavy.rest_state(grid)
+    wrench, _ = heavy.rod.wrench(shape.strain[0], grid.arclength)
+    weight = 0.0379 * 0.7 * shape.pose[0, 0, :3, :3].T @ gravity
+    np.testing.assert_allclose(wrench[0, :3], weight, atol=1e-7)
+    np.testing.assert_allclose(wrench[-1], 0.0, atol=1e-7)

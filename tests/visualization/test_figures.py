@@ -58,8 +58,9 @@ def test_bands_and_ellipsoids_hold_95_percent(scene):
     (band,) = drawn.collections
     heights = band.get_paths()[0].vertices[:, 1]
     assert heights.max() == pytest.approx(wide.max(), rel=1e-6)
+    at = posterior.at([0.3], [0.1])
     corners = figures._draw_ellipsoids(
-        shape_figure(posterior, [], [0.1]), posterior.at([0.3], [0.1]), "black"
+        shape_figure(posterior, [], [0.1]), at.position, at.cov_position_world, "black"
     )
     half = 0.5 * np.ptp(np.stack(corners), axis=0)[0]
     cov = posterior.at([0.3], [0.1]).cov_position_world[0]

@@ -27,7 +27,7 @@ from glissando.cli.shared import (
     stated,
 )
 from glissando.errors import GlissandoError
-from glissando.estimation.loads import require_mechanics
+from glissando.estimation.loads import load_places, require_mechanics
 from glissando.estimation.posterior import Posterior
 from glissando.evaluation.metrics import Errors, pool
 from glissando.evaluation.run import Run, checked_window, write_run
@@ -169,7 +169,7 @@ def _loads_rows(posterior: Posterior) -> list[dict[str, Any]]:
         GlissandoError: The robot's prior knows no loads.
     """
     prior, nodes = require_mechanics(posterior.prior), posterior.grid.time
-    places = np.union1d(prior.points, posterior.grid.arclength[-1:])
+    places = load_places(prior, posterior.grid)
     rows = np.unique(np.linspace(0, nodes.size - 1, min(_MOMENTS, nodes.size)).round().astype(int))
     load = posterior.load(places, nodes[rows, None], frame="world")
     return [

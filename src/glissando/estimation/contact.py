@@ -8,13 +8,14 @@ has information B = Gᵀ(Q⁻¹ − Q⁻¹ P_r Q⁻¹)G and vector b = GᵀQ⁻�
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import logsumexp
 
-from glissando.errors import OutsideGridError
+from glissando.errors import OutsideGridError, UnobservableError
 from glissando.estimation.batch import estimate
 from glissando.estimation.loads import require_mechanics
 from glissando.estimation.posterior import Posterior
@@ -28,6 +29,9 @@ from glissando.model.state import State
 _DRAWS = 4000  # of a robot that nothing touches, for the threshold
 _PER_INTERVAL = 6  # places
 _ROUNDS = 8
+_MISFIT = 5.0  # standard deviations of readings' misfit beyond which a search begins elsewhere
+_WORSE = 1.0  # by which the cost may grow on the way: a moment stands for a place that is off
+_STARTS = (0.15, 0.4, 0.65, 0.9)  # of the length
 _LEVER = 0.1  # of the length, by which a place may be wrong while it is sought
 
 
@@ -215,27 +219,64 @@ def locate_contact(
         )
     std = np.broadcast_to(np.asarray(std_force, dtype=float), 3)
     variance = np.concatenate([std**2, np.full(3, (_LEVER * length * std.max()) ** 2)])
-    near, place = 0.25 * float(np.diff(grid.arclength).min()), start
+    count = sum(len(r) * r.row_count for r in readings)
+    best, reach = _touched_at(prior, grid, readings, start, variance), 0.15 * length
+    if 2.0 * best.posterior.solve.cost > count + _MISFIT * np.sqrt(2.0 * count):
+        for share in _STARTS:
+            with suppress(UnobservableError):  # so far off that rounding decides
+                other = _touched_at(prior, grid, readings, share * length, variance)
+                best = min(best, other, key=lambda there: there.posterior.solve.cost)
     for _ in range(_ROUNDS):
-        place = float(np.clip(place, near, length - near))
-        others = grid.arclength[np.abs(grid.arclength - place) > near]
-        others = np.union1d(np.union1d(others, prior.joints), [0.0, length])
-        finer = Grid(np.union1d(others, [place]), grid.time, grid.before)
-        order = np.argsort(np.append(prior.points, place))
-        touched = replace(
-            prior,
-            points=np.append(prior.points, place)[order],
-            var_points=np.concatenate([prior.var_points, variance[None]])[order],
-        )
-        found = estimate(touched, finer, readings)
-        force, cov, move = _without_moment(found, place, variance)
-        std_place = float(np.sqrt(cov[3, 3]))
-        if abs(move) < 0.1 * std_place + 1e-4 * length:
+        if abs(best.move) < 0.1 * float(np.sqrt(best.cov[3, 3])) + 1e-4 * length:
             break
-        place += float(np.clip(move, -0.15 * length, 0.15 * length))
-    n = int(np.abs(found.grid.arclength - place).argmin())
-    turn = found.state.pose[-1, n, :3, :3]
-    return Contact(place + move, std_place, turn @ force, turn @ cov[:3, :3] @ turn.T, found)
+        place = best.place + float(np.clip(best.move, -reach, reach))
+        other = _touched_at(prior, grid, readings, place, variance, best.posterior)
+        reach = 0.5 * abs(other.place - best.place)
+        if reach < 1e-4 * length:
+            break
+        if other.posterior.solve.cost < best.posterior.solve.cost + _WORSE:
+            best, reach = other, max(reach, 0.5 * abs(best.move))
+    n = int(np.abs(best.posterior.grid.arclength - best.place).argmin())
+    turn = best.posterior.state.pose[-1, n, :3, :3]
+    place = float(np.clip(best.place + best.move, 0.0, length))
+    cov = turn @ best.cov[:3, :3] @ turn.T
+    return Contact(place, float(np.sqrt(best.cov[3, 3])), turn @ best.force, cov, best.posterior)
+
+
+@dataclass(frozen=True)
+class _Touched:
+    """A force tried at a place: it, how far beyond it acts, and the covariance (4, 4) of both."""
+
+    posterior: Posterior
+    place: float
+    force: Array
+    cov: Array
+    move: float
+
+
+def _touched_at(
+    prior: MechanicalPrior,
+    grid: Grid,
+    readings: Sequence[Readings],
+    place: float,
+    variance: Array,
+    near_by: Posterior | None = None,
+) -> _Touched:
+    """The posterior with a load of this `variance` (6,) at a place, from one of a place near by."""
+    length, near = float(grid.arclength[-1]), 0.25 * float(np.diff(grid.arclength).min())
+    place = float(np.clip(place, near, length - near))
+    others = grid.arclength[np.abs(grid.arclength - place) > near]
+    others = np.union1d(np.union1d(others, prior.joints), [0.0, length])
+    finer = Grid(np.union1d(others, [place]), grid.time, grid.before)
+    order = np.argsort(np.append(prior.points, place))
+    touched = replace(
+        prior,
+        points=np.append(prior.points, place)[order],
+        var_points=np.concatenate([prior.var_points, variance[None]])[order],
+    )
+    start = None if near_by is None else near_by.states_on(finer)
+    found = estimate(touched, finer, readings, initial=start)
+    return _Touched(found, place, *_without_moment(found, place, variance))
 
 
 def _without_moment(found: Posterior, place: float, variance: Array) -> tuple[Array, Array, float]:

@@ -105,6 +105,11 @@ def in_world(rotation: Array, wrench: Array, slope: Array) -> tuple[Array, Array
     return along.reshape(*lead, 6), slopes.reshape(*lead, 6, -1)
 
 
+def load_places(prior: MechanicalPrior, grid: Grid) -> Array:
+    """Arclengths (P,) where unknown loads are expected: the prior's points and the tip, m."""
+    return np.union1d(prior.points, grid.arclength[-1:])
+
+
 def point_loads(
     prior: Prior,
     grid: Grid,
@@ -130,7 +135,7 @@ def point_loads(
         OutsideGridError: No load is expected at a place.
     """
     rod = require_mechanics(prior, frame)
-    places = np.union1d(rod.points, grid.arclength[-1:])
+    places = load_places(rod, grid)
     n = np.abs(arclength[:, None] - grid.arclength).argmin(axis=1)
     expected = np.abs(arclength[:, None] - places).min(axis=1, initial=np.inf) < 1e-9
     if not np.all(expected):

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from glissando.errors import GlissandoError
+from glissando.estimation.loads import load_places
 from glissando.estimation.posterior import Posterior, SolveReport
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
@@ -132,7 +133,7 @@ def to_xarray(posterior: Posterior) -> xarray.Dataset:
 def _loads(posterior: Posterior, prior: MechanicalPrior) -> dict[str, Any]:
     """Internal wrenches at the nodes and the loads where some are expected, with their places."""
     time, arclength = posterior.grid.time[:, None], posterior.grid.arclength
-    place = np.union1d(prior.points, arclength[-1:])
+    place = load_places(prior, posterior.grid)
     inner, load = posterior.wrench(arclength, time), posterior.load(place, time)
     units = {"units": "N, N m", "frame": "body"}
     six = "component6"

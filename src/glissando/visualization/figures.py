@@ -16,11 +16,12 @@ import numpy as np
 
 from glissando.errors import GlissandoError
 from glissando.estimation.confidence_tube import SIGMAS_95
-from glissando.estimation.posterior import Posterior, StateEstimate
+from glissando.estimation.posterior import Posterior
 from glissando.geometry.se3 import Array, adjoint, inverse
 from glissando.model.grid import Grid
 from glissando.model.sensors.readings import Readings
 from glissando.model.sensors.sensors import CoilReadings, PoseReadings, PositionReadings
+from glissando.visualization.arrows import Arrows, arrows_of
 from glissando.visualization.canvas import (
     AXES,
     BAND,
@@ -78,6 +79,8 @@ def shape_figure(
 ) -> Axes:
     """The robot in space at several times, with 95 % ellipsoids and the truth.
 
+    Where the prior knows loads, arrows show the unknown forces, with the ellipsoids of their tips.
+
     Args:
         posterior: What is drawn.
         truth: Streams of poses become triads and of positions points, at their sample within 0.1 s.
@@ -98,7 +101,7 @@ def shape_figure(
         times = np.unique(np.linspace(grid.time[0], grid.time[-1], 5)).tolist()
     dense, few = drawn_at(grid.arclength, 99), np.linspace(grid.arclength[0], grid.arclength[-1], 6)
     lines = [posterior.at(dense, time).position * MM for time in times]
-    sites = _places(truth, grid)
+    sites, forces = _places(truth, grid), arrows_of(posterior, np.asarray(times, dtype=float))
     look = {"projection": "3d", "elev": 20, "azim": -60, "computed_zorder": False}
     with panels_on(ax, (1, 1), size, style, subplot_kw=look) as panels:
         from matplotlib import colormaps
@@ -108,28 +111,40 @@ def shape_figure(
         reach = 0.06 * np.ptp(np.concatenate(lines), axis=0).max()
         corners = [*lines]
         for time, line, colour in zip(times, lines, colours, strict=True):
-            corners += _draw_ellipsoids(axes, posterior.at(few, time), colour)
+            at = posterior.at(few, time)
+            corners += _draw_ellipsoids(axes, at.position, at.cov_position_world, colour)
             axes.plot(*line.T, color=colour, linewidth=2.8, zorder=3, label=f"{time:.4g} s")
+        if forces:
+            corners += _draw_forces(axes, forces, colours)
         corners += [_draw_truth(axes, site, time, reach) for time in times for site in sites]
         base = np.stack([line[0] for line in lines]).T
         axes.scatter(*base, **_DOT, s=90, marker="s", zorder=5, label="base")
         _frame(axes, np.concatenate(corners))
-        _explain(axes, ax is None, sites)
+        _explain(axes, ax is None, sites, forces.words if forces else "")
     return axes
 
 
-def _draw_ellipsoids(axes: Any, at: StateEstimate, colour: Any) -> list[Array]:
-    """Draw the 95 % position ellipsoids of the points (M,); their bounding corners in mm."""
+def _draw_ellipsoids(axes: Any, centre: Array, cov: Array, colour: Any) -> list[Array]:
+    """Draw the 95 % ellipsoids of points (M, 3) in metres; their bounding corners in mm."""
     around, down = np.meshgrid(np.linspace(0.0, 2.0 * np.pi, 25), np.linspace(0.0, np.pi, 15))
     ball = np.stack([np.cos(around) * np.sin(down), np.sin(around) * np.sin(down), np.cos(down)])
-    variance, directions = np.linalg.eigh(at.cov_position_world)
+    variance, directions = np.linalg.eigh(cov)
     stretch = SIGMAS_95 * MM * np.sqrt(np.maximum(variance, 0.0))[:, None, :] * directions
-    centre = at.position * MM
+    centre = centre * MM
     for place, axis in zip(centre, stretch, strict=True):
         x, y, z = place[:, None, None] + np.einsum("ij,jkl->ikl", axis, ball)
         axes.plot_surface(x, y, z, color=colour, alpha=0.12, linewidth=0, shade=False, zorder=2)
     half = np.linalg.norm(stretch, axis=-1)
     return [centre - half, centre + half]
+
+
+def _draw_forces(axes: Any, forces: Arrows, colours: Array) -> list[Array]:
+    """Draw arrows and the ellipsoids of their tips, a colour a time; bounding corners in mm."""
+    corners = []
+    for k, (strokes, colour) in enumerate(zip(forces.strokes(), colours, strict=True)):
+        axes.plot(*MM * strokes.reshape(-1, 3).T, color=colour, linewidth=1.6, zorder=4)
+        corners += _draw_ellipsoids(axes, forces.tip[k], forces.scale**2 * forces.cov[k], colour)
+    return corners
 
 
 def _draw_truth(axes: Any, site: Readings, time: float, reach: float) -> Array:
@@ -162,13 +177,15 @@ def _frame(axes: Any, points: Array) -> None:
     axes.set_box_aspect(half, zoom=1.06)
 
 
-def _explain(axes: Any, own: bool, sites: Sequence[Readings]) -> None:
-    """The legend of the shape: a line a time, the base, the ellipsoids, and what truth there is."""
+def _explain(axes: Any, own: bool, sites: Sequence[Readings], forces: str) -> None:
+    """The legend of the shape: a line a time, base, ellipsoids, and what forces and truth are."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
     entries = dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))
     entries["95 % of positions"] = Patch(color="0.5", alpha=0.35, linewidth=0)
+    if forces:
+        entries[forces] = Line2D([], [], color="0.3", lw=1.4, marker=">", markevery=(1, 1), ms=6)
     if any(site.values.ndim == 3 for site in sites):
         entries["truth: x, y, z"] = tuple(Line2D([], [], color=c) for c in AXES.values())
     describe(axes, own, entries, loc="outside right upper")

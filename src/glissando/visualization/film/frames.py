@@ -13,6 +13,7 @@ from glissando.estimation.posterior import Posterior
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Index
 from glissando.model.sensors.readings import Readings
+from glissando.visualization.arrows import arrows_of
 from glissando.visualization.canvas import MM
 from glissando.visualization.figures import _NEAR, _places, _seen
 from glissando.visualization.sampling import drawn_at
@@ -38,6 +39,8 @@ class Frames:
         dot_std: Std of their positions (F, S).
         triad: True origins and tips of x, y, z (F, C, 4, 3).
         point: True positions (F, P, 3).
+        force: Lines (F, S, 3) of the arrows of unknown forces and of their ellipsoids.
+        forces: What arrows mean; empty where the prior knows no loads.
     """
 
     time: Array
@@ -52,6 +55,8 @@ class Frames:
     dot_std: Array
     triad: Array
     point: Array
+    force: Array
+    forces: str
 
 
 def frames_at(
@@ -71,7 +76,9 @@ def frames_at(
     std, hidden = at.std_position * MM, np.where(np.isnan(place), np.nan, MM)
     of_body = np.s_[:, : body.size]
     tube, ring = confidence_tube(at.pose[of_body], at.cov[of_body][..., :3, :3], SIGMAS_95)
-    true = _places(truth, grid)
+    true, forces = _places(truth, grid), arrows_of(posterior, times)
+    drawn = [forces.strokes(), forces.rings()] if forces else []
+    lines = [MM * part.reshape(times.size, -1, 3) for part in drawn]
     reach = 0.05 * (body[-1] - body[0])
     return Frames(
         time=times,
@@ -86,6 +93,8 @@ def frames_at(
         dot_std=at.std_position[:, body.size :] * hidden,
         triad=_true([s for s in true if s.values.ndim == 3], times, reach),
         point=_true([s for s in true if s.values.ndim == 2], times, reach)[:, :, 0],
+        force=np.concatenate([np.zeros((times.size, 0, 3)), *lines], axis=1),
+        forces=forces.words if forces else "",
     )
 
 

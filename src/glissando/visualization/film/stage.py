@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from glissando.geometry.se3 import Array
+from glissando.visualization.arrows import FORCE
 from glissando.visualization.canvas import AXES, MARKERS, SENSORS, legend
 from glissando.visualization.figures import _frame
 from glissando.visualization.film.frames import Frames
@@ -61,14 +62,14 @@ class Stage:
         return self._add(axes.plot(*[[]] * (3 if axes is self.space else 2), **look)[0])
 
     def _set_space(self, panel: Any) -> None:
-        """The robot in space: shadow, tube, backbone, truth, base and sensors."""
+        """The robot in space: shadow, tube, backbone, truth, forces, base and sensors."""
         from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
         f, view = self.frames, {"elev": _ELEVATION, "azim": _AZIMUTH, "proj_type": "ortho"}
         self.space = axes = panel.add_axes(
             (0.0, 0.0, 1.0, 1.0), projection="3d", computed_zorder=False, **view
         )
-        shown = np.concatenate([a.reshape(-1, 3) for a in (f.tube, f.triad, f.point)])
+        shown = np.concatenate([a.reshape(-1, 3) for a in (f.tube, f.triad, f.point, f.force)])
         _frame(axes, shown[np.isfinite(shown).all(axis=1)])
         three = (axes.xaxis, axes.yaxis, axes.zaxis)
         spans = [np.ptp(axis.get_view_interval()) for axis in three]
@@ -83,6 +84,7 @@ class Stage:
         self.spine = self._line(axes, color="0.1", lw=2.2, solid_capstyle="round")
         self.true = [self._line(axes, color=colour, lw=1.8) for colour in AXES.values()]
         self.points = self._line(axes, color="black", marker="o", ms=5, ls="none")
+        self.force = self._line(axes, color=FORCE, lw=2.0)
         self.base = self._line(axes, color="black", marker="s", ms=9, ls="none")
         self.dots = [self._line(axes, **look, ms=13) for look in self.looks]
 
@@ -129,6 +131,8 @@ class Stage:
         named = zip(self.frames.sensors, self.looks, strict=True)
         entries: dict[str, Any] = {label: Line2D([], [], ms=11, **look) for label, look in named}
         entries["95 % of positions"] = Patch(color=self.colours(0.5), alpha=0.6, linewidth=0)
+        if self.frames.forces:
+            entries[self.frames.forces] = Line2D([], [], color=FORCE, lw=2.0)
         if self.frames.triad.size:
             entries["truth: x, y, z"] = tuple(Line2D([], [], lw=2, c=c) for c in AXES.values())
         if self.frames.point.size:
@@ -168,6 +172,7 @@ class Stage:
             strokes = f.triad[k][:, [0, i, 0]] * np.array([1.0, 1.0, np.nan])[:, None]
             true.set_data_3d(*strokes.reshape(-1, 3).T)
         self.points.set_data_3d(*f.point[k].T)
+        self.force.set_data_3d(*f.force[k].T)
         for dot, place in zip(self.dots, f.dot[k], strict=True):
             dot.set_data_3d(*place[:, None])
 

@@ -20,7 +20,8 @@ from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.io.atomic_file import write_text
 from glissando.model.sensors.readings import Readings
-from glissando.visualization.page.scene import Progress, Scene, scene_of
+from glissando.visualization.arrows import Arrows
+from glissando.visualization.page.scene import Progress, Scene, scene_of, symmetric_root
 
 MM = 1e3
 _NOTHING = 65535  # stands for NaN
@@ -117,6 +118,7 @@ def contents(scene: Scene) -> dict[str, Any]:
         "truth": packed(scene.truth),
         "miss": packed(scene.miss),
         "nees": packed(np.minimum(scene.nees, 1e3)),
+        "arrows": None if scene.arrows is None else _forces(scene.arrows),
         "solids": [
             {
                 **vars(solid),
@@ -125,6 +127,18 @@ def contents(scene: Scene) -> dict[str, Any]:
             }
             for solid in scene.solids
         ],
+    }
+
+
+def _forces(arrows: Arrows) -> dict[str, Any]:
+    """Forces and symmetric roots of their covariances in metres of the picture."""
+    return {
+        "place": arrows.place.tolist(),
+        "words": arrows.words,
+        "unit": arrows.unit,
+        "length": arrows.length,
+        "force": packed(arrows.scale * arrows.force),
+        "root": packed(arrows.scale * symmetric_root(arrows.cov)[..., *_SIX]),
     }
 
 

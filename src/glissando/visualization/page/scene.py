@@ -14,6 +14,7 @@ from glissando.geometry.se3 import Array
 from glissando.model.grid import Index
 from glissando.model.sensors.readings import Readings
 from glissando.model.tube import Tube
+from glissando.visualization.arrows import Arrows, arrows_of
 from glissando.visualization.canvas import MM
 from glissando.visualization.figures import _NEAR, _places
 from glissando.visualization.film.frames import _nearest, _sensor_places, _true
@@ -55,6 +56,7 @@ class Scene:
         nees: Its square in units of its covariance (F, C), of three degrees of freedom.
         tube: The tube whose coverage the robot file promises, if there is one.
         solids: What surrounds the robot.
+        arrows: Unknown forces on it, where the prior knows loads.
     """
 
     time: Array
@@ -70,6 +72,7 @@ class Scene:
     nees: Array
     tube: Tube | None = None
     solids: tuple[Solid, ...] = ()
+    arrows: Arrows | None = None
 
 
 def scene_of(
@@ -126,6 +129,7 @@ def scene_of(
         miss=miss,
         nees=nees,
         tube=tube,
+        arrows=arrows_of(posterior, times),
     )
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,6 +16,8 @@ from glissando.model.state import State
 
 _ITERATIONS = 50
 _CLOSE = 1e-9  # of the wrench that the unbent rod leaves at the tip
+_SHARES = (1.0, 0.25, 0.5, 0.75, 0.9, 1.0)  # of the weight, added by steps where all fails at once
+_WEIGHTS = ("weight", "weight_slope")
 
 
 def hanging_rod(mechanics: Mechanics, every: Intervals, base: Array) -> tuple[Array, Array]:
@@ -29,13 +33,31 @@ def hanging_rod(mechanics: Mechanics, every: Intervals, base: Array) -> tuple[Ar
     Raises:
         GlissandoError: No such shape is found: the rod is too soft for its weight.
     """
-    wrench, share = np.zeros((len(base), 6)), np.ones((len(base), 1))
+    wrench = np.zeros((len(base), 6))
+    for share in _SHARES:
+        section = replace(every.section, **{f: share * getattr(every.section, f) for f in _WEIGHTS})
+        lighter = replace(mechanics, gravity=share * mechanics.gravity)
+        shape, found, sound = _hanging(lighter, replace(every, section=section), base, wrench)
+        if sound and share == 1.0:
+            return shape
+        wrench = found if sound else np.zeros_like(found)
+    raise GlissandoError(
+        "No shape is found in which the robot bears its own weight; check the stiffness, the mass "
+        "and the gravity of [mechanics]."
+    )
+
+
+def _hanging(
+    mechanics: Mechanics, every: Intervals, base: Array, wrench: Array
+) -> tuple[tuple[Array, Array], Array, bool]:
+    """Poses and strains, wrenches (S, 6) of bases, and whether they balance, from others."""
+    share = np.ones((len(base), 1))
     pose, strain, left, slope = _shoot(mechanics, every, base, wrench)
     miss = np.abs(left).max(axis=1)
     close = _CLOSE * miss + 1e-15 * np.abs(every.end_stiffness).max()
     for _ in range(_ITERATIONS):
         if np.all(miss <= close):
-            return pose, strain
+            break
         step = np.linalg.solve(slope, -left[..., None])[..., 0]
         tried = wrench + share * step * (miss > close)[:, None]
         found = _shoot(mechanics, every, base, tried)
@@ -46,10 +68,7 @@ def hanging_rod(mechanics: Mechanics, every: Intervals, base: Array) -> tuple[Ar
         old = pose, strain, left, slope
         pose, strain, left, slope = (_where(better, *pair) for pair in zip(found, old, strict=True))
         miss = np.where(better, size, miss)
-    raise GlissandoError(
-        "No shape is found in which the robot bears its own weight; check the stiffness, the mass "
-        "and the gravity of [mechanics]."
-    )
+    return (pose, strain), wrench, bool(np.all(miss <= close))
 
 
 def _where(which: NDArray[np.bool_], one: Array, other: Array) -> Array:

@@ -54,6 +54,10 @@ function begin() {
     of("promised").querySelector("span").textContent = `${100 * level} % of whole bodies: `
       + `${sigmas.toFixed(1)} σ, promised`;
   }
+  if (scene.arrows) {
+    of("forces").hidden = false;
+    of("forces").querySelector("span").textContent = scene.arrows.words;
+  }
   of("slider").addEventListener("input", () => {
     play(false);
     showTime(scene.time[of("slider").value]);

@@ -26,6 +26,11 @@ function partsAt(body, moment) {
       solid.push(rod(...ends, 0.009 * long, rgb(colour)));
     }
   }
+  if (scene.arrows && show.forces) {
+    const forces = forcesAt(scene, body, moment), colour = rgb("#cc79a7");
+    solid.push(...forces.map((at) => arrow(at, 0.005 * long, colour)));
+    shells.push({ mesh: joined(forces.map((at) => ellipsoid(at, wide, colour))), dense: 0.2 });
+  }
   const few = body.filter((_, n) => n % EVERY === 0);
   if (show.frames) solid.push(...few.flatMap(({ centre, axes }) => triad([centre,
     ...axes.map((axis) => plus(centre, axis, 0.035 * long))], 0.0025 * long)));
@@ -127,13 +132,19 @@ function redraw() {
 function tell(body, moment) {
   of("clock").value = `${scene.time[moment].toFixed(2)} s of ${scene.time.at(-1).toFixed(2)} s`;
   const worst = body.reduce((best, at, n) => (at.std > body[best].std ? n : best), 0);
+  const loads = !scene.arrows ? [] : forcesAt(scene, body, moment).map(({ place, force, root }) => {
+    const per = scene.arrows.unit / scene.arrows.length, along = unit(force);
+    const sure = Math.hypot(...root.map((r) => dot(r, along)));
+    return [`force at ${inMm(place, 0)} mm`, `${(per * Math.hypot(...force)).toPrecision(2)} ± `
+      + `${(per * sure).toPrecision(2)} N`];
+  });
   const rows = [["tip", `± ${inMm(body.at(-1).std)} mm`],
     ["least sure", `± ${inMm(body[worst].std)} mm at ${inMm(scene.arclength[worst], 0)} mm`],
     ...scene.sensors.map((name, i) => {
       const place = row(scene.place, moment, i)[0];
       return [name, Number.isNaN(place) ? "no reading"
         : `± ${inMm(bodyPoint(scene, body, place).std)} mm at ${inMm(place, 0)} mm`];
-    })];
+    }), ...loads];
   of("now").replaceChildren(...rows.flatMap((texts) => texts.map((text, i) => {
     const cell = document.createElement(i ? "dd" : "dt");
     cell.textContent = text;

@@ -34,6 +34,8 @@ function unpackScene(packed) {
   for (const [name, entry] of Object.entries(packed)) {
     if (entry && entry.data !== undefined) scene[name] = unpack(entry);
   }
+  if (packed.arrows) scene.arrows = { ...packed.arrows, force: unpack(packed.arrows.force),
+    root: unpack(packed.arrows.root) };
   scene.std = deviations(scene);
   return scene;
 }
@@ -202,6 +204,26 @@ function rod(from, to, radius, colour) {
   const axes = [x, cross(z, x), z];
   const ends = [from, to].map((centre) => ({ centre, axes }));
   return sweep(ends, [round(radius), round(radius)], [colour, colour], 10, 1);
+}
+
+// The forces on the robot at a moment: a list of {place, from, force, centre, root}, where centre is
+// the tip of the arrow and root that of its covariance, all in metres of the picture.
+function forcesAt(scene, body, moment) {
+  return scene.arrows.place.map((place, i) => {
+    const from = bodyPoint(scene, body, place).centre, force = row(scene.arrows.force, moment, i);
+    const [xx, xy, xz, yy, yz, zz] = row(scene.arrows.root, moment, i);
+    return { place, from, force, centre: plus(from, force),
+      root: [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]] };
+  });
+}
+
+// A rod that ends in a cone.
+function arrow({ from, force, centre }, radius, colour) {
+  const head = Math.min(1, (8 * radius) / Math.max(Math.hypot(...force), 1e-12));
+  const neck = plus(centre, force, -head), shaft = rod(from, neck, radius, colour);
+  const z = unit(force), x = unit(cross(Math.abs(z[0]) < 0.9 ? [1, 0, 0] : [0, 1, 0], z));
+  const ends = [neck, centre].map((at) => ({ centre: at, axes: [x, cross(z, x), z] }));
+  return joined([shaft, sweep(ends, [round(3 * radius), round(0)], [colour, colour], 16, 1)]);
 }
 
 function joined(meshes) {
