@@ -1,6 +1,7 @@
 """`glissando live` runs, says how it goes, and ends cleanly whatever ends it."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -8,10 +9,12 @@ import sys
 import numpy as np
 import pytest
 
+from glissando.cli import live as command
 from glissando.cli.main import main
 from glissando.hardware.openigtlink import Endpoint
 from glissando.io.recording import load_recording, save_recording
-from live_recordings import ROBOT, pose_messages, swaying
+from glissando.visualization.page import Live
+from live_recordings import ROBOT, SPAN, pose_messages, swaying
 from waiting import until
 
 
@@ -32,6 +35,42 @@ def test_a_recording_runs_live_and_leaves_journal_and_csv(recording, tmp_path, c
     assert "Waiting for the first reading" in said.err
     assert np.loadtxt(newest, delimiter=",", skiprows=1).shape[0] == 3 * count
     assert set(load_recording(log).streams) == {"base", "tip"}
+
+
+@pytest.mark.slow
+def test_the_status_states_rate_latency_innovations_and_losses_beside_a_view(
+    tmp_path, capsys, monkeypatch
+):
+    pytest.importorskip("viser", reason="viser is not installed")
+    wrong = swaying()
+    wrong.streams["tip"].rows.values[20, :3, 3] += 0.5
+    save_recording(wrong, tmp_path / "wrong", "tdcr466")
+    views = []
+
+    def view(arclength):
+        views.append(Live(arclength, port=0))
+        return views[-1]
+
+    monkeypatch.setattr(command, "_PLAIN", 0.1)
+    monkeypatch.setattr(command, "Live", view)
+    options = ["--source", str(tmp_path / "wrong"), "--view"]
+    assert main(["live", *options, "--rate", "20", "--duration", "1.2"]) == 0
+    said = capsys.readouterr().err
+    assert f"Look at {views[0].address}" in said
+    line = re.findall(r"^.* s: tip ± .*$", said, re.M)[-1]
+    figures = (
+        r"([\d.]+) s: tip ± ([\d.]+) mm, ([\d.]+) Hz, latency ([\d.]+) ms, p99 ([\d.]+) ms, "
+        r"innovations ([\d.]+), (.*)"
+    )
+    *numbers, losses = re.fullmatch(figures, line).groups()
+    time, std, rate, latency, _, innovations = map(float, numbers)
+    assert SPAN[0] < time <= SPAN[1]
+    assert 0.0 < std < 50.0
+    assert 0.0 < latency < 100.0
+    assert rate == pytest.approx(20.0, rel=0.3)
+    assert 0.0 <= innovations < 2.0
+    assert "1 tip " in losses
+    assert "Waiting" not in views[0]._text.content
 
 
 @pytest.mark.parametrize(

@@ -44,6 +44,8 @@ points = [0.3]
 var_points = [[0.04, 1e-6]]
 [sensors.pose]
 std = [1e-4, 1e-4]
+[sensors.position]
+std = [1e-4, 1e-4, 1e-4]
 """
 ROD = parse_robot(Table(tomllib.loads(_MECHANICAL), "rod.toml", RobotFileError))
 

@@ -8,6 +8,7 @@ import pytest
 
 from glissando.errors import GlissandoError
 from glissando.evaluation.replay import replay
+from glissando.geometry import se3
 from glissando.hardware.live import (
     CsvSink,
     IgtlSource,
@@ -159,6 +160,31 @@ def test_travel_moves_a_sliding_coil_and_units_and_axes_are_the_peers():
     assert read.kind == "coil"
     np.testing.assert_allclose(read.arclength, [0.37])
     np.testing.assert_allclose(read.values[0, :3, 3], [-0.1, -0.2, 0.3], atol=1e-7)
+
+
+def test_positions_with_and_without_an_orientation_are_read_and_a_status_is_passed_on():
+    turn = se3.exp(np.array([0.0, 0.0, 0.0, 0.4, -0.2, 0.7]))
+    wxyz = se3.quaternion(turn[:3, :3])
+    place = np.array([10.0, -20.0, 460.0])
+    bare, turned = c.Position(place), c.Position(place, np.roll(wxyz, -1))
+    with Endpoint("igtl-server://:0") as peer:
+        source = IgtlSource(f"igtl://127.0.0.1:{peer.address.port}", ROD, PLACES)
+        clock = LiveSession(ROD, [source]).clock
+        with source:
+            until(lambda: peer.receive() or peer.peers)
+            peer.send([encode(Message(bare, "tip")), encode(Message(turned, "base"))])
+            until(lambda: source.poll() or source.counts["heard"] == 2)
+            position, pose = source.read(clock)
+            for code, problem in ((13, "reports 'no coil'"), (1, "")):
+                before = source.counts["heard"]
+                peer.send([encode(Message(c.Status(code, "no coil"), "tracker"))])
+                until(lambda before=before: source.poll() or source.counts["heard"] > before)
+                assert source.read(clock) == []
+                assert source.problem.endswith(problem)
+                assert bool(source.problem) == bool(problem)
+    assert (position.kind, pose.kind) == ("position", "pose")
+    np.testing.assert_allclose(position.values[0], 1e-3 * place, atol=1e-7)
+    np.testing.assert_allclose(pose.values[0][:3, :3], turn[:3, :3], atol=1e-6)
 
 
 def test_stamps_of_a_senders_clock_become_times_better_than_their_arrivals():
