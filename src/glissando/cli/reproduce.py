@@ -65,6 +65,7 @@ def _print_verdicts(verdicts: Sequence[Verdict], console: Console) -> None:
             table.add_section()
         before = claim.beyond
         colour = {"holds": "green", "FAILS": "bold red"}.get(verdict.verdict)
-        word = f"[{colour}]{verdict.verdict}[/]" if colour else "–"
+        words = [f"[{colour}]{verdict.verdict}[/]"] if colour else []
+        word = ", ".join([*words, *([verdict.size] if verdict.size else [])]) or "–"
         table.add_row(escape(claim.says), claim.paper, escape(verdict.ours), word)
     console.print(table)

@@ -31,6 +31,9 @@ class Claim:
         measure: Dotted path of the number that is judged.
         bound: What it is compared with.
         beyond: Whether the paper does not claim it.
+        full: Whether a quick run leaves it out.
+        effect: Dotted path of an interval whose size is compared with the paper's, if there is one.
+        paper_effect: The paper's value of it.
     """
 
     id: str
@@ -41,16 +44,23 @@ class Claim:
     measure: str = ""
     bound: float = 0.0
     beyond: bool = False
+    full: bool = False
+    effect: str = ""
+    paper_effect: float = 0.0
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """A claim with our number: 'holds', 'FAILS', or '' where there is nothing to judge."""
+    """A claim with our number: 'holds', 'FAILS', or '' where there is nothing to judge.
+
+    `size` says how large the effect is beside the paper's, where the paper gives one.
+    """
 
     claim: Claim
     ours: str
     value: float | None
     verdict: str
+    size: str = ""
 
     @property
     def fails(self) -> bool:
@@ -82,6 +92,9 @@ def _claim(entry: Table) -> Claim:
         measure=entry.text("measure") if judged else "",
         bound=entry.number("bound", positive=False) if judged else 0.0,
         beyond=entry.flag("beyond"),
+        full=entry.flag("full"),
+        effect=entry.text("effect", ""),
+        paper_effect=entry.number("paper_effect", 0.0, positive=False),
     )
     entry.close()
     return claim
@@ -95,16 +108,28 @@ def judge(claims: Sequence[Claim], results: dict[str, Any]) -> list[Verdict]:
 def _judge(claim: Claim, results: dict[str, Any]) -> Verdict:
     try:
         ours = claim.ours.format_map(results)
+        size = _size(_at(results, claim.effect), claim.paper_effect) if claim.effect else ""
         if claim.direction == "report":
-            return Verdict(claim, ours, None, "")
-        value: Any = results
-        for key in claim.measure.split("."):
-            value = value[key]
-        value = float(value)
+            return Verdict(claim, ours, None, "", size)
+        value = float(_at(results, claim.measure))
     except (AttributeError, KeyError, TypeError, ValueError, IndexError) as problem:
         raise ClaimsError(
             f"Claim {claim.id!r} asks for a number that was not computed ({problem}); correct its "
             f"ours or measure."
         ) from None
     holds = value < claim.bound if claim.direction == "below" else value > claim.bound
-    return Verdict(claim, ours, value, "holds" if holds else "FAILS")
+    return Verdict(claim, ours, value, "holds" if holds else "FAILS", size)
+
+
+def _at(results: Any, path: str) -> Any:
+    """The entry of nested tables at a dotted path."""
+    for key in path.split("."):
+        results = results[key]
+    return results
+
+
+def _size(effect: dict[str, float], paper: float) -> str:
+    """How large an effect with its interval is beside the paper's."""
+    if effect["low"] <= paper <= effect["high"]:
+        return "as large as the paper's"
+    return f"{effect['value'] / paper:.1f} × the paper's"

@@ -19,11 +19,12 @@ def page(record: dict[str, Any]) -> str:
         if name != "worst"
     ]
     changes = [
-        [label, *(_change(shapes[s][f"{what}_change"]) for s in "CS" for what in _WHAT)]
+        [label, *(cell for s in "CS" for cell in _effects(shapes[s]))]
         for label, shapes in causes.items()
     ]
+    heads = [f"{s} {what}" for s in "CS" for what in ("fixed (cm, rad)", *_WHAT.values())]
     table, moving = results["table"].items(), results["moving"].items()
-    claims = [[c["says"], c["paper"], c["ours"], c["verdict"] or "–"] for c in record["claims"]]
+    claims = [[c["says"], c["paper"], c["ours"], _verdict(c)] for c in record["claims"]]
     return Template(_TEMPLATE.read_text(encoding="utf-8")).substitute(
         {f"seeds_{section}": count for section, count in record["seeds"].items()},
         claims=_rows(["claim", "paper", "ours", "verdict"], claims),
@@ -32,7 +33,7 @@ def page(record: dict[str, Any]) -> str:
         distances=_rows(["coil", "coil at (mm)", "standard deviation least at (mm)"], distances),
         table="\n\n".join(_arms(f"{shape}: ", arms) for shape, arms in table),
         moving="\n\n".join(_arms(f"C → S in {label}: ", arms) for label, arms in moving),
-        causes=_rows(["", *(f"{s} {name}" for s in "CS" for name in _WHAT.values())], changes),
+        causes=_rows(["", *heads], changes),
     )
 
 
@@ -51,6 +52,17 @@ def _spread(entry: dict[str, float], scale: float, digits: int) -> str:
 
 def _change(entry: dict[str, float]) -> str:
     return f"{entry['value']:+.1f} % ({entry['low']:+.1f} … {entry['high']:+.1f})"
+
+
+def _verdict(claim: dict[str, Any]) -> str:
+    """Whether the claim holds, and how large its effect is."""
+    return ", ".join(word for word in (claim["verdict"], claim["size"]) if word) or "–"
+
+
+def _effects(arm: dict[str, Any]) -> list[str]:
+    """What a fixed sensor errs by, and the changes by sliding."""
+    fixed = f"{100 * arm['fixed_position']['value']:.2f}, {arm['fixed_rotation']['value']:.3f}"
+    return [fixed, *(_change(arm[f"{what}_change"]) for what in _WHAT)]
 
 
 def _arms(label: str, arms: dict[str, Any]) -> str:

@@ -16,6 +16,8 @@ from glissando.errors import RobotFileError
 from glissando.estimation.batch import estimate
 from glissando.estimation.posterior import Posterior
 from glissando.evaluation.metrics import Errors, errors_against
+from glissando.experiments.published import RATE as PUBLISHED_RATE
+from glissando.experiments.published import published_prior, published_readings
 from glissando.io.csv_stream import Stream
 from glissando.io.recording import Recording
 from glissando.io.robot_file import load_robot
@@ -77,6 +79,9 @@ class Scene:
         dynamic: Whether the robot that is simulated has inertia.
         paced: Whether the estimator knows how long the motion lasts: its time nodes and densities
             over time are then those of the robot file for a motion as long as the shape's own.
+        published: Parts of the published estimator that take the place of ours, of
+            `published.PARTS`.
+        judged: Arclength up to which truth judges, m.
     """
 
     shape: str
@@ -94,6 +99,8 @@ class Scene:
     prior: str = ""
     dynamic: bool = False
     paced: bool = False
+    published: tuple[str, ...] = ()
+    judged: float = np.inf
 
 
 @lru_cache(maxsize=8)
@@ -195,8 +202,11 @@ def trial(scene: Scene, seed: int, other: WhiteNoisePrior | None = None) -> Tria
     recorded = recording(scene, seed)
     used, judges = recorded.choose(None, None)
     readings, _ = recorded.readings(used, known, window)
+    rest = known.prior.rest_state(Grid(known.arclength_nodes, [0.0])).take(0)
+    readings = [published_readings(r, scene.published, rest) for r in readings]
     truth, _ = recorded.readings(judges, known, window, as_truth=True)
-    truth, nodes = [corrected(t, parameters) for t in truth], grid(scene)
+    truth = [corrected(t, parameters) for t in truth if t.arclength.max() <= scene.judged]
+    nodes = grid(scene)
     firm = [parameter for parameter in parameters if parameter.known]
     where = [corrected(r, firm) for r in readings]  # late stamps may be from before the session
     inside = [nodes.contains(r.arclength, r.time) for r in where]
@@ -211,8 +221,9 @@ def grid(scene: Scene) -> Grid:
     if scene.nodes is not None:
         nodes = np.linspace(0.0, known.length, scene.nodes)
         known = replace(known, arclength_nodes=np.union1d(nodes, known.prior.joints))
-    if scene.time_rate is not None:
-        known = replace(known, time_rate=scene.time_rate)
+    rate = PUBLISHED_RATE if "prior" in scene.published else scene.time_rate
+    if rate is not None:
+        known = replace(known, time_rate=rate)
     rate = min(_pace(scene) * known.time_rate, max(COIL_RATE, known.time_rate))
     return replace(known, time_rate=rate).grid(0.0, scene.duration)
 
@@ -222,8 +233,11 @@ def prior(scene: Scene) -> Prior:
 
     Raises RobotFileError where a separable prior, which has a time scale, is asked to hold still.
     """
-    known, pace = known_robot(scene).prior, _pace(scene)
-    if not scene.still and pace == 1.0:
+    rate = PUBLISHED_RATE if "prior" in scene.published else scene.time_rate
+    if rate is not None:
+        known = replace(known, time_rate=rate)
+    rate = min(_pace(scene) * known.time_rate, max(COIL_RATE, known.time_rate))
+    return replace(known, time_rate=rate).grid(0.0, scene.duration)
         return known
     if not isinstance(known, WhiteNoisePrior):
         raise RobotFileError(

@@ -20,15 +20,21 @@ Progress = Callable[[int, int], None]
 Arms = dict[str, Scene]
 """Scenes to compare, by name; the first is the fixed sensor."""
 
-CAUSES: dict[str, tuple[tuple[str, float], ...]] = {
-    "as it is": (),
-    "white noise × 10": (("jitter", 10.0), ("jitter_angle", 10.0)),
-    "bias × 3": (("bias", 3.0), ("bias_angle", 3.0)),
-    "registration error × 6": (("registration", 6.0), ("registration_angle", 6.0)),
-    "set on a third of the length": (("set_length", 1.0 / 3.0),),
-    "tubes without set": (("set_curvature", 0.0),),
+CAUSES: dict[str, dict[str, Any]] = {
+    "as it is": {},
+    "white noise × 10": {"flaws": (("jitter", 10.0), ("jitter_angle", 10.0))},
+    "bias × 3": {"flaws": (("bias", 3.0), ("bias_angle", 3.0))},
+    "registration error × 6": {"flaws": (("registration", 6.0), ("registration_angle", 6.0))},
+    "set on a third of the length": {"flaws": (("set_length", 1.0 / 3.0),)},
+    "tubes without set": {"flaws": (("set_curvature", 0.0),)},
+    "judged at the frames of the base half": {"judged": 0.5 * bench().rod.length},
+    "roll dropped as a small angle": {"published": ("roll",)},
+    "published noise of the sensor": {"published": ("noise",)},
+    "published prior and settings": {"published": ("prior",)},
 }
-"""Imperfections that are scaled, one cause at a time, and by how much."""
+"""What is changed of a scene, one cause at a time: imperfections, what judges, the estimator."""
+
+_QUICK_CAUSES = ("as it is", "tubes without set")
 
 SEEDS = {"table": 100, "beyond": 12, "moving": 4, "causes": 5}
 QUICK_SEEDS = {"table": 8, "beyond": 4, "moving": 2, "causes": 2}
@@ -76,10 +82,10 @@ def _moving_arms(duration: float) -> Arms:
     return arms
 
 
-def _cause_arms(scaled: tuple[tuple[str, float], ...]) -> Arms:
+def _cause_arms(changes: dict[str, Any]) -> Arms:
     arms: Arms = {}
     for shape in _SHAPES:
-        fixed = replace(table_arms(shape)["fixed"], flaws=scaled)
+        fixed = replace(table_arms(shape)["fixed"], **changes)
         arms |= {_FIXED + shape: fixed, shape: replace(fixed, slide="oscillate")}
     return arms
 
@@ -91,7 +97,7 @@ class Studies:
         self.seeds = QUICK_SEEDS if quick else SEEDS
         table = {shape: table_arms(shape) for shape in _SHAPES}
         moving = {f"{s:g} s": _moving_arms(s) for s in ((10.0,) if quick else (10.0, 20.0))}
-        causes = list(CAUSES)[::5] if quick else CAUSES
+        causes = _QUICK_CAUSES if quick else CAUSES
         if quick:
             table = {shape: {n: arms[n] for n in _QUICK_TABLE} for shape, arms in table.items()}
             for label, arms in moving.items():
@@ -129,7 +135,7 @@ class Studies:
                 moving[label][name]["stroke"] = 0.0 if scene.slide == "hold" else scene.stroke
         few = slice(self.seeds["causes"])
         causes = {
-            label: {s: summary(found[arms[s]][few], found[arms[_FIXED + s]][few]) for s in _SHAPES}
+            label: {s: _against(found[arms[s]][few], found[arms[_FIXED + s]][few]) for s in _SHAPES}
             for label, arms in self._arms["causes"].items()
         }
         return {"table": table, "moving": moving, "speed": speed, "causes": causes}
@@ -168,6 +174,12 @@ def run_plan(
 
 def _against_fixed(found: dict[Scene, Array], arms: Arms) -> dict[str, dict[str, Any]]:
     return {name: summary(found[scene], found[arms["fixed"]]) for name, scene in arms.items()}
+
+
+def _against(sliding: Array, fixed: Array) -> dict[str, Any]:
+    """A sliding sensor's summary, with what the fixed one errs by."""
+    alone = summary(fixed)
+    return summary(sliding, fixed) | {f"fixed_{w}": alone[w] for w in ("position", "rotation")}
 
 
 def _mean_speed(scene: Scene) -> float:
