@@ -57,7 +57,7 @@ def _heard(event, args):
     if event == "open" and not (isinstance(args[2], int) and args[2] & _WRITES):
         return
     count = 1 + (event == "os.rename")
-    for path, folder in zip(args[:count], (*args[count:], *[-1] * count)[-count:], strict=True):
+    for path, folder in zip(args[:count], (*[-1] * count, *args[count:])[-count:], strict=True):
         if isinstance(path, str | bytes | os.PathLike):
             base = f"/proc/self/fd/{folder}" if event != "open" and folder >= 0 else ""
             place = os.path.realpath(os.path.join(base, os.fsdecode(path)))

@@ -29,7 +29,7 @@ from glissando.io.recording_writer import write_streams
 from glissando.io.robot_file import load_robot
 from glissando.io.session_log import read_session
 from glissando.io.session_log.reader import Topic
-from glissando.io.shipped_robots import robot_file
+from glissando.io.shipped_robots import beside, robot_file
 from glissando.model.sensors.sensors import PoseReadings
 
 PATHS = ["../x", "a/b", "/tmp/x", "..", ".hidden", "a\\b", "a\0b", "a\nb", "", " ", "n" * 300]
@@ -243,7 +243,7 @@ def test_a_frame_of_any_name_is_read_back(tmp_path):
 
 def test_names_lists_and_tables_of_no_use_are_sentences(tmp_path):
     with pytest.raises(GlissandoError, match="no robot named"):
-        load_robot("n" * 5000)
+        load_robot(beside(tmp_path, "n" * 5000))
     with pytest.raises(GlissandoError, match="not a number"):
         Topic("/slide", {}, {}, np.zeros(1, int), [{"travel": [1, [2, 3]]}]).column("travel")
 

@@ -26,7 +26,7 @@ from glissando.io.recording import load_recording, save_recording
 from glissando.io.robot_file import load_robot
 from glissando.io.session_log import read_session
 from glissando.io.session_recording import LOG
-from glissando.io.shipped_robots import robot_file, shipped_robots
+from glissando.io.shipped_robots import beside, robot_file, shipped_robots
 from glissando.io.toml_table import read_document
 from glissando.model.robot import Robot
 
@@ -130,9 +130,8 @@ def _of_recording(options: argparse.Namespace) -> tuple[Calibration, list[Path]]
         result = calibrate(data, robot)
     made = calibrated(recording, result, data, robot)
     named = options.robot or read_document(folder / "recording.toml").get("robot", "")
-    beside = folder / named
-    where: str | Path = beside if named and not options.robot and beside.is_file() else named
-    if isinstance(where, str) and where and where not in shipped_robots():
+    where: str | Path = named if options.robot else beside(folder, named)
+    if where and where not in shipped_robots():
         where = robot_file(where)
     out = options.recording or folder.with_name(f".{folder.resolve().name}-calibrated")
     save_recording(made, out, where, _listed(result))
@@ -159,8 +158,7 @@ def _robot(options: argparse.Namespace, data: RigData) -> Robot:
             f"The session does not name its robot; give --robot FILE or one of "
             f"{', '.join(shipped_robots())}."
         )
-    beside = options.session.parent / name
-    return load_robot(beside if not options.robot and beside.is_file() else name)
+    return load_robot(name if options.robot else beside(options.session.parent, name))
 
 
 def _as_json(result: Calibration) -> dict[str, object]:

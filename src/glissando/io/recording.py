@@ -19,7 +19,7 @@ from glissando.io.recording_writer import write_streams
 from glissando.io.robot_file import load_robot
 from glissando.io.session_log import read_session
 from glissando.io.session_recording import LOG, session_setup, session_streams
-from glissando.io.shipped_robots import shipped_robots
+from glissando.io.shipped_robots import beside, shipped_robots
 from glissando.io.toml_table import Table, read_toml
 from glissando.model.brief import Brief
 from glissando.model.robot import Robot
@@ -175,8 +175,7 @@ def _of_log(path: Path) -> Recording:
     session = read_session(path)
     require_readable(session.metadata.get("format"), "session", path, RecordingError)
     found = session_streams(session, session_setup(session))
-    beside = path.parent / found.robot
-    robot = load_robot(beside if beside.is_file() else found.robot)
+    robot = load_robot(beside(path.parent, found.robot))
     frame = np.eye(4) if found.frame is None else found.frame
     unknown = frozenset({"tracker"} if found.frame is None else ())
     streams = {}
@@ -232,8 +231,7 @@ def _described(folder: Path) -> Recording:
     name = table.text("name", folder.resolve().name)
     journal = table.flag("journal")
     robot_name = table.text("robot", "")
-    beside = folder / robot_name
-    robot = load_robot(beside if beside.is_file() else robot_name) if robot_name else None
+    robot = load_robot(beside(folder, robot_name)) if robot_name else None
     window = None
     if table.peek("window") is not None:
         first, last = table.vector("window", 2).tolist()

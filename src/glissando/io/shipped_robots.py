@@ -15,6 +15,11 @@ def shipped_robots() -> list[str]:
     return sorted(path.stem for path in _SHIPPED.glob("*.toml"))
 
 
+def beside(folder: Path, name: str) -> str:
+    """The file of this name in a folder, else the name: of a shipped robot, or a path."""
+    return str(folder / name) if name and os.path.isfile(folder / name) else name
+
+
 def robot_file(name: str | Path) -> Path:
     """The file of a shipped robot by name, or of any robot by path.
 

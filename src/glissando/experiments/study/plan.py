@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import product
 from math import ceil
-from os.path import isfile
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ import numpy as np
 
 from glissando.errors import GlissandoError
 from glissando.experiments.scenes import ROBOT, Scene, bench, grid, known_robot, path, prior
-from glissando.io.shipped_robots import shipped_robots
+from glissando.io.shipped_robots import beside, shipped_robots
 from glissando.io.toml_table import Table, read_toml
 from glissando.simulation.imperfections import PARTS
 
@@ -183,10 +182,10 @@ def _scene(settings: dict[str, Value], folder: Path) -> Scene:
     given: dict[str, Any] = dict(settings)
     for key in ("robot", "prior"):
         if given[key] not in shipped_robots():
-            given[key] = _resolved(given[key], folder)
+            given[key] = beside(folder, given[key])
     known = bench(given["robot"])
     if given["shape"] not in known.shapes:
-        given["shape"] = _resolved(given["shape"], folder)
+        given["shape"] = beside(folder, given["shape"])
     noise = given.pop("noise")
     stage = known.full_slide if given["slide"] == "traverse" else known.slide
     given["stroke"] = given["stroke"] or stage.stroke
@@ -208,11 +207,6 @@ def _scene(settings: dict[str, Value], folder: Path) -> Scene:
             f"robot {settings['robot']!r} of {known.rod.length:g} m; give one of the same length."
         )
     return scene
-
-
-def _resolved(name: str, folder: Path) -> str:
-    """A file beside the study by its whole path, anything else as it is."""
-    return str(folder / name) if name and isfile(folder / name) else name
 
 
 def _content(name: str) -> str:

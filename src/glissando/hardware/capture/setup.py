@@ -15,7 +15,7 @@ from glissando.hardware.drivers import GcodeStage, RemoteStage, Stage, Stroke
 from glissando.hardware.drivers.stage import optional_number
 from glissando.io.plain_file import file_stem
 from glissando.io.robot_file import load_robot
-from glissando.io.shipped_robots import robot_file, shipped_robots
+from glissando.io.shipped_robots import beside, robot_file, shipped_robots
 from glissando.io.toml_table import Table, read_toml
 
 _ARCLENGTH_STD = 2e-3  # m: how well one measures by hand where the coil is
@@ -165,8 +165,7 @@ def load_rig(path: str | Path) -> Rig:
     path = Path(path)
     table = read_toml(path, DeviceError)
     name, robot = table.text("name", path.stem), table.text("robot")
-    beside = path.parent / robot
-    robot = str(beside) if beside.is_file() else robot
+    robot = beside(path.parent, robot)
     length = load_robot(robot_file(robot)).length
     tracker, slide, mocap = (table.table(key) for key in ("tracker", "slide", "mocap"))
     further = tuple(_further(entry) for entry in table.tables("slides"))
