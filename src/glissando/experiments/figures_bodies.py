@@ -185,7 +185,7 @@ class _Bodies:
         sites, ends = _places(result.truth, posterior.grid), posterior.grid.arclength
         line = posterior.at(np.linspace(ends[0], ends[-1], 141), time).position * MM
         at_sites = posterior.at([site.arclength[0] for site in sites], time)
-        corners = _draw_ellipsoids(axes, at_sites, colour)
+        corners = _draw_ellipsoids(axes, at_sites.position, at_sites.cov_position_world, colour)
         for ellipsoid in axes.collections:
             ellipsoid.set_alpha(0.4)
         axes.plot(*line.T, color=colour, linewidth=1.9, zorder=3)

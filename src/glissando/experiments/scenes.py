@@ -233,11 +233,10 @@ def prior(scene: Scene) -> Prior:
 
     Raises RobotFileError where a separable prior, which has a time scale, is asked to hold still.
     """
-    rate = PUBLISHED_RATE if "prior" in scene.published else scene.time_rate
-    if rate is not None:
-        known = replace(known, time_rate=rate)
-    rate = min(_pace(scene) * known.time_rate, max(COIL_RATE, known.time_rate))
-    return replace(known, time_rate=rate).grid(0.0, scene.duration)
+    known, pace = known_robot(scene).prior, _pace(scene)
+    if "prior" in scene.published:
+        return published_prior(known)
+    if not scene.still and pace == 1.0:
         return known
     if not isinstance(known, WhiteNoisePrior):
         raise RobotFileError(
