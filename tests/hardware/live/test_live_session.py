@@ -1,5 +1,6 @@
 """A live estimate is the replay's, loses nothing that it used, and ends with a sentence."""
 
+import gc
 import time
 from itertools import islice
 
@@ -100,6 +101,15 @@ def test_an_update_is_what_the_smoother_says_between_its_nodes(name):
             for field, value in vars(said).items():
                 ours = getattr(update.state, field)
                 np.testing.assert_allclose(ours, value, rtol=1e-9, atol=1e-9 * np.abs(value).max())
+
+
+def test_a_collection_of_garbage_holds_no_update_up():
+    with LiveSession(ROBOT, [RecordingSource(swaying(), ROBOT)], duration=0.2) as session:
+        list(session)
+        began = time.thread_time()
+        gc.collect()
+        assert time.thread_time() - began < 0.01
+    assert gc.get_freeze_count() == 0
 
 
 def _pose(translation, stamp=1) -> bytes:

@@ -30,6 +30,7 @@ from glissando.geometry.se3 import Array
 from glissando.hardware.live.update import Update
 from glissando.hardware.openigtlink import Endpoint, Message, encode
 from glissando.hardware.openigtlink import contents as c
+from glissando.hardware.openigtlink.crc import crc64
 from glissando.hardware.openigtlink.polydata import Attribute, PolyData
 from glissando.hardware.openigtlink.wire_frame import WireFrame
 from glissando.io.csv_stream import Rows
@@ -37,6 +38,7 @@ from glissando.model.grid import Index
 from glissando.model.sensors.readings import Readings
 
 _AROUND = 12  # points of a ring of the tube
+_LONG = 1 << 16  # bytes of a message
 _PATIENCE, _POINTS = 1.0, 0.1  # s between statuses, and between points
 
 
@@ -60,6 +62,7 @@ class IgtlSink:
 
     def __enter__(self) -> Self:
         self._endpoint.__enter__()
+        crc64(bytes(_LONG))  # its tables are made now, and not during the first update
         return self
 
     def __exit__(self, *raised: object) -> None:
