@@ -1,11 +1,14 @@
-"""Topics as the devices of a rig."""
+"""Topics as the devices of a rig, and the command that a launch file starts."""
 
+import re
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from glissando.cli.main import main
 from glissando.hardware.capture import Coil, Rig, capture
 from glissando.io.session_log import read_session
 from glissando.model.slide_path import SlideLimits, SlidePath
@@ -39,3 +42,14 @@ def test_a_rig_records_a_tracker_that_is_topics(domain, tmp_path):
     delay = 1e-9 * np.array(topic.time_ns) - topic.column("time")
     assert np.all((delay > -1e-3) & (delay < 0.5))
     np.testing.assert_allclose(topic.column("position"), np.tile(seen[:3, 3], (delay.size, 1)))
+
+
+@pytest.mark.slow
+def test_the_launch_example_starts_a_command_that_joins_the_graph(domain, capsys):
+    page = (Path(__file__).parents[3] / "docs" / "how-to" / "ros2.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"```\n(from launch import.*?)```", page, re.S)
+    compile(code, "launch", "exec")
+    (live,) = re.findall(r'live = "glissando (.*?)"', code)
+    words = live.replace("my_robot.toml", "tdcr466").replace("ros2", domain).split()
+    assert main([*words, "--patience", "1.5"]) == 2
+    assert "nobody publishes /aurora/tip" in capsys.readouterr().err
