@@ -11,13 +11,14 @@ and the same tracker.
 the same of `sliding` fill them, on all cores, stopped and resumed as one likes; then `speed_map.py
 DIR` prints the map, of the seeds that all cells of a robot speed have.
 
-Usage: speed_map.py DIR [--write] [--seeds N] [--json]
+Usage: speed_map.py DIR [--write] [--seeds N] [--figure FILE.png] [--json]
 """
 
 import argparse
 import json
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import numpy as np
 
 from glissando.errors import GlissandoError
@@ -109,25 +110,29 @@ def judged(folder):
 
 
 def rule(cells):
-    """Passes of the body during the motion from which on sliding pays, and below which it costs.
+    """Between how many passes during the motion sliding costs, and what it pays outside.
 
-    From the first on, the 95 % interval of the change lies below zero in all cells; below the
-    second in none. A cell of the last speeds pays less than a slower one where its change is
-    worse by more than five points than the best of its robot speed.
+    Up to `near` passes, and from `far` on, the whole 95 % interval of the change lies below zero in
+    every cell; `costs` are the fewest and the most passes of cells where it lies above.
     """
-    gains = sorted((c["passes"], c["position_change"]["high"] < 0.0) for c in cells)
-    fails = [n for n, pays in gains if not pays]
-    pays = [n for n, good in gains if good]
-    fastest = {}
-    for duration in sorted({c["duration"] for c in cells}):
-        own = [c for c in cells if c["duration"] == duration]
-        best = min(c["position_change"]["value"] for c in own)
-        near = [c for c in own if c["position_change"]["value"] < best + 5.0]
-        fastest[duration] = min(c["slide_speed"] for c in near)
+    ordered = sorted(cells, key=lambda cell: cell["passes"])
+    passes = np.array([cell["passes"] for cell in ordered])
+    wanted = ("low", "value", "high")
+    change = np.array([[cell["position_change"][k] for k in wanted] for cell in ordered])
+    fails, costs = np.flatnonzero(change[:, 2] >= 0.0), np.flatnonzero(change[:, 0] > 0.0)
+    near, far = (fails[0], fails[-1] + 1) if fails.size else (passes.size, 0)
+
+    def best_and_worst(part):
+        values = change[part, 1]
+        return [float(values.min()), float(values.max())] if values.size else None
+
     return {
-        "pays_from": min((n for n in pays if n > max(fails, default=0.0)), default=None),
-        "fails_below": min(pays, default=None),
-        "enough_speed": fastest,
+        "near": float(passes[near - 1]) if near else None,
+        "far": float(passes[far]) if far < passes.size else None,
+        "costs": [float(passes[costs[0]]), float(passes[costs[-1]])] if costs.size else None,
+        "change_near": best_and_worst(slice(0, near)),
+        "change_far": best_and_worst(slice(far, None)),
+        "worst": float(change[:, 1].max()),
     }
 
 
@@ -153,20 +158,45 @@ def show(cells):
                 f"| {fixed:.1f} | {row} |"
             )
     told = rule(cells)
-    print()
-    if told["pays_from"] is None:
-        print("No number of passes of the body during the motion makes sliding pay everywhere.")
-    else:
-        print(
-            f"Sliding pays wherever the coil passes the body {told['pays_from']:.2g} times or more "
-            f"while the robot moves from shape to shape; with less than {told['fails_below']:.2g} "
-            f"passes it pays nowhere."
-        )
-    for d, speed in told["enough_speed"].items():
-        tip = at[d, speed]["tip_speed"]
-        print(
-            f"Tip at {1e3 * tip:.0f} mm/s: {1e3 * speed:.0f} mm/s is within 5 points of the best."
-        )
+    print("\nA pass is the body's length slid while the robot moves from shape to shape.")
+    if told["near"] is not None:
+        best, least = told["change_near"]
+        print(f"Up to {told['near']:.2g} passes sliding pays: {best:.0f} to {least:.0f} %.")
+    if told["costs"] is not None:
+        first, last = told["costs"]
+        print(f"Between {first:.2g} and {last:.2g} it can cost, up to {told['worst']:+.0f} %.")
+    if told["far"] is not None:
+        best, least = told["change_far"]
+        print(f"From {told['far']:.2g} passes on it pays: {best:.0f} to {least:.0f} %.")
+
+
+def draw(cells, path):
+    """Draw the map with lines of equally many passes; what grows by more than 100 % as that."""
+    durations = sorted({c["duration"] for c in cells})
+    change = {(c["duration"], c["slide_speed"]): c["position_change"]["value"] for c in cells}
+    grid = np.array([[change[d, v] for v in SPEEDS] for d in durations])
+    tip = np.array([next(c["tip_speed"] for c in cells if c["duration"] == d) for d in durations])
+    figure, axes = plt.subplots(figsize=(6.4, 4.4), layout="constrained")
+    shown = axes.pcolormesh(
+        1e3 * np.array(SPEEDS),
+        1e3 * tip,
+        grid,
+        vmin=-100,
+        vmax=100,
+        cmap="RdBu_r",
+        shading="nearest",
+    )
+    rate = {c["duration"]: c["passes"] / c["slide_speed"] for c in cells}
+    for passes in (1.0 / 3.0, 1.0, 5.0):
+        slide = [1e3 * passes / rate[d] for d in durations]
+        axes.plot(slide, 1e3 * tip, "k--", lw=0.8)
+        label = f"{passes:.2g} passes" if passes != 1.0 else "1 pass"
+        box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0}
+        axes.text(slide[-2], 1e3 * tip[-2], label, fontsize=8, ha="center", bbox=box)
+    axes.set(xscale="log", yscale="log", xlabel="slide (mm/s)", ylabel="tip of the robot (mm/s)")
+    axes.set_xlim(1e3 * SPEEDS[0] / 1.2, 1e3 * SPEEDS[-1] * 1.2)
+    figure.colorbar(shown, label="change of the body's RMSE against a fixed coil (%)")
+    figure.savefig(path, dpi=120, metadata={"Software": None})
 
 
 def _change(cell):
@@ -186,6 +216,7 @@ def main():
     parser.add_argument("folder", type=Path, metavar="DIR")
     parser.add_argument("--write", action="store_true", help="write robot and studies")
     parser.add_argument("--seeds", type=int, default=30, help="of the studies (default 30)")
+    parser.add_argument("--figure", type=Path, metavar="FILE.png", help="draw the map, too")
     parser.add_argument("--json", action="store_true", help="print JSON instead of tables")
     options = parser.parse_args()
     if options.write:
@@ -196,6 +227,8 @@ def main():
     except GlissandoError as problem:
         print(problem)
         return 2
+    if options.figure:
+        draw(cells, options.figure)
     if options.json:
         print(json.dumps({"cells": cells, "rule": rule(cells)}, indent=1))
     else:
