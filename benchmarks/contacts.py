@@ -178,7 +178,7 @@ def draw(touched, path):
             panels, ("of the force (mN)", "of the place (% of length)"), strict=True
         ):
             axes.set(xlabel="where something touches (% of length)", yscale="log")
-            axes.set_ylabel(f"standard deviation {name}")
+            axes.set_ylabel(f"standard deviation\n{name}")
             axes.grid(True, which="both")
         panels[0].legend()
         save_figure(panels, path)

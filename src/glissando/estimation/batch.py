@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from glissando.errors import (
     SensorError,
     UnobservableError,
 )
+from glissando.estimation.channels import settled
 from glissando.estimation.delays import with_unseen_delays
 from glissando.estimation.outliers import CHANCE, Mask, judged, used_at_first
 from glissando.estimation.posterior import Posterior, SolveReport
@@ -49,7 +51,8 @@ def estimate(
     """Posterior over pose, strain and velocity, continuous in arclength and time.
 
     The iteration starts at rest, over coarse time nodes. A reading that all others refute is left
-    out and named in the report; streams with a robust loss keep all of theirs.
+    out and named in the report; streams with a robust loss keep all of theirs. Readings of sensors
+    in channels beside the backbone are placed by the shape until both agree (M8).
 
     Args:
         prior: What is believed before any reading.
@@ -73,6 +76,20 @@ def estimate(
         NotConvergedWarning: The iteration stopped early; the posterior's report says so, too.
     """
     _require_sound(prior, grid, readings, initial)
+    if any(r.channel for r in readings):
+        again = partial(
+            estimate,
+            sensor_parameters=sensor_parameters,
+            initial_parameters=initial_parameters,
+            options=options,
+            progress=progress,
+            gate=gate,
+        )
+        shape = prior.rest_state(grid) if initial is None else initial
+        return settled(
+            lambda near, start: again(prior, grid, near, initial=start),
+            readings, (prior, grid, shape), initial,
+        )  # fmt: skip
     known = [parameter for parameter in sensor_parameters if parameter.known]
     problem = _Problem(
         prior,

@@ -11,6 +11,7 @@ import numpy as np
 
 from glissando.errors import ImplausibleError, RecordingError
 from glissando.estimation.batch import estimate
+from glissando.estimation.channels import placed
 from glissando.estimation.posterior import Posterior
 from glissando.evaluation.consistency import Consistency, check, check_readings
 from glissando.evaluation.metrics import Errors, errors_against, pool
@@ -212,6 +213,7 @@ def run_estimate(
             options=SolverOptions(max_iterations or SolverOptions.max_iterations),
             progress=progress,
         )
+        readings = placed(readings, posterior)
         after = after_estimate(posterior, readings, parameters)
         errors = [errors_against(posterior, t) for t in references]
     except np.linalg.LinAlgError:

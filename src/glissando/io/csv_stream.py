@@ -20,6 +20,7 @@ from glissando.io.plain_file import plain_text
 from glissando.model.brief import Brief
 from glissando.model.sensors.readings import Readings
 from glissando.model.sensors.sensors import sensor_class
+from glissando.model.tendons.channel import Channel
 
 _PUBLIC_KINDS = {"aurora": ("pose", False), "vicon": ("pose", True), "gyro": ("gyro", False)}
 _QUATERNION = ["qw", "qx", "qy", "qz"]
@@ -74,6 +75,7 @@ class Stream(Brief):
         mount: Pose T_bc (4, 4) of the sensor in the cross-section.
         keep_repeats: Whether rows that repeat the one before are readings of their own.
         frame: Frame of the rows; streams of a loaded recording are in the world frame.
+        channel: The channel beside the backbone that it slides in, if there is one.
     """
 
     name: str
@@ -83,6 +85,7 @@ class Stream(Brief):
     mount: Array = field(default_factory=lambda: np.eye(4))
     keep_repeats: bool = False
     frame: str = "world"
+    channel: Channel | None = None
 
 
 def scale_of(unit: str, length: float, angle: float) -> float:

@@ -25,7 +25,9 @@ from glissando.model.brief import Brief
 from glissando.model.robot import Robot
 from glissando.model.sensors.readings import SENSORS, Readings, slide_motion
 from glissando.model.sensors.sensors import sensor_class, sensor_kinds
+from glissando.model.tendons.channel import Channel
 
+_LONGER = 0.2  # of the robot, that a channel beside it may be longer than it
 _TRUTH_STD = 1e-6  # noise of a truth stream that states none: negligible against any posterior
 
 
@@ -90,7 +92,7 @@ class Recording(Brief):
             rows = clean(stream.rows, robot.sensor_range.get(kind), stream.keep_repeats)
             if not as_truth and kind in robot.sensor_rate:
                 rows = steady(rows, robot.sensor_rate[kind])
-            _require_on_robot(name, rows, robot)
+            _require_on_robot(name, rows, robot, stream.channel)
             if rows.dropped:
                 dropped[name] = rows.dropped
             readings = _as_readings(replace(stream, rows=rows), robot, as_truth)
@@ -279,6 +281,7 @@ def _stream(
     frame = entry.text("frame", "world", choices=frames)
     mount_table = entry.table("mount")
     mount = mount_table.pose() if mount_table else np.eye(4)
+    channel = _channel(entry, length, angle)
     std = entry.std(sensor.rows) if entry.peek("std") is not None else None
     settings = {
         key: scale_of(unit, length, angle) * entry.numbers(key)
@@ -289,12 +292,24 @@ def _stream(
     rows = read_named(file, kind, settings, length_unit=length, angle_unit=angle, journal=journal)
     rows = replace(rows, values=sensor.in_frame(rows.values, frames[frame]))
     left = frame if frame in unknown else "world"
-    return Stream(name, clean(rows, None, keep_repeats), truth, std, mount, keep_repeats, left)
+    rows = clean(rows, None, keep_repeats)
+    return Stream(name, rows, truth, std, mount, keep_repeats, left, channel)
 
 
-def _require_on_robot(name: str, rows: Rows, robot: Robot) -> None:
+def _channel(entry: Table, length: float, angle: float) -> Channel | None:
+    """The channel beside the backbone that a sensor slides in, in the units of its stream."""
+    table = entry.table("channel")
+    if table is None:
+        return None
+    radius, turned = table.number("radius"), table.number("angle", 0.0, positive=False)
+    pitch = table.number("pitch", 0.0, positive=False)
+    table.close()
+    return Channel(length * radius, angle * turned, length * pitch or np.inf)
+
+
+def _require_on_robot(name: str, rows: Rows, robot: Robot, channel: Channel | None) -> None:
     excess = np.maximum(rows.arclength - robot.length, -rows.arclength)
-    bad = np.flatnonzero(excess > 1e-9)
+    bad = np.flatnonzero(excess > (1e-9 if channel is None else _LONGER * robot.length))
     if bad.size:
         places = ", ".join(f"{rows.arclength[i]:.4g}" for i in bad[:3])
         raise RecordingError(
@@ -320,6 +335,7 @@ def _as_readings(stream: Stream, robot: Robot, as_truth: bool) -> Readings:
         values=rows.values,
         cov=std**2 if std.size > 1 else std[0] ** 2,
         mount=stream.mount,
+        channel=stream.channel,
         loss=None if as_truth else robot.sensor_loss.get(rows.kind),
         name=stream.name,
         **slide_motion(rows.time, rows.arclength),

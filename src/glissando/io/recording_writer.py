@@ -94,6 +94,8 @@ def describe_stream(stream: Stream) -> str:
     if stream.std is not None:
         fields["std"] = stream.std
     text = "\n[[streams]]\n" + _fields({**fields, **stream.rows.settings})
+    if stream.channel:
+        text += "[streams.channel]\n" + _fields(stream.channel.to_table())
     if np.array_equal(stream.mount, np.eye(4)):
         return text
     return f"{text}[streams.mount]\n{_pose(stream.mount)}"

@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from glissando.errors import SensorError
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid, Index
 from glissando.model.interpolation import Points, sort_points
@@ -89,8 +90,15 @@ def locate(
 
     Raises:
         OutsideGridError: A reading lies off the grid.
+        SensorError: A sensor slides in a channel and was not placed.
     """
     streams = [r for r in readings if len(r)]
+    for r in streams:
+        if r.channel is not None:
+            raise SensorError(
+                f"{r.label} slides in a channel off the axis, so where it is depends on the shape: "
+                f"estimate a recording with it, or place it by `place_in_channel` first."
+            )
     named = {r.name for r in streams}
     kept = [p for p in sensor_parameters if keep_all or named.intersection(p.streams)]
     process = EstimatedParameters(grid, kept)

@@ -21,7 +21,7 @@ from glissando.model.sensors.parameter_jacobians import by_parameters
 from glissando.model.sensors.parameter_process import ParameterValues
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.sensors.readings import Readings
-from glissando.model.state import DOF, State
+from glissando.model.state import DOF, STRAIN, State
 from glissando.solver.located_readings import LocatedReadings, ReadingBatch
 
 _WAYS = ("arclength", "time")
@@ -55,13 +55,23 @@ def measurement_factors(
             if isinstance(readings, AccelerometerReadings):
                 place = located.grid, state, noise_state, readings.arclength, readings.time
                 mine = accelerated(prior, *place, float(readings.span[0]))
-            yield stream, rows, _factor(readings, mine, located.parameters, slopes[stream])
+            aside, beside = None, readings.beside  # on a start's coarser nodes the place is held
+            if beside is not None and beside.shape[2] == located.grid.arclength.size:
+                aside = _along(prior, located.grid, state, noise_state, readings)
+            yield stream, rows, _factor(readings, mine, located.parameters, slopes[stream], aside)
 
 
 def _factor(
-    readings: Readings, at: Interpolation, parameters: ParameterValues, slopes: dict[str, Array]
+    readings: Readings,
+    at: Interpolation,
+    parameters: ParameterValues,
+    slopes: dict[str, Array],
+    aside: Interpolation | None = None,
 ) -> Factors:
-    """Factors of readings at the states `at`, which have slopes (M, 18) along arclength or time."""
+    """Factors of readings at the states `at`, which have slopes (M, 18) along arclength or time.
+
+    Where they were taken depends on the states (M · N) at all arclength nodes `aside`, if given.
+    """
     if readings.accelerates and any(p.moves for p, _ in parameters.of(readings)):
         raise SensorError(
             f"{readings.label}: where and when an accelerometer reads is not estimated; state "
@@ -73,6 +83,11 @@ def _factor(
     corrected = parameters.corrected(readings, now)
     residual, by_state = _checked(corrected, at)
     cov = corrected.cov
+    if aside is not None and corrected.beside is not None:
+        lean = np.einsum("mrd,md->mr", by_state, slopes["arclength"])
+        travel, strain = np.moveaxis(corrected.beside, 1, 0)
+        gap = aside.state.strain.reshape(strain.shape) - strain
+        residual = residual + lean * np.einsum("mni,mni->m", travel, gap)[:, None]
     if "arclength" in slopes:
         along = np.einsum("mrd,md->mr", by_state, slopes["arclength"])
         var = np.broadcast_to(corrected.arclength_std**2, along.shape[:1])
@@ -89,7 +104,36 @@ def _factor(
         *map(whole, (by_state, at.jacobian, at.cov)), items(cov, (m,), r, r)
     )
     terms = Residuals(residual, whitener, corrected.loss)
-    return Factors(at.nodes, slice(0, at.dof), by_nodes, terms, extras)
+    nodes = at.nodes
+    if aside is not None:
+        nodes, by_nodes = _with_travel(nodes, by_nodes, lean, travel, aside)
+    return Factors(nodes, slice(0, at.dof), by_nodes, terms, extras)
+
+
+def _with_travel(
+    nodes: Index, by_nodes: Array, lean: Array, slope: Array, aside: Interpolation
+) -> tuple[Index, Array]:
+    """Nodes and slopes of readings whose arclength depends on the strain along the robot.
+
+    Args:
+        nodes: Nodes (M, c) of the place itself.
+        by_nodes: Slopes (M, r, c, dof) by them.
+        lean: Slopes (M, r) of the residuals by the arclength.
+        slope: Slopes (M, N, 6) of the arclength by the strain at the arclength nodes.
+        aside: Those strains at the times of the readings.
+
+    Source: (M8).
+    """
+    m, n = slope.shape[:2]
+    every = aside.nodes.reshape(m, -1)
+    inner = aside.jacobian.reshape(m, n, DOF, -1, aside.dof)[:, :, STRAIN]
+    by_strain = np.einsum("mni,mnicd->mncd", slope, inner).reshape(m, every.shape[1], -1)
+    wide = lean[:, :, None, None] * by_strain[:, None]
+    rows = np.arange(m)
+    for j in range(nodes.shape[1]):
+        where = (every == nodes[:, j, None]).argmax(axis=1)
+        wide[rows, :, where] += by_nodes[:, :, j]
+    return every, np.ascontiguousarray(wide)
 
 
 def _along(
@@ -174,7 +218,7 @@ def _is_moved(readings: Readings, located: LocatedReadings, way: str) -> bool:
     """Whether it is uncertain where along `way` readings were taken."""
     if readings.spans or readings.accelerates:
         return False
-    if way == "arclength" and np.any(readings.arclength_std):
+    if way == "arclength" and (readings.beside is not None or np.any(readings.arclength_std)):
         return True
     return any(p.moves and p.along == way for p, _ in located.parameters.of(readings))
 

@@ -22,6 +22,7 @@ from glissando.model.brief import Brief
 from glissando.model.grid import Grid
 from glissando.model.noise import Loss, covariance_matrix
 from glissando.model.state import DOF, State
+from glissando.model.tendons.channel import Channel
 
 _TURN = 2e-4  # m, over which a slide that turns is said to move the other way
 _EACH = ("time", "arclength", "values")
@@ -50,6 +51,10 @@ class Readings(Brief):
         loss: Robust loss against outliers.
         name: The stream's name, in messages and for the sensor parameters that apply to it.
         arclength_std: Standard deviation of the arclength, m, one or (M,) (equation 16).
+        channel: The channel beside the backbone that the sensor slides in, along which its
+            arclength is measured, from the base; None for a sensor on the backbone.
+        beside: Of readings placed in a channel (M, 2, N, 6): the slope of their arclength by the
+            strain at the arclength nodes, and the strain for which they were placed.
         slide_speed: How fast a sliding sensor's arclength grew, m/s, one or (M,).
         slide_way: Which way it slid last, −1 to 1, one or (M,): see `slide_motion`.
         rows: Declares the residual rows of one reading, and the numbers in a file's `std`.
@@ -78,6 +83,8 @@ class Readings(Brief):
     loss: Loss | None = None
     name: str = ""
     arclength_std: Array | float = 0.0
+    channel: Channel | None = None
+    beside: Array | None = None
     slide_speed: Array | float = 0.0
     slide_way: Array | float = 0.0
 
@@ -208,6 +215,8 @@ class Readings(Brief):
         for name, single in _ONE_OR_EACH:
             value = getattr(self, name)
             fields[name] = value[rows] if value.ndim > single else value
+        if self.beside is not None:
+            fields["beside"] = self.beside[rows]
         return self.changed(**fields)
 
     def changed(self, **fields: Array) -> Self:

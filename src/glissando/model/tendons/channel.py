@@ -6,7 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from glissando.errors import SensorError
+from glissando.geometry import se3
 from glissando.geometry.se3 import Array
+
+_WIDEST = 0.1  # m
+_MOST_TURNED = 4.0 * np.pi  # rad; more would be degrees
 
 
 @dataclass(frozen=True)
@@ -22,6 +27,20 @@ class Channel:
     radius: float
     angle: float = 0.0
     pitch: float = np.inf
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.radius < _WIDEST:
+            raise SensorError(
+                f"A channel {self.radius:g} m from the backbone cannot be; give metres, below "
+                f"{_WIDEST:g}."
+            )
+        if not abs(self.angle) <= _MOST_TURNED:
+            raise SensorError(f"A channel at the angle {self.angle:g} rad; give radians.")
+        if not abs(self.pitch) >= self.radius:
+            raise SensorError(
+                f"A channel that turns about the backbone every {self.pitch:g} m cannot be; give "
+                f"the pitch in metres, or none if it is straight."
+            )
 
     def path(self, arclength: Array) -> tuple[Array, Array]:
         """Places r (P, 3) in the cross-section at arclengths (P,), and their slopes dr/ds."""
@@ -39,3 +58,27 @@ class Channel:
         """
         place, slope = self.path(arclength)
         return strain[..., :3] + np.cross(strain[..., 3:], place) + slope
+
+    def frame(self, arclength: Array, strain: Array) -> Array:
+        """Poses (P, 4, 4) in the cross-section of frames whose z points along the channel.
+
+        They are turned from the cross-section's by the least angle.
+
+        Args:
+            arclength: Where (P,), m.
+            strain: Strain (P, 6) there.
+        """
+        tangent = self.tangent(arclength, strain)
+        tangent = tangent / np.linalg.norm(tangent, axis=-1, keepdims=True)
+        axis = np.cross([0.0, 0.0, 1.0], tangent)
+        sine = np.linalg.norm(axis, axis=-1, keepdims=True)
+        turn = np.zeros((len(tangent), 6))
+        turn[:, 3:] = axis * np.arctan2(sine, tangent[:, 2:]) / np.maximum(sine, 1e-12)
+        pose = se3.exp(turn)
+        pose[:, :3, 3] = self.path(arclength)[0]
+        return pose
+
+    def to_table(self) -> dict[str, float]:
+        """What a recording says of it: metres and radians, a pitch of 0 for a straight channel."""
+        pitch = self.pitch if np.isfinite(self.pitch) else 0.0
+        return {"radius": self.radius, "angle": self.angle, "pitch": pitch}

@@ -22,7 +22,7 @@ def travel_of(channel: Channel, nodes: Array, strain: Array, arclength: Array) -
 
     Source: (M8), dσ/ds = |ν + u × r + dr/ds|.
     """
-    places, lengths = _cumulated(channel, nodes, strain)
+    places, lengths = channel_lengths(channel, nodes, strain)
     _require_inside(arclength, places, "arclength")
     return np.interp(arclength, places, lengths)
 
@@ -41,13 +41,19 @@ def arclength_of(channel: Channel, nodes: Array, strain: Array, travel: Array) -
 
     Source: (M8).
     """
-    places, lengths = _cumulated(channel, nodes, strain)
+    places, lengths = channel_lengths(channel, nodes, strain)
     _require_inside(travel, lengths, "travel")
     return np.interp(travel, lengths, places)
 
 
-def _cumulated(channel: Channel, nodes: Array, strain: Array) -> tuple[Array, Array]:
-    """Arclengths of fine steps (F,), and the length of the channel up to each."""
+def channel_lengths(channel: Channel, nodes: Array, strain: Array) -> tuple[Array, Array]:
+    """Arclengths of fine steps (F,), and the length of the channel up to each.
+
+    Args:
+        channel: The channel.
+        nodes: Arclengths (N,) where strain is known, from 0 up, m.
+        strain: Strain there (N, 6), linear between.
+    """
     fine = np.linspace(nodes[:-1], nodes[1:], _STEPS, endpoint=False, axis=-1).ravel()
     fine = np.append(fine, nodes[-1])
     values = np.stack([np.interp(fine, nodes, column) for column in strain.T], axis=-1)
