@@ -13,8 +13,6 @@ import numpy as np
 
 from glissando.errors import DeviceError, GlissandoError
 from glissando.estimation.fixed_lag import FixedLagSmoother
-from glissando.estimation.posterior import StateEstimate, state_at
-from glissando.geometry.se3 import Array
 from glissando.hardware.live.clock import SessionClock
 from glissando.hardware.live.sinks import Sink
 from glissando.hardware.live.sources import Source
@@ -24,7 +22,6 @@ from glissando.model.grid import Grid
 from glissando.model.robot import Robot
 from glissando.model.sensors.readings import Readings
 from glissando.model.sensors.sensors import PoseReadings
-from glissando.solver.block_tridiagonal import Marginals
 
 _LOOK = 0.005  # s between looks for the first reading
 _NODES = 4  # in the smoother's window by default
@@ -161,7 +158,7 @@ class LiveSession:
         problems = [s.problem for s in self.sources] + [s.problem for s in self.sinks]
         update = Update(
             number, due, self.clock.stamp(due), self.arclength,
-            _along(self.smoother, self.arclength, due), newest, arrived, self.smoother,
+            self.smoother.at(self.arclength, due), newest, arrived, self.smoother,
             self.clock.now() - self.delay - due, computing, self.skipped,
             tuple(filter(None, problems)),
         )  # fmt: skip
@@ -180,15 +177,6 @@ class LiveSession:
                 f"No source has sent anything usable for {silent:.0f} s ({why}); check that the "
                 f"senders run, and where their devices sit on the robot."
             )
-
-
-def _along(smoother: FixedLagSmoother, arclength: Array, time: float) -> StateEstimate:
-    """`smoother.at` a time that is the newest as a rule, where older nodes are not needed."""
-    if time != smoother.time:
-        return smoother.at(arclength, time)
-    state, cov, grid = smoother.newest_node()
-    newest = Marginals(cov[np.newaxis], np.zeros((0, *cov.shape)))
-    return state_at(smoother.prior, grid, state.take(np.newaxis), newest, arclength, time)
 
 
 def _warm_up(robot: Robot, rate: float) -> None:
