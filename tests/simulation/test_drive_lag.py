@@ -63,12 +63,12 @@ def found(readings):
 @pytest.mark.slow
 def test_lag_and_play_of_drawn_sessions_are_found_as_surely_as_stated(motion):
     rng, squares = np.random.default_rng(0), []
-    for seed in range(12):
+    for seed in range(10):
         true = rng.uniform(0.0, [0.03, 2e-3])
         flaws = replace(RIGID, latency=true[0], backlash=true[1])  # of a tracker: it holds still
         value, variance = found(session(flaws, seed, motion))
         squares.append((value - true) ** 2 / variance)
-    assert consistent(np.array(squares), 24)
+    assert consistent(np.array(squares), 20)
     assert np.sqrt(variance[0]) < 2e-3
     assert np.sqrt(variance[1]) < 3e-4
 
@@ -80,6 +80,7 @@ def test_a_soft_drive_tube_lags_by_its_damping_and_plays_by_its_friction(motion)
     assert np.all(value > 5.0 * np.sqrt(variance))
 
 
+@pytest.mark.slow
 def test_of_a_rigid_tube_neither_is_found_and_the_shape_stays(motion):
     readings = session(RIGID, 0, motion)
     value, variance = found(readings)
