@@ -155,8 +155,8 @@ def followed(smoother, grid, coil):
 
 @pytest.mark.slow
 def test_a_smoother_with_a_long_window_says_what_the_batch_says():
-    _, coil = released(0.075)
-    grid = wire_grid(0.075, nodes=5)
+    _, coil = released(0.1)
+    grid = wire_grid(0.1, nodes=5)
     smoother = FixedLagSmoother(wire(), grid.arclength, window=99, gate=None)
     followed(smoother, grid, coil)
     smoother.iterate(tolerance=1e-7)
