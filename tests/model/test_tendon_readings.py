@@ -101,6 +101,13 @@ def test_tendons_make_the_shape_sure_where_they_run():
     assert found.at(LENGTH, 0.5).std_position < 0.5 * unread.std_position
 
 
+def test_displacements_that_contradict_others_are_no_traceback():
+    values = np.zeros((5, 3))
+    values[2, 0] = 1e-3
+    found = estimate(tendon_robot().prior, GRID, [readings(np.full(5, 0.5), values)])
+    assert found.solve.refused == {}
+
+
 def test_a_recording_keeps_tendons_with_their_channels(tmp_path):
     rng = np.random.default_rng(5)
     given = readings([0.0, 0.5], rng.standard_normal((2, 6)), compliance=np.full(3, 1e-4))
