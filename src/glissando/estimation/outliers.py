@@ -70,7 +70,7 @@ def judged(
     used: Sequence[Mask],
     gate: float,
 ) -> list[Mask]:
-    """Which readings of each stream the others do not refute; none of those of the whole robot.
+    """Which readings of each stream the others do not refute; those that read more than one state are kept.
 
     Args:
         posterior: The estimate.
@@ -83,7 +83,7 @@ def judged(
     for stream, rows in zip(readings, used, strict=True):
         terms = next(streams) if rows.any() else None
         kept = rows.copy()
-        if stream.loss is None and not stream.spans and terms is not None:
+        if stream.loss is None and stream.reads_one_state and terms is not None:
             asked = np.flatnonzero(~rows | _suspects(terms, rows))
             limit = chi_square_exceedance(gate, terms.residual.shape[1]) * _scale_of(terms)
             if asked.size:

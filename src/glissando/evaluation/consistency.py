@@ -138,7 +138,7 @@ def check_readings(
     readings: Sequence[Readings],
     sensor_parameters: Sequence[SensorParameter] = (),
 ) -> list[Consistency]:
-    """Consistency of the innovations of every stream that was used, but of accelerometers.
+    """Consistency of the innovations of every stream that was used and reads one state at a time.
 
     Args:
         posterior: The estimate.
@@ -149,7 +149,7 @@ def check_readings(
     return [
         _consistency(r.label, r.arclength, "innovation", innovations(posterior, r), r.row_count)
         for r in (corrected(r, known) for r in readings)
-        if len(r) and not r.accelerates
+        if len(r) and r.reads_one_state
     ]
 
 

@@ -47,7 +47,7 @@ def leave_out(
         readings: The streams, as `estimate` takes them.
         watch: Called before each estimate, of which there are two more than streams, and one.
     """
-    streams = [r.inside(grid) for r in readings if len(r) and not r.accelerates]
+    streams = [r.inside(grid) for r in readings if len(r) and r.reads_one_state]
     odd = [_stretch(r, grid) for r in streams]
     jobs: list[tuple[str, list[Readings], list[Readings]]] = []
     if len(streams) > 1:

@@ -259,7 +259,7 @@ class _Run:
         since = self.smoother.time
         if since is None:
             return
-        for readings in arrived:
+        for readings in (r for r in arrived if r.reads_one_state):
             ahead = corrected(readings.select(readings.time > since), self.known)
             adaptive = self.adaptive.setdefault(readings.label, AdaptiveSet())
             try:

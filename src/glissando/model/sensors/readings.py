@@ -195,6 +195,11 @@ class Readings(Brief):
         return self.name or type(self).__name__
 
     @property
+    def reads_one_state(self) -> bool:
+        """Whether a reading depends on nothing but the state at its own place and time."""
+        return not (self.spans or self.accelerates)
+
+    @property
     def row_count(self) -> int:
         """Residual rows of one reading."""
         return self.rows
