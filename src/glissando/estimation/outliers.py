@@ -70,7 +70,9 @@ def judged(
     used: Sequence[Mask],
     gate: float,
 ) -> list[Mask]:
-    """Which readings of each stream the others do not refute; those that read more than one state are kept.
+    """Which readings of each stream the others do not refute.
+
+    Readings that depend on more than one state are kept.
 
     Args:
         posterior: The estimate.
