@@ -168,6 +168,27 @@ class ModalMotion:
         return onward, early, late, sqrt_information(np.kron(spread, np.eye(3)))
 
 
+def cubic(step: float) -> tuple[Array, Array]:
+    """Coefficients (4, 4) of a load between two nodes by [D, Ḋ] of both; its derivatives at 0."""
+    coefficients = np.array(
+        [[1, 0, 0, 0], [0, step, 0, 0], [-3, -2 * step, 3, -step], [2, step, -2, step]]
+    )
+    return coefficients, np.diag([1.0, 1.0, 2.0, 6.0]) @ coefficients
+
+
+def driven_mode(omega: float, damping: float, step: float) -> tuple[Array, Array]:
+    """Rates (2, 2) of a mode alone, and those (6, 6) over a step, driven by a cubic load.
+
+    A mode that a step does not resolve counts as the fastest that it does.
+    """
+    omega, damping = min(omega, FASTEST / step), min(damping, QUICKEST / step)
+    own = np.array([[0.0, 1.0], [-(omega**2), -damping]])
+    chain = np.zeros((6, 6))
+    chain[:2, :2], chain[1, 2] = step * own, step
+    chain[2, 3] = chain[3, 4] = chain[4, 5] = 1.0
+    return own, chain
+
+
 @lru_cache(maxsize=256)
 def _transition(
     rate: tuple[float, ...], damping: tuple[float, ...], step: float, time_scale: float
@@ -178,17 +199,10 @@ def _transition(
     """
     x, w = leggauss(_POINTS)
     time, weight = 0.5 * step * (x + 1.0), 0.5 * step * w
-    cubic = np.array(
-        [[1, 0, 0, 0], [0, step, 0, 0], [-3, -2 * step, 3, -step], [2, step, -2, step]]
-    )
-    derivatives = np.diag([1.0, 1.0, 2.0, 6.0]) @ cubic
+    _, derivatives = cubic(step)
     maps, green = np.zeros((3, len(rate), 2, 2)), np.zeros((len(rate), 2, _POINTS))
     for j, (omega, c) in enumerate(zip(rate, damping, strict=True)):
-        omega, c = min(omega, FASTEST / step), min(c, QUICKEST / step)
-        own = np.array([[0.0, 1.0], [-(omega**2), -c]])
-        chain = np.zeros((6, 6))
-        chain[:2, :2], chain[1, 2] = step * own, step
-        chain[2, 3] = chain[3, 4] = chain[4, 5] = 1.0
+        own, chain = driven_mode(omega, c, step)
         found = scipy.linalg.expm(chain)
         driven = found[:2, 2:] @ derivatives
         maps[:, j] = found[:2, :2], driven[:, :2], driven[:, 2:]

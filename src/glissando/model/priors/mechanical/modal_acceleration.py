@@ -13,11 +13,11 @@ from glissando.model.grid import Grid
 from glissando.model.interpolation import Interpolation
 from glissando.model.priors.acceleration import accelerated_in_world
 from glissando.model.priors.mechanical.inertia import (
-    FASTEST,
     PINNED,
-    QUICKEST,
     ModalMotion,
     bridge_covariance,
+    cubic,
+    driven_mode,
     modal_slopes,
     modal_values,
 )
@@ -97,26 +97,19 @@ def _functional(
     """
     x, w = leggauss(_POINTS)
     points, weight = 0.5 * offset * (x + 1.0), 0.5 * offset * w
-    cubic = np.array(
-        [[1, 0, 0, 0], [0, step, 0, 0], [-3, -2 * step, 3, -step], [2, step, -2, step]]
-    )
+    coefficients, derivatives = cubic(step)
     u = offset / step
-    now = np.array([1.0, u, u**2, u**3]) @ cubic  # D by [D, Ḋ] of both ends
-    derivatives = np.diag([1.0, 1.0, 2.0, 6.0]) @ cubic
+    now = np.array([1.0, u, u**2, u**3]) @ coefficients  # D by [D, Ḋ] of both ends
     out, pull = np.zeros((2, len(rate), 4)), np.zeros((len(rate), _POINTS + 1))
     for j, (omega, c) in enumerate(zip(rate, damping, strict=True)):
-        omega, c = min(omega, FASTEST / step), min(c, QUICKEST / step)
-        own = np.array([[0.0, 1.0], [-(omega**2), -c]])
-        chain = np.zeros((6, 6))
-        chain[:2, :2], chain[1, 2] = step * own, step
-        chain[2, 3] = chain[3, 4] = chain[4, 5] = 1.0
+        own, chain = driven_mode(omega, c, step)
         found = scipy.linalg.expm(u * chain)
         back = own[1]
         free = back @ found[:2, :2]
         forced = now + back @ found[:2, 2:] @ derivatives
         for end in (0, 1):
             own_forced = forced[2 * end : 2 * end + 2]
-            out[end, j] = np.concatenate([omega**2 * own_forced, own_forced])
+            out[end, j] = np.concatenate([-back[0] * own_forced, own_forced])
         out[0, j, :2] += free
         green = scipy.linalg.expm((offset - points)[:, None, None] * own)[:, :, 1]
         pull[j] = np.append(weight * (green @ back), 1.0)
