@@ -12,7 +12,7 @@ import oracles.intervals
 import oracles.se3
 import oracles.steps
 import oracles.transitions
-from glissando._kernels import normal_equations, sensors
+from glissando._kernels import normal_equations
 from glissando._kernels.arrays import whole
 from glissando.geometry import se3
 from glissando.model import noise
@@ -132,28 +132,6 @@ def inside_rated(rng, lead):
     return (*ends, step, 0.4 * step, 0.1 * gain, rest), {}
 
 
-def inside_steps(rng, lead):
-    direction = (ARCLENGTH, TIME)[rng.integers(2)]
-    start, end, step = states(rng, lead), states(rng, lead), rng.uniform(0.01, 0.3, lead)
-    about, (psd, carried, jump) = sixes(rng, lead), rng.uniform(0.1, 2.0, (3, *lead, 6))
-    return (direction, start, end, step, 0.4 * step, about, (psd, carried, jump)), {}
-
-
-def sensed(rng, lead):
-    at = se3.exp(sixes(rng, lead, rng.choice(ANGLES[:-2])))
-    pose, mount = se3.exp(sixes(rng, lead, rng.uniform(0.0, 3.0))), se3.exp(sixes(rng, ()))
-    rolls = bool(rng.integers(2))
-    values = pose @ mount @ se3.inverse(at)
-    if rolls:
-        values = values @ se3.exp(np.array([0.0, 0.0, 0.0, 0.0, 0.0, rng.uniform(-3.0, 3.0)]))
-    return (values, pose, mount), {"rolls": rolls}
-
-
-def missed(rng, lead):
-    options = {"rolls": bool(rng.integers(2))}
-    return (sixes(rng, lead, rng.choice(ANGLES)), se3.exp(sixes(rng, ()))), options
-
-
 def seen_between(rng, lead):
     m, r = int(np.prod(lead)), int(rng.integers(1, 7))
     by_state = rng.standard_normal((m, r, 18)) * (rng.random(18) < 0.4)
@@ -175,15 +153,12 @@ ARGUMENTS = {
     steps.weighted_steps: weighted,
     steps.static_steps: still,
     steps.pair_between: step_gain,
-    steps.bridged: inside_steps,
     intervals_.interval_error: rated,
     intervals_.interval_between: inside_rated,
 }
 """What calls a kernel, and how to draw arguments for it and its definition of the same name."""
 
 KERNELS = {
-    sensors.pose_error: sensed,
-    sensors.pose_error_jacobian: missed,
     normal_equations.at_nodes: seen_between,
 }
 """Kernels that are called as they are, on lists."""

@@ -11,7 +11,7 @@ from glissando.model.factors import Factors
 from glissando.model.grid import Index
 from glissando.model.priors.prior import interval_strain
 from glissando.model.priors.steps import ARCLENGTH, Direction
-from glissando.model.state import State
+from glissando.model.state import DOF, POSE, STRAIN, State
 from oracles import se3
 from oracles.se3 import Array
 from oracles.steps import carried_error, pair_error
@@ -106,6 +106,35 @@ def pose_error_jacobian(miss: Array, mount: Array, *, rolls: bool = False) -> Ar
     by_roll = se3.left_jacobian_inverse(miss)[..., :, 5]
     follow = full[..., 5:, :] / by_roll[..., 5, None, None]
     return full[..., :5, :] - by_roll[..., :5, None] * follow
+
+
+def sense(kind: str, values: Array, mount: Array, at: State) -> tuple[Array, Array]:
+    """Residuals (M, r) of readings and their slopes (M, r, 18) by the states `at` (M,)."""
+    m, back = len(values), se3.adjoint(se3.inverse(mount))
+    there, turned = at.pose @ mount, np.swapaxes(mount[:3, :3], -1, -2)
+    if kind in ("pose", "coil"):
+        rolls = kind == "coil"
+        residual = pose_error(values, at.pose, mount, rolls=rolls)
+        block, where = pose_error_jacobian(residual, mount, rolls=rolls), POSE
+        residual = residual[:, : block.shape[1]]
+    elif kind == "position":
+        residual = there[:, :3, 3] - values
+        block, where = there[:, :3, :3] @ back[:3], POSE
+    elif kind == "orientation":
+        apart = np.tile(np.eye(4), (m, 1, 1))
+        apart[:, :3, :3] = np.swapaxes(values, -1, -2) @ there[:, :3, :3]
+        turn = se3.log(apart)
+        residual = turn[:, 3:]
+        block, where = se3.right_jacobian_inverse(turn)[:, 3:, 3:] @ back[3:], POSE
+    elif kind == "gyro":
+        residual = at.velocity[:, 3:] @ mount[:3, :3] - values
+        block, where = np.broadcast_to(turned, (m, 3, 3)), slice(15, 18)
+    else:
+        residual = at.strain - values
+        block, where = np.broadcast_to(np.eye(6), (m, 6, 6)), STRAIN
+    slope = np.zeros((*residual.shape, DOF))
+    slope[..., where] = block
+    return residual, slope
 
 
 def at_nodes(by_state: Array, jacobian: Array, left: Array, cov: Array) -> tuple[Array, Array]:

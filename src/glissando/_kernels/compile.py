@@ -17,6 +17,7 @@ from glissando._kernels import (  # noqa: F401  (importing them makes their kern
     static_steps,
     steps,
     transitions,
+    white_noise,
 )
 from glissando._kernels.jit import compile_named
 

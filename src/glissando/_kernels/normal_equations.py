@@ -15,6 +15,7 @@ from glissando._kernels.process import apply_into, whiten_into
 
 _GROUP = 6  # columns of one field of a node: pose, strain, velocity, strain rate
 _BATCH = "i8[:,::1], i8, f8[:,:,:,::1], f8[:,::1], f8[:,:,::1], f8[:,:,::1]"
+SUMS = "f8[:,:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,::1], f8[:,::1]"
 
 
 @jit()
@@ -71,7 +72,39 @@ def _whitened(sqrt_info, jacobian, extras, residual, groups, slopes, white, miss
     return width
 
 
-@jit(f"({_BATCH}, f8[::1], i8, i8, f8[:,:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,::1], f8[:,::1])")
+@jit()
+def add_factor(
+    nodes, first_dof, jacobian, residual, sqrt_info, extras, weight, n_count, dof,
+    begin, end, across, rhs_begin, rhs_end, slopes, white, miss, square, room,
+):  # fmt: skip
+    """Whiten a factor and add it to the blocks of intervals; the last five are scratch."""
+    r, count = len(residual), len(begin)
+    k, found = _groups(nodes, first_dof, jacobian, extras, n_count, dof, count, room)
+    groups = room[:found]
+    width = _whitened(sqrt_info, jacobian, extras, residual, groups, slopes, white, miss)
+    live = white[:r, :width]
+    product(live, live, square[:width, :width], weight, 0.0, True, False)
+    row = 0
+    for a in range(found):
+        late, at, height = groups[a, 0], groups[a, 1], groups[a, 2]
+        rhs, column = rhs_end[k] if late else rhs_begin[k], 0
+        for x in range(height):
+            for y in range(r):
+                rhs[at + x] -= weight * white[y, row + x] * miss[y]
+        for b in range(found):
+            beside, wide = groups[b, 1], groups[b, 2]
+            if groups[b, 0] <= late:
+                block = begin[k]
+                if late:
+                    block = end[k] if groups[b, 0] else across[k]
+                for x in range(height):
+                    for y in range(wide):
+                        block[at + x, beside + y] += square[row + x, column + y]
+            column += wide
+        row += height
+
+
+@jit(f"({_BATCH}, f8[::1], i8, i8, {SUMS})")
 def accumulate(
     nodes, first_dof, jacobian, residual, sqrt_info, extras, weights, n_count, dof,
     begin, end, across, rhs_begin, rhs_end,
@@ -82,35 +115,14 @@ def accumulate(
     couples its end (rows) with its beginning (columns).
     """
     m, r, c, d = jacobian.shape
-    q, count = c * d + extras.shape[2], len(begin)
+    q = c * d + extras.shape[2]
     slopes, white, miss = np.empty((r, q)), np.empty((r, q)), np.empty(r)
     square, room = np.empty((q, q)), np.empty((q + 2, 4), np.int64)
     for i in range(m):
-        k, found = _groups(nodes[i], first_dof, jacobian[i], extras[i], n_count, dof, count, room)
-        groups = room[:found]
-        width = _whitened(
-            sqrt_info[i], jacobian[i], extras[i], residual[i], groups, slopes, white, miss
-        )
-        live = white[:, :width]
-        product(live, live, square[:width, :width], weights[i], 0.0, True, False)
-        row = 0
-        for a in range(found):
-            late, at, height = groups[a, 0], groups[a, 1], groups[a, 2]
-            rhs, column = rhs_end[k] if late else rhs_begin[k], 0
-            for x in range(height):
-                for y in range(r):
-                    rhs[at + x] -= weights[i] * white[y, row + x] * miss[y]
-            for b in range(found):
-                beside, wide = groups[b, 1], groups[b, 2]
-                if groups[b, 0] <= late:
-                    block = begin[k]
-                    if late:
-                        block = end[k] if groups[b, 0] else across[k]
-                    for x in range(height):
-                        for y in range(wide):
-                            block[at + x, beside + y] += square[row + x, column + y]
-                column += wide
-            row += height
+        add_factor(
+            nodes[i], first_dof, jacobian[i], residual[i], sqrt_info[i], extras[i], weights[i],
+            n_count, dof, begin, end, across, rhs_begin, rhs_end, slopes, white, miss, square, room,
+        )  # fmt: skip
 
 
 @jit(f"({_BATCH}, i8[::1], i8, i8, f8[:,:,::1], f8[:,:,::1], f8[:,::1], f8[::1])")
@@ -175,6 +187,29 @@ def _squared(rows, inverse, coupling, miss, weight):
     return out
 
 
+@jit()
+def at_nodes_into(by_state, jacobian, left, cov, out, whitener):
+    """Slopes (r, c, d) of a residual by nodes, into zeros, and what whitens it: see `at_nodes`."""
+    r, dof = by_state.shape
+    c, d = jacobian.shape[1:]
+    half, whole = np.zeros((r, dof)), np.empty((r, r))
+    for i in range(r):
+        for k in range(dof):
+            share = by_state[i, k]
+            if share != 0.0:  # a sensor sees little of a state
+                for j in range(dof):
+                    half[i, j] += share * left[k, j]
+                for a in range(c):
+                    for j in range(d):
+                        out[i, a, j] += share * jacobian[k, a, j]
+    for i in range(r):
+        for j in range(r):
+            whole[i, j] = cov[i, j]
+            for k in range(dof):
+                whole[i, j] += half[i, k] * by_state[j, k]
+    whiten_into(whole, whitener)
+
+
 @jit("(f8[:,:,::1], f8[:,:,:,::1], f8[:,:,::1], f8[:,:,::1])")
 def at_nodes(by_state, jacobian, left, cov):
     """Slopes of residuals by nodes (M, r, c, d), and what whitens the residuals (M, r, r).
@@ -182,26 +217,9 @@ def at_nodes(by_state, jacobian, left, cov):
     `by_state` (M, r, 18) is their slope by the state between the nodes, which has slopes `jacobian`
     (M, 18, c, d) and what nodes `left` uncertain (M, 18, 18), added to `cov` (M, r, r): (13).
     """
-    m, r, dof = by_state.shape
+    m, r = by_state.shape[:2]
     c, d = jacobian.shape[2:]
     out, whitener = np.zeros((m, r, c, d)), np.empty((m, r, r))
-    half, whole = np.empty((r, dof)), np.empty((r, r))
     for n in range(m):
-        for i in range(r):
-            for j in range(dof):
-                half[i, j] = 0.0
-            for k in range(dof):
-                share = by_state[n, i, k]
-                if share != 0.0:  # a sensor sees little of a state
-                    for j in range(dof):
-                        half[i, j] += share * left[n, k, j]
-                    for a in range(c):
-                        for j in range(d):
-                            out[n, i, a, j] += share * jacobian[n, k, a, j]
-        for i in range(r):
-            for j in range(r):
-                whole[i, j] = cov[n, i, j]
-                for k in range(dof):
-                    whole[i, j] += half[i, k] * by_state[n, j, k]
-        whiten_into(whole, whitener[n])
+        at_nodes_into(by_state[n], jacobian[n], left[n], cov[n], out[n], whitener[n])
     return out, whitener

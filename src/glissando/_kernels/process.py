@@ -135,15 +135,16 @@ def bridge_into(
     rate, step, offset, psd, carried_psd, jump, rigid, gain, cov, carried_gain, carried_cov
 ):
     """Bridge at `offset` into a step: gains and covariances of pair (12, 12), carried (6, 6)."""
-    rest, none, x = step - offset, np.zeros(6), np.empty(6)
+    rest, x, jumps = step - offset, np.empty(6), np.zeros((2, 6))
     phi, ride, pose, lever = np.eye(12), np.eye(6), np.empty((4, 4)), np.empty((6, 6))
-    near, whole, cross = np.empty((12, 12)), np.empty((12, 12)), np.empty((12, 12))
-    near6, whole6, cross6 = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
+    noise, carried, cross = np.empty((2, 12, 12)), np.empty((2, 6, 6)), np.empty((12, 12))
+    cross6 = np.empty((6, 6))
     for j in range(6):
         x[j] = rest * rate[j]
     right_jacobian_into(x, lever)
     for j in range(6):
         x[j] = -x[j]
+        jumps[1, j] = jump[j]
         for k in range(6):
             phi[j, 6 + k] = rest * lever[j, k]
     exp_into(x, pose)
@@ -153,12 +154,14 @@ def bridge_into(
             phi[j, k] = lever[j, k]
             if rigid:
                 ride[j, k] = lever[j, k]
-    process_into(rate, offset, psd, carried_psd, none, rigid, near, near6)
-    process_into(rate, step, psd, carried_psd, jump, rigid, whole, whole6)
-    product(phi, near, cross, 1.0, 0.0, False, False)
-    product(ride, near6, cross6, 1.0, 0.0, False, False)
-    _condition(near, cross, whole, gain, cov)
-    _condition(near6, cross6, whole6, carried_gain, carried_cov)
+    for i in range(2):  # up to the point, and of the whole step
+        process_into(
+            rate, step if i else offset, psd, carried_psd, jumps[i], rigid, noise[i], carried[i]
+        )
+    product(phi, noise[0], cross, 1.0, 0.0, False, False)
+    product(ride, carried[0], cross6, 1.0, 0.0, False, False)
+    _condition(noise[0], cross, noise[1], gain, cov)
+    _condition(carried[0], cross6, carried[1], carried_gain, carried_cov)
 
 
 @jit("(f8[:,:,::1],)")

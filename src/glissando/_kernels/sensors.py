@@ -1,4 +1,7 @@
-"""Errors of measured poses, with or without their roll. Source: equations (14) and (15)."""
+"""What built-in sensors read of a state: residuals and slopes. Source: equations (14) to (17).
+
+A sensor has a number; its readings are rows of sixteen numbers, those it does not need zeros.
+"""
 
 from __future__ import annotations
 
@@ -17,43 +20,99 @@ from glissando._kernels.lie import (
     times_into,
 )
 
-
-@jit("(f8[:,:,::1], f8[:,:,::1], f8[:,:,::1], b1)")
-def pose_error(values, pose, mount, rolls):
-    """Errors (M, 6) of measured poses; with `rolls` their roll is turned to agree."""
-    out, roll = np.empty((len(pose), 6)), np.zeros(6)
-    there, apart, turn = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
-    for n in range(len(pose)):
-        compose_into(pose[n], mount[n], there)
-        ahead_into(values[n], there, apart)
-        if rolls:
-            roll[5] = -atan2(apart[1, 0] - apart[0, 1], apart[0, 0] + apart[1, 1])
-            exp_into(roll, turn)
-            for i in range(4):
-                for j in range(4):
-                    there[i, j] = apart[i, j]
-            compose_into(turn, there, apart)
-        log_into(apart, out[n])
-    return out
+POSE, COIL, POSITION, ORIENTATION, GYRO, STRAIN = range(6)
+ROWS = (6, 5, 3, 3, 3, 6)
+"""How many residuals a reading of each of them has."""
 
 
-@jit("(f8[:,::1], f8[:,:,::1], b1)")
-def pose_error_jacobian(miss, mount, rolls):
-    """Slopes of those errors by the pose, (M, 6, 6) or (M, 5, 6)."""
-    rows = 5 if rolls else 6
-    out = np.empty((len(miss), rows, 6))
-    spread, back, whole = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
-    opposite = np.empty(6)
-    for n in range(len(miss)):
-        right_jacobian_inverse_into(miss[n], spread)
-        adjoint_back_into(mount[n], back)
-        times_into(spread, back, whole)
-        if rolls:  # that by a roll before the error; J_l(x) is J_r(−x)
-            for i in range(6):
-                opposite[i] = -miss[n, i]
-            right_jacobian_inverse_into(opposite, spread)
-        for i in range(rows):
-            follow = spread[i, 5] / spread[5, 5] if rolls else 0.0
+@jit()
+def _pose_into(values, there, rolls, error):
+    """Error (6,) of a measured pose `there`; if it rolls, its roll is first turned to agree."""
+    measured, apart, roll = np.empty((4, 4)), np.empty((4, 4)), np.zeros(6)
+    turn, turned = np.eye(4), np.empty((4, 4))
+    for i in range(16):
+        measured[i // 4, i % 4] = values[i]
+    ahead_into(measured, there, apart)
+    if rolls:
+        roll[5] = -atan2(apart[1, 0] - apart[0, 1], apart[0, 0] + apart[1, 1])
+        exp_into(roll, turn)
+    compose_into(turn, apart, turned)
+    log_into(turned, error)
+
+
+@jit()
+def _pose_slopes(error, back, rolls, by_state):
+    """Slopes of that error by the pose; of one that rolls, less the roll that follows it."""
+    spread, whole, opposite = np.empty((6, 6)), np.empty((6, 6)), np.empty(6)
+    right_jacobian_inverse_into(error, spread)
+    times_into(spread, back, whole)
+    if rolls:  # that by a roll before the error; J_l(x) is J_r(−x)
+        for i in range(6):
+            opposite[i] = -error[i]
+        right_jacobian_inverse_into(opposite, spread)
+    for i in range(5 if rolls else 6):
+        follow = spread[i, 5] / spread[5, 5] if rolls else 0.0
+        for j in range(6):
+            by_state[i, j] = whole[i, j] - follow * whole[5, j]
+
+
+@jit()
+def _orientation_into(values, there, back, residual, by_state):
+    """The rotation vector from the measured orientation to that of a pose, and its slopes."""
+    turn, error, spread = np.eye(4), np.empty(6), np.empty((6, 6))
+    for i in range(3):
+        for j in range(3):
+            turn[i, j] = 0.0
+            for k in range(3):
+                turn[i, j] += values[3 * k + i] * there[k, j]
+    log_into(turn, error)
+    error[0] = error[1] = error[2] = 0.0
+    right_jacobian_inverse_into(error, spread)
+    for i in range(3):
+        residual[i] = error[3 + i]
+        for j in range(6):
+            for k in range(6):
+                by_state[i, j] += spread[3 + i, k] * back[k, j] if k >= 3 else 0.0
+
+
+@jit()
+def sense_into(kind, values, mount, pose, strain, velocity, residual, by_state):
+    """Residual of a reading (6,) and its slope (6, 18) by the state, both into zeros."""
+    there, back = np.empty((4, 4)), np.empty((6, 6))
+    if kind == STRAIN:
+        for i in range(6):
+            residual[i], by_state[i, 6 + i] = strain[i] - values[i], 1.0
+        return
+    if kind == GYRO:
+        for i in range(3):
+            residual[i] = -values[i]
+            for j in range(3):
+                residual[i] += velocity[3 + j] * mount[j, i]
+                by_state[i, 15 + j] = mount[j, i]
+        return
+    compose_into(pose, mount, there)
+    adjoint_back_into(mount, back)
+    if kind == POSITION:
+        for i in range(3):
+            residual[i] = there[i, 3] - values[i]
             for j in range(6):
-                out[n, i, j] = whole[i, j] - follow * whole[5, j]
-    return out
+                for k in range(3):
+                    by_state[i, j] += there[i, k] * back[k, j]
+    elif kind == ORIENTATION:
+        _orientation_into(values, there, back, residual, by_state)
+    else:
+        _pose_into(values, there, kind == COIL, residual)
+        _pose_slopes(residual, back, kind == COIL, by_state)
+        if kind == COIL:
+            residual[5] = 0.0
+
+
+@jit("(i8, f8[:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,::1], f8[:,::1])")
+def sense(kind, values, mount, pose, strain, velocity):
+    """Residuals (M, 6) of readings at states and their slopes (M, 6, 18); unused rows are zeros."""
+    residual, by_state = np.zeros((len(values), 6)), np.zeros((len(values), 6, 18))
+    for n in range(len(values)):
+        sense_into(
+            kind, values[n], mount[n], pose[n], strain[n], velocity[n], residual[n], by_state[n]
+        )
+    return residual, by_state

@@ -90,6 +90,36 @@ def _carried(start, end, field0, field1, at, rigid, error, j0, j1):
             j0[i, j], j0[i, at + j], j1[i, j] = lean[i, j], -ride[i, j], -curl[i, j]
 
 
+@jit()
+def step_into(
+    pose0, pose1, rate0, rate1, field0, field1, about0, about1, step, weight, psd, carried_psd,
+    jump, at, carried_at, rigid, error, slopes, info, lost, lost_slopes, lost_info,
+):  # fmt: skip
+    """Errors (12,), (6,) of a step, slopes (r, 2, 18), whiteners (r, r); the pair's into zeros."""
+    back, pull, spread = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
+    middle, cov, carried_cov = np.empty(6), np.empty((12, 12)), np.empty((6, 6))
+    c0, c1 = np.empty((6, 18)), np.empty((6, 18))
+    pair_into(pose0, pose1, rate0, rate1, step, error, back, pull, spread)
+    _carried(pose0, pose1, field0, field1, carried_at, rigid, lost, c0, c1)
+    for i in range(6):
+        for j in range(6):
+            slopes[i, 0, j], slopes[i, 0, at + j] = back[i, j], pull[i, j]
+            slopes[i, 1, j] = spread[i, j]
+        slopes[6 + i, 0, at + i], slopes[6 + i, 1, at + i] = -1.0, 1.0
+        for j in range(18):
+            lost_slopes[i, 0, j], lost_slopes[i, 1, j] = c0[i, j], c1[i, j]
+    middle_into(about0, about1, step, psd, jump, middle)
+    process_into(middle, step, psd, carried_psd, jump, rigid, cov, carried_cov)
+    pair_whiten_into(cov, info)
+    whiten_into(carried_cov, lost_info)
+    for i in range(12):
+        for j in range(12):
+            info[i, j] *= weight
+    for i in range(6):
+        for j in range(6):
+            lost_info[i, j] *= weight
+
+
 @jit(
     "(f8[:,:,::1], f8[:,::1], f8[:,::1], f8[:,::1], i8[:,::1], f8[::1], f8[::1],"
     " f8[:,::1], f8[:,::1], f8[:,::1], i8, i8, b1)"
@@ -102,30 +132,13 @@ def weighted_steps(
     error, lost = np.empty((m, 12)), np.empty((m, 6))
     slopes, lost_slopes = np.zeros((m, 12, 2, 18)), np.empty((m, 6, 2, 18))
     info, lost_info = np.zeros((m, 12, 12)), np.empty((m, 6, 6))
-    back, pull, spread = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
-    c0, c1, middle = np.empty((6, 18)), np.empty((6, 18)), np.empty(6)
-    cov, carried_cov = np.empty((12, 12)), np.empty((6, 6))
     for n in range(m):
-        a, b, h = nodes[n, 0], nodes[n, 1], step[n]
-        pair_into(pose[a], pose[b], rates[a], rates[b], h, error[n], back, pull, spread)
-        _carried(pose[a], pose[b], fields[a], fields[b], carried_at, rigid, lost[n], c0, c1)
-        for i in range(6):
-            for j in range(6):
-                slopes[n, i, 0, j], slopes[n, i, 0, at + j] = back[i, j], pull[i, j]
-                slopes[n, i, 1, j] = spread[i, j]
-            slopes[n, 6 + i, 0, at + i], slopes[n, 6 + i, 1, at + i] = -1.0, 1.0
-            for j in range(18):
-                lost_slopes[n, i, 0, j], lost_slopes[n, i, 1, j] = c0[i, j], c1[i, j]
-        middle_into(about[a], about[b], h, psd[n], jump[n], middle)
-        process_into(middle, h, psd[n], carried_psd[n], jump[n], rigid, cov, carried_cov)
-        pair_whiten_into(cov, info[n])
-        whiten_into(carried_cov, lost_info[n])
-        for i in range(12):
-            for j in range(12):
-                info[n, i, j] *= weight[n]
-        for i in range(6):
-            for j in range(6):
-                lost_info[n, i, j] *= weight[n]
+        a, b = nodes[n, 0], nodes[n, 1]
+        step_into(
+            pose[a], pose[b], rates[a], rates[b], fields[a], fields[b], about[a], about[b],
+            step[n], weight[n], psd[n], carried_psd[n], jump[n], at, carried_at, rigid,
+            error[n], slopes[n], info[n], lost[n], lost_slopes[n], lost_info[n],
+        )  # fmt: skip
     return error, slopes, info, lost, lost_slopes, lost_info
 
 
@@ -251,32 +264,20 @@ def _carried_point(
         j0[at + i, at + i] += 1.0
 
 
-@jit(
-    "(f8[:,:,::1], f8[:,:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[::1], f8[::1],"
-    " f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], i8, i8, b1)"
-)
-def bridged(
+@jit()
+def bridged_into(
     start, end, rate0, rate1, field0, field1, step, offset, about, psd, carried_psd, jump,
-    at, carried_at, rigid,
+    at, carried_at, rigid, pose, rate, field, j0, j1, left,
 ):  # fmt: skip
-    """States inside steps, slopes (M, 18, 18) by both ends, covariances (M, 18, 18) given both."""
-    m = len(step)
-    pose, rate, field = np.empty((m, 4, 4)), np.empty((m, 6)), np.empty((m, 6))
-    j0, j1, left = np.zeros((m, 18, 18)), np.zeros((m, 18, 18)), np.zeros((m, 18, 18))
+    """State inside a step; slopes (18, 18) by both ends and covariance given both, into zeros."""
     gain, cov, turn = np.empty((12, 12)), np.empty((12, 12)), np.empty((6, 6))
     carried_gain, carried_cov = np.empty((6, 6)), np.empty((6, 6))
-    for n in range(m):
-        bridge_into(
-            about[n], step[n], offset[n], psd[n], carried_psd[n], jump[n], rigid,
-            gain, cov, carried_gain, carried_cov,
-        )  # fmt: skip
-        pair_point_into(
-            start[n], end[n], rate0[n], rate1[n], step[n], offset[n], gain, at,
-            pose[n], rate[n], turn, j0[n], j1[n],
-        )  # fmt: skip
-        _pair_covariance(turn, cov, at, left[n])
-        _carried_point(
-            start[n], end[n], field0[n], field1[n], pose[n], rigid, carried_gain, carried_cov,
-            carried_at, field[n], j0[n], j1[n], left[n],
-        )  # fmt: skip
-    return pose, rate, field, j0, j1, left
+    bridge_into(
+        about, step, offset, psd, carried_psd, jump, rigid, gain, cov, carried_gain, carried_cov
+    )
+    pair_point_into(start, end, rate0, rate1, step, offset, gain, at, pose, rate, turn, j0, j1)
+    _pair_covariance(turn, cov, at, left)
+    _carried_point(
+        start, end, field0, field1, pose, rigid, carried_gain, carried_cov, carried_at,
+        field, j0, j1, left,
+    )  # fmt: skip

@@ -20,16 +20,18 @@ from glissando.estimation.posterior import Posterior, SolveReport, StateEstimate
 from glissando.estimation.window_nodes import Nodes
 from glissando.estimation.window_system import WindowSystem
 from glissando.geometry.se3 import Array
-from glissando.model.factors import Factors
+from glissando.model.factors import Factors, Residuals
 from glissando.model.grid import Grid, Index
 from glissando.model.priors.prior import Prior
+from glissando.model.priors.white_noise import WhiteNoisePrior
+from glissando.model.sensors.compiled_readings import reading_rows
 from glissando.model.sensors.parameter_process import EstimatedParameters
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import DOF, POSE, STRAIN, State
 from glissando.solver.located_readings import locate
 from glissando.solver.measurement_factors import measurement_factors
-from glissando.solver.normal_equations import Layout, kernel_arguments
+from glissando.solver.normal_equations import Layout, NormalEquationsBuilder, kernel_arguments
 from glissando.solver.outcome import Outcome
 
 
@@ -50,6 +52,16 @@ class Innovations:
     dof: int
 
 
+@dataclass(frozen=True)
+class _Terms:
+    """Linearised readings: stream (M,) and row (M,) of each, factors, and their weights (M,)."""
+
+    streams: Index
+    rows: Index
+    batch: Factors
+    weights: Array
+
+
 class SlidingWindow:
     """Time nodes of a prior on `arclength` (N,), solved together with `sensor_parameters`.
 
@@ -67,7 +79,7 @@ class SlidingWindow:
         self._process = EstimatedParameters(Grid(arclength, [0.0]), self.sensor_parameters)
         self._parameters = self._process.mean, np.diag(self._process.std**2)
         self._root = np.zeros((0, 0))  # its square is the covariance of the newest node
-        self._factors: list[tuple[int, Index, Factors]] = []
+        self._terms: list[_Terms] = []
         self._first = 0
 
     def begin(self, time: float, state: State) -> None:
@@ -197,19 +209,61 @@ class SlidingWindow:
         """Sum the factors of the intervals from `first` on. Source: equation (19)."""
         motion = self._motion_of_others(first)
         nodes, grid = self.nodes.take(slice(first, None)), self.grid(first)
-        located = locate(grid, readings, self.sensor_parameters, nodes.parameters, keep_all=True)
-        located = replace(located, motion=motion)
         builder = self._system.builder(first)
-        self._factors, self._first = [], first
-        for i, times in enumerate(located.blocks):
-            for batch in self.prior.factors(grid, nodes.state, nodes.state, times):
+        self._terms, self._first = [], first
+        self._dof = np.array([r.row_count for r in readings])
+        others = dict(enumerate(readings))
+        if type(self.prior) is WhiteNoisePrior and motion is None:
+            self.prior.accumulate(grid, nodes.state, builder.sums)
+            self._add_rows(grid, nodes.state, others, builder)
+            if not (others or self._process.size):
+                return
+        else:
+            for batch in self.prior.factors(grid, nodes.state, nodes.state, slice(0, len(nodes))):
                 builder.accumulate(self._dated(batch, nodes))
+        known = self.sensor_parameters, nodes.parameters
+        located = locate(grid, list(others.values()), *known, keep_all=True)
+        located, numbers = replace(located, motion=motion), list(others)
+        for i in range(len(located.blocks)):
             found = measurement_factors(self.prior, located, nodes.state, nodes.state, i)
             for stream, rows, batch in found:
-                self._factors.append((stream, rows, self._dated(batch, nodes)))
-                builder.accumulate(self._factors[-1][2])
+                dated = self._dated(batch, nodes)
+                weights = dated.terms.robust_weights()
+                builder.accumulate(dated, weights)
+                which = np.full(rows.size, numbers[stream])
+                self._terms.append(_Terms(which, rows, dated, weights))
         if self._process.size:
             builder.accumulate_drift(*located.parameters.process.drift(nodes.parameters))
+
+    def _add_rows(
+        self,
+        grid: Grid,
+        state: State,
+        readings: dict[int, Readings],
+        builder: NormalEquationsBuilder,
+    ) -> None:
+        """Add all readings that kernels take as rows, and take them out of `readings`."""
+        assert isinstance(self.prior, WhiteNoisePrior)
+        taken = {}
+        for i, r in list(readings.items()):
+            rows = None if self._is_estimated(r) else reading_rows(r)
+            if rows is not None:
+                taken[i] = rows
+                del readings[i]
+        if not taken:
+            return
+        counts = [len(rows) for rows, *_ in taken.values()]
+        together = [np.concatenate(parts) for parts in zip(*taken.values(), strict=True)]
+        found = self.prior.readings(grid, state, together)
+        nodes, slopes, residual, whitener, weights = found
+        batch = Factors(nodes, slice(0, DOF), slopes, Residuals(residual, whitener))
+        builder.accumulate(batch, weights)
+        stream, row = np.repeat(list(taken), counts), np.concatenate([np.arange(c) for c in counts])
+        self._terms.append(_Terms(stream, row, batch, weights))
+
+    def _is_estimated(self, readings: Readings) -> bool:
+        """Whether a parameter of the stream is estimated."""
+        return any(readings.name in p.streams for p in self.sensor_parameters)
 
     def _motion_of_others(self, first: int) -> State | None:
         """The nodes from `first` on as streams without a delay show them, if there are delays.
@@ -250,18 +304,21 @@ class SlidingWindow:
 
     def innovations(self, fresh: Sequence[int]) -> list[Innovations]:
         """Squared innovations of each stream's rows from `fresh` on, each against all others."""
-        cholesky, out = self._system.cholesky, []
+        cholesky, out, begins = self._system.cholesky, [], np.asarray(fresh)
         since = slice(self._first, None)
         solved = cholesky.inverse[since], cholesky.coupling[since], self.nodes.step[since]
-        for stream, rows, batch in self._factors:
-            which = np.flatnonzero(rows >= fresh[stream])
-            if which.size:
-                nis = kernels.squared_innovations(
-                    *kernel_arguments(batch), which, self.layout.nodes, self.layout.dof, *solved,
-                    batch.terms.robust_weights()[which],
-                )  # fmt: skip
-                dof = batch.terms.residual.shape[1]
-                out.append(Innovations(stream, rows[which], nis, dof))
+        for terms in self._terms:
+            which = np.flatnonzero(terms.rows >= begins[terms.streams])
+            if not which.size:
+                continue
+            nis = kernels.squared_innovations(
+                *kernel_arguments(terms.batch), which, self.layout.nodes, self.layout.dof, *solved,
+                terms.weights[which],
+            )  # fmt: skip
+            streams, rows = terms.streams[which], terms.rows[which]
+            for stream in dict.fromkeys(streams.tolist()):
+                own = streams == stream
+                out.append(Innovations(stream, rows[own], nis[own], int(self._dof[stream])))
         return out
 
     def newest(self) -> tuple[State, Array]:

@@ -72,14 +72,23 @@ class NormalEquationsBuilder:
         begin, rhs = workspace[:count], np.empty((count, layout.size))
         return NormalEquationsBuilder(layout, begin, begin[1:], workspace[count:], rhs, rhs[1:])
 
-    def accumulate(self, batch: Factors) -> None:
-        """Whiten a batch of factors and add it. Source: equation (19)."""
+    @property
+    def sums(self) -> tuple[Array, ...]:
+        """All sums, as kernels take them."""
+        return self.begin, self.end, self.across, self.rhs_begin, self.rhs_end
+
+    def accumulate(self, batch: Factors, weights: Array | None = None) -> None:
+        """Whiten a batch of factors and add it; `weights` (M,) replace those of its loss.
+
+        Source: equation (19).
+        """
+        weights = batch.terms.robust_weights() if weights is None else weights
         kernels.accumulate(
             *kernel_arguments(batch),
-            batch.terms.robust_weights(),
+            weights,
             self.layout.nodes,
             self.layout.dof,
-            *(self.begin, self.end, self.across, self.rhs_begin, self.rhs_end),
+            *self.sums,
         )
 
     def accumulate_drift(self, decay: Array, std: Array, residual: Array) -> None:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from glissando._kernels import static_steps as still
 from glissando._kernels import steps as kernels
 from glissando._kernels import transitions
-from glissando._kernels.arrays import items, unflatten, whole
+from glissando._kernels.arrays import whole
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Index
 from glissando.model.state import STRAIN, VELOCITY, State
@@ -108,48 +108,6 @@ def static_steps(
         *map(whole, (flat.pose, flat.strain, nodes, step, psd, jump)), False
     )
     return error, jacobian, whitener
-
-
-def bridged(
-    direction: Direction,
-    start: State,
-    end: State,
-    step: Array,
-    offset: Array,
-    rate: Array,
-    densities: Densities,
-) -> tuple[State, Array, Array, Array]:
-    """State inside a step, given both ends. Source: equations (2'), (10), (12).
-
-    T(u) = T₀ exp(u rate₀) exp(δ), with [δ; δ_rate] = gain e, the gain of the bridge about `rate`.
-
-    Args:
-        direction: Along arclength or time.
-        start: State (M,) where the steps begin.
-        end: State (M,) where they end.
-        step: Lengths (M,), metres or seconds.
-        offset: Places (M,) inside the steps.
-        rate: Strain or velocity (M, 6) that the noise is linearised about.
-        densities: Of the noise.
-
-    Returns:
-        State (M,), its Jacobians (M, 18, 18) by both ends, and what stays uncertain when both ends
-        are known, a covariance (M, 18, 18) in the body frame.
-    """
-    lead = start.pose.shape[:-2]
-    pose, moved, carried, *rest = unflatten(
-        lead,
-        *kernels.bridged(
-            *(items(at.pose, lead, 4, 4) for at in (start, end)),
-            *(items(direction.rate_of(at), lead, 6) for at in (start, end)),
-            *(items(direction.carried_of(at), lead, 6) for at in (start, end)),
-            items(step, lead), items(offset, lead), items(rate, lead, 6),
-            *(items(each, lead, 6) for each in densities),
-            direction.rate.start, direction.carried.start, direction.rigid,
-        ),
-    )  # fmt: skip
-    j0, j1, cov = rest
-    return direction.build(pose, moved, carried), j0, j1, cov
 
 
 def pair_between(

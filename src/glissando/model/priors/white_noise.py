@@ -7,17 +7,19 @@ the grid does not repeat the prior as if it were news.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 import numpy as np
 
+from glissando._kernels import white_noise as kernels
+from glissando._kernels.arrays import whole
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.factors import Factors, Residuals
 from glissando.model.grid import Grid, Index
-from glissando.model.interpolation import Interpolation, Points, chained
+from glissando.model.interpolation import Interpolation, Points
 from glissando.model.priors.prior import by_interval, interval_strain, is_soft, soften
 from glissando.model.priors.prior_table import (
     PriorTable,
@@ -28,7 +30,7 @@ from glissando.model.priors.prior_table import (
 )
 from glissando.model.priors.rest_shape import STRAIGHT, RestShape
 from glissando.model.priors.static import static_factors
-from glissando.model.priors.steps import ARCLENGTH, TIME, Direction, bridged, weighted_steps
+from glissando.model.priors.steps import ARCLENGTH, TIME, Direction, weighted_steps
 from glissando.model.state import DOF, POSE, STRAIN, VELOCITY, State, rest_state
 
 _ALL = slice(0, DOF)
@@ -216,7 +218,48 @@ class WhiteNoisePrior:
         come from the rates of `noise_state`, a state on the same grid, as the weights of the
         factors do; they are constants to the Jacobian.
         """
-        return _interpolate(self, grid, state, noise_state, points)
+        cells = points.along, points.through
+        lower = np.stack([each.lower for each in cells], axis=1)
+        places = np.array([[each.step, each.offset] for each in cells])
+        nodes_are = state.pose, state.strain, state.velocity
+        pose, strain, velocity, nodes, jacobian, cov = kernels.points(
+            lower, whole(places.transpose(2, 0, 1)), *map(whole, nodes_are),
+            whole(noise_state.strain), whole(noise_state.velocity), *self.densities(grid),
+            grid.arclength_spans, grid.time_spans,
+            (1 + points.inside_arclength) * (1 + points.inside_time),
+        )  # fmt: skip
+        return Interpolation(State(pose, strain, velocity), nodes, jacobian, cov)
+
+    def densities(self, grid: Grid) -> tuple[Array, Array]:
+        """Densities (N−1, 3, 6) of steps along arclength and (K−1, 3, 6) of those along time.
+
+        Each of the moving field, of the carried one, and the variance of a jump.
+        """
+        along = self.along_arclength(grid.arclength, np.arange(grid.arclength.size - 1))
+        through = self.along_time(0.5 * (grid.time[1:] + grid.time[:-1]))
+        return np.stack(along, axis=1), np.stack(through, axis=1)
+
+    def accumulate(self, grid: Grid, state: State, sums: Sequence[Array]) -> None:
+        """Add what `factors` says, linearised at nodes (K, N), to the sums of intervals.
+
+        Args:
+            grid: The nodes.
+            state: Nodes (K, N) to linearise at; the weights come from them as well.
+            sums: Those of a `NormalEquationsBuilder`.
+        """
+        base = np.zeros(0) if self.base is None else np.concatenate(list(vars(self.base).values()))
+        kernels.accumulate(
+            grid.arclength, grid.time, grid.arclength_spans, grid.time_spans,
+            *state.fields(), *self.densities(grid), self.base_pose, self.rest_strain, base, *sums,
+        )  # fmt: skip
+
+    def readings(self, grid: Grid, state: State, rows: Sequence[Array]) -> tuple[Any, ...]:
+        """Factors of readings, given as `reading_rows`: see `_kernels.white_noise.readings`."""
+        spans = grid.arclength_spans, grid.time_spans
+        found: tuple[Any, ...] = kernels.readings(
+            *rows, grid.arclength, grid.time, *spans, *state.fields(), *self.densities(grid)
+        )
+        return found
 
     def _along(
         self,
@@ -244,65 +287,3 @@ class WhiteNoisePrior:
         density = np.concatenate([self.base.pose, self.base.strain, self.base.velocity])
         info = np.sqrt(spans)[:, None, None] * np.diag(1.0 / np.sqrt(density))
         return Factors(nodes, _ALL, jacobian, Residuals(residual, info))
-
-
-def _interpolate(
-    prior: WhiteNoisePrior, grid: Grid, state: State, noise_state: State, points: Points
-) -> Interpolation:
-    s, t = points.along, points.through
-    flat, n_count = state.flatten(), grid.arclength.size
-    if not points.inside_time:
-        if points.inside_arclength:
-            return _along_arclength(prior, grid, flat, noise_state, points, t.nearest)
-        node = t.nearest * n_count + s.nearest
-        eye, none = np.zeros((2, node.size, DOF, DOF))
-        np.einsum("mii->mi", eye)[...] = 1.0
-        return Interpolation(flat.take(node), node[:, None], eye[:, :, None], none)
-    if not points.inside_arclength:  # both ends are nodes
-        nodes = (t.lower * n_count + s.nearest)[:, None] + np.array([0, n_count])
-        start, end = flat.take(nodes[:, 0]), flat.take(nodes[:, 1])
-        at, j0, j1, cov = _between_times(prior, grid, noise_state, points, start, end)
-        return Interpolation(at, nodes, np.stack([j0, j1], axis=2), cov)
-    early, late = (
-        _along_arclength(prior, grid, flat, noise_state, points, k) for k in (t.lower, t.lower + 1)
-    )
-    at, j0, j1, cov = _between_times(prior, grid, noise_state, points, early.state, late.state)
-    for jacobian, corner in ((j0, early), (j1, late)):
-        cov = cov + jacobian @ corner.cov @ np.swapaxes(jacobian, -1, -2)
-    j0, j1 = chained(j0, early.jacobian), chained(j1, late.jacobian)
-    nodes = np.concatenate([early.nodes, late.nodes], axis=1)
-    return Interpolation(at, nodes, np.concatenate([j0, j1], axis=2), cov)
-
-
-def _along_arclength(
-    prior: WhiteNoisePrior, grid: Grid, flat: State, noise_state: State, points: Points, k: Index
-) -> Interpolation:
-    """Between two nodes of the times `k` (M,)."""
-    s = points.along
-    nodes = (k * grid.arclength.size + s.lower)[:, None] + np.arange(2)
-    start, end = flat.take(nodes[:, 0]), flat.take(nodes[:, 1])
-    psd, carried, jump = prior.along_arclength(grid.arclength, s.lower)
-    ends = noise_state.strain[k, s.lower], noise_state.strain[k, s.lower + 1]
-    rate = interval_strain(*ends, s.step, (psd, jump))
-    weight = grid.time_spans[k, None]
-    densities = psd / weight, carried / weight, jump / weight
-    at, j0, j1, cov = bridged(ARCLENGTH, start, end, s.step, s.offset, rate, densities)
-    return Interpolation(at, nodes, np.stack([j0, j1], axis=2), cov)
-
-
-def _between_times(
-    prior: WhiteNoisePrior, grid: Grid, noise_state: State, points: Points, start: State, end: State
-) -> tuple[State, Array, Array, Array]:
-    """Between two states at the times of nodes: what `bridged` gives."""
-    s, t = points.along, points.through
-    velocity, later = noise_state.velocity, t.lower + 1
-    if points.inside_arclength:
-        mean = 0.5 * (velocity[t.lower] + velocity[later])
-        rows, share = np.arange(s.lower.size), s.share[:, None]
-        rate = (1.0 - share) * mean[rows, s.lower] + share * mean[rows, s.lower + 1]
-        span = np.interp(points.arclength, grid.arclength, grid.arclength_spans)[:, None]
-    else:
-        rate = 0.5 * (velocity[t.lower, s.nearest] + velocity[later, s.nearest])
-        span = grid.arclength_spans[s.nearest, None]
-    psd, carried, jump = prior.along_time(grid.time[t.lower] + 0.5 * t.step)
-    return bridged(TIME, start, end, t.step, t.offset, rate, (psd / span, carried / span, jump))

@@ -10,16 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glissando._kernels import sensors as kernels
-from glissando._kernels.arrays import items
 from glissando.errors import SensorError
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.sensors.accelerometer import AccelerometerReadings as AccelerometerReadings
+from glissando.model.sensors.compiled_readings import CompiledReadings
 from glissando.model.sensors.readings import SENSORS, Readings
 from glissando.model.sensors.tendons import TendonReadings as TendonReadings
-from glissando.model.state import DOF, POSE, STRAIN, State
+from glissando.model.state import DOF, STRAIN, State
 
-_ANGULAR_VELOCITY = slice(15, 18)
 _POSITION = dict.fromkeys(("x", "y", "z"), "m")
 _QUATERNION = dict.fromkeys(("qw", "qx", "qy", "qz"), "1")
 
@@ -40,39 +39,13 @@ def sensor_class(kind: str) -> type[Readings]:
     return SENSORS[kind]
 
 
-def _mounted(readings: Readings, at: State) -> Array:
-    """Pose T_wc (M, 4, 4) of the sensor."""
-    return at.pose @ readings.mount
-
-
-def _to_sensor(readings: Readings) -> Array:
-    """Ad(T_bc⁻¹) (…, 6, 6), which takes body to sensor."""
-    return se3.adjoint(se3.inverse(readings.mount))
-
-
-def _pose_error(readings: Readings, at: State, *, rolls: bool = False) -> Array:
-    """log(T_meas⁻¹ T T_bc) (M, 6); if the sensor `rolls`, its roll is first turned to agree."""
-    lead = at.pose.shape[:-2]
-    poses = (items(each, lead, 4, 4) for each in (readings.values, at.pose, readings.mount))
-    error: Array = kernels.pose_error(*poses, rolls).reshape(*lead, 6)
-    return error
-
-
-def _pose_error_jacobian(error: Array, mount: Array, *, rolls: bool = False) -> Array:
-    """Slope of that error by the pose, (M, 6, 6); if it rolls (M, 5, 6), less what follows."""
-    lead = error.shape[:-1]
-    found = kernels.pose_error_jacobian(items(error, lead, 6), items(mount, lead, 4, 4), rolls)
-    jacobian: Array = found.reshape(*lead, *found.shape[1:])
-    return jacobian
-
-
 def _columns(block: Array, where: slice) -> Array:
     out = np.zeros((*block.shape[:-1], DOF))
     out[..., where] = block
     return out
 
 
-class _TrackedPose(Readings):
+class _TrackedPose(CompiledReadings):
     """What trackers share that report poses T_wc."""
 
     columns: ClassVar[Mapping[str, str]] = {**_POSITION, **_QUATERNION}
@@ -108,15 +81,8 @@ class _TrackedPose(Readings):
 class PoseReadings(_TrackedPose, kind="pose"):
     """A six-degree-of-freedom tracker: `values` (M, 4, 4) poses T_wc. Source: equation (14)."""
 
+    sensor: ClassVar[int] = kernels.POSE
     rows: ClassVar[int] = 6
-
-    def residual(self, at: State) -> Array:
-        """log(T_meas⁻¹ T T_bc), [linear, angular] in the sensor's frame."""
-        return _pose_error(self, at)
-
-    def jacobian(self, at: State) -> Array:
-        """J_r⁻¹(e) Ad(T_bc⁻¹) on the pose."""
-        return _columns(_pose_error_jacobian(self.residual(at), self.mount), POSE)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,22 +94,15 @@ class CoilReadings(_TrackedPose, kind="coil"):
     the coil's x and y alike. Source: equation (15).
     """
 
+    sensor: ClassVar[int] = kernels.COIL
     rows: ClassVar[int] = 5
-
-    def residual(self, at: State) -> Array:
-        """First five components of log(T_rolled⁻¹ T T_bc); the sixth is zero by construction."""
-        return _pose_error(self, at, rolls=True)[..., :5]
-
-    def jacobian(self, at: State) -> Array:
-        """The pose's Jacobian less the roll that follows it."""
-        error = _pose_error(self, at, rolls=True)
-        return _columns(_pose_error_jacobian(error, self.mount, rolls=True), POSE)
 
 
 @dataclass(frozen=True, kw_only=True)
-class PositionReadings(Readings, kind="position"):
+class PositionReadings(CompiledReadings, kind="position"):
     """A point seen in the world: `values` (M, 3) positions in metres. Source: (17)."""
 
+    sensor: ClassVar[int] = kernels.POSITION
     rows: ClassVar[int] = 3
     columns: ClassVar[Mapping[str, str]] = _POSITION
     value_shape: ClassVar[tuple[int, ...] | None] = (3,)
@@ -160,20 +119,12 @@ class PositionReadings(Readings, kind="position"):
         """Positions of poses."""
         return pose[:, :3, 3]
 
-    def residual(self, at: State) -> Array:
-        """Position of the sensor minus the reading, world frame."""
-        return _mounted(self, at)[..., :3, 3] - self.values
-
-    def jacobian(self, at: State) -> Array:
-        """R_wc times the linear half of Ad(T_bc⁻¹)."""
-        rotation = _mounted(self, at)[..., :3, :3]
-        return _columns(rotation @ _to_sensor(self)[..., :3, :], POSE)
-
 
 @dataclass(frozen=True, kw_only=True)
-class OrientationReadings(Readings, kind="orientation"):
+class OrientationReadings(CompiledReadings, kind="orientation"):
     """An orientation in the world: `values` (M, 3, 3) rotations R_wc. Source: (17)."""
 
+    sensor: ClassVar[int] = kernels.ORIENTATION
     rows: ClassVar[int] = 3
     columns: ClassVar[Mapping[str, str]] = _QUATERNION
     value_shape: ClassVar[tuple[int, ...] | None] = (3, 3)
@@ -205,58 +156,28 @@ class OrientationReadings(Readings, kind="orientation"):
         """Rotations of poses."""
         return pose[:, :3, :3]
 
-    def residual(self, at: State) -> Array:
-        """log(R_measᵀ R_wc), a rotation vector in radians."""
-        rotation = _mounted(self, at)[..., :3, :3]
-        return se3.so3_log(np.swapaxes(self.values, -1, -2) @ rotation)
-
-    def jacobian(self, at: State) -> Array:
-        """The angular block of J_r⁻¹ times the mount's rotation."""
-        turn = np.zeros((len(self), 6))
-        turn[:, 3:] = self.residual(at)
-        spread = se3.right_jacobian_inverse(turn)[..., 3:, 3:]
-        return _columns(spread @ _to_sensor(self)[..., 3:, :], POSE)
-
 
 @dataclass(frozen=True, kw_only=True)
-class GyroReadings(Readings, kind="gyro"):
+class GyroReadings(CompiledReadings, kind="gyro"):
     """Angular velocity in the sensor's own frame: `values` (M, 3) in rad/s. Source: (17)."""
 
+    sensor: ClassVar[int] = kernels.GYRO
     rows: ClassVar[int] = 3
     columns: ClassVar[Mapping[str, str]] = dict.fromkeys(("wx", "wy", "wz"), "rad/s")
     value_shape: ClassVar[tuple[int, ...] | None] = (3,)
 
-    def residual(self, at: State) -> Array:
-        """R_bcᵀ times the body's angular velocity, minus the reading."""
-        return (
-            np.einsum("...i,...ij->...j", at.velocity[..., 3:], self.mount[..., :3, :3])
-            - self.values
-        )
-
-    def jacobian(self, at: State) -> Array:
-        """R_bcᵀ on the angular velocity."""
-        turn = np.broadcast_to(np.swapaxes(self.mount[..., :3, :3], -1, -2), (len(self), 3, 3))
-        return _columns(turn, _ANGULAR_VELOCITY)
-
 
 @dataclass(frozen=True, kw_only=True)
-class StrainReadings(Readings, kind="strain"):
+class StrainReadings(CompiledReadings, kind="strain"):
     """All six strains of the cross-section: `values` (M, 6), [linear, angular]. Source: (17)."""
 
+    sensor: ClassVar[int] = kernels.STRAIN
     rows: ClassVar[int] = 6
     columns: ClassVar[Mapping[str, str]] = {
         **dict.fromkeys(("nu_x", "nu_y", "nu_z"), "1"),
         **dict.fromkeys(("u_x", "u_y", "u_z"), "rad/m"),
     }
     value_shape: ClassVar[tuple[int, ...] | None] = (6,)
-
-    def residual(self, at: State) -> Array:
-        """Strain minus the reading."""
-        return at.strain - self.values
-
-    def jacobian(self, at: State) -> Array:
-        """Identity on the strain."""
-        return _columns(np.broadcast_to(np.eye(6), (len(self), 6, 6)), STRAIN)
 
 
 @dataclass(frozen=True, kw_only=True)
