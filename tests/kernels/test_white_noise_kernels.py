@@ -48,6 +48,11 @@ def readings_of(rng, kind, **options):
     return sensor(time=time, arclength=place, values=values, cov=cov, mount=mount, **options)
 
 
+def densities(believed):
+    """Densities of the steps between the nodes of the grid."""
+    return believed.arclength_densities(GRID.arclength), believed.time_densities(GRID.time)
+
+
 def sums_of(grid):
     size, (k, n) = DOF, grid.shape
     blocks = [np.empty((count, n * size, n * size)) for count in (k, k, k - 1)]
@@ -75,7 +80,7 @@ def test_the_sums_of_the_prior_are_those_of_its_factors(firm):
     believed, state = jointed(rng), motion(rng, GRID)
     believed = believed if firm else replace(believed, base=None)
     one, each = sums_of(GRID), sums_of(GRID)
-    believed.accumulate(GRID, state, one.sums)
+    believed.accumulate(GRID, state, densities(believed), one.sums)
     for batch in believed.factors(GRID, state, state, slice(0, 4)):
         each.accumulate(batch)
     for mine, its in zip(one.sums, each.sums, strict=True):
@@ -102,7 +107,9 @@ def test_readings_taken_together_weigh_what_each_stream_does(kind, loss):
     rng = np.random.default_rng(6)
     believed, state, readings = jointed(rng), motion(rng, GRID), readings_of(rng, kind, loss=loss)
     rows = reading_rows(readings)
-    nodes, slopes, residual, whitener, weights = believed.readings(GRID, state, rows)
+    nodes, slopes, residual, whitener, weights = believed.readings(
+        GRID, state, densities(believed), rows
+    )
     one, each = sums_of(GRID), sums_of(GRID)
     one.accumulate(Factors(nodes, slice(0, DOF), slopes, Residuals(residual, whitener)), weights)
     for _, _, batch in measurement_factors(believed, locate(GRID, [readings]), state, state, 0):

@@ -68,18 +68,22 @@ def factor(diagonal, lower, start, inverse, coupling, at):
 
 
 @jit()
-def _forward(inverse, coupling, x):
-    """Solve with the factor, in place (K, D)."""
-    for k in range(len(x)):
+def forward(inverse, coupling, x, start):
+    """Solve with the factor, in place (K, D), from slab `start` on, those before being solved."""
+    d = x.shape[1]
+    for k in range(start, len(x)):
+        y = x[k]
         if k:
-            for j in range(x.shape[1]):
-                for i in range(x.shape[1]):
-                    x[k, i] -= coupling[k - 1, j, i] * x[k - 1, j]
-        for i in range(x.shape[1] - 1, -1, -1):
-            value = 0.0
+            before, couple = x[k - 1], coupling[k - 1]
+            for j in range(d):
+                row, value = couple[j], before[j]
+                for i in range(d):
+                    y[i] -= row[i] * value
+        for i in range(d - 1, -1, -1):
+            row, value = inverse[k, i], 0.0
             for j in range(i + 1):
-                value += inverse[k, i, j] * x[k, j]
-            x[k, i] = value
+                value += row[j] * y[j]
+            y[i] = value
 
 
 @jit("(f8[:,:,::1], f8[:,:,::1], f8[:,::1])")
@@ -87,21 +91,25 @@ def backward(inverse, coupling, x):
     """Solve with the transposed factor, in place (K, D)."""
     d = x.shape[1]
     for k in range(len(x) - 1, -1, -1):
+        y = x[k]
         if k < len(coupling):
+            later, couple = x[k + 1], coupling[k]
             for i in range(d):
+                row, value = couple[i], 0.0
                 for j in range(d):
-                    x[k, i] -= coupling[k, i, j] * x[k + 1, j]
+                    value += row[j] * later[j]
+                y[i] -= value
         for j in range(d):  # column after column: x_i needs x_j of j ≥ i only
-            value = x[k, j]
-            x[k, j] = 0.0
+            row, value = inverse[k, j], y[j]
+            y[j] = 0.0
             for i in range(j + 1):
-                x[k, i] += inverse[k, j, i] * value
+                y[i] += row[i] * value
 
 
 @jit("(f8[:,:,::1], f8[:,:,::1], f8[:,::1])")
 def solve(inverse, coupling, x):
     """Solve with the matrix, in place (K, D)."""
-    _forward(inverse, coupling, x)
+    forward(inverse, coupling, x, 0)
     backward(inverse, coupling, x)
 
 

@@ -62,7 +62,7 @@ class FixedLagSmoother:
         """
         if window < 1:
             raise OutsideGridError(f"A window of {window} time nodes is empty; give 1 or more.")
-        load()
+        load("window")
         self.arclength = np.asarray(arclength, dtype=float)
         _meet(prior, self.arclength)
         self.lag = window

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from glissando._kernels import normal_equations as kernels
+from glissando._kernels import window as window_kernels
 from glissando.estimation.delays import at_times, delay_columns, motion_left, moving_with
 from glissando.estimation.posterior import Posterior, SolveReport, StateEstimate
 from glissando.estimation.window_nodes import Nodes
@@ -76,10 +77,13 @@ class SlidingWindow:
         self.sensor_parameters = tuple(p for p in sensor_parameters if not p.known)
         self.before: float | None = None
         self.undelayed: SlidingWindow | None = None
-        self._process = EstimatedParameters(Grid(arclength, [0.0]), self.sensor_parameters)
+        self._grid = Grid(arclength, [0.0])
+        self._process = EstimatedParameters(self._grid, self.sensor_parameters)
         self._parameters = self._process.mean, np.diag(self._process.std**2)
         self._root = np.zeros((0, 0))  # its square is the covariance of the newest node
         self._terms: list[_Terms] = []
+        if type(prior) is WhiteNoisePrior:
+            self._along = prior.arclength_densities(arclength)
         self._first = 0
 
     def begin(self, time: float, state: State) -> None:
@@ -88,6 +92,7 @@ class SlidingWindow:
         values, cov = self._parameters
         self.before = None
         self.nodes = self._node(time, state, values)
+        self.layout = Layout(self.arclength.size, state.dof, self._process.size)
         size, own = self.layout.size, slice(state.numbers, None)
         info, rhs = np.zeros((size, size)), np.zeros(size)
         own_info = self._process.std**-2.0  # which the first node has anyway
@@ -126,15 +131,10 @@ class SlidingWindow:
         """Whether there is a node."""
         return hasattr(self, "nodes")
 
-    @property
-    def layout(self) -> Layout:
-        """How the numbers of a time node are laid out."""
-        return Layout(self.arclength.size, self.nodes.state.dof, self._process.size)
-
     def grid(self, first: int = 0) -> Grid:
         """The grid of the nodes from `first` on."""
         before = float(self.nodes.time[first - 1]) if first else self.before
-        return Grid(self.arclength, self.nodes.time[first:], before)
+        return self._grid.at_times(self.nodes.time[first:], before)
 
     def append(self, time: float) -> None:
         """One more node, where constant velocity (and strain rate) lead from the newest."""
@@ -214,8 +214,9 @@ class SlidingWindow:
         self._dof = np.array([r.row_count for r in readings])
         others = dict(enumerate(readings))
         if type(self.prior) is WhiteNoisePrior and motion is None:
-            self.prior.accumulate(grid, nodes.state, builder.sums)
-            self._add_rows(grid, nodes.state, others, builder)
+            densities = self._along, self.prior.time_densities(grid.time)
+            self.prior.accumulate(grid, nodes.state, densities, builder.sums)
+            self._add_rows(grid, nodes.state, densities, others, builder)
             if not (others or self._process.size):
                 return
         else:
@@ -239,6 +240,7 @@ class SlidingWindow:
         self,
         grid: Grid,
         state: State,
+        densities: tuple[Array, Array],
         readings: dict[int, Readings],
         builder: NormalEquationsBuilder,
     ) -> None:
@@ -254,7 +256,7 @@ class SlidingWindow:
             return
         counts = [len(rows) for rows, *_ in taken.values()]
         together = [np.concatenate(parts) for parts in zip(*taken.values(), strict=True)]
-        found = self.prior.readings(grid, state, together)
+        found = self.prior.readings(grid, state, densities, together)
         nodes, slopes, residual, whitener, weights = found
         batch = Factors(nodes, slice(0, DOF), slopes, Residuals(residual, whitener))
         builder.accumulate(batch, weights)
@@ -292,15 +294,11 @@ class SlidingWindow:
         A step goes straight where motions curve: half its length times the largest angle by which
         it turned any node that is linearised again.
         """
-        n_count, dof = self.layout.nodes, self.layout.dof
-        free = self.nodes.step[self._fixed(first) :, : n_count * dof]
+        free = self.nodes.step[self._fixed(first) :]
         if not free.size:
             return 0.0
-        inverse = self._root
-        variance = np.einsum("ij,ij->j", inverse, inverse)
-        length = np.abs(free[-1] / np.sqrt(variance[: n_count * dof])).reshape(n_count, dof)
-        turn = np.abs(free.reshape(-1, dof)[:, 3:6]).max()
-        return float(0.5 * turn * length[:, POSE].max())
+        layout = self.layout
+        return float(window_kernels.missed(self._root, free, layout.nodes, layout.dof))
 
     def innovations(self, fresh: Sequence[int]) -> list[Innovations]:
         """Squared innovations of each stream's rows from `fresh` on, each against all others."""
@@ -329,12 +327,9 @@ class SlidingWindow:
     def newest_nodes(self) -> StateEstimate:
         """The newest time at the nodes (N,), each with its own covariance (N, 18, 18)."""
         layout = self.layout
-        own = self._root[:, : layout.nodes * layout.dof]
-        halves = np.ascontiguousarray(own.T).reshape(layout.nodes, layout.dof, -1)[:, :DOF]
+        cov = window_kernels.node_covariances(self._root, layout.nodes, layout.dof, DOF)
         state = self.nodes.estimate[0].take(-1)
-        return StateEstimate(
-            state.pose, state.strain, state.velocity, halves @ np.swapaxes(halves, 1, 2)
-        )
+        return StateEstimate(state.pose, state.strain, state.velocity, cov)
 
     def posterior(self) -> Posterior:
         """The window as a posterior, as an estimate of a recording is."""

@@ -39,13 +39,18 @@ class Nodes:
 
     def joined(self, other: Nodes) -> Nodes:
         """These nodes, then the others."""
-        return Nodes(
-            np.append(self.time, other.time),
+        out = Nodes(
+            np.concatenate([self.time, other.time]),
             concatenate(self.state, other.state),
             np.concatenate([self.parameters, other.parameters]),
             np.concatenate([self.step, other.step]),
             np.concatenate([self.own, other.own]),
         )
+        if not other.step.any():  # it stands at its estimate, and those of these are known
+            state, parameters = self.estimate
+            later = concatenate(state, other.state), np.concatenate([parameters, other.parameters])
+            out.__dict__["estimate"] = later
+        return out
 
     @cached_property
     def estimate(self) -> tuple[State, Array]:

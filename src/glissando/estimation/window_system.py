@@ -6,12 +6,13 @@ from copy import copy
 
 import numpy as np
 
+from glissando._kernels import window as kernels
+from glissando._kernels.window import ACROSS, BEGIN, COUPLING, DIAGONAL, END, INVERSE
 from glissando.geometry.se3 import Array
-from glissando.solver.block_tridiagonal import BlockTridiagonal, Cholesky, factor
+from glissando.solver.block_tridiagonal import BlockTridiagonal, Cholesky, eliminate
 from glissando.solver.normal_equations import Layout, NormalEquationsBuilder
 
 _ROOM = 8  # slabs that memory is made for at first
-_BEGIN, _END, _ACROSS, _DIAGONAL, _INVERSE, _COUPLING = range(6)  # blocks of a slab, in memory
 
 
 class WindowSystem:
@@ -29,8 +30,8 @@ class WindowSystem:
 
     def __init__(self, layout: Layout, info: Array, rhs: Array) -> None:
         self.layout, self.info, self.rhs = layout, info, rhs
-        self._blocks = np.empty((_COUPLING + 1, _ROOM, layout.size, layout.size))
-        self._vectors = np.empty((2, _ROOM, layout.size))
+        self._blocks = np.empty((COUPLING + 1, _ROOM, layout.size, layout.size))
+        self._vectors = np.empty((3, _ROOM, layout.size))
         self._first = self._stop = self.intact = 0
 
     def __len__(self) -> int:
@@ -40,6 +41,7 @@ class WindowSystem:
         """The same in memory of its own."""
         out, used = copy(self), slice(self._first, self._stop)
         out._blocks, out._vectors = self._blocks[:, used].copy(), self._vectors[:, used].copy()
+        out.info, out.rhs = self.info.copy(), self.rhs.copy()
         out._first, out._stop = 0, len(self)
         return out
 
@@ -55,47 +57,45 @@ class WindowSystem:
 
     def _used(self, which: int) -> Array:
         """Blocks of one kind; those that couple slabs are one fewer."""
-        return self._blocks[which, self._first : self._stop - (which in (_ACROSS, _COUPLING))]
+        return self._blocks[which, self._first : self._stop - (which in (ACROSS, COUPLING))]
 
     def builder(self, first: int) -> NormalEquationsBuilder:
         """What sums the intervals from slab `first` on anew."""
         self.intact = min(self.intact, first)
-        rhs_begin, rhs_end = self._vectors[:, self._first + first : self._stop]
-        begin, end, across = (self._used(i)[first:] for i in (_BEGIN, _END, _ACROSS))
+        rhs_begin, rhs_end = self._vectors[:2, self._first + first : self._stop]
+        begin, end, across = (self._used(i)[first:] for i in (BEGIN, END, ACROSS))
         return NormalEquationsBuilder(self.layout, begin, end, across, rhs_begin, rhs_end)
 
-    def system(self, first: int = 0) -> tuple[BlockTridiagonal, Array]:
-        """The normal equations from slab `first` on, in memory that is used again; all of rhs."""
-        begin, end, diagonal = (self._used(i) for i in (_BEGIN, _END, _DIAGONAL))
-        rhs_begin, rhs_end = self._vectors[:, self._first : self._stop]
-        diagonal[first:] = begin[first:]
-        diagonal[max(first, 1) :] += end[max(first, 1) - 1 : -1]
-        rhs = rhs_begin.copy()
-        rhs[1:] += rhs_end[:-1]
-        rhs[0] += self.rhs
-        if not first:
-            diagonal[0] += self.info
-        return BlockTridiagonal(diagonal, self._used(_ACROSS)), rhs
+    @property
+    def _memory(self) -> tuple[Array | int, ...]:
+        """All there is, as kernels take it."""
+        return self._blocks, self._vectors, self.info, self.rhs, self._first, self._stop
+
+    def system(self) -> tuple[BlockTridiagonal, Array]:
+        """The normal equations, in memory that `solve` uses: of a copy, to be kept."""
+        kernels.sum_intervals(*self._memory, 0)
+        rhs = self._vectors[2, self._first : self._stop]
+        return BlockTridiagonal(self._used(DIAGONAL), self._used(ACROSS)), rhs
 
     @property
     def cholesky(self) -> Cholesky:
         """The factor."""
-        return Cholesky(self._used(_INVERSE), self._used(_COUPLING))
+        return Cholesky(self._used(INVERSE), self._used(COUPLING))
 
     def solve(self, first: int) -> Array:
-        """Eliminate from slab `first` on, where sums are new; the solution (K, D)."""
-        system, rhs = self.system(first)
-        solution = factor(system, self.cholesky, start=first).solve(rhs)
+        """Eliminate from slab `first` on, where sums are new; the solution (K, D).
+
+        Raises:
+            UnobservableError: Some direction of the state has no information.
+        """
+        solution = np.empty((len(self), self.layout.size))
+        eliminate(kernels.solve, *self._memory, first, solution)
         self.intact = len(self)
         return solution
 
     def drop(self) -> None:
         """Leave the oldest slab behind, as a prior on the next. Source: equation (20)."""
-        rhs_begin, rhs_end = self._vectors[:, self._first]
-        inverse, coupling = self._blocks[_INVERSE:, self._first]
-        solved = inverse @ (self.rhs + rhs_begin)
-        self.info = self._blocks[_END, self._first] - coupling.T @ coupling
-        self.rhs = rhs_end - coupling.T @ solved
+        kernels.drop(self._blocks, self._vectors, self.info, self.rhs, self._first)
         self._first, self.intact = self._first + 1, self.intact - 1
 
 

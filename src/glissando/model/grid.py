@@ -105,7 +105,7 @@ class Grid(Brief):
                 raise OutsideGridError(
                     f"The node before the grid, {before:g} s, must lie before {self.time[0]:g} s."
                 )
-            object.__setattr__(self, "time_spans", _spans(np.append(before, self.time))[1:])
+            vars(self).update(vars(self.at_times(self.time, before)))
 
     @staticmethod
     def apart(arclength: ArrayLike, count: int) -> Grid:
@@ -116,6 +116,18 @@ class Grid(Brief):
         grid = Grid(arclength, np.arange(count))
         object.__setattr__(grid, "time_spans", np.ones(count))
         return grid
+
+    def at_times(self, time: Array, before: float | None = None) -> Grid:
+        """The same arclength nodes at other times (K,), which are not checked.
+
+        Args:
+            time: Seconds, increasing.
+            before: The node before the first of them, if there is one.
+        """
+        spans = _spans(time) if before is None else _spans(np.append(before, time))[1:]
+        out = object.__new__(Grid)
+        out.__dict__.update(self.__dict__, time=time, before=before, time_spans=spans)
+        return out
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -7,7 +7,9 @@ slabs, and a factor can resume at any slab. Source: equations (20) to (22).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -142,10 +144,25 @@ def factor(
     """
     if workspace is None:
         workspace = Cholesky(np.empty_like(matrix.diagonal), np.empty_like(matrix.lower))
-    blocks, at = (whole(matrix.diagonal), whole(matrix.lower)), np.zeros(1, dtype=np.int64)
+    blocks = whole(matrix.diagonal), whole(matrix.lower)
+    eliminate(kernels.factor, *blocks, start, workspace.inverse, workspace.coupling)
+    return workspace
+
+
+def eliminate(kernel: Callable[..., int], *arguments: Any) -> None:
+    """Call a kernel that factors: one that takes, last of all, where to note the slab it is at.
+
+    Args:
+        kernel: Returns the first slab with a direction that has no information, or −1.
+        arguments: Its other arguments.
+
+    Raises:
+        UnobservableError: A pivot vanishes: some direction of the state has no information.
+    """
+    at = np.zeros(1, dtype=np.int64)
     try:
         with one_thread():
-            vanished = kernels.factor(*blocks, start, workspace.inverse, workspace.coupling, at)
+            vanished = kernel(*arguments, at)
     except np.linalg.LinAlgError:
         vanished = int(at[0])
     if vanished >= 0:
@@ -154,4 +171,3 @@ def factor(
             f"a direction of the state undetermined. Give the robot a [base], or a pose stream, or "
             f"coils or positions at several places of a bent shape."
         )
-    return workspace

@@ -224,40 +224,48 @@ class WhiteNoisePrior:
         nodes_are = state.pose, state.strain, state.velocity
         pose, strain, velocity, nodes, jacobian, cov = kernels.points(
             lower, whole(places.transpose(2, 0, 1)), *map(whole, nodes_are),
-            whole(noise_state.strain), whole(noise_state.velocity), *self.densities(grid),
+            whole(noise_state.strain), whole(noise_state.velocity),
+            self.arclength_densities(grid.arclength), self.time_densities(grid.time),
             grid.arclength_spans, grid.time_spans,
             (1 + points.inside_arclength) * (1 + points.inside_time),
         )  # fmt: skip
         return Interpolation(State(pose, strain, velocity), nodes, jacobian, cov)
 
-    def densities(self, grid: Grid) -> tuple[Array, Array]:
-        """Densities (N−1, 3, 6) of steps along arclength and (K−1, 3, 6) of those along time.
+    def arclength_densities(self, arclength: Array) -> Array:
+        """Densities (N−1, 3, 6) of the steps between arclength nodes (N,).
 
         Each of the moving field, of the carried one, and the variance of a jump.
         """
-        along = self.along_arclength(grid.arclength, np.arange(grid.arclength.size - 1))
-        through = self.along_time(0.5 * (grid.time[1:] + grid.time[:-1]))
-        return np.stack(along, axis=1), np.stack(through, axis=1)
+        return np.stack(self.along_arclength(arclength, np.arange(arclength.size - 1)), axis=1)
 
-    def accumulate(self, grid: Grid, state: State, sums: Sequence[Array]) -> None:
+    def time_densities(self, time: Array) -> Array:
+        """Densities (K−1, 3, 6) of the steps between time nodes (K,)."""
+        return np.stack(self.along_time(0.5 * (time[1:] + time[:-1])), axis=1)
+
+    def accumulate(
+        self, grid: Grid, state: State, densities: Sequence[Array], sums: Sequence[Array]
+    ) -> None:
         """Add what `factors` says, linearised at nodes (K, N), to the sums of intervals.
 
         Args:
             grid: The nodes.
             state: Nodes (K, N) to linearise at; the weights come from them as well.
+            densities: Those of the steps along arclength and along time.
             sums: Those of a `NormalEquationsBuilder`.
         """
         base = np.zeros(0) if self.base is None else np.concatenate(list(vars(self.base).values()))
         kernels.accumulate(
             grid.arclength, grid.time, grid.arclength_spans, grid.time_spans,
-            *state.fields(), *self.densities(grid), self.base_pose, self.rest_strain, base, *sums,
+            *state.fields(), *densities, self.base_pose, self.rest_strain, base, *sums,
         )  # fmt: skip
 
-    def readings(self, grid: Grid, state: State, rows: Sequence[Array]) -> tuple[Any, ...]:
+    def readings(
+        self, grid: Grid, state: State, densities: Sequence[Array], rows: Sequence[Array]
+    ) -> tuple[Any, ...]:
         """Factors of readings, given as `reading_rows`: see `_kernels.white_noise.readings`."""
         spans = grid.arclength_spans, grid.time_spans
         found: tuple[Any, ...] = kernels.readings(
-            *rows, grid.arclength, grid.time, *spans, *state.fields(), *self.densities(grid)
+            *rows, grid.arclength, grid.time, *spans, *state.fields(), *densities
         )
         return found
 
