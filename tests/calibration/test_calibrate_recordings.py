@@ -7,15 +7,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 import rigs_drawn as rigs
 from glissando.calibration.rig.calibrate import calibrate
 from glissando.calibration.rig.recording_data import calibrated, recording_data
+from glissando.calibration.rig.result import Calibration, apply, load_calibration
+from glissando.calibration.rig.rig import PARAMETERS, Rig
 from glissando.cli.main import main
 from glissando.errors import RecordingError
 from glissando.io.csv_stream import Rows, Stream
 from glissando.io.recording import Recording, load_recording, save_recording
 from glissando.io.shipped_robots import robot_file
+from glissando.model.tendons.channel import Channel
 
 
 def recording_of(data, *, thin=1):
@@ -58,6 +62,31 @@ def test_frame_delay_and_arclength_of_a_recording_are_found_within_their_confide
     made = calibrated(recording, found, own, robot)
     assert not made.unknown_frames
     assert off_in_space(made, "waving", seed, known.coil_mount) < 2e-3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("seed", "pitch"), [(6, np.inf), (7, 0.3)])
+def test_zero_and_place_of_a_coils_channel_are_found_within_their_confidence(seed, pitch):
+    stated = Channel(0.005, 0.7, pitch)
+    found, known, data = rigs.calibrated(seed, channel=stated)
+    shown = [k for k, name in enumerate(PARAMETERS) if not name.endswith(("rate", "backlash"))]
+    off = found.rig.minus(known)[shown]
+    nees = off @ np.linalg.solve(found.cov[np.ix_(shown, shown)], off)
+    low, high = chi2.ppf([0.005, 0.995], len(shown))
+    assert low < nees < high
+    zero, x = PARAMETERS.index("zero"), PARAMETERS.index("mount x")
+    assert found.std[zero] < 3e-4
+    assert (found.std[x] < 1e-4) == np.isfinite(pitch)  # only a winding one shows its radius
+    (coil,) = (s for s in apply(found, data).streams.values() if s.channel)
+    assert coil.channel == found.channel == found.rig.channel(data)
+
+
+def test_a_calibration_file_keeps_the_channel(tmp_path):
+    rig = Rig(np.eye(4), -1, 0.7, 0.0)
+    made = Calibration(rig, np.eye(len(PARAMETERS)), "coil", 0.0, channel=Channel(0.005, 0.7))
+    made.save(tmp_path / "rig.toml")
+    assert load_calibration(tmp_path / "rig.toml").channel == made.channel
+    assert {"channel radius", "channel angle"} <= {row[0] for row in made.displayed()}
 
 
 @pytest.fixture

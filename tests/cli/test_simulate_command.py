@@ -9,6 +9,7 @@ import pytest
 from glissando.cli.main import main
 from glissando.io.recording import load_recording
 from glissando.io.shipped_robots import robot_file
+from glissando.model.tendons.channel import Channel
 
 
 def run(*arguments):
@@ -189,3 +190,29 @@ def test_a_folder_that_holds_something_is_left_alone(tmp_path, capsys):
     assert simulate(tmp_path, "--slide", "hold", "--duration", 1) == 2
     assert "exists and is not empty" in capsys.readouterr().err
     assert [p.name for p in tmp_path.iterdir()] == ["note.txt"]
+
+
+@pytest.mark.slow
+def test_a_coil_in_a_channel_is_recorded_with_it_and_estimated_live_by_it(tmp_path, capsys):
+    made = tmp_path / "s"
+    shape = ("--shape", "C", "--slide", "traverse", "--duration", 8)
+    assert simulate(made, *shape, "--channel", "0.008,0.5", "--without", "all") == 0
+    assert load_recording(made).streams["coil"].channel == Channel(0.008, 0.5)
+    described = (made / "recording.toml").read_text()
+    head, _, rest = described.partition("[streams.channel]")
+    ignored = head + rest[rest.index("\n\n") :]
+    error = {}
+    for name, text in (("beside", described), ("ignored", ignored)):
+        (made / "recording.toml").write_text(text)
+        capsys.readouterr()
+        assert run("replay", made, "--json") == 0
+        error[name] = json.loads(capsys.readouterr().out)["newest"]["overall"]
+    assert error["beside"]["position_rmse"] < 0.8 * error["ignored"]["position_rmse"]
+    assert error["beside"]["coverage95_position"] > 0.85
+
+
+@pytest.mark.parametrize("wrong", ["4,0.5", "0.004,30", "0.004,0.5,1e-3", "four"])
+def test_a_channel_that_cannot_be_is_one_sentence(tmp_path, wrong, capsys):
+    with pytest.raises(SystemExit):
+        simulate(tmp_path / "s", "--channel", wrong)
+    assert "is no channel; give RADIUS,ANGLE" in capsys.readouterr().err

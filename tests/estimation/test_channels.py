@@ -6,6 +6,7 @@ import pytest
 from glissando import (
     BaseVariance,
     CoilReadings,
+    FixedLagSmoother,
     Grid,
     SensorParameter,
     SeparablePrior,
@@ -15,6 +16,7 @@ from glissando.errors import GlissandoError, SensorError
 from glissando.estimation.channels import place_in_channel, placed
 from glissando.geometry import se3
 from glissando.io.csv_stream import Rows, Stream
+from glissando.io.journal import Journal
 from glissando.io.recording import load_recording
 from glissando.io.recording_writer import write_streams
 from glissando.model.state import State
@@ -36,9 +38,9 @@ PRIOR = SeparablePrior(
 GRID = Grid(NODES, [0.0])
 
 
-def bent(rng, channel, zero=0.0):
+def bent(rng, channel, zero=0.0, force=1.2):
     """A simulated rod's shape, and a coil's readings of it at travels measured in space."""
-    side = rng.standard_normal(3) * [1.2, 1.2, 0.0]
+    side = rng.standard_normal(3) * [force, force, 0.0]
     shape = solve_shape(ROD, [], Loads(wrenches=[Wrench(LENGTH, side)]))
     fine = np.linspace(0.0, LENGTH, 2001)
     at = shape.at(fine).pose
@@ -122,6 +124,36 @@ def test_the_encoders_zero_is_estimated():
     value, cov = posterior.parameter("zero")
     assert abs(value[0, 0] - 4e-3) < 3.5 * np.sqrt(cov[0, 0, 0])
     assert np.sqrt(cov[0, 0, 0]) < 1.5e-3
+
+
+@pytest.mark.parametrize("channel", [BESIDE, ROUND])
+def test_a_window_as_long_as_the_recording_is_the_batch_estimate(channel):
+    times = np.array([0.0, 0.1, 0.2])
+    coil = bent(np.random.default_rng(11), channel, force=0.3)[1]
+    coil = coil.select(np.argsort(np.arange(len(coil)) % 3, kind="stable"))
+    coil = coil.changed(time=np.repeat(times, 4))
+    batch = estimate(PRIOR, Grid(NODES, times), [coil], gate=None)
+    smoother = FixedLagSmoother(PRIOR, NODES, window=times.size, gate=None)
+    smoother.add(coil)
+    for time in times:
+        smoother.advance(float(time))
+    smoother.iterate()
+    found, std = smoother.posterior(), np.sqrt(np.einsum("kii->ki", batch.marginals.cov))
+    off = found.state.difference(batch.state).reshape(std.shape)
+    assert np.abs(off / std).max() < 0.1  # by what places may still move in the batch
+    its = np.sqrt(np.einsum("kii->ki", found.marginals.cov))
+    np.testing.assert_allclose(its, std, rtol=0.02)
+
+
+def test_a_smoother_drops_a_travel_that_no_bending_explains_and_a_journal_keeps_the_rest(tmp_path):
+    _, coil, _ = bent(np.random.default_rng(12), ROUND)
+    wrong = coil.arclength + np.where(np.arange(len(coil)) == 11, 0.3, 0.0)
+    smoother = FixedLagSmoother(PRIOR, NODES)
+    smoother.add(coil.changed(arclength=wrong))
+    assert smoother.dropped["coil"]["off the robot"] == 1
+    with Journal(tmp_path / "log") as log:
+        log.write(coil)
+    assert load_recording(tmp_path / "log").streams["coil"].channel == ROUND
 
 
 def test_a_recording_states_the_channel_and_keeps_it(tmp_path):

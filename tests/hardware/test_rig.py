@@ -12,6 +12,7 @@ from urllib.request import urlopen
 import numpy as np
 import pytest
 
+from glissando.calibration.rig.session_data import rig_data
 from glissando.cli.main import main
 from glissando.errors import DeviceError, RecordingError
 from glissando.evaluation.run import run_estimate
@@ -19,7 +20,9 @@ from glissando.hardware.capture import Body, Coil, Rig, load_rig, write_recordin
 from glissando.hardware.capture.online import live_estimate
 from glissando.io.recording import load_recording
 from glissando.io.session_log import SessionWriter, read_session
+from glissando.io.session_recording import session_streams
 from glissando.io.shipped_robots import robot_file
+from glissando.model.tendons.channel import Channel
 from glissando.simulation import SlidePath, load_bench
 from glissando.simulation.simulated_session import simulate_session, write_session
 from glissando.visualization.page.live import Live, follow
@@ -63,11 +66,27 @@ def test_a_setup_says_which_devices_there_are_and_where(tmp_path):
     file.write_text(SETUP)
     rig = load_rig(file)
     assert [c.name for c in rig.coils] == ["coil", "mid"]
-    np.testing.assert_allclose(rig.coils[0].arclengths(np.array([0.0, 0.06])), [0.70, 0.64])
-    np.testing.assert_allclose(rig.coils[1].arclengths(np.array([0.0, 0.06])), 0.35)
+    np.testing.assert_allclose(rig.coils[0].arclengths(np.array([0.0, 0.06]), 0.7), [0.70, 0.64])
+    np.testing.assert_allclose(rig.coils[1].arclengths(np.array([0.0, 0.06]), 0.7), 0.35)
     assert rig.stage.stroke == (0.0, 0.06)
     assert rig.frame[0, 3] == 0.1
     assert rig.bodies[0].mount[2, 3] == 0.02
+
+
+def test_a_coil_of_a_setup_may_slide_in_a_channel_and_its_session_says_so(tmp_path):
+    file = tmp_path / "bench.toml"
+    beside = "arclength = 0.70\n[tracker.coils.channel]\nradius = 0.004\nangle = 0.5\n"
+    file.write_text(SETUP.replace("arclength = 0.70\n", beside, 1))
+    rig = load_rig(file)
+    assert rig.coils[0].channel == Channel(0.004, 0.5)
+    assert rig.coils[0].arclengths(np.array([-0.01]), 0.7)[0] == pytest.approx(0.71)
+    with SessionWriter(tmp_path / "log.mcap", {"setup": json.dumps(rig.described())}) as log:
+        log.add_topic("/tracker/coil", {"type": "object"})
+        row = {"time": 0.1, "frame": 1, "position": [0, 0, 0], "quaternion": [1, 0, 0, 0]}
+        log.write("/tracker/coil", row, 1)
+    session = read_session(tmp_path / "log.mcap")
+    (stream,) = session_streams(session, rig.described()).streams
+    assert stream.channel == rig_data(session).channel == rig.coils[0].channel
     assert json.loads(json.dumps(rig.described()))["coil_arclength"] == 0.70
 
 

@@ -15,6 +15,7 @@ from glissando.io.shipped_robots import robot_file
 from glissando.simulation import SlidePath, Tendon
 from glissando.simulation.actuation import Actuation
 from glissando.simulation.bench import load_bench
+from glissando.simulation.channel import routed, straight_length
 from glissando.simulation.tracker import coil_rows, mocap_rows
 
 DURATION, LONGER = 15.0, 45.0  # s; of a session as docs/calibration.md asks for
@@ -112,8 +113,10 @@ def stamps(time, clock, epoch):
     return epoch + (time - epoch + clock[0]) / (1.0 - clock[1])
 
 
-def drawn(seed, shape="waving", *, sliding="two speeds", direction=None, motions=3, **flaws):
-    """Data of a rig and the truth about it."""
+def drawn(
+    seed, shape="waving", *, sliding="two speeds", direction=None, motions=3, channel=None, **flaws
+):
+    """Data of a rig and the truth about it; the coil may slide in a channel off the axis."""
     rng = np.random.default_rng([seed, 7])
     made = bench(**{**FAIR, **flaws})
     direction = int(rng.choice([-1, 1])) if direction is None else direction
@@ -124,11 +127,13 @@ def drawn(seed, shape="waving", *, sliding="two speeds", direction=None, motions
     rods = motion(shape, seed % motions)
     path = path_of(sliding)
     # the simulated coil goes from the tip to the base; what the encoder says is up to the rig
-    where = _Displaced(path, known)
+    stated = RigData("", *[np.zeros(0)] * 4, {}, 0.0, 0.0, channel=channel)
+    way = routed(known.channel(stated), 0.7) if channel else None
+    where = _Displaced(path, known, straight_length(way, 0.7) if way else 0.7)
     time = np.arange(0.0, lasts, 1.0 / 40.0) + rng.uniform(0.0, 0.02)
     time = time[time < lasts]
-    coil = coil_rows(rods, where, time, 0.0, T_wt, made.flaws, rng)
-    x, y, tilt_x, tilt_y = known.mount
+    coil = coil_rows(rods, where, time, 0.0, T_wt, made.flaws, rng, way)
+    x, y, tilt_x, tilt_y = known.mount * ([0, 0, 1, 1] if channel else 1.0)
     roll = rng.uniform(-np.pi, np.pi)
     mount = se3.exp(np.r_[x, y, 0, tilt_x, tilt_y, 0]) @ se3.exp(np.r_[0, 0, 0, 0, 0, roll])
     places = {"base": 0.0, "middle": 0.34, "near": 0.58, "tip": 0.7}
@@ -160,6 +165,7 @@ def drawn(seed, shape="waving", *, sliding="two speeds", direction=None, motions
         coil_arclength_std=0.005,
         direction=0,
         noise=noise,
+        channel=channel,
     )
     return data, known
 
@@ -167,12 +173,12 @@ def drawn(seed, shape="waving", *, sliding="two speeds", direction=None, motions
 class _Displaced:
     """The simulated coil's displacement from the tip for what the rig's encoder says."""
 
-    def __init__(self, path, known):
-        self.path, self.known = path, known
+    def __init__(self, path, known, length):
+        self.path, self.known, self.length = path, known, length
 
     def at(self, time):
         place = self.known.zero + self.known.direction * self.known.lead * self.path.at(time)
-        return 0.7 - place
+        return self.length - place
 
 
 def robot(nodes=8):
@@ -254,14 +260,14 @@ def trial(seed, *, stated=1.0):
     return Trial(off, made.std, float(off @ np.linalg.solve(made.cov, off)), made.warnings)
 
 
-def calibrated(seed=0, shape="waving", sliding="two speeds", stated=1.0):
+def calibrated(seed=0, shape="waving", sliding="two speeds", stated=1.0, channel=None):
     """A short session, quickly calibrated with noise stated so many times: result, truth, data."""
-    return _calibrated(seed, shape, sliding, stated)
+    return _calibrated(seed, shape, sliding, stated, channel)
 
 
 @cache
-def _calibrated(seed, shape, sliding, stated):
-    data, known = drawn(seed, shape, sliding=sliding)
+def _calibrated(seed, shape, sliding, stated, channel):
+    data, known = drawn(seed, shape, sliding=sliding, channel=channel)
     made = calibrate(misstated(data, stated), robot(NODES), readings=READINGS)
     return made, at_epoch(known, made.rig.epoch), data
 

@@ -16,6 +16,7 @@ from rich.table import Table
 
 from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_command, findings_in, require_writable, warn
+from glissando.cli.simulate import add_channel
 from glissando.errors import DeviceError, GlissandoError
 from glissando.hardware.capture import (
     FurtherStage,
@@ -74,6 +75,7 @@ def add_to(commands: Commands) -> None:
     add("--seed", type=int, default=0, metavar="N", help="of the simulated noise (default 0)")
     faults = "what goes wrong with the simulated tracker: unplug=5,replug=7"
     add("--faults", default="", metavar="NAME=NUMBER,…", help=faults)
+    add_channel(parser)
     add_slide(parser, "oscillate")
     add("--duration", type=float, metavar="S", help="of hold (15) and calibrate (45)")
     add("--live", action="store_true", help="show the shape in a browser as it goes (needs viser)")
@@ -100,7 +102,7 @@ def _record(options: argparse.Namespace) -> int:
     with ExitStack() as stack:
         if options.simulate:
             chosen = options.robot, options.shape, options.seed, options.faults
-            rig = stack.enter_context(simulated_rig(*chosen))
+            rig = stack.enter_context(simulated_rig(*chosen, channel=options.channel))
         else:
             rig = load_rig(options.setup)
         path = slide_path(options, rig)

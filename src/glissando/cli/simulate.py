@@ -11,6 +11,7 @@ from glissando.errors import SimulationError
 from glissando.io.atomic_folder import require_new
 from glissando.io.robot_file import load_robot
 from glissando.io.shipped_robots import robot_file, shipped_robots
+from glissando.model.tendons.channel import Channel
 from glissando.simulation.imperfections import PARTS
 from glissando.simulation.simulate import simulate
 from glissando.simulation.simulated_session import write_session
@@ -30,6 +31,7 @@ examples:
   glissando simulate --shape C --slide hold --at 0.06 --without bias,dropouts --out c_fixed
   glissando simulate --shape C-to-S --slide traverse --speed 0.1 --seed 7 --out moving
   glissando simulate --dynamic --shape C --slide traverse --out swinging
+  glissando simulate --shape C --slide traverse --channel 0.004,0.5 --out beside
   glissando simulate --shape my_shape.toml --slide my_path.csv --out mine
 
 A shape file is TOML: tensions = [10, 20] in newtons, or one such row for each of time = [0, 20];
@@ -44,6 +46,26 @@ positions in m, rotations in rad).
 
 exit status: 0 done; 1 the physics has no static shape there; 2 something given was wrong.
 """
+
+
+def add_channel(parser: argparse.ArgumentParser) -> None:
+    """Add the option that has the simulated coil slide in a channel."""
+    metres = "the coil slides in a channel beside the backbone: m, rad, and m a turn if it winds"
+    parser.add_argument("--channel", type=channel, metavar="RADIUS,ANGLE[,PITCH]", help=metres)
+
+
+def channel(text: str) -> Channel:
+    """The channel that RADIUS,ANGLE[,PITCH] state.
+
+    >>> channel("0.004,0.5")
+    Channel(radius=0.004, angle=0.5, pitch=inf)
+    """
+    try:
+        return Channel(*map(float, text.split(",")))
+    except (TypeError, ValueError) as problem:
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is no channel; give RADIUS,ANGLE or RADIUS,ANGLE,PITCH. {problem}"
+        ) from None
 
 
 def add_to(commands: Commands) -> None:
@@ -64,6 +86,7 @@ def add_to(commands: Commands) -> None:
     add("--dynamic", action="store_true", help="a robot with inertia, which swings")
     parts = ", ".join((*PARTS, "all"))
     add("--without", type=names, default=[], metavar="NAME,…", help=f"switch off: {parts}")
+    add_channel(parser)
     add("--tendons", action="store_true", help="record displacements of the tendons, too")
     add("--seed", type=int, default=0, metavar="N", help="of all noise (default 0)")
     add("--out", type=Path, required=True, metavar="RECORDING", help="folder to write")
@@ -86,6 +109,7 @@ def _simulate(options: argparse.Namespace) -> int:
             dynamic=options.dynamic,
             name=options.out.resolve().name,
             tendons=options.tendons,
+            channel=options.channel,
             **{name: value for name, value in given.items() if value is not None},
         )
     shipped = options.robot in shipped_robots()

@@ -1,18 +1,19 @@
 """Sensors that slide in a channel beside the backbone: where they are follows from the shape.
 
 The arclength of their readings is a travel along the channel, whose length depends on the strain
-all the way from the base: dσ/ds = |ν + u × r + dr/ds|. Source: (M8).
+all the way from the base: dσ/ds = |ν + u × r + dr/ds|. Where the travel is longer than the channel
+the sensor sticks out of it, straight on. Source: (M8).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from glissando.errors import SensorError
 from glissando.estimation.posterior import Posterior
+from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
 from glissando.model.priors.prior import Prior
@@ -20,12 +21,13 @@ from glissando.model.priors.rest_shape import STRAIGHT
 from glissando.model.sensors.readings import Readings
 from glissando.model.sensors.tendons import up_to
 from glissando.model.state import State
-from glissando.model.tendons.travel import channel_lengths
+from glissando.model.tendons.channel import Channel
+from glissando.model.tendons.travel import channel_lengths, hats
 from glissando.solver.measurement_factors import states_at
 
-_BEYOND = 2.0 * np.pi  # radii, by which a travel may leave the channel: a whole turn of bending
 _ROUNDS = 8
 _CLOSE = 2e-5  # of the length, by which readings may still move in their channels
+_NUDGE = 1e-6  # m
 _CHUNK = 200  # readings at a time, to bound memory
 
 
@@ -40,55 +42,52 @@ def place_in_channel(readings: Readings, prior: Prior, grid: Grid, state: State)
         prior: What lies between the nodes.
         grid: The nodes.
         state: Nodes (K, N) of the shape.
-
-    Raises:
-        SensorError: A travel leaves the channel by more than bending explains.
     """
     channel = readings.channel
     if channel is None:
         return readings
     count, nodes = len(readings), grid.arclength
-    where = np.empty(count)
+    where, out = np.empty((2, count))
     beside = np.empty((count, 2, nodes.size, 6))
     places = np.union1d(nodes, 0.5 * (nodes[1:] + nodes[:-1]))
     time = np.clip(readings.time, grid.time[0], grid.time[-1])
     for first in range(0, count, _CHUNK):
-        rows = slice(first, min(first + _CHUNK, count))
+        rows = slice(first, first + _CHUNK)
         points = np.tile(places, time[rows].size), np.repeat(time[rows], places.size)
-        along = states_at(prior, grid, state, *points).strain.reshape(-1, places.size, 6)
-        for m, bent in enumerate(along, start=first):
-            where[m], slope = _found(readings, m, places, bent, nodes)
-            beside[m] = slope, bent[np.searchsorted(places, nodes)]
+        bent = states_at(prior, grid, state, *points).strain.reshape(-1, places.size, 6)
+        travel = readings.arclength[rows]
+        where[rows], out[rows], beside[rows, 0] = _found(channel, travel, places, bent, nodes)
+        beside[rows, 1] = bent[:, np.searchsorted(places, nodes)]
     # as the rod is when straight: a mount that followed twist would confirm it
-    mount = channel.frame(where, np.tile(STRAIGHT, (count, 1))) @ readings.mount
-    return replace(readings, arclength=where, mount=mount, channel=None, beside=beside)
+    mount = channel.frame(where, np.tile(STRAIGHT, (count, 1)))
+    nearby = channel.frame(where + _NUDGE, np.tile(STRAIGHT, (count, 1)))
+    winding = se3.log(nearby @ se3.inverse(mount)) / _NUDGE
+    mount[:, :3, 3] += out[:, None] * mount[:, :3, 2]
+    mount = mount @ readings.mount
+    placed = {"arclength": where, "mount": mount, "beside": beside, "winding": winding}
+    return readings.changed(**placed, channel=None)
 
 
 def _found(
-    readings: Readings, m: int, places: Array, bent: Array, nodes: Array
-) -> tuple[float, Array]:
-    """Arclength of a reading where strain is `bent` (P, 6) at places, and its slopes (N, 6).
+    channel: Channel, travel: Array, places: Array, bent: Array, nodes: Array
+) -> tuple[Array, Array, Array]:
+    """Where strains are `bent` (M, P, 6) at places: arclengths after travels (M,) in a channel.
 
-    They are how it changes with the strain at the nodes (N,).
+    Then how far the sensor sticks out of the channel (M,), m, and the slopes (M, N, 6) of the
+    arclength by the strain at the nodes (N,), straight between them: strain as poses show it
+    between nodes would make the steps' valley curved.
     """
-    channel, travel = readings.channel, float(readings.arclength[m])
-    assert channel is not None
-    fine, lengths = channel_lengths(channel, places, bent)
-    spare = _BEYOND * channel.radius
-    if not -spare <= travel <= lengths[-1] + spare:
-        raise SensorError(
-            f"{readings.label}: a travel of {travel:g} m leaves the channel of {lengths[-1]:.4g} "
-            f"m; correct its zero, or give metres."
-        )
-    where = float(np.interp(travel, lengths, fine))
-    strain = np.stack([np.interp(fine, places, column) for column in bent.T], axis=-1)
-    tangent = channel.tangent(fine, strain)
+    fine, tangent, lengths = channel_lengths(channel, places, bent)
     speed = np.linalg.norm(tangent, axis=-1)
-    unit = tangent / speed[:, None]
+    inside = np.clip(travel, 0.0, lengths[:, -1])
+    rows = range(travel.size)
+    where = np.array([np.interp(inside[m], lengths[m], fine) for m in rows])
+    here = np.array([np.interp(where[m], fine, speed[m]) for m in rows])
+    unit = tangent / speed[..., None]
     by_strain = np.concatenate([unit, np.cross(channel.path(fine)[0], unit)], axis=-1)
-    hats = np.stack([np.interp(fine, nodes, row) for row in np.eye(nodes.size)])
-    slope = -(hats * up_to(fine, where)) @ by_strain / np.interp(where, fine, speed)
-    return where, slope
+    weights = np.stack([up_to(fine, s) for s in where]) / here[:, None]
+    slope = -hats(nodes, fine).T @ (weights[..., None] * by_strain)
+    return where, travel - inside, slope
 
 
 def placed(readings: Sequence[Readings], posterior: Posterior) -> list[Readings]:
@@ -110,7 +109,12 @@ def settled(
         readings: Readings, some of them in channels.
         rest: The prior, the grid, and nodes (K, N) of the shape to place readings by at first.
         initial: Nodes (K, N) to start from, if any.
+
+    Raises:
+        SensorError: A travel leaves its channel by more than bending explains.
     """
+    for r in readings:
+        _require_in_channel(r, float(rest[1].arclength[-1]))
     now = [_rough(r, *rest) for r in readings]
     for _ in range(_ROUNDS):
         posterior = solve(now, initial)
@@ -122,10 +126,23 @@ def settled(
     return posterior
 
 
+def _require_in_channel(readings: Readings, length: float) -> None:
+    if readings.channel is None:
+        return
+    low, high = readings.channel.travels(length)
+    off = (readings.arclength < low) | (readings.arclength > high)
+    if off.any():
+        raise SensorError(
+            f"{readings.label}: a travel of {readings.arclength[off][0]:g} m leaves the channel, "
+            f"of {low:.4g} to {high:.4g} m however the robot bends; correct its zero, or give "
+            f"metres."
+        )
+
+
 def _rough(readings: Readings, prior: Prior, grid: Grid, state: State) -> Readings:
     """Readings about where a first shape puts them, as uncertain as a bend by a radian makes it."""
     if readings.channel is None:
         return readings
     spread = np.hypot(readings.arclength_std, readings.channel.radius)
     found = place_in_channel(readings, prior, grid, state)
-    return replace(found, arclength_std=spread, beside=None)
+    return found.changed(arclength_std=spread, beside=None, winding=None)

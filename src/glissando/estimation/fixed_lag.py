@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from glissando._kernels.jit import load
 from glissando._kernels.threads import one_thread
 from glissando.errors import OutsideGridError
+from glissando.estimation.channels import place_in_channel
 from glissando.estimation.contact import ContactScan, scan_contacts
 from glissando.estimation.delays import delayed
 from glissando.estimation.posterior import Posterior, StateEstimate, state_at
@@ -154,6 +155,13 @@ class FixedLagSmoother:
             return state_at(self.prior, grid, state.take(np.newaxis), newest, arclength, time)
         window = self._steps.ahead(float(np.max(time, initial=-np.inf)))
         return window.posterior().at(arclength, time)
+
+    def placed(self, readings: Readings) -> Readings:
+        """Readings of a sensor in a channel, as those where the newest shape puts it. (M8)."""
+        if readings.channel is None:
+            return readings
+        state, _, grid = self.newest_node()
+        return place_in_channel(readings, self.prior, grid, state.take(np.newaxis))
 
     def iterate(self, tolerance: float = 1e-9, most: int = 50) -> int:
         """Linearise the whole window again until no number moves by more.

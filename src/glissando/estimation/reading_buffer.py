@@ -39,8 +39,10 @@ class ReadingBuffer:
         before = self._waiting.get(name, self.held.get(name))
         if before is not None and type(before) is not type(readings):
             raise SensorError(f"{name} was {type(before).__name__}; name each stream by itself.")
-        slack, time, place = 1e-9 * self._length, readings.time, readings.arclength
-        faults = [("off the robot", (place < -slack) | (place > self._length + slack))]
+        time, place, channel = readings.time, readings.arclength, readings.channel
+        low, high = channel.travels(self._length) if channel else (0.0, self._length)
+        slack = 1e-9 * self._length
+        faults = [("off the robot", (place < low - slack) | (place > high + slack))]
         faults += [("late", time < oldest), ("repeated", self._repeated(readings))]
         if readings.tracker:
             faults.append(("repeated", self._frozen(readings)))

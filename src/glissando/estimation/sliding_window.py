@@ -16,6 +16,7 @@ import numpy as np
 
 from glissando._kernels import normal_equations as kernels
 from glissando._kernels import window as window_kernels
+from glissando.estimation.channels import place_in_channel
 from glissando.estimation.delays import at_times, delay_columns, motion_left, moving_with
 from glissando.estimation.posterior import Posterior, SolveReport, StateEstimate
 from glissando.estimation.window_nodes import Nodes
@@ -209,6 +210,7 @@ class SlidingWindow:
         """Sum the factors of the intervals from `first` on. Source: equation (19)."""
         motion = self._motion_of_others(first)
         nodes, grid = self.nodes.take(slice(first, None)), self.grid(first)
+        readings = [place_in_channel(r, self.prior, grid, nodes.state) for r in readings]  # (M8)
         builder = self._system.builder(first)
         self._terms, self._first = [], first
         self._dof = np.array([r.row_count for r in readings])

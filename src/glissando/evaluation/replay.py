@@ -263,6 +263,7 @@ class _Run:
             ahead = corrected(readings.select(readings.time > since), self.known)
             adaptive = self.adaptive.setdefault(readings.label, AdaptiveSet())
             try:
+                ahead = self.smoother.placed(ahead)
                 scores = prediction_scores(self.smoother, ahead) if len(ahead) else np.zeros(0)
             except (np.linalg.LinAlgError, GlissandoError):
                 scores = np.full(len(ahead), np.nan)

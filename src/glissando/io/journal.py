@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO, Self
 
@@ -127,6 +128,7 @@ class Journal:
         path = self.folder / f"{name}.csv"
         if not path.exists():
             stream = Stream(name, rows, False, _std(readings), readings.mount, keep_repeats=True)
+            stream = replace(stream, channel=readings.channel)
             described = self._described.read_text(encoding="utf-8") + describe_stream(stream)
             path.write_text(",".join(rows.columns) + "\n", encoding="utf-8")
             self._describe(described)

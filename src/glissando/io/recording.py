@@ -27,7 +27,6 @@ from glissando.model.sensors.readings import SENSORS, Readings, slide_motion
 from glissando.model.sensors.sensors import sensor_class, sensor_kinds
 from glissando.model.tendons.channel import Channel
 
-_LONGER = 0.2  # of the robot, that a channel beside it may be longer than it
 _TRUTH_STD = 1e-6  # noise of a truth stream that states none: negligible against any posterior
 
 
@@ -281,7 +280,7 @@ def _stream(
     frame = entry.text("frame", "world", choices=frames)
     mount_table = entry.table("mount")
     mount = mount_table.pose() if mount_table else np.eye(4)
-    channel = _channel(entry, length, angle)
+    channel = entry.channel(length, angle)
     std = entry.std(sensor.rows) if entry.peek("std") is not None else None
     settings = {
         key: scale_of(unit, length, angle) * entry.numbers(key)
@@ -296,20 +295,10 @@ def _stream(
     return Stream(name, rows, truth, std, mount, keep_repeats, left, channel)
 
 
-def _channel(entry: Table, length: float, angle: float) -> Channel | None:
-    """The channel beside the backbone that a sensor slides in, in the units of its stream."""
-    table = entry.table("channel")
-    if table is None:
-        return None
-    radius, turned = table.number("radius"), table.number("angle", 0.0, positive=False)
-    pitch = table.number("pitch", 0.0, positive=False)
-    table.close()
-    return Channel(length * radius, angle * turned, length * pitch or np.inf)
-
-
 def _require_on_robot(name: str, rows: Rows, robot: Robot, channel: Channel | None) -> None:
-    excess = np.maximum(rows.arclength - robot.length, -rows.arclength)
-    bad = np.flatnonzero(excess > (1e-9 if channel is None else _LONGER * robot.length))
+    low, high = channel.travels(robot.length) if channel else (0.0, robot.length)
+    excess = np.maximum(rows.arclength - high, low - rows.arclength)
+    bad = np.flatnonzero(excess > 1e-9)
     if bad.size:
         places = ", ".join(f"{rows.arclength[i]:.4g}" for i in bad[:3])
         raise RecordingError(

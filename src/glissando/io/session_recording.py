@@ -17,6 +17,7 @@ from glissando.io.robot_file import load_robot
 from glissando.io.session_log import RawSession, Topic
 from glissando.io.shipped_robots import robot_file
 from glissando.io.toml_table import Table
+from glissando.model.tendons.channel import Channel
 
 LOG = "session.mcap"
 """Name of a session's log in its folder."""
@@ -97,16 +98,16 @@ def session_streams(session: RawSession, setup: Mapping[str, Any]) -> SessionStr
         warnings.extend(gaps)
         return time, poses
 
-    for name, (place, direction, moved_by) in _coils(session, table).items():
+    for name, (place, direction, moved_by, channel) in _coils(session, table).items():
         time, poses = seen("tracker", name)
         if time.size:
             moved = slide_time, travel
             if moved_by:
                 moved = _travels(session, moved_by)
             arclength = place + direction * np.interp(time, *moved)
-            arclength = np.clip(arclength, 0.0, length)
-            rows = Rows("coil", time - zero, arclength, poses, {})
-            streams.append(Stream(name, rows, frame="tracker"))
+            ends = channel.travels(length) if channel else (0.0, length)
+            rows = Rows("coil", time - zero, np.clip(arclength, *ends), poses, {})
+            streams.append(Stream(name, rows, frame="tracker", channel=channel))
     for name, body in table.named_tables("bodies"):
         if body.flag("slides"):  # on the sliding tube, not on the robot
             continue
@@ -132,8 +133,12 @@ def _travels(session: RawSession, name: str) -> tuple[Array, Array]:
     return topic.column("time"), topic.column("travel")
 
 
-def _coils(session: RawSession, setup: Table) -> dict[str, tuple[float, float, str]]:
-    """Each coil's arclength at travel zero, m, its change with travel (−1, 0, 1), its stage."""
+_Coil = tuple[float, float, str, Channel | None]
+"""Arclength at travel zero, m, its change with travel (−1, 0, 1), the stage, the channel."""
+
+
+def _coils(session: RawSession, setup: Table) -> dict[str, _Coil]:
+    """Each coil by name."""
     given = dict(setup.named_tables("coils"))
     if given:
         return {
@@ -141,6 +146,7 @@ def _coils(session: RawSession, setup: Table) -> dict[str, tuple[float, float, s
                 coil.number("arclength", positive=False),
                 -1.0 if coil.flag("slides") else 0.0,
                 coil.text("slide", ""),
+                coil.channel(),
             )
             for name, coil in given.items()
         }
@@ -149,7 +155,7 @@ def _coils(session: RawSession, setup: Table) -> dict[str, tuple[float, float, s
     if not name:
         return {}
     direction = setup.number("direction", -1.0, positive=False)
-    return {name: (setup.number("coil_arclength", positive=False), direction or -1.0, "")}
+    return {name: (setup.number("coil_arclength", positive=False), direction or -1.0, "", None)}
 
 
 def _poses(topic: Topic | None, span: tuple[float, float]) -> tuple[Array, Array]:

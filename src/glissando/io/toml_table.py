@@ -15,6 +15,7 @@ from glissando.errors import GlissandoError
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.io.plain_file import plain_text
+from glissando.model.tendons.channel import Channel
 
 
 class Table:
@@ -185,6 +186,16 @@ class Table:
             )
         out[:3, :3] = se3.rotation_from_quaternion(q)
         return out
+
+    def channel(self, length: float = 1.0, angle: float = 1.0) -> Channel | None:
+        """`channel`, a table of radius, angle and pitch in units of m and rad; None when absent."""
+        table = self.table("channel")
+        if table is None:
+            return None
+        radius, turned = table.number("radius"), table.number("angle", 0.0, positive=False)
+        pitch = table.number("pitch", 0.0, positive=False)
+        table.close()
+        return Channel(length * radius, angle * turned, length * pitch or np.inf)
 
     def close(self) -> None:
         """Raise unless every key was asked for: a misspelt key must not be ignored."""

@@ -53,7 +53,7 @@ class Motion:
         for first in range(0, s.size, _CHUNK):
             rows = slice(first, first + _CHUNK)
             instants, which = np.unique(t[rows], return_inverse=True)
-            strains = self._strain(instants)
+            strains = self.strains(instants)
             edges = self.mesh.roll_out(strains, self.rod.base)[1][which]
             part = sections(self.rod, self.mesh, strains[which], edges, s[rows])
             pose[rows], strain[rows], wrench[rows] = part.pose, part.strain, part.wrench
@@ -66,10 +66,11 @@ class Motion:
 
         What servos pull in of tendons that do not stretch. Source: (M5).
         """
-        strain = self._strain(np.clip(time, self.time[0], self.time[-1]))
-        return shortening(self.mesh, strain, tendons)
+        return shortening(self.mesh, self.strains(time), tendons)
 
-    def _strain(self, time: Array) -> Array:
+    def strains(self, time: Array) -> Array:
+        """Strains (M, G, 6) at the mesh's points at times (M,), s."""
+        time = np.clip(time, self.time[0], self.time[-1])
         if self.time.size == 1:
             return np.broadcast_to(self.strain, (time.size, *self.strain.shape[1:]))
         out = np.empty((time.size, *self.strain.shape[1:]))

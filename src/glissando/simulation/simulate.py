@@ -8,6 +8,7 @@ from pathlib import Path
 from glissando.errors import SimulationError
 from glissando.io.shipped_robots import robot_file
 from glissando.model.slide_path import SlidePath, read_slide
+from glissando.model.tendons.channel import Channel
 from glissando.simulation.bench import Bench, load_bench
 from glissando.simulation.dynamics.motion import DynamicMotion
 from glissando.simulation.motion import Motion
@@ -34,6 +35,7 @@ def simulate(
     dynamic: bool = False,
     name: str = "simulated",
     tendons: bool = False,
+    channel: Channel | None = None,
     **options: float,
 ) -> Session:
     """What the sensors of a robot with a sliding coil record, and what truly happened.
@@ -48,6 +50,8 @@ def simulate(
         dynamic: Whether the robot has inertia; else it is at rest at every instant.
         name: Name of the session.
         tendons: Whether displacements of the tendons are recorded, too.
+        channel: The channel beside the backbone that the coil slides in; on the backbone unless
+            given.
         options: Of the slide: `at` (m, of hold), `cycles`, `stroke` (m), `speed` (m/s).
 
     Raises:
@@ -79,6 +83,7 @@ def simulate(
         flaws=flaws,
         name=name,
         tendons=tendons,
+        channel=channel,
     )
 
 

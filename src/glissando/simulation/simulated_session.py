@@ -15,7 +15,9 @@ from glissando.io.atomic_folder import new_folder
 from glissando.io.csv_stream import Rows, Stream
 from glissando.io.recording_writer import write_streams
 from glissando.model.slide_path import SlidePath
+from glissando.model.tendons.channel import Channel
 from glissando.simulation.bench import Bench
+from glissando.simulation.channel import routed
 from glissando.simulation.dynamics.motion import DynamicMotion
 from glissando.simulation.imperfections import Imperfections
 from glissando.simulation.motion import Motion
@@ -44,6 +46,7 @@ class Session:
         gyros: Readings of gyroscopes, by name, of a robot that moves with inertia.
         accelerometers: Readings of the accelerometers beside them, by name.
         inertial_std: Std of the noise of gyroscopes, rad/s, and accelerometers, m/s².
+        channel: The channel beside the backbone that the coil slides in, if there is one.
     """
 
     name: str
@@ -58,6 +61,7 @@ class Session:
     gyros: dict[str, Rows] = field(default_factory=dict)
     accelerometers: dict[str, Rows] = field(default_factory=dict)
     inertial_std: tuple[float, float] = (1.0, 1.0)
+    channel: Channel | None = None
 
 
 def simulate_session(
@@ -70,6 +74,7 @@ def simulate_session(
     flaws: Imperfections | None = None,
     name: str = "simulated",
     tendons: bool = False,
+    channel: Channel | None = None,
 ) -> Session:
     """What the bench's sensors record of a motion while the coil slides along a path.
 
@@ -84,6 +89,8 @@ def simulate_session(
         flaws: Imperfections; the bench's unless given.
         name: Name of the session.
         tendons: Whether displacements of the tendons are recorded.
+        channel: The channel beside the backbone that the coil slides in; on the backbone unless
+            given.
 
     Raises:
         SimulationError: The duration or the seed is impossible, the coil would leave the robot, or
@@ -100,7 +107,9 @@ def simulate_session(
     _require_coil_on_robot(bench, path)
     coil_noise, *mocap_noise, pull_noise = np.random.default_rng(seed).spawn(2 + bench.truth.size)
     time = np.arange(0.0, lasts + 1e-9, 1.0 / COIL_RATE)
-    coil = coil_rows(motion, path, time, bench.coil_offset, bench.tracker, flaws, coil_noise)
+    sits = bench.coil_offset, bench.tracker
+    beside = routed(channel, bench.rod.length) if channel else None
+    coil = coil_rows(motion, path, time, *sits, flaws, coil_noise, beside)
     time = np.arange(0.0, lasts + 1e-9, 1.0 / MOCAP_RATE)
     mocap = {
         f"mocap_{1e3 * s:g}": mocap_rows(motion, float(s), time, flaws, noise)
@@ -119,7 +128,8 @@ def simulate_session(
             rows = inertial_rows(motion, float(s), time, flaws, noise)
             gyros[f"gyro_{1e3 * s:g}"], accelerometers[f"accelerometer_{1e3 * s:g}"] = rows
     inertial = gyros, accelerometers, (max(flaws.gyro, 1e-6), max(flaws.accelerometer, 1e-6))
-    return Session(name, lasts, motion, path, coil, mocap, bench.tracker, std, pulled, *inertial)
+    seen = coil, mocap, bench.tracker, std, pulled
+    return Session(name, lasts, motion, path, *seen, *inertial, channel)
 
 
 def _tendon_rows(
@@ -151,7 +161,8 @@ def write_session(session: Session, folder: Path, robot: str | Path, **more: Any
     are further fields of recording.toml. Raises
     SimulationError when the folder holds something already.
     """
-    streams = [Stream("coil", session.coil, keep_repeats=True, frame="tracker")]
+    kept: dict[str, Any] = {"keep_repeats": True, "frame": "tracker"}
+    streams = [Stream("coil", session.coil, channel=session.channel, **kept)]
     streams += [
         Stream(name, rows, True, session.mocap_std, keep_repeats=True)
         for name, rows in session.mocap.items()

@@ -12,10 +12,12 @@ from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.io.csv_stream import Rows
 from glissando.model.slide_path import SlidePath
+from glissando.simulation.channel import least_turn, poses_in, straight_length
 from glissando.simulation.drive_tube import STEP, DriveTube
 from glissando.simulation.dynamics.motion import DynamicMotion
 from glissando.simulation.imperfections import Imperfections, SmoothField
 from glissando.simulation.motion import Motion
+from glissando.simulation.rod import Tendon
 
 _EXPOSED = (np.arange(5) + 0.5) / 5.0  # shares of an exposure at which the coil is looked at
 
@@ -28,6 +30,7 @@ def coil_rows(
     T_wt: Array,
     flaws: Imperfections,
     rng: np.random.Generator,
+    channel: Tendon | None = None,
 ) -> Rows:
     """What a coil on the slide reports.
 
@@ -39,6 +42,8 @@ def coil_rows(
         T_wt: Pose of the tracker (4, 4).
         flaws: Imperfections of the coil and its slide.
         rng: Source of their draws.
+        channel: The channel beside the backbone that the coil slides in, if there is one; its
+            travel from the base then stands in the place of the arclength.
 
     Returns:
         Rows in the tracker's frame, less drop-outs, at arclengths as the motor's encoder has them.
@@ -47,11 +52,13 @@ def coil_rows(
     commanded = path.at(time)
     encoded = commanded + flaws.encoder * next(streams).standard_normal(time.size)
     length = motion.rod.length
-    named = np.clip(length - encoded + offset, 0.0, length)
+    longest = straight_length(channel, length) if channel else length
+    named = np.clip(longest - encoded + offset, 0.0, longest)
     shares = _EXPOSED if flaws.exposure > 0.0 else np.zeros(1)
     seen = (time[:, None] - flaws.latency - flaws.exposure * shares).ravel()
-    place = np.clip(length - _coil_at(path, seen, flaws) + offset, 0.0, length)
-    pose = motion.at(place, seen).pose @ _play(next(streams), place, flaws.play)
+    place = np.clip(longest - _coil_at(path, seen, flaws) + offset, 0.0, longest)
+    pose = poses_in(channel, motion, place, seen) if channel else motion.at(place, seen).pose
+    pose = pose @ _play(next(streams), place, flaws.play)
     pose = _mean(pose.reshape(time.size, shares.size, 4, 4))
     pose = pose @ se3.exp(_tracker_error(next(streams), next(streams), pose, flaws))
     centre = np.eye(4)
@@ -150,12 +157,8 @@ def rolled(pose: Array, roll: str, rng: np.random.Generator) -> Array:
         turn[5] = rng.uniform(-np.pi, np.pi)
         return pose @ se3.exp(turn)
     axis = pose[:, :3, 2]  # least rotation that takes the tracker's z onto the coil's
-    lean = np.stack([-axis[:, 1], axis[:, 0], np.zeros(len(axis))], axis=-1)
-    sine = np.linalg.norm(lean, axis=1, keepdims=True)
-    angle = np.arctan2(sine, axis[:, 2:])
-    lean = np.where(sine > 1e-12, angle * lean / np.maximum(sine, 1e-12), [1.0, 0.0, 0.0] * angle)
     out = np.array(pose)
-    out[:, :3, :3] = se3.so3_exp(lean)
+    out[:, :3, :3] = least_turn(axis)
     return out
 
 

@@ -21,7 +21,7 @@ from glissando.model.sensors.parameter_jacobians import by_parameters
 from glissando.model.sensors.parameter_process import ParameterValues
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.sensors.readings import Readings
-from glissando.model.state import DOF, STRAIN, State
+from glissando.model.state import DOF, POSE, STRAIN, State
 from glissando.solver.located_readings import LocatedReadings, ReadingBatch
 
 _WAYS = ("arclength", "time")
@@ -209,7 +209,9 @@ def _slopes(
             motion = located.motion if way == "time" and located.motion is not None else state
             slopes = state_slope(prior, located.grid, motion, place, when, way)
             parts = np.split(slopes, np.cumsum([len(r) for _, r in moved])[:-1])
-            for (stream, _), part in zip(moved, parts, strict=True):
+            for (stream, r), part in zip(moved, parts, strict=True):
+                if way == "arclength" and r.winding is not None:
+                    part[:, POSE] += r.winding
                 out[stream][way] = part
     return out
 

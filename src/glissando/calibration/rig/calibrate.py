@@ -68,7 +68,8 @@ def calibrate(data: RigData, robot: Robot, *, readings: int = _READINGS) -> Cali
     notes += _doubts(data, fit, odds, left_out) + advice(data, fit.cov, std)
     if tube is not None:
         notes += judgement(tube, fit.rig, fit.cov, data)
-    return Calibration(fit.rig, fit.cov, data.coil_name, odds, stream_fits(fit), notes, tube)
+    found = fit.rig, fit.cov, data.coil_name, odds, stream_fits(fit), notes, tube
+    return Calibration(*found, fit.rig.channel(data))
 
 
 def _prior_std(data: RigData) -> Array:

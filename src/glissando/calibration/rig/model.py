@@ -6,11 +6,12 @@ and the clearance of the tube correlate readings, so reading a place again adds 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from glissando.calibration.rig.channel import ChannelMap, by_strain_along
 from glissando.calibration.rig.rig import PARAMETERS, Rig, RigData
 from glissando.calibration.rig.shape import shape_covariance
 from glissando.estimation.posterior import Posterior
@@ -18,6 +19,7 @@ from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.sensors.sensors import CoilReadings
 from glissando.model.state import State
+from glissando.model.tendons.channel import Channel
 from glissando.solver.block_tridiagonal import Cholesky
 from glissando.solver.measurement_factors import states_at
 
@@ -42,6 +44,7 @@ class CoilModel:
     shape: Posterior
     chol: Cholesky
     bunch: int = 1
+    maps: dict[Channel, ChannelMap] = field(default_factory=dict, repr=False)
 
     def at(self, bunches: NDArray[np.intp]) -> CoilModel:
         """The model with some of the bunches."""
@@ -51,7 +54,12 @@ class CoilModel:
     def points(self, rig: Rig) -> tuple[Array, Array]:
         """Arclength and time (M,) of the readings, which may be beyond the robot's ends."""
         time = rig.true_time(self.data.coil_time)
-        return rig.arclength(time, self.data), time
+        travel, channel = rig.arclength(time, self.data), rig.channel(self.data)
+        if channel is None:
+            return travel, time
+        if channel not in self.maps:
+            self.maps[channel] = ChannelMap.of(channel, self.shape)
+        return self.maps[channel].place(travel, time), time
 
     def _inside(self, arclength: Array, time: Array) -> tuple[Array, Array]:
         """The nearest points (M,) of the shape's grid."""
@@ -75,7 +83,11 @@ class CoilModel:
         var = np.repeat(self.data.noise.coil**2, [3, 2])
         values = rig.T_wt @ self.data.coil
         return CoilReadings(
-            time=time, arclength=arclength, values=values, cov=var, mount=rig.coil_mount
+            time=time,
+            arclength=arclength,
+            values=values,
+            cov=var,
+            mount=rig.sits(arclength, self.data),
         )
 
     def residual(self, rig: Rig) -> Array:
@@ -100,7 +112,7 @@ class CoilModel:
         points = (arclength + steps[:, 0]).ravel(), (time + steps[:, 1]).ravel()
         nearby = self.states(*points).reshape(len(steps), time.size)
         states, *ends = (nearby.take(k) for k in range(len(steps)))
-        coil = se3.inverse(rig.T_wt) @ states.pose @ rig.coil_mount
+        coil = se3.inverse(rig.T_wt) @ states.pose @ rig.sits(arclength, self.data)
         ideal = replace(self, data=replace(self.data, coil=coil))
         by_state = ideal.readings(rig).jacobian(states)
         by_arclength, by_time = (
@@ -110,12 +122,13 @@ class CoilModel:
         columns = []
         for k, nudge in enumerate(_NUDGE * np.eye(len(PARAMETERS))):
             ahead, behind = rig.moved(nudge), rig.moved(-nudge)
-            if k < _IN_SPACE:
+            change = np.zeros_like(by_time)
+            if k < _IN_SPACE or self.data.channel is not None:
                 readings = ideal.readings(ahead), ideal.readings(behind)
                 change = readings[0].residual(states) - readings[1].residual(states)
-            else:
+            if k >= _IN_SPACE or self.data.channel is not None:
                 (s_ahead, t_ahead), (s_behind, t_behind) = self.points(ahead), self.points(behind)
-                change = by_arclength * (s_ahead - s_behind)[:, None]
+                change += by_arclength * (s_ahead - s_behind)[:, None]
                 change += by_time * (t_ahead - t_behind)[:, None]
             columns.append(self._bunch_means(change) / (2.0 * _NUDGE))
         return np.stack(columns, axis=-1)
@@ -131,7 +144,9 @@ class CoilModel:
         arclength, time = readings.arclength, readings.time
         states = self.states(arclength, time)
         by_state = readings.jacobian(states)
-        out = shape_covariance(self.shape, self.chol, *self._inside(arclength, time), by_state)
+        inside = self._inside(arclength, time)
+        along = self._by_strain(rig, by_state)
+        out = shape_covariance(self.shape, self.chol, *inside, by_state, along)
         size = len(time) * ROWS
         out[np.arange(size), np.arange(size)] += np.tile(readings.cov.diagonal(), len(time))
         correlation = _field_correlation(self.data.coil[:, :3, 3], float(noise.bias[2]))
@@ -143,6 +158,19 @@ class CoilModel:
             field = std**2 * correlation[..., None, None] * relative[..., axes, axes]
             blocks[:, :, part, part] += field
         return out + blocks.transpose(0, 2, 1, 3).reshape(size, size)
+
+    def _by_strain(self, rig: Rig, by_state: Array) -> Array | None:
+        """What strain along the robot adds to derivatives, as the place in a channel follows it."""
+        channel = rig.channel(self.data)
+        if channel is None:
+            return None
+        arclength, time = self.points(rig)
+        ends = [self.states(arclength + step, time) for step in (_NUDGE, -_NUDGE)]
+        rise = ends[0].difference(ends[1]) / (2.0 * _NUDGE)
+        travel = rig.arclength(time, self.data)
+        placed = self.readings(rig)
+        readings = replace(placed, arclength=travel, mount=rig.tilt, channel=channel)
+        return by_strain_along(self.shape, readings, by_state, rise)
 
 
 def _field_correlation(place: Array, length: float) -> Array:

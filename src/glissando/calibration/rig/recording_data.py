@@ -51,6 +51,7 @@ def recording_data(recording: Recording, coil: str | None = None) -> RigData:
         coil_arclength_std=_ARCLENGTH_STD,
         direction=-1,
         noise=_noise(recording, list(bodies)),
+        channel=stream.channel,
     )
 
 

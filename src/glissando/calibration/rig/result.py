@@ -23,6 +23,7 @@ from glissando.io.toml_table import Table, read_toml
 from glissando.model.brief import Brief
 from glissando.model.robot import Robot
 from glissando.model.sensors.parameters import SensorParameter
+from glissando.model.tendons.channel import Channel
 
 _UNITS = {"delay": ("ms", 1e3), "rate": ("ppm", 1e6), "lead": ("1", 1.0)}
 
@@ -41,6 +42,8 @@ class Calibration(Brief):
         fits: Residuals of each stream.
         warnings: Sentences on what the session does not show.
         tube: What a body on the sliding tube says of the slide, if there was one.
+        channel: The channel beside the backbone that was found, if the coil slides in one; the
+            mount's x and y are then those of the channel less the stated one's.
     """
 
     rig: Rig
@@ -50,6 +53,7 @@ class Calibration(Brief):
     fits: tuple[StreamFit, ...] = ()
     warnings: tuple[str, ...] = ()
     tube: SlideFit | None = None
+    channel: Channel | None = None
 
     @property
     def std(self) -> Array:
@@ -75,7 +79,19 @@ class Calibration(Brief):
                 angle = "rotation" in name or "tilt" in name
                 unit, size = ("mrad", 1e3) if angle else _UNITS.get(name.split()[-1], ("mm", 1e3))
                 out.append((name, size * value, size * std, unit))
+        if self.channel is not None:
+            (radius, turned), sigma = self._polar()
+            out.append(("channel radius", 1e3 * radius, 1e3 * float(sigma[0]), "mm"))
+            out.append(("channel angle", 1e3 * turned, 1e3 * float(sigma[1]), "mrad"))
         return out
+
+    def _polar(self) -> tuple[tuple[float, float], Array]:
+        """Radius and angle of the channel, with their standard deviations (2,)."""
+        assert self.channel is not None
+        radius, angle = self.channel.radius, self.channel.angle
+        turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+        std = np.sqrt(np.diagonal(turn @ self.cov[6:8, 6:8] @ turn.T))
+        return (radius, angle), std / [1.0, max(radius, 1e-9)]
 
     def sensor_parameters(self) -> tuple[SensorParameter, ...]:
         """Frame, mount and delay of the coil as known sensor parameters for a robot file.
@@ -108,6 +124,7 @@ class Calibration(Brief):
                 "name": self.coil_name,
                 "mount": {**_pose(rig.coil_mount), "std": std[6:10].tolist()},
                 "clock": _clock(rig.tracker_clock, std[13:15]),
+                **({"channel": self.channel.to_table()} if self.channel else {}),
             },
             "slide": {
                 "zero": rig.zero,
@@ -175,7 +192,8 @@ def load_calibration(path: str | Path) -> Calibration:
     warnings = table.peek("warnings") or []
     if not (isinstance(warnings, list) and all(isinstance(text, str) for text in warnings)):
         raise table.fail("warnings", f"is {str(warnings)[:60]}; give a list of sentences.")
-    return Calibration(rig, cov, coil.text("name"), float(odds or 0.0), (), tuple(warnings))
+    found = rig, cov, coil.text("name"), float(odds or 0.0)
+    return Calibration(*found, warnings=tuple(warnings), channel=coil.channel())
 
 
 def _subtable(table: Table, key: str) -> Table:
@@ -207,14 +225,16 @@ def apply(calibration: Calibration, data: RigData, robot: Robot | None = None) -
     rig = calibration.rig
     time = rig.true_time(data.coil_time)
     arclength, inside = rig.arclength(time, data), rig.covered(time, data)
+    channel = rig.channel(data)
     if robot is not None:
-        inside &= (arclength > -1e-3) & (arclength < robot.length + 1e-3)
-        arclength = np.clip(arclength, 0.0, robot.length)
+        low, high = channel.travels(robot.length) if channel else (0.0, robot.length)
+        inside &= (arclength > low - 1e-3) & (arclength < high + 1e-3)
+        arclength = np.clip(arclength, low, high)
     if not inside.any():
         raise RecordingError("No coil reading is on the robot while the slide ran; is it this rig?")
-    name, mount = data.coil_name, rig.coil_mount
+    name, mount = data.coil_name, rig.tilt if channel else rig.coil_mount
     rows = Rows("coil", time[inside], arclength[inside], rig.T_wt @ data.coil[inside], {})
-    streams = {name: Stream(name, rows, mount=mount, keep_repeats=True)}
+    streams = {name: Stream(name, rows, mount=mount, keep_repeats=True, channel=channel)}
     std = np.repeat(data.noise.mocap, 3)
     for name, b in data.bodies.items():
         rows = Rows("pose", b.time, np.full(b.time.size, b.arclength), b.poses, {})

@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.brief import Brief
+from glissando.model.priors.rest_shape import STRAIGHT
+from glissando.model.tendons.channel import Channel
 
 PARAMETERS = (
     *(f"frame {part}" for part in ("x", "y", "z", "rotation x", "rotation y", "rotation z")),
@@ -25,6 +27,7 @@ PARAMETERS = (
 """The constants in the order of every covariance: m, rad, s, and 1 for lead and rates."""
 MOUNT = np.array([0, 1, 3, 4])
 """Entries of the mount's twist that a coil shows: roll is not seen, z is the slide's zero."""
+_WIDEST = 0.05  # m: radius of a channel
 _BUNCH = 0.1  # s in which all errors but the white ones stay the same
 
 
@@ -101,6 +104,8 @@ class RigData(Brief):
         noise: Noise of the devices.
         robot: Name or file of the robot, if it is known.
         tube: The motion capture body on the sliding tube, if there is one.
+        channel: The channel beside the backbone that the coil slides in, if there is one, along
+            which its arclength is then measured.
     """
 
     coil_name: str
@@ -115,6 +120,7 @@ class RigData(Brief):
     noise: Noise = field(default_factory=Noise)
     robot: str = ""
     tube: TubeBody | None = None
+    channel: Channel | None = None
 
     @property
     def slides(self) -> bool:
@@ -164,7 +170,8 @@ class Rig:
         direction: Sign of arclength with travel, ±1.
         zero: Arclength of the coil at travel 0, m.
         epoch: Stamp about which the clocks' rates count, s.
-        mount: x, y [m] and tilts about x, y [rad] of the coil in the cross-section.
+        mount: x, y [m] and tilts about x, y [rad] of the coil in the cross-section; of a coil in a
+            channel beside the backbone, how far off the channel is at the base, and those tilts.
         lead: Metres of arclength for a metre of travel.
         backlash: Play between carriage and coil, m.
         tracker_clock: Delay [s] and rate of the tracker's stamps.
@@ -201,6 +208,27 @@ class Rig:
         twist[MOUNT] = self.mount
         return se3.exp(twist)
 
+    def channel(self, data: RigData) -> Channel | None:
+        """The channel of a session's coil, moved at the base by the mount's x, y."""
+        stated = data.channel
+        if stated is None:
+            return None
+        x, y = stated.path(np.zeros(1))[0][0, :2] + self.mount[:2]
+        widest = min(_WIDEST, abs(stated.pitch))  # a step of the fit may go too far
+        return Channel(min(float(np.hypot(x, y)), widest), float(np.arctan2(y, x)), stated.pitch)
+
+    def sits(self, arclength: Array, data: RigData) -> Array:
+        """The coil in the cross-sections at arclengths (M,): T_bc (4, 4), or (M, 4, 4)."""
+        channel = self.channel(data)
+        if channel is None:
+            return self.coil_mount
+        return channel.frame(arclength, np.tile(STRAIGHT, (arclength.size, 1))) @ self.tilt
+
+    @property
+    def tilt(self) -> Array:
+        """The coil in its channel (4, 4)."""
+        return replace(self, mount=np.append([0.0, 0.0], self.mount[2:])).coil_mount
+
     def true_time(self, stamps: Array) -> Array:
         """Times (M,) of a tracker's stamps."""
         delay, rate = self.tracker_clock
@@ -213,6 +241,8 @@ class Rig:
 
     def arclength(self, time: Array, data: RigData) -> Array:
         """Arclength (M,) of the coil: zero + direction · lead · its travel behind the backlash.
+
+        Of a coil in a channel it is how far the coil was pushed in from the base.
 
         Args:
             time: True times (M,), s.

@@ -84,7 +84,8 @@ def _search(model: CoilModel, expected: Rig, lag: float) -> Rig:
     best, least = expected, np.inf
     for k, (rig, delay) in enumerate(zip(rigs, delays, strict=True)):
         at = states.take(k)
-        rig = replace(rig, T_wt=registration(at.pose, model.data.coil))
+        seen = at.pose @ model.readings(rig).mount
+        rig = replace(rig, T_wt=registration(seen, model.data.coil))
         residual = model.readings(rig).residual(at) / _SCALE
         cost = float(np.mean(np.minimum(residual**2, 25.0))) + 1e-6 * delay**2  # nearest of equals
         if cost < least:

@@ -13,6 +13,7 @@ from glissando.geometry.se3 import Array
 from glissando.io.session_log import RawSession, Topic
 from glissando.io.session_recording import session_setup
 from glissando.io.toml_table import Table
+from glissando.model.tendons.channel import Channel
 
 _NOISE = {"mocap": "mocap_std", "coil": "coil_std", "bias": "coil_bias", "play": "play"}
 _TRACKER, _MOCAP, _SLIDE = "/tracker/", "/mocap/", "/slide"
@@ -48,6 +49,7 @@ def rig_data(session: RawSession) -> RigData:
         noise=_noise(setup),
         robot=setup.text("robot", ""),
         tube=tube,
+        channel=_channel(setup, name),
     )
 
 
@@ -77,6 +79,12 @@ def _coil(session: RawSession, setup: Table) -> tuple[str, Array, Array]:
     name = names[0] if wanted is None else setup.text("coil", choices=names)
     time, poses = _poses(session.topics[_TRACKER + name])
     return name, time, poses
+
+
+def _channel(setup: Table, name: str) -> Channel | None:
+    """The channel that the setup states of a coil."""
+    entry = dict(setup.named_tables("coils")).get(name)
+    return entry.channel() if entry else None
 
 
 def _poses(topic: Topic) -> tuple[Array, Array]:

@@ -158,7 +158,12 @@ def _free_base(robot: Robot, data: RigData) -> Prior:
 
 
 def shape_covariance(
-    shape: Posterior, chol: Cholesky, arclength: Array, time: Array, by_state: Array
+    shape: Posterior,
+    chol: Cholesky,
+    arclength: Array,
+    time: Array,
+    by_state: Array,
+    along: Array | None = None,
 ) -> Array:
     """Joint covariance of linear functions of the shape's states at many points.
 
@@ -171,6 +176,7 @@ def shape_covariance(
         arclength: Arclengths (M,), m.
         time: Times (M,), s, which must not decrease.
         by_state: Derivatives (M, r, 18) of the functions by the states.
+        along: Further derivatives (M, r, N·dof) by all nodes at each point's time.
 
     Returns:
         Covariance (M·r, M·r).
@@ -191,6 +197,9 @@ def shape_covariance(
                 touched[slab[i, c] - lower[row], row, :, columns] += slopes[i, c]
         mine = by_state[points.rows]
         own[points.rows] = mine @ at.cov @ np.swapaxes(mine, -1, -2)
+    if along is not None:
+        share = np.clip(np.interp(time, shape.grid.time, np.arange(last + 1)) - lower, 0.0, 1.0)
+        touched += np.stack([1.0 - share, share])[..., None, None] * along
     return _chained(shape, chol, lower, touched) + np.asarray(block_diag(*own))
 
 

@@ -117,8 +117,9 @@ def _reading(
     pose[:3, 3] = message["position"]
     return CoilReadings(
         time=np.array([message["time"]]),
-        arclength=np.clip(coil.arclengths(travel), 0.0, robot.length),
+        arclength=coil.arclengths(travel, robot.length),
         values=(rig.frame @ pose)[None],
         cov=robot.sensor_std["coil"] ** 2,
         name=coil.name,
+        channel=coil.channel,
     )

@@ -17,6 +17,7 @@ from glissando.io.plain_file import file_stem
 from glissando.io.robot_file import load_robot
 from glissando.io.shipped_robots import beside, robot_file, shipped_robots
 from glissando.io.toml_table import Table, read_toml
+from glissando.model.tendons.channel import Channel
 
 _ARCLENGTH_STD = 2e-3  # m: how well one measures by hand where the coil is
 _BAUD, _PORT = 115200, 51001
@@ -33,6 +34,8 @@ class Coil:
         serial: Serial number that identifies it; without one, coils are taken in plug order.
         arclength_std: Standard deviation of `arclength`, m.
         slide: Name of the further stage that moves it; empty for the first.
+        channel: The channel beside the backbone that it slides in, if there is one, along which
+            its arclength is then measured.
     """
 
     name: str
@@ -41,15 +44,22 @@ class Coil:
     serial: str = ""
     arclength_std: float = _ARCLENGTH_STD
     slide: str = ""
+    channel: Channel | None = None
 
     @property
     def slide_topic(self) -> str:
         """The topic of the stage that moves it."""
         return slide_topic(self.slide)
 
-    def arclengths(self, travel: Array) -> Array:
-        """Arclengths (M,) m at travels (M,) m of the slide."""
-        return self.arclength - travel if self.slides else np.full(travel.shape, self.arclength)
+    def arclengths(self, travel: Array, length: float) -> Array:
+        """Arclengths (M,) m on a robot of some length, m, at travels (M,) m of the slide."""
+        place = self.arclength - travel if self.slides else np.full(travel.shape, self.arclength)
+        return np.clip(place, *(self.channel.travels(length) if self.channel else (0.0, length)))
+
+    def described(self) -> dict[str, Any]:
+        """What a session log states about it, in JSON's types."""
+        out = {"arclength": self.arclength, "slides": self.slides, "slide": self.slide}
+        return out | ({"channel": self.channel.to_table()} if self.channel else {})
 
 
 def slide_topic(name: str) -> str:
@@ -130,10 +140,7 @@ class Rig:
         return {
             "name": self.name,
             "robot": robot,
-            "coils": {
-                c.name: {"arclength": c.arclength, "slides": c.slides, "slide": c.slide}
-                for c in self.coils
-            },
+            "coils": {c.name: c.described() for c in self.coils},
             "coil_arclength": sliding.arclength if sliding else None,
             "coil_arclength_std": sliding.arclength_std if sliding else None,
             "direction": -1,
@@ -204,11 +211,12 @@ def _further(table: Table) -> FurtherStage:
 def _coils(table: Table, length: float) -> tuple[Coil, ...]:
     coils = []
     for entry in table.tables("coils"):
-        name, arclength = file_stem(entry.text("name"), DeviceError), _arclength(entry, length)
+        name, channel = file_stem(entry.text("name"), DeviceError), entry.channel()
+        arclength = _arclength(entry, channel.travels(length)[1] if channel else length)
         slides, serial = not entry.flag("fixed"), entry.text("serial", "")
         std = entry.number("arclength_std", _ARCLENGTH_STD)
         slide = entry.text("slide", "")
-        coils.append(Coil(name, arclength, slides, serial, std, slide))
+        coils.append(Coil(name, arclength, slides, serial, std, slide, channel))
         entry.close()
     table.close()
     if not coils:

@@ -17,7 +17,9 @@ from glissando.hardware.drivers import Stage
 from glissando.hardware.simulated_devices import started
 from glissando.hardware.simulated_devices.scene import Scene, SceneCoil
 from glissando.io.shipped_robots import robot_file
+from glissando.model.tendons.channel import Channel
 from glissando.simulation import load_bench
+from glissando.simulation.channel import routed, straight_length
 
 _LEAD = 0.0254  # m a revolution
 _BEHIND = 0.1  # m from the base to the body on the sliding tube
@@ -26,7 +28,11 @@ _SCENE_RATE = 20.0  # Hz at which the devices are given a moving robot's shapes
 
 @contextmanager
 def simulated_rig(
-    robot: str = "sliding700", shape: str = "S", seed: int = 0, faults: str = ""
+    robot: str = "sliding700",
+    shape: str = "S",
+    seed: int = 0,
+    faults: str = "",
+    channel: Channel | None = None,
 ) -> Iterator[Rig]:
     """A rig whose devices are simulated while the context lasts.
 
@@ -35,6 +41,7 @@ def simulated_rig(
         shape: Name or file of the robot's shape, which may move.
         seed: Of the noise.
         faults: Of the tracker, 'name=number,…', as its --help lists them.
+        channel: The channel beside the backbone that the coil slides in; on it unless given.
 
     Raises:
         SimulationError: Robot, shape or fault does not exist.
@@ -43,8 +50,11 @@ def simulated_rig(
     motion = bench.move(bench.shape(shape), bench.flaws, seed)
     span = float(motion.time[-1] - motion.time[0])
     times = motion.time[0] + np.linspace(0.0, span, max(1, round(span * _SCENE_RATE) + 1))
-    tip = bench.rod.length + bench.coil_offset
-    coil = SceneCoil(tip, -1.0, np.eye(4), port=0)
+    length, way = bench.rod.length, None
+    if channel is not None:
+        length, way = straight_length(routed(channel, length), length), channel.to_table()
+    tip = length + bench.coil_offset
+    coil = SceneCoil(tip, -1.0, np.eye(4), port=0, way=way)
     scene = Scene.of(motion, times, [coil], T_wt=bench.tracker, flaws=bench.flaws, seed=seed)
     limits = bench.slide
     stage = Stage(
@@ -66,8 +76,9 @@ def simulated_rig(
         options = ("--to", f"127.0.0.1:{mocap}", "--bodies", markers, "--seed", str(seed))
         behind = ("--tube", f"{tube.name}={_BEHIND}", "--travel", str(tube_travel))
         stack.enter_context(started("vicon", *begin, *options, *behind))
+        coils = (Coil("coil", tip, channel=channel),)
         yield Rig(
-            "simulated", robot, tracker, (Coil("coil", tip),), servo, stage, 0.0, mocap,
+            "simulated", robot, tracker, coils, servo, stage, 0.0, mocap,
             (*bodies, tube), frame=bench.tracker,
         )  # fmt: skip
 

@@ -13,6 +13,7 @@ import signal
 from collections import Counter
 from collections.abc import Mapping
 from contextlib import ExitStack, suppress
+from dataclasses import replace
 from multiprocessing.connection import Connection
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -151,10 +152,11 @@ class RigSource:
         pose = np.eye(4)
         pose[:3, :3] = se3.rotation_from_quaternion(np.array(message["quaternion"]))
         pose[:3, 3] = message["position"]
-        place = float(coil.arclengths(np.array([self._travel.get(coil.slide_topic, 0.0)]))[0])
-        place = float(np.clip(place, 0.0, self._robot.length))
-        time = clock.of_monotonic(message["time"])
-        return reading(self._robot, "coil", coil.name, time, place, self._rig.frame @ pose)
+        travel = np.array([self._travel.get(coil.slide_topic, 0.0)])
+        place = float(coil.arclengths(travel, self._robot.length)[0])
+        time, seen = clock.of_monotonic(message["time"]), self._rig.frame @ pose
+        out = reading(self._robot, "coil", coil.name, time, place, seen)
+        return replace(out, channel=coil.channel)
 
 
 def _capture(

@@ -16,6 +16,8 @@ from glissando.errors import SimulationError
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.io.atomic_file import new_file
+from glissando.model.tendons.channel import Channel
+from glissando.simulation.channel import least_turn, routed
 from glissando.simulation.imperfections import Imperfections
 from glissando.simulation.motion import Motion
 
@@ -32,6 +34,8 @@ class SceneCoil:
         T_bc: Its pose in the cross-section (4, 4); its axis is its z.
         port: The port it is plugged in at.
         channel: 1 for the second coil on a port.
+        way: The channel beside the backbone that it slides in, as a recording states it, along
+            which its arclength is then measured; None for a coil on the backbone.
     """
 
     arclength: float
@@ -39,6 +43,7 @@ class SceneCoil:
     T_bc: Array
     port: int
     channel: int = 0
+    way: dict[str, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -87,7 +92,30 @@ class Scene:
         """T_tc (C, 4, 4) of the coils at a travel in m, without error."""
         at = np.array([coil.arclength + coil.direction * travel for coil in self.coils])
         mounts = np.array([coil.T_bc for coil in self.coils])
-        return se3.inverse(self.T_wt) @ self.pose(at, time) @ mounts
+        poses = np.empty((len(at), 4, 4))
+        for k, (coil, place) in enumerate(zip(self.coils, at, strict=True)):
+            found = self.pose(np.array([place]), time)[0]
+            poses[k] = self._beside(coil.way, place, time) if coil.way else found
+        return se3.inverse(self.T_wt) @ poses @ mounts
+
+    def _beside(self, way: dict[str, float], travel: float, time: float) -> Array:
+        """T_wc (4, 4) after a travel in m along a channel, by its path through the nodes."""
+        stated = Channel(way["radius"], way["angle"], way["pitch"] or np.inf)
+        channel = routed(stated, float(self.arclength[-1]))
+        bodies, place = self.pose(self.arclength, time), channel.path(self.arclength)[0]
+        path = bodies[:, :3, 3] + np.einsum("nij,nj->ni", bodies[:, :3, :3], place)
+        steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
+        lengths = np.append(0.0, np.cumsum(steps))
+        inside = float(np.clip(travel, 0.0, lengths[-1]))
+        at = np.array([np.interp(inside, lengths, self.arclength)])
+        slopes = np.gradient(path, lengths, axis=0, edge_order=2).T
+        along = np.array([np.interp(inside, lengths, x) for x in slopes])
+        out = self.pose(at, time)[0]
+        axis = out[:3, :3].T @ (along / np.linalg.norm(along))
+        local = np.eye(4)
+        local[:3, :3] = least_turn(axis[None])[0]
+        local[:3, 3] = channel.path(at)[0][0] + (travel - inside) * axis
+        return np.asarray(out @ local)
 
     def save(self, path: Path) -> None:
         """Write the scene as NPZ: time, arclength, T_wb and, as JSON, everything else."""

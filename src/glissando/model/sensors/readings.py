@@ -55,6 +55,8 @@ class Readings(Brief):
             arclength is measured, from the base; None for a sensor on the backbone.
         beside: Of readings placed in a channel (M, 2, N, 6): the slope of their arclength by the
             strain at the arclength nodes, and the strain for which they were placed.
+        winding: Of such readings (M, 6): how the mount turns with the arclength, rad/m and 1, as a
+            twist in the cross-section's frame.
         slide_speed: How fast a sliding sensor's arclength grew, m/s, one or (M,).
         slide_way: Which way it slid last, −1 to 1, one or (M,): see `slide_motion`.
         rows: Declares the residual rows of one reading, and the numbers in a file's `std`.
@@ -85,6 +87,7 @@ class Readings(Brief):
     arclength_std: Array | float = 0.0
     channel: Channel | None = None
     beside: Array | None = None
+    winding: Array | None = None
     slide_speed: Array | float = 0.0
     slide_way: Array | float = 0.0
 
@@ -220,11 +223,12 @@ class Readings(Brief):
         for name, single in _ONE_OR_EACH:
             value = getattr(self, name)
             fields[name] = value[rows] if value.ndim > single else value
-        if self.beside is not None:
-            fields["beside"] = self.beside[rows]
+        for name in ("beside", "winding"):
+            if getattr(self, name) is not None:
+                fields[name] = getattr(self, name)[rows]
         return self.changed(**fields)
 
-    def changed(self, **fields: Array) -> Self:
+    def changed(self, **fields: Any) -> Self:
         """The readings with other fields, which are not checked again."""
         out = object.__new__(type(self))
         out.__dict__.update(self.__dict__, **fields)

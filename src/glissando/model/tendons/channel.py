@@ -12,6 +12,7 @@ from glissando.geometry.se3 import Array
 
 _WIDEST = 0.1  # m
 _MOST_TURNED = 4.0 * np.pi  # rad; more would be degrees
+_BEYOND = 2.0 * np.pi  # radii, by which bending lengthens a channel: a whole turn
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,12 @@ class Channel:
         """
         place, slope = self.path(arclength)
         return strain[..., :3] + np.cross(strain[..., 3:], place) + slope
+
+    def travels(self, length: float) -> tuple[float, float]:
+        """Least and greatest travel in it on a robot of some length (m) that bends a whole turn."""
+        spare = _BEYOND * self.radius
+        straight = length * float(np.hypot(1.0, 2.0 * np.pi * self.radius / self.pitch))
+        return -spare, straight + spare
 
     def frame(self, arclength: Array, strain: Array) -> Array:
         """Poses (P, 4, 4) in the cross-section of frames whose z points along the channel.

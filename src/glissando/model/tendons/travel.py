@@ -22,7 +22,7 @@ def travel_of(channel: Channel, nodes: Array, strain: Array, arclength: Array) -
 
     Source: (M8), dσ/ds = |ν + u × r + dr/ds|.
     """
-    places, lengths = channel_lengths(channel, nodes, strain)
+    places, _, lengths = channel_lengths(channel, nodes, strain)
     _require_inside(arclength, places, "arclength")
     return np.interp(arclength, places, lengths)
 
@@ -41,25 +41,34 @@ def arclength_of(channel: Channel, nodes: Array, strain: Array, travel: Array) -
 
     Source: (M8).
     """
-    places, lengths = channel_lengths(channel, nodes, strain)
+    places, _, lengths = channel_lengths(channel, nodes, strain)
     _require_inside(travel, lengths, "travel")
     return np.interp(travel, lengths, places)
 
 
-def channel_lengths(channel: Channel, nodes: Array, strain: Array) -> tuple[Array, Array]:
-    """Arclengths of fine steps (F,), and the length of the channel up to each.
+def channel_lengths(channel: Channel, nodes: Array, strain: Array) -> tuple[Array, Array, Array]:
+    """Arclengths of fine steps (F,), the channel's tangent there, and its length up to each.
 
     Args:
         channel: The channel.
         nodes: Arclengths (N,) where strain is known, from 0 up, m.
-        strain: Strain there (N, 6), linear between.
+        strain: Strain there (…, N, 6), linear between.
+
+    Returns:
+        Arclengths (F,), tangents (…, F, 3), whose size is dσ/ds, and lengths (…, F).
     """
     fine = np.linspace(nodes[:-1], nodes[1:], _STEPS, endpoint=False, axis=-1).ravel()
     fine = np.append(fine, nodes[-1])
-    values = np.stack([np.interp(fine, nodes, column) for column in strain.T], axis=-1)
-    speed = np.linalg.norm(channel.tangent(fine, values), axis=-1)
-    steps = 0.5 * (speed[1:] + speed[:-1]) * np.diff(fine)
-    return fine, np.concatenate([[0.0], np.cumsum(steps)])
+    tangent = channel.tangent(fine, hats(nodes, fine) @ strain)
+    speed = np.linalg.norm(tangent, axis=-1)
+    steps = 0.5 * (speed[..., 1:] + speed[..., :-1]) * np.diff(fine)
+    lengths = np.concatenate([np.zeros_like(speed[..., :1]), np.cumsum(steps, axis=-1)], axis=-1)
+    return fine, tangent, lengths
+
+
+def hats(nodes: Array, arclength: Array) -> Array:
+    """Matrix (P, N) from values at nodes (N,) to those of their line at arclengths (P,)."""
+    return np.stack([np.interp(arclength, nodes, row) for row in np.eye(nodes.size)], axis=-1)
 
 
 def _require_inside(given: Array, limits: Array, name: str) -> None:

@@ -186,9 +186,12 @@ class DynamicMotion:
 
     def shortening(self, tendons: Sequence[Tendon], time: Array) -> Array:
         """How much shorter (M, T) channels are at times (M,) than in the straight rod, m."""
+        return shortening(self.mesh, self.strains(time), tendons)
+
+    def strains(self, time: Array) -> Array:
+        """Strains (M, G, 6) at the mesh's points at times (M,), s."""
         inside = np.clip(time, self.time[0], self.time[-1])
-        strain = np.stack([self.state_at(float(t))[0][0] for t in inside])
-        return shortening(self.mesh, strain, tendons)
+        return np.stack([self.state_at(float(t))[0][0] for t in inside])
 
     def state_at(self, time: float) -> tuple[Array, float]:
         """Strain and its derivatives (3, G, 6) at a time, and the middle of its step, s."""

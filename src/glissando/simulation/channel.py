@@ -1,0 +1,72 @@
+"""Where a coil is in a channel beside the backbone, by the simulated rod's own geometry."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from glissando.geometry import se3
+from glissando.geometry.se3 import Array
+from glissando.model.tendons.channel import Channel
+from glissando.simulation.dynamics.motion import DynamicMotion
+from glissando.simulation.motion import Motion
+from glissando.simulation.rod import STRAIGHT, Tendon
+
+_FINE = 401  # places along a channel whose straight length is asked for
+
+
+def routed(channel: Channel, length: float) -> Tendon:
+    """The way of a stated channel through a rod of some length, m."""
+    if np.isfinite(channel.pitch):
+        return Tendon.helical(channel.radius, channel.angle, channel.pitch, length)
+    at = channel.radius * np.array([np.cos(channel.angle), np.sin(channel.angle)])
+    return Tendon(at, length)
+
+
+def straight_length(channel: Tendon, length: float) -> float:
+    """Length of a channel in the straight rod, m."""
+    places = np.linspace(0.0, length, _FINE)
+    speed = np.linalg.norm(STRAIGHT[:3] + channel.path(places)[1], axis=-1)
+    return float(np.trapezoid(speed, places))
+
+
+def poses_in(channel: Tendon, motion: Motion | DynamicMotion, travel: Array, time: Array) -> Array:
+    """Poses T_wc (M, 4, 4) after travels (M,) from the base, z along the channel.
+
+    Beyond an end of the channel the coil goes straight on.
+
+    Args:
+        channel: The channel.
+        motion: The robot's motion.
+        travel: How far the coil was pushed in, m.
+        time: When (M,), s.
+    """
+    mesh, length = motion.mesh, motion.rod.length
+    instants, which = np.unique(time, return_inverse=True)
+    speed = np.linalg.norm(_along(channel, mesh.points, motion.strains(instants)), axis=-1)
+    ends = np.full(instants.size, length), speed @ mesh.weights
+    s = np.concatenate([[0.0], mesh.points, ends[0][:1]])
+    way = np.column_stack([np.zeros(instants.size), speed @ mesh.integral.T, ends[1]])
+    inside = np.clip(travel, 0.0, ends[1][which])
+    behind = [np.interp(x, way[k], s - way[k]) for x, k in zip(inside, which, strict=True)]
+    place = np.clip(inside + behind, 0.0, length)
+    at, local = motion.at(place, time), np.tile(np.eye(4), (time.size, 1, 1))
+    tangent = _along(channel, place, at.strain)
+    axis = tangent / np.linalg.norm(tangent, axis=-1, keepdims=True)
+    local[:, :3, :3] = least_turn(axis)
+    local[:, :3, 3] = channel.path(place)[0] + (travel - inside)[:, None] * axis
+    return at.pose @ local
+
+
+def _along(channel: Tendon, arclength: Array, strain: Array) -> Array:
+    """Tangent (…, P, 3) of a channel at arclengths (P,) in the rod's frame there."""
+    place, slope = channel.path(arclength)
+    return strain[..., :3] + np.cross(strain[..., 3:], place) + slope
+
+
+def least_turn(axis: Array) -> Array:
+    """The least rotations (M, 3, 3) that take z onto axes (M, 3)."""
+    lean = np.stack([-axis[:, 1], axis[:, 0], np.zeros(len(axis))], axis=-1)
+    sine = np.linalg.norm(lean, axis=1, keepdims=True)
+    angle = np.arctan2(sine, axis[:, 2:])
+    lean = np.where(sine > 1e-12, angle * lean / np.maximum(sine, 1e-12), [1.0, 0.0, 0.0] * angle)
+    return se3.so3_exp(lean)
