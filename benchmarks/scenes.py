@@ -45,7 +45,8 @@ def drawn_scene(robot, seed, delta):
     sensor = sliding_sensor(robot, rate=20.0)
     slide = Actuator(0.3 * robot.length, robot.length, 0.05, 0.1, 0.7 * robot.length)
     tendons = [Actuator(start=0.0, **TENDON)] * len(robot.tendons)
-    scene = Scene([], [], RADIUS, delta, HORIZON, tendons, [slide], [sensor], model_std=MODEL_STD)
+    scene = Scene([], [], RADIUS, delta, HORIZON, tendons, [slide], [sensor], model_std=MODEL_STD,
+                  correction=PAUSE)  # fmt: skip
     body = motion_problem(replace(scene, targets=[Target(np.zeros(3), 1.0, HORIZON)]), robot).body
     angle = rng.uniform(0.0, 2.0 * np.pi)
     towards = np.cos(robot.tendons.angle - angle)
@@ -67,7 +68,7 @@ def plans_of(robot, deltas, count, first):
     while len(found) < count and seed < first + 10 * count:
         try:
             row = [
-                plan_motion(motion_problem(drawn_scene(robot, seed, d), robot, moment=PAUSE),
+                plan_motion(motion_problem(drawn_scene(robot, seed, d), robot),
                             candidates=3, iterations=40)
                 for d in deltas
             ]  # fmt: skip
@@ -108,7 +109,7 @@ def risk(robot, options):
         hits, misses, clear = 0, [], []
         for k in range(options.runs):
             seed, plans = found[k % len(found)]
-            clearance, miss = followed(plans[level], robot, options.first + 100 * seed + k)
+            clearance, miss = followed(plans[level], robot, options.first + 10_000 * seed + k)
             hits += clearance < 0.0
             misses.append(miss)
             clear.append(clearance)
@@ -128,12 +129,12 @@ def speed(robot, options):
     ((_, (plan,)),) = plans_of(robot, [0.05], 1, options.first)
     scene = replace(plan.problem.scene, horizon=10.0)
     scene = replace(scene, targets=[replace(scene.targets[0], time=10.0)])
-    problem = motion_problem(scene, robot, moment=0.5)
+    problem = motion_problem(scene, robot)
     warm = np.pad(plan.evaluation.control, ((0, 0), (0, 4)), mode="edge")
     plan = plan_motion(problem, candidates=1, warm_start=warm)
     at, values = plan.evaluation, plan.commands()[1]
     moved, before = values[20], values[18]
-    later = motion_problem(scene, robot, moment=0.5, start=moved, speed=(moved - before) / 0.1)
+    later = motion_problem(scene, robot, start=moved, speed=(moved - before) / 0.1)
     target = np.concatenate([at.control[:, 1:], at.control[:, -1:]], axis=1)
     rows, start = [], later.space.follow(target)
     for name, work in (

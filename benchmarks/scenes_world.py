@@ -15,6 +15,7 @@ from glissando.simulation.dynamics import Scenario, simulate_motion
 from glissando.simulation.imperfections import SmoothField
 
 PAUSE = 0.5  # s between corrections
+COMMANDS = 10  # to the tendons in a pause
 SET, SET_LENGTH = 0.35, 0.06  # rad/m, m
 FRICTION, PLAY, ZERO, ANGLE, STIFFNESS = 0.03, 1e-4, 1e-4, 0.02, 0.03
 MASS = 0.004  # kg/m
@@ -58,15 +59,17 @@ class World:
         ]
         return World(rod, tendons, t.stiffness, ZERO * rng.standard_normal(len(t)), scene, rng)
 
-    def pull(self, displacement):
-        """Go on for a pause, in which the tendons come evenly to displacements (T,)."""
-        half = 0.5 * PLAY
-        start = displacement if self.reached is None else self.reached
-        end = np.clip(start, displacement - half, displacement + half)
-        first, last = start + self.zero, end + self.zero
+    def pull(self, path):
+        """Go on for a pause, in which the tendons follow displacements (S, T) at even times."""
+        half, reached = 0.5 * PLAY, []
+        at = path[0] if self.reached is None else self.reached
+        for displacement in path:
+            at = np.clip(at, displacement - half, displacement + half)
+            reached.append(at + self.zero)
+        even, pulls = np.linspace(0.0, PAUSE, len(path)), np.array(reached).T
 
         def pulled(time):
-            return first + min(max(time / PAUSE, 0.0), 1.0) * (last - first)
+            return np.array([np.interp(time, even, row) for row in pulls])
 
         scenario = Scenario(
             displacements=pulled, tendon_stiffness=self.stiffness, gravity=(0.0, 0.0, -9.81)
@@ -76,7 +79,7 @@ class World:
         self.motion = simulate_motion(
             self.rod, self.tendons, scenario, PAUSE, tolerance=1e-3, **begun
         )
-        self.time, self.reached = self.time + PAUSE, end
+        self.time, self.reached = self.time + PAUSE, at
         s = np.linspace(0.0, self.rod.length, PLACES)
         when = np.linspace(0.0, PAUSE, MOMENTS)[:, None]
         place = self.motion.at(s, when).pose[..., :3, 3].reshape(-1, 3)
@@ -84,11 +87,11 @@ class World:
             clear = float(obstacle.distance(place)[0].min()) - self.scene.robot_radius
             self.clearance = min(self.clearance, clear)
 
-    def read(self, sensor, first, last):
-        """Readings of the last pause of a coil that slid from one arclength to another."""
+    def read(self, sensor, path):
+        """Readings of the last pause of a coil whose arclengths were (S,) at even times."""
         count = max(1, round(sensor.rate * PAUSE))
         share = (np.arange(count) + 1.0) / count
-        place = first + share * (last - first)
+        place = np.interp(share, np.linspace(0.0, 1.0, path.size), path)
         pose = self.motion.at(place, share * PAUSE).pose
         std = np.sqrt(np.diagonal(sensor.readings(pose, place, place).cov))
         noise = np.pad(std * self.rng.standard_normal((count, std.size)), ((0, 0), (0, 1)))
@@ -109,16 +112,14 @@ def run_loop(follower, world, senses=True):
     """Follow a plan in the world to its end: least clearance, and the tip's miss, m."""
     problem = follower.problem
     count = len(problem.scene.tendons)
-    values = follower.command(0.0)
-    world.pull(values[:count])
-    world.time, world.clearance = 0.0, np.inf
-    for slide, sensor in enumerate(problem.scene.sensors if senses else ()):  # at rest before
-        follower.add(world.read(sensor, values[count + slide], values[count + slide]))
-    for k in range(1, round(problem.scene.horizon / PAUSE) + 1):
-        before, values = values, follower.command(k * PAUSE)
-        world.pull(values[:count])
+    for k in range(round(problem.scene.horizon / PAUSE) + 1):
+        follower.command(k * PAUSE)
+        path = follower.at(PAUSE * (k - np.linspace(1.0, 0.0, COMMANDS + 1)))
+        world.pull(path[:, :count])
+        if k == 0:  # at rest before the start
+            world.time, world.clearance = 0.0, np.inf
         follower.advance(k * PAUSE)
         for slide, sensor in enumerate(problem.scene.sensors if senses else ()):
-            follower.add(world.read(sensor, before[count + slide], values[count + slide]))
+            follower.add(world.read(sensor, path[:, count + slide]))
     target = problem.scene.targets[-1]
     return world.clearance, float(np.linalg.norm(world.tip - target.position))

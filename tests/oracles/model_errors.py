@@ -4,12 +4,12 @@ import numpy as np
 
 
 def dense_covariance(problem, rows):
-    """Covariances (K, q, q) before the readings of each moment, and lagged ones (K−1, q, q).
+    """Covariances (K, q, q) before the readings of each of K corrections.
 
-    All moments are one vector, conditioned on all readings that come before at once.
+    All corrections are one vector, conditioned on all readings that come before at once.
     """
     count, size = len(rows), problem.body.errors
-    kept = problem.kept
+    kept = problem.kept**problem.every
     first, eye = problem.belief.cov, np.eye(size)
     cov = np.zeros((count, count, size, size))
     own = first
@@ -30,31 +30,34 @@ def dense_covariance(problem, rows):
     return np.array(before)
 
 
-def sampled_hits(problem, evaluation, count, rng):
-    """Share of model errors with which a shape, solved anew, touches anything at any moment.
+def sampled_errors(problem, known, count, rng):
+    """What a filter leaves of sampled model errors (count, q), moment after moment."""
+    rows, before = known.corrections.rows, known.corrections.before
+    size, kept = problem.body.errors, problem.kept**problem.every
+    off = rng.multivariate_normal(np.zeros(size), problem.belief.cov, count)
+    yield off
+    for k in range(len(before) - 1):
+        noise = rng.standard_normal((count, rows.shape[1]))
+        gain = np.linalg.solve(
+            np.eye(rows.shape[1]) + rows[k] @ before[k] @ rows[k].T, rows[k] @ before[k]
+        ).T
+        drift = np.sqrt(1.0 - kept**2) * rng.standard_normal((count, size))
+        new = kept * (off - (off @ rows[k].T + noise) @ gain.T) + drift
+        for part in range(1, problem.every + 1):
+            yield off + part / problem.every * (new - off)
+        off = new
 
-    Each sample is what a filter does not know: the true error less what it believes at the moment.
-    """
-    size, known = problem.body.errors, evaluation.known
-    steps = len(known.before)
-    true = rng.multivariate_normal(np.zeros(size), problem.belief.cov, count)
-    off = true.copy()
+
+def sampled_hits(problem, evaluation, count, rng):
+    """Share of model errors with which a shape, solved anew, touches anything at any moment."""
     hit = np.zeros(count, dtype=bool)
     radius, std = problem.scene.robot_radius, problem.scene.model_std
     floor = std * rng.standard_normal((count, 1))
-    for k in range(steps):
+    for k, off in enumerate(sampled_errors(problem, evaluation.known, count, rng)):
         mean = problem.kept**k * problem.belief.mean
         values = np.broadcast_to(evaluation.values[k, :6], (count, 6))
         place = problem.body.shapes(values, mean + off).place.reshape(-1, 3)
         for obstacle in problem.scene.obstacles:
             clear = obstacle.distance(place)[0].reshape(count, -1) - radius
             hit |= np.any(clear + floor < 0.0, axis=1)
-        noise = rng.standard_normal((count, known.rows.shape[1]))
-        gain = np.linalg.solve(
-            np.eye(known.rows.shape[1]) + known.rows[k] @ known.before[k] @ known.rows[k].T,
-            known.rows[k] @ known.before[k],
-        ).T
-        off = off - (off @ known.rows[k].T + noise) @ gain.T
-        drift = np.sqrt(1.0 - problem.kept**2) * rng.standard_normal((count, size))
-        off = problem.kept * off + drift
     return hit.mean()

@@ -28,10 +28,10 @@ def slope_along(value, at, direction, step=2e-5):
 
 
 @pytest.mark.parametrize("name", WORTH)
-@pytest.mark.parametrize("seed", range(2))
-def test_slopes_through_mechanics_and_belief_are_those_of_differences(name, seed):
-    rng = np.random.default_rng(seed)
-    problem, control = any_problem(rng, obstacles=around(rng, 6))
+@pytest.mark.parametrize("every", [1, 3])
+def test_slopes_through_mechanics_and_belief_are_those_of_differences(name, every):
+    rng = np.random.default_rng(every)
+    problem, control = any_problem(rng, every, obstacles=around(rng, 6))
     worth, gradient = WORTH[name]
     evaluation = problem.evaluate(control)
     if name == "risk":

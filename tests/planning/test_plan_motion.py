@@ -19,7 +19,7 @@ BALL = sphere(np.array([0.02, 0.006, 0.205]), 0.006)
 def planned():
     """A plan past a ball."""
     scene = small_scene([BALL], target=(0.045, 0.012, 0.185))
-    return plan_motion(motion_problem(scene, ROBOT, moment=0.5), candidates=2, iterations=30)
+    return plan_motion(motion_problem(scene, ROBOT), candidates=2, iterations=30)
 
 
 def test_a_plan_reaches_its_target_within_limits_at_the_risk_that_is_allowed(planned):
@@ -50,7 +50,7 @@ def test_the_straight_way_would_not_have_kept_the_risk(planned):
 def test_more_risk_costs_no_more(planned):
     scene = replace(planned.problem.scene, delta=0.3)
     looser = plan_motion(
-        motion_problem(scene, ROBOT, moment=0.5),
+        motion_problem(scene, ROBOT),
         warm_start=planned.evaluation.control,
         candidates=1,
     )
@@ -77,7 +77,7 @@ def test_more_risk_costs_no_more(planned):
 )
 def test_a_scene_that_is_impossible_says_which_part_and_by_how_much(fields, sentence):
     given = {"obstacles": [], "target": (0.045, 0.012, 0.185), **fields}
-    problem = motion_problem(small_scene(**given), ROBOT, moment=0.5)
+    problem = motion_problem(small_scene(**given), ROBOT)
     with pytest.raises(GlissandoError, match=sentence):
         plan_motion(problem, iterations=5, candidates=1)
 
@@ -109,7 +109,7 @@ def test_a_plan_is_within_one_percent_of_the_best_of_all_motions(weights):
     scene = small_scene([ball], weights=weights, tendons=tendons, slides=[slide])
     wished = motion_problem(scene, ROBOT).body.shapes(np.array([[0, 3e-3, 0, 0, 0, 0]]))
     scene = replace(scene, targets=[Target(wished.place[0, -1], 0.008, 4.0)])
-    problem = motion_problem(scene, ROBOT, step=2.0, moment=0.5)
+    problem = motion_problem(scene, ROBOT, step=2.0)
     best = exhaustive(Reduced(problem, np.array([1, 6])), 13, 3)
     plan = plan_motion(problem, candidates=3)
     assert plan.evaluation.cost <= best * 1.01

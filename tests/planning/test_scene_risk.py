@@ -12,7 +12,7 @@ from draws import generators, law
 from glissando.planning.scene.risk import both_below, bound_hits
 from glissando.planning.scene.sampled_risk import sample_risk
 from motion_scenes import any_problem
-from oracles.model_errors import dense_covariance, sampled_hits
+from oracles.model_errors import dense_covariance, sampled_errors, sampled_hits
 
 
 @pytest.fixture
@@ -33,9 +33,20 @@ def test_two_numbers_are_below_with_the_probability_of_the_bivariate_normal(rng,
 @settings(law, max_examples=6)
 @given(rng=generators)
 def test_what_is_known_is_what_dense_algebra_says(rng):
-    problem, control = any_problem(rng, horizon=2.0)
+    problem, control = any_problem(rng, int(rng.integers(1, 4)), horizon=2.0)
     known = problem.evaluate(control).known
-    np.testing.assert_allclose(known.before, dense_covariance(problem, known.rows), atol=1e-8)
+    true = dense_covariance(problem, known.corrections.rows)
+    np.testing.assert_allclose(known.before[:: problem.every], true, atol=1e-8)
+
+
+def test_between_corrections_what_is_left_is_as_large_as_in_samples(rng):
+    problem, control = any_problem(rng, 3, horizon=2.0)
+    known, count = problem.evaluate(control).known, 20_000
+    errors = np.array(list(sampled_errors(problem, known, count, rng)))
+    for stated, others in ((known.before, errors), (known.lagged, errors[1:])):
+        pairs = zip(errors, others, strict=False)
+        found = np.array([a.T @ b / count for a, b in pairs])
+        np.testing.assert_allclose(found, stated, atol=6.0 * np.abs(stated).max() / count**0.5)
 
 
 def as_risky(problem, control, risk):
@@ -71,7 +82,7 @@ def test_the_bound_is_above_the_risk_and_at_most_three_times_of_it(risk, rng):
 def test_shapes_solved_anew_hit_as_often_as_the_samples_say(rng):
     pairs = []
     for _ in range(2):
-        problem, control = any_problem(rng, horizon=2.0)
+        problem, control = any_problem(rng, 2, horizon=2.0)
         thick = as_risky(problem, control, 0.08)
         evaluation = thick.evaluate(control)
         share = sample_risk(thick, evaluation, 10_000, seed=1)[0]

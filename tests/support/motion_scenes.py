@@ -32,7 +32,7 @@ def around(rng, count=3):
 
 def small_scene(obstacles, target=(0.03, 0.01, 0.19), **fields):
     """A scene of four seconds for `ROBOT`."""
-    named = {"delta": 0.05, "robot_radius": 0.004, "horizon": 4.0}
+    named = {"delta": 0.05, "robot_radius": 0.004, "horizon": 4.0, "correction": 0.5}
     named |= {"tendons": [TENDON] * 6, "slides": [SLIDE], "sensors": [COIL], **fields}
     return Scene(
         obstacles,
@@ -41,8 +41,11 @@ def small_scene(obstacles, target=(0.03, 0.01, 0.19), **fields):
     )
 
 
-def any_problem(rng, **fields):
-    """A problem with all terms, at a random belief, and a motion (C, S+2) within its limits."""
+def any_problem(rng, every=1, **fields):
+    """A problem with all terms, at a random belief, and a motion (C, S+2) within its limits.
+
+    Commands are corrected twice a second, and motions judged at `every` times as many moments.
+    """
     fields.setdefault("obstacles", around(rng))
     weights = Weights(accuracy=1.0, time=1.0, wear=0.3, information=1.0)
     zones = [
@@ -55,8 +58,8 @@ def any_problem(rng, **fields):
     belief = ErrorBelief(
         0.5 * rng.standard_normal(body.errors), root @ root.T + 0.1 * np.eye(len(root))
     )
-    space = motion_space(scene, moment=0.5)
+    space = motion_space(scene, moment=scene.correction / every)
     times = space.paths[0].steps + 2
     pulled = rng.uniform(-1e-3, 3e-3, (6, times))
     control = space.follow(np.vstack([pulled, rng.uniform(0.05, LENGTH, (1, times))]))
-    return MotionProblem(scene, body, belief, space), control
+    return MotionProblem(scene, body, belief, space, every=every), control

@@ -10,10 +10,12 @@ dP⁺ = F dP Fᵀ − P⁺ (dHᵀ H + Hᵀ dH) P⁺.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from glissando.geometry.se3 import Array
+from glissando.model.grid import Index
 
 
 @dataclass(frozen=True)
@@ -50,14 +52,14 @@ def _gain(cov: Array, rows: Array) -> Array:
 
 @dataclass(frozen=True)
 class PredictedCovariance:
-    """Covariances of a model error at K moments, before and after the readings of each.
+    """Covariances of a model error at K corrections, before and after the readings of each.
 
     Attributes:
-        before: What commands of a moment know (K, q, q).
-        after: With the readings of the moment (K, q, q).
-        free: I − K H of each moment (K, q, q).
+        before: What commands of a correction know (K, q, q).
+        after: With the readings of the correction (K, q, q).
+        free: I − K H of each correction (K, q, q).
         rows: Whitened rows of the readings (K, r, q).
-        kept: What is left of a model error from one moment to the next.
+        kept: What is left of a model error from one correction to the next.
     """
 
     before: Array
@@ -68,7 +70,7 @@ class PredictedCovariance:
 
     @property
     def lagged(self) -> Array:
-        """Covariance (K−1, q, q) of the error of what is known with that a moment later."""
+        """Covariance (K−1, q, q) of the error of what is known with that a correction later."""
         return self.kept * self.after[:-1]
 
     def back(self, by_before: Array, by_lagged: Array) -> Array:
@@ -90,12 +92,12 @@ class PredictedCovariance:
 
 
 def predict_covariance(cov: Array, rows: Array, kept: float) -> PredictedCovariance:
-    """Covariances of a model error over K moments.
+    """Covariances of a model error over K corrections.
 
     Args:
-        cov: Covariance (q, q) before the readings of the first moment.
-        rows: Whitened rows (K, r, q) of the readings of each moment.
-        kept: What is left of a model error from one moment to the next.
+        cov: Covariance (q, q) before the readings of the first.
+        rows: Whitened rows (K, r, q) of the readings of each.
+        kept: What is left of a model error from one correction to the next.
     """
     shape = (len(rows), *cov.shape)
     before, after, free = np.empty(shape), np.empty(shape), np.empty(shape)
@@ -107,3 +109,66 @@ def predict_covariance(cov: Array, rows: Array, kept: float) -> PredictedCovaria
         after[k] = 0.5 * (new + new.T)
         cov = kept**2 * after[k] + (1.0 - kept**2) * eye
     return PredictedCovariance(before, after, free, rows, kept)
+
+
+@dataclass(frozen=True)
+class KnownError:
+    """Covariances of what is not known of a model error, at M moments.
+
+    Commands are corrected at every m-th moment, M − 1 = m (K − 1). From one correction to the next
+    the actuators go evenly, so what is left of the error does too: (1 − w) e_k + w e_k+1.
+
+    Attributes:
+        corrections: The covariances at the corrections.
+        every: Moments m from one correction to the next.
+    """
+
+    corrections: PredictedCovariance
+    every: int = 1
+
+    @cached_property
+    def before(self) -> Array:
+        """Covariances (M, q, q) at the moments."""
+        at, share = self._shares
+        return self._mixed(at, (1.0 - share) ** 2, share**2, 2.0 * share * (1.0 - share))
+
+    @cached_property
+    def lagged(self) -> Array:
+        """Covariances (M−1, q, q) with the error a moment later."""
+        return self._mixed(self._shares[0][:-1], *self._lagged_weights)
+
+    def back(self, by_before: Array, by_lagged: Array) -> Array:
+        """Slope (K, r, q) by the rows, of a value with slopes by `before` and `lagged`."""
+        at, share = self._shares
+        first = (1.0 - share) ** 2, share**2, 2.0 * share * (1.0 - share)
+        known = self.corrections
+        own, lag = np.zeros_like(known.before), np.zeros_like(known.lagged)
+        pairs = ((by_before, at, first), (by_lagged, at[:-1], self._lagged_weights))
+        for by, here, (early, late, both) in pairs:
+            np.add.at(own, here, early[:, None, None] * by)
+            np.add.at(own, here + 1, late[:, None, None] * by)
+            np.add.at(lag, here, both[:, None, None] * by)
+        return known.back(own, lag)
+
+    @cached_property
+    def _shares(self) -> tuple[Index, Array]:
+        """The correction before each moment (M,), the last but one at most, and how far from it."""
+        count = len(self.corrections.before) - 1
+        moment = np.arange(count * self.every + 1)
+        at = np.minimum(moment // self.every, count - 1)
+        return at, moment / self.every - at
+
+    @property
+    def _lagged_weights(self) -> tuple[Array, Array, Array]:
+        """Weights (M−1,) of both corrections' covariances and of that between them."""
+        early = self._shares[1][:-1]
+        late = early + 1.0 / self.every
+        both = (1.0 - early) * late + early * (1.0 - late)
+        return (1.0 - early) * (1.0 - late), early * late, both
+
+    def _mixed(self, at: Index, early: Array, late: Array, both: Array) -> Array:
+        """Weighted sums of the covariances about each correction."""
+        known = self.corrections
+        out: Array = early[:, None, None] * known.before[at]
+        out += late[:, None, None] * known.before[at + 1]
+        return out + both[:, None, None] * known.lagged[at]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from glissando._kernels.threads import one_thread
 from glissando.errors import NoShapeError
@@ -33,32 +34,44 @@ class MotionFollower:
         plan: The plan.
         belief: What is known of the model error, at the time of the newest reading.
         time: That time, s from the plan's start.
-        pulled: Displacements (T,) that the tendons were last told, m.
-        due: When they are there, s.
+        due: Time that the newest command is for, s from the plan's start.
     """
 
     plan: MotionPlan
     belief: ErrorBelief = field(init=False)
     time: float = 0.0
-    pulled: Array = field(init=False)
     due: float = 0.0
-    _before: tuple[float, Array] = field(init=False)
+    _begun: float = field(default=-1.0, init=False)
+    _corrections: Array = field(init=False)  # (2, T) of the commands before and now, m
 
     def __post_init__(self) -> None:
         self.belief = self.plan.problem.belief
-        self.pulled = np.array([tendon.start for tendon in self.problem.scene.tendons])
-        self._before = -np.inf, self.pulled
+        self._corrections = np.zeros((2, len(self.problem.scene.tendons)))
 
     @property
     def problem(self) -> MotionProblem:
         """The problem that the plan solves."""
         return self.plan.problem
 
-    def planned(self, time: float) -> Array:
-        """Values (C,) of all actuators that the plan has at a time, m; at rest after its end."""
-        moment = np.array([np.clip(time, 0.0, self.problem.scene.horizon)])
-        basis = replace(self.problem.space, moments=moment).basis
-        return np.asarray((basis @ self.plan.evaluation.control.T)[0])
+    def planned(self, time: ArrayLike) -> Array:
+        """Values (…, C) of all actuators that the plan has at times, m; at rest after its end."""
+        moment = np.clip(np.asarray(time, dtype=float), 0.0, self.problem.scene.horizon)
+        basis = replace(self.problem.space, moments=moment.ravel()).basis
+        values = basis @ self.plan.evaluation.control.T
+        return np.asarray(values.reshape(*moment.shape, -1))
+
+    def at(self, time: ArrayLike) -> Array:
+        """Values (…, C) of all actuators at times up to the newest command's, m.
+
+        They are the plan's, with a correction that goes evenly from one command to the next.
+        """
+        when, values = np.asarray(time, dtype=float), self.planned(time)
+        share = np.clip((when - self._begun) / max(self.due - self._begun, 1e-9), 0.0, 1.0)
+        before, now = self._corrections
+        count = now.size
+        pulled = values[..., :count] + before + share[..., None] * (now - before)
+        values[..., :count] = np.clip(pulled, *self._limits)
+        return values
 
     def advance(self, time: float) -> None:
         """Let time pass, s from the plan's start, without readings."""
@@ -68,13 +81,12 @@ class MotionFollower:
     def add(self, readings: Readings) -> None:
         """Take readings of a coil at times of the plan, m and s.
 
-        Between two commands the tendons move evenly. Source: the extended Kalman filter; a batch
-        is linearised where the robot is expected, and its readings count as of the newest time.
+        Source: the extended Kalman filter; a batch is linearised where the robot is expected, and
+        its readings count as of the newest time.
         """
-        (first, start), count = self._before, len(readings)
-        share = np.clip((readings.time - first) / max(self.due - first, 1e-9), 0.0, 1.0)
+        count = len(readings)
         with one_thread():
-            pulled = start + share[:, None] * (self.pulled - start)
+            pulled = self.at(readings.time)[:, : self._corrections.shape[1]]
             shapes = self.problem.body.shapes(pulled, np.tile(self.belief.mean, (count, 1)))
             at, weights = self.problem.neighbours(readings.arclength)
             own = np.arange(count)
@@ -91,26 +103,32 @@ class MotionFollower:
     def command(self, time: float) -> Array:
         """Values (C,) that all actuators should have come to by a time, s from the start, m.
 
-        Where the planned bends have no shape any more, the tendons stay as they are.
+        Where the planned bends have no shape any more, the correction stays as it is.
         """
-        values, count = self.planned(time), self.pulled.size
-        self._before = (self.due, self.pulled) if time > 0.0 else (-1.0, self.pulled)
-        self.due = time
+        values, count = self.planned(time), self._corrections.shape[1]
         scale = self.problem.body.time_scale
         start = self.problem.belief.after(time, scale).mean
         mean = self.belief.after(max(time - self.time, 0.0), scale).mean
+        new = self._corrections[1]
         with one_thread():
             try:
                 wished = self.problem.body.shapes(values[None, :count], start[None])
-                self.pulled = self._bent_as(wished, values[:count], mean)
+                new = self._bent_as(wished, values[:count], mean) - values[:count]
             except NoShapeError:
                 pass
-        return np.concatenate([self.pulled, values[count:]])
+        self._begun = self.due if time > self.due else time - 1.0
+        self._corrections, self.due = np.stack([self._corrections[1], new]), time
+        return self.at(time)
+
+    @property
+    def _limits(self) -> tuple[Array, Array]:
+        """Least and largest displacements (T,), m."""
+        tendons = self.problem.scene.tendons
+        return np.array([t.lower for t in tendons]), np.array([t.upper for t in tendons])
 
     def _bent_as(self, wished: BodyShapes, pulled: Array, error: Array) -> Array:
         """Displacements (T,) nearest to given ones that bend all pieces as wished."""
-        tendons = self.problem.scene.tendons
-        low, high = (np.array([getattr(t, end) for t in tendons]) for end in ("lower", "upper"))
+        low, high = self._limits
         goal, at = wished.balance.strain[0, :, 3:5].ravel(), pulled
         for _ in range(_STEPS):
             here = self.problem.body.shapes(at[None], error[None]).balance

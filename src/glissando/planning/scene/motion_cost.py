@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from glissando.geometry.se3 import Array
-from glissando.planning.scene.error_belief import PredictedCovariance
+from glissando.planning.scene.error_belief import KnownError
 from glissando.planning.scene.motion_space import MotionSpace
 from glissando.planning.scene.risk import Clearances, HitBound
 from glissando.planning.scene.scene_file import Scene, SpaceZone
@@ -36,7 +36,7 @@ class Evaluation:
     control: Array
     values: Array
     shapes: BodyShapes
-    known: PredictedCovariance
+    known: KnownError
     clearances: Clearances
     slopes: Array
     curvature: Array

@@ -19,7 +19,7 @@ from glissando.model.state import State
 from glissando.planning.path_objective import cubic_weights
 from glissando.planning.scene.error_belief import (
     ErrorBelief,
-    PredictedCovariance,
+    KnownError,
     predict_covariance,
 )
 from glissando.planning.scene.motion_cost import Evaluation, Slopes, cost_terms, tip_misses
@@ -41,6 +41,7 @@ class MotionProblem:
         belief: What is known of the model error at the start.
         space: The motions.
         senses: Whether readings to come are counted on.
+        every: Moments from one correction of the commands, by what was read, to the next.
     """
 
     scene: Scene
@@ -48,6 +49,7 @@ class MotionProblem:
     belief: ErrorBelief
     space: MotionSpace
     senses: bool = True
+    every: int = 1
 
     @cached_property
     def kept(self) -> float:
@@ -74,10 +76,11 @@ class MotionProblem:
         error = self.kept ** np.arange(len(values))[:, None] * self.belief.mean
         shapes = self.body.shapes(values[:, : len(self.scene.tendons)], error, start)
         rows = self._rows(shapes, values)[0]
-        known = predict_covariance(self.belief.cov, rows, self.kept)
-        clearances, slopes, curvature = self._clearances(shapes, known)
+        known = predict_covariance(self.belief.cov, rows, self.kept**self.every)
+        left = KnownError(known, self.every)
+        clearances, slopes, curvature = self._clearances(shapes, left)
         hits = bound_hits(clearances)
-        out = Evaluation(control, values, shapes, known, clearances, slopes, curvature, hits, {})
+        out = Evaluation(control, values, shapes, left, clearances, slopes, curvature, hits, {})
         return replace(out, terms=cost_terms(self.scene, self.space, out))
 
     def log_risk(self, at: Evaluation) -> float:
@@ -129,9 +132,7 @@ class MotionProblem:
         by_value = np.concatenate([by_tendons, by_slides], axis=1)
         return self.space.free_gradient(by_value, slopes.control)
 
-    def _clearances(
-        self, shapes: BodyShapes, known: PredictedCovariance
-    ) -> tuple[Clearances, Array, Array]:
+    def _clearances(self, shapes: BodyShapes, known: KnownError) -> tuple[Clearances, Array, Array]:
         """Clearances of all places, slopes (O, K, N, 3) of the distances, and curvatures."""
         lead = shapes.place.shape[:2]
         parts = distances(self.scene.obstacles, shapes.place.reshape(-1, 3))
@@ -152,7 +153,8 @@ class MotionProblem:
         np.add.at(slopes.moves, here, normal[:, :, None] * by_error[:, None, :])
 
     def _rows(self, shapes: BodyShapes, values: Array) -> tuple[Array, Array]:
-        """Whitened rows (K, r, q) of the readings of each moment, and their slopes by place."""
+        """Whitened rows (C, r, q) of the readings of each correction, and their slopes by place."""
+        values, twist = values[:: self.every], shapes.body_twist[:: self.every]
         rows = [np.zeros((len(values), 0, self.body.errors))]
         slopes = [rows[0]]
         first = len(self.scene.tendons)
@@ -160,7 +162,7 @@ class MotionProblem:
             own = self._white[c]
             for behind in sensor.behind:
                 at, weights = self.neighbours(values[:, first + c] - behind)
-                near = shapes.body_twist[np.arange(len(values))[:, None], at]
+                near = twist[np.arange(len(values))[:, None], at]
                 both = (weights @ near.reshape(*near.shape[:2], -1)).reshape(
                     len(near), 2, *near.shape[2:]
                 )
@@ -169,29 +171,32 @@ class MotionProblem:
         return np.concatenate(rows, axis=1), np.concatenate(slopes, axis=1)
 
     def _back_rows(self, at: Evaluation, by_rows: Array) -> tuple[Array, Array]:
-        """Slopes (K, N, 6, q) by the twists and (K, L) by the slides, of that by the rows."""
-        by_twist = np.zeros_like(at.shapes.body_twist)
-        moments, first = np.arange(len(at.values))[:, None], len(self.scene.tendons)
+        """Slopes (K, N, 6, q) by twists and (K, L) by slides, of that (C, r, q) by the rows."""
+        by_twist, first = np.zeros_like(at.shapes.body_twist), len(self.scene.tendons)
         by_slides = np.zeros((len(at.values), at.values.shape[1] - first))
         if not self.senses:
             return by_twist, by_slides
+        twist, slides = by_twist[:: self.every], by_slides[:: self.every]
+        place = at.values[:: self.every, first:]
+        moments = np.arange(len(place))[:, None]
         slopes = self._rows(at.shapes, at.values)[1]
         row = 0
         for c, sensor in enumerate(self.scene.sensors):
             own = self._white[c]
             for behind in sensor.behind:
                 part = by_rows[:, row : row + len(own)]
-                by_slides[:, c] += np.sum(part * slopes[:, row : row + len(own)], axis=(1, 2))
-                near, weights = self.neighbours(at.values[:, first + c] - behind)
+                slides[:, c] += np.sum(part * slopes[:, row : row + len(own)], axis=(1, 2))
+                near, weights = self.neighbours(place[:, c] - behind)
                 back = own.T @ part
-                np.add.at(by_twist, (moments, near), weights[:, 0, :, None, None] * back[:, None])
+                np.add.at(twist, (moments, near), weights[:, 0, :, None, None] * back[:, None])
                 row += len(own)
         return by_twist, by_slides
 
     @cached_property
     def _white(self) -> list[Array]:
-        """Whitened rows (r, 6) of each sensor by its pose, worth its readings of a moment."""
-        return [sensor_rows(sensor, self.pause) for sensor in self.scene.sensors]
+        """Whitened rows (r, 6) of each sensor by its pose, worth its readings of a correction."""
+        time = self.pause * self.every
+        return [sensor_rows(sensor, time) for sensor in self.scene.sensors]
 
     def neighbours(self, arclength: Array) -> tuple[Index, Array]:
         """Four places (M, 4) about arclengths (M,), and their weights and slopes (M, 2, 4)."""

@@ -80,7 +80,7 @@ class MotionPlan:
 
 def motion_problem(
     scene: Scene, robot: Robot, belief: ErrorBelief | None = None, *,
-    step: float | None = None, moment: float = 0.25, senses: bool = True,
+    step: float | None = None, senses: bool = True,
     start: Array | None = None, speed: Array | None = None,
 ) -> MotionProblem:  # fmt: skip
     """The problem of a scene for a robot.
@@ -90,7 +90,6 @@ def motion_problem(
         robot: The robot, with [tendons] and a mechanical prior.
         belief: What is known of the model error; nothing but what [tendons] states unless given.
         step: Duration of a piece of the paths, s; by default a twelfth of the horizon, or 1 s.
-        moment: Largest time between moments at which a motion is judged, s.
         senses: Whether readings to come are counted on.
         start: Where the actuators (C,) are; where the scene starts unless given.
         speed: Their speeds (C,); at rest unless given.
@@ -99,7 +98,7 @@ def motion_problem(
     body = tendon_body(robot, spacing)
     belief = belief or ErrorBelief.unknown(body.errors)
     step = step or max(1.0, scene.horizon / _PIECES)
-    space = motion_space(scene, step, moment, start, speed)
+    space = motion_space(scene, step, scene.correction, start, speed)
     return MotionProblem(scene, body, belief, space, senses)
 
 
@@ -149,7 +148,8 @@ def _with_close_moments(
             break
         moments = problem.space.moments
         closer = np.linspace(moments[0], moments[-1], 2 * moments.size - 1)
-        problem = replace(problem, space=replace(problem.space, moments=closer))
+        space = replace(problem.space, moments=closer)
+        problem = replace(problem, space=space, every=2 * problem.every)
         search = Search(problem, problem.scene.delta * _SHARE)
         best = search.improve(best.control, iterations)
     return problem, best

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from glissando.geometry.se3 import Array
+from glissando.planning.scene.error_belief import KnownError
 from glissando.planning.scene.motion_cost import Evaluation
 from glissando.planning.scene.motion_problem import MotionProblem
 
@@ -28,26 +31,36 @@ def sample_risk(
         seed: Their seed.
         moments: How many of the first moments count; all unless given.
     """
-    rng, known, c = np.random.default_rng(seed), at.known, at.clearances
-    size, radius = known.before.shape[-1], problem.scene.robot_radius
-    error = rng.standard_normal((count, size)) @ _root(known.before[0]).T
+    rng, c = np.random.default_rng(seed), at.clearances
     floor = c.floor * rng.standard_normal(count)
     hit = np.zeros(count, dtype=bool)
     near = c.mean < _NEAR * c.std()
-    last = len(known.before) if moments is None else moments
-    for k in range(last):
+    errors = _sampled_errors(at.known, count, rng)
+    for k, error in zip(
+        range(len(at.values) if moments is None else moments), errors, strict=False
+    ):
         for o, n in np.argwhere(near[:, k]):
             linear = c.mean[o, k, n] + error @ c.by_error[o, k, n] + floor
-            maybe = np.flatnonzero(~hit & (linear < _CURVED * radius))
+            maybe = np.flatnonzero(~hit & (linear < _CURVED * problem.scene.robot_radius))
             place = at.shapes.place[k, n] + error[maybe] @ at.shapes.moves[k, n].T
             signed = problem.scene.obstacles[o].distance(place)[0]
-            hit[maybe] = signed - radius + floor[maybe] < 0.0
-        if k + 1 < last:
-            gain = known.kept * known.free[k]
-            rest = known.before[k + 1] - gain @ known.before[k] @ gain.T
-            error = error @ gain.T + rng.standard_normal((count, size)) @ _root(rest).T
+            hit[maybe] = signed - problem.scene.robot_radius + floor[maybe] < 0.0
     share = float(hit.mean())
     return share, float(np.sqrt(max(share * (1.0 - share), 1.0 / count) / count))
+
+
+def _sampled_errors(known: KnownError, count: int, rng: np.random.Generator) -> Iterator[Array]:
+    """Samples (count, q) of what is left of the model error, of one moment after another."""
+    at = known.corrections
+    error = rng.standard_normal((count, at.before.shape[-1])) @ _root(at.before[0]).T
+    yield error
+    for k in range(len(at.before) - 1):
+        gain = at.kept * at.free[k]
+        rest = at.before[k + 1] - gain @ at.before[k] @ gain.T
+        later = error @ gain.T + rng.standard_normal(error.shape) @ _root(rest).T
+        for share in np.arange(1, known.every + 1) / known.every:
+            yield (1.0 - share) * error + share * later
+        error = later
 
 
 def _root(cov: Array) -> Array:

@@ -100,6 +100,7 @@ class Scene:
         zones: Where confidence is wanted.
         weights: What counts.
         model_std: Standard deviation of a place that no model error explains, m.
+        correction: Time between two corrections of the commands by what was read, s.
     """
 
     obstacles: Sequence[Obstacle]
@@ -113,6 +114,7 @@ class Scene:
     zones: Sequence[SpaceZone] = ()
     weights: Weights = field(default_factory=Weights)
     model_std: float = 2e-4
+    correction: float = 0.25
 
 
 def read_scene(path: Path, robot: Robot) -> Scene:
@@ -137,7 +139,11 @@ def read_scene(path: Path, robot: Robot) -> Scene:
     horizon = table.number("horizon", 10.0)
     if horizon > 600.0:
         raise table.fail("horizon", f"is {horizon:g} s; give seconds, 600 at most.")
-    model_std = table.number("model_std", 2e-4)
+    model_std, correction = table.number("model_std", 2e-4), table.number("correction", 0.25)
+    if correction > horizon:
+        raise table.fail(
+            "correction", f"is {correction:g} s, above the horizon of {horizon:g} s; give seconds."
+        )
     obstacles = [_obstacle(entry, path.parent) for entry in table.tables("obstacles")]
     targets = [_target(entry, horizon, radius) for entry in table.tables("targets")]
     if not targets:
@@ -154,7 +160,7 @@ def read_scene(path: Path, robot: Robot) -> Scene:
     table.close()
     return Scene(
         obstacles, targets, radius, delta, horizon, tendons, slides, sensors, zones, weights,
-        model_std,
+        model_std, correction,
     )  # fmt: skip
 
 
