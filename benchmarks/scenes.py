@@ -1,11 +1,13 @@
 """Motions among obstacles in foreign physics: whether the stated risk is true, and worth it.
 
     python benchmarks/scenes.py risk --robot arm.toml [--runs 100] [--scenes 5] [--delta 0.05]
+    python benchmarks/scenes.py margin --robot arm.toml [--scenes 12]
     python benchmarks/scenes.py speed --robot arm.toml
 
 risk: motions are planned in random scenes and followed by robots drawn at random (see
 `scenes_world.py`), which read their coil and correct. Hits are given with their 95 % binomial
 interval, beside the largest risk that was allowed.
+margin: the same scenes with one margin for every place, as large as makes the risk the same.
 speed: what an evaluation with slopes and a replan from a warm start cost.
 Numbers of seeds below TUNED were used to set the physics and the example's [tendons].
 """
@@ -27,10 +29,12 @@ from scipy.stats import beta
 from glissando import GlissandoError, load_robot
 from glissando.errors import NoShapeError
 from glissando.planning.scene.follow import MotionFollower
+from glissando.planning.scene.motion_search import Search
 from glissando.planning.scene.obstacles import sphere
-from glissando.planning.scene.plan_motion import Search, motion_problem, plan_motion
+from glissando.planning.scene.plan_motion import motion_problem, plan_motion
 from glissando.planning.scene.scene_file import Actuator, Scene, Target
 from glissando.planning.sliding_sensor import sliding_sensor
+from scenes_margin import margin_rows
 from scenes_world import PAUSE, World, run_loop
 
 TUNED = 1000
@@ -157,7 +161,13 @@ def speed(robot, options):
     return rows
 
 
-COMMANDS = {"risk": risk, "speed": speed}
+def margin(robot, options):
+    """Stated risks against one margin of the same risk."""
+    (delta,) = options.delta or [0.05]
+    return margin_rows(robot, plans_of(robot, [delta], options.scenes, options.first), delta)
+
+
+COMMANDS = {"risk": risk, "margin": margin, "speed": speed}
 
 
 def main():

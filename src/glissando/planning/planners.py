@@ -10,15 +10,16 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 from multiprocessing.connection import Connection
+from typing import Any, Generic, TypeVar
 
 from glissando._kernels.threads import one_thread
 from glissando.errors import GlissandoError
-from glissando.planning.plan_slide import Plan
 
 _READY, _END = 120.0, 5.0  # s that the process may take to begin and to end
 _NICE = 10  # by how much its priority is below the loop's
 
-Task = Callable[[], Plan]
+Result = TypeVar("Result")
+Task = Callable[[], Result]
 """Computes a plan when called; another process needs one that can be pickled."""
 
 
@@ -26,26 +27,26 @@ class PlannerExitedError(GlissandoError):
     """The planner's process has ended."""
 
 
-class InlinePlanner:
+class InlinePlanner(Generic[Result]):
     """Computes plans in the caller's own thread, when asked for the result.
 
     A planner computes one plan at a time: the result of a task comes before the next task.
     """
 
     def __init__(self) -> None:
-        self._task: Task | None = None
+        self._task: Task[Result] | None = None
 
-    def submit(self, task: Task) -> None:
+    def submit(self, task: Task[Result]) -> None:
         """Keep the task."""
         self._task = task
 
-    def result(self) -> Plan | None:
+    def result(self) -> Result | None:
         """The plan, computed now."""
         task, self._task = self._task, None
         return None if task is None else task()
 
 
-class ProcessPlanner:
+class ProcessPlanner(Generic[Result]):
     """Computes plans in a process of its own, at a lower priority than the loop.
 
     The process lasts as long as the context. It is started afresh ("spawn"), so a script that uses
@@ -55,7 +56,7 @@ class ProcessPlanner:
         GlissandoError: The process does not start.
     """
 
-    def __enter__(self) -> ProcessPlanner:
+    def __enter__(self) -> ProcessPlanner[Result]:
         context = multiprocessing.get_context("spawn")
         self._connection, theirs = context.Pipe()
         self.process = context.Process(target=_work, args=(theirs,), daemon=True)
@@ -82,7 +83,7 @@ class ProcessPlanner:
         """Whether a result comes within `timeout` seconds."""
         return self._connection.poll(timeout)
 
-    def submit(self, task: Task) -> None:
+    def submit(self, task: Task[Result]) -> None:
         """Send the task to the process.
 
         Raises:
@@ -102,7 +103,7 @@ class ProcessPlanner:
         with suppress(OSError):
             self._connection.send_bytes(message)
 
-    def result(self) -> Plan | None:
+    def result(self) -> Result | None:
         """The plan, once, if it is ready by now.
 
         Raises:
@@ -115,10 +116,11 @@ class ProcessPlanner:
             raise PlannerExitedError("The planner's process has ended.") from None
         if isinstance(answer, GlissandoError):
             raise answer
-        return answer
+        found: Result | None = answer
+        return found
 
 
-Planner = InlinePlanner | ProcessPlanner
+Planner = InlinePlanner[Result] | ProcessPlanner[Result]
 
 
 def _work(connection: Connection) -> None:
@@ -129,9 +131,9 @@ def _work(connection: Connection) -> None:
     with one_thread(), suppress(EOFError, OSError):
         connection.send(None)  # ready
         while True:
-            task: Task = connection.recv()
+            task: Task[Any] = connection.recv()
             try:
-                answer: Plan | GlissandoError = task()
+                answer: object = task()
             except GlissandoError as problem:
                 answer = problem
             connection.send(answer)

@@ -94,7 +94,7 @@ class Replanner:
     node_step: float | None = None
     motion: ExpectedMotion | None = None
     lead: float = 0.0
-    planner: Planner = field(default_factory=InlinePlanner)
+    planner: Planner[Plan] = field(default_factory=InlinePlanner)
     route: Route = field(init=False)
     _due: float | None = field(default=None, init=False)
     _submitted: float = field(default=0.0, init=False)

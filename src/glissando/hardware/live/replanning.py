@@ -16,6 +16,7 @@ from glissando.hardware.live.update import Update
 from glissando.model.robot import Robot
 from glissando.model.slide_path import SlideLimits
 from glissando.planning.path_space import path_space_of
+from glissando.planning.plan_slide import Plan
 from glissando.planning.planners import ProcessPlanner
 from glissando.planning.replan import Replanner
 from glissando.planning.sliding_sensor import sliding_sensor
@@ -78,7 +79,7 @@ class Replanning:
             limits, coil.arclength - low, coil.arclength - rig.standing_travel, horizon
         )
         self.counts, self._source, self._coil = Counter[str](), source, coil
-        self._planner = ProcessPlanner()
+        self._planner = ProcessPlanner[Plan]()
         self.replanner = Replanner(
             sliding_sensor(robot, rate=_RATE, name=coil.name), space, zones,
             node_step=_NODE_STEP, lead=_LEAD, planner=self._planner,

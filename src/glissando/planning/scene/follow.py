@@ -38,14 +38,15 @@ class MotionFollower:
     """
 
     plan: MotionPlan
-    belief: ErrorBelief = field(init=False)
+    belief: ErrorBelief = field(default_factory=lambda: ErrorBelief.unknown(0))
     time: float = 0.0
     due: float = 0.0
     _begun: float = field(default=-1.0, init=False)
     _corrections: Array = field(init=False)  # (2, T) of the commands before and now, m
 
     def __post_init__(self) -> None:
-        self.belief = self.plan.problem.belief
+        if not self.belief.mean.size:
+            self.belief = self.plan.problem.belief
         self._corrections = np.zeros((2, len(self.problem.scene.tendons)))
 
     @property

@@ -77,11 +77,14 @@ def reach_target(problem: MotionProblem, number: int) -> Array:
     return best[1]
 
 
-def starts(problem: MotionProblem, reaches: Array, seed: int) -> list[Array]:
+def starts(
+    problem: MotionProblem, reaches: Array, seed: int, warm: Array | None = None
+) -> list[Array]:
     """Motions (C, S+2) that a search begins with.
 
     Straight to displacements (G, T) that reach the targets, at once and slowly, and by way of
-    random bends; the slides hold, go in, or oscillate.
+    random bends; the slides hold, go in, or oscillate. Tendons and slides of a `warm` motion
+    (C, S+2) come first, with each other and with all of these.
     """
     scene, space = problem.scene, problem.space
     rng, path = np.random.default_rng(seed), space.paths[0]
@@ -106,4 +109,7 @@ def starts(problem: MotionProblem, reaches: Array, seed: int) -> list[Array]:
         low, high = (np.array([[getattr(s, e)] for s in scene.slides]) for e in ("lower", "upper"))
         wave = 0.5 - 0.5 * np.cos(2.0 * np.pi * time / max(time[-1] / 3.0, 1e-9))
         slides += [np.repeat(0.5 * (low + high), time.size, axis=1), high + (low - high) * wave]
+    if warm is not None:
+        ways.insert(0, warm[:count])
+        slides.insert(0, warm[count:])
     return [space.follow(np.concatenate([way, slide])) for way in ways for slide in slides]

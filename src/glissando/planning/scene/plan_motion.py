@@ -10,15 +10,16 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import minimize
+from numpy.typing import NDArray
 
 from glissando._kernels.threads import one_thread
-from glissando.errors import GlissandoError, NoShapeError
+from glissando.errors import GlissandoError
 from glissando.geometry.se3 import Array
 from glissando.model.robot import Robot
 from glissando.planning.scene.error_belief import ErrorBelief
 from glissando.planning.scene.motion_cost import Evaluation
 from glissando.planning.scene.motion_problem import MotionProblem
+from glissando.planning.scene.motion_search import Search
 from glissando.planning.scene.motion_space import motion_space
 from glissando.planning.scene.motion_starts import reach_target, require_possible_start, starts
 from glissando.planning.scene.sampled_risk import sample_risk
@@ -32,9 +33,6 @@ _SPACING = 1.5  # robot radii between two places of the body, at most
 _PLACES = 30  # of them at most over the whole body
 _PIECES = 12  # of a path, unless that makes them shorter than a second
 _SHARE = 0.9  # of the allowed risk that a plan aims at
-_FAR = 10.0  # of the cost, a constraint missed by its own size
-_WITHIN = 0.9  # of what the tip may miss a target by, squared, that a plan aims at
-_CLOSE = 1e-5  # of the cost, that an iteration must gain
 _BRIEF = 12  # iterations of each candidate
 _STRIDE = 1.0  # robot radii that a place may go between two moments
 _HALVINGS = 4  # of the time between moments at most
@@ -104,7 +102,8 @@ def motion_problem(
 
 def plan_motion(
     problem: MotionProblem, *, seed: int = 0, candidates: int = 5, iterations: int = 60,
-    warm_start: Array | None = None, progress: Progress | None = None,
+    warm_start: Array | None = None, prescribed: Array | None = None,
+    progress: Progress | None = None,
 ) -> MotionPlan:  # fmt: skip
     """The motion of least cost whose risk is what the scene allows.
 
@@ -114,6 +113,7 @@ def plan_motion(
         candidates: How many of the best starts are improved.
         iterations: Iterations at most for the best of them.
         warm_start: Control points (C, S+2) of a further start.
+        prescribed: Control points (C, S+2) of actuators whose paths are given; nan where free.
         progress: Called as the search goes on.
 
     Raises:
@@ -122,10 +122,29 @@ def plan_motion(
     with one_thread():
         require_possible_start(problem)
         reaches = [reach_target(problem, k) for k in range(len(problem.scene.targets))]
-        first = starts(problem, np.stack(reaches), seed)
-        if warm_start is not None:
-            first.insert(0, problem.space.follow(warm_start))
-        search = Search(problem, problem.scene.delta * _SHARE)
+    plan = search_motion(
+        problem, np.stack(reaches), seed=seed, candidates=candidates, iterations=iterations,
+        warm_start=warm_start, prescribed=prescribed, progress=progress,
+    )  # fmt: skip
+    return _checked(plan)
+
+
+def search_motion(
+    problem: MotionProblem, reaches: Array, *, seed: int = 0, candidates: int = 5,
+    iterations: int = 60, warm_start: Array | None = None, prescribed: Array | None = None,
+    progress: Progress | None = None,
+) -> MotionPlan:  # fmt: skip
+    """The best motion found, whether or not it keeps the risk; arguments as of `plan_motion`.
+
+    Displacements `reaches` (G, T) bring the tip to each target, m.
+    """
+    with one_thread():
+        first = starts(problem, reaches, seed, warm_start)
+        free: NDArray[np.bool_] | None = None
+        if prescribed is not None:
+            free = np.asarray(np.isnan(prescribed).any(axis=1))
+            first = [np.where(free[:, None], control, prescribed) for control in first]
+        search = Search(problem, problem.scene.delta * _SHARE, free)
         worth = [search.value(control) for control in first]
         ranked = [first[k] for k in np.argsort(worth, kind="stable")[:candidates]]
         found = []
@@ -134,33 +153,34 @@ def plan_motion(
             if progress:
                 progress(part + 1, len(ranked) + _ROUNDS, f"cost {found[-1].cost:.4g}")
         best = search.improve(min(found, key=search.merit).control, iterations)
-        problem, best = _with_close_moments(problem, best, iterations)
-        return _use_up(problem, best, iterations, seed, progress, len(ranked))
+        search, best = _with_close_moments(search, best, iterations)
+        return _use_up(search, best, iterations, seed, progress, len(ranked))
 
 
 def _with_close_moments(
-    problem: MotionProblem, best: Evaluation, iterations: int
-) -> tuple[MotionProblem, Evaluation]:
-    """The problem with so many moments that no place goes far between two, and its best motion."""
+    search: Search, best: Evaluation, iterations: int
+) -> tuple[Search, Evaluation]:
+    """The search with so many moments that no place goes far between two, and its best motion."""
     for _ in range(_HALVINGS):
+        problem = search.problem
         step = np.linalg.norm(np.diff(best.shapes.place, axis=0), axis=-1).max()
         if step <= _STRIDE * problem.scene.robot_radius:
             break
         moments = problem.space.moments
         closer = np.linspace(moments[0], moments[-1], 2 * moments.size - 1)
         space = replace(problem.space, moments=closer)
-        problem = replace(problem, space=space, every=2 * problem.every)
-        search = Search(problem, problem.scene.delta * _SHARE)
+        closer_problem = replace(problem, space=space, every=2 * problem.every)
+        search = replace(search, problem=closer_problem, last=None)
         best = search.improve(best.control, iterations)
-    return problem, best
+    return search, best
 
 
 def _use_up(
-    problem: MotionProblem, best: Evaluation, iterations: int, seed: int,
+    search: Search, best: Evaluation, iterations: int, seed: int,
     progress: Progress | None, parts: int,
 ) -> MotionPlan:  # fmt: skip
     """Raise what the bound may be until the sampled risk is the one that is allowed."""
-    delta = problem.scene.delta
+    problem, delta = search.problem, search.problem.scene.delta
     allowed = _SHARE * delta
     plan: MotionPlan | None = None
     for part in range(_ROUNDS):
@@ -177,9 +197,9 @@ def _use_up(
         if 0.7 * delta <= risk <= delta or (risk < delta and not binding) or part == _ROUNDS - 1:
             break
         allowed *= float(np.clip(_SHARE * delta / max(risk, 1e-4), 0.2, 3.0))
-        best = Search(problem, allowed).improve(best.control, iterations)
+        best = replace(search, allowed=allowed).improve(best.control, iterations)
     assert plan is not None
-    return _checked(plan)
+    return plan
 
 
 def _checked(plan: MotionPlan) -> MotionPlan:
@@ -202,75 +222,3 @@ def _checked(plan: MotionPlan) -> MotionPlan:
                 f"risk, time or distance."
             )
     return plan
-
-
-@dataclass
-class Search:
-    """A search for the motion of least cost whose bound of the risk is below `allowed`.
-
-    Sequential quadratic programming: the limits of the actuators are linear, the risk and the
-    distances from the targets are constraints. Source: Kraft 1988, as scipy has it.
-    """
-
-    problem: MotionProblem
-    allowed: float
-    last: Evaluation | None = None
-
-    def merit(self, at: Evaluation) -> float:
-        """Cost and how far the constraints are missed."""
-        over = max(0.0, self.problem.log_risk(at) - float(np.log(self.allowed)))
-        far = np.maximum(np.sqrt(self.problem.misses(at)) - 1.0, 0.0)
-        return at.cost + _FAR * (over + float(far.sum()))
-
-    def value(self, control: Array) -> float:
-        """The merit of a motion; infinite where the robot has no shape."""
-        try:
-            return self.merit(self.at(control))
-        except NoShapeError:
-            return np.inf
-
-    def at(self, control: Array) -> Evaluation:
-        """What a motion is worth; that of the last one if it is the same."""
-        if self.last is None or not np.array_equal(control, self.last.control):
-            self.last = self.problem.evaluate(control, self.last)
-        return self.last
-
-    def improve(self, control: Array, iterations: int) -> Evaluation:
-        """The best motion that the search leads to."""
-        problem, space = self.problem, self.problem.space
-        rows, centre, width = space.polytope
-        edges, ends = (
-            np.concatenate([rows, -rows]),
-            np.concatenate([width + centre, width - centre]),
-        )
-        limit = float(np.log(self.allowed))
-
-        def at(free: Array) -> Evaluation:
-            return self.at(space.control(free))
-
-        def gaps(free: Array) -> Array:
-            return np.append(_WITHIN - problem.misses(at(free)), limit - problem.log_risk(at(free)))
-
-        def gap_slopes(free: Array) -> Array:
-            e = at(free)
-            return -np.vstack([problem.misses_gradient(e), problem.log_risk_gradient(e)])
-
-        constraints = [
-            {"type": "ineq", "fun": lambda x: ends - edges @ x, "jac": lambda x: -edges},
-            {"type": "ineq", "fun": gaps, "jac": gap_slopes},
-        ]
-        begin = self.at(control)
-        low, high = space.bounds
-        try:
-            found = minimize(
-                lambda x: at(x).cost, np.clip(space.free(control), low, high), method="SLSQP",
-                bounds=np.stack([low, high], axis=-1), constraints=constraints,
-                jac=lambda x: problem.cost_gradient(at(x)),
-                options={"maxiter": iterations, "ftol": _CLOSE},
-            )  # fmt: skip
-        except NoShapeError:  # a trial step bent the robot beyond what has a shape
-            return begin
-        new = space.control(found.x)
-        if np.any(edges @ found.x > ends + 1e-9):  # rounding of the quadratic programs
-            new = space.follow(new)
-        return min((self.at(new), begin), key=self.merit)

@@ -1,0 +1,196 @@
+"""Receding horizon: while a plan is followed, what is left of it is planned again and again.
+
+What readings say of the model error changes what is still to come: where it may pass, and where
+the slides should be. Of the risk that is allowed, each part of the motion that was carried out has
+spent its own; what is left of the motion may spend the rest. Where no motion on does, the robot
+comes to rest, as fast as its actuators may stop.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from glissando._kernels.threads import one_thread
+from glissando.errors import GlissandoError
+from glissando.geometry.se3 import Array
+from glissando.model.sensors.readings import Readings
+from glissando.planning.planners import InlinePlanner, Planner
+from glissando.planning.scene.error_belief import ErrorBelief
+from glissando.planning.scene.follow import MotionFollower
+from glissando.planning.scene.motion_problem import MotionProblem
+from glissando.planning.scene.motion_search import Search
+from glissando.planning.scene.motion_space import motion_space
+from glissando.planning.scene.plan_motion import MotionPlan
+from glissando.planning.scene.sampled_risk import sample_risk
+
+_ITERATIONS = 5  # of the search: the plan that is followed is a good start
+_SHARE = 0.9  # of the allowed risk that the search aims at
+_BEFORE, _ROUNDING = 1e-3, 1e-6  # s
+_SHORTEST = 2.0  # pieces of the plan's paths, below which what is left is not planned again
+
+
+@dataclass
+class MotionReplanner:
+    """A loop's commands while the plan is made anew: what `MotionFollower` is for one plan.
+
+    All times are from the start of the first plan, s.
+
+    Attributes:
+        plan: The first plan.
+        every: Time between two plans, s.
+        lead: How far ahead of the newest command a plan begins, s: longer than the planner takes.
+        planner: Where plans are computed; by default in the caller's own thread.
+        follower: What follows the newest plan.
+        begun: When that plan begins.
+        spent: Risk of what was carried out of the plans before it.
+        stopped: Why the robot was brought to rest before its target; empty unless it was.
+        plans: How many plans were taken over.
+    """
+
+    plan: MotionPlan
+    every: float = 1.0
+    lead: float = 0.0
+    planner: Planner[Continuation] = field(default_factory=InlinePlanner)
+    follower: MotionFollower = field(init=False)
+    begun: float = field(default=0.0, init=False)
+    spent: float = field(default=0.0, init=False)
+    stopped: str = field(default="", init=False)
+    plans: int = field(default=0, init=False)
+    _found: Continuation | None = field(default=None, init=False)
+    _due: float | None = field(default=None, init=False)
+    _next: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.follower, self._next = MotionFollower(self.plan), self.every
+
+    def command(self, time: float) -> Array:
+        """Values (C,) that all actuators should have come to by a time, m."""
+        self._take_over()
+        if self._due is None and time > self._next and not self.stopped:
+            self._submit()
+            self._take_over()
+        return self.follower.command(time - self.begun)
+
+    def at(self, time: ArrayLike) -> Array:
+        """Values (…, C) of all actuators at times up to the newest command's, m."""
+        return self.follower.at(np.asarray(time, dtype=float) - self.begun)
+
+    def advance(self, time: float) -> None:
+        """Let time pass without readings."""
+        self.follower.advance(time - self.begun)
+
+    def add(self, readings: Readings) -> None:
+        """Take readings of a coil since the last command."""
+        self.follower.add(readings.changed(time=readings.time - self.begun))
+
+    def _submit(self) -> None:
+        follower, problem = self.follower, self.follower.problem
+        start = follower.due + _even(self.lead, problem.scene.correction)
+        last = max(target.time for target in problem.scene.targets)
+        if last - start < _SHORTEST * problem.space.paths[0].step:
+            self._next = np.inf
+            return
+        speed = (follower.planned(start) - follower.planned(start - _BEFORE)) / _BEFORE
+        allowed = self.plan.problem.scene.delta - self.spent
+        belief = follower.belief.after(start - follower.time, problem.body.time_scale)
+        state = follower.at(start), speed
+        self.planner.submit(partial(continue_motion, follower.plan, start, state, belief, allowed))
+        self._due, self._next = start, self.begun + start + self.every
+
+    def _take_over(self) -> None:
+        """Follow the plan that was asked for, from where it begins, if it is there in time."""
+        due = self._due
+        if due is None:
+            return
+        found = self._found = self._found or self.planner.result()
+        if found is None or self.follower.due < due - _ROUNDING:
+            return
+        self._found = self._due = None
+        if found.plan is None or self.follower.due > due + _ROUNDING:
+            return
+        old = self.follower
+        self.follower = MotionFollower(found.plan, old.belief, old.time - due)
+        self.begun, self.spent = self.begun + due, self.spent + found.spent
+        self.stopped, self.plans = found.reason, self.plans + 1
+
+
+def _even(time: float, correction: float) -> float:
+    """The time of whole corrections that is no shorter."""
+    return float(np.ceil(time / correction - _ROUNDING) * correction)
+
+
+@dataclass(frozen=True)
+class Continuation:
+    """What `continue_motion` finds.
+
+    Attributes:
+        plan: The plan to follow on; the one that is followed already, unless given.
+        spent: Risk of what was carried out of that one until then.
+        reason: Why it comes to rest before the target; empty unless it does.
+    """
+
+    plan: MotionPlan | None
+    spent: float
+    reason: str = ""
+
+
+def continue_motion(
+    plan: MotionPlan, start: float, state: tuple[Array, Array], belief: ErrorBelief,
+    allowed: float,
+) -> Continuation:  # fmt: skip
+    """What is left of a motion, planned anew.
+
+    Args:
+        plan: The plan that is followed.
+        start: When the rest begins, s from the plan's start.
+        state: Values and speeds (C,) of all actuators then, m and m/s.
+        belief: What is known of the model error then.
+        allowed: Risk of all that was not carried out before this plan.
+    """
+    with one_thread():
+        before = np.searchsorted(plan.problem.space.moments, start - _ROUNDING)
+        spent = sample_risk(plan.problem, plan.evaluation, moments=int(before))[0]
+        left = max(allowed - spent, 1e-4)
+        try:
+            problem = _rest(plan.problem, start, state, belief, left)
+        except GlissandoError:  # the actuators cannot leave their paths just there
+            return Continuation(None, 0.0)
+        planned = MotionFollower(plan).planned
+        ahead = planned(start + problem.space.paths[0].control_times)
+        search = Search(problem, _SHARE * left)
+        same = search.at(problem.space.follow((ahead + state[0] - planned(start)).T))
+        found = min((search.improve(same.control, _ITERATIONS), same), key=search.merit)
+        risk = sample_risk(problem, found)
+        if risk[0] <= left + 2.0 * risk[1]:
+            return Continuation(MotionPlan(problem, found, *risk, left), spent)
+        rest = np.repeat(state[0][:, None], ahead.shape[0], axis=1)
+        braked = search.at(problem.space.follow(rest))
+        lower = sample_risk(problem, braked)
+        if lower[0] >= risk[0]:
+            return Continuation(MotionPlan(problem, found, *risk, left), spent)
+        reason = (
+            f"Of what is left of the motion {100.0 * risk[0]:.2g} % would hit, and "
+            f"{100.0 * left:.2g} % are allowed; the robot stops {start:.3g} s after its last plan "
+            f"began, where {100.0 * lower[0]:.2g} % do."
+        )
+        return Continuation(MotionPlan(problem, braked, *lower, left), spent, reason)
+
+
+def _rest(
+    problem: MotionProblem, start: float, state: tuple[Array, Array], belief: ErrorBelief,
+    allowed: float,
+) -> MotionProblem:  # fmt: skip
+    """The problem of what is left of a motion."""
+    scene = problem.scene
+    targets = [replace(t, time=t.time - start) for t in scene.targets if t.time > start]
+    horizon = scene.horizon - start
+    rest = replace(scene, targets=targets, horizon=horizon, delta=allowed)
+    space = motion_space(rest, problem.space.paths[0].step, scene.correction, *state)
+    inside = max(1, round(scene.correction / problem.pause))
+    closer = np.linspace(0.0, horizon, inside * (space.moments.size - 1) + 1)
+    space = replace(space, moments=closer)
+    return replace(problem, scene=rest, belief=belief, space=space, every=inside)

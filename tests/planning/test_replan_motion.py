@@ -1,0 +1,109 @@
+"""What is left of a motion, planned again: limits hold, risk is accounted for, and it can stop."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from glissando.geometry import se3
+from glissando.model.sensors.sensors import CoilReadings
+from glissando.planning.planners import ProcessPlanner
+from glissando.planning.scene.error_belief import ErrorBelief
+from glissando.planning.scene.obstacles import sphere
+from glissando.planning.scene.plan_motion import motion_problem, plan_motion
+from glissando.planning.scene.replan_motion import MotionReplanner, continue_motion
+from motion_scenes import COIL, ROBOT, small_scene
+
+STEP = 0.5  # s between commands
+
+
+@pytest.fixture(scope="module")
+def plan():
+    """A motion past a ball."""
+    scene = small_scene([sphere(np.array([0.025, 0.012, 0.13]), 0.006)], horizon=6.0)
+    return plan_motion(motion_problem(scene, ROBOT), candidates=1, iterations=10)
+
+
+def carried_out(replanner, rng, error):
+    """Times and values of all commands, of a robot that is off its model by `error` (q,)."""
+    problem, end = replanner.plan.problem, replanner.plan.problem.scene.horizon
+    std = np.sqrt(np.diagonal(COIL.readings(np.eye(4)[None], *np.zeros((2, 1))).cov))
+    times, rows = [], []
+    for time in np.arange(0.0, end + 1e-9, STEP):
+        replanner.command(time)
+        fine = time - STEP * np.linspace(0.9, 0.0, 10)
+        values = replanner.at(fine)
+        times.append(fine)
+        rows.append(values)
+        shape = problem.body.shapes(values[-1:, :6], error[None])
+        place = np.full(round(COIL.rate * STEP), values[-1, 6])
+        noise = np.pad(std * rng.standard_normal((place.size, 5)), ((0, 0), (0, 1)))
+        read = shape.pose_at(place[:1])[0] @ se3.exp(noise)
+        replanner.advance(time)
+        replanner.add(CoilReadings(time=np.full(place.size, time), arclength=place,
+                                   values=read, cov=COIL.cov))  # fmt: skip
+    return np.concatenate(times), np.concatenate(rows)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(2))
+def test_commands_go_on_from_plan_to_plan_within_the_limits(plan, seed):
+    rng = np.random.default_rng(seed)
+    replanner = MotionReplanner(plan, every=1.0)
+    error = 0.7 * rng.standard_normal(plan.problem.body.errors)
+    time, values = carried_out(replanner, rng, error)
+    assert replanner.plans >= 2
+    assert 0.0 <= replanner.spent <= plan.problem.scene.delta
+    actuators = [*plan.problem.scene.tendons, *plan.problem.scene.slides]
+    for column, actuator in zip(values.T, actuators, strict=True):
+        assert column.min() >= actuator.lower - 1e-9
+        assert column.max() <= actuator.upper + 1e-9
+    slide = plan.problem.scene.slides[0]
+    assert np.abs(np.diff(values[:, 6])).max() <= slide.speed * np.diff(time).max() * 1.01
+
+
+def test_a_plan_in_another_process_begins_where_it_was_said_to(plan):
+    replanner = MotionReplanner(plan, every=1.0, lead=1.0)
+    with ProcessPlanner() as replanner.planner:
+        for time in np.arange(0.0, 3.0, STEP):
+            replanner.command(time)
+            replanner.advance(time)
+            if replanner._due is not None and replanner._found is None:
+                assert replanner.planner.ready(60.0)
+    assert replanner.plans == 1
+    assert replanner.begun == pytest.approx(2.0)
+
+
+def state_at(plan, time):
+    """Values and speeds (C,) of all actuators at a time of a plan."""
+    commands, k = plan.commands()[1], round(20.0 * time)
+    return commands[k], (commands[k] - commands[k - 1]) / 0.05
+
+
+def known_well(problem):
+    """A belief in which a model error is known to a tenth."""
+    size = problem.body.errors
+    return ErrorBelief(np.zeros(size), 0.01 * np.eye(size))
+
+
+def test_where_no_motion_on_is_safe_the_robot_comes_to_rest(plan):
+    problem, start = plan.problem, 0.5
+    ball = sphere(plan.evaluation.tip[-1], 0.006)
+    blocked = replace(problem, scene=replace(problem.scene, obstacles=[ball]))
+    values, speed = state_at(plan, start)
+    found = continue_motion(
+        replace(plan, problem=blocked), start, (values, speed), known_well(problem), 0.05
+    )
+    assert "stops" in found.reason
+    assert found.plan.risk < 0.05
+    sharpest = np.array([a.acceleration for a in (*problem.scene.tendons, *problem.scene.slides)])
+    moved = np.abs(found.plan.evaluation.values[-1] - values)
+    step = found.plan.problem.space.paths[0].step
+    np.testing.assert_array_less(moved, speed**2 / sharpest + np.abs(speed) * step + 1e-9)
+
+
+def test_what_is_known_better_lets_the_rest_be_no_riskier(plan):
+    found = continue_motion(plan, 1.0, state_at(plan, 1.0), known_well(plan.problem), 0.05)
+    assert not found.reason
+    assert found.plan.risk <= 0.05
+    assert 0.0 <= found.spent <= plan.risk + 0.01
