@@ -9,11 +9,10 @@ import oracles.factors
 import oracles.white_noise
 from draws import motion, prior
 from glissando.geometry import se3
-from glissando.model.factors import Factors, Residuals
 from glissando.model.grid import Grid
 from glissando.model.interpolation import sort_points
 from glissando.model.noise import GemanMcClure, Huber
-from glissando.model.sensors.compiled_readings import reading_rows
+from glissando.model.sensors.compiled_readings import ReadingRows, is_compiled
 from glissando.model.sensors.sensors import FbgReadings, PoseReadings, sensor_class
 from glissando.model.state import DOF, State
 from glissando.solver.located_readings import locate
@@ -106,12 +105,11 @@ def test_points_between_nodes_are_those_of_the_bridges():
 def test_readings_taken_together_weigh_what_each_stream_does(kind, loss):
     rng = np.random.default_rng(6)
     believed, state, readings = jointed(rng), motion(rng, GRID), readings_of(rng, kind, loss=loss)
-    rows = reading_rows(readings)
-    nodes, slopes, residual, whitener, weights = believed.readings(
-        GRID, state, densities(believed), rows
-    )
-    one, each = sums_of(GRID), sums_of(GRID)
-    one.accumulate(Factors(nodes, slice(0, DOF), slopes, Residuals(residual, whitener)), weights)
+    rows, one, each = ReadingRows(), sums_of(GRID), sums_of(GRID)
+    rows.append(7, readings_of(rng, "gyro"))  # which is not asked for
+    rows.append(3, readings)
+    on, which = (GRID, state, densities(believed)), np.arange(12, 24)
+    believed.accumulate_readings(*on, rows, which, one.sums)
     for _, _, batch in measurement_factors(believed, locate(GRID, [readings]), state, state, 0):
         each.accumulate(batch)
     for mine, its in zip(one.sums, each.sums, strict=True):
@@ -125,8 +123,22 @@ def test_a_sensor_with_a_residual_of_its_own_is_left_to_it():
 
     at = {"time": np.zeros(1), "arclength": np.zeros(1)}
     cores = {"core_radius": np.zeros(1), "core_angle": np.zeros(1)}
-    assert reading_rows(PoseReadings(**at, values=np.eye(4)[None], cov=1.0)) is not None
-    assert reading_rows(Scaled(**at, values=np.eye(4)[None], cov=1.0)) is None
-    assert reading_rows(FbgReadings(**at, values=np.zeros((1, 1)), cov=1.0, **cores)) is None
+    assert is_compiled(PoseReadings(**at, values=np.eye(4)[None], cov=1.0))
+    assert not is_compiled(Scaled(**at, values=np.eye(4)[None], cov=1.0))
+    assert not is_compiled(FbgReadings(**at, values=np.zeros((1, 1)), cov=1.0, **cores))
     unsure = PoseReadings(**at, values=np.eye(4)[None], cov=1.0, arclength_std=1e-3)
-    assert reading_rows(unsure) is None
+    assert not is_compiled(unsure)
+
+
+def test_rows_keep_their_order_when_some_go_and_memory_grows():
+    rng = np.random.default_rng(8)
+    rows, parts = ReadingRows(), [readings_of(rng, "gyro") for _ in range(9)]
+    for number, part in enumerate(parts):
+        rows.old = rows.count
+        rows.append(number, part)
+    time, stream = np.concatenate([part.time for part in parts]), np.repeat(np.arange(9), 12)
+    kept = time > 0.06
+    rows.keep(kept)
+    np.testing.assert_array_equal(rows.time, time[kept])
+    np.testing.assert_array_equal(rows.stream[: rows.count], stream[kept])
+    assert rows.old == np.count_nonzero(kept[:96])

@@ -19,7 +19,7 @@ _PIVOT_FLOOR = 1e-13  # a pivot this small against its diagonal entry carries no
 
 
 @jit()
-def _inverse_factor(a, out):
+def inverse_factor(a, out):
     """L⁻¹ of a symmetric matrix L Lᵀ, into `out`: by halves, whose products run at full speed.
 
     Only the lower triangle of `a` is read, and its memory is used.
@@ -31,13 +31,23 @@ def _inverse_factor(a, out):
     h = n // 2
     side, top, below = a[h:n, 0:h], out[0:h, 0:h], out[h:n, 0:h]
     tail, low = a[h:n, h:n], out[h:n, h:n]
-    _inverse_factor(a[0:h, 0:h], top)
+    inverse_factor(a[0:h, 0:h], top)
     product(side, top, below, 1.0, 0.0, False, True)
     lower_product(below, below, tail, -1.0, 1.0, False)
-    _inverse_factor(tail, low)
+    inverse_factor(tail, low)
     product(below, top, side, 1.0, 0.0, False, False)
     product(low, side, below, -1.0, 0.0, False, False)
     out[0:h, h:n] = 0.0
+
+
+@jit()
+def has_information(inverse, scale):
+    """Whether the pivots of a slab's inverse factor are more than rounding of its diagonal (D,)."""
+    least = np.inf
+    for i in range(len(scale)):
+        pivot = inverse[i, i] ** -2.0 - _PIVOT_FLOOR * scale[i]
+        least = pivot if not pivot >= least else least  # or is not a number
+    return least >= 0.0
 
 
 @jit("(f8[:,:,::1], f8[:,:,::1], i8, f8[:,:,::1], f8[:,:,::1], i8[::1])")
@@ -49,21 +59,20 @@ def factor(diagonal, lower, start, inverse, coupling, at):
     Returns the first slab with a direction that has no information, −1 where there is none.
     """
     d, vanished = diagonal.shape[1], -1
-    schur = np.empty((d, d))
+    schur, scale = np.empty((d, d)), np.empty(d)
     for k in range(start, len(diagonal)):
         at[0] = k
         for i in range(d):
+            scale[i] = diagonal[k, i, i]
             for j in range(d):
                 schur[i, j] = diagonal[k, i, j]
         if k:
             lower_product(coupling[k - 1], coupling[k - 1], schur, -1.0, 1.0, True)
-        _inverse_factor(schur[0:d, 0:d], inverse[k, 0:d, 0:d])
+        inverse_factor(schur[0:d, 0:d], inverse[k, 0:d, 0:d])
         if k < len(coupling):
             banded_product(inverse[k], lower[k], coupling[k])
-        for i in range(d):
-            pivot = inverse[k, i, i] ** -2.0
-            if vanished < 0 and not pivot >= _PIVOT_FLOOR * diagonal[k, i, i]:  # or is not a number
-                vanished = k
+        if vanished < 0 and not has_information(inverse[k], scale):
+            vanished = k
     return vanished
 
 

@@ -158,6 +158,19 @@ def squared_innovations(
 
 
 @jit()
+def _explained(rows, root, out):
+    """Rows times the transpose of a lower triangular root, where rows hold few numbers."""
+    low, high = rows.shape[1], 0
+    for i in range(len(rows)):
+        for j in range(rows.shape[1]):
+            if rows[i, j] != 0.0:
+                low, high = min(low, j), max(high, j + 1)
+            out[i, j] = 0.0
+    if low < high:
+        product(rows[:, low:high], root[low:, low:high], out[:, low:], 1.0, 0.0, False, True)
+
+
+@jit()
 def _squared(rows, inverse, coupling, miss, weight):
     """Squares (M,) from white rows (K, M · r, D), residuals (M, r) at the solution and weights."""
     m, r = miss.shape
@@ -167,9 +180,11 @@ def _squared(rows, inverse, coupling, miss, weight):
     for k in range(len(rows)):
         if k:
             product(before, coupling[k - 1], rows[k], -1.0, 1.0, False, False)
-        product(rows[k], inverse[k], explained, 1.0, 0.0, False, True)
+            product(rows[k], inverse[k], explained, 1.0, 0.0, False, True)
         for n in range(m):
             own = explained[n * r : n * r + r]
+            if k == 0:  # columns of few nodes
+                _explained(rows[0, n * r : n * r + r], inverse[0], own)
             product(own, own, gain[n], 1.0, 1.0, False, True)
         before, explained = explained, before
     for n in range(m):

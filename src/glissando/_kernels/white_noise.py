@@ -255,36 +255,42 @@ def _weight(loss, threshold, whitener, residual):
 
 
 @jit(
-    "(f8[:,::1], f8[:,:,::1], f8[:,:,::1], f8[::1], f8[::1], f8[::1], f8[::1],"
-    f" {_STATE}, f8[:,:,::1], f8[:,:,::1])"
+    "(f8[:,::1], f8[:,:,::1], f8[:,:,::1], i8[::1], f8[::1], f8[::1], f8[::1], f8[::1],"
+    f" {_STATE}, f8[:,:,::1], f8[:,:,::1], {SUMS})"
 )
-def readings(
-    rows, mounts, covs, arclength, time, arclength_spans, time_spans, pose, strain, velocity,
-    along, through,
+def accumulate_readings(
+    rows, mounts, covs, which, arclength, time, arclength_spans, time_spans, pose, strain, velocity,
+    along, through, begin, end, across, rhs_begin, rhs_end,
 ):  # fmt: skip
-    """Factors of readings: nodes (M, 4), slopes, residuals, whiteners (M, 6, 6), weights (M,).
+    """Add the factors of `which` (M,) readings, and return them with their weights (M,).
 
     A row (21,) is time, arclength, sensor, loss and its threshold, then the values; `mounts` are
-    (M, 4, 4) and `covs` (M, 6, 6). What a factor does not need of nodes and residuals is zero.
+    (·, 4, 4) and `covs` (·, 6, 6). Factors are nodes (M, 4), slopes (M, 6, 4, 18), residuals (M, 6)
+    and whiteners; what one does not need of nodes and residuals is zero.
     """
-    m = len(rows)
+    m, n_count = len(which), len(arclength)
     nodes, slopes = np.zeros((m, 4), np.int64), np.zeros((m, 6, 4, 18))
     residual, whitener, weight = np.zeros((m, 6)), np.empty((m, 6, 6)), np.empty(m)
     there, bend, motion = np.empty((4, 4)), np.empty(6), np.empty(6)
+    a, b, miss, square = np.empty((6, 72)), np.empty((6, 72)), np.empty(6), np.empty((72, 72))
+    room, none = np.empty((14, 4), np.int64), np.empty((6, 0))
     for i in range(m):
-        row = rows[i]
+        row, at = rows[which[i]], which[i]
         jacobian, left, by_state = np.zeros((18, 4, 18)), np.zeros((18, 18)), np.zeros((6, 18))
         n, ds, us = _cell(arclength, row[1])
         k, dt, ut = _cell(time, row[0])
         _point_into(
-            n, ds, us, k, dt, ut, pose, strain, velocity, strain, velocity,
-            along, through, arclength_spans, time_spans, there, bend, motion, nodes[i], jacobian,
-            left,
+            n, ds, us, k, dt, ut, pose, strain, velocity, strain, velocity, along, through,
+            arclength_spans, time_spans, there, bend, motion, nodes[i], jacobian, left,
         )  # fmt: skip
         sense_into(
-            int(row[2]), row[5:], mounts[i], there, bend, motion, residual[i],
-            by_state,
+            int(row[2]), row[5:], mounts[at], there, bend, motion, residual[i], by_state
         )  # fmt: skip
-        at_nodes_into(by_state, jacobian, left, covs[i], slopes[i], whitener[i])
+        at_nodes_into(by_state, jacobian, left, covs[at], slopes[i], whitener[i])
         weight[i] = _weight(row[3], row[4], whitener[i], residual[i])
+        add_factor(
+            nodes[i], 0, slopes[i], residual[i], whitener[i], none, weight[i], n_count,
+            18, begin, end, across, rhs_begin, rhs_end, a, b, miss, square,
+            room,
+        )  # fmt: skip
     return nodes, slopes, residual, whitener, weight

@@ -1,7 +1,7 @@
 """The normal equations of a sliding window, kept by interval: summed, factored, solved, dropped.
 
-`blocks` (6, ·, D, D) are of every slab: what its interval adds where it begins, where it ends and
-across, the diagonal, and of the factor the inverse and the coupling. `vectors` (3, ·, D) are what
+`blocks` (5, ·, D, D) are of every slab: what its interval adds where it begins, where it ends and
+across, and of the factor the inverse and the coupling. `vectors` (3, ·, D) are what
 the interval adds to the right-hand side where it begins and ends, and that side solved forward.
 Source: equations (19) and (20).
 """
@@ -12,49 +12,57 @@ from math import sqrt
 
 import numpy as np
 
-from glissando._kernels.blas import lower_product, product
-from glissando._kernels.block_tridiagonal import backward, factor, forward
+from glissando._kernels.blas import banded_product, lower_product, product
+from glissando._kernels.block_tridiagonal import (
+    backward,
+    forward,
+    has_information,
+    inverse_factor,
+)
 from glissando._kernels.jit import jit
 
-BEGIN, END, ACROSS, DIAGONAL, INVERSE, COUPLING = range(6)
+BEGIN, END, ACROSS, INVERSE, COUPLING = range(5)
 _WINDOW = "f8[:,:,:,::1], f8[:,:,::1], f8[:,::1], f8[::1], i8, i8"
 
 
-@jit(f"({_WINDOW}, i8)")
-def sum_intervals(blocks, vectors, info, rhs, first, stop, start):
-    """Sum the intervals to diagonal and right-hand side, of slabs from `first` + `start` on.
-
-    `info` (D, D) and `rhs` (D,) are what is known of the slab `first` from before.
-    """
-    d = len(rhs)
-    for k in range(first + start, stop):
-        begin, end, known = blocks[BEGIN, k], blocks[END, k - 1], k > first
-        if not known:
-            end = info
-        ahead, behind = vectors[0, k], vectors[1, k - 1]
-        if not known:
-            behind = rhs
-        for i in range(d):
-            vectors[2, k, i] = ahead[i] + behind[i]
-            row, other, out = begin[i], end[i], blocks[DIAGONAL, k, i]
-            for j in range(d):
-                out[j] = row[j] + other[j]
+@jit(f"({_WINDOW}, i8, f8[:,:,::1])")
+def sum_slab(blocks, vectors, info, rhs, first, k, at, diagonal):
+    """Sum slab k to `diagonal[at]`, of which the lower half counts, and its right-hand side."""
+    d, begin, end = len(rhs), blocks[BEGIN, k], blocks[END, k - 1]
+    ahead, behind, out = vectors[0, k], vectors[1, k - 1], diagonal[at]
+    if k == first:
+        end, behind = info, rhs
+    for i in range(d):
+        vectors[2, k, i] = ahead[i] + behind[i]
+        for j in range(d):
+            out[i, j] = begin[i, j] + end[i, j]
 
 
 @jit(f"({_WINDOW}, i8, f8[:,::1], i8[::1])")
 def solve(blocks, vectors, info, rhs, first, stop, start, step, at):
     """Sum, eliminate from slab `first` + `start` on and solve for the step (K, D) of all slabs.
 
-    Returns what `factor` does.
+    Returns what `factor` does, and raises what it does.
     """
-    sum_intervals(blocks, vectors, info, rhs, first, stop, start)
-    inverse, coupling = blocks[INVERSE, first:stop], blocks[COUPLING, first : stop - 1]
-    across = blocks[ACROSS, first : stop - 1]
-    vanished = factor(blocks[DIAGONAL, first:stop], across, start, inverse, coupling, at)
+    d, vanished, inverse, coupling = len(rhs), -1, blocks[INVERSE], blocks[COUPLING]
+    schur, scale = np.empty((1, d, d)), np.empty(d)
+    for k in range(first + start, stop):
+        at[0] = k - first
+        sum_slab(blocks, vectors, info, rhs, first, k, 0, schur)
+        for i in range(d):
+            scale[i] = schur[0, i, i]
+        if k > first:
+            lower_product(coupling[k - 1], coupling[k - 1], schur[0], -1.0, 1.0, True)
+        inverse_factor(schur[0, 0:d, 0:d], inverse[k, 0:d, 0:d])
+        if k + 1 < stop:
+            banded_product(inverse[k], blocks[ACROSS, k], coupling[k])
+        if vanished < 0 and not has_information(inverse[k], scale):
+            vanished = k - first
+    inverse, coupling = inverse[first:stop], coupling[first : stop - 1]
     solved = vectors[2, first:stop]
     forward(inverse, coupling, solved, start)
     for k in range(len(solved)):
-        for i in range(len(rhs)):
+        for i in range(d):
             step[k, i] = solved[k, i]
     backward(inverse, coupling, step)
     return vanished

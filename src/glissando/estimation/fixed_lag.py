@@ -111,10 +111,10 @@ class FixedLagSmoother:
         """
         if not np.isfinite(time):
             raise OutsideGridError(f"The time to advance to is {time}; give seconds.")
-        if self._undelayed is not None and self._shown:
-            self._undelayed.advance(time)
-        self._steps.advance(time)
         with one_thread():
+            if self._undelayed is not None and self._shown:
+                self._undelayed.advance(time)
+            self._steps.advance(time)
             return self._steps.newest()
 
     def newest(self) -> StateEstimate:

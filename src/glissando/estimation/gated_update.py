@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import warnings
 from collections import Counter
-from collections.abc import Sequence
 
 import numpy as np
 
 from glissando.errors import NotConvergedWarning, SensorError, UnobservableError
 from glissando.estimation.batch import estimate
+from glissando.estimation.held_readings import HeldReadings
 from glissando.estimation.innovation_gate import InnovationGate
 from glissando.estimation.reading_buffer import ReadingBuffer
 from glissando.estimation.sliding_window import SlidingWindow
-from glissando.model.sensors.readings import Readings
 from glissando.solver.gauss_newton import SolverOptions
 
 _RENEWED = 2  # intervals before the newest node that an update linearises again
@@ -49,7 +48,7 @@ class GatedUpdate:
             fresh: New readings of each stream, cleared where no shape comes near.
         """
         window = self._window
-        readings = self._buffer.since(float(window.nodes.time[0]))
+        readings = self._buffer.streams(float(window.nodes.time[0]))
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", NotConvergedWarning)
@@ -64,8 +63,8 @@ class GatedUpdate:
             return False  # not yet: some other sensor will fix the base
         except SensorError:  # no shape comes near
             for stream in readings:
-                for row in range(len(stream)):
-                    self._refuse(stream, row)
+                for time, arclength in zip(stream.time, stream.arclength, strict=True):
+                    self._refuse(stream.label, time, arclength)
             fresh.clear()
             return False
         window.restate(posterior.state)
@@ -90,7 +89,7 @@ class GatedUpdate:
             readings, wrong, broke = self.readings(first), None, None
             try:
                 self._solve(first, readings, _MOST)
-                wrong = self._most_wrong(readings, fresh, first_look=not again) if fresh else None
+                wrong = self._most_wrong(fresh, first_look=not again) if fresh else None
                 if wrong is None or again == _MOST:
                     return
             except (np.linalg.LinAlgError, UnobservableError) as error:
@@ -101,18 +100,18 @@ class GatedUpdate:
                 raise LostError
             window.points = before
             self._solve(first, readings, 1)
-            wrong = self._most_wrong(readings, fresh, first_look=False) or wrong
+            wrong = self._most_wrong(fresh, first_look=False) or wrong
             if wrong is None:
                 raise broke or LostError
             self._refuse(*wrong)
-            fresh[wrong[0].label] -= 1
+            fresh[wrong[0]] -= 1
             window.points = before
 
-    def readings(self, first: int) -> list[Readings]:
+    def readings(self, first: int) -> HeldReadings:
         """Readings at and after a node."""
         return self._buffer.since(float(self._window.nodes.time[first]))
 
-    def _solve(self, first: int, readings: Sequence[Readings], most: int) -> None:
+    def _solve(self, first: int, readings: HeldReadings, most: int) -> None:
         """Linearise and solve from a node on until a step misses by little."""
         for _ in range(most):
             self._window.relinearize(first)
@@ -122,20 +121,21 @@ class GatedUpdate:
                 break
 
     def _most_wrong(
-        self, streams: Sequence[Readings], fresh: Counter[str], *, first_look: bool
-    ) -> tuple[Readings, int] | None:
-        """Stream and row of the new reading that fits the others least, if it is beyond belief."""
+        self, fresh: Counter[str], *, first_look: bool
+    ) -> tuple[str, float, float] | None:
+        """Stream, time and arclength of the new reading that fits least, if beyond belief."""
         worst, wrong = 1.0, None
-        for innovations in self._window.innovations([len(r) - fresh[r.label] for r in streams]):
-            stream, nis, dof = streams[innovations.stream], innovations.nis, innovations.dof
+        for found in self._window.innovations(fresh):
+            nis = found.nis.tolist()
             if first_look:
-                self._gate.note(stream.label, nis, dof)
-            excess = self._gate.excess(stream.label, nis, dof)
+                self._gate.note(found.stream, nis, found.dof)
+            excess = self._gate.excess(found.stream, nis, found.dof)
             if excess > worst:
-                worst, wrong = excess, (stream, int(innovations.rows[int(np.argmax(nis))]))
+                at = int(np.argmax(found.nis))
+                worst, wrong = excess, (found.stream, found.time[at], found.arclength[at])
         return wrong
 
-    def _refuse(self, stream: Readings, row: int) -> None:
+    def _refuse(self, stream: str, time: float, arclength: float) -> None:
         """Let go of a reading, one at a time as a wrong one makes its neighbours look wrong."""
-        self._gate.strike(stream.label)
-        self._buffer.discard(stream.label, float(stream.time[row]), float(stream.arclength[row]))
+        self._gate.strike(stream)
+        self._buffer.discard(stream, time, arclength)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter, deque
+from collections.abc import Sequence
 from functools import cache
 
 import numpy as np
 
-from glissando.geometry.se3 import Array
 from glissando.model.quantiles import chi_square_exceedance
 
 _STRIKES = 10  # readings refused in a row after which a stream is believed again
@@ -40,20 +40,20 @@ class InnovationGate:
             self.dropped.setdefault(name, Counter())[reason] += int(rows.sum())
         return ~rows
 
-    def excess(self, name: str, nis: Array, dof: int) -> float:
-        """By how much the worst of squared innovations (M,) is beyond belief, 1 at the limit."""
+    def excess(self, name: str, nis: Sequence[float], dof: int) -> float:
+        """By how much the worst of squared innovations is beyond belief, 1 at the limit."""
         if self.chance is None or self._strikes[name] >= _STRIKES:
             return 0.0
-        return float(nis.max()) / _beyond(self.chance, dof)
+        return max(nis) / _beyond(self.chance, dof)
 
     def strike(self, name: str) -> None:
         """A reading of the stream has been refused."""
         self._strikes[name] += 1
 
-    def note(self, name: str, nis: Array, dof: int) -> None:
-        """Remember squared innovations (M,), before any is refused."""
-        self._innovations.extend((float(each), dof) for each in nis)
-        if self.chance is None or np.any(nis <= _beyond(self.chance, dof)):
+    def note(self, name: str, nis: Sequence[float], dof: int) -> None:
+        """Remember squared innovations, before any is refused."""
+        self._innovations.extend((each, dof) for each in nis)
+        if self.chance is None or min(nis) <= _beyond(self.chance, dof):
             self._strikes[name] = 0
 
     @property

@@ -3,30 +3,42 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
+from functools import reduce
 
 import numpy as np
 
 from glissando.errors import SensorError
+from glissando.estimation.held_readings import HeldReadings
 from glissando.estimation.innovation_gate import InnovationGate
+from glissando.model.sensors.compiled_readings import CompiledReadings, ReadingRows
 from glissando.model.sensors.readings import Readings
 
 _AHEAD = 2.0  # s: stamps further ahead of the time now are a clock's fault
 _FEW = 100_000  # pairs of stamps that are compared each with each
-_SPARE = 32  # old readings of a stream that are held before they are let go of at once
+_SPARE = 64  # readings and parts of streams that are held before old ones are let go of
 
 
 class ReadingBuffer:
     """Readings by stream on a robot of some `length`; what is refused is counted by the `gate`.
 
-    `held` are those in the window, in order of arrival; others wait until time reaches them.
+    Those in the window are held in order of arrival; others wait until time reaches them. Streams
+    that the window `takes_as_row` are held as rows as well.
     """
 
-    def __init__(self, length: float, gate: InnovationGate) -> None:
-        self.held: dict[str, Readings] = {}
+    def __init__(
+        self, length: float, gate: InnovationGate, takes_as_row: Callable[[Readings], bool]
+    ) -> None:
+        self._held: dict[str, list[Readings]] = {}  # in parts, as they came
         self._waiting: dict[str, Readings] = {}
         self._last: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+        self._newest: dict[str, float] = {}
         self._measured: set[str] = set()
-        self._length, self._gate = length, gate
+        self._rows, self._takes_as_row = ReadingRows(), takes_as_row
+        self._numbers: dict[str, int] = {}
+        self._labels: list[tuple[str, int]] = []  # and rows of a reading, by number
+        self._single: set[str] = set()  # streams that do not come as rows
+        self._length, self._gate, self._many = length, gate, _SPARE
 
     def take(self, readings: Readings, oldest: float) -> None:
         """Let readings of one stream wait; `oldest` is the time of the oldest node.
@@ -35,25 +47,36 @@ class ReadingBuffer:
         that stopped measuring: no measurement has all digits of the one before. Raises SensorError
         when the stream changed its kind.
         """
-        name = readings.label
-        before = self._waiting.get(name, self.held.get(name))
+        name, time, place = readings.label, readings.time, readings.arclength
+        before = self._waiting.get(name)
+        parts = self._held.get(name)
+        if before is None and parts:
+            before = parts[-1]
         if before is not None and type(before) is not type(readings):
             raise SensorError(f"{name} was {type(before).__name__}; name each stream by itself.")
-        time, place, channel = readings.time, readings.arclength, readings.channel
+        if not len(readings):
+            return
+        channel, slack = readings.channel, 1e-9 * self._length
         low, high = channel.travels(self._length) if channel else (0.0, self._length)
-        slack = 1e-9 * self._length
-        faults = [("off the robot", (place < low - slack) | (place > high + slack))]
-        faults += [("late", time < oldest), ("repeated", self._repeated(readings))]
+        (first, last), (lowest, highest) = _ends(time), _ends(place)
+        faults: list[tuple[str, np.ndarray | None]] = []
+        if lowest < low - slack or highest > high + slack:
+            faults += [("off the robot", (place < low - slack) | (place > high + slack))]
+        if first < oldest:
+            faults += [("late", time < oldest)]
+        if len(time) > 1 or first <= self._newest.get(name, -np.inf):
+            faults += [("repeated", self._repeated(readings))]
         if readings.tracker:
-            faults.append(("repeated", self._frozen(readings)))
+            faults += [("repeated", self._frozen(readings))]
         kept = np.ones(len(readings), dtype=bool)
         for reason, bad in faults:
-            if bad.any():
+            if bad is not None and bad.any():
                 kept &= self._gate.refuse(name, reason, kept & bad)
-        readings = readings.select(kept)
+        readings = readings.select(kept) if faults else readings
         if len(readings):
             waiting = self._waiting.get(name)
             self._waiting[name] = readings if waiting is None else waiting.joined(readings)
+            self._newest[name] = max(last, self._newest.get(name, -np.inf))
 
     def _repeated(self, readings: Readings) -> np.ndarray:
         """Rows that have a stamp of before; at one moment a stream may read several places."""
@@ -61,8 +84,10 @@ class ReadingBuffer:
         again = np.zeros(len(readings), dtype=bool)
         if len(readings) > 1:
             again[1:] = (time[1:] == time[:-1]) & (place[1:] == place[:-1])
-        for other in (self.held.get(readings.label), self._waiting.get(readings.label)):
-            if other is None or not len(other) or time.min(initial=np.inf) > other.time.max():
+        if time.min() > self._newest.get(readings.label, -np.inf):
+            return again
+        for other in (self._all_held(readings.label), self._waiting.get(readings.label)):
+            if other is None or not len(other) or time.min() > other.time.max():
                 continue
             if time.size * other.time.size <= _FEW:
                 same = (time[:, None] == other.time) & (place[:, None] == other.arclength)
@@ -71,14 +96,15 @@ class ReadingBuffer:
                 again |= np.isin(time + 1j * place, other.time + 1j * other.arclength)
         return again
 
-    def _frozen(self, readings: Readings) -> np.ndarray:
+    def _frozen(self, readings: Readings) -> np.ndarray | None:
         """Rows whose values are those of the row before; none of a stream that never changed."""
         values, place = readings.values, readings.arclength
-        if not len(readings):
-            return np.zeros(0, dtype=bool)
         before = self._last.get(readings.label)
         self._last[readings.label] = values[-1:], place[-1:]
         if before is not None:
+            if len(values) == 1 and not (values == before[0]).all():
+                self._measured.add(readings.label)
+                return None
             values, place = np.concatenate([before[0], values]), np.concatenate([before[1], place])
         flat = values.reshape(len(values), -1)
         same = (flat[1:] == flat[:-1]).all(axis=1)
@@ -97,8 +123,8 @@ class ReadingBuffer:
     def refuse_ahead(self, now: float) -> None:
         """Refuse readings that wait with stamps absurdly far ahead of the time now."""
         for name, waiting in list(self._waiting.items()):
-            ahead = waiting.time > now + _AHEAD
-            if ahead.any():
+            if len(waiting) and _ends(waiting.time)[1] > now + _AHEAD:
+                ahead = waiting.time > now + _AHEAD
                 self._waiting[name] = waiting.select(self._gate.refuse(name, "ahead", ahead))
 
     def arrive(self, oldest: float, until: float) -> tuple[Counter[str], float]:
@@ -107,39 +133,90 @@ class ReadingBuffer:
         New rows are the last that are held of a stream.
         """
         fresh: Counter[str] = Counter()
-        earliest = np.inf
-        for name, waiting in list(self._waiting.items()):
-            due = waiting.time <= until
-            if not due.any():
+        earliest, self._rows.old = np.inf, self._rows.count
+        for name, now in list(self._waiting.items()):
+            first, last = _ends(now.time) if len(now) else (np.inf, np.inf)
+            if first > until:
                 continue
-            now = waiting.select(due)
-            if now is waiting:
-                del self._waiting[name]
+            if last > until:
+                due = now.time <= until
+                self._waiting[name], now = now.select(~due), now.select(due)
             else:
-                self._waiting[name] = waiting.select(~due)
-            late = now.time < oldest
-            if late.any():
-                now = now.select(self._gate.refuse(name, "late", late))
-            if len(now) == 0:
-                continue
-            held = self.held.get(name)
-            self.held[name] = now if held is None or not len(held) else held.joined(now)
-            fresh[name], earliest = len(now), min(earliest, float(now.time.min()))
+                del self._waiting[name]
+            if first < oldest:
+                now = now.select(self._gate.refuse(name, "late", now.time < oldest))
+                if not len(now):
+                    continue
+                first = float(now.time.min())
+            self._hold(name, now)
+            fresh[name], earliest = len(now), min(earliest, first)
         return fresh, earliest
 
-    def since(self, begin: float) -> list[Readings]:
-        """Held readings at and after a time, a stream each."""
-        found = [r.select(r.time >= begin) for r in self.held.values()]
+    def _hold(self, name: str, readings: Readings) -> None:
+        """Hold readings of a stream."""
+        self._held.setdefault(name, []).append(readings)
+        if name in self._single:
+            return
+        if not self._takes_as_row(readings):
+            self._single.add(name)
+            if name in self._numbers:
+                number = self._numbers[name]
+                self._rows.keep(self._rows.stream[: self._rows.count] != number)
+            return
+        if name not in self._numbers:
+            self._numbers[name] = len(self._labels)
+            self._labels.append((name, readings.row_count))
+        assert isinstance(readings, CompiledReadings)
+        self._rows.append(self._numbers[name], readings)
+
+    def _all_held(self, name: str) -> Readings | None:
+        """Held readings of a stream, as one."""
+        parts = self._held.get(name)
+        if not parts:
+            return None
+        if len(parts) > 1:
+            parts[:] = [reduce(lambda one, other: one.joined(other), parts)]
+        return parts[0]
+
+    def streams(self, begin: float, *, single: bool = False) -> list[Readings]:
+        """Held readings at and after a time, a stream each; `single` ones do not come as rows."""
+        names = (name for name in self._held if name in self._single or not single)
+        held = (self._all_held(name) for name in names)
+        found = [r.select(r.time >= begin) for r in held if r is not None]
         return [r for r in found if len(r)]
+
+    def since(self, begin: float) -> HeldReadings:
+        """Held readings at and after a time, as rows or a stream each."""
+        which = np.flatnonzero(self._rows.time >= begin)
+        single = self.streams(begin, single=True) if self._single else []
+        return HeldReadings(single, self._rows, which, self._labels)
 
     def discard(self, name: str, time: float, arclength: float) -> None:
         """Let go of a reading that is beyond belief."""
-        held = self.held[name]
+        held, rows = self._all_held(name), self._rows
+        assert held is not None
         out = (held.time == time) & (held.arclength == arclength)
-        self.held[name] = held.select(self._gate.refuse(name, "gated", out))
+        self._held[name] = [held.select(self._gate.refuse(name, "gated", out))]
+        if name in self._numbers and name not in self._single:
+            out = (rows.time == time) & (rows.arclength == arclength)
+            rows.keep(~(out & (rows.stream[: rows.count] == self._numbers[name])))
 
     def forget(self, oldest: float) -> None:
         """Let go of what is older, of many at once."""
-        for name, held in self.held.items():
-            if np.count_nonzero(held.time < oldest) > _SPARE:
-                self.held[name] = held.select(held.time >= oldest)
+        if sum(map(len, self._held.values())) + self._rows.count < self._many:
+            return
+        for name, parts in self._held.items():
+            ends = [_ends(part.time) if len(part) else (-np.inf, -np.inf) for part in parts]
+            self._held[name] = [
+                part if first >= oldest else part.select(part.time >= oldest)
+                for part, (first, last) in zip(parts, ends, strict=True)
+                if last >= oldest
+            ]
+        self._rows.keep(self._rows.time >= oldest)
+        self._many = _SPARE + 2 * (sum(map(len, self._held.values())) + self._rows.count)
+
+
+def _ends(values: np.ndarray) -> tuple[float, float]:
+    """The smallest and the largest of some values, of which there are few as a rule."""
+    each = values.tolist() if values.size < _SPARE else (values.min(), values.max())
+    return min(each), max(each)

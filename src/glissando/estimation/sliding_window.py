@@ -8,9 +8,10 @@ Huang, Mourikis and Roumeliotis (2010) on first estimates.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from glissando._kernels import normal_equations as kernels
 from glissando._kernels import window as window_kernels
 from glissando.estimation.channels import place_in_channel
 from glissando.estimation.delays import at_times, delay_columns, motion_left, moving_with
+from glissando.estimation.held_readings import HeldReadings
 from glissando.estimation.posterior import Posterior, SolveReport, StateEstimate
 from glissando.estimation.window_nodes import Nodes
 from glissando.estimation.window_system import WindowSystem
@@ -26,7 +28,7 @@ from glissando.model.factors import Factors, Residuals
 from glissando.model.grid import Grid, Index
 from glissando.model.priors.prior import Prior
 from glissando.model.priors.white_noise import WhiteNoisePrior
-from glissando.model.sensors.compiled_readings import reading_rows
+from glissando.model.sensors.compiled_readings import is_compiled
 from glissando.model.sensors.parameter_process import EstimatedParameters
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.sensors.readings import Readings
@@ -42,23 +44,25 @@ class Innovations:
     """Readings of one stream at the solution.
 
     Attributes:
-        stream: Number of the stream.
-        rows: Which of its rows (M,).
+        stream: The stream's label.
         nis: Their squared normalised innovations (M,).
         dof: Degrees of freedom of each.
+        time: When each was read (M,), s.
+        arclength: And where (M,), m.
     """
 
-    stream: int
-    rows: Index
+    stream: str
     nis: Array
     dof: int
+    time: Array
+    arclength: Array
 
 
 @dataclass(frozen=True)
 class _Terms:
-    """Linearised readings: stream (M,) and row (M,) of each, factors, and their weights (M,)."""
+    """Linearised readings (M,): which of their stream, or of all rows, factors, weights (M,)."""
 
-    streams: Index
+    stream: Readings | None
     rows: Index
     batch: Factors
     weights: Array
@@ -192,82 +196,68 @@ class SlidingWindow:
 
     def restate(self, state: State) -> None:
         """Take states (K, N) for the estimates of all nodes."""
-        still = np.zeros_like(self.nodes.step)
-        self.nodes = replace(self.nodes, state=state, step=still)
+        nodes = replace(self.nodes, state=state)
+        self.nodes = nodes.stepped(np.zeros_like(nodes.step))
 
-    def solve(self, first: int, readings: Sequence[Readings]) -> None:
+    def takes_as_row(self, readings: Readings) -> bool:
+        """Whether readings may come as rows, with the streams of others."""
+        fits = type(self.prior) is WhiteNoisePrior and self.undelayed is None
+        known = all(readings.name not in p.streams for p in self.sensor_parameters)
+        return fits and known and is_compiled(readings)
+
+    def solve(self, first: int, readings: HeldReadings) -> None:
         """Linearise all that begins at the nodes from `first` on, eliminate, find every step.
 
         Args:
             first: The node.
-            readings: All at and after it, a stream each, none empty.
+            readings: All at and after it.
         """
         self._linearize(first, readings)
-        self.nodes = replace(self.nodes, step=self._system.solve(first))
+        self.nodes = self.nodes.stepped(self._system.solve(first))
         self._root = self._system.cholesky.inverse[-1].copy()
 
-    def _linearize(self, first: int, readings: Sequence[Readings]) -> None:
+    def _linearize(self, first: int, readings: HeldReadings) -> None:
         """Sum the factors of the intervals from `first` on. Source: equation (19)."""
         motion = self._motion_of_others(first)
         nodes, grid = self.nodes.take(slice(first, None)), self.grid(first)
-        readings = [place_in_channel(r, self.prior, grid, nodes.state) for r in readings]  # (M8)
         builder = self._system.builder(first)
-        self._terms, self._first = [], first
-        self._dof = np.array([r.row_count for r in readings])
-        others = dict(enumerate(readings))
+        self._terms, self._first, self._held = [], first, readings
         if type(self.prior) is WhiteNoisePrior and motion is None:
-            densities = self._along, self.prior.time_densities(grid.time)
-            self.prior.accumulate(grid, nodes.state, densities, builder.sums)
-            self._add_rows(grid, nodes.state, densities, others, builder)
-            if not (others or self._process.size):
-                return
+            on = grid, nodes.state, (self._along, self.prior.time_densities(grid.time))
+            self.prior.accumulate(*on, builder.sums)
+            if readings.which.size:
+                rows = readings.rows, readings.which
+                *factors, weights = self.prior.accumulate_readings(*on, *rows, builder.sums)
+                at, slopes, *terms = factors
+                batch = Factors(at, slice(0, DOF), slopes, Residuals(*terms))
+                self._terms.append(_Terms(None, readings.which, batch, weights))
         else:
             for batch in self.prior.factors(grid, nodes.state, nodes.state, slice(0, len(nodes))):
                 builder.accumulate(self._dated(batch, nodes))
+        if readings.streams or self._process.size:
+            self._add_streams(readings.streams, grid, nodes, motion, builder)
+
+    def _add_streams(
+        self,
+        streams: Sequence[Readings],
+        grid: Grid,
+        nodes: Nodes,
+        motion: State | None,
+        builder: NormalEquationsBuilder,
+    ) -> None:
+        """Add the streams that do not come as rows, and the drift of the sensor parameters."""
         known = self.sensor_parameters, nodes.parameters
-        located = locate(grid, list(others.values()), *known, keep_all=True)
-        located, numbers = replace(located, motion=motion), list(others)
+        placed = [place_in_channel(r, self.prior, grid, nodes.state) for r in streams]  # (M8)
+        located = replace(locate(grid, placed, *known, keep_all=True), motion=motion)
         for i in range(len(located.blocks)):
             found = measurement_factors(self.prior, located, nodes.state, nodes.state, i)
             for stream, rows, batch in found:
                 dated = self._dated(batch, nodes)
                 weights = dated.terms.robust_weights()
                 builder.accumulate(dated, weights)
-                which = np.full(rows.size, numbers[stream])
-                self._terms.append(_Terms(which, rows, dated, weights))
+                self._terms.append(_Terms(streams[stream], rows, dated, weights))
         if self._process.size:
             builder.accumulate_drift(*located.parameters.process.drift(nodes.parameters))
-
-    def _add_rows(
-        self,
-        grid: Grid,
-        state: State,
-        densities: tuple[Array, Array],
-        readings: dict[int, Readings],
-        builder: NormalEquationsBuilder,
-    ) -> None:
-        """Add all readings that kernels take as rows, and take them out of `readings`."""
-        assert isinstance(self.prior, WhiteNoisePrior)
-        taken = {}
-        for i, r in list(readings.items()):
-            rows = None if self._is_estimated(r) else reading_rows(r)
-            if rows is not None:
-                taken[i] = rows
-                del readings[i]
-        if not taken:
-            return
-        counts = [len(rows) for rows, *_ in taken.values()]
-        together = [np.concatenate(parts) for parts in zip(*taken.values(), strict=True)]
-        found = self.prior.readings(grid, state, densities, together)
-        nodes, slopes, residual, whitener, weights = found
-        batch = Factors(nodes, slice(0, DOF), slopes, Residuals(residual, whitener))
-        builder.accumulate(batch, weights)
-        stream, row = np.repeat(list(taken), counts), np.concatenate([np.arange(c) for c in counts])
-        self._terms.append(_Terms(stream, row, batch, weights))
-
-    def _is_estimated(self, readings: Readings) -> bool:
-        """Whether a parameter of the stream is estimated."""
-        return any(readings.name in p.streams for p in self.sensor_parameters)
 
     def _motion_of_others(self, first: int) -> State | None:
         """The nodes from `first` on as streams without a delay show them, if there are delays.
@@ -302,24 +292,37 @@ class SlidingWindow:
         layout = self.layout
         return float(window_kernels.missed(self._root, free, layout.nodes, layout.dof))
 
-    def innovations(self, fresh: Sequence[int]) -> list[Innovations]:
-        """Squared innovations of each stream's rows from `fresh` on, each against all others."""
-        cholesky, out, begins = self._system.cholesky, [], np.asarray(fresh)
-        since = slice(self._first, None)
-        solved = cholesky.inverse[since], cholesky.coupling[since], self.nodes.step[since]
+    def innovations(self, fresh: Mapping[str, int]) -> Iterator[Innovations]:
+        """Squared innovations of each stream's last `fresh` readings, each against all others."""
+        held = self._held
         for terms in self._terms:
-            which = np.flatnonzero(terms.rows >= begins[terms.streams])
+            stream = terms.stream
+            begin = held.rows.old if stream is None else len(stream) - fresh[stream.label]
+            which = np.flatnonzero(terms.rows >= begin)
             if not which.size:
                 continue
-            nis = kernels.squared_innovations(
-                *kernel_arguments(terms.batch), which, self.layout.nodes, self.layout.dof, *solved,
-                terms.weights[which],
-            )  # fmt: skip
-            streams, rows = terms.streams[which], terms.rows[which]
-            for stream in dict.fromkeys(streams.tolist()):
-                own = streams == stream
-                out.append(Innovations(stream, rows[own], nis[own], int(self._dof[stream])))
-        return out
+            rows, nis = terms.rows[which], self._squared(terms, which)
+            if stream is not None:
+                dof = terms.batch.terms.residual.shape[1]
+                place = stream.time[rows], stream.arclength[rows]
+                yield Innovations(stream.label, nis, dof, *place)
+                continue
+            numbers = held.rows.stream[rows]
+            time, arclength = held.rows.time[rows], held.rows.arclength[rows]
+            ends = [0, *np.flatnonzero(np.diff(numbers)) + 1, rows.size]
+            for begin, end in pairwise(ends):
+                own, (label, dof) = slice(begin, end), held.labels[numbers[begin]]
+                yield Innovations(label, nis[own], dof, time[own], arclength[own])
+
+    def _squared(self, terms: _Terms, which: Index) -> Array:
+        """Squared innovations of `which` readings of a batch."""
+        cholesky, since = self._system.cholesky, slice(self._first, None)
+        nis: Array = kernels.squared_innovations(
+            *kernel_arguments(terms.batch), which, self.layout.nodes, self.layout.dof,
+            cholesky.inverse[since], cholesky.coupling[since], self.nodes.step[since],
+            terms.weights[which],
+        )  # fmt: skip
+        return nis
 
     def newest(self) -> tuple[State, Array]:
         """Estimate (N,) of the newest time and its covariance (D, D)."""
@@ -336,7 +339,7 @@ class SlidingWindow:
     def posterior(self) -> Posterior:
         """The window as a posterior, as an estimate of a recording is."""
         state, values = self.nodes.estimate
-        system, rhs = self._system.copied().system()
+        system, rhs = self._system.system()
         report = SolveReport(Outcome.UPDATED, 1, 0.0, rhs.size, 0.0, 0.0, 0, {})
         pairs = zip(self._process.each, self._process.columns, strict=True)
         parameters = [(p, values[:, at]) for p, at in pairs]

@@ -52,6 +52,10 @@ class Nodes:
             out.__dict__["estimate"] = later
         return out
 
+    def stepped(self, step: Array) -> Nodes:
+        """The nodes with another step (K, D)."""
+        return Nodes(self.time, self.state, self.parameters, step, self.own)
+
     @cached_property
     def estimate(self) -> tuple[State, Array]:
         """The states (K, N) and sensor parameters (K, E) to which the step leads."""

@@ -14,6 +14,7 @@ import numpy as np
 from glissando._kernels.threads import one_thread
 from glissando.errors import OutsideGridError, UnobservableError
 from glissando.estimation.gated_update import GatedUpdate, LostError
+from glissando.estimation.held_readings import HeldReadings
 from glissando.estimation.innovation_gate import InnovationGate
 from glissando.estimation.posterior import StateEstimate
 from glissando.estimation.reading_buffer import ReadingBuffer
@@ -44,7 +45,7 @@ class WindowSteps:
     def __init__(self, window: SlidingWindow, lag: int, gate: float | None) -> None:
         self.window, self.lag = window, lag
         self.gate = InnovationGate(gate)
-        self.buffer = ReadingBuffer(float(window.arclength[-1]), self.gate)
+        self.buffer = ReadingBuffer(float(window.arclength[-1]), self.gate, window.takes_as_row)
         self.update = GatedUpdate(window, self.buffer, self.gate)
         self.updates = self.restarts = 0
         self._started = False
@@ -156,7 +157,7 @@ class WindowSteps:
         window.begin(time, window.prior.rest_state(Grid(self.window.arclength, [time])).take(0))
         self._started = self._silence.curved = False
         if window.prior.fixes_base and not self._silence.has_rest:
-            window.solve(0, [])
+            window.solve(0, HeldReadings())
             self._silence.set_rest(self._spread(), float(self.window.arclength[-1]))
 
     def _spread(self) -> tuple[float, float]:

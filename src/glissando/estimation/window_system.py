@@ -7,7 +7,7 @@ from copy import copy
 import numpy as np
 
 from glissando._kernels import window as kernels
-from glissando._kernels.window import ACROSS, BEGIN, COUPLING, DIAGONAL, END, INVERSE
+from glissando._kernels.window import ACROSS, BEGIN, COUPLING, END, INVERSE
 from glissando.geometry.se3 import Array
 from glissando.solver.block_tridiagonal import BlockTridiagonal, Cholesky, eliminate
 from glissando.solver.normal_equations import Layout, NormalEquationsBuilder
@@ -66,16 +66,14 @@ class WindowSystem:
         begin, end, across = (self._used(i)[first:] for i in (BEGIN, END, ACROSS))
         return NormalEquationsBuilder(self.layout, begin, end, across, rhs_begin, rhs_end)
 
-    @property
-    def _memory(self) -> tuple[Array | int, ...]:
-        """All there is, as kernels take it."""
-        return self._blocks, self._vectors, self.info, self.rhs, self._first, self._stop
-
     def system(self) -> tuple[BlockTridiagonal, Array]:
-        """The normal equations, in memory that `solve` uses: of a copy, to be kept."""
-        kernels.sum_intervals(*self._memory, 0)
-        rhs = self._vectors[2, self._first : self._stop]
-        return BlockTridiagonal(self._used(DIAGONAL), self._used(ACROSS)), rhs
+        """The normal equations."""
+        vectors, diagonal = self._vectors.copy(), np.empty_like(self._used(BEGIN))
+        known = self._blocks, vectors, self.info, self.rhs, self._first
+        for k in range(len(self)):
+            kernels.sum_slab(*known, self._first + k, k, diagonal)
+        rhs = vectors[2, self._first : self._stop]
+        return BlockTridiagonal(diagonal, self._used(ACROSS).copy()), rhs
 
     @property
     def cholesky(self) -> Cholesky:
@@ -89,7 +87,8 @@ class WindowSystem:
             UnobservableError: Some direction of the state has no information.
         """
         solution = np.empty((len(self), self.layout.size))
-        eliminate(kernels.solve, *self._memory, first, solution)
+        known = self._blocks, self._vectors, self.info, self.rhs, self._first, self._stop
+        eliminate(kernels.solve, *known, first, solution)
         self.intact = len(self)
         return solution
 

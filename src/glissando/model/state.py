@@ -48,8 +48,8 @@ class State(Brief):
 
     def _others(self) -> list[Array]:
         """All fields but the pose, in the order of the degrees of freedom."""
-        rates = (each for each in (self.strain_rate, self.inertia) if each is not None)
-        return [self.strain, self.velocity, *rates]
+        own = [self.strain, self.velocity]
+        return own + [each for each in (self.strain_rate, self.inertia) if each is not None]
 
     def fields(self) -> list[Array]:
         """Pose, then all other fields, in the order of the degrees of freedom."""
@@ -58,7 +58,7 @@ class State(Brief):
     def retract(self, step: Array) -> State:
         """The state moved by `step` (…, dof): poses on the right, the rest by addition."""
         pose = self.pose @ se3.exp(step[..., POSE])
-        moved = (f + step[..., 6 + 6 * i : 12 + 6 * i] for i, f in enumerate(self._others()))
+        moved = [f + step[..., 6 + 6 * i : 12 + 6 * i] for i, f in enumerate(self._others())]
         return State(pose, *moved)
 
     def difference(self, other: State) -> Array:
@@ -69,7 +69,7 @@ class State(Brief):
 
     def take(self, index: Any) -> State:
         """The state at leading indices, as numpy would index an array of points."""
-        return State(self.pose[index], *(f[index] for f in self._others()))
+        return State(self.pose[index], *[f[index] for f in self._others()])
 
     def reshape(self, *shape: int) -> State:
         """The state with another leading shape; it shares memory as numpy's reshape does."""
@@ -100,8 +100,8 @@ class AcceleratedState(State):
 
 def concatenate(*states: State) -> State:
     """States one after the other along their first axis."""
-    fields = zip(*(state.fields() for state in states), strict=True)
-    return State(*(np.concatenate(field) for field in fields))
+    fields = zip(*[state.fields() for state in states], strict=True)
+    return State(*[np.concatenate(field) for field in fields])
 
 
 def rest_state(grid: Grid, base_pose: Array, rest_strain: Array) -> State:

@@ -31,6 +31,7 @@ from glissando.model.priors.prior_table import (
 from glissando.model.priors.rest_shape import STRAIGHT, RestShape
 from glissando.model.priors.static import static_factors
 from glissando.model.priors.steps import ARCLENGTH, TIME, Direction, weighted_steps
+from glissando.model.sensors.compiled_readings import ReadingRows
 from glissando.model.state import DOF, POSE, STRAIN, VELOCITY, State, rest_state
 
 _ALL = slice(0, DOF)
@@ -259,14 +260,19 @@ class WhiteNoisePrior:
             *state.fields(), *densities, self.base_pose, self.rest_strain, base, *sums,
         )  # fmt: skip
 
-    def readings(
-        self, grid: Grid, state: State, densities: Sequence[Array], rows: Sequence[Array]
-    ) -> tuple[Any, ...]:
-        """Factors of readings, given as `reading_rows`: see `_kernels.white_noise.readings`."""
-        spans = grid.arclength_spans, grid.time_spans
-        found: tuple[Any, ...] = kernels.readings(
-            *rows, grid.arclength, grid.time, *spans, *state.fields(), *densities
-        )
+    def accumulate_readings(
+        self, grid: Grid, state: State, densities: Sequence[Array], rows: ReadingRows,
+        which: Index, sums: Sequence[Array],
+    ) -> tuple[Any, ...]:  # fmt: skip
+        """Add `which` (M,) readings to the sums of intervals, as `accumulate` adds the prior.
+
+        Returns:
+            Nodes (M, 4), slopes, residuals, whiteners and weights (M,) of their factors.
+        """
+        found: tuple[Any, ...] = kernels.accumulate_readings(
+            *rows.memory, which, grid.arclength, grid.time, grid.arclength_spans, grid.time_spans,
+            *state.fields(), *densities, *sums,
+        )  # fmt: skip
         return found
 
     def _along(

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import ClassVar
+from typing import ClassVar, TypeGuard
 
 import numpy as np
+from numpy.typing import NDArray
 
 from glissando._kernels import sensors as kernels
 from glissando._kernels import white_noise
@@ -15,7 +16,13 @@ from glissando.model.noise import GemanMcClure, Huber
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import DOF, State
 
-_LOSSES = {type(None): 0.0, Huber: white_noise.HUBER, GemanMcClure: white_noise.GEMAN_MCCLURE}
+_ROOM = 64  # rows that memory is made for at first
+_EYE = np.eye(6)
+_LOSSES: dict[type, float] = {
+    type(None): 0.0,
+    Huber: white_noise.HUBER,
+    GemanMcClure: white_noise.GEMAN_MCCLURE,
+}
 
 
 class CompiledReadings(Readings):
@@ -42,28 +49,78 @@ class CompiledReadings(Readings):
         return self._sensed(at)[1]
 
 
-def reading_rows(readings: Readings) -> tuple[Array, Array, Array] | None:
-    """Rows (M, 21), mounts and covariances, see `_kernels.white_noise.readings`.
+class ReadingRows:
+    """Readings of all streams as rows that kernels take together, in order of arrival.
 
-    None for a sensor with a residual of its own, or where it is uncertain where it read.
+    Attributes:
+        count: How many there are.
+        old: How many of them were there before the last arrival.
+        stream: Number (·,) of each row's stream; more than `count`, as of all arrays.
     """
+
+    def __init__(self) -> None:
+        self.count = self.old = 0
+        self.stream = np.empty(_ROOM, dtype=np.intp)
+        self._rows, self._mounts = np.empty((_ROOM, white_noise.WIDTH)), np.empty((_ROOM, 4, 4))
+        self._covs = np.empty((_ROOM, 6, 6))
+
+    @property
+    def time(self) -> Array:
+        """Times (M,), s."""
+        return self._rows[: self.count, 0]
+
+    @property
+    def arclength(self) -> Array:
+        """Arclengths (M,), m."""
+        return self._rows[: self.count, 1]
+
+    @property
+    def memory(self) -> tuple[Array, Array, Array]:
+        """Rows (·, 21), mounts (·, 4, 4) and covariances (·, 6, 6) as kernels take them."""
+        return self._rows, self._mounts, self._covs
+
+    def append(self, stream: int, readings: CompiledReadings) -> None:
+        """Readings of a stream more, which are `is_compiled`."""
+        first, self.count = self.count, self.count + len(readings)
+        if self.count > len(self.stream):
+            self._keep(slice(0, first), room=2 * self.count)
+        own, r = slice(first, self.count), kernels.ROWS[readings.sensor]
+        rows, values = self._rows[own], readings.values
+        self.stream[own] = stream
+        rows[:, 0], rows[:, 1], rows[:, 2] = readings.time, readings.arclength, readings.sensor
+        rows[:, 3] = _LOSSES[type(readings.loss)]
+        rows[:, 4] = getattr(readings.loss, "threshold", 1.0)
+        rows[:, 5 : 5 + values[0].size] = values.reshape(len(values), -1)
+        self._mounts[own] = readings.mount
+        covs = self._covs[own]
+        covs[:] = _EYE
+        covs[:, :r, :r] = readings.cov
+
+    def keep(self, which: NDArray[np.bool_]) -> None:
+        """Let all others go than those rows (M,)."""
+        kept = np.flatnonzero(which)
+        self.old = int(np.count_nonzero(which[: self.old]))
+        self.count = kept.size
+        self._keep(kept, room=len(self.stream))
+
+    def _keep(self, which: NDArray[np.intp] | slice, room: int) -> None:
+        """Move some rows to the front of new memory."""
+        for name in ("stream", "_rows", "_mounts", "_covs"):
+            before = getattr(self, name)
+            after, kept = np.empty((room, *before.shape[1:]), before.dtype), before[which]
+            after[: len(kept)] = kept
+            setattr(self, name, after)
+
+
+def is_compiled(readings: Readings) -> TypeGuard[CompiledReadings]:
+    """Whether a kernel reads what they read; not so where it is uncertain where that is."""
     kind = type(readings)
-    if not (
+    return (
         isinstance(readings, CompiledReadings)
         and kind.residual is CompiledReadings.residual
         and kind.jacobian is CompiledReadings.jacobian
         and type(readings.loss) in _LOSSES
+        and readings.channel is None
         and readings.beside is None
         and not np.any(readings.arclength_std)
-    ):
-        return None
-    m, r = len(readings), kernels.ROWS[readings.sensor]
-    rows, covs = np.zeros((m, white_noise.WIDTH)), np.empty((m, 6, 6))
-    rows[:, 0], rows[:, 1], rows[:, 2] = readings.time, readings.arclength, readings.sensor
-    rows[:, 3] = _LOSSES[type(readings.loss)]
-    rows[:, 4] = getattr(readings.loss, "threshold", 1.0)
-    values = readings.values.reshape(m, -1)
-    rows[:, 5 : 5 + values.shape[1]] = values
-    covs[:] = np.eye(6)
-    covs[:, :r, :r] = readings.cov
-    return rows, np.broadcast_to(readings.mount, (m, 4, 4)), covs
+    )
