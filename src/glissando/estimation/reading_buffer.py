@@ -68,11 +68,12 @@ class ReadingBuffer:
             faults += [("repeated", self._repeated(readings))]
         if readings.tracker:
             faults += [("repeated", self._frozen(readings))]
-        kept = np.ones(len(readings), dtype=bool)
-        for reason, bad in faults:
-            if bad is not None and bad.any():
+        bad_ones = [(reason, bad) for reason, bad in faults if bad is not None and bad.any()]
+        if bad_ones:
+            kept = np.ones(len(readings), dtype=bool)
+            for reason, bad in bad_ones:
                 kept &= self._gate.refuse(name, reason, kept & bad)
-        readings = readings.select(kept) if faults else readings
+            readings = readings.select(kept)
         if len(readings):
             waiting = self._waiting.get(name)
             self._waiting[name] = readings if waiting is None else waiting.joined(readings)
@@ -187,7 +188,7 @@ class ReadingBuffer:
 
     def since(self, begin: float) -> HeldReadings:
         """Held readings at and after a time, as rows or a stream each."""
-        which = np.flatnonzero(self._rows.time >= begin)
+        which = (self._rows.time >= begin).nonzero()[0]
         single = self.streams(begin, single=True) if self._single else []
         return HeldReadings(single, self._rows, which, self._labels)
 

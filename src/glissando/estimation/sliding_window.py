@@ -298,7 +298,7 @@ class SlidingWindow:
         for terms in self._terms:
             stream = terms.stream
             begin = held.rows.old if stream is None else len(stream) - fresh[stream.label]
-            which = np.flatnonzero(terms.rows >= begin)
+            which = (terms.rows >= begin).nonzero()[0]
             if not which.size:
                 continue
             rows, nis = terms.rows[which], self._squared(terms, which)
@@ -309,7 +309,7 @@ class SlidingWindow:
                 continue
             numbers = held.rows.stream[rows]
             time, arclength = held.rows.time[rows], held.rows.arclength[rows]
-            ends = [0, *np.flatnonzero(np.diff(numbers)) + 1, rows.size]
+            ends = [0, *((numbers[1:] != numbers[:-1]).nonzero()[0] + 1).tolist(), rows.size]
             for begin, end in pairwise(ends):
                 own, (label, dof) = slice(begin, end), held.labels[numbers[begin]]
                 yield Innovations(label, nis[own], dof, time[own], arclength[own])

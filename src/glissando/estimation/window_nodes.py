@@ -65,12 +65,13 @@ class Nodes:
 
     def at_estimate(self, first: int) -> Nodes:
         """The nodes with their estimates as linearisation points from `first` on."""
-        kept, moved = slice(None, first), slice(first, None)
-        state, parameters = self.estimate
+        step, (state, parameters) = self.step.copy(), self.estimate
+        step[first:] = 0.0
+        fields = zip(self.state.fields(), state.fields(), strict=True)
         return Nodes(
             self.time,
-            concatenate(self.state.take(kept), state.take(moved)) if first else state,
-            np.concatenate([self.parameters[kept], parameters[moved]]),
-            np.concatenate([self.step[kept], np.zeros_like(self.step[moved])]),
+            State(*[np.concatenate([fixed[:first], moved[first:]]) for fixed, moved in fields]),
+            np.concatenate([self.parameters[:first], parameters[first:]]),
+            step,
             self.own,
         )
