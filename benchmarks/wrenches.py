@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from glissando import BaseVariance, CoilReadings, SeparablePrior, estimate_static
@@ -28,6 +29,8 @@ SIGMAS = 1.959964  # of a normal number's middle 95 %
 BODY = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])  # the file's tangent is body x, ours z
 NOISE = np.repeat([0.7e-3, np.radians(0.4)], [3, 2])  # one standard deviation of each axis
 BASELINE = "strain's moments in four quarters and its jump at the middle, of the learned shapes"
+PLAIN = "one density of strain all along, of the learned shapes"
+RESTARTS = 5  # of the shapes that are farthest off, which are found again from the truth
 ROUNDING = 1e-4 / np.sqrt(12)  # m: the files have four decimals
 
 
@@ -114,8 +117,8 @@ def solver_error(material, shapes):
     return float(np.mean((1.5 * mean / shapes.station**3)[far]))
 
 
-def strain_prior(material, shapes):
-    """A prior that knows no loads, with the moments of strain of the learned shapes."""
+def strain_priors(material, shapes):
+    """Priors that know no loads, of the learned shapes: with moments by place, and with one."""
     length = material.length
     edges = length * np.array([0.0, 0.25, 0.5, 0.75, 1.0])
     places = np.sort(np.concatenate([edges, [0.5 * length - 1e-6]]))
@@ -133,14 +136,16 @@ def strain_prior(material, shapes):
     rows = [np.concatenate([stiff, row]) for row in change]
     quarters = [np.concatenate([stiff, rows[i][3:] / (0.25 * length)]) for i in (0, 1, 3, 4)]
     none = np.concatenate([stiff, np.full(3, 1e-9)])
-    return SeparablePrior(
-        np.maximum(quarters, 1e-9),
-        1.0,
-        BaseVariance(np.full(6, 1e-10), np.concatenate([stiff, first])),
-        base_pose=material.base,
-        joints=edges[1:4],
-        jumps=np.array([none, rows[2], none]),
-    )
+    base = BaseVariance(np.full(6, 1e-10), np.concatenate([stiff, first]))
+    jumps = np.array([none, rows[2], none])
+    even = np.concatenate([stiff, change.sum(axis=0) / length])
+    return (
+        SeparablePrior(
+            np.maximum(quarters, 1e-9), 1.0, base, base_pose=material.base, joints=edges[1:4],
+            jumps=jumps,
+        ),
+        SeparablePrior(even, 1.0, base, base_pose=material.base),
+    )  # fmt: skip
 
 
 def exact(material, gravity, middle, tip):
@@ -192,6 +197,39 @@ def cramer_rao(material, shapes, used):
     return np.array(out)
 
 
+def restarted(material, shapes, coil, spread, i):
+    """Both wrenches of shape i (12,), by least squares from the true ones, and two costs.
+
+    They are what is left at the truth and at the minimum, with the spread (12,) that wrenches have.
+    """
+    seen, place = coil.values[coil.time == i], coil.arclength[coil.time == i]
+    back = se3.inverse(seen)
+
+    def residual(part):
+        loads = part * spread
+        at = back @ exact(material, shapes.gravity[i], loads[:6], loads[6:]).at(place).pose
+        lean = np.cross([0.0, 0.0, 1.0], at[:, :3, 2])[:, :2]
+        sine = np.linalg.norm(lean, axis=1, keepdims=True)
+        lean = lean * np.arctan2(sine, at[:, 2:3, 2]) / np.maximum(sine, 1e-12)
+        return np.append(np.hstack([at[:, :3, 3], lean]) / NOISE, part)
+
+    truth = np.concatenate([shapes.middle[i], shapes.tip[i]]) / spread
+    found = least_squares(residual, truth, method="lm", diff_step=1e-5)
+    return found.x * spread, (0.5 * np.sum(residual(truth) ** 2), found.cost)
+
+
+def other_minima(material, shapes, coil, used, found, prior, squares):
+    """How far the estimate is from the minimum next to the truth, of the shapes farthest off."""
+    spread, out = np.sqrt(np.concatenate([prior.var_points[0], prior.var_tip])), []
+    for i in np.argsort(squares)[-RESTARTS:]:
+        loads, costs = restarted(material, shapes, coil, spread, i)
+        place = shapes.station[~used[i]]
+        there = exact(material, shapes.gravity[i], loads[:6], loads[6:]).at(place).pose[:, :3, 3]
+        off = np.linalg.norm(found.at(place, i).position - there, axis=-1)
+        out.append((float(1e3 * off.max()), float(costs[0] - costs[1])))
+    return {"farthest_mm": max(m for m, _ in out), "cost_of_truth_above": [c for _, c in out]}
+
+
 def judge(material, file_shapes, how, *, bound=20):
     """All numbers of one way of reading."""
     half = len(file_shapes.pose) // 2
@@ -204,10 +242,12 @@ def judge(material, file_shapes, how, *, bound=20):
     began = time.process_time()
     found = estimate_static(with_gravity(mechanical, judged.gravity), nodes, [coil], count=count)
     seconds = time.process_time() - began
-    strain = estimate_static(strain_prior(material, few), nodes, [coil], count=count)
+    strain, plain = (
+        estimate_static(each, nodes, [coil], count=count) for each in strain_priors(material, few)
+    )
     out = {"shapes": count, "readings": how, "seconds": seconds, "strain_prior": BASELINE}
-    out["converged"] = int(found.converged.sum())
-    for name, posterior in (("mechanical", found), ("strain", strain)):
+    out |= {"plain_prior": PLAIN, "converged": int(found.converged.sum())}
+    for name, posterior in (("plain", plain), ("strain", strain), ("mechanical", found)):
         at = posterior.at(judged.station, np.arange(count)[:, None])
         gap = at.position - judged.pose[..., :3, 3]
         cov = at.cov_position_world + ROUNDING**2 * np.eye(3)
@@ -221,11 +261,15 @@ def judge(material, file_shapes, how, *, bound=20):
             "share_of_worst_two_shapes": float(np.sort(squares)[-2:].sum() / squares.sum()),
             "rmse_where_read_beyond_half_mm": float(np.sqrt(squares[beyond].sum() / unread)),
             "rmse_mm": float(np.sqrt(np.mean(size**2))),
+            "rmse_expected_mm": float(1e3 * np.sqrt(3.0 * np.mean(std**2))),
             "median_mm": float(np.median(size)),
             "components_inside_95": float(np.mean(np.abs(gap[~used]) < SIGMAS * std)),
             "nees": float(np.mean(nees[~used]) / 3.0),
         }
+    rest = judged, coil, used, found, mechanical, squares
+    out["restarted_from_truth"] = other_minima(material, *rest)
     out["ratio_of_rmse"] = out["mechanical"]["rmse_mm"] / out["strain"]["rmse_mm"]
+    out["ratio_of_rmse_plain"] = out["mechanical"]["rmse_mm"] / out["plain"]["rmse_mm"]
     errors, stds = [], []
     for place, truth in ((0.5 * material.length, judged.middle), (material.length, judged.tip)):
         load = found.load(place, np.arange(count), frame="world")
@@ -259,16 +303,21 @@ def table(found):
     lines = [
         f"{found['shapes']} shapes, coil at {found['readings']}, {found['seconds']:.0f} s of CPU"
     ]
-    for name in ("mechanical", "strain"):
+    for name in ("mechanical", "strain", "plain"):
         row = found[name]
         lines.append(
-            f"{name:10}  RMSE {row['rmse_mm']:.2f} mm, median {row['median_mm']:.2f} mm, "
+            f"{name:10}  RMSE {row['rmse_mm']:.2f} mm (its covariance says "
+            f"{row['rmse_expected_mm']:.2f}), median {row['median_mm']:.2f} mm, "
             f"components inside 95 %: {100 * row['components_inside_95']:.1f} %, "
             f"NEES {row['nees']:.2f}"
         )
-    bound = found["std_over_cramer_rao"]
+    bound, again = found["std_over_cramer_rao"], found["restarted_from_truth"]
+    above = ", ".join(f"{c:.1f}" for c in again["cost_of_truth_above"])
     lines += [
-        f"RMSE {found['ratio_of_rmse']:.2f} of the strain prior's ({found['strain_prior']})",
+        f"RMSE {found['ratio_of_rmse']:.2f} of the strain prior's ({found['strain_prior']}), "
+        f"{found['ratio_of_rmse_plain']:.2f} of the plain one's ({found['plain_prior']})",
+        f"found again from the truth, the {RESTARTS} shapes farthest off are "
+        f"{again['farthest_mm']:.3f} mm from the estimate; the truth's cost is higher by {above}",
         f"the worst two shapes make {100 * found['mechanical']['share_of_worst_two_shapes']:.0f} % "
         f"of the squared error; RMSE of shapes that were read beyond half the length: "
         f"{found['mechanical']['rmse_where_read_beyond_half_mm']:.2f} mm",

@@ -10,6 +10,7 @@ from glissando._kernels import (  # noqa: F401  (importing them makes their kern
     intervals,
     normal_equations,
     process,
+    rod_flow,
     rod_forces,
     rod_motion,
     se3,

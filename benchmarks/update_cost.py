@@ -1,0 +1,115 @@
+"""What an online update costs with each prior, on the same nodes and readings, in processor time.
+
+A simulated rod of the shipped robot's length is swayed by a force at its tip while a coil slides
+along it. The priors' smoothers take turns, update by update, so that a busy machine slows all.
+Usage: update_cost.py [--nodes N ...] [--window K] [--updates U] [--seed S] [--json]
+"""
+
+import argparse
+import json
+import os
+import time
+
+for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ[name] = "1"
+
+import numpy as np
+
+from glissando import BaseVariance, CoilReadings, FixedLagSmoother, SeparablePrior, load_robot
+from glissando.geometry import se3
+from glissando.io.shipped_robots import robot_file
+from glissando.model.mechanics import Mechanics
+from glissando.model.priors.mechanical.prior import MechanicalPrior
+from glissando.simulation import Loads, Wrench, load_bench
+from glissando.simulation.motion import solve_motion
+
+RATE, COIL_RATE = 10.0, 40.0  # Hz, of time nodes and of readings
+FORCE, MOMENT = 0.1, 0.01  # N and N m, of the unknown wrench at the tip
+NOISE = np.repeat([0.7e-3, np.radians(0.4)], [3, 2])
+WEIGHT = [0.0, 0.0, -9.81]  # m/s²
+WARM = 10  # updates before the first that counts
+
+
+def readings(rod, count, seed):
+    """A coil that slides to and fro along the swaying rod, `count` updates long."""
+    rng = np.random.default_rng(seed)
+    phase, lasts = rng.uniform(0.0, 2.0 * np.pi, 3), (count + 1) / RATE
+    knots = np.arange(0.0, lasts + 0.25, 0.25)
+
+    def loads(now):
+        force = FORCE * np.sin(2.0 * np.pi * now / np.array([5.0, 7.0, 9.0]) + phase)
+        return Loads(gravity=WEIGHT, wrenches=[Wrench(rod.length, force)])
+
+    motion = solve_motion(rod, [], loads, knots, knots[[0, -1]])
+    at = np.arange(0.0, lasts, 1.0 / COIL_RATE)
+    place = rod.length * (0.55 + 0.45 * np.cos(2.0 * np.pi * at / 4.0))
+    off = np.zeros((at.size, 6))
+    off[:, :5] = NOISE * rng.standard_normal((at.size, 5))
+    values = motion.at(place, at).pose @ se3.exp(off)
+    return CoilReadings(time=at, arclength=place, values=values, cov=NOISE**2, name="coil")
+
+
+def priors(rod):
+    """The mechanical prior, a separable one whose strain spreads alike, and the robot's own."""
+    stiff = rod.stiffness
+    tip = np.repeat([FORCE**2, MOMENT**2], 3)
+    var = (tip[3:] + (0.5 * rod.length) ** 2 * tip[:3]) / stiff[3:] ** 2
+    mechanics = Mechanics(stiff[None], np.array([rod.mass_per_length]), gravity=np.array(WEIGHT))
+    base = np.full(6, 1e-10)
+    mechanical = MechanicalPrior(
+        mechanics, np.repeat([1e-3, 1e-7], 3), np.repeat([1e-6, 1e-2], 3), tip, 2.0, base,
+        base_pose=rod.base,
+    )  # fmt: skip
+    spread = np.concatenate([np.full(3, 1e-6), var])
+    separable = SeparablePrior(
+        spread / rod.length, 2.0, BaseVariance(base, spread), base_pose=rod.base
+    )
+    return {
+        "mechanical": mechanical,
+        "separable": separable,
+        "white": load_robot("sliding700").prior,
+    }
+
+
+def measured(nodes, window, updates, seed):
+    """Median processor seconds of an update by prior, of smoothers that take turns."""
+    rod = load_bench(robot_file("sliding700")).rod
+    coil = readings(rod, updates, seed)
+    places = np.linspace(0.0, rod.length, nodes)
+    every = {name: FixedLagSmoother(p, places, window=window) for name, p in priors(rod).items()}
+    taken = {name: [] for name in every}
+    for k in range(updates):
+        now = k / RATE
+        new = coil.select((coil.time > now - 1.0 / RATE) & (coil.time <= now))
+        for name, smoother in every.items():
+            began = time.process_time()
+            smoother.add(new)
+            smoother.advance(now)
+            taken[name].append(time.process_time() - began)
+    out = {name: float(np.median(seconds[WARM:])) for name, seconds in taken.items()}
+    out["dropped"] = sum(sum(each.values()) for s in every.values() for each in s.dropped.values())
+    return {"nodes": nodes, "window": window, **out, "ratio": out["mechanical"] / out["separable"]}
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--nodes", type=int, nargs="+", default=[5, 10, 15], help="of arclength")
+    parser.add_argument("--window", type=int, default=4, help="time nodes")
+    parser.add_argument("--updates", type=int, default=150, help="of each smoother")
+    parser.add_argument("--seed", type=int, default=0, help="of motion and noise")
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    options = parser.parse_args()
+    rows = [measured(n, options.window, options.updates, options.seed) for n in options.nodes]
+    if options.json:
+        print(json.dumps(rows, indent=2))
+        return
+    for row in rows:
+        taken = (
+            f"{name} {1e3 * row[name]:.2f} ms" for name in ("mechanical", "separable", "white")
+        )
+        size = f"{row['nodes']:3d} nodes × {row['window']}"
+        print(f"{size}: {', '.join(taken)}; mechanical over separable {row['ratio']:.2f}")
+
+
+if __name__ == "__main__":
+    main()
