@@ -187,3 +187,17 @@ def test_every_function_takes_any_leading_shape(shape):
         tail = g(np.eye(4)).shape
         expected = np.array([g(se3.exp(v)) for v in one_by_one]).reshape(*shape, *tail)
         np.testing.assert_allclose(g(pose), expected, rtol=0.0, atol=1e-15)
+
+
+@pytest.mark.parametrize(("angle", "least"), [(0.03, 0.98), (0.3, 0.85), (0.6, 0.5)])
+def test_the_position_covariance_is_that_of_drawn_positions_or_careful(angle, least):
+    """Of bodies on an arm of half a metre that turns, where first order is flat across the arc."""
+    arm = se3.adjoint(se3.inverse(se3.exp(np.array([0.0, 0.0, 0.5, 0.0, 0.0, 0.0]))))
+    root = arm @ np.diag(np.repeat([0.005, angle], 3))
+    steps = np.random.default_rng(0).standard_normal((40_000, 6)) @ root.T
+    drawn = se3.exp(steps)[:, :3, 3]
+    moment = drawn.T @ drawn / len(drawn)
+    cov = root @ root.T
+    share = np.trace(np.linalg.solve(se3.position_covariance(cov), moment)) / 3.0
+    assert least < share < 1.02
+    assert angle < 0.1 or np.trace(np.linalg.solve(cov[:3, :3], moment)) / 3.0 > 40.0

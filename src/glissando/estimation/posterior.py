@@ -91,6 +91,9 @@ class SolveReport:
         return SolveReport(**{"seconds": {}, **table, "outcome": Outcome[table["outcome"]]})
 
 
+_UNMOVED = np.eye(4)
+
+
 @dataclass(frozen=True)
 class StateEstimate(Brief):
     """State and covariance at queried points, with the leading shape of the query.
@@ -106,7 +109,7 @@ class StateEstimate(Brief):
 
     def take(self, index: Any) -> StateEstimate:
         """The estimate at leading indices, as numpy would index an array of points."""
-        return StateEstimate(*(field[index] for field in vars(self).values()))
+        return type(self)(*(field[index] for field in vars(self).values()))
 
     @property
     def position(self) -> Array:
@@ -120,13 +123,22 @@ class StateEstimate(Brief):
 
     @property
     def cov_position_world(self) -> Array:
-        """Covariance (…, 3, 3) of the position, turned into the world frame."""
+        """Covariance (…, 3, 3) of the position in the world frame."""
         rotation = self.pose[..., :3, :3]
-        return rotation @ self.cov[..., :3, :3] @ np.swapaxes(rotation, -1, -2)
+        return rotation @ self.position_covariance() @ np.swapaxes(rotation, -1, -2)
+
+    def position_covariance(self, mount: Array = _UNMOVED) -> Array:
+        """Covariance (…, 3, 3) of a mounted frame's position, in its axes. Source: (34).
+
+        Args:
+            mount: Pose (4, 4) of the frame on the body.
+        """
+        lever = se3.adjoint(se3.inverse(mount))
+        return se3.position_covariance(lever @ self.cov[..., :6, :6] @ lever.T)
 
     @property
     def std_position(self) -> Array:
-        """Root of the total position variance (…), metres."""
+        """Root of the total position variance (…) to first order, metres."""
         return np.sqrt(np.einsum("...ii->...", self.cov[..., :3, :3]))
 
 

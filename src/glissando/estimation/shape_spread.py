@@ -12,6 +12,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from glissando.estimation.posterior import StateEstimate
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.priors.steps import static_steps
@@ -21,6 +22,20 @@ _WOUND = float(np.pi)  # rad: known less well, a body points anywhere; more woul
 
 _STRETCH = 1.1  # of its length: as far as a body reaches
 _PAIRS = 256  # of draws, opposite to each other
+_UNMOVED = np.eye(4)
+
+
+class ShapeSpread(StateEstimate):
+    """An estimate whose covariance is the second moment of shapes: their arcs are in it."""
+
+    def position_covariance(self, mount: Array = _UNMOVED) -> Array:
+        """Covariance (…, 3, 3) of a mounted frame's position, in its axes. Source: (30).
+
+        Args:
+            mount: Pose (4, 4) of the frame on the body.
+        """
+        lever = se3.adjoint(se3.inverse(mount))[:3]
+        return lever @ self.cov[..., :6, :6] @ lever.T
 
 
 def spread_of(cov: Array, node: int, dof: int) -> tuple[float, float]:

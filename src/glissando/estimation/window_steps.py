@@ -7,7 +7,6 @@ asked for, and belief grows until a robot at rest is known as well; from then on
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import replace
 
 import numpy as np
 
@@ -18,7 +17,7 @@ from glissando.estimation.held_readings import HeldReadings
 from glissando.estimation.innovation_gate import InnovationGate
 from glissando.estimation.posterior import StateEstimate
 from glissando.estimation.reading_buffer import ReadingBuffer
-from glissando.estimation.shape_spread import shape_covariances, spread_of
+from glissando.estimation.shape_spread import ShapeSpread, shape_covariances, spread_of
 from glissando.estimation.silence import Silence
 from glissando.estimation.sliding_window import SlidingWindow
 from glissando.model.grid import Grid
@@ -182,7 +181,8 @@ class WindowSteps:
         linear = self.window.newest_nodes()
         if not (self._silence.curved or self.resting):
             return linear
-        return replace(linear, cov=shape_covariances(self.window.arclength, *self.window.newest()))
+        cov = shape_covariances(self.window.arclength, *self.window.newest())
+        return ShapeSpread(linear.pose, linear.strain, linear.velocity, cov)
 
     def _arrive(self) -> tuple[Counter[str], float]:
         """New readings up to the newest node: how many of each stream, and the earliest's time."""

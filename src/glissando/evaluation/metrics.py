@@ -119,11 +119,10 @@ def errors_against(estimate: StateSource, truth: Readings) -> Errors:
     if not isinstance(truth, OrientationReadings):
         where = truth.values[:, :3, 3] if truth.values.ndim == 3 else truth.values
         error = np.einsum("mji,mj->mi", at[:, :3, :3], where - at[:, :3, 3])
-        lever = se3.adjoint(se3.inverse(truth.mount))[:3]
         own = truth.cov[..., :3, :3]
         if isinstance(truth, PositionReadings):  # stated in the world frame
             own = np.swapaxes(at[:, :3, :3], -1, -2) @ own @ at[:, :3, :3]
-        cov = lever @ body.cov[:, :6, :6] @ lever.T + own
+        cov = body.position_covariance(truth.mount) + own
         position, nees_position = np.linalg.norm(error, axis=1), _squared(error, cov)
     if truth.values.ndim == 3:
         error = _rotation_error(at[:, :3, :3], truth)

@@ -175,9 +175,8 @@ def path(scene: Scene) -> SlidePath:
 def recording(scene: Scene, seed: int) -> Recording:
     """What the sensors record of a scene with this seed's robot and noise, read into memory."""
     moved, slide, duration = motion(scene, seed), path(scene), scene.duration
-    session = simulate_session(
-        bench(scene.robot), moved, slide, seed=seed, duration=duration, flaws=flaws(scene)
-    )
+    used = replace(bench(scene.robot), inertial=np.zeros(0))  # a third of the time, and not used
+    session = simulate_session(used, moved, slide, seed=seed, duration=duration, flaws=flaws(scene))
     coil = replace(session.coil, values=session.T_wt @ session.coil.values)
     streams = {"coil": Stream("coil", coil, keep_repeats=True)}
     for name, rows in session.mocap.items():

@@ -32,6 +32,9 @@ def _skews() -> tuple[Array, Array]:
 
 _EYE3 = np.eye(3)
 _SKEW, _AD = _skews()
+_CROSS = np.zeros((3, 6, 6))  # x^T _CROSS x / 2 is φ × ρ / 2
+_CROSS[:, 3:, :3] = 0.5 * _SKEW.reshape(3, 3, 3).transpose(1, 0, 2)
+_CROSS[:, :3, 3:] = np.swapaxes(_CROSS[:, 3:, :3], 1, 2)
 
 
 def hat3(v: Array) -> Array:
@@ -157,6 +160,19 @@ def left_jacobian(x: Array) -> Array:
 def left_jacobian_inverse(x: Array) -> Array:
     """J_l(x)⁻¹ (…, 6, 6): log(exp(d) exp(x)) = x + J_l(x)⁻¹ d to first order in d."""
     return right_jacobian_inverse(-x)
+
+
+def position_covariance(cov: Array) -> Array:
+    """Second moments (…, 3, 3) of the position of exp(x^), for covariance (…, 6, 6) of x.
+
+    The position is ρ + φ × ρ / 2 and shorter terms, which are left out: where rotations are
+    uncertain a body moves along an arc, and first order takes the tangent for it.
+    Source: equation (34).
+    """
+    by_cross = np.einsum("iab,...bc->...iac", _CROSS, cov)
+    mean = 0.5 * np.einsum("...iaa->...i", by_cross)
+    spread = 0.5 * np.einsum("...iab,...jba->...ij", by_cross, by_cross)
+    return cov[..., :3, :3] + spread + mean[..., :, None] * mean[..., None, :]
 
 
 def _matrices(kernel: Callable[..., Array], *vectors: Array) -> Array:
