@@ -22,37 +22,20 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from glissando.errors import GlissandoError
+from glissando.experiments.passes import SHAPE, driven_robot
 from glissando.experiments.scenes import bench
 from glissando.experiments.statistics import COLUMNS, summary
 from glissando.experiments.study.plan import load_study
 from glissando.experiments.study.store import Store
-from glissando.io.shipped_robots import robot_file
 
-SHAPE = "C-to-S"
 DURATIONS = [0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0]  # s
 SPEEDS = [0.02, 0.03, 0.05, 0.08, 0.12, 0.2, 0.3, 0.45, 0.65, 1.0]  # m/s
-TUBE = """\
-drive_stiffness = 400.0
-drive_friction = 0.2
-exposure = 0.025
-"""
-DELAY = """
-[[sensor_parameters]]
-name = "{kind}"
-kind = "{kind}"
-streams = ["coil"]
-value = [{value}]
-"""
-LAGS = {"time_offset": 0.0125, "slide_lag": 0.01375}  # s: half an exposure, and what damps the coil
 
 
 def write(folder, seeds):
     """Write the robot with its drive tube, and both studies."""
     folder.mkdir(parents=True, exist_ok=True)
-    head = "[physics.imperfections]"
-    before, after = robot_file("sliding700").read_text().split(head)
-    delays = "".join(DELAY.format(kind=kind, value=value) for kind, value in LAGS.items())
-    (folder / "robot.toml").write_text(f"{before}{head}\n{TUBE}{after}{delays}")
+    driven_robot(folder)
     shared = f'robot = "robot.toml"\nshape = "{SHAPE}"\ndynamic = true\npaced = true\n'
     for name, slide, axis in (("fixed", "hold", ""), ("sliding", "traverse", f"speed = {SPEEDS}")):
         text = f'name = "{name}"\nseeds = {seeds}\n[fixed]\n{shared}slide = "{slide}"\n'

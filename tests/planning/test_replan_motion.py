@@ -1,6 +1,9 @@
 """What is left of a motion, planned again: limits hold, risk is accounted for, and it can stop."""
 
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -72,6 +75,15 @@ def test_a_plan_in_another_process_begins_where_it_was_said_to(plan):
                 assert replanner.planner.ready(60.0)
     assert replanner.plans == 1
     assert replanner.begun == pytest.approx(2.0)
+
+
+@pytest.mark.slow
+def test_the_example_closes_the_loop_with_a_robot_that_is_off_its_model():
+    example = Path(__file__).parents[2] / "examples" / "scene" / "closed_loop.py"
+    run = subprocess.run([sys.executable, example, "3"], capture_output=True, text=True, check=True)
+    *_, last, end = run.stdout.splitlines()
+    assert end == "It came to rest at its target."
+    assert float(last.split()[3]) < 3.0, last  # mm
 
 
 def state_at(plan, time):

@@ -34,6 +34,7 @@ def page(record: dict[str, Any]) -> str:
         table="\n\n".join(_arms(f"{shape}: ", arms) for shape, arms in table),
         moving="\n\n".join(_arms(f"C → S in {label}: ", arms) for label, arms in moving),
         causes=_rows(["", *heads], changes),
+        passes=_arms("", results["passes"]) if results["passes"] else "Only a full run has it.",
     )
 
 

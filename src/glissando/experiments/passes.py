@@ -1,0 +1,54 @@
+"""A robot with inertia and a coil on its drive tube: where a slide pays while the robot moves.
+
+A pass is the length of the robot, slid over while the robot goes from shape to shape.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import ceil
+from pathlib import Path
+
+from glissando.experiments.scenes import ROBOT, Scene, bench
+from glissando.io.shipped_robots import robot_file
+
+SHAPE = "C-to-S"
+_DURATION = 4.0  # s
+_SPEEDS = {"slow": 0.05, "once": 0.2, "often": 1.0}  # m/s: 0.3, 1.1 and 5.7 passes
+_TUBE = """\
+drive_stiffness = 400.0
+drive_friction = 0.2
+exposure = 0.025
+"""
+_DELAY = """
+[[sensor_parameters]]
+name = "{kind}"
+kind = "{kind}"
+streams = ["coil"]
+value = [{value}]
+"""
+_LAGS = {"time_offset": 0.0125, "slide_lag": 0.01375}  # s: half an exposure, what damps the coil
+
+
+def driven_robot(folder: Path) -> Path:
+    """Write the paper's robot with a drive tube and a tracker that exposes; returns its file.
+
+    The tube yields, sticks and slips; the estimator has the lags of both as known parameters.
+    """
+    head = "[physics.imperfections]"
+    before, after = robot_file(ROBOT).read_text(encoding="utf-8").split(head)
+    delays = "".join(_DELAY.format(kind=kind, value=value) for kind, value in _LAGS.items())
+    file = folder / "robot.toml"
+    file.write_text(f"{before}{head}\n{_TUBE}{after}{delays}", encoding="utf-8")
+    return file
+
+
+def passes_arms(robot: Path) -> dict[str, Scene]:
+    """A fixed coil, and slides of less than one, of one and of several passes."""
+    scene = Scene(SHAPE, "hold", _DURATION, robot=str(robot), dynamic=True, paced=True)
+    length = bench().rod.length
+    arms = {"fixed": scene}
+    for name, speed in _SPEEDS.items():
+        cycles = max(1, ceil(_DURATION * speed / (2.0 * length)))
+        arms[name] = replace(scene, slide="traverse", speed=speed, stroke=length, cycles=cycles)
+    return arms
