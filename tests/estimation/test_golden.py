@@ -80,7 +80,7 @@ def test_ours_differs_from_the_published_form_by_less_than_its_confidence(spacet
     """Its standard deviations are about a fifth larger, and that is the point.
 
     Along the body because exact transitions do not shrink on a coarse grid as the published rows
-    do (10.52 against 12.67 mm in the bent-rod scene on five nodes); at the tip because a tracker's
+    do (10.52 against 12.68 mm in the bent-rod scene on five nodes); at the tip because a tracker's
     repeated rows, counted again there, are dropped here, readings between nodes are inflated, and
     its time nodes stand elsewhere (they end at the last reading, not at the window's end).
     """

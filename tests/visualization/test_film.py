@@ -166,7 +166,7 @@ def test_the_tube_holds_95_percent_across_the_body_at_every_arclength(scene):
     off = 1e-3 * frames.tube[:, extra:-extra] - at.position[:, :, None]
     body = off @ at.pose[..., :3, :3]
     assert body[..., 2] == pytest.approx(0.0, abs=1e-12)
-    weight = np.linalg.inv(at.cov[..., :2, :2])
+    weight = np.linalg.inv(at.position_covariance()[..., :2, :2])
     squared = np.einsum("fnai,fnij,fnaj->fna", body[..., :2], weight, body[..., :2])
     assert squared == pytest.approx(chi2.ppf(0.95, 3))
 

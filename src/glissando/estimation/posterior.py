@@ -138,8 +138,8 @@ class StateEstimate(Brief):
 
     @property
     def std_position(self) -> Array:
-        """Root of the total position variance (…) to first order, metres."""
-        return np.sqrt(np.einsum("...ii->...", self.cov[..., :3, :3]))
+        """Root of the total position variance (…), metres."""
+        return np.sqrt(np.einsum("...ii->...", self.position_covariance()))
 
 
 @dataclass(frozen=True)

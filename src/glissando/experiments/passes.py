@@ -10,6 +10,7 @@ from math import ceil
 from pathlib import Path
 
 from glissando.experiments.scenes import ROBOT, Scene, bench
+from glissando.io.atomic_file import write_text
 from glissando.io.shipped_robots import robot_file
 
 SHAPE = "C-to-S"
@@ -39,7 +40,7 @@ def driven_robot(folder: Path) -> Path:
     before, after = robot_file(ROBOT).read_text(encoding="utf-8").split(head)
     delays = "".join(_DELAY.format(kind=kind, value=value) for kind, value in _LAGS.items())
     file = folder / "robot.toml"
-    file.write_text(f"{before}{head}\n{_TUBE}{after}{delays}", encoding="utf-8")
+    write_text(file, f"{before}{head}\n{_TUBE}{after}{delays}")
     return file
 
 

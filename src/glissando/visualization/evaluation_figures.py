@@ -129,7 +129,7 @@ def replay_figure(run: Replay, *, ax: Any = None, style: Style = NO_STYLE) -> An
 
 def _draw_newest(axes: Any, run: Replay) -> None:
     length = run.robot.length
-    radius = 1e3 * np.array([radius95(s.cov[:, :3, :3]) for s in run.states])
+    radius = 1e3 * np.array([radius95(s.position_covariance()) for s in run.states])
     shown = [radius]
     for share, line in ((0.5, "--"), (1.0, "-")):
         at = int(np.argmin(np.abs(run.robot.arclength_nodes - share * length)))

@@ -17,7 +17,7 @@ import numpy as np
 from glissando.errors import GlissandoError
 from glissando.estimation.confidence_tube import SIGMAS_95
 from glissando.estimation.posterior import Posterior
-from glissando.geometry.se3 import Array, adjoint, inverse
+from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
 from glissando.model.sensors.readings import Readings
 from glissando.model.sensors.sensors import CoilReadings, PoseReadings, PositionReadings
@@ -307,11 +307,11 @@ def _draw_errors(row: Sequence[Any], posterior: Posterior, site: Readings) -> No
     estimate = posterior.at(drawn.arclength, drawn.time)
     at = estimate.pose @ drawn.mount
     error = (at[:, :3, 3] - _seen(drawn)) * MM
-    lever = at[:, :3, :3] @ adjoint(inverse(drawn.mount))[:3]
     cov = drawn.cov[..., :3, :3]
     if drawn.values.ndim == 3:
         cov = at[:, :3, :3] @ cov @ np.swapaxes(at[:, :3, :3], -1, -2)
-    cov = cov + lever @ estimate.cov[:, :6, :6] @ np.swapaxes(lever, -1, -2)
+    turn = at[:, :3, :3]
+    cov = cov + turn @ estimate.position_covariance(drawn.mount) @ np.swapaxes(turn, -1, -2)
     band = BAND * MM * np.sqrt(np.einsum("mii->mi", cov))
     steps = np.diff(drawn.time, prepend=drawn.time[0])
     gaps = np.flatnonzero(steps > 8.0 * np.median(steps))

@@ -115,7 +115,7 @@ class IgtlSink:
         if "line" in send:
             line = (np.arange(len(poses)),)
             yield "Centreline", PolyData(poses[:, :3, 3], lines=line, attributes=_sigma(sigma))
-        cov = update.state.cov[:, :3, :3]
+        cov = update.state.position_covariance()
         if "tube" in send:
             rings, of = confidence_tube(update.state.pose, cov, around=_AROUND)
             yield "Tube95", self._mesh(rings, tube_faces(*rings.shape[:2]), sigma[of])

@@ -68,7 +68,7 @@ class MarkerBuilder:
             metres_per_newton: Length of the arrow of a force.
         """
         markers = [self._line(update), self._tube(update)]
-        cov = update.state.cov[:, :3, :3]
+        cov = update.state.position_covariance()
         for k, (pose, each) in enumerate(zip(update.state.pose, cov, strict=True)):
             markers.append(self._ball("ellipsoids95", k, _BODY, pose, each))
         width = _WIDTH * float(update.arclength[-1])
@@ -96,7 +96,7 @@ class MarkerBuilder:
         return line
 
     def _tube(self, update: Update) -> Any:
-        cov = update.state.cov[:, :3, :3]
+        cov = update.state.position_covariance()
         rings, _ = confidence_tube(update.state.pose, cov, around=_AROUND)
         faces = tube_faces(*rings.shape[:2])
         tube = self._marker("tube95", 0, self._visualization.Marker.TRIANGLE_LIST, _BODY)

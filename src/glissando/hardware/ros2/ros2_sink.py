@@ -126,7 +126,10 @@ class Ros2Sink:
         tip = geometry.PoseStamped(pose=poses[-1])
         uncertain = geometry.PoseWithCovarianceStamped()
         uncertain.pose.pose = poses[-1]
-        uncertain.pose.covariance = world_covariance(update.state.pose[-1], update.state.cov[-1])
+        newest = update.state.take(-1)
+        cov = newest.cov[:6, :6].copy()
+        cov[:3, :3] = newest.position_covariance()
+        uncertain.pose.covariance = world_covariance(newest.pose, cov)
         frames = geometry.PoseArray(poses=poses)
         for topic, message in (
             (f"/{name}/tip/measured_cp", tip),
@@ -203,8 +206,8 @@ def world_covariance(pose: Array, cov: Array) -> Array:
 
     Args:
         pose: Pose (4, 4), body to world.
-        cov: Covariance (18, 18) of an estimate, its first six the pose's in the body frame.
+        cov: Covariance (6, 6) of the pose, in the body frame.
     """
     turn = np.kron(np.eye(2), pose[:3, :3])
-    out: Array = (turn @ cov[:6, :6] @ turn.T).ravel()
+    out: Array = (turn @ cov @ turn.T).ravel()
     return out

@@ -75,7 +75,7 @@ def frames_at(
     at = posterior.at(asked, times[:, None])
     std, hidden = at.std_position * MM, np.where(np.isnan(place), np.nan, MM)
     of_body = np.s_[:, : body.size]
-    tube, ring = confidence_tube(at.pose[of_body], at.cov[of_body][..., :3, :3], SIGMAS_95)
+    tube, ring = confidence_tube(at.pose[of_body], at.position_covariance()[of_body], SIGMAS_95)
     true, forces = _places(truth, grid), arrows_of(posterior, times)
     drawn = [forces.strokes(), forces.rings()] if forces else []
     lines = [MM * part.reshape(times.size, -1, 3) for part in drawn]

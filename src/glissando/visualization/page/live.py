@@ -157,6 +157,4 @@ def follow(view: Live, smoother: FixedLagSmoother) -> None:
     """Show a smoother's newest state."""
     time = smoother.time or 0.0
     at = smoother.at(view.arclength, time)
-    turn = at.pose[:, :3, :3]
-    cov = turn @ at.cov[:, :3, :3] @ np.swapaxes(turn, -1, -2)
-    view.update(time, at.position, at.pose, cov)
+    view.update(time, at.position, at.pose, at.cov_position_world)
