@@ -1,5 +1,7 @@
 """What an online update costs with each prior, on the same nodes and readings, in processor time.
 
+And what a scan for contacts after an update costs.
+
 A simulated rod of the shipped robot's length is swayed by a force at its tip while a coil slides
 along it. The priors' smoothers take turns, update by update, so that a busy machine slows all.
 Usage: update_cost.py [--nodes N ...] [--window K] [--updates U] [--seed S] [--json]
@@ -77,7 +79,7 @@ def measured(nodes, window, updates, seed):
     coil = readings(rod, updates, seed)
     places = np.linspace(0.0, rod.length, nodes)
     every = {name: FixedLagSmoother(p, places, window=window) for name, p in priors(rod).items()}
-    taken = {name: [] for name in every}
+    taken = {name: [] for name in (*every, "contacts")}
     for k in range(updates):
         now = k / RATE
         new = coil.select((coil.time > now - 1.0 / RATE) & (coil.time <= now))
@@ -86,6 +88,9 @@ def measured(nodes, window, updates, seed):
             smoother.add(new)
             smoother.advance(now)
             taken[name].append(time.process_time() - began)
+        began = time.process_time()
+        every["mechanical"].contacts()
+        taken["contacts"].append(time.process_time() - began)
     out = {name: float(np.median(seconds[WARM:])) for name, seconds in taken.items()}
     out["dropped"] = sum(sum(each.values()) for s in every.values() for each in s.dropped.values())
     return {"nodes": nodes, "window": window, **out, "ratio": out["mechanical"] / out["separable"]}
@@ -105,7 +110,8 @@ def main():
         return
     for row in rows:
         taken = (
-            f"{name} {1e3 * row[name]:.2f} ms" for name in ("mechanical", "separable", "white")
+            f"{name} {1e3 * row[name]:.2f} ms"
+            for name in ("mechanical", "separable", "white", "contacts")
         )
         size = f"{row['nodes']:3d} nodes × {row['window']}"
         print(f"{size}: {', '.join(taken)}; mechanical over separable {row['ratio']:.2f}")

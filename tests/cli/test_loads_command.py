@@ -2,15 +2,19 @@
 
 import json
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from glissando import estimate, load_recording
 from glissando.calibration.robot.hyperparameters import expanded, learnable, moved
+from glissando.cli.loads import CONTACT_COLUMNS, loads_json, print_loads, write_contacts
 from glissando.cli.main import main
 from glissando.errors import GlissandoError
+from glissando.estimation.contact import scan_contacts
 from glissando.geometry import se3
 from glissando.io.csv_stream import Rows, Stream
 from glissando.io.netcdf import load_posterior, save_posterior, to_xarray
@@ -19,6 +23,7 @@ from glissando.io.recording_writer import write_streams
 from glissando.io.robot_file import load_robot, parse_robot
 from glissando.io.toml_table import Table
 from glissando.simulation import Loads, Rod, Wrench, solve_shape
+from glissando.visualization.contact_figure import contact_figure
 
 ROBOT = """
 name = "rod"
@@ -87,7 +92,9 @@ def test_loads_are_printed_answered_and_saved(recording, tmp_path, capsys, monke
     Path("points.csv").write_text("time,arclength\n0.5,0.25\n0.7,0.31\n")
     options = ["--loads", "--json", "--query", "points.csv"]
     assert main(["estimate", str(recording), *options]) == 0
-    rows = json.loads(capsys.readouterr().out)["loads"]
+    said = json.loads(capsys.readouterr().out)
+    rows = said["loads"]
+    assert said["contacts"]["false_alarms"] == 0.01
     at_tip = rows[-1]
     assert at_tip["arclength"] == 0.5
     std = np.array(at_tip["std"][:3])
@@ -111,6 +118,37 @@ def test_loads_are_printed_answered_and_saved(recording, tmp_path, capsys, monke
     assert data["load"].attrs == {"units": "N, N m", "frame": "body"}
     np.testing.assert_allclose(data["place"], [0.3, 0.5])
     np.testing.assert_allclose(data["wrench"][:, -1], data["load"][:, -1], atol=1e-9)
+
+
+def test_contacts_are_mapped_over_arclength_and_time(recording, tmp_path, capsys):
+    """The push is where a load is expected: nothing else touches the robot, and the map says so."""
+    robot = load_robot(recording / "robot.toml")
+    readings, _ = load_recording(recording).readings(["coil"], robot, (0.0, 1.0))
+    posterior = estimate(robot.prior, robot.grid(0.0, 1.0), readings)
+    scan = scan_contacts(posterior, posterior.grid.time)
+    print_loads(posterior, scan, Console())
+    assert "touches the robot at none of 5 times" in " ".join(capsys.readouterr().out.split())
+    contacts = loads_json(posterior, scan)["contacts"]
+    assert contacts["detected"] == [False] * 5
+    assert len(contacts["force"]) == len(contacts["std"]) == 5
+    file, picture = write_contacts(scan, tmp_path)
+    table = np.genfromtxt(file, delimiter=",", names=True)
+    assert table.dtype.names == tuple(CONTACT_COLUMNS)
+    np.testing.assert_allclose(table["log_evidence"], scan.log_ratio.ravel(), atol=1e-9)
+    np.testing.assert_allclose(table["arclength"][: scan.arclength.size], scan.arclength)
+    assert picture.stat().st_size > 10_000
+    upper, lower = contact_figure(scan)
+    (mesh,) = upper.collections
+    np.testing.assert_allclose(mesh.get_array(), scan.log_ratio.T)
+    np.testing.assert_allclose(mesh.get_coordinates()[[0, -1], 0, 1], [0.0, 500.0])
+    evidence, threshold = (line.get_ydata() for line in lower.get_lines()[:2])
+    np.testing.assert_allclose([evidence, threshold], [scan.evidence, scan.threshold])
+    touched = replace(scan, evidence=scan.threshold + np.where(scan.time > 0.5, 1.0, -1.0))
+    (dots,) = contact_figure(touched)[0].get_lines()
+    assert dots.get_xdata().size == np.sum(scan.time > 0.5)
+    save_posterior(posterior, tmp_path / "posterior.nc")
+    assert main(["figure", "contacts", str(tmp_path), "--out", str(tmp_path / "c.svg")]) == 2
+    assert "estimate again from the recording" in capsys.readouterr().err
 
 
 def test_a_robot_of_unknown_mechanics_is_one_sentence(recording, capsys):

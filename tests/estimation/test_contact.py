@@ -1,15 +1,21 @@
 """A force on the robot is found where it is, and none is found where nothing touches."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from glissando import CoilReadings, FixedLagSmoother, Grid, estimate
+from glissando import CoilReadings, FixedLagSmoother, Grid, SolverOptions, estimate
 from glissando.errors import OutsideGridError
-from glissando.estimation.contact import locate_contact, scan_contacts
+from glissando.estimation.contact import ContactScan, locate_contact, scan_contacts
+from glissando.estimation.contact_evidence import error_priors
 from glissando.geometry import se3
 from glissando.model.mechanics import Mechanics
+from glissando.model.priors.mechanical.intervals import still_columns, still_error
 from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.simulation import Loads, Rod, Wrench, solve_shape
+from mechanical_rod import GRID, mechanical, moving
+from oracles import separable as oracle
 
 LENGTH, NODES = 0.5, np.linspace(0.0, 0.5, 8)
 ROD = Rod.of_tubes(LENGTH, [(1.2e-3, 0.0)], young=60e9, poisson=0.33, density=6450.0)
@@ -109,6 +115,95 @@ def test_online_a_touch_is_seen_while_it_lasts():
         said.append(smoother.contacts(std_force=STD, false_alarms=1e-3).detected)
     assert not any(said[:4])
     assert all(said[5:])
+
+
+TIMES = np.linspace(0.0, 0.6, 7)
+
+
+@pytest.fixture(scope="module")
+def swaying():
+    """A coil's readings of a rod that nothing but a swaying force at its tip moves."""
+    rng = np.random.default_rng(5)
+    parts = []
+    for time in TIMES:
+        side = 0.3 * np.array([np.sin(5.0 * time), np.cos(3.0 * time), 0.0])
+        parts.append(coil(rng, shape(side, LENGTH), [time]))
+    joined = {name: np.concatenate([getattr(r, name) for r in parts])
+              for name in ("time", "arclength", "values")}  # fmt: skip
+    return CoilReadings(**joined, cov=NOISE**2)
+
+
+EXACT = SolverOptions(tolerance=1e-4)
+SWAYED = replace(PRIOR, var_tip=np.repeat([0.1, 1e-8], 3))
+
+
+@pytest.mark.slow
+def test_a_map_over_time_is_the_same_online_and_in_batch(swaying):
+    batch = estimate(SWAYED, Grid(NODES, TIMES), [swaying], gate=None, options=EXACT)
+    smoother = FixedLagSmoother(SWAYED, NODES, window=TIMES.size, gate=None)
+    smoother.add(swaying)
+    for time in TIMES:
+        smoother.advance(float(time))
+    smoother.iterate()
+    whole = scan_contacts(batch, TIMES, std_force=STD)
+    last = smoother.contacts(std_force=STD)
+    assert whole.log_ratio.shape == (TIMES.size, whole.arclength.size)
+    np.testing.assert_allclose(last.log_ratio, whole.log_ratio[-1], atol=0.1)
+    np.testing.assert_allclose(last.threshold, whole.threshold[-1], atol=0.1)
+    one = scan_contacts(batch, TIMES[3], std_force=STD)
+    both = ContactScan.over([one, last])
+    np.testing.assert_allclose(both.log_ratio[0], whole.log_ratio[3])
+    np.testing.assert_allclose(both.time, TIMES[[3, -1]])
+
+
+def test_what_is_believed_of_errors_of_a_moving_robot_is_what_all_factors_say():
+    """Against the inverse of the information of all prior factors together."""
+    prior = mechanical()
+    state = moving(np.random.default_rng(6), prior)
+    count, n, dof = GRID.shape[0] * GRID.shape[1], GRID.shape[1], state.dof
+    information = np.zeros((count * dof, count * dof))
+    for batch in prior.factors(GRID, state, state, slice(0, GRID.shape[0])):
+        flat = oracle.spread(batch, count)
+        white = (batch.terms.sqrt_info @ flat.reshape(*batch.terms.residual.shape, -1)).reshape(
+            -1, count * dof
+        )
+        information += white.T @ white
+    size = 1.0 / np.sqrt(np.diag(information))
+    cov = size[:, None] * np.linalg.inv(size[:, None] * information * size) * size
+    cov = cov.reshape(GRID.shape[0], n, dof, GRID.shape[0], n, dof)
+    found = error_priors(prior, GRID, state)
+    for k, here in enumerate(found):
+        at = state.take(k)
+        ends = at.take(np.s_[:-1]), at.take(np.s_[1:])
+        _, j0, j1 = still_error(*ends, prior.rod.intervals(GRID.arclength))
+        columns = still_columns(j0.shape[2])
+        for i in range(n - 1):
+            nodes = np.ix_([i, i + 1], columns)
+            both = cov[k, :, :, k][nodes[0], nodes[1]].reshape(2 * columns.size, n, dof)
+            both = both[:, [i, i + 1]][:, :, columns].reshape(2 * columns.size, -1)
+            slope = np.hstack([j0[i], j1[i]])
+            expected, std = slope @ both @ slope.T, np.sqrt(np.diag(here.of_errors[i]))
+            np.testing.assert_allclose(
+                here.of_errors[i] / np.outer(std, std), expected / np.outer(std, std), atol=2e-4
+            )
+    fresh = error_priors(prior, GRID.at_times(GRID.time[-1:]), state.take(np.s_[-1:]))
+    off = found[-1].of_errors - fresh[0].of_errors
+    assert np.abs(off / fresh[0].of_errors).max() > 0.01  # shapes before do matter
+
+
+def test_a_scan_counts_no_information_that_there_is_not(swaying):
+    """A force is never known worse than before, and online an untouched robot gives no alarm."""
+    smoother, scans = FixedLagSmoother(SWAYED, NODES, window=3, gate=None), []
+    smoother.add(swaying)
+    for time in TIMES:
+        smoother.advance(float(time))
+        scans.append(smoother.contacts(std_force=STD))
+    scan = ContactScan.over(scans)
+    value = np.linalg.eigvalsh(scan.cov / np.outer(STD, STD))
+    assert value.min() > 0.0
+    assert value.max() < 1.0 + 1e-9
+    assert value[0, 0].min() > 0.9  # beside the base, at the first time
+    assert not scan.detected.any()
 
 
 def test_mistakes_are_one_sentence():

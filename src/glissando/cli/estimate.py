@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from glissando.cli.loads import loads_json, print_loads, scanned, write_contacts
 from glissando.cli.progress import working
 from glissando.cli.shared import (
     Commands,
@@ -27,8 +28,8 @@ from glissando.cli.shared import (
     stated,
 )
 from glissando.errors import GlissandoError
-from glissando.estimation.loads import load_places, require_mechanics
-from glissando.estimation.posterior import Posterior
+from glissando.estimation.contact import ContactScan
+from glissando.estimation.loads import require_mechanics
 from glissando.evaluation.metrics import Errors, pool
 from glissando.evaluation.run import Run, checked_window, write_run
 from glissando.geometry.se3 import Array
@@ -73,7 +74,7 @@ def add_to(commands: Commands) -> None:
     add("--view", action="store_true", help="also write view.html, the robot over time, in DIR")
     add("--start", type=Path, metavar="FILE.nc", help="start from an earlier posterior.nc")
     add("--max-iterations", type=int, metavar="N", help="most iterations (default: 100)")
-    wrenches = "print what acts on the robot and add internal wrenches to query.csv"
+    wrenches = "print what acts on the robot, map contacts, add internal wrenches to query.csv"
     add("--loads", action="store_true", help=wrenches)
     add("--json", action="store_true", help="print one JSON object and nothing else")
 
@@ -91,14 +92,15 @@ def _estimate(options: argparse.Namespace) -> int:
         raise GlissandoError(f"{wish} writes into a folder: give --out DIR.")
 
     run, complaint = estimate_watched(recording, robot, options)
+    scan = scanned(run.posterior) if options.loads else None
     if options.json:
-        loads = {"loads": _loads_rows(run.posterior)} if options.loads else {}
-        print(json.dumps(run.as_json() | loads))
+        more = loads_json(run.posterior, scan) if scan else {}
+        print(json.dumps(run.as_json() | more))
     else:
         _print(run, Console())
-        if options.loads:
-            Console().print(_loads_table(_loads_rows(run.posterior)))
-    written = _write(options, run, query, stated(options, robot))
+        if scan:
+            print_loads(run.posterior, scan, Console())
+    written = _write(options, run, query, scan, stated(options, robot))
     if written and not options.json:
         Console().print("Wrote " + ", ".join(str(path) for path in written), markup=False)
     if complaint:
@@ -159,47 +161,6 @@ def _add_row(table: Table, errors: Errors, place: str) -> None:
     table.add_row(escape(errors.name), place, str(errors.arclength.size), *cells)
 
 
-_MOMENTS = 6  # of the window, in the table of loads
-
-
-def _loads_rows(posterior: Posterior) -> list[dict[str, Any]]:
-    """What acts where loads are expected at a few times of the window, world frame.
-
-    Raises:
-        GlissandoError: The robot's prior knows no loads.
-    """
-    prior, nodes = require_mechanics(posterior.prior), posterior.grid.time
-    places = load_places(prior, posterior.grid)
-    rows = np.unique(np.linspace(0, nodes.size - 1, min(_MOMENTS, nodes.size)).round().astype(int))
-    load = posterior.load(places, nodes[rows, None], frame="world")
-    return [
-        {
-            "time": float(nodes[k]),
-            "arclength": float(place),
-            "force": load.force[i, j].tolist(),
-            "moment": load.moment[i, j].tolist(),
-            "std": load.std[i, j].tolist(),
-        }
-        for i, k in enumerate(rows)
-        for j, place in enumerate(places)
-    ]
-
-
-def _loads_table(rows: list[dict[str, Any]]) -> Table:
-    """Forces and moments with their standard deviations, a row for each time and place."""
-    table = Table("time (s)", "arclength (m)", title="What acts on the robot, world frame")
-    for what in ("force x, y, z (N)", "moment x, y, z (N m)"):
-        table.add_column(what, justify="right")
-    for row in rows:
-        pairs = [
-            f"{value:.3g} ± {std:.2g}"
-            for value, std in zip(row["force"] + row["moment"], row["std"], strict=True)
-        ]
-        cells = ", ".join(pairs[:3]), ", ".join(pairs[3:])
-        table.add_row(f"{row['time']:.3f}", f"{row['arclength']:.4f}", *cells)
-    return table
-
-
 def _checked_query(
     options: argparse.Namespace, recording: Recording, robot: Robot
 ) -> tuple[Array, Array]:
@@ -228,7 +189,7 @@ def _answers(options: argparse.Namespace) -> Path:
 
 _OUTPUTS = (
     *("report.json", "posterior.nc", "shape.png", "confidence.png", "error.png"),
-    *("shape.mp4", "shape.gif", "view.html", "query.csv"),
+    *("shape.mp4", "shape.gif", "view.html", "query.csv", "contacts.png", "contacts.csv"),
 )
 
 
@@ -236,6 +197,7 @@ def _write(
     options: argparse.Namespace,
     run: Run,
     query: tuple[Array, Array] | None,
+    scan: ContactScan | None,
     more: dict[str, Any],
 ) -> list[Path]:
     """Write all that was asked for; in --out nothing of an earlier run stays beside it."""
@@ -246,6 +208,8 @@ def _write(
     shown = run.posterior, run.readings, run.truth
     with renewed_folder(options.out, _OUTPUTS) as building, working("writing the results") as work:
         written = [*write_run(run, building, **more), *save_figures(*shown, building)]
+        if scan:
+            written += write_contacts(scan, building)
         if options.animate:
             work.begin("drawing the film")
             film = save_animation(*shown, building / "shape.mp4", progress=work.update)

@@ -18,13 +18,16 @@ from glissando.cli.shared import (
     require_writable,
 )
 from glissando.errors import GlissandoError
+from glissando.estimation.contact import scan_contacts
 from glissando.visualization.canvas import save_figure
+from glissando.visualization.contact_figure import contact_figure, mapped_times
 from glissando.visualization.figures import confidence_figure, error_figure, shape_figure
 
 _HELP = """\
 Draw one figure of a posterior: the robot's shape in space with 95 % ellipsoids, its confidence over
-arclength and time, or its errors against truth in 95 % bands. The ending of --out chooses PNG, PDF
-or SVG.
+arclength and time, its errors against truth in 95 % bands, or the evidence of contacts over
+arclength and time, of a robot whose mechanics are known. The ending of --out chooses PNG, PDF or
+SVG.
 
 RECORDING is estimated first; POSTERIOR is a posterior.nc of an earlier estimate, or the folder it
 is in, and takes sensors and truth from --recording.
@@ -38,7 +41,7 @@ examples:
 
 exit status: 0 done; 1 the estimate did not converge; 2 something given was wrong.
 """
-_KINDS = ("shape", "confidence", "error")
+_KINDS = ("shape", "confidence", "error", "contacts")
 _INCH = 25.4  # mm
 
 
@@ -74,6 +77,9 @@ def _figure(options: argparse.Namespace) -> int:
             drawn: Any = shape_figure(shown.posterior, shown.truth, times, **look)
         elif options.kind == "confidence":
             drawn = confidence_figure(shown.posterior, shown.readings, **look)
+        elif options.kind == "contacts":
+            scan = scan_contacts(shown.posterior, mapped_times(shown.posterior))
+            drawn = contact_figure(scan, **look)
         else:
             drawn = error_figure(shown.posterior, shown.truth, **look)
         save_figure(drawn, options.out)

@@ -164,6 +164,7 @@ class _Problem:
             marginals,
             _report(solution, before, evidence, clock),
             solution.located.parameters.by_name(),
+            (solution.equations.state, solution.equations.noise_state),
         )
         return posterior, solution
 

@@ -1,8 +1,6 @@
 """Where something touches the robot: a scan for a single force, and its place found exactly.
 
-A force at s_c adds G f to the error r of the interval it lies in. With the states marginalised it
-has information B = Gᵀ(Q⁻¹ − Q⁻¹ P_r Q⁻¹)G and vector b = GᵀQ⁻¹r̂, so that log evidence grows by
-½ bᵀ(B + Σ⁻¹)⁻¹b − ½ log det(1 + ΣB). Source: equation (29).
+Source: equation (29).
 """
 
 from __future__ import annotations
@@ -15,19 +13,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import logsumexp
 
-from glissando.errors import OutsideGridError, UnobservableError
+from glissando.errors import GlissandoError, OutsideGridError, UnobservableError
 from glissando.estimation.batch import estimate
+from glissando.estimation.contact_evidence import ErrorPrior, error_priors, force_evidence
 from glissando.estimation.loads import require_mechanics
 from glissando.estimation.posterior import Posterior
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid, Index
-from glissando.model.priors.mechanical.intervals import still_columns, still_error
 from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
 
-_DRAWS = 4000  # of a robot that nothing touches, for the threshold
-_PER_INTERVAL = 6  # places
 _ROUNDS = 8
 _MISFIT = 5.0  # standard deviations of readings' misfit beyond which a search begins elsewhere
 _WORSE = 1.0  # by which the cost may grow on the way: a moment stands for a place that is off
@@ -37,138 +33,136 @@ _LEVER = 0.1  # of the length, by which a place may be wrong while it is sought
 
 @dataclass(frozen=True)
 class ContactScan:
-    """What a posterior at one time says of a single force somewhere along the robot.
+    """What a posterior says of a single force somewhere along the robot, at one time or at K.
 
     Attributes:
+        time: Seconds (…), of time nodes.
         arclength: Places (C,), m.
-        log_ratio: Log evidence (C,) of a force there over none.
-        force: Force (C, 3) there if it is there, N, body frame.
-        cov: Its covariance (C, 3, 3).
-        evidence: Log evidence of a force anywhere over none, all places being as likely.
+        log_ratio: Log evidence (…, C) of a force there over none: the map over arclength and time.
+        force: Force (…, C, 3) there if it is there, N, body frame.
+        cov: Its covariance (…, C, 3, 3).
+        evidence: Log evidence (…) of a force anywhere over none, all places being as likely.
         threshold: What `evidence` exceeds, without any contact, in a share `false_alarms` of times.
         false_alarms: That share.
     """
 
+    time: Array
     arclength: Array
     log_ratio: Array
     force: Array
     cov: Array
-    evidence: float
-    threshold: float
+    evidence: Array
+    threshold: Array
     false_alarms: float
 
     @property
-    def detected(self) -> bool:
-        """Whether something touches the robot."""
-        return self.evidence > self.threshold
+    def detected(self) -> Array:
+        """Whether (…) something touches the robot."""
+        return np.asarray(self.evidence > self.threshold)
 
     @property
-    def best(self) -> int:
-        """Index of the likeliest place."""
-        return int(np.argmax(self.log_ratio))
+    def best(self) -> Index:
+        """Index (…) of the likeliest place."""
+        return np.argmax(self.log_ratio, axis=-1)
+
+    @staticmethod
+    def over(scans: Sequence[ContactScan]) -> ContactScan:
+        """Scans of K times with the same places as one, such as those of an online smoother."""
+        parts = {
+            name: np.stack([getattr(scan, name) for scan in scans])
+            for name in ("time", "log_ratio", "force", "cov", "evidence", "threshold")
+        }
+        places, rate = scans[0].arclength, scans[0].false_alarms
+        return ContactScan(arclength=places, false_alarms=rate, **parts)
 
 
 def scan_contacts(
-    posterior: Posterior, time: float, *, std_force: ArrayLike = 1.0, false_alarms: float = 0.01
+    posterior: Posterior,
+    time: ArrayLike,
+    *,
+    std_force: ArrayLike | None = None,
+    false_alarms: float = 0.01,
 ) -> ContactScan:
-    """Scan a posterior of a mechanical prior for one force, at the time node nearest to `time`.
+    """Scan a posterior of a mechanical prior for one force, at the time nodes nearest to `time`.
 
     Args:
         posterior: The posterior, in whose prior there is no contact.
-        time: Seconds.
-        std_force: How large a force may be, N: each component (3,) in the body frame, or all.
+        time: Seconds: one time, or (K,) for a map over arclength and time.
+        std_force: How large a force may be, N: each component (3,) in the body frame, or all;
+            `bending_force` unless given.
         false_alarms: Share of times at which an untouched robot may be said to be touched.
 
     Raises:
-        GlissandoError: The prior knows no loads.
-        OutsideGridError: The time is off the grid.
+        GlissandoError: The prior knows no loads, or the posterior was read from a file.
+        OutsideGridError: A time is off the grid.
     """
     prior, grid = require_mechanics(posterior.prior), posterior.grid
-    grid.require(np.zeros(1), np.array([time]), "Contact")
-    k = int(np.abs(grid.time - time).argmin())
-    state = posterior.state.take(k)
-    places, n, pull = _pulls(prior, grid, state)
-    error, weight, known = _evidence_of_errors(posterior, prior, state, k)
-    count, dim = len(places), 12 * (grid.arclength.size - 1)
-    wide = np.zeros((count, 3, dim))
-    for c in range(count):
-        wide[c, :, 12 * n[c] : 12 * n[c] + 12] = pull[c].T @ weight[n[c]]
-    flat = wide.reshape(-1, dim)
-    vector = flat @ error.ravel()
-    spread = flat @ known @ flat.T
-    blocks = spread.reshape(count, 3, count, 3)[np.arange(count), :, np.arange(count)]
-    variance = np.broadcast_to(np.asarray(std_force, dtype=float) ** 2, 3)
-    precision = blocks + np.diag(1.0 / variance)
-    cov = np.asarray(np.linalg.inv(precision), dtype=float)
-    log_det = np.linalg.slogdet(np.eye(3) + variance[:, None] * blocks)[1]
-    prior_of_place = np.log(_shares(places))
+    when = np.asarray(time, dtype=float)
+    grid.require(np.zeros(when.size), when.ravel(), "Contact")
+    if posterior.linearized is None:
+        raise GlissandoError(
+            "A posterior read from a file lacks what a scan for contacts needs; estimate again "
+            "from the recording."
+        )
+    rows = np.abs(when.reshape(-1, 1) - grid.time).argmin(axis=1)
+    state, noise_state = posterior.linearized
+    errors, cov = error_priors(prior, grid, noise_state), posterior.marginals.cov
+    step = posterior.state.difference(state).reshape(grid.time.size, -1)
+    limits = std_force, false_alarms
+    scans = [
+        scan_state(prior, grid.arclength, errors[k], state.take(k), cov[k], *limits, step[k])
+        for k in rows
+    ]
+    return ContactScan.over(scans) if when.ndim else scans[0]
 
-    def ratios(vectors: Array) -> Array:
-        b = vectors.reshape(-1, count, 3)
-        return 0.5 * np.einsum("dci,cij,dcj->dc", b, cov, b) - 0.5 * log_det
 
-    value, root = np.linalg.eigh(spread)
-    root = root * np.sqrt(np.maximum(value, 0.0))
-    noise = np.random.default_rng(0).standard_normal((_DRAWS, len(value)))
-    untouched = logsumexp(ratios(noise @ root.T) + prior_of_place, axis=1)
-    here = ratios(vector[None])[0]
+def scan_state(
+    prior: MechanicalPrior,
+    arclength: Array,
+    errors: ErrorPrior,
+    state: State,
+    cov: Array,
+    std_force: ArrayLike | None,
+    false_alarms: float,
+    step: Array,
+) -> ContactScan:
+    """Scan the state of one time for one force, see `scan_contacts`.
+
+    Args:
+        prior: The prior, without the contact.
+        arclength: Nodes (N,), m.
+        errors: What was believed of the intervals' errors.
+        state: Nodes (N,) at which the posterior is linearised.
+        cov: Its covariance (D, D), numbers of nodes first.
+        std_force: How large a force may be, N.
+        false_alarms: Share of times at which an untouched robot may be said to be touched.
+        step: Step (D,) from there to its mean.
+    """
+    found = force_evidence(prior, arclength, errors, state, cov, step)
+    variance = _sizes(prior, arclength, std_force) ** 2
+    cov_force, half_log_det = found.given_force(variance)
+    force = np.einsum("cij,cj->ci", cov_force, found.vector)
+    ratio = 0.5 * np.einsum("ci,ci->c", found.vector, force) - half_log_det
     return ContactScan(
-        places,
-        here,
-        np.einsum("cij,cj->ci", cov, vector.reshape(count, 3)),
-        cov,
-        float(logsumexp(here + prior_of_place)),
-        float(np.quantile(untouched, 1.0 - false_alarms)),
+        np.asarray(errors.time),
+        found.arclength,
+        ratio,
+        force,
+        cov_force,
+        np.asarray(logsumexp(ratio, b=found.shares)),
+        np.asarray(found.untouched(variance, false_alarms)),
         false_alarms,
     )
 
 
-def _shares(places: Array) -> Array:
-    """Share (C,) of the length that each place stands for."""
-    edges = np.concatenate([[0.0], 0.5 * (places[1:] + places[:-1]), places[-1:]])
-    return np.diff(edges) / edges[-1]
+def bending_force(prior: MechanicalPrior, arclength: Array) -> float:
+    """A force that would bend the robot (N,) by its own length if it bent in proportion, N."""
+    return 3.0 * float(prior.mechanics.stiffness[:, 3:5].mean()) / float(arclength[-1]) ** 2
 
 
-def _pulls(prior: MechanicalPrior, grid: Grid, state: State) -> tuple[Array, Index, Array]:
-    """Places (C,), their intervals (C,), and what a newton there adds to the errors (C, 12, 3)."""
-    lengths = np.diff(grid.arclength)
-    n = np.repeat(np.arange(lengths.size), _PER_INTERVAL)
-    offset = lengths[n] * np.tile((np.arange(_PER_INTERVAL) + 0.5) / _PER_INTERVAL, lengths.size)
-    start, piece = state.take(n), prior.rod.intervals(grid.arclength).take(n)
-    piece = piece.accelerated(start, state.take(n + 1))
-    near = piece.before(offset).flow(start, noisy=False)
-    there = State(start.pose @ near.pose, near.wrench, start.velocity)
-    onward = piece.beyond(offset).flow(there, noisy=False).transition
-    return grid.arclength[n] + offset, n, -onward[:, :, 6:9] / piece.section.stiffness[:, None, :3]
-
-
-def _evidence_of_errors(
-    posterior: Posterior, prior: MechanicalPrior, state: State, k: int
-) -> tuple[Array, Array, Array]:
-    """Errors (N−1, 12) of intervals, Q⁻¹ (N−1, 12, 12), and the covariance that b makes of Q − P_r.
-
-    The last (D, D) is the prior covariance of all errors less their posterior one.
-    """
-    count = state.strain.shape[0]
-    start, end = state.take(np.s_[:-1]), state.take(np.s_[1:])
-    intervals = prior.rod.intervals(posterior.grid.arclength)
-    error, j0, j1 = still_error(start, end, intervals)
-    noise = intervals.flow(start, noisy=True).noise
-    dof = posterior.state.dof
-    width = j0.shape[2]
-    chosen = (np.arange(count)[:, None] * dof + still_columns(width)).ravel()
-    cov = posterior.marginals.cov[k][np.ix_(chosen, chosen)]
-    slope = np.zeros((count - 1, 12, count, width))
-    rows = np.arange(count - 1)
-    slope[rows, :, rows], slope[rows, :, rows + 1] = j0, j1
-    flat = slope.reshape(12 * (count - 1), -1)
-    known = -flat @ cov @ flat.T
-    for i in rows:
-        at = slice(12 * i, 12 * i + 12)
-        known[at, at] += noise[i]
-    scale = 1.0 / np.sqrt(np.einsum("mii->mi", noise))
-    even = np.linalg.inv(scale[:, :, None] * noise * scale[:, None, :])
-    return error, scale[:, :, None] * even * scale[:, None, :], 0.5 * (known + known.T)
+def _sizes(prior: MechanicalPrior, arclength: Array, std_force: ArrayLike | None) -> Array:
+    given = bending_force(prior, arclength) if std_force is None else std_force
+    return np.broadcast_to(np.asarray(given, dtype=float), 3)
 
 
 @dataclass(frozen=True)
@@ -196,7 +190,7 @@ def locate_contact(
     readings: Sequence[Readings],
     *,
     start: float,
-    std_force: ArrayLike = 1.0,
+    std_force: ArrayLike | None = None,
 ) -> Contact:
     """The place of one force and the force, with the whole rod bent anew at every step.
 
@@ -207,7 +201,7 @@ def locate_contact(
         grid: Nodes; the time is the last.
         readings: Readings of each sensor.
         start: Where the search begins, m, as from a scan.
-        std_force: How large a force may be, N: each component (3,) in the body frame, or all.
+        std_force: How large a force may be, N, as of `scan_contacts`.
 
     Raises:
         OutsideGridError: The start is not on the robot.
@@ -217,7 +211,7 @@ def locate_contact(
         raise OutsideGridError(
             f"A contact at {start:g} m is off the robot of {length:g} m; give metres."
         )
-    std = np.broadcast_to(np.asarray(std_force, dtype=float), 3)
+    std = _sizes(prior, grid.arclength, std_force)
     variance = np.concatenate([std**2, np.full(3, (_LEVER * length * std.max()) ** 2)])
     count = sum(len(r) * r.row_count for r in readings)
     best, reach = _touched_at(prior, grid, readings, start, variance), 0.15 * length

@@ -18,8 +18,10 @@ from glissando._kernels.jit import load
 from glissando._kernels.threads import one_thread
 from glissando.errors import OutsideGridError
 from glissando.estimation.channels import place_in_channel
-from glissando.estimation.contact import ContactScan, scan_contacts
+from glissando.estimation.contact import ContactScan, scan_state
+from glissando.estimation.contact_evidence import ErrorPrior, error_priors
 from glissando.estimation.delays import delayed
+from glissando.estimation.loads import require_mechanics
 from glissando.estimation.posterior import Posterior, StateEstimate, state_at
 from glissando.estimation.sliding_window import SlidingWindow
 from glissando.estimation.window_steps import WindowSteps
@@ -73,6 +75,7 @@ class FixedLagSmoother:
         self._late, others = delayed(sensor_parameters)
         self._undelayed: WindowSteps | None = None  # the motion by which delays are known
         self._shown = prior.fixes_base
+        self._errors: ErrorPrior | None = None  # of the window's first node, for contacts
         if self._late:  # slopes at the oldest node take one before it
             self._window.undelayed = SlidingWindow(prior, self.arclength, others)
             self._undelayed = WindowSteps(self._window.undelayed, window + 2, gate)
@@ -131,12 +134,19 @@ class FixedLagSmoother:
         self._require_started()
         return self._window.posterior()
 
-    def contacts(self, *, std_force: ArrayLike = 1.0, false_alarms: float = 0.01) -> ContactScan:
-        """A scan of the newest state for something that touches, see `scan_contacts`."""
-        self._require_started()
-        posterior = self._window.posterior()
-        newest = float(posterior.grid.time[-1])
-        return scan_contacts(posterior, newest, std_force=std_force, false_alarms=false_alarms)
+    def contacts(
+        self, *, std_force: ArrayLike | None = None, false_alarms: float = 0.01
+    ) -> ContactScan:
+        """A scan of the newest state for something that touches, see `scan_contacts`.
+
+        It is best asked after every update, as it remembers by how much shapes before differed.
+        """
+        _, cov, _ = self.newest_node()
+        prior, nodes = require_mechanics(self.prior), self._window.nodes
+        errors = error_priors(prior, Grid(self.arclength, nodes.time), nodes.state, self._errors)
+        self._errors, limits = errors[0], (std_force, false_alarms)
+        here = errors[-1], nodes.state.take(-1), cov
+        return scan_state(prior, self.arclength, *here, *limits, nodes.step[-1])
 
     def at(self, arclength: ArrayLike, time: ArrayLike) -> StateEstimate:
         """State and covariance inside the window, or ahead of it as the prior predicts.

@@ -148,7 +148,9 @@ class Posterior(Brief):
 
     `state` is the mean at the nodes, `system` the information matrix of the nodes in time order,
     `marginals` the blocks of its inverse that any query needs, `solve` how it was reached,
-    `sensor_parameters` of the sensors with their estimated values (K, size) at the time nodes.
+    `sensor_parameters` of the sensors with their estimated values (K, size) at the time nodes,
+    `linearized` the states at which `system` was linearised and weighted, None when read from a
+    file.
     """
 
     prior: Prior
@@ -158,6 +160,7 @@ class Posterior(Brief):
     marginals: Marginals
     solve: SolveReport
     sensor_parameters: Sequence[tuple[SensorParameter, Array]] = ()
+    linearized: tuple[State, State] | None = field(default=None, compare=False)
 
     def at(self, arclength: ArrayLike, time: ArrayLike) -> StateEstimate:
         """State with its 18×18 covariance at points; arclength and time broadcast together.

@@ -343,5 +343,5 @@ class SlidingWindow:
         report = SolveReport(Outcome.UPDATED, 1, 0.0, rhs.size, 0.0, 0.0, 0, {})
         pairs = zip(self._process.each, self._process.columns, strict=True)
         parameters = [(p, values[:, at]) for p, at in pairs]
-        marginals = self._system.cholesky.marginals()
-        return Posterior(self.prior, self.grid(), state, system, marginals, report, parameters)
+        marginals, at = self._system.cholesky.marginals(), (self.nodes.state, self.nodes.state)
+        return Posterior(self.prior, self.grid(), state, system, marginals, report, parameters, at)

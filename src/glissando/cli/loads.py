@@ -1,0 +1,111 @@
+"""What acts on a robot, printed and written: expected loads, and contacts that are found."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from glissando.cli.progress import working
+from glissando.estimation.contact import ContactScan, scan_contacts
+from glissando.estimation.loads import load_places, require_mechanics
+from glissando.estimation.posterior import Posterior
+from glissando.io.atomic_file import write_table
+from glissando.visualization.canvas import save_figure
+from glissando.visualization.contact_figure import contact_figure, mapped_times
+
+CONTACT_COLUMNS = [
+    *("time", "arclength", "log_evidence", "log_evidence_anywhere", "threshold"),
+    *(f"{what}_{axis}" for what in ("f", "std_f") for axis in "xyz"),
+]
+"""Columns of contacts.csv: a force at each place and time, N in the body frame, and its std."""
+_MOMENTS = 6  # of the window, in the table of loads
+
+
+def scanned(posterior: Posterior) -> ContactScan:
+    """A scan for contacts at all time nodes, or at as many as a map shows."""
+    with working("looking for contacts"):
+        return scan_contacts(posterior, mapped_times(posterior))
+
+
+def loads_json(posterior: Posterior, scan: ContactScan) -> dict[str, Any]:
+    """Loads and contacts as JSON holds them."""
+    best = np.arange(scan.time.size), scan.best
+    std = np.sqrt(np.einsum("kii->ki", scan.cov[best]))
+    contacts = {
+        "false_alarms": scan.false_alarms,
+        "time": scan.time.tolist(),
+        "detected": scan.detected.tolist(),
+        "evidence": scan.evidence.tolist(),
+        "threshold": scan.threshold.tolist(),
+        "arclength": scan.arclength[scan.best].tolist(),
+        "force": scan.force[best].tolist(),
+        "std": std.tolist(),
+    }
+    return {"loads": _rows(posterior), "contacts": contacts}
+
+
+def print_loads(posterior: Posterior, scan: ContactScan, console: Console) -> None:
+    """Print forces and moments with their standard deviations, and what touches the robot."""
+    table = Table("time (s)", "arclength (m)", title="What acts on the robot, world frame")
+    for what in ("force x, y, z (N)", "moment x, y, z (N m)"):
+        table.add_column(what, justify="right")
+    for row in _rows(posterior):
+        pairs = [
+            f"{value:.3g} ± {std:.2g}"
+            for value, std in zip(row["force"] + row["moment"], row["std"], strict=True)
+        ]
+        cells = ", ".join(pairs[:3]), ", ".join(pairs[3:])
+        table.add_row(f"{row['time']:.3f}", f"{row['arclength']:.4f}", *cells)
+    console.print(table)
+    touched, count = np.flatnonzero(scan.detected), scan.time.size
+    chance = f"of {count} times; a false alarm is one in {1.0 / scan.false_alarms:.3g}"
+    if not touched.size:
+        console.print(f"Something else touches the robot at none {chance}.")
+        return
+    surest = touched[np.argmax((scan.evidence - scan.threshold)[touched])]
+    place = scan.arclength[scan.best[surest]]
+    console.print(
+        f"Something else touches the robot at {touched.size} {chance}. Surest at "
+        f"{scan.time[surest]:.3f} s, likeliest there at {place:.3g} m."
+    )
+
+
+def write_contacts(scan: ContactScan, folder: Path) -> list[Path]:
+    """Write contacts.csv, a row for each time and place, and its map, contacts.png."""
+    count = scan.arclength.size
+    std = np.sqrt(np.einsum("kcii->kci", scan.cov))
+    columns = [
+        np.repeat(scan.time, count),
+        np.tile(scan.arclength, scan.time.size),
+        scan.log_ratio.ravel(),
+        np.repeat(scan.evidence, count),
+        np.repeat(scan.threshold, count),
+        *scan.force.reshape(-1, 3).T,
+        *std.reshape(-1, 3).T,
+    ]
+    file = folder / "contacts.csv"
+    write_table(file, CONTACT_COLUMNS, np.stack(columns, axis=1))
+    return [file, save_figure(contact_figure(scan), folder / "contacts.png")]
+
+
+def _rows(posterior: Posterior) -> list[dict[str, Any]]:
+    """What acts where loads are expected at a few times of the window, world frame."""
+    prior, nodes = require_mechanics(posterior.prior), posterior.grid.time
+    places = load_places(prior, posterior.grid)
+    rows = np.unique(np.linspace(0, nodes.size - 1, min(_MOMENTS, nodes.size)).round().astype(int))
+    load = posterior.load(places, nodes[rows, None], frame="world")
+    return [
+        {
+            "time": float(nodes[k]),
+            "arclength": float(place),
+            "force": load.force[i, j].tolist(),
+            "moment": load.moment[i, j].tolist(),
+            "std": load.std[i, j].tolist(),
+        }
+        for i, k in enumerate(rows)
+        for j, place in enumerate(places)
+    ]

@@ -1,0 +1,180 @@
+"""What a state says of a force anywhere along the robot, and what an untouched robot would say.
+
+A force at s_c adds G f to the error r of the interval it lies in. With the states marginalised it
+has information B = GᵀQ⁻¹(Q − P_r)Q⁻¹G and vector b = GᵀQ⁻¹r̂, so that log evidence grows by
+½ bᵀ(B + Σ⁻¹)⁻¹b − ½ log det(1 + ΣB). Source: equation (29).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from glissando.geometry.se3 import Array
+from glissando.model.grid import Grid, Index
+from glissando.model.noise import sqrt_information
+from glissando.model.priors import matern
+from glissando.model.priors.mechanical.intervals import still_columns, still_error
+from glissando.model.priors.mechanical.prior import MechanicalPrior
+from glissando.model.state import State
+
+_DRAWS = 4000  # of a robot that nothing touches, for the threshold
+_PER_INTERVAL = 6  # places
+_UNSEEN = 1e-9  # share of an error's prior variance
+
+
+@dataclass(frozen=True)
+class ErrorPrior:
+    """What is believed, before any reading, of the intervals' errors at one time.
+
+    Their covariance is that of the shapes before, not of the shape at that time: errors fade and
+    are renewed from one time node to the next, see equation (8).
+
+    Attributes:
+        time: Seconds.
+        noise: Covariance Q (N−1, 12, 12) of the errors that the shape at that time has.
+        cov: Covariance (2, 2, N−1, 12, 12) of errors and of their rates.
+    """
+
+    time: float
+    noise: Array
+    cov: Array
+
+    @property
+    def of_errors(self) -> Array:
+        """Covariance (N−1, 12, 12) of the errors."""
+        return np.asarray(self.cov[0, 0])
+
+    def onward(self, time_scale: float, time: float, noise: Array) -> ErrorPrior:
+        """The one at a later time, whose shape has errors of covariance `noise`."""
+        step = np.array([time - self.time])
+        fade = matern.transition(time_scale, step)[0]
+        new = matern.process_covariance(time_scale, step)[0]
+        cov = np.einsum("ac,cdnij,bd->abnij", fade, self.cov, fade)
+        cov += np.einsum("ab,nij->abnij", new, 0.5 * (self.noise + noise))
+        return ErrorPrior(time, noise, cov)
+
+
+def error_priors(
+    prior: MechanicalPrior, grid: Grid, state: State, before: ErrorPrior | None = None
+) -> list[ErrorPrior]:
+    """What is believed of the intervals' errors at K times.
+
+    Args:
+        prior: The prior.
+        grid: Its K times.
+        state: Nodes (K, N).
+        before: What is believed at the first time or earlier; else the first time begins.
+    """
+    count = grid.arclength.size - 1
+    start = state.take(np.s_[:, :-1]).flatten()
+    noise = prior.rod.tiled(grid, grid.time.size).flow(start, noisy=True).noise
+    out: list[ErrorPrior] = []
+    for time, here in zip(grid.time, noise.reshape(-1, count, 12, 12), strict=True):
+        if before is None or before.time > time:
+            cov = np.einsum("ab,nij->abnij", matern.stationary(prior.time_scale), here)
+            before = ErrorPrior(float(time), here, cov)
+        elif before.time < time:
+            before = before.onward(prior.time_scale, float(time), here)
+        out.append(before)
+    return out
+
+
+@dataclass(frozen=True)
+class ForceEvidence:
+    """What a state says of a force at each of C places.
+
+    Attributes:
+        arclength: Places (C,), m.
+        vector: Vectors b (C, 3).
+        root: Root (m, C, 3) of the covariance that all b together have where nothing touches the
+            robot: b = Σ w_m root_m with w of unit variance. Its blocks are the information B.
+    """
+
+    arclength: Array
+    vector: Array
+    root: Array
+
+    def take(self, rows: slice) -> ForceEvidence:
+        """What it says of some of the places."""
+        return ForceEvidence(self.arclength[rows], self.vector[rows], self.root[:, rows])
+
+    @property
+    def shares(self) -> Array:
+        """Share (C,) of the length that each place stands for."""
+        places = self.arclength
+        edges = np.concatenate([[0.0], 0.5 * (places[1:] + places[:-1]), places[-1:]])
+        return np.diff(edges) / edges[-1]
+
+    def given_force(self, variance: Array) -> tuple[Array, Array]:
+        """Covariance (C, 3, 3) of a force of prior variance (3,), and ½ log det(1 + ΣB) (C,)."""
+        blocks = np.einsum("mci,mcj->cij", self.root, self.root)
+        cov = np.asarray(np.linalg.inv(blocks + np.diag(1.0 / variance)), dtype=float)
+        return cov, 0.5 * np.linalg.slogdet(np.eye(3) + variance[:, None] * blocks)[1]
+
+    def untouched(self, variance: Array, false_alarms: float) -> float:
+        """What the evidence of a force anywhere exceeds in a share of robots that nothing touches.
+
+        Their maps are smooth, so two places an interval are enough.
+        """
+        few = self.take(slice(1, None, _PER_INTERVAL // 2))
+        cov, half_log_det = few.given_force(variance)
+        even = np.einsum("mci,cij->mcj", few.root, np.linalg.cholesky(cov))
+        noise = np.random.default_rng(0).standard_normal((_DRAWS, len(even)))
+        drawn = noise @ even.reshape(len(even), 3 * few.arclength.size)
+        ratio = 0.5 * np.square(drawn).reshape(_DRAWS, -1, 3).sum(axis=-1) - half_log_det
+        return float(np.quantile(np.log(np.exp(ratio) @ few.shares), 1.0 - false_alarms))
+
+
+def force_evidence(
+    prior: MechanicalPrior,
+    arclength: Array,
+    errors: ErrorPrior,
+    state: State,
+    cov: Array,
+    step: Array,
+) -> ForceEvidence:
+    """What the posterior at one time says of a force anywhere.
+
+    In units of their prior, errors have the covariance I − D in the posterior, and the data say
+    nothing in directions where D is no larger than what rounding makes of it.
+
+    Args:
+        prior: The prior, without the contact.
+        arclength: Nodes (N,), m.
+        errors: What was believed of the intervals' errors.
+        state: Nodes (N,) at which the posterior is linearised.
+        cov: Its covariance (D, D), numbers of nodes first.
+        step: Step (D,) from there to its mean.
+    """
+    places, n, pull = _pulls(prior, arclength, state)
+    count = arclength.size - 1
+    ends = state.take(np.s_[:-1]), state.take(np.s_[1:])
+    error, j0, j1 = still_error(*ends, prior.rod.intervals(arclength))
+    even = sqrt_information(errors.of_errors)
+    slope = np.zeros((count, 12, count + 1, j0.shape[2]))
+    rows = np.arange(count)
+    slope[rows, :, rows], slope[rows, :, rows + 1] = even @ j0, even @ j1
+    flat = slope.reshape(12 * count, -1)
+    chosen = (np.arange(count + 1)[:, None] * state.dof + still_columns(j0.shape[2])).ravel()
+    white = (even @ error[:, :, None]).ravel() + flat @ step[chosen]
+    value, vector = np.linalg.eigh(np.eye(12 * count) - flat @ cov[np.ix_(chosen, chosen)] @ flat.T)
+    seen = value > max(_UNSEEN, -2.0 * float(value[0]))
+    directions = vector[:, seen].reshape(count, 12, -1)[n]
+    root = np.einsum("cam,cai->mci", directions, even[n] @ pull)
+    by_force = np.einsum("m,mci->ci", white @ vector[:, seen], root)
+    return ForceEvidence(places, by_force, np.sqrt(value[seen])[:, None, None] * root)
+
+
+def _pulls(prior: MechanicalPrior, arclength: Array, state: State) -> tuple[Array, Index, Array]:
+    """Places (C,), their intervals (C,), and what a newton there adds to the errors (C, 12, 3)."""
+    lengths = np.diff(arclength)
+    n = np.repeat(np.arange(lengths.size), _PER_INTERVAL)
+    offset = lengths[n] * np.tile((np.arange(_PER_INTERVAL) + 0.5) / _PER_INTERVAL, lengths.size)
+    start, piece = state.take(n), prior.rod.intervals(arclength).take(n)
+    piece = piece.accelerated(start, state.take(n + 1))
+    near = piece.before(offset).flow(start, noisy=False)
+    there = State(start.pose @ near.pose, near.wrench, start.velocity)
+    onward = piece.beyond(offset).flow(there, noisy=False).transition
+    return arclength[n] + offset, n, -onward[:, :, 6:9] / piece.section.stiffness[:, None, :3]

@@ -1,0 +1,95 @@
+"""Where and when something touches the robot: a map of evidence over arclength and time."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from glissando.estimation.contact import ContactScan
+from glissando.estimation.posterior import Posterior
+from glissando.geometry.se3 import Array
+from glissando.visualization.canvas import MM, NO_STYLE, Style, describe, panels_on
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_MOST = 200  # times of a map
+_LEAST = 10.0  # evidence at least that colours reach to
+
+
+def mapped_times(posterior: Posterior) -> Array:
+    """Time nodes (K,) of a posterior that a map shows: all, or as many as can be seen apart."""
+    time = posterior.grid.time
+    rows = np.linspace(0, time.size - 1, min(_MOST, time.size)).round().astype(int)
+    return np.asarray(time[rows])
+
+
+def contact_figure(
+    scan: ContactScan,
+    *,
+    ax: Any = None,
+    size: tuple[float, float] = (10.0, 5.6),
+    style: Style = NO_STYLE,
+) -> np.ndarray[Any, Any]:
+    """The evidence of a touch at every arclength and time, and of a touch anywhere.
+
+    Colour is log evidence of a force there over none, where it is above zero. Dots are the
+    likeliest places of times at which something touches the robot.
+
+    Args:
+        scan: Scans of K times, as of `scan_contacts`, or of `ContactScan.over` while they come in.
+        ax: Two axes to draw into; those of a new figure unless given.
+        size: Width and height of a new figure, inches.
+        style: rcParams to draw with.
+
+    Returns:
+        The axes (2,), in millimetres and seconds: the map, and the evidence with its threshold.
+
+    Raises:
+        GlissandoError: The axes are not two, or matplotlib is not installed.
+    """
+    shares = {"sharex": True, "height_ratios": [2.2, 1.0]}
+    with panels_on(ax, (2, 1), size, style, **shares) as panels:
+        upper, lower = panels.ravel()
+        _draw_map(upper, scan)
+        _draw_evidence(lower, scan)
+        entries = dict(zip(*lower.get_legend_handles_labels()[::-1], strict=True))
+        dots, labels = upper.get_legend_handles_labels()
+        entries |= dict(zip(labels, dots, strict=True))
+        describe(upper, ax is None, entries, loc="outside upper center", ncols=len(entries))
+    return np.array([upper, lower], dtype=object)
+
+
+def _draw_map(axes: Axes, scan: ContactScan) -> None:
+    """Evidence over time and arclength, cells between places and times."""
+    length = 2.0 * scan.arclength[-1] - scan.arclength[-2]
+    top = max(float(scan.log_ratio.max()), _LEAST)
+    edges = _edges(scan.time), MM * np.clip(_edges(scan.arclength), 0.0, length)
+    look: dict[str, Any] = {"cmap": "viridis", "vmin": 0.0, "vmax": top, "rasterized": True}
+    shade = axes.pcolormesh(*edges, scan.log_ratio.T, **look)
+    label = "log evidence of a force there"
+    axes.figure.colorbar(shade, ax=axes, label=label, pad=0.015, extend="min")
+    touched = scan.detected
+    if touched.any():
+        at = scan.time[touched], MM * scan.arclength[scan.best[touched]]
+        axes.plot(*at, "o", mfc="white", mec="black", ms=4.0, ls="none", label="likeliest place")
+    axes.set_ylabel("arclength (mm)")
+
+
+def _draw_evidence(axes: Axes, scan: ContactScan) -> None:
+    """Evidence of a force anywhere and what it exceeds where something touches."""
+    label = f"threshold: one false alarm in {1.0 / scan.false_alarms:.3g}"
+    axes.plot(scan.time, scan.evidence, ".-", color="#0072B2", label="evidence anywhere")
+    axes.plot(scan.time, scan.threshold, "--", color="#D55E00", label=label)
+    axes.set(xlabel="time (s)", ylabel="log evidence")
+    axes.grid(True, axis="y")
+
+
+def _edges(middle: Array) -> Array:
+    """Edges (K + 1,) of cells around their middles (K,); a lone cell is 1 wide."""
+    if middle.size == 1:
+        return middle[0] + np.array([-0.5, 0.5])
+    between = 0.5 * (middle[1:] + middle[:-1])
+    first, last = 2.0 * middle[0] - between[0], 2.0 * middle[-1] - between[-1]
+    return np.concatenate([[first], between, [last]])
