@@ -1,5 +1,7 @@
 """A simulated coil in a channel is where its travel along the path in space leads to."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -11,18 +13,22 @@ from glissando.simulation import load_bench
 from glissando.simulation.channel import poses_in, routed, straight_length
 
 BENCH = load_bench(robot_file("sliding700"))
-MOTION = BENCH.move(BENCH.shape("C-to-S"), BENCH.flaws, 5)
-FINE = np.linspace(0.0, MOTION.rod.length, 3001)
+FINE = np.linspace(0.0, BENCH.rod.length, 3001)
 ANY = np.random.default_rng(8)
 CHANNELS = [Channel(r, a, p) for r, a, p in zip(ANY.uniform(1e-3, 8e-3, 2), ANY.uniform(-3, 3, 2),
                                                 (np.inf, -0.2), strict=True)]  # fmt: skip
+
+
+@cache
+def motion():
+    return BENCH.move(BENCH.shape("C-to-S"), BENCH.flaws, 5)
 
 
 def path_in_space(channel, time):
     """Positions along the channel, and the lengths up to each, by chords."""
     turn = channel.angle + 2.0 * np.pi * FINE / channel.pitch
     off = channel.radius * np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=-1)
-    pose = MOTION.at(FINE, time).pose
+    pose = motion().at(FINE, time).pose
     path = pose[:, :3, 3] + np.einsum("nij,nj->ni", pose[:, :3, :3], off)
     return path, np.append(0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
 
@@ -40,14 +46,14 @@ def expected(channel, travel, time):
 def test_the_coil_is_where_its_travel_along_the_channel_leads(channel):
     time, longest = ANY.uniform(0.0, 20.0, 5), straight_length(routed(channel, 0.7), 0.7)
     travel = np.append(ANY.uniform(0.0, longest, 4), longest + 3e-3)
-    found = poses_in(routed(channel, 0.7), MOTION, travel, time)
+    found = poses_in(routed(channel, 0.7), motion(), travel, time)
     flaws = BENCH.flaws.without("all")
     for k in range(time.size):
         place, axis = expected(channel, travel[k], time[k])
         np.testing.assert_allclose(found[k, :3, 3], place, atol=5e-6)
         np.testing.assert_allclose(found[k, :3, 2], axis, atol=2e-3)
         coil = SceneCoil(travel[k], -1.0, np.eye(4), port=0, way=channel.to_table())
-        scene = Scene.of(MOTION, [time[k]], [coil], flaws=flaws)
+        scene = Scene.of(motion(), [time[k]], [coil], flaws=flaws)
         seen = scene.coil_poses(0.0, 0.0)[0]
         assert np.linalg.norm(seen[:3, 3] - place) < 2e-4  # a scene has a node every 5 mm
         turned = se3.so3_log(se3.inverse(found[k])[:3, :3] @ seen[:3, :3])
@@ -56,6 +62,6 @@ def test_the_coil_is_where_its_travel_along_the_channel_leads(channel):
 
 def test_a_scene_keeps_the_channel(tmp_path):
     coil = SceneCoil(0.5, -1.0, np.eye(4), port=0, way=CHANNELS[1].to_table())
-    made = Scene.of(MOTION, [0.0], [coil], flaws=BENCH.flaws)
+    made = Scene.of(motion(), [0.0], [coil], flaws=BENCH.flaws)
     made.save(tmp_path / "scene.npz")
     assert Scene.load(tmp_path / "scene.npz").coils[0].way == coil.way

@@ -64,6 +64,7 @@ def add_to(commands: Commands) -> None:
     """Add the command to the parser's."""
     texts = _ESTIMATE_HELP, _ESTIMATE_EXAMPLES
     estimate = add_command(commands, "estimate", texts, _estimate)
+    estimate.set_defaults(figures=True)
     add = estimate.add_argument
     add("recording", type=Path, metavar="RECORDING", help="folder of the recording")
     add_choices(estimate)
@@ -207,7 +208,9 @@ def _write(
         return [] if query is None else [_answers(options)]
     shown = run.posterior, run.readings, run.truth
     with renewed_folder(options.out, _OUTPUTS) as building, working("writing the results") as work:
-        written = [*write_run(run, building, **more), *save_figures(*shown, building)]
+        written = write_run(run, building, **more)
+        if options.figures:
+            written += save_figures(*shown, building)
         if scan:
             written += write_contacts(scan, building)
         if options.animate:

@@ -41,7 +41,9 @@ exit status: 0 the numbers are the same; 1 some differ; 2 something given was wr
 _COMMANDS = "estimate", "replay", "check", "plan", "design", "study", "import"
 _STATED = {"request": list, "inputs": dict, "versions": dict}
 _TIMES = "latency", "real_time_factor"
-_LEFT_OUT = {"scheduler": None, "live": False, "animate": False, "view": False, "resume": False}
+_LEFT_OUT = {"scheduler": None} | dict.fromkeys(
+    ("live", "animate", "view", "figures", "resume"), False
+)
 _SHOWN = 12  # entries of the report that differ
 
 
