@@ -47,7 +47,7 @@ docs: $(READY)
 
 pytest: $(READY)
 	$(BIN)/pytest -q -n 2 --dist loadgroup -m "not alone"
-	$(BIN)/pytest -q -m alone
+	$(BIN)/pytest -q -m alone tests/hardware
 
 bench: $(READY)
 	$(BIN)/python benchmarks/estimate.py

@@ -123,19 +123,3 @@ def test_ctrl_c_ends_it_cleanly_and_a_kill_loses_no_reading(ending, tmp_path):
         assert process.returncode == 0
         assert "Journal" in said
     assert load_recording(tmp_path / "log").streams["tip"].rows.time.size == 40
-
-
-@pytest.mark.slow
-@pytest.mark.alone
-def test_a_simulated_rig_is_estimated_while_its_slide_moves(tmp_path, capsys):
-    log, newest = tmp_path / "log", tmp_path / "newest.csv"
-    slide = ["--slide", "oscillate", "--cycles", "1", "--stroke", "0.02"]
-    options = ["--journal", str(log), "--sink", f"csv:{newest}", "--points", "2"]
-    assert main(["live", "--source", "simulate", *slide, *options]) == 0
-    assert "updates" in capsys.readouterr().out
-    rows = load_recording(log).streams["coil"].rows
-    assert rows.arclength.max() == pytest.approx(0.70, abs=1e-3)
-    assert rows.arclength.min() == pytest.approx(0.68, abs=1e-3)
-    assert rows.time.size > 40
-    table = np.loadtxt(newest, delimiter=",", skiprows=1)
-    assert np.linalg.norm(table[1::2, 2:5], axis=1).min() > 0.3  # the tip of an S of 0.7 m

@@ -79,8 +79,7 @@ def test_a_delay_that_all_streams_share_stays_as_uncertain_as_before(stated, shi
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("online", [False, True])
-@pytest.mark.parametrize("which", ["tip", "middle"])
+@pytest.mark.parametrize(("which", "online"), [("tip", False), ("middle", False), ("tip", True)])
 def test_a_delay_that_another_stream_shows_is_as_uncertain_as_stated(which, online):
     found = [estimated(which, seed, online=online) for seed in range(100, 114)]
     drawn, values, std = np.array(found).T

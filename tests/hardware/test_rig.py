@@ -119,14 +119,14 @@ def recorded(folder, *options, **popen):
 @pytest.mark.slow
 def test_devices_change_nothing_a_recording_of_them_is_estimated_as_one_without(tmp_path, capsys):
     folder = tmp_path / "session"
-    assert main(["record", "--simulate", "--cycles", "2", "--out", str(folder)]) == 0
+    assert main(["record", "--simulate", "--cycles", "1", "--out", str(folder)]) == 0
     assert "was never seen" not in capsys.readouterr().out
     frames = read_session(folder / "session.mcap").topics["/tracker/coil"].column("frame")
     gaps = np.sort(np.diff(frames) - 1)
     print(
         f"{frames.size} frames while the slide moved, {np.sum(gaps):g} lost, {gaps[-1]:g} at once"
     )
-    assert frames.size > 400
+    assert frames.size > 200
     # Beside four busy processes on two cores most runs lose none; a shared host may stand still for
     # a moment, which the longest gap is forgiven for (benchmarks/frames.py says what it was).
     assert np.sum(gaps[:-1]) <= 0.005 * frames.size
@@ -136,7 +136,7 @@ def test_devices_change_nothing_a_recording_of_them_is_estimated_as_one_without(
     assert place.min() == pytest.approx(0.64, abs=5e-4)
     assert place.max() == pytest.approx(0.70, abs=5e-4)
     bench = load_bench(robot_file("sliding700"))
-    path = SlidePath.oscillate(2, bench.slide.stroke, bench.slide)
+    path = SlidePath.oscillate(1, bench.slide.stroke, bench.slide)
     motion = bench.move(bench.shape("S"), bench.flaws, 0)
     without = []
     for seed in range(8):
@@ -160,7 +160,7 @@ def judged(recording):
 @pytest.mark.slow
 def test_recorded_calibrated_estimated_the_frame_is_found_and_the_shape_as_good(tmp_path, capsys):
     folder, made = tmp_path / "session", tmp_path / "calibrated"
-    call = ["--simulate", "--shape", "C-to-S", "--cycles", "3", "--out", str(folder)]
+    call = ["--simulate", "--shape", "C-to-S", "--cycles", "2", "--out", str(folder)]
     assert main(["record", *call]) == 0
     call = ["--out", str(tmp_path / "rig.toml"), "--recording", str(made), "--json"]
     capsys.readouterr()
@@ -177,27 +177,27 @@ def test_recorded_calibrated_estimated_the_frame_is_found_and_the_shape_as_good(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "faults", ["unplug=3,replug=4.5", "cut=3,mended=4.5"], ids=["coil", "link"]
-)
-def test_unplugged_in_mid_session_it_goes_on_and_the_gap_is_told(tmp_path, capsys, faults):
-    folder = tmp_path / "session"
+def test_unplugged_in_mid_session_it_goes_on_and_the_gap_is_told(tmp_path, capsys):
+    """The coil first, then the link."""
+    folder, faults = tmp_path / "session", "unplug=2.5,replug=3.7,cut=6.5,mended=7.7"
     call = ["record", "--simulate", "--cycles", "2", "--faults", faults, "--out", str(folder)]
     assert main(call) == 0
     told = capsys.readouterr().out
     gaps = re.findall(r"coil was not seen from ([\d.]+) to ([\d.]+) s", told)
-    assert len(gaps) == 1, told
-    start, stop = map(float, gaps[0])
-    assert 1.0 < stop - start < 4.0
+    assert len(gaps) == 2, told
     rows = load_recording(folder).streams["coil"].rows
-    assert np.sum(rows.time < start + 0.1) > 40
-    assert np.sum(rows.time > stop - 0.1) > 40
-    assert not np.any((rows.time > start + 0.1) & (rows.time < stop - 0.1))
+    ends = [0.0, *(float(at) for gap in gaps for at in gap), rows.time[-1]]
+    for start, stop in zip(ends[1:-1:2], ends[2:-1:2], strict=True):
+        assert 1.0 < stop - start < 4.0
+        assert not np.any((rows.time > start + 0.1) & (rows.time < stop - 0.1))
+    for start, stop in zip(ends[::2], ends[1::2], strict=True):
+        assert np.sum((rows.time > start - 0.1) & (rows.time < stop + 0.1)) > 30
     bench = load_bench(robot_file("sliding700"))
     motion = bench.move(bench.shape("S"), bench.flaws, 0)
     true = motion.at(rows.arclength, rows.time).pose[:, :3, 3]
     off = np.linalg.norm(rows.values[:, :3, 3] - true, axis=1)
-    assert np.median(off[rows.time > stop]) < 2.0 * np.median(off[rows.time < start]) < 4e-3
+    after, before = off[rows.time > ends[4]], off[rows.time < ends[1]]
+    assert np.median(after) < 2.0 * np.median(before) < 4e-3
 
 
 @pytest.mark.slow

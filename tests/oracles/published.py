@@ -109,17 +109,23 @@ class Axis:
         change = b.velocity - a.velocity + self.along_s * apply(ad(flow), a.velocity)
         return np.hstack([between(a.pose, b.pose) - flow, b.strain - a.strain, change])
 
-    def covariance(self, a: State, h: Array | float) -> Array:
+    def covariance(self, a: State | None, h: Array | float) -> Array:
         """Noise through I + h shift: Q_t of (4), or Q_s of (3), where W copies row 1 to row 3."""
         h, s, c = np.atleast_1d(h)[:, None, None], self.shift, self.noise
         q = h * c + h**2 / 2 * (s @ c + c @ s.T) + h**3 / 3 * s @ c @ s.T
+        if not self.along_s:
+            return q
         copy = np.eye(DOF) + np.pad(ad(a.velocity), ((0, 0), (12, 0), (0, 12)))
-        return copy @ q @ copy.swapaxes(1, 2) if self.along_s else q
+        return copy @ q @ copy.swapaxes(1, 2)
 
-    def interpolate(self, a: State, b: State, u: Array) -> State:
+    def gain(self, a: State | None, u: Array) -> Array:
+        """The Psi of (10), which along t does not depend on the state."""
+        onward = np.eye(DOF) + (self.h - u)[:, None, None] * self.shift.T
+        return self.covariance(a, u) @ onward @ np.linalg.inv(self.covariance(a, self.h))
+
+    def interpolate(self, a: State, b: State, u: Array, psi: Array | None = None) -> State:
         """(10): g(u) = Phi(u) g_0 + Psi (g_1 - Phi(h) g_0)."""
-        psi = self.covariance(a, u) @ (np.eye(DOF) + (self.h - u)[:, None, None] * self.shift.T)
-        psi = psi @ np.linalg.inv(self.covariance(a, self.h))
+        psi = self.gain(a, u) if psi is None else psi
         to = right_jacobian_inverse(xi := between(a.pose, b.pose))
         g0 = np.hstack([0 * xi, a.strain, a.velocity])
         g1 = np.hstack([xi, apply(to, b.strain), apply(to, b.velocity)])
@@ -196,8 +202,8 @@ def factors_of(streams: list[Stream], s: Array, t: Array, axes: list[Axis], c: S
     def base(a: State) -> Array:
         return np.hstack([between(np.eye(4), a.pose), a.strain - REST_STRAIN, a.velocity])
 
-    def reading(measured: Array, gyro: bool, u: Array, a: State, b: State) -> Array:
-        at = axes[1].interpolate(a, b, u)
+    def reading(measured: Array, gyro: bool, u: Array, psi: Array, a: State, b: State) -> Array:
+        at = axes[1].interpolate(a, b, u, psi)
         return at.velocity[:, 3:] - measured if gyro else between(se3_exp(measured), at.pose)
 
     ids = np.arange(len(t) * len(s)).reshape(len(t), len(s))
@@ -209,7 +215,8 @@ def factors_of(streams: list[Stream], s: Array, t: Array, axes: list[Axis], c: S
         k = np.clip(np.searchsorted(t, time[keep], "right") - 1, 0, len(t) - 2)
         i = ids[k, np.flatnonzero(np.isclose(s, place[0]))[0]]
         r = np.diag(np.repeat(c.r_gyro if gyro else c.r_pose, 3))
-        error = partial(reading, values[keep], gyro, time[keep] - t[k])
+        u = time[keep] - t[k]
+        error = partial(reading, values[keep], gyro, u, axes[1].gain(None, u))
         out.append(([i, i + len(s)], error, lambda _, r=r: r))
     return out
 

@@ -26,6 +26,14 @@ def test_the_root_holds_little_but_packages():
     assert names == {"__init__.py", "__main__.py", "errors.py"}
 
 
+def test_what_keeps_time_stands_where_make_test_looks_for_it():
+    """Tests marked `alone` are collected from tests/hardware only."""
+    tests = Path(__file__).parents[1]
+    marked = {path for path in tests.rglob("test_*.py") if "mark" + ".alone" in path.read_text()}
+    assert marked
+    assert all(tests / "hardware" in path.parents for path in marked)
+
+
 @pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(SOURCE)))
 def test_the_package_is_imported_at_the_top_of_files_only(path):
     """A function that imports a room could go round the contract of layers."""

@@ -1,8 +1,9 @@
-"""A rig's slide goes where a zone becomes known best, planned while the session estimates."""
+"""A simulated rig is estimated while its slide moves, also where a plan of its own leads."""
 
 import numpy as np
 import pytest
 
+from glissando.cli.main import main
 from glissando.errors import DeviceError
 from glissando.hardware.capture import Coil, Rig, simulated_rig
 from glissando.hardware.drivers import GcodeStage
@@ -44,6 +45,22 @@ def test_a_replanned_slide_brings_its_coil_into_the_zone_within_the_stages_limit
     moved, passed = np.abs(np.diff(rows.arclength)), np.diff(rows.time)
     assert np.all(moved < 2e-3 + 1.2 * rig.stage.speed * passed)
     assert rows.arclength.min() > 0.7 - rig.stage.stroke[1] - 1e-3
+
+
+@pytest.mark.slow
+@pytest.mark.alone
+def test_a_simulated_rig_is_estimated_while_its_slide_moves(tmp_path, capsys):
+    log, newest = tmp_path / "log", tmp_path / "newest.csv"
+    slide = ["--slide", "oscillate", "--cycles", "1", "--stroke", "0.02"]
+    options = ["--journal", str(log), "--sink", f"csv:{newest}", "--points", "2"]
+    assert main(["live", "--source", "simulate", *slide, *options]) == 0
+    assert "updates" in capsys.readouterr().out
+    rows = load_recording(log).streams["coil"].rows
+    assert rows.arclength.max() == pytest.approx(0.70, abs=1e-3)
+    assert rows.arclength.min() == pytest.approx(0.68, abs=1e-3)
+    assert rows.time.size > 40
+    table = np.loadtxt(newest, delimiter=",", skiprows=1)
+    assert np.linalg.norm(table[1::2, 2:5], axis=1).min() > 0.3  # the tip of an S of 0.7 m
 
 
 @pytest.mark.slow
