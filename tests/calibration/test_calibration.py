@@ -104,6 +104,7 @@ def test_tracker_readings_that_contradict_all_others_are_left_out_and_counted():
     assert abs(made.rig.minus(rigs.at_epoch(known, made.rig.epoch))[ZERO]) < 5e-4
 
 
+@pytest.mark.slow
 def test_without_a_slide_the_zero_is_where_the_coil_is():
     data, known = rigs.drawn(0, sliding="none", direction=1)
     data = replace(data, slide_time=np.zeros(0), travel=np.zeros(0), coil_arclength=0.66)

@@ -29,6 +29,7 @@ def small_model():
     return CoilModel(data.thinned(12), shape, factor(shape.system)), known
 
 
+@pytest.mark.slow
 def test_slopes_of_the_coil_by_the_rig_are_right():
     model, known = small_model()
     said = se3.inverse(known.T_wt) @ model.states(*model.points(known)).pose @ known.coil_mount
@@ -101,6 +102,7 @@ def test_bunches_are_of_readings_that_follow_each_other_closely():
     assert data.at(np.arange(0, 400, 5)).bunch == 1
 
 
+@pytest.mark.slow
 def test_joint_errors_of_the_shape_are_those_of_the_dense_inverse():
     data, _ = rigs.drawn(0)
     short = {n: replace(b, time=b.time[:30], poses=b.poses[:30]) for n, b in data.bodies.items()}

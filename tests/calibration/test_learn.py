@@ -73,6 +73,7 @@ def of_label(document, word):
     return [p for p in learnable(document, ["pose"]) if word in p.label]
 
 
+@pytest.mark.slow
 def test_evidence_finds_the_noise_of_the_readings():
     document = start(noise=3.0)
     numbers = of_label(document, "pose noise")
@@ -178,6 +179,7 @@ def run(*arguments):
 WINDOW = ["--window", 0, 1]
 
 
+@pytest.mark.slow
 def test_what_was_learned_is_a_robot_file_that_estimate_takes(recording, tmp_path, capsys):
     out = tmp_path / "learned.toml"
     more = ["--truth", "truth2,truth4", "--calibrate", "--hold-out", "truth3", "--json"]

@@ -51,6 +51,7 @@ def _session(seed, *, missed=0.0):
     return data, np.array([lead, play, clock[0]])
 
 
+@pytest.mark.slow
 def test_lead_play_and_delay_are_off_as_far_as_stated():
     nees, off = 0.0, []
     for seed in SEEDS:

@@ -66,6 +66,7 @@ def test_a_reading_that_is_far_off_is_named_and_every_command_goes_on(
     assert replayed["newest"]["overall"]["position_rmse"] < 3e-3
 
 
+@pytest.mark.slow
 def test_an_estimate_starts_from_an_earlier_one_and_says_how_to_go_on(recording, tmp_path, capsys):
     out = tmp_path / "out"
     assert run("estimate", recording, "--window", 0, 1, "--max-iterations", 1) == 1

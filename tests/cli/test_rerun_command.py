@@ -98,7 +98,10 @@ def test_a_rerun_names_the_input_that_changed_and_what_it_changed(estimated, tmp
     [
         ("replay {rec} --out {out}", "replay.json"),
         ("check {rec} --level 0.5 --block 0.05 --store-tube {out}.toml --out {out}", "check.json"),
-        ("plan --robot sliding700 --zone 0.3:0.5 --horizon 1 --out {out}", "plan.json"),
+        pytest.param(
+            "plan --robot sliding700 --zone 0.3:0.5 --horizon 1 --out {out}", "plan.json",
+            marks=pytest.mark.slow,
+        ),
         pytest.param(
             "design --robot sliding700 --zone 0.3:0.5 --horizon 1 --strokes 0.06 --out {out}",
             "design.json", marks=pytest.mark.slow,

@@ -72,6 +72,7 @@ def test_a_stream_with_a_robust_loss_keeps_its_readings():
     assert estimate(PRIOR, GRID, [base, coil, wrong]).solve.refused == {}
 
 
+@pytest.mark.slow
 def test_a_coil_in_millimetres_ends_in_a_sentence_or_a_warning_not_in_a_traceback():
     base, coil, gyro = sliding_scene()[2]
     values = coil.values.copy()

@@ -37,6 +37,7 @@ def millimetres(row):
     return [*row[:2], *(1e3 * x for x in row[2:5]), *row[5:]]
 
 
+@pytest.mark.slow
 def test_the_command_line_refuses_names_the_cause_and_obeys(folder, tmp_path, capsys):
     wrong = edited(folder, tmp_path, millimetres)
     for command in ("estimate", "check"):

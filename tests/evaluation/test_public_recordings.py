@@ -91,6 +91,7 @@ def test_the_command_prints_one_json_object(spacetime, capsys):
     assert len(printed["sites"]) == 4
 
 
+@pytest.mark.slow
 def test_online_the_extensible_rod_is_found_at_once_and_followed(spacetime):
     """The published window does not converge on this recording."""
     recording = load_recording(spacetime / "extensible")

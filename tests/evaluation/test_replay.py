@@ -71,6 +71,7 @@ def some_readings(rng, kind, count):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 @law
 @given(generators)
 def test_a_journal_gives_back_what_was_written_sorted_by_time(rng):
@@ -224,6 +225,7 @@ replay(recording, recording.robot, journal=Path(sys.argv[2]), watch=watch)
 """
 
 
+@pytest.mark.slow
 def test_killed_in_mid_run_it_has_everything_on_disk_and_goes_on_from_there(recorded, tmp_path):
     log = tmp_path / "live" / "log"
     log.parent.mkdir()

@@ -114,6 +114,7 @@ def test_a_prior_scaled_by_a_factor_has_so_many_times_its_deviations():
     assert wide.time_scale == prior.time_scale
 
 
+@pytest.mark.slow
 def test_the_command_writes_verdict_and_figure_and_says_what_it_lacks(tmp_path, capsys):
     out = tmp_path / "ranks"
     words = ["check", "--draws", "20", "--robot", str(ROBOT), "--json", "--out", str(out)]

@@ -150,6 +150,7 @@ def test_a_scene_with_inertia_swings_past_its_static_shapes():
     assert 0.02 < np.linalg.norm(tip[1] - tip[0]) < 0.5
 
 
+@pytest.mark.slow
 def test_the_same_seeds_give_the_same_numbers_on_all_cores_as_in_a_plain_loop():
     scene = Scene("C", "hold", 1.0)
     together = run_plan([(scene, 4), (scene, 6)])[scene]

@@ -149,6 +149,7 @@ def opened(study, folder, resume=True):
     return Store(study, folder / "out", resume=resume)
 
 
+@pytest.mark.slow
 @law
 @given(generators)
 def test_the_table_does_not_depend_on_order_batches_or_interruptions(tmp_path_factory, rng):

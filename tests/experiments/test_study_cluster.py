@@ -160,6 +160,7 @@ def test_a_worker_that_dies_costs_its_cell_alone(tmp_path, monkeypatch):
     assert seen == [(1, 1), (2, 2), (3, 3)]
 
 
+@pytest.mark.slow
 def test_what_is_done_is_kept_when_interrupted(tmp_path):
     study = load_study(write_study(tmp_path, "", seeds=40))
     store = Store(study, tmp_path / "out", resume=False)
@@ -192,6 +193,7 @@ def test_a_cluster_without_workers_and_one_of_another_version_are_refused(monkey
         pass
 
 
+@pytest.mark.slow
 def test_no_process_is_left_behind(tmp_path):
     with cluster(None, 2) as client:
         pids = client.run(os.getpid).values()
@@ -199,6 +201,7 @@ def test_no_process_is_left_behind(tmp_path):
         eventually(lambda pid=pid: not Path(f"/proc/{pid}").exists())
 
 
+@pytest.mark.slow
 def test_nobody_else_has_a_local_cluster_run_anything():
     with cluster(None, 1) as client:
         (worker,) = client.nthreads()

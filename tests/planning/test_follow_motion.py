@@ -47,6 +47,7 @@ def followed(seed, corrects):
     return out, follower, true
 
 
+@pytest.mark.slow
 def test_readings_bring_the_robot_back_to_its_plan():
     gained = []
     for seed in range(4):

@@ -100,6 +100,7 @@ def test_the_variance_foretold_is_what_the_estimator_says():
     assert problem.variance(share) == pytest.approx(said, rel=0.05)
 
 
+@pytest.mark.slow
 def test_more_money_and_more_candidates_never_harm():
     zones = [Zone((0.0, 0.7))]
     coils = candidates_of(ROBOT, "coil", 1.0, count=5)

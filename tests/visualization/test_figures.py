@@ -86,6 +86,7 @@ def test_the_ending_of_a_file_chooses_its_format(tmp_path, ending, begins):
         save_figure(Figure(), tmp_path / "a.bmp")
 
 
+@pytest.mark.slow
 def test_the_command_draws_what_is_asked_for(scene, tmp_path, capsys):
     save_posterior(scene[0], tmp_path / "posterior.nc")
     call = ["figure", "confidence", str(tmp_path), "--out", str(tmp_path / "c.svg")]

@@ -265,6 +265,7 @@ def test_a_narrow_screen_scrolls_down_never_sideways(browser, file):
         assert page.locator("#play").bounding_box()["y"] < 640  # reached without scrolling
 
 
+@pytest.mark.slow
 def test_without_webgl_the_page_says_so_and_still_tells_its_numbers(browser, file):
     script = (
         "const own = HTMLCanvasElement.prototype.getContext;"
