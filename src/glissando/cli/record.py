@@ -28,7 +28,7 @@ from glissando.hardware.capture import (
     write_recording,
 )
 from glissando.hardware.capture.online import OnMessage, live_estimate
-from glissando.hardware.drivers import Stroke
+from glissando.hardware.drivers import PositionStage
 from glissando.io.atomic_file import write_text
 from glissando.io.atomic_folder import require_new
 from glissando.io.session_log import read_session
@@ -161,7 +161,7 @@ def slide_path(
     return read_slide(Path(options.slide), limits, drawn_out)
 
 
-def _limits(stage: Stroke) -> SlideLimits:
+def _limits(stage: PositionStage) -> SlideLimits:
     return SlideLimits(stage.stroke[1], stage.speed, stage.acceleration)
 
 

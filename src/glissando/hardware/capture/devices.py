@@ -10,11 +10,11 @@ from glissando.hardware.drivers import (
     GcodeSlide,
     GcodeStage,
     LinearStage,
+    PositionStage,
     RemoteSlide,
     RemoteStage,
     Slide,
     Stage,
-    Stroke,
     Tracker,
 )
 from glissando.hardware.openigtlink.stage import IgtlStagePeer
@@ -33,7 +33,7 @@ def opened_tracker(rig: Rig, address: str) -> AbstractContextManager[Tracker]:
     return remote_tracker(address, rig.baud)
 
 
-def opened_stage(address: str, stage: Stroke) -> LinearStage:
+def opened_stage(address: str, stage: PositionStage) -> LinearStage:
     """The driver for a stage with these settings."""
     if isinstance(stage, GcodeStage):
         return GcodeSlide(address, stage)

@@ -11,8 +11,8 @@ import numpy as np
 from glissando.errors import DeviceError
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
-from glissando.hardware.drivers import GcodeStage, RemoteStage, Stage, Stroke
-from glissando.hardware.drivers.stage import optional_number
+from glissando.hardware.drivers import GcodeStage, PositionStage, RemoteStage, Stage
+from glissando.hardware.drivers.position_stage import optional_number
 from glissando.io.plain_file import file_stem
 from glissando.io.robot_file import load_robot
 from glissando.io.shipped_robots import beside, robot_file, shipped_robots
@@ -73,7 +73,7 @@ class FurtherStage:
 
     name: str
     address: str
-    stage: Stroke
+    stage: PositionStage
     standing: float | None = None
 
 
@@ -116,7 +116,7 @@ class Rig:
     tracker: str | None = None
     coils: tuple[Coil, ...] = ()
     slide: str | None = None
-    stage: Stroke | None = None
+    stage: PositionStage | None = None
     standing: float | None = None
     mocap: int | None = None
     bodies: tuple[Body, ...] = ()
@@ -227,7 +227,11 @@ def _coils(table: Table, length: float) -> tuple[Coil, ...]:
 def _slide(table: Table) -> dict[str, Any]:
     address = table.text("address")
     standing = optional_number(table, "standing")
-    kinds: dict[str, type[Stroke]] = {"dynamixel": Stage, "grbl": GcodeStage, "remote": RemoteStage}
+    kinds: dict[str, type[PositionStage]] = {
+        "dynamixel": Stage,
+        "grbl": GcodeStage,
+        "remote": RemoteStage,
+    }
     usual = "remote" if is_remote(address) else "dynamixel"
     protocol = table.text("protocol", usual, choices=tuple(kinds))
     if (protocol == "remote") != is_remote(address):

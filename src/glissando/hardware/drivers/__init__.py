@@ -4,12 +4,13 @@ from glissando.hardware.drivers.aurora import Aurora
 from glissando.hardware.drivers.gcode import GcodeSlide
 from glissando.hardware.drivers.gcode_stage import GcodeStage
 from glissando.hardware.drivers.interfaces import LinearStage, SlideReading, Tracker
+from glissando.hardware.drivers.position_stage import PositionStage
 from glissando.hardware.drivers.remote_stage import RemoteSlide, RemoteStage
 from glissando.hardware.drivers.slide import Slide
-from glissando.hardware.drivers.stage import Stage, Stroke
+from glissando.hardware.drivers.stage import Stage
 from glissando.hardware.drivers.vicon import ViconFrame, ViconStream
 
 __all__ = [
-    "Aurora", "GcodeSlide", "GcodeStage", "LinearStage", "RemoteSlide", "RemoteStage", "Slide",
-    "SlideReading", "Stage", "Stroke", "Tracker", "ViconFrame", "ViconStream",
+    "Aurora", "GcodeSlide", "GcodeStage", "LinearStage", "PositionStage", "RemoteSlide",
+    "RemoteStage", "Slide", "SlideReading", "Stage", "Tracker", "ViconFrame", "ViconStream",
 ]  # fmt: skip

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from glissando.errors import DeviceError
 from glissando.hardware.drivers.interfaces import SlideReading
-from glissando.hardware.drivers.stage import Stroke
+from glissando.hardware.drivers.position_stage import PositionStage
 
 _MM = 1e3
 _ATTEMPTS = 4
@@ -46,7 +46,7 @@ class PositionSlide:
     rate = 20.0  # Hz, of goals and readings
     least = 2e-6  # m: shorter steps are not sent
 
-    def __init__(self, stage: Stroke) -> None:
+    def __init__(self, stage: PositionStage) -> None:
         self.stage = stage
         self.counts: Counter[str] = Counter()
         self._zero: float | None = None  # the device's position at travel zero, m

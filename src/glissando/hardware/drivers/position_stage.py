@@ -1,4 +1,4 @@
-"""A stage that is sent positions: its limits, whatever speaks with it."""
+"""What every stage states: its stroke, its limits, and paths inside them."""
 
 from __future__ import annotations
 
@@ -6,23 +6,24 @@ import math
 from dataclasses import dataclass
 from typing import Any, Self
 
-from glissando.errors import DeviceError
-from glissando.hardware.drivers.stage import Stroke, optional_number
-from glissando.io.toml_table import Table
+import numpy as np
+from numpy.typing import ArrayLike
 
-_MM = 1e3
+from glissando.errors import DeviceError
+from glissando.geometry.se3 import Array
+from glissando.io.toml_table import Table
 
 
 @dataclass(frozen=True)
-class PositionStage(Stroke):
-    """Limits of a stage that is sent positions.
+class PositionStage:
+    """Limits of a stage.
 
     Attributes:
         stroke: Travels (low, high) that a command may ask for, m.
         direction: 1 if travel grows with the stage's own position, else −1.
         home: Travel after the stage has homed itself, if it does, m.
         speed: Largest speed that is commanded, m/s.
-        acceleration: Largest acceleration that a path may ask for, m/s².
+        acceleration: Largest acceleration that is commanded or that a path may ask for, m/s².
         lag: Distance from its path at which the stage is stopped, m.
 
     Raises:
@@ -39,12 +40,16 @@ class PositionStage(Stroke):
     def __post_init__(self) -> None:
         low, high = self.stroke
         positive = self.speed, self.acceleration, self.lag
-        if not all(map(math.isfinite, (low, high, *positive))) or not low < high:
-            raise DeviceError(f"A stroke from {low:g} to {high:g} m cannot be; give low, high.")
-        if min(positive) <= 0.0 or self.direction not in (1, -1):
+        if not all(map(math.isfinite, (low, high, *positive))):
+            raise DeviceError(f"{self} holds a value that is no number; correct it.")
+        if not low < high:
             raise DeviceError(
-                f"{self} cannot be; give speed, acceleration and lag above zero, direction 1 or -1."
+                f"A stroke from {low:g} to {high:g} m cannot be; give a lower and a higher end."
             )
+        if self.direction not in (1, -1):
+            raise DeviceError(f"A direction of {self.direction:g} cannot be; give 1 or -1.")
+        if min(positive) <= 0.0:
+            raise DeviceError(f"{self} cannot be; give speed, acceleration and lag above zero.")
         if high - low > 5.0 or self.speed > 5.0:
             raise DeviceError(
                 f"A stroke of {high - low:g} m at {self.speed:g} m/s is no stage of a laboratory; "
@@ -76,6 +81,49 @@ class PositionStage(Stroke):
         """Raise DeviceError unless the stage allows a speed in m/s."""
         if not 0.0 < speed <= self.speed * (1.0 + 1e-6):
             raise DeviceError(
-                f"{_MM * speed:.4g} mm/s is asked for; this stage allows {_MM * self.speed:g} "
+                f"{1e3 * speed:.4g} mm/s is asked for; this stage allows {1e3 * self.speed:g} "
                 f"mm/s. Ask for less, or raise its `speed`."
             )
+
+    def require_inside(self, travel: float) -> None:
+        """Raise DeviceError unless a travel lies within the stroke."""
+        low, high = self.stroke
+        if not low - 1e-9 <= travel <= high + 1e-9:
+            raise DeviceError(
+                f"A travel of {1e3 * travel:.4g} mm lies outside the stroke from {1e3 * low:g} to "
+                f"{1e3 * high:g} mm; stay inside, or widen the stroke if the stage allows it."
+            )
+
+    def path(self, time: ArrayLike, travel: ArrayLike) -> tuple[Array, Array]:
+        """A path as arrays, its times from zero.
+
+        Args:
+            time: Times (K,), s.
+            travel: Travels (K,) at these times, m.
+
+        Raises:
+            DeviceError: Shapes differ, times do not increase, or the path leaves the stroke or is
+                too fast.
+        """
+        times, places = np.asarray(time, dtype=float), np.asarray(travel, dtype=float)
+        if times.ndim != 1 or times.size < 2 or times.shape != places.shape:
+            raise DeviceError(
+                f"A path of times {times.shape} and travels {places.shape} cannot be; give two or "
+                f"more of each."
+            )
+        if not np.all(np.isfinite([times, places])) or np.any(np.diff(times) <= 0.0):
+            raise DeviceError("The times of a path must increase, and all its numbers be finite.")
+        for place in (places.min(), places.max()):
+            self.require_inside(float(place))
+        speed = float(np.abs(np.diff(places) / np.diff(times)).max())
+        if speed > 0.0:
+            self.require_allowed(speed)
+        return times - times[0], places
+
+
+def optional_number(table: Table, key: str) -> float | None:
+    """A finite number of either sign, or None where the key is absent."""
+    if table.peek(key) is None:
+        table.skip(key)
+        return None
+    return table.number(key, positive=False)

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from glissando.errors import DeviceError
-from glissando.geometry.se3 import Array
+from glissando.hardware.drivers.position_stage import PositionStage
 from glissando.io.toml_table import Table, read_toml
 
 TICKS = 4096  # a revolution
@@ -22,74 +21,16 @@ _MOST_ACCELERATION = 32767
 _MOST_TICKS = 1_000_000  # of the servo's ±1,048,575 in extended position mode
 
 
-class Stroke:
-    """What every stage states, and checks before it moves: its stroke, and its speed on a path."""
-
-    stroke: tuple[float, float]
-    direction: float
-    home: float | None
-    speed: float
-    acceleration: float
-    lag: float
-
-    @classmethod
-    def from_table(cls, table: Table) -> Self:
-        """The stage of a TOML table with the names of this class. Raises DeviceError."""
-        raise NotImplementedError
-
-    def require_allowed(self, speed: float) -> None:
-        """Raise DeviceError unless the stage allows a speed in m/s."""
-        raise NotImplementedError
-
-    def require_inside(self, travel: float) -> None:
-        """Raise DeviceError unless a travel lies within the stroke."""
-        low, high = self.stroke
-        if not low - 1e-9 <= travel <= high + 1e-9:
-            raise DeviceError(
-                f"A travel of {1e3 * travel:.4g} mm lies outside the stroke from {1e3 * low:g} to "
-                f"{1e3 * high:g} mm; stay inside, or widen the stroke if the stage allows it."
-            )
-
-    def path(self, time: ArrayLike, travel: ArrayLike) -> tuple[Array, Array]:
-        """A path as arrays, its times from zero.
-
-        Args:
-            time: Times (K,), s.
-            travel: Travels (K,) at these times, m.
-
-        Raises:
-            DeviceError: Shapes differ, times do not increase, or the path leaves the stroke or is
-                too fast.
-        """
-        times, places = np.asarray(time, dtype=float), np.asarray(travel, dtype=float)
-        if times.ndim != 1 or times.size < 2 or times.shape != places.shape:
-            raise DeviceError(
-                f"A path of times {times.shape} and travels {places.shape} cannot be; give two or "
-                f"more of each."
-            )
-        if not np.all(np.isfinite([times, places])) or np.any(np.diff(times) <= 0.0):
-            raise DeviceError("The times of a path must increase, and all its numbers be finite.")
-        for place in (places.min(), places.max()):
-            self.require_inside(float(place))
-        speed = float(np.abs(np.diff(places) / np.diff(times)).max())
-        if speed > 0.0:
-            self.require_allowed(speed)
-        return times - times[0], places
-
-
 @dataclass(frozen=True)
-class Stage(Stroke):
+class Stage(PositionStage):
     """A carriage on a lead screw that an XL430-W250 turns.
+
+    Its `direction` is 1 if travel grows while the servo turns counter-clockwise; its `home` is the
+    travel at a mechanical stop outside the stroke.
 
     Attributes:
         lead: Travel a revolution, m.
-        stroke: Travels (low, high) that a command may ask for, m.
-        direction: 1 if travel grows while the servo turns counter-clockwise, else −1.
-        home: Travel at a mechanical stop outside the stroke, if there is one, m.
-        speed: Largest speed that is commanded, m/s.
-        acceleration: Largest acceleration that is commanded, m/s².
         hold: Whether the torque stays on at the end.
-        lag: Distance from its path at which the stage is stopped, m.
         watchdog: Silence after which a moving servo stops by itself, s.
         id: The servo's address on its bus.
         baud: Rate of its serial line.
@@ -103,32 +44,23 @@ class Stage(Stroke):
     does 60.7 rpm, 2.02 mm/s. Ask for less, or fit a screw of at least 23.7 mm lead.
     """
 
-    lead: float
-    stroke: tuple[float, float]
-    direction: float = 1
-    home: float | None = None
-    speed: float = 0.024
-    acceleration: float = 0.1
+    lead: float = field(kw_only=True)
     hold: bool = False
-    lag: float = 0.005
     watchdog: float = 0.2
     id: int = 1
     baud: int = 57600
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         low, high = self.stroke
-        numbers = (self.lead, low, high, self.speed, self.acceleration, self.lag, self.watchdog)
-        if not all(map(math.isfinite, numbers)):
-            raise DeviceError(f"{self} holds a value that is no number; correct it.")
-        if self.lead <= 0.0 or self.direction not in (1, -1):
+        if not 0.0 < self.lead < math.inf:
             raise DeviceError(
-                f"A lead of {self.lead:g} m and a direction of {self.direction:g} cannot be; give "
-                f"metres a revolution above zero, and 1 or -1."
+                f"A lead of {self.lead:g} m cannot be; give metres a revolution above zero."
             )
-        if not low < high or (high - low) / self.lead * TICKS > _MOST_TICKS:
+        if (high - low) / self.lead * TICKS > _MOST_TICKS:
             raise DeviceError(
-                f"A stroke from {low:g} to {high:g} m cannot be; give a lower and a higher end, in "
-                f"all at most {_MOST_TICKS // TICKS} revolutions."
+                f"A stroke from {low:g} to {high:g} m cannot be; give at most "
+                f"{_MOST_TICKS // TICKS} revolutions."
             )
         if self.home is not None and not (self.home <= low or self.home >= high):
             raise DeviceError(
@@ -137,11 +69,8 @@ class Stage(Stroke):
             )
         if not 0 <= self.id <= 252:
             raise DeviceError(f"A servo with id {self.id} cannot be; give 0 to 252.")
-        if not (0.02 <= self.watchdog <= 2.54 and self.lag > 0.0):
-            raise DeviceError(
-                f"A watchdog of {self.watchdog:g} s and a lag of {self.lag:g} m cannot be; give "
-                f"0.02 to 2.54 s, and metres above zero."
-            )
+        if not 0.02 <= self.watchdog <= 2.54:
+            raise DeviceError(f"A watchdog of {self.watchdog:g} s cannot be; give 0.02 to 2.54 s.")
         self.require_speed(self.speed)
         self.require_acceleration(self.acceleration)
 
@@ -153,24 +82,14 @@ class Stage(Stroke):
         return cls.from_table(table)
 
     @classmethod
-    def from_table(cls, table: Table) -> Self:
-        """The stage of a TOML table with the names of this class. Raises DeviceError."""
-        low, high = table.vector("stroke", 2)
-        stage = cls(
-            lead=table.number("lead"),
-            stroke=(float(low), float(high)),
-            direction=table.number("direction", 1, positive=False),
-            home=optional_number(table, "home"),
-            speed=table.number("speed", cls.speed),
-            acceleration=table.number("acceleration", cls.acceleration),
-            hold=table.flag("hold"),
-            lag=table.number("lag", cls.lag),
-            watchdog=table.number("watchdog", cls.watchdog),
-            id=int(table.number("id", cls.id, positive=False)),
-            baud=int(table.number("baud", cls.baud)),
-        )
-        table.close()
-        return stage
+    def _own(cls, table: Table) -> dict[str, Any]:
+        return {
+            "lead": table.number("lead"),
+            "hold": table.flag("hold"),
+            "watchdog": table.number("watchdog", cls.watchdog),
+            "id": int(table.number("id", cls.id, positive=False)),
+            "baud": int(table.number("baud", cls.baud)),
+        }
 
     def require_speed(self, speed: float) -> None:
         """Raise DeviceError unless a speed is above zero and the servo can turn as fast."""
@@ -197,11 +116,7 @@ class Stage(Stroke):
     def require_allowed(self, speed: float) -> None:
         """Raise DeviceError unless the servo reaches a speed and the stage allows it."""
         self.require_speed(speed)
-        if speed > self.speed * (1.0 + 1e-6):
-            raise DeviceError(
-                f"{1e3 * speed:.4g} mm/s is asked for; this stage allows {1e3 * self.speed:g} "
-                f"mm/s. Ask for less, or raise its `speed`."
-            )
+        super().require_allowed(speed)
 
     def ticks(self, travel: float) -> float:
         """The ticks, signed, of a travel in metres."""
@@ -228,11 +143,3 @@ class Stage(Stroke):
         """Seconds from rest to rest over `way` m, by a trapezoid or a triangle."""
         way, top = abs(way), min(speed, math.sqrt(abs(way) * acceleration))
         return way / top + top / acceleration if way else 0.0
-
-
-def optional_number(table: Table, key: str) -> float | None:
-    """A finite number of either sign, or None where the key is absent."""
-    if table.peek(key) is None:
-        table.skip(key)
-        return None
-    return table.number(key, positive=False)
