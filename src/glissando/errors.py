@@ -49,10 +49,6 @@ class NotConvergedWarning(UserWarning):
     """The estimate stopped before its step became small: do not trust it."""
 
 
-class ImplausibleWarning(UserWarning):
-    """Readings are hardly what they are said to be; the estimate may be nonsense."""
-
-
 class OldNameWarning(UserWarning):
     """A file names something as it was called before; it is read, and should be renamed."""
 

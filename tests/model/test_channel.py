@@ -5,11 +5,17 @@ import pytest
 
 from glissando.errors import SensorError
 from glissando.model.tendons.channel import Channel
-from glissando.model.tendons.travel import arclength_of, travel_of
+from glissando.model.tendons.travel import arclength_of, channel_lengths
 from glissando.simulation import Loads, solve_shape
 from tendon_robot import LENGTH, simulated, tendon_robot
 
 NODES = np.linspace(0.0, LENGTH, 41)
+
+
+def travel_of(channel, nodes, strain, arclength):
+    """Length of the channel from the base to arclengths of the backbone."""
+    places, _, lengths = channel_lengths(channel, nodes, strain)
+    return np.interp(arclength, places, lengths)
 
 
 @pytest.mark.parametrize("angle", [0.0, 1.0, 3.0])

@@ -15,7 +15,7 @@ from glissando.errors import SimulationError
 from glissando.hardware.simulated_devices.aurora_device import Device, Nature, Sensing
 from glissando.hardware.simulated_devices.faults import AuroraFaults, Dice, parse_faults
 from glissando.hardware.simulated_devices.scene import Scene
-from glissando.hardware.simulated_devices.serving import Serving, run_device
+from glissando.hardware.simulated_devices.serving import Serving, device_parser, run_device
 from glissando.hardware.simulated_devices.travel import Travel
 
 _HELP = """\
@@ -25,15 +25,13 @@ address as one line when ready; ends when standard input closes or at SIGTERM.
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser("aurora", description=_HELP, epilog=AuroraFaults.__doc__)
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser = device_parser("aurora", _HELP, AuroraFaults)
     add = parser.add_argument
     add("--scene", type=Path, required=True, metavar="FILE", help="NPZ with robot and coils")
     add("--tcp", type=int, metavar="PORT", help="serve TCP on this port, 0 for any")
     add("--pty", type=Path, metavar="LINK", help="serve a pseudo-terminal that this leads to")
     add("--travel", type=int, metavar="PORT", help="UDP port the slide's travel comes to")
     add("--epoch", type=float, metavar="S", help="time.monotonic() when the scene begins")
-    add("--faults", default="", metavar="NAME=NUMBER,…", help="what goes wrong, listed below")
     add("--rate", type=float, default=40.0, metavar="HZ", help="frames a second (default 40)")
     add("--wired", action="store_true", help="replies take the time of the baud rate")
     add("--firmware", default="AURORA Rev 013", metavar="TAG", help="008 ends the use of BX")

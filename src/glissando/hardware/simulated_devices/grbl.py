@@ -8,20 +8,19 @@ as datagrams of two little-endian float64: time.monotonic() in seconds and metre
 from __future__ import annotations
 
 import argparse
-import contextlib
 import re
-import socket
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 
 from glissando.hardware.simulated_devices.faults import Dice, parse_faults
-from glissando.hardware.simulated_devices.serving import Serving, run_device
-from glissando.hardware.simulated_devices.servo import _address
-from glissando.hardware.simulated_devices.travel import MESSAGE
+from glissando.hardware.simulated_devices.serving import (
+    add_axis_options,
+    device_parser,
+    run_device,
+    serve_axis,
+)
 
-_PERIOD = 0.005  # s between datagrams
 _BANNER = b"\r\nGrbl 1.1h ['$' for help]\r\n"
 _PLANNER = 15  # motions that wait at most
 _JOG = re.compile(r"\$J=(G53)?G90G21([XYZ])(-?\d+\.?\d*)F(\d+\.?\d*)")
@@ -158,14 +157,9 @@ class Grbl:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser("grbl", description=__doc__, epilog=GrblFaults.__doc__)
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser = device_parser("grbl", __doc__, GrblFaults)
+    add_axis_options(parser)
     add = parser.add_argument
-    add("--pty", type=Path, metavar="LINK", help="make this link to the pseudo-terminal")
-    there = "send true travel there, 200 Hz; may be repeated"
-    add("--travel", type=_address, action="append", default=[], metavar="HOST:PORT", help=there)
-    add("--faults", default="", metavar="NAME=NUMBER,…", help="what goes wrong, listed below")
-    add("--seed", type=int, default=0, help="of the faults")
     add("--limits", type=float, nargs=2, default=(-2.0, 62.0), help="machine positions, mm")
     add("--start", type=float, default=0.0, metavar="MM", help="machine position at the start")
     add("--locked", action="store_true", help="homing is required ($22=1): begins in alarm")
@@ -193,17 +187,7 @@ def _serve(options: argparse.Namespace) -> None:
             sent += 1
         return out
 
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
-
-        def beat(now: float) -> float:
-            travel = 1e-3 * (device.advance(now) + device.lost)
-            for listener in options.travel:
-                with contextlib.suppress(OSError):  # nobody listens yet, or any more
-                    sender.sendto(MESSAGE.pack(now, travel), listener)
-            return now + _PERIOD
-
-        serving = Serving(hear, beat=beat)
-        serving.run(serving.open_terminal(options.pty))
+    serve_axis(hear, lambda now: 1e-3 * (device.advance(now) + device.lost), options)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

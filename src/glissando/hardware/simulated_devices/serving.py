@@ -18,6 +18,9 @@ from itertools import count
 from pathlib import Path
 
 from glissando.errors import GlissandoError, SimulationError
+from glissando.hardware.simulated_devices.travel import MESSAGE
+
+_PERIOD = 0.005  # s between datagrams of an axis
 
 Hear = Callable[[bytearray, float], list[tuple[float, bytes]]]
 """Takes whole messages out of a buffer at a time; returns what to send and when, in seconds."""
@@ -137,6 +140,47 @@ class Serving:
 def _end_with_input() -> None:
     if not os.read(sys.stdin.fileno(), 4096):
         sys.exit(0)
+
+
+def device_parser(name: str, text: str | None, faults: type) -> argparse.ArgumentParser:
+    """The command line of a device, with its faults below the options."""
+    parser = argparse.ArgumentParser(
+        name, None, text, faults.__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    named = "what goes wrong, listed below"
+    parser.add_argument("--faults", default="", metavar="NAME=NUMBER,…", help=named)
+    return parser
+
+
+def add_axis_options(parser: argparse.ArgumentParser) -> None:
+    """Where an axis is opened, who hears of its travel, and the seed."""
+    add = parser.add_argument
+    add("--pty", type=Path, metavar="LINK", help="make this link to the pseudo-terminal")
+    there = "send true travel there, 200 Hz; may be repeated"
+    add("--travel", type=_address, action="append", default=[], metavar="HOST:PORT", help=there)
+    add("--seed", type=int, default=0, help="of all that is drawn")
+
+
+def _address(text: str) -> tuple[str, int]:
+    host, _, port = text.rpartition(":")
+    if not (host and port.isdigit()):
+        raise argparse.ArgumentTypeError(f"{text!r} is no HOST:PORT")
+    return host, int(port)
+
+
+def serve_axis(hear: Hear, travel: Callable[[float], float], options: argparse.Namespace) -> None:
+    """Serve an axis on a pseudo-terminal and send its true travel, m at a time, to listeners."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+
+        def beat(now: float) -> float:
+            datagram = MESSAGE.pack(now, travel(now))
+            for listener in options.travel:
+                with contextlib.suppress(OSError):  # nobody listens yet, or any more
+                    sender.sendto(datagram, listener)
+            return now + _PERIOD
+
+        serving = Serving(hear, beat=beat)
+        serving.run(serving.open_terminal(options.pty))
 
 
 def run_device(

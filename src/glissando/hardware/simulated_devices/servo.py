@@ -8,22 +8,21 @@ as datagrams of two little-endian float64: time.monotonic() in seconds and metre
 from __future__ import annotations
 
 import argparse
-import contextlib
-import socket
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from glissando.hardware.simulated_devices.faults import Dice, parse_faults
 from glissando.hardware.simulated_devices.screw import TICKS, Screw
-from glissando.hardware.simulated_devices.serving import Serving, run_device
-from glissando.hardware.simulated_devices.travel import MESSAGE
+from glissando.hardware.simulated_devices.serving import (
+    add_axis_options,
+    device_parser,
+    run_device,
+    serve_axis,
+)
 from glissando.hardware.simulated_devices.xl430 import OVERLOAD, TICK_WRAP, Xl430
-
-_PERIOD = 0.005  # s between datagrams
 
 
 @dataclass(frozen=True)
@@ -86,22 +85,10 @@ class Line:
         return self._last, packet
 
 
-def _address(text: str) -> tuple[str, int]:
-    host, _, port = text.rpartition(":")
-    if not (host and port.isdigit()):
-        raise argparse.ArgumentTypeError(f"{text!r} is no HOST:PORT")
-    return host, int(port)
-
-
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser("servo", description=__doc__, epilog=ServoFaults.__doc__)
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser = device_parser("servo", __doc__, ServoFaults)
+    add_axis_options(parser)
     add = parser.add_argument
-    add("--pty", type=Path, metavar="LINK", help="make this link to the pseudo-terminal")
-    there = "send true travel there, 200 Hz; may be repeated"
-    add("--travel", type=_address, action="append", default=[], metavar="HOST:PORT", help=there)
-    add("--faults", default="", metavar="NAME=NUMBER,…", help="what goes wrong, listed below")
-    add("--seed", type=int, default=0, help="of the faults, the angle and the clock at the start")
     add("--lead", type=float, default=0.0254, help="m a revolution")
     add("--direction", type=int, default=1, choices=(1, -1))
     add("--backlash", type=float, default=0.1e-3, help="m of play in the nut")
@@ -120,17 +107,7 @@ def _serve(options: argparse.Namespace) -> None:
     tick = int(random.integers(TICK_WRAP))
     servo = Xl430(screw, now=time.monotonic(), clock=options.clock, tick=tick)
     line = Line(servo, parse_faults(ServoFaults, options.faults), options.seed)
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
-
-        def beat(now: float) -> float:
-            travel = servo.advance(now)
-            for listener in options.travel:
-                with contextlib.suppress(OSError):  # nobody listens yet, or any more
-                    sender.sendto(MESSAGE.pack(now, travel), listener)
-            return now + _PERIOD
-
-        serving = Serving(line.hear, beat=beat)
-        serving.run(serving.open_terminal(options.pty))
+    serve_axis(line.hear, servo.advance, options)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -26,7 +26,7 @@ from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.hardware.simulated_devices.faults import Dice, parse_faults
 from glissando.hardware.simulated_devices.scene import Scene
-from glissando.hardware.simulated_devices.serving import Serving, run_device
+from glissando.hardware.simulated_devices.serving import Serving, device_parser, run_device
 from glissando.hardware.simulated_devices.travel import Travel
 
 NOISE_MM, NOISE_RAD = 0.15, 1.5e-3  # RMS over all directions
@@ -126,15 +126,13 @@ def _values(pose: Array) -> list[float]:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser("vicon", description=__doc__, epilog=MocapFaults.__doc__)
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser = device_parser("vicon", __doc__, MocapFaults)
     add = parser.add_argument
     add("--scene", type=Path, required=True, metavar="FILE", help="NPZ file of the robot's motion")
     add("--to", required=True, metavar="HOST:PORT", help="where the datagrams go")
     add("--bodies", required=True, metavar="NAME=S,…", help="arclengths of the bodies, m")
     add("--rate", type=float, default=100.0, metavar="HZ", help="frames a second (default 100)")
     add("--epoch", type=float, metavar="T", help="monotonic time of the scene's start (now)")
-    add("--faults", default="", metavar="NAME=CHANCE,…", help="what goes wrong, listed below")
     add("--seed", type=int, default=0, metavar="N", help="of noise and faults (default 0)")
     tube = "a body on the sliding tube, so far behind the robot's base at travel zero"
     add("--tube", metavar="NAME=M", help=tube)

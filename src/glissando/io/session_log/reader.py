@@ -75,11 +75,6 @@ class RawSession:
     complete: bool
     damaged: int
 
-    def wall_time(self, time_ns: NDArray[np.int64]) -> Array:
-        """Seconds since 1970 of monotonic log times, by both clocks at the session's start."""
-        offset = int(self.metadata["wall_ns"]) - int(self.metadata["monotonic_ns"])
-        return (np.asarray(time_ns) + offset) * np.float64(1e-9)
-
 
 def read_session(path: str | Path) -> RawSession:
     """Read a session log, whole, cut off anywhere, or with damage inside.

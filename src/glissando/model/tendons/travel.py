@@ -11,22 +11,6 @@ from glissando.model.tendons.channel import Channel
 _STEPS = 8  # parts that an interval between nodes is divided into
 
 
-def travel_of(channel: Channel, nodes: Array, strain: Array, arclength: Array) -> Array:
-    """Length of a channel (…,) from the base to arclengths (…,) of the backbone.
-
-    Args:
-        channel: The channel.
-        nodes: Arclengths (N,) where strain is known, from 0 up, m.
-        strain: Strain there (N, 6), linear between.
-        arclength: Where on the backbone, m.
-
-    Source: (M8), dσ/ds = |ν + u × r + dr/ds|.
-    """
-    places, _, lengths = channel_lengths(channel, nodes, strain)
-    _require_inside(arclength, places, "arclength")
-    return np.interp(arclength, places, lengths)
-
-
 def arclength_of(channel: Channel, nodes: Array, strain: Array, travel: Array) -> Array:
     """Arclengths (…,) of the backbone beside which a sensor is after a travel (…,) from the base.
 
@@ -42,7 +26,13 @@ def arclength_of(channel: Channel, nodes: Array, strain: Array, travel: Array) -
     Source: (M8).
     """
     places, _, lengths = channel_lengths(channel, nodes, strain)
-    _require_inside(travel, lengths, "travel")
+    off = np.asarray(travel)
+    off = off[(off < -1e-9) | (off > lengths[-1] + 1e-9)]
+    if off.size:
+        raise SensorError(
+            f"A travel of {off.ravel()[0]:g} m leaves the channel of {lengths[-1]:g} m; correct "
+            f"its zero, or give metres."
+        )
     return np.interp(travel, lengths, places)
 
 
@@ -69,13 +59,3 @@ def channel_lengths(channel: Channel, nodes: Array, strain: Array) -> tuple[Arra
 def hats(nodes: Array, arclength: Array) -> Array:
     """Matrix (P, N) from values at nodes (N,) to those of their line at arclengths (P,)."""
     return np.stack([np.interp(arclength, nodes, row) for row in np.eye(nodes.size)], axis=-1)
-
-
-def _require_inside(given: Array, limits: Array, name: str) -> None:
-    off = np.asarray(given)
-    off = off[(off < limits[0] - 1e-9) | (off > limits[-1] + 1e-9)]
-    if off.size:
-        raise SensorError(
-            f"A {name} of {off.ravel()[0]:g} m leaves the channel of {limits[-1]:g} m; correct its "
-            f"zero, or give metres."
-        )
