@@ -20,13 +20,12 @@ from glissando.cli.shared import (
     add_choices,
     add_command,
     estimate_watched,
-    parameter_text,
     recording_and_robot,
     require_packages,
     require_writable,
-    site_table,
     stated,
 )
+from glissando.cli.tables import parameter_text, site_table
 from glissando.errors import GlissandoError
 from glissando.estimation.contact import ContactScan
 from glissando.estimation.loads import require_mechanics

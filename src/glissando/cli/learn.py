@@ -17,7 +17,8 @@ from glissando.calibration.robot.joint_calibration import lasting, locate
 from glissando.calibration.robot.learn import Learned, learn
 from glissando.cli.learn_tendons import learn_from_tendons
 from glissando.cli.progress import working
-from glissando.cli.shared import Commands, add_command, names, parameter_text, write_robot
+from glissando.cli.shared import Commands, add_command, names, write_robot
+from glissando.cli.tables import parameter_text
 from glissando.errors import GlissandoError, RecordingError
 from glissando.evaluation.metrics import pool
 from glissando.evaluation.run import checked_window, run_estimate

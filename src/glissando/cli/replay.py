@@ -20,9 +20,9 @@ from glissando.cli.shared import (
     add_command,
     recording_and_robot,
     require_writable,
-    site_table,
     stated,
 )
+from glissando.cli.tables import site_table
 from glissando.errors import GlissandoError
 from glissando.estimation.fixed_lag import FixedLagSmoother
 from glissando.evaluation.replay import Replay, replay

@@ -190,15 +190,9 @@ def run_estimate(
         RecordingError: For an empty window, an unknown stream, or nothing to use.
         ImplausibleError: Readings cannot be what they are said to be, or the estimate broke down.
     """
-    window, span = checked_window(recording, window), recording.span()
+    window = checked_window(recording, window)
     readings, references, dropped = chosen_streams(recording, robot, window, use, truth)
-    if not readings:
-        raise RecordingError(f"{recording.name} has no stream to use; name some with --use.")
-    if sum(map(len, readings)) == 0:
-        raise RecordingError(
-            f"The window {window[0]:g} to {window[1]:g} s holds no readings; the recording runs "
-            f"from {span[0]:.3f} to {span[1]:.3f} s. Choose a window inside it."
-        )
+    _require_readings(recording, readings, window)
     findings = examine_recording(recording, robot, readings, references, window, allow)
     refuse(findings)
     readings = without_false_readings(robot, readings, dropped, {*recording.allow, *allow})
@@ -223,6 +217,19 @@ def run_estimate(
         ) from None
     findings += [f for f in after if f.name not in {*recording.allow, *allow}]
     return Run(recording, robot, window, readings, references, dropped, posterior, errors, findings)
+
+
+def _require_readings(
+    recording: Recording, readings: list[Readings], window: tuple[float, float]
+) -> None:
+    if not readings:
+        raise RecordingError(f"{recording.name} has no stream to use; name some with --use.")
+    if sum(map(len, readings)) == 0:
+        first, last = recording.span()
+        raise RecordingError(
+            f"The window {window[0]:g} to {window[1]:g} s holds no readings; the recording runs "
+            f"from {first:.3f} to {last:.3f} s. Choose a window inside it."
+        )
 
 
 def write_run(run: Run, folder: Path, **more: Any) -> list[Path]:

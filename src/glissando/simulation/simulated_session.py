@@ -120,16 +120,25 @@ def simulate_session(
     std = np.repeat(np.maximum([flaws.mocap, flaws.mocap_angle], 1e-6), 3) / np.sqrt(3.0)
     time = np.arange(0.0, lasts + 1e-9, 1.0 / TENDON_RATE)
     pulled = _tendon_rows(bench, motion, time, pull_noise) if tendons else None
-    gyros, accelerometers = {}, {}
+    inertial = _inertial(bench, motion, lasts, flaws, seed)
+    inertial_std = max(flaws.gyro, 1e-6), max(flaws.accelerometer, 1e-6)
+    seen = coil, mocap, bench.tracker, std, pulled
+    return Session(name, lasts, motion, path, *seen, *inertial, inertial_std, channel)
+
+
+def _inertial(
+    bench: Bench, motion: Motion | DynamicMotion, lasts: float, flaws: Imperfections, seed: int
+) -> tuple[dict[str, Rows], dict[str, Rows]]:
+    """Rows of gyros and of accelerometers by name; none of a motion that is a row of shapes."""
+    gyros: dict[str, Rows] = {}
+    accelerometers: dict[str, Rows] = {}
     if isinstance(motion, DynamicMotion):
         time = np.arange(0.0, lasts + 1e-9, 1.0 / INERTIAL_RATE)
         draws = np.random.default_rng([seed, 2]).spawn(bench.inertial.size)
         for s, noise in zip(bench.inertial, draws, strict=True):
             rows = inertial_rows(motion, float(s), time, flaws, noise)
             gyros[f"gyro_{1e3 * s:g}"], accelerometers[f"accelerometer_{1e3 * s:g}"] = rows
-    inertial = gyros, accelerometers, (max(flaws.gyro, 1e-6), max(flaws.accelerometer, 1e-6))
-    seen = coil, mocap, bench.tracker, std, pulled
-    return Session(name, lasts, motion, path, *seen, *inertial, channel)
+    return gyros, accelerometers
 
 
 def _tendon_rows(
