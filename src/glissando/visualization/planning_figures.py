@@ -130,6 +130,7 @@ def save_plan_film(
                 axes.set_title(f"{now - problem.start:.1f} s", loc="left")
                 axes.legend(loc="upper left", ncols=len(maps))
                 writer.grab_frame()
+                figure.set_layout_engine("none")  # all frames are laid out as the first
 
 
 def _outline(axes: Any, zone: Zone, problem: PlanningProblem) -> None:
