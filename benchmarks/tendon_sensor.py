@@ -43,37 +43,38 @@ def robot_text() -> str:
     return re.sub(r"arclength_nodes = 8\b", "arclength_nodes = 16", text)
 
 
+def measured(seeds: list[int], folder: Path) -> dict[str, dict[str, float]]:
+    """RMSE over the body (mm), share inside 95 % and NEES by shape and what is used."""
+    file = folder / "nine.toml"
+    file.write_text(robot_text())
+    robot, result = load_robot(file), {}
+    for shape in TENSIONS:
+        errors: dict[str, list[dict[str, float]]] = {"coil": [], "coil,tendons": []}
+        for seed in seeds:
+            session = simulate(file, shape=shape, seed=seed, tendons=True, duration=DURATION)
+            write_session(session, folder / f"{shape}{seed}", file)
+            recording = load_recording(folder / f"{shape}{seed}")
+            for use, found in errors.items():
+                run = run_estimate(recording, robot, window=WINDOW, use=use.split(","), truth=None)
+                found.append(pool(run.errors).summary())
+        for use, found in errors.items():
+            squares = np.mean([e["position_rmse"] ** 2 for e in found])
+            result[f"{shape} {use}"] = {
+                "rmse_mm": 1e3 * float(np.sqrt(squares)),
+                "inside_95": float(np.mean([e["coverage95_position"] for e in found])),
+                "nees": float(np.mean([e["nees_position"] for e in found])),
+            }
+    return result
+
+
 def main() -> None:
     """Simulate, estimate and print."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
     parser.add_argument("--seeds", default="0,1,2", metavar="N,…")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
-    seeds = [int(seed) for seed in options.seeds.split(",")]
-    result: dict[str, dict[str, float]] = {}
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        file = folder / "nine.toml"
-        file.write_text(robot_text())
-        robot = load_robot(file)
-        for shape in TENSIONS:
-            errors: dict[str, list[dict[str, float]]] = {"coil": [], "coil,tendons": []}
-            for seed in seeds:
-                session = simulate(file, shape=shape, seed=seed, tendons=True, duration=DURATION)
-                write_session(session, folder / f"{shape}{seed}", file)
-                recording = load_recording(folder / f"{shape}{seed}")
-                for use, found in errors.items():
-                    run = run_estimate(
-                        recording, robot, window=WINDOW, use=use.split(","), truth=None
-                    )
-                    found.append(pool(run.errors).summary())
-            for use, found in errors.items():
-                result[f"{shape} {use}"] = {
-                    "rmse_mm": 1e3
-                    * float(np.sqrt(np.mean([e["position_rmse"] ** 2 for e in found]))),
-                    "inside_95": float(np.mean([e["coverage95_position"] for e in found])),
-                    "nees": float(np.mean([e["nees_position"] for e in found])),
-                }
+        result = measured([int(seed) for seed in options.seeds.split(",")], Path(name))
     if options.json:
         print(json.dumps(result))
         return

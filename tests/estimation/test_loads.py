@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from glissando import CoilReadings, Grid, PoseReadings, estimate, estimate_static, load_robot
+from glissando import (
+    CoilReadings,
+    Grid,
+    PoseReadings,
+    SolverOptions,
+    estimate,
+    estimate_static,
+    load_robot,
+)
 from glissando.errors import GlissandoError, OutsideGridError
 from glissando.estimation import static
 from glissando.geometry import se3
@@ -85,6 +93,34 @@ def test_more_nodes_change_no_standard_deviation_by_half_a_percent(drawn):
         place = found.at([[0.1], [0.4], [0.6]], np.arange(6))
         stds.append(np.concatenate([load.std.ravel(), place.std_position.ravel()]))
     np.testing.assert_allclose(stds[0], stds[2], rtol=1e-2)
+    np.testing.assert_allclose(stds[1], stds[2], rtol=5e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("read", ["all", "tip"])
+def test_of_a_rod_that_moves_neither_do_they(read):
+    rng, times = np.random.default_rng(8), np.linspace(0.0, 0.4, 5)
+    places, parts = np.array([0.18, 0.33, 0.47, LENGTH]), []
+    for time in times:
+        side = 0.2 * np.array([np.sin(5.0 * time), np.cos(3.0 * time), 0.0])
+        shape = solve_shape(ROD, [], Loads(gravity=GRAVITY, wrenches=[Wrench(LENGTH, side)]))
+        off = np.zeros((places.size, 6))
+        off[:, :5] = NOISE * rng.standard_normal((places.size, 5))
+        at = {"time": np.full(places.size, time), "arclength": places}
+        parts.append(CoilReadings(**at, values=shape.at(places).pose @ se3.exp(off), cov=NOISE**2))
+    if read == "tip":
+        parts = [r.select(slice(-1, None)) for r in parts]
+    none = {"points": np.zeros(0), "var_points": np.zeros((0, 6))}
+    loose, stds = prior(var_tip=np.repeat([0.04, 1e-6], 3), time_scale=0.5, **none), []
+    for count in (7, 13, 25):
+        grid = Grid(np.linspace(0.0, LENGTH, count), times)
+        found = estimate(loose, grid, parts, gate=None, options=SolverOptions(tolerance=1e-3))
+        assert found.solve.converged
+        at = found.at([[0.1], [0.4], [0.6]], times[[1, 3]])
+        inner = found.wrench([[0.1], [0.4]], times[[1, 3]])
+        stds.append(np.concatenate([at.std_position.ravel(), inner.std.ravel(),
+                                    found.load(LENGTH, times).std.ravel()]))  # fmt: skip
+    np.testing.assert_allclose(stds[0], stds[1], rtol=5e-3)
     np.testing.assert_allclose(stds[1], stds[2], rtol=5e-3)
 
 
