@@ -90,6 +90,7 @@ def test_what_a_session_lacks_is_said(tmp_path, capsys, without, setup, sentence
     assert sentence in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("without", [(), ("slide",), ("mocap",), ("slide", "mocap")])
 def test_the_command_calibrates_what_can_be(tmp_path, capsys, without):
     data, known = rigs.drawn(0, "bent", direction=1)

@@ -66,6 +66,7 @@ def test_a_lead_that_has_turned_over_is_the_other_directions():
     assert _fit_direction(model, {away: starts[away]}, away, std).rig.direction == away
 
 
+@pytest.mark.slow
 def test_bodies_are_seen_to_move_and_to_hold():
     data, _ = rigs.drawn(0, "posed", sliding="calibrate")
     time = np.arange(0.0, 40.0, 0.05) + 0.025

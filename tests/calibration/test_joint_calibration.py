@@ -70,6 +70,7 @@ def poses(found, name, constants):
     return right.time, right.values @ se3.inverse(right.mount)
 
 
+@pytest.mark.slow
 def test_truth_put_right_is_where_the_robot_is(found):
     time, pose = poses(found, "t1", found[1])
     off = se3.log(se3.inverse(moving("t1", time)) @ pose)

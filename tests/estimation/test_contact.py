@@ -104,6 +104,7 @@ def test_the_evidence_is_that_of_a_robot_with_and_without_a_force():
     assert np.mean(scan.log_ratio[near]) == pytest.approx(expected, abs=0.1)
 
 
+@pytest.mark.slow
 def test_online_a_touch_is_seen_while_it_lasts():
     rng, smoother = np.random.default_rng(3), FixedLagSmoother(PRIOR, NODES, window=4)
     said = []

@@ -149,6 +149,7 @@ def test_the_newest_state_errs_as_much_as_it_says(window):
     assert np.all((low <= mean) & (mean <= high))
 
 
+@pytest.mark.slow
 def test_the_example_loop_runs_and_is_sure_of_what_it_says():
     script = Path(__file__).parents[2] / "examples" / "control_loop.py"
     assert len(script.read_text().splitlines()) <= 30
@@ -176,6 +177,7 @@ def test_memory_does_not_grow_while_it_runs():
     assert np.mean(held[16:]) < 1.05 * np.mean(held[4:16])
 
 
+@pytest.mark.slow
 def test_a_saved_window_is_sound_and_commands_take_it(tmp_path, capsys):
     _, grid, readings = sliding_scene(duration=0.5)
     smoother = FixedLagSmoother(PRIORS["kinematic"], grid.arclength, window=4)

@@ -84,6 +84,7 @@ def test_wrenches_err_as_their_covariance_says_and_not_as_a_third_more_would(dra
     assert not low < mean / 1.7 < high
 
 
+@pytest.mark.slow
 def test_more_nodes_change_no_standard_deviation_by_half_a_percent(drawn):
     coil = drawn[1].select(drawn[1].time < 6)
     stds = []

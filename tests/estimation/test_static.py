@@ -94,6 +94,7 @@ def assert_same(together, one, shape, places):
     assert np.all(np.abs(found.cov[:, :12, :12] - wanted.cov[:, :12, :12]) <= 1e-3 * scale + 1e-20)
 
 
+@pytest.mark.slow
 @settings(law, max_examples=5)
 @given(generators)
 @pytest.mark.parametrize("kind", PRIORS)

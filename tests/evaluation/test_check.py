@@ -36,6 +36,7 @@ def test_a_constant_series_is_worth_one_sample():
     assert effective_samples(np.zeros(3)) == 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rho", [0.0, 0.9])
 def test_honest_confidence_is_called_true_and_errors_of_confidence_are_found(rho):
     rng = np.random.default_rng(1)

@@ -289,6 +289,7 @@ def test_confidence_of_shipped_robots_does_not_swell_between_nodes(spacetime, na
     assert len(swellings(coarse, sensors, (19.0, 23.0))) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("unit", "kinds"), [(1.0, set()), (1e3, {"length-unit"})])
 def test_a_session_that_goes_on_is_warned_of_each_kind_once(session, unit, kinds):
     robot, (coil,), _, _ = session

@@ -155,6 +155,7 @@ def recorded(tmp_path_factory):
     return load_recording(folder)
 
 
+@pytest.mark.slow
 def test_with_a_window_as_long_as_the_recording_what_is_lagged_is_what_the_batch_says(recorded):
     found = replay(recorded, recorded.robot, lag=10.0)
     batch = run_estimate(recorded, recorded.robot, window=None, use=None, truth=None)
@@ -167,6 +168,7 @@ def test_with_a_window_as_long_as_the_recording_what_is_lagged_is_what_the_batch
     assert not np.allclose(newest.position, mine.position, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_the_command_tells_latencies_and_errors_and_leaves_files(recorded, tmp_path, capsys):
     out = tmp_path / "live"
     call = ["replay", str(recorded.folder), "--lag", "0.3", "--out", str(out)]

@@ -183,6 +183,7 @@ def test_a_scheduler_that_is_not_there_is_one_sentence(tmp_path, monkeypatch, ca
     assert f"No scheduler answers at {address}" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_cluster_without_workers_and_one_of_another_version_are_refused(monkeypatch):
     monkeypatch.setattr(runner, "_PATIENCE", 0.5)
     with pytest.raises(GlissandoError, match="No worker has joined tls://"), cluster(None, 0):

@@ -94,6 +94,7 @@ def test_no_frame_is_lost_at_40_hz_but_what_the_host_sleeps_through(
         require_true(frames, epoch, 40.0)
 
 
+@pytest.mark.slow
 def test_old_firmware_is_read_by_tx(tmp_path):
     options = (*FAST, "--firmware", "AURORA Rev 008")
     with simulated(tmp_path, *options) as (address, epoch), Aurora(address, rate=200.0) as tracker:
@@ -156,6 +157,7 @@ def test_a_device_started_again_is_found_again(tmp_path, where):
             assert tracker.counts.reconnects == 1
 
 
+@pytest.mark.slow
 def test_a_device_that_stays_away_is_a_sentence(tmp_path):
     with simulated(tmp_path, *FAST) as (address, _):
         tracker = Aurora(address, rate=200.0, reconnect=0.5)
@@ -167,6 +169,7 @@ def test_a_device_that_stays_away_is_a_sentence(tmp_path):
         tracker.read()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mistake", [None, KeyError], ids=["leaving", "failing"])
 def test_tracking_is_stopped_whatever_happens(tmp_path, mistake):
     with simulated(tmp_path, *FAST) as (address, _):
@@ -182,6 +185,7 @@ def test_tracking_is_stopped_whatever_happens(tmp_path, mistake):
             assert link.read_until(b"\r", 5.0).startswith(b"ERROR0C")
 
 
+@pytest.mark.slow
 def test_the_travel_of_another_device_moves_the_coil(tmp_path):
     port = free_port(socket.SOCK_DGRAM)
     options = (*FAST, "--travel", str(port))
@@ -203,6 +207,7 @@ def test_a_serial_line_is_sped_up_and_the_beginning_of_a_reply_tells_its_time(tm
         assert tracker._link.baud == 115200
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("network", [False, True], ids=["pty", "tcp"])
 def test_ndicapi_reads_the_simulator_by_bx_and_tx(tmp_path, network):
     link = str(tmp_path / "aurora")
@@ -229,6 +234,7 @@ def test_ndicapi_reads_the_simulator_by_bx_and_tx(tmp_path, network):
         (ndicapy.ndiCloseNetwork if network else ndicapy.ndiClose)(device)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("firmware", ["AURORA Rev 013", "AURORA Rev 008"])
 def test_scikit_surgery_reads_the_simulator(tmp_path, firmware):
     link = str(tmp_path / "aurora")
@@ -245,6 +251,7 @@ def test_scikit_surgery_reads_the_simulator(tmp_path, firmware):
         tracker.close()
 
 
+@pytest.mark.slow
 def test_a_coil_without_srom_is_read_with_a_file_or_the_default_or_else_a_sentence(tmp_path):
     rom = tmp_path / "coil.rom"
     rom.write_bytes(bytes(range(100)))
@@ -301,6 +308,7 @@ def test_an_address_that_cannot_be_opened_is_a_sentence(address):
         Link(address)
 
 
+@pytest.mark.slow
 def test_a_port_in_use_is_a_sentence(tmp_path):
     link = str(tmp_path / "aurora")
     with (

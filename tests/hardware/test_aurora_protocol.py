@@ -157,6 +157,7 @@ def harmless(raw, binary):
             assert not port.broken
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("resealed", [False, True], ids=["as it came", "with a right CRC"])
 @pytest.mark.parametrize("binary", [False, True], ids=["TX", "BX"])
 @given(report=reports(), bare=st.booleans(), rng=generators, noise=st.binary(max_size=200))

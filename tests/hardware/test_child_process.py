@@ -4,6 +4,8 @@ import signal
 import subprocess
 import sys
 
+import pytest
+
 PROGRAM = """
 import multiprocessing, os, signal, time
 from glissando.hardware.capture.child_process import blocked_signals
@@ -25,6 +27,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.slow
 def test_the_first_process_sees_no_interrupt_either(tmp_path):
     program = tmp_path / "program.py"
     program.write_text(PROGRAM)

@@ -88,6 +88,7 @@ def test_a_servo_silent_for_longer_than_its_tick_wraps_is_unwrapped_by_the_host(
     assert clock.restarts == 0
 
 
+@pytest.mark.slow
 @given(generators)
 @law
 def test_counts_and_times_are_each_others_inverse(rng):

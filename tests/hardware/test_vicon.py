@@ -191,6 +191,7 @@ def moving_scene(duration=2.0):
     return Scene(t, s, T_wb, np.eye(4), (), Imperfections())
 
 
+@pytest.mark.slow
 def test_what_a_sender_in_its_own_process_sends_is_received(tmp_path):
     moving_scene(60.0).save(tmp_path / "scene.npz")
     epoch = time.monotonic()

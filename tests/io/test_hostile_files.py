@@ -35,6 +35,7 @@ from glissando.model.sensors.sensors import PoseReadings
 PATHS = ["../x", "a/b", "/tmp/x", "..", ".hidden", "a\\b", "a\0b", "a\nb", "", " ", "n" * 300]
 
 
+@pytest.mark.slow
 @law
 @given(st.text())
 def test_a_name_that_is_taken_is_one_entry_of_its_folder(tmp_path_factory, name):

@@ -137,6 +137,7 @@ def test_pose_topics_of_a_bag_are_read_back_with_their_stamps(tmp_path, version,
         read_tracks(path, topics=["/talk"])
 
 
+@pytest.mark.slow
 def test_a_mutilated_text_file_is_read_or_refused_with_a_sentence(tmp_path):
     rng = np.random.default_rng(0)
     whole = [

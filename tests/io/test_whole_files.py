@@ -70,6 +70,7 @@ def writes(call):
     return call.func.attr in PRIMITIVES
 
 
+@pytest.mark.slow
 def test_no_file_is_written_but_through_the_helpers():
     """A new writer that forgets them is found here, and by the examples of the commands."""
     for path in sorted(SOURCE.rglob("*.py")):

@@ -63,6 +63,7 @@ def robot_with(folder, *changes, name="tdcr466"):
     return load_robot(folder / "mine.toml")
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("_registered")
 def test_a_prior_of_ones_own_is_read_estimated_with_and_written(tmp_path):
     robot = robot_with(tmp_path, ('kind = "white-noise"', 'kind = "stiffened"\nfactor = 100.0'))

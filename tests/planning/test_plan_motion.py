@@ -22,6 +22,7 @@ def planned():
     return plan_motion(motion_problem(scene, ROBOT), candidates=2, iterations=30)
 
 
+@pytest.mark.slow
 def test_a_plan_reaches_its_target_within_limits_at_the_risk_that_is_allowed(planned):
     scene = planned.problem.scene
     assert planned.miss <= scene.targets[0].tolerance
@@ -57,6 +58,7 @@ def test_more_risk_costs_no_more(planned):
     assert looser.evaluation.cost <= planned.evaluation.cost * (1.0 + 1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fields", "sentence"),
     [

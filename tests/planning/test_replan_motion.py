@@ -65,6 +65,7 @@ def test_commands_go_on_from_plan_to_plan_within_the_limits(plan, seed):
     assert np.abs(np.diff(values[:, 6])).max() <= slide.speed * np.diff(time).max() * 1.01
 
 
+@pytest.mark.slow
 def test_a_plan_in_another_process_begins_where_it_was_said_to(plan):
     replanner = MotionReplanner(plan, every=1.0, lead=1.0)
     with ProcessPlanner() as replanner.planner:

@@ -81,6 +81,7 @@ def test_a_start_whose_mesh_lacks_a_break_is_left_aside():
     np.testing.assert_array_equal(warm.strain, cold.strain)
 
 
+@pytest.mark.slow
 @few
 @given(generators)
 def test_the_material_carries_the_loads_beyond_less_the_pull_of_the_tendons(rng):

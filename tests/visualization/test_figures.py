@@ -24,6 +24,7 @@ def scene():
     return estimate(robot.prior, robot.grid(0.0, 0.2), [seen]), [seen]
 
 
+@pytest.mark.slow
 def test_a_figure_is_drawn_into_given_axes_and_returns_them(scene):
     posterior, streams = scene
     page = Figure(figsize=(8, 6))
@@ -41,6 +42,7 @@ def test_a_figure_is_drawn_into_given_axes_and_returns_them(scene):
         error_figure(posterior, streams, ax=flat)
 
 
+@pytest.mark.slow
 def test_a_figure_of_its_own_has_the_size_that_is_asked_for(scene):
     axes = confidence_figure(*scene, size=(3.4, 2.0), style={"font.size": 7})
     assert axes.figure.get_size_inches().tolist() == [3.4, 2.0]

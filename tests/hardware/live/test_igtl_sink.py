@@ -72,6 +72,7 @@ def test_axes_and_units_are_switched_and_parts_left_out():
     assert np.all(np.linalg.det(matrices[:, :3, :3]) > 0.999)
 
 
+@pytest.mark.slow
 def test_points_are_sensors_where_they_were_measured_and_forces_where_they_act():
     update, loads, read = _shown("?send=frames,points,status", ROD)
     points = read["Points", "POINT"].points
