@@ -160,8 +160,8 @@ def results(run, out, *, view):
     with pytest.MonkeyPatch.context() as patch:
         quick = lambda *_: [save_figure(FIGURE, _[-1] / "shape.png")]  # noqa: E731
         patch.setattr(estimate_command, "save_figures", quick)
-        options = Namespace(out=out, animate=False, view=view, loads=False)
-        estimate_command._write(options, run, (np.zeros(1), np.zeros(1)), {})
+        options = Namespace(out=out, animate=False, view=view, loads=False, figures=True)
+        estimate_command._write(options, run, (np.zeros(1), np.zeros(1)), None, {})
 
 
 FIGURE = Figure(figsize=(1, 1))
