@@ -1,20 +1,14 @@
-"""The path of a rod between cross-sections by arrays: what `_kernels.rod_flow` computes in loops.
-
-A cross-section is its pose and internal wrench W = [n; m] (body frame). The path is a Lie series
-of fourth order: strain and its first three derivatives follow from (26), Magnus' expansion turns
-them into a pose, and the wrench is carried by that pose exactly. Slopes are those of this very
-path. Everything is a batch over intervals with a leading axis M. Source: equations (26) and (27).
-"""
+"""What `_kernels.rod_flow` computes in loops, by arrays over the intervals: (26) and (27)."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from glissando._kernels.rod_flow import STEPS
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.priors.mechanical.flow import Flow, Section
 
-_STEPS = 3  # into which an interval is divided
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 _NODES, _WEIGHTS = 0.5 * (_NODES + 1.0), 0.5 * _WEIGHTS
 _TERMS = 6  # of the exponential of a step, whose norm is small
@@ -22,20 +16,12 @@ _TERMS = 6  # of the exponential of a step, whose norm is small
 
 @np.errstate(over="ignore", invalid="ignore")  # a step too long leads anywhere, and is refused
 def flow(rotation: Array, wrench: Array, step: Array, section: Section, *, noisy: bool) -> Flow:
-    """The rod from where intervals begin to their ends. Source: equation (27).
-
-    Args:
-        rotation: Of the beginning (M, 3, 3), body to world.
-        wrench: Internal wrench (M, 6) at the beginning, body frame.
-        step: Lengths (M,), m.
-        section: What the intervals are made of.
-        noisy: Whether the covariance is asked for; zero else.
-    """
-    count, part = len(step), step / _STEPS
+    """What `model.priors.mechanical.flow.flow` returns."""
+    count, part = len(step), step / STEPS
     pose = np.broadcast_to(np.eye(4), (count, 4, 4))
     phi = np.broadcast_to(np.eye(12), (count, 12, 12))
     noise, by_weight = np.zeros((count, 12, 12)), np.zeros((count, 12, 6))
-    for i in range(_STEPS):
+    for i in range(STEPS):
         here, turn = section.ahead(i * part), rotation @ pose[:, :3, :3]
         middle = 0.5 * part[:, None]
         weight = np.einsum("mji,mj->mi", turn, here.weight + middle * here.weight_slope)

@@ -35,30 +35,11 @@ def _add(a, b, factor, out):
 
 
 @jit()
-def _add_back(a, b, factor, out):
-    """Add a multiple of aᵀ b."""
-    for k in range(a.shape[0]):
-        for i in range(a.shape[1]):
-            x = factor * a[k, i]
-            if x != 0.0:
-                for j in range(b.shape[1]):
-                    out[i, j] += x * b[k, j]
-
-
-@jit()
 def _add_times(a, x, factor, out):
     """Add a multiple of the vector a x."""
     for i in range(a.shape[0]):
         for k in range(a.shape[1]):
             out[i] += factor * a[i, k] * x[k]
-
-
-@jit()
-def _add_times_back(a, x, factor, out):
-    """Add a multiple of the vector aᵀ x."""
-    for k in range(a.shape[0]):
-        for i in range(a.shape[1]):
-            out[i] += factor * a[k, i] * x[k]
 
 
 @jit()
@@ -106,8 +87,8 @@ def _series_into(stiffness, rest, rest_slope, strain, wrench, weight, d_strain, 
             break
         for k in range(order + 1):
             times, j = 2.0 if order == 2 and k == 1 else 1.0, order - k
-            _add_times_back(ad[k], wrench[j], times, wrench[order + 1])
-            _add_back(ad[k], d_wrench[j], times, d_wrench[order + 1])
+            _add_times(ad[k].T, wrench[j], times, wrench[order + 1])
+            _add(ad[k].T, d_wrench[j], times, d_wrench[order + 1])
             _add(pull[j], d_strain[k], times, d_wrench[order + 1])
             _hat_into(strain[k, 3:], spin)
             _hat_into(weight[j], heavy)
@@ -168,10 +149,10 @@ def _step_into(h, strain, wrench, weight, d_strain, d_wrench, d_weight, ad, pose
     frame, pull, hat = np.empty((6, 6)), np.empty((6, 6)), np.empty((3, 3))
     adjoint_into(pose, frame)
     end[:], own[:], phi[:] = 0.0, 0.0, 0.0
-    _add_times_back(frame, carried, 1.0, end)
+    _add_times(frame.T, carried, 1.0, end)
     _pull_into(end, pull)
     own[:6] = moved
-    _add_back(frame, by_carried, 1.0, own[6:])
+    _add(frame.T, by_carried, 1.0, own[6:])
     _add(pull, moved, 1.0, own[6:])
     adjoint_back_into(pose, frame)
     phi[:6, :6] = frame
