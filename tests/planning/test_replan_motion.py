@@ -107,7 +107,8 @@ def test_where_no_motion_on_is_safe_the_robot_comes_to_rest(plan):
     found = continue_motion(
         replace(plan, problem=blocked), start, (values, speed), known_well(problem), 0.05
     )
-    assert "stops" in found.reason
+    assert "stops" in found.stopped
+    assert not found.exceeded
     assert found.plan.risk < 0.05
     sharpest = np.array([a.acceleration for a in (*problem.scene.tendons, *problem.scene.slides)])
     moved = np.abs(found.plan.evaluation.values[-1] - values)
@@ -117,6 +118,20 @@ def test_where_no_motion_on_is_safe_the_robot_comes_to_rest(plan):
 
 def test_what_is_known_better_lets_the_rest_be_no_riskier(plan):
     found = continue_motion(plan, 1.0, state_at(plan, 1.0), known_well(plan.problem), 0.05)
-    assert not found.reason
+    assert not found.stopped
+    assert not found.exceeded
     assert found.plan.risk <= 0.05
     assert 0.0 <= found.spent <= plan.risk + 0.01
+
+
+def test_where_to_stop_is_no_safer_it_goes_on_and_says_so(plan):
+    problem, start = plan.problem, 0.5
+    values, speed = state_at(plan, start)
+    here = problem.body.shapes(values[None, :6]).place[0, -1]
+    blocked = replace(problem, scene=replace(problem.scene, obstacles=[sphere(here, 0.004)]))
+    found = continue_motion(
+        replace(plan, problem=blocked), start, (values, speed), known_well(problem), 0.05
+    )
+    assert "no safer" in found.exceeded
+    assert not found.stopped
+    assert found.plan.risk > 0.05

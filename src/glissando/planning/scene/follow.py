@@ -1,8 +1,8 @@
-"""A plan followed in a loop: readings tell of the model error, and commands correct for it."""
+"""A plan followed in a loop: commands correct for the model error that readings show."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import InitVar, dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,7 +24,7 @@ _EASE = 1e-3  # of the largest curvature by displacement, below which tendons ar
 
 @dataclass
 class MotionFollower:
-    """What a control loop asks for commands, and tells what sensors read.
+    """Commands for a control loop that follows a plan, corrected by what sensors read.
 
     Commands bend every piece as the plan does, given what is known of the model error by then. The
     plan ends at rest, and commands never leave the limits of the actuators, so a loop that stops
@@ -32,21 +32,22 @@ class MotionFollower:
 
     Attributes:
         plan: The plan.
-        belief: What is known of the model error, at the time of the newest reading.
-        time: That time, s from the plan's start.
+        begins_with: What is known of the model error at first; what the plan has unless given.
+        time: Time of the newest reading, s from the plan's start.
         due: Time that the newest command is for, s from the plan's start.
+        belief: What is known of the model error, at the time of the newest reading.
     """
 
     plan: MotionPlan
-    belief: ErrorBelief = field(default_factory=lambda: ErrorBelief.unknown(0))
+    begins_with: InitVar[ErrorBelief | None] = None
     time: float = 0.0
     due: float = 0.0
+    belief: ErrorBelief = field(init=False)
     _begun: float = field(default=-1.0, init=False)
     _corrections: Array = field(init=False)  # (2, T) of the commands before and now, m
 
-    def __post_init__(self) -> None:
-        if not self.belief.mean.size:
-            self.belief = self.plan.problem.belief
+    def __post_init__(self, begins_with: ErrorBelief | None) -> None:
+        self.belief = begins_with or self.plan.problem.belief
         self._corrections = np.zeros((2, len(self.problem.scene.tendons)))
 
     @property

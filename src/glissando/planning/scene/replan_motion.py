@@ -21,6 +21,7 @@ from glissando.model.sensors.readings import Readings
 from glissando.planning.planners import InlinePlanner, Planner
 from glissando.planning.scene.error_belief import ErrorBelief
 from glissando.planning.scene.follow import MotionFollower
+from glissando.planning.scene.motion_cost import Evaluation
 from glissando.planning.scene.motion_problem import MotionProblem
 from glissando.planning.scene.motion_search import Search
 from glissando.planning.scene.motion_space import motion_space
@@ -29,6 +30,7 @@ from glissando.planning.scene.sampled_risk import sample_risk
 
 _ITERATIONS = 5  # of the search: the plan that is followed is a good start
 _SHARE = 0.9  # of the allowed risk that the search aims at
+_LEAST_RISK = 1e-4  # that a rest may have, when more than all was spent
 _BEFORE, _ROUNDING = 1e-3, 1e-6  # s
 _SHORTEST = 2.0  # pieces of the plan's paths, below which what is left is not planned again
 
@@ -48,6 +50,7 @@ class MotionReplanner:
         begun: When that plan begins.
         spent: Risk of what was carried out of the plans before it.
         stopped: Why the robot was brought to rest before its target; empty unless it was.
+        exceeded: Why the newest plan risks more than is left; empty unless it does.
         plans: How many plans were taken over.
     """
 
@@ -59,6 +62,7 @@ class MotionReplanner:
     begun: float = field(default=0.0, init=False)
     spent: float = field(default=0.0, init=False)
     stopped: str = field(default="", init=False)
+    exceeded: str = field(default="", init=False)
     plans: int = field(default=0, init=False)
     _found: Continuation | None = field(default=None, init=False)
     _due: float | None = field(default=None, init=False)
@@ -115,7 +119,8 @@ class MotionReplanner:
         old = self.follower
         self.follower = MotionFollower(found.plan, old.belief, old.time - due)
         self.begun, self.spent = self.begun + due, self.spent + found.spent
-        self.stopped, self.plans = found.reason, self.plans + 1
+        self.stopped, self.exceeded = found.stopped, found.exceeded
+        self.plans += 1
 
 
 def _even(time: float, correction: float) -> float:
@@ -130,12 +135,14 @@ class Continuation:
     Attributes:
         plan: The plan to follow on; the one that is followed already, unless given.
         spent: Risk of what was carried out of that one until then.
-        reason: Why it comes to rest before the target; empty unless it does.
+        stopped: Why it comes to rest before the target; empty unless it does.
+        exceeded: Why it risks more than is left; empty unless it does.
     """
 
     plan: MotionPlan | None
     spent: float
-    reason: str = ""
+    stopped: str = ""
+    exceeded: str = ""
 
 
 def continue_motion(
@@ -154,30 +161,42 @@ def continue_motion(
     with one_thread():
         before = np.searchsorted(plan.problem.space.moments, start - _ROUNDING)
         spent = sample_risk(plan.problem, plan.evaluation, moments=int(before))[0]
-        left = max(allowed - spent, 1e-4)
+        left = max(allowed - spent, _LEAST_RISK)
         try:
             problem = _rest(plan.problem, start, state, belief, left)
         except GlissandoError:  # the actuators cannot leave their paths just there
             return Continuation(None, 0.0)
-        planned = MotionFollower(plan).planned
-        ahead = planned(start + problem.space.paths[0].control_times)
         search = Search(problem, _SHARE * left)
-        same = search.at(problem.space.follow((ahead + state[0] - planned(start)).T))
-        found = min((search.improve(same.control, _ITERATIONS), same), key=search.merit)
-        risk = sample_risk(problem, found)
-        if risk[0] <= left + 2.0 * risk[1]:
-            return Continuation(MotionPlan(problem, found, *risk, left), spent)
-        rest = np.repeat(state[0][:, None], ahead.shape[0], axis=1)
-        braked = search.at(problem.space.follow(rest))
-        lower = sample_risk(problem, braked)
-        if lower[0] >= risk[0]:
-            return Continuation(MotionPlan(problem, found, *risk, left), spent)
-        reason = (
-            f"Of what is left of the motion {100.0 * risk[0]:.2g} % would hit, and "
-            f"{100.0 * left:.2g} % are allowed; the robot stops {start:.3g} s after its last plan "
-            f"began, where {100.0 * lower[0]:.2g} % do."
-        )
-        return Continuation(MotionPlan(problem, braked, *lower, left), spent, reason)
+        new = _moving_on(search, plan, start, state[0])
+        if new.risk <= left + 2.0 * new.risk_std:
+            return Continuation(new, spent)
+        still = np.repeat(state[0][:, None], new.evaluation.control.shape[1], axis=1)
+        braked = _with_risk(search, search.at(problem.space.follow(still)))
+    reason = (
+        f"Of what is left of the motion {100.0 * new.risk:.2g} % would hit, and {100.0 * left:.2g} "
+        f"% are allowed; "
+    )
+    if braked.risk >= new.risk:
+        return Continuation(new, spent, exceeded=f"{reason}to stop would be no safer.")
+    reason += (
+        f"the robot stops {start:.3g} s after its last plan began, where {100.0 * braked.risk:.2g} "
+        f"% do."
+    )
+    return Continuation(braked, spent, reason)
+
+
+def _moving_on(search: Search, plan: MotionPlan, start: float, values: Array) -> MotionPlan:
+    """The rest of a plan from values (C,) of the actuators, improved."""
+    space, planned = search.problem.space, MotionFollower(plan).planned
+    ahead = planned(start + space.paths[0].control_times)
+    same = search.at(space.follow((ahead + values - planned(start)).T))
+    found = search.improve(same.control, _ITERATIONS)
+    return _with_risk(search, min((found, same), key=search.merit))
+
+
+def _with_risk(search: Search, motion: Evaluation) -> MotionPlan:
+    problem = search.problem
+    return MotionPlan(problem, motion, *sample_risk(problem, motion), problem.scene.delta)
 
 
 def _rest(
