@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from glissando.errors import GlissandoError
+from glissando.planning.scene.motion_search import Search
+from glissando.planning.scene.motion_starts import reach_target, slide_ways, starts
 from glissando.planning.scene.obstacles import HalfSpace, sphere
 from glissando.planning.scene.plan_motion import motion_problem, plan_motion
 from glissando.planning.scene.scene_file import Actuator, Target, Weights
@@ -149,3 +151,39 @@ class Reduced:
 
     def misses(self, at):
         return self.problem.misses(at)
+
+
+def narrow_passage(rng):
+    """A problem with two balls, one at each side of a motion's tip, and the motion (C, S+2)."""
+    scene = small_scene([], horizon=6.0)
+    free = motion_problem(scene, ROBOT)
+    motion = starts(free, np.stack([reach_target(free, 0)]), 0)[0]
+    at = free.evaluate(motion)
+    moment, n = len(at.values) // 2, -1 - int(rng.integers(0, 3))
+    place, tangent = at.shapes.place[:, n], at.shapes.pose[moment, n, :3, 2]
+    across = np.cross(tangent, place[moment + 1] - place[moment - 1])
+    across /= np.linalg.norm(across)
+    away, off = 0.012 + rng.uniform(5e-4, 2e-3), rng.uniform(-3e-3, 3e-3)
+    balls = [sphere(place[moment] + (off + side * away) * across, 0.008) for side in (-1.0, 1.0)]
+    return motion_problem(replace(scene, obstacles=balls), ROBOT), motion
+
+
+@pytest.mark.parametrize("seed", [1, 6])
+def test_a_search_from_a_motion_that_hits_finds_one_through_a_narrow_passage(seed):
+    problem, motion = narrow_passage(np.random.default_rng(seed))
+    search = Search(problem, 0.045)
+    assert search.missed(search.at(motion))
+    found = search.improve(motion, 20)
+    assert found.hits.value < 1.05 * search.allowed
+    assert np.all(problem.misses(found) < 1.0)
+
+
+def test_ways_of_the_slides_keep_their_limits_and_the_tendons_paths():
+    problem, motion = narrow_passage(np.random.default_rng(0))
+    space, count = problem.space, len(problem.scene.tendons)
+    rows, centre, width = space.polytope
+    ways = slide_ways(problem, motion)
+    assert len(ways) == 65
+    for way in ways:
+        assert np.all(np.abs(rows @ space.free(way) - centre) <= width + 1e-9)
+        np.testing.assert_array_equal(way[:count], motion[:count])

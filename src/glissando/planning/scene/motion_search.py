@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from glissando.errors import NoShapeError
@@ -15,6 +15,10 @@ from glissando.planning.scene.motion_problem import MotionProblem
 
 _FAR = 10.0  # of the cost, a constraint missed by its own size
 _WITHIN = 0.9  # of what the tip may miss a target by, squared, that a plan aims at
+_ROUNDING = 1e-2  # by which constraints, of the logarithm of the risk, may be missed
+_MORE = 0.05  # by which a restored motion keeps constraints
+_SMALL = 1e-2  # factor of a penalty, so that the first step is no longer than it may be
+_RESTORE = 60  # iterations of a restoration
 _CLOSE = 1e-5  # of the cost, that an iteration must gain
 
 
@@ -28,13 +32,11 @@ class Search:
     Attributes:
         problem: The problem.
         allowed: What the bound of the risk is held below.
-        free: Which actuators (C,) may change their paths; all unless given.
         last: What was evaluated last.
     """
 
     problem: MotionProblem
     allowed: float
-    free: NDArray[np.bool_] | None = None
     last: Evaluation | None = None
 
     def merit(self, at: Evaluation) -> float:
@@ -58,44 +60,76 @@ class Search:
 
     def improve(self, control: Array, iterations: int) -> Evaluation:
         """The best motion that the search leads to."""
-        problem, space = self.problem, self.problem.space
-        rows, centre, width = space.polytope
-        edges, ends = (
-            np.concatenate([rows, -rows]),
-            np.concatenate([width + centre, width - centre]),
+        best = self._minimize(control, iterations)
+        if self.missed(best):  # narrow passages bend the constraints more than their slopes say
+            restored = self._minimize(best.control, _RESTORE, penalty=True)
+            best = min(self._minimize(restored.control, iterations), best, key=self.merit)
+        return best
+
+    def missed(self, at: Evaluation) -> bool:
+        """Whether a motion misses a target, or risks more than is allowed."""
+        return self.merit(at) > at.cost + _FAR * _ROUNDING
+
+    def _gaps(self, at: Evaluation) -> Array:
+        """What is left of what targets (G,) and, last, the risk may be; negative where missed."""
+        risk = float(np.log(self.allowed)) - self.problem.log_risk(at)
+        return np.append(_WITHIN - self.problem.misses(at), risk)
+
+    def _gap_slopes(self, at: Evaluation) -> Array:
+        """Slopes (G+1, n) of that by the free numbers."""
+        problem = self.problem
+        return -np.vstack([problem.misses_gradient(at), problem.log_risk_gradient(at)])
+
+    @cached_property
+    def _limits(self) -> tuple[Array, Array]:
+        """Rows (m, n) and ends (m,) of the limits of speeds and accelerations, rows x ≤ ends."""
+        rows, centre, width = self.problem.space.polytope
+        ends = np.concatenate([width + centre, width - centre])
+        return np.concatenate([rows, -rows]), ends
+
+    def _motion(self, free: Array) -> Evaluation:
+        """The motion of free numbers that keep the limits but for rounding."""
+        edges, ends = self._limits
+        new = self.problem.space.control(free)
+        return self.at(
+            self.problem.space.follow(new) if np.any(edges @ free > ends + 1e-9) else new
         )
-        limit = float(np.log(self.allowed))
+
+    def _penalty(self, at: Evaluation) -> float:
+        """Cost and what is missed, so small that a first step is no longer than it may be."""
+        short = np.maximum(_MORE - self._gaps(at), 0.0)
+        return _SMALL * (at.cost + _FAR * float(short.sum()))
+
+    def _penalty_gradient(self, at: Evaluation) -> Array:
+        short = self._gaps(at) < _MORE
+        slope = self.problem.cost_gradient(at)
+        return _SMALL * (slope - _FAR * short @ self._gap_slopes(at))
+
+    def _minimize(self, control: Array, iterations: int, *, penalty: bool = False) -> Evaluation:
+        """What the programs lead to from a motion; the motion itself where that is no better.
+
+        What may be missed is a constraint, or a `penalty`.
+        """
+        edges, ends = self._limits
 
         def at(free: Array) -> Evaluation:
-            return self.at(space.control(free))
+            return self.at(self.problem.space.control(free))
 
-        def gaps(free: Array) -> Array:
-            return np.append(_WITHIN - problem.misses(at(free)), limit - problem.log_risk(at(free)))
-
-        def gap_slopes(free: Array) -> Array:
-            e = at(free)
-            return -np.vstack([problem.misses_gradient(e), problem.log_risk_gradient(e)])
-
-        constraints = [
-            {"type": "ineq", "fun": lambda x: ends - edges @ x, "jac": lambda x: -edges},
-            {"type": "ineq", "fun": gaps, "jac": gap_slopes},
-        ]
+        limits = {"type": "ineq", "fun": lambda x: ends - edges @ x, "jac": lambda x: -edges}
+        gaps = {"type": "ineq", "fun": lambda x: self._gaps(at(x)),
+                "jac": lambda x: self._gap_slopes(at(x))}  # fmt: skip
+        value = self._penalty if penalty else lambda e: e.cost
+        slope = self._penalty_gradient if penalty else self.problem.cost_gradient
         begin = self.at(control)
-        low, high = space.bounds
-        first = np.clip(space.free(control), low, high)
-        if self.free is not None:
-            held = np.repeat(~self.free, space.size // self.free.size)
-            low, high = np.where(held, first, low), np.where(held, first, high)
+        low, high = self.problem.space.bounds
+        first = np.clip(self.problem.space.free(control), low, high)
         try:
             found = minimize(
-                lambda x: at(x).cost, first, method="SLSQP",
-                bounds=np.stack([low, high], axis=-1), constraints=constraints,
-                jac=lambda x: problem.cost_gradient(at(x)),
-                options={"maxiter": iterations, "ftol": _CLOSE},
+                lambda x: value(at(x)), first, method="SLSQP", jac=lambda x: slope(at(x)),
+                bounds=np.stack([low, high], axis=-1),
+                constraints=[limits] if penalty else [limits, gaps],
+                options={"maxiter": iterations, "ftol": _CLOSE * (_SMALL if penalty else 1.0)},
             )  # fmt: skip
         except NoShapeError:  # a trial step bent the robot beyond what has a shape
             return begin
-        new = space.control(found.x)
-        if np.any(edges @ found.x > ends + 1e-9):  # rounding of the quadratic programs
-            new = space.follow(new)
-        return min((self.at(new), begin), key=self.merit)
+        return min((self._motion(found.x), begin), key=self.merit)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 
 from glissando.errors import GlissandoError
@@ -113,3 +115,20 @@ def starts(
         ways.insert(0, warm[:count])
         slides.insert(0, warm[count:])
     return [space.follow(np.concatenate([way, slide])) for way in ways for slide in slides]
+
+
+def slide_ways(problem: MotionProblem, control: Array) -> list[Array]:
+    """A motion (C, S+2), and the same with slides that go by way of three places each."""
+    scene, space = problem.scene, problem.space
+    if not (scene.slides and problem.senses):
+        return [control]
+    count, time = len(scene.tendons), space.paths[0].control_times
+    share = np.linspace(0.0, time[-1], 4)
+    ways = [control]
+    for via in product(np.linspace(0.0, 1.0, 4), repeat=3):
+        new = control.copy()
+        for c, path in enumerate(space.paths[count:], start=count):
+            places = path.lower + np.array(via) * (path.upper - path.lower)
+            new[c] = np.interp(time, share, [path.start, *places])
+        ways.append(space.follow(new))
+    return ways

@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from glissando._kernels.threads import one_thread
 from glissando.errors import GlissandoError
@@ -21,7 +20,12 @@ from glissando.planning.scene.motion_cost import Evaluation
 from glissando.planning.scene.motion_problem import MotionProblem
 from glissando.planning.scene.motion_search import Search
 from glissando.planning.scene.motion_space import motion_space
-from glissando.planning.scene.motion_starts import reach_target, require_possible_start, starts
+from glissando.planning.scene.motion_starts import (
+    reach_target,
+    require_possible_start,
+    slide_ways,
+    starts,
+)
 from glissando.planning.scene.sampled_risk import sample_risk
 from glissando.planning.scene.scene_file import Scene
 from glissando.planning.scene.tendon_body import tendon_body
@@ -102,8 +106,7 @@ def motion_problem(
 
 def plan_motion(
     problem: MotionProblem, *, seed: int = 0, candidates: int = 5, iterations: int = 60,
-    warm_start: Array | None = None, prescribed: Array | None = None,
-    progress: Progress | None = None,
+    warm_start: Array | None = None, progress: Progress | None = None,
 ) -> MotionPlan:  # fmt: skip
     """The motion of least cost whose risk is what the scene allows.
 
@@ -113,7 +116,6 @@ def plan_motion(
         candidates: How many of the best starts are improved.
         iterations: Iterations at most for the best of them.
         warm_start: Control points (C, S+2) of a further start.
-        prescribed: Control points (C, S+2) of actuators whose paths are given; nan where free.
         progress: Called as the search goes on.
 
     Raises:
@@ -122,39 +124,19 @@ def plan_motion(
     with one_thread():
         require_possible_start(problem)
         reaches = [reach_target(problem, k) for k in range(len(problem.scene.targets))]
-    plan = search_motion(
-        problem, np.stack(reaches), seed=seed, candidates=candidates, iterations=iterations,
-        warm_start=warm_start, prescribed=prescribed, progress=progress,
-    )  # fmt: skip
-    return _checked(plan)
-
-
-def search_motion(
-    problem: MotionProblem, reaches: Array, *, seed: int = 0, candidates: int = 5,
-    iterations: int = 60, warm_start: Array | None = None, prescribed: Array | None = None,
-    progress: Progress | None = None,
-) -> MotionPlan:  # fmt: skip
-    """The best motion found, whether or not it keeps the risk; arguments as of `plan_motion`.
-
-    Displacements `reaches` (G, T) bring the tip to each target, m.
-    """
-    with one_thread():
-        first = starts(problem, reaches, seed, warm_start)
-        free: NDArray[np.bool_] | None = None
-        if prescribed is not None:
-            free = np.asarray(np.isnan(prescribed).any(axis=1))
-            first = [np.where(free[:, None], control, prescribed) for control in first]
-        search = Search(problem, problem.scene.delta * _SHARE, free)
+        first = starts(problem, np.stack(reaches), seed, warm_start)
+        search = Search(problem, problem.scene.delta * _SHARE)
         worth = [search.value(control) for control in first]
         ranked = [first[k] for k in np.argsort(worth, kind="stable")[:candidates]]
         found = []
         for part, control in enumerate(ranked):
-            found.append(search.improve(control, _BRIEF))
+            way = min(slide_ways(problem, control), key=search.value)
+            found.append(search.improve(way, _BRIEF))
             if progress:
                 progress(part + 1, len(ranked) + _ROUNDS, f"cost {found[-1].cost:.4g}")
         best = search.improve(min(found, key=search.merit).control, iterations)
         search, best = _with_close_moments(search, best, iterations)
-        return _use_up(search, best, iterations, seed, progress, len(ranked))
+        return _checked(_use_up(search, best, iterations, seed, progress, len(ranked)))
 
 
 def _with_close_moments(
@@ -194,7 +176,8 @@ def _use_up(
         if progress:
             progress(parts + part + 1, parts + _ROUNDS, f"risk {100 * risk:.3g} %")
         binding = best.hits.value > 0.5 * allowed
-        if 0.7 * delta <= risk <= delta or (risk < delta and not binding) or part == _ROUNDS - 1:
+        enough = 0.7 * delta <= risk <= delta or (risk < delta and not binding)
+        if enough or part == _ROUNDS - 1 or (risk > delta and search.missed(best)):
             break
         allowed *= float(np.clip(_SHARE * delta / max(risk, 1e-4), 0.2, 3.0))
         best = replace(search, allowed=allowed).improve(best.control, iterations)
