@@ -49,7 +49,8 @@ numbers chosen on `slow_free_space`. Each is a shape by itself, estimated from t
 of base and tip only; motion capture at 0.1165, 0.233 and 0.3495 m is the truth. Readings at both
 ends contain little information about a body of two segments in contact: no method is clearly
 best, and a prior chosen on slow motion is overconfident. [Results](results.md) shows what time
-and gyroscopes add.
+and gyroscopes add. Methods that know a rod's mechanics are compared in
+[loads](loads.md#beside-other-methods).
 
 | real robot | RMSE (mm) | median (mm) | inside 95 % | ms a shape |
 |---|---|---|---|---|

@@ -38,10 +38,11 @@ def cramer_rao(material, shapes, used):
     return np.array(wrenches), np.array(places)
 
 
-def restarted(material, shapes, coil, spread, i):
-    """Both wrenches of shape i (12,), by least squares from the true ones, and two costs.
+def least_squares_fit(material, shapes, coil, spread, i, *, from_truth):
+    """Both wrenches of shape i (12,) by least squares on the simulator's shapes, and two costs.
 
-    They are what is left at the truth and at the minimum, with the spread (12,) that wrenches have.
+    The search begins at the true wrenches or at none. The costs are what is left at the truth and
+    at the minimum, with the spread (12,) that wrenches have.
     """
     seen, place = coil.values[coil.time == i], coil.arclength[coil.time == i]
     back = se3.inverse(seen)
@@ -55,7 +56,8 @@ def restarted(material, shapes, coil, spread, i):
         return np.append(np.hstack([at[:, :3, 3], lean]) / NOISE, part)
 
     truth = np.concatenate([shapes.middle[i], shapes.tip[i]]) / spread
-    found = least_squares(residual, truth, method="lm", diff_step=1e-5)
+    start = truth if from_truth else np.zeros(12)
+    found = least_squares(residual, start, method="lm", diff_step=1e-5)
     return found.x * spread, (0.5 * np.sum(residual(truth) ** 2), found.cost)
 
 
@@ -64,7 +66,7 @@ def other_minima(material, shapes, coil, used, found, prior, squares):
     spread, out = np.sqrt(np.concatenate([prior.var_points[0], prior.var_tip])), []
     began = time.process_time()
     for i in np.argsort(squares)[-RESTARTS:]:
-        loads, costs = restarted(material, shapes, coil, spread, i)
+        loads, costs = least_squares_fit(material, shapes, coil, spread, i, from_truth=True)
         place = shapes.station[~used[i]]
         there = exact(material, shapes.gravity[i], loads[:6], loads[6:]).at(place).pose[:, :3, 3]
         off = np.linalg.norm(found.at(place, i).position - there, axis=-1)
