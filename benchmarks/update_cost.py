@@ -4,13 +4,17 @@ And what a scan for contacts after an update costs.
 
 A simulated rod of the shipped robot's length is swayed by a force at its tip while a coil slides
 along it. The priors' smoothers take turns, update by update, so that a busy machine slows all.
+With a recording, its readings and its robot, or the robot of a file, are taken instead; an update
+counts as it was in the fastest of some runs.
 Usage: update_cost.py [--nodes N ...] [--window K] [--updates U] [--seed S] [--json]
+       update_cost.py --recording FOLDER --between A B [--robot FILE] [--nodes N ...] [--window K]
 """
 
 import argparse
 import json
 import os
 import time
+from pathlib import Path
 
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ[name] = "1"
@@ -18,7 +22,9 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 import numpy as np
 
 from glissando import BaseVariance, CoilReadings, FixedLagSmoother, SeparablePrior, load_robot
+from glissando.evaluation.run import chosen_streams
 from glissando.geometry import se3
+from glissando.io.recording import load_recording
 from glissando.io.shipped_robots import robot_file
 from glissando.model.mechanics import Mechanics
 from glissando.model.priors.mechanical.prior import MechanicalPrior
@@ -30,6 +36,7 @@ FORCE, MOMENT = 0.1, 0.01  # N and N m, of the unknown wrench at the tip
 NOISE = np.repeat([0.7e-3, np.radians(0.4)], [3, 2])
 WEIGHT = [0.0, 0.0, -9.81]  # m/s²
 WARM = 10  # updates before the first that counts
+RUNS = 4  # through a recording
 
 
 def readings(rod, count, seed):
@@ -96,6 +103,33 @@ def measured(nodes, window, updates, seed):
     return {"nodes": nodes, "window": window, **out, "ratio": out["mechanical"] / out["separable"]}
 
 
+def recorded(folder, between, robot, nodes, window):
+    """Processor seconds, median and 99 %, of updates through a part of a recording."""
+    recording = load_recording(folder)
+    robot = load_robot(robot) if robot else recording.robot
+    places = np.linspace(0.0, robot.length, nodes)
+    streams = chosen_streams(recording, robot, between, None, None)[0]
+    count = max(2, round((between[1] - between[0]) * robot.time_rate) + 1)
+    times, taken = np.linspace(*between, count), []
+    for _ in range(RUNS):
+        smoother = FixedLagSmoother(
+            robot.prior, places, window=window, sensor_parameters=robot.sensor_parameters
+        )
+        since, seconds = -np.inf, []
+        for now in times:
+            new = [r.select((r.time > since) & (r.time <= now)) for r in streams]
+            began = time.process_time()
+            for readings in new:
+                if len(readings):
+                    smoother.add(readings)
+            smoother.advance(now)
+            seconds.append(time.process_time() - began)
+            since = now
+        taken.append(seconds)
+    median, slow = np.percentile(np.min(taken, axis=0)[WARM:], [50.0, 99.0]).tolist()
+    return {"nodes": nodes, "window": window, "median": median, "p99": slow}
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--nodes", type=int, nargs="+", default=[5, 10, 15], help="of arclength")
@@ -103,7 +137,19 @@ def main():
     parser.add_argument("--updates", type=int, default=150, help="of each smoother")
     parser.add_argument("--seed", type=int, default=0, help="of motion and noise")
     parser.add_argument("--json", action="store_true", help="print JSON")
+    parser.add_argument("--recording", type=Path, help="folder of a recording to take instead")
+    parser.add_argument("--between", type=float, nargs=2, help="seconds of it")
+    parser.add_argument("--robot", help="robot file to take instead of the recording's")
     options = parser.parse_args()
+    if options.recording is not None:
+        given = options.recording, options.between, options.robot
+        for row in [recorded(*given, n, options.window) for n in options.nodes]:
+            if options.json:
+                print(json.dumps(row))
+                continue
+            size = f"{row['nodes']:3d} nodes × {row['window']}"
+            print(f"{size}: median {1e3 * row['median']:.2f} ms, 99 % {1e3 * row['p99']:.2f} ms")
+        return
     rows = [measured(n, options.window, options.updates, options.seed) for n in options.nodes]
     if options.json:
         print(json.dumps(rows, indent=2))

@@ -300,7 +300,7 @@ def test_innovations_are_those_of_the_dense_system(count, parameters):
         same(
             normal_equations.squared_innovations(
                 *kernel_arguments(batch), which, layout.nodes, layout.dof,
-                cholesky.inverse, cholesky.coupling, step, weight[which],
+                cholesky.inverse, cholesky.coupling, np.arange(count), step, weight[which],
             ),
             expected,
             1e-6,

@@ -52,6 +52,11 @@ def densities(believed):
     return believed.arclength_densities(GRID.arclength), believed.time_densities(GRID.time)
 
 
+def none():
+    """No readings, as kernels take them."""
+    return *ReadingRows().memory, np.zeros(0, dtype=np.intp)
+
+
 def sums_of(grid):
     size, (k, n) = DOF, grid.shape
     blocks = [np.empty((count, n * size, n * size)) for count in (k, k, k - 1)]
@@ -79,7 +84,7 @@ def test_the_sums_of_the_prior_are_those_of_its_factors(firm):
     believed, state = jointed(rng), motion(rng, GRID)
     believed = believed if firm else replace(believed, base=None)
     one, each = sums_of(GRID), sums_of(GRID)
-    believed.accumulate(GRID, state, densities(believed), one.sums)
+    believed.accumulate(GRID, state, densities(believed), none(), one.sums)
     for batch in believed.factors(GRID, state, state, slice(0, 4)):
         each.accumulate(batch)
     for mine, its in zip(one.sums, each.sums, strict=True):
@@ -108,8 +113,10 @@ def test_readings_taken_together_weigh_what_each_stream_does(kind, loss):
     rows, one, each = ReadingRows(), sums_of(GRID), sums_of(GRID)
     rows.append(7, readings_of(rng, "gyro"))  # which is not asked for
     rows.append(3, readings)
-    on, which = (GRID, state, densities(believed)), np.arange(12, 24)
-    believed.accumulate_readings(*on, rows, which, one.sums)
+    memory = *rows.memory, np.arange(12, 24)
+    believed.accumulate(GRID, state, densities(believed), memory, one.sums)
+    for batch in believed.factors(GRID, state, state, slice(0, 4)):
+        each.accumulate(batch)
     for _, _, batch in measurement_factors(believed, locate(GRID, [readings]), state, state, 0):
         each.accumulate(batch)
     for mine, its in zip(one.sums, each.sums, strict=True):

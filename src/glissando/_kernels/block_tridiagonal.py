@@ -77,48 +77,60 @@ def factor(diagonal, lower, start, inverse, coupling, at):
 
 
 @jit()
-def forward(inverse, coupling, x, start):
-    """Solve with the factor, in place (K, D), from slab `start` on, those before being solved."""
-    d = x.shape[1]
-    for k in range(start, len(x)):
-        y = x[k]
-        if k:
-            before, couple = x[k - 1], coupling[k - 1]
-            for j in range(d):
-                row, value = couple[j], before[j]
-                for i in range(d):
-                    y[i] -= row[i] * value
-        for i in range(d - 1, -1, -1):
-            row, value = inverse[k, i], 0.0
-            for j in range(i + 1):
-                value += row[j] * y[j]
-            y[i] = value
+def less_coupled(coupling, before, y):
+    """Take off a slab what couples it (D, D) to the solution of the slab before it: y −= Cᵀ x."""
+    for j in range(len(y)):
+        row, value = coupling[j], before[j]
+        for i in range(len(y)):
+            y[i] -= row[i] * value
+
+
+@jit()
+def less_coupling(coupling, later, y):
+    """Take off a slab what couples it to the solution of the next: y −= C x."""
+    for i in range(len(y)):
+        row, value = coupling[i], 0.0
+        for j in range(len(y)):
+            value += row[j] * later[j]
+        y[i] -= value
+
+
+@jit()
+def forward_slab(inverse, y):
+    """Multiply a slab by the inverse of a lower triangle, in place."""
+    for i in range(len(y) - 1, -1, -1):
+        row, value = inverse[i], 0.0
+        for j in range(i + 1):
+            value += row[j] * y[j]
+        y[i] = value
+
+
+@jit()
+def backward_slab(inverse, y):
+    """Multiply a slab by the transpose of that inverse, in place."""
+    for j in range(len(y)):  # column after column: x_i needs x_j of j ≥ i only
+        row, value = inverse[j], y[j]
+        y[j] = 0.0
+        for i in range(j + 1):
+            y[i] += row[i] * value
 
 
 @jit("(f8[:,:,::1], f8[:,:,::1], f8[:,::1])")
 def backward(inverse, coupling, x):
     """Solve with the transposed factor, in place (K, D)."""
-    d = x.shape[1]
     for k in range(len(x) - 1, -1, -1):
-        y = x[k]
         if k < len(coupling):
-            later, couple = x[k + 1], coupling[k]
-            for i in range(d):
-                row, value = couple[i], 0.0
-                for j in range(d):
-                    value += row[j] * later[j]
-                y[i] -= value
-        for j in range(d):  # column after column: x_i needs x_j of j ≥ i only
-            row, value = inverse[k, j], y[j]
-            y[j] = 0.0
-            for i in range(j + 1):
-                y[i] += row[i] * value
+            less_coupling(coupling[k], x[k + 1], x[k])
+        backward_slab(inverse[k], x[k])
 
 
 @jit("(f8[:,:,::1], f8[:,:,::1], f8[:,::1])")
 def solve(inverse, coupling, x):
     """Solve with the matrix, in place (K, D)."""
-    forward(inverse, coupling, x, 0)
+    for k in range(len(x)):
+        if k:
+            less_coupled(coupling[k - 1], x[k - 1], x[k])
+        forward_slab(inverse[k], x[k])
     backward(inverse, coupling, x)
 
 

@@ -19,6 +19,7 @@ from glissando._kernels import (  # noqa: F401  (importing them makes their kern
     steps,
     transitions,
     white_noise,
+    white_noise_points,
     window,
 )
 from glissando._kernels.jit import compile_named

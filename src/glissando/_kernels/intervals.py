@@ -42,9 +42,7 @@ def _error(pose0, pose1, fields0, fields1, step, error, j0, j1):
     x, drawn, carried = np.empty(6), np.empty(6), np.empty(6)
     ahead, miss, pose = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
     spread, stretch, pull = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
-    back, unmiss, slope = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
-    by_miss, by_ahead = np.empty((6, 6)), np.empty((6, 6))
-    a, b = np.empty((6, 6)), np.empty((6, 6))
+    back, unmiss = np.empty((6, 6)), np.empty((6, 6))
     strain0, velocity0, rate0 = fields0[:6], fields0[6:12], fields0[12:]
     ahead_into(pose0, pose1, ahead)
     scaled = np.empty(6)
@@ -69,7 +67,18 @@ def _error(pose0, pose1, fields0, fields1, step, error, j0, j1):
         error[6 + i] = fields1[i] - strain0[i]
         error[18 + i] = fields1[12 + i] - rate0[i]
     apply_into(spread, x, xi_rate)
+    _error_slopes(
+        xi, xi_rate, scaled, rate0, step, spread, back, pull, unmiss, drawn, carried, j0, j1
+    )
 
+
+@jit()
+def _error_slopes(
+    xi, xi_rate, scaled, rate0, step, spread, back, pull, unmiss, drawn, carried, j0, j1
+):
+    """Its Jacobians (24, 24) by both nodes, into zeros, of what the error is made of."""
+    slope, by_miss, by_ahead = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
+    a, b = np.empty((6, 6)), np.empty((6, 6))
     times_into(spread, back, a)
     _put(j0, 0, 0, a, -1.0)
     _put(j0, 12, 12, a, -1.0)
@@ -132,6 +141,30 @@ def _spread(gain, turn, curl, e, d, out):
             out[i, j], out[12 + i, j] = pose, rate
 
 
+@jit()
+def _add_own_slopes(u, scaled, rate0, carried, stretch, unbend, back, j0):
+    """Add the Jacobian (24, 24) at the point by its lower end, as if nothing were bent."""
+    a, b, slope = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
+    ad_into(carried, a)
+    times_into(a, stretch, b)
+    slope_into(scaled, rate0, slope)
+    for i in range(6):
+        for j in range(6):
+            b[i, j] += u * u * slope[i, j]
+    product(unbend, b, slope, 1.0, 0.0, False, False)
+    times_into(unbend, back, a)
+    times_into(unbend, stretch, b)
+    for i in range(6):
+        for j in range(6):
+            j0[i, j] += a[i, j]
+            j0[12 + i, 12 + j] += a[i, j]
+            j0[i, 6 + j] += b[i, j]
+            j0[12 + i, 18 + j] += b[i, j]
+            j0[12 + i, 6 + j] += slope[i, j]
+        j0[6 + i, 6 + i] += 1.0
+        j0[18 + i, 18 + i] += 1.0
+
+
 @jit(
     "(f8[:,:,::1], f8[:,:,::1], f8[:,::1], f8[:,::1], f8[::1], f8[::1], f8[:,:,::1], f8[:,::1],"
     " f8[:,::1])"
@@ -148,7 +181,7 @@ def interval_between(pose0, pose1, fields0, fields1, step, offset, gain, whole, 
     ahead, bend, there = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
     stretch, turn, curl = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
     back, unbend, slope = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
-    a, b = np.empty((6, 6)), np.empty((6, 6))
+    a = np.empty((6, 6))
     for n in range(m):
         u, strain0, rate0 = offset[n], fields0[n, :6], fields0[n, 12:]
         _error(pose0[n], pose1[n], fields0[n], fields1[n], step[n], error, e0, e1)
@@ -188,23 +221,5 @@ def interval_between(pose0, pose1, fields0, fields1, step, offset, gain, whole, 
                 curl[i, j] += slope[i, j]
         _spread(gain[n], turn, curl, e0, d, j0[n])
         _spread(gain[n], turn, curl, e1, d, j1[n])
-
-        ad_into(carried, a)
-        times_into(a, stretch, b)
-        slope_into(scaled, rate0, slope)
-        for i in range(6):
-            for j in range(6):
-                b[i, j] += u * u * slope[i, j]
-        product(unbend, b, slope, 1.0, 0.0, False, False)
-        times_into(unbend, back, a)
-        times_into(unbend, stretch, b)
-        for i in range(6):
-            for j in range(6):
-                j0[n, i, j] += a[i, j]
-                j0[n, 12 + i, 12 + j] += a[i, j]
-                j0[n, i, 6 + j] += b[i, j]
-                j0[n, 12 + i, 18 + j] += b[i, j]
-                j0[n, 12 + i, 6 + j] += slope[i, j]
-            j0[n, 6 + i, 6 + i] += 1.0
-            j0[n, 18 + i, 18 + i] += 1.0
+        _add_own_slopes(u, scaled, rate0, carried, stretch, unbend, back, j0[n])
     return pose, fields, j0, j1

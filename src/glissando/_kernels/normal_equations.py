@@ -32,8 +32,8 @@ def _is_zero(jacobian, node, first, last):
 def _groups(nodes, first_dof, jacobian, extras, n_count, dof, count, groups):
     """Interval of a factor; its groups of columns with a slope, and how many they are.
 
-    A group is some columns of one node, or the parameters' at one end of the interval: `groups` are
-    the end it belongs to, its column there, its width, and its column in the Jacobian.
+    A group is columns side by side, of nodes or the parameters' at one end of the interval:
+    `groups` are the end it belongs to, its column there, its width, its column in the Jacobian.
     """
     c, d = jacobian.shape[1:]
     e = extras.shape[1] // 2
@@ -44,10 +44,16 @@ def _groups(nodes, first_dof, jacobian, extras, n_count, dof, count, groups):
         slab, inner = divmod(nodes[a], n_count)
         for part in range(0, d, _GROUP):
             width = min(_GROUP, d - part)
-            if slab < count and not _is_zero(jacobian, a, part, part + width):
-                groups[found, 0], groups[found, 1] = slab - k, inner * dof + first_dof + part
-                groups[found, 2], groups[found, 3] = width, a * d + part
-                found += 1
+            if slab >= count or _is_zero(jacobian, a, part, part + width):
+                continue
+            column, at, last = inner * dof + first_dof + part, a * d + part, groups[found - 1]
+            beside = found > 0 and last[0] == slab - k and last[3] + last[2] == at
+            if beside and last[1] + last[2] == column:
+                last[2] += width
+                continue
+            groups[found, 0], groups[found, 1] = slab - k, column
+            groups[found, 2], groups[found, 3] = width, at
+            found += 1
     for later in range(2 if e else 0):
         if k + later < count:  # parameters after the last node have no weight
             groups[found, 0], groups[found, 1] = later, n_count * dof
@@ -88,9 +94,10 @@ def add_factor(
     for a in range(found):
         late, at, height = groups[a, 0], groups[a, 1], groups[a, 2]
         rhs, column = rhs_end[k] if late else rhs_begin[k], 0
-        for x in range(height):
-            for y in range(r):
-                rhs[at + x] -= weight * white[y, row + x] * miss[y]
+        for y in range(r):
+            pull = weight * miss[y]
+            for x in range(height):
+                rhs[at + x] -= pull * white[y, row + x]
         for b in range(found):
             beside, wide = groups[b, 1], groups[b, 2]
             if groups[b, 0] <= late:
@@ -125,36 +132,50 @@ def accumulate(
         )  # fmt: skip
 
 
-@jit(f"({_BATCH}, i8[::1], i8, i8, f8[:,:,::1], f8[:,:,::1], f8[:,::1], f8[::1])")
+@jit(f"({_BATCH}, i8[::1], i8, i8, f8[:,:,::1], f8[:,:,::1], i8[::1], f8[:,::1], f8[::1])")
 def squared_innovations(
     nodes, first_dof, jacobian, residual, sqrt_info, extras, which, n_count, dof,
-    inverse, coupling, step, weight,
+    inverse, coupling, slot, step, weight,
 ):  # fmt: skip
     """Squared innovations of `which` factors (M,) of a batch, each against all others.
 
-    `inverse` and `coupling` are the block Cholesky factor of a system that holds each factor with
-    a `weight` w (M,), and whose solution is `step` (K, D). With G = Y Yᵀ explained of its unit
-    covariance, a white residual e there keeps a share S = 1 − w G and stands for the innovation
-    S⁻¹ e of covariance S⁻¹ (S + G), whose square in units of it is eᵀ (S (S + G))⁻¹ e.
+    `inverse` and `coupling` are the block Cholesky factor, its slabs in the order `slot` (K,), of a
+    system that holds each factor with a `weight` w (M,) and is solved by `step` (K, D). With
+    G = Y Yᵀ explained of its unit covariance, a white residual e there keeps a share S = 1 − w G
+    and stands for the innovation S⁻¹ e of covariance S⁻¹ (S + G), whose square in units of it is
+    eᵀ (S (S + G))⁻¹ e.
     """
     r, c, d = jacobian.shape[1:]
-    q, count, size, m = c * d + extras.shape[2], len(inverse), step.shape[1], len(which)
+    q, count, size, m = c * d + extras.shape[2], len(slot), step.shape[1], len(which)
     slopes, white, room = np.empty((r, q)), np.empty((r, q)), np.empty((q + 2, 4), np.int64)
     rows, miss, first = np.zeros((count, m * r, size)), np.empty((m, r)), count
+    begins = np.zeros(m + 1, np.int64)
     for n in range(m):
         i = which[n]
         k, found = _groups(nodes[i], first_dof, jacobian[i], extras[i], n_count, dof, count, room)
         groups, column = room[:found], 0
-        _whitened(sqrt_info[i], jacobian[i], extras[i], residual[i], groups, slopes, white, miss[n])
-        first = min(first, k)
+        width = _whitened(
+            sqrt_info[i], jacobian[i], extras[i], residual[i], groups, slopes, white, miss[n]
+        )
+        live, first = _live(white[:, :width], miss[n]), min(first, k)
+        begins[n + 1] = begins[n] + live
         for g in range(found):
             slab, at = k + groups[g, 0], groups[g, 1]
-            for y in range(r):
+            for y in range(live):
                 for x in range(groups[g, 2]):
-                    rows[slab, n * r + y, at + x] = white[y, column + x]
+                    rows[slab, begins[n] + y, at + x] = white[y, column + x]
                     miss[n, y] += white[y, column + x] * step[slab, at + x]
             column += groups[g, 2]
-    return _squared(rows[first:], inverse[first:], coupling[first:], miss, weight)
+    return _squared(rows[first:], begins, inverse, coupling, slot[first:], miss, weight)
+
+
+@jit()
+def _live(white, miss):
+    """How many rows come before those at the end of which nothing depends on the state."""
+    live = len(white)
+    while live > 1 and miss[live - 1] == 0.0 and not white[live - 1].any():
+        live -= 1
+    return live
 
 
 @jit()
@@ -171,21 +192,26 @@ def _explained(rows, root, out):
 
 
 @jit()
-def _squared(rows, inverse, coupling, miss, weight):
-    """Squares (M,) from white rows (K, M · r, D), residuals (M, r) at the solution and weights."""
+def _squared(rows, begins, inverse, coupling, slot, miss, weight):
+    """Squares (M,) from white rows (K, ·, D), residuals (M, r) at the solution and weights."""
     m, r = miss.shape
     gain, share, root, out = np.zeros((m, r, r)), np.empty((r, r)), np.empty((r, r)), np.zeros(m)
-    cov = np.empty((r, r))
-    before, explained = np.empty(rows.shape[1:]), np.empty(rows.shape[1:])
+    cov, count = np.empty((r, r)), begins[m]
+    before, explained = np.empty((count, rows.shape[2])), np.empty((count, rows.shape[2]))
     for k in range(len(rows)):
+        live = rows[k, :count]
         if k:
-            product(before, coupling[k - 1], rows[k], -1.0, 1.0, False, False)
-            product(rows[k], inverse[k], explained, 1.0, 0.0, False, True)
+            product(before, coupling[slot[k - 1]], live, -1.0, 1.0, False, False)
+            product(live, inverse[slot[k]], explained, 1.0, 0.0, False, True)
         for n in range(m):
-            own = explained[n * r : n * r + r]
+            first, size = begins[n], begins[n + 1] - begins[n]
+            own = explained[first : first + size]
             if k == 0:  # columns of few nodes
-                _explained(rows[0, n * r : n * r + r], inverse[0], own)
-            product(own, own, gain[n], 1.0, 1.0, False, True)
+                _explained(live[first : first + size], inverse[slot[0]], own)
+            for a in range(size):
+                for b in range(size):
+                    for j in range(own.shape[1]):
+                        gain[n, a, b] += own[a, j] * own[b, j]
         before, explained = explained, before
     for n in range(m):
         for a in range(r):

@@ -12,7 +12,6 @@ from glissando._kernels.lie import (
     ad_into,
     adjoint_into,
     exp_into,
-    fill,
     jacobian_coefficients,
     right_jacobian_into,
     squared_angle,
@@ -59,16 +58,31 @@ def whiten_into(cov, out):
 
 
 @jit()
+def _add_square(turn, density, weight, out):
+    """Add weight · M diag(density) Mᵀ of M = [A B; 0 A] to the lower triangle of `out` (6, 6)."""
+    for i in range(3):
+        for j in range(3):
+            top = corner = low = 0.0
+            for k in range(3):
+                scaled = turn[i, k] * density[3 + k]
+                top += turn[i, k] * density[k] * turn[j, k]
+                top += turn[i, 3 + k] * density[3 + k] * turn[j, 3 + k]
+                corner += scaled * turn[j, 3 + k]
+                low += scaled * turn[j, k]
+            out[3 + i, j] += weight * corner
+            if j <= i:
+                out[i, j] += weight * top
+                out[3 + i, 3 + j] += weight * low
+
+
+@jit()
 def process_into(rate, step, psd, carried_psd, jump, rigid, cov, carried):
     """Noise of an interval; `cov` (12, 12) and `carried` (6, 6) are written."""
-    for i in range(12):
-        for j in range(12):
-            cov[i, j] = 0.0
+    m, m2, m3, m4 = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
+    lever, ride, mean, angle = np.empty((6, 6)), np.empty((6, 6)), np.zeros(5), squared_angle(rate)
     for i in range(6):
         for j in range(6):
-            carried[i, j] = 0.0
-    m, m2, m3, m4 = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
-    lever, ride, angle = np.empty((6, 6)), np.empty((6, 6)), squared_angle(rate)
+            cov[i, j] = cov[6 + i, 6 + j] = carried[i, j] = 0.0
     ad_into(rate, m)
     times_into(m, m, m2)
     times_into(m2, m, m3)
@@ -81,26 +95,22 @@ def process_into(rate, step, psd, carried_psd, jump, rigid, cov, carried):
             for j in range(6):
                 lever[i, j] = c1 * m[i, j] + c2 * m2[i, j] + c3 * m3[i, j] + c4 * m4[i, j]
             lever[i, i] += 1.0
-        fill(lever)
+        _add_square(lever, psd, weight * u * u, cov)
+        mean[0] += weight * u
+        mean[1] += weight * u * c1
+        mean[2] += weight * u * c2
+        mean[3] += weight * u * c3
+        mean[4] += weight * u * c4
         if rigid:  # exp(−u ad) = 1 − u ad J_r(u rate)
             times_into(m, lever, ride)
-            for i in range(6):
+            for i in range(3):
                 for j in range(6):
                     ride[i, j] = (i == j) - u * ride[i, j]
-        for i in range(6):
-            for j in range(i + 1):
-                value = other = 0.0
-                for k in range(6):
-                    value += lever[i, k] * psd[k] * lever[j, k]
-                    if rigid:
-                        other += ride[i, k] * carried_psd[k] * ride[j, k]
-                cov[i, j] += weight * u * u * value
-                carried[i, j] += weight * other
-            for j in range(6):
-                cov[i, 6 + j] += weight * u * lever[i, j] * psd[j]
+            _add_square(ride, carried_psd, weight, carried)
     for i in range(6):
         for j in range(6):
-            cov[6 + j, i] = cov[i, 6 + j]
+            value = mean[1] * m[i, j] + mean[2] * m2[i, j] + mean[3] * m3[i, j] + mean[4] * m4[i, j]
+            cov[i, 6 + j] = cov[6 + j, i] = ((i == j) * mean[0] + value) * psd[j]
             if j > i:
                 cov[i, j], carried[i, j] = cov[j, i], carried[j, i]
         cov[6 + i, 6 + i] = step * psd[i] + jump[i]

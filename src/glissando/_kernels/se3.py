@@ -6,6 +6,7 @@ import numpy as np
 
 from glissando._kernels.jit import jit
 from glissando._kernels.lie import (
+    compose_into,
     exp_into,
     log_into,
     right_jacobian_into,
@@ -20,6 +21,16 @@ def exp(x):
     out = np.empty((len(x), 4, 4))
     for i in range(len(x)):
         exp_into(x[i], out[i])
+    return out
+
+
+@jit("(f8[:,:,::1], f8[:,::1])")
+def retract(pose, step):
+    """Poses (M, 4, 4) moved on the right by the first six numbers of steps (M, ·)."""
+    out, move = np.empty((len(pose), 4, 4)), np.empty((4, 4))
+    for i in range(len(pose)):
+        exp_into(step[i], move)
+        compose_into(pose[i], move, out[i])
     return out
 
 

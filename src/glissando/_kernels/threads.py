@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import cache
 
 from threadpoolctl import ThreadpoolController
 
 _held = threading.local()
+_NOTHING = nullcontext()
 
 
 @cache
@@ -20,12 +21,13 @@ def _controller() -> ThreadpoolController:
     return ThreadpoolController().select(user_api="blas")
 
 
-@contextmanager
-def one_thread() -> Iterator[None]:
+def one_thread() -> AbstractContextManager[None]:
     """Hold BLAS to one thread while the context lasts; it costs nothing where it is already."""
-    if getattr(_held, "already", False):
-        yield
-        return
+    return _NOTHING if getattr(_held, "already", False) else _limited()
+
+
+@contextmanager
+def _limited() -> Iterator[None]:
     _held.already = True
     controller = _controller()
     alone = all(each.num_threads == 1 for each in controller.lib_controllers)

@@ -1,4 +1,4 @@
-"""The white-noise prior on a grid: its factors summed, points between nodes, readings there.
+"""The white-noise prior on a grid: its factors summed, and those of readings between its nodes.
 
 Nodes are (K, N) of time and arclength; `along` (N−1, 3, 6) and `through` (K−1, 3, 6) are densities
 of the steps between them: of the moving field, of the carried one, and the variance of a jump.
@@ -11,15 +11,14 @@ from math import sqrt
 
 import numpy as np
 
-from glissando._kernels.blas import product
 from glissando._kernels.jit import jit
 from glissando._kernels.lie import ahead_into, log_into, right_jacobian_inverse_into
 from glissando._kernels.normal_equations import SUMS, add_factor, at_nodes_into
-from glissando._kernels.process import apply_into, middle_into
+from glissando._kernels.process import apply_into
 from glissando._kernels.sensors import sense_into
-from glissando._kernels.steps import bridged_into, step_into
+from glissando._kernels.steps import step_into
+from glissando._kernels.white_noise_points import STATE, point_into
 
-_STATE = "f8[:,:,:,::1], f8[:,:,::1], f8[:,:,::1]"
 _NEAR = 1e-9  # of a step: points that close to a node lie on it
 HUBER, GEMAN_MCCLURE = 1.0, 2.0
 """Numbers of losses in the rows of readings; zero is none."""
@@ -41,11 +40,8 @@ def _base_into(pose, strain, velocity, base_pose, rest, error, slopes):
             slopes[i, 0, j] = spread[i, j]
 
 
-@jit(
-    f"(f8[::1], f8[::1], f8[::1], f8[::1], {_STATE}, f8[:,:,::1], f8[:,:,::1],"
-    f" f8[:,::1], f8[::1], f8[::1], {SUMS})"
-)
-def accumulate(
+@jit()
+def _add_prior(
     arclength, time, arclength_spans, time_spans, pose, strain, velocity, along, through,
     base_pose, rest, base, begin, end, across, rhs_begin, rhs_end,
 ):  # fmt: skip
@@ -95,135 +91,6 @@ def accumulate(
 
 
 @jit()
-def _copy(matrix, out):
-    """Copy a matrix."""
-    for i in range(matrix.shape[0]):
-        for j in range(matrix.shape[1]):
-            out[i, j] = matrix[i, j]
-
-
-@jit()
-def _carry(slope, inner, left, jacobian, first, cov):
-    """Slopes by the ends (18, 18) of an arclength step, and its covariance, through `slope`."""
-    through, wide = np.empty((18, 18)), np.empty((18, 18))
-    for i in range(2):
-        product(slope, inner[i], through, 1.0, 0.0, False, False)
-        for a in range(18):
-            for b in range(18):
-                jacobian[a, first + i, b] = through[a, b]
-    product(slope, left, wide, 1.0, 0.0, False, False)
-    product(wide, slope, cov, 1.0, 1.0, False, True)
-
-
-@jit()
-def _bridge_rate(k, n, share, about, out):
-    """The velocity about which a time step is linearised that begins at node k between nodes n."""
-    for i in range(6):
-        out[i] = 0.5 * (about[k, n, i] + about[k + 1, n, i])
-        if share > 0.0:
-            later = 0.5 * (about[k, n + 1, i] + about[k + 1, n + 1, i])
-            out[i] = (1.0 - share) * out[i] + share * later
-
-
-@jit()
-def _point_into(
-    n, ds, us, k, dt, ut, pose, strain, velocity, about_strain, about_velocity, along, through,
-    arclength_spans, time_spans, there, bend, motion, nodes, jacobian, left,
-):  # fmt: skip
-    """State in a cell; nodes (c,), slopes (18, c, 18) and covariance (18, 18) into zeros.
-
-    Lower node, step and offset along arclength and time say where. Along arclength at one time node
-    or both, then along time. Returns how many nodes it depends on.
-    """
-    n_count = strain.shape[1]
-    inside_s, inside_t = 0.0 < us < ds, 0.0 < ut < dt
-    n += us >= ds > 0.0
-    k += ut >= dt > 0.0
-    wide, share = 2 if inside_s else 1, us / ds if inside_s else 0.0
-    poses, fields = np.empty((3, 4, 4)), np.zeros((3, 2, 6))  # at the time nodes, and between
-    slopes, around = np.zeros((3, 2, 18, 18)), np.zeros((3, 18, 18))
-    density, middle = np.empty((3, 6)), np.empty(6)
-    for part in range(3):
-        early, at = (k + part, 6) if part < 2 else (k, 12)
-        if part and not inside_t:
-            break
-        if part < 2:
-            for i in range(wide):
-                nodes[wide * part + i] = early * n_count + n + i
-        if part < 2 and not inside_s:
-            _copy(pose[early, n], poses[part])
-            for i in range(6):
-                fields[part, 0, i], fields[part, 1, i] = strain[early, n, i], velocity[early, n, i]
-            for i in range(18):
-                slopes[part, 0, i, i] = 1.0
-            continue
-        if part < 2:
-            start, end = pose[early, n], pose[early, n + 1]
-            rate0, rate1 = strain[early, n], strain[early, n + 1]
-            field0, field1 = velocity[early, n], velocity[early, n + 1]
-            step, offset, given, span = ds, us, along[n], time_spans[early]
-            middle_into(
-                about_strain[early, n], about_strain[early, n + 1], step, given[0], given[2], middle
-            )
-        else:
-            start, end = poses[0], poses[1]
-            rate0, rate1, field0, field1 = fields[0, 1], fields[1, 1], fields[0, 0], fields[1, 0]
-            step, offset, given, span = dt, ut, through[k], arclength_spans[n]
-            _bridge_rate(k, n, share, about_velocity, middle)
-            if inside_s:
-                span += share * (arclength_spans[n + 1] - span)
-        for i in range(3):
-            for j in range(6):
-                density[i, j] = given[i, j] / (1.0 if part == 2 and i == 2 else span)
-        bridged_into(
-            start, end, rate0, rate1, field0, field1, step, offset, middle, density[0], density[1],
-            density[2], at, 18 - at, part < 2, poses[part], fields[part, part // 2],
-            fields[part, 1 - part // 2], slopes[part, 0], slopes[part, 1], around[part],
-        )  # fmt: skip
-    last = 2 if inside_t else 0
-    _copy(poses[last], there)
-    _copy(around[last], left)
-    for i in range(6):
-        bend[i], motion[i] = fields[last, 0, i], fields[last, 1, i]
-    if not (inside_s and inside_t):
-        for i in range(wide * (1 + inside_t)):
-            for a in range(18):
-                for b in range(18):
-                    jacobian[a, i, b] = slopes[last, i, a, b]
-        return wide * (1 + inside_t)
-    for part in range(2):
-        _carry(slopes[2, part], slopes[part], around[part], jacobian, 2 * part, left)
-    return 4
-
-
-@jit(
-    f"(i8[:,::1], f8[:,:,::1], {_STATE}, f8[:,:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,:,::1],"
-    " f8[::1], f8[::1], i8)"
-)
-def points(
-    lower, cell, pose, strain, velocity, about_strain, about_velocity, along, through,
-    arclength_spans, time_spans, touched,
-):  # fmt: skip
-    """States at points that depend on as many nodes, slopes by these, covariances given them.
-
-    `lower` (M, 2) are their cells' lower nodes and `cell` (M, 2, 2) the cells' steps and offsets,
-    each along arclength and time.
-    """
-    m = len(lower)
-    there, bend, motion = np.empty((m, 4, 4)), np.empty((m, 6)), np.empty((m, 6))
-    nodes, jacobian = np.empty((m, touched), np.int64), np.zeros((m, 18, touched, 18))
-    left = np.zeros((m, 18, 18))
-    for i in range(m):
-        _point_into(
-            lower[i, 0], cell[i, 0, 0], cell[i, 0, 1], lower[i, 1], cell[i, 1, 0], cell[i, 1, 1],
-            pose, strain, velocity, about_strain, about_velocity, along, through,
-            arclength_spans, time_spans, there[i], bend[i], motion[i], nodes[i], jacobian[i],
-            left[i],
-        )  # fmt: skip
-    return there, bend, motion, nodes, jacobian, left
-
-
-@jit()
 def _cell(nodes, value):
     """Lower node, step and offset of a value among nodes; what is next to a node lies on it."""
     if len(nodes) == 1:
@@ -254,20 +121,12 @@ def _weight(loss, threshold, whitener, residual):
     return 1.0 / max(norm, 1.0) if loss == HUBER else 1.0 / (1.0 + norm * norm) ** 2
 
 
-@jit(
-    "(f8[:,::1], f8[:,:,::1], f8[:,:,::1], i8[::1], f8[::1], f8[::1], f8[::1], f8[::1],"
-    f" {_STATE}, f8[:,:,::1], f8[:,:,::1], {SUMS})"
-)
-def accumulate_readings(
+@jit()
+def _add_readings(
     rows, mounts, covs, which, arclength, time, arclength_spans, time_spans, pose, strain, velocity,
     along, through, begin, end, across, rhs_begin, rhs_end,
 ):  # fmt: skip
-    """Add the factors of `which` (M,) readings, and return them with their weights (M,).
-
-    A row (21,) is time, arclength, sensor, loss and its threshold, then the values; `mounts` are
-    (·, 4, 4) and `covs` (·, 6, 6). Factors are nodes (M, 4), slopes (M, 6, 4, 18), residuals (M, 6)
-    and whiteners; what one does not need of nodes and residuals is zero.
-    """
+    """Add the factors of `which` (M,) readings, and return them with their weights (M,)."""
     m, n_count = len(which), len(arclength)
     nodes, slopes = np.zeros((m, 4), np.int64), np.zeros((m, 6, 4, 18))
     residual, whitener, weight = np.zeros((m, 6)), np.empty((m, 6, 6)), np.empty(m)
@@ -279,7 +138,7 @@ def accumulate_readings(
         jacobian, left, by_state = np.zeros((18, 4, 18)), np.zeros((18, 18)), np.zeros((6, 18))
         n, ds, us = _cell(arclength, row[1])
         k, dt, ut = _cell(time, row[0])
-        _point_into(
+        point_into(
             n, ds, us, k, dt, ut, pose, strain, velocity, strain, velocity, along, through,
             arclength_spans, time_spans, there, bend, motion, nodes[i], jacobian, left,
         )  # fmt: skip
@@ -294,3 +153,28 @@ def accumulate_readings(
             room,
         )  # fmt: skip
     return nodes, slopes, residual, whitener, weight
+
+
+@jit(
+    f"(f8[::1], f8[::1], f8[::1], f8[::1], {STATE}, f8[:,:,::1], f8[:,:,::1], f8[:,::1], f8[::1],"
+    f" f8[::1], f8[:,::1], f8[:,:,::1], f8[:,:,::1], i8[::1], {SUMS})"
+)
+def accumulate(
+    arclength, time, arclength_spans, time_spans, pose, strain, velocity, along, through,
+    base_pose, rest, base, rows, mounts, covs, which, begin, end, across, rhs_begin, rhs_end,
+):  # fmt: skip
+    """Add all factors between nodes, those of a base of densities (18,) if any, and of readings.
+
+    A row (21,) is time, arclength, sensor, loss and its threshold, then the values; `mounts` are
+    (·, 4, 4) and `covs` (·, 6, 6). Factors of `which` (M,) rows and their weights (M,) are
+    returned: nodes (M, 4), slopes (M, 6, 4, 18), residuals (M, 6) and whiteners; what one does not
+    need of nodes and residuals is zero.
+    """
+    _add_prior(
+        arclength, time, arclength_spans, time_spans, pose, strain, velocity, along, through,
+        base_pose, rest, base, begin, end, across, rhs_begin, rhs_end,
+    )  # fmt: skip
+    return _add_readings(
+        rows, mounts, covs, which, arclength, time, arclength_spans, time_spans, pose, strain,
+        velocity, along, through, begin, end, across, rhs_begin, rhs_end,
+    )  # fmt: skip

@@ -1,9 +1,10 @@
-"""The normal equations of a sliding window, kept by interval: summed, factored, solved, dropped.
+"""The normal equations of a sliding window: summed, eliminated slab by slab, solved.
 
-`blocks` (5, ·, D, D) are of every slab: what its interval adds where it begins, where it ends and
-across, and of the factor the inverse and the coupling. `vectors` (3, ·, D) are what
-the interval adds to the right-hand side where it begins and ends, and that side solved forward.
-Source: equations (19) and (20).
+`blocks` (5, ·, D, D) hold of every slab what its interval adds to it, what all older slabs say of
+it, what its interval couples to the next, and of the factor the inverse and the coupling. `vectors`
+(4, ·, D) hold the right-hand sides of the first two, their sum solved forward, and the diagonal of
+the second before older slabs were eliminated. Slabs lie in any order: `slot` (K,) says where, so
+that none is ever moved; of symmetric blocks the lower half counts. Source: equations (19) and (20).
 """
 
 from __future__ import annotations
@@ -14,75 +15,74 @@ import numpy as np
 
 from glissando._kernels.blas import banded_product, lower_product, product
 from glissando._kernels.block_tridiagonal import (
-    backward,
-    forward,
+    backward_slab,
+    forward_slab,
     has_information,
     inverse_factor,
+    less_coupled,
+    less_coupling,
 )
 from glissando._kernels.jit import jit
+from glissando._kernels.normal_equations import SUMS
 
-BEGIN, END, ACROSS, INVERSE, COUPLING = range(5)
-_WINDOW = "f8[:,:,:,::1], f8[:,:,::1], f8[:,::1], f8[::1], i8, i8"
-
-
-@jit(f"({_WINDOW}, i8, f8[:,:,::1])")
-def sum_slab(blocks, vectors, info, rhs, first, k, at, diagonal):
-    """Sum slab k to `diagonal[at]`, of which the lower half counts, and its right-hand side."""
-    d, begin, end = len(rhs), blocks[BEGIN, k], blocks[END, k - 1]
-    ahead, behind, out = vectors[0, k], vectors[1, k - 1], diagonal[at]
-    if k == first:
-        end, behind = info, rhs
-    for i in range(d):
-        vectors[2, k, i] = ahead[i] + behind[i]
-        for j in range(d):
-            out[i, j] = begin[i, j] + end[i, j]
+BEGIN, KNOWN, ACROSS, INVERSE, COUPLING = range(5)
+AHEAD, BEHIND, SOLVED, SCALE = range(4)
 
 
-@jit(f"({_WINDOW}, i8, f8[:,::1], i8[::1])")
-def solve(blocks, vectors, info, rhs, first, stop, start, step, at):
-    """Sum, eliminate from slab `first` + `start` on and solve for the step (K, D) of all slabs.
+@jit()
+def _known(blocks, vectors, own, older, end, rhs_end):
+    """What older slabs say of one, by the sums at the end of the interval that leads to it."""
+    known, behind, coupling = blocks[KNOWN, own], vectors[BEHIND, own], blocks[COUPLING, older]
+    for a in range(len(behind)):
+        behind[a], vectors[SCALE, own, a] = rhs_end[a], end[a, a]
+        for b in range(a + 1):
+            known[a, b] = end[a, b]
+    lower_product(coupling, coupling, known, -1.0, 1.0, True)
+    less_coupled(coupling, vectors[SOLVED, older], behind)
 
-    Returns what `factor` does, and raises what it does.
+
+@jit()
+def _sum(blocks, vectors, own, begin, rhs_begin, schur, scale):
+    """Sum a slab to `schur`, in the lower half, and its right-hand side."""
+    known, kept = blocks[KNOWN, own], blocks[BEGIN, own]
+    for a in range(len(scale)):
+        scale[a] = begin[a, a] + vectors[SCALE, own, a]
+        vectors[AHEAD, own, a] = rhs_begin[a]
+        vectors[SOLVED, own, a] = rhs_begin[a] + vectors[BEHIND, own, a]
+        for b in range(a + 1):
+            kept[a, b], schur[a, b] = begin[a, b], begin[a, b] + known[a, b]
+
+
+@jit(f"(f8[:,:,:,::1], f8[:,:,::1], i8[::1], i8, {SUMS}, f8[:,::1], i8[::1])")
+def solve(
+    blocks, vectors, slot, start, begin, end, across, rhs_begin, rhs_end, step, at
+):  # fmt: skip
+    """Eliminate from slab `start` on, by the sums of its interval and later ones; solve for `step`.
+
+    The step (K, D) is that of all slabs. Returns what `factor` does, and raises what it does.
     """
-    d, vanished, inverse, coupling = len(rhs), -1, blocks[INVERSE], blocks[COUPLING]
-    schur, scale = np.empty((1, d, d)), np.empty(d)
-    for k in range(first + start, stop):
-        at[0] = k - first
-        sum_slab(blocks, vectors, info, rhs, first, k, 0, schur)
-        for i in range(d):
-            scale[i] = schur[0, i, i]
-        if k > first:
-            lower_product(coupling[k - 1], coupling[k - 1], schur[0], -1.0, 1.0, True)
-        inverse_factor(schur[0, 0:d, 0:d], inverse[k, 0:d, 0:d])
-        if k + 1 < stop:
-            banded_product(inverse[k], blocks[ACROSS, k], coupling[k])
-        if vanished < 0 and not has_information(inverse[k], scale):
-            vanished = k - first
-    inverse, coupling = inverse[first:stop], coupling[first : stop - 1]
-    solved = vectors[2, first:stop]
-    forward(inverse, coupling, solved, start)
-    for k in range(len(solved)):
-        for i in range(d):
-            step[k, i] = solved[k, i]
-    backward(inverse, coupling, step)
+    d, count, vanished = begin.shape[1], len(slot), -1
+    schur, scale = np.zeros((d, d)), np.empty(d)
+    for k in range(start, count):
+        at[0], own, i = k, slot[k], k - start
+        if i:
+            _known(blocks, vectors, own, slot[k - 1], end[i - 1], rhs_end[i - 1])
+        _sum(blocks, vectors, own, begin[i], rhs_begin[i], schur, scale)
+        inverse = blocks[INVERSE, own]
+        inverse_factor(schur[0:d, 0:d], inverse[0:d, 0:d])
+        if k + 1 < count:
+            blocks[ACROSS, own, :, :] = across[i]
+            banded_product(inverse, across[i], blocks[COUPLING, own])
+        forward_slab(inverse, vectors[SOLVED, own])
+        if vanished < 0 and not has_information(inverse, scale):
+            vanished = k
+    for k in range(count - 1, -1, -1):
+        own = slot[k]
+        step[k, :] = vectors[SOLVED, own]
+        if k + 1 < count:
+            less_coupling(blocks[COUPLING, own], step[k + 1], step[k])
+        backward_slab(blocks[INVERSE, own], step[k])
     return vanished
-
-
-@jit("(f8[:,:,:,::1], f8[:,:,::1], f8[:,::1], f8[::1], i8)")
-def drop(blocks, vectors, info, rhs, first):
-    """Overwrite `info` and `rhs` with what slab `first` and its interval say of the next slab."""
-    d, end, coupling = len(rhs), blocks[END, first], blocks[COUPLING, first]
-    for i in range(d):
-        for j in range(d):
-            info[i, j] = end[i, j]
-        rhs[i] = vectors[1, first, i]
-    lower_product(coupling, coupling, info, -1.0, 1.0, True)
-    for j in range(d):
-        row, value = coupling[j], vectors[2, first, j]
-        for i in range(d):
-            rhs[i] -= row[i] * value
-        for i in range(j):
-            info[i, j] = info[j, i]
 
 
 @jit("(f8[:,::1], i8, i8, i8)")

@@ -38,7 +38,7 @@ class GatedUpdate:
         renewed = _RENEWED if self._missed > _CLOSE else 1
         if self._window.undelayed is not None:
             renewed = len(time)  # a delay is known by slopes, which later readings make better
-        late = int(np.searchsorted(time, earliest, side="right")) - 1
+        late = int(time.searchsorted(earliest, "right")) - 1
         return max(0, min(len(time) - 1 - renewed, late, self._window.intact - 1))
 
     def start(self, fresh: Counter[str]) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 from functools import reduce
+from itertools import pairwise
 
 import numpy as np
 
@@ -58,13 +59,15 @@ class ReadingBuffer:
             return
         channel, slack = readings.channel, 1e-9 * self._length
         low, high = channel.travels(self._length) if channel else (0.0, self._length)
-        (first, last), (lowest, highest) = _ends(time), _ends(place)
+        times, (lowest, highest) = time.tolist(), _ends(place)
+        first, last = min(times), max(times)
         faults: list[tuple[str, np.ndarray | None]] = []
         if lowest < low - slack or highest > high + slack:
             faults += [("off the robot", (place < low - slack) | (place > high + slack))]
         if first < oldest:
             faults += [("late", time < oldest)]
-        if len(time) > 1 or first <= self._newest.get(name, -np.inf):
+        newest = self._newest.get(name, -np.inf)
+        if first <= newest or any(b <= a for a, b in pairwise(times)):
             faults += [("repeated", self._repeated(readings))]
         if readings.tracker:
             faults += [("repeated", self._frozen(readings))]
@@ -77,7 +80,7 @@ class ReadingBuffer:
         if len(readings):
             waiting = self._waiting.get(name)
             self._waiting[name] = readings if waiting is None else waiting.joined(readings)
-            self._newest[name] = max(last, self._newest.get(name, -np.inf))
+            self._newest[name] = max(last, newest)
 
     def _repeated(self, readings: Readings) -> np.ndarray:
         """Rows that have a stamp of before; at one moment a stream may read several places."""
@@ -123,6 +126,8 @@ class ReadingBuffer:
 
     def refuse_ahead(self, now: float) -> None:
         """Refuse readings that wait with stamps absurdly far ahead of the time now."""
+        if max(self._newest.values(), default=now) <= now + _AHEAD:
+            return
         for name, waiting in list(self._waiting.items()):
             if len(waiting) and _ends(waiting.time)[1] > now + _AHEAD:
                 ahead = waiting.time > now + _AHEAD

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import groupby
 
 import numpy as np
 
@@ -104,7 +104,6 @@ class SlidingWindow:
         info[own, own] = np.linalg.inv(cov) - np.diag(own_info)
         rhs[own] = own_info * (values - self._process.mean)
         self._system = WindowSystem(self.layout, info, rhs)
-        self._system.append()
         self._root = np.zeros((0, 0))
 
     def _carry(self, time: float) -> None:
@@ -112,7 +111,7 @@ class SlidingWindow:
         process, parameters = self._process, self._parameters
         if self._root.size:
             own = self._root[:, self.nodes.state.numbers :]
-            values = self.nodes.estimate[1][-1]
+            values = self.nodes.newest[1]
             fade = np.exp((float(self.nodes.time[-1]) - time) / process.memory)
             cov = fade[:, None] * (own.T @ own) * fade
             cov += np.diag(process.std**2 * (1.0 - fade**2))
@@ -143,13 +142,12 @@ class SlidingWindow:
 
     def append(self, time: float) -> None:
         """One more node, where constant velocity (and strain rate) lead from the newest."""
-        states, parameters = self.nodes.estimate
-        state, lasts = states.take(-1), time - float(self.nodes.time[-1])
+        (state, parameters), lasts = self.nodes.newest, time - float(self.nodes.time[-1])
         ahead = np.zeros((state.pose.shape[0], state.dof))
         ahead[:, POSE] = lasts * state.velocity
         if state.strain_rate is not None:
             ahead[:, STRAIN] = lasts * state.strain_rate
-        self.nodes = self.nodes.joined(self._node(time, state.retract(ahead), parameters[-1]))
+        self.nodes = self.nodes.joined(self._node(time, state.retract(ahead), parameters))
         self._system.append()
 
     def copied(self) -> SlidingWindow:
@@ -212,30 +210,30 @@ class SlidingWindow:
             first: The node.
             readings: All at and after it.
         """
-        self._linearize(first, readings)
-        self.nodes = self.nodes.stepped(self._system.solve(first))
-        self._root = self._system.cholesky.inverse[-1].copy()
+        sums = self._linearized(first, readings)
+        self.nodes = self.nodes.stepped(self._system.solve(first, sums))
+        self._root = self._system.root.copy()
 
-    def _linearize(self, first: int, readings: HeldReadings) -> None:
+    def _linearized(self, first: int, readings: HeldReadings) -> NormalEquationsBuilder:
         """Sum the factors of the intervals from `first` on. Source: equation (19)."""
         motion = self._motion_of_others(first)
         nodes, grid = self.nodes.take(slice(first, None)), self.grid(first)
         builder = self._system.builder(first)
         self._terms, self._first, self._held = [], first, readings
         if type(self.prior) is WhiteNoisePrior and motion is None:
-            on = grid, nodes.state, (self._along, self.prior.time_densities(grid.time))
-            self.prior.accumulate(*on, builder.sums)
-            if readings.which.size:
-                rows = readings.rows, readings.which
-                *factors, weights = self.prior.accumulate_readings(*on, *rows, builder.sums)
-                at, slopes, *terms = factors
+            densities, rows = (self._along, self.prior.time_densities(grid.time)), readings.which
+            memory = *readings.rows.memory, rows
+            found = self.prior.accumulate(grid, nodes.state, densities, memory, builder.sums)
+            if rows.size:
+                at, slopes, *terms, weights = found
                 batch = Factors(at, slice(0, DOF), slopes, Residuals(*terms))
-                self._terms.append(_Terms(None, readings.which, batch, weights))
+                self._terms.append(_Terms(None, rows, batch, weights))
         else:
             for batch in self.prior.factors(grid, nodes.state, nodes.state, slice(0, len(nodes))):
                 builder.accumulate(self._dated(batch, nodes))
         if readings.streams or self._process.size:
             self._add_streams(readings.streams, grid, nodes, motion, builder)
+        return builder
 
     def _add_streams(
         self,
@@ -307,33 +305,32 @@ class SlidingWindow:
                 place = stream.time[rows], stream.arclength[rows]
                 yield Innovations(stream.label, nis, dof, *place)
                 continue
-            numbers = held.rows.stream[rows]
             time, arclength = held.rows.time[rows], held.rows.arclength[rows]
-            ends = [0, *((numbers[1:] != numbers[:-1]).nonzero()[0] + 1).tolist(), rows.size]
-            for begin, end in pairwise(ends):
-                own, (label, dof) = slice(begin, end), held.labels[numbers[begin]]
+            end = 0
+            for number, each in groupby(held.rows.stream[rows].tolist()):
+                begin, end = end, end + sum(1 for _ in each)
+                own, (label, dof) = slice(begin, end), held.labels[number]
                 yield Innovations(label, nis[own], dof, time[own], arclength[own])
 
     def _squared(self, terms: _Terms, which: Index) -> Array:
         """Squared innovations of `which` readings of a batch."""
-        cholesky, since = self._system.cholesky, slice(self._first, None)
+        inverse, coupling, slot = self._system.factor
         nis: Array = kernels.squared_innovations(
-            *kernel_arguments(terms.batch), which, self.layout.nodes, self.layout.dof,
-            cholesky.inverse[since], cholesky.coupling[since], self.nodes.step[since],
-            terms.weights[which],
+            *kernel_arguments(terms.batch), which, self.layout.nodes, self.layout.dof, inverse,
+            coupling, slot[self._first :], self.nodes.step[self._first :], terms.weights[which],
         )  # fmt: skip
         return nis
 
     def newest(self) -> tuple[State, Array]:
         """Estimate (N,) of the newest time and its covariance (D, D)."""
         inverse = self._root
-        return self.nodes.estimate[0].take(-1), inverse.T @ inverse
+        return self.nodes.newest[0], inverse.T @ inverse
 
     def newest_nodes(self) -> StateEstimate:
         """The newest time at the nodes (N,), each with its own covariance (N, 18, 18)."""
         layout = self.layout
         cov = window_kernels.node_covariances(self._root, layout.nodes, layout.dof, DOF)
-        state = self.nodes.estimate[0].take(-1)
+        state = self.nodes.newest[0]
         return StateEstimate(state.pose, state.strain, state.velocity, cov)
 
     def posterior(self) -> Posterior:

@@ -39,18 +39,13 @@ class Nodes:
 
     def joined(self, other: Nodes) -> Nodes:
         """These nodes, then the others."""
-        out = Nodes(
+        return Nodes(
             np.concatenate([self.time, other.time]),
             concatenate(self.state, other.state),
             np.concatenate([self.parameters, other.parameters]),
             np.concatenate([self.step, other.step]),
             np.concatenate([self.own, other.own]),
         )
-        if not other.step.any():  # it stands at its estimate, and those of these are known
-            state, parameters = self.estimate
-            later = concatenate(state, other.state), np.concatenate([parameters, other.parameters])
-            out.__dict__["estimate"] = later
-        return out
 
     def stepped(self, step: Array) -> Nodes:
         """The nodes with another step (K, D)."""
@@ -63,8 +58,17 @@ class Nodes:
         step = self.step[:, :of_nodes].reshape(*self.state.pose.shape[:2], -1)
         return self.state.retract(step), self.parameters + self.step[:, of_nodes:]
 
+    @cached_property
+    def newest(self) -> tuple[State, Array]:
+        """The estimate of the newest: its state (N,) and sensor parameters (E,)."""
+        last, of_nodes = self.state.take(-1), self.state.numbers
+        step = self.step[-1, :of_nodes].reshape(len(last.pose), -1)
+        return last.retract(step), self.parameters[-1] + self.step[-1, of_nodes:]
+
     def at_estimate(self, first: int) -> Nodes:
         """The nodes with their estimates as linearisation points from `first` on."""
+        if not self.step[first:].any():
+            return self
         step, (state, parameters) = self.step.copy(), self.estimate
         step[first:] = 0.0
         fields = zip(self.state.fields(), state.fields(), strict=True)

@@ -7,6 +7,7 @@ asked for, and belief grows until a robot at rest is known as well; from then on
 from __future__ import annotations
 
 from collections import Counter
+from itertools import pairwise
 
 import numpy as np
 
@@ -96,9 +97,9 @@ class WindowSteps:
                 f"Time went back from {nodes[-1]:g} to {time:g} s; the clock was set. Begin anew "
                 f"with another smoother, and give times of a monotonic clock."
             )
-        spans = np.diff(nodes if before is None else np.append(before, nodes))
-        close = float(time - nodes[-1]) < _MERGED * spans.max(initial=0.0)
-        return float(nodes[-1]) if close else time
+        on = [*([] if before is None else [before]), *nodes.tolist()]
+        longest = max((b - a for a, b in pairwise(on)), default=0.0)
+        return on[-1] if time - on[-1] < _MERGED * longest else time
 
     def _next_node(self, time: float) -> float:
         """The next node on the way to a time: that time, but in silence nodes lie closer."""

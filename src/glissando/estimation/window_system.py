@@ -7,8 +7,19 @@ from copy import copy
 import numpy as np
 
 from glissando._kernels import window as kernels
-from glissando._kernels.window import ACROSS, BEGIN, COUPLING, END, INVERSE
+from glissando._kernels.window import (
+    ACROSS,
+    AHEAD,
+    BEGIN,
+    BEHIND,
+    COUPLING,
+    INVERSE,
+    KNOWN,
+    SCALE,
+    SOLVED,
+)
 from glissando.geometry.se3 import Array
+from glissando.model.grid import Index
 from glissando.solver.block_tridiagonal import BlockTridiagonal, Cholesky, eliminate
 from glissando.solver.normal_equations import Layout, NormalEquationsBuilder
 
@@ -18,89 +29,113 @@ _ROOM = 8  # slabs that memory is made for at first
 class WindowSystem:
     """Slabs of a window: they come at its end and leave at its front as a prior on the next.
 
-    Each interval's sums are kept apart, so that those which did not change need not be found again,
-    in memory that is larger than the window, so that they seldom move.
+    What each interval adds is kept apart, so that what did not change need not be found again, in
+    places of which a slab that comes takes one that another left.
 
     Attributes:
         layout: How the numbers of a slab are laid out.
-        info: What is known (D, D) of the oldest slab from before.
-        rhs: The right-hand side (D,) of that.
         intact: How many slabs, from the oldest on, have sums and factor up to date.
     """
 
     def __init__(self, layout: Layout, info: Array, rhs: Array) -> None:
-        self.layout, self.info, self.rhs = layout, info, rhs
-        self._blocks = np.empty((COUPLING + 1, _ROOM, layout.size, layout.size))
-        self._vectors = np.empty((3, _ROOM, layout.size))
-        self._first = self._stop = self.intact = 0
+        """Begin with one slab, of which `info` (D, D) and `rhs` (D,) are known."""
+        self.layout, self.intact = layout, 0
+        self._make_room(_ROOM)
+        self._slot = np.zeros(1, dtype=np.intp)
+        self.info[:], self.rhs = info, rhs
+        self._vectors[SCALE, 0] = np.diagonal(info)
+
+    def _make_room(self, room: int) -> None:
+        size = self.layout.size
+        self._blocks = np.zeros((COUPLING + 1, room, size, size))
+        self._vectors = np.empty((SCALE + 1, room, size))
+        self._sums = np.empty((ACROSS + 1, room, size, size)), np.empty((2, room, size))
 
     def __len__(self) -> int:
-        return self._stop - self._first
+        return len(self._slot)
+
+    @property
+    def info(self) -> Array:
+        """What is known (D, D) of the oldest slab from before."""
+        return self._blocks[KNOWN, self._slot[0]]
+
+    @property
+    def rhs(self) -> Array:
+        """The right-hand side (D,) of that."""
+        return self._vectors[BEHIND, self._slot[0]].copy()
+
+    @rhs.setter
+    def rhs(self, values: Array) -> None:
+        """Another right-hand side (D,)."""
+        self._vectors[BEHIND, self._slot[0]] = values
 
     def copied(self) -> WindowSystem:
         """The same in memory of its own."""
-        out, used = copy(self), slice(self._first, self._stop)
-        out._blocks, out._vectors = self._blocks[:, used].copy(), self._vectors[:, used].copy()
-        out.info, out.rhs = self.info.copy(), self.rhs.copy()
-        out._first, out._stop = 0, len(self)
+        out = copy(self)
+        out._keep(self._slot, self._blocks.shape[1])
         return out
+
+    def _keep(self, slot: Index, room: int) -> None:
+        """Move slabs to the front of new memory."""
+        blocks, vectors, count = self._blocks, self._vectors, len(slot)
+        self._make_room(room)
+        self._blocks[:, :count], self._vectors[:, :count] = blocks[:, slot], vectors[:, slot]
+        self._slot = np.arange(count)
 
     def append(self) -> None:
         """One slab more, of which nothing is known yet."""
-        if self._stop == self._blocks.shape[1]:
-            used, count = slice(self._first, self._stop), len(self)
-            room = max(self._stop, 4 * count)
-            self._blocks = _moved(self._blocks, used, room)
-            self._vectors = _moved(self._vectors, used, room)
-            self._first, self._stop = 0, count
-        self._stop += 1
+        room, taken = self._blocks.shape[1], self._slot.tolist()
+        if len(taken) == room:
+            self._keep(self._slot, 2 * room)
+            taken = self._slot.tolist()
+        self._slot = np.array([*taken, min(set(range(len(taken) + 1)).difference(taken))])
 
-    def _used(self, which: int) -> Array:
-        """Blocks of one kind; those that couple slabs are one fewer."""
-        return self._blocks[which, self._first : self._stop - (which in (ACROSS, COUPLING))]
+    def drop(self) -> None:
+        """Leave the oldest slab behind; the next knows what it says. Source: equation (20)."""
+        self._slot, self.intact = self._slot[1:], self.intact - 1
 
     def builder(self, first: int) -> NormalEquationsBuilder:
         """What sums the intervals from slab `first` on anew."""
-        self.intact = min(self.intact, first)
-        rhs_begin, rhs_end = self._vectors[:2, self._first + first : self._stop]
-        begin, end, across = (self._used(i)[first:] for i in (BEGIN, END, ACROSS))
-        return NormalEquationsBuilder(self.layout, begin, end, across, rhs_begin, rhs_end)
+        self.intact, count = min(self.intact, first), len(self) - first
+        blocks, vectors = self._sums
+        begin, end, across = blocks[:, :count]
+        return NormalEquationsBuilder(self.layout, begin, end, across[:-1], *vectors[:, :count])
 
-    def system(self) -> tuple[BlockTridiagonal, Array]:
-        """The normal equations."""
-        vectors, diagonal = self._vectors.copy(), np.empty_like(self._used(BEGIN))
-        known = self._blocks, vectors, self.info, self.rhs, self._first
-        for k in range(len(self)):
-            kernels.sum_slab(*known, self._first + k, k, diagonal)
-        rhs = vectors[2, self._first : self._stop]
-        return BlockTridiagonal(diagonal, self._used(ACROSS).copy()), rhs
-
-    @property
-    def cholesky(self) -> Cholesky:
-        """The factor."""
-        return Cholesky(self._used(INVERSE), self._used(COUPLING))
-
-    def solve(self, first: int) -> Array:
-        """Eliminate from slab `first` on, where sums are new; the solution (K, D).
+    def solve(self, first: int, sums: NormalEquationsBuilder) -> Array:
+        """Eliminate from slab `first` on, of which these are the sums; the solution (K, D).
 
         Raises:
             UnobservableError: Some direction of the state has no information.
         """
         solution = np.empty((len(self), self.layout.size))
-        known = self._blocks, self._vectors, self.info, self.rhs, self._first, self._stop
-        eliminate(kernels.solve, *known, first, solution)
+        memory = self._blocks, self._vectors, self._slot
+        eliminate(kernels.solve, *memory, first, *sums.sums, solution)
         self.intact = len(self)
         return solution
 
-    def drop(self) -> None:
-        """Leave the oldest slab behind, as a prior on the next. Source: equation (20)."""
-        kernels.drop(self._blocks, self._vectors, self.info, self.rhs, self._first)
-        self._first, self.intact = self._first + 1, self.intact - 1
+    def system(self) -> tuple[BlockTridiagonal, Array]:
+        """The normal equations."""
+        blocks, vectors = self._blocks[:, self._slot], self._vectors[:, self._slot]
+        half, coupling = np.tril(blocks[BEGIN] + blocks[KNOWN]), blocks[COUPLING, :-1]
+        turned = coupling.swapaxes(1, 2)
+        diagonal = half + np.tril(half, -1).swapaxes(1, 2)
+        diagonal[1:] += turned @ coupling
+        rhs = vectors[AHEAD] + vectors[BEHIND]
+        rhs[1:] += (turned @ vectors[SOLVED, :-1, :, None])[..., 0]
+        return BlockTridiagonal(diagonal, blocks[ACROSS, :-1]), rhs
 
+    @property
+    def factor(self) -> tuple[Array, Array, Index]:
+        """Inverses and couplings of the factor as kernels take them: in places, and which."""
+        return self._blocks[INVERSE], self._blocks[COUPLING], self._slot
 
-def _moved(memory: Array, used: slice, room: int) -> Array:
-    """Memory for `room` slabs that begins with those which are used: the same, if it is enough."""
-    count = used.stop - used.start
-    out = memory if room == memory.shape[1] else np.empty((len(memory), room, *memory.shape[2:]))
-    out[:, :count] = memory[:, used]
-    return out
+    @property
+    def cholesky(self) -> Cholesky:
+        """The factor."""
+        inverse, coupling, slot = self.factor
+        return Cholesky(inverse[slot], coupling[slot[:-1]])
+
+    @property
+    def root(self) -> Array:
+        """The inverse (D, D) of the newest slab's factor."""
+        return self._blocks[INVERSE, self._slot[-1]]

@@ -102,6 +102,15 @@ def exp(x: Array) -> Array:
     return poses
 
 
+def retract(pose: Array, step: Array) -> Array:
+    """Poses (…, 4, 4) moved on the right by the first six numbers of steps (…, ·)."""
+    lead = pose.shape[:-2]
+    if lead != step.shape[:-1]:
+        lead = np.broadcast_shapes(lead, step.shape[:-1])
+    moved: Array = kernels.retract(items(pose, lead, 4, 4), items(step, lead, step.shape[-1]))
+    return moved.reshape(*lead, 4, 4)
+
+
 def log(pose: Array) -> Array:
     """Six-vector [rho, phi] (…, 6) of a pose (…, 4, 4), the rotation angle in [0, π]."""
     lead = pose.shape[:-2]

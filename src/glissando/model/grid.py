@@ -124,7 +124,7 @@ class Grid(Brief):
             time: Seconds, increasing.
             before: The node before the first of them, if there is one.
         """
-        spans = _spans(time) if before is None else _spans(np.append(before, time))[1:]
+        spans = _spans(time) if before is None else _spans(np.concatenate([[before], time]))[1:]
         out = object.__new__(Grid)
         out.__dict__.update(self.__dict__, time=time, before=before, time_spans=spans)
         return out

@@ -57,7 +57,7 @@ class State(Brief):
 
     def retract(self, step: Array) -> State:
         """The state moved by `step` (…, dof): poses on the right, the rest by addition."""
-        pose = self.pose @ se3.exp(step[..., POSE])
+        pose = se3.retract(self.pose, step)
         moved = [f + step[..., 6 + 6 * i : 12 + 6 * i] for i, f in enumerate(self._others())]
         return State(pose, *moved)
 

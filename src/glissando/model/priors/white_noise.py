@@ -9,11 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
 
 from glissando._kernels import white_noise as kernels
+from glissando._kernels import white_noise_points
 from glissando._kernels.arrays import whole
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
@@ -31,7 +33,6 @@ from glissando.model.priors.prior_table import (
 from glissando.model.priors.rest_shape import STRAIGHT, RestShape
 from glissando.model.priors.static import static_factors
 from glissando.model.priors.steps import ARCLENGTH, TIME, Direction, weighted_steps
-from glissando.model.sensors.compiled_readings import ReadingRows
 from glissando.model.state import DOF, POSE, STRAIN, VELOCITY, State, rest_state
 
 _ALL = slice(0, DOF)
@@ -223,7 +224,7 @@ class WhiteNoisePrior:
         lower = np.stack([each.lower for each in cells], axis=1)
         places = np.array([[each.step, each.offset] for each in cells])
         nodes_are = state.pose, state.strain, state.velocity
-        pose, strain, velocity, nodes, jacobian, cov = kernels.points(
+        pose, strain, velocity, nodes, jacobian, cov = white_noise_points.points(
             lower, whole(places.transpose(2, 0, 1)), *map(whole, nodes_are),
             whole(noise_state.strain), whole(noise_state.velocity),
             self.arclength_densities(grid.arclength), self.time_densities(grid.time),
@@ -241,39 +242,38 @@ class WhiteNoisePrior:
 
     def time_densities(self, time: Array) -> Array:
         """Densities (K−1, 3, 6) of the steps between time nodes (K,)."""
-        return np.stack(self.along_time(0.5 * (time[1:] + time[:-1])), axis=1)
+        middle = 0.5 * (time[1:] + time[:-1])
+        out = np.empty((middle.size, 3, 6))
+        out[:, 0], out[:, 1], out[:, 2] = self.along_time(middle)
+        return out
 
     def accumulate(
-        self, grid: Grid, state: State, densities: Sequence[Array], sums: Sequence[Array]
-    ) -> None:
-        """Add what `factors` says, linearised at nodes (K, N), to the sums of intervals.
+        self, grid: Grid, state: State, densities: Sequence[Array], readings: Sequence[Any],
+        sums: Sequence[Array],
+    ) -> tuple[Any, ...]:  # fmt: skip
+        """Add what `factors` says, and readings, linearised at nodes (K, N), to intervals' sums.
 
         Args:
             grid: The nodes.
             state: Nodes (K, N) to linearise at; the weights come from them as well.
             densities: Those of the steps along arclength and along time.
+            readings: `ReadingRows.memory`, and which rows (M,) of it.
             sums: Those of a `NormalEquationsBuilder`.
-        """
-        base = np.zeros(0) if self.base is None else np.concatenate(list(vars(self.base).values()))
-        kernels.accumulate(
-            grid.arclength, grid.time, grid.arclength_spans, grid.time_spans,
-            *state.fields(), *densities, self.base_pose, self.rest_strain, base, *sums,
-        )  # fmt: skip
-
-    def accumulate_readings(
-        self, grid: Grid, state: State, densities: Sequence[Array], rows: ReadingRows,
-        which: Index, sums: Sequence[Array],
-    ) -> tuple[Any, ...]:  # fmt: skip
-        """Add `which` (M,) readings to the sums of intervals, as `accumulate` adds the prior.
 
         Returns:
-            Nodes (M, 4), slopes, residuals, whiteners and weights (M,) of their factors.
+            Nodes (M, 4), slopes, residuals, whiteners and weights (M,) of the readings' factors.
         """
-        found: tuple[Any, ...] = kernels.accumulate_readings(
-            *rows.memory, which, grid.arclength, grid.time, grid.arclength_spans, grid.time_spans,
-            *state.fields(), *densities, *sums,
+        found: tuple[Any, ...] = kernels.accumulate(
+            grid.arclength, grid.time, grid.arclength_spans, grid.time_spans,
+            *state.fields(), *densities, self.base_pose, self.rest_strain, self._base_densities,
+            *readings, *sums,
         )  # fmt: skip
         return found
+
+    @cached_property
+    def _base_densities(self) -> Array:
+        """Densities (18,) of the base, none where it is not known."""
+        return np.concatenate([np.zeros(0), *(vars(self.base).values() if self.base else ())])
 
     def _along(
         self,

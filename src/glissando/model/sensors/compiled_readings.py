@@ -122,5 +122,5 @@ def is_compiled(readings: Readings) -> TypeGuard[CompiledReadings]:
         and type(readings.loss) in _LOSSES
         and readings.channel is None
         and readings.beside is None
-        and not np.asarray(readings.arclength_std).any()
+        and not np.any(readings.arclength_std)
     )
