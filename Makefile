@@ -46,7 +46,7 @@ docs: $(READY)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
 
 pytest: $(READY)
-	$(BIN)/pytest -q -n 2 --dist loadgroup -m "not alone"
+	$(BIN)/pytest -q -n 2 -m "not alone"
 	$(BIN)/pytest -q -m alone tests/hardware
 
 bench: $(READY)

@@ -1,4 +1,5 @@
 import os
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -15,14 +16,22 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(name, "1")
 
 
-@pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items):
-    """Tests that share a fixture of their module run in one process, which makes it once."""
-    for item in items:
-        known = getattr(item, "_fixtureinfo", None)
-        made = known.name2fixturedefs.values() if known else ()
-        if any(definitions[-1].scope == "module" for definitions in made):
-            item.add_marker(pytest.mark.xdist_group(str(item.path)))
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """Tests of a file with fixtures of its own run in one process, which makes them once."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class ByFixtures(LoadScopeScheduling):
+        def _split_scope(self, nodeid):
+            file = nodeid.partition("::")[0]
+            return file if _has_fixtures(config.rootpath / file) else nodeid
+
+    return ByFixtures(config, log)
+
+
+@cache
+def _has_fixtures(file):
+    return file.suffix == ".py" and 'scope="module"' in file.read_text(encoding="utf-8")
 
 
 DATA = Path(__file__).parents[1] / ".." / "shared" / "data"
