@@ -113,7 +113,7 @@ def test_of_a_rod_that_moves_neither_do_they(read):
         parts = [r.select(slice(-1, None)) for r in parts]
     none = {"points": np.zeros(0), "var_points": np.zeros((0, 6))}
     loose, stds = prior(var_tip=np.repeat([0.04, 1e-6], 3), time_scale=0.5, **none), []
-    for count in (7, 13, 25):
+    for count in (7, 15):
         grid = Grid(np.linspace(0.0, LENGTH, count), times)
         found = estimate(loose, grid, parts, gate=None, options=SolverOptions(tolerance=1e-3))
         assert found.solve.converged
@@ -122,7 +122,6 @@ def test_of_a_rod_that_moves_neither_do_they(read):
         stds.append(np.concatenate([at.std_position.ravel(), inner.std.ravel(),
                                     found.load(LENGTH, times).std.ravel()]))  # fmt: skip
     np.testing.assert_allclose(stds[0], stds[1], rtol=5e-3)
-    np.testing.assert_allclose(stds[1], stds[2], rtol=5e-3)
 
 
 def test_frames_agree_and_a_pose_that_is_unsure_blurs_the_worlds_axes(drawn):
