@@ -10,6 +10,20 @@ from glissando.cli import main as command_line
 from glissando.cli.main import _stopped_by_signals, main
 
 
+@pytest.fixture(autouse=True)
+def _not_ignored():
+    """Signals as at a terminal, also where what started the tests ignores them (nohup, `&`)."""
+    usual = {
+        signal.SIGINT: signal.default_int_handler,
+        signal.SIGTERM: signal.SIG_DFL,
+        signal.SIGHUP: signal.SIG_DFL,
+    }
+    before = {number: signal.signal(number, handler) for number, handler in usual.items()}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
 def test_a_signal_interrupts_and_the_next_ones_wait_until_all_is_put_away(name, capfd):
     number, put_away = getattr(signal, name), []
