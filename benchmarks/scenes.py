@@ -147,7 +147,7 @@ def speed(robot, options):
         ("slope of risk", lambda: problem.log_risk_gradient(problem.evaluate(at.control))),
         (
             "replan, 5 iterations",
-            lambda: Search(later, 0.045).improve(start, 5),
+            lambda: Search(later, 0.045).improve(start, 5, restores=False),
         ),
     ):
         work()

@@ -58,10 +58,12 @@ class Search:
             self.last = self.problem.evaluate(control, self.last)
         return self.last
 
-    def improve(self, control: Array, iterations: int) -> Evaluation:
-        """The best motion that the search leads to."""
+    def improve(self, control: Array, iterations: int, *, restores: bool = True) -> Evaluation:
+        """The best motion that the search leads to; `restores` takes longer where it misses."""
         best = self._minimize(control, iterations)
-        if self.missed(best):  # narrow passages bend the constraints more than their slopes say
+        if restores and self.missed(
+            best
+        ):  # narrow passages bend the constraints more than their slopes say
             restored = self._minimize(best.control, _RESTORE, penalty=True)
             best = min(self._minimize(restored.control, iterations), best, key=self.merit)
         return best

@@ -190,7 +190,7 @@ def _moving_on(search: Search, plan: MotionPlan, start: float, values: Array) ->
     space, planned = search.problem.space, MotionFollower(plan).planned
     ahead = planned(start + space.paths[0].control_times)
     same = search.at(space.follow((ahead + values - planned(start)).T))
-    found = search.improve(same.control, _ITERATIONS)
+    found = search.improve(same.control, _ITERATIONS, restores=False)
     return _with_risk(search, min((found, same), key=search.merit))
 
 
