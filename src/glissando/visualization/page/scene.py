@@ -146,7 +146,7 @@ def moments(nodes: Array, window: tuple[float, float] | None) -> Array:
         )
     nodes = nodes[(nodes >= first) & (nodes <= last)]
     nodes = np.unique(np.concatenate([[first], nodes, [last]]))
-    return drawn_at(nodes, int(np.ceil(_RATE * (last - first) - 1e-9)), _MOST)
+    return np.unique(drawn_at(nodes, int(np.ceil(_RATE * (last - first) - 1e-9)), _MOST))
 
 
 def symmetric_root(cov: Array) -> Array:
