@@ -180,7 +180,8 @@ def _use_up(
         if enough or part == _ROUNDS - 1 or (risk > delta and search.missed(best)):
             break
         allowed *= float(np.clip(_SHARE * delta / max(risk, 1e-4), 0.2, 3.0))
-        best = replace(search, allowed=allowed).improve(best.control, iterations)
+        search = replace(search, allowed=allowed)
+        best = search.improve(best.control, iterations)
     assert plan is not None
     return plan
 
