@@ -7,6 +7,7 @@ import time
 import pytest
 
 from glissando.cli import main as command_line
+from glissando.cli.interrupts import until_interrupted
 from glissando.cli.main import _stopped_by_signals, main
 
 
@@ -108,3 +109,13 @@ def test_a_signal_after_a_command_dealt_with_one_is_only_noted(capfd):
         os.kill(os.getpid(), signal.SIGINT)  # while a session is closed, say
         time.sleep(0.01)
     assert "everything is being put away" in capfd.readouterr().err
+
+
+def test_an_interrupt_inside_a_kernel_ends_a_session_as_any_other():
+    with until_interrupted():
+        try:
+            raise KeyboardInterrupt
+        except KeyboardInterrupt as cause:
+            raise SystemError("returned a result with an exception set") from cause
+    with pytest.raises(SystemError, match="another"), until_interrupted():
+        raise SystemError("another")

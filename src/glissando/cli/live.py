@@ -9,7 +9,7 @@ import time
 from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +17,7 @@ from rich.console import Console
 from rich.live import Live as Line
 from rich.text import Text
 
+from glissando.cli.interrupts import until_interrupted
 from glissando.cli.record import add_slide, further_paths, slide_path
 from glissando.cli.shared import Commands, add_command, require_writable, warn
 from glissando.errors import GlissandoError
@@ -132,7 +133,7 @@ def _run(options: argparse.Namespace, devices: ExitStack) -> int:
     )
     status, now = _Status(session), 0.0
     watch = Watch(robot, devices.enter_context(_beside()))
-    with suppress(KeyboardInterrupt), ExitStack() as stack:
+    with until_interrupted(), ExitStack() as stack:
         view = _view(robot, stack) if options.view else None
         stack.enter_context(status)
         stack.enter_context(session)

@@ -17,6 +17,7 @@ from typing import Any
 
 from glissando import __version__
 from glissando.cli.commands import COMMANDS
+from glissando.cli.interrupts import is_interrupt
 from glissando.errors import GlissandoError, NoShapeError, OldNameWarning, PlanWarning
 
 _OWN = (OldNameWarning, PlanWarning)
@@ -86,7 +87,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         )
         return 2
     except (KeyboardInterrupt, SystemError) as problem:
-        if isinstance(problem, SystemError) and not _interrupted(problem):
+        if not is_interrupt(problem):
             raise
         print("glissando: interrupted", file=sys.stderr)
         return 130
@@ -131,13 +132,6 @@ def _stopped_by_signals(*, ends_process: bool = False) -> Iterator[None]:
         sys.unraisablehook = show_lost
         for number, handler in before.items():  # nothing disturbs the end of a program
             signal.signal(number, signal.SIG_IGN if asked and ends_process else handler)
-
-
-def _interrupted(problem: BaseException | None) -> bool:
-    """Whether Ctrl-C caused an error; numba makes a SystemError of it inside a kernel."""
-    while problem is not None and not isinstance(problem, KeyboardInterrupt):
-        problem = problem.__cause__ or problem.__context__
-    return problem is not None
 
 
 @contextmanager
