@@ -78,18 +78,11 @@ def estimate(
     _require_sound(prior, grid, readings, initial)
     if any(r.channel for r in readings):
         again = partial(
-            estimate,
-            sensor_parameters=sensor_parameters,
-            initial_parameters=initial_parameters,
-            options=options,
-            progress=progress,
-            gate=gate,
-        )
-        shape = prior.rest_state(grid) if initial is None else initial
-        return settled(
-            lambda near, start: again(prior, grid, near, initial=start),
-            readings, (prior, grid, shape), initial,
+            estimate, prior, grid, sensor_parameters=sensor_parameters,
+            initial_parameters=initial_parameters, options=options, progress=progress, gate=gate,
         )  # fmt: skip
+        shape = prior.rest_state(grid) if initial is None else initial
+        return settled(again, readings, (prior, grid, shape), initial)
     known = [parameter for parameter in sensor_parameters if parameter.known]
     problem = _Problem(
         prior,
@@ -99,17 +92,12 @@ def estimate(
         options or SolverOptions(),
         progress,
     )
-    used = [used_at_first(r, gate) for r in problem.readings]
-    if not all(rows.all() for rows in used):
-        locate(grid, problem.readings, sensor_parameters)  # raises for spikes off the grid, too
-    posterior, solution = problem.first_solve(used, (initial, initial_parameters))
-    if gate is not None:
-        posterior, used = problem.solve_without_refuted(posterior, solution, used, gate)
-    report = replace(posterior.solve, refused=problem.left_out(used))
+    posterior = problem.posterior((initial, initial_parameters), gate)
+    report = posterior.solve
     if not report.converged:
         message = f"The estimate has {report.status}. {report.outcome.remedy}"
         warnings.warn(message, NotConvergedWarning, stacklevel=2)
-    return replace(posterior, solve=report)
+    return posterior
 
 
 _Start = tuple[State | None, Sequence[tuple[SensorParameter, Array]]]
@@ -126,6 +114,16 @@ class _Problem:
     sensor_parameters: Sequence[SensorParameter]
     options: SolverOptions
     progress: Progress | None
+
+    def posterior(self, start: _Start, gate: float | None) -> Posterior:
+        """The posterior of all readings but those that the others refute."""
+        used = [used_at_first(r, gate) for r in self.readings]
+        if not all(rows.all() for rows in used):
+            locate(self.grid, self.readings, self.sensor_parameters)  # raises for spikes off, too
+        posterior, solution = self.first_solve(used, start)
+        if gate is not None:
+            posterior, used = self.solve_without_refuted(posterior, solution, used, gate)
+        return replace(posterior, solve=replace(posterior.solve, refused=self.left_out(used)))
 
     def first_solve(self, used: Sequence[Mask], start: _Start) -> tuple[Posterior, Solution]:
         """Solve, and say so where readings are so far off that this breaks down."""

@@ -97,7 +97,7 @@ def placed(readings: Sequence[Readings], posterior: Posterior) -> list[Readings]
 
 
 def settled(
-    solve: Callable[[Sequence[Readings], State | None], Posterior],
+    solve: Callable[..., Posterior],
     readings: Sequence[Readings],
     rest: tuple[Prior, Grid, State],
     initial: State | None,
@@ -105,7 +105,7 @@ def settled(
     """The posterior for which readings in channels are where it says itself.
 
     Args:
-        solve: Gives the posterior of readings that are placed, from a start or from rest.
+        solve: Gives the posterior of readings that are placed, from nodes (K, N) `initial` or rest.
         readings: Readings, some of them in channels.
         rest: The prior, the grid, and nodes (K, N) of the shape to place readings by at first.
         initial: Nodes (K, N) to start from, if any.
@@ -117,7 +117,7 @@ def settled(
         _require_in_channel(r, float(rest[1].arclength[-1]))
     now = [_rough(r, *rest) for r in readings]
     for _ in range(_ROUNDS):
-        posterior = solve(now, initial)
+        posterior = solve(now, initial=initial)
         before, now, initial = now, placed(readings, posterior), posterior.state
         pairs = zip(before, now, strict=True)
         moved = [np.abs(a.arclength - b.arclength).max(initial=0.0) for a, b in pairs]

@@ -15,14 +15,13 @@ from scipy.special import logsumexp
 
 from glissando.errors import GlissandoError, OutsideGridError, UnobservableError
 from glissando.estimation.batch import estimate
-from glissando.estimation.contact_evidence import ErrorPrior, error_priors, force_evidence
+from glissando.estimation.contact_evidence import ForceEvidence, error_priors, force_evidence
 from glissando.estimation.loads import require_mechanics
 from glissando.estimation.posterior import Posterior
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid, Index
 from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.model.sensors.readings import Readings
-from glissando.model.state import State
 
 _ROUNDS = 8
 _MISFIT = 5.0  # standard deviations of readings' misfit beyond which a search begins elsewhere
@@ -108,51 +107,30 @@ def scan_contacts(
     state, noise_state = posterior.linearized
     errors, cov = error_priors(prior, grid, noise_state), posterior.marginals.cov
     step = posterior.state.difference(state).reshape(grid.time.size, -1)
-    limits = std_force, false_alarms
-    scans = [
-        scan_state(prior, grid.arclength, errors[k], state.take(k), cov[k], *limits, step[k])
-        for k in rows
-    ]
+    variance, nodes = force_variance(prior, grid.arclength, std_force), grid.arclength
+    scans = []
+    for k in rows:
+        found = force_evidence(prior, nodes, errors[k], state.take(k), cov[k], step[k])
+        scans.append(scan_of(found, errors[k].time, variance, false_alarms))
     return ContactScan.over(scans) if when.ndim else scans[0]
 
 
-def scan_state(
-    prior: MechanicalPrior,
-    arclength: Array,
-    errors: ErrorPrior,
-    state: State,
-    cov: Array,
-    std_force: ArrayLike | None,
-    false_alarms: float,
-    step: Array,
-) -> ContactScan:
-    """Scan the state of one time for one force, see `scan_contacts`.
+def scan_of(found: ForceEvidence, time: float, variance: Array, false_alarms: float) -> ContactScan:
+    """The scan of one time, see `scan_contacts`.
 
     Args:
-        prior: The prior, without the contact.
-        arclength: Nodes (N,), m.
-        errors: What was believed of the intervals' errors.
-        state: Nodes (N,) at which the posterior is linearised.
-        cov: Its covariance (D, D), numbers of nodes first.
-        std_force: How large a force may be, N.
+        found: What the state says of a force anywhere.
+        time: Seconds.
+        variance: Prior variance (3,) of a force, N².
         false_alarms: Share of times at which an untouched robot may be said to be touched.
-        step: Step (D,) from there to its mean.
     """
-    found = force_evidence(prior, arclength, errors, state, cov, step)
-    variance = _sizes(prior, arclength, std_force) ** 2
-    cov_force, half_log_det = found.given_force(variance)
-    force = np.einsum("cij,cj->ci", cov_force, found.vector)
+    cov, half_log_det = found.given_force(variance)
+    force = np.einsum("cij,cj->ci", cov, found.vector)
     ratio = 0.5 * np.einsum("ci,ci->c", found.vector, force) - half_log_det
-    return ContactScan(
-        np.asarray(errors.time),
-        found.arclength,
-        ratio,
-        force,
-        cov_force,
-        np.asarray(logsumexp(ratio, b=found.shares)),
-        np.asarray(found.untouched(variance, false_alarms)),
-        false_alarms,
-    )
+    evidence = np.asarray(logsumexp(ratio, b=found.shares))
+    threshold = np.asarray(found.untouched(variance, false_alarms))
+    when, places = np.asarray(time), found.arclength
+    return ContactScan(when, places, ratio, force, cov, evidence, threshold, false_alarms)
 
 
 def bending_force(prior: MechanicalPrior, arclength: Array) -> float:
@@ -160,9 +138,10 @@ def bending_force(prior: MechanicalPrior, arclength: Array) -> float:
     return 3.0 * float(prior.mechanics.stiffness[:, 3:5].mean()) / float(arclength[-1]) ** 2
 
 
-def _sizes(prior: MechanicalPrior, arclength: Array, std_force: ArrayLike | None) -> Array:
-    given = bending_force(prior, arclength) if std_force is None else std_force
-    return np.broadcast_to(np.asarray(given, dtype=float), 3)
+def force_variance(prior: MechanicalPrior, arclength: Array, std: ArrayLike | None) -> Array:
+    """Prior variance (3,) of a force of deviations (3,) or (), `bending_force` unless given, N²."""
+    given = bending_force(prior, arclength) if std is None else std
+    return np.broadcast_to(np.asarray(given, dtype=float), 3) ** 2
 
 
 @dataclass(frozen=True)
@@ -211,8 +190,9 @@ def locate_contact(
         raise OutsideGridError(
             f"A contact at {start:g} m is off the robot of {length:g} m; give metres."
         )
-    std = _sizes(prior, grid.arclength, std_force)
-    variance = np.concatenate([std**2, np.full(3, (_LEVER * length * std.max()) ** 2)])
+    of_force = force_variance(prior, grid.arclength, std_force)
+    of_moment = np.full(3, (_LEVER * length) ** 2 * of_force.max())
+    variance = np.concatenate([of_force, of_moment])
     count = sum(len(r) * r.row_count for r in readings)
     best, reach = _touched_at(prior, grid, readings, start, variance), 0.15 * length
     if 2.0 * best.posterior.solve.cost > count + _MISFIT * np.sqrt(2.0 * count):

@@ -18,8 +18,8 @@ from glissando._kernels.jit import load
 from glissando._kernels.threads import one_thread
 from glissando.errors import OutsideGridError
 from glissando.estimation.channels import place_in_channel
-from glissando.estimation.contact import ContactScan, scan_state
-from glissando.estimation.contact_evidence import ErrorPrior, error_priors
+from glissando.estimation.contact import ContactScan, force_variance, scan_of
+from glissando.estimation.contact_evidence import ErrorPrior, error_priors, force_evidence
 from glissando.estimation.delays import delayed
 from glissando.estimation.loads import require_mechanics
 from glissando.estimation.posterior import Posterior, StateEstimate, state_at
@@ -144,9 +144,10 @@ class FixedLagSmoother:
         _, cov, _ = self.newest_node()
         prior, nodes = require_mechanics(self.prior), self._window.nodes
         errors = error_priors(prior, Grid(self.arclength, nodes.time), nodes.state, self._errors)
-        self._errors, limits = errors[0], (std_force, false_alarms)
-        here = errors[-1], nodes.state.take(-1), cov
-        return scan_state(prior, self.arclength, *here, *limits, nodes.step[-1])
+        self._errors, newest = errors[0], (errors[-1], nodes.state.take(-1), cov, nodes.step[-1])
+        found = force_evidence(prior, self.arclength, *newest)
+        variance = force_variance(prior, self.arclength, std_force)
+        return scan_of(found, errors[-1].time, variance, false_alarms)
 
     def at(self, arclength: ArrayLike, time: ArrayLike) -> StateEstimate:
         """State and covariance inside the window, or ahead of it as the prior predicts.

@@ -174,14 +174,9 @@ def estimate_static(
     if count is None:
         count = 1 + int(max((r.time.max() for r in given), default=0.0))
     grid = Grid.apart(arclength, count)
-    start = prior.rest_state(grid)
     with one_thread():
         located = locate(grid, given)
-        soft = prior.softened()
-        if soft is not prior:
-            rough = SolverOptions.rough(grid.arclength.size * STATIC_DOF)
-            rough = replace(rough, max_iterations=_SOFT_ITERATIONS)
-            start = _iterated(soft, located, start, rough)[0]
+        start = _first_shapes(prior, located)
         state, (cov, cross), left = _iterated(prior, located, start, options)
     outcomes = [Outcome.CONVERGED] * count
     for k in np.flatnonzero(left):
@@ -193,6 +188,15 @@ def estimate_static(
         with one_thread():
             cov, cross = _with_curvature(prior, located, state, cov)  # (31)
     return StaticPosterior(prior, grid, state, cov, cross, tuple(outcomes))
+
+
+def _first_shapes(prior: Prior, located: LocatedReadings) -> State:
+    """Shapes to start from: at rest, or what a softened prior leads to from there."""
+    soft, start = prior.softened(), prior.rest_state(located.grid)
+    if soft is prior:
+        return start
+    rough = SolverOptions.rough(located.grid.arclength.size * STATIC_DOF)
+    return _iterated(soft, located, start, replace(rough, max_iterations=_SOFT_ITERATIONS))[0]
 
 
 def _alone(
