@@ -1,4 +1,5 @@
 import os
+import signal
 from functools import cache
 from pathlib import Path
 
@@ -14,6 +15,10 @@ settings.load_profile("glissando")
 
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(name, "1")
+
+# Ctrl-C as at a terminal, here and in what tests start, where the shell ignores it (nohup, `&`).
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -104,7 +104,6 @@ def test_ctrl_c_ends_it_cleanly_and_a_kill_loses_no_reading(ending, tmp_path):
         process = subprocess.Popen(
             [*command, where, *map(str, places)],
             stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
         )  # fmt: skip
         try:
             until(lambda: peer.receive() or peer.peers, within=120.0)

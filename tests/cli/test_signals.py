@@ -14,12 +14,7 @@ from glissando.cli.main import _stopped_by_signals, main
 @pytest.fixture(autouse=True)
 def _not_ignored():
     """Signals as at a terminal, also where what started the tests ignores them (nohup, `&`)."""
-    usual = {
-        signal.SIGINT: signal.default_int_handler,
-        signal.SIGTERM: signal.SIG_DFL,
-        signal.SIGHUP: signal.SIG_DFL,
-    }
-    before = {number: signal.signal(number, handler) for number, handler in usual.items()}
+    before = {each: signal.signal(each, signal.SIG_DFL) for each in (signal.SIGTERM, signal.SIGHUP)}
     yield
     for number, handler in before.items():
         signal.signal(number, handler)

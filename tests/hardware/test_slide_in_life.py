@@ -21,6 +21,8 @@ from slide_world import STAGE
 
 pytestmark = pytest.mark.alone
 
+PATIENCE = 1000  # ms: an answer of a simulated servo is waited for where the machine is busy
+
 
 class Ear:
     """Listens to the stage's true travel."""
@@ -58,6 +60,11 @@ class Ear:
         self._socket.close()
 
 
+@pytest.fixture(autouse=True)
+def _patient(monkeypatch):
+    monkeypatch.setattr("dynamixel_sdk.port_handler.LATENCY_TIMER", PATIENCE)
+
+
 @pytest.fixture
 def ear():
     heard = Ear()
@@ -69,8 +76,10 @@ def simulated(ear, *more):
     return started("servo", "--travel", ear.address, "--backlash", "0", *more)
 
 
-PROGRAM = """
+PROGRAM = f"""
     import sys
+    from dynamixel_sdk import port_handler
+    port_handler.LATENCY_TIMER = {PATIENCE}
     from glissando.hardware.drivers import Slide, Stage
 
     stage = Stage(lead=0.0254, stroke=(0.0, 0.06), speed=0.01, watchdog=1.0, lag=0.02)
@@ -83,11 +92,9 @@ PROGRAM = """
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
-def test_a_host_that_is_interrupted_or_killed_leaves_the_stage_standing(ear, number, monkeypatch):
+def test_a_host_that_is_interrupted_or_killed_leaves_the_stage_standing(ear, number):
     from dynamixel_sdk import PacketHandler, PortHandler
 
-    # ms: on a busy machine an answer is waited for, so that none comes late.
-    monkeypatch.setattr("dynamixel_sdk.port_handler.LATENCY_TIMER", 2500)
     with simulated(ear) as address:
         command = [sys.executable, "-c", textwrap.dedent(PROGRAM), address]
         pipe = subprocess.PIPE
