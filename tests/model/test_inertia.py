@@ -183,6 +183,22 @@ def test_a_smoother_follows_a_rod_that_is_let_go_without_beginning_again():
 
 
 @pytest.mark.slow
+def test_a_start_that_looser_loads_found_is_a_few_steps_from_the_end():
+    _, coil = released(0.5)
+    grid = wire_grid(0.5, nodes=9)
+    swing = replace(SWING, modes=4, air_damping=0.0)
+    force, tip = 8e-7 * np.repeat([1.0, 4e-5], 3), 8e-8 * np.repeat([1.0, 4e-5], 3)
+    fields = {"psd_strain_error": np.repeat([1e-9, 1e-6], 3), "var_base": np.full(6, 1e-9)}
+    first, last = (
+        wire(psd_load=part * force, var_tip=part * tip, inertia=swing, **fields) for part in (64, 1)
+    )
+    start = estimate(first, grid, [coil], gate=None).state
+    posterior = estimate(last, grid, [coil], gate=None, initial=start)
+    assert posterior.solve.converged
+    assert posterior.solve.iterations <= 5
+
+
+@pytest.mark.slow
 def test_a_coil_at_the_tip_shows_the_middle_of_a_rod_that_is_let_go():
     motion, coil = released(0.5)
     grid = wire_grid(0.5)

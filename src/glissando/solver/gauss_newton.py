@@ -1,14 +1,16 @@
 """Gauss–Newton with a trust region on the whole problem.
 
-Linearise every factor, factor the block-tridiagonal system, step; shorten the step by
-Levenberg–Marquardt damping when the cost does not fall; stop when a step is a negligible fraction
+Linearise every factor, factor the block-tridiagonal system, step; when the cost does not
+fall, look where the next step from there leads, else shorten the step by Levenberg–Marquardt
+damping; stop when a step is a negligible fraction
 of a posterior standard deviation. Source: equations (19) to (21).
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -152,7 +154,7 @@ def minimize(
             continue
         if iteration == _SETTLED:
             fixed = here
-        here, gain = _try_step(here, _candidates(prior, here, step), fixed, predicted, at)
+        here, gain = _try_step(prior, here, step, fixed, predicted, at)
         ended = Outcome.CONVERGED if idle and not gain > WORTHWHILE else None
         damping = _next_damping(damping, gain)
         if ended is None and damping > _DAMPING[1]:
@@ -192,29 +194,52 @@ def _candidates(prior: Prior, here: NormalEquations, step: Array) -> Iterator[tu
 
 
 def _try_step(
+    prior: Prior,
     here: NormalEquations,
-    candidates: Iterable[tuple[_Where, float]],
+    step: Array,
     fixed: NormalEquations | None,
     predicted: float,
     at: _Linearize,
 ) -> tuple[NormalEquations, float]:
-    """The problem at the first candidate worth it, else as it was; and the share of the promise."""
+    """The problem at the first way worth it, else as it was; and the share of the promise."""
     cost, best, best_gain = here.cost_of(here), (here.state, here.located), WORTHWHILE
-    gain, there = -1.0, here
-    for candidate, share in candidates:
-        try:
-            there = at(candidate, fixed)
-        except np.linalg.LinAlgError:  # so far off that not even its weights exist
-            continue
+    gain = -1.0
+    for there, where, share in _ways(prior, here, step, fixed, at):
         if predicted < ROUNDING * (1.0 + cost):
             return there, 1.0
         gain = (cost - here.cost_of(there)) / (share * predicted)
         if gain > _GOOD:
             return there, gain
         if gain > best_gain:
-            best, best_gain = candidate, gain
+            best, best_gain = where, gain
     gain = best_gain if best_gain > WORTHWHILE else gain
     return at(best, fixed), gain
+
+
+def _ways(
+    prior: Prior,
+    here: NormalEquations,
+    step: Array,
+    fixed: NormalEquations | None,
+    at: _Linearize,
+) -> Iterator[tuple[NormalEquations, _Where, float]]:
+    """The problem where each candidate leads, as far as its weights exist, and its share.
+
+    Last comes where a second step from the first candidate leads. A step along the tangent of a
+    narrow valley ends high on its side and shorter ones gain little; the next step from there falls
+    back into the valley, farther on (Chamberlain et al., The watchdog technique, 1982).
+    """
+    first = None
+    for where, share in _candidates(prior, here, step):
+        with suppress(np.linalg.LinAlgError):  # so far off that not even its weights exist
+            yield at(where, fixed), where, share
+            first = first or where
+    if first is not None:
+        with suppress(np.linalg.LinAlgError):
+            high = at(first, fixed)
+            onward = factor(high.system).solve(high.rhs)
+            where = next(_candidates(prior, high, onward))[0]
+            yield at(where, fixed), where, 1.0
 
 
 def _next_damping(damping: float, gain: float) -> float:
