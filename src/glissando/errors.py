@@ -37,7 +37,7 @@ class ImplausibleError(GlissandoError):
     """Readings cannot be what they are said to be: a unit, a clock, a frame, an axis is wrong."""
 
 
-class NoShapeError(Exception):
+class NoShapeError(GlissandoError):
     """The physics has no stable static shape under these loads that continues the unloaded one."""
 
 

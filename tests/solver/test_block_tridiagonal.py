@@ -1,3 +1,5 @@
+import sys
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -145,6 +147,15 @@ def test_a_matrix_that_is_no_information_at_all_is_refused(spoiled):
     system.diagonal[1, 2, 2] = spoiled
     with pytest.raises(UnobservableError, match="time node 1"):
         factor(system)
+
+
+def test_a_matrix_without_a_factor_is_not_kept():
+    system, _ = random_system(np.random.default_rng(33), 3, 30)
+    system.diagonal[1] *= -1.0
+    kept = sys.getrefcount(system.diagonal), sys.getrefcount(system.lower)
+    with pytest.raises(UnobservableError):
+        factor(system)
+    assert (sys.getrefcount(system.diagonal), sys.getrefcount(system.lower)) == kept
 
 
 def test_blas_keeps_to_one_thread_around_the_blocks():

@@ -12,7 +12,7 @@ from glissando._kernels.blas import (
     triangle_square,
 )
 from glissando._kernels.jit import jit
-from glissando._kernels.process import whiten_into
+from glissando._kernels.process import inverse_root_into
 
 _BASE = 12  # rows of a block up to which its inverse factor is found row by row
 _PIVOT_FLOOR = 1e-13  # a pivot this small against its diagonal entry carries no information
@@ -22,22 +22,24 @@ _PIVOT_FLOOR = 1e-13  # a pivot this small against its diagonal entry carries no
 def inverse_factor(a, out):
     """L⁻¹ of a symmetric matrix L Lᵀ, into `out`: by halves, whose products run at full speed.
 
-    Only the lower triangle of `a` is read, and its memory is used.
+    Only the lower triangle of `a` is read, and its memory is used. Returns whether there is one.
     """
     n = len(a)
     if n <= _BASE:
-        whiten_into(a, out)
-        return
+        return inverse_root_into(a, out)
     h = n // 2
     side, top, below = a[h:n, 0:h], out[0:h, 0:h], out[h:n, 0:h]
     tail, low = a[h:n, h:n], out[h:n, h:n]
-    inverse_factor(a[0:h, 0:h], top)
+    if not inverse_factor(a[0:h, 0:h], top):
+        return False
     product(side, top, below, 1.0, 0.0, False, True)
     lower_product(below, below, tail, -1.0, 1.0, False)
-    inverse_factor(tail, low)
+    if not inverse_factor(tail, low):
+        return False
     product(below, top, side, 1.0, 0.0, False, False)
     product(low, side, below, -1.0, 0.0, False, False)
     out[0:h, h:n] = 0.0
+    return True
 
 
 @jit()
@@ -50,25 +52,25 @@ def has_information(inverse, scale):
     return least >= 0.0
 
 
-@jit("(f8[:,:,::1], f8[:,:,::1], i8, f8[:,:,::1], f8[:,:,::1], i8[::1])")
-def factor(diagonal, lower, start, inverse, coupling, at):
-    """Block Cholesky from slab `start` on; raises LinAlgError where it is not positive definite.
+@jit("(f8[:,:,::1], f8[:,:,::1], i8, f8[:,:,::1], f8[:,:,::1])")
+def factor(diagonal, lower, start, inverse, coupling):
+    """Block Cholesky from slab `start` on, as far as the matrix is positive definite.
 
     `inverse` (K, D, D) of the factor's diagonal blocks and `coupling` (K−1, D, D) = inverse[k]
-    A[k, k+1] are written; those before `start` are used as they are. `at` (1,) is the slab come to.
-    Returns the first slab with a direction that has no information, −1 where there is none.
+    A[k, k+1] are written; those before `start` are used as they are. Returns the first slab with a
+    direction that has no information, −1 where there is none.
     """
     d, vanished = diagonal.shape[1], -1
     schur, scale = np.empty((d, d)), np.empty(d)
     for k in range(start, len(diagonal)):
-        at[0] = k
         for i in range(d):
             scale[i] = diagonal[k, i, i]
             for j in range(d):
                 schur[i, j] = diagonal[k, i, j]
         if k:
             lower_product(coupling[k - 1], coupling[k - 1], schur, -1.0, 1.0, True)
-        inverse_factor(schur[0:d, 0:d], inverse[k, 0:d, 0:d])
+        if not inverse_factor(schur[0:d, 0:d], inverse[k, 0:d, 0:d]):
+            return k if vanished < 0 else vanished
         if k < len(coupling):
             banded_product(inverse[k], lower[k], coupling[k])
         if vanished < 0 and not has_information(inverse[k], scale):

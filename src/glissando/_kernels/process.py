@@ -34,6 +34,13 @@ def apply_into(matrix, vector, out):
 @jit()
 def whiten_into(cov, out):
     """W with Wᵀ W = cov⁻¹, lower triangular: the inverse of the Cholesky factor."""
+    if not inverse_root_into(cov, out):
+        raise np.linalg.LinAlgError("Matrix is not positive definite")
+
+
+@jit()
+def inverse_root_into(cov, out):
+    """The same, and whether there is one. An exception would keep a kernel's arrays forever."""
     n = len(cov)
     for j in range(n):
         for i in range(j):
@@ -44,7 +51,7 @@ def whiten_into(cov, out):
                 value -= out[i, k] * out[j, k]
             if i == j:
                 if not value > 0.0:
-                    raise np.linalg.LinAlgError("Matrix is not positive definite")
+                    return False
                 out[j, j] = sqrt(value)
             else:
                 out[i, j] = value / out[j, j]
@@ -55,6 +62,7 @@ def whiten_into(cov, out):
             for k in range(j, i):
                 value -= out[i, k] * out[k, j]
             out[i, j] = value / out[i, i]
+    return True
 
 
 @jit()

@@ -53,23 +53,22 @@ def _sum(blocks, vectors, own, begin, rhs_begin, schur, scale):
             kept[a, b], schur[a, b] = begin[a, b], begin[a, b] + known[a, b]
 
 
-@jit(f"(f8[:,:,:,::1], f8[:,:,::1], i8[::1], i8, {SUMS}, f8[:,::1], i8[::1])")
-def solve(
-    blocks, vectors, slot, start, begin, end, across, rhs_begin, rhs_end, step, at
-):  # fmt: skip
+@jit(f"(f8[:,:,:,::1], f8[:,:,::1], i8[::1], i8, {SUMS}, f8[:,::1])")
+def solve(blocks, vectors, slot, start, begin, end, across, rhs_begin, rhs_end, step):
     """Eliminate from slab `start` on, by the sums of its interval and later ones; solve for `step`.
 
-    The step (K, D) is that of all slabs. Returns what `factor` does, and raises what it does.
+    The step (K, D) is that of all slabs. Returns what `factor` does.
     """
     d, count, vanished = begin.shape[1], len(slot), -1
     schur, scale = np.zeros((d, d)), np.empty(d)
     for k in range(start, count):
-        at[0], own, i = k, slot[k], k - start
+        own, i = slot[k], k - start
         if i:
             _known(blocks, vectors, own, slot[k - 1], end[i - 1], rhs_end[i - 1])
         _sum(blocks, vectors, own, begin[i], rhs_begin[i], schur, scale)
         inverse = blocks[INVERSE, own]
-        inverse_factor(schur[0:d, 0:d], inverse[0:d, 0:d])
+        if not inverse_factor(schur[0:d, 0:d], inverse[0:d, 0:d]):
+            return k if vanished < 0 else vanished
         if k + 1 < count:
             blocks[ACROSS, own, :, :] = across[i]
             banded_product(inverse, across[i], blocks[COUPLING, own])

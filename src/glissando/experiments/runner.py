@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from threadpoolctl import threadpool_limits
 
 from glissando import __version__
-from glissando.errors import GlissandoError, NoShapeError, NotConvergedWarning
+from glissando.errors import GlissandoError, NotConvergedWarning
 from glissando.evaluation.metrics import pool
 from glissando.experiments.scenes import Scene, trial
 
@@ -52,7 +52,7 @@ def outcome(scene: Scene, seed: int) -> Row:
         with threadpool_limits(1), warnings.catch_warnings():
             warnings.simplefilter("ignore", NotConvergedWarning)  # a column reports it
             result = trial(scene, seed)
-    except (GlissandoError, NoShapeError) as problem:
+    except GlissandoError as problem:
         return failure(str(problem))
     except Exception as problem:  # a study outlives an error of any of its cells
         return failure(f"{type(problem).__name__}: {problem}")

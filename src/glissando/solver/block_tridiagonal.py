@@ -150,7 +150,7 @@ def factor(
 
 
 def eliminate(kernel: Callable[..., int], *arguments: Any) -> None:
-    """Call a kernel that factors: one that takes, last of all, where to note the slab it is at.
+    """Call a kernel that factors.
 
     Args:
         kernel: Returns the first slab with a direction that has no information, or −1.
@@ -159,12 +159,8 @@ def eliminate(kernel: Callable[..., int], *arguments: Any) -> None:
     Raises:
         UnobservableError: A pivot vanishes: some direction of the state has no information.
     """
-    at = np.zeros(1, dtype=np.int64)
-    try:
-        with one_thread():
-            vanished = kernel(*arguments, at)
-    except np.linalg.LinAlgError:
-        vanished = int(at[0])
+    with one_thread():
+        vanished = kernel(*arguments)
     if vanished >= 0:
         raise UnobservableError(
             f"The normal equations are singular at time node {vanished}: prior and readings leave "
