@@ -64,11 +64,8 @@ def with_unseen_delays(
     workspace = np.empty(system_shape(grid.time.size, state.numbers + process.size))
     noise_state = solution.equations.noise_state
     seen = linearize(prior, moving, state, noise_state, workspace, solution.equations.terms)
-    turn = np.tile(np.eye(state.numbers + process.size), (grid.time.size, 1, 1))
-    own = motion_left(state, motion, grid.time)
-    for column in delays:
-        turn[:, : state.numbers, state.numbers + column] = -own.reshape(grid.time.size, -1)
-    system = _turned(seen.system, turn)
+    own = motion_left(state, motion, grid.time).reshape(grid.time.size, -1)
+    system = _moving_along(seen.system, own, [state.numbers + column for column in delays])
     equations = replace(solution.equations, system=system)
     return replace(solution, equations=equations, cholesky=factor(system, solution.cholesky))
 
@@ -135,7 +132,16 @@ def _slope(state: State, time: Array) -> Array:
     return state.take(after).difference(state.take(before)) / step[:, None, None]
 
 
-def _turned(system: BlockTridiagonal, turn: Array) -> BlockTridiagonal:
-    """The system (K slabs) in coordinates of which `turn` (K, D, D) gives the former ones."""
-    back = turn.swapaxes(-1, -2)
-    return BlockTridiagonal(back @ system.diagonal @ turn, back[1:] @ system.lower @ turn[:-1])
+def _moving_along(system: BlockTridiagonal, own: Array, columns: list[int]) -> BlockTridiagonal:
+    """The system of x′ by x = x′ + c d, in place: c `own` (K, n) of the first n numbers of a slab.
+
+    Args:
+        system: The system (K slabs) of x.
+        own: c.
+        columns: Which numbers of a slab are delays.
+    """
+    n, slabs = own.shape[1], ((system.diagonal, own, own), (system.lower, own[1:], own[:-1]))
+    for blocks, of_rows, of_columns in slabs:
+        blocks[:, :, columns] -= blocks[:, :, :n] @ of_columns[:, :, None]
+        blocks[:, columns] -= of_rows[:, None] @ blocks[:, :n]
+    return system
