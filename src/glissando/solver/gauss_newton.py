@@ -28,7 +28,6 @@ WORTHWHILE = 1e-3  # share of the predicted fall in cost below which a step is r
 _GOOD = 0.25  # share above which no other way to take the step is tried
 ROUNDING = 1e-11  # a fall in cost this small, relatively, cannot be told from rounding
 _SHORTER = (0.5, 0.2)  # parts of a refused step that are tried
-_SETTLED = 10  # iterations after which weights are fixed, so that the cost can only fall
 _CALMER = 0.5  # part of the step before above which steps do not shrink
 _IDLE = 3.0  # tolerances: a step this short that gains nothing ends the search
 _DAMPING = (1e-4, 1e8)  # smallest damping worth applying, and the one at which to give up
@@ -49,10 +48,12 @@ class SolverOptions:
     Attributes:
         max_iterations: Most iterations.
         tolerance: Length of a step that is negligible, standard deviations.
+        settled: Iterations after which weights are fixed, so that the cost can only fall.
     """
 
     max_iterations: int = 100
     tolerance: float = 0.3
+    settled: int = 10
 
     @staticmethod
     def rough(numbers: int) -> SolverOptions:
@@ -152,7 +153,7 @@ def minimize(
         if short:
             here = fixed = at((here.state, here.located))
             continue
-        if iteration == _SETTLED:
+        if iteration == options.settled:
             fixed = here
         here, gain = _try_step(prior, here, step, fixed, predicted, at)
         ended = Outcome.CONVERGED if idle and not gain > WORTHWHILE else None

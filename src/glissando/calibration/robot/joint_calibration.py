@@ -33,7 +33,7 @@ from glissando.solver.gauss_newton import SolverOptions
 _OF_A_RECORDING = ("time_offset", "bias")  # kinds that differ between recordings
 _PRIOR_STD = {"frame": (3e-3, 0.01), "mount": (2e-3, 0.05)}  # m, rad: of the truth's constants
 _LATE = 0.02  # s: standard deviation of the truth's delay
-_OPTIONS = SolverOptions(max_iterations=25)
+_OPTIONS = SolverOptions(max_iterations=25, settled=5)  # from then on weights wander with delays
 
 
 def locate(
