@@ -1,6 +1,6 @@
 """The real robot: learned on one recording, judged on another, with the two commands of the page.
 
-`python benchmarks/real.py --learn FILE` learns the robot file first, which takes a quarter of an hour;
+`python benchmarks/real.py --learn FILE` learns the robot file first, which takes a minute or two;
 `--learned FILE` judges one that is there.
 """
 

@@ -13,11 +13,14 @@ import pytest
 
 from glissando import GlissandoError, load_robot, uniform_grid
 from glissando.calibration.robot import learn as learning
+from glissando.calibration.robot import objective
 from glissando.calibration.robot.hyperparameters import expanded, learnable
 from glissando.calibration.robot.learn import learn
+from glissando.calibration.robot.objective import Objective
 from glissando.cli.main import main
 from glissando.io.shipped_robots import robot_file
 from glissando.model.sensors.sensors import PoseReadings
+from glissando.solver.gauss_newton import SolverOptions
 from learn_drawn import NOISE, readings, shipped
 from scenes import LENGTH
 
@@ -93,8 +96,9 @@ def test_with_truth_its_prediction_improves_and_every_step_is_reported(in_proces
     found = learn(document, numbers, [Arc(judged=True)], steps=3, watch=lambda *a: steps.append(a))
     assert found.after.value > found.before.value + 0.1
     assert found.before.samples == 3 * 6  # of six times 0.2 s apart, those half a second apart
-    assert [step for step, _ in steps] == list(range(1, len(steps) + 1))
-    assert [value for _, value in steps] == sorted(value for _, value in steps)
+    assert [step for step, _, _ in steps] == list(range(1, len(steps) + 1))
+    assert [value for _, value, _ in steps] == sorted(value for _, value, _ in steps)
+    assert [left for _, _, left in steps if left] == [2, 1][: len(steps) - 1]  # of three at most
 
 
 def test_a_number_that_readings_do_not_determine_stays_where_it_was(in_process):
@@ -109,6 +113,35 @@ def test_a_number_that_readings_do_not_determine_stays_where_it_was(in_process):
     assert after == pytest.approx(before, rel=1e-3)
 
 
+@pytest.mark.parametrize("judged", [False, True])
+def test_slopes_are_those_of_converged_estimates(judged, monkeypatch):
+    monkeypatch.setattr(learning, "_NUDGE", 0.02)
+    monkeypatch.setattr(objective, "_TIGHT", SolverOptions(30, 1e-3))
+
+    @dataclass(frozen=True)
+    class Late(Arc):
+        def grid(self, robot):
+            return uniform_grid(LENGTH, 3, -0.3, 1.3, 8.0)  # no delay moves a reading off it
+
+    document = start(noise=3.0)
+    drift = {"name": "drift", "kind": "mount", "streams": ["p1"], "correlation_time": 0.5}
+    late = {"name": "late", "kind": "time_offset", "streams": ["p1"], "std": [0.05]}
+    document["sensor_parameters"] = [{**drift, "std": [1e-3] * 3 + [1e-2] * 3}, late]
+    words = ("noise, linear", "spread linear", "velocity time, linear", "arclength, bending")
+    numbers = [p for word in words for p in of_label(document, word)]
+    assert len(numbers) == 4
+    goal = Objective([Late(judged=judged)], False)
+    middle, zero = goal.centre(document), np.zeros(len(numbers))
+    search = learning._Search(document, numbers, goal, SimpleNamespace(map=map), middle, zero)
+    learning._prepare(goal)
+    slope, curvature = search.slopes()
+    monkeypatch.setattr(objective, "_ONE_STEP", objective._TIGHT)
+    true_slope, true_curvature = search.slopes()
+    assert np.abs(true_slope).max() > 0.3
+    np.testing.assert_allclose(slope, true_slope, atol=2e-3 * np.abs(true_slope).max())
+    np.testing.assert_allclose(curvature, true_curvature, rtol=0.2, atol=5e-3)
+
+
 def test_places_that_err_together_count_as_one(in_process):
     @dataclass(frozen=True)
     class Twice(Arc):
@@ -117,7 +150,7 @@ def test_places_that_err_together_count_as_one(in_process):
             time = tip.time
             return [tip, readings(PoseReadings, "mid", LENGTH / 2, time, std=np.full(6, 1e-4))]
 
-    once, twice = (learning.Objective([case], False).score(start()) for case in (
+    once, twice = (Objective([case], False).centre(start()).score for case in (
         Arc(judged=True), Twice(judged=True)
     ))  # fmt: skip
     assert (once.samples, once.independent) == (18, 18)
@@ -143,8 +176,9 @@ def test_a_document_that_cannot_be_estimated_is_a_bad_one_and_not_the_end(in_pro
     found = learn(document, of_label(document, "pose noise"), [case], steps=2)
     assert found.document["sensors"]["pose"]["std"][0] <= case.most
     assert found.after.value >= found.before.value
-    assert learning._evaluate(document, start(noise=1.0)) == learning._BAD
-    assert learning._evaluate(document, start(noise=0.3)) < learning._BAD
+    about = Objective([case], False).centre(document)
+    assert learning._evaluate(about, start(noise=1.0)) == learning._BAD
+    assert learning._evaluate(about, start(noise=0.3)) < learning._BAD
 
 
 def test_a_start_that_cannot_be_estimated_is_said_to_be(in_process):

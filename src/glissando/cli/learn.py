@@ -102,8 +102,8 @@ def _learn(options: argparse.Namespace) -> int:
             calibrate=options.calibrate,
             constants=constants,
             steps=options.steps,
-            watch=lambda step, value: work.update(
-                step, options.steps, f"step {step}, {value:.4f} a degree of freedom"
+            watch=lambda step, value, left: work.update(
+                step, step + left, f"step {step}, {value:.4f} a degree of freedom"
             ),
         )
     written = _with_constants(result)

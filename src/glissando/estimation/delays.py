@@ -36,6 +36,7 @@ def with_unseen_delays(
     solution: Solution,
     sensor_parameters: Sequence[SensorParameter],
     options: SolverOptions,
+    start: State | None = None,
 ) -> Solution:
     """A solution in which delays are known by what streams without one show, and no better.
 
@@ -44,9 +45,11 @@ def with_unseen_delays(
         solution: Where the iteration ended.
         sensor_parameters: Parameters of the sensors.
         options: When to stop the estimate from the streams without a delay.
+        start: Nodes (K, N) to start that estimate from, those of the solution unless given.
 
     Returns:
-        The solution with another information matrix, if a delay is estimated; else the same.
+        The solution with another information matrix and the motion that delays are seen by, if a
+        delay is estimated; else the same.
     """
     process = solution.located.parameters.process
     delays = delay_columns(process)
@@ -59,7 +62,8 @@ def with_unseen_delays(
     if streams:
         with suppress(UnobservableError, np.linalg.LinAlgError):  # they show no motion
             alone = locate(grid, streams, others)
-            motion = minimize(prior, alone, state, options, None, Stopwatch()).state
+            first = state if start is None else start
+            motion = minimize(prior, alone, first, options, None, Stopwatch()).state
     moving = replace(solution.located, motion=motion)
     workspace = np.empty(system_shape(grid.time.size, state.numbers + process.size))
     noise_state = solution.equations.noise_state
@@ -67,7 +71,8 @@ def with_unseen_delays(
     own = motion_left(state, motion, grid.time).reshape(grid.time.size, -1)
     system = _moving_along(seen.system, own, [state.numbers + column for column in delays])
     equations = replace(solution.equations, system=system)
-    return replace(solution, equations=equations, cholesky=factor(system, solution.cholesky))
+    cholesky = factor(system, solution.cholesky)
+    return replace(solution, located=moving, equations=equations, cholesky=cholesky)
 
 
 def delayed(

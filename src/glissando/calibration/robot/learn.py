@@ -1,14 +1,18 @@
 """Learning the numbers of a robot file from recordings: densities, time scales, noise.
 
-The objective is the Laplace log marginal likelihood of the readings (equation 22) or, where truth
-is given, its predictive log-likelihood. Numbers are scaled by exponentials, so they stay positive,
-with a prior around their start whose standard deviation is a factor of three: a number that the
-recordings do not determine stays there. A document that cannot be estimated has a bad objective.
-Gradients are finite differences, evaluated on all cores.
+Numbers are scaled by exponentials, so they stay positive, with a prior around their start whose
+standard deviation is a factor of three: a number that the recordings do not determine stays there.
+A document that cannot be estimated has a bad objective.
+
+The search takes Newton steps. Slope and curvature along each number are central differences of
+objectives on all cores, and each of these costs one Gauss–Newton step from the estimate in their
+middle: the optimum moves by that step to first order (the implicit function theorem). Curvature
+between numbers is learned from step to step (BFGS).
 """
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -17,38 +21,25 @@ from dataclasses import dataclass, field
 from multiprocessing import get_context
 
 import numpy as np
-from scipy.optimize import minimize
 
 from glissando.calibration.robot.case import Case
 from glissando.calibration.robot.hyperparameters import Document, Parameter, moved
-from glissando.calibration.robot.predictive import (
-    Score,
-    constants_of,
-    predict,
-    quiet_estimate,
-)
-from glissando.errors import GlissandoError, RecordingError
-from glissando.estimation.posterior import Posterior
+from glissando.calibration.robot.objective import Centre, Objective
+from glissando.calibration.robot.predictive import Score
+from glissando.errors import GlissandoError
 from glissando.geometry.se3 import Array
-from glissando.io.robot_file import parse_robot
-from glissando.io.toml_table import Table
-from glissando.model.robot import Robot
 from glissando.model.sensors.parameters import SensorParameter
-from glissando.model.sensors.readings import Readings
-from glissando.model.state import State
-from glissando.solver.gauss_newton import SolverOptions
 
-_TIGHT = SolverOptions(max_iterations=20, tolerance=1.0)
 _BAD = 1e3  # objective of a document that cannot be estimated
-_NUDGE = 0.05  # of a logarithm, for differences
-_GAIN = 1e-3  # gain a degree of freedom below which a step was idle
-_IDLE = 3  # idle steps in a row that end the search
+_NUDGE = 0.1  # of a logarithm, for differences
+_GAIN = 1e-3  # gain a degree of freedom below which the search ends
+_SHARES = (1.0, 0.5, 0.25, 0.125)  # of a step that are tried
 _REACH = np.log(1e4)  # how far a number may move
 _PRIOR_STD = np.log(3.0)  # of a logarithm
 
 
-Watch = Callable[[int, float], None]
-"""Called after each step with its number and the objective."""
+Watch = Callable[[int, float, int], None]
+"""Called after each step with its number, the objective and how many more are expected."""
 
 
 @dataclass(frozen=True)
@@ -74,100 +65,18 @@ class Learned:
     steps: int
 
 
-_Start = tuple[State | None, Sequence[tuple[SensorParameter, Array]]]
-"""Nodes, and the sensor parameters with their values."""
-
-
-@dataclass
-class Objective:
-    """Score of robot files on cases; estimates of a centre start those of the files about it.
-
-    Attributes:
-        cases: The cases.
-        calibrate: Whether frame and mounts of the truth are calibrated.
-        constants: Frame, mounts and delays of the truth.
-        centre: The file that was scored as a centre last.
-    """
-
-    cases: Sequence[Case]
-    calibrate: bool
-    constants: tuple[SensorParameter, ...] = ()
-    centre: Document | None = None
-    _starts: dict[int, _Start] = field(default_factory=dict)
-
-    def score(self, document: Document, *, centre: bool = False) -> Score:
-        """Log-likelihood per degree of freedom of truth, else of the readings.
-
-        Args:
-            document: Robot file.
-            centre: Whether later estimates start from those of this file.
-
-        Raises:
-            GlissandoError: If the robot file is wrong or cannot be estimated.
-        """
-        robot = parse_robot(Table(document, "learned", GlissandoError))
-        readings = [self._readings(case, robot) for case in self.cases]
-        posteriors = [self._estimate(i, robot, each) for i, each in enumerate(readings)]
-        if centre:
-            self.centre = document
-            ends = ((each.state, each.sensor_parameters) for each in posteriors)
-            self._starts = dict(enumerate(ends))
-        truths = [case.truth(robot) for case in self.cases]
-        if any(truths):
-            return self._predictive(posteriors, truths)
-        count = sum(len(r) * r.row_count for each in readings for r in each)
-        total = sum(posterior.solve.log_evidence for posterior in posteriors)
-        return Score(total / count, count, count)
-
-    def _predictive(
-        self, posteriors: Sequence[Posterior], truths: Sequence[list[Readings]]
-    ) -> Score:
-        """Score of the truth of all cases; constants are calibrated on the longest one."""
-        longest = max(range(len(truths)), key=lambda i: sum(map(len, truths[i])))
-        constants = self.constants
-        if self.calibrate:
-            constants = constants or constants_of(truths[longest])
-            best = predict(posteriors[longest], truths[longest], constants, free=True)
-            constants = best.constants
-            self.constants = self.constants or constants
-        scores = [
-            predict(posterior, truth, constants, free=False)
-            for posterior, truth in zip(posteriors, truths, strict=True)
-        ]
-        samples = sum(s.samples for s in scores)
-        if not samples:
-            raise RecordingError("There is no truth in the window; choose another.")
-        value = sum(s.value * s.samples for s in scores) / samples
-        return Score(value, samples, sum(s.independent for s in scores), constants)
-
-    @staticmethod
-    def _readings(case: Case, robot: Robot) -> list[Readings]:
-        readings = case.readings(robot)
-        if not sum(map(len, readings)):
-            raise RecordingError("The window holds no readings to learn from; choose another.")
-        return readings
-
-    def _estimate(self, i: int, robot: Robot, readings: list[Readings]) -> Posterior:
-        grid, parameters = self.cases[i].grid(robot), robot.sensor_parameters
-        start = self._starts.get(i, (None, ()))
-        return quiet_estimate(robot.prior, grid, readings, parameters, _TIGHT, *start)
-
-
 _objective: Objective | None = None  # of a worker process
 
 
-def _prepare(objective: Objective, document: Document) -> None:
+def _prepare(objective: Objective) -> None:
     global _objective
     _objective = objective
-    _objective.score(document, centre=True)
 
 
-def _evaluate(centre: Document, document: Document) -> float:
+def _evaluate(about: Centre, document: Document) -> float:
     assert _objective is not None
     try:
-        if centre != _objective.centre:
-            _objective.score(centre, centre=True)
-        value = -_objective.score(document).value
+        value = -_objective.score(document, about).value
     except (GlissandoError, np.linalg.LinAlgError):
         return _BAD
     return value if np.isfinite(value) else _BAD
@@ -199,70 +108,110 @@ def learn(
     """
     parameters = list(parameters)
     objective = Objective(cases, calibrate, constants)
-    before = objective.score(document, centre=True)
-    workers = min(os.cpu_count() or 1, 1 + len(parameters))
+    workers = min(os.cpu_count() or 1, 1 + 2 * len(parameters))
     spawned = get_context("spawn")
-    with ProcessPoolExecutor(
-        workers, spawned, _prepare, (Objective(cases, calibrate, constants), document)
-    ) as pool:
-        search = _Search(document, parameters, pool, watch, steps, before.independent)
-        limits = [(-_REACH, _REACH)] * len(parameters)
-        with suppress(_EnoughError):
-            minimize(
-                search.with_slope, np.zeros(len(parameters)), jac=True, method="L-BFGS-B",
-                bounds=limits, options={"maxfun": steps, "ftol": 1e-5, "maxls": 8},
-            )  # fmt: skip
-        best = search.best[1]
-        std = search.std(best)
-    learned = moved(document, parameters, best)
-    after = objective.score(learned)
-    return Learned(learned, parameters, best, std, before, after, search.count)
-
-
-class _EnoughError(Exception):
-    """Ends the search when more steps would gain little."""
+    with ProcessPoolExecutor(workers, spawned, _prepare, (objective,)) as pool:
+        pool.map(int, [0])  # starts the workers while the first estimate is made
+        first = objective.centre(document)
+        search = _Search(document, parameters, objective, pool, first, np.zeros(len(parameters)))
+        count, left = 0, steps
+        while left:
+            left, count = min(search.step(), left - 1), count + 1
+            if watch is not None:
+                watch(count, -search.value, left)
+    learned = moved(document, parameters, search.x)
+    after = search.centre.score
+    return Learned(learned, parameters, search.x, search.std, first.score, after, count)
 
 
 @dataclass
 class _Search:
-    """Minus log posterior of the parameters, and its derivatives; the first point is the centre."""
+    """Newton steps down minus the log posterior of the parameters, per degree of freedom.
+
+    Attributes:
+        document: The robot file to start from.
+        parameters: What is learned.
+        objective: The objective.
+        pool: Where objectives beside the centre are evaluated.
+        centre: The robot file at which the search is.
+        x: How far the parameters are moved there (P,).
+    """
 
     document: Document
     parameters: list[Parameter]
+    objective: Objective
     pool: ProcessPoolExecutor
-    watch: Watch | None
-    steps: int
-    independent: float
-    best: tuple[float, Array] = (np.inf, np.zeros(0))
-    count: int = 0
-    idle: int = 0
+    centre: Centre
+    x: Array
+    value: float = field(init=False)
+    std: Array = field(init=False)
+    _curvature: Array = field(init=False)
+    _former: tuple[Array, Array] | None = None  # the last step and the slope before it
 
-    def _all(self, points: Sequence[Array]) -> Array:
+    def __post_init__(self) -> None:
+        self.independent = self.centre.score.independent
+        self.value = self._with_prior(-self.centre.score.value, self.x)
+
+    def step(self) -> int:
+        """Take a step; return how many more are expected, by the gain that this one promised."""
+        slope, curvature = self.slopes()
+        self.std = np.where(
+            curvature > 0.0, np.maximum(curvature * self.independent, 1e-12) ** -0.5, np.inf
+        )
+        least = _PRIOR_STD**-2.0 / self.independent
+        self._update(slope, np.maximum(np.abs(curvature), least))
+        step: Array = np.asarray(-np.linalg.solve(self._curvature, slope), dtype=float)
+        step *= min(1.0, _PRIOR_STD / max(float(np.abs(step).max()), 1e-12))
+        promise = float(-slope @ step - 0.5 * step @ self._curvature @ step)
+        shares = _SHARES if promise > _GAIN else _SHARES[:1]
+        taken = any(self._try(share * step, slope) for share in shares)
+        return math.ceil(np.log10(promise / _GAIN)) if taken and promise > _GAIN else 0
+
+    def slopes(self) -> tuple[Array, Array]:
+        """Slope (P,) and curvature (P,) along each parameter; zero where there is no estimate."""
+        nudges = _NUDGE * np.eye(self.x.size)
+        points = [self.x, *(self.x + nudges), *(self.x - nudges)]
         documents = [moved(self.document, self.parameters, x) for x in points]
-        prior = 0.5 * np.sum((np.array(points) / _PRIOR_STD) ** 2, axis=1)
-        values = list(self.pool.map(_evaluate, [documents[0]] * len(documents), documents))
-        return np.array(values) + prior / self.independent
+        found = list(self.pool.map(_evaluate, [self.centre] * len(points), documents))
+        totals = np.array([self._with_prior(f, x) for f, x in zip(found, points, strict=True)])
+        good = np.array(found) < _BAD
+        sides = np.where(good, totals, totals[0])[1:].reshape(2, -1)
+        known = good[0] * good[1:].reshape(2, -1)
+        slope = (sides[0] - sides[1]) / (_NUDGE * np.maximum(known.sum(axis=0), 1))
+        curvature = (sides[0] + sides[1] - 2.0 * totals[0]) / _NUDGE**2
+        return slope * known.any(axis=0), curvature * known.all(axis=0)
 
-    def with_slope(self, x: Array) -> tuple[float, Array]:
-        """The objective and its gradient (P,)."""
-        points = [x.copy(), *(x + _NUDGE * np.eye(x.size))]
-        values = self._all(points)
-        least = int(np.argmin(values))
-        self.idle = 0 if values[least] < self.best[0] - _GAIN else self.idle + 1
-        if values[least] < self.best[0]:
-            self.best = (float(values[least]), points[least])
-        self.count += 1
-        if self.watch is not None:
-            self.watch(self.count, -float(self.best[0]))
-        if self.idle == _IDLE or self.count == self.steps:
-            raise _EnoughError
-        slope = np.where(values[1:] < _BAD, (values[1:] - values[0]) / _NUDGE, 0.0)
-        return float(values[0]), slope
+    def _update(self, slope: Array, diagonal: Array) -> None:
+        """The curvature: between parameters by BFGS (damped, Powell 1978), along them as given."""
+        if self._former is None:
+            self._curvature = np.diag(diagonal)
+            return
+        step, before = self._former
+        change, foreseen = slope - before, self._curvature @ step
+        most, seen = float(step @ foreseen), float(step @ change)
+        if seen < 0.2 * most:
+            part = 0.8 * most / (most - seen)
+            change = part * change + (1.0 - part) * foreseen
+        updated = self._curvature - np.outer(foreseen, foreseen) / most
+        updated += np.outer(change, change) / float(step @ change)
+        scale = np.sqrt(diagonal / np.diagonal(updated))
+        self._curvature = scale[:, None] * updated * scale
 
-    def std(self, x: Array) -> Array:
-        """Standard deviation (P,) of each number, from the curvature; infinite without any."""
-        nudges = 4.0 * _NUDGE * np.eye(x.size)
-        values = self._all([x, *(x + nudges), *(x - nudges)])
-        ahead, behind = values[1 : 1 + x.size], values[1 + x.size :]
-        curvature = (ahead + behind - 2.0 * values[0]) / (4.0 * _NUDGE) ** 2 * self.independent
-        return np.where(curvature > 0.0, np.maximum(curvature, 1e-12) ** -0.5, np.inf)
+    def _try(self, step: Array, slope: Array) -> bool:
+        """Whether a step is worth it; if so, it is taken."""
+        x = np.clip(self.x + step, -_REACH, _REACH)
+        there: Centre | None = None
+        with suppress(GlissandoError, np.linalg.LinAlgError):
+            there = self.objective.centre(moved(self.document, self.parameters, x), self.centre)
+        if there is None:
+            return False
+        value = self._with_prior(-there.score.value, x)
+        if not value < self.value:
+            return False
+        self._former = x - self.x, slope
+        self.x, self.value, self.centre = x, value, there
+        return True
+
+    def _with_prior(self, value: float, x: Array) -> float:
+        """The objective with the prior about the initial values."""
+        return value + 0.5 * float(np.sum((x / _PRIOR_STD) ** 2)) / self.independent

@@ -49,16 +49,45 @@ class Score:
     constants: tuple[SensorParameter, ...] = ()
 
 
+@dataclass(frozen=True)
+class Start:
+    """Where an estimate starts: what is kept of an earlier one.
+
+    Attributes:
+        state: Nodes (K, N).
+        sensor_parameters: Sensor parameters with their values (K, size).
+        motion: Nodes (K, N) whose motion told delays.
+    """
+
+    state: State | None = None
+    sensor_parameters: Sequence[tuple[SensorParameter, Array]] = ()
+    motion: State | None = None
+
+    @staticmethod
+    def of(posterior: Posterior) -> Start:
+        """What is kept of an estimate."""
+        return Start(posterior.state, posterior.sensor_parameters, posterior.motion)
+
+
 def quiet_estimate(
     prior: Prior,
     grid: Grid,
     readings: Sequence[Readings],
     parameters: Sequence[SensorParameter],
     options: SolverOptions,
-    initial: State | None = None,
-    initial_parameters: Sequence[tuple[SensorParameter, Array]] = (),
+    about: Start | None = None,
 ) -> Posterior:
-    """Estimate as `estimate` does, without a warning where the options end it early."""
+    """Estimate as `estimate` does, without a warning where the options end it early.
+
+    Args:
+        prior: The prior.
+        grid: The nodes.
+        readings: Readings of each sensor.
+        parameters: Parameters of the sensors.
+        options: When to stop.
+        about: Where to start.
+    """
+    start = about or Start()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", NotConvergedWarning)
         return estimate(
@@ -66,8 +95,9 @@ def quiet_estimate(
             grid,
             readings,
             sensor_parameters=parameters,
-            initial=initial,
-            initial_parameters=initial_parameters,
+            initial=start.state,
+            initial_parameters=start.sensor_parameters,
+            initial_motion=start.motion,
             options=options,
             gate=None,
         )
