@@ -147,6 +147,13 @@ def test_contacts_are_mapped_over_arclength_and_time(recording, tmp_path, capsys
     (dots,) = contact_figure(touched)[0].get_lines()
     assert dots.get_xdata().size == np.sum(scan.time > 0.5)
     save_posterior(posterior, tmp_path / "posterior.nc")
+    again = scan_contacts(load_posterior(tmp_path / "posterior.nc"), posterior.grid.time)
+    np.testing.assert_allclose(again.log_ratio, scan.log_ratio, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(again.force, scan.force, rtol=1e-6, atol=1e-8)
+    assert main(["figure", "contacts", str(tmp_path), "--out", str(tmp_path / "c.svg")]) == 0
+    assert (tmp_path / "c.svg").stat().st_size > 10_000
+    save_posterior(replace(posterior, linearized=None), tmp_path / "posterior.nc")
+    capsys.readouterr()
     assert main(["figure", "contacts", str(tmp_path), "--out", str(tmp_path / "c.svg")]) == 2
     assert "estimate again from the recording" in capsys.readouterr().err
 

@@ -92,7 +92,7 @@ def scan_contacts(
         false_alarms: Share of times at which an untouched robot may be said to be touched.
 
     Raises:
-        GlissandoError: The prior knows no loads, or the posterior was read from a file.
+        GlissandoError: The prior knows no loads, or the posterior's file is of an older version.
         OutsideGridError: A time is off the grid.
     """
     prior, grid = require_mechanics(posterior.prior), posterior.grid
@@ -100,8 +100,8 @@ def scan_contacts(
     grid.require(np.zeros(when.size), when.ravel(), "Contact")
     if posterior.linearized is None:
         raise GlissandoError(
-            "A posterior read from a file lacks what a scan for contacts needs; estimate again "
-            "from the recording."
+            "This posterior's file lacks what a scan for contacts needs, as those of older "
+            "versions do; estimate again from the recording."
         )
     rows = np.abs(when.reshape(-1, 1) - grid.time).argmin(axis=1)
     state, noise_state = posterior.linearized

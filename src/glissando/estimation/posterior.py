@@ -149,8 +149,9 @@ class Posterior(Brief):
     `state` is the mean at the nodes, `system` the information matrix of the nodes in time order,
     `marginals` the blocks of its inverse that any query needs, `solve` how it was reached,
     `sensor_parameters` of the sensors with their estimated values (K, size) at the time nodes,
-    `linearized` the states at which `system` was linearised and weighted, None when read from a
-    file, `motion` the nodes (K, N) whose motion told delays, where some were estimated.
+    `linearized` the states at which `system` was linearised and weighted, which a file has for a
+    mechanical prior alone, `motion` the nodes (K, N) whose motion told delays, where some were
+    estimated.
     """
 
     prior: Prior

@@ -48,7 +48,8 @@ _DAMAGED = (
 _SKEW = 1e-6  # by which rotations may fail to be orthogonal
 _SIX = ["x", "y", "z", "rx", "ry", "rz"]
 _FIELDS = ("pose", "strain", "velocity", "strain_rate", "inertia")
-_READ = ("time", "arclength", *_FIELDS, "information", "information_below")
+_POINTS = [f"linearized_{field}" for field in _FIELDS]
+_READ = ("time", "arclength", *_FIELDS, *_POINTS, "information", "information_below")
 COMPONENTS = [f"{field}_{part}" for field in _FIELDS for part in _SIX]
 """Names of a node's components in the order of every covariance.
 
@@ -156,6 +157,8 @@ def save_posterior(posterior: Posterior, path: str | Path) -> None:
     dataset["pose"] = (("time", "arclength", "row", "column"), posterior.state.pose)
     dataset["information"] = (("time", "slab", "slab_"), posterior.system.diagonal)
     dataset["information_below"] = (("time_step", "slab", "slab_"), posterior.system.lower)
+    if isinstance(posterior.prior, MechanicalPrior):
+        dataset.update(_linearization(posterior))
     dataset.attrs["prior"] = json.dumps(posterior.prior.to_table())
     dataset.attrs["sensor_parameters"] = json.dumps(
         [_plain({**vars(u), "values": values}) for u, values in posterior.sensor_parameters]
@@ -167,6 +170,17 @@ def save_posterior(posterior: Posterior, path: str | Path) -> None:
     image = dataset.to_netcdf(engine="h5netcdf", encoding=encoding)  # HDF5 dies of a full disk
     with new_file(path) as building:
         building.write_bytes(image)
+
+
+def _linearization(posterior: Posterior) -> dict[str, Any]:
+    """The states (2, K, N) at which a posterior was linearised and weighted, for contacts."""
+    found: dict[str, Any] = {}
+    for name, key in zip(_FIELDS, _POINTS, strict=True):
+        each = [getattr(state, name) for state in posterior.linearized or ()]
+        if each and each[0] is not None:
+            entries = ("row", "column") if name == "pose" else ("component6",)
+            found[key] = (("point", "time", "arclength", *entries), np.stack(each))
+    return found
 
 
 def load_posterior(path: str | Path) -> Posterior:
@@ -205,11 +219,14 @@ def _posterior(dataset: xarray.Dataset, name: str) -> Posterior:
     estimated = [_as_sensor_parameter(table) for table in json.loads(parameters)]
     system = BlockTridiagonal(*blocks)
     _require_whole(grid, state, system, estimated)
+    points = [_numbers(dataset, key) for key in _POINTS if key in dataset]
+    if points and [p.shape for p in points] != [(2, *field.shape) for field in state.fields()]:
+        raise ValueError("where it was linearised does not fit its nodes")
     solve = SolveReport.from_table(json.loads(attributes["solve"]))
     f"{solve.status}{solve.iterations:d}{solve.cost:g}{sum(solve.seconds.values()):g}"  # or raises
-    return Posterior(
-        prior, grid, state, system, factor(system).marginals(consume=True), solve, estimated
-    )
+    marginals = factor(system).marginals(consume=True)
+    where = (State(*(p[0] for p in points)), State(*(p[1] for p in points))) if points else None
+    return Posterior(prior, grid, state, system, marginals, solve, estimated, where)
 
 
 def _numbers(dataset: xarray.Dataset, name: str) -> Array:
