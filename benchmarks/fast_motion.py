@@ -3,12 +3,12 @@
 The files are tip releases of another group's solver (see releases.py). A coil of five degrees of
 freedom reads the tip at 40 Hz; the base's pose is known and nothing else is read. Judged are the
 positions of middle and tip at the file's own times over the first second. The white-noise prior
-gets the densities of largest evidence on the very readings; the mechanical one without inertia
-loads that bend the rod by a third of its length; the one with inertia loads of 0.75 % of the rod's
-weight for every file, chosen on files 1 and 2 of spring steel (`CHOSEN_ON`). Online, the newest
-state of a smoother of four time nodes is judged as readings come, at the time nodes, with eight
-times those loads: a window of two nodes has too few digits for smaller ones. A file states
-positions to 0.1 mm, which counts as its error.
+gets the densities of largest evidence on the very readings; so does the mechanical prior with
+inertia its loads, one number; the one without inertia gets loads that bend the rod by a third of
+its length. Online, the newest state of a smoother of four time nodes is judged as readings come, at
+the time nodes, with loads of 6 % of the rod's weight: a window of two nodes has too few digits for
+much smaller ones, which evidence prefers. A file states positions to 0.1 mm, which counts as its
+error.
 
 Usage: fast_motion.py --young 200e9 --poisson 0.33 --density 7870 --radius 8e-4 --length 0.6 FILE…
 """
@@ -17,6 +17,7 @@ import argparse
 import json
 import time
 from dataclasses import replace
+from functools import partial
 from itertools import product
 from pathlib import Path
 
@@ -34,17 +35,15 @@ from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.model.priors.white_noise import BaseDensity, WhiteNoisePrior
 from releases import AXES, read_release, rod_of
 
-CHOSEN_ON = ("spring_steel_dynamics_1.txt", "spring_steel_dynamics_2.txt")
-LOAD, TIP = 0.0075, 0.003  # standard deviations of unknown forces, of the rod's weight
-LOOSE = 8.0  # times those, online
+TIP = 0.4  # of the loads' standard deviation over the whole rod, at the tip
+ONLINE = 0.06  # standard deviation of loads, of the rod's weight
 VAR_BASE = 1e-10, 1e-9  # m², rad²: the files' base does not move; the second online, for digits
-ERROR = 1e-7, 1e-6  # densities of bending that follows no equation; the second online
+ERROR = 1e-8, 1e-6  # densities of bending that follows no equation; the second online
 ROUNDING = 1e-4**2 / 12.0  # m², of positions that are stated to 0.1 mm
 NOISE = np.repeat([0.7e-3, np.radians(0.4)], [3, 2])  # one standard deviation of each axis
 RATE, NODE_RATE, NODES = 40.0, 80.0, 9
 INERTIAL = ("with inertia", "with inertia, online")
 WINDOW = 4  # time nodes of the smoother
-EVALUATIONS = 30  # of the evidence, to choose a prior's numbers
 CHI2 = 7.8147  # of three components, 95 %
 
 
@@ -61,38 +60,27 @@ def coil(release, options, seed):
     return CoilReadings(**where, values=pose @ se3.exp(error), cov=NOISE**2, name="coil")
 
 
-def mechanical(release, rod, load, tip, time_scale):
+def mechanical(release, rod, load, tip, online=False):
     """The mechanical prior, of loads with these standard deviations in N over the whole rod."""
     force = np.repeat([load**2, (0.01 * load * rod.length) ** 2], 3) / rod.length
     gravity = {"gravity": release.gravity}
     return MechanicalPrior(
         Mechanics(rod.stiffness[None], np.array([rod.mass_per_length]), **gravity),
         psd_load=force,
-        psd_strain_error=np.repeat([1e-9, ERROR[0]], 3),
+        psd_strain_error=np.repeat([1e-9, ERROR[online]], 3),
         var_tip=np.repeat([tip**2, (0.01 * tip * rod.length) ** 2], 3),
-        time_scale=time_scale,
-        var_base=np.full(6, VAR_BASE[0]),
+        time_scale=0.1,
+        var_base=np.full(6, VAR_BASE[online]),
         base_pose=rod.base,
     )
 
 
-def moving(release, rod, options):
-    """The mechanical prior with inertia; nothing of it is fitted to a file."""
-    weight = rod.mass_per_length * rod.length * 9.81
+def moving(release, rod, options, share, online=False):
+    """The mechanical prior with inertia, of loads that are this share of the rod's weight."""
+    load = share * rod.mass_per_length * rod.length * 9.81
     largest = 3.0 * rod.stiffness[3] / rod.length**2  # N: bends the rod by a third of its length
-    prior = mechanical(release, rod, LOAD * weight, TIP * weight, 0.1)
+    prior = mechanical(release, rod, load, TIP * load, online)
     return replace(prior, inertia=Inertia(options.modes, release.damping, 0.0, float(largest)))
-
-
-def loose(prior):
-    """The prior with larger unknowns, which a window's digits suffice for."""
-    return replace(
-        prior,
-        psd_load=LOOSE**2 * prior.psd_load,
-        var_tip=LOOSE**2 * prior.var_tip,
-        psd_strain_error=np.repeat([1e-9, ERROR[1]], 3),
-        var_base=np.full(6, VAR_BASE[1]),
-    )
 
 
 def white_noise(release, rod, numbers):
@@ -109,20 +97,18 @@ def white_noise(release, rod, numbers):
     )
 
 
-def fitted(release, rod, grid, readings):
-    """The white-noise prior of largest evidence."""
+def fitted(make, simplex, evaluations, grid, readings):
+    """The prior of largest evidence, of those that `make` makes of numbers (P,)."""
 
     def miss(numbers):
         try:
-            prior = white_noise(release, rod, numbers)
-            return -estimate(prior, grid, readings, gate=None).solve.log_evidence
+            return -estimate(make(numbers), grid, readings, gate=None).solve.log_evidence
         except (GlissandoError, np.linalg.LinAlgError):
             return 1e9
 
-    start = np.log([0.1, 1e2, 1e2])
-    limits = {"maxfev": EVALUATIONS, "initial_simplex": np.vstack([start, start - 2 * np.eye(3)])}
-    found = scipy.optimize.minimize(miss, start, method="Nelder-Mead", options=limits)
-    return white_noise(release, rod, found.x)
+    limits = {"maxfev": evaluations, "initial_simplex": simplex}
+    found = scipy.optimize.minimize(miss, simplex[0], method="Nelder-Mead", options=limits)
+    return make(found.x)
 
 
 def judged(prior, grid, readings, release, options):
@@ -190,15 +176,21 @@ def judge(path, options, seed):
         np.linspace(0.0, options.length, options.nodes), np.arange(steps + 1) / options.node_rate
     )
     readings = [coil(release, options, seed)]
-    force = 3.0 * rod.stiffness[3] / rod.length**2
-    priors = {"with inertia": moving(release, rod, options)}
+    on = grid, readings
+    inertial = partial(moving, release, rod, options)
+    simplex = np.log([[0.01], [0.002]])
+    priors = {"with inertia": fitted(lambda x: inertial(np.exp(x[0])), simplex, 8, *on)}
+    share = np.sqrt(priors["with inertia"].psd_load[0] * options.length)
+    share /= rod.mass_per_length * rod.length * 9.81
     if not options.only:
-        priors["mechanical"] = mechanical(release, rod, force, force, 0.1)
-        priors["white noise"] = fitted(release, rod, grid, readings)
-    rows = {name: judged(each, grid, readings, release, options) for name, each in priors.items()}
-    online = judged_online(loose(priors["with inertia"]), grid, readings, release, options)
-    rows["with inertia, online"] = online
-    return {"file": path.name, "seed": seed, "chosen_on": path.name in CHOSEN_ON, **rows}
+        force = 3.0 * rod.stiffness[3] / rod.length**2
+        priors["mechanical"] = mechanical(release, rod, force, force)
+        simplex = np.log([0.1, 1e2, 1e2]) - 2.0 * np.eye(4, 3, -1)
+        priors["white noise"] = fitted(partial(white_noise, release, rod), simplex, 30, *on)
+    rows = {name: judged(each, *on, release, options) for name, each in priors.items()}
+    online = inertial(ONLINE, online=True)
+    rows["with inertia, online"] = judged_online(online, *on, release, options)
+    return {"file": path.name, "seed": seed, "loads": float(share), **rows}
 
 
 def main():
@@ -222,8 +214,11 @@ def main():
     options = parser.parse_args()
     found = []
     if not options.json:
-        print("| file | seed | prior | middle (mm) | tip | inside 95 % | tip | NEES | tip | σ |")
-        print("|---|---|---|---|---|---|---|---|---|---|")
+        print(
+            "| file | seed | loads (%) | prior | middle (mm) | tip | inside 95 % | tip "
+            "| NEES | tip | σ (mm) | s |"
+        )
+        print("|---" * 12 + "|")
     for path, seed in product(options.files, options.seeds):
         try:
             rows = judge(path, options, seed)
@@ -237,7 +232,7 @@ def main():
             if name in rows:
                 row = rows[name]
                 print(
-                    f"| {path.name}{' (chosen on)' if rows['chosen_on'] else ''} | {seed} | {name} "
+                    f"| {path.name} | {seed} | {100 * rows['loads']:.2f} | {name} "
                     f"| {1e3 * row['rmse_mid']:.2f} | {1e3 * row['rmse_tip']:.2f} "
                     f"| {100 * row['inside_mid']:.1f} | {100 * row['inside_tip']:.1f} "
                     f"| {row['nees_mid']:.2f} | {row['nees_tip']:.2f} | {1e3 * row['std_mid']:.2f} "
