@@ -44,7 +44,6 @@ def estimate(
     sensor_parameters: Sequence[SensorParameter] = (),
     initial: State | None = None,
     initial_parameters: Sequence[tuple[SensorParameter, Array]] = (),
-    initial_motion: State | None = None,
     options: SolverOptions | None = None,
     progress: Progress | None = None,
     gate: float | None = CHANCE,
@@ -64,7 +63,6 @@ def estimate(
         initial: Nodes (K, N) to start from instead.
         initial_parameters: Sensor parameters with their values (K, size) to start from, as an
             earlier posterior of this grid holds them.
-        initial_motion: Motion (K, N) to start from where delays are seen, of an earlier posterior.
         options: When to stop.
         progress: Called after each iteration.
         gate: Chance below which the innovation of a reading refutes it; None uses them all.
@@ -81,8 +79,7 @@ def estimate(
     if any(r.channel for r in readings):
         again = partial(
             estimate, prior, grid, sensor_parameters=sensor_parameters,
-            initial_parameters=initial_parameters, initial_motion=initial_motion,
-            options=options, progress=progress, gate=gate,
+            initial_parameters=initial_parameters, options=options, progress=progress, gate=gate,
         )  # fmt: skip
         shape = prior.rest_state(grid) if initial is None else initial
         return settled(again, readings, (prior, grid, shape), initial)
@@ -95,7 +92,7 @@ def estimate(
         options or SolverOptions(),
         progress,
     )
-    posterior = problem.posterior((initial, initial_parameters, initial_motion), gate)
+    posterior = problem.posterior((initial, initial_parameters), gate)
     report = posterior.solve
     if not report.converged:
         message = f"The estimate has {report.status}. {report.outcome.remedy}"
@@ -103,8 +100,8 @@ def estimate(
     return posterior
 
 
-_Start = tuple[State | None, Sequence[tuple[SensorParameter, Array]], State | None]
-"""Nodes to start from, sensor parameters with their values, the motion that delays are seen by."""
+_Start = tuple[State | None, Sequence[tuple[SensorParameter, Array]]]
+"""Nodes to start from, and sensor parameters with their values."""
 
 
 @dataclass(frozen=True)
@@ -153,9 +150,7 @@ class _Problem:
             progress = _after(before, progress)
             options = options or self.options
             solution = minimize(self.prior, located, start, options, progress, clock)  # (19)
-            solution = with_unseen_delays(
-                self.prior, solution, self.sensor_parameters, options, initial[2]
-            )
+            solution = with_unseen_delays(self.prior, solution, self.sensor_parameters, options)
             evidence = _log_evidence(solution)  # (22)
             with clock("covariance"):
                 marginals = solution.cholesky.marginals(consume=True)  # (21)
@@ -168,7 +163,6 @@ class _Problem:
             _report(solution, before, evidence, clock),
             solution.located.parameters.by_name(),
             (solution.equations.state, solution.equations.noise_state),
-            solution.located.motion,
         )
         return posterior, solution
 
@@ -201,7 +195,7 @@ class _Problem:
 
 def _end_of(solution: Solution) -> _Start:
     """Where a solution ended, to start from."""
-    return solution.state, solution.located.parameters.by_name(), solution.located.motion
+    return solution.state, solution.located.parameters.by_name()
 
 
 def _far_off(grid: Grid, prior: Prior, readings: Sequence[Readings]) -> SensorError | None:

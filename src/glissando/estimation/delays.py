@@ -18,6 +18,7 @@ from dataclasses import replace
 import numpy as np
 
 from glissando.errors import UnobservableError
+from glissando.estimation.starting_point import with_parameters
 from glissando.geometry.se3 import Array
 from glissando.model.factors import Factors
 from glissando.model.priors.prior import Prior
@@ -28,7 +29,6 @@ from glissando.solver.block_tridiagonal import BlockTridiagonal, factor
 from glissando.solver.gauss_newton import Solution, SolverOptions, Stopwatch, minimize
 from glissando.solver.linearize import linearize
 from glissando.solver.located_readings import locate
-from glissando.solver.normal_equations import system_shape
 
 
 def with_unseen_delays(
@@ -36,20 +36,17 @@ def with_unseen_delays(
     solution: Solution,
     sensor_parameters: Sequence[SensorParameter],
     options: SolverOptions,
-    start: State | None = None,
 ) -> Solution:
     """A solution in which delays are known by what streams without one show, and no better.
 
     Args:
         prior: The prior.
-        solution: Where the iteration ended.
+        solution: Where the iteration ended; its memory is overwritten.
         sensor_parameters: Parameters of the sensors.
         options: When to stop the estimate from the streams without a delay.
-        start: Nodes (K, N) to start that estimate from, those of the solution unless given.
 
     Returns:
-        The solution with another information matrix and the motion that delays are seen by, if a
-        delay is estimated; else the same.
+        The solution with another information matrix, if a delay is estimated; else the same.
     """
     process = solution.located.parameters.process
     delays = delay_columns(process)
@@ -61,18 +58,17 @@ def with_unseen_delays(
     motion = prior.rest_state(grid)
     if streams:
         with suppress(UnobservableError, np.linalg.LinAlgError):  # they show no motion
-            alone = locate(grid, streams, others)
-            first = state if start is None else start
-            motion = minimize(prior, alone, first, options, None, Stopwatch()).state
+            values = solution.located.parameters.by_name()
+            alone = with_parameters(locate(grid, streams, others), values)
+            motion = minimize(prior, alone, state, options, None, Stopwatch(), solution).state
     moving = replace(solution.located, motion=motion)
-    workspace = np.empty(system_shape(grid.time.size, state.numbers + process.size))
+    workspace, cholesky = solution.memory(state.numbers + process.size)
     noise_state = solution.equations.noise_state
     seen = linearize(prior, moving, state, noise_state, workspace, solution.equations.terms)
     own = motion_left(state, motion, grid.time).reshape(grid.time.size, -1)
     system = _moving_along(seen.system, own, [state.numbers + column for column in delays])
     equations = replace(solution.equations, system=system)
-    cholesky = factor(system, solution.cholesky)
-    return replace(solution, located=moving, equations=equations, cholesky=cholesky)
+    return replace(solution, equations=equations, cholesky=factor(system, cholesky))
 
 
 def delayed(

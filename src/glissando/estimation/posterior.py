@@ -150,8 +150,7 @@ class Posterior(Brief):
     `marginals` the blocks of its inverse that any query needs, `solve` how it was reached,
     `sensor_parameters` of the sensors with their estimated values (K, size) at the time nodes,
     `linearized` the states at which `system` was linearised and weighted, which a file has for a
-    mechanical prior alone, `motion` the nodes (K, N) whose motion told delays, where some were
-    estimated.
+    mechanical prior alone.
     """
 
     prior: Prior
@@ -162,7 +161,6 @@ class Posterior(Brief):
     solve: SolveReport
     sensor_parameters: Sequence[tuple[SensorParameter, Array]] = ()
     linearized: tuple[State, State] | None = field(default=None, compare=False)
-    motion: State | None = field(default=None, compare=False)
 
     def at(self, arclength: ArrayLike, time: ArrayLike) -> StateEstimate:
         """State with its 18×18 covariance at points; arclength and time broadcast together.

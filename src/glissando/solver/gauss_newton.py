@@ -96,6 +96,7 @@ class Solution:
         outcome: How it ended.
         iterations: How many it took.
         last_step: Length of the last step, standard deviations.
+        workspace: Memory of the system.
     """
 
     state: State
@@ -105,6 +106,17 @@ class Solution:
     outcome: Outcome
     iterations: int
     last_step: float
+    workspace: Array
+
+    def memory(self, size: int) -> tuple[Array, Cholesky]:
+        """Its own, to be overwritten, for a system of `size` numbers a slab, not above its own."""
+        count, square = len(self.cholesky.inverse), size * size
+        parts = (self.workspace, 2 * count - 1), (self.cholesky.inverse, count)
+        workspace, inverse, coupling = (
+            memory.reshape(-1)[: slabs * square].reshape(slabs, size, size)
+            for memory, slabs in (*parts, (self.cholesky.coupling, count - 1))
+        )
+        return workspace, Cholesky(inverse, coupling)
 
 
 _Where = tuple[State, LocatedReadings]
@@ -120,10 +132,25 @@ def minimize(
     options: SolverOptions,
     progress: Progress | None,
     clock: Stopwatch,
+    former: Solution | None = None,
 ) -> Solution:
-    """Gauss–Newton steps, damped when the cost does not fall (Marquardt's scaling)."""
-    shape = system_shape(start.pose.shape[0], located.parameters.process.size + start.numbers)
-    workspace = np.empty(shape)  # one for all systems: fresh memory would cost more than the sums
+    """Gauss–Newton steps, damped when the cost does not fall (Marquardt's scaling).
+
+    Args:
+        prior: The prior.
+        located: The readings.
+        start: Nodes (K, N) to start from.
+        options: When to stop.
+        progress: Called after each iteration.
+        clock: Times the phases.
+        former: A solution of no fewer numbers whose memory is overwritten, as it is not needed.
+    """
+    # one memory for all systems: fresh memory would cost more than the sums
+    size, cholesky = located.parameters.process.size + start.numbers, None
+    if former is None:
+        workspace = np.empty(system_shape(start.pose.shape[0], size))
+    else:
+        workspace, cholesky = former.memory(size)
 
     def at(where: _Where, fixed: NormalEquations | None = None) -> NormalEquations:
         noise_state, weights = (
@@ -132,7 +159,7 @@ def minimize(
         with clock("linearise"):
             return linearize(prior, where[1], where[0], noise_state, workspace, weights)
 
-    here, fixed, cholesky = at((start, located)), None, None
+    here, fixed = at((start, located)), None
     damping, iteration, length, after_renewal, last = 0.0, 0, np.inf, np.inf, False
     while True:
         before = np.inf if damping else length
@@ -149,7 +176,7 @@ def minimize(
             after_renewal, last = length, length > _CALMER * after_renewal
         if short and (fixed is None or fixed is here or last):
             end = next(_candidates(prior, here, step))[0]
-            return Solution(*end, here, cholesky, Outcome.CONVERGED, iteration, length)
+            return Solution(*end, here, cholesky, Outcome.CONVERGED, iteration, length, workspace)
         if short:
             here = fixed = at((here.state, here.located))
             continue
@@ -164,7 +191,9 @@ def minimize(
             ended = Outcome.ITERATION_LIMIT
         if ended is not None:
             cholesky = factor(here.system, cholesky)
-            return Solution(here.state, here.located, here, cholesky, ended, iteration, length)
+            return Solution(
+                here.state, here.located, here, cholesky, ended, iteration, length, workspace
+            )
 
 
 def _step(

@@ -56,17 +56,15 @@ class Start:
     Attributes:
         state: Nodes (K, N).
         sensor_parameters: Sensor parameters with their values (K, size).
-        motion: Nodes (K, N) whose motion told delays.
     """
 
     state: State | None = None
     sensor_parameters: Sequence[tuple[SensorParameter, Array]] = ()
-    motion: State | None = None
 
     @staticmethod
     def of(posterior: Posterior) -> Start:
         """What is kept of an estimate."""
-        return Start(posterior.state, posterior.sensor_parameters, posterior.motion)
+        return Start(posterior.state, posterior.sensor_parameters)
 
 
 def quiet_estimate(
@@ -97,7 +95,6 @@ def quiet_estimate(
             sensor_parameters=parameters,
             initial=start.state,
             initial_parameters=start.sensor_parameters,
-            initial_motion=start.motion,
             options=options,
             gate=None,
         )
