@@ -87,7 +87,7 @@ def test_truth_and_a_tilted_tracker_at_one_place_agree_once_put_right(found):
 
 
 def test_what_belongs_to_a_recording_is_not_carried_to_the_next(found):
-    document, constants, std = found
+    document, constants, std, _ = found
     assert all(np.all(s > 0.0) for s in std.values())
     kept = {u["name"]: u for u in document["sensor_parameters"]}
     assert "std" not in kept["tip mount"]

@@ -131,7 +131,7 @@ def test_slopes_are_those_of_converged_estimates(judged, monkeypatch):
     numbers = [p for word in words for p in of_label(document, word)]
     assert len(numbers) == 4
     goal = Objective([Late(judged=judged)], False)
-    middle, zero = goal.centre(document), np.zeros(len(numbers))
+    middle, zero = goal.score(document, goal.start()), np.zeros(len(numbers))
     search = learning._Search(document, numbers, goal, SimpleNamespace(map=map), middle, zero)
     learning._prepare(goal)
     slope, curvature = search.slopes()
@@ -150,9 +150,8 @@ def test_places_that_err_together_count_as_one(in_process):
             time = tip.time
             return [tip, readings(PoseReadings, "mid", LENGTH / 2, time, std=np.full(6, 1e-4))]
 
-    once, twice = (Objective([case], False).centre(start()).score for case in (
-        Arc(judged=True), Twice(judged=True)
-    ))  # fmt: skip
+    goals = [Objective([case], False) for case in (Arc(judged=True), Twice(judged=True))]
+    once, twice = (goal.score(start(), goal.start()).score for goal in goals)
     assert (once.samples, once.independent) == (18, 18)
     assert (twice.samples, twice.independent) == (36, 18)
 
@@ -176,7 +175,8 @@ def test_a_document_that_cannot_be_estimated_is_a_bad_one_and_not_the_end(in_pro
     found = learn(document, of_label(document, "pose noise"), [case], steps=2)
     assert found.document["sensors"]["pose"]["std"][0] <= case.most
     assert found.after.value >= found.before.value
-    about = Objective([case], False).centre(document)
+    goal = Objective([case], False)
+    about = goal.score(document, goal.start())
     assert learning._evaluate(about, start(noise=1.0)) == learning._BAD
     assert learning._evaluate(about, start(noise=0.3)) < learning._BAD
 

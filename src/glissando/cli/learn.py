@@ -15,6 +15,7 @@ from glissando.calibration.robot.case import RecordingCase
 from glissando.calibration.robot.hyperparameters import Document, Parameter, expanded, learnable
 from glissando.calibration.robot.joint_calibration import lasting, locate
 from glissando.calibration.robot.learn import Learned, learn
+from glissando.calibration.robot.predictive import Start
 from glissando.cli.learn_tendons import learn_from_tendons
 from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_command, names, write_robot
@@ -87,11 +88,12 @@ def _learn(options: argparse.Namespace) -> int:
     parameters = _parameters(document, cases, options)
     constants: tuple[SensorParameter, ...] = ()
     std: dict[str, Array] = {}
+    start: Start | None = None
     with working("learning") as work:
         if options.joint:
             work.begin("finding frames and mounts")
             first = cases[0]
-            document, constants, std = locate(
+            document, constants, std, start = locate(
                 document, recordings[0], first.window, first.use, options.truth
             )
             work.begin("learning")
@@ -101,6 +103,7 @@ def _learn(options: argparse.Namespace) -> int:
             cases,
             calibrate=options.calibrate,
             constants=constants,
+            start=start,
             steps=options.steps,
             watch=lambda step, value, left: work.update(
                 step, step + left, f"step {step}, {value:.4f} a degree of freedom"

@@ -16,6 +16,7 @@ import numpy as np
 from glissando.calibration.robot.hyperparameters import Document
 from glissando.calibration.robot.predictive import (
     APART,
+    Start,
     constants_of,
     informative,
     quiet_estimate,
@@ -33,7 +34,7 @@ from glissando.solver.gauss_newton import SolverOptions
 _OF_A_RECORDING = ("time_offset", "bias")  # kinds that differ between recordings
 _PRIOR_STD = {"frame": (3e-3, 0.01), "mount": (2e-3, 0.05)}  # m, rad: of the truth's constants
 _LATE = 0.02  # s: standard deviation of the truth's delay
-_OPTIONS = SolverOptions(max_iterations=25, settled=5)  # from then on weights wander with delays
+_OPTIONS = SolverOptions(25, tolerance=1.0, settled=5)  # then weights would wander with delays
 
 
 def locate(
@@ -42,7 +43,7 @@ def locate(
     window: tuple[float, float],
     use: Sequence[str],
     truth: Sequence[str],
-) -> tuple[Document, tuple[SensorParameter, ...], dict[str, Array]]:
+) -> tuple[Document, tuple[SensorParameter, ...], dict[str, Array], Start]:
     """Estimate the constants of sensors and truth together with the shape.
 
     Args:
@@ -54,8 +55,8 @@ def locate(
             that the robot file states for such a sensor.
 
     Returns:
-        The robot file with its sensors' constants known, the truth's constants as known, and the
-        standard deviations of all that was found, by name.
+        The robot file with its sensors' constants known, the truth's constants as known, the
+        standard deviations of all that was found, by name, and a start for the window's estimate.
     """
     robot = parse_robot(Table(document, "located", GlissandoError))
     sensors, bodies = (recording.readings(names, robot, window)[0] for names in (use, truth))
@@ -82,7 +83,7 @@ def locate(
             del entry["std"]
     found = [p for p in parameters if not p.known]
     deviations = {p.name: _std(posterior, p.name) for p in found}
-    return known, tuple(map(estimated, constants)), deviations
+    return known, tuple(map(estimated, constants)), deviations, Start.of(posterior)
 
 
 def _std(posterior: Posterior, name: str) -> Array:

@@ -25,7 +25,7 @@ import numpy as np
 from glissando.calibration.robot.case import Case
 from glissando.calibration.robot.hyperparameters import Document, Parameter, moved
 from glissando.calibration.robot.objective import Centre, Objective
-from glissando.calibration.robot.predictive import Score
+from glissando.calibration.robot.predictive import Score, Start
 from glissando.errors import GlissandoError
 from glissando.geometry.se3 import Array
 from glissando.model.sensors.parameters import SensorParameter
@@ -76,7 +76,7 @@ def _prepare(objective: Objective) -> None:
 def _evaluate(about: Centre, document: Document) -> float:
     assert _objective is not None
     try:
-        value = -_objective.score(document, about).value
+        value = -_objective.score(document, about, beside=True).score.value
     except (GlissandoError, np.linalg.LinAlgError):
         return _BAD
     return value if np.isfinite(value) else _BAD
@@ -89,6 +89,7 @@ def learn(
     *,
     calibrate: bool = False,
     constants: tuple[SensorParameter, ...] = (),
+    start: Start | None = None,
     steps: int = 20,
     watch: Watch | None = None,
 ) -> Learned:
@@ -100,6 +101,7 @@ def learn(
         cases: The data.
         calibrate: Whether frame and mounts of the truth are calibrated, starting from `constants`.
         constants: Frame, mounts and delays of the truth.
+        start: Where the estimate of the first case starts.
         steps: Number of steps at most.
         watch: Called after each step.
 
@@ -107,12 +109,12 @@ def learn(
         GlissandoError: If the robot file to start from cannot be estimated.
     """
     parameters = list(parameters)
-    objective = Objective(cases, calibrate, constants)
+    objective = Objective(cases, calibrate)
     workers = min(os.cpu_count() or 1, 1 + 2 * len(parameters))
     spawned = get_context("spawn")
     with ProcessPoolExecutor(workers, spawned, _prepare, (objective,)) as pool:
         pool.map(int, [0])  # starts the workers while the first estimate is made
-        first = objective.centre(document)
+        first = objective.score(document, objective.start(constants, start))
         search = _Search(document, parameters, objective, pool, first, np.zeros(len(parameters)))
         count, left = 0, steps
         while left:
@@ -163,9 +165,11 @@ class _Search:
         step: Array = np.asarray(-np.linalg.solve(self._curvature, slope), dtype=float)
         step *= min(1.0, _PRIOR_STD / max(float(np.abs(step).max()), 1e-12))
         promise = float(-slope @ step - 0.5 * step @ self._curvature @ step)
-        shares = _SHARES if promise > _GAIN else _SHARES[:1]
-        taken = any(self._try(share * step, slope) for share in shares)
-        return math.ceil(np.log10(promise / _GAIN)) if taken and promise > _GAIN else 0
+        if promise < _GAIN:
+            self._try(step, slope, beside=True)
+            return 0
+        taken = any(self._try(share * step, slope) for share in _SHARES)
+        return math.ceil(np.log10(promise / _GAIN)) if taken else 0
 
     def slopes(self) -> tuple[Array, Array]:
         """Slope (P,) and curvature (P,) along each parameter; zero where there is no estimate."""
@@ -179,6 +183,7 @@ class _Search:
         known = good[0] * good[1:].reshape(2, -1)
         slope = (sides[0] - sides[1]) / (_NUDGE * np.maximum(known.sum(axis=0), 1))
         curvature = (sides[0] + sides[1] - 2.0 * totals[0]) / _NUDGE**2
+        self._beside = float(totals[0])
         return slope * known.any(axis=0), curvature * known.all(axis=0)
 
     def _update(self, slope: Array, diagonal: Array) -> None:
@@ -197,16 +202,17 @@ class _Search:
         scale = np.sqrt(diagonal / np.diagonal(updated))
         self._curvature = scale[:, None] * updated * scale
 
-    def _try(self, step: Array, slope: Array) -> bool:
-        """Whether a step is worth it; if so, it is taken."""
+    def _try(self, step: Array, slope: Array, *, beside: bool = False) -> bool:
+        """Whether a step is worth it, also if only to first order; if so, it is taken."""
         x = np.clip(self.x + step, -_REACH, _REACH)
         there: Centre | None = None
         with suppress(GlissandoError, np.linalg.LinAlgError):
-            there = self.objective.centre(moved(self.document, self.parameters, x), self.centre)
+            document = moved(self.document, self.parameters, x)
+            there = self.objective.score(document, self.centre, beside=beside)
         if there is None:
             return False
         value = self._with_prior(-there.score.value, x)
-        if not value < self.value:
+        if not value < (self._beside if beside else self.value):
             return False
         self._former = x - self.x, slope
         self.x, self.value, self.centre = x, value, there

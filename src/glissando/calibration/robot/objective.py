@@ -35,7 +35,12 @@ _ONE_STEP = SolverOptions(max_iterations=1, tolerance=np.inf)
 
 @dataclass(frozen=True)
 class Centre:
-    """A robot file that was scored, and what its estimates leave to those of files about it."""
+    """A robot file that was scored, and where estimates of files about it start.
+
+    Attributes:
+        score: The score; of a file that was not scored, only its constants count.
+        starts: A start for each case.
+    """
 
     score: Score
     starts: Sequence[Start]
@@ -48,42 +53,41 @@ class Objective:
     Attributes:
         cases: The cases.
         calibrate: Whether frame and mounts of the truth are calibrated.
-        constants: Frame, mounts and delays of the truth.
     """
 
     cases: Sequence[Case]
     calibrate: bool
-    constants: tuple[SensorParameter, ...] = ()
 
-    def centre(self, document: Document, about: Centre | None = None) -> Centre:
-        """Score a robot file by converged estimates, begun at those of another one, if given.
+    def start(
+        self, constants: tuple[SensorParameter, ...] = (), first: Start | None = None
+    ) -> Centre:
+        """Where to start from, with constants of the truth and a start for the first case."""
+        unknown = Score(np.nan, 0, 0.0, constants)
+        return Centre(unknown, [first or Start(), *[Start()] * (len(self.cases) - 1)])
+
+    def score(self, document: Document, about: Centre, *, beside: bool = False) -> Centre:
+        """Score a robot file.
+
+        Args:
+            document: Robot file.
+            about: Where its estimates start.
+            beside: Whether a step from there suffices: to first order in how far the file is.
 
         Raises:
             GlissandoError: If the robot file is wrong or cannot be estimated.
         """
-        return self._scored(document, about, _TIGHT)
-
-    def score(self, document: Document, about: Centre) -> Score:
-        """Score a robot file beside a centre, to first order in how far it is from there.
-
-        Raises:
-            GlissandoError: If the robot file is wrong or cannot be estimated.
-        """
-        return self._scored(document, about, _ONE_STEP).score
-
-    def _scored(self, document: Document, about: Centre | None, options: SolverOptions) -> Centre:
+        options = _ONE_STEP if beside else _TIGHT
         robot = parse_robot(Table(document, "learned", GlissandoError))
         readings = [self._readings(case, robot) for case in self.cases]
-        starts = [Start()] * len(self.cases) if about is None else about.starts
         posteriors = [
             quiet_estimate(
                 robot.prior, case.grid(robot), each, robot.sensor_parameters, options, start
             )
-            for case, each, start in zip(self.cases, readings, starts, strict=True)
+            for case, each, start in zip(self.cases, readings, about.starts, strict=True)
         ]
         truths = [case.truth(robot) for case in self.cases]
         if any(truths):
-            score = self._predictive(posteriors, truths, about)
+            score = self._predictive(posteriors, truths, about.score.constants)
         else:
             count = sum(len(r) * r.row_count for each in readings for r in each)
             total = sum(posterior.solve.log_evidence for posterior in posteriors)
@@ -94,13 +98,11 @@ class Objective:
         self,
         posteriors: Sequence[Posterior],
         truths: Sequence[list[Readings]],
-        about: Centre | None,
+        constants: tuple[SensorParameter, ...],
     ) -> Score:
         """Score of the truth of all cases; constants are calibrated on the longest one."""
         longest = max(range(len(truths)), key=lambda i: sum(map(len, truths[i])))
-        constants = self.constants
         if self.calibrate:
-            constants = constants if about is None else about.score.constants
             constants = constants or constants_of(truths[longest])
             best = predict(posteriors[longest], truths[longest], constants, free=True)
             constants = best.constants
