@@ -90,6 +90,15 @@ def test_evidence_finds_the_noise_of_the_readings():
     np.testing.assert_allclose(std / (3.0 * NOISE), np.exp(np.repeat(found.moved, 3)))
 
 
+def test_a_start_that_is_a_hundred_times_off_ends_where_one_beside_it_does(in_process):
+    found = []
+    for noise in (1.5, 100.0):
+        document = start(noise=noise)
+        learned = learn(document, of_label(document, "pose noise"), [Arc()]).document
+        found.append(learned["sensors"]["pose"]["std"])
+    np.testing.assert_allclose(np.log(found[1]), np.log(found[0]), atol=0.15)
+
+
 def test_with_truth_its_prediction_improves_and_every_step_is_reported(in_process):
     document, steps = start(noise=10.0), []
     numbers = of_label(document, "pose noise")

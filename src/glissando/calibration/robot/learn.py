@@ -116,11 +116,11 @@ def learn(
         pool.map(int, [0])  # starts the workers while the first estimate is made
         first = objective.score(document, objective.start(constants, start))
         search = _Search(document, parameters, objective, pool, first, np.zeros(len(parameters)))
-        count, left = 0, steps
-        while left:
-            left, count = min(search.step(), left - 1), count + 1
+        count, left = 0, 1
+        while left and count < steps:
+            left, count = search.step(), count + 1
             if watch is not None:
-                watch(count, -search.value, left)
+                watch(count, -search.value, min(left, steps - count))
     learned = moved(document, parameters, search.x)
     after = search.centre.score
     return Learned(learned, parameters, search.x, search.std, first.score, after, count)
