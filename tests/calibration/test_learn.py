@@ -77,7 +77,7 @@ def of_label(document, word):
 
 
 @pytest.mark.slow
-def test_evidence_finds_the_noise_of_the_readings():
+def test_evidence_finds_the_noise_of_the_readings(monkeypatch):
     document = start(noise=3.0)
     numbers = of_label(document, "pose noise")
     assert len(numbers) == 2
@@ -88,6 +88,10 @@ def test_evidence_finds_the_noise_of_the_readings():
     assert found.after.samples == 3 * 21 * 6
     assert np.all((found.std > 0.01) & (found.std < 0.3))
     np.testing.assert_allclose(std / (3.0 * NOISE), np.exp(np.repeat(found.moved, 3)))
+    monkeypatch.setattr(learning, "ProcessPoolExecutor", same_process)
+    alone = learn(document, numbers, [Arc()], steps=8)  # without other processes
+    np.testing.assert_array_equal(alone.moved, found.moved)
+    np.testing.assert_array_equal(alone.std, found.std)
 
 
 def test_a_start_that_is_a_hundred_times_off_ends_where_one_beside_it_does(in_process):
