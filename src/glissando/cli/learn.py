@@ -105,8 +105,8 @@ def _learn(options: argparse.Namespace) -> int:
             constants=constants,
             start=start,
             steps=options.steps,
-            watch=lambda step, value, left: work.update(
-                step, step + left, f"step {step}, {value:.4f} a degree of freedom"
+            watch=lambda done, value, total: work.update(
+                done, total, f"step {math.ceil(done)}, {value:.4f} a degree of freedom"
             ),
         )
     written = _with_constants(result)

@@ -33,13 +33,14 @@ from glissando.model.sensors.parameters import SensorParameter
 _BAD = 1e3  # objective of a document that cannot be estimated
 _NUDGE = 0.1  # of a logarithm, for differences
 _GAIN = 1e-3  # gain a degree of freedom below which the search ends
+_EXPECTED = 3  # steps, before the first one says how many
 _SHARES = (1.0, 0.5, 0.25, 0.125)  # of a step that are tried
 _REACH = np.log(1e4)  # how far a number may move
 _PRIOR_STD = np.log(3.0)  # of a logarithm
 
 
-Watch = Callable[[int, float, int], None]
-"""Called after each step with its number, the objective and how many more are expected."""
+Watch = Callable[[float, float, float], None]
+"""Called with how many steps are done, the objective and how many are expected in all."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +104,7 @@ def learn(
         constants: Frame, mounts and delays of the truth.
         start: Where the estimate of the first case starts.
         steps: Number of steps at most.
-        watch: Called after each step.
+        watch: Called on the way, and after each step.
 
     Raises:
         GlissandoError: If the robot file to start from cannot be estimated.
@@ -116,11 +117,15 @@ def learn(
         pool.map(int, [0])  # starts the workers while the first estimate is made
         first = objective.score(document, objective.start(constants, start))
         search = _Search(document, parameters, objective, pool, first, np.zeros(len(parameters)))
-        count, left = 0, 1
-        while left and count < steps:
-            left, count = search.step(), count + 1
+        count, left = 0, _EXPECTED
+
+        def tell(part: float) -> None:
             if watch is not None:
-                watch(count, -search.value, min(left, steps - count))
+                watch(count + part, -search.value, min(count + left, steps))
+
+        while left and count < steps:
+            left, count = search.step(tell), count + 1
+            tell(0.0)
     learned = moved(document, parameters, search.x)
     after = search.centre.score
     return Learned(learned, parameters, search.x, search.std, first.score, after, count)
@@ -154,9 +159,9 @@ class _Search:
         self.independent = self.centre.score.independent
         self.value = self._with_prior(-self.centre.score.value, self.x)
 
-    def step(self) -> int:
+    def step(self, tell: Callable[[float], None]) -> int:
         """Take a step; return how many more are expected, by the gain that this one promised."""
-        slope, curvature = self.slopes()
+        slope, curvature = self.slopes(tell)
         self.std = np.where(
             curvature > 0.0, np.maximum(curvature * self.independent, 1e-12) ** -0.5, np.inf
         )
@@ -171,12 +176,19 @@ class _Search:
         taken = any(self._try(share * step, slope) for share in _SHARES)
         return math.ceil(np.log10(promise / _GAIN)) if taken else 0
 
-    def slopes(self) -> tuple[Array, Array]:
-        """Slope (P,) and curvature (P,) along each parameter; zero where there is no estimate."""
+    def slopes(self, tell: Callable[[float], None]) -> tuple[Array, Array]:
+        """Slope (P,) and curvature (P,) along each parameter; zero where there is no estimate.
+
+        Args:
+            tell: Called with the part of a step that is done, after each objective.
+        """
         nudges = _NUDGE * np.eye(self.x.size)
         points = [self.x, *(self.x + nudges), *(self.x - nudges)]
         documents = [moved(self.document, self.parameters, x) for x in points]
-        found = list(self.pool.map(_evaluate, [self.centre] * len(points), documents))
+        found: list[float] = []
+        for value in self.pool.map(_evaluate, [self.centre] * len(points), documents):
+            found.append(value)
+            tell(len(found) / (len(points) + 1))
         totals = np.array([self._with_prior(f, x) for f, x in zip(found, points, strict=True)])
         good = np.array(found) < _BAD
         sides = np.where(good, totals, totals[0])[1:].reshape(2, -1)
