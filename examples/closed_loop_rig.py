@@ -29,7 +29,7 @@ from glissando.simulation import load_bench
 TICK, STREAMED, TIP = 0.25, 0.3, 0.7  # s between updates; s for which the path is settled; m
 
 
-def estimate(readings, travels, routes, lasts):
+def estimate(readings, travels, routes, ended, lasts):
     """The estimator's process: receives poses and travels, sends the path whenever it changes."""
     robot, bench = load_robot("sliding700"), load_bench(robot_file("sliding700"))
     zone = Zone(MovingInterval((0.0, lasts), (0.62, 0.68), (0.52, 0.58)))
@@ -39,7 +39,7 @@ def estimate(readings, travels, routes, lasts):
         replanner = Replanner(sensor, path_space, [zone], node_step=0.5, lead=0.7, planner=planner)
         routes.send("ready")
         begin = routes.recv()
-        while (now := time.monotonic() - begin) < lasts:
+        while (now := time.monotonic() - begin) < lasts and not ended.is_set():
             slide += [travels.get() for _ in range(travels.qsize())]
             rows = [readings.get() for _ in range(readings.qsize())]
             when, poses = np.array([r[0] for r in rows]), np.array([r[1] for r in rows])
@@ -94,18 +94,23 @@ def main(lasts=20.0):
     """Start the processes and drive the devices."""
     context = multiprocessing.get_context("spawn")
     readings, travels = context.Queue(), context.Queue()
-    routes, theirs = context.Pipe()
-    process = context.Process(target=estimate, args=(readings, travels, theirs, lasts))
+    for queue in (readings, travels):
+        queue.cancel_join_thread()  # to end, nobody waits until all that was sent is read
+    (routes, theirs), ended = context.Pipe(), context.Event()
+    process = context.Process(target=estimate, args=(readings, travels, theirs, ended, lasts))
     process.start()
     routes.recv()
-    with simulated_rig() as rig, ThreadPoolExecutor() as pool:
-        begin = time.monotonic()
-        routes.send(begin)
-        moving = pool.submit(drive, rig, routes, begin, lasts, travels)
-        listening = pool.submit(listen, rig, moving, readings)
-        moving.result()
-        listening.result()
-    process.join(10.0)
+    try:
+        with simulated_rig() as rig, ThreadPoolExecutor() as pool:
+            begin = time.monotonic()
+            routes.send(begin)
+            moving = pool.submit(drive, rig, routes, begin, lasts, travels)
+            listening = pool.submit(listen, rig, moving, readings)
+            moving.result()
+            listening.result()
+    finally:
+        ended.set()  # also where a device is lost
+        process.join(10.0)
 
 
 if __name__ == "__main__":
