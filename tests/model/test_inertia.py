@@ -17,7 +17,11 @@ from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.model.state import DOF
 from glissando.simulation import Rod, Wrench
 from glissando.simulation.dynamics import Scenario, TimedWrench, simulate_motion
+from glissando.solver.block_tridiagonal import factor
 from glissando.solver.gauss_newton import SolverOptions
+from glissando.solver.linearize import linearize
+from glissando.solver.located_readings import locate
+from glissando.solver.normal_equations import system_shape
 from mechanical_rod import NODES_S, mechanical, moving
 from oracles import separable as oracle
 from slope import slope_test
@@ -141,6 +145,37 @@ def test_a_rod_of_no_mass_is_answered_as_without_inertia():
     assert gap.max() < 1e-3 * other.std_position.max()
     std = [np.sqrt(np.einsum("...ii->...i", each.cov[..., 1:, :12, :12])) for each in answers]
     np.testing.assert_allclose(*std, rtol=1e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("inflate", "draws", "honest"), [(1.0, 60, True), (1.5, 20, False)])
+def test_errors_of_drawn_motions_are_as_large_as_stated(inflate, draws, honest):
+    """Positions of three nodes at all times; loads so small that motions are linear.
+
+    Motions that are half as large again as stated are found.
+    """
+    swing = replace(SWING, air_damping=0.0, std_release=0.01)
+    loads = {"psd_load": np.repeat([1e-5, 1e-10], 3), "var_tip": np.repeat([1e-6, 1e-10], 3)}
+    prior, grid = wire(**loads, inertia=swing), wire_grid(0.1, nodes=6)
+    rng, nodes = np.random.default_rng(7), [2, 3, 5]
+    rest, read = prior.rest_state(grid), np.arange(0, grid.time.size, 2)
+    memory = np.empty(system_shape(grid.time.size, rest.numbers))
+    drawn = factor(linearize(prior, locate(grid, []), rest, rest, memory).system)
+    found = []
+    for _ in range(draws):
+        step = inflate * drawn.sample(rng).reshape(*grid.shape, -1)
+        truth = prior.bent(grid, rest, step)
+        noise = rng.standard_normal((read.size, 6)) * np.append(STD, STD[-1])
+        where = {"time": grid.time[read], "arclength": np.full(read.size, 0.6)}
+        coil = CoilReadings(
+            **where, values=truth.pose[read, -1] @ se3.exp(noise), cov=STD**2, name="coil"
+        )
+        posterior = estimate(prior, grid, [coil], gate=None)
+        at = posterior.at(grid.arclength[nodes], grid.time[1:, None])
+        gap = at.position - truth.pose[1:, nodes][..., :3, 3]
+        inverse = np.linalg.inv(at.cov_position_world)
+        found.append(np.mean(np.einsum("kni,knij,knj->kn", gap, inverse, gap)) / 3.0)
+    assert (abs(np.mean(found) - 1.0) < 0.25) == honest
 
 
 def followed(smoother, grid, coil):
