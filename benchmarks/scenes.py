@@ -3,12 +3,15 @@
     python benchmarks/scenes.py risk --robot arm.toml [--runs 100] [--scenes 5] [--delta 0.05]
     python benchmarks/scenes.py margin --robot arm.toml [--scenes 12]
     python benchmarks/scenes.py speed --robot arm.toml
+    python benchmarks/scenes.py sensing --runs 30 [--scenes 5] [--figure FILE.png]
 
 risk: motions are planned in random scenes and followed by robots drawn at random (see
 `scenes_world.py`), which read their coil and correct. Hits are given with their 95 % binomial
 interval, beside the largest risk that was allowed.
 margin: the same scenes with one margin for every place, as large as makes the risk the same.
 speed: what an evaluation with slopes and a replan from a warm start cost.
+sensing: slide and motion planned together, against a slide that stays, that oscillates, or that
+is planned after the motion, through slits that the body must take (see `scenes_sensing.py`).
 Numbers of seeds below TUNED were used to set the physics and the example's [tendons].
 """
 
@@ -35,6 +38,7 @@ from glissando.planning.scene.plan_motion import motion_problem, plan_motion
 from glissando.planning.scene.scene_file import Actuator, Scene, Target
 from glissando.planning.sliding_sensor import sliding_sensor
 from scenes_margin import margin_rows
+from scenes_sensing import draw_sensing, sensing_rows, summed
 from scenes_world import PAUSE, World, run_loop
 
 TUNED = 1000
@@ -167,20 +171,32 @@ def margin(robot, options):
     return margin_rows(robot, plans_of(robot, [delta], options.scenes, options.first), delta)
 
 
-COMMANDS = {"risk": risk, "margin": margin, "speed": speed}
+def sensing(robot, options):
+    """What planning slide and motion together is worth."""
+    rows = sensing_rows(robot, options.runs, options.scenes, options.first)
+    if options.figure:
+        draw_sensing(rows, options.runs, options.figure)
+    return rows if options.json else summed(rows, options.runs)
+
+
+COMMANDS = {"risk": risk, "margin": margin, "speed": speed, "sensing": sensing}
+SLITS = Path(__file__).with_name("scenes_sensing.toml")
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("what", choices=COMMANDS)
-    parser.add_argument("--robot", type=Path, required=True)
+    parser.add_argument("--robot", type=Path, help="needed but for sensing")
     parser.add_argument("--runs", type=int, default=100)
     parser.add_argument("--scenes", type=int, default=5)
     parser.add_argument("--delta", type=float, action="append")
     parser.add_argument("--first", type=int, default=TUNED, help="first seed")
     parser.add_argument("--json", action="store_true")
+    parser.add_argument("--figure", type=Path, help="of sensing")
     options = parser.parse_args()
-    rows = COMMANDS[options.what](load_robot(options.robot), options)
+    if options.robot is None and options.what != "sensing":
+        parser.error(f"{options.what} needs --robot")
+    rows = COMMANDS[options.what](load_robot(options.robot or SLITS), options)
     if options.json:
         print(json.dumps(rows))
         return

@@ -1,0 +1,297 @@
+"""Slide and motion planned together where the body must pass two slits, for `scenes.py`.
+
+The body ends in a slit about its middle and one about its tip. The slide reads positions; tendons
+have unknown zeros that wander, so the body is known to a centimetre where nothing was read. All
+policies have the scene, the risk, the time and the robots by seed in common.
+"""
+
+import sys
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from glissando.errors import GlissandoError, NoShapeError
+from glissando.planning.scene.follow import MotionFollower
+from glissando.planning.scene.motion_search import Search
+from glissando.planning.scene.motion_space import MotionSpace
+from glissando.planning.scene.motion_starts import slide_ways
+from glissando.planning.scene.obstacles import RoundedBox
+from glissando.planning.scene.plan_motion import MotionPlan, motion_problem, plan_motion
+from glissando.planning.scene.sampled_risk import sample_risk
+from glissando.planning.scene.scene_file import Actuator, Scene, Target
+from glissando.planning.sliding_sensor import sliding_sensor
+from scenes_world import PAUSE, World, run_loop
+
+DELTA, HORIZON, RADIUS, TOLERANCE, MODEL_STD = 0.05, 10.0, 0.006, 0.005, 8e-4
+GAPS = 3.8e-3, 3.3e-3  # m of clearance to each side, in the slit of the middle and of the tip
+BESIDE = 19e-3  # m of clearance from the slit of the middle at the start
+FREE = 0.02  # m that the slit of the tip begins before the tip's place
+THICK = 0.01, 0.004  # m, half of it
+OUTER, WIDE, ROUNDING = 0.04, 0.03, 0.002
+TENDON = {"speed": 5e-4, "acceleration": 1e-3, "start": 4.5e-3}
+SPARE = 1e-3  # m that tendons may go beyond what the target asks for, to correct
+SLIDE = {"speed": 0.04, "acceleration": 0.08}
+REACH, BEGIN = (0.1, 1.0), 0.7  # of the length
+FIXED = 0.65, 0.8, 0.95  # of the length
+CLOSE = 4  # moments in a pause
+ITERATIONS = 30
+REFUSED = 5  # robots at most that follow a motion that no planner would give out
+NEAR = 0.01  # m from the target, within which a robot has reached it
+
+
+def drawn_passage(robot, seed):
+    """A scene with two slits about the middle and the tip of a bent body."""
+    rng = np.random.default_rng([seed, 3])
+    slide = Actuator(REACH[0] * robot.length, REACH[1] * robot.length, **SLIDE,
+                     start=BEGIN * robot.length)  # fmt: skip
+    sensor = sliding_sensor(robot, "position", rate=10.0)
+    side = rng.uniform(0.0, 2.0 * np.pi)
+    bend = np.repeat(np.cumsum(rng.uniform([0.55, 0.05, 0.0], [0.65, 0.15, 0.1])), 3)
+    start = TENDON["start"]
+    pulled = start + robot.tendons.radius * bend * np.cos(robot.tendons.angle - side)
+    tendons = [Actuator(min(start, p) - SPARE, max(start, p) + SPARE, **TENDON) for p in pulled]
+    scene = Scene([], [Target(np.zeros(3), 1.0, HORIZON)], RADIUS, DELTA, HORIZON, tendons,
+                  [slide], [sensor], model_std=MODEL_STD, correction=PAUSE)  # fmt: skip
+    shape = motion_problem(scene, robot).body.shapes(pulled[None])
+    across = np.array([-np.sin(side), np.cos(side), 0.0])
+    obstacles = []
+    places = rng.uniform(0.45, 0.55) * robot.length, robot.length - RADIUS
+    for s, gap, thick in zip(places, GAPS, THICK, strict=True):
+        pose = shape.pose_at(np.array([s]))[0, 0]
+        place = pose[:3, 3] - (pose[:3, 3] @ across) * across
+        tangent = pose[:3, 2] - (pose[:3, 2] @ across) * across
+        tangent /= np.linalg.norm(tangent)
+        away = np.linalg.norm(place[:2]) - RADIUS - BESIDE - thick * np.linalg.norm(tangent[:2])
+        free = FREE if obstacles else away / tangent[2]
+        obstacles += _slit(place, across, tangent, RADIUS + gap, free, thick)
+    tip = shape.place[0, -1] - (shape.place[0, -1] @ across) * across
+    return replace(scene, obstacles=obstacles, targets=[Target(tip, TOLERANCE, HORIZON)])
+
+
+def _slit(place, across, normal, half, free, thick):
+    """Two plates with a slit of half a width between them."""
+    along = np.cross(across, normal)
+    size = np.array([0.5 * (free + OUTER), WIDE, thick])
+    pose = np.eye(4)
+    pose[:3, :3] = np.stack([along, across, normal], axis=-1)
+    plates = []
+    for side in (-1.0, 1.0):
+        at = pose.copy()
+        at[:3, 3] = place + 0.5 * (OUTER - free) * along + side * (half + WIDE) * across
+        plates.append(RoundedBox(at, size - ROUNDING, ROUNDING))
+    return plates
+
+
+@dataclass(frozen=True)
+class GivenSpace(MotionSpace):
+    """Motions of which some actuators' control points are given (C, S+2), others nan."""
+
+    given: np.ndarray = field(kw_only=True)
+
+    def control(self, free):
+        """Control points of free numbers; the given ones stay."""
+        return np.where(np.isnan(self.given), super().control(free), self.given)
+
+    def follow(self, target):
+        """Control points near targets; the given ones stay."""
+        return np.where(np.isnan(self.given), super().follow(target), self.given)
+
+    def free_gradient(self, by_value, by_control):
+        """Slope by the free numbers, nothing by those of given actuators."""
+        loose = np.isnan(self.given[:, :1])
+        return super().free_gradient(by_value * loose[:, 0], by_control * loose)
+
+
+def with_given(problem, rows, control):
+    """The problem with given control points (C, S+2) of some rows."""
+    space, given = problem.space, np.full(control.shape, np.nan)
+    given[rows] = control[rows]
+    return replace(problem, space=GivenSpace(space.paths, space.moments, given=given))
+
+
+def closely(problem):
+    """The problem judged at close moments."""
+    moments = problem.space.moments
+    close = np.linspace(moments[0], moments[-1], CLOSE * (moments.size - 1) + 1)
+    return replace(problem, space=replace(problem.space, moments=close), every=CLOSE)
+
+
+def best_motion(problem, control):
+    """The best motion that a search from one leads to, whether or not it keeps the risk."""
+    problem = closely(problem)
+    search = Search(problem, 0.9 * problem.scene.delta)
+    at = search.improve(control, ITERATIONS)
+    return MotionPlan(problem, at, *sample_risk(problem, at), search.allowed)
+
+
+def together(robot, scene):
+    """Slide and motion planned together."""
+    return plan_motion(motion_problem(scene, robot), candidates=2, iterations=ITERATIONS)
+
+
+def held(robot, scene, first):
+    """The motion planned for a tracker that stays, at the best of several places."""
+    plans = []
+    for share in FIXED:
+        place = share * robot.length
+        slide = Actuator(place - 5e-4, place + 5e-4, 1e-3, 1e-3, place)
+        control = first.copy()
+        control[-1] = place
+        plans.append(best_motion(motion_problem(replace(scene, slides=[slide]), robot), control))
+    return min(plans, key=lambda plan: (plan.miss > TOLERANCE, plan.risk))
+
+
+def oscillating(robot, scene, first):
+    """The motion planned for a tracker that goes up and down its reach as fast as it may."""
+    problem, control = motion_problem(scene, robot), first.copy()
+    path = problem.space.paths[-1]
+    reach = path.upper - path.lower
+    turns = 0.5 * (path.speed * path.control_times + path.start - path.lower) / reach % 1.0
+    control[-1] = path.follow(path.upper - np.abs(2.0 * turns - 1.0) * reach)
+    return best_motion(with_given(problem, [-1], control), control)
+
+
+def in_turn(robot, scene):
+    """The motion of a robot that is thought exact, and then the best path of the slide for it."""
+    exact = replace(robot, tendons=replace(robot.tendons, std=1e-7, psd_moment=1e-14))
+    blind = motion_problem(replace(scene, model_std=1.2e-3), exact, senses=False)
+    control = plan_motion(blind, candidates=2, iterations=ITERATIONS).evaluation.control
+    problem = with_given(motion_problem(scene, robot), range(len(control) - 1), control)
+    search = Search(closely(problem), 0.9 * DELTA)
+    return best_motion(problem, min(slide_ways(problem, control), key=search.value))
+
+
+def plans_of(robot, scene):
+    """The plan of each policy by name."""
+    joint = together(robot, scene)
+    first = joint.evaluation.control
+    return {
+        "slide and motion together": joint,
+        "best fixed place": held(robot, scene, first),
+        "blind oscillation": oscillating(robot, scene, first),
+        "motion first, slide after": in_turn(robot, scene),
+    }
+
+
+@dataclass
+class WanderingWorld(World):
+    """A robot whose tendons' zeros are as far off, and wander as fast, as its file says."""
+
+    std: float = 0.0
+    kept: float = 1.0
+    drift: np.random.Generator = None
+    off: np.ndarray = None
+
+    @staticmethod
+    def drawn(robot, scene, seed):
+        """The robot of a seed."""
+        plain = World.drawn(robot, scene, seed)
+        drift = np.random.default_rng([seed, 11])
+        std = robot.tendons.std
+        return WanderingWorld(
+            plain.rod, plain.tendons, plain.stiffness, plain.zero, scene, plain.rng,
+            std=std, kept=float(np.exp(-PAUSE / robot.prior.time_scale)), drift=drift,
+            off=std * drift.standard_normal(len(robot.tendons)),
+        )  # fmt: skip
+
+    def pull(self, path):
+        """Go on for a pause in which zeros wander."""
+        rest = self.std * np.sqrt(1.0 - self.kept**2)
+        new = self.kept * self.off + rest * self.drift.standard_normal(self.off.size)
+        share = np.linspace(0.0, 1.0, len(path))[:, None]
+        super().pull(path + (1.0 - share) * self.off + share * new)
+        self.off = new
+
+    def read(self, sensor, path):
+        """Readings of the last pause."""
+        count = max(1, round(sensor.rate * PAUSE))
+        share = (np.arange(count) + 1.0) / count
+        place = np.interp(share, np.linspace(0.0, 1.0, path.size), path)
+        readings = sensor.readings(
+            self.motion.at(place, share * PAUSE).pose, place, self.time - PAUSE * (1.0 - share)
+        )
+        noise = np.sqrt(np.diagonal(readings.cov)) * self.rng.standard_normal(readings.values.shape)
+        return replace(readings, values=readings.values + noise)
+
+
+def followed(plan, robot, seed):
+    """Least clearance and miss of a robot of a seed, m."""
+    world = WanderingWorld.drawn(robot, plan.problem.scene, seed)
+    try:
+        return run_loop(MotionFollower(plan), world)
+    except NoShapeError:
+        return -1.0, np.inf
+
+
+def wide(plan):
+    """Standard deviations across the slits of the middle and the tip, where the motion ends, m."""
+    std = plan.evaluation.clearances.std()[:, -1]
+    mean = plan.evaluation.clearances.mean[:, -1]
+    nearest = np.argmin(mean / std, axis=1)
+    return [float(std[k, nearest[k]]) for k in (0, 2)]
+
+
+def sensing_rows(robot, runs, scenes, first):
+    """Each policy in each scene: its plan, and hits and misses of simulated robots."""
+    rows = []
+    for seed in range(first, first + scenes):
+        scene = drawn_passage(robot, seed)
+        try:
+            plans = plans_of(robot, scene)
+        except GlissandoError as problem:
+            print(f"  scene {seed} left out: {str(problem)[:90]}", file=sys.stderr)
+            continue
+        for name, plan in plans.items():
+            kept = plan.risk <= DELTA + 2.0 * plan.risk_std and plan.miss <= TOLERANCE
+            count = runs if kept else min(runs, REFUSED)
+            ended = np.array([followed(plan, robot, 1000 * seed + k) for k in range(count)])
+            hit, near = ended[:, 0] < 0.0, ended[:, 1] < NEAR
+            rows.append({"policy": name, "scene": seed, "planned": bool(kept), "risk": plan.risk,
+                         "miss_mm": 1e3 * plan.miss, "std_mm": [1e3 * s for s in wide(plan)],
+                         "runs": count, "hits": int(hit.sum()), "reached": int(near.sum()),
+                         "through": int((near & ~hit).sum())})  # fmt: skip
+            print(f"  {rows[-1]}", file=sys.stderr, flush=True)
+    return rows
+
+
+def summed(rows, runs):
+    """One row a policy; what is not planned passes nowhere."""
+    out = []
+    for name in dict.fromkeys(row["policy"] for row in rows):
+        own = [row for row in rows if row["policy"] == name]
+        middle, tip = np.mean([row["std_mm"] for row in own], axis=0)
+        out.append({"policy": name, "scenes": len(own),
+                    "planned": sum(row["planned"] for row in own),
+                    "risk": float(np.mean([row["risk"] for row in own])),
+                    "std_middle_mm": float(middle), "std_tip_mm": float(tip),
+                    "followed": sum(row["runs"] for row in own),
+                    "hits": sum(row["hits"] for row in own), "wanted": runs * len(own),
+                    "passed": sum(row["through"] for row in own if row["planned"])})  # fmt: skip
+    return out
+
+
+def draw_sensing(rows, runs, path):
+    """How well the body is known in both slits, and how many robots pass, by policy."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, (known, passed) = plt.subplots(1, 2, figsize=(9.0, 3.6), layout="constrained")
+    totals = summed(rows, runs)
+    for k, total in enumerate(totals):
+        own = np.array([row["std_mm"] for row in rows if row["policy"] == total["policy"]])
+        known.loglog(*own.T, "o", color=f"C{k}", label=total["policy"])
+        share = 100.0 * total["passed"] / total["wanted"]
+        passed.barh(k, share, color=f"C{k}")
+        passed.text(share + 1.0, k, f"{share:.0f} %", va="center")
+    enough = 0.5e3 * np.array(GAPS)  # two standard deviations to each side
+    known.plot([enough[0], enough[0], 0.1], [0.1, enough[1], enough[1]], "k--", lw=0.8)
+    known.set(xlim=(1.0, 10.0), ylim=(1.0, 10.0), xlabel="std in the slit of the middle, mm",
+              ylabel="std in the slit of the tip, mm")  # fmt: skip
+    known.legend(fontsize=8)
+    passed.set(xlim=(0.0, 118.0), xticks=range(0, 101, 25), xlabel="planned and passed, % of runs")
+    passed.set_yticks(range(len(totals)), [total["policy"] for total in totals])
+    passed.invert_yaxis()
+    figure.savefig(path, dpi=120)
+    plt.close(figure)
