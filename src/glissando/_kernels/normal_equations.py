@@ -56,10 +56,26 @@ def _groups(nodes, first_dof, jacobian, extras, n_count, dof, count, groups):
             found += 1
     for later in range(2 if e else 0):
         if k + later < count:  # parameters after the last node have no weight
-            groups[found, 0], groups[found, 1] = later, n_count * dof
-            groups[found, 2], groups[found, 3] = e, c * d + later * e
-            found += 1
+            first, at = n_count * dof, c * d + later * e
+            found = _add_runs(extras[:, later * e : later * e + e], later, first, at, groups, found)
     return k, found
+
+
+@jit()
+def _add_runs(slopes, later, first, at, groups, found):
+    """Add the runs of columns of parameters with a slope to the groups; how many they are now."""
+    begin, count = -1, slopes.shape[1]
+    for x in range(count + 1):
+        live = False
+        for y in range(len(slopes) if x < count else 0):
+            live = live or slopes[y, x] != 0.0
+        if live and begin < 0:
+            begin = x
+        elif not live and begin >= 0:
+            groups[found, 0], groups[found, 1] = later, first + begin
+            groups[found, 2], groups[found, 3] = x - begin, at + begin
+            found, begin = found + 1, -1
+    return found
 
 
 @jit()
