@@ -241,18 +241,46 @@ def _greedy(
 
 
 def _exchanged(problem: PlacementProblem, budget: float, chosen: list[int]) -> list[int]:
-    """The set, while others in place of one of its sensors, or of two, lower the variance."""
-    now = problem.variance(_share(problem, chosen))
+    """The set, while another beside it lowers the variance; the best beside it comes next."""
+
+    def variance(chosen: list[int]) -> float:
+        return problem.variance(_share(problem, chosen))
+
+    while True:
+        best = min(_beside(problem, budget, chosen), key=variance, default=chosen)
+        if not variance(best) < (1.0 - _GAIN) * variance(chosen):
+            return chosen
+        chosen = best
+
+
+def _beside(problem: PlacementProblem, budget: float, chosen: list[int]) -> Iterator[list[int]]:
+    """Sets with others in place of one sensor, or of two, and those with one more at any price."""
     outs: list[tuple[int, ...]] = [(out,) for out in chosen]
     if len(chosen) <= _PAIRS:
         outs += combinations(chosen, 2)
     for out in outs:
         kept = [each for each in chosen if each not in out]
         for by_cost in (True, False):
-            new = _greedy(problem, budget, by_cost, kept, out)
-            if problem.variance(_share(problem, new)) < (1.0 - _GAIN) * now:
-                return _exchanged(problem, budget, new)
-    return chosen
+            yield _greedy(problem, budget, by_cost, kept, out)
+    for new in np.flatnonzero((_share(problem, chosen) == 0.0) & (problem.cost <= budget)):
+        kept, left = _paid_for(problem, budget, chosen, int(new))
+        for by_cost in (True, False):
+            yield _greedy(problem, budget, by_cost, kept, left)
+
+
+def _paid_for(
+    problem: PlacementProblem, budget: float, chosen: Sequence[int], new: int
+) -> tuple[list[int], list[int]]:
+    """The set with a sensor more, less those that are missed least for their cost; and these."""
+    kept, out, cost = [*chosen, new], list[int](), problem.cost
+    while cost[kept].sum() > budget + 1e-9:
+        whole = problem.variance(_share(problem, kept))
+        miss = [
+            (problem.variance(_share(problem, [k for k in kept if k != i])) - whole) / cost[i]
+            for i in kept[:-1]
+        ]
+        out.append(kept.pop(int(np.argmin(miss))))
+    return kept, out
 
 
 def lower_bound(problem: PlacementProblem, budget: float) -> float:
