@@ -111,7 +111,7 @@ def test_ctrl_c_ends_it_cleanly_and_a_kill_loses_no_reading(ending, tmp_path):
                 until(lambda wire=wire: peer.send([wire]))
                 until(lambda: not peer.receive(), within=1.0)
             tip = tmp_path / "log" / "tip.csv"
-            until(lambda: tip.exists() and tip.read_text().count("\n") == 41)
+            until(lambda: tip.exists() and tip.read_text().count("\n") == 41, within=120.0)
             os.kill(process.pid, ending)
             said, errors = process.communicate(timeout=30)
         finally:
