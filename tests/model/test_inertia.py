@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from glissando import CoilReadings, FixedLagSmoother, estimate
-from glissando.errors import OutsideGridError
+from glissando.errors import NotConvergedWarning, OutsideGridError, UnobservableError
 from glissando.geometry import se3
 from glissando.model.grid import Grid
 from glissando.model.interpolation import sort_points
@@ -217,8 +217,8 @@ def test_a_smoother_follows_a_rod_that_is_let_go_without_beginning_again():
     assert np.mean(np.einsum("mi,mij,mj->m", gap, np.linalg.inv(cov), gap)) / 3.0 < 1.6
 
 
-@pytest.mark.slow
-def test_a_start_that_looser_loads_found_is_a_few_steps_from_the_end():
+def tightened():
+    """A prior of hardly any loads, its problem, and where one of larger loads ends."""
     _, coil = released(0.5)
     grid = wire_grid(0.5, nodes=9)
     swing = replace(SWING, modes=4, air_damping=0.0)
@@ -227,10 +227,34 @@ def test_a_start_that_looser_loads_found_is_a_few_steps_from_the_end():
     first, last = (
         wire(psd_load=part * force, var_tip=part * tip, inertia=swing, **fields) for part in (64, 1)
     )
-    start = estimate(first, grid, [coil], gate=None).state
-    posterior = estimate(last, grid, [coil], gate=None, initial=start)
+    return last, grid, coil, estimate(first, grid, [coil], gate=None).state
+
+
+@pytest.mark.slow
+def test_a_start_that_looser_loads_found_is_a_few_steps_from_the_end():
+    prior, grid, coil, start = tightened()
+    posterior = estimate(prior, grid, [coil], gate=None, initial=start)
     assert posterior.solve.converged
     assert posterior.solve.iterations <= 5
+
+
+@pytest.mark.slow
+def test_a_second_step_that_nothing_determines_is_left_out(monkeypatch):
+    fresh = []  # of each call but the first, whether memory is made for it: second steps
+
+    def singular(system, workspace=None, **options):
+        fresh.append(workspace is None)
+        if any(fresh[1:]) and workspace is None:
+            raise UnobservableError("there")
+        return factor(system, workspace, **options)
+
+    prior, grid, coil, start = tightened()
+    monkeypatch.setattr("glissando.solver.gauss_newton.factor", singular)
+    with pytest.warns(NotConvergedWarning):
+        estimate(
+            prior, grid, [coil], gate=None, initial=start, options=SolverOptions(max_iterations=2)
+        )
+    assert any(fresh[1:])
 
 
 @pytest.mark.slow

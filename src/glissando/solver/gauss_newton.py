@@ -1,9 +1,9 @@
 """Gauss–Newton with a trust region on the whole problem.
 
-Linearise every factor, factor the block-tridiagonal system, step; when the cost does not
-fall, look where the next step from there leads, else shorten the step by Levenberg–Marquardt
-damping; stop when a step is a negligible fraction
-of a posterior standard deviation. Source: equations (19) to (21).
+Linearise every factor, factor the block-tridiagonal system, step; when the cost does not fall, look
+where the next step from there leads, else shorten the step by Levenberg–Marquardt damping; stop
+when a step is a negligible fraction of a posterior standard deviation. Source: equations (19) to
+(21).
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from glissando.errors import UnobservableError
 from glissando.geometry.se3 import Array
 from glissando.model.priors.prior import Prior
 from glissando.model.state import State
@@ -265,7 +266,7 @@ def _ways(
             yield at(where, fixed), where, share
             first = first or where
     if first is not None:
-        with suppress(np.linalg.LinAlgError):
+        with suppress(np.linalg.LinAlgError, UnobservableError):
             high = at(first, fixed)
             onward = factor(high.system).solve(high.rhs)
             where = next(_candidates(prior, high, onward))[0]
