@@ -111,6 +111,7 @@ def main(lasts=20.0):
     finally:
         ended.set()  # also where a device is lost
         process.join(10.0)
+        process.terminate()  # one that waits for what is gone
 
 
 if __name__ == "__main__":
