@@ -47,6 +47,26 @@ def test_ten_drawn_moves_end_where_they_were_to_and_ask_for_nothing_outside_the_
     assert zero - 0.06 - 1e-6 <= min(carriage.goals) <= max(carriage.goals) <= zero + 1e-6
 
 
+class FirstLost(list):
+    """Goals of which the first does not arrive."""
+
+    lost = False
+
+    def append(self, goal):
+        if self.lost:
+            super().append(goal)
+        self.lost = True
+
+
+def test_a_goal_that_is_lost_is_sent_again():
+    carriage = Carriage()
+    carriage.goals = FirstLost()
+    with driving("igtl", carriage) as address, opened_stage(address, STAGE) as slide:
+        slide.home_here(0.02)
+        assert slide.move(0.03)[-1].travel == pytest.approx(0.03, abs=5e-4)
+    assert len(carriage.goals) < 8  # nothing is repeated while it goes
+
+
 def test_a_path_is_followed_and_left_in_its_midst_where_the_stage_is(wire):
     carriage, begun = Carriage(), []
     stage = RemoteStage(stroke=(-0.1, 0.2), home=0.0, speed=0.1, joint="slide")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass
 from time import monotonic, sleep
 from typing import Any, Protocol, Self
@@ -21,6 +22,7 @@ _PATIENCE = 2.0  # s for a motion to stop
 _STILL = 2e-3  # m/s: slower is at rest
 _FAR = 20.0  # m: no stage of a laboratory
 _LOOK = 0.002  # s
+_AGAIN = 0.1  # s after which a stage that has not set out is sent its goal again
 
 
 @dataclass(frozen=True)
@@ -87,7 +89,9 @@ class RemoteSlide(PositionSlide):
     """A stage behind a peer, to be used in a with-block; it stands still afterwards.
 
     Each reading is a position that came anew. If none comes for as long as its `silence`, the stage
-    is sent the last one as its goal, and its travel is not known any more.
+    is sent the last one as its goal, and its travel is not known any more. A stage that stands
+    where it was when it was sent a goal is sent it again: the first message in a ROS 2 graph is
+    lost where the other node does not know of its publisher yet.
 
     Args:
         stage: Its limits.
@@ -104,7 +108,7 @@ class RemoteSlide(PositionSlide):
         super().__init__(stage)
         self._peer, self.counts = peer, peer.counts
         self._newest = -np.inf, np.nan
-        self._asked = False
+        self._goal: tuple[float, float] | None = None
 
     def __enter__(self) -> Self:
         self._peer.__enter__()
@@ -149,15 +153,23 @@ class RemoteSlide(PositionSlide):
             sleep(_LOOK)
 
     def _aim(self, place: float, speed: float) -> None:
-        self._asked = True
-        self._peer.send(place, float(np.copysign(speed, place - self._newest[1])))
+        self._goal = place, float(np.copysign(speed, place - self._newest[1]))
+        self._peer.send(*self._goal)
+
+    def _until_rest(self, goal: float, lasts: float) -> Iterator[SlideReading]:
+        sent = monotonic()
+        for reading in super()._until_rest(goal, lasts):
+            if self._goal and self._stands(reading) and monotonic() - sent > _AGAIN:
+                sent = monotonic()
+                self._peer.send(*self._goal)
+            yield reading
 
     def _stands(self, reading: SlideReading) -> bool:
         return abs(reading.speed) < _STILL
 
     def stop(self) -> None:
         """Have the stage hold where it was last, and wait until it does."""
-        if not self._asked:
+        if self._goal is None:
             return  # nobody has moved it from here
         end, hold = monotonic() + _PATIENCE, self._newest[1]
         while True:
