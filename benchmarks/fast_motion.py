@@ -193,6 +193,25 @@ def judge(path, options, seed):
     return {"file": path.name, "seed": seed, "loads": float(share), **rows}
 
 
+def summed(found, name):
+    """A line for every file and one for all: least and most error, mean coverage and NEES."""
+    files = list(dict.fromkeys(rows["file"] for rows in found))
+    for file in [*files, "all"]:
+        own = [rows[name] for rows in found if file in (rows["file"], "all")]
+
+        def column(key, own=own):
+            return np.array([row[key] for row in own])
+
+        middle, tip = (1e3 * column(f"rmse_{place}") for place in ("mid", "tip"))
+        inside = [100.0 * column(f"inside_{place}").mean() for place in ("mid", "tip")]
+        nees = [column(f"nees_{place}").mean() for place in ("mid", "tip")]
+        print(
+            f"| {file} | {len(own)} | {name} | {middle.min():.2f} … {middle.max():.2f} "
+            f"| {tip.min():.2f} … {tip.max():.2f} | {inside[0]:.1f} | {inside[1]:.1f} "
+            f"| {nees[0]:.2f} | {nees[1]:.2f} | {1e3 * np.median(column('std_mid')):.2f} |"
+        )
+
+
 def main():
     """Print a row for every file, draw and prior, or JSON."""
     parser = argparse.ArgumentParser(
@@ -241,6 +260,11 @@ def main():
                 )
     if options.json:
         print(json.dumps(found, indent=1))
+    elif len(options.seeds) > 1:
+        print("\n| file | draws | prior | middle (mm) | tip | inside (%) | tip | NEES | tip | σ |")
+        print("|---" * 10 + "|")
+        for name in INERTIAL:
+            summed(found, name)
     return 0
 
 
