@@ -140,6 +140,11 @@ def _plan(options: argparse.Namespace) -> int:
         return plan_scene(options)
     if not options.zone:
         raise GlissandoError("Nothing is to be known: give --zone S0:S1, or --scene FILE.")
+    return _plan_slide(options)
+
+
+def _plan_slide(options: argparse.Namespace) -> int:
+    """Plan the path of the slide, compare it with others, and say so."""
     zones = [read_zone(text) for text in options.zone]
     objective = objective_named(options.objective, options.bound)
     robot = load_robot(options.robot)

@@ -77,39 +77,8 @@ def to_xarray(posterior: Posterior) -> xarray.Dataset:
     Raises:
         GlissandoError: xarray is not installed.
     """
-    k, n = posterior.grid.shape
-    state = posterior.state
-    dof = state.dof
-    of_nodes = posterior.marginals.cov[:, : n * dof, : n * dof]
-    blocks = of_nodes.reshape(k, n, dof, n, dof)
-    cov = np.einsum("kninj->knij", blocks)
-    node, six = ("time", "arclength"), "component6"
-    std = np.sqrt(np.einsum("knii->kni", cov))
-    mixed = ", ".join(
-        ["m", "rad", "1", "1/m", "m/s", "rad/s", "1/s", "1/m/s", "m/s²", "m/s³"][: dof // 3]
-    )
-    variables: dict[str, Any] = {
-        "position": ((*node, "axis"), state.pose[..., :3, 3], {"units": "m", "frame": "world"}),
-        "quaternion": (
-            (*node, "quaternion_part"),
-            se3.quaternion(state.pose[..., :3, :3]),
-            {"units": "1", "convention": "w, x, y, z; body to world"},
-        ),
-        "strain": ((*node, six), state.strain, {"units": "1, 1/m", "frame": "body"}),
-        "velocity": ((*node, six), state.velocity, {"units": "m/s, rad/s", "frame": "body"}),
-        "std": ((*node, "component"), std, {"units": mixed, "frame": "body"}),
-        "cov": (
-            (*node, "component", "component_"),
-            cov,
-            {"units": "product of the components' units", "frame": "body, pose on the right"},
-        ),
-    }
-    if state.strain_rate is not None:
-        units = {"units": "1/s, 1/m/s", "frame": "body"}
-        variables["strain_rate"] = ((*node, six), state.strain_rate, units)
-    if state.inertia is not None:
-        units = {"units": "m/s², m/s³", "frame": "world"}
-        variables["inertia"] = ((*node, six), state.inertia, units)
+    dof, six = posterior.state.dof, "component6"
+    variables = _states(posterior)
     if isinstance(posterior.prior, MechanicalPrior):
         variables |= _loads(posterior, posterior.prior)
     coordinates: dict[str, Any] = {
@@ -129,6 +98,41 @@ def to_xarray(posterior: Posterior) -> xarray.Dataset:
     }
     dataset: xarray.Dataset = _xarray().Dataset(variables, coordinates, attributes)
     return dataset
+
+
+def _states(posterior: Posterior) -> dict[str, Any]:
+    """Means, standard deviations and covariances at the nodes, as xarray takes variables."""
+    k, n = posterior.grid.shape
+    state, dof = posterior.state, posterior.state.dof
+    of_nodes = posterior.marginals.cov[:, : n * dof, : n * dof]
+    cov = np.einsum("kninj->knij", of_nodes.reshape(k, n, dof, n, dof))
+    node, six = ("time", "arclength"), "component6"
+    std = np.sqrt(np.einsum("knii->kni", cov))
+    units = ["m", "rad", "1", "1/m", "m/s", "rad/s", "1/s", "1/m/s", "m/s²", "m/s³"]
+    mixed = ", ".join(units[: dof // 3])
+    variables: dict[str, Any] = {
+        "position": ((*node, "axis"), state.pose[..., :3, 3], {"units": "m", "frame": "world"}),
+        "quaternion": (
+            (*node, "quaternion_part"),
+            se3.quaternion(state.pose[..., :3, :3]),
+            {"units": "1", "convention": "w, x, y, z; body to world"},
+        ),
+        "strain": ((*node, six), state.strain, {"units": "1, 1/m", "frame": "body"}),
+        "velocity": ((*node, six), state.velocity, {"units": "m/s, rad/s", "frame": "body"}),
+        "std": ((*node, "component"), std, {"units": mixed, "frame": "body"}),
+        "cov": (
+            (*node, "component", "component_"),
+            cov,
+            {"units": "product of the components' units", "frame": "body, pose on the right"},
+        ),
+    }
+    if state.strain_rate is not None:
+        of_rate = {"units": "1/s, 1/m/s", "frame": "body"}
+        variables["strain_rate"] = ((*node, six), state.strain_rate, of_rate)
+    if state.inertia is not None:
+        of_inertia = {"units": "m/s², m/s³", "frame": "world"}
+        variables["inertia"] = ((*node, six), state.inertia, of_inertia)
+    return variables
 
 
 def _loads(posterior: Posterior, prior: MechanicalPrior) -> dict[str, Any]:

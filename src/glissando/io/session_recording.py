@@ -81,14 +81,7 @@ def session_streams(session: RawSession, setup: Mapping[str, Any]) -> SessionStr
     table = Table(dict(setup), "setup", RecordingError)
     robot = table.text("robot")
     length = load_robot(robot_file(robot)).length
-    slide = session.topics.get("/slide")
-    if slide and slide.messages:
-        slide_time, travel = slide.column("time"), slide.column("travel")
-        zero, span = float(slide_time[0]), (slide_time[0], slide_time[-1])
-    else:
-        slide_time, travel = np.zeros(1), np.zeros(1)
-        begins = [topic.time_ns[0] for topic in session.topics.values() if topic.time_ns.size]
-        zero, span = 1e-9 * float(min(begins, default=0.0)), (-np.inf, np.inf)
+    slid, zero, span = _slide(session)
     warnings: list[str] = []
     streams: list[Stream] = []
 
@@ -101,9 +94,7 @@ def session_streams(session: RawSession, setup: Mapping[str, Any]) -> SessionStr
     for name, (place, direction, moved_by, channel) in _coils(session, table).items():
         time, poses = seen("tracker", name)
         if time.size:
-            moved = slide_time, travel
-            if moved_by:
-                moved = _travels(session, moved_by)
+            moved = _travels(session, moved_by) if moved_by else slid
             arclength = place + direction * np.interp(time, *moved)
             ends = channel.travels(length) if channel else (0.0, length)
             rows = Rows("coil", time - zero, np.clip(arclength, *ends), poses, {})
@@ -123,6 +114,17 @@ def session_streams(session: RawSession, setup: Mapping[str, Any]) -> SessionStr
     frame = table.table("frame")
     pose = frame.pose() if frame else None
     return SessionStreams(table.text("name", "session"), robot, streams, pose, warnings)
+
+
+def _slide(session: RawSession) -> tuple[tuple[Array, Array], float, tuple[float, float]]:
+    """Times and travels of the slide, when times begin, and the span in which it was read."""
+    slide = session.topics.get("/slide")
+    if slide and slide.messages:
+        time = slide.column("time")
+        return (time, slide.column("travel")), float(time[0]), (time[0], time[-1])
+    begins = [topic.time_ns[0] for topic in session.topics.values() if topic.time_ns.size]
+    zero = 1e-9 * float(min(begins, default=0.0))
+    return (np.zeros(1), np.zeros(1)), zero, (-np.inf, np.inf)
 
 
 def _travels(session: RawSession, name: str) -> tuple[Array, Array]:
