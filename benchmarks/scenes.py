@@ -1,14 +1,14 @@
 """Motions among obstacles in foreign physics: whether the stated risk is true, and worth it.
 
     python benchmarks/scenes.py risk --robot arm.toml [--runs 100] [--scenes 5] [--delta 0.05]
-    python benchmarks/scenes.py margin --robot arm.toml [--scenes 12]
+    python benchmarks/scenes.py margin --robot arm.toml [--scenes 12] [--balls 6]
     python benchmarks/scenes.py speed --robot arm.toml
     python benchmarks/scenes.py sensing --runs 30 [--scenes 5] [--figure FILE.png]
 
 risk: motions are planned in random scenes and followed by robots drawn at random (see
 `scenes_world.py`), which read their coil and correct. Hits are given with their 95 % binomial
 interval, beside the largest risk that was allowed.
-margin: the same scenes with one margin for every place, as large as makes the risk the same.
+margin: the same scenes with one margin for every place.
 speed: what an evaluation with slopes and a replan from a warm start cost.
 sensing: slide and motion planned together, against a slide that stays, that oscillates, or that
 is planned after the motion, through slits that the body must take (see `scenes_sensing.py`).
@@ -21,6 +21,8 @@ import os
 import sys
 import time
 from dataclasses import replace
+from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
@@ -30,25 +32,28 @@ import numpy as np
 from scipy.stats import beta
 
 from glissando import GlissandoError, load_robot
-from glissando.errors import NoShapeError
-from glissando.planning.scene.follow import MotionFollower
 from glissando.planning.scene.motion_search import Search
 from glissando.planning.scene.obstacles import sphere
 from glissando.planning.scene.plan_motion import motion_problem, plan_motion
 from glissando.planning.scene.scene_file import Actuator, Scene, Target
 from glissando.planning.sliding_sensor import sliding_sensor
 from scenes_margin import margin_rows
-from scenes_sensing import draw_sensing, sensing_rows, summed
-from scenes_world import PAUSE, World, run_loop
+from scenes_sensing import draw_sensing, scene_rows, summed
+from scenes_world import PAUSE, followed
 
 TUNED = 1000
 HORIZON, RADIUS, BALL, TOLERANCE = 6.0, 0.005, 0.010, 0.006
+NEAR = 0.4  # of a ball's and the robot's radius, that further balls are beside the way
+CLEAR = 4e-3  # m between a further ball and the robot where it starts
 MODEL_STD = 8e-4  # m: what robots of seeds below TUNED are off by that no model error explains
 TENDON = {"lower": -1e-3, "upper": 6e-3, "speed": 1.2e-3, "acceleration": 1.5e-3}
 
 
-def drawn_scene(robot, seed, delta):
-    """A target, and a ball that the straight way to it would hit or graze, at a random side."""
+def drawn_scene(robot, seed, delta, balls):
+    """A target, and balls beside the straight way to it.
+
+    The first is hit or grazed, at a random side; others are up to `NEAR` away from the way.
+    """
     rng = np.random.default_rng([seed, 1])
     sensor = sliding_sensor(robot, rate=20.0)
     slide = Actuator(0.3 * robot.length, robot.length, 0.05, 0.1, 0.7 * robot.length)
@@ -60,36 +65,50 @@ def drawn_scene(robot, seed, delta):
     towards = np.cos(robot.tendons.angle - angle)
     pulled = np.clip(3.5e-3 * rng.uniform(0.7, 1.2) * towards, -5e-4, None)
     target = body.shapes(pulled[None]).place[0, -1]
-    grazed = body.shapes(rng.uniform(0.35, 0.65) * pulled[None])
-    n = int(rng.uniform(0.75, 1.0) * (body.arclength.size - 1))
-    side = rng.standard_normal(3)
-    tangent = grazed.pose[0, n, :3, 2]
-    side -= (side @ tangent) * tangent
-    away = side / np.linalg.norm(side) * rng.uniform(0.2, 0.9) * (RADIUS + BALL)
-    ball = sphere(grazed.place[0, n] + away, BALL)
-    return replace(scene, obstacles=[ball], targets=[Target(target, TOLERANCE, HORIZON)])
+    start, obstacles = body.shapes(np.zeros((1, pulled.size))).place[0], []
+    while len(obstacles) < balls:
+        grazes = not obstacles
+        share = rng.uniform(*((0.35, 0.65) if grazes else (0.3, 1.0)))
+        grazed = body.shapes(share * pulled[None])
+        n = int(rng.uniform(0.75 if grazes else 0.3, 1.0) * (body.arclength.size - 1))
+        side = rng.standard_normal(3)
+        tangent = grazed.pose[0, n, :3, 2]
+        side -= (side @ tangent) * tangent
+        near = rng.uniform(*((0.2, 0.9) if grazes else (1.0, 1.0 + NEAR)))
+        away = side / np.linalg.norm(side) * near * (RADIUS + BALL)
+        ball = sphere(grazed.place[0, n] + away, BALL)
+        if grazes or ball.distance(start)[0].min() > RADIUS + CLEAR:
+            obstacles.append(ball)
+    return replace(scene, obstacles=obstacles, targets=[Target(target, TOLERANCE, HORIZON)])
 
 
-def plans_of(robot, deltas, count, first):
-    """Plans (scenes, deltas) of random scenes in which the risk binds at all levels."""
-    found, seed = [], first
-    while len(found) < count and seed < first + 10 * count:
-        try:
-            row = [
-                plan_motion(motion_problem(drawn_scene(robot, seed, d), robot),
-                            candidates=3, iterations=40)
-                for d in deltas
-            ]  # fmt: skip
-        except GlissandoError as problem:
-            print(f"  scene {seed} left out: {str(problem)[:90]}", file=sys.stderr)
-            row = []
-        if row and all(plan.risk > 0.6 * d for plan, d in zip(row, deltas, strict=True)):
-            found.append((seed, row))
-        elif row:
-            risks = [f"{100 * plan.risk:.2g}" for plan in row]
-            print(f"  scene {seed} left out: risk {risks} % without effort", file=sys.stderr)
-        seed += 1
-    return found
+def binding(robot, deltas, balls, seed):
+    """Plans of a scene at all levels of risk; nothing unless the risk binds at each."""
+    try:
+        plans = [
+            plan_motion(motion_problem(drawn_scene(robot, seed, d, balls), robot),
+                        candidates=3, iterations=40)
+            for d in deltas
+        ]  # fmt: skip
+    except GlissandoError as problem:
+        print(f"  scene {seed} left out: {str(problem)[:90]}", file=sys.stderr, flush=True)
+        return None
+    if all(plan.risk > 0.6 * d for plan, d in zip(plans, deltas, strict=True)):
+        return plans
+    risks = [f"{100 * plan.risk:.2g}" for plan in plans]
+    print(f"  scene {seed} left out: risk {risks} % without effort", file=sys.stderr, flush=True)
+    return None
+
+
+def plans_of(pool, robot, deltas, options):
+    """Seeds, and plans (scenes, deltas), of the first random scenes in which the risk binds."""
+    found, seed = [], options.first
+    while len(found) < options.scenes and seed < options.first + 10 * options.scenes:
+        seeds = range(seed, seed + options.processes)
+        rows = pool.map(partial(binding, robot, deltas, options.balls), seeds, 1)
+        found += [(s, plans) for s, plans in zip(seeds, rows, strict=True) if plans]
+        seed = seeds.stop
+    return found[: options.scenes]
 
 
 def interval(hits, runs):
@@ -99,42 +118,40 @@ def interval(hits, runs):
     return float(low), float(high)
 
 
-def followed(plan, robot, seed, senses=True):
-    """Least clearance and miss of a robot of a seed, m."""
-    world = World.drawn(robot, plan.problem.scene, seed)
-    try:
-        return run_loop(MotionFollower(plan), world, senses)
-    except NoShapeError:
-        return -1.0, np.inf
+def runs_of(task):
+    """Least clearance and miss, m, of each robot of a task: robot, plan, seeds."""
+    robot, plan, seeds = task
+    return [followed(plan, robot, seed) for seed in seeds]
 
 
-def risk(robot, options):
+def risk(pool, robot, options):
     """Hits a level, over random scenes and robots."""
     deltas = options.delta or [0.01, 0.05, 0.1]
-    found = plans_of(robot, deltas, options.scenes, options.first)
-    rows, start = [], time.perf_counter()
+    found, rows = plans_of(pool, robot, deltas, options), []
     for level, delta in enumerate(deltas):
-        hits, misses, clear = 0, [], []
-        for k in range(options.runs):
-            seed, plans = found[k % len(found)]
-            clearance, miss = followed(plans[level], robot, options.first + 10_000 * seed + k)
-            hits += clearance < 0.0
-            misses.append(miss)
-            clear.append(clearance)
-            if time.perf_counter() - start > 10.0:
-                print(f"  delta {delta:g}: {hits} of {k + 1}", file=sys.stderr, flush=True)
-                start = time.perf_counter()
+        tasks = []
+        for k, (seed, plans) in enumerate(found):
+            robots = range(k, options.runs, len(found))
+            seeds = [options.first + 10_000 * seed + n for n in robots]
+            tasks += [(robot, plans[level], seeds[n : n + 10]) for n in range(0, len(seeds), 10)]
+        ended = []
+        for part in pool.imap_unordered(runs_of, tasks):
+            ended += part
+            hits = sum(clearance < 0.0 for clearance, _ in ended)
+            print(f"  delta {delta:g}: {hits} of {len(ended)}", file=sys.stderr, flush=True)
         low, high = interval(hits, options.runs)
         stated = float(np.mean([plans[level].risk for _, plans in found]))
+        miss = 1e3 * float(np.median([miss for _, miss in ended]))
         rows.append({"delta": delta, "runs": options.runs, "scenes": len(found), "stated": stated,
                      "hits": int(hits), "share": hits / options.runs, "low": low, "high": high,
-                     "median_miss_mm": 1e3 * float(np.median(misses))})  # fmt: skip
+                     "median_miss_mm": miss})  # fmt: skip
     return rows
 
 
-def speed(robot, options):
+def speed(pool, robot, options):
     """CPU seconds of a motion's value, its slopes, and a replan of 10 s from a warm start."""
-    ((_, (plan,)),) = plans_of(robot, [0.05], 1, options.first)
+    options.scenes = 1
+    ((_, (plan,)),) = plans_of(pool, robot, [0.05], options)
     scene = replace(plan.problem.scene, horizon=10.0)
     scene = replace(scene, targets=[replace(scene.targets[0], time=10.0)])
     problem = motion_problem(scene, robot)
@@ -165,15 +182,18 @@ def speed(robot, options):
     return rows
 
 
-def margin(robot, options):
+def margin(pool, robot, options):
     """Stated risks against one margin of the same risk."""
     (delta,) = options.delta or [0.05]
-    return margin_rows(robot, plans_of(robot, [delta], options.scenes, options.first), delta)
+    plans = [plan for _, (plan,) in plans_of(pool, robot, [delta], options)]
+    return margin_rows(pool, robot, plans)
 
 
-def sensing(robot, options):
+def sensing(pool, robot, options):
     """What planning slide and motion together is worth."""
-    rows = sensing_rows(robot, options.runs, options.scenes, options.first)
+    seeds = range(options.first, options.first + options.scenes)
+    scenes = pool.map(partial(scene_rows, robot, runs=options.runs), seeds, 1)
+    rows = [row for scene in scenes for row in scene]
     if options.figure:
         draw_sensing(rows, options.runs, options.figure)
     return rows if options.json else summed(rows, options.runs)
@@ -191,12 +211,15 @@ def main():
     parser.add_argument("--scenes", type=int, default=5)
     parser.add_argument("--delta", type=float, action="append")
     parser.add_argument("--first", type=int, default=TUNED, help="first seed")
+    parser.add_argument("--balls", type=int, default=1, help="of a scene of risk and margin")
+    parser.add_argument("--processes", type=int, default=os.cpu_count())
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--figure", type=Path, help="of sensing")
     options = parser.parse_args()
     if options.robot is None and options.what != "sensing":
         parser.error(f"{options.what} needs --robot")
-    rows = COMMANDS[options.what](load_robot(options.robot or SLITS), options)
+    with get_context("spawn").Pool(options.processes) as pool:
+        rows = COMMANDS[options.what](pool, load_robot(options.robot or SLITS), options)
     if options.json:
         print(json.dumps(rows))
         return

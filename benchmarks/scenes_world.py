@@ -4,12 +4,14 @@ The wire keeps a set, tendons rub and have play, stiffness, angles and zeros are
 weight: nothing of which the planner knows but what [tendons] says of errors in sum.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from glissando import CoilReadings
+from glissando.errors import NoShapeError
 from glissando.geometry import se3
+from glissando.planning.scene.follow import MotionFollower
 from glissando.simulation import Rod, Tendon
 from glissando.simulation.dynamics import Scenario, simulate_motion
 from glissando.simulation.imperfections import SmoothField
@@ -88,19 +90,19 @@ class World:
             self.clearance = min(self.clearance, clear)
 
     def read(self, sensor, path):
-        """Readings of the last pause of a coil whose arclengths were (S,) at even times."""
+        """Readings of the last pause of a sensor whose arclengths were (S,) at even times."""
         count = max(1, round(sensor.rate * PAUSE))
         share = (np.arange(count) + 1.0) / count
         place = np.interp(share, np.linspace(0.0, 1.0, path.size), path)
         pose = self.motion.at(place, share * PAUSE).pose
-        std = np.sqrt(np.diagonal(sensor.readings(pose, place, place).cov))
-        noise = np.pad(std * self.rng.standard_normal((count, std.size)), ((0, 0), (0, 1)))
-        return CoilReadings(
-            time=self.time - PAUSE * (1.0 - share),
-            arclength=place,
-            values=pose @ se3.exp(noise),
-            cov=sensor.cov,
-        )
+        clean = sensor.readings(pose, place, self.time - PAUSE * (1.0 - share))
+        std = np.sqrt(np.diagonal(clean.cov))
+        noise = std * self.rng.standard_normal((count, std.size))
+        if isinstance(clean, CoilReadings):  # turns of a pose
+            values = pose @ se3.exp(np.pad(noise, ((0, 0), (0, 1))))
+        else:
+            values = clean.values + noise
+        return replace(clean, values=values)
 
     @property
     def tip(self):
@@ -108,7 +110,37 @@ class World:
         return self.motion.at(self.rod.length, PAUSE).pose[:3, 3]
 
 
-def run_loop(follower, world, senses=True):
+@dataclass
+class WanderingWorld(World):
+    """A robot whose tendons' zeros are as far off, and wander as fast, as its file says."""
+
+    std: float = 0.0
+    kept: float = 1.0
+    drift: np.random.Generator = None
+    off: np.ndarray = None
+
+    @staticmethod
+    def drawn(robot, scene, seed):
+        """The robot of a seed."""
+        plain = World.drawn(robot, scene, seed)
+        drift = np.random.default_rng([seed, 11])
+        std = robot.tendons.std
+        return WanderingWorld(
+            plain.rod, plain.tendons, plain.stiffness, plain.zero, scene, plain.rng,
+            std=std, kept=float(np.exp(-PAUSE / robot.prior.time_scale)), drift=drift,
+            off=std * drift.standard_normal(len(robot.tendons)),
+        )  # fmt: skip
+
+    def pull(self, path):
+        """Go on for a pause in which zeros wander."""
+        rest = self.std * np.sqrt(1.0 - self.kept**2)
+        new = self.kept * self.off + rest * self.drift.standard_normal(self.off.size)
+        share = np.linspace(0.0, 1.0, len(path))[:, None]
+        super().pull(path + (1.0 - share) * self.off + share * new)
+        self.off = new
+
+
+def run_loop(follower, world):
     """Follow a plan in the world to its end: least clearance, and the tip's miss, m."""
     problem = follower.problem
     count = len(problem.scene.tendons)
@@ -119,7 +151,16 @@ def run_loop(follower, world, senses=True):
         if k == 0:  # at rest before the start
             world.time, world.clearance = 0.0, np.inf
         follower.advance(k * PAUSE)
-        for slide, sensor in enumerate(problem.scene.sensors if senses else ()):
+        for slide, sensor in enumerate(problem.scene.sensors):
             follower.add(world.read(sensor, path[:, count + slide]))
     target = problem.scene.targets[-1]
     return world.clearance, float(np.linalg.norm(world.tip - target.position))
+
+
+def followed(plan, robot, seed, kind=World):
+    """Least clearance and miss of a robot of a seed that follows a plan, m."""
+    world = kind.drawn(robot, plan.problem.scene, seed)
+    try:
+        return run_loop(MotionFollower(plan), world)
+    except NoShapeError:
+        return -1.0, np.inf
