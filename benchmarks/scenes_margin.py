@@ -15,7 +15,7 @@ from glissando.planning.scene.plan_motion import motion_problem, plan_motion
 from glissando.planning.scene.sampled_risk import sample_risk
 
 SHARP = 1e-4  # m, by which a margin is softened
-MARGINS = 1.5e-3, 2e-3, 2.5e-3, 3e-3, 3.5e-3, 4e-3  # m
+MARGINS = 1.5e-3, 2e-3, 2.5e-3, 3e-3, 3.25e-3, 3.5e-3, 4e-3  # m
 
 
 def with_margin(robot, plan, margin):
@@ -61,7 +61,7 @@ def margin_rows(pool, robot, plans):
     rows, rng = [described("stated", ours, ours, rng=None)], np.random.default_rng(0)
     for margin in MARGINS:
         theirs = np.array(pool.map(partial(with_margin, robot, margin=margin), plans, 1))
-        rows.append(described(f"{1e3 * margin:.1f} mm", ours, theirs, rng))
+        rows.append(described(f"{1e3 * margin:g} mm", ours, theirs, rng))
         print(f"  {rows[-1]}", file=sys.stderr, flush=True)
     return rows
 
