@@ -2,10 +2,12 @@
 
 import json
 import shutil
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image, ImageSequence
 
 from glissando.cli.main import main
 from glissando.io.robot_file import load_robot
@@ -30,7 +32,8 @@ def folder(tmp_path):
 
 @pytest.mark.slow
 def test_the_example_is_planned_and_its_commands_are_such_as_predict_reads(folder, capsys):
-    assert planned(folder, "--out", folder / "motion", "--figure", "svg", "--json") == 0
+    out = folder / "motion"
+    assert planned(folder, "--out", out, "--figure", "svg", "--json", "--animate") == 0
     report = json.loads(capsys.readouterr().out)
     assert report["risk"] <= report["delta"] + 2.0 * report["risk_std"]
     assert report["miss"] <= 0.003
@@ -46,6 +49,12 @@ def test_the_example_is_planned_and_its_commands_are_such_as_predict_reads(folde
     assert '"solids":[{"vertices"' in view.replace(" ", "")
     written = json.loads((folder / "motion" / "plan.json").read_text())
     assert report.items() <= written.items()
+    with Image.open(out / "plan.gif") as film:
+        shown = [
+            np.asarray(frame.convert("L"), dtype=float) for frame in ImageSequence.Iterator(film)
+        ]
+        assert film.info["duration"] * len(shown) == pytest.approx(10_000.0, rel=0.1)  # ms
+    assert all(np.abs(a - b).max() > 50.0 for a, b in pairwise(shown))  # it moves
 
 
 MISTAKES = [

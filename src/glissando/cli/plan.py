@@ -60,8 +60,8 @@ examples:
 A zone is S0:S1 in metres, always or @T0:T1 in seconds; S0:S1..S2:S3@T0:T1 moves from one place to
 another; *W weighs it against others. path.csv has the columns time,arclength,speed.
 --scene writes tendons.csv and slides.csv with the commands over time, plan.json, a figure, and
-view.html, the motion with its tube, obstacles and targets. How a scene is written and an example:
-docs/how-to/scenes.md.
+view.html, the motion with its tube, obstacles and targets, with --animate also as plan.gif. How a
+scene is written and an example: docs/how-to/scenes.md.
 
 exit status: 0 done; 2 something given was wrong.
 """

@@ -18,7 +18,7 @@ from glissando.planning.scene.plan_motion import MotionPlan, motion_problem, pla
 from glissando.planning.scene.scene_file import read_scene
 from glissando.visualization.canvas import save_figure
 from glissando.visualization.page import page
-from glissando.visualization.scene_figure import scene_figure, scene_page
+from glissando.visualization.scene_figure import save_scene_film, scene_figure, scene_page
 
 _WRITTEN = (
     "tendons.csv",
@@ -27,6 +27,7 @@ _WRITTEN = (
     "plan.png",
     "plan.pdf",
     "plan.svg",
+    "plan.gif",
     "view.html",
 )
 
@@ -90,5 +91,7 @@ def _write(
             write_table(building / "slides.csv", ("time", *heads), slides)
         write_report(building / "plan.json", report | stated(options))
         save_figure(scene_figure(plan), building / f"plan.{options.figure}")
+        if options.animate:
+            save_scene_film(plan, building / "plan.gif")
         title, subtitle = f"Plan of {options.scene.name}", _sentence(report)
         write_text(building / "view.html", page(scene_page(plan), title, subtitle))

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from glissando.estimation.confidence_tube import SIGMAS_95, confidence_tube, tube_faces
+from glissando.geometry.se3 import Array
+from glissando.io.atomic_file import new_file
 from glissando.planning.scene.motion_cost import Evaluation
 from glissando.planning.scene.obstacles import HalfSpace, sphere
 from glissando.planning.scene.plan_motion import MotionPlan
@@ -16,6 +19,8 @@ from glissando.visualization.page.scene import Scene as PageScene
 from glissando.visualization.page.scene import Solid, symmetric_root
 
 _SHOWN = 5  # shapes of a motion in one picture
+_FRAMES = 60  # of a film at most
+_INSET = 0.05, 0.14, 0.85, 0.84  # of a film: axes, left, bottom, width, height
 _OBSTACLE, _TARGET = "#8c8c8c", "#009E73"
 
 
@@ -36,12 +41,38 @@ def scene_figure(plan: MotionPlan, *, style: Style = NO_STYLE) -> Any:
         grid = figure.add_gridspec(3, 2, width_ratios=[1.5, 1.0])
         space = figure.add_subplot(grid[:, 0], projection="3d", computed_zorder=False)
         panels = [figure.add_subplot(grid[row, 1]) for row in range(3)]
-        _draw_space(space, plan)
+        _draw_space(space, plan, np.linspace(0, len(plan.evaluation.tip) - 1, _SHOWN))
         _draw_time(panels, plan)
     return np.array([space, *panels], dtype=object)
 
 
-def _draw_space(axes: Any, plan: MotionPlan) -> None:
+def save_scene_film(plan: MotionPlan, file: Path) -> None:
+    """Write a GIF of a planned motion with its 95 % tube, obstacles and targets, as fast as it is.
+
+    Args:
+        plan: The plan.
+        file: The file to write.
+
+    Raises:
+        GlissandoError: matplotlib is not installed.
+    """
+    moments = plan.problem.space.moments
+    frames = np.linspace(0, moments.size - 1, min(moments.size, _FRAMES))
+    with canvas(6.0, 5.4) as figure:
+        from matplotlib.animation import PillowWriter
+
+        figure.set_layout_engine("none")
+        axes: Any = figure.add_axes(_INSET, projection="3d", computed_zorder=False)
+        writer = PillowWriter(fps=max(1, round(frames.size / float(np.ptp(moments)))))
+        with new_file(file) as building, writer.saving(figure, building, dpi=80):
+            for k in frames:
+                axes.clear()
+                _draw_space(axes, plan, np.array([k]))
+                writer.grab_frame()
+
+
+def _draw_space(axes: Any, plan: MotionPlan, moments: Array) -> None:
+    """Draw obstacles, targets, and the body at moments (K,), by number."""
     from matplotlib import colormaps
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
@@ -53,7 +84,7 @@ def _draw_space(axes: Any, plan: MotionPlan) -> None:
         axes.add_collection3d(Poly3DCollection(MM * vertices[faces], **look))
     for target in scene.targets:
         axes.plot(*(MM * target.position[:, None]), "*", color=_TARGET, ms=12, label="target")
-    chosen = np.unique(np.linspace(0, len(at.tip) - 1, _SHOWN).round().astype(int))
+    chosen = np.unique(moments.round().astype(int))
     for share, k in zip(np.linspace(0.0, 0.85, chosen.size), chosen, strict=True):
         colour = colormaps["viridis"](share)
         rings, _ = confidence_tube(at.shapes.pose[k], _body_cov(at, k), SIGMAS_95)
