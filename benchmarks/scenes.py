@@ -183,7 +183,7 @@ def speed(pool, robot, options):
 
 
 def margin(pool, robot, options):
-    """Stated risks against one margin of the same risk."""
+    """Stated risks against one margin for every place."""
     (delta,) = options.delta or [0.05]
     plans = [plan for _, (plan,) in plans_of(pool, robot, [delta], options)]
     return margin_rows(pool, robot, plans)

@@ -19,7 +19,7 @@ from glissando.visualization.page.scene import Scene as PageScene
 from glissando.visualization.page.scene import Solid, symmetric_root
 
 _SHOWN = 5  # shapes of a motion in one picture
-_FRAMES = 60  # of a film at most
+_FRAMES = 60  # of a film, about, unless it lasts for minutes
 _INSET = 0.05, 0.14, 0.85, 0.84  # of a film: axes, left, bottom, width, height
 _OBSTACLE, _TARGET = "#8c8c8c", "#009E73"
 
@@ -57,13 +57,15 @@ def save_scene_film(plan: MotionPlan, file: Path) -> None:
         GlissandoError: matplotlib is not installed.
     """
     moments = plan.problem.space.moments
-    frames = np.linspace(0, moments.size - 1, min(moments.size, _FRAMES))
+    lasts = float(np.ptp(moments))
+    rate = max(1, round(_FRAMES / lasts))
+    frames = np.linspace(0, moments.size - 1, max(2, round(rate * lasts)))
     with canvas(6.0, 5.4) as figure:
         from matplotlib.animation import PillowWriter
 
         figure.set_layout_engine("none")
         axes: Any = figure.add_axes(_INSET, projection="3d", computed_zorder=False)
-        writer = PillowWriter(fps=max(1, round(frames.size / float(np.ptp(moments)))))
+        writer = PillowWriter(fps=rate)
         with new_file(file) as building, writer.saving(figure, building, dpi=80):
             for k in frames:
                 axes.clear()
