@@ -136,9 +136,12 @@ class _Problem:
             raise far or SensorError("No shape of this robot comes near the readings.") from error
 
     def solve(
-        self, used: Sequence[Mask], initial: _Start, options: SolverOptions | None = None
+        self, used: Sequence[Mask], initial: _Start, rough: SolverOptions | None = None
     ) -> tuple[Posterior, Solution]:
-        """The posterior of the readings that are used, and where the iteration ended."""
+        """The posterior of the readings that are used, and where the iteration ended.
+
+        A `rough` one does not ask who shows the motion by which delays are known.
+        """
         readings = [r.select(rows) for r, rows in zip(self.readings, used, strict=True)]
         clock, progress = Stopwatch(), self.progress
         with one_thread():
@@ -148,9 +151,10 @@ class _Problem:
             if start is None:
                 start, located, before = starting_point(self.prior, located, progress, clock)
             progress = _after(before, progress)
-            options = options or self.options
+            options = rough or self.options
             solution = minimize(self.prior, located, start, options, progress, clock)  # (19)
-            solution = with_unseen_delays(self.prior, solution, self.sensor_parameters, options)
+            if rough is None:
+                solution = with_unseen_delays(self.prior, solution, self.sensor_parameters, options)
             evidence = _log_evidence(solution)  # (22)
             with clock("covariance"):
                 marginals = solution.cholesky.marginals(consume=True)  # (21)
