@@ -49,6 +49,18 @@ def test_the_straight_way_would_not_have_kept_the_risk(planned):
     assert problem.evaluate(straight).hits.value > 2.0 * problem.scene.delta
 
 
+def test_a_search_begins_on_both_sides_of_what_is_in_the_way():
+    problem = motion_problem(small_scene([BALL], target=(0.045, 0.012, 0.185)), ROBOT)
+    reaches = reach_target(problem, 0)[None]
+    straight, *ways = (problem.evaluate(way) for way in starts(problem, reaches, 0))
+    middle = len(straight.tip) // 2
+    across = np.cross(straight.tip[-1] - straight.tip[0], straight.shapes.pose[middle, -1, :3, 2])
+    across /= np.linalg.norm(across)
+    aside = np.array([across @ (way.tip[middle] - straight.tip[middle]) for way in ways])
+    for side in (aside, -aside):
+        assert np.mean(side > BALL.radius + problem.scene.robot_radius) > 0.2
+
+
 @pytest.mark.slow
 def test_more_risk_costs_no_more(planned):
     scene = replace(planned.problem.scene, delta=0.3)

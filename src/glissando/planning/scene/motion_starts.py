@@ -11,6 +11,10 @@ from glissando.geometry.se3 import Array
 from glissando.planning.scene.motion_problem import MotionProblem
 from glissando.planning.scene.sampled_risk import sample_risk
 
+_BENDS = 120  # random bends by way of which a motion may begin, where something is in the way
+_BEND = 0.4  # rad, standard deviation of the bend of a tendon robot's segment on the way
+_SHARE, _WHEN, _LASTS = (0.2, 0.8), (0.25, 0.6), 0.35  # of the way, and of the time to the target
+
 
 def require_possible_start(problem: MotionProblem) -> None:
     """Raise unless the robot is clear of everything where it starts.
@@ -85,8 +89,9 @@ def starts(
     """Motions (C, S+2) that a search begins with.
 
     Straight to displacements (G, T) that reach the targets, at once and slowly, and by way of
-    random bends; the slides hold, go in, or oscillate. Tendons and slides of a `warm` motion
-    (C, S+2) come first, with each other and with all of these.
+    random displacements; the slides hold, go in, or oscillate. Where something is in the way, they
+    also go by way of random bends, with slides that hold. Tendons and slides of a `warm` motion
+    (C, S+2) come first, with each other and with all but these.
     """
     scene, space = problem.scene, problem.space
     rng, path = np.random.default_rng(seed), space.paths[0]
@@ -114,7 +119,36 @@ def starts(
     if warm is not None:
         ways.insert(0, warm[:count])
         slides.insert(0, warm[count:])
-    return [space.follow(np.concatenate([way, slide])) for way in ways for slide in slides]
+    pairs = [
+        *product(ways, slides),
+        *((way, slides[0]) for way in _by_bends(problem, reaches, rng)),
+    ]
+    return [space.follow(np.concatenate(pair)) for pair in pairs]
+
+
+def _by_bends(problem: MotionProblem, reaches: Array, rng: np.random.Generator) -> list[Array]:
+    """Tendons (T, S+2) on ways to the targets past random bends, if something is in the way.
+
+    On which side of an obstacle a motion passes decides most of its cost, and a search seldom
+    leaves the side where it began. Bends of all segments reach more sides than displacements,
+    most of which only strain tendons against each other.
+    """
+    scene, tendons = problem.scene, problem.body.rod.tendons
+    time, first = problem.space.paths[0].control_times, scene.targets[0].time
+    start = np.array([path.start for path in problem.space.paths])[: len(scene.tendons)]
+    ends, segment = np.unique(tendons.end, return_inverse=True)
+    across = np.stack([np.cos(tendons.angle), np.sin(tendons.angle)], axis=1)
+    when = np.array([target.time for target in scene.targets])
+    ways = []
+    for _ in range(_BENDS if scene.obstacles else 0):
+        bend = np.cumsum(_BEND * rng.standard_normal((ends.size, 2)), axis=0)
+        pulled = tendons.radius * np.sum(bend[segment] * across, axis=1)
+        middle = start + rng.uniform(*_SHARE) * (reaches[0] - start) + pulled
+        begin = rng.uniform(*_WHEN)
+        knots = np.concatenate([[0.0, begin * first, (begin + _LASTS) * first], when[1:]])
+        places = np.concatenate([start[None], middle[None], reaches])
+        ways.append(np.stack([np.interp(time, knots, column) for column in places.T]))
+    return ways
 
 
 def slide_ways(problem: MotionProblem, control: Array) -> list[Array]:

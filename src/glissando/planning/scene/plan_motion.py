@@ -127,7 +127,9 @@ def plan_motion(
         first = starts(problem, np.stack(reaches), seed, warm_start)
         search = Search(problem, problem.scene.delta * _SHARE)
         worth = [search.value(control) for control in first]
-        ranked = [first[k] for k in np.argsort(worth, kind="stable")[:candidates]]
+        ranked = _of_different_tendons(
+            [first[k] for k in np.argsort(worth, kind="stable")], len(problem.scene.tendons)
+        )[:candidates]
         found = []
         for part, control in enumerate(ranked):
             way = min(slide_ways(problem, control), key=search.value)
@@ -137,6 +139,14 @@ def plan_motion(
         best = search.improve(min(found, key=search.merit).control, iterations)
         search, best = _with_close_moments(search, best, iterations)
         return _checked(_use_up(search, best, iterations, seed, progress, len(ranked)))
+
+
+def _of_different_tendons(motions: list[Array], count: int) -> list[Array]:
+    """The first of those motions (C, S+2) in which `count` tendons do the same."""
+    first: dict[bytes, Array] = {}
+    for motion in motions:
+        first.setdefault(motion[:count].tobytes(), motion)
+    return list(first.values())
 
 
 def _with_close_moments(
