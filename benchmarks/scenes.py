@@ -1,14 +1,14 @@
 """Motions among obstacles in foreign physics: whether the stated risk is true, and worth it.
 
     python benchmarks/scenes.py risk --robot arm.toml [--runs 100] [--scenes 5] [--delta 0.05]
-    python benchmarks/scenes.py margin --robot arm.toml [--scenes 12] [--balls 6]
+    python benchmarks/scenes.py margin --robot arm.toml [--scenes 12] [--balls 6] [--margin 3]
     python benchmarks/scenes.py speed --robot arm.toml
     python benchmarks/scenes.py sensing --runs 30 [--scenes 5] [--figure FILE.png]
 
 risk: motions are planned in random scenes and followed by robots drawn at random (see
 `scenes_world.py`), which read their coil and correct. Hits are given with their 95 % binomial
 interval, beside the largest risk that was allowed.
-margin: the same scenes with one margin for every place.
+margin: the same scenes with one margin for every place, and with a margin of equal risk in each.
 speed: what an evaluation with slopes and a replan from a warm start cost.
 sensing: slide and motion planned together, against a slide that stays, that oscillates, or that
 is planned after the motion, through slits that the body must take (see `scenes_sensing.py`).
@@ -185,8 +185,8 @@ def speed(pool, robot, options):
 def margin(pool, robot, options):
     """Stated risks against one margin for every place."""
     (delta,) = options.delta or [0.05]
-    plans = [plan for _, (plan,) in plans_of(pool, robot, [delta], options)]
-    return margin_rows(pool, robot, plans)
+    seeded = [(seed, plan) for seed, (plan,) in plans_of(pool, robot, [delta], options)]
+    return margin_rows(pool, robot, seeded, options)
 
 
 def sensing(pool, robot, options):
@@ -207,10 +207,11 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("what", choices=COMMANDS)
     parser.add_argument("--robot", type=Path, help="needed but for sensing")
-    parser.add_argument("--runs", type=int, default=100)
+    parser.add_argument("--runs", type=int, default=100, help="a level; of margin, a scene")
     parser.add_argument("--scenes", type=int, default=5)
     parser.add_argument("--delta", type=float, action="append")
     parser.add_argument("--first", type=int, default=TUNED, help="first seed")
+    parser.add_argument("--margin", action="append", help="mm, or `equal`: that of equal risk")
     parser.add_argument("--balls", type=int, default=1, help="of a scene of risk and margin")
     parser.add_argument("--processes", type=int, default=os.cpu_count())
     parser.add_argument("--json", action="store_true")

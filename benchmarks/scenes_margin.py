@@ -1,7 +1,8 @@
 """Risk shared out by where it counts, against one margin for every place, for `scenes.py`.
 
 A planner that keeps the expected body a fixed margin away from everything plans the same scenes,
-with one margin after another. The slides go as in the motion with a stated risk.
+with one margin after another, and with the margin that makes the risk of each scene that of the
+plan. The slides go as in the motion with a stated risk, and the same robots follow all motions.
 """
 
 import sys
@@ -13,13 +14,15 @@ import numpy as np
 from glissando.errors import GlissandoError
 from glissando.planning.scene.plan_motion import motion_problem, plan_motion
 from glissando.planning.scene.sampled_risk import sample_risk
+from scenes_world import followed
 
 SHARP = 1e-4  # m, by which a margin is softened
-MARGINS = 1.5e-3, 2e-3, 2.5e-3, 3e-3, 3.25e-3, 3.5e-3, 4e-3  # m
+MARGINS = "2", "2.5", "3", "3.25", "3.5", "4", "equal"  # mm, and of equal risk in each scene
+WIDEST, HALVINGS = 6e-3, 6  # m, and of the range in which a scene's margin of equal risk lies
 
 
 def with_margin(robot, plan, margin):
-    """Risk, time, way and cost of the motion that keeps a margin; infinite where there is none.
+    """The plan with the motion that keeps a margin (m), and its risk; None where there is none.
 
     Its search has the same starts as that of the plan, and the plan itself besides.
     """
@@ -29,52 +32,71 @@ def with_margin(robot, plan, margin):
         scene, robot_radius=scene.robot_radius + margin, model_std=SHARP, delta=0.5, sensors=[],
         slides=[],
     )  # fmt: skip
+    own = plan.evaluation.control
     try:
         problem = motion_problem(wide, surely)
-        warm = plan.evaluation.control[: len(scene.tendons)]
+        warm = own[: len(scene.tendons)]
         keeping = plan_motion(problem, candidates=3, iterations=40, warm_start=warm)
     except GlissandoError:
-        return np.full(4, np.inf)
-    return judged(plan, keeping.evaluation.control)
+        return None
+    control = np.concatenate([keeping.evaluation.control, own[len(scene.tendons) :]])
+    at = plan.problem.evaluate(control)
+    return replace(plan, evaluation=at, risk=sample_risk(plan.problem, at)[0])
 
 
-def judged(plan, control):
+def with_equal_risk(robot, plan):
+    """The motion that keeps the least margin found whose risk is no larger than the plan's."""
+    low, high, found = 0.0, WIDEST, None
+    for _ in range(HALVINGS):
+        margin = 0.5 * (low + high)
+        keeping = with_margin(robot, plan, margin)
+        if keeping is None or keeping.risk <= plan.risk:
+            high, found = margin, keeping or found
+        else:
+            low = margin
+    return found
+
+
+def judged(plan):
     """Risk, seconds until the tip stays at its target, length of its way (m), and cost."""
-    problem = plan.problem
-    slides = plan.evaluation.control[len(problem.scene.tendons) :]
-    at = problem.evaluate(np.concatenate([control[: len(problem.scene.tendons)], slides]))
-    target = problem.scene.targets[-1]
+    at, moments = plan.evaluation, plan.problem.space.moments
+    target = plan.problem.scene.targets[-1]
     far = np.linalg.norm(at.tip - target.position, axis=1) > 1.05 * target.tolerance
     last = np.flatnonzero(far).max(initial=-1) + 1
-    time = problem.space.moments[min(last, far.size - 1)]
     way = np.linalg.norm(np.diff(at.tip, axis=0), axis=1).sum()
-    return np.array([sample_risk(problem, at)[0], time, way, at.cost])
+    return np.array([plan.risk, moments[min(last, far.size - 1)], way, at.cost])
 
 
-def margin_rows(pool, robot, plans):
-    """Motions with a stated risk, and those that keep each margin: risks, and ratios of both.
+def margin_rows(pool, robot, seeded, options):
+    """Motions with a stated risk, and those that keep each margin: risks, hits, and ratios.
 
     Ratios are of sums over the scenes that a margin passes, ours over theirs, with their 95 %
     intervals over scenes drawn with replacement.
     """
-    ours = np.array(pool.map(own, plans))
-    rows, rng = [described("stated", ours, ours, rng=None)], np.random.default_rng(0)
-    for margin in MARGINS:
-        theirs = np.array(pool.map(partial(with_margin, robot, margin=margin), plans, 1))
-        rows.append(described(f"{1e3 * margin:g} mm", ours, theirs, rng))
+    seeds, plans = [seed for seed, _ in seeded], [plan for _, plan in seeded]
+    rows, rng = [described("stated", plans, plans, rng=None)], np.random.default_rng(0)
+    rows[0] |= followed_by_all(pool, robot, seeds, plans, options.runs)
+    for margin in options.margin or MARGINS:
+        equal = margin == "equal"
+        kept = {} if equal else {"margin": 1e-3 * float(margin)}
+        keeping = partial(with_equal_risk if equal else with_margin, robot, **kept)
+        theirs = pool.map(keeping, plans, 1)
+        row = described("equal risk" if equal else f"{margin} mm", plans, theirs, rng)
+        rows.append(row | followed_by_all(pool, robot, seeds, theirs, options.runs))
         print(f"  {rows[-1]}", file=sys.stderr, flush=True)
     return rows
 
 
 def described(name, ours, theirs, rng):
     """One row: risks of their motions, and ratios of ours to theirs."""
-    both = np.isfinite(theirs).all(axis=1)
-    row = {"margin": name, "scenes": len(ours), "passed": int(both.sum())}
-    if not both.any():
+    both = [(judged(a), judged(b)) for a, b in zip(ours, theirs, strict=True) if b is not None]
+    row = {"margin": name, "scenes": len(ours), "passed": len(both)}
+    if not both:
         return row
-    row |= {"risk": float(theirs[both, 0].mean()), "worst": float(theirs[both, 0].max())}
+    ours, theirs = np.moveaxis(np.array(both), 1, 0)
+    row |= {"risk": float(theirs[:, 0].mean()), "worst": float(theirs[:, 0].max())}
     for k, what in enumerate(("time", "way", "cost"), start=1):
-        a, b = ours[both, k], theirs[both, k]
+        a, b = ours[:, k], theirs[:, k]
         row[what] = float(a.sum() / b.sum())
         if rng:
             drawn = rng.integers(0, a.size, (2000, a.size))
@@ -85,6 +107,13 @@ def described(name, ours, theirs, rng):
     return row
 
 
-def own(plan):
-    """Risk, time, way and cost of a plan's own motion."""
-    return judged(plan, plan.evaluation.control)
+def followed_by_all(pool, robot, seeds, plans, runs):
+    """Robots that follow the motions, `runs` in each scene that has one, and how many hit."""
+    tasks = [(robot, plan, seed, runs) for seed, plan in zip(seeds, plans, strict=True) if plan]
+    return {"runs": runs * len(tasks), "hits": sum(pool.imap_unordered(hits_of, tasks))}
+
+
+def hits_of(task):
+    """How many of a scene's robots hit something: robot, plan, seed and number of robots."""
+    robot, plan, seed, runs = task
+    return sum(followed(plan, robot, 10_000 * seed + n)[0] < 0.0 for n in range(runs))
