@@ -199,6 +199,11 @@ def sensing(pool, robot, options):
     return rows if options.json else summed(rows, options.runs)
 
 
+def millimetres(text):
+    """A margin as it is written, if it is one."""
+    return text if text == "equal" else f"{float(text):g}"
+
+
 COMMANDS = {"risk": risk, "margin": margin, "speed": speed, "sensing": sensing}
 SLITS = Path(__file__).with_name("scenes_sensing.toml")
 
@@ -211,7 +216,9 @@ def main():
     parser.add_argument("--scenes", type=int, default=5)
     parser.add_argument("--delta", type=float, action="append")
     parser.add_argument("--first", type=int, default=TUNED, help="first seed")
-    parser.add_argument("--margin", action="append", help="mm, or `equal`: that of equal risk")
+    parser.add_argument(
+        "--margin", type=millimetres, action="append", help="mm, or `equal`: that of equal risk"
+    )
     parser.add_argument("--balls", type=int, default=1, help="of a scene of risk and margin")
     parser.add_argument("--processes", type=int, default=os.cpu_count())
     parser.add_argument("--json", action="store_true")

@@ -90,8 +90,8 @@ def starts(
 
     Straight to displacements (G, T) that reach the targets, at once and slowly, and by way of
     random displacements; the slides hold, go in, or oscillate. Where something is in the way, they
-    also go by way of random bends, with slides that hold. Tendons and slides of a `warm` motion
-    (C, S+2) come first, with each other and with all but these.
+    also go by way of random bends, with the first of the slides. Tendons and slides of a `warm`
+    motion (C, S+2) come first, with each other and with all of these.
     """
     scene, space = problem.scene, problem.space
     rng, path = np.random.default_rng(seed), space.paths[0]
@@ -145,8 +145,8 @@ def _by_bends(problem: MotionProblem, reaches: Array, rng: np.random.Generator) 
         pulled = tendons.radius * np.sum(bend[segment] * across, axis=1)
         middle = start + rng.uniform(*_SHARE) * (reaches[0] - start) + pulled
         begin = rng.uniform(*_WHEN)
-        knots = np.concatenate([[0.0, begin * first, (begin + _LASTS) * first], when[1:]])
-        places = np.concatenate([start[None], middle[None], reaches])
+        knots = np.concatenate([[0.0, begin * first, (begin + _LASTS) * first], when])
+        places = np.concatenate([start[None], middle[None], reaches[:1], reaches])
         ways.append(np.stack([np.interp(time, knots, column) for column in places.T]))
     return ways
 
