@@ -65,6 +65,31 @@ def test_a_path_can_be_left_at_any_knot_for_another_within_the_limits(stage, rng
     assert time[1] == pytest.approx(0.1)
 
 
+@settings(max_examples=60, deadline=None)
+@given(stages, st.floats(0.0, 1.0), generators)
+def test_a_path_can_be_left_between_knots_near_an_end_of_the_slide(stage, share, rng):
+    space = path_space_of(stage, TIP, TIP - 0.3 * stage.stroke, horizon=6.0)
+    control = space.follow(targets(rng, space))
+    plan = Plan(space.times, space.arclength(control), control, space, 0.0, {})
+    place, speed = plan.at(plan.start + 0.1 * np.arange(1.0, 50.0) + 0.1 * share)
+    for start, start_speed in zip(place, speed, strict=True):
+        try:
+            begun = replace(
+                space, start=float(np.clip(start, space.lower, space.upper)),
+                start_speed=float(start_speed),
+            )  # fmt: skip
+        except GlissandoError:
+            continue  # it cannot be left here
+        control = begun.follow(targets(rng, begun))
+        onward = Plan(begun.times, begun.arclength(control), control, begun, 0.0, {})
+        path, speeds = onward.at(np.linspace(onward.start, onward.start + 6.0, 6001))
+        assert path.min() >= space.lower - 1e-9
+        assert path.max() <= space.upper + 1e-9
+        assert np.abs(np.diff(speeds)).max() <= 1e-3 * stage.acceleration * (1 + 1e-6) + 1e-12
+        rows, centre, width = begun.polytope
+        assert np.all(np.abs(rows @ control[2:-1] - centre) <= width * (1 + 1e-6) + 1e-12)
+
+
 def test_a_target_that_can_be_met_is_met_without_overshooting():
     control = PathSpace(0.6, 0.7, 0.05, 0.2, 0.1, 60, 0.7).follow(np.full(62, 0.65))
     assert control[-1] == pytest.approx(0.65, abs=1e-6)

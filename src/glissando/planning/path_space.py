@@ -19,6 +19,7 @@ from glissando.model.slide_path import SlideLimits
 from glissando.planning.optimize import Polytope
 
 _SHARE = 1.0 - 1e-7  # of a limit, so that rounding does not break it
+_TOUCH = 1e-10  # m, by which a path at the end of the slide may go beyond it
 
 
 @dataclass(frozen=True)
@@ -123,8 +124,8 @@ class PathSpace:
         most = min(fastest, left * sharpest)
         low = np.maximum(move - sharpest, -most)
         high = np.minimum(move + sharpest, most)
-        low = np.maximum(low, -_stoppable(place - self.lower, sharpest))
-        return low, np.minimum(high, _stoppable(self.upper - place, sharpest))
+        low = np.maximum(low, -_stoppable(place - self.lower, sharpest, -move))
+        return low, np.minimum(high, _stoppable(self.upper - place, sharpest, move))
 
     @cached_property
     def polytope(self) -> Polytope:
@@ -136,11 +137,14 @@ class PathSpace:
         full = np.eye(self.steps + 2)
         first, second = np.diff(full, axis=0), np.diff(full, 2, axis=0)
         rows = np.concatenate([full[2:-1], first[1:-1], second])
-        half = 0.5 * (self.upper - self.lower)
         counts = self.steps - 1, self.steps - 1, self.steps
-        middle = np.repeat([0.5 * (self.upper + self.lower), 0.0, 0.0], counts)
-        fixed = rows[:, :2] @ self.control(np.zeros(1))[:2]
-        return _free(rows), middle - fixed, np.repeat([half, fastest, sharpest], counts)
+        high = np.repeat([self.upper, fastest, sharpest], counts)
+        low = np.repeat([self.lower, -fastest, -sharpest], counts)
+        begun = self.control(np.zeros(1))[:2]
+        move = begun[1] - begun[0]
+        high[0] = min(high[0], begun[1] + _turning(self.upper - begun[1], move))
+        low[0] = max(low[0], begun[1] - _turning(begun[1] - self.lower, -move))
+        return _free(rows), 0.5 * (high + low) - rows[:, :2] @ begun, 0.5 * (high - low)
 
     def control(self, free: Array) -> Array:
         """All control points (T + 2,) of a path with the free ones (n,), m."""
@@ -182,9 +186,25 @@ def _free(by_control: Array) -> Array:
     return out
 
 
-def _stoppable(distance: Array, sharpest: float) -> Array:
-    """Longest first move that, shortened by `sharpest` each time, stops within a distance."""
+def _stoppable(distance: Array, sharpest: float, last: Array | float = 0.0) -> Array:
+    """Longest next move that, shortened by `sharpest` each time, stops within a distance.
+
+    The second control point may lie beyond the end, at a negative distance, where a path begins
+    between the knots of another one: it has to turn before the end, after the `last` move.
+    """
     ratio = np.maximum(distance, 0.0) / sharpest
     count = np.floor(0.5 * (np.sqrt(1.0 + 8.0 * ratio) - 1.0))
     move = (distance + 0.5 * sharpest * count * (count + 1.0)) / (count + 1.0)
-    return np.where(distance < 0.0, distance, move)
+    return np.where(distance < 0.0, _turning(distance, last), move)
+
+
+def _turning(distance: Array, last: Array | float) -> Array:
+    """Longest next move of a piece that turns before the end of the slide.
+
+    Its curve begins at half the `last` move before the second control point, with that move as its
+    speed, so it turns after last² / (2 (last − next)), which ends at the end of the slide. Where
+    the second control point lies before the end, `distance` > 0, the hull is bound enough.
+    """
+    room = np.maximum(distance + 0.5 * last, _TOUCH)
+    turned = np.minimum(distance, last - 0.5 * last**2 / room)
+    return np.where((distance < 0.0) & (last > 0.0), turned, distance)
