@@ -77,6 +77,20 @@ def test_marginals_are_blocks_of_the_dense_inverse(rng, count, size):
 
 @law
 @given(generators, counts, sizes)
+def test_the_joint_covariance_of_parts_is_that_of_the_dense_inverse(rng, count, size):
+    system, full = random_system(rng, count, size)
+    first_slab, part = rng.integers(count), int(rng.integers(1, size + 1))
+    slab = np.minimum(first_slab + rng.integers(2, size=(5, 3)), count - 1)
+    first = rng.integers(size - part + 1, size=(5, 3))
+    found = factor(system).marginals().joint(slab, first, part)
+    inverse = np.linalg.inv(full)
+    at = ((slab * size + first)[:, :, None] + np.arange(part)).reshape(5, -1)
+    expected = inverse[at[:, :, None], at[:, None, :]]
+    np.testing.assert_allclose(found, expected, atol=1e-8 * np.abs(inverse).max())
+
+
+@law
+@given(generators, counts, sizes)
 def test_a_sample_is_the_transposed_factor_solved_for_white_noise(rng, count, size):
     system, full = random_system(rng, count, size)
     seed = int(rng.integers(2**32))

@@ -153,3 +153,26 @@ def marginals(inverse, coupling, cov, cross):
         for i in range(d):
             for j in range(i + 1):
                 cov[k, i, j] = cov[k, j, i] = block[i, j]
+
+
+@jit("(f8[:,:,::1], f8[:,:,::1], i8[:,::1], i8[:,::1], i8, f8[:,:,::1])")
+def joint(cov, cross, slab, first, size, out):
+    """Covariance of parts of neighbouring slabs, from the blocks of the inverse.
+
+    Part j of point m is the `size` numbers of slab[m, j] that begin at column first[m, j]; `out`
+    (M, c·size, c·size) is written.
+    """
+    for m in range(len(slab)):
+        for i in range(slab.shape[1]):
+            for j in range(slab.shape[1]):
+                k, other = slab[m, i], slab[m, j]
+                row, column = first[m, i], first[m, j]
+                for a in range(size):
+                    for b in range(size):
+                        if k == other:
+                            value = cov[k, row + a, column + b]
+                        elif k < other:
+                            value = cross[k, row + a, column + b]
+                        else:
+                            value = cross[other, column + b, row + a]
+                        out[m, i * size + a, j * size + b] = value

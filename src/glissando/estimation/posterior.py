@@ -315,6 +315,4 @@ def state_at(
 def _joint(grid: Grid, dof: int, marginals: Marginals, nodes: Index) -> Array:
     """Joint covariance (M, c·dof, c·dof) of the touched nodes (M, c)."""
     slab, inner = np.divmod(nodes, grid.arclength.size)
-    m, c = nodes.shape
-    at = (inner[:, :, None] * dof + np.arange(dof)).reshape(m, c * dof)
-    return marginals.joint(np.repeat(slab, dof, axis=1), at)
+    return marginals.joint(slab, inner * dof, dof)

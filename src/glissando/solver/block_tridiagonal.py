@@ -52,25 +52,21 @@ class Marginals:
     cov: Array
     cross: Array
 
-    def joint(self, slab: NDArray[np.intp], column: NDArray[np.intp]) -> Array:
-        """Joint covariance of numbers in neighbouring slabs.
+    def joint(self, slab: NDArray[np.intp], first: NDArray[np.intp], size: int) -> Array:
+        """Joint covariance of parts of neighbouring slabs.
 
         Args:
-            slab: Slabs (M, q).
-            column: Columns (M, q) in them.
+            slab: Slabs (M, c) of the parts.
+            first: Their first columns (M, c).
+            size: Columns of a part.
 
         Returns:
-            Covariances (M, q, q).
+            Covariances (M, c·size, c·size).
         """
-        k0, k1 = slab[:, :, None], slab[:, None, :]
-        row, other = column[:, :, None], column[:, None, :]
-        cov = self.cov[k0, row, other]
-        if np.all(slab == slab[:, :1]):
-            return cov
-        swap = k0 > k1
-        low = np.minimum(np.minimum(k0, k1), len(self.cross) - 1)
-        cross = self.cross[low, np.where(swap, other, row), np.where(swap, row, other)]
-        return np.where(k0 == k1, cov, cross)
+        m, c = slab.shape
+        out = np.empty((m, c * size, c * size))
+        kernels.joint(whole(self.cov), whole(self.cross), whole(slab), whole(first), size, out)
+        return out
 
 
 @dataclass(frozen=True)
