@@ -156,15 +156,6 @@ def _pair_covariance(turn, cov, at, left):
 
 
 @jit()
-def _lean(curl, at, rows):
-    """What rides turns with the pose at the point."""
-    for i in range(6):
-        for k in range(6):
-            for j in range(rows.shape[1]):
-                rows[at + i, j] += curl[i, k] * rows[k, j]
-
-
-@jit()
 def _onward(start, rate, offset, delta, pose, turn, back, pull):
     """Pose at `offset` along a rate from `start` and then bent by `delta` (12,), and its slopes.
 
@@ -197,15 +188,18 @@ def pair_point_into(start, end, rate0, rate1, step, offset, gain, at, pose, rate
     zeros, and J_r(δ) is written to `turn`.
     """
     error, delta = np.empty(12), np.empty(12)
-    slopes, bent = np.zeros((12, 24)), np.empty((12, 24))
+    slopes, bent = np.empty((6, 18)), np.empty((12, 24))
     back, pull, curved = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 24))
     pair_into(start, end, rate0, rate1, step, error, back, pull, turn)
     for i in range(6):
         for j in range(6):
             slopes[i, j], slopes[i, 6 + j], slopes[i, 12 + j] = back[i, j], pull[i, j], turn[i, j]
-        slopes[6 + i, 6 + i], slopes[6 + i, 18 + i] = -1.0, 1.0
     apply_into(gain, error, delta)
-    product(gain, slopes, bent, 1.0, 0.0, False, False)
+    product(gain[:, 0:6], slopes, bent[:, 0:18], 1.0, 0.0, False, False)
+    for i in range(12):
+        for j in range(6):  # the error of the rate is their difference
+            bent[i, 6 + j] -= gain[i, 6 + j]
+            bent[i, 18 + j] = gain[i, 6 + j]
     _onward(start, rate0, offset, delta, pose, turn, back, pull)
     product(turn, bent[0:6], curved, 1.0, 0.0, False, False)
     for i in range(6):
@@ -234,13 +228,9 @@ def _ride(pose, start, field0, at, field, j0, j1, left):
             j0[at + i, j] -= lean[i, j]
             j0[at + i, at + j] += ride[i, j]
     ad_into(ridden, curl)
-    _lean(curl, at, j0)
-    _lean(curl, at, j1)
-    _lean(curl, at, left)
-    for i in range(6):  # and from the other side
-        for k in range(6):
-            for j in range(18):
-                left[j, at + i] += curl[i, k] * left[j, k]
+    for rows in (j0, j1, left):  # what rides turns with the pose
+        product(curl, rows[0:6], rows[at : at + 6], 1.0, 1.0, False, False)
+    product(left[:, 0:6], curl, left[:, at : at + 6], 1.0, 1.0, False, True)
 
 
 @jit()
@@ -248,20 +238,21 @@ def _carried_point(
     start, end, field0, field1, pose, rigid, gain, cov, at, field, j0, j1, left
 ):  # fmt: skip
     """The carried field at a pose inside a step, with its rows of slopes and covariance."""
-    lost, c0, c1 = np.empty(6), np.empty((6, 18)), np.empty((6, 18))
-    _carried(start, end, field0, field1, at, rigid, lost, c0, c1)
-    apply_into(gain, lost, field)
     for i in range(6):
         for j in range(6):
             left[at + i, at + j] = cov[i, j]
-    product(gain, c0, j0[at : at + 6], 1.0, 1.0, False, False)
-    product(gain, c1, j1[at : at + 6], 1.0, 1.0, False, False)
-    if rigid:
-        _ride(pose, start, field0, at, field, j0, j1, left)
+    if not rigid:
+        for i in range(6):
+            share = gain[i, i]
+            field[i] = field0[i] + share * (field1[i] - field0[i])
+            j0[at + i, at + i], j1[at + i, at + i] = 1.0 - share, share
         return
-    for i in range(6):
-        field[i] += field0[i]
-        j0[at + i, at + i] += 1.0
+    lost, c0, c1 = np.empty(6), np.empty((6, 18)), np.empty((6, 18))
+    _carried(start, end, field0, field1, at, rigid, lost, c0, c1)
+    apply_into(gain, lost, field)
+    product(gain, c0, j0[at : at + 6], 1.0, 0.0, False, False)
+    product(gain, c1, j1[at : at + 6], 1.0, 0.0, False, False)
+    _ride(pose, start, field0, at, field, j0, j1, left)
 
 
 @jit()
