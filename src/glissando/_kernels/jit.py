@@ -23,6 +23,8 @@ from functools import update_wrapper
 from pathlib import Path
 from typing import Any
 
+from glissando._kernels.memory import keep_freed_memory
+
 try:
     import fcntl
 except ImportError:  # Windows: two processes at once may compile twice
@@ -100,6 +102,7 @@ def load(module: str = "") -> None:
         module: A module whose kernels are made callable besides those of every estimate.
     """
     with _LOCK:
+        keep_freed_memory()
         folder = _dispatchers()
         modules = {*_ALWAYS, module}
         kernels = [k for k in _KERNELS if k.signatures and not k.ready and k.module in modules]
