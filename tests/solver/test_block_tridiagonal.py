@@ -77,16 +77,18 @@ def test_marginals_are_blocks_of_the_dense_inverse(rng, count, size):
 
 @law
 @given(generators, counts, sizes)
-def test_the_joint_covariance_of_parts_is_that_of_the_dense_inverse(rng, count, size):
+def test_the_covariance_of_what_depends_on_parts_is_that_of_the_dense_inverse(rng, count, size):
     system, full = random_system(rng, count, size)
     first_slab, part = rng.integers(count), int(rng.integers(1, size + 1))
     slab = np.minimum(first_slab + rng.integers(2, size=(5, 3)), count - 1)
     first = rng.integers(size - part + 1, size=(5, 3))
-    found = factor(system).marginals().joint(slab, first, part)
-    inverse = np.linalg.inv(full)
+    slopes, left = rng.standard_normal((5, 2, 3, part)), rng.standard_normal((5, 2, 2))
+    left = left @ left.swapaxes(1, 2)
+    found = factor(system).marginals().spread(slab, first, slopes, left)
+    inverse, flat = np.linalg.inv(full), slopes.reshape(5, 2, -1)
     at = ((slab * size + first)[:, :, None] + np.arange(part)).reshape(5, -1)
-    expected = inverse[at[:, :, None], at[:, None, :]]
-    np.testing.assert_allclose(found, expected, atol=1e-8 * np.abs(inverse).max())
+    expected = flat @ inverse[at[:, :, None], at[:, None, :]] @ flat.swapaxes(1, 2) + left
+    np.testing.assert_allclose(found, expected, atol=1e-8 * np.abs(expected).max())
 
 
 @law

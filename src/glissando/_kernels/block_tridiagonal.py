@@ -155,24 +155,29 @@ def marginals(inverse, coupling, cov, cross):
                 cov[k, i, j] = cov[k, j, i] = block[i, j]
 
 
-@jit("(f8[:,:,::1], f8[:,:,::1], i8[:,::1], i8[:,::1], i8, f8[:,:,::1])")
-def joint(cov, cross, slab, first, size, out):
-    """Covariance of parts of neighbouring slabs, from the blocks of the inverse.
+@jit("(f8[:,:,::1], f8[:,:,::1], i8[:,::1], i8[:,::1], f8[:,:,:,::1], f8[:,:,::1])")
+def add_spread(cov, cross, slab, first, slopes, out):
+    """Add J C Jᵀ of parts of neighbouring slabs, with blocks of C from the blocks of the inverse.
 
-    Part j of point m is the `size` numbers of slab[m, j] that begin at column first[m, j]; `out`
-    (M, c·size, c·size) is written.
+    Part j of point m is those numbers of slab[m, j] that begin at column first[m, j], and moves
+    what is asked for by slopes[m, :, j]; `out` is (M, r, r).
     """
+    rows, parts, size = slopes.shape[1:]
+    half = np.empty((rows, parts * size))
     for m in range(len(slab)):
-        for i in range(slab.shape[1]):
-            for j in range(slab.shape[1]):
-                k, other = slab[m, i], slab[m, j]
-                row, column = first[m, i], first[m, j]
-                for a in range(size):
-                    for b in range(size):
-                        if k == other:
-                            value = cov[k, row + a, column + b]
-                        elif k < other:
-                            value = cross[k, row + a, column + b]
-                        else:
-                            value = cross[other, column + b, row + a]
-                        out[m, i * size + a, j * size + b] = value
+        slope = slopes[m].reshape(rows, parts * size)
+        half[:] = 0.0
+        for i in range(parts):
+            k, row = slab[m, i], first[m, i]
+            own = slope[:, i * size : (i + 1) * size]
+            for j in range(parts):
+                other, column = slab[m, j], first[m, j]
+                spread = half[:, j * size : (j + 1) * size]
+                if k > other:
+                    block = cross[other, column : column + size, row : row + size]
+                    product(own, block, spread, 1.0, 1.0, False, True)
+                else:
+                    blocks = cov if k == other else cross
+                    block = blocks[k, row : row + size, column : column + size]
+                    product(own, block, spread, 1.0, 1.0, False, False)
+        product(half, slope, out[m], 1.0, 1.0, False, True)

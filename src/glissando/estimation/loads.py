@@ -114,7 +114,7 @@ def point_loads(
     prior: Prior,
     grid: Grid,
     state: State,
-    joint: Callable[[Index], Array],
+    spread: Callable[[Index, Array, Array], Array],
     arclength: Array,
     k: Index,
     frame: str,
@@ -125,7 +125,7 @@ def point_loads(
         prior: A mechanical prior.
         grid: The grid.
         state: Nodes (K, N).
-        joint: Gives the covariance (M, 2 dof, 2 dof) of nodes (M, 2).
+        spread: Gives covariances (M, 6, 6) by nodes (M, 2), slopes (M, 6, 2, dof) and what is left.
         arclength: Places (M,), m: the tip's, or some of the prior's `points`.
         k: Time nodes (M,).
         frame: "body" or "world".
@@ -154,9 +154,6 @@ def point_loads(
         both[:, :3, :3] = both[:, 3:, 3:] = rotation
         left = both @ left @ np.swapaxes(both, -1, -2)
     slope = slope.reshape(n.size, 6, 2, -1)[:, :, ::-1]
-    cov = joint(found.nodes)
-    dof = cov.shape[-1] // 2
-    wide = np.zeros((n.size, 6, 2, dof))
+    wide = np.zeros((n.size, 6, 2, state.dof))
     wide[..., still_columns(slope.shape[-1])] = slope
-    flat = wide.reshape(n.size, 6, -1)
-    return WrenchEstimate(wrench, symmetrize(flat @ cov @ np.swapaxes(flat, -1, -2) + left), frame)
+    return WrenchEstimate(wrench, spread(found.nodes, wide, left), frame)

@@ -23,7 +23,6 @@ from glissando.model.brief import Brief
 from glissando.model.grid import Grid, Index
 from glissando.model.interpolation import sort_points
 from glissando.model.priors.prior import Prior
-from glissando.model.priors.transitions import symmetrize
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.state import DOF, POSE, State
 from glissando.solver.block_tridiagonal import BlockTridiagonal, Marginals, factor
@@ -206,8 +205,8 @@ class Posterior(Brief):
         self.grid.require(s.ravel(), t.ravel(), "Query")
         k = np.abs(t.ravel()[:, None] - self.grid.time).argmin(axis=1)
         prior, grid, state = self.prior, self.grid, self.state
-        joint = partial(_joint, grid, state.dof, self.marginals)
-        found = point_loads(prior, grid, state, joint, s.ravel(), k, frame)
+        spread = partial(_spread, grid, self.marginals)
+        found = point_loads(prior, grid, state, spread, s.ravel(), k, frame)
         wrench, cov = found.wrench.reshape(*s.shape, 6), found.cov.reshape(*s.shape, 6, 6)
         return WrenchEstimate(wrench, cov, frame)
 
@@ -301,18 +300,15 @@ def state_at(
         here = slice(first, first + _CHUNK)
         for points in sort_points(grid, s[here], t[here]):
             found = prior.interpolate(grid, state, state, points)
-            jacobian = found.jacobian.reshape(points.rows.size, DOF, -1)
-            joint = _joint(grid, state.dof, marginals, found.nodes)
             rows = first + points.rows
             out.pose[rows] = found.state.pose
             out.strain[rows] = found.state.strain
             out.velocity[rows] = found.state.velocity
-            cov = jacobian @ joint @ np.swapaxes(jacobian, -1, -2) + found.cov
-            out.cov[rows] = symmetrize(cov)
+            out.cov[rows] = _spread(grid, marginals, found.nodes, found.jacobian, found.cov)
     return StateEstimate(*(a.reshape(*shape, *a.shape[1:]) for a in vars(out).values()))
 
 
-def _joint(grid: Grid, dof: int, marginals: Marginals, nodes: Index) -> Array:
-    """Joint covariance (M, c·dof, c·dof) of the touched nodes (M, c)."""
+def _spread(grid: Grid, marginals: Marginals, nodes: Index, slopes: Array, left: Array) -> Array:
+    """Covariance (M, r, r) by slopes (M, r, c, dof) of nodes (M, c), and what they leave open."""
     slab, inner = np.divmod(nodes, grid.arclength.size)
-    return marginals.joint(slab, inner * dof, dof)
+    return marginals.spread(slab, inner * slopes.shape[-1], slopes, left)

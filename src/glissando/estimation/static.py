@@ -29,6 +29,7 @@ from glissando.model.interpolation import sort_points
 from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.model.priors.prior import Prior
 from glissando.model.priors.static import STATIC_DOF
+from glissando.model.priors.transitions import symmetrize
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import DOF, State
 from glissando.solver.curvature import curvature, with_curvature
@@ -87,13 +88,9 @@ class StaticPosterior:
         cov = np.zeros((s.size, DOF, DOF))
         for points in sort_points(self.grid, s, k):
             found = self.prior.interpolate(self.grid, self.state, self.state, points)
-            jacobian = found.jacobian[:, :STATIC_DOF, :, :STATIC_DOF].reshape(
-                len(found.nodes), STATIC_DOF, -1
-            )
             pose[points.rows], strain[points.rows] = found.state.pose, found.state.strain
-            spread = jacobian @ self._joint(found.nodes) @ np.swapaxes(jacobian, -1, -2)
-            spread += found.cov[:, _DOFS, _DOFS]
-            cov[points.rows, _DOFS, _DOFS] = 0.5 * (spread + np.swapaxes(spread, -1, -2))
+            slopes, left = found.jacobian[:, _DOFS], found.cov[:, _DOFS, _DOFS]
+            cov[points.rows, _DOFS, _DOFS] = self._spread(found.nodes, slopes, left)
         arrays = (pose, strain, np.zeros_like(strain), cov)
         return StateEstimate(*(a.reshape(*whole, *a.shape[1:]) for a in arrays))
 
@@ -116,17 +113,20 @@ class StaticPosterior:
         self.grid.require(s.ravel(), k.ravel(), "Query")
         _require_whole(k.ravel(), "Query")
         prior, grid, which = self.prior, self.grid, k.ravel().astype(np.intp)
-        found = point_loads(prior, grid, self.state, self._joint, s.ravel(), which, frame)
+        found = point_loads(prior, grid, self.state, self._spread, s.ravel(), which, frame)
         wrench, cov = found.wrench.reshape(*s.shape, 6), found.cov.reshape(*s.shape, 6, 6)
         return WrenchEstimate(wrench, cov, frame)
 
-    def _joint(self, nodes: Index) -> Array:
-        """Joint covariance (M, c·12, c·12) of a node, or of it and the next (M, c)."""
+    def _spread(self, nodes: Index, slopes: Array, left: Array) -> Array:
+        """Covariance (M, r, r) by slopes (M, r, c, ·) of a node, or of it and the next (M, c)."""
         k, n = np.divmod(nodes[:, 0], self.grid.arclength.size)
-        if nodes.shape[1] == 1:
-            return self.cov[k, n]
-        cross = self.cross[k, n]
-        return np.block([[self.cov[k, n], cross], [np.swapaxes(cross, -1, -2), self.cov[k, n + 1]]])
+        own = slopes[..., :STATIC_DOF].reshape(*slopes.shape[:2], -1)
+        joint = self.cov[k, n]
+        if nodes.shape[1] == 2:
+            cross = self.cross[k, n]
+            back = np.swapaxes(cross, -1, -2)
+            joint = np.block([[joint, cross], [back, self.cov[k, n + 1]]])
+        return symmetrize(own @ joint @ np.swapaxes(own, -1, -2) + left)
 
 
 def estimate_static(

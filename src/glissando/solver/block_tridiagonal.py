@@ -19,6 +19,7 @@ from glissando._kernels.arrays import whole
 from glissando._kernels.threads import one_thread
 from glissando.errors import UnobservableError
 from glissando.geometry.se3 import Array
+from glissando.model.priors.transitions import symmetrize
 
 
 @dataclass(frozen=True)
@@ -52,21 +53,26 @@ class Marginals:
     cov: Array
     cross: Array
 
-    def joint(self, slab: NDArray[np.intp], first: NDArray[np.intp], size: int) -> Array:
-        """Joint covariance of parts of neighbouring slabs.
+    def spread(
+        self, slab: NDArray[np.intp], first: NDArray[np.intp], slopes: Array, left: Array
+    ) -> Array:
+        """Covariance of numbers that depend on parts of neighbouring slabs.
 
         Args:
             slab: Slabs (M, c) of the parts.
             first: Their first columns (M, c).
-            size: Columns of a part.
+            slopes: Derivatives (M, r, c, size) by the numbers of the parts.
+            left: Covariance (M, r, r) that they have given the parts.
 
         Returns:
-            Covariances (M, c·size, c·size).
+            Covariances (M, r, r), symmetric.
         """
-        m, c = slab.shape
-        out = np.empty((m, c * size, c * size))
-        kernels.joint(whole(self.cov), whole(self.cross), whole(slab), whole(first), size, out)
-        return out
+        out = np.array(left, dtype=float)
+        with one_thread():
+            kernels.add_spread(
+                whole(self.cov), whole(self.cross), whole(slab), whole(first), whole(slopes), out
+            )
+        return symmetrize(out)
 
 
 @dataclass(frozen=True)
