@@ -17,7 +17,7 @@ from glissando._kernels.normal_equations import SUMS, add_factor, at_nodes_into
 from glissando._kernels.process import apply_into
 from glissando._kernels.sensors import sense_into
 from glissando._kernels.steps import step_into
-from glissando._kernels.white_noise_points import STATE, point_into
+from glissando._kernels.white_noise_points import STATE, lines, point_into
 
 _NEAR = 1e-9  # of a step: points that close to a node lie on it
 HUBER, GEMAN_MCCLURE = 1.0, 2.0
@@ -132,7 +132,7 @@ def _add_readings(
     residual, whitener, weight = np.zeros((m, 6)), np.empty((m, 6, 6)), np.empty(m)
     there, bend, motion = np.empty((4, 4)), np.empty(6), np.empty(6)
     a, b, miss, square = np.empty((6, 72)), np.empty((6, 72)), np.empty(6), np.empty((72, 72))
-    room, none = np.empty((14, 4), np.int64), np.empty((6, 0))
+    room, none, cell = np.empty((14, 4), np.int64), np.empty((6, 0)), lines()
     for i in range(m):
         row, at = rows[which[i]], which[i]
         jacobian, left, by_state = np.zeros((18, 4, 18)), np.zeros((18, 18)), np.zeros((6, 18))
@@ -140,7 +140,7 @@ def _add_readings(
         k, dt, ut = _cell(time, row[0])
         point_into(
             n, ds, us, k, dt, ut, pose, strain, velocity, strain, velocity, along, through,
-            arclength_spans, time_spans, there, bend, motion, nodes[i], jacobian, left,
+            arclength_spans, time_spans, cell, False, there, bend, motion, nodes[i], jacobian, left,
         )  # fmt: skip
         sense_into(
             int(row[2]), row[5:], mounts[at], there, bend, motion, residual[i], by_state

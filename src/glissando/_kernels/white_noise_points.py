@@ -93,29 +93,39 @@ def _between(
 
 
 @jit()
+def lines():
+    """Room for states at the two time nodes of a cell, and between: what `point_into` works in."""
+    fields, slopes, around = np.empty((3, 2, 6)), np.empty((3, 2, 18, 18)), np.empty((3, 18, 18))
+    return np.empty((3, 4, 4)), fields, slopes, around
+
+
+@jit()
 def point_into(
     n, ds, us, k, dt, ut, pose, strain, velocity, about_strain, about_velocity, along, through,
-    arclength_spans, time_spans, there, bend, motion, nodes, jacobian, left,
+    arclength_spans, time_spans, room, known, there, bend, motion, nodes, jacobian, left,
 ):  # fmt: skip
     """State in a cell; nodes (c,), slopes (18, c, 18) and covariance (18, 18) into zeros.
 
     Lower node, step and offset along arclength and time say where. Along arclength at one time node
-    or both, then along time. Returns how many nodes it depends on.
+    or both, which are in `room` already where they are `known`, then along time. Returns how many
+    nodes it depends on.
     """
     n_count, inside_s, inside_t = strain.shape[1], 0.0 < us < ds, 0.0 < ut < dt
     n += us >= ds > 0.0
     k += ut >= dt > 0.0
     wide, tall, share = 1 + inside_s, 1 + inside_t, us / ds if inside_s else 0.0
-    poses, fields = np.empty((3, 4, 4)), np.zeros((3, 2, 6))  # at the time nodes, and between
-    slopes, around = np.zeros((3, 2, 18, 18)), np.zeros((3, 18, 18))
+    poses, fields, slopes, around = room
     for part in range(tall):
         for i in range(wide):
             nodes[wide * part + i] = (k + part) * n_count + n + i
-        _on_line(
-            n, ds, us, k + part, pose, strain, velocity, about_strain, along, time_spans[k + part],
-            poses[part], fields[part], slopes[part], around[part],
-        )  # fmt: skip
+        if not known:
+            slopes[part], around[part] = 0.0, 0.0
+            _on_line(
+                n, ds, us, k + part, pose, strain, velocity, about_strain, along,
+                time_spans[k + part], poses[part], fields[part], slopes[part], around[part],
+            )  # fmt: skip
     if inside_t:
+        slopes[2], around[2] = 0.0, 0.0
         _between(
             n, share, k, dt, ut, about_velocity, through, arclength_spans, poses, fields, slopes,
             around,
@@ -152,12 +162,16 @@ def points(
     m = len(lower)
     there, bend, motion = np.empty((m, 4, 4)), np.empty((m, 6)), np.empty((m, 6))
     nodes, jacobian = np.empty((m, touched), np.int64), np.zeros((m, 18, touched, 18))
-    left = np.zeros((m, 18, 18))
+    left, room, inside = np.zeros((m, 18, 18)), lines(), False
     for i in range(m):
+        ds, us, dt, ut = cell[i, 0, 0], cell[i, 0, 1], cell[i, 1, 0], cell[i, 1, 1]
+        known, inside = inside, 0.0 < ut < dt
+        known = known and inside and us == cell[i - 1, 0, 1]
+        for j in range(2):
+            known = known and lower[i, j] == lower[i - 1, j]
         point_into(
-            lower[i, 0], cell[i, 0, 0], cell[i, 0, 1], lower[i, 1], cell[i, 1, 0], cell[i, 1, 1],
-            pose, strain, velocity, about_strain, about_velocity, along, through,
-            arclength_spans, time_spans, there[i], bend[i], motion[i], nodes[i], jacobian[i],
-            left[i],
+            lower[i, 0], ds, us, lower[i, 1], dt, ut, pose, strain, velocity, about_strain,
+            about_velocity, along, through, arclength_spans, time_spans, room, known, there[i],
+            bend[i], motion[i], nodes[i], jacobian[i], left[i],
         )  # fmt: skip
     return there, bend, motion, nodes, jacobian, left
