@@ -159,5 +159,7 @@ class SmoothField:
 
     def __call__(self, place: Array) -> Array:
         """Values (M, C) at places (M, D)."""
-        argument = np.einsum("cwd,md->mcw", self.waves, place) + self.phase
+        components, waves, dimensions = self.waves.shape
+        argument = place @ self.waves.reshape(-1, dimensions).T + self.phase.ravel()
+        argument = argument.reshape(-1, components, waves)
         return np.sqrt(2.0 / _WAVES) * np.sum(np.cos(argument), axis=-1)

@@ -96,10 +96,11 @@ def _mean(poses: Array) -> Array:
 
 def _follow(commanded: Array, width: float) -> Array:
     """Where the coil is when it follows the motor with play of `width` metres between them."""
-    real = np.array(commanded)
-    for k in range(1, real.size):
-        real[k] = np.clip(real[k - 1], commanded[k] - 0.5 * width, commanded[k] + 0.5 * width)
-    return real
+    goals, play = commanded.tolist(), 0.5 * width
+    real = goals[:1]
+    for goal in goals[1:]:
+        real.append(min(max(real[-1], goal - play), goal + play))
+    return np.array(real)
 
 
 def _play(rng: np.random.Generator, arclength: Array, clearance: float) -> Array:

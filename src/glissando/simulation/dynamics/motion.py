@@ -161,13 +161,12 @@ class DynamicMotion:
     def _rows(self, s: Array, times: Array, which: np.ndarray) -> tuple[Array, ...]:
         """The parts of sections at arclengths (M,), each at one (M,) of the times."""
         equations, mesh, points = self.acting.equations, self.mesh, len(self.acting.equations.rest)
-        states = np.empty((len(times), 3, points, 6))
+        states, middles = self.states_at(times)
         rates = np.empty((len(times), 4, points, 3))
         edges = np.tile(np.eye(4), (len(times), mesh.edges.size, 1, 1))
         gravity = np.asarray(self.acting.scenario.gravity, dtype=float)
         for k, time in enumerate(times):
-            states[k], middle = self.state_at(float(time))
-            instant = self.acting.at(float(time), middle)
+            instant = self.acting.at(float(time), float(middles[k]))
             at = equations.at(states[k], instant)
             rates[k], edges[k, 0] = at.rates[:, :points], instant.base
             edges[k, 1:, :3, :3], edges[k, 1:, :3, 3] = at.turn[points:], at.place[points:]
@@ -191,32 +190,32 @@ class DynamicMotion:
     def strains(self, time: Array) -> Array:
         """Strains (M, G, 6) at the mesh's points at times (M,), s."""
         inside = np.clip(time, self.time[0], self.time[-1])
-        return np.stack([self.state_at(float(t))[0][0] for t in inside])
+        return self.states_at(inside)[0][:, 0]
 
-    def state_at(self, time: float) -> tuple[Array, float]:
-        """Strain and its derivatives (3, G, 6) at a time, and the middle of its step, s."""
-        k = int(np.searchsorted(self.time, time, "right")) - 1
-        k = min(max(k, 0), self.time.size - 2)
-        if self.begins[k + 1]:
-            k -= 1
+    def states_at(self, time: Array) -> tuple[Array, Array]:
+        """Strains and two derivatives (M, 3, G, 6) at times (M,), the middles of their steps, s."""
+        k = np.clip(np.searchsorted(self.time, time, "right") - 1, 0, self.time.size - 2)
+        k -= self.begins[k + 1]
         low, high = self.time[k], self.time[k + 1]
-        span, x = high - low, (time - low) / (high - low)
-        return _quintic(self.state[:, k], self.state[:, k + 1], span, x), 0.5 * (low + high)
+        ends = np.moveaxis(self.state[:, k], 1, 0), np.moveaxis(self.state[:, k + 1], 1, 0)
+        return _quintic(*ends, high - low, (time - low) / (high - low)), 0.5 * (low + high)
 
 
-def _quintic(first: Array, last: Array, span: float, x: float) -> Array:
-    """Value and two derivatives of the quintic through those at both ends of a step."""
-    scale = np.array([1.0, span, span**2])[:, None, None]
-    known = np.concatenate([first * scale, last * scale])
-    coefficients = np.tensordot(_TO_QUINTIC, known, 1)
-    powers = np.array(
+def _quintic(first: Array, last: Array, span: Array, x: Array) -> Array:
+    """Values and two derivatives (M, 3, …) of quintics through those at both ends of steps."""
+    scale = np.stack([np.ones_like(span), span, span**2], axis=1)
+    known = np.concatenate([first * scale[..., None, None], last * scale[..., None, None]], axis=1)
+    k = np.arange(6)
+    powers = np.stack(
         [
-            [x**k for k in range(6)],
-            [k * x ** max(k - 1, 0) for k in range(6)],
-            [k * (k - 1) * x ** max(k - 2, 0) for k in range(6)],
-        ]
+            x[:, None] ** k,
+            k * x[:, None] ** np.maximum(k - 1, 0),
+            k * (k - 1) * x[:, None] ** np.maximum(k - 2, 0),
+        ],
+        axis=1,
     )
-    return np.tensordot(powers, coefficients, 1) / scale
+    weights = powers @ _TO_QUINTIC / scale[..., None]
+    return np.einsum("mij,mj...->mi...", weights, known, optimize=True)
 
 
 _TO_QUINTIC = np.linalg.inv(
