@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from importlib.metadata import version
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from glissando.experiments.confidence import confidence_at_coil, confidence_foll
 from glissando.experiments.figures_bodies import coil_figure, following_figure
 from glissando.experiments.figures_numbers import causes_figure, moving_figure, table_figure
 from glissando.experiments.page import page
+from glissando.experiments.runner import left_to_us
 from glissando.experiments.scenes import PAPER_RATE, ROBOT, Scene, Trial, trial
 from glissando.experiments.studies import Studies
 from glissando.io.atomic_file import write_text
@@ -49,6 +51,9 @@ def reproduce(
     """
     began = time.monotonic()
     folder.mkdir(parents=True, exist_ok=True)
+    film = get_context("spawn").Process(target=_animate, args=(folder, quick), daemon=True)
+    with left_to_us():
+        film.start()  # beside the trials, as its frames are drawn by one core
     progress("confidence along the body", 0, 2)
     confidence, trials = confidence_at_coil(quick)
     progress("confidence along the body", 1, 2)
@@ -67,7 +72,11 @@ def reproduce(
     write_text(text, page(record))
     progress("figures", 0, 1)
     written = [file, text, *save_experiment_figures(results, trials, sliding, scene, folder)]
-    written.append(_animate(folder, quick, progress))
+    progress("animation", 0, 1)
+    film.join()
+    # what went wrong in a process of its own is seen where it goes wrong again
+    written.append(folder / _FILM if film.exitcode == 0 else _animate(folder, quick))
+    progress("animation", 1, 1)
     return verdicts, written
 
 
@@ -90,6 +99,7 @@ def _record(
     }
 
 
+_FILM = "sliding.gif"
 _QUOTED = ("id", "says", "paper")
 
 
@@ -126,7 +136,7 @@ def save_experiment_figures(
     return paths
 
 
-def _animate(folder: Path, quick: bool, progress: Progress) -> Path:
+def _animate(folder: Path, quick: bool) -> Path:
     """The robot moves C → S while the coil slides its whole length, with its confidence tube."""
     scene = Scene("C-to-S", "traverse", 12.0, 0.4, stroke=0.7, cycles=3, time_rate=PAPER_RATE)
     result = trial(scene, seed=0)
@@ -134,7 +144,6 @@ def _animate(folder: Path, quick: bool, progress: Progress) -> Path:
         result.posterior,
         result.readings,
         result.truth,
-        folder / "sliding.gif",
+        folder / _FILM,
         seconds=2.0 if quick else None,
-        progress=lambda done, whole: progress("animation", done, whole),
     )

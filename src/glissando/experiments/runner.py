@@ -129,6 +129,7 @@ def cluster(address: str | None = None, workers: int | None = None) -> Iterator[
             worker has another version of glissando.
     """
     try:
+        import dask
         from distributed import Client, LocalCluster
         from distributed.security import Security
 
@@ -141,7 +142,9 @@ def cluster(address: str | None = None, workers: int | None = None) -> Iterator[
     with ExitStack() as stack:
         if address is None:
             # 50: of logging's levels the one that nothing reaches; errors are in the rows
-            with _left_to_us():
+            # Dask's statistical profiler would cost a tenth of a trial's time
+            unwatched = dask.config.set({"distributed.worker.profile.enabled": False})
+            with left_to_us(), unwatched:
                 local = LocalCluster(
                     n_workers=workers,
                     threads_per_worker=1,
@@ -164,7 +167,7 @@ def cluster(address: str | None = None, workers: int | None = None) -> Iterator[
 
 
 @contextmanager
-def _left_to_us() -> Iterator[None]:
+def left_to_us() -> Iterator[None]:
     """Let processes that begin inside ignore Ctrl-C: this one hears it, and ends them."""
     if threading.current_thread() is not threading.main_thread():
         yield

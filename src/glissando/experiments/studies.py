@@ -171,7 +171,9 @@ def run_plan(
     seeds = dict[Scene, int]()
     for scene, count in plan:
         seeds[scene] = max(count, seeds.get(scene, 0))
-    trials = [(scene, seed) for scene, count in seeds.items() for seed in range(count)]
+    # by seeds: scenes of a seed have motions in common, and the last trials are short ones
+    rounds = range(max(seeds.values(), default=0))
+    trials = [(scene, seed) for seed in rounds for scene, count in seeds.items() if seed < count]
     out = {scene: np.empty((count, len(COLUMNS))) for scene, count in seeds.items()}
     with cluster() as client:
         for done, (index, row) in enumerate(run_trials(client, trials), start=1):
