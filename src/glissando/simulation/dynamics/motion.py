@@ -195,7 +195,7 @@ class DynamicMotion:
     def states_at(self, time: Array) -> tuple[Array, Array]:
         """Strains and two derivatives (M, 3, G, 6) at times (M,), the middles of their steps, s."""
         k = np.clip(np.searchsorted(self.time, time, "right") - 1, 0, self.time.size - 2)
-        k -= self.begins[k + 1]
+        k = np.where(self.begins[k + 1], k - 1, k)
         low, high = self.time[k], self.time[k + 1]
         ends = np.moveaxis(self.state[:, k], 1, 0), np.moveaxis(self.state[:, k + 1], 1, 0)
         return _quintic(*ends, high - low, (time - low) / (high - low)), 0.5 * (low + high)
