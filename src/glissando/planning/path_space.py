@@ -205,6 +205,6 @@ def _turning(distance: Array, last: Array | float) -> Array:
     speed, so it turns after last² / (2 (last − next)), which ends at the end of the slide. Where
     the second control point lies before the end, `distance` > 0, the hull is bound enough.
     """
-    room = np.maximum(distance + 0.5 * last, _TOUCH)
+    room = np.maximum(distance + 0.5 * last, 0.0) + _TOUCH
     turned = np.minimum(distance, last - 0.5 * last**2 / room)
     return np.where((distance < 0.0) & (last > 0.0), turned, distance)

@@ -8,6 +8,7 @@ comes to rest, as fast as its actuators may stop.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -18,6 +19,7 @@ from glissando._kernels.threads import one_thread
 from glissando.errors import GlissandoError
 from glissando.geometry.se3 import Array
 from glissando.model.sensors.readings import Readings
+from glissando.planning.path_space import PathSpace
 from glissando.planning.planners import InlinePlanner, Planner
 from glissando.planning.scene.error_belief import ErrorBelief
 from glissando.planning.scene.follow import MotionFollower
@@ -32,6 +34,7 @@ _ITERATIONS = 5  # of the search: the plan that is followed is a good start
 _SHARE = 0.9  # of the allowed risk that the search aims at
 _LEAST_RISK = 1e-4  # that a rest may have, when more than all was spent
 _BEFORE, _ROUNDING = 1e-3, 1e-6  # s
+_SLOWER = 1.0 - 1e-6  # share of a speed, so that rounding does not break a limit
 _SHORTEST = 2.0  # pieces of the plan's paths, below which what is left is not planned again
 
 
@@ -101,7 +104,8 @@ class MotionReplanner:
         speed = (follower.planned(start) - follower.planned(start - _BEFORE)) / _BEFORE
         allowed = self.plan.problem.scene.delta - self.spent
         belief = follower.belief.after(start - follower.time, problem.body.time_scale)
-        state = follower.at(start), speed
+        values = follower.at(start)
+        state = values, _stoppable(problem.space.paths, values, speed)
         self.planner.submit(partial(continue_motion, follower.plan, start, state, belief, allowed))
         self._due, self._next = start, self.begun + start + self.every
 
@@ -121,6 +125,14 @@ class MotionReplanner:
         self.begun, self.spent = self.begun + due, self.spent + found.spent
         self.stopped, self.exceeded = found.stopped, found.exceeded
         self.plans += 1
+
+
+def _stoppable(paths: Sequence[PathSpace], values: Array, speed: Array) -> Array:
+    """Speeds (C,) no faster than paths can stop from values (C,), as commands end at a limit."""
+    low, high, sharpest = np.array([[p.lower, p.upper, p.acceleration] for p in paths]).T
+    room = np.where(speed > 0.0, high - values, values - low)
+    fastest = _SLOWER * np.sqrt(2.0 * sharpest * np.maximum(room, 0.0))
+    return np.clip(speed, -fastest, fastest)
 
 
 def _even(time: float, correction: float) -> float:
