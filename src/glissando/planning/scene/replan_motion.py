@@ -105,7 +105,7 @@ class MotionReplanner:
         allowed = self.plan.problem.scene.delta - self.spent
         belief = follower.belief.after(start - follower.time, problem.body.time_scale)
         values = follower.at(start)
-        state = values, _stoppable(problem.space.paths, values, speed)
+        state = values, _slowed(problem.space.paths, values, speed)
         self.planner.submit(partial(continue_motion, follower.plan, start, state, belief, allowed))
         self._due, self._next = start, self.begun + start + self.every
 
@@ -127,7 +127,7 @@ class MotionReplanner:
         self.plans += 1
 
 
-def _stoppable(paths: Sequence[PathSpace], values: Array, speed: Array) -> Array:
+def _slowed(paths: Sequence[PathSpace], values: Array, speed: Array) -> Array:
     """Speeds (C,) no faster than paths can stop from values (C,), as commands end at a limit."""
     low, high, sharpest = np.array([[p.lower, p.upper, p.acceleration] for p in paths]).T
     room = np.where(speed > 0.0, high - values, values - low)
