@@ -2,6 +2,7 @@
 
 import os
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -142,7 +143,7 @@ def test_a_driver_whose_link_dies_on_the_way_is_a_sentence():
 def _killed_on_the_way():
     driver = driving("igtl", Carriage())
     address = driver.__enter__()
-    with opened_stage(address, STAGE) as slide:
+    with opened_stage(address, replace(STAGE, silence=1.0)) as slide:
         slide.home_here(0.0)
         for k, _ in enumerate(slide.pursue(lambda t: 0.02 * t, 2.0)):
             if k == 10:

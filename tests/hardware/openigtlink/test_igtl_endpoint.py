@@ -1,8 +1,10 @@
 """Peers get whole updates; a slow, dead or malicious one costs nobody else anything."""
 
+import json
 import os
 import signal
 import socket
+import threading
 import time
 
 import numpy as np
@@ -11,9 +13,12 @@ import pytest
 from glissando.errors import DeviceError
 from glissando.hardware.openigtlink import Endpoint, Message, decode, encode
 from glissando.hardware.openigtlink import contents as c
+from glissando.hardware.openigtlink import exchange as exchange_module
 from glissando.hardware.openigtlink.address import Address
 from glissando.hardware.openigtlink.errors import MalformedError
+from glissando.hardware.openigtlink.exchange import Exchange
 from glissando.hardware.openigtlink.framer import Framer
+from glissando.hardware.openigtlink.link import REPORT, PacketLink
 from igtl_messages import random_messages
 from waiting import until
 
@@ -105,6 +110,30 @@ def test_peers_get_the_same_whole_updates_and_can_answer():
             read = []
             until(lambda: read.extend(m for _, m in server.receive()) or len(read) > 1)
             assert _numbers(read) == [7]
+
+
+def test_a_peer_that_comes_or_goes_is_reported_at_once(monkeypatch):
+    monkeypatch.setattr(exchange_module, "_REPORT", 1e9)  # only the first comes of its own
+    with socket.create_server(("127.0.0.1", 0)) as door:
+        near = PacketLink(socket.create_connection(door.getsockname()))
+        far = PacketLink(door.accept()[0])
+    exchange, reports = Exchange(Address.parse("igtl-server://:0"), far), []
+    thread = threading.Thread(target=exchange.run, daemon=True)
+    thread.start()
+
+    def peers():
+        reports.extend(json.loads(data) for kind, data in near.receive() if kind == REPORT)
+        return [report["peers"] for report in reports]
+
+    until(lambda: peers() == [0])
+    one = socket.create_connection(("127.0.0.1", exchange.port))
+    until(lambda: peers() == [0, 1])
+    one.close()
+    until(lambda: peers() == [0, 1, 0])
+    near.close()
+    thread.join()
+    far.close()
+    exchange._server.close()
 
 
 @pytest.mark.slow

@@ -93,6 +93,7 @@ class Exchange:
         self._server: socket.socket | None = None
         self._calling: socket.socket | None = None
         self._next_call = self._next_report = self._second = time.monotonic()
+        self._reported = 0  # peers
         self.port = address.port
         if address.listens:
             self._listen()
@@ -256,15 +257,15 @@ class Exchange:
                 self._let_go(peer, "silent")
 
     def _pass_on(self) -> None:
-        """Pass messages on to the estimator, and now and then how things are."""
+        """Pass on messages, and report how things are: now and then, and when peers change."""
         link = self._link
         while self._messages and link.send(MESSAGE, self._messages[0]):
             self._messages.popleft()
-        now = time.monotonic()
-        if now >= self._next_report:
-            report = {"peers": len(self._peers), "port": self.port, "counts": dict(self.counts)}
+        now, peers = time.monotonic(), len(self._peers)
+        if now >= self._next_report or peers != self._reported:
+            report = {"peers": peers, "port": self.port, "counts": dict(self.counts)}
             if link.send(REPORT, json.dumps(report).encode()):
-                self._next_report = now + _REPORT
+                self._next_report, self._reported = now + _REPORT, peers
 
 
 def main(arguments: list[str]) -> None:
