@@ -227,7 +227,7 @@ def limits():
     return [
         *text,
         "",
-        "The rest is small triangular kernels, readings and prior, and about 0.3 ms of Python.",
+        "The rest is small triangular kernels, readings, the prior, and Python between them.",
         "",
     ]
 
