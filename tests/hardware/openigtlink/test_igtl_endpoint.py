@@ -13,6 +13,7 @@ import pytest
 from glissando.errors import DeviceError
 from glissando.hardware.openigtlink import Endpoint, Message, decode, encode
 from glissando.hardware.openigtlink import contents as c
+from glissando.hardware.openigtlink import endpoint as endpoint_module
 from glissando.hardware.openigtlink import exchange as exchange_module
 from glissando.hardware.openigtlink.address import Address
 from glissando.hardware.openigtlink.errors import MalformedError
@@ -134,6 +135,27 @@ def test_a_peer_that_comes_or_goes_is_reported_at_once(monkeypatch):
     thread.join()
     far.close()
     exchange._server.close()
+
+
+def test_what_a_peer_sends_before_the_endpoint_looks_comes_once(monkeypatch):
+    met = endpoint_module._met
+    monkeypatch.setattr(endpoint_module, "_met", lambda *a: (met(*a), time.sleep(0.5))[0])
+    with socket.create_server(("127.0.0.1", 0)) as door:
+
+        def send():
+            with door.accept()[0] as caller:
+                caller.sendall(b"".join(wire for k in range(20) for wire in _update(k)))
+                caller.recv(1)  # until it hangs up
+
+        thread = threading.Thread(target=send, daemon=True)
+        thread.start()
+        with Endpoint(f"igtl://127.0.0.1:{door.getsockname()[1]}") as client:
+            read = []
+            until(lambda: read.extend(m for _, m in client.receive()) or len(read) >= 40)
+            time.sleep(0.1)
+            read += [m for _, m in client.receive()]
+        thread.join()
+    assert _numbers(read) == list(range(20))
 
 
 @pytest.mark.slow

@@ -83,7 +83,7 @@ class Endpoint:
                 self._link = PacketLink(_met(door, token))
                 deadline = time.monotonic() + _START
                 while not self._started and time.monotonic() < deadline:
-                    self._early += self.receive()
+                    self._early = self.receive()  # all that has come so far
                     time.sleep(0.005)
             except BaseException:
                 self.close()
