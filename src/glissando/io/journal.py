@@ -60,27 +60,35 @@ class Journal:
         try:
             if not self._described.exists():
                 self._describe(describe_recording(name, journal=True))
-            if not read_toml(self._described, RecordingError).flag("journal"):
-                raise RecordingError(
-                    f"{self.folder} is a recording and no journal; give the journal a new folder."
-                )
+            self._kinds = self._kinds_described()
             for path in self.folder.glob("*.csv"):
                 _cut_unfinished(path)
         except BaseException:
             self._unlock()
             raise
 
+    @property
+    def streams(self) -> tuple[str, ...]:
+        """Names of the streams that it holds."""
+        return tuple(self._kinds)
+
     def write(self, readings: Readings) -> None:
         """Append readings of one stream, told apart by name.
 
         Raises:
-            SensorError: The sensor declares no kind, the noise or the mount differs from reading to
-                reading, or the noise is correlated.
+            SensorError: The sensor declares no kind or another one than the stream, the noise or
+                the mount differs from reading to reading, or the noise is correlated.
         """
         if not readings.kind:
             raise SensorError(
                 f"{readings.label}: a {type(readings).__name__} declares no kind and has no place "
                 f"in a recording; use one of {', '.join(c.__name__ for c in SENSORS.values())}."
+            )
+        kind = self._kinds.get(readings.label, readings.kind)
+        if kind != readings.kind:
+            raise SensorError(
+                f"{readings.label}: its readings in {self.folder} are of kind {kind!r} and those "
+                f"that came now of kind {readings.kind!r}; give each kind a name of its own."
             )
         named = (*readings.settings, *readings.optional_settings)
         settings = {key: np.asarray(getattr(readings, key)) for key in named}
@@ -125,15 +133,28 @@ class Journal:
     def _begin(self, readings: Readings, rows: Rows) -> BinaryIO:
         """The stream's file, described in recording.toml unless it was before."""
         name = file_stem(readings.label, SensorError)
-        path = self.folder / f"{name}.csv"
-        if not path.exists():
-            stream = Stream(name, rows, False, _std(readings), readings.mount, keep_repeats=True)
+        described = name in self._kinds
+        stream = Stream(name, rows, False, _std(readings), readings.mount, keep_repeats=True)
+        file = (self.folder / f"{name}.csv").open("ab" if described else "wb")
+        self._files[name] = file
+        if not file.tell():
+            file.write((",".join(rows.columns) + "\n").encode())
+            file.flush()
+        if not described:
             stream = replace(stream, channel=readings.channel)
-            described = self._described.read_text(encoding="utf-8") + describe_stream(stream)
-            path.write_text(",".join(rows.columns) + "\n", encoding="utf-8")
-            self._describe(described)
-        self._files[name] = file = path.open("ab")
+            text = self._described.read_text(encoding="utf-8")
+            self._describe(text + describe_stream(stream))
+            self._kinds[name] = readings.kind
         return file
+
+    def _kinds_described(self) -> dict[str, str]:
+        """Kinds of the streams in recording.toml by name. Raises RecordingError for no journal."""
+        table = read_toml(self._described, RecordingError)
+        if not table.flag("journal"):
+            raise RecordingError(
+                f"{self.folder} is a recording and no journal; give the journal a new folder."
+            )
+        return {entry.text("name"): entry.text("kind") for entry in table.tables("streams")}
 
     def _describe(self, text: str) -> None:
         """Write recording.toml, whole or not at all."""

@@ -112,6 +112,18 @@ def test_a_collection_of_garbage_holds_no_update_up():
     assert gc.get_freeze_count() == 0
 
 
+def test_a_journal_of_an_earlier_session_is_refused(tmp_path):
+    for again in (False, True):
+        source = RecordingSource(swaying(), ROBOT)
+        session = LiveSession(ROBOT, [source], journal=tmp_path / "log", duration=0.1)
+        if again:
+            with pytest.raises(GlissandoError, match="give the journal a new folder"), session:
+                pass
+        else:
+            with session:
+                list(session)
+
+
 def _pose(translation, stamp=1) -> bytes:
     pose = np.eye(4)
     pose[:3, 3] = translation

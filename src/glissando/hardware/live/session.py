@@ -94,6 +94,11 @@ class LiveSession:
             if self.journal_folder is not None:
                 journal = Journal(self.journal_folder, self.journal_folder.name)
                 self._journal = stack.enter_context(journal)
+                if journal.streams:
+                    raise GlissandoError(
+                        f"{self.journal_folder} holds the readings of an earlier session; give the "
+                        f"journal a new folder."
+                    )
             _warm_up(self.robot, self.rate)
             for sink in self.sinks:
                 stack.enter_context(sink)

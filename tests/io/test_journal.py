@@ -1,0 +1,46 @@
+"""A journal goes on where it ended, and one stream is readings of one kind."""
+
+from contextlib import ExitStack
+
+import numpy as np
+import pytest
+
+from glissando.errors import SensorError
+from glissando.io.journal import Journal
+from glissando.io.recording import load_recording
+from glissando.model.sensors.sensors import GyroReadings, PoseReadings
+
+
+def _at(*times):
+    return {"time": np.array(times), "arclength": np.zeros(len(times)), "name": "tip"}
+
+
+def _pose(*times):
+    return PoseReadings(
+        values=np.tile(np.eye(4), (len(times), 1, 1)), cov=np.ones(6), **_at(*times)
+    )
+
+
+GYRO = GyroReadings(values=np.zeros((1, 3)), cov=np.ones(3), **_at(0.5))
+
+
+@pytest.mark.parametrize("again", [False, True])
+def test_readings_of_another_kind_under_a_streams_name_are_refused(tmp_path, again):
+    with ExitStack() as stack:
+        journal = stack.enter_context(Journal(tmp_path / "log"))
+        journal.write(_pose(0.0))
+        if again:
+            journal.close()
+            journal = stack.enter_context(Journal(tmp_path / "log"))
+        assert journal.streams == ("tip",)
+        with pytest.raises(SensorError, match=r"of kind 'pose' and those .* of kind 'gyro'"):
+            journal.write(GYRO)
+    assert load_recording(tmp_path / "log").streams["tip"].rows.time.tolist() == [0.0]
+
+
+def test_a_stream_that_was_cut_off_before_it_was_described_is_begun_anew(tmp_path):
+    Journal(tmp_path / "log").close()
+    (tmp_path / "log" / "tip.csv").write_text("time,arclength,wx,wy,wz\n")
+    with Journal(tmp_path / "log") as journal:
+        journal.write(_pose(0.0, 1.0))
+    assert load_recording(tmp_path / "log").streams["tip"].rows.time.tolist() == [0.0, 1.0]
