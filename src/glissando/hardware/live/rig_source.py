@@ -10,6 +10,7 @@ import multiprocessing
 import os
 import queue
 import signal
+import time
 from collections import Counter
 from collections.abc import Mapping
 from contextlib import ExitStack, suppress
@@ -21,7 +22,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from glissando.errors import DeviceError
+from glissando.errors import DeviceError, GlissandoError
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.hardware.capture import Coil, Rig, capture
@@ -33,6 +34,8 @@ from glissando.model.sensors.readings import Readings
 from glissando.model.slide_path import SlidePath
 
 _END = 15.0  # s that the slide may take to stop and the log to be written
+_LAST = 2.0  # s that a process which did not end in this time may take to end at once
+_LOOK = 0.1  # s between looks whether it has
 _MOST = 1024  # messages that one look takes
 
 
@@ -97,6 +100,8 @@ class RigSource:
         self._process.join(_END)
         if self._process.is_alive():
             self._process.terminate()
+            self._process.join(_LAST)
+            self._process.kill()
         self._messages.cancel_join_thread()
         self._steering.close()
         self._stack.close()
@@ -114,9 +119,14 @@ class RigSource:
 
     def _drain(self, within: float) -> None:
         """Empty the queue until its end, without which the process does not end."""
-        with suppress(queue.Empty):
-            while not self.finished and self._messages.get(timeout=within) is not None:
-                pass
+        end = time.monotonic() + within
+        while not self.finished and time.monotonic() < end:
+            alive = self._process.is_alive()
+            try:
+                self.finished = self._messages.get(timeout=_LOOK) is None
+            except queue.Empty:
+                if not alive:
+                    return
 
     @property
     def problem(self) -> str:
@@ -126,11 +136,17 @@ class RigSource:
     def read(self, clock: SessionClock) -> list[Readings]:
         """The readings that have come since the last call."""
         self._times = clock
-        out = []
+        out, alive = [], self._process.is_alive()
         for _ in range(_MOST):
             try:
                 item = self._messages.get_nowait()
             except queue.Empty:
+                if not (alive or self.finished):
+                    self.finished = True
+                    raise DeviceError(
+                        f"The process that reads {self.name} has ended (exit status "
+                        f"{self._process.exitcode}); see what it printed, and start again."
+                    ) from None
                 break
             if item is None or isinstance(item, DeviceError):
                 self.finished = True
@@ -175,18 +191,26 @@ def _capture(
         os.kill(os.getpid(), signal.SIGTERM)
 
     end_with_parent(stop)
-    with suppress(KeyboardInterrupt):
-        try:
-            capture(
-                rig, paths[0], folder, further=paths[1],
-                steered=_Steered(steering, rig.standing_travel) if steering else None,
-                on_message=lambda *message: messages.put(message),
-            )  # fmt: skip
-        except DeviceError as problem:
-            end = DeviceError(str(problem))  # its subclasses may not survive pickling
-    if end is not None:
-        messages.put(end)
-    messages.put(None)
+    try:
+        capture(
+            rig, paths[0], folder, further=paths[1],
+            steered=_Steered(steering, rig.standing_travel) if steering else None,
+            on_message=lambda *message: messages.put(message),
+        )  # fmt: skip
+    except KeyboardInterrupt:
+        pass
+    except GlissandoError as problem:
+        end = DeviceError(str(problem))  # its subclasses may not survive pickling
+    except OSError as problem:
+        end = DeviceError(f"The rig cannot be read into {folder} ({problem}); check the disk.")
+    except BaseException as problem:
+        end = DeviceError(f"The process that reads the rig has failed ({problem!r}).")
+        raise
+    finally:
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # all stands; this is still to be said
+        if end is not None:
+            messages.put(end)
+        messages.put(None)
 
 
 class _Steered:
