@@ -60,6 +60,16 @@ arclength = 0.7
 position = [0, 0, 0.02]
 """
 
+BODY = '[[mocap.bodies]]\nname = "tube"\nslides = true\n'
+OUTER = """
+[[slides]]
+name = "outer"
+protocol = "grbl"
+address = "/dev/ttyACM1"
+stroke = [0.0, 0.1]
+home = 0.0
+"""
+
 
 def test_a_setup_says_which_devices_there_are_and_where(tmp_path):
     file = tmp_path / "bench.toml"
@@ -99,6 +109,10 @@ def test_a_coil_of_a_setup_may_slide_in_a_channel_and_its_session_says_so(tmp_pa
         ("lead = 0.0254", "leed = 0.0254", "lead is missing"),
         ("lead = 0.0254", "lead = 0.002", "rpm"),
         ("port = 51001", "prot = 51001", "did you mean 'port'"),
+        ('name = "mid"', 'name = "coil"', "two coils are 'coil'; give each its own"),
+        ('"coil"', '"coil"\nserial = "3D0A"', "two serial numbers of coils are '3D0A'"),
+        ("port = 51001", "port = 51001\n" + 2 * BODY, "two bodies are 'tube'"),
+        ("[mocap]", 2 * OUTER + "[mocap]", "two slides are 'outer'"),
     ],
 )
 def test_a_wrong_setup_is_one_sentence(tmp_path, old, new, sentence):

@@ -8,6 +8,7 @@ exception, Ctrl-C – stops the slide first.
 from __future__ import annotations
 
 import json
+import math
 import threading
 import time
 from collections import Counter
@@ -44,7 +45,7 @@ _SLIDE = schema("glissando.Slide", time=NUMBER, tick=NUMBER, travel=NUMBER, spee
 _MOCAP = schema("glissando.Body", time=NUMBER, frame=INTEGER, **_POSE)
 _PATIENCE = 0.5  # s to wait for a device before looking whether the experiment is over
 _SETTLE = 0.5  # s before the slide moves, in which the tracker's clock converges
-_PATH_STEP = 0.01  # s between the points of a path given to the stage
+_PATH_STEP = 0.01  # s at most between the points of a path given to the stage
 
 
 @dataclass
@@ -212,7 +213,8 @@ def _motion(
     if steered is not None:
         begun = time.monotonic()
         return slide.pursue(lambda into: steered(begun + into), path.duration)
-    times = np.append(np.arange(0.0, path.duration, _PATH_STEP), path.duration)
+    points = max(2, math.ceil(path.duration / _PATH_STEP) + 1)
+    times = np.linspace(0.0, path.duration, points)
     return slide.follow(times, path.at(times))
 
 
@@ -262,11 +264,14 @@ def _log_slide(reading: SlideReading, log: _Log, name: str) -> None:
 
 
 def _name_by_handle(tools: Sequence[Tool], coils: tuple[Coil, ...]) -> dict[int, str]:
-    """Names of the coils by their handles. Raises DeviceError when they do not match."""
+    """Names of the coils by their handles, first of those that state a serial number.
+
+    Raises DeviceError when they do not match.
+    """
     handles = {tool.serial: tool.handle for tool in tools}
     free = [tool.handle for tool in tools]
     names = {}
-    for coil in coils:
+    for coil in sorted(coils, key=lambda coil: not coil.serial):
         if coil.serial and coil.serial not in handles:
             raise DeviceError(
                 f"No coil with serial number {coil.serial!r} ({coil.name}) is plugged in, only "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -191,6 +192,8 @@ def load_rig(path: str | Path) -> Rig:
         devices |= {"mocap_host": mocap.text("host", Rig.mocap_host)}
         devices |= {"bodies": tuple(_body(entry, length) for entry in mocap.tables("bodies"))}
         mocap.close()
+    _require_apart(path.name, "slides", [one.name for one in further])
+    _require_apart(path.name, "bodies", [body.name for body in devices.get("bodies", ())])
     known = {"", *(one.name for one in further)}
     for coil in devices.get("coils", ()):
         if coil.slide not in known:
@@ -198,6 +201,12 @@ def load_rig(path: str | Path) -> Rig:
                 f"{path.name}: coil {coil.name} is moved by {coil.slide!r}; name one of [[slides]]."
             )
     return Rig(name, robot, **devices)
+
+
+def _require_apart(where: str, what: str, names: list[str]) -> None:
+    """Raise DeviceError for two of one name, whose messages would be mixed."""
+    if again := [name for name, count in Counter(names).items() if count > 1]:
+        raise DeviceError(f"{where}: two {what} are {again[0]!r}; give each its own.")
 
 
 def _further(table: Table) -> FurtherStage:
@@ -221,6 +230,9 @@ def _coils(table: Table, length: float) -> tuple[Coil, ...]:
     table.close()
     if not coils:
         raise DeviceError(f"{table.where}: no coil is named; add [[tracker.coils]].")
+    _require_apart(table.where, "coils", [coil.name for coil in coils])
+    serials = [coil.serial for coil in coils if coil.serial]
+    _require_apart(table.where, "serial numbers of coils", serials)
     return tuple(coils)
 
 
