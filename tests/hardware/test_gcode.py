@@ -251,3 +251,36 @@ def test_a_peer_that_floods_is_given_up_soon():
             over.set()
             thread.join()
     assert time.monotonic() - begun < 20.0
+
+
+def _homing_until_reset(server, answer, heard):
+    """A controller that heeds nothing but a reset while it homes."""
+    peer, _ = server.accept()
+    homing = False
+    with peer, suppress(OSError):
+        while data := peer.recv(64):
+            for byte in data:
+                if byte == 0x18:
+                    heard.append("reset while homing" if homing else "reset")
+                    homing = False
+                    peer.sendall(b"\r\nGrbl 1.1h ['$' for help]\r\n")
+                elif byte == ord("H"):
+                    homing = True
+                elif byte == ord("?"):
+                    peer.sendall(answer if homing else b"<Idle|MPos:0.000,0.000,0.000|FS:0,0>\r\n")
+    heard.append("homes on" if homing else "stands")
+
+
+@pytest.mark.parametrize("answer", [b"", b"<Home|MPos:0.000,0.000,0.000|FS:0,0>\r\n"])
+def test_leaving_while_it_homes_ends_the_homing(answer):
+    heard = []
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        thread = threading.Thread(target=_homing_until_reset, args=(server, answer, heard))
+        thread.start()
+        address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        with suppress(KeyboardInterrupt), GcodeSlide(address, STAGE) as slide:
+            slide.home_here(0.0)
+            slide._line._link.write(b"$H\n")
+            raise KeyboardInterrupt
+        thread.join()
+    assert heard == ["reset", "reset while homing", "stands"]

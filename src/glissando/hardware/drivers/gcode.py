@@ -14,7 +14,7 @@ from glissando.errors import DeviceError
 from glissando.hardware.drivers.gcode_line import GcodeLine
 from glissando.hardware.drivers.gcode_stage import GcodeStage
 from glissando.hardware.drivers.interfaces import SlideReading
-from glissando.hardware.drivers.position_slide import PositionSlide
+from glissando.hardware.drivers.position_slide import PositionSlide, StandingError
 
 _MM = 1e3
 _MINUTE = 60.0
@@ -88,14 +88,29 @@ class GcodeSlide(PositionSlide):
         return self._line.status()[0] == "Idle"
 
     def stop(self) -> None:
-        """Stand still at once; the position stays known."""
+        """Stand still at once; the position stays known.
+
+        A controller that homes heeds no cancel, and may not even answer: it is reset, as is one
+        that does not stop or does not say whether it has.
+        """
         line, end = self._line, monotonic() + _PATIENCE
         while True:
             line.cancel()  # again and again: one that comes between two jogs has no effect
-            if line.status()[0] not in ("Jog", "Run", "Hold"):
+            try:
+                state = line.status()[0]
+            except StandingError:
+                raise
+            except DeviceError:
+                self._reset()
+                raise
+            if state not in ("Jog", "Run", "Hold", "Home"):
                 return
-            if monotonic() > end:
-                line.reset()
-                self._forget()
+            if state == "Home" or monotonic() > end:
+                self._reset()
                 raise DeviceError("The stage did not stop and was reset; home it again.")
             sleep(_PACE)
+
+    def _reset(self) -> None:
+        """End whatever the controller does, with which it may lose its position."""
+        self._forget()
+        self._line.reset()
