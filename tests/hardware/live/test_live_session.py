@@ -17,6 +17,7 @@ from glissando.hardware.live import (
     Placement,
     RecordingSource,
 )
+from glissando.hardware.live.clock import SessionClock
 from glissando.hardware.openigtlink import Endpoint, Message, encode, stamp_of
 from glissando.hardware.openigtlink import contents as c
 from glissando.io.query_csv import QUERY_COLUMNS
@@ -152,6 +153,33 @@ def test_what_cannot_be_a_reading_is_counted_and_the_session_goes_on():
             assert "unit=mm or unit=m" in source.problem
             assert [len(r) for r in update.readings] == [1]
             np.testing.assert_allclose(update.readings[0].values[0, :3, 3], [0, 0, 0.466])
+
+
+def _receiving(source, content, device="tip"):
+    """The readings of a source whose peer has sent a message."""
+    source._endpoint.receive = lambda: [(time.monotonic(), Message(content, device, 1))]
+    return source.read(SessionClock())
+
+
+def _tool(name, place):
+    pose = np.eye(4)
+    pose[:3, 3] = place
+    return c.Tool(name, c.TOOL_6D, pose)
+
+
+def test_one_bad_tool_of_a_message_costs_no_other_its_reading():
+    source = IgtlSource("igtl://127.0.0.1:1?clock=arrival", ROBOT, PLACES)
+    bad = c.Tool("tip", c.TOOL_6D, np.zeros((4, 4)))
+    tools = bad, _tool("base", 1.0), _tool("tip", 2.0)
+    assert [r.name for r in _receiving(source, c.TrackingData(tools))] == ["base", "tip"]
+    assert source.counts["invalid"] == 1
+
+
+def test_a_device_that_changes_its_kind_is_invalid():
+    source = IgtlSource("igtl://127.0.0.1:1?clock=arrival", ROD, PLACES)
+    assert len(_receiving(source, c.Transform(np.eye(4)))) == 1
+    assert _receiving(source, c.Position(np.ones(3))) == []
+    assert source.counts["invalid"] == 1
 
 
 def test_a_pose_that_a_server_repeats_between_measurements_is_one_reading():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Self
 
 import numpy as np
@@ -57,6 +58,7 @@ class IgtlSource:
         self._last: dict[str, tuple[int, bytes]] = {}
         self._clock = SenderClock(self._endpoint.address.clock)
         self._newest, self._origin = -1, 0
+        self._kinds: dict[str, str] = {}
         self._waiting: list[tuple[float, Message]] = []
 
     def __enter__(self) -> Self:
@@ -96,13 +98,19 @@ class IgtlSource:
         out: list[Readings] = []
         waiting, self._waiting = self._waiting, []
         for arrival, message in waiting:
-            try:
+            with self._counted():
                 out += self._readings(message, arrival, clock)
-            except RobotFileError:
-                raise
-            except GlissandoError:
-                self._own["invalid"] += 1
         return out
+
+    @contextmanager
+    def _counted(self) -> Iterator[None]:
+        """Count what a peer sent that cannot be, and go on."""
+        try:
+            yield
+        except RobotFileError:
+            raise
+        except GlissandoError:
+            self._own["invalid"] += 1
 
     def _readings(
         self, message: Message, arrival: float, clock: SessionClock
@@ -121,7 +129,8 @@ class IgtlSource:
                 if place is None:
                     self._own["unplaced"] += 1
                 elif self._is_new(name, message.stamp, value):
-                    yield self._reading(place, place.kind or kind, time, value)
+                    with self._counted():
+                        yield self._reading(place, place.kind or kind, time, value)
         self._heard = arrival
 
     def _travel_of(self, content: c.SensorValues) -> float:
@@ -138,12 +147,18 @@ class IgtlSource:
         self._own["repeated"] += repeated
         return not repeated
 
+    def _require_kind(self, name: str, kind: str) -> None:
+        """Raise DeviceError for another kind than a device sent before: a stream is of one kind."""
+        if (first := self._kinds.setdefault(name, kind)) != kind:
+            raise DeviceError(f"{name} sent a {kind} and before a {first}; send one of them.")
+
     def _reading(self, place: Placement, kind: str, time: float, pose: Array) -> Readings:
         far = float(np.abs(pose[:3, 3]).max())
         if far > _FAR:
             self.status = f"{place.name} is {far:.3g} m away: are its lengths unit=mm or unit=m?"
         if far > _FAR or not is_rigid(pose):
             raise DeviceError(f"{place.name} sent no rigid motion nearby; check the sender.")
+        self._require_kind(place.name, kind)
         pose = normalized(pose)
         arclength = place.arclength - self._travel if place.slides else place.arclength
         value = pose[:3, 3] if kind == "position" else pose

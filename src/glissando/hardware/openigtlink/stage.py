@@ -17,6 +17,7 @@ from glissando.hardware.openigtlink.tracker import poses_in
 from glissando.hardware.openigtlink.wire_frame import WireFrame
 
 COMMAND, MEASURED = "StageTarget", "Stage"
+_LOOKS = 8  # that take all that waits, so that positions are fresh and a flood has an end
 
 
 class IgtlStagePeer:
@@ -50,9 +51,11 @@ class IgtlStagePeer:
         self._endpoint.close()
 
     def positions(self) -> list[tuple[float, float]]:
-        """Times and positions that have come."""
+        """Times and positions that have come, but no more messages than may wait."""
         out = []
-        while come := self._endpoint.receive():
+        for _ in range(_LOOKS):
+            if not (come := self._endpoint.receive()):
+                break
             for arrival, message in come:
                 places = self._places(message)
                 if places:

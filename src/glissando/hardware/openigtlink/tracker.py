@@ -106,10 +106,10 @@ class IgtlTracker:
             while self._waiting:
                 if (frame := self._taken(*self._waiting.popleft())) is not None:
                     return frame
+            if time.monotonic() > deadline:  # whatever else a peer sends
+                return None
             self._waiting += self._endpoint.receive()
             if not self._waiting:
-                if time.monotonic() > deadline:
-                    return None
                 time.sleep(_PAUSE)
 
     def _taken(self, arrival: float, message: Message) -> Frame | None:
