@@ -9,6 +9,8 @@ from glissando.hardware.openigtlink.message import seconds_since, stamp_of
 
 _PERIOD = 1e-6  # s: stamps are fitted in microseconds
 _RESET = 5_000_000  # of these back, and the sender's clock was set
+_STEP = 0.1  # s later than the newest message came, and it may have been set
+_FEW, _SPAN = 3, 100_000  # messages in a row, and of these between them, which show that it was
 
 
 class SenderClock:
@@ -21,6 +23,8 @@ class SenderClock:
     def __init__(self, mode: str = "fitted") -> None:
         self._mode, self._newest = mode, -1
         self._fit = ClockFit(_PERIOD, 1 << 60)
+        self._late = 0.0  # s by which the newest came later than others
+        self._behind, self._first = 0, 0  # messages in a row that seem set back, and their first
         self._wall, self._monotonic = stamp_of(time.time()), time.monotonic()
 
     def monotonic(self, stamp: int, arrival: float) -> float:
@@ -35,9 +39,26 @@ class SenderClock:
         if self._mode == "shared":
             return self._monotonic + seconds_since(stamp, self._wall)
         count = (stamp * 1_000_000) >> 32
-        if count > self._newest or self._newest - count > _RESET:
+        if count > self._newest or self._set_back(count, arrival):
             self._newest = self._fit.add(count, arrival)
+            self._late = max(arrival - self._fit.time(count), 0.0)
+            self._behind = 0
         return self._fit.time(count)
+
+    def _set_back(self, count: int, arrival: float) -> bool:
+        """Whether the sender's clock was set, and this is no message that a newer one overtook.
+
+        Those of several devices may come in any order, and late together, but then none is much
+        later than the newest was, or they are of one moment.
+        """
+        if self._newest - count > _RESET:
+            return True
+        if arrival - self._fit.time(count) - self._late < _STEP:
+            self._behind = 0
+        elif count < self._newest:
+            self._first = count if not self._behind else self._first
+            self._behind += 1
+        return self._behind >= _FEW and count - self._first >= _SPAN
 
     def std_time(self) -> float:
         """Standard deviation of the newest time, s, as far as arrivals tell."""
