@@ -2,6 +2,7 @@
 
 import gc
 import time
+from dataclasses import replace
 from itertools import islice
 
 import numpy as np
@@ -18,6 +19,7 @@ from glissando.hardware.live import (
     RecordingSource,
 )
 from glissando.hardware.live.clock import SessionClock
+from glissando.hardware.live.igtl_sink import readings_message
 from glissando.hardware.openigtlink import Endpoint, Message, encode, stamp_of
 from glissando.hardware.openigtlink import contents as c
 from glissando.io.query_csv import QUERY_COLUMNS
@@ -172,6 +174,24 @@ def test_one_bad_tool_of_a_message_costs_no_other_its_reading():
     bad = c.Tool("tip", c.TOOL_6D, np.zeros((4, 4)))
     tools = bad, _tool("base", 1.0), _tool("tip", 2.0)
     assert [r.name for r in _receiving(source, c.TrackingData(tools))] == ["base", "tip"]
+    assert source.counts["invalid"] == 1
+
+
+def test_readings_of_a_glissando_keep_their_names_and_their_times():
+    source, clock = IgtlSource("igtl://127.0.0.1:1?clock=arrival", ROBOT), SessionClock()
+    (readings, *_), _ = swaying().readings(["tip"], ROBOT, SPAN)
+    readings, first = readings.select(slice(0, 2)), readings.time[0]
+    streams = [readings.changed(name="a" * 20 + end) for end in "bc"]
+    sent = [readings_message(r, 1 << 40, first + 1.5) for r in streams]
+    old = replace(sent[0], metadata={"kind": "pose"})
+    begun = -clock.of_monotonic(0.0)
+    mad = replace(sent[0], metadata={"kind": "pose", "time": "noon"})
+    source._endpoint.receive = lambda: [(begun + 5.0, m) for m in (*sent, old, mad)]
+    *came, last = source.read(clock)
+    assert [r.name for r in (*came, last)] == [streams[0].name, streams[1].name, "a" * 20]
+    for r in came:
+        np.testing.assert_allclose(r.time, 5.0 + readings.time - first - 1.5, atol=1e-6)
+    np.testing.assert_allclose(last.time[-1], 5.0, atol=1e-6)
     assert source.counts["invalid"] == 1
 
 

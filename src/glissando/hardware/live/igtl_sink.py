@@ -153,7 +153,8 @@ class IgtlSink:
     def _readings(self, update: Update) -> list[bytes]:
         if "readings" not in self._send:
             return []
-        return [encode(readings_message(r, update.stamp)) for r in update.readings if r.kind]
+        at = update.stamp, update.time
+        return [encode(readings_message(r, *at)) for r in update.readings if r.kind]
 
 
 @lru_cache(maxsize=4096)
@@ -166,11 +167,22 @@ def frame_name(arclength: float) -> str:
     return f"s{1e3 * arclength:.1f}mm"
 
 
-def readings_message(readings: Readings, stamp: int) -> Message:
-    """Readings as one NDARRAY of float64, SI units: time, arclength, and the kind's columns."""
+def readings_message(readings: Readings, stamp: int, time: float | None = None) -> Message:
+    """Readings as one NDARRAY of float64, SI units: time, arclength, and the kind's columns.
+
+    The metadata state what a device's name of 20 letters and a stamp cannot.
+
+    Args:
+        readings: The readings.
+        stamp: Of the message.
+        time: The stamp in the time of the readings, s; without it the last is taken to be of then.
+    """
+    metadata = {"kind": readings.kind, "name": readings.label}
+    if time is not None:
+        metadata["time"] = repr(float(time))
     rows = Rows(readings.kind, readings.time, readings.arclength, readings.values, {})
     table = c.NumberArray(rows.table())
-    return Message(table, readings.label[:20], stamp, 2, metadata={"kind": readings.kind})
+    return Message(table, readings.label[:20], stamp, 2, metadata=metadata)
 
 
 def _sigma(sigma: Array) -> tuple[Attribute, ...]:

@@ -174,14 +174,13 @@ class IgtlSource:
         columns = 2 + len(SENSORS[kind].columns)
         if table.shape[1] != columns:
             raise DeviceError(f"{message.device} sent {table.shape[1]} columns, not {columns}.")
-        newest = self._time(message.stamp, arrival, clock)
-        time = table[:, 0] + (newest - table[-1, 0])
-        if self._endpoint.address.clock == "sender":
-            time = table[:, 0]
+        name = file_stem(message.metadata.get("name", message.device), DeviceError)
+        stamped, time = self._time(message.stamp, arrival, clock), table[:, 0]
+        if self._endpoint.address.clock != "sender":
+            time = time + (stamped - _time_of_stamp(message, time[-1]))
         values = SENSORS[kind].from_columns(table[:, 2:])
-        return batch(
-            self._robot, kind, file_stem(message.device, DeviceError), time, table[:, 1], values
-        )
+        self._require_kind(name, kind)
+        return batch(self._robot, kind, name, time, table[:, 1], values)
 
     def _time(self, stamp: int, arrival: float, clock: SessionClock) -> float:
         """Session time of a stamp, s."""
@@ -198,3 +197,14 @@ class IgtlSource:
             clock.begin_at(seconds_since(stamp, self._origin))
         self._newest = max(self._newest, stamp)
         return seconds_since(stamp, self._origin)
+
+
+def _time_of_stamp(message: Message, last: float) -> float:
+    """The stamp in the time of a message's rows, s; that of the last where it does not say."""
+    try:
+        time = float(message.metadata.get("time", last))
+    except ValueError:
+        time = np.nan
+    if not np.isfinite(time):
+        raise DeviceError(f"{message.device} states no time of its stamp that is a number of s.")
+    return time
