@@ -178,7 +178,8 @@ def _capture_shown(
         with working("recording") as work:
 
             def line(progress: Progress) -> None:
-                into, count = time.monotonic() - progress.began, sum(progress.count.values())
+                into = time.monotonic() - progress.began
+                count = sum(dict(progress.count).values())
                 work.update(into, progress.total, f"{count:,} messages")
 
             capture(rig, path, folder, further=further, on_progress=line, on_message=on_message)
@@ -196,12 +197,13 @@ def _capture_shown(
 
 
 def _table(progress: Progress) -> Table:
+    """The table of now; the threads of devices add to what is copied here."""
     into = min(time.monotonic() - progress.began, progress.total)
     table = Table("stream", "Hz", "messages", "last", title=f"{into:.0f} of {progress.total:.0f} s")
-    for topic, count in progress.count.items():
-        last = escape(progress.last[topic])
+    for topic, count in dict(progress.count).items():
+        last = escape(progress.last.get(topic, ""))
         table.add_row(escape(topic), f"{progress.rate(topic):.1f}", str(count), last)
-    for device, problem in progress.problems.items():
+    for device, problem in dict(progress.problems).items():
         table.add_row(escape(device), "", escape(problem), "")
     return table
 

@@ -6,6 +6,7 @@ import signal
 import socket
 import threading
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -135,6 +136,24 @@ def test_a_peer_that_comes_or_goes_is_reported_at_once(monkeypatch):
     thread.join()
     far.close()
     exchange._server.close()
+
+
+@pytest.mark.parametrize("problem", [OSError(101, "Network is unreachable"), PermissionError()])
+def test_a_call_that_fails_at_once_is_no_connection(monkeypatch, problem):
+    class Unreachable(socket.socket):
+        def connect(self, where):
+            raise problem
+
+    near, far = socket.socketpair()
+    with near, far:
+        exchange = Exchange(Address.parse("igtl://127.0.0.1:1"), SimpleNamespace(socket=far))
+        monkeypatch.setattr(exchange_module.socket, "socket", Unreachable)
+        exchange._call()
+        assert exchange._calling is None
+        assert [key.fileobj for key in exchange._selector.get_map().values()] == [far]
+        assert exchange._next_call > time.monotonic()
+        exchange._call()  # not yet
+        assert exchange.counts == {}
 
 
 def test_what_a_peer_sends_before_the_endpoint_looks_comes_once(monkeypatch):
@@ -287,7 +306,16 @@ def test_a_port_that_is_taken_and_a_process_that_died_are_sentences():
 
 @pytest.mark.parametrize(
     "text",
-    ["host:1", "http://host", "igtl://host:x", "igtl://h?unit=inch", "igtl://h?a=1", "igtl://h/p"],
+    [
+        "host:1",
+        "http://host",
+        "igtl://host:x",
+        "igtl://h?unit=inch",
+        "igtl://h?a=1",
+        "igtl://h/p",
+        f"igtl://h?start={1 << 31}",
+        "igtl://h?start=-1",
+    ],
 )
 def test_what_is_no_address_is_explained(text):
     with pytest.raises(DeviceError, match="igtl://host:port"):

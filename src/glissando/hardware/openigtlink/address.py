@@ -12,6 +12,7 @@ _LOCAL = "127.0.0.1"
 _UNITS = {"mm": 1e-3, "m": 1.0}
 _AXES = ("ras", "lps")
 _CLOCKS = ("fitted", "shared", "arrival", "sender")
+_LONGEST = (1 << 31) - 1  # ms: what the message that asks has room for
 SENT = ("frames", "tip", "line", "tube", "ellipsoids", "points", "status", "readings")
 """What can be sent of an update; all but the readings unless the address says otherwise."""
 
@@ -65,7 +66,7 @@ class Address:
         except ValueError as problem:
             raise DeviceError(f"{text!r} is no address ({problem}); {_HINT}") from None
         listens = parts.scheme == "igtl-server"
-        sound = unit in _UNITS and axes in _AXES and clock in _CLOCKS and start >= 0
+        sound = unit in _UNITS and axes in _AXES and clock in _CLOCKS and 0 <= start <= _LONGEST
         sound &= {*send} <= {*SENT}
         if not (listens or parts.scheme == "igtl") or options or parts.path or not sound:
             raise DeviceError(f"{text!r} is no address; {_HINT}")

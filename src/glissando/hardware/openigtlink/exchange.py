@@ -151,8 +151,12 @@ class Exchange:
             self._calling = socket.socket(family, kind, protocol)
             self._calling.setblocking(False)
             self._selector.register(self._calling, selectors.EVENT_WRITE)
-            with contextlib.suppress(BlockingIOError):
+            try:
                 self._calling.connect(where)
+            except BlockingIOError:
+                pass
+            except OSError:  # there is no way: it is not called, so nobody answers
+                self._hang_up()
 
     def _hang_up(self) -> None:
         assert self._calling is not None
