@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from draws import generators, law
 from glissando.errors import OutsideGridError
-from glissando.model.grid import Grid, uniform_grid
+from glissando.model.grid import Grid, segment_at, uniform_grid, with_places
 from glissando.model.interpolation import sort_points
 
 GRID = Grid([0.0, 0.1, 0.25, 0.4], [1.0, 1.1, 1.25])
@@ -73,12 +73,26 @@ def test_points_are_sorted_by_how_many_nodes_they_touch_and_none_is_lost():
         ([], "Grid arclength must be a list of finite numbers"),
         ([0.0, np.nan], "Grid arclength must be a list of finite numbers"),
         ([[0.0, 1.0]], "Grid arclength must be a list of finite numbers"),
+        ([0.0, 0.1 + 0.2, 0.3, 0.4], r"node 1 .* Sort the nodes .* differ by rounding"),
         ([0.0, 0.2, 0.2], r"node 2 \(0.2\) does not exceed node 1 \(0.2\). Sort the nodes"),
     ],
 )
 def test_a_grid_that_is_none_is_refused(arclength, sentence):
     with pytest.raises(OutsideGridError, match=sentence):
         Grid(arclength, [0.0])
+
+
+@given(generators)
+@law
+def test_a_node_that_rounding_parts_from_a_joint_is_the_joint(rng):
+    length, count = round(rng.uniform(0.1, 1.0), 2), int(rng.integers(3, 20))
+    nodes = np.linspace(0.0, length, count)
+    joint = np.array([round(float(nodes[rng.integers(1, count - 1)]), int(rng.integers(2, 5)))])
+    placed = with_places(nodes, joint)
+    assert joint[0] in placed
+    assert np.diff(Grid(placed, [0.0]).arclength).min() > 1e-9
+    assert len(placed) == count + (np.abs(nodes - joint).min() > 1e-9)
+    assert segment_at(joint, joint * (1.0 - 1e-15)) == 1
 
 
 def test_rows_off_the_grid_are_counted_and_the_first_three_named():

@@ -7,7 +7,7 @@ from glissando.errors import RobotFileError
 from glissando.io.robot_file import load_robot
 from glissando.io.shipped_robots import robot_file
 from glissando.io.toml_table import Table
-from glissando.model.mechanics import read_mechanics
+from glissando.model.mechanics import Mechanics, read_mechanics
 from glissando.simulation import Rod
 
 TUBES = """
@@ -57,6 +57,11 @@ def test_what_is_written_is_what_was_read(tmp_path):
         np.testing.assert_array_equal(getattr(again, name), value)
 
 
+def test_one_mass_is_that_of_every_segment():
+    mechanics = Mechanics(np.ones((3, 6)), joints=np.array([0.1, 0.2]))
+    np.testing.assert_array_equal(mechanics.mass_per_length, np.zeros(3))
+
+
 def test_a_robot_without_mechanics_has_none():
     assert load_robot("tdcr466").mechanics is None
 
@@ -75,6 +80,7 @@ STIFF = "\n[mechanics]\nstiffness = [1e5, 1e5, 2e5, 0.06, 0.06, 0.05]\nmass_per_
         ("outer = 2.0e-3", "outer = 2.0", "not millimetres"),
         ("inner = 1.8e-3", "inner = 2.8e-3", "outer > inner"),
         ("end = 0.3", "end = 300", "beyond the tip"),
+        ("inner = 1.8e-3", "inner = 1.8e-3, end = 0.4", "all end by 0.4 m, before the tip at"),
         ("gravity = [0, 0, -9.81]", "gravity = [0, 0, -1]", "in m/s²"),
         ("gravity = [0, 0, -9.81]", "gravity = [0, 0, -9810]", "in m/s²"),
         ("mass = 2e-3", "mass = -2e-3", "above zero"),

@@ -19,7 +19,7 @@ from glissando.estimation.contact_evidence import ForceEvidence, error_priors, f
 from glissando.estimation.loads import require_mechanics
 from glissando.estimation.posterior import Posterior
 from glissando.geometry.se3 import Array
-from glissando.model.grid import Grid, Index
+from glissando.model.grid import Grid, Index, with_places
 from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.model.sensors.readings import Readings
 
@@ -240,8 +240,8 @@ def _touched_at(
     length, near = float(grid.arclength[-1]), 0.25 * float(np.diff(grid.arclength).min())
     place = float(np.clip(place, near, length - near))
     others = grid.arclength[np.abs(grid.arclength - place) > near]
-    others = np.union1d(np.union1d(others, prior.joints), [0.0, length])
-    finer = Grid(np.union1d(others, [place]), grid.time, grid.before)
+    others = with_places(np.append(others, place), np.append(prior.joints, [0.0, length]))
+    finer = Grid(others, grid.time, grid.before)
     order = np.argsort(np.append(prior.points, place))
     touched = replace(
         prior,

@@ -22,7 +22,7 @@ from glissando.io.csv_stream import Stream
 from glissando.io.recording import Recording
 from glissando.io.robot_file import load_robot
 from glissando.io.shipped_robots import robot_file
-from glissando.model.grid import Grid
+from glissando.model.grid import Grid, with_places
 from glissando.model.priors.prior import Prior
 from glissando.model.priors.white_noise import BaseDensity, WhiteNoisePrior
 from glissando.model.robot import Robot
@@ -219,7 +219,7 @@ def grid(scene: Scene) -> Grid:
     known = known_robot(scene)
     if scene.nodes is not None:
         nodes = np.linspace(0.0, known.length, scene.nodes)
-        known = replace(known, arclength_nodes=np.union1d(nodes, known.prior.joints))
+        known = replace(known, arclength_nodes=with_places(nodes, known.prior.joints))
     rate = PUBLISHED_RATE if "prior" in scene.published else scene.time_rate
     if rate is not None:
         known = replace(known, time_rate=rate)

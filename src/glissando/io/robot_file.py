@@ -14,6 +14,7 @@ from glissando.geometry.se3 import Array
 from glissando.io.provenance import require_readable
 from glissando.io.shipped_robots import robot_file
 from glissando.io.toml_table import Table, read_document
+from glissando.model.grid import with_places
 from glissando.model.mechanics import read_mechanics, require_plausible
 from glissando.model.noise import GemanMcClure, Huber, Loss
 from glissando.model.priors.prior import Prior
@@ -92,7 +93,7 @@ def parse_robot(table: Table) -> Robot:
     if prior.joints.size and prior.joints[-1] >= length:
         raise table.fail("[prior]", f"has a joint at {prior.joints[-1]:g} m, beyond the tip.")
     nodes, rate = _grid(table, length)
-    nodes = np.sort(np.concatenate([nodes, _missing(prior.joints, nodes)]))
+    nodes = with_places(nodes, prior.joints)
     mechanics = getattr(prior, "mechanics", None) or read_mechanics(table)
     if mechanics is not None:
         require_plausible(mechanics, length, table)
@@ -156,11 +157,6 @@ def _grid(table: Table, length: float) -> tuple[Array, float]:
         nodes = np.linspace(0.0, length, int(count))
     grid.close()
     return nodes, rate
-
-
-def _missing(joints: Array, nodes: Array) -> Array:
-    """The joints that are no nodes yet."""
-    return joints[[np.abs(nodes - joint).min() > 1e-9 for joint in joints]]
 
 
 def _prior(table: Table) -> Prior:

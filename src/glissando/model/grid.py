@@ -13,6 +13,9 @@ from glissando.model.brief import Brief
 
 Index = NDArray[np.intp]
 
+SAME = 1e-9
+"""Metres: places of the robot that are no farther apart are one, as decimals are rounded."""
+
 _TOLERANCE = 1e-9  # relative to the length: how far outside the ends still counts as the end
 
 
@@ -66,6 +69,17 @@ def _locate(nodes: Array, values: Array) -> Cells:
     return Cells(lower, step, offset)
 
 
+def segment_at(joints: Array, arclength: Array) -> Index:
+    """Number (M,) of the segment at arclengths (M,); at a joint the one beyond it."""
+    return np.searchsorted(joints, arclength + SAME, side="right")
+
+
+def with_places(nodes: Array, places: Array) -> Array:
+    """Arclength nodes with some places among them; a node within 1e-9 m of one is that place."""
+    apart = np.abs(nodes[:, None] - places).min(axis=1, initial=np.inf)
+    return np.union1d(nodes[apart > SAME], places)
+
+
 @dataclass(frozen=True)
 class Grid(Brief):
     """Nodes over arclength (N,) in metres and time (K,) in seconds, both increasing.
@@ -90,12 +104,13 @@ class Grid(Brief):
             nodes = np.atleast_1d(np.asarray(given, dtype=float))
             if nodes.ndim != 1 or nodes.size == 0 or not np.isfinite(nodes).all():
                 raise OutsideGridError(f"Grid {name} must be a list of finite numbers: {given!r}.")
-            stays = nodes[1:] <= nodes[:-1]
+            stays = np.diff(nodes) <= (SAME if name == "arclength" else 0.0)
             if stays.any():
                 at = int(np.argmax(stays))
                 raise OutsideGridError(
                     f"Grid {name} must increase, but node {at + 1} ({nodes[at + 1]:g}) does not "
-                    f"exceed node {at} ({nodes[at]:g}). Sort the nodes and drop repeats."
+                    f"exceed node {at} ({nodes[at]:g}). Sort the nodes and drop repeats, also "
+                    f"those that differ by rounding."
                 )
             object.__setattr__(self, name, nodes)
             object.__setattr__(self, f"{name}_spans", _spans(nodes))

@@ -13,10 +13,11 @@ import numpy as np
 
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
-from glissando.model.grid import Index
+from glissando.model.grid import SAME, Index, segment_at
 from glissando.model.priors.prior_table import PriorTable
 
 _GRAVITY = 9.81  # m/s², only to judge whether a rod could carry its own weight
+_REACHES = np.finfo(float).max  # the end of a tube that states none
 _DROOP = 1e4  # weight · length³ / bending stiffness beyond which units are wrong
 
 
@@ -27,11 +28,12 @@ class Mechanics:
     Attributes:
         stiffness: Of each segment (S, 6): shear, shear, extension in N; bending, bending, twist in
             N m².
-        mass_per_length: Of each segment (S,), kg/m.
+        mass_per_length: Of each segment (S,), or one for all, kg/m.
         joints: Where segments meet (S−1,), m.
         gravity: Acceleration (3,) in the world frame, m/s²; of static shapes also one each (S, 3).
         tip_mass: Mass of a tool at the tip, kg.
         tip_center: Its centre of mass (3,) in the frame of the tip's cross-section, m.
+        end: Where the last tube ends, at the tip or beyond, m.
     """
 
     stiffness: Array
@@ -40,10 +42,15 @@ class Mechanics:
     gravity: Array = field(default_factory=lambda: np.zeros(3))
     tip_mass: float = 0.0
     tip_center: Array = field(default_factory=lambda: np.zeros(3))
+    end: float = _REACHES
+
+    def __post_init__(self) -> None:
+        mass = np.broadcast_to(self.mass_per_length, len(self.stiffness)).copy()
+        object.__setattr__(self, "mass_per_length", mass)
 
     def segment(self, arclength: Array) -> Index:
         """Number (M,) of the segment at arclengths (M,); at a joint the one beyond it."""
-        return np.searchsorted(self.joints, arclength, side="right")
+        return segment_at(self.joints, arclength)
 
     def tip_wrench(self, rotation: Array) -> Array:
         """Weight of the tool (…, 6) in the frame of the tip, whose rotation is (…, 3, 3)."""
@@ -134,6 +141,12 @@ def require_plausible(mechanics: Mechanics, length: float, robot: PriorTable) ->
             f"has a segment that begins at {mechanics.joints[-1]:g} m, beyond the tip at "
             f"{length:g} m; give arclengths in metres.",
         )
+    if mechanics.end < length - SAME:
+        raise robot.fail(
+            "[mechanics]",
+            f"has tubes that all end by {mechanics.end:g} m, before the tip at {length:g} m; leave "
+            f"`end` out for a tube that reaches the tip.",
+        )
     bending = mechanics.stiffness[:, 3:5].min(axis=1)
     droop = mechanics.mass_per_length * _GRAVITY * length**3 / bending
     if droop.max() > _DROOP:
@@ -165,7 +178,7 @@ def _tubes(table: PriorTable) -> dict[str, Any]:
             raise entry.fail("outer", f"is {outer:g} and inner {inner:g}; give outer > inner ≥ 0.")
         if outer > 0.2:
             raise entry.fail("outer", f"is {outer:g} m; give diameters in metres, not millimetres.")
-        ends.append(entry.number("end", np.finfo(float).max))
+        ends.append(entry.number("end", _REACHES))
         tubes.append((outer, inner))
         entry.close()
     joints = np.unique(ends)[:-1]
@@ -174,6 +187,7 @@ def _tubes(table: PriorTable) -> dict[str, Any]:
         "stiffness": np.array([tube_section(each, young, poisson) for each in here]),
         "mass_per_length": np.array([density * _area(each) for each in here]),
         "joints": joints,
+        "end": max(ends, default=_REACHES),
     }
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from glissando.errors import OutsideGridError
 from glissando.geometry.se3 import Array
 from glissando.model.factors import Factors
-from glissando.model.grid import Grid
+from glissando.model.grid import SAME, Grid
 from glissando.model.interpolation import Interpolation, Points
 from glissando.model.priors.prior_table import PriorTable
 from glissando.model.state import State
@@ -101,7 +101,7 @@ def by_interval(arclength: Array, psd: Array, joints: Array, jumps: Array) -> Sp
         return np.full(jump.shape, psd), jump
     for joint, variance in zip(joints, jumps, strict=True):
         at = int(np.argmin(np.abs(arclength - joint)))
-        if abs(arclength[at] - joint) > 1e-9:
+        if abs(arclength[at] - joint) > SAME:
             raise OutsideGridError(
                 f"The robot has a joint at {joint:g} m, which is no arclength node of the grid "
                 f"(the nearest is {arclength[at]:g} m); add it to the nodes."

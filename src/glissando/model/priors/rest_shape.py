@@ -8,6 +8,7 @@ import numpy as np
 
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
+from glissando.model.grid import segment_at
 
 STRAIGHT = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 
@@ -25,7 +26,7 @@ class RestShape:
 
     def at(self, arclength: Array) -> Array:
         """Rest strain (M, 6) at arclengths (M,); at a joint the one beyond it."""
-        segment = np.searchsorted(self.joints, arclength, side="right")
+        segment = segment_at(self.joints, arclength)
         begins = np.concatenate([[0.0], self.joints])[segment]
         return self.strain[segment] + (arclength - begins)[:, None] * self.slope[segment]
 
@@ -36,7 +37,7 @@ class RestShape:
         after Magnus to the order u⁵. Source: equation (2').
         """
         strain = self.at(arclength)
-        slope = self.slope[np.searchsorted(self.joints, arclength, side="right")]
+        slope = self.slope[segment_at(self.joints, arclength)]
         u = offset[:, None]
         turned = np.einsum("mij,mj->mi", se3.ad(strain), slope)
         ahead = u * strain + 0.5 * u**2 * slope + u**3 / 12.0 * turned

@@ -8,7 +8,7 @@ import numpy as np
 
 from glissando.errors import OutsideGridError
 from glissando.geometry.se3 import Array
-from glissando.model.grid import Grid, Index
+from glissando.model.grid import SAME, Grid, Index
 from glissando.model.mechanics import Mechanics
 from glissando.model.priors.mechanical.flow import Section
 from glissando.model.priors.mechanical.intervals import Intervals
@@ -61,7 +61,7 @@ class LoadedRod:
         jump = np.zeros((arclength.size - 1, 6))
         for place in self.joints:
             at = int(np.argmin(np.abs(arclength - place)))
-            if abs(arclength[at] - place) > 1e-9:
+            if abs(arclength[at] - place) > SAME:
                 raise OutsideGridError(
                     f"A segment begins or a load acts at {place:g} m, which is no arclength node "
                     f"of the grid (the nearest is {arclength[at]:g} m); add it to the nodes."
