@@ -9,6 +9,8 @@ import pytest
 
 from glissando import FixedLagSmoother, PoseReadings, SensorParameter, estimate, load_robot
 from glissando.evaluation.prior_predictive import PriorPredictive
+from glissando.geometry import se3
+from glissando.model.grid import Grid
 from unknown_scenes import consistent
 
 ROBOT = Path(__file__).parents[2] / "benchmarks" / "sbc.toml"
@@ -68,6 +70,49 @@ def heard(prior, grid, readings, late):
         smoother.advance(now)
         before = now
     return smoother.posterior()
+
+
+@pytest.mark.parametrize("delay", [0.03, 0.12, 0.3])
+def test_a_delay_longer_than_steps_or_the_window_is_known_no_better_than_it_is(delay):
+    late = SensorParameter("late", "time_offset", ("tip",), np.array([delay]), np.array([0.01]))
+    robot = load_robot("tdcr466-segments")
+    prior, nodes = robot.prior, np.linspace(0.0, robot.length, 3)
+    z = []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        sway = rng.uniform(-1.0, 1.0, (2, 6)) * [0.05, 0.05, 0.05, 0.3, 0.3, 0.3]
+        value = delay + 0.01 * rng.standard_normal()
+        stated = replace(late, value=np.array([value]))
+        smoother = FixedLagSmoother(prior, nodes, sensor_parameters=[stated], gate=None)
+        for now in np.arange(0.0, 2.0, 0.05):
+            for name, place, behind in (("middle", nodes[1], 0.0), ("tip", nodes[2], delay)):
+                if now < behind + 0.05:
+                    continue
+                at = now - behind
+                pose = prior.rest_state(Grid([0.0, place], [0.0])).pose[0, 1]
+                moved = place / nodes[2] * (sway[0] * np.sin(4.0 * at) + sway[1] * np.cos(3.0 * at))
+                noise = np.sqrt(NOISE) * rng.standard_normal(6)
+                values = (pose @ se3.exp(moved) @ se3.exp(noise))[None]
+                smoother.add(PoseReadings(
+                    time=[now], arclength=[place], values=values, cov=NOISE, name=name
+                ))  # fmt: skip
+            smoother.advance(now)
+        values, cov = smoother.posterior().parameter("late")
+        z.append((values[-1, 0] - delay) / np.sqrt(cov[-1, 0, 0]))
+    assert np.sqrt(np.mean(np.square(z))) < 2.5
+
+
+def test_a_delay_is_estimated_from_a_first_update_that_has_readings():
+    late, predictive = scene("tip")
+    session = predictive.draw(np.random.default_rng(0))
+    prior, nodes = predictive.robot.prior, predictive.robot.arclength_nodes
+    smoother = FixedLagSmoother(prior, nodes, sensor_parameters=[late])
+    first = min(r.time[0] for r in session.readings)
+    for r in session.readings:
+        smoother.add(r.select(r.time <= first))
+    smoother.advance(first)
+    assert not smoother.dropped
+    assert smoother.posterior().parameter("late")[1][-1, 0, 0] == pytest.approx(STD**2, rel=1e-6)
 
 
 @pytest.mark.parametrize("online", [False, True])

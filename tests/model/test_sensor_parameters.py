@@ -8,7 +8,9 @@ import pytest
 from glissando import GlissandoError, GyroReadings, PositionReadings, estimate
 from glissando.geometry import se3
 from glissando.io.netcdf import load_posterior, save_posterior
-from glissando.model.sensors.parameters import SIZES
+from glissando.model.grid import Grid
+from glissando.model.sensors.parameter_process import EstimatedParameters
+from glissando.model.sensors.parameters import SIZES, SensorParameter
 from glissando.model.sensors.readings import slide_motion
 from scenes import LENGTH, angular_velocity, arc, sliding_scene
 from unknown_scenes import COARSE, SOFT, STEADY, TIMES, consistent, tracker, unknown
@@ -192,6 +194,20 @@ def test_a_memory_far_longer_than_the_recording_is_a_constant():
         np.testing.assert_allclose(np.sqrt(np.einsum("kii->ki", long.parameter(kind)[1])), std,
                                    rtol=0.05)  # fmt: skip
         assert np.sqrt(np.einsum("kii->ki", short.parameter(kind)[1])).min() > 1.2 * std.min()
+
+
+@pytest.mark.parametrize("memory", [1e-4, 0.05, 3.0, 1e6])
+def test_between_nodes_a_drift_is_the_conditional_of_its_covariance(memory):
+    grid = Grid([0.0, 0.1], [0.0, 0.1, 0.2, 1.0])
+    drift = SensorParameter("b", "bias", ("g",), np.zeros(3), np.full(3, 0.2), memory)
+    process, time = EstimatedParameters(grid, [drift]), np.array([0.0, 0.05, 0.17, 0.6, 0.9997])
+    lower, weights, left = process.between(time)
+    for t, k, w, var in zip(time, lower, weights[..., 0], left[:, 0], strict=True):
+        ends = grid.time[k : k + 2]
+        known = np.exp(-np.abs(ends[:, None] - ends) / process.memory[0])
+        cross = np.exp(-np.abs(t - ends) / process.memory[0])
+        np.testing.assert_allclose(w, np.linalg.solve(known, cross), atol=1e-6)
+        np.testing.assert_allclose(var, 0.04 * (1.0 - cross @ w), atol=1e-8)
 
 
 # Known unknowns, and those of nobody.

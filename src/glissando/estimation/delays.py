@@ -127,9 +127,11 @@ def _is_delay(parameter: SensorParameter) -> bool:
 
 def _slope(state: State, time: Array) -> Array:
     """Slope (K, N, dof) of nodes along time, between their neighbours."""
+    if time.size == 1:  # no motion is seen
+        return np.zeros((*state.pose.shape[:2], state.dof))
     k = np.arange(time.size)
     before, after = np.maximum(k - 1, 0), np.minimum(k + 1, time.size - 1)
-    step = np.maximum(time[after] - time[before], np.finfo(float).tiny)
+    step = time[after] - time[before]
     return state.take(after).difference(state.take(before)) / step[:, None, None]
 
 

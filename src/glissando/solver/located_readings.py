@@ -125,9 +125,16 @@ def _joined(streams: Sequence[Readings]) -> tuple[Array, Array]:
 def _batches(
     grid: Grid, streams: Sequence[Readings], parameters: ParameterValues, blocks: Sequence[slice]
 ) -> list[list[ReadingBatch]]:
-    """The readings of every block, sorted by the part of a cell, then by stream."""
+    """The readings of every block, sorted by the part of a cell, then by stream.
+
+    Those that parameters move off the grid are kept at its end. On a grid that continues another
+    those of before are left out: they were counted there.
+    """
     if not streams:
         return [[] for _ in blocks]
+    counted = np.zeros(sum(map(len, streams)), dtype=bool)
+    if grid.before is not None:
+        counted = _joined([parameters.displaced(r) for r in streams])[1] < grid.time[0]
     streams = [parameters.relocated(r) for r in streams]
     begins = np.cumsum([0, *map(len, streams)])
     arclength, time = _joined(streams)
@@ -135,7 +142,7 @@ def _batches(
     block_of = np.maximum(np.searchsorted(starts, time, side="right") - 1, 0)
     batches: list[list[ReadingBatch]] = []
     for i in range(len(blocks)):
-        in_block = np.flatnonzero(block_of == i)
+        in_block = np.flatnonzero((block_of == i) & ~counted)
         batches.append([])
         for points in sort_points(grid, arclength[in_block], time[in_block]):
             own = in_block[points.rows]

@@ -228,8 +228,13 @@ def _is_moved(readings: Readings, located: LocatedReadings, way: str) -> bool:
 def state_slope(
     prior: Prior, grid: Grid, state: State, arclength: Array, time: Array, way: str
 ) -> Array:
-    """Slope (M, 18) of the state along `way`, arclength or time, at points (M,) of the grid."""
+    """Slope (M, 18) of the state along `way`, arclength or time, at points (M,) of the grid.
+
+    Zero along a way on which the grid has a single node.
+    """
     nodes, points, m = getattr(grid, way), [arclength, time], time.size
+    if nodes.size == 1:
+        return np.zeros((m, DOF))
     nudge, along = 1e-6 * float(nodes[-1] - nodes[0]), _WAYS.index(way)
     ends = np.concatenate([points[along] + nudge, points[along] - nudge])
     ends = np.clip(ends, nodes[0], nodes[-1])

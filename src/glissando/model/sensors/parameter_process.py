@@ -74,10 +74,10 @@ class EstimatedParameters:
         lower = np.minimum(cells.lower + (cells.offset >= cells.step), count - 2)
         step, offset = np.diff(self.grid.time)[lower], time - self.grid.time[lower]
         whole, near = step[:, None] / self.memory, np.clip(offset, 0.0, step)[:, None] / self.memory
-        ends = np.sinh(whole - near), np.sinh(near)
-        weights = np.stack(ends, axis=1) / np.sinh(whole)[:, None]
-        left = 2.0 * self.std**2 * ends[0] * ends[1] / np.sinh(whole)
-        return lower, weights, left
+        far = whole - near
+        none, early, late = (-np.expm1(-2.0 * a) for a in (whole, far, near))  # sinh overflows
+        weights = np.stack([np.exp(-near) * early, np.exp(-far) * late], axis=1) / none[:, None]
+        return lower, weights, self.std**2 * early * late / none
 
 
 @dataclass(frozen=True)
@@ -112,18 +112,23 @@ class ParameterValues:
 
     def relocated(self, readings: Readings) -> Readings:
         """Readings where and when the parameters say they were taken, kept on the grid."""
-        grid, moving = self.process.grid, [(u, c) for u, c in self.of(readings) if u.moves]
-        if not moving:
+        grid, moved = self.process.grid, self.displaced(readings)
+        if moved is readings:
             return readings
+        return moved.changed(
+            arclength=np.clip(moved.arclength, grid.arclength[0], grid.arclength[-1]),
+            time=np.clip(moved.time, grid.time[0], grid.time[-1]),
+        )
+
+    def displaced(self, readings: Readings) -> Readings:
+        """Readings where and when the parameters say they were taken, also off the grid."""
+        moving = [(u, c) for u, c in self.of(readings) if u.moves]
         stamped = readings
-        for _ in range(2):  # a time offset is that of the true time, which the first pass finds
+        for _ in range(2 if moving else 0):  # a time offset is that of the true time
             now, readings = self.at(readings.time), stamped
             for parameter, columns in moving:
                 readings = parameter.shift(readings, now[:, columns])
-        return readings.changed(
-            arclength=np.clip(readings.arclength, grid.arclength[0], grid.arclength[-1]),
-            time=np.clip(readings.time, grid.time[0], grid.time[-1]),
-        )
+        return readings
 
     def corrected(self, readings: Readings, now: Array) -> Readings:
         """Readings corrected for the parameters that leave them in place, valued `now` (M, E)."""
