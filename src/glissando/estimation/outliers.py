@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glissando.estimation.posterior import Posterior
+from glissando.estimation.reading_noise import reading_covariance
 from glissando.geometry.se3 import Array
 from glissando.model.factors import Residuals
 from glissando.model.interpolation import sort_points
@@ -142,7 +143,8 @@ def _refuted(
         state = posterior.state
         bridged[points.rows] = posterior.prior.interpolate(posterior.grid, state, state, points).cov
     known = slope @ (estimate.cov - bridged) @ np.swapaxes(slope, -1, -2)
-    own = moved.cov + slope @ bridged @ np.swapaxes(slope, -1, -2)
+    own = reading_covariance(posterior, moved, at, slope)
+    own = own + slope @ bridged @ np.swapaxes(slope, -1, -2)
     squared = _squared(moved.residual(at), own, np.where(used, -1.0, 1.0), known)
     return np.asarray(squared > np.where(used, max(limit, _WORST * squared.max()), limit))
 

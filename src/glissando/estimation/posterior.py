@@ -130,10 +130,10 @@ class StateEstimate(Brief):
         """Covariance (…, 3, 3) of a mounted frame's position, in its axes. Source: (34).
 
         Args:
-            mount: Pose (4, 4) of the frame on the body.
+            mount: Pose (4, 4) of the frame on the body, or one each (…, 4, 4).
         """
         lever = se3.adjoint(se3.inverse(mount))
-        return se3.position_covariance(lever @ self.cov[..., :6, :6] @ lever.T)
+        return se3.position_covariance(lever @ self.cov[..., :6, :6] @ np.swapaxes(lever, -1, -2))
 
     @property
     def std_position(self) -> Array:

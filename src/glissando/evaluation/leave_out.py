@@ -16,6 +16,7 @@ import numpy as np
 from glissando.errors import NotConvergedWarning, UnobservableError
 from glissando.estimation.batch import estimate
 from glissando.estimation.posterior import Posterior
+from glissando.estimation.reading_noise import reading_covariance
 from glissando.evaluation.consistency import Consistency, effective_samples
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
@@ -135,11 +136,12 @@ def _squared_errors(
         at = posterior.at(place, time)
         state = State(at.pose, at.strain, at.velocity)
         slope = shifted.jacobian(state)
-        return shifted.residual(state), slope @ at.cov @ np.swapaxes(slope, -1, -2)
+        shifted = shifted.changed(arclength=place, time=time)
+        noise = reading_covariance(posterior, shifted, state, slope)
+        return shifted.residual(state), noise + slope @ at.cov @ np.swapaxes(slope, -1, -2)
 
     centre = [value for _, value, _ in own]
-    error, spread = residual(centre)
-    cov = r.cov + spread
+    error, cov = residual(centre)
     for k, (p, value, its_cov) in enumerate(own):
         std = np.sqrt(np.diagonal(its_cov))
         columns = []

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from glissando.errors import SensorError
-from glissando.estimation.posterior import Posterior, StateEstimate
+from glissando.estimation.posterior import Posterior
+from glissando.estimation.reading_noise import StateSource, reading_covariance
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.brief import Brief
@@ -89,13 +89,6 @@ def _rms(values: Array) -> float | None:
     return None if square is None else float(np.sqrt(square))
 
 
-class StateSource(Protocol):
-    """An estimate of the state at any arclength and time: a posterior, a smoother."""
-
-    def at(self, arclength: ArrayLike, time: ArrayLike) -> StateEstimate:
-        """State and covariance at points (M,)."""
-
-
 def errors_against(estimate: StateSource, truth: Readings) -> Errors:
     """Errors of an estimate at every sample of a truth stream.
 
@@ -127,8 +120,8 @@ def errors_against(estimate: StateSource, truth: Readings) -> Errors:
     if truth.values.ndim == 3:
         error = _rotation_error(at[:, :3, :3], truth)
         own = truth.cov[..., -dof:, -dof:]
-        turn = truth.mount[:3, :3].T[:dof]
-        cov = turn @ body.cov[:, 3:6, 3:6] @ turn.T + own
+        turn = np.swapaxes(truth.mount[..., :3, :3], -1, -2)[..., :dof, :]
+        cov = turn @ body.cov[:, 3:6, 3:6] @ np.swapaxes(turn, -1, -2) + own
         rotation, nees_rotation = np.linalg.norm(error, axis=1), _squared(error, cov)
     numbers = position, rotation, nees_position, nees_rotation
     return Errors(truth.label, truth.arclength, *numbers, dof, truth.time)
@@ -144,7 +137,8 @@ def prediction_scores(estimate: StateSource, readings: Readings) -> Array:
     body = estimate.at(readings.arclength, readings.time)
     at = State(body.pose, body.strain, body.velocity)
     J_r_x = readings.jacobian(at)
-    cov = J_r_x @ body.cov @ np.swapaxes(J_r_x, -1, -2) + readings.cov
+    own = reading_covariance(estimate, readings, at, J_r_x)
+    cov = J_r_x @ body.cov @ np.swapaxes(J_r_x, -1, -2) + own
     return np.sqrt(_squared(readings.residual(at), cov))
 
 
@@ -182,7 +176,8 @@ def innovations(posterior: Posterior, readings: Readings) -> Array:
         state = posterior.state
         between_nodes[points.rows] = posterior.prior.interpolate(grid, state, state, points).cov
     spread = J_r_x @ (2.0 * between_nodes - estimate.cov) @ np.swapaxes(J_r_x, -1, -2)
-    whitener = sqrt_information(np.broadcast_to(readings.cov, spread.shape).copy())
+    own = reading_covariance(posterior, readings, at, J_r_x)
+    whitener = sqrt_information(np.broadcast_to(own, spread.shape).copy())
     share = np.eye(readings.row_count) + whitener @ spread @ np.swapaxes(whitener, -1, -2)
     values, vectors = np.linalg.eigh(symmetrize(share))
     white = np.einsum("mij,mj->mi", whitener, readings.residual(at))

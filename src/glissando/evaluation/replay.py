@@ -13,10 +13,10 @@ import numpy as np
 from glissando.errors import GlissandoError, ImplausibleError, RecordingError
 from glissando.estimation.fixed_lag import FixedLagSmoother
 from glissando.estimation.posterior import Posterior, StateEstimate
+from glissando.estimation.reading_noise import StateSource
 from glissando.evaluation.conformal import AdaptiveSet
 from glissando.evaluation.metrics import (
     Errors,
-    StateSource,
     errors_against,
     joined,
     pool,

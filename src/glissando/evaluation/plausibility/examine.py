@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from glissando.estimation.posterior import Posterior
+from glissando.estimation.reading_noise import reading_covariance
 from glissando.evaluation.plausibility.finding import Finding, require_known
 from glissando.evaluation.plausibility.lag import check_lag
 from glissando.evaluation.plausibility.noise import check_noise
@@ -170,7 +171,8 @@ def _residual(posterior: Posterior, readings: Readings) -> tuple[Array, Array]:
     at = posterior.at(readings.arclength, readings.time)
     state = State(at.pose, at.strain, at.velocity)
     jacobian = readings.jacobian(state)  # between time nodes the state is uncertain by the bridge
-    cov = readings.cov + jacobian @ at.cov @ np.swapaxes(jacobian, -1, -2)
+    own = reading_covariance(posterior, readings, state, jacobian)
+    cov = own + jacobian @ at.cov @ np.swapaxes(jacobian, -1, -2)
     return readings.residual(state), cov
 
 

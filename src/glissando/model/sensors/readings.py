@@ -178,8 +178,10 @@ class Readings(Brief):
         _require_rotations(f"{self.label} mount", mount.reshape(-1, 4, 4))
         std = np.asarray(self.arclength_std, dtype=float)
         object.__setattr__(self, "arclength_std", std)
-        if std.shape not in ((), count) or not np.all(std >= 0.0):
-            raise SensorError(f"{self.label}: arclength_std must be one number from 0, or {count}.")
+        if std.shape not in ((), count) or not np.all((std >= 0.0) & np.isfinite(std)):
+            raise SensorError(
+                f"{self.label}: arclength_std must be one number from 0, or {count}, all finite."
+            )
         for given in ("slide_speed", "slide_way"):
             value = np.asarray(getattr(self, given), dtype=float)
             object.__setattr__(self, given, value)
