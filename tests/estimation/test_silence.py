@@ -11,6 +11,7 @@ from scipy.stats import chi2
 import separable_sessions as drawn
 from draws import generators, law
 from glissando import CoilReadings, PoseReadings, load_robot
+from glissando.errors import OutsideGridError
 from glissando.estimation.fixed_lag import FixedLagSmoother
 from glissando.estimation.shape_spread import shape_covariances
 from glissando.geometry import se3
@@ -86,6 +87,20 @@ def test_after_any_pause_what_is_claimed_is_true_and_true_readings_are_taken_at_
     assert np.all(np.diff(spread) >= -0.05 * np.array(spread[1:]))
     assert np.ptp(spread[-3:]) < 1e-9
     assert 0.2 * robot.length < spread[-1] < 2.0 * robot.length
+
+
+@pytest.mark.parametrize("name", ["tdcr466", "tdcr466-segments"])
+def test_what_is_foretold_is_known_the_less_the_farther_ahead_it_lies(name):
+    robot = load_robot(name)
+    heard, *_ = heard_for_a_second(robot, 3)
+    before, ahead = heard.posterior(), np.array([0.0, 0.05, 0.2, 1.0, 5.0, 30.0, 300.0])
+    spread = np.array([heard.at(robot.length, heard.time + t).std_position for t in ahead])
+    assert np.all(np.diff(spread) > -1e-9)
+    together = heard.at(robot.length, heard.time + ahead)  # also where some are at rest by then
+    np.testing.assert_allclose(together.std_position[4:], spread[4:])
+    np.testing.assert_array_equal(heard.posterior().state.pose, before.state.pose)
+    with pytest.raises(OutsideGridError, match="finite"):
+        heard.at(robot.length, np.nan)
 
 
 @pytest.mark.parametrize("name", ["tdcr466", "tdcr466-segments"])

@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from glissando._kernels.jit import load
 from glissando._kernels.threads import one_thread
@@ -157,15 +157,24 @@ class FixedLagSmoother:
             time: Seconds.
 
         Raises:
-            OutsideGridError: A point lies off the robot or before the window.
+            OutsideGridError: A point lies off the robot or before the window, or is not finite.
         """
         self._require_started()
-        if np.all(np.asarray(time) == self.time):  # as a rule, and then older nodes are not needed
+        place, when = np.broadcast_arrays(*(np.asarray(x, dtype=float) for x in (arclength, time)))
+        if not np.isfinite(when).all():
+            raise OutsideGridError(f"The time asked for is {time!r}; give finite seconds.")
+        if np.all(when == self.time):  # as a rule, and then older nodes are not needed
             state, cov, grid = self.newest_node()
             newest = Marginals(cov[np.newaxis], np.zeros((0, *cov.shape)))
-            return state_at(self.prior, grid, state.take(np.newaxis), newest, arclength, time)
-        window = self._steps.ahead(float(np.max(time, initial=-np.inf)))
-        return window.posterior().at(arclength, time)
+            return state_at(self.prior, grid, state.take(np.newaxis), newest, place, when)
+        window = self._steps.ahead(float(np.max(when, initial=-np.inf)))
+        begins, posterior = float(window.nodes.time[0]), window.posterior()
+        late = when >= begins
+        if late.all() or begins <= self._window.nodes.time[-1]:
+            return posterior.at(place, when)
+        return _merged(
+            late, self.at(place[~late], when[~late]), posterior.at(place[late], when[late])
+        )
 
     def placed(self, readings: Readings) -> Readings:
         """Readings of a sensor in a channel, as those where the newest shape puts it. (M8)."""
@@ -237,6 +246,17 @@ class FixedLagSmoother:
     def fits(self) -> bool:
         """Whether innovations of late are no larger than chance allows."""
         return self._steps.gate.fits
+
+
+def _merged(late: NDArray[np.bool_], early: StateEstimate, other: StateEstimate) -> StateEstimate:
+    """States of two kinds of points, by which of all points (…) are of the second."""
+    out = []
+    for name in ("pose", "strain", "velocity", "cov"):
+        one, two = getattr(early, name), getattr(other, name)
+        values = np.empty((*late.shape, *one.shape[1:]))
+        values[~late], values[late] = one, two
+        out.append(values)
+    return StateEstimate(*out)
 
 
 def _meet(prior: Prior, arclength: Array) -> None:

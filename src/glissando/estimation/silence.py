@@ -43,8 +43,14 @@ class Silence:
             return time
         if void[0]:  # readings first
             return max(float(stops[void[0] - 1]), newest + self.step)
+        return self.next_in_void(newest, float(stops[0]))
+
+    def next_in_void(self, newest: float, time: float) -> float:
+        """The next node on the way from the newest to a time until which nothing is read."""
+        if time - newest <= _VOID * self.step:
+            return time
         ahead = newest + max(self.step, _GROWTH * (newest - self.heard))
-        return ahead if ahead + self.step <= stops[0] else float(stops[0])
+        return ahead if ahead + self.step <= time else time
 
     def end(self, before: float | None, newest: float) -> None:
         """Something was read in the interval between two nodes."""

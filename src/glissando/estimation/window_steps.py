@@ -73,18 +73,29 @@ class WindowSteps:
                 pass
 
     def ahead(self, time: float) -> SlidingWindow:
-        """The window, or where a time is ahead of it a copy with a node more."""
+        """The window, or where a time is ahead of it a copy with more nodes.
+
+        Those lie as they would if nothing were read until then; where a robot at rest is known as
+        well, the copy has one node, of that.
+        """
         window, nodes = self.window, self.window.nodes.time
-        if time <= nodes[-1]:
+        newest = float(nodes[-1])
+        if time <= newest:
             return window
         window = window.copied()
         before = window.before if len(nodes) == 1 else nodes[-2]
         # Nodes may be too close; one further ahead than asked for does not change the answer.
-        least = 0.0 if before is None else _CLOSEST * float(nodes[-1] - before)
-        window.append(max(time, float(nodes[-1]) + least))
-        first = max(0, len(window.nodes) - 2)
+        least = 0.0 if before is None else _CLOSEST * float(newest - before)
+        time = max(time, newest + least)
         with one_thread():
-            window.solve(first, self.buffer.since(float(window.nodes.time[first])))
+            while newest < time:
+                newest = time if self.resting else self._silence.next_in_void(newest, time)
+                window.append(newest)
+                first = max(0, len(window.nodes) - 2)
+                window.solve(first, self.buffer.since(float(window.nodes.time[first])))
+                if newest < time and self._silence.is_at_rest(self._spread(window)):
+                    _begin_at_rest(window, time)
+                    break
         return window
 
     def _new_time(self, time: float) -> float:
@@ -154,16 +165,17 @@ class WindowSteps:
     def _rest(self, time: float) -> None:
         """A single node at rest."""
         window = self.window
-        window.begin(time, window.prior.rest_state(Grid(self.window.arclength, [time])).take(0))
         self._started = self._silence.curved = False
-        if window.prior.fixes_base and not self._silence.has_rest:
-            window.solve(0, HeldReadings())
-            self._silence.set_rest(self._spread(), float(self.window.arclength[-1]))
+        first = window.prior.fixes_base and not self._silence.has_rest
+        _begin_at_rest(window, time, solve=first)
+        if first:
+            self._silence.set_rest(self._spread(window), float(window.arclength[-1]))
 
-    def _spread(self) -> tuple[float, float]:
+    @staticmethod
+    def _spread(window: SlidingWindow) -> tuple[float, float]:
         """RMS displacement (m) and turn (rad) of the newest tip."""
-        state, cov = self.window.newest()
-        return spread_of(cov, self.window.arclength.size - 1, state.dof)
+        state, cov = window.newest()
+        return spread_of(cov, window.arclength.size - 1, state.dof)
 
     @property
     def resting(self) -> bool:
@@ -172,7 +184,7 @@ class WindowSteps:
 
     def _note_silence(self, newest: float) -> None:
         """Begin again where the newest state is no better known than that of a robot at rest."""
-        spread = self._spread()
+        spread = self._spread(self.window)
         self._silence.note(spread)
         if self._silence.is_at_rest(spread):
             self._restart(newest, Counter())
@@ -214,3 +226,10 @@ class WindowSteps:
     def _solve(self, first: int, fresh: Counter[str]) -> None:
         """Solve from a node on, with the new readings that the gate believes."""
         self.update.update(first, fresh, linear=not self._silence.curved)
+
+
+def _begin_at_rest(window: SlidingWindow, time: float, *, solve: bool = True) -> None:
+    """Begin a window with a node of a robot at rest."""
+    window.begin(time, window.prior.rest_state(Grid(window.arclength, [time])).take(0))
+    if solve:
+        window.solve(0, HeldReadings())
