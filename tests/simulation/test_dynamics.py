@@ -261,6 +261,14 @@ def test_a_soft_floor_carries_a_rod_that_falls_on_it_and_a_hold_lets_go():
     assert np.ptp(static) < 1e-6
 
 
+def test_loads_and_holds_at_the_clamped_base_do_nothing():
+    """Less than a rounding error beyond it, too."""
+    loads = (TimedWrench(Wrench(1e-17, (0.0, 1.0, 0.0)), start=0.01),)
+    holds = (Hold(1e-17, 50.0, place=(0.1, 0.0, 0.0), start=0.01),)
+    motion = simulate_motion(soft(), [], Scenario(wrenches=loads, holds=holds), 0.05)
+    np.testing.assert_allclose(motion.at(0.5, 0.05).pose[:3, 3], [0.0, 0.0, 0.5], atol=1e-12)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("number", range(1, 6))
 def test_a_release_moves_as_another_groups_solver_says(number):

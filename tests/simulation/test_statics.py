@@ -89,9 +89,10 @@ def test_an_unloaded_rod_has_its_rest_strain():
     np.testing.assert_allclose(strain, [twin.rest(x)[0] for x in s], rtol=0.0, atol=1e-9)
 
 
-def test_a_load_on_the_clamped_base_does_nothing():
+@pytest.mark.parametrize("place", [0.0, 1e-17, 1e-10])
+def test_a_load_on_the_clamped_base_does_nothing(place):
     rod = beam()
-    shape = solve_shape(rod, [], Loads(wrenches=[Wrench(0.0, (1.0, 2, 3), (4.0, 5, 6))]))
+    shape = solve_shape(rod, [], Loads(wrenches=[Wrench(place, (1.0, 2, 3), (4.0, 5, 6))]))
     np.testing.assert_allclose(shape.at([0.0, 1.0]).strain, [STRAIGHT, STRAIGHT], atol=1e-12)
 
 

@@ -106,9 +106,9 @@ class Equilibrium:
         """The equilibrium of a rod on a mesh with an edge at every tendon's end and load."""
         cables = np.zeros((len(tendons), 4))
         cables[:, 0], cables[:, 3] = loads.tensions, [tendon.friction for tendon in tendons]
-        sites = [site(mesh, wrench) for wrench in loads.wrenches if wrench.arclength > 0.0]
+        sites = off_base([site(mesh, wrench) for wrench in loads.wrenches])
         gravity = np.asarray(loads.gravity, dtype=float)
-        instant = Instant(rod.base, gravity, cables, np.reshape(sites, (-1, 12)))
+        instant = Instant(rod.base, gravity, cables, sites)
         return Equilibrium(RodEquations.of(rod, tendons, mesh), instant)
 
     def load_up(self, guess: Array | None) -> Array:
@@ -212,3 +212,9 @@ def site(mesh: Mesh, wrench: Wrench) -> Array:
     row[0] = np.abs(mesh.edges - wrench.arclength).argmin() - 1
     row[1:4], row[4:7] = wrench.force, wrench.moment
     return row
+
+
+def off_base(rows: Sequence[Array]) -> Array:
+    """Those of the rows (12,) of loads (E, 12) that act beyond the base, which holds the others."""
+    sites = np.reshape(rows, (-1, 12))
+    return sites[sites[:, 0] >= 0.0]

@@ -13,7 +13,7 @@ from glissando.geometry.se3 import Array
 from glissando.simulation.dynamics.base_motion import BaseMotion
 from glissando.simulation.rod import Wrench
 from glissando.simulation.rod_equations import Instant, RodEquations
-from glissando.simulation.statics import site
+from glissando.simulation.statics import off_base, site
 
 _EVER = float("inf")
 
@@ -173,7 +173,7 @@ class Acting:
         if scenario.base is not None:
             base, rates = scenario.base.at(time)
         acting = [timed.wrench for timed in scenario.wrenches if _is_there(timed, moment)]
-        sites = [site(mesh, wrench) for wrench in acting if wrench.arclength > 0.0]
+        sites = [site(mesh, wrench) for wrench in acting]
         for k, hold in enumerate(scenario.holds):
             if _is_there(hold, moment) and k in self.anchors:
                 row = site(mesh, Wrench(hold.arclength))
@@ -185,7 +185,7 @@ class Acting:
             np.ascontiguousarray(base),
             np.asarray(scenario.gravity, dtype=float),
             self._cables(time),
-            np.reshape(sites, (-1, 12)),
+            off_base(sites),
             np.reshape(planes, (-1, 9)),
             rates,
         )
