@@ -79,7 +79,7 @@ def test_more_risk_costs_no_more(planned):
         ({"target": (0.3, 0.0, 0.1)}, r"out of reach: .* no nearer than 207 mm"),
         (
             {"obstacles": [sphere(np.array([0.0, 0.0, 0.15]), 0.01)]},
-            r"starts in collision: .* 10.7 mm inside obstacle 1",
+            r"starts in collision: .* 13.9 mm inside obstacle 1",
         ),
         (
             {"obstacles": [HalfSpace(np.array([-0.0045, 0.0, 0.0]), np.array([1.0, 0.0, 0.0]))]},

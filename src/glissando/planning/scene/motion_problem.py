@@ -30,6 +30,8 @@ from glissando.planning.scene.scene_file import Scene
 from glissando.planning.scene.tendon_body import BodyShapes, TendonBody
 from glissando.planning.sliding_sensor import SlidingSensor
 
+_ROUNDING = 1e-9  # of a step
+
 
 @dataclass(frozen=True)
 class MotionProblem:
@@ -61,6 +63,11 @@ class MotionProblem:
         """Time between moments, s."""
         return float(self.space.moments[1] - self.space.moments[0])
 
+    @cached_property
+    def radius(self) -> float:
+        """Radius of balls about the places that hold all of a straight body between them, m."""
+        return float(np.hypot(self.scene.robot_radius, 0.5 * self.body.step.max()))
+
     def evaluate(self, control: Array, like: Evaluation | None = None) -> Evaluation:
         """What a motion with control points (C, S+2) is worth.
 
@@ -82,6 +89,16 @@ class MotionProblem:
         hits = bound_hits(clearances)
         out = Evaluation(control, values, shapes, left, clearances, slopes, curvature, hits, {})
         return replace(out, terms=cost_terms(self.scene, self.space, out))
+
+    def cut(self, at: Evaluation, spacing: float) -> tuple[MotionProblem, BodyShapes, Clearances]:
+        """The problem, and a motion's shapes and clearances, with places closer than a spacing, m.
+
+        What is known of the model error stays as it is.
+        """
+        more = max(1, int(np.ceil(self.body.step.max() / spacing - _ROUNDING)))
+        finer = replace(self, body=replace(self.body, steps=more * self.body.steps))
+        shapes = BodyShapes(finer.body, at.shapes.balance)
+        return finer, shapes, finer._clearances(shapes, at.known)[0]
 
     def log_risk(self, at: Evaluation) -> float:
         """Logarithm of the bound of the risk, plus how deep the expected body is in obstacles.
@@ -138,7 +155,7 @@ class MotionProblem:
         parts = distances(self.scene.obstacles, shapes.place.reshape(-1, 3))
         signed, slope, curved = (part.reshape(len(part), *lead, *part.shape[2:]) for part in parts)
         by_error = (slope[..., None, :] @ shapes.moves)[..., 0, :]
-        mean = signed - self.scene.robot_radius
+        mean = signed - self.radius
         floor = self.scene.model_std
         return Clearances(mean, by_error, known.before, known.lagged, floor), slope, curved
 

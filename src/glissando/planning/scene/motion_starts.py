@@ -9,7 +9,7 @@ import numpy as np
 from glissando.errors import GlissandoError
 from glissando.geometry.se3 import Array
 from glissando.planning.scene.motion_problem import MotionProblem
-from glissando.planning.scene.sampled_risk import sample_risk
+from glissando.planning.scene.sampled_risk import at_close_places, sample_risk
 
 _BENDS = 120  # random bends by way of which a motion may begin, where something is in the way
 _BEND = 0.4  # rad, standard deviation of the bend of a tendon robot's segment on the way
@@ -27,11 +27,12 @@ def require_possible_start(problem: MotionProblem) -> None:
     at = problem.evaluate(still)
     if not scene.obstacles:
         return
-    clearance = at.clearances.mean[:, 0]
+    finer, _, clearances = at_close_places(problem, at)
+    clearance = clearances.mean[:, 0] + finer.radius - scene.robot_radius
     o, n = np.unravel_index(int(np.argmin(clearance)), clearance.shape)
     if clearance[o, n] < 0.0:
         raise GlissandoError(
-            f"The robot starts in collision: at arclength {problem.body.arclength[n]:.3g} m it is "
+            f"The robot starts in collision: at arclength {finer.body.arclength[n]:.3g} m it is "
             f"{-1e3 * clearance[o, n]:.3g} mm inside obstacle {o + 1}; move the obstacle, or start "
             f"elsewhere."
         )

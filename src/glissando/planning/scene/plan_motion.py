@@ -1,7 +1,8 @@
 """The best motion of a scene: starts of several kinds, each improved, at the risk that is allowed.
 
-What the search holds is a bound of the risk, which errs on the careful side; so the risk is sampled
-at the end, and the bound allowed to be as much larger as leaves the risk what it may be.
+What the search holds is a bound of the risk, which errs on the careful side, of balls about places
+of the body that hold all of it; so the risk is sampled at the end, at closer places, and the bound
+allowed to be as much larger as leaves the risk what it may be.
 """
 
 from __future__ import annotations
@@ -33,8 +34,8 @@ from glissando.planning.scene.tendon_body import tendon_body
 Progress = Callable[[int, int, str], None]
 """Called with parts done, parts in all and a note."""
 
-_SPACING = 1.5  # robot radii between two places of the body, at most
-_PLACES = 30  # of them at most over the whole body
+_SPACING = 0.5  # robot radii between two places of the body, at most
+_PLACES = 80  # of them at most over the whole body, whose balls are then larger
 _PIECES = 12  # of a path, unless that makes them shorter than a second
 _SHARE = 0.9  # of the allowed risk that a plan aims at
 _BRIEF = 12  # iterations of each candidate

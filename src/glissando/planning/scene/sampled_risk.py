@@ -10,9 +10,12 @@ from glissando.geometry.se3 import Array
 from glissando.planning.scene.error_belief import KnownError
 from glissando.planning.scene.motion_cost import Evaluation
 from glissando.planning.scene.motion_problem import MotionProblem
+from glissando.planning.scene.risk import Clearances
+from glissando.planning.scene.tendon_body import BodyShapes
 
 _SAMPLES = 4000
 _NEAR = 5.0  # standard deviations of clearance beyond which nothing is hit
+_SPACING, _PLACES = 0.25, 600  # robot radii between two places of the body; of them at most
 _CURVED = 0.2  # robot radii by which a distance may be less than its linear part says
 
 
@@ -22,7 +25,9 @@ def sample_risk(
 ) -> tuple[float, float]:  # fmt: skip
     """Share of sampled model errors with which anything is hit, and its standard deviation.
 
-    The errors are drawn jointly over time. Places are linear in them, distances are not.
+    The errors are drawn jointly over time. Places are linear in them, distances are not. Places are
+    so close that the balls about them are the body, but for less than a hundredth of its radius;
+    where that takes too many of them, larger balls err on the careful side.
 
     Args:
         problem: The problem.
@@ -31,7 +36,8 @@ def sample_risk(
         seed: Their seed.
         moments: How many of the first moments count; all unless given.
     """
-    rng, c = np.random.default_rng(seed), at.clearances
+    problem, shapes, c = at_close_places(problem, at)
+    rng = np.random.default_rng(seed)
     floor = c.floor * rng.standard_normal(count)
     hit = np.zeros(count, dtype=bool)
     near = c.mean < _NEAR * c.std()
@@ -42,11 +48,19 @@ def sample_risk(
         for o, n in np.argwhere(near[:, k]):
             linear = c.mean[o, k, n] + error @ c.by_error[o, k, n] + floor
             maybe = np.flatnonzero(~hit & (linear < _CURVED * problem.scene.robot_radius))
-            place = at.shapes.place[k, n] + error[maybe] @ at.shapes.moves[k, n].T
+            place = shapes.place[k, n] + error[maybe] @ shapes.moves[k, n].T
             signed = problem.scene.obstacles[o].distance(place)[0]
-            hit[maybe] = signed - problem.scene.robot_radius + floor[maybe] < 0.0
+            hit[maybe] = signed - problem.radius + floor[maybe] < 0.0
     share = float(hit.mean())
     return share, float(np.sqrt(max(share * (1.0 - share), 1.0 / count) / count))
+
+
+def at_close_places(
+    problem: MotionProblem, at: Evaluation
+) -> tuple[MotionProblem, BodyShapes, Clearances]:
+    """A problem, and a motion's shapes and clearances, at places so close that all is seen."""
+    length = float(problem.body.arclength[-1])
+    return problem.cut(at, max(_SPACING * problem.scene.robot_radius, length / _PLACES))
 
 
 def _sampled_errors(known: KnownError, count: int, rng: np.random.Generator) -> Iterator[Array]:
