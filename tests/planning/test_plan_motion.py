@@ -9,7 +9,7 @@ import pytest
 from glissando.errors import GlissandoError
 from glissando.planning.scene.motion_search import Search
 from glissando.planning.scene.motion_starts import reach_target, slide_ways, starts
-from glissando.planning.scene.obstacles import HalfSpace, sphere
+from glissando.planning.scene.obstacles import HalfSpace, read_mesh, sphere
 from glissando.planning.scene.plan_motion import motion_problem, plan_motion
 from glissando.planning.scene.scene_file import Actuator, Target, Weights
 from motion_scenes import ROBOT, SLIDE, TENDON, small_scene
@@ -96,6 +96,18 @@ def test_a_scene_that_is_impossible_says_which_part_and_by_how_much(fields, sent
     problem = motion_problem(small_scene(**given), ROBOT)
     with pytest.raises(GlissandoError, match=sentence):
         plan_motion(problem, iterations=5, candidates=1)
+
+
+def test_a_motion_is_planned_past_a_mesh(tmp_path):
+    trimesh = pytest.importorskip("trimesh", reason="trimesh is not installed")
+    pytest.importorskip("rtree", reason="rtree is not installed")
+    trimesh.creation.box((0.02, 0.02, 0.02)).export(tmp_path / "box.stl")
+    pose = np.eye(4)
+    pose[:3, 3] = 0.0, -0.03, 0.16
+    scene = small_scene([read_mesh(tmp_path / "box.stl", pose)])
+    plan = plan_motion(motion_problem(scene, ROBOT), candidates=1, iterations=3)
+    assert plan.risk <= scene.delta + 2.0 * plan.risk_std
+    assert [len(part) for part in scene.obstacles[0].distance(np.zeros((0, 3)))] == [0, 0, 0]
 
 
 def exhaustive(problem, count, rounds):

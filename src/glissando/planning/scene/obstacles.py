@@ -181,7 +181,7 @@ class Mesh:
         )  # fmt: skip
         at = ((inner[:, None] + offsets - self.low) / self.step).reshape(-1, 3).T
         f = map_coordinates(self._spline, at, order=3, prefilter=False, mode="nearest")
-        f = f.reshape(len(point), -1)
+        f = f.reshape(len(point), len(offsets))
         slope = (f[:, 1:4] - f[:, 4:7]) / (2.0 * h)
         own = (f[:, 1:4] + f[:, 4:7] - 2.0 * f[:, :1]) / h**2
         curved = np.zeros((len(point), 3, 3))
