@@ -101,6 +101,23 @@ def test_a_mesh_is_as_far_as_the_box_it_is_of(tmp_path, rng):
         read_mesh(open_file, pose)
 
 
+@pytest.mark.parametrize("size", [(0.1, 0.1, 0.001), (0.2, 0.002, 0.002), (0.01, 0.01, 0.01)])
+def test_a_mesh_is_nowhere_much_further_than_the_thin_box_it_is_of(tmp_path, rng, size):
+    trimesh = pytest.importorskip("trimesh", reason="trimesh is not installed")
+    pytest.importorskip("rtree", reason="rtree is not installed")
+    trimesh.creation.box(size).export(tmp_path / "box.stl")
+    pose, half = se3.exp(np.array([0.01, 0, 0.02, 0.3, 0.2, 0.1])), 0.5 * np.array(size)
+    mesh, box = read_mesh(tmp_path / "box.stl", pose), RoundedBox(pose, half)
+    for beyond in (0.0, 0.005, 0.02):
+        local = rng.uniform(-1.0, 1.0, (3000, 3)) * (half + beyond)
+        points = local @ pose[:3, :3].T + pose[:3, 3]
+        found, true = mesh.distance(points)[0], box.distance(points)[0]
+        assert np.all(found <= true + 2e-4 + 0.04 * np.maximum(true, 0.0))
+        assert np.all(found[true < -1e-4] < 0.0)
+        outside = true > 0.0
+        assert np.all(found[outside] > true[outside] - 0.8 * mesh.step)
+
+
 def test_a_mesh_of_others_is_refused_or_read_alone(tmp_path):
     """Not a kind that unpacks or fetches, no pipe; materials that it names are left alone."""
     trimesh = pytest.importorskip("trimesh", reason="trimesh is not installed")

@@ -9,7 +9,7 @@ curvature (I − n nᵀ − A) / |v|, A the projector along the face that the ne
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Protocol
@@ -27,8 +27,11 @@ _TINY = 1e-12
 _RINGS = 6  # of a quarter of a surface that is shown
 _KINDS = "stl", "obj", "ply"
 _LARGEST, _TRIANGLES = 1 << 26, 200_000  # bytes and triangles of a mesh
-_CELLS = 24  # of a mesh's lattice along its longest side
-_MARGIN = 0.35  # of that side, by which the lattice goes beyond the mesh
+_CELLS, _THIN = 24, 6  # of a mesh's lattice along its longest side, and its thinnest
+_POINTS = 100_000  # of the lattice at most, more or less
+_MARGIN = 0.35  # of the longest side, by which the lattice goes beyond the mesh
+_CHECKED = 1000  # points near the surface where the splines are compared with the triangles
+_SAFELY = 1.1  # of the largest distance found too large there, taken off all
 
 Distances = tuple[Array, Array, Array]
 """Signed distances (M,), their slopes (M, 3) and curvatures (M, 3, 3)."""
@@ -148,6 +151,8 @@ class HalfSpace:
 class Mesh:
     """A closed surface of triangles, by cubic splines through its distances on a lattice.
 
+    `read_mesh` takes off what the splines are found too large by, so it is a little too thick.
+
     Attributes:
         low: Lowest corner (3,) of the lattice, m.
         step: Distance of its points, m.
@@ -169,7 +174,7 @@ class Mesh:
     def distance(self, point: Array) -> Distances:
         """Signed distances of points (M, 3), slopes and curvatures, by differences of the spline.
 
-        Beyond the lattice the distance to the lattice is added.
+        Beyond the lattice it is the distance to the point of the surface nearest to the lattice's.
         """
         top = self.low + self.step * (np.array(self.values.shape) - 3.0)
         inner = np.clip(point, self.low + 2.0 * self.step, top)
@@ -189,11 +194,12 @@ class Mesh:
         for pair, (i, j) in zip(range(7, 13, 2), ((0, 1), (0, 2), (1, 2)), strict=True):
             both = (f[:, pair] + f[:, pair + 1] - 2.0 * f[:, 0]) / h**2
             curved[:, i, j] = curved[:, j, i] = 0.5 * (both - own[:, i] - own[:, j])
-        size = np.linalg.norm(beyond, axis=-1)
-        far = size > _TINY
-        direction = beyond / np.where(far, size, 1.0)[:, None]
-        slope = np.where(far[:, None], direction, slope)
-        return f[:, 0] + size, slope, np.where(far[:, None, None], 0.0, curved)
+        signed, far = f[:, 0].copy(), np.any(beyond != 0.0, axis=-1)
+        unit = slope[far] / np.linalg.norm(slope[far], axis=-1, keepdims=True)
+        away = beyond[far] + signed[far, None] * unit
+        signed[far] = np.linalg.norm(away, axis=-1)
+        slope[far], curved[far] = away / signed[far, None], 0.0
+        return signed, slope, curved
 
     def surface(self) -> Surface:
         """The triangles it was made from."""
@@ -247,15 +253,37 @@ def read_mesh(path: Path, pose: Array, scale: float = 1.0) -> Mesh:
         raise GlissandoError(
             f"{path.name} is {size:.3g} m long; give scale = 0.001 if it is in millimetres."
         )
-    step = size / _CELLS
-    low = low - _MARGIN * size
-    counts = np.ceil((high + _MARGIN * size - low) / step).astype(int) + 1
-    lattice = np.stack(np.meshgrid(*(np.arange(n) for n in counts), indexing="ij"), axis=-1)
-    inside_out: Any = trimesh.proximity.signed_distance
-    points = low + step * lattice.reshape(-1, 3)
-    signed = -np.asarray(inside_out(surface, points))
+    low, sides = low - _MARGIN * size, high - low + 2.0 * _MARGIN * size
+    fine = min(size / _CELLS, float(np.min(high - surface.bounds[0])) / _THIN)
+    step = max(fine, float(np.prod(sides) / _POINTS) ** (1.0 / 3.0))
+    lattice = np.indices(np.ceil(sides / step).astype(int) + 1)
+    points = low + step * np.moveaxis(lattice, 0, -1)
+    signed = _signed(surface, points.reshape(-1, 3)).reshape(points.shape[:3])
     faces = np.asarray(surface.faces, dtype=np.intp)
-    return Mesh(low, step, signed.reshape(*counts), np.asarray(surface.vertices), faces)
+    mesh = Mesh(low, step, signed, np.asarray(surface.vertices), faces)
+    return replace(mesh, values=signed - _too_far(mesh, surface))
+
+
+def _signed(surface: Any, point: Array) -> Array:
+    """Signed distances of points (M, 3) from a surface of trimesh, negative inside."""
+    import trimesh
+
+    inside_out: Any = trimesh.proximity.signed_distance
+    return -np.asarray(inside_out(surface, point))
+
+
+def _too_far(mesh: Mesh, surface: Any) -> float:
+    """By how much distances near the surface may be too large, from random points there, m."""
+    rng = np.random.default_rng(0)
+    corners = mesh.vertices[mesh.triangles]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(normal, axis=-1)
+    picked = rng.choice(len(area), _CHECKED, p=area / area.sum())
+    within = rng.dirichlet(np.ones(3), _CHECKED)
+    point = np.einsum("mi,mij->mj", within, corners[picked])
+    point += mesh.step * rng.uniform(-1.0, 1.0, (_CHECKED, 3))
+    over = mesh.distance(point)[0] - _signed(surface, point)
+    return _SAFELY * max(0.0, float(over.max()))
 
 
 def distances(obstacles: Sequence[Obstacle], point: Array) -> Distances:
