@@ -1,5 +1,7 @@
 """Tendons pull the rod into the simulator's shapes, and every slope is that of a difference."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -72,6 +74,32 @@ def test_slopes_by_displacement_are_differences_of_equilibria():
         ahead, behind = (equilibrium(rod, displacement=pulled + s * move).pose() for s in (1, -1))
         difference = se3.log(se3.inverse(behind[:, -1]) @ ahead[:, -1]) / (2.0 * nudge)
         np.testing.assert_allclose(slope[..., j], difference, atol=1e-5 * np.abs(slope).max())
+
+
+@pytest.mark.parametrize("pitch", [0.0, 0.3])
+def test_where_tendons_rub_slopes_are_differences_of_equilibria(pitch):
+    rod = tendon_rod(tendon_robot(friction=0.3, pitch=pitch), np.linspace(0.0, LENGTH, 9))
+    pulled, moments = pulls(np.random.default_rng(2), 1), np.zeros((len(rod.length), 6))
+    at = equilibrium(rod, displacement=pulled)
+    free = equilibrium(rod, tension=at.tension)
+    for j, move in enumerate(np.eye(6)):
+        for slope, given, nudge in (
+            (at.strain_by_displacement(), {"displacement": pulled}, 1e-6),
+            (free.strain_by_tension(), {"tension": at.tension + 1e-3}, 1e-4),
+        ):
+            ends = (equilibrium(rod, **{k: v + sign * nudge * move for k, v in given.items()})
+                    for sign in (1.0, -1.0))  # fmt: skip
+            difference = np.subtract(*(end.strain for end in ends)) / (2.0 * nudge)
+            assert np.abs(slope[..., j] - difference).max() < 2e-3 * np.abs(difference).max()
+    moments[3, 4] = 1e-6 / rod.stiffness[3, 4]
+    ends = (
+        equilibrium(replace(rod, rest=rod.rest + sign * moments), displacement=pulled).strain
+        for sign in (1.0, -1.0)
+    )
+    difference = np.subtract(*ends) / 2e-6
+    assert (
+        np.abs(at.strain_by_moment()[..., 7] - difference).max() < 1e-3 * np.abs(difference).max()
+    )
 
 
 @pytest.mark.parametrize("seed", range(3))

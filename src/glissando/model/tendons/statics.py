@@ -22,6 +22,7 @@ from glissando.geometry.se3 import Array
 from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.model.priors.rest_shape import STRAIGHT
 from glissando.model.robot import Robot
+from glissando.model.tendons.friction import share_left, wrench_by_strain
 from glissando.model.tendons.tendons import Tendons
 
 _ITERATIONS = 60
@@ -133,12 +134,12 @@ class Equilibrium:
 
     def strain_by_tension(self) -> Array:
         """∂strain/∂tension (M, P, 6, T), tensions being the inputs."""
-        return -self.compliance @ self.pull
+        return self._rubbing(-self.compliance @ self.pull, np.zeros_like(self.slope))
 
     def strain_by_displacement(self) -> Array:
         """∂strain/∂displacement (M, P, 6, T), displacements being the inputs."""
         by_stretch = self.yielding() * self.slope[:, None]
-        return self.strain_by_tension() @ by_stretch[:, None]
+        return self._rubbing(-self.compliance @ (self.pull @ by_stretch[:, None]), self.slope)
 
     def yielding(self) -> Array:
         """∂tension/∂(what a tendon would pull with) (M, T, T), as the rod and tendons yield."""
@@ -168,13 +169,40 @@ class Equilibrium:
         A moment bends its own piece, and through the tendons' stretch all that they pass.
         """
         m, count = self.strain.shape[:2]
-        t = self.slope.shape[1]
-        out = np.zeros((m, count, 6, 2 * count))
+        own = np.zeros((m, count, 6, 2 * count))
         for piece in range(count):
-            out[:, piece, :, 2 * piece : 2 * piece + 2] = self.compliance[:, piece, :, 3:5]
+            own[:, piece, 3:5, 2 * piece : 2 * piece + 2] = np.eye(2)
+        return self._rubbing(self._strain_by(own, self.slope), self.slope)
+
+    def _strain_by(self, wrench: Array, slope: Array) -> Array:
+        """Strains (M, P, 6, ·) by wrenches on the sections, at what friction leaves of tensions.
+
+        The tendons' tensions have a `slope` (M, T) by their stretch.
+        """
+        free = self.compliance @ wrench
+        if not slope.any():
+            return free
+        m, t = slope.shape
         weighted = (self.rod.length[:, None] * self.reach).reshape(m, t, -1)
-        stretch = self.slope[..., None] * (weighted @ out.reshape(m, 6 * count, -1))
-        return out + self.strain_by_tension() @ (self.yielding() @ stretch)[:, None]
+        stretch = slope[..., None] * (weighted @ free.reshape(m, -1, free.shape[-1]))
+        return free - self.compliance @ (self.pull @ (self.yielding() @ stretch)[:, None])
+
+    def _rubbing(self, slope: Array, stiffness: Array) -> Array:
+        """Slopes (M, P, 6, ·) of strain with those of what friction leaves of the tensions.
+
+        With (A + F) S = B and A S₀ = B, S = (1 + A⁻¹ F)⁻¹ S₀; F is how friction goes with strain.
+        """
+        rod = self.rod
+        if not rod.tendons.friction.any():
+            return slope
+        m, count = self.strain.shape[:2]
+        _, unit, speed, _ = _reaches(rod, self.strain)
+        force = self.tension[..., None, None] * self.pull.transpose(0, 3, 1, 2)
+        eased = wrench_by_strain(rod, self.strain, unit, speed, force)
+        back = self._strain_by(eased.reshape(m, count, 6, -1), stiffness)
+        whole = np.eye(6 * count) + back.reshape(m, 6 * count, -1)
+        found = np.linalg.solve(whole, slope.reshape(m, 6 * count, -1))
+        return np.asarray(found.reshape(slope.shape))
 
     def cov(self) -> Array:
         """Covariance (M, P+1, 12, 12) of poses and strains that [tendons] states.
@@ -266,7 +294,7 @@ def _linearize(
     reach, unit, speed, inside = _reaches(rod, strain)
     stretch = given - shortening(rod, strain) - rod.tendons.slack
     force, slope = (given, np.zeros_like(given)) if tensions else rod.tendons.tension(stretch)
-    left = _friction(rod, strain, unit) * inside
+    left = share_left(rod, strain, unit) * inside
     pull = (reach * left[..., None]).transpose(0, 2, 3, 1)
     residual = _balance(rod, strain, pull, force)
     compliance = np.asarray(np.linalg.inv(_hessian(rod, unit, (force[..., None] * left) / speed)))
@@ -294,7 +322,7 @@ def misfit(
         Wrenches left (M, P, 6), and the tensions (M, T) of the tendons' stretch.
     """
     reach, unit, _, inside = _reaches(rod, strain)
-    pull = (reach * (_friction(rod, strain, unit) * inside)[..., None]).transpose(0, 2, 3, 1)
+    pull = (reach * (share_left(rod, strain, unit) * inside)[..., None]).transpose(0, 2, 3, 1)
     stretch = displacement - shortening(rod, strain) - rod.tendons.slack
     return _balance(rod, strain, pull, tension), rod.tendons.tension(stretch)[0]
 
@@ -317,16 +345,6 @@ def shortening(rod: TendonRod, strain: Array) -> Array:
     straight = np.linalg.norm(STRAIGHT[:3] + slope, axis=-1)
     tangent = strain[:, None, :, :3] + np.cross(strain[:, None, :, 3:], place) + slope
     return np.sum(inside * (straight - np.linalg.norm(tangent, axis=-1)), axis=-1)
-
-
-def _friction(rod: TendonRod, strain: Array, unit: Array) -> Array:
-    """What is left (M, T, P) of each tension in the middle of each piece: exp(−μ Θ)."""
-    shape = unit.shape[:-1]
-    if not rod.tendons.friction.any():
-        return np.ones(shape)
-    bend = np.linalg.norm(np.cross(strain[:, None, :, 3:], unit), axis=-1) * rod.length
-    passed = np.cumsum(bend, axis=-1) - 0.5 * bend
-    return np.asarray(np.exp(-rod.tendons.friction[:, None] * passed))
 
 
 def _hessian(rod: TendonRod, unit: Array, force: Array) -> Array:
