@@ -78,3 +78,23 @@ def test_commands_keep_the_limits_whatever_is_read():
     at_rest = follower.planned(20.0)
     np.testing.assert_array_equal(at_rest, follower.planned(30.0))
     assert at_rest == pytest.approx(follower.plan.evaluation.values[-1])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_commands_are_no_faster_than_the_tendons_whatever_is_known(seed):
+    rng = np.random.default_rng(seed)
+    problem, control = any_problem(rng, obstacles=[])
+    plan = MotionPlan(problem, problem.evaluate(control), 0.0, 0.0, 0.05)
+    follower, tendons = MotionFollower(plan), problem.scene.tendons
+    limit = np.array([tendon.speed for tendon in tendons])
+    before, fastest = 0.0, 0.0
+    for time in np.append(0.0, np.cumsum(rng.uniform(0.1, 0.9, 12))):
+        mean = 3.0 * rng.standard_normal(problem.body.errors)
+        follower.belief = replace(follower.belief, mean=mean)
+        follower.command(time)
+        when = np.linspace(before, time, 21)
+        speed = (
+            np.diff(follower.at(when)[:, : len(tendons)], axis=0) * 20.0 / max(time - before, 1e-9)
+        )
+        fastest, before = max(fastest, np.abs(speed / limit).max()), time
+    assert 0.9 < fastest < 1.0 + 1e-6

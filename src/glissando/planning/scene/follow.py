@@ -27,8 +27,8 @@ class MotionFollower:
     """Commands for a control loop that follows a plan, corrected by what sensors read.
 
     Commands bend every piece as the plan does, given what is known of the model error by then. The
-    plan ends at rest, and commands never leave the limits of the actuators, so a loop that stops
-    giving readings still ends safely.
+    plan ends at rest, and commands never leave the actuators' limits of stroke and speed, so a loop
+    that stops giving readings still ends safely. A correction that would is made as far as it may.
 
     Attributes:
         plan: The plan.
@@ -105,7 +105,8 @@ class MotionFollower:
     def command(self, time: float) -> Array:
         """Values (C,) that all actuators should have come to by a time, s from the start, m.
 
-        Where the planned bends have no shape any more, the correction stays as it is.
+        Where the planned bends have no shape any more, the correction stays as it is. It changes no
+        faster than the limits of speed leave.
         """
         values, count = self.planned(time), self._corrections.shape[1]
         scale = self.problem.body.time_scale
@@ -118,9 +119,29 @@ class MotionFollower:
                 new = self._bent_as(wished, values[:count], mean) - values[:count]
             except NoShapeError:
                 pass
+        before, (least, most) = self._corrections[1], self._changes(min(self.due, time), time)
         self._begun = self.due if time > self.due else time - 1.0
-        self._corrections, self.due = np.stack([self._corrections[1], new]), time
+        self._corrections, self.due = (
+            np.stack([before, np.clip(new, before + least, before + most)]),
+            time,
+        )
         return self.at(time)
+
+    def _changes(self, begin: float, end: float) -> tuple[Array, Array]:
+        """Least and largest changes (T,) of the corrections between two times, m.
+
+        They are what the limits of speed leave beside the plan's own speeds, which go evenly from
+        one knot of its splines to the next.
+        """
+        path, tendons = self.problem.space.paths[0], self.problem.scene.tendons
+        knots = path.step * np.arange(path.steps + 1)
+        times = [begin, *knots[(knots > begin) & (knots < end)], end]
+        moves = np.diff(self.plan.evaluation.control[: len(tendons)], axis=1) / path.step
+        speed = np.array([np.interp(times, knots, row) for row in moves])
+        limit = np.array([tendon.speed for tendon in tendons])
+        least = np.minimum(-limit - speed.min(axis=1), 0.0)
+        most = np.maximum(limit - speed.max(axis=1), 0.0)
+        return (end - begin) * least, (end - begin) * most
 
     @property
     def _limits(self) -> tuple[Array, Array]:
