@@ -61,7 +61,7 @@ def _report(plan: MotionPlan) -> dict[str, object]:
         "delta": plan.problem.scene.delta,
         "miss": plan.miss,
         "tip_std": float(tip[-1]),
-        "clearance": float(np.min(at.clearances.mean, initial=np.inf)),
+        "clearance": float(np.min(at.clearances.mean, initial=np.inf)) + plan.problem.wider,
         "cost": at.cost,
         "terms": at.terms,
     }

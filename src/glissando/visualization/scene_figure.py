@@ -118,8 +118,9 @@ def _draw_time(panels: list[Any], plan: MotionPlan) -> None:
     panels[1].set_ylabel("tip σ (mm)")
     if scene.obstacles:
         c = at.clearances
-        worst = MM * c.mean.min(axis=(0, 2))
-        low = MM * (c.mean - SIGMAS_95 * c.std()).min(axis=(0, 2))
+        mean = c.mean + plan.problem.wider
+        worst = MM * mean.min(axis=(0, 2))
+        low = MM * (mean - SIGMAS_95 * c.std()).min(axis=(0, 2))
         panels[2].plot(moments, worst, color="black", label="expected")
         panels[2].fill_between(moments, low, worst, color="0.8", label="to 2.8 σ")
         panels[2].axhline(0.0, color="#D55E00", lw=1.0)

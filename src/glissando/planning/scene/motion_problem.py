@@ -68,6 +68,11 @@ class MotionProblem:
         """Radius of balls about the places that hold all of a straight body between them, m."""
         return float(np.hypot(self.scene.robot_radius, 0.5 * self.body.step.max()))
 
+    @property
+    def wider(self) -> float:
+        """By how much those balls are wider than the robot, m: clearances are so much more."""
+        return self.radius - self.scene.robot_radius
+
     def evaluate(self, control: Array, like: Evaluation | None = None) -> Evaluation:
         """What a motion with control points (C, S+2) is worth.
 
