@@ -18,6 +18,7 @@ from glissando.calibration.rig.recording_data import calibrated, recording_data
 from glissando.calibration.rig.result import Calibration, apply
 from glissando.calibration.rig.rig import RigData
 from glissando.calibration.rig.session_data import rig_data
+from glissando.cli.outputs import require_spared
 from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_command, chosen_robot, require_writable
 from glissando.errors import GlissandoError, RecordingError, RobotFileError
@@ -76,6 +77,7 @@ def add_to(commands: Commands) -> None:
 def _calibrate(options: argparse.Namespace) -> int:
     if options.out:
         require_writable(options.out.parent)
+        require_spared("--out", options.out, options.session, options.robot)
     if options.recording:
         require_new(options.recording, RecordingError)
     folder = options.session

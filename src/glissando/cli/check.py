@@ -15,6 +15,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from glissando.cli.check_draws import add_options, check_draws
+from glissando.cli.outputs import require_spared
 from glissando.cli.shared import (
     Commands,
     add_choices,
@@ -95,6 +96,8 @@ def add_to(commands: Commands) -> None:
 def _check(options: argparse.Namespace) -> int:
     if options.out:
         require_writable(options.out)
+    if options.store_tube:
+        require_spared("--store-tube", options.store_tube, options.target, options.recording)
     if options.draws is not None:
         return check_draws(options)
     if options.target is None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from glissando.cli.importing import number
+from glissando.cli.outputs import require_spared
 from glissando.cli.shared import Commands, add_command, names, require_writable
 from glissando.errors import GlissandoError
 from glissando.io.foreign import export
@@ -48,6 +49,7 @@ def add_to(commands: Commands) -> None:
 
 def _export(options: argparse.Namespace) -> int:
     require_writable(options.out.parent)
+    require_spared("--out", options.out, options.posterior)
     given = [number("--arclength", place) for place in options.arclength or ()]
     places = np.array(given) if given else None
     if options.posterior.is_dir() and not (options.posterior / "posterior.nc").is_file():

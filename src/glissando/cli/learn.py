@@ -17,6 +17,7 @@ from glissando.calibration.robot.joint_calibration import lasting, locate
 from glissando.calibration.robot.learn import Learned, learn
 from glissando.calibration.robot.predictive import Start
 from glissando.cli.learn_tendons import learn_from_tendons
+from glissando.cli.outputs import require_spared
 from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_command, names, write_robot
 from glissando.cli.tables import parameter_text
@@ -163,6 +164,7 @@ def _require_writable(options: argparse.Namespace) -> None:
         raise GlissandoError(f"--out {out} is no file in a folder that exists; give one.")
     if out.exists() and robot_file(options.robot).resolve() == out.resolve():
         raise GlissandoError(f"--out {out} is the file to start from; give another name.")
+    require_spared("--out", out, *options.recordings)
 
 
 def _case(recording: Recording, options: argparse.Namespace) -> RecordingCase:

@@ -6,6 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
+from glissando.cli.outputs import require_spared
 from glissando.cli.progress import working
 from glissando.cli.shared import (
     Commands,
@@ -52,6 +53,7 @@ def add_to(commands: Commands) -> None:
 
 def _view(options: argparse.Namespace) -> int:
     require_writable(options.html.parent)
+    require_spared("--html", options.html, options.target, options.recording, options.robot)
     shown = posterior_shown(options)
     posterior = shown.posterior
     window = tuple(options.window) if options.window else None
