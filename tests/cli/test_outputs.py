@@ -1,5 +1,9 @@
 """What commands write replaces nothing that was recorded, and is there whatever stdout does."""
 
+import io
+import json
+import sys
+
 import pytest
 
 from glissando.cli.main import main
@@ -15,10 +19,12 @@ robot = "sliding700"
 [[streams]]
 name = "coil"
 kind = "coil"
+keep_repeats = true
 
 [[streams]]
 name = "mocap_700"
 kind = "pose"
+keep_repeats = true
 truth = true
 """
 
@@ -60,3 +66,46 @@ def test_a_file_of_ones_own_is_replaced(held, tmp_path):
     out.write_text("old")
     assert run("export", held, "--stream", "mocap_700", "--out", out) == 0
     assert out.read_text() != "old"
+
+
+class Closed(io.StringIO):
+    """A pipe that nobody reads."""
+
+    def __init__(self, file):
+        super().__init__()
+        self.fileno = file.fileno
+
+    def write(self, text):
+        raise BrokenPipeError
+
+
+@pytest.mark.parametrize(
+    ("words", "report"),
+    [
+        ("estimate {rec}", "report.json"),
+        ("estimate {rec} --json", "report.json"),
+        ("replay {rec}", "replay.json"),
+        ("check {rec}", "check.json"),
+        ("plan --zone 0.5:0.6 --horizon 1", "plan.json"),
+        ("design --zone 0.5:0.6 --horizon 1 --strokes 0.06 --rates 40 --coils 1", "design.json"),
+        ("design --zone 0.5:0.6 --horizon 1 --sensor coil=1 --places 2", "design.json"),
+    ],
+)
+def test_results_are_written_though_nobody_reads_the_table(
+    held, tmp_path, monkeypatch, words, report
+):
+    out = tmp_path / "out"
+    with (tmp_path / "stdout").open("w") as file, monkeypatch.context() as patch:
+        patch.setattr(sys, "stdout", Closed(file))
+        assert run(*words.format(rec=held).split(), "--out", out) == 141
+    assert json.loads((out / report).read_text())["request"] == words.format(rec=held).split()
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "cp1252"])
+def test_a_stdout_without_every_letter_spells_them_out(monkeypatch, encoding):
+    shown = io.TextIOWrapper(io.BytesIO(), encoding=encoding)
+    monkeypatch.setattr(sys, "stdout", shown)
+    assert (
+        run("design", "--zone", "0.5:0.6", "--horizon", 1, "--sensor", "coil=1", "--places", 2) == 0
+    )
+    assert b"\\u03c3 (mm)" in shown.buffer.getvalue()

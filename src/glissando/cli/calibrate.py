@@ -8,7 +8,6 @@ import math
 from pathlib import Path
 
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
@@ -18,6 +17,7 @@ from glissando.calibration.rig.recording_data import calibrated, recording_data
 from glissando.calibration.rig.result import Calibration, apply
 from glissando.calibration.rig.rig import RigData
 from glissando.calibration.rig.session_data import rig_data
+from glissando.cli.console import Console
 from glissando.cli.outputs import require_spared
 from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_command, chosen_robot, require_writable

@@ -10,11 +10,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
 from glissando.cli.check_draws import add_options, check_draws
+from glissando.cli.console import Console
 from glissando.cli.outputs import require_spared
 from glissando.cli.shared import (
     Commands,
@@ -109,6 +109,10 @@ def _check(options: argparse.Namespace) -> int:
         )
     tube = _tube(robot, errors, options)
     document = {"name": name, "checks": [c.as_json() for c in checks], "tube": tube}
+    if options.out:
+        with renewed_folder(options.out, ("check.json", "calibration.png")) as building:
+            write_report(building / "check.json", document | stated(options, robot))
+            save_figure(calibration_figure(checks), building / "calibration.png")
     if options.json:
         print(json.dumps(document))
     else:
@@ -116,10 +120,6 @@ def _check(options: argparse.Namespace) -> int:
             Console().print(_table(quantity, [c for c in checks if c.quantity == quantity]))
         if tube:
             print(_TUBE.format(**tube))
-    if options.out:
-        with renewed_folder(options.out, ("check.json", "calibration.png")) as building:
-            write_report(building / "check.json", document | stated(options, robot))
-            save_figure(calibration_figure(checks), building / "calibration.png")
     return status
 
 

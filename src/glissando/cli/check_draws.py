@@ -7,9 +7,9 @@ import json
 from pathlib import Path
 
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.table import Table
 
+from glissando.cli.console import Console
 from glissando.cli.progress import working
 from glissando.cli.shared import chosen_robot, stated
 from glissando.errors import GlissandoError
@@ -52,15 +52,15 @@ def check_draws(options: argparse.Namespace) -> int:
             progress=work.update,
         )
     document = {"name": robot.name, "simulation": [check.as_json() for check in found]}
+    if options.out:
+        with renewed_folder(options.out, ("check.json", "ranks.png")) as building:
+            write_report(building / "check.json", document | stated(options, robot))
+            save_figure(ecdf_figure(found), building / "ranks.png")
     if options.json:
         print(json.dumps(document))
     else:
         for check in found:
             _print(robot, check)
-    if options.out:
-        with renewed_folder(options.out, ("check.json", "ranks.png")) as building:
-            write_report(building / "check.json", document | stated(options, robot))
-            save_figure(ecdf_figure(found), building / "ranks.png")
     return 1 if any(check.outside for check in found) else 0
 
 

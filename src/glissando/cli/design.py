@@ -8,9 +8,9 @@ from dataclasses import asdict
 from pathlib import Path
 
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.table import Table
 
+from glissando.cli.console import Console
 from glissando.cli.placement import place
 from glissando.cli.plan import add_task, stage_of
 from glissando.cli.progress import working
@@ -103,14 +103,14 @@ def _design(options: argparse.Namespace) -> int:
     best = pareto_front(designs)
     rows = [{**asdict(d), "best": bool(b)} for d, b in zip(designs, best, strict=True)]
     report = {"zones": options.zone, "designs": rows}
-    if options.json:
-        print(json.dumps(report))
-    else:
-        Console().print(_table(designs, best.tolist(), options.zone))
     if options.out:
         with renewed_folder(options.out, ("design.json", "design.png")) as building:
             write_report(building / "design.json", report | stated(options))
             save_figure(design_figure(designs), building / "design.png")
+    if options.json:
+        print(json.dumps(report))
+    else:
+        Console().print(_table(designs, best.tolist(), options.zone))
     return 0
 
 

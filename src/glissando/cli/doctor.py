@@ -7,9 +7,9 @@ import json
 import os
 from typing import Any
 
-from rich.console import Console
 from rich.markup import escape
 
+from glissando.cli.console import Console
 from glissando.cli.shared import Commands, add_command
 from glissando.evaluation.environment import system
 

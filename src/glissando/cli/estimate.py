@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from glissando.cli.console import Console
 from glissando.cli.loads import loads_json, print_loads, scanned, write_contacts
 from glissando.cli.progress import working
 from glissando.cli.shared import (
@@ -93,6 +93,9 @@ def _estimate(options: argparse.Namespace) -> int:
 
     run, complaint = estimate_watched(recording, robot, options)
     scan = scanned(run.posterior) if options.loads else None
+    written = _write(options, run, query, scan, stated(options, robot))
+    if complaint:
+        print(f"glissando: {complaint}", file=sys.stderr)
     if options.json:
         more = loads_json(run.posterior, scan) if scan else {}
         print(json.dumps(run.as_json() | more))
@@ -100,11 +103,8 @@ def _estimate(options: argparse.Namespace) -> int:
         _print(run, Console())
         if scan:
             print_loads(run.posterior, scan, Console())
-    written = _write(options, run, query, scan, stated(options, robot))
-    if written and not options.json:
-        Console().print("Wrote " + ", ".join(str(path) for path in written), markup=False)
-    if complaint:
-        print(f"glissando: {complaint}", file=sys.stderr)
+        if written:
+            Console().print("Wrote " + ", ".join(str(path) for path in written), markup=False)
     return 0 if run.posterior.solve.converged else 1
 
 

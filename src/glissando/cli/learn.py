@@ -8,7 +8,6 @@ import math
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
 from rich.table import Table as Grid
 
 from glissando.calibration.robot.case import RecordingCase
@@ -16,6 +15,7 @@ from glissando.calibration.robot.hyperparameters import Document, Parameter, exp
 from glissando.calibration.robot.joint_calibration import lasting, locate
 from glissando.calibration.robot.learn import Learned, learn
 from glissando.calibration.robot.predictive import Start
+from glissando.cli.console import Console
 from glissando.cli.learn_tendons import learn_from_tendons
 from glissando.cli.outputs import require_spared
 from glissando.cli.progress import working

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
+from glissando.cli.console import Console
 from glissando.cli.progress import working
 from glissando.estimation.contact import ContactScan, scan_contacts
 from glissando.estimation.loads import load_places, require_mechanics

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import io
 import os
 import signal
 import sys
@@ -61,11 +62,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command line; returns its exit status."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     command = next((word for word in words if not word.startswith("-")), "")
+    _spell_out()
     try:
         with _stopped_by_signals(ends_process=arguments is None), _own_warnings_shown():
             options = build_parser(command).parse_args(words)
             options.words = words
-            return int(options.run(options))
+            status = int(options.run(options))
+            if sys.stdout is not None:
+                sys.stdout.flush()
+            return status
     except NoShapeError as problem:
         print(f"glissando: {problem}", file=sys.stderr)
         return 1
@@ -91,6 +96,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise
         print("glissando: interrupted", file=sys.stderr)
         return 130
+
+
+def _spell_out() -> None:
+    """Let stdout and stderr spell out the letters that their encoding lacks."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
 
 
 @contextmanager

@@ -7,11 +7,12 @@ import json
 
 import numpy as np
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.table import Table
 
+from glissando.cli.console import Console
 from glissando.cli.plan import stage_of
 from glissando.cli.progress import working
+from glissando.cli.shared import stated
 from glissando.errors import GlissandoError
 from glissando.geometry.se3 import Array
 from glissando.io.atomic_folder import renewed_folder
@@ -42,14 +43,14 @@ def place(options: argparse.Namespace) -> int:
         problem = placement_problem(robot, candidates, zones, horizon=options.horizon)
         found = list(place_sensors(problem, budgets))
     report = {"zones": options.zone, "placements": [_row(each) for each in found]}
+    if options.out:
+        with renewed_folder(options.out, ("design.json", "design.png")) as building:
+            write_report(building / "design.json", report | stated(options))
+            save_figure(placement_figure(found, robot.length), building / "design.png")
     if options.json:
         print(json.dumps(report))
     else:
         Console().print(_table(found))
-    if options.out:
-        with renewed_folder(options.out, ("design.json", "design.png")) as building:
-            write_report(building / "design.json", report)
-            save_figure(placement_figure(found, robot.length), building / "design.png")
     return 0
 
 

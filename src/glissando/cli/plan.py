@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from glissando.cli.console import Console
 from glissando.cli.plan_scene import plan_scene
 from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_command, require_writable, stated
@@ -177,12 +177,14 @@ def _plan_slide(options: argparse.Namespace) -> int:
         },
         "starts": plan.starts,
     }
-    if options.json:
-        print(json.dumps(report))
-    else:
-        Console().print(_table(options.objective, results))
     if options.out:
         _write(options, report | stated(options), plan, problem, zones, paths)
+    if options.json:
+        print(json.dumps(report))
+        return 0
+    Console().print(_table(options.objective, results))
+    if options.out:
+        print(f"Wrote {options.out / 'path.csv'}")
     return 0
 
 
@@ -203,8 +205,6 @@ def _write(
         save_figure(plan_figure(problem, shown, zones), building / "plan.png")
         if options.animate:
             save_plan_film(problem, shown, zones, building / "plan.gif")
-    if not options.json:
-        print(f"Wrote {options.out / 'path.csv'}")
 
 
 def _table(objective: str, results: dict[str, PathEvaluation]) -> Table:

@@ -42,12 +42,12 @@ def plan_scene(options: argparse.Namespace) -> int:
     with working("planning") as work:
         plan = plan_motion(problem, seed=options.seed, progress=work.update)
     report = _report(plan)
-    print(json.dumps(report) if options.json else _sentence(report))
     if options.out:
         with working("drawing"):
             _write(options, plan, report, robot.tendons.names if robot.tendons else ())
-        if not options.json:
-            print(f"Wrote {options.out / 'tendons.csv'}; open {options.out / 'view.html'}.")
+    print(json.dumps(report) if options.json else _sentence(report))
+    if options.out and not options.json:
+        print(f"Wrote {options.out / 'tendons.csv'}; open {options.out / 'view.html'}.")
     return 0
 
 

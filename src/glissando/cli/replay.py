@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 from rich.markup import escape
 
+from glissando.cli.console import Console
 from glissando.cli.progress import working
 from glissando.cli.shared import (
     Commands,
@@ -100,9 +100,9 @@ def _replay(options: argparse.Namespace) -> int:
             watch=watch,
             allow=options.allow,
         )
-    print(json.dumps(result.as_json())) if options.json else _print(result, Console())
     more = stated(options, robot)
     written = _write(result, options.out, more) if options.out else []
+    print(json.dumps(result.as_json())) if options.json else _print(result, Console())
     if written and not options.json:
         Console().print("Wrote " + ", ".join(map(str, written)), markup=False)
     return 0

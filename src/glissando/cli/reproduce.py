@@ -6,10 +6,10 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from glissando.cli.console import Console
 from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_command, require_writable
 from glissando.experiments.claims import CLAIMS, Verdict, load_claims

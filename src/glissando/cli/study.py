@@ -7,8 +7,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-
+from glissando.cli.console import Console
 from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_command, require_writable, stated
 from glissando.errors import GlissandoError
