@@ -26,6 +26,7 @@ from glissando.cli.shared import (
     stated,
     streams_of,
 )
+from glissando.cli.silent import refuse_silent
 from glissando.errors import GlissandoError, RecordingError
 from glissando.evaluation.conformal import block_scores, conformal_tube, inside_tube
 from glissando.evaluation.consistency import LEVELS, Consistency, check, check_readings
@@ -98,6 +99,7 @@ def _check(options: argparse.Namespace) -> int:
         require_writable(options.out)
     if options.store_tube:
         require_spared("--store-tube", options.store_tube, options.target, options.recording)
+    _refuse_silent(options)
     if options.draws is not None:
         return check_draws(options)
     if options.target is None:
@@ -121,6 +123,24 @@ def _check(options: argparse.Namespace) -> int:
         if tube:
             print(_TUBE.format(**tube))
     return status
+
+
+def _refuse_silent(options: argparse.Namespace) -> None:
+    """Refuse the options that have no effect on what is checked."""
+    if options.draws is not None:
+        unjudged = "recording", "store_tube", "level", "block", "leave_out", "allow"
+        refuse_silent(options, "--draws", *unjudged)
+        if options.target is None:
+            refuse_silent(options, "--draws without a recording", "window", "use", "truth")
+        return
+    refuse_silent(options, "a check without --draws", "prior_factor", "seed")
+    if not options.store_tube:
+        refuse_silent(options, "a check without --store-tube", "level", "block")
+    if options.target is not None and options.target.is_dir():
+        refuse_silent(options, "a recording, which has its own truth", "recording")
+    else:
+        again = "a posterior, which is not estimated again"
+        refuse_silent(options, again, "leave_out", "window", "allow")
 
 
 def _tube(

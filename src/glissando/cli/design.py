@@ -15,6 +15,7 @@ from glissando.cli.placement import place
 from glissando.cli.plan import add_task, stage_of
 from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_command, require_writable, stated
+from glissando.cli.silent import refuse_silent
 from glissando.errors import GlissandoError
 from glissando.io.atomic_folder import renewed_folder
 from glissando.io.provenance import write_report
@@ -80,7 +81,11 @@ def _design(options: argparse.Namespace) -> int:
     if options.out:
         require_writable(options.out)
     if options.sensor:
+        refuse_silent(options, "--sensor", "strokes", "speeds", "rates", "coils", "bound")
         return place(options)
+    refuse_silent(options, "a design without --sensor", "budget", "places")
+    if options.objective != "chance":
+        refuse_silent(options, f"--objective {options.objective}", "bound")
     if any(count != int(count) for count in options.coils):
         raise GlissandoError(f"--coils {options.coils}: give whole numbers.")
     stage, upper = stage_of(options)

@@ -10,6 +10,7 @@ import numpy as np
 from glissando.cli.importing import number
 from glissando.cli.outputs import require_spared
 from glissando.cli.shared import Commands, add_command, names, require_writable
+from glissando.cli.silent import refuse_silent
 from glissando.errors import GlissandoError
 from glissando.io.foreign import export
 from glissando.io.foreign.trajectories import export_stream
@@ -70,6 +71,7 @@ def _export_stream(options: argparse.Namespace) -> int:
             f"{options.posterior} is a recording: say with --stream which of "
             f"{', '.join(recording.streams)} is to be written."
         )
+    refuse_silent(options, "--stream, which is written as it is", "arclength", "rate")
     stream = recording.streams[options.stream]
     if stream.frame != "world":
         raise GlissandoError(f"{stream.name} is in the frame {stream.frame!r}: calibrate it first.")

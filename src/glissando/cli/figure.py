@@ -17,6 +17,7 @@ from glissando.cli.shared import (
     posterior_shown,
     require_writable,
 )
+from glissando.cli.silent import refuse_silent
 from glissando.errors import GlissandoError
 from glissando.estimation.contact import scan_contacts
 from glissando.visualization.canvas import save_figure
@@ -71,6 +72,12 @@ def _figure(options: argparse.Namespace) -> int:
             raise GlissandoError(f"--font-size {points:g}: give points above zero.")
         look["style"] = {"font.size": points, "axes.titlesize": points}
     times = [number("--times", text) for text in options.times] if options.times else None
+    if options.kind != "shape":
+        refuse_silent(options, f"the figure {options.kind}", "times")
+    if options.target.is_file() or (options.target / "posterior.nc").is_file():
+        refuse_silent(options, "a posterior, which is drawn whole", "window")
+        if options.recording is None:
+            refuse_silent(options, "a figure of a posterior without --recording", "robot")
     shown = posterior_shown(options)
     with working("drawing"):
         if options.kind == "shape":

@@ -16,6 +16,7 @@ from glissando.cli.shared import (
     stated,
     warn,
 )
+from glissando.cli.silent import refuse_silent
 from glissando.errors import GlissandoError, RecordingError
 from glissando.evaluation.foreign_estimate import (
     estimate_of_tracks,
@@ -111,6 +112,9 @@ def _import(options: argparse.Namespace) -> int:
 
 def _import_estimate(options: argparse.Namespace) -> int:
     """Write a run that `report` takes, of somebody else's estimate."""
+    refuse_silent(options, "--estimate", "shift", "kind", "topic")
+    if not options.arclength:
+        refuse_silent(options, "--estimate without --arclength", "rate", "columns")
     require_writable(options.out)
     recording = load_recording(options.estimate)
     robot = chosen_robot(recording, options.robot)

@@ -15,6 +15,7 @@ from glissando.cli.console import Console
 from glissando.cli.plan_scene import plan_scene
 from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_command, require_writable, stated
+from glissando.cli.silent import refuse_silent
 from glissando.errors import GlissandoError, RobotFileError, SimulationError
 from glissando.geometry.se3 import Array
 from glissando.io.atomic_file import write_table
@@ -65,6 +66,11 @@ scene is written and an example: docs/how-to/scenes.md.
 
 exit status: 0 done; 2 something given was wrong.
 """
+
+_OF_ZONES = (
+    *("posterior", "horizon", "objective", "bound", "limits"),
+    *("start", "rate", "node_step", "speed_weight"),
+)
 
 
 def add_to(commands: Commands) -> None:
@@ -137,7 +143,11 @@ def _plan(options: argparse.Namespace) -> int:
     if options.scene:
         if options.zone:
             raise GlissandoError("--scene and --zone exclude each other; give [[zones]] in it.")
+        refuse_silent(options, "--scene", *_OF_ZONES)
         return plan_scene(options)
+    refuse_silent(options, "a plan without --scene", "figure")
+    if options.objective != "chance":
+        refuse_silent(options, f"--objective {options.objective}", "bound")
     if not options.zone:
         raise GlissandoError("Nothing is to be known: give --zone S0:S1, or --scene FILE.")
     return _plan_slide(options)

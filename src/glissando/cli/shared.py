@@ -17,6 +17,7 @@ import tomli_w
 
 from glissando.cli.commands import COMMANDS
 from glissando.cli.progress import working
+from glissando.cli.silent import refuse_silent
 from glissando.errors import GlissandoError, NotConvergedWarning, RobotFileError
 from glissando.estimation.posterior import Posterior
 from glissando.evaluation.plausibility.examine import examine_recording
@@ -58,7 +59,7 @@ def add_command(
         epilog=texts[1],
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=run, default_of=parser.get_default)
     return parser
 
 
@@ -193,6 +194,7 @@ def posterior_shown(options: argparse.Namespace) -> Shown:
     target: Path = options.target
     inside = target / "posterior.nc"
     if target.is_dir() and not inside.is_file():
+        refuse_silent(options, "a recording, which has its own", "recording")
         recording = load_recording(target)
         robot = chosen_robot(recording, options.robot)
         run, complaint = estimate_watched(recording, robot, options)
@@ -202,8 +204,10 @@ def posterior_shown(options: argparse.Namespace) -> Shown:
         raise GlissandoError(
             f"There is no recording folder or posterior {str(target)!r}; give one."
         )
+    refuse_silent(options, "a posterior, which is not estimated again", "allow")
     posterior = load_posterior(target)
     if options.recording is None:
+        refuse_silent(options, "a posterior without --recording", "use", "truth")
         tube = load_robot(options.robot).tube if options.robot else None
         return Shown(posterior, [], [], options.target.resolve().name, "", tube)
     recording = load_recording(options.recording)
