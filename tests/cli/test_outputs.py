@@ -109,3 +109,15 @@ def test_a_stdout_without_every_letter_spells_them_out(monkeypatch, encoding):
         run("design", "--zone", "0.5:0.6", "--horizon", 1, "--sensor", "coil=1", "--places", 2) == 0
     )
     assert b"\\u03c3 (mm)" in shown.buffer.getvalue()
+
+
+@pytest.mark.parametrize("out", ["link", "link/below"])
+def test_a_link_that_leads_nowhere_is_refused_before_any_work(held, tmp_path, capsys, out):
+    (tmp_path / "link").symlink_to(tmp_path / "nowhere")
+    assert run("estimate", held, "--out", tmp_path / out) == 2
+    assert "link is a link that leads nowhere; delete it." in capsys.readouterr().err
+
+
+def test_a_lag_longer_than_a_thousand_time_nodes_is_refused(held, capsys):
+    assert run("replay", held, "--lag", 1000) == 2
+    assert "--lag is 1000 s; give at most 250 s, 1000 time nodes." in capsys.readouterr().err

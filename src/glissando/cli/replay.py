@@ -53,6 +53,7 @@ examples:
 exit status: 0 done; 2 something given was wrong.
 """
 
+_MOST = 1000  # time nodes of the estimator's window, as of `glissando live`
 _POINTS = 41  # along the robot that is shown live
 
 
@@ -73,9 +74,8 @@ def add_to(commands: Commands) -> None:
 
 
 def _replay(options: argparse.Namespace) -> int:
-    if options.lag is not None and not (np.isfinite(options.lag) and options.lag >= 0.0):
-        raise GlissandoError(f"--lag is {options.lag:g} s; give seconds, 0 or more.")
     recording, robot = recording_and_robot(options)
+    _require_lag(options.lag, robot)
     if options.out:
         require_writable(options.out)
         if (options.out / "replay.json").exists():
@@ -106,6 +106,17 @@ def _replay(options: argparse.Namespace) -> int:
     if written and not options.json:
         Console().print("Wrote " + ", ".join(map(str, written)), markup=False)
     return 0
+
+
+def _require_lag(lag: float | None, robot: Robot) -> None:
+    """Raise for a lag that cannot be, or is more than `glissando live` allows."""
+    if lag is None:
+        return
+    longest = _MOST / robot.time_rate
+    if not (np.isfinite(lag) and lag >= 0.0):
+        raise GlissandoError(f"--lag is {lag:g} s; give seconds, 0 or more.")
+    if lag > longest:
+        raise GlissandoError(f"--lag is {lag:g} s; give at most {longest:g} s, {_MOST} time nodes.")
 
 
 def _live_view(robot: Robot, stack: ExitStack) -> Live:

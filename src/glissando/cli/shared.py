@@ -277,6 +277,9 @@ def require_writable(folder: Path) -> None:
     Raises:
         GlissandoError: If the folder cannot be made or written to.
     """
+    for link in (folder, *folder.absolute().parents):
+        if link.is_symlink() and not link.exists():
+            raise GlissandoError(f"--out {folder}: {link} is a link that leads nowhere; delete it.")
     above = next((p for p in (folder, *folder.absolute().parents) if p.exists()), folder)
     if not above.is_dir() or not os.access(above, os.W_OK):
         raise GlissandoError(f"--out {folder}: {above} is not a folder that can be written to.")
