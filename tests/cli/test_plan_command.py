@@ -125,6 +125,9 @@ def test_a_design_that_costs_more_for_the_same_is_not_worth_it():
         (("--zone", "0.5:0.6", "--rate", "0"), "at 0 Hz reads nothing"),
         (("--zone", "0.5:0.6", "--horizon", "0.1"), "two steps or more"),
         (("--zone", "0.5:0.6", "--objective", "chance", "--bound", "-1"), "bound of -1 m"),
+        (("--zone", "0.5:0.6", "--objective", "chance", "--bound", "5"), "length, 0.7 m; give m"),
+        (("--zone", "0.5:0.6", "--limits", "0.06,24,100"), "24 mm/s are 0.024 m/s"),
+        (("--zone", "0.5:0.6", "--horizon", "3000"), "3000 milliseconds are 3 s"),
     ],
 )
 def test_mistakes_are_told_in_one_sentence(arguments, said, capsys):
@@ -132,3 +135,17 @@ def test_mistakes_are_told_in_one_sentence(arguments, said, capsys):
     told = capsys.readouterr().err
     assert said in told
     assert told.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--speeds", "20"), "20 mm/s are 0.02 m/s"),
+        (("--horizon", "3000"), "3000 milliseconds are 3 s"),
+        (("--sensor", "coil=1", "--horizon", "3000"), "3000 milliseconds are 3 s"),
+        (("--objective", "chance", "--bound", "5"), "length, 0.7 m; give m"),
+    ],
+)
+def test_wrong_units_of_a_design_are_told(arguments, said, capsys):
+    assert run("design", "--zone", "0:0.7", "--horizon", 1, *arguments) == 2
+    assert said in capsys.readouterr().err

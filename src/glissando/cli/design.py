@@ -12,7 +12,7 @@ from rich.table import Table
 
 from glissando.cli.console import Console
 from glissando.cli.placement import place
-from glissando.cli.plan import add_task, stage_of
+from glissando.cli.plan import add_task, require_horizon, require_speed, stage_of
 from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_command, require_writable, stated
 from glissando.cli.silent import refuse_silent
@@ -80,20 +80,18 @@ def _numbers(text: str) -> list[float]:
 def _design(options: argparse.Namespace) -> int:
     if options.out:
         require_writable(options.out)
+    require_horizon(options)
     if options.sensor:
         refuse_silent(options, "--sensor", "strokes", "speeds", "rates", "coils", "bound")
         return place(options)
-    refuse_silent(options, "a design without --sensor", "budget", "places")
-    if options.objective != "chance":
-        refuse_silent(options, f"--objective {options.objective}", "bound")
-    if any(count != int(count) for count in options.coils):
-        raise GlissandoError(f"--coils {options.coils}: give whole numbers.")
+    _require_sweep(options)
     stage, upper = stage_of(options)
+    robot = load_robot(options.robot)
     strokes = [part * stage.stroke for part in (0.5, 1.0, 2.0)]
     with working("planning every design"):
         designs = list(
             sweep(
-                load_robot(options.robot),
+                robot,
                 [read_zone(text) for text in options.zone],
                 strokes=options.strokes or [s for s in strokes if s <= upper],
                 speeds=options.speeds or [0.5 * stage.speed, stage.speed],
@@ -102,7 +100,7 @@ def _design(options: argparse.Namespace) -> int:
                 acceleration=stage.acceleration,
                 upper=upper,
                 horizon=options.horizon,
-                objective=objective_named(options.objective, options.bound),
+                objective=objective_named(options.objective, options.bound, robot.length),
             )
         )
     best = pareto_front(designs)
@@ -117,6 +115,17 @@ def _design(options: argparse.Namespace) -> int:
     else:
         Console().print(_table(designs, best.tolist(), options.zone))
     return 0
+
+
+def _require_sweep(options: argparse.Namespace) -> None:
+    """Raise for options that a comparison of slides cannot take."""
+    refuse_silent(options, "a design without --sensor", "budget", "places")
+    if options.objective != "chance":
+        refuse_silent(options, f"--objective {options.objective}", "bound")
+    if any(count != int(count) for count in options.coils):
+        raise GlissandoError(f"--coils {options.coils}: give whole numbers.")
+    for speed in options.speeds or ():
+        require_speed("--speeds", speed)
 
 
 def _table(designs: list[Design], best: list[bool], zones: list[str]) -> Table:

@@ -86,8 +86,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
     except MemoryError:
         print(
-            "glissando: this needs more memory than there is; choose a shorter --window, fewer "
-            "nodes in the robot file, or a larger machine.",
+            "glissando: this needs more memory than there is; choose a shorter time, fewer nodes "
+            "in the robot file, or a larger machine.",
             file=sys.stderr,
         )
         return 2

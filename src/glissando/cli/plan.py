@@ -67,6 +67,8 @@ scene is written and an example: docs/how-to/scenes.md.
 exit status: 0 done; 2 something given was wrong.
 """
 
+_AHEAD = 300.0  # s that can be planned
+_FASTEST = 2.0  # m/s of a slide
 _OF_ZONES = (
     *("posterior", "horizon", "objective", "bound", "limits"),
     *("start", "rate", "node_step", "speed_weight"),
@@ -108,6 +110,24 @@ def add_task(parser: argparse.ArgumentParser, *, zones_required: bool = True) ->
     )
 
 
+def require_horizon(options: argparse.Namespace) -> None:
+    """Raise for a time ahead that is too long to plan, as seconds given in milliseconds are."""
+    if options.horizon > _AHEAD:
+        raise GlissandoError(
+            f"--horizon is {options.horizon:g} s; give at most {_AHEAD:g} s "
+            f"({options.horizon:g} milliseconds are {options.horizon / 1e3:g} s)."
+        )
+
+
+def require_speed(option: str, speed: float) -> None:
+    """Raise for a speed that no stage has, as millimetres a second are where metres are asked."""
+    if speed > _FASTEST:
+        raise GlissandoError(
+            f"{option}: a speed of {speed:g} m/s is more than {_FASTEST:g} m/s; give metres a "
+            f"second ({speed:g} mm/s are {speed / 1e3:g} m/s)."
+        )
+
+
 def stage_of(options: argparse.Namespace) -> tuple[SlideLimits, float]:
     """The stage, and the sensor's arclength when it is drawn out, m."""
     file = robot_file(options.robot)
@@ -132,6 +152,7 @@ def stage_of(options: argparse.Namespace) -> tuple[SlideLimits, float]:
                 f"--limits {options.limits}: give STROKE,SPEED,ACCEL, three numbers in m, m/s, "
                 f"m/s²."
             ) from None
+        require_speed("--limits", stage.speed)
     return stage, upper
 
 
@@ -150,14 +171,15 @@ def _plan(options: argparse.Namespace) -> int:
         refuse_silent(options, f"--objective {options.objective}", "bound")
     if not options.zone:
         raise GlissandoError("Nothing is to be known: give --zone S0:S1, or --scene FILE.")
+    require_horizon(options)
     return _plan_slide(options)
 
 
 def _plan_slide(options: argparse.Namespace) -> int:
     """Plan the path of the slide, compare it with others, and say so."""
     zones = [read_zone(text) for text in options.zone]
-    objective = objective_named(options.objective, options.bound)
     robot = load_robot(options.robot)
+    objective = objective_named(options.objective, options.bound, robot.length)
     stage, upper = stage_of(options)
     start = upper if options.start is None else options.start
     source = load_posterior(options.posterior) if options.posterior else robot

@@ -136,18 +136,25 @@ OBJECTIVES: dict[str, Callable[..., Objective]] = {
 """Objectives by their names on the command line."""
 
 
-def objective_named(name: str, bound: float = 5e-3) -> Objective:
+def objective_named(name: str, bound: float = 5e-3, longest: float = np.inf) -> Objective:
     """An objective by its name on the command line.
 
     Args:
         name: One of trace, logdet, max and chance.
         bound: The error, m, whose probability of being exceeded chance measures.
+        longest: Largest bound that is meant, m, such as the robot's length.
 
     Raises:
-        GlissandoError: There is no objective of this name.
+        GlissandoError: There is no objective of this name, or the bound is larger.
     """
     if name not in OBJECTIVES:
         raise GlissandoError(
             f"There is no objective {name!r}; choose one of {', '.join(OBJECTIVES)}."
         )
-    return Chance(bound) if name == "chance" else OBJECTIVES[name]()
+    if name != "chance":
+        return OBJECTIVES[name]()
+    if bound > longest:
+        raise GlissandoError(
+            f"A bound of {bound:g} m exceeds the robot's length, {longest:g} m; give metres."
+        )
+    return Chance(bound)
