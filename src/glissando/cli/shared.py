@@ -16,6 +16,7 @@ import numpy as np
 import tomli_w
 
 from glissando.cli.commands import COMMANDS
+from glissando.cli.pairing import require_pair
 from glissando.cli.progress import working
 from glissando.cli.silent import refuse_silent
 from glissando.errors import GlissandoError, NotConvergedWarning, RobotFileError
@@ -100,6 +101,7 @@ def streams_of(
 ) -> tuple[list[Readings], list[Readings]]:
     """The readings and the truth of the recording that a posterior was estimated from."""
     robot, time = chosen_robot(recording, options.robot), posterior.grid.time
+    require_pair(posterior, robot, recording.name, recording.span())
     window = (float(time[0]), float(time[-1]))
     return chosen_streams(recording, robot, window, options.use, options.truth)[:2]
 
@@ -137,7 +139,7 @@ def estimate_watched(
             truth=options.truth,
             progress=advance,
             allow=options.allow,
-            start=_start(options),
+            start=_start(options, recording, robot),
             max_iterations=most,
         )
     warn(run.findings)
@@ -216,10 +218,15 @@ def posterior_shown(options: argparse.Namespace) -> Shown:
     return Shown(posterior, *streams, recording.name, "", tube)
 
 
-def _start(options: argparse.Namespace) -> Posterior | None:
+def _start(options: argparse.Namespace, recording: Recording, robot: Robot) -> Posterior | None:
     """The earlier estimate to start from, if the command has that option and it is given."""
     path = getattr(options, "start", None)
-    return None if path is None else load_posterior(path)
+    if path is None:
+        return None
+    posterior = load_posterior(path)
+    window = checked_window(recording, tuple(options.window) if options.window else None)
+    require_pair(posterior, robot, recording.name, window)
+    return posterior
 
 
 def recording_and_robot(options: argparse.Namespace) -> tuple[Recording, Robot]:

@@ -1,0 +1,55 @@
+"""A posterior of another robot or time than the recording's is refused."""
+
+import numpy as np
+import pytest
+
+from glissando import Grid, PoseReadings, estimate, load_robot
+from glissando.cli.main import main
+from glissando.io.netcdf import save_posterior
+
+pytest.importorskip("h5netcdf")
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("pairs") / "rec"
+    folder.mkdir()
+    truth = "keep_repeats = true\ntruth = true\n"
+    streams = f'[[streams]]\nname = "tip"\nkind = "pose"\n{truth}'
+    (folder / "recording.toml").write_text('robot = "sliding700"\n' + streams)
+    rows = [f"{k / 10},0.7,0,0,0.7,1,0,0,0\n" for k in range(11)]
+    (folder / "tip.csv").write_text("time,arclength,x,y,z,qw,qx,qy,qz\n" + "".join(rows))
+    return folder
+
+
+def posterior_of(length, start, file):
+    robot = load_robot("sliding700")
+    tip = np.eye(4)[None]
+    tip[0, 2, 3] = length
+    seen = PoseReadings(time=[start], arclength=[length], values=tip, cov=1e-6)
+    grid = Grid(np.linspace(0.0, length, 8), start + np.array([0.0, 0.25, 0.5]))
+    save_posterior(estimate(robot.prior, grid, [seen]), file)
+    return file
+
+
+@pytest.mark.parametrize(
+    ("length", "start", "said"),
+    [
+        (0.5, 0.0, "is of a robot of 0.5 m, rec of sliding700"),
+        (0.7, 50.0, "from 50 to 50.5 s, rec"),
+    ],
+)
+@pytest.mark.parametrize(
+    "words",
+    [
+        "view {file} --recording {rec} --html {file}.html",
+        "estimate {rec} --use tip --truth= --start {file}",
+        "check {file} --recording {rec}",
+    ],
+)
+def test_a_posterior_of_another_robot_or_time_is_refused(
+    recording, tmp_path, capsys, words, length, start, said
+):
+    file = posterior_of(length, start, tmp_path / "posterior.nc")
+    assert main(words.format(file=file, rec=recording).split()) == 2
+    assert said in capsys.readouterr().err
