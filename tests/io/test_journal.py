@@ -38,6 +38,16 @@ def test_readings_of_another_kind_under_a_streams_name_are_refused(tmp_path, aga
     assert load_recording(tmp_path / "log").streams["tip"].rows.time.tolist() == [0.0]
 
 
+def test_rows_of_a_stream_that_is_not_described_are_kept(tmp_path):
+    with Journal(tmp_path / "log") as journal:
+        journal.write(_pose(0.0, 1.0))
+    begun = (tmp_path / "log" / "recording.toml").read_text()
+    (tmp_path / "log" / "recording.toml").write_text(begun.partition("[[streams]]")[0])
+    with Journal(tmp_path / "log") as journal:
+        journal.write(_pose(2.0))
+    assert load_recording(tmp_path / "log").streams["tip"].rows.time.tolist() == [0.0, 1.0, 2.0]
+
+
 def test_a_stream_that_was_cut_off_before_it_was_described_is_begun_anew(tmp_path):
     Journal(tmp_path / "log").close()
     (tmp_path / "log" / "tip.csv").write_text("time,arclength,wx,wy,wz\n")

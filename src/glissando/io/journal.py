@@ -135,7 +135,8 @@ class Journal:
         name = file_stem(readings.label, SensorError)
         described = name in self._kinds
         stream = Stream(name, rows, False, _std(readings), readings.mount, keep_repeats=True)
-        file = (self.folder / f"{name}.csv").open("ab" if described else "wb")
+        path = self.folder / f"{name}.csv"
+        file = path.open("ab" if described or _has_rows(path) else "wb")
         self._files[name] = file
         if not file.tell():
             file.write((",".join(rows.columns) + "\n").encode())
@@ -192,6 +193,11 @@ def _locked(folder: Path) -> int | None:
     except OSError:  # a file system without locks
         pass
     return lock
+
+
+def _has_rows(path: Path) -> bool:
+    """Whether a stream's file has more than its header."""
+    return path.exists() and path.read_bytes().count(b"\n") > 1
 
 
 def _cut_unfinished(path: Path) -> None:
