@@ -2,46 +2,45 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from glissando.geometry.se3 import Array
 
-if TYPE_CHECKING:
-    from glissando.model.tendons.statics import TendonRod
 
-
-def share_left(rod: TendonRod, strain: Array, unit: Array) -> Array:
+def share_left(friction: Array, length: Array, strain: Array, unit: Array) -> Array:
     """What is left (M, T, P) of each tension in the middle of each piece.
 
     Args:
-        rod: The rod.
+        friction: Coefficient μ of each tendon (T,).
+        length: Lengths (P,) of the pieces, m.
         strain: Strains (M, P, 6).
         unit: Unit tangents (M, T, P, 3) of the channels.
     """
-    if not rod.tendons.friction.any():
+    if not friction.any():
         return np.ones(unit.shape[:-1])
-    bend = np.linalg.norm(np.cross(strain[:, None, :, 3:], unit), axis=-1) * rod.length
+    bend = np.linalg.norm(np.cross(strain[:, None, :, 3:], unit), axis=-1) * length
     passed = np.cumsum(bend, axis=-1) - 0.5 * bend
-    return np.asarray(np.exp(-rod.tendons.friction[:, None] * passed))
+    return np.asarray(np.exp(-friction[:, None] * passed))
 
 
 def wrench_by_strain(
-    rod: TendonRod, strain: Array, unit: Array, speed: Array, force: Array
-) -> Array:
+    friction: Array, length: Array, place: Array, strain: Array, unit: Array, speed: Array,
+    force: Array,
+) -> Array:  # fmt: skip
     """Slope (M, P, 6, P, 6) of the tendons' wrench by strain, through what friction leaves.
 
     The bends of pieces before, and half its own, ease the pull on each.
 
     Args:
-        rod: The rod.
+        friction: Coefficient μ of each tendon (T,).
+        length: Lengths (P,) of the pieces, m.
+        place: Places of the channels in their cross-sections, m.
         strain: Strains (M, P, 6).
         unit: Unit tangents (M, T, P, 3) of the channels.
         speed: Lengths (M, T, P) of the tangents.
         force: Wrenches (M, T, P, 6) of the tendons.
     """
-    place, turn = rod.path[0], strain[:, None, :, 3:]
+    turn = strain[:, None, :, 3:]
     across = np.cross(turn, unit)
     size = np.linalg.norm(across, axis=-1, keepdims=True)
     across = across / np.where(size > 0.0, size, 1.0)
@@ -49,8 +48,8 @@ def wrench_by_strain(
     by_tangent = by_unit - unit * np.sum(unit * by_unit, axis=-1, keepdims=True)
     by_tangent /= speed[..., None]
     by_turn = np.cross(unit, across) + np.cross(np.broadcast_to(place, unit.shape), by_tangent)
-    by_strain = rod.length[:, None] * np.concatenate([by_tangent, by_turn], axis=-1)
-    count = rod.length.size
+    by_strain = length[:, None] * np.concatenate([by_tangent, by_turn], axis=-1)
+    count = length.size
     before = np.tril(np.ones((count, count)), -1) + 0.5 * np.eye(count)
-    rubbing = -rod.tendons.friction[:, None, None] * force
+    rubbing = -friction[:, None, None] * force
     return np.einsum("mtpi,pq,mtqj->mpiqj", rubbing, before, by_strain)

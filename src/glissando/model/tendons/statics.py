@@ -192,13 +192,14 @@ class Equilibrium:
 
         With (A + F) S = B and A S₀ = B, S = (1 + A⁻¹ F)⁻¹ S₀; F is how friction goes with strain.
         """
-        rod = self.rod
-        if not rod.tendons.friction.any():
+        rod, friction = self.rod, self.rod.tendons.friction
+        if not friction.any():
             return slope
         m, count = self.strain.shape[:2]
         _, unit, speed, _ = _reaches(rod, self.strain)
         force = self.tension[..., None, None] * self.pull.transpose(0, 3, 1, 2)
-        eased = wrench_by_strain(rod, self.strain, unit, speed, force)
+        channels = friction, rod.length, rod.path[0]
+        eased = wrench_by_strain(*channels, self.strain, unit, speed, force)
         back = self._strain_by(eased.reshape(m, count, 6, -1), stiffness)
         whole = np.eye(6 * count) + back.reshape(m, 6 * count, -1)
         found = np.linalg.solve(whole, slope.reshape(m, 6 * count, -1))
@@ -294,7 +295,7 @@ def _linearize(
     reach, unit, speed, inside = _reaches(rod, strain)
     stretch = given - shortening(rod, strain) - rod.tendons.slack
     force, slope = (given, np.zeros_like(given)) if tensions else rod.tendons.tension(stretch)
-    left = share_left(rod, strain, unit) * inside
+    left = share_left(rod.tendons.friction, rod.length, strain, unit) * inside
     pull = (reach * left[..., None]).transpose(0, 2, 3, 1)
     residual = _balance(rod, strain, pull, force)
     compliance = np.asarray(np.linalg.inv(_hessian(rod, unit, (force[..., None] * left) / speed)))
@@ -322,7 +323,9 @@ def misfit(
         Wrenches left (M, P, 6), and the tensions (M, T) of the tendons' stretch.
     """
     reach, unit, _, inside = _reaches(rod, strain)
-    pull = (reach * (share_left(rod, strain, unit) * inside)[..., None]).transpose(0, 2, 3, 1)
+    pull = (
+        reach * (share_left(rod.tendons.friction, rod.length, strain, unit) * inside)[..., None]
+    ).transpose(0, 2, 3, 1)
     stretch = displacement - shortening(rod, strain) - rod.tendons.slack
     return _balance(rod, strain, pull, tension), rod.tendons.tension(stretch)[0]
 
