@@ -11,7 +11,8 @@ from glissando.cli.main import main
 from glissando.estimation.tendon_prediction import predict_tip
 from glissando.io.query_csv import QUERY_COLUMNS
 from glissando.io.robot_file import load_robot
-from glissando.model.tendons.statics import equilibrium, tendon_rod
+from glissando.model.tendons.statics import equilibrium
+from glissando.model.tendons.tendon_rod import tendon_rod
 from tendon_robot import NAMES, document, tendon_robot
 
 TRUTH = {

@@ -7,7 +7,8 @@ import pytest
 
 from glissando.errors import GlissandoError, NoShapeError, RobotFileError
 from glissando.geometry import se3
-from glissando.model.tendons.statics import equilibrium, shortening, tendon_rod
+from glissando.model.tendons.statics import equilibrium, shortening
+from glissando.model.tendons.tendon_rod import tendon_rod
 from glissando.simulation import Loads, solve_shape
 from tendon_robot import LENGTH, pulls, simulated, tendon_robot
 

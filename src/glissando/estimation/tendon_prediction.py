@@ -11,7 +11,8 @@ from glissando.geometry.se3 import Array
 from glissando.model.robot import Robot
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.state import DOF
-from glissando.model.tendons.statics import TendonRod, equilibrium, tendon_rod
+from glissando.model.tendons.statics import equilibrium
+from glissando.model.tendons.tendon_rod import TendonRod, tendon_rod
 
 _VELOCITY = slice(12, 18)
 

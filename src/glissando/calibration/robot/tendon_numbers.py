@@ -14,14 +14,8 @@ from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.robot import Robot
 from glissando.model.sensors.parameters import SensorParameter
-from glissando.model.tendons.statics import (
-    Equilibrium,
-    TendonRod,
-    equilibrium,
-    mechanical,
-    misfit,
-    tendon_rod,
-)
+from glissando.model.tendons.statics import Equilibrium, equilibrium, misfit
+from glissando.model.tendons.tendon_rod import TendonRod, mechanical, tendon_rod
 from glissando.model.tendons.tendons import Tendons
 
 Numbers: TypeAlias = Array

@@ -12,94 +12,19 @@ numbers a shape. Source: (M5) to (M7); Rucker and Webster 2011 without external 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
 from glissando.errors import GlissandoError, NoShapeError
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
-from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.model.priors.rest_shape import STRAIGHT
-from glissando.model.robot import Robot
 from glissando.model.tendons.friction import share_left, wrench_by_strain
-from glissando.model.tendons.tendons import Tendons
+from glissando.model.tendons.tendon_rod import TendonRod
 
 _ITERATIONS = 60
 _CLOSE = 1e-9  # of a step of all pieces together, rad and relative stretch
 _LONGEST = 0.5  # rad that a step may turn a piece by
-
-
-@dataclass(frozen=True)
-class TendonRod:
-    """A rod cut into P pieces of constant strain, with T tendons beside it.
-
-    Attributes:
-        tendons: The tendons.
-        nodes: Arclengths (P+1,) where pieces meet, m.
-        stiffness: Of each piece (P, 6).
-        rest: Strain of each without loads (P, 6).
-        base: Pose of the base (4, 4).
-    """
-
-    tendons: Tendons
-    nodes: Array
-    stiffness: Array
-    rest: Array
-    base: Array
-
-    @property
-    def length(self) -> Array:
-        """Lengths (P,) of the pieces, m."""
-        return np.diff(self.nodes)
-
-    @cached_property
-    def middle(self) -> Array:
-        """Arclengths (P,) of the middles of the pieces, m."""
-        return 0.5 * (self.nodes[1:] + self.nodes[:-1])
-
-    @cached_property
-    def path(self) -> tuple[Array, Array]:
-        """Places (T, P, 3) of the tendons in the middles of the pieces, and their slopes."""
-        return self.tendons.path(self.middle)
-
-
-def mechanical(robot: Robot) -> MechanicalPrior:
-    """The prior of a robot whose stiffness is known.
-
-    Raises:
-        GlissandoError: The robot has another prior.
-    """
-    if not isinstance(robot.prior, MechanicalPrior):
-        raise GlissandoError(
-            f"Robot {robot.name!r} has a prior of kind {robot.prior.kind!r}; what tendons do "
-            f'follows from [mechanics], so give [prior] kind = "mechanical".'
-        )
-    return robot.prior
-
-
-def tendon_rod(robot: Robot, nodes: Array | None = None) -> TendonRod:
-    """The rod of a robot file with [tendons] and a mechanical prior.
-
-    Args:
-        robot: The robot.
-        nodes: Arclengths where pieces may meet, m; the robot's nodes unless given. Segments and
-            ends of tendons are added.
-
-    Raises:
-        GlissandoError: The robot has no tendons or another prior.
-    """
-    prior, tendons = mechanical(robot), robot.tendons
-    if tendons is None:
-        raise GlissandoError(
-            f"Robot {robot.name!r} has no [tendons]; add this table to predict from tendons."
-        )
-    given = robot.arclength_nodes if nodes is None else nodes
-    every = np.concatenate([[0.0, robot.length], given, prior.mechanics.joints, tendons.end])
-    every = np.unique(np.round(every, 9))
-    middle = 0.5 * (every[1:] + every[:-1])
-    stiffness = prior.mechanics.stiffness[prior.mechanics.segment(middle)]
-    return TendonRod(tendons, every, stiffness, prior.rest.at(middle), prior.base_pose)
 
 
 @dataclass(frozen=True)

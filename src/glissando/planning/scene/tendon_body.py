@@ -19,7 +19,8 @@ from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Index
 from glissando.model.robot import Robot
-from glissando.model.tendons.statics import Equilibrium, TendonRod, equilibrium, tendon_rod
+from glissando.model.tendons.statics import Equilibrium, equilibrium
+from glissando.model.tendons.tendon_rod import TendonRod, tendon_rod
 
 
 @dataclass(frozen=True)
