@@ -248,9 +248,8 @@ def misfit(
         Wrenches left (M, P, 6), and the tensions (M, T) of the tendons' stretch.
     """
     reach, unit, _, inside = _reaches(rod, strain)
-    pull = (
-        reach * (share_left(rod.tendons.friction, rod.length, strain, unit) * inside)[..., None]
-    ).transpose(0, 2, 3, 1)
+    left = share_left(rod.tendons.friction, rod.length, strain, unit) * inside
+    pull = (reach * left[..., None]).transpose(0, 2, 3, 1)
     stretch = displacement - shortening(rod, strain) - rod.tendons.slack
     return _balance(rod, strain, pull, tension), rod.tendons.tension(stretch)[0]
 
