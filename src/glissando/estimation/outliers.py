@@ -14,14 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glissando.estimation.posterior import Posterior
-from glissando.estimation.reading_noise import reading_covariance
+from glissando.estimation.reading_fit import fit_of
 from glissando.geometry.se3 import Array
 from glissando.model.factors import Residuals
-from glissando.model.interpolation import sort_points
 from glissando.model.quantiles import chi_square_exceedance
-from glissando.model.sensors.parameter_process import ParameterValues
 from glissando.model.sensors.readings import Readings
-from glissando.model.state import State
 from glissando.solver.gauss_newton import Solution
 
 CHANCE = 1e-9
@@ -90,9 +87,7 @@ def judged(
             asked = np.flatnonzero(~rows | _suspects(terms, rows))
             limit = chi_square_exceedance(gate, terms.residual.shape[1]) * _scale_of(terms)
             if asked.size:
-                kept[asked] = ~_refuted(
-                    posterior, solution.located.parameters, stream.select(asked), rows[asked], limit
-                )
+                kept[asked] = ~_refuted(posterior, stream.select(asked), rows[asked], limit)
         out.append(kept)
     return out
 
@@ -120,42 +115,19 @@ def _scale_of(terms: Residuals) -> float:
     )
 
 
-def _refuted(
-    posterior: Posterior, values: ParameterValues, readings: Readings, used: Mask, limit: float
-) -> Mask:
+def _refuted(posterior: Posterior, readings: Readings, used: Mask, limit: float) -> Mask:
     """Which readings (M,) all others refute: squared innovations beyond a limit.
 
     Of those that were used only the worst, as a wrong one makes its neighbours look wrong.
 
     Args:
         posterior: The estimate.
-        values: Values of the estimated sensor parameters.
         readings: Readings of one stream.
         used: Which of them were used for the estimate.
         limit: Largest squared innovation that is believed.
     """
-    moved = values.relocated(readings)
-    moved = values.corrected(moved, values.at(moved.time))
-    estimate = posterior.at(moved.arclength, moved.time)
-    at = State(estimate.pose, estimate.strain, estimate.velocity)
-    slope, bridged = moved.jacobian(at), np.zeros_like(estimate.cov)
-    for points in sort_points(posterior.grid, moved.arclength, moved.time):
-        state = posterior.state
-        bridged[points.rows] = posterior.prior.interpolate(posterior.grid, state, state, points).cov
-    known = slope @ (estimate.cov - bridged) @ np.swapaxes(slope, -1, -2)
-    own = reading_covariance(posterior, moved, at, slope)
-    own = own + slope @ bridged @ np.swapaxes(slope, -1, -2)
-    squared = _squared(moved.residual(at), own, np.where(used, -1.0, 1.0), known)
-    return np.asarray(squared > np.where(used, max(limit, _WORST * squared.max()), limit))
-
-
-def _squared(residual: Array, own: Array, sign: Array, known: Array) -> Array:
-    """Squares (M,) of residuals in units of own + sign · known covariance, never negative."""
     try:
-        root = np.linalg.inv(np.linalg.cholesky(own))
+        squared = fit_of(posterior, readings).squared(np.where(used, -1.0, 1.0), _STIFF)
     except np.linalg.LinAlgError:  # of a state that is absurd, which judges nobody
-        return np.zeros(len(residual))
-    share, axes = np.linalg.eigh(root @ known @ np.swapaxes(root, -1, -2))
-    left = np.maximum(1.0 + sign[:, None] * share, _STIFF)
-    white = np.einsum("mji,mjk,mk->mi", axes, root, residual)
-    return np.einsum("mi,mi->m", white / left, white)
+        return np.zeros(len(readings), dtype=bool)
+    return np.asarray(squared > np.where(used, max(limit, _WORST * squared.max()), limit))

@@ -10,15 +10,12 @@ import numpy as np
 
 from glissando.errors import SensorError
 from glissando.estimation.posterior import Posterior
+from glissando.estimation.reading_fit import fit_of
 from glissando.estimation.reading_noise import StateSource, reading_covariance
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.brief import Brief
-from glissando.model.interpolation import sort_points
-from glissando.model.noise import sqrt_information
-from glissando.model.priors.transitions import symmetrize
 from glissando.model.quantiles import chi_square_quantile
-from glissando.model.sensors.parameters import corrected
 from glissando.model.sensors.readings import Readings
 from glissando.model.sensors.sensors import (
     CoilReadings,
@@ -158,31 +155,9 @@ def innovations(posterior: Posterior, readings: Readings) -> Array:
 
     Args:
         posterior: The estimate.
-        readings: A stream it was estimated from. Sensor parameters count as known exactly.
+        readings: A stream it was estimated from, corrected for known sensor parameters.
     """
-    middle = [(u, values[len(values) // 2]) for u, values in posterior.sensor_parameters]
-    readings = corrected(readings, [replace(u, value=value) for u, value in middle])
-    grid = posterior.grid
-    readings = replace(
-        readings,
-        arclength=np.clip(readings.arclength, grid.arclength[0], grid.arclength[-1]),
-        time=np.clip(readings.time, grid.time[0], grid.time[-1]),
-    )
-    estimate = posterior.at(readings.arclength, readings.time)
-    at = State(estimate.pose, estimate.strain, estimate.velocity)
-    J_r_x = readings.jacobian(at)
-    between_nodes = np.zeros_like(estimate.cov)
-    for points in sort_points(grid, readings.arclength, readings.time):
-        state = posterior.state
-        between_nodes[points.rows] = posterior.prior.interpolate(grid, state, state, points).cov
-    spread = J_r_x @ (2.0 * between_nodes - estimate.cov) @ np.swapaxes(J_r_x, -1, -2)
-    own = reading_covariance(posterior, readings, at, J_r_x)
-    whitener = sqrt_information(np.broadcast_to(own, spread.shape).copy())
-    share = np.eye(readings.row_count) + whitener @ spread @ np.swapaxes(whitener, -1, -2)
-    values, vectors = np.linalg.eigh(symmetrize(share))
-    white = np.einsum("mij,mj->mi", whitener, readings.residual(at))
-    along = np.einsum("mij,mi->mj", vectors, white)
-    return np.sum(along**2 / np.maximum(values, _LEAST_SHARE), axis=-1)
+    return fit_of(posterior, readings).squared(-1.0, _LEAST_SHARE)
 
 
 def _rotation_error(estimated: Array, truth: Readings) -> Array:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from glissando.estimation.posterior import Posterior
-from glissando.estimation.reading_noise import reading_covariance
+from glissando.estimation.reading_fit import fit_of
 from glissando.evaluation.plausibility.finding import Finding, require_known
 from glissando.evaluation.plausibility.lag import check_lag
 from glissando.evaluation.plausibility.noise import check_noise
@@ -25,7 +24,6 @@ from glissando.io.recording import Recording
 from glissando.model.robot import Robot
 from glissando.model.sensors.parameters import SensorParameter, corrected
 from glissando.model.sensors.readings import Readings
-from glissando.model.state import State
 
 _ROWS = 60  # of a stream that an estimate is compared with
 _FOLLOWED = 5.0  # standard deviations within which it follows half of them
@@ -161,21 +159,6 @@ def without_false_readings(
     return out
 
 
-def _residual(posterior: Posterior, readings: Readings) -> tuple[Array, Array]:
-    """Expected minus measured (M, rows) at the estimate, and its covariance with the state's."""
-    if readings.spans:
-        nodes = posterior.grid.arclength
-        at = posterior.at(nodes, readings.time[:, None])
-        state = State(at.pose, at.strain, at.velocity)
-        return readings.residual_over(nodes, state), readings.cov
-    at = posterior.at(readings.arclength, readings.time)
-    state = State(at.pose, at.strain, at.velocity)
-    jacobian = readings.jacobian(state)  # between time nodes the state is uncertain by the bridge
-    own = reading_covariance(posterior, readings, state, jacobian)
-    cov = own + jacobian @ at.cov @ np.swapaxes(jacobian, -1, -2)
-    return readings.residual(state), cov
-
-
 def after_estimate(
     posterior: Posterior,
     readings: Sequence[Readings],
@@ -186,19 +169,17 @@ def after_estimate(
     Args:
         posterior: The estimate.
         readings: The streams it was estimated from.
-        sensor_parameters: Those of the robot, applied at their expected or estimated values.
+        sensor_parameters: Those of the robot, of which the known ones are applied.
     """
-    estimated = {p.name: values[len(values) // 2] for p, values in posterior.sensor_parameters}
-    parameters = [replace(p, value=estimated.get(p.name, p.value)) for p in sensor_parameters]
+    known = [parameter for parameter in sensor_parameters if parameter.known]
     findings = []
-    for r in (corrected(r, parameters) for r in readings):
+    for r in (corrected(r, known) for r in readings):
         r = r.select(np.linspace(0, len(r) - 1, min(len(r), _ROWS)).round().astype(int))
         r = r.inside(posterior.grid)
         if not len(r):
             continue
-        residual, cov = _residual(posterior, r)
-        whitened = np.linalg.solve(np.linalg.cholesky(cov), residual[..., None])[..., 0]
-        size = float(np.sqrt(np.median(np.mean(whitened**2, axis=1))))
+        squared = fit_of(posterior, r).squared(1.0, 1.0)
+        size = float(np.sqrt(np.median(squared / r.row_count)))
         if size > _FOLLOWED:
             findings.append(
                 Finding(

@@ -1,0 +1,102 @@
+"""How readings agree with an estimate, by the very factors that it was solved with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from glissando.estimation.channels import placed
+from glissando.estimation.posterior import Posterior
+from glissando.geometry.se3 import Array
+from glissando.model.brief import Brief
+from glissando.model.factors import Factors
+from glissando.model.sensors.readings import Readings
+from glissando.solver.located_readings import locate
+from glissando.solver.measurement_factors import measurement_factors
+
+_CHUNK = 200  # readings at a time, to bound memory
+
+
+@dataclass(frozen=True)
+class ReadingFit(Brief):
+    """Residuals of M readings, in units of what each is off by itself.
+
+    Attributes:
+        residual: Whitened residuals (M, r): of noise, an unsure place, and the bridge in time.
+        explained: Covariance (M, r, r) in the same units that the estimate gives them, by its
+            states and its sensor parameters.
+    """
+
+    residual: Array
+    explained: Array
+
+    def squared(self, sign: Array | float, least: float) -> Array:
+        """Squares (M,) of the residuals in units of 1 + sign · explained covariance.
+
+        Args:
+            sign: −1 for readings that were used, of which it leaves the innovation against all
+                others (equation 25); 1 for those that were not. One, or one each (M,).
+            least: Share of a reading's own variance that the difference counts as at least:
+                where it is less, rounding and the solver's tolerance decide.
+        """
+        share, axes = np.linalg.eigh(self.explained)
+        left = np.maximum(1.0 + np.reshape(sign, (-1, 1)) * share, least)
+        along = np.einsum("mji,mj->mi", axes, self.residual)
+        return np.einsum("mi,mi->m", along / left, along)
+
+
+def fit_of(posterior: Posterior, readings: Readings) -> ReadingFit:
+    """How readings agree with an estimate, whether it used them or not.
+
+    Args:
+        posterior: The estimate.
+        readings: Readings of one stream, corrected for known sensor parameters; those off the grid
+            are judged at its end.
+    """
+    grid = posterior.grid
+    (readings,) = placed([readings], posterior)
+    readings = readings.changed(
+        arclength=np.clip(readings.arclength, grid.arclength[0], grid.arclength[-1]),
+        time=np.clip(readings.time, grid.time[0], grid.time[-1]),
+    )
+    count, r = len(readings), readings.row_count
+    residual, explained = np.zeros((count, r)), np.zeros((count, r, r))
+    parameters = [parameter for parameter, _ in posterior.sensor_parameters]
+    of_each = [np.zeros((grid.time.size, 0)), *(v for _, v in posterior.sensor_parameters)]
+    values = np.concatenate(of_each, axis=1)
+    for first in range(0, count, _CHUNK):
+        part = readings.select(slice(first, first + _CHUNK))
+        located = locate(grid, [part], parameters, values, keep_all=True)
+        at = posterior.prior, located, posterior.state, posterior.state
+        for block in range(len(located.blocks)):
+            for _, rows, batch in measurement_factors(*at, block):
+                whitener = batch.terms.sqrt_info
+                cov = whitener @ _explained(posterior, batch) @ np.swapaxes(whitener, -1, -2)
+                residual[first + rows] = batch.terms.whiten(batch.terms.residual)
+                explained[first + rows] = 0.5 * (cov + np.swapaxes(cov, -1, -2))
+    return ReadingFit(residual, explained)
+
+
+def _explained(posterior: Posterior, batch: Factors) -> Array:
+    """Covariance (M, r, r) of residuals by the numbers of the slabs at both ends of an interval."""
+    count, inner = posterior.grid.shape
+    size, dof = posterior.marginals.cov.shape[-1], posterior.state.dof
+    m, r, c, d = batch.jacobian.shape
+    slab, node = np.divmod(batch.nodes, inner)
+    lower = slab.min(axis=1)
+    if batch.extras is not None:
+        lower = np.minimum(lower, max(count - 2, 0))
+    slopes, rows = np.zeros((m, 2, size, r)), np.arange(m)[:, None]
+    for j in range(c):
+        columns = node[:, j, None] * dof + batch.dofs.start + np.arange(d)
+        within = slab[:, j] < count  # no weight beyond the last
+        end = np.where(within, slab[:, j] - lower, 0)[:, None]
+        part = np.where(within[:, None, None], batch.jacobian[:, :, j].swapaxes(1, 2), 0.0)
+        slopes[rows, end, columns] += part
+    if batch.extras is not None:
+        own = batch.extras.swapaxes(1, 2).reshape(m, 2, -1, r)
+        slopes[:, :, size - own.shape[2] :] += own
+    slabs = np.stack([lower, np.minimum(lower + 1, count - 1)], axis=1)
+    slopes = np.ascontiguousarray(slopes.transpose(0, 3, 1, 2))
+    return posterior.marginals.spread(slabs, np.zeros_like(slabs), slopes, np.zeros((m, r, r)))
