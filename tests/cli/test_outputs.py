@@ -6,6 +6,7 @@ import sys
 
 import pytest
 
+from glissando.cli.console import Console
 from glissando.cli.main import main
 
 
@@ -121,3 +122,15 @@ def test_a_link_that_leads_nowhere_is_refused_before_any_work(held, tmp_path, ca
 def test_a_lag_longer_than_a_thousand_time_nodes_is_refused(held, capsys):
     assert run("replay", held, "--lag", 1000) == 2
     assert "--lag is 1000 s; give at most 250 s, 1000 time nodes." in capsys.readouterr().err
+
+
+def test_a_file_gets_whole_lines_and_a_stated_width_is_kept(monkeypatch):
+    """Eighty columns are what Rich guesses where there is no terminal."""
+    monkeypatch.delenv("COLUMNS", raising=False)
+    out = io.StringIO()
+    Console(file=out).print("word " * 60)
+    assert len(out.getvalue().splitlines()) == 1
+    monkeypatch.setenv("COLUMNS", "40")
+    narrow = io.StringIO()
+    Console(file=narrow).print("word " * 60)
+    assert max(map(len, narrow.getvalue().splitlines())) <= 40
