@@ -46,7 +46,7 @@ HORIZON, RADIUS, BALL, TOLERANCE = 6.0, 0.005, 0.010, 0.006
 NEAR = 0.4  # of a ball's and the robot's radius, that further balls are beside the way
 CLEAR = 4e-3  # m between a further ball and the robot where it starts
 MODEL_STD = 8e-4  # m: what robots of seeds below TUNED are off by that no model error explains
-TENDON = {"lower": -1e-3, "upper": 6e-3, "speed": 1.2e-3, "acceleration": 1.5e-3}
+TENDON = {"lower": -1e-3, "upper": 6e-3, "speed": 2.4e-3, "acceleration": 1.5e-3}
 
 
 def drawn_scene(robot, seed, delta, balls):

@@ -27,7 +27,8 @@ BESIDE = 19e-3  # m of clearance from the slit of the middle at the start
 FREE = 0.02  # m that the slit of the tip begins before the tip's place
 THICK = 0.01, 0.004  # m, half of it
 OUTER, WIDE, ROUNDING = 0.04, 0.03, 0.002
-TENDON = {"speed": 5e-4, "acceleration": 1e-3, "start": 4.5e-3}
+TENDON = {"speed": 2e-3, "acceleration": 1e-3, "start": 4.5e-3}
+RESERVE = 0.75  # of their speed, for corrections
 SPARE = 1e-3  # m that tendons may go beyond what the target asks for, to correct
 SLIDE = {"speed": 0.04, "acceleration": 0.08}
 REACH, BEGIN = (0.1, 1.0), 0.7  # of the length
@@ -49,7 +50,8 @@ def drawn_passage(robot, seed):
     pulled = start + robot.tendons.radius * bend * np.cos(robot.tendons.angle - side)
     tendons = [Actuator(min(start, p) - SPARE, max(start, p) + SPARE, **TENDON) for p in pulled]
     scene = Scene([], [Target(np.zeros(3), 1.0, HORIZON)], RADIUS, DELTA, HORIZON, tendons,
-                  [slide], [sensor], model_std=MODEL_STD, correction=PAUSE)  # fmt: skip
+                  [slide], [sensor], model_std=MODEL_STD, correction=PAUSE,
+                  reserve=RESERVE)  # fmt: skip
     shape = motion_problem(scene, robot).body.shapes(pulled[None])
     across = np.array([-np.sin(side), np.cos(side), 0.0])
     obstacles = []

@@ -7,20 +7,23 @@ import pytest
 
 from glissando.geometry import se3
 from glissando.model.sensors.sensors import CoilReadings
+from glissando.planning.scene.correction_speed import correction_speed
 from glissando.planning.scene.follow import MotionFollower
 from glissando.planning.scene.plan_motion import MotionPlan
 from motion_scenes import COIL, any_problem
 
 
-def followed(seed, corrects):
-    """Errors of the places from the plan, and what was stated of them, of a robot off its model.
+def followed(seed, corrects, error_seed=None):
+    """Errors of the places from the plan, what was stated of them, and changes of corrections.
 
-    The robot is the model with an error of its own; its coil reads it twice a second.
+    The robot is the model with an error of its own, of another seed if one is given; its coil reads
+    it twice a second.
     """
     rng = np.random.default_rng(seed)
     problem, control = any_problem(rng, obstacles=[])
     problem = replace(problem, body=replace(problem.body, time_scale=20.0))
     evaluation = problem.evaluate(control)
+    rng = rng if error_seed is None else np.random.default_rng([seed, error_seed])
     root = np.linalg.cholesky(problem.belief.cov)
     true = problem.belief.mean + root @ rng.standard_normal(len(root))
     follower = MotionFollower(MotionPlan(problem, evaluation, 0.0, 0.0, 0.05))
@@ -33,7 +36,7 @@ def followed(seed, corrects):
         values = follower.command(time)
         shapes = body.shapes(values[None, :6], true[None])
         off = shapes.place[0] - evaluation.shapes.place[k]
-        out.append((off, evaluation.cov[k]))
+        out.append((off, evaluation.cov[k], np.diff(follower._corrections, axis=0)[0]))
         place = np.full(round(COIL.rate * problem.pause), values[6])
         noise = np.pad(std * rng.standard_normal((place.size, 5)), ((0, 0), (0, 1)))
         reading = shapes.pose_at(place[:1])[0] @ se3.exp(noise)
@@ -61,7 +64,7 @@ def test_readings_bring_the_robot_back_to_its_plan():
 def test_errors_from_the_plan_are_as_large_as_it_states():
     squares = []
     for seed in range(8):
-        for off, cov in followed(seed, True)[0][4::2]:
+        for off, cov, _ in followed(seed, True)[0][4::2]:
             squares.append([off[-1] @ off[-1], np.trace(cov[-1])])
     true, stated = np.sum(squares, axis=0)
     assert 0.6 < true / stated < 1.6
@@ -89,7 +92,7 @@ def test_commands_are_no_faster_than_the_tendons_whatever_is_known(seed):
     limit = np.array([tendon.speed for tendon in tendons])
     before, fastest = 0.0, 0.0
     for time in np.append(0.0, np.cumsum(rng.uniform(0.1, 0.9, 12))):
-        mean = 3.0 * rng.standard_normal(problem.body.errors)
+        mean = 8.0 * rng.standard_normal(problem.body.errors)
         follower.belief = replace(follower.belief, mean=mean)
         follower.command(time)
         when = np.linspace(before, time, 21)
@@ -98,3 +101,17 @@ def test_commands_are_no_faster_than_the_tendons_whatever_is_known(seed):
         )
         fastest, before = max(fastest, np.abs(speed / limit).max()), time
     assert 0.9 < fastest < 1.0 + 1e-6
+
+
+def test_corrections_are_as_fast_as_is_predicted_where_nothing_slows_them():
+    """Changes of commands of robots that are drawn as the belief says, and the largest of them."""
+    runs = [followed(3, True, seed) for seed in range(12)]
+    changes = np.array([[change for _, _, change in run[0]] for run in runs])
+    follower = runs[0][1]
+    fastest = 2.0 * np.sqrt(np.mean(changes[:, 1:] ** 2, axis=0)).max() / follower.problem.pause
+    stated = correction_speed(follower.problem, follower.plan.evaluation)
+    assert 0.6 < fastest / stated < 1.6
+    assert not follower.plan.warning
+    slow = replace(follower.problem.scene, reserve=0.01)
+    plan = replace(follower.plan, problem=replace(follower.problem, scene=slow))
+    assert "hits may be more frequent than is stated. Raise reserve" in plan.warning

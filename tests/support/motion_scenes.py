@@ -13,7 +13,7 @@ from tendon_robot import LENGTH, tendon_robot
 
 ROBOT = tendon_robot(std=2e-4, psd_moment=2e-8)
 COIL = SlidingSensor(np.array([1e-3] * 3 + [0.01] * 2) ** 2, rate=20.0)
-TENDON = Actuator(-2e-3, 4e-3, 2e-3, 4e-3, 0.0)
+TENDON = Actuator(-2e-3, 4e-3, 4e-3, 4e-3, 0.0)
 SLIDE = Actuator(0.05, LENGTH, 0.05, 0.1, 0.15)
 
 

@@ -14,6 +14,7 @@ from glissando.io.atomic_file import write_table, write_text
 from glissando.io.atomic_folder import renewed_folder
 from glissando.io.provenance import write_report
 from glissando.io.robot_file import load_robot
+from glissando.planning.scene.correction_speed import correction_speed
 from glissando.planning.scene.plan_motion import MotionPlan, motion_problem, plan_motion
 from glissando.planning.scene.scene_file import read_scene
 from glissando.visualization.canvas import save_figure
@@ -46,6 +47,8 @@ def plan_scene(options: argparse.Namespace) -> int:
         with working("drawing"):
             _write(options, plan, report, robot.tendons.names if robot.tendons else ())
     print(json.dumps(report) if options.json else _sentence(report))
+    if plan.warning and not options.json:
+        print(plan.warning)
     if options.out and not options.json:
         print(f"Wrote {options.out / 'tendons.csv'}; open {options.out / 'view.html'}.")
     return 0
@@ -64,6 +67,8 @@ def _report(plan: MotionPlan) -> dict[str, object]:
         "clearance": float(np.min(at.clearances.mean, initial=np.inf)) + plan.problem.wider,
         "cost": at.cost,
         "terms": at.terms,
+        "correction_speed": correction_speed(plan.problem, at),
+        "warning": plan.warning,
     }
 
 

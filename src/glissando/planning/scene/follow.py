@@ -6,6 +6,7 @@ from dataclasses import InitVar, dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.optimize import lsq_linear
 
 from glissando._kernels.threads import one_thread
 from glissando.errors import NoShapeError
@@ -20,6 +21,7 @@ from glissando.planning.scene.tendon_body import BodyShapes
 
 _STEPS = 4  # of Gauss and Newton towards the planned bends
 _EASE = 1e-3  # of the largest curvature by displacement, below which tendons are left alone
+_ROOM = 1e-9  # m that a tendon is always given to move
 
 
 @dataclass
@@ -105,30 +107,30 @@ class MotionFollower:
     def command(self, time: float) -> Array:
         """Values (C,) that all actuators should have come to by a time, s from the start, m.
 
-        Where the planned bends have no shape any more, the correction stays as it is. It changes no
-        faster than the limits of speed leave.
+        Where the planned bends have no shape any more, the correction stays as it is. Tendons go no
+        faster than they may; where one would, others make the correction if they can.
         """
         values, count = self.planned(time), self._corrections.shape[1]
         scale = self.problem.body.time_scale
         start = self.problem.belief.after(time, scale).mean
         mean = self.belief.after(max(time - self.time, 0.0), scale).mean
-        new = self._corrections[1]
+        pulled, before = values[:count], self._corrections[1]
+        low, high = np.clip(
+            pulled + before + self._changes(min(self.due, time), time), *self._limits
+        )
+        new = before
         with one_thread():
             try:
-                wished = self.problem.body.shapes(values[None, :count], start[None])
-                new = self._bent_as(wished, values[:count], mean) - values[:count]
+                wished = self.problem.body.shapes(pulled[None], start[None])
+                new = self._bent_as(wished, pulled, mean, (low, high)) - pulled
             except NoShapeError:
                 pass
-        before, (least, most) = self._corrections[1], self._changes(min(self.due, time), time)
         self._begun = self.due if time > self.due else time - 1.0
-        self._corrections, self.due = (
-            np.stack([before, np.clip(new, before + least, before + most)]),
-            time,
-        )
+        self._corrections, self.due = np.stack([before, new]), time
         return self.at(time)
 
-    def _changes(self, begin: float, end: float) -> tuple[Array, Array]:
-        """Least and largest changes (T,) of the corrections between two times, m.
+    def _changes(self, begin: float, end: float) -> Array:
+        """Least and largest changes (2, T) of the corrections between two times, m.
 
         They are what the limits of speed leave beside the plan's own speeds, which go evenly from
         one knot of its splines to the next.
@@ -141,7 +143,7 @@ class MotionFollower:
         limit = np.array([tendon.speed for tendon in tendons])
         least = np.minimum(-limit - speed.min(axis=1), 0.0)
         most = np.maximum(limit - speed.max(axis=1), 0.0)
-        return (end - begin) * least, (end - begin) * most
+        return (end - begin) * np.stack([least, most])
 
     @property
     def _limits(self) -> tuple[Array, Array]:
@@ -149,13 +151,22 @@ class MotionFollower:
         tendons = self.problem.scene.tendons
         return np.array([t.lower for t in tendons]), np.array([t.upper for t in tendons])
 
-    def _bent_as(self, wished: BodyShapes, pulled: Array, error: Array) -> Array:
-        """Displacements (T,) nearest to given ones that bend all pieces as wished."""
-        low, high = self._limits
-        goal, at = wished.balance.strain[0, :, 3:5].ravel(), pulled
+    def _bent_as(
+        self, wished: BodyShapes, pulled: Array, error: Array, limits: tuple[Array, Array]
+    ) -> Array:
+        """Displacements (T,) within limits that bend all pieces as wished, nearest to given ones.
+
+        Source: Gauss–Newton steps, each a least-squares problem with bounds (Stark and Parker,
+        1995) in which going away from the given displacements costs a little.
+        """
+        low, high = limits[0], np.maximum(limits[1], limits[0] + _ROOM)
+        goal, at = wished.balance.strain[0, :, 3:5].ravel(), np.clip(pulled, low, high)
         for _ in range(_STEPS):
             here = self.problem.body.shapes(at[None], error[None]).balance
             slope = here.strain_by_displacement()[0, :, 3:5].reshape(goal.size, -1)
-            off = goal - here.strain[0, :, 3:5].ravel()
-            at = np.clip(at + np.linalg.pinv(slope, rcond=_EASE) @ off, low, high)
+            ease = _EASE * np.linalg.norm(slope, ord=2)
+            rows = np.vstack([slope, ease * np.eye(at.size)])
+            off = np.append(goal - here.strain[0, :, 3:5].ravel(), ease * (pulled - at))
+            step = lsq_linear(rows, off, (low - at - _ROOM, high - at + _ROOM), method="bvls").x
+            at = np.clip(at + step, low, high)
         return at

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -93,7 +93,7 @@ def motion_space(
     scene: Scene, step: float = 1.0, moment: float = 0.5,
     start: Array | None = None, speed: Array | None = None,
 ) -> MotionSpace:  # fmt: skip
-    """The motions of a scene's tendons and slides.
+    """The motions of a scene's tendons and slides; tendons keep a reserve of speed to correct.
 
     Args:
         scene: The scene.
@@ -108,7 +108,9 @@ def motion_space(
     steps = max(2, round(scene.horizon / step))
     step = scene.horizon / steps
     inside = max(1, int(np.ceil(step / moment - 1e-9)))
-    actuators: list[Actuator] = [*scene.tendons, *scene.slides]
+    share = 1.0 - scene.reserve
+    tendons = [replace(tendon, speed=share * tendon.speed) for tendon in scene.tendons]
+    actuators: list[Actuator] = [*tendons, *scene.slides]
     places = np.array([a.start for a in actuators]) if start is None else start
     speeds = np.zeros(len(actuators)) if speed is None else speed
     paths = tuple(

@@ -16,6 +16,7 @@ from glissando._kernels.threads import one_thread
 from glissando.errors import GlissandoError
 from glissando.geometry.se3 import Array
 from glissando.model.robot import Robot
+from glissando.planning.scene.correction_speed import correction_speed
 from glissando.planning.scene.error_belief import ErrorBelief
 from glissando.planning.scene.motion_cost import Evaluation
 from glissando.planning.scene.motion_problem import MotionProblem
@@ -79,6 +80,20 @@ class MotionPlan:
             ))
             for target in self.problem.scene.targets
         )  # fmt: skip
+
+    @property
+    def warning(self) -> str:
+        """What makes the stated risk too small: slow tendons; empty if nothing does."""
+        scene = self.problem.scene
+        left = scene.reserve * min(tendon.speed for tendon in scene.tendons)
+        taken = correction_speed(self.problem, self.evaluation)
+        if taken <= left:
+            return ""
+        return (
+            f"Corrections of what is read take tendons up to {1e3 * taken:.3g} mm/s (95 %), and "
+            f"the plan leaves {1e3 * left:.3g} mm/s to them: hits may be more frequent than is "
+            f"stated. Raise reserve in [tendons], or correction, the time for each."
+        )
 
 
 def motion_problem(

@@ -101,6 +101,7 @@ class Scene:
         weights: What counts.
         model_std: Standard deviation of a place that no model error explains, m.
         correction: Time between two corrections of the commands by what was read, s.
+        reserve: Share of the tendons' speed that a plan leaves to corrections.
     """
 
     obstacles: Sequence[Obstacle]
@@ -115,6 +116,7 @@ class Scene:
     weights: Weights = field(default_factory=Weights)
     model_std: float = 2e-4
     correction: float = 0.25
+    reserve: float = 0.5
 
 
 def read_scene(path: Path, robot: Robot) -> Scene:
@@ -149,7 +151,7 @@ def read_scene(path: Path, robot: Robot) -> Scene:
     if not targets:
         raise table.fail("[[targets]]", "is missing; add one with a position.")
     targets.sort(key=lambda target: target.time)
-    tendons = _tendons(table, len(robot.tendons), robot.length)
+    tendons, reserve = _tendons(table, len(robot.tendons), robot.length)
     slides, sensors = [], []
     for entry in table.tables("slides"):
         slide, sensor = _slide(entry, robot)
@@ -160,7 +162,7 @@ def read_scene(path: Path, robot: Robot) -> Scene:
     table.close()
     return Scene(
         obstacles, targets, radius, delta, horizon, tendons, slides, sensors, zones, weights,
-        model_std, correction,
+        model_std, correction, reserve,
     )  # fmt: skip
 
 
@@ -218,12 +220,16 @@ def _target(table: Table, horizon: float, radius: float) -> Target:
     return target
 
 
-def _tendons(table: Table, count: int, length: float) -> list[Actuator]:
+def _tendons(table: Table, count: int, length: float) -> tuple[list[Actuator], float]:
+    """Limits of the tendons, and the share of their speed that is left to corrections."""
     limits = table.table("tendons", required=True)
     assert limits is not None
     lower, upper, start = (_each(limits, key, count, default) for key, default in
                            (("lower", 0.0), ("upper", None), ("start", 0.0)))  # fmt: skip
     speed, acceleration = _quickness(limits)
+    reserve = limits.number("reserve", 0.5, positive=False)
+    if not 0.0 <= reserve < 1.0:
+        raise limits.fail("reserve", f"is {reserve:g}; give a share of the speed, below 1.")
     limits.close()
     if max(np.abs(lower).max(), np.abs(upper).max()) > 0.2 * length:
         raise limits.fail(
@@ -240,7 +246,7 @@ def _tendons(table: Table, count: int, length: float) -> list[Actuator]:
     return [
         Actuator(float(low), float(high), speed, acceleration, float(at))
         for low, high, at in zip(lower, upper, start, strict=True)
-    ]
+    ], reserve
 
 
 def _each(table: Table, key: str, count: int, default: float | None) -> Array:
