@@ -141,8 +141,8 @@ def test_repeats_of_a_tracker_and_clipped_samples_are_dropped_and_counted(
 @pytest.mark.parametrize("kind", sensor_kinds())
 def test_what_is_written_is_read_back(tmp_path, kind):
     rng = np.random.default_rng(0)
-    time, place = np.arange(6.0), np.linspace(0.1, 0.4, 6)
-    pose = arc(place, time) @ se3.exp(rng.standard_normal((6, 6)))
+    time, place = 1.7e9 + np.sort(rng.random(6)), np.linspace(0.1, 0.4, 6)
+    pose = arc(place, time - 1.7e9) @ se3.exp(rng.standard_normal((6, 6)))
     three = dict.fromkeys(("position", "gyro", "accelerometer"), 3)
     width = {**three, "strain": 6, "fbg": 4, "tendon": 8}.get(kind, 0)
     values = {"pose": pose, "coil": pose, "orientation": pose[:, :3, :3]}.get(
@@ -154,6 +154,7 @@ def test_what_is_written_is_read_back(tmp_path, kind):
     }.get(kind, {})
     write_named(tmp_path / "a.csv", Rows(kind, time, place, values, {}, settings))
     rows = read_named(tmp_path / "a.csv", kind, settings)
+    assert rows.time.tolist() == time.tolist()
     assert rows.values == pytest.approx(values, abs=1e-9)
     assert rows.arclength == pytest.approx(place)
 

@@ -68,7 +68,7 @@ def write_text(path: str | Path, text: str) -> None:
 
 
 def write_table(path: str | Path, columns: Sequence[str], table: Array) -> None:
-    """Write numbers as CSV with a header line, whole or not at all.
+    """Write numbers as CSV with a header line, whole or not at all; times keep all their digits.
 
     Args:
         path: The file to write; its folder is made if it is missing.
@@ -79,4 +79,13 @@ def write_table(path: str | Path, columns: Sequence[str], table: Array) -> None:
         GlissandoError: The disk refused.
     """
     with new_file(path) as building:
-        np.savetxt(building, table, "%.12g", ",", header=",".join(columns), comments="")
+        np.savetxt(building, table, formats(columns), ",", header=",".join(columns), comments="")
+
+
+def formats(columns: Sequence[str]) -> list[str]:
+    """How the numbers of each column are written: a time as short as it stays exact.
+
+    >>> ",".join(formats(["time", "x"])) % (1700000000.123456, 0.1 + 0.2)
+    '1700000000.123456,0.3'
+    """
+    return ["%s" if name == "time" else "%.12g" for name in columns]

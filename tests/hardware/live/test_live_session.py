@@ -4,11 +4,13 @@ import gc
 import time
 from dataclasses import replace
 from itertools import islice
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from glissando.errors import GlissandoError
+from glissando.estimation.posterior import StateEstimate
 from glissando.evaluation.replay import replay
 from glissando.geometry import se3
 from glissando.hardware.live import (
@@ -93,6 +95,14 @@ def test_a_recording_at_its_pace_is_journaled_whole_and_written_as_csv(tmp_path)
     assert list(table.dtype.names) == list(QUERY_COLUMNS)
     assert table.size == 5 * len(updates)
     np.testing.assert_allclose(table["x"][4::5], [u.tip[0] for u in updates], atol=1e-9)
+
+
+def test_a_csv_of_updates_keeps_every_digit_of_a_unix_time(tmp_path):
+    state = StateEstimate(np.eye(4)[None], *np.zeros((2, 1, 6)), np.zeros((1, 18, 18)))
+    with CsvSink(tmp_path / "newest.csv") as sink:
+        sink.send(SimpleNamespace(time=1.7e9 + 1.0 / 3.0, arclength=np.zeros(1), state=state))
+    table = np.genfromtxt(tmp_path / "newest.csv", delimiter=",", names=True)
+    assert table["time"] == 1.7e9 + 1.0 / 3.0
 
 
 @pytest.mark.parametrize("name", ["tdcr466", "tdcr466-segments", "rod"])

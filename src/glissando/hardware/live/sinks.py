@@ -10,6 +10,7 @@ import numpy as np
 
 from glissando.errors import GlissandoError
 from glissando.hardware.live.update import Update
+from glissando.io.atomic_file import formats
 from glissando.io.query_csv import QUERY_COLUMNS, state_rows
 
 
@@ -80,5 +81,6 @@ class CsvSink:
         """Append the state at every point; a row is whole or missing if the process is killed."""
         assert self._file is not None
         time = np.full(update.arclength.size, update.time)
-        np.savetxt(self._file, state_rows(time, update.arclength, update.state), "%.12g", ",")
+        rows = state_rows(time, update.arclength, update.state)
+        np.savetxt(self._file, rows, formats(QUERY_COLUMNS), ",")
         self._file.flush()
