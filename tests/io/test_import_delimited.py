@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from draws import generators, law, poses
 from foreign_files import hole, motive_csv, ndi_csv, qualisys_tsv, semicolons, tracker_csv
 from glissando.errors import RecordingError
-from glissando.io.foreign import read_tracks
+from glissando.io.foreign import Choices, read_tracks, write_recording
 from glissando.io.foreign.columns import read_path
 
 
@@ -121,6 +121,44 @@ def test_poses_are_read_from_any_columns(tmp_path_factory, delimiter, turn, rng)
     assert (found.name, found.kind, found.frame) == ("log", "pose", "tracker")
 
 
+XYZ = "time=t,x=x,y=y,z=z"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "# t x y z\n0.5 1.5 2 3\n",
+        "% t x y z\n0,5 1,5 2 3\n",
+        "#t,x,y,z\n0.5,1.5,2,3\n",
+        'a "the y" t x y z\n0 0 0.5 1.5 2 3\n',
+        "# by A, B, C\n# of D, E\nt\tx\ty\tz\n0,5\t1,5\t2,0\t3,0\n",
+        "t x y z\n0,5 1,5 2,0 3,0\n",
+        "#,t,x,y,z\n7,0.5,1.5,2,3\n",
+        "t,x,y,z,\n0.5,1.5,2,3\n",
+    ],
+)
+def test_titles_name_their_columns_however_they_are_written(tmp_path, text):
+    (tmp_path / "log.txt").write_text(text)
+    (track,) = read_tracks(tmp_path / "log.txt", columns=XYZ)
+    np.testing.assert_array_equal(track.time, [0.5])
+    np.testing.assert_array_equal(track.values, [[1.5, 2.0, 3.0]])
+
+
+def test_rows_that_share_a_time_are_counted_and_a_clock_too_coarse_is_refused(tmp_path):
+    rows = ["t,x,y,z", "1,,,", "1,1,1,1", "1,1,1,1", "1,1,1,2", "2,1,1,2", "3,0,0,0", "3,1,1,3"]
+    (tmp_path / "log.csv").write_text("\n".join(rows))
+    (track,) = read_tracks(tmp_path / "log.csv", columns=XYZ)
+    np.testing.assert_array_equal(track.time, [1.0, 2.0, 3.0])
+    assert (track.missing, sorted(track.dropped.values())) == (2, [1, 1])
+    (line,) = write_recording([track], tmp_path / "out", Choices({"log": 0.1}))
+    assert line.endswith(
+        "m, 2 not seen, 1 that repeat another row, 1 with the time of another row but other values"
+    )
+    (tmp_path / "log.csv").write_text("\n".join([*rows, "3,2,2,2", "3,2,2,3"]))
+    with pytest.raises(RecordingError, match="3 of 6 rows have the time of the row before but oth"):
+        read_tracks(tmp_path / "log.csv", columns=XYZ)
+
+
 def test_a_toml_file_says_it_for_several_objects(tmp_path):
     (tmp_path / "log.csv").write_text(
         "stamp,gx,gy,gz,px,py,pz\n2026-11-22T10:00:00,1,2,3,10,20,30\n"
@@ -166,6 +204,7 @@ def test_a_path_of_a_slide_is_read_from_its_travel(tmp_path):
         ("t,x,y\n1,2,3\n", "time=t,x=x,y=y,z=z", "has no line with the titles t, x, y, z; it begi"),
         ("t,x,y\n1,2,3\n", "time=t,x=x,y=y", "the columns x,y of 'log' make no sensor"),
         ("t,x,y,z\n1,2,3,4\n", "x=x,y=y,z=z", "time is missing"),
+        ("t [s] x y z\n1 2 3 4\n", "time=t,x=x,y=y,z=z", "line 1 has 5 titles, and the rows"),
         ("t,x,y,z\n1,2,3,4\n", "time=t,x", "'x' is no KEY=COLUMN"),
         ("t,x,y,z\n1,2,3,4\n", "time=t,x=x,y=y,z=z,length=inch", "length is 'inch'; give one of"),
         ("t,x,y,z\n1,2,a,4\n", "time=t,x=x,y=y,z=z", "line 2: '2,a,4' is not all numbers"),

@@ -10,8 +10,6 @@ small letters about fixed ones.
 
 from __future__ import annotations
 
-import datetime
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,6 +21,7 @@ from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.io.csv_stream import scale_of
 from glissando.io.foreign.delimited import Line, cells_of, samples
+from glissando.io.foreign.titles import dated, find, titled
 from glissando.io.foreign.tracks import LENGTHS, Track, plain_name, poses
 from glissando.io.toml_table import Table, read_toml
 from glissando.model.sensors.readings import SENSORS
@@ -59,8 +58,8 @@ def read_path(path: Path, columns: str) -> tuple[Array, Array]:
     if slope not in (1.0, -1.0):
         raise table.fail("direction", f"is {slope:g}; give 1 or -1.")
     lines = [(number, cells) for number, cells in cells_of(path) if any(cells)]
-    titles, rows = _titled(path, lines, wanted)
-    at = [_find(path, titles, column) for column in wanted]
+    titles, rows = titled(path, lines, wanted)
+    at = [find(path, titles, column) for column in wanted]
     seen = samples(path, rows, at[0], at[1:], seconds, zeros=True)
     if seen.time.size < 2:
         raise RecordingError(f"{path.name} holds fewer than two rows; a path needs them.")
@@ -175,63 +174,14 @@ def read_columns(path: Path, mapping: Mapping, rate: float | None) -> list[Track
         raise RecordingError(f"{path.name} counts frames; give their rate with --rate HZ.")
     lines = [(number, cells) for number, cells in cells_of(path) if any(cells)]
     wanted = [mapping.clock, *(c for columns in mapping.objects.values() for c in columns.values())]
-    titles, rows = _titled(path, lines, wanted)
-    clock = _find(path, titles, mapping.clock)
-    rows = [(number, _dated(cells, clock)) for number, cells in rows]
+    titles, rows = titled(path, lines, wanted)
+    clock = find(path, titles, mapping.clock)
+    rows = [(number, dated(cells, clock)) for number, cells in rows]
     seconds = 1.0 / rate if mapping.counts and rate else mapping.seconds
     return [
         _track(path, mapping, name, columns, (titles, rows, clock, seconds))
         for name, columns in mapping.objects.items()
     ]
-
-
-def _titled(path: Path, lines: list[Line], wanted: Sequence[str]) -> tuple[list[str], list[Line]]:
-    """The titles of the columns, none where all are asked for by number, and the rows."""
-    named = [column for column in wanted if not column.isdigit()]
-    if not named:
-        first = next(
-            (k for k, (_, cells) in enumerate(lines) if _is_row(cells, wanted)), len(lines)
-        )
-        return [], lines[first:]
-    for k, (_, cells) in enumerate(lines):
-        if all(name in cells for name in named):
-            return cells, lines[k + 1 :]
-    shown = ", ".join(repr(c) for c in (lines[0][1] if lines else []))[:200]
-    raise RecordingError(
-        f"{path.name} has no line with the titles {', '.join(named)}; it begins with {shown}. Name "
-        f"columns as the file does, or by number from 1."
-    )
-
-
-def _is_row(cells: list[str], wanted: Sequence[str]) -> bool:
-    """Whether the clock's cell of a line holds a time."""
-    at = int(wanted[0]) - 1
-    try:
-        float(_dated(cells, at)[at])
-    except (IndexError, ValueError):
-        return False
-    return True
-
-
-def _find(path: Path, titles: list[str], column: str) -> int:
-    if column in titles:
-        return titles.index(column)
-    if column.isdigit() and int(column) > 0:
-        return int(column) - 1
-    raise RecordingError(f"{path.name} has no column {column!r}; it has {', '.join(titles)}.")
-
-
-def _dated(cells: list[str], clock: int) -> list[str]:
-    """The cells with a date and time of day, as ISO 8601 writes them, in seconds since 1970."""
-    if clock < len(cells) and cells[clock][4:5] == "-":
-        try:
-            stamp = datetime.datetime.fromisoformat(cells[clock])
-        except ValueError:
-            return cells
-        stamp = stamp if stamp.tzinfo else stamp.replace(tzinfo=datetime.UTC)
-        cells = [*cells]
-        cells[clock] = repr(stamp.timestamp())
-    return cells
 
 
 def _track(
@@ -243,13 +193,21 @@ def _track(
 ) -> Track:
     titles, rows, clock, seconds = parts
     kind, keys = _kind(path, mapping, name, columns)
-    at = [_find(path, titles, columns[key]) for key in keys]
+    at = [find(path, titles, columns[key]) for key in keys]
     zeros = "x" not in keys  # a tracker writes them for what it does not see
     seen = samples(path, rows, clock, at, seconds, zeros=zeros)
     values = _values(path, mapping, kind, keys, seen.values)
     absolute = bool(seen.time.size and seen.time[0] > EPOCH)
-    named = plain_name(name)
-    return Track(named, kind, seen.time, values, seen.missing, mapping.frame, absolute=absolute)
+    return Track(
+        plain_name(name),
+        kind,
+        seen.time,
+        values,
+        seen.missing,
+        mapping.frame,
+        absolute=absolute,
+        dropped=seen.dropped,
+    )
 
 
 def _kind(

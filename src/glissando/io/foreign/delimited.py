@@ -3,17 +3,28 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from glissando.errors import RecordingError
 from glissando.geometry.se3 import Array
-from glissando.io.foreign.tracks import as_numbers, require_ahead, text_lines
+from glissando.io.foreign.tracks import (
+    REPEATED,
+    SAME_TIME,
+    as_numbers,
+    require_ahead,
+    text_lines,
+)
 
 _DELIMITERS = "\t;,"
 _COMMA = re.compile(r"\s*[-+]?\d*,\d+([eE][-+]?\d+)?\s*")
+_BLANKS = re.compile(r'"[^"]*"|\S+')
 _LOOKED_AT = 200  # lines by which the delimiter is chosen
+REMARKS = ("#", "%")
+"""Begin a line that is a remark, or that of the titles."""
 Line = tuple[int, list[str]]
 """The number of a line and its cells."""
 
@@ -22,23 +33,38 @@ def cells_of(path: Path) -> list[Line]:
     """The lines of a text as cells, whose decimal commas have become points.
 
     The delimiter is that of tab, semicolon and comma which most lines have, in this order where
-    two are alike; without any, blanks part the cells.
+    two are alike; without any, or where commas part no more than a number, blanks part the cells.
 
     Raises:
         RecordingError: The file cannot be read.
     """
     lines = text_lines(path)
-    some = [line for line in lines[:_LOOKED_AT] if line.strip()]
-    most = max(_DELIMITERS, key=lambda d: sum(d in line for line in some))
-    if not any(most in line for line in some):
-        most = " "
+    delimiter = _delimiter(lines)
     out = []
     for number, line in enumerate(lines, start=1):
-        cells = line.split() if most == " " else [cell.strip() for cell in line.split(most)]
-        if most != ",":
+        cells = line.split(delimiter) if delimiter else _BLANKS.findall(line)
+        cells = [cell.strip() for cell in cells]
+        if delimiter != ",":
             cells = [c.replace(",", ".") if _COMMA.fullmatch(c) else c for c in cells]
         out.append((number, [cell.strip('"') for cell in cells]))
     return out
+
+
+def _delimiter(lines: list[str]) -> str:
+    """What parts the cells of most lines that are no remarks; empty for blanks."""
+    some = [line for line in lines[:_LOOKED_AT] if line.strip()]
+    some = [line for line in some if not line.lstrip().startswith(REMARKS)] or some
+    most = max(_DELIMITERS, key=lambda d: sum(d in line for line in some))
+    having = [line for line in some if most in line]
+    if most == "," and 2 * sum(map(_of_blanks, having)) > len(having):
+        return ""
+    return most if having else ""
+
+
+def _of_blanks(line: str) -> bool:
+    """Whether blanks part a line's cells, and its commas are those of numbers."""
+    cells = line.split()
+    return len(cells) > 1 and all("," not in c or _COMMA.fullmatch(c) for c in cells)
 
 
 @dataclass(frozen=True)
@@ -49,11 +75,13 @@ class Samples:
         time: Increasing times (M,), s.
         values: Numbers (M, C) as the file has them.
         missing: Number of rows in which it was not seen.
+        dropped: Number of rows left out, by reason.
     """
 
     time: Array
     values: Array
     missing: int
+    dropped: dict[str, int]
 
 
 def samples(
@@ -65,7 +93,7 @@ def samples(
     *,
     zeros: bool = False,
 ) -> Samples:
-    """The rows of one object; a row that repeats the clock of the one before is left out.
+    """The rows of one object; those at the time of one before are left out and counted.
 
     Args:
         path: The file, for messages.
@@ -76,21 +104,39 @@ def samples(
         zeros: Whether nothing but zeros is a reading, where it else says that nothing was seen.
 
     Raises:
-        RecordingError: A cell is no number, or the clock goes back, with the line.
+        RecordingError: A cell is no number or the clock goes back, with the line; or it is so
+            coarse that no more than half of what was seen has a time of its own.
     """
-    times, values, missing, before = [], [], 0, -np.inf
+    times: list[float] = []
+    values: list[Array] = []
+    dropped: Counter[str] = Counter()
+    missing, before = 0, -np.inf
     for line, cells in rows:
         cells = cells + [""] * (1 + max([clock, *columns]) - len(cells))
         tick = as_numbers(path, line, [cells[clock]])
-        if tick is None or tick[0] == before:
-            missing += tick is None
+        if tick is None:
+            missing += 1
             continue
-        require_ahead(path, line, before, tick[0])
+        if tick[0] != before:
+            require_ahead(path, line, before, tick[0])
         before = float(tick[0])
         numbers = as_numbers(path, line, [cells[c] for c in columns])
         if numbers is None or not (zeros or numbers.any()):
             missing += 1
-            continue
-        times.append(before * seconds)
-        values.append(numbers)
-    return Samples(np.array(times), np.array(values).reshape(-1, len(columns)), missing)
+        elif times and times[-1] == before:
+            dropped[REPEATED if np.array_equal(numbers, values[-1]) else SAME_TIME] += 1
+        else:
+            times.append(before)
+            values.append(numbers)
+    _require_fine(path, len(times), dropped[SAME_TIME])
+    table = np.array(values).reshape(-1, len(columns))
+    return Samples(seconds * np.array(times), table, missing, {**dropped})
+
+
+def _require_fine(path: Path, kept: int, other: int) -> None:
+    if other and other >= kept:
+        raise RecordingError(
+            f"{path.name}: {other} of {kept + other} rows have the time of the row before but "
+            f"other values; give a finer clock, or a column that counts rows with its --rate, and "
+            f"a file of its own to each object."
+        )

@@ -11,6 +11,7 @@ otherwise.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from glissando.errors import RecordingError
 from glissando.geometry import se3
 from glissando.io.foreign.delimited import cells_of
 from glissando.io.foreign.tracks import (
+    REPEATED,
     Track,
     as_numbers,
     plain_name,
@@ -83,13 +85,13 @@ def _tool(
     at = [start + labels.index(name) for name in columns]
     clock, absolute = _clock(path, labels, rate)
     state = next((start + labels.index(s) for s in _STATES if s in labels), None)
-    times, values, missing = [], [], 0
+    times, values, missing, repeated = [], [], 0, 0
     first = before = -np.inf
     for line, cells in rows:
         cells += [""] * (len(heads) - len(cells))
         tick = as_numbers(path, line, [cells[start + clock]])
         if tick is None or tick[0] == before:  # not there, or polled faster than it measures
-            missing += tick is None
+            missing, repeated = missing + (tick is None), repeated + (tick is not None)
             continue
         require_ahead(path, line, before, tick[0])
         before, first = tick[0], tick[0] if first == -np.inf else first
@@ -107,7 +109,8 @@ def _tool(
     else:
         turn = Rotation.from_euler("ZYX", table[:, :3], degrees=True).as_matrix()
     pose = poses(turn, 1e-3 * table[:, -3:])
-    return Track(name, "coil", np.array(times), pose, missing, "tracker", absolute=absolute)
+    track = Track(name, "coil", np.array(times), pose, missing, "tracker", absolute=absolute)
+    return replace(track, dropped={REPEATED: repeated})
 
 
 def _clock(path: Path, labels: list[str], rate: float | None) -> tuple[int, bool]:

@@ -8,6 +8,7 @@ in degrees and turn about the body's own axes in the order that the type names.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -62,7 +63,8 @@ def read_motive_csv(path: Path, rate: float | None) -> list[Track]:
         values = at
         if turn:
             what, values = "pose", poses(_rotations(path, kind, seen.values[:, 3:]), at)
-        tracks.append(Track(plain_name(name), what, seen.time, values, seen.missing))
+        track = Track(plain_name(name), what, seen.time, values, seen.missing)
+        tracks.append(replace(track, dropped=seen.dropped))
     if not tracks:
         raise RecordingError(f"{path.name} holds no rigid bodies or markers; export some of them.")
     return tracks

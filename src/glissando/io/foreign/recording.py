@@ -152,6 +152,6 @@ def _placed(track: Track, choices: Choices, start: float, robot: Robot | None) -
 def _line(track: Track, rows: Rows) -> str:
     span = f"{rows.time[0]:.3f} to {rows.time[-1]:.3f} s"
     places = dict.fromkeys(f"{s:g}" for s in (rows.arclength.min(), rows.arclength.max()))
-    lost = {"not seen": track.missing, **rows.dropped}
+    lost = {"not seen": track.missing, **track.dropped, **rows.dropped}
     gaps = "".join(f", {count} {why}" for why, count in lost.items() if count)
     return f"{track.name}: {rows.time.size} of {rows.kind}, {span}, at {'…'.join(places)} m{gaps}"

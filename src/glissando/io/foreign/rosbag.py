@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import numpy as np
 
 from glissando.errors import GlissandoError, RecordingError
 from glissando.geometry import se3
-from glissando.io.foreign.tracks import Track, plain_name, poses
+from glissando.io.foreign.tracks import SAME_TIME, Track, plain_name, poses
 from glissando.io.plain_file import largest_unpacked, require_plain
 
 _KINDS = {
@@ -108,7 +109,7 @@ def _track(bag: Any, topic: str) -> Track:
     """Poses of a topic in order of their stamps; the first of those that share one."""
     connections = [c for c in bag.connections if c.topic == topic]
     rows: dict[int, list[float]] = {}
-    frame, missing = "", 0
+    frame, missing, repeated = "", 0, 0
     for connection, logged, raw in bag.messages(connections):
         message = bag.deserialize(raw, connection.msgtype)
         p, q = _KINDS[connection.msgtype](message)
@@ -117,6 +118,7 @@ def _track(bag: Any, topic: str) -> Track:
         frame = frame or message.header.frame_id
         numbers = [q.w, q.x, q.y, q.z, p.x, p.y, p.z]
         if np.all(np.isfinite(numbers)) and np.linalg.norm(numbers[:4]) > 0.5:
+            repeated += at in rows
             rows.setdefault(at, numbers)
         else:
             missing += 1
@@ -126,4 +128,5 @@ def _track(bag: Any, topic: str) -> Track:
     name = plain_name(topic.replace("/", "_").strip("_"))
     frame = "world" if frame.strip("/") in _WORLDS else plain_name(frame)
     time = np.array([1e-9 * t for t in stamps])
-    return Track(name, "pose", time, pose, missing, frame, absolute=True, numbered=False)
+    track = Track(name, "pose", time, pose, missing, frame, absolute=True, numbered=False)
+    return replace(track, dropped={SAME_TIME: repeated})

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,8 @@ from glissando.io.plain_file import plain_text
 _NO_NUMBER = 1e20  # NDI's devices write -3.697314e28 where there is no value
 LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 """Metres of a unit as files name it."""
+REPEATED, SAME_TIME = "that repeat another row", "with the time of another row but other values"
+"""Why rows are left out."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +33,7 @@ class Track:
         frame: Name of the frame of its values.
         absolute: Whether times count from 1970.
         numbered: Whether rows have frame numbers, so that repeated values are new readings.
+        dropped: Number of other rows left out, by reason.
     """
 
     name: str
@@ -41,6 +44,7 @@ class Track:
     frame: str = "world"
     absolute: bool = False
     numbered: bool = True
+    dropped: Mapping[str, int] = field(default_factory=dict)
 
 
 def plain_name(text: str) -> str:
