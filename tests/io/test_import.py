@@ -9,6 +9,7 @@ import pytest
 from draws import poses
 from foreign_files import ndi_csv, tracker_csv
 from glissando.cli.main import main
+from glissando.errors import RecordingError
 from glissando.geometry import se3
 from glissando.io.foreign import Choices, Track, write_recording
 from glissando.io.recording import load_recording
@@ -80,6 +81,7 @@ def test_a_robot_file_travels_with_the_recording(tmp_path):
         (["--arclength", "tip=0", "--robot", "nobody"], "no robot named 'nobody'"),
         (["--arclength", "tip=0", "--rate", "b.csv=3"], "--rate names 'b.csv'; the files are"),
         (["--arclength", "tip=0", "--rate", "fast"], "--rate 'fast' is not a number"),
+        (["--arclength", "tip=0", "--topic", "/tip"], "--topic says nothing to files that are no"),
     ],
 )
 def test_a_mistake_is_one_sentence_and_nothing_is_written(tmp_path, capsys, options, sentence):
@@ -90,6 +92,14 @@ def test_a_mistake_is_one_sentence_and_nothing_is_written(tmp_path, capsys, opti
     assert sentence in captured.err
     assert captured.err.count("\n") == 1
     assert [p.name for p in tmp_path.iterdir()] == ["a.csv"]
+
+
+def test_a_track_of_another_clock_than_its_path_is_said_to_be(tmp_path):
+    (tmp_path / "path.csv").write_text("time,arclength\n100,0.4\n200,0.3\n")
+    choices = Choices({"coil": tmp_path / "path.csv"})
+    said = "5 rows at 0 to 0.4 s, outside its path, which goes from 100 to 200 s.*with --shift"
+    with pytest.raises(RecordingError, match=said):
+        write_recording([track("coil")], tmp_path / "out", choices)
 
 
 def test_a_folder_that_holds_something_is_left_alone(tmp_path, capsys):

@@ -185,6 +185,10 @@ def test_frames_that_are_counted_need_their_rate(tmp_path):
         read_tracks(tmp_path / "a.csv", columns=said)
     (track,) = read_tracks(tmp_path / "a.csv", columns=said, rate=100.0)
     np.testing.assert_allclose(track.time, [0.1, 0.11])
+    with pytest.raises(RecordingError, match="--rate 100 says nothing"):
+        read_tracks(tmp_path / "a.csv", columns="time=n,x=x,y=y,z=z", rate=100.0)
+    with pytest.raises(RecordingError, match="clock says nothing to count"):
+        read_tracks(tmp_path / "a.csv", columns=f"{said},clock=ms", rate=100.0)
 
 
 def test_a_path_of_a_slide_is_read_from_its_travel(tmp_path):

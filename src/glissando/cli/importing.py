@@ -25,6 +25,7 @@ from glissando.evaluation.foreign_estimate import (
 )
 from glissando.io.atomic_folder import require_new
 from glissando.io.foreign import Choices, read_tracks, write_recording
+from glissando.io.foreign.kinds import is_bag
 from glissando.io.foreign.tracks import Track
 from glissando.io.provenance import write_report
 from glissando.io.recording import load_recording
@@ -93,6 +94,8 @@ def _import(options: argparse.Namespace) -> int:
     rates = _rates(options.rate, options.files)
     paths = [place for place in arclength.values() if isinstance(place, Path)]
     mappings = _mappings(options.columns, options.files, paths)
+    if not any(map(is_bag, options.files)):
+        refuse_silent(options, "files that are no bags", "topic")
     kinds = pairs(options.kind)
     choices = Choices(arclength, options.truth, shift, kinds, options.robot, mappings)
     require_writable(options.out.parent)

@@ -22,7 +22,7 @@ from glissando.geometry.se3 import Array
 from glissando.io.csv_stream import scale_of
 from glissando.io.foreign.delimited import Line, cells_of, samples
 from glissando.io.foreign.titles import dated, find, titled
-from glissando.io.foreign.tracks import LENGTHS, Track, plain_name, poses
+from glissando.io.foreign.tracks import LENGTHS, Track, plain_name, poses, require_no_rate
 from glissando.io.toml_table import Table, read_toml
 from glissando.model.sensors.readings import SENSORS
 
@@ -136,6 +136,8 @@ _GENERAL = ("time", "count", "clock", "length", "angle", "euler", "frame")
 def _mapping(table: Table) -> Mapping:
     counts = table.peek("count") is not None
     clock = _column(table, "count" if counts else "time")
+    if counts and table.peek("clock") is not None:
+        raise table.fail("clock", "says nothing to count; leave it out, and give --rate HZ.")
     seconds = _TIMES[table.text("clock", "s", choices=_TIMES)]
     length = LENGTHS[table.text("length", "m", choices=LENGTHS)]
     angle = _ANGLES[table.text("angle", "rad", choices=_ANGLES)]
@@ -172,6 +174,8 @@ def read_columns(path: Path, mapping: Mapping, rate: float | None) -> list[Track
     """
     if mapping.counts and rate is None:
         raise RecordingError(f"{path.name} counts frames; give their rate with --rate HZ.")
+    if not mapping.counts:
+        require_no_rate(path, rate)
     lines = [(number, cells) for number, cells in cells_of(path) if any(cells)]
     wanted = [mapping.clock, *(c for columns in mapping.objects.values() for c in columns.values())]
     titles, rows = titled(path, lines, wanted)

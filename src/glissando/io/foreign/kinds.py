@@ -14,13 +14,18 @@ from glissando.io.foreign.optitrack_csv import is_motive_header, read_motive_csv
 from glissando.io.foreign.qualisys_tsv import is_qualisys_header, read_qualisys_tsv
 from glissando.io.foreign.rosbag import read_bag
 from glissando.io.foreign.servo_csv import is_servo_header, servo_tracks
-from glissando.io.foreign.tracks import Track
+from glissando.io.foreign.tracks import Track, require_no_rate
 from glissando.io.foreign.vicon_csv import TITLES, read_vicon_csv
 
 _KNOWN = (
     "CSV of Vicon Tracker or Nexus, NDI Track or ToolBox, OptiTrack Motive; TSV of Qualisys; "
     "CSV of servos with a tip; c3d, ROS 1 .bag, folder of a ROS 2 bag"
 )
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a path is a ROS 1 bag, or the folder of a ROS 2 bag."""
+    return path.suffix == ".bag" or (path / "metadata.yaml").exists()
 
 
 def read_tracks(
@@ -34,7 +39,7 @@ def read_tracks(
 
     Args:
         path: File, or folder of a ROS 2 bag.
-        rate: Frames a second, for kinds that do not state them.
+        rate: Frames a second, for kinds that do not state them; None for those that state times.
         topics: Topics of a bag; by default all with poses.
         columns: Mapping of the columns of any other text, see `glissando.io.foreign.columns`.
 
@@ -46,7 +51,8 @@ def read_tracks(
         raise RecordingError(f"A rate of {rate:g} Hz cannot be; give frames a second.")
     if columns and path.is_file():
         return read_columns(path, parse_mapping(columns, path.stem), rate)
-    if path.suffix == ".bag" or (path / "metadata.yaml").exists():
+    if is_bag(path):
+        require_no_rate(path, rate)
         return read_bag(path, topics)
     if not path.is_file():
         raise RecordingError(f"There is no file {str(path)!r} to import; known are {_KNOWN}.")
@@ -69,6 +75,7 @@ def read_tracks(
     if is_qualisys_header(cells):
         return read_qualisys_tsv(path, rate)
     if is_servo_header(cells):
+        require_no_rate(path, rate)
         return servo_tracks(path)
     if cells[:2] == ["time", "arclength"]:
         raise RecordingError(f"{path} is a recording's stream already; name it in recording.toml.")

@@ -28,6 +28,7 @@ from glissando.io.foreign.tracks import (
     plain_name,
     poses,
     require_ahead,
+    require_no_rate,
 )
 
 _PLACE = ["tx", "ty", "tz"]
@@ -124,6 +125,7 @@ def _clock(path: Path, labels: list[str], rate: float | None) -> tuple[int, bool
             f"{path.name} has no times; give the rate at which its frames count with --rate HZ (an "
             f"Aurora's is 40)."
         )
+    require_no_rate(path, rate)
     return clock, True
 
 

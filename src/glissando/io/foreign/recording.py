@@ -67,7 +67,7 @@ def write_recording(tracks: Sequence[Track], folder: Path, choices: Choices) -> 
     for track in tracks:
         rows = _placed(track, choices, start, robot)
         if rows is None or not rows.time.size:
-            why = "no arclength was given" if rows is None else "it was never seen"
+            why = "no arclength was given" if rows is None else _why_empty(rows)
             lines.append(f"{track.name}: left out, {why}")
             continue
         truth = track.name in choices.truth
@@ -76,10 +76,10 @@ def write_recording(tracks: Sequence[Track], folder: Path, choices: Choices) -> 
         )
         lines.append(_line(track, rows))
     if not streams:
-        raise RecordingError(
-            f"Nothing is left to write ({'; '.join(lines)}); say where on the robot each one sits "
-            f"with --arclength NAME=METRES,…"
-        )
+        cure = "say where on the robot each one sits with --arclength NAME=METRES,…"
+        if all(track.name in choices.arclength for track in tracks):
+            cure = "correct the files, or their clocks with --shift NAME=S,…"
+        raise RecordingError(f"Nothing is left to write ({'; '.join(lines)}); {cure}")
     named: str | Path = choices.robot or ""
     if named:
         named = named if named in shipped_robots() else robot_file(named)
@@ -144,9 +144,20 @@ def _placed(track: Track, choices: Choices, start: float, robot: Robot | None) -
     at, arclength = read_path(place, choices.columns.get(place.name, ""))
     at = at - (start if at[0] > EPOCH else 0.0)
     inside = (time >= at[0]) & (time <= at[-1])
-    dropped = {"outside its path": int(np.sum(~inside))} if not inside.all() else {}
+    reason = "outside its path"
+    if time.size and not inside.any():
+        reason = (
+            f"at {time[0]:.6g} to {time[-1]:.6g} s, outside its path, which goes from {at[0]:.6g} "
+            f"to {at[-1]:.6g} s"
+        )
+    dropped = {reason: int(np.sum(~inside))} if not inside.all() else {}
     where = np.interp(time[inside], at, arclength)
     return Rows(kind, time[inside], where, track.values[inside], dropped)
+
+
+def _why_empty(rows: Rows) -> str:
+    """Why no rows are left."""
+    return "".join(f"{n} rows {why}" for why, n in rows.dropped.items()) or "it was never seen"
 
 
 def _line(track: Track, rows: Rows) -> str:

@@ -95,6 +95,15 @@ def require_ahead(path: Path, line: int, before: float, frame: float) -> None:
         )
 
 
+def require_no_rate(path: Path, rate: float | None) -> None:
+    """Raise RecordingError for a rate that has no effect, as the rows of a file state times."""
+    if rate is not None:
+        raise RecordingError(
+            f"{path.name} states the times of its rows, to which --rate {rate:g} says nothing; "
+            f"leave it out, or name the files that need one, --rate FILE=HZ."
+        )
+
+
 def poses(rotation: Array, position: Array) -> Array:
     """Poses (M, 4, 4) of rotations (M, 3, 3) and positions (M, 3)."""
     out = np.tile(np.eye(4), (len(position), 1, 1))
