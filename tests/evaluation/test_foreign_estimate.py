@@ -7,7 +7,13 @@ import pytest
 
 from glissando import GlissandoError, PoseReadings, estimate, load_robot
 from glissando.cli.main import main
-from glissando.evaluation.foreign_estimate import estimate_of_tracks, read_estimate
+from glissando.errors import ImplausibleError
+from glissando.evaluation.foreign_estimate import (
+    ForeignEstimate,
+    estimate_of_tracks,
+    foreign_report,
+    read_estimate,
+)
 from glissando.evaluation.metrics import errors_against
 from glissando.io.csv_stream import Rows, Stream
 from glissando.io.foreign import export, read_tracks
@@ -75,6 +81,8 @@ def test_positions_alone_and_trajectories_have_errors_without_confidence(scene, 
     its = estimate_of_tracks(tracks, {"tip": 0.466}).errors(truth)
     np.testing.assert_allclose(its.position, mine.position, atol=1e-6)
     np.testing.assert_allclose(its.rotation, mine.rotation, atol=1e-6)
+    with pytest.raises(GlissandoError, match="hold no 'top'; they hold tip"):
+        estimate_of_tracks(tracks, {"tip": 0.466, "top": 0.1})
     with pytest.raises(GlissandoError, match="Say where on the robot the trajectories tip are"):
         estimate_of_tracks(tracks, {})
 
@@ -93,12 +101,55 @@ def test_between_arclengths_and_times_a_steady_motion_is_exact(tmp_path):
     ]
 
 
-def test_the_command_makes_a_run_that_a_report_shows(scene, tmp_path):
+def test_nothing_is_judged_in_gaps_or_outside_and_that_is_counted(scene):
+    robot, posterior, recording = scene
+    truth = recording.readings(["at_233", "at_466"], robot, (0.0, 0.3), as_truth=True)[0]
+    time = np.r_[np.arange(0.0, 0.1, 0.005), np.arange(0.2, 0.26, 0.005)]
+    theirs = ForeignEstimate(
+        np.array([0.4, 0.466]),
+        [time] * 2,
+        [posterior.at(np.full(time.size, s), time).pose for s in (0.4, 0.466)],
+        [np.full((time.size, 6, 6), np.nan)] * 2,
+        turns=True,
+    )
+    report = foreign_report("theirs", theirs, recording, robot, truth)
+    assert report["dropped"] == {
+        "at_233": {"outside the estimate": 13},
+        "at_466": {"outside the estimate": 2, "in gaps of the estimate": 4},
+    }
+    assert [(s["name"], s["samples"]) for s in report["sites"]] == [("at_466", 7)]
+
+
+@pytest.mark.parametrize(
+    ("factors", "sentence"),
+    [
+        ((1.0, 1.0, 1e3), "not on the robot.*millimetres"),
+        ((1e3, 1.0, 1.0), "times are probably in milliseconds"),
+        ((1.0, 1e3, 1.0), "goes to arclength 466 m, and robot 'tdcr466' is 0.466 m long"),
+    ],
+)
+def test_an_estimate_in_other_units_is_refused(scene, factors, sentence):
+    robot, posterior, recording = scene
+    truth = recording.readings(["at_466"], robot, (0.0, 0.3), as_truth=True)[0]
+    time = np.linspace(0.0, 0.3, 31)
+    poses = [posterior.at(np.full(31, s), time).pose * 1.0 for s in PLACES]
+    for pose in poses:
+        pose[:, :3, 3] *= factors[2]
+    none = [np.full((31, 6, 6), np.nan)] * 5
+    theirs = ForeignEstimate(factors[1] * PLACES, [factors[0] * time] * 5, poses, none, turns=True)
+    with pytest.raises(ImplausibleError, match=sentence):
+        foreign_report("theirs", theirs, recording, robot, truth)
+
+
+def test_the_command_makes_a_run_that_a_report_shows(scene, tmp_path, capsys):
     _, posterior, recording = scene
     save_recording(recording, tmp_path / "bench", "tdcr466")
     export(posterior, tmp_path / "theirs.csv", arclength=PLACES, rate=40.0)
     call = ["import", str(tmp_path / "theirs.csv"), "--estimate", str(tmp_path / "bench")]
     assert main([*call, "--out", str(tmp_path / "run")]) == 0
+    assert "mm RMSE against at_233, at_466." in capsys.readouterr().out
+    assert main([*call, "--out", str(tmp_path / "run")]) == 2
+    assert "exists and is not empty" in capsys.readouterr().err
     report = json.loads((tmp_path / "run" / "report.json").read_text())
     assert {s["name"] for s in report["sites"]} == {"at_233", "at_466"}
     assert report["overall"]["position_rmse"] == pytest.approx(2e-3 * 3**0.5, rel=0.4)

@@ -119,6 +119,7 @@ def _import_estimate(options: argparse.Namespace) -> int:
     if not options.arclength:
         refuse_silent(options, "--estimate without --arclength", "rate", "columns")
     require_writable(options.out)
+    require_new(options.out, GlissandoError)
     recording = load_recording(options.estimate)
     robot = chosen_robot(recording, options.robot)
     names_of_files = ", ".join(file.name for file in options.files)
@@ -139,8 +140,11 @@ def _import_estimate(options: argparse.Namespace) -> int:
     judges = recording.readings(truth, robot, recording.span(), as_truth=True)[0]
     report = foreign_report(names_of_files, estimate, recording, robot, judges)
     write_report(options.out / "report.json", report | stated(options, robot))
-    rmse = 1e3 * report["overall"]["position_rmse"]
-    print(f"Wrote {options.out}: {rmse:.2f} mm RMSE against {', '.join(truth)}.")
+    rmse, judged = 1e3 * report["overall"]["position_rmse"], [s["name"] for s in report["sites"]]
+    for name, lost in report["dropped"].items():
+        counts = ", ".join(f"{count} {why}" for why, count in lost.items())
+        print(f"{name}: {counts}, not judged")
+    print(f"Wrote {options.out}: {rmse:.2f} mm RMSE against {', '.join(judged)}.")
     print(f"Now: glissando report RUN {options.out}")
     return 0
 

@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from glissando.errors import GlissandoError
+from glissando.errors import GlissandoError, ImplausibleError
 from glissando.estimation.posterior import StateEstimate
 from glissando.evaluation.consistency import check
 from glissando.evaluation.metrics import Errors, errors_against, pool
+from glissando.evaluation.plausibility.examine import examine
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.io.foreign.delimited import cells_of, samples
@@ -23,8 +24,12 @@ from glissando.io.recording import Recording
 from glissando.model.brief import Brief
 from glissando.model.robot import Robot
 from glissando.model.sensors.readings import Readings
+from glissando.model.sensors.sensors import PositionReadings
 
 _SAME = 1e-4  # m: samples no farther apart along the body are of one place
+_GAP = 5.0  # usual steps, beyond which nothing is interpolated
+_UNITS = "length-unit", "time-unit", "clock"  # checks whose refusals an estimate heeds
+_LOOKED_AT = 8  # trajectories whose units are checked
 _POINT = ["time", "arclength", "x", "y", "z"]
 _TURN, _COV = QUERY_COLUMNS[5:9], QUERY_COLUMNS[-36:]
 
@@ -59,11 +64,31 @@ class ForeignEstimate(Brief):
         inside = (time >= first) & (time <= last) & (arclength >= low) & (arclength <= high)
         return np.asarray(inside)
 
+    def in_gap(self, arclength: Array, time: Array) -> NDArray[np.bool_]:
+        """Which points (M,) lie where a trajectory beside them pauses for many of its steps."""
+        gaps, rows = np.stack([_in_gap(t, time) for t in self.time]), np.arange(time.size)
+        lower, upper = self._neighbours(arclength)
+        return np.asarray(gaps[lower, rows] | gaps[upper, rows])
+
+    def _neighbours(self, place: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Numbers (M,) of the trajectories below and above arclengths (M,), one at its own."""
+        upper = np.clip(np.searchsorted(self.arclength, place - _SAME), 0, len(self.arclength) - 1)
+        return np.maximum(upper - (place < self.arclength[upper] - _SAME), 0), upper
+
+    def dropped(self, truth: Readings) -> dict[str, int]:
+        """Number of samples of a truth stream that cannot be judged, by reason."""
+        at = truth.arclength, truth.time
+        inside = self.covers(*at)
+        lost = {
+            "outside the estimate": int(np.sum(~inside)),
+            "in gaps of the estimate": int(np.sum(inside & self.in_gap(*at))),
+        }
+        return {reason: count for reason, count in lost.items() if count}
+
     def at(self, arclength: ArrayLike, time: ArrayLike) -> StateEstimate:
         """Pose and covariance at points (M,), linear in time and arclength; the rest is zero."""
         place, when = np.asarray(arclength, dtype=float), np.asarray(time, dtype=float)
-        upper = np.clip(np.searchsorted(self.arclength, place - _SAME), 0, len(self.arclength) - 1)
-        lower = np.maximum(upper - (place < self.arclength[upper] - _SAME), 0)
+        lower, upper = self._neighbours(place)
         gap = self.arclength[upper] - self.arclength[lower]
         share = np.where(gap > 0.0, (place - self.arclength[lower]) / np.where(gap, gap, 1.0), 0.0)
         each = [
@@ -79,11 +104,12 @@ class ForeignEstimate(Brief):
         return StateEstimate(_part(near, far, share), zeros, zeros, whole)
 
     def errors(self, truth: Readings) -> Errors:
-        """Errors at the samples of a truth stream that the estimate covers."""
+        """Errors at the samples of a truth stream that the estimate covers, outside of its gaps."""
         if truth.values.ndim == 3:  # at the cross-section itself, which positions are of
             values, mount = truth.values @ se3.inverse(truth.mount), np.eye(4)
             truth = replace(truth, values=values, mount=mount)
-        truth = truth.select(self.covers(truth.arclength, truth.time))
+        at = truth.arclength, truth.time
+        truth = truth.select(self.covers(*at) & ~self.in_gap(*at))
         errors = errors_against(self, truth)
         if self.turns:
             return errors
@@ -143,12 +169,18 @@ def estimate_of_tracks(tracks: Sequence[Track], arclength: Mapping[str, float]) 
         arclength: Arclength of each that counts, m.
 
     Raises:
-        GlissandoError: There is none, or a track has no positions.
+        GlissandoError: There is none, a name is no track's, or a track has no positions.
     """
+    names = [t.name for t in tracks]
+    for name in arclength:
+        if name not in names:
+            raise GlissandoError(
+                f"The files hold no {name!r}; they hold {', '.join(names)}. Correct the name."
+            )
     known = sorted((t for t in tracks if t.name in arclength), key=lambda t: arclength[t.name])
     if not known or any(t.kind not in ("pose", "coil", "position") for t in known):
         raise GlissandoError(
-            f"Say where on the robot the trajectories {', '.join(t.name for t in tracks)} are: "
+            f"Say where on the robot the trajectories {', '.join(names)} are: "
             f"--arclength NAME=METRES,…"
         )
     turns = all(t.kind != "position" for t in known)
@@ -168,7 +200,9 @@ def foreign_report(
 
     Raises:
         GlissandoError: No sample of the truth lies within the estimate.
+        ImplausibleError: Its lengths or times are not in metres and seconds.
     """
+    _require_units(estimate, recording, robot, truth)
     errors = [e for e in (estimate.errors(t) for t in truth) if e.arclength.size]
     if not errors:
         raise GlissandoError(
@@ -182,12 +216,51 @@ def foreign_report(
         "window": list(estimate.window),
         "status": f"imported from {name}",
         "readings": {},
-        "dropped": {},
+        "dropped": {t.name: lost for t in truth if (lost := estimate.dropped(t))},
         "calibration": [],
         "overall": pool(errors).summary(),
         "sites": [e.site_summary() for e in errors],
         "consistency": [c.as_json() for c in check(errors)] if sure else [],
     }
+
+
+def _require_units(
+    estimate: ForeignEstimate, recording: Recording, robot: Robot, truth: Sequence[Readings]
+) -> None:
+    """Raise ImplausibleError for lengths and times that the guard of an estimate would refuse."""
+    farthest = float(estimate.arclength[-1])
+    if farthest > 1.5 * robot.length:
+        raise ImplausibleError(
+            f"The estimate goes to arclength {farthest:.4g} m, and robot {robot.name!r} is "
+            f"{robot.length:.4g} m long: it is probably in another unit; give metres."
+        )
+    count = len(estimate.time)
+    some = np.unique(np.linspace(0, count - 1, min(count, _LOOKED_AT)).round().astype(int))
+    readings = [
+        PositionReadings(
+            time=estimate.time[k],
+            arclength=np.full(estimate.time[k].size, estimate.arclength[k]),
+            values=estimate.pose[k][:, :3, 3],
+            cov=np.full(3, 1e-6),
+            name=f"estimate at {estimate.arclength[k]:.4g} m",
+        )
+        for k in some
+    ]
+    found = examine(robot, readings, truth, allow=recording.allow)
+    wrong = [f.sentence for f in found if f.refusal and f.name in _UNITS]
+    if wrong:
+        raise ImplausibleError(" ".join(wrong))
+
+
+def _in_gap(time: Array, when: Array) -> NDArray[np.bool_]:
+    """Which times (M,) lie inside a step that is much longer than a trajectory's usual ones."""
+    if time.size < 3:
+        return np.zeros(when.size, dtype=bool)
+    steps = np.diff(time)
+    usual = float(np.median(steps))
+    k = np.clip(np.searchsorted(time, when) - 1, 0, time.size - 2)
+    away = np.minimum(when - time[k], time[k + 1] - when)
+    return np.asarray((steps[k] > _GAP * usual) & (away > 0.5 * usual))
 
 
 def _between(time: Array, pose: Array, cov: Array, when: Array) -> tuple[Array, Array]:
