@@ -15,6 +15,7 @@ from glissando.evaluation.plausibility.poses import check_poses
 from glissando.evaluation.plausibility.reach import check_reach, out_of_reach
 from glissando.evaluation.plausibility.sampling import check_sampling
 from glissando.evaluation.plausibility.session import Streams
+from glissando.evaluation.plausibility.size import check_size
 from glissando.evaluation.plausibility.slide import check_slide
 from glissando.evaluation.plausibility.span import check_span
 from glissando.evaluation.plausibility.speed import check_grid, check_speed
@@ -87,11 +88,15 @@ def _on_motion(streams: Streams) -> list[Finding]:
     """Findings that take times as they are: on speeds, slides, turns, lags and shapes."""
     own = [*check_slide(streams), *check_gyros(streams)]
     lags = list(check_lag(streams))
-    poses = [] if lags else list(check_poses(streams)) or list(check_span(streams))
+    small = list(check_size(streams))
+    poses = [f for f in small if f.refusal]
+    if not lags and not poses:
+        poses = list(check_poses(streams)) or list(check_span(streams))
     slid = {name for f in own for name in f.streams if f.name != "gyro"}
     told = [f for f in poses if f.name not in ("shape", "base")]
     if slid and not told:  # what a slide shows explains the rest
         poses = []
+    poses += [f for f in small if not f.refusal]
     same = {(f.name, f.streams) for f in poses}
     own = [f for f in own if (f.name, f.streams) not in same]
     return [*([] if own or poses else check_speed(streams)), *own, *lags, *poses]

@@ -31,7 +31,7 @@ def check_reach(streams: Streams) -> Iterator[Finding]:
     for r in streams.tracked:
         beyond = np.flatnonzero(out_of_reach(streams.robot, r))
         if beyond.size:
-            distance = _distance(streams.robot, r)
+            distance = distance_from_base(streams.robot, r)
             row = int(beyond[np.argmax(distance[beyond])])
             more = f" (and {beyond.size - 1} more rows)" * (beyond.size > 1)
             yield Finding(
@@ -58,11 +58,11 @@ def out_of_reach(robot: Robot, r: Readings) -> NDArray[np.bool_]:
         if p.kind == "frame" and r.name in p.streams:
             slack += 3.0 * float(np.linalg.norm(p.std[:3]) + robot.length * p.std[3:].max())
     reach = r.arclength * (1.0 + 3.0 * stretch(robot)) + slack
-    beyond = ~(_distance(robot, r) <= reach)
+    beyond = ~(distance_from_base(robot, r) <= reach)
     return beyond if beyond.mean() <= _FEW else none
 
 
-def _distance(robot: Robot, r: Readings) -> Array:
-    """Distances (M,) from where the robot's base is expected."""
+def distance_from_base(robot: Robot, r: Readings) -> Array:
+    """Distances (M,) of a tracker's cross-section from where the robot's base is expected, m."""
     base = robot.prior.rest_state(Grid(robot.arclength_nodes, [0.0])).pose[0, 0, :3, 3]
     return np.linalg.norm(as_poses(r)[:, :3, 3] - base, axis=1)
