@@ -1,9 +1,11 @@
 """Metres that are called millimetres are found, and small things that are right pass."""
 
+import json
+
 import numpy as np
 import pytest
 
-from glissando import load_robot
+from glissando import PoseReadings, load_robot, se3
 from glissando.evaluation.plausibility.examine import examine
 from glissando.model.sensors.sensors import PositionReadings
 from scenes import arc
@@ -38,3 +40,18 @@ def test_metres_that_are_called_millimetres_are_found(shares, place, refusal):
 @pytest.mark.parametrize("share", [0.0, 0.002, 0.02, 0.1, 1.0])
 def test_a_still_robot_and_sensors_near_its_base_pass(share):
     assert "length-unit" not in found(positions(share, still=True))
+
+
+def test_a_warning_on_a_slides_scale_can_be_written_as_json():
+    time = np.arange(200) / 40.0
+    place = 0.35 + 0.1 * np.sin(2.0 * time)
+    noise = se3.exp(1e-4 * np.random.default_rng(0).standard_normal((200, 6)))
+    coil = PoseReadings(
+        time=time,
+        arclength=0.35 + (place - 0.35) / 1.4,
+        values=arc(place, 0.0 * time) @ noise,
+        cov=np.full(6, 1e-8),
+        name="coil",
+    )
+    finding = found(coil)["slide"]
+    assert json.loads(json.dumps(finding.as_json()))["refusal"] is False

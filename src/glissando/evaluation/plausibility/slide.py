@@ -169,7 +169,7 @@ def _tilted(r: Readings, axis: Array) -> Finding:
         "mount",
         f"{r.label!r} slides {angle:.0f}° off its z axis: it probably sits askew, or its rotations "
         f"are in another order; give its [streams.mount], and quaternions as qw, qx, qy, qz.",
-        angle > 40.0, (r.label,), "tilt",
+        bool(angle > 40.0), (r.label,), "tilt",
     )  # fmt: skip
 
 
@@ -186,7 +186,7 @@ def _scaled(r: Readings, scale: float, std: float) -> Finding | None:
     return Finding(
         check,
         f"{r.label!r} moves {scale:.3g} m for each metre of its arclength: {cause}; give metres.",
-        abs(np.log(scale)) > np.log(1.5), (r.label,), cause,
+        bool(abs(np.log(scale)) > np.log(1.5)), (r.label,), cause,
     )  # fmt: skip
 
 
