@@ -59,6 +59,15 @@ def test_times_since_1970_begin_at_the_first_of_them(tmp_path):
     np.testing.assert_allclose(streams["b"].rows.time, np.arange(5) / 10 + 3, atol=1e-6)
 
 
+def test_a_clock_that_does_not_count_from_1970_is_that_of_its_path(tmp_path):
+    (tmp_path / "path.csv").write_text("time,arclength\n5,0.4\n6,0.3\n")
+    own = Track(**{**vars(track("a", absolute=True)), "time": 5.0 + np.arange(5) / 10})
+    write_recording([own], tmp_path / "out", Choices({"a": tmp_path / "path.csv"}))
+    rows = load_recording(tmp_path / "out").streams["a"].rows
+    np.testing.assert_allclose(rows.time, own.time)
+    np.testing.assert_allclose(rows.arclength, 0.4 - np.arange(5) / 100)
+
+
 def test_a_robot_file_travels_with_the_recording(tmp_path):
     (tmp_path / "mine.toml").write_text(robot_file("tdcr466").read_text())
     choices = Choices({"tip": 0.4}, robot=str(tmp_path / "mine.toml"))

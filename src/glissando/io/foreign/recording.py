@@ -62,7 +62,8 @@ def write_recording(tracks: Sequence[Track], folder: Path, choices: Choices) -> 
     tracks = _distinct(tracks)
     _require_known(tracks, choices)
     robot = load_robot(choices.robot) if choices.robot else None
-    start = min((float(t.time[0]) for t in tracks if t.absolute and t.time.size), default=0.0)
+    tracks = [replace(t, absolute=t.absolute and _since_1970(t.time)) for t in tracks]
+    start = min((float(t.time[0]) for t in tracks if t.absolute), default=0.0)
     streams, lines = [], []
     for track in tracks:
         rows = _placed(track, choices, start, robot)
@@ -142,7 +143,7 @@ def _placed(track: Track, choices: Choices, start: float, robot: Robot | None) -
     if not isinstance(place, Path):
         return Rows(kind, time, np.full(time.size, place), track.values, {})
     at, arclength = read_path(place, choices.columns.get(place.name, ""))
-    at = at - (start if at[0] > EPOCH else 0.0)
+    at = at - (start if _since_1970(at) else 0.0)
     inside = (time >= at[0]) & (time <= at[-1])
     reason = "outside its path"
     if time.size and not inside.any():
@@ -153,6 +154,11 @@ def _placed(track: Track, choices: Choices, start: float, robot: Robot | None) -
     dropped = {reason: int(np.sum(~inside))} if not inside.all() else {}
     where = np.interp(time[inside], at, arclength)
     return Rows(kind, time[inside], where, track.values[inside], dropped)
+
+
+def _since_1970(time: Array) -> bool:
+    """Whether times count from 1970; a clock of its own, such as a simulator's, stays as it is."""
+    return bool(time.size and time[0] > EPOCH)
 
 
 def _why_empty(rows: Rows) -> str:
