@@ -101,6 +101,13 @@ def test_between_arclengths_and_times_a_steady_motion_is_exact(tmp_path):
     ]
 
 
+def test_an_estimate_without_a_rotation_is_refused(tmp_path):
+    text = "time,arclength,x,y,z,qw,qx,qy,qz\n0,0.1,0,0,0.1,0,0,0,0\n"
+    (tmp_path / "a.csv").write_text(text)
+    with pytest.raises(GlissandoError, match="a quaternion has norm 0; check which columns"):
+        read_estimate(tmp_path / "a.csv")
+
+
 def test_nothing_is_judged_in_gaps_or_outside_and_that_is_counted(scene):
     robot, posterior, recording = scene
     truth = recording.readings(["at_233", "at_466"], robot, (0.0, 0.3), as_truth=True)[0]

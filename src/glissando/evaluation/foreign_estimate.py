@@ -18,7 +18,7 @@ from glissando.evaluation.plausibility.examine import examine
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.io.foreign.delimited import cells_of, samples
-from glissando.io.foreign.tracks import Track
+from glissando.io.foreign.tracks import Track, unit_rotations
 from glissando.io.query_csv import QUERY_COLUMNS
 from glissando.io.recording import Recording
 from glissando.model.brief import Brief
@@ -153,7 +153,7 @@ def read_estimate(path: Path) -> ForeignEstimate:
     for pose, spread, rows in zip(poses, cov, tracks.values(), strict=True):
         pose[:, :3, 3] = rows[:, 2:5]
         if turns:
-            pose[:, :3, :3] = se3.rotation_from_quaternion(rows[:, 5:9])
+            pose[:, :3, :3] = unit_rotations(path, rows[:, 5:9])
         if spread_too:
             spread[:] = rows[:, 9:].reshape(-1, 6, 6)
     return ForeignEstimate(

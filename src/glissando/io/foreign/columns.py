@@ -22,7 +22,14 @@ from glissando.geometry.se3 import Array
 from glissando.io.csv_stream import scale_of
 from glissando.io.foreign.delimited import Line, cells_of, samples
 from glissando.io.foreign.titles import dated, find, titled
-from glissando.io.foreign.tracks import LENGTHS, Track, plain_name, poses, require_no_rate
+from glissando.io.foreign.tracks import (
+    LENGTHS,
+    Track,
+    plain_name,
+    poses,
+    require_no_rate,
+    unit_rotations,
+)
 from glissando.io.toml_table import Table, read_toml
 from glissando.model.sensors.readings import SENSORS
 
@@ -240,13 +247,7 @@ def _values(path: Path, mapping: Mapping, kind: str, keys: tuple[str, ...], tabl
     if kind == "pose":
         turn = table[:, 3:]
         if keys[3:] == _QUATERNION:
-            norm = np.linalg.norm(turn, axis=1)
-            if np.any(np.abs(norm - 1.0) > 0.01):
-                raise RecordingError(
-                    f"{path.name}: a quaternion has norm {norm[np.argmax(np.abs(norm - 1))]:.3g}; "
-                    f"check which columns are qw, qx, qy and qz."
-                )
-            rotation = se3.rotation_from_quaternion(turn)
+            rotation = unit_rotations(path, turn)
         elif keys[3:] == _VECTOR:
             rotation = se3.so3_exp(mapping.angle * turn)
         else:

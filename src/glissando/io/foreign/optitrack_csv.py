@@ -15,10 +15,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from glissando.errors import RecordingError
-from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.io.foreign.delimited import Line, cells_of, samples
-from glissando.io.foreign.tracks import Track, plain_name, poses
+from glissando.io.foreign.tracks import Track, plain_name, poses, unit_rotations
 
 _LENGTHS = {"meters": 1.0, "centimeters": 1e-2, "millimeters": 1e-3}
 _TITLE = "format version"
@@ -95,7 +94,7 @@ def _objects(heads: list[list[str]]) -> dict[str, dict[str, int]]:
 def _rotations(path: Path, kind: str, values: Array) -> Array:
     """Rotations (M, 3, 3) of Motive's quaternions x, y, z, w or Euler angles about x, y, z."""
     if values.shape[1] == 4:
-        return se3.rotation_from_quaternion(values[:, [3, 0, 1, 2]])
+        return unit_rotations(path, values[:, [3, 0, 1, 2]])
     order = kind.strip()[:3].upper()
     if sorted(order) != ["X", "Y", "Z"] or values.shape[1] != 3:
         raise RecordingError(

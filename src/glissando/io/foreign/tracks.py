@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from glissando.errors import RecordingError
+from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.io.plain_file import plain_text
 
@@ -31,7 +32,7 @@ class Track:
         values: Poses (M, 4, 4), positions (M, 3) or displacements (M, T) in m.
         missing: Number of rows in which it was not seen.
         frame: Name of the frame of its values.
-        absolute: Whether times count from 1970.
+        absolute: Whether times are those of a clock, which may count from 1970, not of frames.
         numbered: Whether rows have frame numbers, so that repeated values are new readings.
         dropped: Number of other rows left out, by reason.
     """
@@ -102,6 +103,21 @@ def require_no_rate(path: Path, rate: float | None) -> None:
             f"{path.name} states the times of its rows, to which --rate {rate:g} says nothing; "
             f"leave it out, or name the files that need one, --rate FILE=HZ."
         )
+
+
+def unit_rotations(path: Path, quaternion: Array) -> Array:
+    """Rotations (M, 3, 3) of quaternions w, x, y, z (M, 4) of a file.
+
+    Raises:
+        RecordingError: One of them has not norm one.
+    """
+    norm = np.linalg.norm(quaternion, axis=1)
+    if np.any(np.abs(norm - 1.0) > 0.01):
+        raise RecordingError(
+            f"{path.name}: a quaternion has norm {norm[np.argmax(np.abs(norm - 1))]:.3g}; check "
+            f"which columns are qw, qx, qy and qz."
+        )
+    return se3.rotation_from_quaternion(quaternion)
 
 
 def poses(rotation: Array, position: Array) -> Array:
