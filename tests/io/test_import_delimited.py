@@ -159,6 +159,16 @@ def test_rows_that_share_a_time_are_counted_and_a_clock_too_coarse_is_refused(tm
         read_tracks(tmp_path / "log.csv", columns=XYZ)
 
 
+def test_rows_of_servos_without_a_marker_are_counted(tmp_path):
+    rows = ["timestamp,servo_1_mm,tip_x,tip_y,tip_z", "10,1,1,2,3", "11,1,,,", "12,2,1,2,3"]
+    (tmp_path / "v4.csv").write_text("\n".join(rows))
+    tracks = read_tracks(tmp_path / "v4.csv")
+    assert [(t.name, t.missing, t.time.tolist()) for t in tracks] == [
+        ("tendons", 1, [10.0, 12.0]),
+        ("tip", 1, [10.0, 12.0]),
+    ]
+
+
 def test_a_toml_file_says_it_for_several_objects(tmp_path):
     (tmp_path / "log.csv").write_text(
         "stamp,gx,gy,gz,px,py,pz\n2026-11-22T10:00:00,1,2,3,10,20,30\n"

@@ -31,6 +31,7 @@ class ServoLog:
         displacement: Displacements (M, T), positive when pulled, m.
         tip: Positions (M, 3) of the marker, m.
         pattern: What each row (M,) belongs to, or empty texts.
+        missing: Number of rows left out for want of a marker.
     """
 
     names: tuple[str, ...]
@@ -38,6 +39,7 @@ class ServoLog:
     displacement: Array
     tip: Array
     pattern: list[str]
+    missing: int = 0
 
 
 def is_servo_header(cells: list[str]) -> bool:
@@ -62,7 +64,7 @@ def read_servo_csv(path: Path) -> ServoLog:
         )
     wanted = [head.index(name) for name in ("timestamp", *servos, *_TIP)]
     label = head.index("pattern_label") if "pattern_label" in head else None
-    rows, patterns = [], []
+    rows, patterns, unseen = [], [], 0
     for number, line in enumerate(lines[1:], start=2):
         cells = line.split(",")
         if len(cells) != len(head):
@@ -76,19 +78,22 @@ def read_servo_csv(path: Path) -> ServoLog:
         if values is not None:
             rows.append(values)
             patterns.append("" if label is None else cells[label].strip())
+        else:
+            unseen += 1
     if not rows:
         raise RecordingError(f"{path.name} holds no rows with a marker; record some.")
     table = np.array(rows)
     order = np.argsort(table[:, 0], kind="stable")
     table = table[order] * np.r_[1.0, np.full(len(wanted) - 1, 1e-3)]
     names = tuple(name.removesuffix("_mm") for name in servos)
-    return ServoLog(names, table[:, 0], table[:, 1:-3], table[:, -3:], [patterns[i] for i in order])
+    found = table[:, 0], table[:, 1:-3], table[:, -3:], [patterns[i] for i in order]
+    return ServoLog(names, *found, unseen)
 
 
 def servo_tracks(path: Path) -> list[Track]:
     """The displacements as a track of kind tendon, and the marker as one of kind position."""
     log = read_servo_csv(path)
     return [
-        Track("tendons", "tendon", log.time, log.displacement, absolute=True),
-        Track("tip", "position", log.time, log.tip, absolute=True),
+        Track("tendons", "tendon", log.time, log.displacement, log.missing, absolute=True),
+        Track("tip", "position", log.time, log.tip, log.missing, absolute=True),
     ]
