@@ -185,9 +185,13 @@ def read_columns(path: Path, mapping: Mapping, rate: float | None) -> list[Track
         require_no_rate(path, rate)
     lines = [(number, cells) for number, cells in cells_of(path) if any(cells)]
     wanted = [mapping.clock, *(c for columns in mapping.objects.values() for c in columns.values())]
-    titles, rows = titled(path, lines, wanted)
+    titles, read = titled(path, lines, wanted)
     clock = find(path, titles, mapping.clock)
-    rows = [(number, dated(cells, clock)) for number, cells in rows]
+    rows = [(number, dated(cells, clock)) for number, cells in read]
+    if mapping.seconds != 1.0 and any(
+        cells != was for (_, cells), (_, was) in zip(rows, read, strict=True)
+    ):
+        raise RecordingError(f"{path.name} has dates for times; leave out clock=, of numbers.")
     seconds = 1.0 / rate if mapping.counts and rate else mapping.seconds
     return [
         _track(path, mapping, name, columns, (titles, rows, clock, seconds))

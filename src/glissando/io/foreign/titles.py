@@ -23,7 +23,7 @@ def titled(path: Path, lines: list[Line], wanted: Sequence[str]) -> tuple[list[s
     Raises:
         RecordingError: No line has these titles, or it has more of them than its rows have cells.
     """
-    named = [column for column in wanted if not column.isdigit()]
+    named = [column for column in wanted if not column.isdecimal()]
     if not named:
         first = next(
             (k for k, (_, cells) in enumerate(lines) if _is_row(cells, wanted)), len(lines)
@@ -77,11 +77,16 @@ def find(path: Path, titles: list[str], column: str) -> int:
     """The place of a column, from 0, by its title or its number from 1.
 
     Raises:
-        RecordingError: There is none.
+        RecordingError: There is none, or several have the title.
     """
+    if titles.count(column) > 1:
+        raise RecordingError(
+            f"{path.name} has {titles.count(column)} columns {column!r}; give the number of "
+            f"the one that is meant, from 1."
+        )
     if column in titles:
         return titles.index(column)
-    if column.isdigit() and int(column) > 0:
+    if column.isdecimal() and int(column) > 0:
         return int(column) - 1
     raise RecordingError(f"{path.name} has no column {column!r}; it has {', '.join(titles)}.")
 
