@@ -110,6 +110,16 @@ def test_prediction_goes_on_from_a_running_smoother_with_its_sensor_parameters()
     np.testing.assert_allclose(cov, cov_of(whole, 2.7), rtol=1e-3, atol=1e-9)
 
 
+def test_what_is_unknown_of_other_sensors_says_nothing_to_a_plan():
+    """Such as the delay of a gyroscope, beside the coil that slides."""
+    late = SensorParameter("delay", "time_offset", ("imu",), np.zeros(1), np.full(1, 0.02))
+    beside = small_problem(source=replace(ROBOTS["separable"], sensor_parameters=(late,)))
+    problem = small_problem()
+    path = wiggle(problem)
+    covs = [predicted_cov(each, path, 1.3) for each in (beside, problem)]
+    np.testing.assert_allclose(*covs, rtol=1e-6, atol=1e-14)
+
+
 @pytest.mark.parametrize(("kind", "slack"), [("separable", 0.01), ("kinematic", 0.05)])
 @pytest.mark.parametrize(("reach", "horizon"), [(REACH, 3.0), ((0.1, LENGTH), 3.0), (REACH, 1.1)])
 def test_a_few_modes_evaluate_a_path_almost_as_the_whole_does(kind, slack, reach, horizon):

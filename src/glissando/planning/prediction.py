@@ -120,7 +120,10 @@ class PredictedInformation:
     def _fill(
         self, rows: Rows, at: Index, nodes: Index, jacobian: Array, extras: Array | None
     ) -> None:
-        """Put Jacobians (M, r, c, dof) of nodes (M, c) where the cells' corners have them."""
+        """Put Jacobians (M, r, c, dof) of nodes (M, c) where the cells' corners have them.
+
+        Those by the unknowns, `extras`, are empty for a sensor that none of them concerns.
+        """
         (k_count, n_count), dof, e = self.grid.shape, self.mean.dof, self.sensor_parameters.size
         slab, inner = np.divmod(nodes, n_count)
         rows.cell[at] = np.minimum(slab[:, 0], k_count - 2)
@@ -131,7 +134,7 @@ class PredictedInformation:
             columns = first[:, corner, None] + np.arange(dof)
             for row in range(jacobian.shape[1]):
                 rows.jacobian[at[:, None], row, columns] = jacobian[:, row, corner]
-        if extras is not None and e:
+        if extras is not None and extras.size:
             own = np.append(np.arange(half - e, half), np.arange(2 * half - e, 2 * half))
             rows.jacobian[at[:, None], :, own] = np.swapaxes(extras, -1, -2)
 
