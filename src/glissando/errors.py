@@ -54,4 +54,4 @@ class OldNameWarning(UserWarning):
 
 
 class PlanWarning(UserWarning):
-    """A plan of the sensor's path came too late or not at all: the last one goes on."""
+    """A plan of the sensor's path came too late or not at all, or leaves something out."""

@@ -9,6 +9,7 @@ from glissando import CoilReadings, estimate, load_robot
 from glissando.cli.main import main
 from glissando.io.netcdf import save_posterior
 from glissando.io.recording import load_recording
+from glissando.io.shipped_robots import robot_file
 from glissando.planning import Design, pareto_front
 
 
@@ -54,11 +55,34 @@ def test_a_plan_goes_on_from_an_estimate(tmp_path, capsys):
     posterior = estimate(robot.prior, robot.grid(0.0, 2.0), [coil])
     save_posterior(posterior, tmp_path / "posterior.nc")
     given = "--zone", "0.5:0.6", "--horizon", 3, "--json"
-    assert run("plan", *given, "--from", tmp_path / "posterior.nc") == 0
+    after = "--from", tmp_path / "posterior.nc"
+    for others in ((), ("--robot", "tdcr466", "--limits", "0.06,0.024,0.1")):
+        assert run("plan", *given, *after, *others) == 2
+    told = capsys.readouterr().err
+    assert "give --robot as well" in told
+    assert "posterior is of a robot of 0.7 m, the plan of tdcr466 with 0.466 m" in told
+    assert run("plan", *given, *after, "--robot", "sliding700") == 0
     known = json.loads(capsys.readouterr().out)["paths"]["fixed"]["std"]
     run("plan", *given)
     blank = json.loads(capsys.readouterr().out)["paths"]["fixed"]["std"]
     assert known < blank
+
+
+def test_a_mount_counts_by_the_stream_that_slides(tmp_path, capsys):
+    file = tmp_path / "mine.toml"
+    text = robot_file("sliding700").read_text(encoding="utf-8")
+    told = '\n[[sensor_parameters]]\nname = "m"\nkind = "mount"\nstreams = ["aurora"]\nstd = '
+    file.write_text(text + told + "[5e-3, 0.05]\n", encoding="utf-8")
+    given = "plan", "--robot", file, "--zone", "0.6:0.7", "--horizon", 1, "--json"
+    std = []
+    for stream in ((), ("--stream", "aurora")):
+        assert run(*given, *stream) == 0
+        told = capsys.readouterr()
+        assert ("if the sensor slides as one of aurora" in told.err) == (not stream)
+        std.append(json.loads(told.out)["paths"]["fixed"]["std"])
+    assert std[1] > 1.2 * std[0]
+    assert run(*given, "--stream", "aurroa") == 2
+    assert "sensor parameters are of aurora; give one of these" in capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -32,6 +32,7 @@ def place(tmp_path_factory):
         ("check --draws 20 --robot sliding700 --window 0 1", "--draws without a recording"),
         ("design --zone 0:0.7 --sensor coil=1 --strokes 0.1", "--sensor"),
         ("design --zone 0:0.7 --sensor coil=1 --coils 1", "--sensor"),
+        ("design --zone 0:0.7 --sensor coil=1 --stream a", "--sensor"),
         ("design --zone 0:0.7 --budget 1", "a design without --sensor"),
         ("design --zone 0:0.7 --places 3", "a design without --sensor"),
         ("design --zone 0:0.7 --bound 1", "--objective trace"),

@@ -12,7 +12,13 @@ from rich.table import Table
 
 from glissando.cli.console import Console
 from glissando.cli.placement import place
-from glissando.cli.plan import add_task, require_horizon, require_speed, stage_of
+from glissando.cli.plan_task import (
+    add_task,
+    require_horizon,
+    require_speed,
+    stage_of,
+    stream_of,
+)
 from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_command, require_writable, stated
 from glissando.cli.silent import refuse_silent
@@ -82,7 +88,7 @@ def _design(options: argparse.Namespace) -> int:
         require_writable(options.out)
     require_horizon(options)
     if options.sensor:
-        refuse_silent(options, "--sensor", "strokes", "speeds", "rates", "coils", "bound")
+        refuse_silent(options, "--sensor", "strokes", "speeds", "rates", "coils", "bound", "stream")
         return place(options)
     _require_sweep(options)
     stage, upper = stage_of(options)
@@ -101,6 +107,7 @@ def _design(options: argparse.Namespace) -> int:
                 upper=upper,
                 horizon=options.horizon,
                 objective=objective_named(options.objective, options.bound, robot.length),
+                stream=stream_of(options, robot.sensor_parameters),
             )
         )
     best = pareto_front(designs)

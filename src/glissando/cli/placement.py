@@ -10,7 +10,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from glissando.cli.console import Console
-from glissando.cli.plan import stage_of
+from glissando.cli.plan_task import stage_of
 from glissando.cli.progress import working
 from glissando.cli.shared import stated
 from glissando.errors import GlissandoError

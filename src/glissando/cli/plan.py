@@ -12,28 +12,30 @@ from rich.markup import escape
 from rich.table import Table
 
 from glissando.cli.console import Console
+from glissando.cli.pairing import require_pair
 from glissando.cli.plan_scene import plan_scene
+from glissando.cli.plan_task import ROBOT, add_task, require_horizon, stage_of, stream_of
 from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_command, require_writable, stated
 from glissando.cli.silent import refuse_silent
-from glissando.errors import GlissandoError, RobotFileError, SimulationError
+from glissando.errors import GlissandoError
+from glissando.estimation.posterior import Posterior
 from glissando.geometry.se3 import Array
 from glissando.io.atomic_file import write_table
 from glissando.io.atomic_folder import renewed_folder
 from glissando.io.netcdf import load_posterior
 from glissando.io.provenance import write_report
 from glissando.io.robot_file import load_robot
-from glissando.io.shipped_robots import robot_file, shipped_robots
-from glissando.model.slide_path import SlideLimits
+from glissando.model.robot import Robot
+from glissando.planning.belief import belief_of
 from glissando.planning.compare import PathEvaluation, baseline_paths, evaluate_path
-from glissando.planning.objectives import OBJECTIVES, objective_named
+from glissando.planning.objectives import objective_named
 from glissando.planning.path_objective import path_objective_of
 from glissando.planning.path_space import path_space_of
 from glissando.planning.plan_slide import Plan, plan_slide
 from glissando.planning.planning_problem import PlanningProblem, predict_information
 from glissando.planning.sliding_sensor import sliding_sensor
 from glissando.planning.zones import Zone, read_zone
-from glissando.simulation.bench import load_bench
 from glissando.visualization.canvas import save_figure
 from glissando.visualization.planning_figures import plan_figure, save_plan_film
 
@@ -54,7 +56,7 @@ examples:
   glissando simulate --shape S --slide plan/path.csv --out s_planned
   glissando plan --zone 0.3:0.4@0:5 --zone 0.65:0.7@5:10*2 --limits 0.7,0.1,0.2 --objective max
   glissando plan --zone 0.2:0.3..0.6:0.7@0:20 --horizon 20 --limits 0.7,0.1,0.2 --json
-  glissando plan --from results/posterior.nc --zone 0.5:0.6 --out next
+  glissando plan --robot sliding700 --from results/posterior.nc --zone 0.5:0.6 --out next
 
   glissando plan --scene scene.toml --robot arm.toml --out motion
 
@@ -67,10 +69,8 @@ scene is written and an example: docs/how-to/scenes.md.
 exit status: 0 done; 2 something given was wrong.
 """
 
-_AHEAD = 300.0  # s that can be planned
-_FASTEST = 2.0  # m/s of a slide
 _OF_ZONES = (
-    *("posterior", "horizon", "objective", "bound", "limits"),
+    *("posterior", "horizon", "objective", "bound", "limits", "stream"),
     *("start", "rate", "node_step", "speed_weight"),
 )
 
@@ -81,6 +81,7 @@ def add_to(commands: Commands) -> None:
     add = parser.add_argument
     add("--from", dest="posterior", type=Path, metavar="POSTERIOR", help="go on from its end")
     add_task(parser, zones_required=False)
+    parser.set_defaults(robot=None)  # as it has to be given beside --from
     add("--scene", type=Path, metavar="FILE", help="obstacles, targets, limits of the actuators")
     add("--figure", default="png", choices=("png", "pdf", "svg"), help="of --scene (default png)")
     add("--start", type=float, metavar="M", help="arclength now (default: drawn out)")
@@ -93,70 +94,10 @@ def add_to(commands: Commands) -> None:
     add("--json", action="store_true", help="print one JSON object and nothing else")
 
 
-def add_task(parser: argparse.ArgumentParser, *, zones_required: bool = True) -> None:
-    """Add the options that say what is to be known, and what the stage can do."""
-    add = parser.add_argument
-    robots = ", ".join(shipped_robots())
-    add("--robot", default="sliding700", metavar="FILE|NAME", help=f"robot file, or of {robots}")
-    zone = "may be repeated"
-    add("--zone", action="append", required=zones_required, metavar="S0:S1[@T0:T1]", help=zone)
-    add("--horizon", type=float, default=10.0, metavar="S", help="seconds ahead (default 10)")
-    add("--objective", default="trace", choices=OBJECTIVES, help="default trace")
-    add("--bound", type=float, default=5e-3, metavar="M", help="error of chance (default 0.005)")
-    add(
-        "--limits",
-        metavar="STROKE,SPEED,ACCEL",
-        help="m, m/s, m/s² (default: [physics.slide] of the robot file)",
-    )
-
-
-def require_horizon(options: argparse.Namespace) -> None:
-    """Raise for a time ahead that is too long to plan, as seconds given in milliseconds are."""
-    if options.horizon > _AHEAD:
-        raise GlissandoError(
-            f"--horizon is {options.horizon:g} s; give at most {_AHEAD:g} s "
-            f"({options.horizon:g} milliseconds are {options.horizon / 1e3:g} s)."
-        )
-
-
-def require_speed(option: str, speed: float) -> None:
-    """Raise for a speed that no stage has, as millimetres a second are where metres are asked."""
-    if speed > _FASTEST:
-        raise GlissandoError(
-            f"{option}: a speed of {speed:g} m/s is more than {_FASTEST:g} m/s; give metres a "
-            f"second ({speed:g} mm/s are {speed / 1e3:g} m/s)."
-        )
-
-
-def stage_of(options: argparse.Namespace) -> tuple[SlideLimits, float]:
-    """The stage, and the sensor's arclength when it is drawn out, m."""
-    file = robot_file(options.robot)
-    length = load_robot(file).length
-    try:
-        bench = load_bench(file)
-        stage, upper = bench.slide, length + bench.coil_offset
-    except SimulationError as problem:
-        if not options.limits:
-            raise RobotFileError(
-                f"{file.name} does not say what its stage can do: give --limits "
-                f"STROKE,SPEED,ACCEL, or [physics] with a [physics.slide] ({problem})"
-            ) from None
-        upper = length
-    if options.limits:
-        try:
-            stage = SlideLimits(*map(float, options.limits.split(",")))
-        except (TypeError, ValueError) as problem:
-            if isinstance(problem, GlissandoError):
-                raise
-            raise GlissandoError(
-                f"--limits {options.limits}: give STROKE,SPEED,ACCEL, three numbers in m, m/s, "
-                f"m/s²."
-            ) from None
-        require_speed("--limits", stage.speed)
-    return stage, upper
-
-
 def _plan(options: argparse.Namespace) -> int:
+    if options.posterior and not (options.robot or options.scene):
+        raise GlissandoError("--from needs the robot of that estimate; give --robot as well.")
+    options.robot = options.robot or ROBOT
     if options.out:
         require_writable(options.out)
     elif options.animate:
@@ -182,8 +123,9 @@ def _plan_slide(options: argparse.Namespace) -> int:
     objective = objective_named(options.objective, options.bound, robot.length)
     stage, upper = stage_of(options)
     start = upper if options.start is None else options.start
-    source = load_posterior(options.posterior) if options.posterior else robot
-    sensor = sliding_sensor(robot, rate=options.rate)
+    source = _source(options, robot)
+    stream = stream_of(options, belief_of(source).sensor_parameters)
+    sensor = sliding_sensor(robot, rate=options.rate, name=stream)
     reach = upper - stage.stroke, upper
     with working("planning"):
         problem = predict_information(
@@ -218,6 +160,15 @@ def _plan_slide(options: argparse.Namespace) -> int:
     if options.out:
         print(f"Wrote {options.out / 'path.csv'}")
     return 0
+
+
+def _source(options: argparse.Namespace, robot: Robot) -> Posterior | Robot:
+    """What is planned from: the estimate of --from, which must be of this robot, or the robot."""
+    if not options.posterior:
+        return robot
+    posterior = load_posterior(options.posterior)
+    require_pair(posterior, robot, "the plan", (-np.inf, np.inf))
+    return posterior
 
 
 def _write(

@@ -58,6 +58,7 @@ def sweep(
     upper: float,
     objective: Objective,
     horizon: float = 10.0,
+    stream: str = "coil",
 ) -> Iterator[Design]:
     """Evaluate every combination of numbers, each on its own best path.
 
@@ -74,6 +75,7 @@ def sweep(
         upper: Arclength of the first coil when it is drawn out, where a path starts, m.
         objective: The objective over the zones.
         horizon: Duration of a path, s.
+        stream: Name of the sensors' stream, by which sensor parameters refer to them.
 
     Raises:
         GlissandoError: A stroke is longer than the body.
@@ -82,7 +84,7 @@ def sweep(
         if not 0.0 < stroke <= upper + 1e-9:
             raise GlissandoError(f"A stroke of {stroke:g} m does not fit a body of {upper:g} m.")
         spacing = min(stroke, (upper - stroke) / (count - 1)) if count > 1 else 0.0
-        sensor = sliding_sensor(robot, rate=rate, coils=count, spacing=spacing)
+        sensor = sliding_sensor(robot, rate=rate, coils=count, spacing=spacing, name=stream)
         lower = upper - stroke
         problem = predict_information(robot, (lower, upper), horizon, sensor)
         path_objective = path_objective_of(problem, zones, objective)
