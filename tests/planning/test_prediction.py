@@ -188,6 +188,12 @@ def test_no_path_knows_more_than_a_sensor_everywhere_at_once(kind):
         assert evaluate_path(problem, [ZONE], Trace(), path).value > bound.value
 
 
+def test_coils_that_follow_each_other_are_everywhere_on_the_body():
+    one, two = (small_problem(coils=c, spacing=s) for c, s in ((1, 0.0), (2, 0.5)))
+    bounds = [evaluate_everywhere(problem, [ZONE], Trace()).value for problem in (one, two)]
+    assert bounds[1] < bounds[0]
+
+
 def test_what_cannot_be_predicted_is_refused_in_a_sentence():
     robot = ROBOTS["separable"]
     _, space, path_objective = small_task()
@@ -201,5 +207,11 @@ def test_what_cannot_be_predicted_is_refused_in_a_sentence():
         small_problem(horizon=0.1)
     with pytest.raises(GlissandoError, match="cannot slide"):
         SlidingSensor(np.ones(3), kind="gyro")
+    path = np.full(space.steps, LENGTH)
+    wrong = path[1:], path - 0.3, path * 1e3, path * np.nan, np.array([])
+    for each in wrong:
+        for evaluated in (path_objective, path_objective.value, path_objective.problem.predict):
+            with pytest.raises(GlissandoError, match=r"give \(30,\), from 0.58 to 0.7 m"):
+                evaluated(each)
     with pytest.raises(GlissandoError, match="give both the same"):
         plan_slide(path_objective, replace(space, steps=9))

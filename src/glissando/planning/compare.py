@@ -99,7 +99,7 @@ def evaluate_everywhere(
     The coils are a quarter of a node apart, or at both ends and the middle of a shorter reach, and
     read at full rate.
     """
-    low, high = problem.lattice[0], problem.lattice[-1]
+    low, high = problem.reach
     apart = 0.25 * float(np.diff(problem.ahead.grid.arclength).min())
     places = np.linspace(low, high, max(3, 1 + int(np.ceil((high - low) / apart))))
     prediction = problem.ahead

@@ -67,7 +67,11 @@ class PathObjective:
 
         They are interpolated by a cubic through four places of the lattice, with a continuous slope
         (Catmull and Rom).
+
+        Raises:
+            GlissandoError: There is no such path.
         """
+        self.problem.require_path(arclength)
         lattice, table = self.problem.lattice, self._table
         step = lattice[1] - lattice[0]
         place = (arclength[:, None] - self.problem.sensor.behind - lattice[0]) / step

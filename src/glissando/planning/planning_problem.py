@@ -29,6 +29,7 @@ from glissando.planning.sliding_sensor import SlidingSensor, sliding_sensor
 _BETWEEN = 4  # places between two arclength nodes at which readings are linearised
 _FEWEST = 6  # of them over the whole reach
 _ROUNDING = 0.1  # of a reading's variance that may be lost to it
+_TOUCH = 1e-9  # m, by which a path may go beyond the reach, for rounding
 _NODES = 100  # time steps of the grid ahead, if the estimate's are finer
 
 
@@ -76,6 +77,30 @@ class PlanningProblem:
         return len(self.rows) // len(self.modes.pair)
 
     @property
+    def reach(self) -> tuple[float, float]:
+        """Arclengths between which the first coil moves, m."""
+        return float(self.lattice[0] + self.sensor.behind[-1]), float(self.lattice[-1])
+
+    def require_path(self, arclength: Array) -> None:
+        """Make sure that a path can be evaluated.
+
+        Args:
+            arclength: Arclengths (T,) of the first coil at `times`, m.
+
+        Raises:
+            GlissandoError: They are too few or many, not finite, or beyond the reach.
+        """
+        path, (low, high) = np.asarray(arclength), self.reach
+        if path.shape != (self.steps,) or not (
+            low - _TOUCH <= path.min() and path.max() <= high + _TOUCH
+        ):
+            spread = f"{np.min(path, initial=np.inf):g} to {np.max(path, initial=-np.inf):g} m"
+            raise GlissandoError(
+                f"A path of {path.shape} arclengths from {spread} cannot be evaluated; give "
+                f"({self.steps},), from {low:g} to {high:g} m."
+            )
+
+    @property
     def zone_times(self) -> Array:
         """Times (K−1,) at which zones count, s: the middles of the time cells."""
         nodes = self.ahead.grid.time
@@ -105,7 +130,11 @@ class PlanningProblem:
         Args:
             arclength: Arclengths (T,) of the first coil at `times`, m.
             prediction: The information before the path; by default that of the time ahead.
+
+        Raises:
+            GlissandoError: There is no such path.
         """
+        self.require_path(arclength)
         times = self.sensor.reading_times(self.start, self.steps * self.step)
         place: Array = np.interp(times, self.times, arclength)
         return (prediction or self.ahead).after(self.sensor, place, times)
