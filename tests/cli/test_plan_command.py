@@ -68,6 +68,16 @@ def test_a_plan_goes_on_from_an_estimate(tmp_path, capsys):
     assert known < blank
 
 
+def test_a_plan_is_as_good_as_what_it_is_compared_with_or_a_warning_says_so(capsys):
+    """A way into which the rest at the end does not fit, and which the modes misjudge by 2 %."""
+    assert run("plan", "--zone", "0.14:0.21", "--horizon", 4, "--json") == 0
+    told = capsys.readouterr()
+    paths = json.loads(told.out)["paths"]
+    assert paths["planned"]["value"] < 1.01 * min(path["value"] for path in paths.values())
+    assert paths["planned"]["value"] > paths["oscillating"]["value"]
+    assert "The oscillating path does better" in told.err
+
+
 def test_a_mount_counts_by_the_stream_that_slides(tmp_path, capsys):
     file = tmp_path / "mine.toml"
     text = robot_file("sliding700").read_text(encoding="utf-8")

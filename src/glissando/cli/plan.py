@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import json
+import warnings
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +20,7 @@ from glissando.cli.plan_task import ROBOT, add_task, require_horizon, stage_of, 
 from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_command, require_writable, stated
 from glissando.cli.silent import refuse_silent
-from glissando.errors import GlissandoError
+from glissando.errors import GlissandoError, PlanWarning
 from glissando.estimation.posterior import Posterior
 from glissando.geometry.se3 import Array
 from glissando.io.atomic_file import write_table
@@ -28,7 +30,12 @@ from glissando.io.provenance import write_report
 from glissando.io.robot_file import load_robot
 from glissando.model.robot import Robot
 from glissando.planning.belief import belief_of
-from glissando.planning.compare import PathEvaluation, baseline_paths, evaluate_path
+from glissando.planning.compare import (
+    PathEvaluation,
+    baseline_paths,
+    best_evaluated,
+    evaluate_path,
+)
 from glissando.planning.objectives import objective_named
 from glissando.planning.path_objective import path_objective_of
 from glissando.planning.path_space import path_space_of
@@ -136,9 +143,13 @@ def _plan_slide(options: argparse.Namespace) -> int:
         plan = plan_slide(
             path_objective, path_space, zones, speed_weight=options.speed_weight, seed=options.seed
         )
+        aims = baseline_paths(stage, upper, start, path_space.control_times, options.seed)
+        plan = best_evaluated(plan, path_objective, zones, aims, options.speed_weight)
     baselines = baseline_paths(stage, upper, start, path_space.times, options.seed)
     paths = {"planned": plan.arclength, **baselines}
     results = {name: evaluate_path(problem, zones, objective, path) for name, path in paths.items()}
+    if not options.speed_weight:
+        _warn_of_better(results)
     report = {
         "robot": robot.name,
         "objective": options.objective,
@@ -169,6 +180,18 @@ def _source(options: argparse.Namespace, robot: Robot) -> Posterior | Robot:
     posterior = load_posterior(options.posterior)
     require_pair(posterior, robot, "the plan", (-np.inf, np.inf))
     return posterior
+
+
+def _warn_of_better(results: Mapping[str, PathEvaluation]) -> None:
+    """Warn if a path that ignores the zones does better than the plan."""
+    best = min(results, key=lambda name: results[name].value)
+    if best != "planned":
+        warnings.warn(
+            f"The {best} path does better than the planned one; look farther ahead with --horizon, "
+            f"as the rest in which a plan ends then weighs less, or try another --seed.",
+            PlanWarning,
+            stacklevel=2,
+        )
 
 
 def _write(

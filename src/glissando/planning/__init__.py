@@ -15,7 +15,12 @@ True
 """
 
 from glissando.planning.candidates import Candidate, candidates_of
-from glissando.planning.compare import baseline_paths, evaluate_everywhere, evaluate_path
+from glissando.planning.compare import (
+    baseline_paths,
+    best_evaluated,
+    evaluate_everywhere,
+    evaluate_path,
+)
 from glissando.planning.design import Design, pareto_front, sweep
 from glissando.planning.motions import draw_motions, expected_motion, plan_jointly
 from glissando.planning.objectives import Chance, LogDet, Trace, Worst
@@ -44,6 +49,7 @@ __all__ = [
     "Worst",
     "Zone",
     "baseline_paths",
+    "best_evaluated",
     "candidates_of",
     "draw_motions",
     "evaluate_everywhere",
