@@ -109,7 +109,7 @@ def test_designs_are_compared_and_drawn(tmp_path, capsys):
 
 
 def test_sensors_are_placed_within_a_budget(tmp_path, capsys):
-    sensors = ("--sensor", "coil=1", "--sensor", "gyro=0.5:0.01", "--sensor", "slide=2")
+    sensors = ("--sensor", "coil=1:1e-3,0.01", "--sensor", "gyro=0.5:0.01", "--sensor", "slide=2")
     given = ("--zone", "0:0.7", "--horizon", 1, "--places", 4, "--budget", 3)
     assert run("design", *given, *sensors, "--out", tmp_path, "--json") == 0
     rows = json.loads(capsys.readouterr().out)["placements"]
@@ -126,6 +126,13 @@ def test_sensors_are_placed_within_a_budget(tmp_path, capsys):
         (("--sensor", "coil=0"), "give a cost above 0"),
         (("--sensor", "magnet=1"), "'magnet' is no kind of sensor"),
         (("--sensor", "coil=2", "--budget", "1"), "the cheapest sensor costs 2"),
+        (("--sensor", "coil=1", "--budget", "nan"), "A budget of nan cannot be"),
+        (("--sensor", "coil=1", "--budget", "inf"), "A budget of inf cannot be"),
+        (("--sensor", "coil=1:0.7"), "0.7 is not likely; give one number above 0"),
+        (("--sensor", "gyro=1:90"), "for each of 3 rows, up to 5 rad/s"),
+        (("--sensor", "fbg=1:-1e-5"), "-1e-05 is not likely"),
+        (("--sensor", "coil=1:nan,0.01"), "nan, nan, nan, 0.01, 0.01 is not likely"),
+        (("--sensor", "coil=1:1e-3,1e-3,1e-3"), "each of 5 rows, up to 0.05 m."),
     ],
 )
 def test_sensors_that_cannot_be_placed_say_why(arguments, said, capsys):

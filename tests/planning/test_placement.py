@@ -35,6 +35,14 @@ def drawn(rng):
     return PlacementProblem(sensors, list(rows), asked.T @ asked, float(rng.uniform(0, 0.1)))
 
 
+def test_a_bound_is_a_variance_also_where_costs_are_far_apart():
+    costs, rng = (1e-3, 1e1, 5e4, 6e-6, 3e5), np.random.default_rng(0)
+    sensors = [candidates_of(ROBOT, "coil", cost, count=1)[0] for cost in costs]
+    rows = [1e3 * rng.standard_normal((2, 5)) for _ in costs]
+    problem = PlacementProblem(sensors, rows, np.eye(5), 0.1)
+    assert 0.1 <= lower_bound(problem, 1.7e-5) <= problem.variance(np.zeros(5))
+
+
 def best_of_all(problem, budget):
     """The least variance of any set."""
     count, found = len(problem.candidates), np.inf
@@ -136,5 +144,5 @@ def test_what_cannot_be_bought_says_why(kind, given_, said):
 
 def test_a_budget_that_buys_nothing_says_what_the_cheapest_costs():
     problem = drawn(np.random.default_rng(0))
-    with pytest.raises(GlissandoError, match="buys nothing: the cheapest sensor costs 1"):
+    with pytest.raises(GlissandoError, match="cannot be: the cheapest sensor costs 1"):
         list(place_sensors(problem, [0.5]))

@@ -52,8 +52,8 @@ What is not given is that of the robot file. Several coils follow each other a s
 
 --sensor may be repeated. KIND is a kind of readings (coil, pose, position, orientation, gyro,
 strain), fbg for one fibre of gratings along the body, or slide for one coil on the stage. COST is
-in any unit. STD is the standard deviation of its readings, in their unit; that of the robot file
-unless given.
+in any unit. STD is the standard deviation of its readings, in SI units; of a coil or a pose also
+POSITION,ROTATION in m and rad; that of the robot file unless given.
 
 exit status: 0 done; 2 something given was wrong.
 """

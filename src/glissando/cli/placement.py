@@ -37,7 +37,8 @@ def place(options: argparse.Namespace) -> int:
     candidates = [each for text in options.sensor for each in _candidates(robot, text, options)]
     least = min(each.cost for each in candidates)
     most = options.budget if options.budget is not None else _SENSORS * least
-    budgets = np.unique(np.linspace(min(least, most), most, _LEVELS)).tolist()
+    levels = np.linspace(min(least, most), most, _LEVELS) if np.isfinite(most) else [most]
+    budgets = np.unique(levels).tolist()
     with working("choosing sensors"):
         zones = [read_zone(text) for text in options.zone]
         problem = placement_problem(robot, candidates, zones, horizon=options.horizon)
@@ -71,8 +72,7 @@ def _candidates(robot: Robot, text: str, options: argparse.Namespace) -> list[Ca
     if kind == SLIDE:
         stage, upper = stage_of(options)
         slide = upper - stage.stroke, upper, stage.speed
-    noise_of = std[0] if std is not None and std.size == 1 else std
-    return candidates_of(robot, kind, price, std=noise_of, count=options.places, slide=slide)
+    return candidates_of(robot, kind, price, std=std, count=options.places, slide=slide)
 
 
 def _row(found: Placement) -> dict[str, object]:

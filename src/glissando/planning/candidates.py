@@ -19,6 +19,13 @@ from glissando.solver.measurement_factors import states_at
 _GRATINGS = 16  # of a fibre along the body
 _CORES = {"core_radius": np.full(3, 35e-6), "core_angle": 2.0 * np.pi * np.arange(3) / 3.0}
 FIBRE, SLIDE = "fbg", "slide"
+_LARGEST = {  # likely standard deviation of a reading's first row, and its unit
+    **dict.fromkeys(("coil", "pose", "position"), (0.05, "m")),
+    "orientation": (1.0, "rad"),
+    "gyro": (5.0, "rad/s"),
+    "strain": (0.5, ""),
+    FIBRE: (0.01, ""),
+}
 
 
 @dataclass(frozen=True)
@@ -74,13 +81,15 @@ def candidates_of(
         robot: The robot, whose file states noise.
         kind: Kind of the readings; "fbg" is a fibre along the body, "slide" a coil that slides.
         cost: What one costs.
-        std: Standard deviation of the rows; that of the robot file unless given.
+        std: Standard deviation of the rows, one for all of them or, for a pose or coil, one of the
+            position and one of the rotation; that of the robot file unless given.
         count: Number of places of fixed ones.
         rate: Readings a second, Hz.
         slide: Both ends of the slide's reach, m, and its speed, m/s.
 
     Raises:
-        GlissandoError: The cost is not positive, the noise is not known, or no slide is given.
+        GlissandoError: The cost is not positive, the noise is not known or not likely, or no slide
+            is given.
     """
     if not (np.isfinite(cost) and cost > 0.0):
         raise GlissandoError(f"A {kind} that costs {cost:g} cannot be; give a cost above 0.")
@@ -94,7 +103,7 @@ def candidates_of(
             f"Robot {robot.name} states no noise of a {of}; give {kind}=COST:STD, or add "
             f"[sensors.{of}] with a std to its file."
         )
-    noise = np.broadcast_to(known, (3,) if kind == FIBRE else (sensor.rows,)) ** 2
+    noise = _std(known, of, 3 if kind == FIBRE else sensor.rows) ** 2
     if kind == SLIDE:
         if slide is None:
             raise GlissandoError("A slide needs a reach and a speed.")
@@ -106,6 +115,22 @@ def candidates_of(
         return [Candidate("fibre", of, cost, noise, rate, _fixed(nodes), _CORES)]
     places = np.linspace(robot.length / count, robot.length, count)
     return [Candidate(f"{kind} {_mm(s)}", of, cost, noise, rate, _fixed([s])) for s in places]
+
+
+def _std(given: Array, kind: str, rows: int) -> Array:
+    """Standard deviations of the rows. Raises GlissandoError for some that are not likely."""
+    std, (most, unit) = np.atleast_1d(given), _LARGEST.get(kind, (np.inf, ""))
+    if std.size == 2 and rows in (5, 6):
+        std = np.repeat(std, 3)[:rows]
+    likely = np.all(np.isfinite(std) & (std > 0.0)) and std[0] <= most
+    if std.shape not in ((1,), (rows,)) or not likely:
+        raise GlissandoError(
+            f"A {kind} with a standard deviation of {', '.join(f'{x:g}' for x in std)} is not "
+            f"likely; give one number above 0, or one for each of {rows} rows, up to {most:g} "
+            f"{unit}".rstrip()
+            + "."
+        )
+    return np.broadcast_to(std, (rows,))
 
 
 def _mm(metres: float) -> str:

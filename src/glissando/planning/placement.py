@@ -190,15 +190,17 @@ def place_sensors(problem: PlacementProblem, budgets: Sequence[float]) -> Iterat
         budgets: What sets may cost, in rising order.
 
     Raises:
-        GlissandoError: A budget buys nothing.
+        GlissandoError: A budget buys nothing, or is not finite.
     """
     cost, before = problem.cost, list[int]()
+    for budget in budgets:
+        if not cost.min() <= budget < np.inf:
+            raise GlissandoError(
+                f"A budget of {budget:g} cannot be: the cheapest sensor costs {cost.min():g}, all "
+                f"together {cost.sum():g}."
+            )
     bounds = [lower_bound(problem, budget) for budget in budgets]
     for i, budget in enumerate(budgets):
-        if budget < cost.min():
-            raise GlissandoError(
-                f"A budget of {budget:g} buys nothing: the cheapest sensor costs {cost.min():g}."
-            )
         starts = [_greedy(problem, budget, by_cost) for by_cost in (True, False)]
         found = [_exchanged(problem, budget, start) for start in (*starts, before)]
         before = min(found, key=lambda chosen: problem.variance(_share(problem, chosen)))
@@ -304,4 +306,5 @@ def lower_bound(problem: PlacementProblem, budget: float) -> float:
     for i in np.argsort(slopes / cost):  # the plane's least value: what lowers it most for its cost
         part = min(1.0, room / cost[i])
         least, room = least + part * slopes[i], room - part * cost[i]
-    return problem.variance(at) + least - float(slopes @ at)
+    plane = problem.variance(at) + least - float(slopes @ at)
+    return max(plane, problem.left, 0.0)  # a plane that touches far away falls below these
