@@ -31,7 +31,7 @@ KNOWN = {
     st.floats(0.001, 0.04),
     st.floats(0.2, 6.0),
     st.floats(0.05, 50.0),
-    st.lists(st.sampled_from(SENSORS), max_size=4),
+    st.lists(st.sampled_from(SENSORS), min_size=1, max_size=4, unique=True),
 )
 def test_every_likely_robot_has_a_file_that_loads(
     tmp_path_factory, length, segments, diameter, bend, time_scale, sensors
@@ -63,13 +63,27 @@ def test_a_stream_gets_what_is_unknown_of_it(tmp_path):
     ]
 
 
+def test_names_may_have_any_letters(tmp_path):
+    file, name = tmp_path / "mine.toml", 'my "é" arm'
+    outline = {**KNOWN, "name": name, "sensors": [f"pose:{name}", "gyro:b[0]"]}
+    file.write_text(robot_text(RobotOutline(**outline)), encoding="utf-8")
+    robot = load_robot(file)
+    assert robot.name == name
+    assert {p.streams[0] for p in robot.sensor_parameters} == {name, "b[0]"}
+
+
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
-        ({"length": 466.0}, "length of 466 m is not likely"),
+        ({"length": 466.0}, "length of 466 m is not likely; give 0.02 m to 5 m"),
         ({"length": math.nan}, "length of nan"),
         ({"diameter": 12.0}, "diameter of 12 m is not likely"),
-        ({"bend": 180.0}, "bend of 180 rad is not likely"),
+        ({"bend": 180.0}, r"bend of 180 rad \(1.03e\+04 degrees\) is not likely"),
+        ({"bend": math.radians(2.1)}, r"\(2.1 degrees\) is .* \(5 degrees\) to .* \(720 degrees\)"),
+        ({"time_scale": 500.0}, "give 0.02 s to 60 s"),
+        ({"sensors": []}, "without sensors"),
+        ({"sensors": ["pose:a", "coil", "gyro:a"]}, "Two sensors are the stream 'a'"),
+        ({"sensors": ["pose:../a"]}, "cannot be that of a file"),
         ({"time_scale": 5000.0}, "time scale of 5000 s"),
         ({"segments": 0}, "0 segments"),
         ({"length": 0.05, "diameter": 0.1}, "give both"),

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from glissando.errors import RobotFileError
+from glissando.io.plain_file import file_stem
 from glissando.io.provenance import stated_format
 from glissando.model.sensors.sensors import sensor_class, sensor_kinds
 
@@ -15,7 +18,7 @@ _LIKELY = {  # least and largest value that is likely, and their unit
     "diameter": (2e-4, 0.2, "m"),
     "bend": (math.radians(5.0), 4.0 * math.pi, "rad"),
     "stretch": (1e-4, 1.0, "of the length"),
-    "time_scale": (0.02, 1000.0, "s"),
+    "time_scale": (0.02, 60.0, "s"),
 }
 _NOISE = {  # standard deviations of common devices, broad
     "pose": "[1.5e-3, 0.015]",
@@ -57,8 +60,8 @@ class RobotOutline:
             value = getattr(self, key)
             if not low <= value <= high:
                 raise RobotFileError(
-                    f"A robot's {key.replace('_', ' ')} of {value:g} {unit} is not likely; give "
-                    f"{low:.3g} to {high:.3g} {unit}."
+                    f"A robot's {key.replace('_', ' ')} of {_said(value, unit)} is not likely; "
+                    f"give {_said(low, unit)} to {_said(high, unit)}."
                 )
         if self.diameter > self.length:
             raise RobotFileError(
@@ -71,12 +74,28 @@ class RobotOutline:
             if kind not in _NOISE:
                 known = ", ".join(k for k in sensor_kinds() if k in _NOISE)
                 raise RobotFileError(f"{kind!r} is no kind of sensor; known: {known}.")
+        _require_streams([stream for _, stream in self.streams])
 
     @property
     def streams(self) -> list[tuple[str, str]]:
         """Kinds of the sensors and names of their streams, empty where none is given."""
         parts = (sensor.partition(":") for sensor in self.sensors)
         return [(kind, stream) for kind, _, stream in parts]
+
+
+def _said(value: float, unit: str) -> str:
+    """A number with its unit; angles are asked for in degrees, too."""
+    degrees = f" ({math.degrees(value):.3g} degrees)" if unit == "rad" else ""
+    return f"{value:.4g} {unit}{degrees}"
+
+
+def _require_streams(streams: Sequence[str]) -> None:
+    """Raise RobotFileError for no sensor, or for a stream that two sensors claim."""
+    if not streams:
+        raise RobotFileError("A robot without sensors cannot be estimated; give one or more.")
+    named = [file_stem(stream, RobotFileError) for stream in streams if stream]
+    if again := [name for name, count in Counter(named).items() if count > 1]:
+        raise RobotFileError(f"Two sensors are the stream {again[0]!r}; give each stream once.")
 
 
 def robot_text(outline: RobotOutline) -> str:
@@ -101,7 +120,7 @@ def robot_text(outline: RobotOutline) -> str:
         rows += f"\nvar_jumps = [{', '.join([jump] * len(joints))}]"
     return _TEXT.format(
         format=stated_format("robot"),
-        name=outline.name,
+        name=_quoted(outline.name),
         length=outline.length,
         nodes=max(5, 2 * outline.segments + 1),
         rate=round(15.0 / outline.time_scale, 3),
@@ -132,21 +151,29 @@ def _parameters(outline: RobotOutline) -> str:
     where = 0.1 * outline.diameter + 1e-3
     out = []
     for kind, stream in outline.streams:
-        if stream and sensor_class(kind).tracker:
-            each = f"{where:.2g}, 0.03"
-            out.append(_PARAMETER.format(stream, "mount", "mount", stream, each, ""))
+        if not stream:
+            continue
+        pieces = [("delay", "time_offset", "0.02", "")]
+        if sensor_class(kind).tracker:
             memory = "correlation_time = 1.0\n"
-            out.append(_PARAMETER.format(stream, "drift", "mount", stream, "3e-3, 0.03", memory))
-        elif stream:
-            out.append(_PARAMETER.format(stream, "delay", "time_offset", stream, "0.02", ""))
+            pieces = [("mount", "mount", f"{where:.2g}, 0.03", "")]
+            pieces.append(("drift", "mount", "3e-3, 0.03", memory))
+        for what, parameter, std, more in pieces:
+            name = _quoted(f"{stream} {what}")
+            out.append(_PARAMETER.format(name, parameter, _quoted(stream), std, more))
     return "\n".join(out)
+
+
+def _quoted(text: str) -> str:
+    """A text as TOML writes it."""
+    return json.dumps(text, ensure_ascii=False)
 
 
 _PARAMETER = """\
 [[sensor_parameters]]
-name = "{} {}"
+name = {}
 kind = "{}"
-streams = ["{}"]
+streams = [{}]
 std = [{}]
 {}"""
 
@@ -155,13 +182,14 @@ _TEXT = """\
 # strain, [shear x, shear y, extension, bending x, bending y, torsion], in SI units and radians.
 # `glissando learn` makes them sharper, `glissando check` says whether confidence is true.
 format = "{format}"
-name = "{name}"
+name = {name}
 length = {length}
 rest_strain = [0, 0, 1, 0, 0, 0]  # straight; at rest as it is unloaded
 
 [grid]
 arclength_nodes = {nodes}
-time_rate = {rate}                # time nodes a second, fifteen to a time scale
+time_rate = {rate}                # time nodes a second, fifteen to a time scale; where `glissando
+                                  # estimate` warns of the grid, the rate that it names
 
 [base]                            # clamped where it is, but registered only so well
 position = [0, 0, 0]
