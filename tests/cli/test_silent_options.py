@@ -15,6 +15,7 @@ def place(tmp_path_factory):
     head = "time,arclength,x,y,z,qw,qx,qy,qz\n"
     (folder / "rec" / "coil.csv").write_text(head + "0,0.7,0,0,0.7,1,0,0,0\n")
     (folder / "posterior.nc").write_text("not read")
+    (folder / "still.toml").write_text('robot = "sliding700"\n[mocap]\n')
     return folder
 
 
@@ -42,6 +43,15 @@ def place(tmp_path_factory):
         ("plan --zone 0.5:0.6 --bound 0.1", "--objective trace"),
         ("plan --scene scene.toml --horizon 3", "--scene"),
         ("plan --scene scene.toml --from posterior.nc", "--scene"),
+        ("live --source rec --slide oscillate", "sources without a stage"),
+        ("live --source rec --stroke 0.02", "sources without a stage"),
+        ("live --source rec --at Tip=0.7", "sources that say where their sensors are"),
+        ("record --setup still.toml --out o --slide hold", "a rig without a stage"),
+        ("record --setup still.toml --out o --seed 2", "--setup"),
+        ("record --setup still.toml --out o --channel 0.004,0.5", "--setup"),
+        ("record --simulate --out o --slide hold --stroke 0.02", "--slide hold"),
+        ("record --simulate --out o --slide calibrate --speed 0.02", "--slide calibrate"),
+        ("record --simulate --out o --duration 5", "--slide oscillate"),
         ("export rec --stream coil --out coil.tum --rate 9", "--stream"),
         ("figure shape posterior.nc --out a.png --window 0 1", "a posterior"),
         ("figure shape posterior.nc --out a.png --robot r", "a figure of a posterior without"),

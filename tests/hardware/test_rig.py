@@ -294,4 +294,8 @@ def test_a_record_command_without_a_rig_is_one_sentence(tmp_path, capsys):
     file.write_text(SETUP)
     assert main(["record", "--setup", str(file), "--out", str(tmp_path / "s")]) == 2
     assert "/dev/ttyUSB0" in capsys.readouterr().err
+    for lasts, said in (("1e12", "a day, 86400 s, at most"), ("0", "A slide of 0 s")):
+        call = ["--slide", "hold", "--duration", lasts, "--out", str(tmp_path / "s")]
+        assert main(["record", "--setup", str(file), *call]) == 2
+        assert said in capsys.readouterr().err
     assert not (tmp_path / "s").exists()

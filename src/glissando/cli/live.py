@@ -7,7 +7,7 @@ import multiprocessing
 import sys
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -18,8 +18,9 @@ from rich.live import Live as Line
 from rich.text import Text
 
 from glissando.cli.interrupts import until_interrupted
-from glissando.cli.record import add_slide, further_paths, slide_path
+from glissando.cli.record import add_slide, further_paths, refuse_idle_slide, slide_path
 from glissando.cli.shared import Commands, add_command, require_writable, warn
+from glissando.cli.silent import refuse_silent
 from glissando.errors import GlissandoError
 from glissando.evaluation.plausibility.watch import Watch
 from glissando.hardware.capture import Rig, load_rig, simulated_rig
@@ -112,6 +113,7 @@ def _live(options: argparse.Namespace) -> int:
 def _run(options: argparse.Namespace, devices: ExitStack) -> int:
     rigs = {text: _rig(text, devices) for text in options.source if _is_rig(text)}
     robot = _robot(options, rigs)
+    _refuse_idle(options, list(rigs.values()))
     placements = [Placement.parse(text) for text in options.at]
     if options.journal is not None:
         require_writable(options.journal.parent)
@@ -147,6 +149,15 @@ def _run(options: argparse.Namespace, devices: ExitStack) -> int:
     print(status.summary())
     warn(watch.last(now))
     return 0
+
+
+def _refuse_idle(options: argparse.Namespace, rigs: Sequence[Rig]) -> None:
+    """Refuse options that say nothing to any source."""
+    moves = any(rig.further or (rig.stage and not options.replan) for rig in rigs)
+    without = "--replan" if options.replan else "sources without a stage"
+    refuse_idle_slide(options, without, moves=moves)
+    if all(_is_rig(text) or Path(text).is_dir() for text in options.source):
+        refuse_silent(options, "sources that say where their sensors are", "at")
 
 
 @contextmanager

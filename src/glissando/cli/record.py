@@ -16,6 +16,7 @@ from rich.table import Table
 
 from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_command, findings_in, require_writable, warn
+from glissando.cli.silent import refuse_silent
 from glissando.cli.simulate import add_channel
 from glissando.errors import DeviceError, GlissandoError
 from glissando.hardware.capture import (
@@ -61,6 +62,9 @@ Ctrl-C stops the slide and keeps what was recorded.
 exit status: 0 done; 1 stopped early; 2 a device or something given was wrong.
 """
 _REFRESH = 0.2  # s between pictures of the table
+_DAY = 86_400.0  # s that a path lasts at most
+_OF_A_PATH = ("cycles", "stroke", "speed")
+_IDLE = {"oscillate": (), "calibrate": ("cycles", "speed")}  # of a path, those that say nothing
 
 
 def add_to(commands: Commands) -> None:
@@ -95,16 +99,23 @@ def add_slide(parser: argparse.ArgumentParser, default: str) -> None:
 def _record(options: argparse.Namespace) -> int:
     if bool(options.setup) == options.simulate:
         raise GlissandoError("Give --setup FILE for a real rig, or --simulate for none.")
+    real = load_rig(options.setup) if options.setup else None
+    if real:
+        refuse_silent(options, "--setup", "robot", "shape", "seed", "faults", "channel")
+    moves = real is None or bool(real.stage or real.further)
+    refuse_idle_slide(options, "a rig without a stage", moves=moves)
+    if moves and options.slide not in ("hold", "calibrate"):
+        refuse_silent(options, f"--slide {options.slide}", "duration")
     require_writable(options.out.parent)
     require_new(options.out, GlissandoError)
     if options.out.exists():
         options.out.rmdir()
     with ExitStack() as stack:
-        if options.simulate:
+        if real:
+            rig = real
+        else:
             chosen = options.robot, options.shape, options.seed, options.faults
             rig = stack.enter_context(simulated_rig(*chosen, channel=options.channel))
-        else:
-            rig = load_rig(options.setup)
         path = slide_path(options, rig)
         try:
             on_message = None
@@ -130,6 +141,23 @@ def _record(options: argparse.Namespace) -> int:
     return status
 
 
+def refuse_idle_slide(options: argparse.Namespace, without: str, *, moves: bool) -> None:
+    """Refuse options of the slide that have no effect.
+
+    Args:
+        options: The options of the command.
+        without: What has no stage, if none `moves`.
+        moves: Whether there is a stage that follows the slide's path.
+
+    Raises:
+        GlissandoError: One is given.
+    """
+    if not moves:
+        refuse_silent(options, without, "slide", *_OF_A_PATH)
+    else:
+        refuse_silent(options, f"--slide {options.slide}", *_IDLE.get(options.slide, _OF_A_PATH))
+
+
 def further_paths(options: argparse.Namespace, rig: Rig) -> dict[str, SlidePath]:
     """Paths of the rig's further stages, of the kind asked for, each in its own stroke."""
     return {one.name: slide_path(options, rig, one) for one in rig.further}
@@ -145,13 +173,16 @@ def slide_path(
     """
     stage, name = (further.stage, further.name) if further else (rig.stage, "")
     limits = _limits(stage) if stage else SlideLimits(1.0, 1.0, 1.0)
+    lasts = options.duration
+    if lasts is not None and lasts > _DAY:
+        raise GlissandoError(f"--duration is {lasts:g} s; give a day, {_DAY:g} s, at most.")
     if options.slide == "hold" or stage is None:
-        return SlidePath.hold(0.0, options.duration or 15.0, limits)
+        return SlidePath.hold(0.0, 15.0 if lasts is None else lasts, limits)
     stroke = limits.stroke if options.stroke is None else options.stroke
     if options.slide == "oscillate":
         return SlidePath.oscillate(options.cycles, stroke, limits, speed=options.speed)
     if options.slide == "calibrate":
-        return SlidePath.calibrate(options.duration or 45.0, stroke, limits)
+        return SlidePath.calibrate(45.0 if lasts is None else lasts, stroke, limits)
     if not Path(options.slide).is_file():
         raise GlissandoError(
             f"There is no slide named {options.slide!r} and no such file; give oscillate, "
