@@ -105,6 +105,10 @@ def test_a_coil_of_a_setup_may_slide_in_a_channel_and_its_session_says_so(tmp_pa
     [
         ("standing = 0.0", "", "position of the stage is unknown"),
         ("arclength = 0.35", "arclength = 0.95", "off the robot"),
+        ("[0.1, 0, 0]", "[100, 0, 0]", "more than 3 m away; give metres"),
+        ("[0, 0, 0.02]", "[0, 0, 20]", "more than 1 m away"),
+        ("arclength = 0.70", "arclength = 0.70\narclength_std = 2", "arclength_std is 2 m; give"),
+        ("standing = 0.0", "home = -2", "Home at -2 m lies far off the stroke"),
         ('address = "/dev/ttyUSB1"', "", "address is missing"),
         ("lead = 0.0254", "leed = 0.0254", "lead is missing"),
         ("lead = 0.0254", "lead = 0.002", "rpm"),

@@ -28,6 +28,7 @@ from slide_world import STAGE, TICK, home
         ({"stroke": (0.06, 0.0)}, "give a lower and a higher end"),
         ({"lead": 0.002, "stroke": (0.0, 0.6)}, "at most 244 revolutions"),
         ({"home": 0.01}, "lies inside the stroke"),
+        ({"lag": 5.0}, "5 m from its path at most, is no stage of a laboratory"),
         ({"speed": 0.026}, "26 mm/s would turn the screw"),
         ({"speed": 0.0}, "give speed, acceleration and lag above zero"),
         ({"speed": float("nan")}, "is no number"),

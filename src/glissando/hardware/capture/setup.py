@@ -182,7 +182,7 @@ def load_rig(path: str | Path) -> Rig:
         raise DeviceError(f"{path.name}: nothing to record; add [tracker], [mocap] or both.")
     devices: dict[str, Any] = {"further": further}
     if tracker:
-        devices |= {"frame": tracker.pose(), "tracker": tracker.text("address")}
+        devices |= {"frame": _pose(tracker, 3.0), "tracker": tracker.text("address")}
         devices |= {"baud": int(tracker.number("baud", _BAUD))}
         devices |= {"coils": _coils(tracker, length)}
     if slide:
@@ -224,6 +224,8 @@ def _coils(table: Table, length: float) -> tuple[Coil, ...]:
         arclength = _arclength(entry, channel.travels(length)[1] if channel else length)
         slides, serial = not entry.flag("fixed"), entry.text("serial", "")
         std = entry.number("arclength_std", _ARCLENGTH_STD)
+        if std > 0.1 * length:
+            raise entry.fail("arclength_std", f"is {std:g} m; give metres, not millimetres.")
         slide = entry.text("slide", "")
         coils.append(Coil(name, arclength, slides, serial, std, slide, channel))
         entry.close()
@@ -267,9 +269,20 @@ def _body(table: Table, length: float) -> Body:
     if table.flag("slides"):
         body = Body(name, np.nan, np.eye(4), slides=True)
     else:
-        body = Body(name, _arclength(table, length), table.pose())
+        body = Body(name, _arclength(table, length), _pose(table, 1.0))
     table.close()
     return body
+
+
+def _pose(table: Table, most: float) -> Array:
+    """A pose (4, 4) whose position is `most` m off along any axis at most."""
+    pose = table.pose()
+    if np.abs(pose[:3, 3]).max() > most:
+        raise table.fail(
+            "position",
+            f"is {pose[:3, 3].tolist()}, more than {most:g} m away; give metres, not millimetres.",
+        )
+    return pose
 
 
 def _arclength(table: Table, length: float) -> float:

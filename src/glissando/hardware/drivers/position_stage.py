@@ -50,10 +50,16 @@ class PositionStage:
             raise DeviceError(f"A direction of {self.direction:g} cannot be; give 1 or -1.")
         if min(positive) <= 0.0:
             raise DeviceError(f"{self} cannot be; give speed, acceleration and lag above zero.")
-        if high - low > 5.0 or self.speed > 5.0:
+        if high - low > 5.0 or self.speed > 5.0 or self.acceleration > 50.0 or self.lag > 0.5:
             raise DeviceError(
-                f"A stroke of {high - low:g} m at {self.speed:g} m/s is no stage of a laboratory; "
-                f"give metres and metres a second."
+                f"A stroke of {high - low:g} m at {self.speed:g} m/s and {self.acceleration:g} "
+                f"m/s², {self.lag:g} m from its path at most, is no stage of a laboratory; give "
+                f"metres, m/s and m/s²."
+            )
+        if self.home is not None and not low - 1.0 <= self.home <= high + 1.0:
+            raise DeviceError(
+                f"Home at {self.home:g} m lies far off the stroke from {low:g} to {high:g} m; give "
+                f"metres, not millimetres."
             )
 
     @classmethod
