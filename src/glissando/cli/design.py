@@ -58,6 +58,8 @@ POSITION,ROTATION in m and rad; that of the robot file unless given.
 exit status: 0 done; 2 something given was wrong.
 """
 
+_COILS = 100  # at most, on one slide
+
 
 def add_to(commands: Commands) -> None:
     """Add the command to the parser's."""
@@ -129,8 +131,8 @@ def _require_sweep(options: argparse.Namespace) -> None:
     refuse_silent(options, "a design without --sensor", "budget", "places")
     if options.objective != "chance":
         refuse_silent(options, f"--objective {options.objective}", "bound")
-    if any(count != int(count) for count in options.coils):
-        raise GlissandoError(f"--coils {options.coils}: give whole numbers.")
+    if any(count not in range(1, _COILS + 1) for count in options.coils):
+        raise GlissandoError(f"--coils {options.coils}: give whole numbers from 1 to {_COILS}.")
     for speed in options.speeds or ():
         require_speed("--speeds", speed)
 

@@ -26,6 +26,7 @@ from glissando.visualization.canvas import save_figure
 from glissando.visualization.planning_figures import placement_figure
 
 _LEVELS = 6  # budgets that are tried up to the largest
+_PLACES = 1000  # along the body
 _SENSORS = 6.0  # of the cheapest kind, that the default budget buys
 
 
@@ -66,8 +67,8 @@ def _candidates(robot: Robot, text: str, options: argparse.Namespace) -> list[Ca
         raise GlissandoError(
             f"--sensor {text!r} is not understood; give KIND=COST or KIND=COST:STD, as coil=1."
         ) from None
-    if options.places < 1:
-        raise GlissandoError(f"--places {options.places}: give 1 or more.")
+    if not 1 <= options.places <= _PLACES:
+        raise GlissandoError(f"--places {options.places}: give 1 to {_PLACES}.")
     slide = None
     if kind == SLIDE:
         stage, upper = stage_of(options)

@@ -105,6 +105,8 @@ def _plan(options: argparse.Namespace) -> int:
     if options.posterior and not (options.robot or options.scene):
         raise GlissandoError("--from needs the robot of that estimate; give --robot as well.")
     options.robot = options.robot or ROBOT
+    if options.seed < 0:
+        raise GlissandoError(f"--seed is {options.seed}; give 0 or more.")
     if options.out:
         require_writable(options.out)
     elif options.animate:

@@ -9,7 +9,6 @@ import numpy as np
 
 from glissando.cli.progress import working
 from glissando.cli.shared import stated
-from glissando.errors import GlissandoError
 from glissando.io.atomic_file import write_table, write_text
 from glissando.io.atomic_folder import renewed_folder
 from glissando.io.provenance import write_report
@@ -37,8 +36,6 @@ def plan_scene(options: argparse.Namespace) -> int:
     """Plan the motion of --scene, print what it is worth, and write it to --out."""
     robot = load_robot(options.robot)
     scene = read_scene(options.scene, robot)
-    if options.seed < 0:
-        raise GlissandoError(f"--seed is {options.seed}; give 0 or more.")
     problem = motion_problem(scene, robot)
     with working("planning") as work:
         plan = plan_motion(problem, seed=options.seed, progress=work.update)

@@ -18,7 +18,7 @@ ROBOT = "sliding700"
 """Robot that is planned for unless one is given."""
 
 _AHEAD = 300.0  # s that can be planned
-_FASTEST = 2.0  # m/s of a slide
+_FASTEST, _SHARPEST = 2.0, 50.0  # m/s and m/s² of a slide
 _STREAM = "coil"  # the sliding sensor's, unless given
 
 
@@ -110,4 +110,9 @@ def stage_of(options: argparse.Namespace) -> tuple[SlideLimits, float]:
                 f"m/s²."
             ) from None
         require_speed("--limits", stage.speed)
+        if stage.acceleration > _SHARPEST:
+            raise GlissandoError(
+                f"--limits: an acceleration of {stage.acceleration:g} m/s² is more than "
+                f"{_SHARPEST:g} m/s²; give metres a second squared."
+            )
     return stage, upper

@@ -96,13 +96,18 @@ def plan_slide(
         warm_start: Control points (T + 2,) of a further start, m.
 
     Raises:
-        GlissandoError: The path space has not the steps of the planning problem.
+        GlissandoError: The path space has not the steps of the planning problem, or the weight is
+            below zero.
     """
     problem = objective.problem
     if (path_space.steps, path_space.step) != (problem.steps, problem.step):
         raise GlissandoError(
             f"The path space has {path_space.steps} steps of {path_space.step:g} s and the problem "
             f"{problem.steps} of {problem.step:g} s; give both the same."
+        )
+    if not 0.0 <= speed_weight < np.inf:
+        raise GlissandoError(
+            f"A speed's weight of {speed_weight:g} s² cannot be; give 0 or more, finite."
         )
     targets = starts(path_space, zones, problem.start, seed)
     if warm_start is not None:

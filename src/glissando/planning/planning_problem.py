@@ -182,8 +182,11 @@ def predict_information(
     steps = round(horizon / step)
     if node_step is None:
         node_step = max(belief.node_step, horizon / _NODES)
-    if not node_step > 0.0:
-        raise GlissandoError(f"With time nodes {node_step:g} s apart there is no end; give more.")
+    elif not 0.0 < node_step <= horizon:
+        raise GlissandoError(
+            f"Time nodes {node_step:g} s apart do not divide {horizon:g} s ahead; give more than 0 "
+            f"and no more than that."
+        )
     inside = max(1, round(node_step / step))
     cells = -(-steps // inside)
     time = belief.time + inside * step * np.arange(cells + 1)

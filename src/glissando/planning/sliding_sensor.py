@@ -13,6 +13,8 @@ from glissando.model.robot import Robot
 from glissando.model.sensors.readings import SENSORS, Readings
 from glissando.model.sensors.sensors import sensor_class
 
+_FASTEST = 10_000.0  # readings a second
+
 
 def _sliding_kinds() -> list[str]:
     """Kinds of sensor that declare their values at a pose."""
@@ -54,9 +56,13 @@ class SlidingSensor:
         object.__setattr__(self, "cov", np.asarray(self.cov, dtype=float))
         if self.kind not in (kinds := _sliding_kinds()):
             raise GlissandoError(f"A {self.kind!r} cannot slide; choose one of {', '.join(kinds)}.")
-        if not (np.isfinite(self.rate) and self.rate > 0.0):
+        if not self.rate > 0.0:
             raise GlissandoError(
                 f"A sensor at {self.rate:g} Hz reads nothing; give a rate above 0."
+            )
+        if self.rate > _FASTEST:
+            raise GlissandoError(
+                f"A sensor at {self.rate:g} Hz cannot be planned; give {_FASTEST:g} Hz at most."
             )
         if self.coils < 1 or self.spacing < 0.0 or (self.coils > 1 and self.spacing == 0.0):
             raise GlissandoError(
