@@ -14,6 +14,7 @@ from glissando import GlissandoError, simulate
 from glissando.cli import estimate, shared, study
 from glissando.cli.main import main
 from glissando.evaluation.reproduction import SAME, differences
+from glissando.io.shipped_robots import robot_file
 from glissando.simulation import write_session
 
 pytest.importorskip("h5netcdf")
@@ -131,6 +132,20 @@ def test_every_report_is_computed_again(estimated, tmp_path, capsys, words, repo
     assert (status, found["same"], found["inputs"], found["report"]) == (0, True, [], [])
     assert set(found["tables"].values()) <= {0.0}
     assert {p: p.read_bytes() for p in sorted(tmp_path.rglob("*")) if p.is_file()} == before
+
+
+def test_a_tube_goes_into_the_robot_file_that_the_recording_brings(estimated, tmp_path):
+    """Also where a shipped robot has its name."""
+    moved, tube, out = copied(estimated, tmp_path), tmp_path / "tube.toml", tmp_path / "out"
+    shipped = robot_file("sliding700").read_text(encoding="utf-8")
+    (moved / "mine.toml").write_text("# mine\n" + shipped)
+    described = moved / "recording.toml"
+    described.write_text(described.read_text().replace('"sliding700"', '"mine.toml"'))
+    words = f"check {moved} --level 0.5 --block 0.05 --store-tube {tube} --out {out}"
+    assert main(words.split()) == 0
+    assert tube.read_text().startswith("# mine\n")
+    inputs = json.loads((out / "check.json").read_text())["inputs"]
+    assert inputs["--robot"] == inputs["mine.toml"]
 
 
 def test_a_rerun_finds_a_number_of_a_table_that_is_another(estimated, tmp_path, capsys):

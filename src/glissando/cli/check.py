@@ -38,7 +38,6 @@ from glissando.io.netcdf import load_posterior
 from glissando.io.provenance import write_report
 from glissando.io.recording import load_recording
 from glissando.io.robot_file import with_tube
-from glissando.io.shipped_robots import robot_file
 from glissando.model.robot import Robot
 from glissando.visualization.canvas import save_figure
 from glissando.visualization.evaluation_figures import calibration_figure
@@ -150,8 +149,8 @@ def _tube(
     tube = robot.tube
     if options.store_tube:
         tube = conformal_tube(block_scores(errors, options.block), options.block, options.level)
-        file = robot_file(options.robot or robot.name)
-        text = with_tube(file.read_text(encoding="utf-8"), tube)
+        assert robot.file is not None  # which `chosen_robot` read
+        text = with_tube(robot.file.read_text(encoding="utf-8"), tube)
         write_text(options.store_tube, text)
     if tube is None or not errors:
         return None

@@ -240,7 +240,7 @@ def stated(options: argparse.Namespace, robot: Robot | None = None) -> dict[str,
 
     Args:
         options: The options of the command.
-        robot: The robot, whose file may be one of those that are shipped.
+        robot: The robot, where a recording may have brought it.
 
     Returns:
         `request`, the words after `glissando` without --out; `inputs`, the SHA-256 of every file
@@ -252,9 +252,10 @@ def stated(options: argparse.Namespace, robot: Robot | None = None) -> dict[str,
         for one in value if isinstance(value, list) else [value]:
             if option != "out" and isinstance(one, Path) and one.exists():
                 found |= _digests_of(one, f"--{option}")
-    name = getattr(options, "robot", None) or (robot.name if robot else "")
-    if name in shipped_robots() or Path(name).is_file():
-        found |= _digests_of(robot_file(name), "--robot")
+    name = getattr(options, "robot", None)
+    file = robot_file(name) if name else robot.file if robot else None
+    if file:
+        found |= _digests_of(file, "--robot")
     seed = {"seed": options.seed} if hasattr(options, "seed") else {}
     return {"request": _without_out(options.words), "inputs": found, **seed}
 

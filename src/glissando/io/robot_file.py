@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -50,7 +51,8 @@ def load_robot(name: str | Path) -> Robot:
     0.466
     """
     path = robot_file(name)
-    return parse_robot(Table(read_robot_document(path), path.name, RobotFileError))
+    robot = parse_robot(Table(read_robot_document(path), path.name, RobotFileError))
+    return replace(robot, file=path)
 
 
 def read_robot_document(path: Path) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
@@ -41,6 +42,7 @@ class Robot(Brief):
         mechanics: What it is made of, where that is stated.
         tube: A whole-body tube whose coverage is promised, if one was calibrated.
         tendons: Its tendons, where they are stated.
+        file: The file that it was read from, if there is one.
     """
 
     name: str
@@ -56,6 +58,7 @@ class Robot(Brief):
     mechanics: Mechanics | None = None
     tube: Tube | None = None
     tendons: Tendons | None = None
+    file: Path | None = None
 
     def grid(self, start: float, stop: float) -> Grid:
         """The robot's grid over the times [start, stop] in seconds.
