@@ -227,6 +227,28 @@ replay(recording, recording.robot, journal=Path(sys.argv[2]), watch=watch)
 """
 
 
+def test_only_the_same_run_is_gone_on_with(recorded, tmp_path):
+    log, robot = tmp_path / "log", recorded.robot
+
+    def stop(done, total, smoother):
+        if done == 2:
+            raise KeyboardInterrupt
+
+    short = {"window": (0.0, 0.5), "journal": log}
+    with pytest.raises(KeyboardInterrupt):
+        replay(recorded, robot, **short, watch=stop)
+    for changed, named in (
+        ({"window": (0.0, 0.7)}, "window, readings"),
+        ({"lag": 0.0}, "lag"),
+        ({"use": ["coil"]}, "readings"),
+    ):
+        with pytest.raises(RecordingError, match=f"differs in: {named}; repeat"):
+            replay(recorded, robot, **short | changed)
+    with pytest.raises(RecordingError, match="differs in: robot; repeat"):
+        replay(recorded, load_robot("tdcr466"), **short)
+    assert len(replay(recorded, robot, **short).time) == 4
+
+
 @pytest.mark.slow
 def test_killed_in_mid_run_it_has_everything_on_disk_and_goes_on_from_there(recorded, tmp_path):
     log = tmp_path / "live" / "log"

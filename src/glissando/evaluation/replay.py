@@ -27,6 +27,11 @@ from glissando.evaluation.plausibility.examine import (
     without_false_readings,
 )
 from glissando.evaluation.plausibility.finding import refuse
+from glissando.evaluation.replay_request import (
+    request_of,
+    require_same_request,
+    store_request,
+)
 from glissando.evaluation.run import checked_window, chosen_streams
 from glissando.geometry.se3 import Array
 from glissando.io.csv_stream import Rows
@@ -140,12 +145,12 @@ def replay(
         truth: Names of truth streams; those that are marked so unless given.
         real_time: Whether to wait until each update is due.
         journal: Folder to which readings are written before they are used; if it holds some
-            already, the run continues where they end.
+            already, of a run that was asked the same, the run continues where they end.
         watch: Called after each update.
         allow: Checks of plausibility that are left out, besides the recording's own.
 
     Raises:
-        RecordingError: For an empty window, an unknown stream, or another recording's journal.
+        RecordingError: For an empty window, an unknown stream, or a journal of another run.
         ImplausibleError: Readings cannot be what they are said to be.
     """
     first, last = checked_window(recording, window)
@@ -163,12 +168,14 @@ def replay(
     run = _Run(smoother, references, watch, known)
     rest = readings, times
     if journal is not None:
-        rest = _continued(smoother, journal, recording.name, readings, times)
+        request = request_of(recording.name, robot, readings, times, nodes)
+        rest = _continued(smoother, journal, request, readings, times)
     if journal is None or not rest[1].size:  # nothing is to be logged
         run.through(readings, times, wait=real_time)
     else:
         times = rest[1]
         with Journal(journal, recording.name) as log:
+            store_request(journal, request)
             run.through(*rest, log, wait=real_time)
     return Replay(
         recording, robot, (first, last), nodes, smoother, times, np.array(run.latency), run.states,
@@ -183,7 +190,11 @@ def _when_and_where(rows: Rows) -> dict[str, Any]:
 
 
 def _continued(
-    smoother: FixedLagSmoother, journal: Path, name: str, readings: list[Readings], times: Array
+    smoother: FixedLagSmoother,
+    journal: Path,
+    request: dict[str, object],
+    readings: list[Readings],
+    times: Array,
 ) -> tuple[list[Readings], Array]:
     """Give the smoother a journal's readings; the readings and update times still to come.
 
@@ -192,8 +203,8 @@ def _continued(
     if not (journal / "recording.toml").exists():
         return readings, times
     before = load_recording(journal)
-    if before.name != name:
-        raise RecordingError(f"{journal} is a log of {before.name}; give another folder.")
+    if before.streams:
+        require_same_request(journal, request)
     rows = {name: stream.rows for name, stream in before.streams.items()}
     logged = [
         replace(r, values=o.values, **_when_and_where(o))
