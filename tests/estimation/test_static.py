@@ -192,6 +192,9 @@ def test_mistakes_are_one_sentence():
     at = {"time": [0, 0.5], "arclength": [0.1, 0.1]}
     with pytest.raises(OutsideGridError, match=r"row 1 is of shape 0.5; shapes are numbered"):
         estimate_static(prior, nodes, [PositionReadings(**at, values=np.zeros((2, 3)), cov=1.0)])
+    at["time"] = [1.7e9, 1.7e9 + 1]
+    with pytest.raises(OutsideGridError, match=r"1,700,000,002 shapes and about .* number the"):
+        estimate_static(prior, nodes, [PositionReadings(**at, values=np.zeros((2, 3)), cov=1.0)])
     at = {"time": [0, 1], "arclength": [0.1, 0.1]}
     with pytest.raises(SensorError, match="spin: a shape that holds still has no velocity"):
         estimate_static(

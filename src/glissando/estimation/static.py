@@ -26,6 +26,7 @@ from glissando.estimation.posterior import Posterior, StateEstimate
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid, Index
 from glissando.model.interpolation import sort_points
+from glissando.model.memory import require_memory
 from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.model.priors.prior import Prior
 from glissando.model.priors.static import STATIC_DOF
@@ -39,6 +40,7 @@ from glissando.solver.outcome import Outcome
 from glissando.solver.static_equations import StaticEquations, linearize_static, static_factors
 
 _DOFS = slice(0, STATIC_DOF)
+_BLOCKS = 6.0  # square blocks of numbers that are kept for a node of a shape
 _SOFT_ITERATIONS = 8
 _SHARES = (1.0, 0.3, 0.1)  # of a bent step, tried in turn
 
@@ -151,6 +153,7 @@ def estimate_static(
         options: When to stop.
 
     Raises:
+        OutsideGridError: Shapes are not numbered 0, 1, 2, …
         SensorError: A sensor reads a velocity.
         UnobservableError: Prior and readings leave a direction of a shape undetermined.
 
@@ -173,6 +176,11 @@ def estimate_static(
         _require_whole(r.time, r.label)
     if count is None:
         count = 1 + int(max((r.time.max() for r in given), default=0.0))
+    require_memory(
+        _BLOCKS * 8.0 * STATIC_DOF**2 * np.size(arclength) * count,
+        f"Shapes 0 to {count - 1} would be {count:,} shapes",
+        "number the readings' shapes 0, 1, 2, … in place of times",
+    )
     grid = Grid.apart(arclength, count)
     with one_thread():
         located = locate(grid, given)

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from glissando.errors import OutsideGridError
 from glissando.geometry.se3 import Array
 from glissando.model.brief import Brief
 from glissando.model.grid import Grid
 from glissando.model.mechanics import Mechanics
+from glissando.model.memory import require_memory
 from glissando.model.noise import Loss
 from glissando.model.priors.prior import Prior
 from glissando.model.sensors.parameters import SensorParameter
@@ -21,7 +20,6 @@ from glissando.model.tendons.tendons import Tendons
 from glissando.model.tube import Tube
 
 _BLOCKS = 4.0  # square blocks of numbers that an estimate keeps for a time node
-_SHARE = 0.6  # of the machine's memory that an estimate may take
 
 
 @dataclass(frozen=True)
@@ -67,13 +65,12 @@ class Robot(Brief):
             OutsideGridError: An estimate would need more memory than the machine can give.
         """
         wanted = max(2.0, float(np.round((stop - start) * self.time_rate)) + 1.0)
-        if self.memory(wanted) > _SHARE * _installed():
-            raise OutsideGridError(
-                f"{start:g} to {stop:g} s at {self.time_rate:g} nodes a second would be "
-                f"{wanted:,.0f} time nodes and about {self.memory(wanted) / 1e9:,.3g} GB, more "
-                f"than {_SHARE:.0%} of this machine's {_installed() / 1e9:,.3g} GB; choose a "
-                f"shorter window or a lower time_rate."
-            )
+        require_memory(
+            self.memory(wanted),
+            f"{start:g} to {stop:g} s at {self.time_rate:g} nodes a second would be {wanted:,.0f} "
+            f"time nodes",
+            "choose a shorter window or a lower time_rate",
+        )
         return Grid(self.arclength_nodes, np.linspace(start, stop, int(wanted)))
 
     def memory(self, count: float) -> float:
@@ -83,11 +80,3 @@ class Robot(Brief):
             count: Number of time nodes.
         """
         return float(count) * _BLOCKS * 8.0 * (DOF * self.arclength_nodes.size) ** 2
-
-
-def _installed() -> float:
-    """Bytes of memory of this machine; 8 GB where the system does not say."""
-    try:
-        return float(os.sysconf("SC_PHYS_PAGES")) * float(os.sysconf("SC_PAGE_SIZE"))
-    except (AttributeError, ValueError, OSError):
-        return 8e9
