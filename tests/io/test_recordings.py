@@ -46,7 +46,10 @@ MARKER = (
         (PUBLIC + "0,0.4,1,2\n", "line 3: 4 columns where 8 are expected"),
         (PUBLIC + "0,0.4,1,2,3,4,5,x\n", "line 3: 'x' is not a number"),
         (PUBLIC + "0,0.4,1,2,3,4,5,nan\n", "line 3: a value is not finite"),
-        (PUBLIC + "1,0.4,1,2,3,4,5,6\n\n0.5,0.4,1,2,3,4,5,6\n", "line 5: time goes back from 1 s"),
+        (
+            PUBLIC + "1,0.4,1,2,3,4,5,6\n\n0.5,0.4,1,2,3,4,5,6\n",
+            "line 5: time goes back from 1 to 0.5 s",
+        ),
     ],
 )
 def test_a_bad_stream_is_named_with_its_line(tmp_path, text, sentence):
@@ -199,7 +202,7 @@ def test_columns_may_stand_in_any_order_but_must_be_there(tmp_path):
         (
             "x,y,z,arclength,time",
             "1,2,3,0.1,1\n2,5,6,0.1,0\n",
-            "line 3: time goes back from 1 s to 0",
+            "line 3: time goes back from 1 to 0 s",
         ),
         ("time,arclength,x,y,z,x", "0,0.1,1,2,3,4\n", "column x stands there twice"),
     ):

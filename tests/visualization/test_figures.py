@@ -42,6 +42,16 @@ def test_a_figure_is_drawn_into_given_axes_and_returns_them(scene):
         error_figure(posterior, streams, ax=flat)
 
 
+def test_shapes_are_told_apart_also_since_1970():
+    robot, start = load_robot("tdcr466"), 1.7e9
+    posterior = estimate(robot.prior, robot.grid(start, start + 0.2), [])
+    axes = shape_figure(posterior, [], [start, start + 0.125])
+    labels = [text.get_text() for text in axes.figure.legends[0].get_texts()]
+    assert labels[:2] == ["1700000000 s", "1700000000.125 s"]
+    with pytest.raises(GlissandoError, match=r"outside \[1700000000, 1700000000.2\] s"):
+        posterior.at(0.1, start + 0.5)
+
+
 @pytest.mark.slow
 def test_a_figure_of_its_own_has_the_size_that_is_asked_for(scene):
     axes = confidence_figure(*scene, size=(3.4, 2.0), style={"font.size": 7})

@@ -36,6 +36,7 @@ from glissando.io.atomic_folder import renewed_folder
 from glissando.io.query_csv import read_query, write_query
 from glissando.io.recording import Recording
 from glissando.model.robot import Robot
+from glissando.model.seconds import seconds
 from glissando.visualization.figures import save_figures
 from glissando.visualization.film import save_animation
 from glissando.visualization.page import save_view
@@ -122,7 +123,7 @@ def _print(run: Run, console: Console) -> None:
     solve = run.posterior.solve
     console.print(
         f"[bold]{escape(run.recording.name)}[/bold] on {escape(run.robot.name)}, "
-        f"{run.window[0]:g} to {run.window[1]:g} s: {solve.status}, "
+        f"{seconds(*run.window)} s: {solve.status}, "
         f"{solve.iterations} iterations, {solve.unknowns:,} unknowns, "
         f"{sum(len(r) for r in run.readings):,} readings, {solve.seconds['total']:.2f} s of CPU"
     )
@@ -171,8 +172,9 @@ def _checked_query(
     if not np.all(inside):
         row = int(np.argmin(inside))
         raise GlissandoError(
-            f"{options.query.name} line {row + 2}: time {time[row]:g} s, arclength "
-            f"{arclength[row]:g} m lies outside {window[0]:g} to {window[1]:g} s or the robot, "
+            f"{options.query.name} line {row + 2}: time "
+            f"{seconds(time[row], decimals=6)} s, arclength "
+            f"{arclength[row]:g} m lies outside {seconds(*window, decimals=6)} s or the robot, "
             f"0 to {robot.length:g} m; correct or delete that line."
         )
     if _answers(options).resolve() == options.query.resolve():

@@ -5,6 +5,7 @@ from __future__ import annotations
 from glissando.errors import GlissandoError
 from glissando.estimation.posterior import Posterior
 from glissando.model.robot import Robot
+from glissando.model.seconds import seconds
 
 _ALIKE = 1e-6  # of a length, for rounding
 
@@ -31,6 +32,6 @@ def require_pair(
         )
     if time[-1] < window[0] or time[0] > window[1]:
         raise GlissandoError(
-            f"The posterior runs from {time[0]:g} to {time[-1]:g} s, {name} from {window[0]:g} to "
-            f"{window[1]:g} s; give the recording that it was estimated from."
+            f"The posterior runs from {seconds(time[0], time[-1])} s, {name} from "
+            f"{seconds(*window)} s; give the recording that it was estimated from."
         )

@@ -30,6 +30,7 @@ from glissando.io.atomic_folder import renewed_folder
 from glissando.io.provenance import write_report
 from glissando.io.query_csv import write_states
 from glissando.model.robot import Robot
+from glissando.model.seconds import seconds
 from glissando.visualization.canvas import save_figure
 from glissando.visualization.evaluation_figures import replay_figure
 from glissando.visualization.page import Live
@@ -149,7 +150,7 @@ def _print(result: Replay, console: Console) -> None:
     )
     if report["judged_from"] > report["window"][0]:
         console.print(
-            f"  went on with its log: all numbers are from {report['judged_from']:g} s on"
+            f"  went on with its log: all numbers are from {seconds(report['judged_from'])} s on"
         )
     for name, reasons in report["dropped"].items():
         counted = ", ".join(f"{count} {reason}" for reason, count in reasons.items())

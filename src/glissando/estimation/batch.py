@@ -25,6 +25,7 @@ from glissando.estimation.starting_point import starting_point, with_parameters
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
 from glissando.model.priors.prior import Prior
+from glissando.model.seconds import seconds
 from glissando.model.sensors.parameters import SensorParameter, corrected
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
@@ -212,8 +213,8 @@ def _far_off(grid: Grid, prior: Prior, readings: Sequence[Readings]) -> SensorEr
             away = np.linalg.norm(place - base, axis=1)
             if away.max() > farthest:
                 row = int(np.argmax(away))
-                farthest = float(away[row])
-                where = f"{r.label} row {row} at {r.time[row]:g} s, {farthest:.3g} m from the base"
+                farthest, at = float(away[row]), seconds(r.time[row])
+                where = f"{r.label} row {row} at {at} s, {farthest:.3g} m from the base"
     said = (
         f"No shape of this robot of {grid.arclength[-1]:g} m comes near the readings: {where}. "
         f"Check units (mm for m, degrees for radians) and frames."

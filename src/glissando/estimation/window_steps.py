@@ -22,6 +22,7 @@ from glissando.estimation.shape_spread import ShapeSpread, shape_covariances, sp
 from glissando.estimation.silence import Silence
 from glissando.estimation.sliding_window import SlidingWindow
 from glissando.model.grid import Grid
+from glissando.model.seconds import seconds
 from glissando.model.sensors.readings import Readings
 
 _MERGED = 0.01  # of the longest interval: a node as close to the newest one would be singular
@@ -105,8 +106,8 @@ class WindowSteps:
         nodes, before = self.window.nodes.time, self.window.before
         if time < nodes[0] - _BACK:
             raise OutsideGridError(
-                f"Time went back from {nodes[-1]:g} to {time:g} s; the clock was set. Begin anew "
-                f"with another smoother, and give times of a monotonic clock."
+                f"Time went back from {seconds(nodes[-1], time, decimals=6)} s; the clock was set. "
+                f"Begin anew with another smoother, and give times of a monotonic clock."
             )
         on = [*([] if before is None else [before]), *nodes.tolist()]
         longest = max((b - a for a, b in pairwise(on)), default=0.0)

@@ -39,6 +39,7 @@ from glissando.io.journal import Journal
 from glissando.io.recording import Recording, load_recording
 from glissando.model.brief import Brief
 from glissando.model.robot import Robot
+from glissando.model.seconds import seconds
 from glissando.model.sensors.parameters import SensorParameter, corrected
 from glissando.model.sensors.readings import Readings, slide_motion
 
@@ -156,7 +157,7 @@ def replay(
     first, last = checked_window(recording, window)
     readings, references, _ = chosen_streams(recording, robot, (first, last), use, truth)
     if not sum(map(len, readings)):
-        raise RecordingError(f"{recording.name} holds no readings from {first:g} to {last:g} s.")
+        raise RecordingError(f"{recording.name} holds no readings from {seconds(first, last)} s.")
     refuse(examine_recording(recording, robot, readings, references, (first, last), allow))
     readings = without_false_readings(robot, readings, {}, {*recording.allow, *allow})
     times = np.linspace(first, last, max(2, round((last - first) * robot.time_rate) + 1))
@@ -291,8 +292,8 @@ class _Run:
             self.states.append(self.smoother.advance(now))
         except np.linalg.LinAlgError:
             raise ImplausibleError(
-                f"The update at {now:g} s broke down: readings and robot contradict each other "
-                f"beyond what can be computed. Check units, frames and single false readings."
+                f"The update at {seconds(now)} s broke down: readings and robot contradict each "
+                f"other beyond what can be computed. Check units, frames and single false readings."
             ) from None
         self.latency.append(time.perf_counter() - start)
         self.nis.append(np.nan if self.smoother.nis is None else self.smoother.nis)

@@ -26,6 +26,7 @@ from glissando.io.provenance import versions, write_report
 from glissando.io.recording import Recording
 from glissando.model.brief import Brief
 from glissando.model.robot import Robot
+from glissando.model.seconds import seconds
 from glissando.model.sensors.parameters import corrected
 from glissando.model.sensors.readings import Readings
 from glissando.solver.gauss_newton import Progress, SolverOptions
@@ -128,7 +129,7 @@ def checked_window(recording: Recording, window: tuple[float, float] | None) -> 
     if not first < last:
         given = window or recording.window
         advice = "give T0 < T1" if given else "the recording has no length, give --window T0 T1"
-        raise RecordingError(f"The window {first:g} to {last:g} s is empty; {advice}.")
+        raise RecordingError(f"The window {seconds(first, last, decimals=6)} s is empty; {advice}.")
     return first, last
 
 
@@ -227,8 +228,8 @@ def _require_readings(
     if sum(map(len, readings)) == 0:
         first, last = recording.span()
         raise RecordingError(
-            f"The window {window[0]:g} to {window[1]:g} s holds no readings; the recording runs "
-            f"from {first:.3f} to {last:.3f} s. Choose a window inside it."
+            f"The window {seconds(*window)} s holds no readings; the "
+            f"recording runs from {first:.3f} to {last:.3f} s. Choose a window inside it."
         )
 
 

@@ -18,6 +18,7 @@ from glissando.geometry.se3 import Array
 from glissando.io.atomic_file import write_table
 from glissando.io.plain_file import plain_text
 from glissando.model.brief import Brief
+from glissando.model.seconds import seconds
 from glissando.model.sensors.readings import Readings
 from glissando.model.sensors.sensors import sensor_class
 from glissando.model.tendons.channel import Channel
@@ -295,8 +296,9 @@ def _numbers(
             raise RecordingError(f"{path.name} line {number}: {problem} that line.")
         if clock is not None and table[count, clock] < before:
             raise RecordingError(
-                f"{path.name} line {number}: time goes back from {before:g} s to "
-                f"{table[count, clock]:g} s; sort the rows or correct the clock."
+                f"{path.name} line {number}: time goes back from "
+                f"{seconds(before, table[count, clock], decimals=6)} s; sort the rows or "
+                f"correct the clock."
             )
         before = before if clock is None else table[count, clock]
         count += 1

@@ -9,6 +9,7 @@ import numpy as np
 from glissando.errors import RecordingError
 from glissando.geometry.se3 import Array
 from glissando.io.foreign.tracks import as_numbers, text_lines
+from glissando.model.seconds import seconds
 
 
 def read_tendon_commands(path: Path, names: tuple[str, ...]) -> tuple[Array, Array]:
@@ -54,8 +55,8 @@ def read_tendon_commands(path: Path, names: tuple[str, ...]) -> tuple[Array, Arr
             )
         if rows and values[0] <= rows[-1][0]:
             raise RecordingError(
-                f"{path.name} line {number}: time {values[0]:g} s does not follow "
-                f"{rows[-1][0]:g} s; sort the rows."
+                f"{path.name} line {number}: time {seconds(values[0], decimals=6)} s does not "
+                f"follow {seconds(rows[-1][0], decimals=6)} s; sort the rows."
             )
         rows.append(values)
     if not rows:

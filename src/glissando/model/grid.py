@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from glissando.errors import OutsideGridError
 from glissando.geometry.se3 import Array
 from glissando.model.brief import Brief
+from glissando.model.seconds import seconds
 
 Index = NDArray[np.intp]
 
@@ -171,13 +172,14 @@ class Grid(Brief):
         else:
             first = outside[~in_length[outside]][:3]
             name, values, nodes, unit = "arclength", s, self.arclength, "m"
-        shown = ", ".join(f"{values[i]:.4g}" for i in first)
+        form = seconds if name == "time" else "{:.4g}".format
+        shown = ", ".join(form(values[i]) for i in first)
         rows = f"row {first[0]} has" if first.size == 1 else f"rows {_listed(first)} have"
         excess = np.maximum(values[outside] - nodes[-1], nodes[0] - values[outside]).max()
         raise OutsideGridError(
             f"{what}: {outside.size} of {s.size} rows lie outside the grid; {rows} {name} {shown} "
-            f"{unit}, up to {excess:.3g} {unit} outside [{nodes[0]:.4g}, {nodes[-1]:.4g}] {unit}. "
-            f"Correct them, widen the grid, or drop them (readings.inside(grid) does)."
+            f"{unit}, up to {excess:.3g} {unit} outside [{form(nodes[0])}, {form(nodes[-1])}] "
+            f"{unit}. Correct them, widen the grid, or drop them (readings.inside(grid) does)."
         )
 
     def locate(self, arclength: Array, time: Array) -> tuple[Cells, Cells]:

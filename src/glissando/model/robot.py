@@ -14,6 +14,7 @@ from glissando.model.mechanics import Mechanics
 from glissando.model.memory import require_memory
 from glissando.model.noise import Loss
 from glissando.model.priors.prior import Prior
+from glissando.model.seconds import seconds
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.state import DOF
 from glissando.model.tendons.tendons import Tendons
@@ -67,8 +68,8 @@ class Robot(Brief):
         wanted = max(2.0, float(np.round((stop - start) * self.time_rate)) + 1.0)
         require_memory(
             self.memory(wanted),
-            f"{start:g} to {stop:g} s at {self.time_rate:g} nodes a second would be {wanted:,.0f} "
-            f"time nodes",
+            f"{seconds(start, stop)} s at {self.time_rate:g} nodes a second would be "
+            f"{wanted:,.0f} time nodes",
             "choose a shorter window or a lower time_rate",
         )
         return Grid(self.arclength_nodes, np.linspace(start, stop, int(wanted)))

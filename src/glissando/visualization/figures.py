@@ -19,6 +19,7 @@ from glissando.estimation.confidence_tube import SIGMAS_95
 from glissando.estimation.posterior import Posterior
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
+from glissando.model.seconds import seconds
 from glissando.model.sensors.readings import Readings
 from glissando.model.sensors.sensors import CoilReadings, PoseReadings, PositionReadings
 from glissando.visualization.arrows import Arrows, arrows_of
@@ -113,7 +114,7 @@ def shape_figure(
         for time, line, colour in zip(times, lines, colours, strict=True):
             at = posterior.at(few, time)
             corners += _draw_ellipsoids(axes, at.position, at.cov_position_world, colour)
-            axes.plot(*line.T, color=colour, linewidth=2.8, zorder=3, label=f"{time:.4g} s")
+            axes.plot(*line.T, color=colour, linewidth=2.8, zorder=3, label=f"{seconds(time)} s")
         if forces:
             corners += _draw_forces(axes, forces, colours)
         corners += [_draw_truth(axes, site, time, reach) for time in times for site in sites]

@@ -19,6 +19,7 @@ from glissando.estimation.posterior import Posterior
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.io.atomic_file import write_text
+from glissando.model.seconds import seconds
 from glissando.model.sensors.readings import Readings
 from glissando.visualization.arrows import Arrows
 from glissando.visualization.page.scene import Progress, Scene, scene_of, symmetric_root
@@ -65,7 +66,8 @@ def save_view(
 def subtitle(posterior: Posterior, scene: Scene) -> str:
     """The time that is shown, and how the estimate was reached."""
     solve, time = posterior.solve, scene.time
-    return f"{time[0]:g} to {time[-1]:g} s; estimate {solve.status}, {solve.iterations} iterations"
+    span = seconds(time[0], time[-1])
+    return f"{span} s; estimate {solve.status}, {solve.iterations} iterations"
 
 
 def page(scene: Scene, title: str, subtitle: str) -> str:

@@ -12,6 +12,7 @@ from glissando.estimation.posterior import Posterior
 from glissando.evaluation.metrics import errors_against
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Index
+from glissando.model.seconds import seconds
 from glissando.model.sensors.readings import Readings
 from glissando.model.tube import Tube
 from glissando.visualization.arrows import Arrows, arrows_of
@@ -141,8 +142,8 @@ def moments(nodes: Array, window: tuple[float, float] | None) -> Array:
     first, last = window or (nodes[0], nodes[-1])
     if not nodes[0] <= first <= last <= nodes[-1]:
         raise OutsideGridError(
-            f"The window {first:g} to {last:g} s is not inside the estimate, {nodes[0]:g} to "
-            f"{nodes[-1]:g} s; give one that is."
+            f"The window {seconds(first, last)} s is not inside the estimate, "
+            f"{seconds(nodes[0], nodes[-1])} s; give one that is."
         )
     nodes = nodes[(nodes >= first) & (nodes <= last)]
     nodes = np.unique(np.concatenate([[first], nodes, [last]]))
