@@ -5,7 +5,10 @@ import pytest
 
 from glissando import Grid, PoseReadings, estimate, load_robot
 from glissando.cli.main import main
+from glissando.cli.shared import chosen_robot
 from glissando.io.netcdf import save_posterior
+from glissando.io.recording import load_recording
+from glissando.io.shipped_robots import robot_file
 
 pytest.importorskip("h5netcdf")
 
@@ -53,3 +56,17 @@ def test_a_posterior_of_another_robot_or_time_is_refused(
     file = posterior_of(length, start, tmp_path / "posterior.nc")
     assert main(words.format(file=file, rec=recording).split()) == 2
     assert said in capsys.readouterr().err
+
+
+def test_sensor_parameters_of_streams_that_the_recording_lacks_are_named(
+    recording, tmp_path, capsys
+):
+    file = tmp_path / "mine.toml"
+    offset = '\n[[sensor_parameters]]\nname = "{0}"\nkind = "mount"\nstreams = ["{0}"]\n'
+    text = robot_file("sliding700").read_text() + offset.format("tip") + offset.format("coil2")
+    file.write_text(text)
+    chosen_robot(load_recording(recording), str(file))
+    assert capsys.readouterr().err == (
+        "glissando: warning: sensor parameters of sliding700 are for 'coil2', which rec lacks; "
+        "its streams are tip.\n"
+    )

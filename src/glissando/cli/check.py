@@ -187,7 +187,7 @@ def _checks(
     posterior = load_posterior(options.target)
     recording = load_recording(options.recording)
     robot = chosen_robot(recording, options.robot)
-    readings, truth = streams_of(posterior, recording, options)
+    readings, truth = streams_of(posterior, recording, robot, options)
     status = 0 if posterior.solve.converged else 1
     errors = [errors_against(posterior, t) for t in truth]
     checks = check(errors)

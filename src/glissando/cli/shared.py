@@ -22,7 +22,7 @@ from glissando.cli.silent import refuse_silent
 from glissando.errors import GlissandoError, NotConvergedWarning, RobotFileError
 from glissando.estimation.posterior import Posterior
 from glissando.evaluation.plausibility.examine import examine_recording
-from glissando.evaluation.plausibility.finding import Finding
+from glissando.evaluation.plausibility.finding import Finding, listed
 from glissando.evaluation.run import Run, checked_window, chosen_streams, run_estimate
 from glissando.io.atomic_file import write_text
 from glissando.io.netcdf import load_posterior
@@ -84,6 +84,8 @@ def add_choices(parser: argparse.ArgumentParser) -> None:
 def chosen_robot(recording: Recording, name: str | None) -> Robot:
     """The robot of that name or file, else the recording's own.
 
+    A line on stderr names streams that its sensor parameters are for and the recording lacks.
+
     Raises:
         RobotFileError: If there is neither.
     """
@@ -93,14 +95,22 @@ def chosen_robot(recording: Recording, name: str | None) -> Robot:
             f"{recording.name} does not name its robot and no shipped robot fits; "
             f"give --robot FILE or one of {', '.join(shipped_robots())}."
         )
+    named = dict.fromkeys(s for p in robot.sensor_parameters for s in p.streams)
+    lacking = [stream for stream in named if stream not in recording.streams]
+    if lacking:
+        print(
+            f"glissando: warning: sensor parameters of {robot.name} are for {listed(lacking)}, "
+            f"which {recording.name} lacks; its streams are {', '.join(recording.streams)}.",
+            file=sys.stderr,
+        )
     return robot
 
 
 def streams_of(
-    posterior: Posterior, recording: Recording, options: argparse.Namespace
+    posterior: Posterior, recording: Recording, robot: Robot, options: argparse.Namespace
 ) -> tuple[list[Readings], list[Readings]]:
     """The readings and the truth of the recording that a posterior was estimated from."""
-    robot, time = chosen_robot(recording, options.robot), posterior.grid.time
+    time = posterior.grid.time
     require_pair(posterior, robot, recording.name, recording.span())
     window = (float(time[0]), float(time[-1]))
     return chosen_streams(recording, robot, window, options.use, options.truth)[:2]
@@ -213,9 +223,9 @@ def posterior_shown(options: argparse.Namespace) -> Shown:
         tube = load_robot(options.robot).tube if options.robot else None
         return Shown(posterior, [], [], options.target.resolve().name, "", tube)
     recording = load_recording(options.recording)
-    tube = chosen_robot(recording, options.robot).tube
-    streams = streams_of(posterior, recording, options)
-    return Shown(posterior, *streams, recording.name, "", tube)
+    robot = chosen_robot(recording, options.robot)
+    streams = streams_of(posterior, recording, robot, options)
+    return Shown(posterior, *streams, recording.name, "", robot.tube)
 
 
 def _start(options: argparse.Namespace, recording: Recording, robot: Robot) -> Posterior | None:
