@@ -14,8 +14,10 @@ def place(tmp_path_factory):
     )
     head = "time,arclength,x,y,z,qw,qx,qy,qz\n"
     (folder / "rec" / "coil.csv").write_text(head + "0,0.7,0,0,0.7,1,0,0,0\n")
-    (folder / "posterior.nc").write_text("not read")
     (folder / "still.toml").write_text('robot = "sliding700"\n[mocap]\n')
+    (folder / "results").mkdir()
+    for saved in ("posterior.nc", "results/posterior.nc"):
+        (folder / saved).write_text("not read")
     return folder
 
 
@@ -29,6 +31,7 @@ def place(tmp_path_factory):
         ("check rec --recording rec", "a recording, which has its own truth"),
         ("check posterior.nc --recording rec --leave-out", "a posterior"),
         ("check posterior.nc --recording rec --window 0 1", "a posterior"),
+        ("check results --recording rec --window 0 1", "a posterior"),
         ("check --draws 20 --robot sliding700 --store-tube t.toml", "--draws"),
         ("check --draws 20 --robot sliding700 --window 0 1", "--draws without a recording"),
         ("design --zone 0:0.7 --sensor coil=1 --strokes 0.1", "--sensor"),

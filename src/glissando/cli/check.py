@@ -79,7 +79,7 @@ def add_to(commands: Commands) -> None:
     texts = _HELP, _EXAMPLES
     parser = add_command(commands, "check", texts, _check)
     add = parser.add_argument
-    target = "folder, or a posterior.nc"
+    target = "folder, or a posterior.nc or the folder it is in"
     add("target", type=Path, nargs="?", metavar="RECORDING|POSTERIOR", help=target)
     add("--recording", type=Path, metavar="FOLDER", help="where the truth of a posterior is")
     add_choices(parser)
@@ -96,6 +96,8 @@ def add_to(commands: Commands) -> None:
 def _check(options: argparse.Namespace) -> int:
     if options.out:
         require_writable(options.out)
+    if options.draws is None and options.target is not None:
+        options.target = _of_results(options.target)
     if options.store_tube:
         require_spared("--store-tube", options.store_tube, options.target, options.recording)
     _refuse_silent(options)
@@ -122,6 +124,13 @@ def _check(options: argparse.Namespace) -> int:
         if tube:
             print(_TUBE.format(**tube))
     return status
+
+
+def _of_results(target: Path) -> Path:
+    """The posterior of a folder of results, else what was given."""
+    inside = target / "posterior.nc"
+    held = inside.is_file() and not (target / "recording.toml").exists()
+    return inside if held else target
 
 
 def _refuse_silent(options: argparse.Namespace) -> None:
