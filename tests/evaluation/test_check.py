@@ -4,8 +4,11 @@ import json
 
 import numpy as np
 import pytest
+from rich.console import Console
 
+from glissando.cli.check import _table
 from glissando.cli.main import main
+from glissando.cli.tables import site_table
 from glissando.evaluation.consistency import LEVELS, Consistency, check, effective_samples
 from glissando.evaluation.metrics import Errors
 
@@ -71,6 +74,18 @@ def test_sites_are_judged_alone_and_together_and_what_is_missing_is_left_out():
     ]  # fmt: skip
 
 
+def test_a_long_name_folds_on_a_narrow_terminal_and_no_number(capsys):
+    name = "aurora_sensor_number_one"
+    nees = series(np.random.default_rng(4), 50, 0.0)
+    Console(width=76).print(_table("position", [Consistency(name, 0.123, "position", nees, 3, 50)]))
+    table = site_table("title", ("s (m)", "samples", "position (mm)", "rotation (deg)", "NEES"))
+    table.add_row(name, "0.4660", "1234", "12.345", "123.45", "1.03")
+    Console(width=60).print(table)
+    printed = capsys.readouterr().out
+    for whole in ("0.123", f"{np.mean(nees) / 3:.2f}", "0.4660", "1234", "12.345", "123.45"):
+        assert f" {whole} " in printed
+
+
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory):
     folder = tmp_path_factory.mktemp("check") / "C"
@@ -112,6 +127,7 @@ def test_the_check_is_printed_and_drawn(recording, tmp_path, capsys):
     [
         (["nowhere"], "no recording folder or posterior"),
         (["posterior.nc"], "give the folder that does with --recording"),
+        (["."], "give the folder that does with --recording"),
     ],
 )
 def test_a_mistake_is_one_sentence(tmp_path, monkeypatch, capsys, arguments, sentence):

@@ -215,11 +215,11 @@ def _table(quantity: str, checks: Sequence[Consistency]) -> Table:
     table = Table(
         title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False, collapse_padding=True
     )
-    table.add_column("site", no_wrap=True)
+    table.add_column("site", overflow="fold")
     headings = ["s (m)", "NEES", "if true", *(f"{100 * level:g} %" for level in LEVELS), "worth"]
     for heading in headings:
         table.add_column(heading, justify="right", no_wrap=True)
-    table.add_column("confidence", no_wrap=True)
+    table.add_column("confidence", overflow="fold")
     for c in checks:
         low, high = c.mean_bounds()
         place = "" if math.isnan(c.arclength) else f"{c.arclength:.3f}"

@@ -86,10 +86,10 @@ def _print(robot: Robot, check: SimulationCheck) -> None:
     count = check.checks[0].ranks.size
     title = f"{robot.name}, {check.estimator}: ranks of the truth in {count} drawn sessions"
     table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
-    table.add_column("quantity", no_wrap=True)
+    table.add_column("quantity", overflow="fold")
     for heading in ("chance if true", "below 5 %", "above 95 %"):
         table.add_column(heading, justify="right", no_wrap=True)
-    table.add_column("ranks", no_wrap=True)
+    table.add_column("ranks", overflow="fold")
     for c in check.checks:
         verdict = "uniform" if c.p_value >= check.p_limit else "not uniform"
         shares = (f"{100 * _share(c.ranks, *ends):.0f} %" for ends in ((-1.0, 0.05), (0.95, 1.0)))

@@ -16,11 +16,11 @@ _PARAMETER_UNITS = {
 
 
 def site_table(title: str, headings: Sequence[str]) -> Table:
-    """A table with a row a site, which 80 columns hold."""
+    """A table with a row a site, which 80 columns hold; a long name folds, numbers do not."""
     table = Table(
         title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False, collapse_padding=True
     )
-    table.add_column("site", no_wrap=True)
+    table.add_column("site", overflow="fold")
     for heading in headings:
         table.add_column(heading, justify="right")
     return table
