@@ -98,6 +98,18 @@ def test_the_ending_of_a_file_chooses_its_format(tmp_path, ending, begins):
         save_figure(Figure(), tmp_path / "a.bmp")
 
 
+def test_a_figure_without_room_for_its_axes_is_refused(scene, tmp_path, capsys):
+    small = error_figure(*scene, size=(1.0, 0.7))
+    with pytest.raises(GlissandoError, match=r"25\.4 × 17\.8 mm has no room"):
+        save_figure(small, tmp_path / "e.png")
+    assert not any(tmp_path.iterdir())
+    with pytest.raises(GlissandoError, match="88 × 60 inches cannot be; give a size in inches"):
+        confidence_figure(*scene, size=(88.0, 60.0))
+    for size in ("88000,60", "3.5,2.4"):
+        assert main(["figure", "shape", "r", "--size", size, "--out", str(tmp_path / "s.png")]) == 2
+        assert f"--size {size}: give width and height in mm, from 10" in capsys.readouterr().err
+
+
 @pytest.mark.slow
 def test_the_command_draws_what_is_asked_for(scene, tmp_path, capsys):
     save_posterior(scene[0], tmp_path / "posterior.nc")

@@ -20,7 +20,7 @@ from glissando.cli.shared import (
 from glissando.cli.silent import refuse_silent
 from glissando.errors import GlissandoError
 from glissando.estimation.contact import scan_contacts
-from glissando.visualization.canvas import save_figure
+from glissando.visualization.canvas import INCH, SIDES, save_figure
 from glissando.visualization.contact_figure import contact_figure, mapped_times
 from glissando.visualization.figures import confidence_figure, error_figure, shape_figure
 
@@ -43,7 +43,6 @@ examples:
 exit status: 0 done; 1 the estimate did not converge; 2 something given was wrong.
 """
 _KINDS = ("shape", "confidence", "error", "contacts")
-_INCH = 25.4  # mm
 
 
 def add_to(commands: Commands) -> None:
@@ -62,9 +61,15 @@ def add_to(commands: Commands) -> None:
 
 def _figure(options: argparse.Namespace) -> int:
     require_writable(options.out.parent)
-    size = [number("--size", text) / _INCH for text in options.size or ()]
-    if options.size and (len(size) != 2 or min(size) <= 0.0):
-        raise GlissandoError(f"--size {','.join(options.size)}: give width and height in mm.")
+    size = [number("--size", text) / INCH for text in options.size or ()]
+    least, most = SIDES
+    if options.size and (
+        len(size) != 2 or not least <= INCH * min(size) <= INCH * max(size) <= most
+    ):
+        raise GlissandoError(
+            f"--size {','.join(options.size)}: give width and height in mm, from {least:g} to "
+            f"{most:g}."
+        )
     look: dict[str, Any] = {"size": (size[0], size[1])} if size else {}
     points = options.font_size
     if points is not None:

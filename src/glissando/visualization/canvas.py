@@ -6,6 +6,7 @@ so no window opens and no global plotting state changes.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -21,6 +22,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MM = 1e3
+INCH = 25.4  # mm
+SIDES = 10.0, 2000.0
+"""Least and largest side of a figure, mm."""
 BAND = float(np.sqrt(chi_square_quantile(0.95, 1)))
 """Standard deviations to the ends of a band that holds 95 % of one component."""
 AXES = {"x": "#D55E00", "y": "#009E73", "z": "#0072B2"}  # Okabe and Ito: safe for all eyes
@@ -64,6 +68,11 @@ def panels_on(
     given: Any, shape: tuple[int, int], size: tuple[float, float], style: Style, **look: Any
 ) -> Iterator[Any]:
     """Axes (R, C) of a new figure of that size, or those that were given, and the look."""
+    if not SIDES[0] <= INCH * min(size) <= INCH * max(size) <= SIDES[1]:
+        raise GlissandoError(
+            f"A figure of {size[0]:g} × {size[1]:g} inches cannot be; give a size in inches, from "
+            f"{SIDES[0] / INCH:.1f} to {SIDES[1] / INCH:.0f}."
+        )
     with canvas(*size, style) as figure:
         if given is None:
             yield figure.subplots(*shape, squeeze=False, **look)
@@ -106,7 +115,7 @@ def save_figure(drawn: Any, path: str | Path) -> Path:
         path: A .png, .pdf or .svg.
 
     Raises:
-        GlissandoError: Another ending, or the disk refused.
+        GlissandoError: Another ending, no room beside the text, or the disk refused.
     """
     path = Path(path)
     if path.suffix.lower() not in (".png", ".pdf", ".svg"):
@@ -114,5 +123,19 @@ def save_figure(drawn: Any, path: str | Path) -> Path:
     figure = np.ravel(np.asarray(drawn, dtype=object))[0].figure
     with canvas(1.0, 1.0), new_file(path) as building:  # for the fonts of its style
         undated = {".pdf": "CreationDate", ".svg": "Date"}.get(path.suffix.lower())
-        figure.savefig(building, dpi=150, metadata={undated: None} if undated else None)
+        _draw(figure, building, {undated: None} if undated else None)
     return path
+
+
+def _draw(figure: Figure, path: Path, metadata: dict[str, None] | None) -> None:
+    """Write a figure, unless its text leaves no room for its axes."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("error", "constrained_layout not applied")
+        try:
+            figure.savefig(path, dpi=150, metadata=metadata)
+        except UserWarning:
+            width, height = INCH * figure.get_size_inches()
+            raise GlissandoError(
+                f"A figure of {width:.3g} × {height:.3g} mm has no room for its axes beside its "
+                f"text; give a larger size or a smaller font."
+            ) from None

@@ -26,10 +26,12 @@ from glissando.visualization.arrows import Arrows, arrows_of
 from glissando.visualization.canvas import (
     AXES,
     BAND,
+    INCH,
     MARKERS,
     MM,
     NO_STYLE,
     SENSORS,
+    SIDES,
     Style,
     describe,
     panels_on,
@@ -289,7 +291,10 @@ def error_figure(
     sites = _places(truth, posterior.grid)
     if not sites:
         raise GlissandoError("No truth position lies on the grid: give a stream that overlaps it.")
-    size, shares = size or (11.0, 0.9 + 1.75 * len(sites)), {"sharex": True, "sharey": "row"}
+    size, shares = (
+        size or (11.0, min(0.9 + 1.75 * len(sites), SIDES[1] / INCH)),
+        {"sharex": True, "sharey": "row"},
+    )
     with panels_on(ax, (len(sites), 3), size, style, **shares) as table:
         for row, site in zip(table, sites, strict=True):
             _draw_errors(row, posterior, site)
