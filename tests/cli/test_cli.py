@@ -145,6 +145,7 @@ def test_a_mistake_is_one_sentence_and_status_2(recording, capsys, arguments, se
         ("time, arclength\n0.1,nan\n", "line 2: give a number for time"),
         ("time,arclength\n0.1,oops\n", "line 2: give a number for time"),
         ("time,arclength\n0.1,0.9\n", "line 2: time 0.1 s, arclength 0.9 m lies outside"),
+        ("time,arclength\n\n0.1,0.1\n\n0.1,0.9\n", "line 5: time 0.1 s, arclength 0.9 m"),
     ],
 )
 def test_a_bad_query_is_one_sentence(recording, tmp_path, capsys, text, sentence):

@@ -121,4 +121,4 @@ def test_the_command_draws_what_is_asked_for(scene, tmp_path, capsys):
     assert main([*call, "--size", "80"]) == 2
     assert "give width and height in mm" in capsys.readouterr().err
     assert main(["figure", "error", str(tmp_path), "--out", str(tmp_path / "e.pdf")]) == 2
-    assert "No truth position" in capsys.readouterr().err
+    assert "give the folder that does with --recording" in capsys.readouterr().err

@@ -166,13 +166,13 @@ def _checked_query(
     options: argparse.Namespace, recording: Recording, robot: Robot
 ) -> tuple[Array, Array]:
     """Times and arclengths of the query, checked before any work is done."""
-    time, arclength = read_query(options.query)
+    time, arclength, lines = read_query(options.query)
     window = checked_window(recording, tuple(options.window) if options.window else None)
     inside = robot.grid(*window).contains(arclength, time)
     if not np.all(inside):
         row = int(np.argmin(inside))
         raise GlissandoError(
-            f"{options.query.name} line {row + 2}: time "
+            f"{options.query.name} line {lines[row]}: time "
             f"{seconds(time[row], decimals=6)} s, arclength "
             f"{arclength[row]:g} m lies outside {seconds(*window, decimals=6)} s or the robot, "
             f"0 to {robot.length:g} m; correct or delete that line."

@@ -83,6 +83,10 @@ def _figure(options: argparse.Namespace) -> int:
         refuse_silent(options, "a posterior, which is drawn whole", "window")
         if options.recording is None:
             refuse_silent(options, "a figure of a posterior without --recording", "robot")
+            if options.kind == "error":
+                raise GlissandoError(
+                    "A posterior holds no truth: give the folder that does with --recording FOLDER."
+                )
     shown = posterior_shown(options)
     with working("drawing"):
         if options.kind == "shape":

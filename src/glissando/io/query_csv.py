@@ -26,14 +26,14 @@ LOAD_COLUMNS = [f"{what}_{axis}" for what in ("n", "m", "std_n", "std_m") for ax
 """Columns of an internal wrench: force and moment in the body frame, N and N m, and their std."""
 
 
-def read_query(path: Path) -> tuple[Array, Array]:
+def read_query(path: Path) -> tuple[Array, Array, list[int]]:
     """Read the points of a CSV file with the columns time and arclength.
 
     Args:
         path: The CSV file; other columns are ignored.
 
     Returns:
-        Times (M,) in seconds and arclengths (M,) in metres.
+        Times (M,) in seconds, arclengths (M,) in metres, and the lines of the file.
 
     Raises:
         GlissandoError: If the file cannot be read, or a row is not two finite numbers.
@@ -61,7 +61,7 @@ def read_query(path: Path) -> tuple[Array, Array]:
             raise GlissandoError(
                 f"{path.name} line {number}: give a number for time and one for arclength."
             )
-    return points[:, 0], points[:, 1]
+    return points[:, 0], points[:, 1], [number for number, _ in lines[1:]]
 
 
 def write_query(
