@@ -74,7 +74,8 @@ def add_to(commands: Commands) -> None:
     add("--animate", action="store_true", help="also write an animation, shape.mp4 or .gif, in DIR")
     add("--view", action="store_true", help="also write view.html, the robot over time, in DIR")
     add("--start", type=Path, metavar="FILE.nc", help="start from an earlier posterior.nc")
-    add("--max-iterations", type=int, metavar="N", help="most iterations (default: 100)")
+    most = "most iterations, after the rough ones that find a start (default: 100)"
+    add("--max-iterations", type=int, metavar="N", help=most)
     wrenches = "print what acts on the robot, map contacts, add internal wrenches to query.csv"
     add("--loads", action="store_true", help=wrenches)
     add("--json", action="store_true", help="print one JSON object and nothing else")

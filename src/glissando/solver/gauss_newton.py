@@ -47,7 +47,8 @@ class SolverOptions:
     mean of a thousand unknowns moves by far less than this in any of them.
 
     Attributes:
-        max_iterations: Most iterations.
+        max_iterations: Most iterations, after the rough ones over few time nodes that find a
+            start; a report counts those, too.
         tolerance: Length of a step that is negligible, standard deviations.
         settled: Iterations after which weights are fixed, so that the cost can only fall.
     """
