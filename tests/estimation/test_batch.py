@@ -7,13 +7,18 @@ import pytest
 import results
 from glissando import (
     BaseDensity,
+    FixedLagSmoother,
     GemanMcClure,
+    GlissandoError,
     Huber,
     NotConvergedWarning,
     PoseReadings,
+    Posterior,
+    SensorParameter,
     SolverOptions,
     State,
     estimate,
+    estimate_static,
     load_robot,
     uniform_grid,
 )
@@ -166,6 +171,32 @@ def test_a_roll_that_no_sensor_sees_is_an_error_not_a_number():
     alone = dataclasses.replace(coil, values=straight)
     with pytest.raises(UnobservableError, match="singular"):
         estimate(dataclasses.replace(prior, base=None), grid, [alone])
+
+
+def test_an_argument_of_another_kind_is_one_sentence():
+    prior, grid, readings = sliding_scene()
+    robot, nodes = load_robot("tdcr466"), grid.arclength
+    offset = SensorParameter("home", "arclength_offset", ("coil",), [0.0], [1e-3])
+    posterior = Posterior(*[None] * 8)
+    smoother = FixedLagSmoother(prior, nodes)
+    for call, said in (
+        (lambda: estimate(robot, grid, readings), "prior is a Robot; give robot.prior"),
+        (lambda: estimate(prior, nodes, readings), r"grid is a ndarray; give robot.grid\("),
+        (lambda: estimate(prior, grid, readings[0]), "readings are a PoseReadings; give a list"),
+        (lambda: estimate(prior, grid, [readings]), "readings hold a list; give a list"),
+        (lambda: estimate(prior, grid, readings, initial=posterior), "give posterior.states_on"),
+        (lambda: estimate(prior, grid, readings, options={}), "options is a dict; give Solver"),
+        (lambda: estimate(prior, grid, readings, sensor_parameters=offset), "a list of Sensor"),
+        (lambda: FixedLagSmoother(prior, nodes, sensor_parameters=[offset] * 2), "'home'; rename"),
+        (lambda: FixedLagSmoother(robot, nodes), "prior is a Robot"),
+        (lambda: FixedLagSmoother(prior, nodes, window=2.5), "2.5; give a whole number"),
+        (lambda: FixedLagSmoother(prior, 1e3 * nodes), "466 m; give metres"),
+        (lambda: smoother.add(readings), "stream is a list; give the readings of one"),
+        (lambda: estimate_static(robot, nodes, []), "prior is a Robot"),
+        (lambda: dataclasses.replace(offset, streams="coil"), "streams is 'coil'; give a list"),
+    ):
+        with pytest.raises(GlissandoError, match=said):
+            call()
 
 
 def test_readings_off_the_grid_are_named():

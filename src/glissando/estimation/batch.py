@@ -13,12 +13,12 @@ import numpy as np
 from glissando._kernels.threads import one_thread
 from glissando.errors import (
     NotConvergedWarning,
-    OutsideGridError,
     SensorError,
     UnobservableError,
 )
 from glissando.estimation.channels import settled
 from glissando.estimation.delays import with_unseen_delays
+from glissando.estimation.given import require_batch
 from glissando.estimation.outliers import CHANCE, Mask, judged, used_at_first
 from glissando.estimation.posterior import Posterior, SolveReport
 from glissando.estimation.starting_point import starting_point, with_parameters
@@ -72,11 +72,12 @@ def estimate(
         OutsideGridError: A reading or the initial state is not on the grid.
         UnobservableError: Prior and readings leave a direction of the state undetermined.
         SensorError: Readings are not in a list, a sensor is not sound, or no shape comes near.
+        GlissandoError: An argument is of another class than it should be.
 
     Warns:
         NotConvergedWarning: The iteration stopped early; the posterior's report says so, too.
     """
-    _require_sound(prior, grid, readings, initial)
+    require_batch(prior, grid, readings, sensor_parameters, initial, options)
     if any(r.channel for r in readings):
         again = partial(
             estimate, prior, grid, sensor_parameters=sensor_parameters,
@@ -220,24 +221,6 @@ def _far_off(grid: Grid, prior: Prior, readings: Sequence[Readings]) -> SensorEr
         f"Check units (mm for m, degrees for radians) and frames."
     )
     return SensorError(said) if where else None
-
-
-def _require_sound(
-    prior: Prior, grid: Grid, readings: Sequence[Readings], initial: State | None
-) -> None:
-    """Raise for what cannot be estimated, before anything is computed."""
-    if isinstance(readings, Readings):
-        raise SensorError("Readings go in a list, a sensor each: estimate(prior, grid, [coil]).")
-    if initial is not None and initial.pose.shape[:2] != grid.shape:
-        raise OutsideGridError(
-            f"The initial state has {initial.pose.shape[:2]} nodes and the grid {grid.shape}; give "
-            f"a state of this grid."
-        )
-    if not prior.fixes_base and not any(r.fixes_base and len(r) for r in readings):
-        raise UnobservableError(
-            "Nothing fixes the base: the robot has no [base] and no pose, coil or position stream "
-            "is used. Give the robot a [base], or use a stream that fixes it."
-        )
 
 
 def _after(before: int, progress: Progress | None) -> Progress | None:

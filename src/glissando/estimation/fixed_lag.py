@@ -21,6 +21,7 @@ from glissando.estimation.channels import place_in_channel
 from glissando.estimation.contact import ContactScan, force_variance, scan_of
 from glissando.estimation.contact_evidence import ErrorPrior, error_priors, force_evidence
 from glissando.estimation.delays import delayed
+from glissando.estimation.given import require_model, require_stream, require_window
 from glissando.estimation.loads import require_mechanics
 from glissando.estimation.posterior import Posterior, StateEstimate, state_at
 from glissando.estimation.sliding_window import SlidingWindow
@@ -61,12 +62,13 @@ class FixedLagSmoother:
             gate: Chance below which an innovation is refused; None refuses none.
 
         Raises:
-            OutsideGridError: The window is empty.
+            OutsideGridError: The window is empty or no whole number, or nodes are in millimetres.
+            GlissandoError: The prior is none, or two sensor parameters have one name.
         """
-        if window < 1:
-            raise OutsideGridError(f"A window of {window} time nodes is empty; give 1 or more.")
+        require_window(window)
         load("window")
         self.arclength = np.asarray(arclength, dtype=float)
+        require_model(prior, self.arclength, sensor_parameters)
         _meet(prior, self.arclength)
         self.lag = window
         self._known = [p for p in sensor_parameters if p.known]
@@ -94,6 +96,7 @@ class FixedLagSmoother:
         Raises:
             SensorError: The stream changed its kind.
         """
+        require_stream(readings)
         readings = corrected(readings, self._known)
         if self._undelayed is not None and readings.name not in self._late:
             self._undelayed.take(readings)

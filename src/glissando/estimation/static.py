@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from glissando._kernels.threads import one_thread
 from glissando.errors import OutsideGridError
 from glissando.estimation.batch import estimate
+from glissando.estimation.given import require_model, require_options, require_streams
 from glissando.estimation.loads import (
     WrenchEstimate,
     internal_wrench,
@@ -171,6 +172,9 @@ def estimate_static(
     array([[ 0.012,  0.   ,  0.232],
            [ 0.   , -0.025,  0.231]])
     """
+    require_model(prior, np.asarray(arclength, dtype=float))
+    require_streams(readings)
+    require_options(options)
     given, options = [r for r in readings if len(r)], options or SolverOptions()
     for r in given:
         _require_whole(r.time, r.label)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -71,7 +72,7 @@ class SensorParameter:
         correlation_time: Seconds for which it is remembered; infinite for a constant.
 
     Raises:
-        SensorError: The kind is not known, or sizes do not fit.
+        SensorError: The kind is not known, sizes do not fit, or streams are no list.
     """
 
     name: str
@@ -86,6 +87,11 @@ class SensorParameter:
             kinds = ", ".join(SIZES)
             raise SensorError(
                 f"Sensor parameter {self.name!r} is a {self.kind!r}; choose one of {kinds}."
+            )
+        streams: Any = self.streams
+        if isinstance(streams, str):
+            raise SensorError(
+                f"Sensor parameter {self.name!r}: streams is {streams!r}; give a list of names."
             )
         for part in ("value", "std"):
             given = np.asarray(getattr(self, part), dtype=float)

@@ -1,0 +1,110 @@
+"""Whether what an estimator is given is what it asks for: said in a sentence, before any work."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from typing import Any
+
+import numpy as np
+
+from glissando.errors import GlissandoError, OutsideGridError, SensorError, UnobservableError
+from glissando.geometry.se3 import Array
+from glissando.model.grid import Grid
+from glissando.model.priors.prior import Prior
+from glissando.model.sensors.parameters import SensorParameter
+from glissando.model.sensors.readings import Readings
+from glissando.model.state import State
+from glissando.solver.gauss_newton import SolverOptions
+
+_LONGEST = 50.0  # m of a robot, as in a robot file
+
+
+def require_batch(
+    prior: Prior,
+    grid: Grid,
+    readings: Sequence[Readings],
+    sensor_parameters: Sequence[SensorParameter],
+    initial: State | None,
+    options: SolverOptions | None,
+) -> None:
+    """Raise GlissandoError for what cannot be estimated as a recording."""
+    _require_kind(grid, Grid, "grid", "give robot.grid(first, last) or a Grid")
+    require_model(prior, grid.arclength, sensor_parameters)
+    require_streams(readings)
+    require_options(options)
+    if initial is not None:
+        _require_kind(initial, State, "initial state", "give posterior.states_on(grid) or a State")
+        if initial.pose.shape[:2] != grid.shape:
+            raise OutsideGridError(
+                f"The initial state has {initial.pose.shape[:2]} nodes and the grid {grid.shape}; "
+                f"give a state of this grid."
+            )
+    if not prior.fixes_base and not any(r.fixes_base and len(r) for r in readings):
+        raise UnobservableError(
+            "Nothing fixes the base: the robot has no [base] and no pose, coil or position stream "
+            "is used. Give the robot a [base], or use a stream that fixes it."
+        )
+
+
+def require_model(
+    prior: Prior, arclength: Array, sensor_parameters: Sequence[SensorParameter] = ()
+) -> None:
+    """Raise GlissandoError for no prior, nodes in millimetres, or parameters of one name."""
+    if not hasattr(prior, "rest_state"):
+        raise GlissandoError(f"The prior is a {type(prior).__name__}; give robot.prior or a Prior.")
+    longest = float(np.max(arclength, initial=0.0))
+    if longest > _LONGEST:
+        raise OutsideGridError(
+            f"The arclength nodes reach {longest:g} m; give metres, not millimetres."
+        )
+    names = set()
+    for parameter in _listed(sensor_parameters, SensorParameter, "sensor parameters"):
+        if parameter.name in names:
+            raise SensorError(f"Two sensor parameters are named {parameter.name!r}; rename one.")
+        names.add(parameter.name)
+
+
+def require_streams(readings: Sequence[Readings]) -> None:
+    """Raise SensorError unless readings are a list of streams."""
+    _listed(readings, Readings, "readings")
+
+
+def require_options(options: SolverOptions | None) -> None:
+    """Raise GlissandoError for options of another class, such as a dict."""
+    if options is not None:
+        _require_kind(options, SolverOptions, "options", "give SolverOptions(max_iterations=…)")
+
+
+def require_stream(readings: Readings) -> None:
+    """Raise GlissandoError unless these are the readings of one stream."""
+    _require_kind(readings, Readings, "stream", "give the readings of one sensor at a time")
+
+
+def require_window(window: int) -> None:
+    """Raise OutsideGridError unless a window is a whole number of time nodes."""
+    if not isinstance(window, int | np.integer):
+        raise OutsideGridError(
+            f"The window is {window!r}; give a whole number of time nodes, of which a robot has "
+            f"time_rate a second."
+        )
+    if window < 1:
+        raise OutsideGridError(f"A window of {window} time nodes is empty; give 1 or more.")
+
+
+def _require_kind(given: Any, kind: type, name: str, advice: str) -> None:
+    if not isinstance(given, kind):
+        raise GlissandoError(f"The {name} is a {type(given).__name__}; {advice}.")
+
+
+def _listed(given: Any, kind: type, name: str) -> Any:
+    """The entries of a list, each of one class; raises SensorError for anything else."""
+    if isinstance(given, kind) or not isinstance(given, Collection):
+        raise SensorError(
+            f"The {name} are a {type(given).__name__}; give a list of {kind.__name__}."
+        )
+    for entry in given:
+        if not isinstance(entry, kind):
+            raise SensorError(
+                f"The {name} hold a {type(entry).__name__}; give a list of {kind.__name__}."
+            )
+    return given
