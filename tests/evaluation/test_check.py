@@ -77,6 +77,9 @@ def test_sites_are_judged_alone_and_together_and_what_is_missing_is_left_out():
 def test_a_long_name_folds_on_a_narrow_terminal_and_no_number(capsys):
     name = "aurora_sensor_number_one"
     nees = series(np.random.default_rng(4), 50, 0.0)
+    usual = Consistency("mocap_700", 0.123, "position", 3.0 * nees, 3, 50)
+    Console(width=80).print(_table("position", [usual]))
+    assert "overconfident" in capsys.readouterr().out
     Console(width=76).print(_table("position", [Consistency(name, 0.123, "position", nees, 3, 50)]))
     table = site_table("title", ("s (m)", "samples", "position (mm)", "rotation (deg)", "NEES"))
     table.add_row(name, "0.4660", "1234", "12.345", "123.45", "1.03")

@@ -120,7 +120,7 @@ def _check(options: argparse.Namespace) -> int:
         print(json.dumps(document))
     else:
         for quantity in dict.fromkeys(c.quantity for c in checks):
-            Console().print(_table(quantity, [c for c in checks if c.quantity == quantity]))
+            Console().print(_table(quantity, [c for c in checks if c.quantity == quantity]), "")
         if tube:
             print(_TUBE.format(**tube))
     return status
@@ -213,7 +213,12 @@ def _say(left: str, number: int, count: int) -> None:
 def _table(quantity: str, checks: Sequence[Consistency]) -> Table:
     title = f"{quantity}: squared error per dof in units of its variance, and share inside"
     table = Table(
-        title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False, collapse_padding=True
+        title=title,
+        title_justify="left",
+        box=SIMPLE_HEAD,
+        pad_edge=False,
+        show_edge=False,  # two columns that 80 need
+        collapse_padding=True,
     )
     table.add_column("site", overflow="fold")
     headings = ["s (m)", "NEES", "if true", *(f"{100 * level:g} %" for level in LEVELS), "worth"]
