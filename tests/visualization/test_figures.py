@@ -110,6 +110,20 @@ def test_a_figure_without_room_for_its_axes_is_refused(scene, tmp_path, capsys):
         assert f"--size {size}: give width and height in mm, from 10" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("--out a.bmp", "'a.bmp' is no figure: end it in"),
+        ("--out a.png --font-size inf", "--font-size inf: give points, up to 100"),
+        ("--out a.png --times ,", "--times names no time"),
+        ("--out a.png --size ,", "give width and height in mm"),
+    ],
+)
+def test_what_cannot_be_drawn_is_refused_before_an_estimate(capsys, words, said):
+    assert main(["figure", "shape", "nowhere", *words.split()]) == 2
+    assert said in capsys.readouterr().err
+
+
 @pytest.mark.slow
 def test_the_command_draws_what_is_asked_for(scene, tmp_path, capsys):
     save_posterior(scene[0], tmp_path / "posterior.nc")

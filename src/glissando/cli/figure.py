@@ -20,7 +20,7 @@ from glissando.cli.shared import (
 from glissando.cli.silent import refuse_silent
 from glissando.errors import GlissandoError
 from glissando.estimation.contact import scan_contacts
-from glissando.visualization.canvas import INCH, SIDES, save_figure
+from glissando.visualization.canvas import INCH, SIDES, require_ending, save_figure
 from glissando.visualization.contact_figure import contact_figure, mapped_times
 from glissando.visualization.figures import confidence_figure, error_figure, shape_figure
 
@@ -42,6 +42,7 @@ examples:
 
 exit status: 0 done; 1 the estimate did not converge; 2 something given was wrong.
 """
+_LARGEST = 100.0  # points of text
 _KINDS = ("shape", "confidence", "error", "contacts")
 
 
@@ -60,23 +61,12 @@ def add_to(commands: Commands) -> None:
 
 
 def _figure(options: argparse.Namespace) -> int:
+    require_ending(options.out)
     require_writable(options.out.parent)
-    size = [number("--size", text) / INCH for text in options.size or ()]
-    least, most = SIDES
-    if options.size and (
-        len(size) != 2 or not least <= INCH * min(size) <= INCH * max(size) <= most
-    ):
-        raise GlissandoError(
-            f"--size {','.join(options.size)}: give width and height in mm, from {least:g} to "
-            f"{most:g}."
-        )
-    look: dict[str, Any] = {"size": (size[0], size[1])} if size else {}
-    points = options.font_size
-    if points is not None:
-        if not points > 0.0:
-            raise GlissandoError(f"--font-size {points:g}: give points above zero.")
-        look["style"] = {"font.size": points, "axes.titlesize": points}
-    times = [number("--times", text) for text in options.times] if options.times else None
+    look = _look(options)
+    times = None if options.times is None else [number("--times", t) for t in options.times]
+    if times == []:
+        raise GlissandoError("--times names no time; give seconds, separated by commas.")
     if options.kind != "shape":
         refuse_silent(options, f"the figure {options.kind}", "times")
     if options.target.is_file() or (options.target / "posterior.nc").is_file():
@@ -103,3 +93,23 @@ def _figure(options: argparse.Namespace) -> int:
     if shown.complaint:
         print(f"glissando: {shown.complaint}", file=sys.stderr)
     return 0 if shown.posterior.solve.converged else 1
+
+
+def _look(options: argparse.Namespace) -> dict[str, Any]:
+    """Size and style of the figure, as its function takes them."""
+    size = [number("--size", text) / INCH for text in options.size or ()]
+    least, most = SIDES
+    if options.size is not None and (
+        len(size) != 2 or not least <= INCH * min(size) <= INCH * max(size) <= most
+    ):
+        raise GlissandoError(
+            f"--size {','.join(options.size)}: give width and height in mm, from {least:g} to "
+            f"{most:g}."
+        )
+    look: dict[str, Any] = {"size": (size[0], size[1])} if size else {}
+    points = options.font_size
+    if points is not None:
+        if not 0.0 < points <= _LARGEST:
+            raise GlissandoError(f"--font-size {points:g}: give points, up to {_LARGEST:g}.")
+        look["style"] = {"font.size": points, "axes.titlesize": points}
+    return look

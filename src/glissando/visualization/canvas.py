@@ -105,6 +105,12 @@ def _tuples() -> dict[Any, Any]:
     return {tuple: HandlerTuple(ndivide=None, pad=0.4)}
 
 
+def require_ending(path: Path) -> None:
+    """Raise GlissandoError unless a file's ending is that of a figure."""
+    if path.suffix.lower() not in (".png", ".pdf", ".svg"):
+        raise GlissandoError(f"{str(path)!r} is no figure: end it in .png, .pdf or .svg.")
+
+
 def save_figure(drawn: Any, path: str | Path) -> Path:
     """Write a figure as its file's ending says, whole or not at all; returns the path.
 
@@ -118,8 +124,7 @@ def save_figure(drawn: Any, path: str | Path) -> Path:
         GlissandoError: Another ending, no room beside the text, or the disk refused.
     """
     path = Path(path)
-    if path.suffix.lower() not in (".png", ".pdf", ".svg"):
-        raise GlissandoError(f"{path.name} is no figure: end it in .png, .pdf or .svg.")
+    require_ending(path)
     figure = np.ravel(np.asarray(drawn, dtype=object))[0].figure
     with canvas(1.0, 1.0), new_file(path) as building:  # for the fonts of its style
         undated = {".pdf": "CreationDate", ".svg": "Date"}.get(path.suffix.lower())
