@@ -62,6 +62,24 @@ def test_what_was_recorded_is_not_replaced(held, capsys, words):
     assert {p.name: p.read_bytes() for p in held.iterdir()} == before
 
 
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (". --level 1.5", "A level of 1.5 is no probability"),
+        (". --level 0.5 --block nan", "Blocks of nan s cannot be"),
+        (".", "is a folder; name a file"),
+        ("recording.toml/tube.toml", "recording.toml is not a folder that can be written to"),
+    ],
+)
+def test_a_tube_that_cannot_be_stored_is_refused_before_an_estimate(
+    held, monkeypatch, capsys, words, said
+):
+    monkeypatch.chdir(held)
+    monkeypatch.setattr("glissando.cli.check.estimate_watched", None)
+    assert run("check", ".", "--store-tube", *words.split()) == 2
+    assert said in capsys.readouterr().err
+
+
 def test_a_file_of_ones_own_is_replaced(held, tmp_path):
     out = tmp_path / "coil.tum"
     out.write_text("old")

@@ -28,7 +28,7 @@ from glissando.cli.shared import (
 )
 from glissando.cli.silent import refuse_silent
 from glissando.errors import GlissandoError, RecordingError
-from glissando.evaluation.conformal import block_scores, conformal_tube, inside_tube
+from glissando.evaluation.conformal import block_scores, conformal_tube, inside_tube, require_tube
 from glissando.evaluation.consistency import LEVELS, Consistency, check, check_readings
 from glissando.evaluation.leave_out import leave_out
 from glissando.evaluation.metrics import Errors, errors_against
@@ -99,7 +99,11 @@ def _check(options: argparse.Namespace) -> int:
     if options.draws is None and options.target is not None:
         options.target = _of_results(options.target)
     if options.store_tube:
+        require_tube(options.block, options.level)
+        if options.store_tube.is_dir():
+            raise GlissandoError(f"--store-tube {options.store_tube} is a folder; name a file.")
         require_spared("--store-tube", options.store_tube, options.target, options.recording)
+        require_writable(options.store_tube.parent, "--store-tube")
     _refuse_silent(options)
     if options.draws is not None:
         return check_draws(options)

@@ -289,18 +289,24 @@ def _digests_of(path: Path, option: str) -> dict[str, str]:
     return digests(file for file in sorted(path.iterdir()) if file.suffix in kinds)
 
 
-def require_writable(folder: Path) -> None:
+def require_writable(folder: Path, option: str = "--out") -> None:
     """Make sure, before any work is done, that results can be written into a folder.
+
+    Args:
+        folder: The folder, which may not be there yet.
+        option: The option that names it, or a file in it.
 
     Raises:
         GlissandoError: If the folder cannot be made or written to.
     """
     for link in (folder, *folder.absolute().parents):
         if link.is_symlink() and not link.exists():
-            raise GlissandoError(f"--out {folder}: {link} is a link that leads nowhere; delete it.")
+            raise GlissandoError(
+                f"{option} {folder}: {link} is a link that leads nowhere; delete it."
+            )
     above = next((p for p in (folder, *folder.absolute().parents) if p.exists()), folder)
     if not above.is_dir() or not os.access(above, os.W_OK):
-        raise GlissandoError(f"--out {folder}: {above} is not a folder that can be written to.")
+        raise GlissandoError(f"{option} {folder}: {above} is not a folder that can be written to.")
 
 
 def require_packages(extras: Mapping[str, Sequence[str]]) -> None:

@@ -22,6 +22,14 @@ from glissando.model.tube import Tube
 _REMEMBERED = 500  # scores that an adaptive set looks back on
 
 
+def require_tube(seconds: float, level: float = 0.95) -> None:
+    """Raise GlissandoError unless blocks can have this length, s, and a tube this level."""
+    if not (math.isfinite(seconds) and seconds >= 0.0):
+        raise GlissandoError(f"Blocks of {seconds:g} s cannot be; give 0 s or more.")
+    if not 0.0 < level < 1.0:
+        raise GlissandoError(f"A level of {level:g} is no probability; give one such as 0.95.")
+
+
 def block_scores(errors: Sequence[Errors], seconds: float) -> Array:
     """Largest normalised position error (B,) of each block of time, over all samples and sites.
 
@@ -32,8 +40,7 @@ def block_scores(errors: Sequence[Errors], seconds: float) -> Array:
     Raises:
         GlissandoError: The length is negative or not finite.
     """
-    if not (math.isfinite(seconds) and seconds >= 0.0):
-        raise GlissandoError(f"Blocks of {seconds:g} s cannot be; give 0 s or more.")
+    require_tube(seconds)
     time = np.concatenate([np.zeros(0), *(e.time for e in errors)])
     squared = np.concatenate([np.zeros(0), *(e.nees_position for e in errors)])
     time, squared = time[~np.isnan(squared)], squared[~np.isnan(squared)]
@@ -57,10 +64,9 @@ def conformal_tube(scores: Array, seconds: float, level: float = 0.95) -> Tube:
         level: Probability that a further block lies wholly inside.
 
     Raises:
-        GlissandoError: The level is none, or there are too few blocks for it.
+        GlissandoError: The length or the level is none, or there are too few blocks for it.
     """
-    if not 0.0 < level < 1.0:
-        raise GlissandoError(f"A level of {level:g} is no probability; give one such as 0.95.")
+    require_tube(seconds, level)
     needed = math.ceil(round((scores.size + 1) * level, 9))
     if needed > scores.size:
         least = math.ceil(round(level / (1.0 - level), 9))
