@@ -182,7 +182,10 @@ def test_an_argument_of_another_kind_is_one_sentence():
     for call, said in (
         (lambda: estimate(robot, grid, readings), "prior is a Robot; give robot.prior"),
         (lambda: estimate(prior, nodes, readings), r"grid is a ndarray; give robot.grid\("),
-        (lambda: estimate(prior, grid, readings[0]), "readings are a PoseReadings; give a list"),
+        (
+            lambda: estimate(prior, grid, readings[0]),
+            "readings are a PoseReadings and go in a list",
+        ),
         (lambda: estimate(prior, grid, [readings]), "readings hold a list; give a list"),
         (lambda: estimate(prior, grid, readings, initial=posterior), "give posterior.states_on"),
         (lambda: estimate(prior, grid, readings, options={}), "options is a dict; give Solver"),

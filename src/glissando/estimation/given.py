@@ -100,7 +100,8 @@ def _listed(given: Any, kind: type, name: str) -> Any:
     """The entries of a list, each of one class; raises SensorError for anything else."""
     if isinstance(given, kind) or not isinstance(given, Collection):
         raise SensorError(
-            f"The {name} are a {type(given).__name__}; give a list of {kind.__name__}."
+            f"The {name} are a {type(given).__name__} and go in a list; give a list of "
+            f"{kind.__name__}."
         )
     for entry in given:
         if not isinstance(entry, kind):
