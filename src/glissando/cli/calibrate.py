@@ -18,9 +18,9 @@ from glissando.calibration.rig.result import Calibration, apply
 from glissando.calibration.rig.rig import RigData
 from glissando.calibration.rig.session_data import rig_data
 from glissando.cli.console import Console
-from glissando.cli.outputs import require_spared
+from glissando.cli.outputs import require_spared, require_writable
 from glissando.cli.progress import working
-from glissando.cli.shared import Commands, add_command, chosen_robot, require_writable
+from glissando.cli.shared import Commands, add_command, chosen_robot
 from glissando.errors import GlissandoError, RecordingError, RobotFileError
 from glissando.io.atomic_folder import require_new
 from glissando.io.recording import load_recording, save_recording

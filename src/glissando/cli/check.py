@@ -15,15 +15,13 @@ from rich.table import Table
 
 from glissando.cli.check_draws import add_options, check_draws
 from glissando.cli.console import Console
-from glissando.cli.outputs import require_spared
+from glissando.cli.outputs import require_spared, require_writable, stated
 from glissando.cli.shared import (
     Commands,
     add_choices,
     add_command,
     chosen_robot,
     estimate_watched,
-    require_writable,
-    stated,
     streams_of,
 )
 from glissando.cli.silent import refuse_silent

@@ -10,8 +10,9 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from glissando.cli.console import Console
+from glissando.cli.outputs import stated
 from glissando.cli.progress import working
-from glissando.cli.shared import chosen_robot, stated
+from glissando.cli.shared import chosen_robot
 from glissando.errors import GlissandoError
 from glissando.evaluation.run import checked_window, chosen_streams
 from glissando.evaluation.simulation_based import SimulationCheck, simulate_and_rank

@@ -11,6 +11,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from glissando.cli.console import Console
+from glissando.cli.outputs import require_writable, stated
 from glissando.cli.placement import place
 from glissando.cli.plan_task import (
     add_task,
@@ -20,7 +21,7 @@ from glissando.cli.plan_task import (
     stream_of,
 )
 from glissando.cli.progress import working
-from glissando.cli.shared import Commands, add_command, require_writable, stated
+from glissando.cli.shared import Commands, add_command
 from glissando.cli.silent import refuse_silent
 from glissando.errors import GlissandoError
 from glissando.io.atomic_folder import renewed_folder

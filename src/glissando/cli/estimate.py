@@ -14,6 +14,7 @@ from rich.table import Table
 
 from glissando.cli.console import Console
 from glissando.cli.loads import loads_json, print_loads, scanned, write_contacts
+from glissando.cli.outputs import require_packages, require_writable, stated
 from glissando.cli.progress import working
 from glissando.cli.shared import (
     Commands,
@@ -21,9 +22,6 @@ from glissando.cli.shared import (
     add_command,
     estimate_watched,
     recording_and_robot,
-    require_packages,
-    require_writable,
-    stated,
 )
 from glissando.cli.tables import parameter_text, site_table
 from glissando.errors import GlissandoError

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from glissando.cli.importing import number
-from glissando.cli.outputs import require_spared
-from glissando.cli.shared import Commands, add_command, names, require_writable
+from glissando.cli.outputs import require_spared, require_writable
+from glissando.cli.shared import Commands, add_command, names
 from glissando.cli.silent import refuse_silent
 from glissando.errors import GlissandoError
 from glissando.io.foreign import export

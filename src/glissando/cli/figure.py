@@ -8,15 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from glissando.cli.importing import number
+from glissando.cli.outputs import require_writable
 from glissando.cli.progress import working
-from glissando.cli.shared import (
-    Commands,
-    add_choices,
-    add_command,
-    names,
-    posterior_shown,
-    require_writable,
-)
+from glissando.cli.shared import Commands, add_choices, add_command, names, posterior_shown
 from glissando.cli.silent import refuse_silent
 from glissando.errors import GlissandoError
 from glissando.estimation.contact import scan_contacts

@@ -6,16 +6,8 @@ import argparse
 import math
 from pathlib import Path
 
-from glissando.cli.shared import (
-    Commands,
-    add_command,
-    chosen_robot,
-    findings_in,
-    names,
-    require_writable,
-    stated,
-    warn,
-)
+from glissando.cli.outputs import require_writable, stated
+from glissando.cli.shared import Commands, add_command, chosen_robot, findings_in, names, warn
 from glissando.cli.silent import refuse_silent
 from glissando.errors import GlissandoError, RecordingError
 from glissando.evaluation.foreign_estimate import (

@@ -17,9 +17,9 @@ from glissando.calibration.robot.learn import Learned, learn
 from glissando.calibration.robot.predictive import Start
 from glissando.cli.console import Console
 from glissando.cli.learn_tendons import learn_from_tendons
-from glissando.cli.outputs import require_spared
+from glissando.cli.outputs import require_spared, write_robot
 from glissando.cli.progress import working
-from glissando.cli.shared import Commands, add_command, names, write_robot
+from glissando.cli.shared import Commands, add_command, names
 from glissando.cli.tables import parameter_text
 from glissando.errors import GlissandoError, RecordingError
 from glissando.evaluation.metrics import pool

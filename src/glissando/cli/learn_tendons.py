@@ -13,7 +13,7 @@ import numpy as np
 from glissando.calibration.robot.hyperparameters import Document
 from glissando.calibration.robot.learn_tendons import LearnedTendons, TendonData, learn_tendons
 from glissando.calibration.robot.tendon_numbers import TIP
-from glissando.cli.shared import write_robot
+from glissando.cli.outputs import write_robot
 from glissando.errors import RecordingError
 from glissando.geometry.se3 import Array
 from glissando.io.recording import Recording

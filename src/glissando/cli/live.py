@@ -18,8 +18,9 @@ from rich.live import Live as Line
 from rich.text import Text
 
 from glissando.cli.interrupts import until_interrupted
+from glissando.cli.outputs import require_writable
 from glissando.cli.record import add_slide, further_paths, refuse_idle_slide, slide_path
-from glissando.cli.shared import Commands, add_command, require_writable, warn
+from glissando.cli.shared import Commands, add_command, warn
 from glissando.cli.silent import refuse_silent
 from glissando.errors import GlissandoError
 from glissando.evaluation.plausibility.watch import Watch

@@ -1,11 +1,22 @@
-"""What commands write: never over what they read or what was recorded."""
+"""What commands write: where it may go, never over data, and what it states of how it was made."""
 
 from __future__ import annotations
 
+import argparse
+import os
+from collections.abc import Mapping, Sequence
+from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
+
+import tomli_w
 
 from glissando.errors import GlissandoError
+from glissando.io.atomic_file import write_text
+from glissando.io.provenance import digests, made_by, stated_format
 from glissando.io.session_recording import LOG
+from glissando.io.shipped_robots import robot_file
+from glissando.model.robot import Robot
 
 _TOML = "recording.toml"
 _DATA = ".csv", ".mcap", ".nc", ".json"
@@ -31,3 +42,100 @@ def require_spared(option: str, out: Path, *inputs: str | Path | None) -> None:
     )
     if real in given or (held and (real.name == _TOML or real.suffix in _DATA)):
         raise GlissandoError(f"{option} {out} would replace data; give another name or folder.")
+
+
+def stated(options: argparse.Namespace, robot: Robot | None = None) -> dict[str, Any]:
+    """What a report states for `glissando rerun`: the words of the command, digests of its inputs.
+
+    Args:
+        options: The options of the command.
+        robot: The robot, where a recording may have brought it.
+
+    Returns:
+        `request`, the words after `glissando` without --out; `inputs`, the SHA-256 of every file
+        that an option names, those of a folder by their names, a file by its option; `seed`, if
+        there is one.
+    """
+    found: dict[str, str] = {}
+    for option, value in vars(options).items():
+        for one in value if isinstance(value, list) else [value]:
+            if option != "out" and isinstance(one, Path) and one.exists():
+                found |= _digests_of(one, f"--{option}")
+    name = getattr(options, "robot", None)
+    file = robot_file(name) if name else robot.file if robot else None
+    if file:
+        found |= _digests_of(file, "--robot")
+    seed = {"seed": options.seed} if hasattr(options, "seed") else {}
+    return {"request": _without_out(options.words), "inputs": found, **seed}
+
+
+def _without_out(words: list[str]) -> list[str]:
+    """The words of a command without `--out DIR`, so that results elsewhere are the same bytes."""
+    kept, left = [], iter(words)
+    for word in left:
+        flag, equals, _ = word.partition("=")
+        if not (len(flag) > 2 and "--out".startswith(flag)):
+            kept.append(word)
+        elif not equals:
+            next(left)
+    return kept
+
+
+def _digests_of(path: Path, option: str) -> dict[str, str]:
+    if path.is_file():
+        return {option: next(iter(digests([path]).values()))}
+    kinds = (".csv", ".mcap", ".toml", ".nc")
+    return digests(file for file in sorted(path.iterdir()) if file.suffix in kinds)
+
+
+def require_writable(folder: Path, option: str = "--out") -> None:
+    """Make sure, before any work is done, that results can be written into a folder.
+
+    Args:
+        folder: The folder, which may not be there yet.
+        option: The option that names it, or a file in it.
+
+    Raises:
+        GlissandoError: If the folder cannot be made or written to.
+    """
+    for link in (folder, *folder.absolute().parents):
+        if link.is_symlink() and not link.exists():
+            raise GlissandoError(
+                f"{option} {folder}: {link} is a link that leads nowhere; delete it."
+            )
+    above = next((p for p in (folder, *folder.absolute().parents) if p.exists()), folder)
+    if not above.is_dir() or not os.access(above, os.W_OK):
+        raise GlissandoError(f"{option} {folder}: {above} is not a folder that can be written to.")
+
+
+def require_packages(extras: Mapping[str, Sequence[str]]) -> None:
+    """Make sure, before any work is done, that the packages of some extras are installed.
+
+    Args:
+        extras: Modules by the name of the extra that brings them.
+
+    Raises:
+        GlissandoError: One is not installed.
+    """
+    for extra, modules in extras.items():
+        missing = [name for name in modules if find_spec(name) is None]
+        if missing:
+            raise GlissandoError(
+                f"--out needs {', '.join(missing)}, not installed: run pip install "
+                f"'glissando[{extra}]'."
+            )
+
+
+def write_robot(document: dict[str, Any], start: str, out: Path) -> None:
+    """Write a learned robot file, whole or not at all, with a line that says what it came from.
+
+    Args:
+        document: The robot file.
+        start: Robot that it began with.
+        out: File to write.
+    """
+    header = (
+        f"# Learned from recordings by {made_by()}, beginning with {start}, without its comments.\n"
+    )
+    document = {"format": stated_format("robot"), **document}
+    write_text(out, header + tomli_w.dumps(document))

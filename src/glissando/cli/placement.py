@@ -10,9 +10,9 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from glissando.cli.console import Console
+from glissando.cli.outputs import stated
 from glissando.cli.plan_task import stage_of
 from glissando.cli.progress import working
-from glissando.cli.shared import stated
 from glissando.errors import GlissandoError
 from glissando.geometry.se3 import Array
 from glissando.io.atomic_folder import renewed_folder

@@ -14,11 +14,12 @@ from rich.markup import escape
 from rich.table import Table
 
 from glissando.cli.console import Console
+from glissando.cli.outputs import require_writable, stated
 from glissando.cli.pairing import require_pair
 from glissando.cli.plan_scene import plan_scene
 from glissando.cli.plan_task import ROBOT, add_task, require_horizon, stage_of, stream_of
 from glissando.cli.progress import working
-from glissando.cli.shared import Commands, add_command, require_writable, stated
+from glissando.cli.shared import Commands, add_command
 from glissando.cli.silent import refuse_silent
 from glissando.errors import GlissandoError, PlanWarning
 from glissando.estimation.posterior import Posterior

@@ -7,8 +7,8 @@ import json
 
 import numpy as np
 
+from glissando.cli.outputs import stated
 from glissando.cli.progress import working
-from glissando.cli.shared import stated
 from glissando.io.atomic_file import write_table, write_text
 from glissando.io.atomic_folder import renewed_folder
 from glissando.io.provenance import write_report

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from glissando.cli.importing import number
+from glissando.cli.outputs import require_writable
 from glissando.cli.progress import working
-from glissando.cli.shared import Commands, add_command, names, require_writable
+from glissando.cli.shared import Commands, add_command, names
 from glissando.errors import GlissandoError
 from glissando.estimation.tendon_prediction import predict
 from glissando.io.atomic_folder import new_folder, require_new

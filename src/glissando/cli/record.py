@@ -14,8 +14,9 @@ from rich.live import Live
 from rich.markup import escape
 from rich.table import Table
 
+from glissando.cli.outputs import require_writable
 from glissando.cli.progress import working
-from glissando.cli.shared import Commands, add_command, findings_in, require_writable, warn
+from glissando.cli.shared import Commands, add_command, findings_in, warn
 from glissando.cli.silent import refuse_silent
 from glissando.cli.simulate import add_channel
 from glissando.errors import DeviceError, GlissandoError

@@ -13,15 +13,9 @@ import numpy as np
 from rich.markup import escape
 
 from glissando.cli.console import Console
+from glissando.cli.outputs import require_writable, stated
 from glissando.cli.progress import working
-from glissando.cli.shared import (
-    Commands,
-    add_choices,
-    add_command,
-    recording_and_robot,
-    require_writable,
-    stated,
-)
+from glissando.cli.shared import Commands, add_choices, add_command, recording_and_robot
 from glissando.cli.tables import site_table
 from glissando.errors import GlissandoError
 from glissando.estimation.fixed_lag import FixedLagSmoother

@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from glissando.cli.outputs import require_spared
-from glissando.cli.shared import Commands, add_command, require_writable
+from glissando.cli.outputs import require_spared, require_writable
+from glissando.cli.shared import Commands, add_command
 from glissando.io.atomic_file import write_text
 from glissando.visualization.page.comparison import comparison, written_runs
 

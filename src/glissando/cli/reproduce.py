@@ -10,8 +10,9 @@ from rich.markup import escape
 from rich.table import Table
 
 from glissando.cli.console import Console
+from glissando.cli.outputs import require_writable
 from glissando.cli.progress import working
-from glissando.cli.shared import Commands, add_command, require_writable
+from glissando.cli.shared import Commands, add_command
 from glissando.experiments.claims import CLAIMS, Verdict, load_claims
 from glissando.experiments.run import reproduce
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from glissando.cli.outputs import require_writable
 from glissando.cli.progress import working
-from glissando.cli.shared import Commands, add_command, names, require_writable
+from glissando.cli.shared import Commands, add_command, names
 from glissando.errors import SimulationError
 from glissando.io.atomic_folder import require_new
 from glissando.io.robot_file import load_robot

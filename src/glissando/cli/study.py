@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from glissando.cli.console import Console
+from glissando.cli.outputs import require_writable, stated
 from glissando.cli.progress import working
-from glissando.cli.shared import Commands, add_command, require_writable, stated
+from glissando.cli.shared import Commands, add_command
 from glissando.errors import GlissandoError
 from glissando.experiments.runner import cluster
 from glissando.experiments.study.figures import study_figure

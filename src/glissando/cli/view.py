@@ -6,15 +6,9 @@ import argparse
 import sys
 from pathlib import Path
 
-from glissando.cli.outputs import require_spared
+from glissando.cli.outputs import require_spared, require_writable
 from glissando.cli.progress import working
-from glissando.cli.shared import (
-    Commands,
-    add_choices,
-    add_command,
-    posterior_shown,
-    require_writable,
-)
+from glissando.cli.shared import Commands, add_choices, add_command, posterior_shown
 from glissando.io.atomic_file import write_text
 from glissando.visualization.page import page, scene_of, subtitle
 from glissando.visualization.page.live import play
