@@ -9,9 +9,9 @@ from glissando import CoilReadings, Grid, estimate
 from glissando.estimation.confidence_tube import SIGMAS_95
 from glissando.visualization.arrows import arrows_of
 from glissando.visualization.canvas import MM, save_figure
-from glissando.visualization.figures import shape_figure
 from glissando.visualization.film import save_animation
 from glissando.visualization.page import save_view
+from glissando.visualization.shape_figure import shape_figure
 from mechanical_rod import NODES_S, POINT, mechanical
 from pages import carried, unpacked
 from scenes import judged_scene

@@ -8,10 +8,10 @@ from scipy.stats import chi2
 from glissando import GlissandoError, PoseReadings, estimate, load_robot, save_posterior
 from glissando.cli.main import main
 from glissando.estimation.confidence_tube import SIGMAS_95
-from glissando.visualization import figures
 from glissando.visualization.canvas import BAND, save_figure
 from glissando.visualization.evaluation_figures import radius95
-from glissando.visualization.figures import confidence_figure, error_figure, shape_figure
+from glissando.visualization.figures import confidence_figure, error_figure
+from glissando.visualization.shape_figure import draw_ellipsoids, shape_figure
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +71,7 @@ def test_bands_and_ellipsoids_hold_95_percent(scene):
     heights = band.get_paths()[0].vertices[:, 1]
     assert heights.max() == pytest.approx(wide.max(), rel=1e-6)
     at = posterior.at([0.3], [0.1])
-    corners = figures._draw_ellipsoids(
+    corners = draw_ellipsoids(
         shape_figure(posterior, [], [0.1]), at.position, at.cov_position_world, "black"
     )
     half = 0.5 * np.ptp(np.stack(corners), axis=0)[0]

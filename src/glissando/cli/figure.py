@@ -16,7 +16,8 @@ from glissando.errors import GlissandoError
 from glissando.estimation.contact import scan_contacts
 from glissando.visualization.canvas import INCH, SIDES, require_ending, save_figure
 from glissando.visualization.contact_figure import contact_figure, mapped_times
-from glissando.visualization.figures import confidence_figure, error_figure, shape_figure
+from glissando.visualization.figures import confidence_figure, error_figure
+from glissando.visualization.shape_figure import shape_figure
 
 _HELP = """\
 Draw one figure of a posterior: the robot's shape in space with 95 % ellipsoids, its confidence over

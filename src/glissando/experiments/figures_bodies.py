@@ -15,7 +15,8 @@ from glissando.experiments.confidence import std_along
 from glissando.experiments.scenes import Scene, Trial, bench, path
 from glissando.geometry.se3 import Array
 from glissando.visualization.canvas import AXES, MM, canvas, legend
-from glissando.visualization.figures import _DOT, _draw_ellipsoids, _draw_truth, _places
+from glissando.visualization.shape_figure import TRUTH_DOT, draw_ellipsoids, draw_truth
+from glissando.visualization.sites import sites_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -182,15 +183,15 @@ class _Bodies:
     ) -> None:
         """Draw the robot at a time in s, with the coil at an arclength in m."""
         axes, posterior = self.axes[row][column], result.posterior
-        sites, ends = _places(result.truth, posterior.grid), posterior.grid.arclength
+        sites, ends = sites_of(result.truth, posterior.grid), posterior.grid.arclength
         line = posterior.at(np.linspace(ends[0], ends[-1], 141), time).position * MM
         at_sites = posterior.at([site.arclength[0] for site in sites], time)
-        corners = _draw_ellipsoids(axes, at_sites.position, at_sites.cov_position_world, colour)
+        corners = draw_ellipsoids(axes, at_sites.position, at_sites.cov_position_world, colour)
         for ellipsoid in axes.collections:
             ellipsoid.set_alpha(0.4)
         axes.plot(*line.T, color=colour, linewidth=1.9, zorder=3)
-        corners += [_draw_truth(axes, site, time, _TRIAD) for site in sites]
-        axes.scatter(*line[0], **_DOT, s=50, marker="s", zorder=5)
+        corners += [draw_truth(axes, site, time, _TRIAD) for site in sites]
+        axes.scatter(*line[0], **TRUTH_DOT, s=50, marker="s", zorder=5)
         place = posterior.at(coil, time).position * MM
         axes.scatter(*place, s=75, zorder=6, depthshade=False, **_COIL)
         self.points[column] += [line, *corners]

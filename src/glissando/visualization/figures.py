@@ -1,4 +1,4 @@
-"""Three figures of a posterior: the robot in space, its confidence everywhere, its errors.
+"""Figures of a posterior: its confidence everywhere, its errors, and all of them in a folder.
 
 Lengths are drawn in millimetres, confidence at 95 %: ellipsoids and tubes hold 95 % of positions,
 bands 95 % of a component. Every function takes axes to draw into and a style, rcParams that it
@@ -15,14 +15,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from glissando.errors import GlissandoError
-from glissando.estimation.confidence_tube import SIGMAS_95
 from glissando.estimation.posterior import Posterior
 from glissando.geometry.se3 import Array
-from glissando.model.grid import Grid
-from glissando.model.seconds import seconds
 from glissando.model.sensors.readings import Readings
-from glissando.model.sensors.sensors import CoilReadings, PoseReadings, PositionReadings
-from glissando.visualization.arrows import Arrows, arrows_of
 from glissando.visualization.canvas import (
     AXES,
     BAND,
@@ -38,160 +33,14 @@ from glissando.visualization.canvas import (
     save_figure,
 )
 from glissando.visualization.sampling import drawn_at
+from glissando.visualization.shape_figure import shape_figure
+from glissando.visualization.sites import seen_positions, sites_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_NEAR = 0.1  # s: a truth sample this close to a drawn time is drawn with it
-_FIXED_SITES = 12  # a stream at more arclengths than this slides and is one row of errors
 _MOST = 301  # times or arclengths of a map of confidence
 _SAMPLES = 1000  # truth samples drawn a site
-_POSITIONED = PoseReadings | CoilReadings | PositionReadings  # streams that see a position
-_DOT: dict[str, Any] = {"color": "black", "depthshade": False}
-
-
-def _places(streams: Sequence[Readings], grid: Grid, kind: Any = _POSITIONED) -> list[Readings]:
-    """The streams of a kind, inside the grid and in time order, one batch a site.
-
-    A stream at a few fixed arclengths is split into them; one that slides stays whole.
-    """
-    out: list[Readings] = []
-    for stream in (s for s in streams if isinstance(s, kind)):
-        kept: Readings = stream.inside(grid)
-        kept = kept.select(np.argsort(kept.time, kind="stable"))
-        near = kept.arclength.round(6)
-        if np.unique(near).size > _FIXED_SITES:
-            near[:] = 0.0
-        out.extend(kept.select(near == site) for site in np.unique(near))
-    return out
-
-
-def _seen(readings: Readings) -> Array:
-    """Positions (M, 3) in the world that a batch of `_places` reports, metres."""
-    return readings.values[:, :3, 3] if readings.values.ndim == 3 else readings.values
-
-
-def shape_figure(
-    posterior: Posterior,
-    truth: Sequence[Readings],
-    times: Sequence[float] | None = None,
-    *,
-    ax: Axes | None = None,
-    size: tuple[float, float] = (8.0, 7.6),
-    style: Style = NO_STYLE,
-) -> Axes:
-    """The robot in space at several times, with 95 % ellipsoids and the truth.
-
-    Where the prior knows loads, arrows show the unknown forces, with the ellipsoids of their tips.
-
-    Args:
-        posterior: What is drawn.
-        truth: Streams of poses become triads and of positions points, at their sample within 0.1 s.
-        times: Seconds; five across the grid unless given.
-        ax: Axes to draw into, with projection="3d"; those of a new figure unless given.
-        size: Width and height of a new figure, inches.
-        style: rcParams to draw with.
-
-    Returns:
-        The axes, in the world frame and millimetres; `.figure` is their figure.
-
-    Raises:
-        OutsideGridError: A time is off the grid.
-        GlissandoError: matplotlib is not installed.
-    """
-    grid = posterior.grid
-    if times is None:
-        times = np.unique(np.linspace(grid.time[0], grid.time[-1], 5)).tolist()
-    dense, few = drawn_at(grid.arclength, 99), np.linspace(grid.arclength[0], grid.arclength[-1], 6)
-    lines = [posterior.at(dense, time).position * MM for time in times]
-    sites, forces = _places(truth, grid), arrows_of(posterior, np.asarray(times, dtype=float))
-    look = {"projection": "3d", "elev": 20, "azim": -60, "computed_zorder": False}
-    with panels_on(ax, (1, 1), size, style, subplot_kw=look) as panels:
-        from matplotlib import colormaps
-
-        axes: Any = panels[0, 0]
-        colours = colormaps["viridis"](np.linspace(0.0, 0.88, len(times)))
-        reach = 0.06 * np.ptp(np.concatenate(lines), axis=0).max()
-        corners = [*lines]
-        for time, line, colour in zip(times, lines, colours, strict=True):
-            at = posterior.at(few, time)
-            corners += _draw_ellipsoids(axes, at.position, at.cov_position_world, colour)
-            axes.plot(*line.T, color=colour, linewidth=2.8, zorder=3, label=f"{seconds(time)} s")
-        if forces:
-            corners += _draw_forces(axes, forces, colours)
-        corners += [_draw_truth(axes, site, time, reach) for time in times for site in sites]
-        base = np.stack([line[0] for line in lines]).T
-        axes.scatter(*base, **_DOT, s=90, marker="s", zorder=5, label="base")
-        _frame(axes, np.concatenate(corners))
-        _explain(axes, ax is None, sites, forces.words if forces else "")
-    return axes
-
-
-def _draw_ellipsoids(axes: Any, centre: Array, cov: Array, colour: Any) -> list[Array]:
-    """Draw the 95 % ellipsoids of points (M, 3) in metres; their bounding corners in mm."""
-    around, down = np.meshgrid(np.linspace(0.0, 2.0 * np.pi, 25), np.linspace(0.0, np.pi, 15))
-    ball = np.stack([np.cos(around) * np.sin(down), np.sin(around) * np.sin(down), np.cos(down)])
-    variance, directions = np.linalg.eigh(cov)
-    stretch = SIGMAS_95 * MM * np.sqrt(np.maximum(variance, 0.0))[:, None, :] * directions
-    centre = centre * MM
-    for place, axis in zip(centre, stretch, strict=True):
-        x, y, z = place[:, None, None] + np.einsum("ij,jkl->ikl", axis, ball)
-        axes.plot_surface(x, y, z, color=colour, alpha=0.12, linewidth=0, shade=False, zorder=2)
-    half = np.linalg.norm(stretch, axis=-1)
-    return [centre - half, centre + half]
-
-
-def _draw_forces(axes: Any, forces: Arrows, colours: Array) -> list[Array]:
-    """Draw arrows and the ellipsoids of their tips, a colour a time; bounding corners in mm."""
-    corners = []
-    for k, (strokes, colour) in enumerate(zip(forces.strokes(), colours, strict=True)):
-        axes.plot(*MM * strokes.reshape(-1, 3).T, color=colour, linewidth=1.6, zorder=4)
-        corners += _draw_ellipsoids(axes, forces.tip[k], forces.scale**2 * forces.cov[k], colour)
-    return corners
-
-
-def _draw_truth(axes: Any, site: Readings, time: float, reach: float) -> Array:
-    """Draw a site's sample nearest in time, if near; the points drawn (…, 3) in mm."""
-    row = int(np.argmin(np.abs(site.time - time)))
-    if abs(site.time[row] - time) > _NEAR:
-        return np.empty((0, 3))
-    origin = _seen(site)[row] * MM
-    if site.values.ndim == 2:
-        axes.scatter(*origin[:, None], **_DOT, s=24, zorder=4, label="truth: point")
-        return origin[None]
-    tips: Array = origin + reach * site.values[row, :3, :3].T  # a row an axis
-    for tip, colour in zip(tips, AXES.values(), strict=True):
-        axes.plot(*np.stack([origin, tip]).T, color=colour, linewidth=1.8, zorder=4)
-    return tips
-
-
-def _frame(axes: Any, points: Array) -> None:
-    """Equal scales around all points (M, 3) in millimetres, and labels."""
-    low, high = points.min(axis=0), points.max(axis=0)
-    half = 0.53 * np.maximum(high - low, 0.4 * (high - low).max() + 1e-6)  # never a thin slab
-    ends = np.stack([0.5 * (low + high) - half, 0.5 * (low + high) + half], axis=1)
-    axes.set(xlim=ends[0], ylim=ends[1], zlim=ends[2])
-    for i, axis in enumerate((axes.xaxis, axes.yaxis, axes.zaxis)):
-        axis.get_major_locator().set_params(nbins=round(6 * half[i] / half.max()), prune="both")
-        axis.set_label_text(f"{'xyz'[i]} (mm)")
-        axis.labelpad = 16 if i == 2 else 10
-        axis.set_pane_color((0.97, 0.97, 0.97, 1.0))
-    axes.tick_params(axis="z", pad=7)
-    axes.set_box_aspect(half, zoom=1.06)
-
-
-def _explain(axes: Any, own: bool, sites: Sequence[Readings], forces: str) -> None:
-    """The legend of the shape: a line a time, base, ellipsoids, and what forces and truth are."""
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
-    entries = dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))
-    entries["95 % of positions"] = Patch(color="0.5", alpha=0.35, linewidth=0)
-    if forces:
-        entries[forces] = Line2D([], [], color="0.3", lw=1.4, marker=">", markevery=(1, 1), ms=6)
-    if any(site.values.ndim == 3 for site in sites):
-        entries["truth: x, y, z"] = tuple(Line2D([], [], color=c) for c in AXES.values())
-    describe(axes, own, entries, loc="outside right upper")
 
 
 def confidence_figure(
@@ -288,7 +137,7 @@ def error_figure(
         GlissandoError: No truth position lies on the grid, the axes are not as many, or matplotlib
             is not installed.
     """
-    sites = _places(truth, posterior.grid)
+    sites = sites_of(truth, posterior.grid)
     if not sites:
         raise GlissandoError("No truth position lies on the grid: give a stream that overlaps it.")
     size, shares = (
@@ -312,7 +161,7 @@ def _draw_errors(row: Sequence[Any], posterior: Posterior, site: Readings) -> No
     drawn = site.select(slice(None, None, -(-len(site) // _SAMPLES)))
     estimate = posterior.at(drawn.arclength, drawn.time)
     at = estimate.pose @ drawn.mount
-    error = (at[:, :3, 3] - _seen(drawn)) * MM
+    error = (at[:, :3, 3] - seen_positions(drawn)) * MM
     cov = drawn.cov[..., :3, :3]
     if drawn.values.ndim == 3:
         cov = at[:, :3, :3] @ cov @ np.swapaxes(at[:, :3, :3], -1, -2)
@@ -347,6 +196,6 @@ def save_figures(
     """
     figures = {"shape": shape_figure(posterior, truth)}
     figures["confidence"] = confidence_figure(posterior, readings)
-    if _places(truth, posterior.grid):
+    if sites_of(truth, posterior.grid):
         figures["error"] = error_figure(posterior, truth)
     return [save_figure(figure, folder / f"{name}.png") for name, figure in figures.items()]

@@ -14,9 +14,9 @@ from glissando.planning.scene.motion_cost import Evaluation
 from glissando.planning.scene.obstacles import HalfSpace, sphere
 from glissando.planning.scene.plan_motion import MotionPlan
 from glissando.visualization.canvas import MM, NO_STYLE, SENSORS, Style, canvas
-from glissando.visualization.figures import _frame
 from glissando.visualization.page.scene import Scene as PageScene
 from glissando.visualization.page.scene import Solid, symmetric_root
+from glissando.visualization.shape_figure import frame_axes
 
 _SHOWN = 5  # shapes of a motion in one picture
 _FRAMES = 60  # of a film, about, unless it lasts for minutes
@@ -97,7 +97,7 @@ def _draw_space(axes: Any, plan: MotionPlan, moments: Array) -> None:
     axes.plot(*(MM * at.tip.T), color="0.3", lw=0.8, ls=":")
     shown = [at.shapes.place.reshape(-1, 3), *(target.position[None] for target in scene.targets)]
     shown += [o.surface()[0] for o in scene.obstacles if not isinstance(o, HalfSpace)]
-    _frame(axes, MM * np.concatenate(shown))
+    frame_axes(axes, MM * np.concatenate(shown))
     axes.legend(loc="upper left", fontsize=9)
     axes.set(xlabel="x (mm)", ylabel="y (mm)", zlabel="z (mm)")
 

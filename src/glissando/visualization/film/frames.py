@@ -15,8 +15,8 @@ from glissando.model.grid import Index
 from glissando.model.sensors.readings import Readings
 from glissando.visualization.arrows import arrows_of
 from glissando.visualization.canvas import MM
-from glissando.visualization.figures import _NEAR, _places, _seen
 from glissando.visualization.sampling import drawn_at
+from glissando.visualization.sites import NEAR, seen_positions, sites_of
 
 _DROPPED = 0.25  # s: without a reading this near, a sensor is not shown
 _ALONG = 63  # steps along the tube at least
@@ -68,15 +68,15 @@ def frames_at(
     in time, within 0.1 s. Raises OutsideGridError for a time off the grid.
     """
     grid = posterior.grid
-    sites = _places(readings, grid, Readings)
-    place = _sensor_places(sites, times)
+    sites = sites_of(readings, grid, Readings)
+    place = sensor_places(sites, times)
     body = drawn_at(grid.arclength, _ALONG)
     asked = np.nan_to_num(np.hstack([np.tile(body, (times.size, 1)), place]), nan=body[0])
     at = posterior.at(asked, times[:, None])
     std, hidden = at.std_position * MM, np.where(np.isnan(place), np.nan, MM)
     of_body = np.s_[:, : body.size]
     tube, ring = confidence_tube(at.pose[of_body], at.position_covariance()[of_body], SIGMAS_95)
-    true, forces = _places(truth, grid), arrows_of(posterior, times)
+    true, forces = sites_of(truth, grid), arrows_of(posterior, times)
     drawn = [forces.strokes(), forces.rings()] if forces else []
     lines = [MM * part.reshape(times.size, -1, 3) for part in drawn]
     reach = 0.05 * (body[-1] - body[0])
@@ -91,23 +91,23 @@ def frames_at(
         place=place * MM,
         dot=at.position[:, body.size :] * hidden[..., None],
         dot_std=at.std_position[:, body.size :] * hidden,
-        triad=_true([s for s in true if s.values.ndim == 3], times, reach),
-        point=_true([s for s in true if s.values.ndim == 2], times, reach)[:, :, 0],
+        triad=true_marks([s for s in true if s.values.ndim == 3], times, reach),
+        point=true_marks([s for s in true if s.values.ndim == 2], times, reach)[:, :, 0],
         force=np.concatenate([np.zeros((times.size, 0, 3)), *lines], axis=1),
         forces=forces.words if forces else "",
     )
 
 
-def _sensor_places(sites: Sequence[Readings], times: Array) -> Array:
+def sensor_places(sites: Sequence[Readings], times: Array) -> Array:
     """Arclengths (F, S) of the sensors at times (F,), NaN without a reading near."""
     place = np.full((times.size, len(sites)), np.nan)
     for column, site in zip(place.T, sites, strict=True):
-        rows, near = _nearest(site, times, _DROPPED)
+        rows, near = nearest_samples(site, times, _DROPPED)
         column[near] = site.arclength[rows[near]]
     return place
 
 
-def _nearest(site: Readings, times: Array, within: float) -> tuple[Index, NDArray[np.bool_]]:
+def nearest_samples(site: Readings, times: Array, within: float) -> tuple[Index, NDArray[np.bool_]]:
     """Rows of the readings nearest to times (F,), and whether they are near enough."""
     after = np.searchsorted(site.time, times).clip(1, max(site.time.size - 1, 1))
     nodes = np.append(site.time, np.inf)
@@ -115,12 +115,12 @@ def _nearest(site: Readings, times: Array, within: float) -> tuple[Index, NDArra
     return rows, np.abs(nodes[rows] - times) <= within
 
 
-def _true(sites: Sequence[Readings], times: Array, reach: float) -> Array:
+def true_marks(sites: Sequence[Readings], times: Array, reach: float) -> Array:
     """Origins and tips of the true axes (F, C, 4, 3) in mm, NaN without a sample near."""
     out = np.full((times.size, len(sites), 4, 3), np.nan)
     for i, site in enumerate(sites):
-        rows, near = _nearest(site, times, _NEAR)
-        origin = _seen(site)[rows[near]]
+        rows, near = nearest_samples(site, times, NEAR)
+        origin = seen_positions(site)[rows[near]]
         out[near, i] = origin[:, None]
         if site.values.ndim == 3:
             out[near, i, 1:] += reach * np.swapaxes(site.values[rows[near], :3, :3], -1, -2)

@@ -12,8 +12,8 @@ import numpy as np
 from glissando.geometry.se3 import Array
 from glissando.visualization.arrows import FORCE
 from glissando.visualization.canvas import AXES, MARKERS, SENSORS, legend
-from glissando.visualization.figures import _frame
 from glissando.visualization.film.frames import Frames
+from glissando.visualization.shape_figure import frame_axes
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -70,7 +70,7 @@ class Stage:
             (0.0, 0.0, 1.0, 1.0), projection="3d", computed_zorder=False, **view
         )
         shown = np.concatenate([a.reshape(-1, 3) for a in (f.tube, f.triad, f.point, f.force)])
-        _frame(axes, shown[np.isfinite(shown).all(axis=1)])
+        frame_axes(axes, shown[np.isfinite(shown).all(axis=1)])
         three = (axes.xaxis, axes.yaxis, axes.zaxis)
         spans = [np.ptp(axis.get_view_interval()) for axis in three]
         for axis, span, pad in zip(three, spans, (5, 5, 13), strict=True):

@@ -17,9 +17,9 @@ from glissando.model.sensors.readings import Readings
 from glissando.model.tube import Tube
 from glissando.visualization.arrows import Arrows, arrows_of
 from glissando.visualization.canvas import MM
-from glissando.visualization.figures import _NEAR, _places
-from glissando.visualization.film.frames import _nearest, _sensor_places, _true
+from glissando.visualization.film.frames import nearest_samples, sensor_places, true_marks
 from glissando.visualization.sampling import drawn_at
+from glissando.visualization.sites import NEAR, sites_of
 
 Progress = Callable[[int, int], None]  # moments done, moments in all
 
@@ -114,7 +114,7 @@ def scene_of(
         pose[part], root[part] = at.pose, symmetric_root(at.cov_position_world)
         if progress:
             progress(min(first + _CHUNK, times.size), times.size)
-    used, true = _places(readings, grid, Readings), _places(truth, grid)
+    used, true = sites_of(readings, grid, Readings), sites_of(truth, grid)
     misses = np.array([_misses(posterior, site, times) for site in true])
     site_place, miss, nees = misses.reshape(len(true), 3, times.size).transpose(1, 2, 0)
     return Scene(
@@ -123,10 +123,10 @@ def scene_of(
         pose=pose,
         root=root,
         sensors=[site.label for site in used],
-        place=_sensor_places(used, times),
+        place=sensor_places(used, times),
         sites=[site.label for site in true],
         site_place=site_place,
-        truth=_true(true, times, 0.05 * (body[-1] - body[0])) / MM,
+        truth=true_marks(true, times, 0.05 * (body[-1] - body[0])) / MM,
         miss=miss,
         nees=nees,
         tube=tube,
@@ -162,7 +162,7 @@ def symmetric_root(cov: Array) -> Array:
 
 def _misses(posterior: Posterior, site: Readings, times: Array) -> Array:
     """Arclength, distance and its squared normalised size (3, F) of the samples shown."""
-    rows, near = _nearest(site, times, _NEAR)
+    rows, near = nearest_samples(site, times, NEAR)
     out = np.full((3, times.size), np.nan)
     shown, back = np.unique(rows[near], return_inverse=True)
     if shown.size:
