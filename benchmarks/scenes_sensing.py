@@ -29,7 +29,8 @@ THICK = 0.01, 0.004  # m, half of it
 OUTER, WIDE, ROUNDING = 0.04, 0.03, 0.002
 TENDON = {"speed": 2e-3, "acceleration": 1e-3, "start": 4.5e-3}
 RESERVE = 0.75  # of their speed, for corrections
-SPARE = 1e-3  # m that tendons may go beyond what the target asks for, to correct
+STROKE_RESERVE = 1e-3  # m, two standard deviations of their zeros
+SPARE = 2e-3  # m that tendons may go beyond what the target asks for
 SLIDE = {"speed": 0.04, "acceleration": 0.08}
 REACH, BEGIN = (0.1, 1.0), 0.7  # of the length
 FIXED = 0.65, 0.8, 0.95  # of the length
@@ -51,7 +52,7 @@ def drawn_passage(robot, seed):
     tendons = [Actuator(min(start, p) - SPARE, max(start, p) + SPARE, **TENDON) for p in pulled]
     scene = Scene([], [Target(np.zeros(3), 1.0, HORIZON)], RADIUS, DELTA, HORIZON, tendons,
                   [slide], [sensor], model_std=MODEL_STD, correction=PAUSE,
-                  reserve=RESERVE)  # fmt: skip
+                  reserve=RESERVE, stroke_reserve=STROKE_RESERVE)  # fmt: skip
     shape = motion_problem(scene, robot).body.shapes(pulled[None])
     across = np.array([-np.sin(side), np.cos(side), 0.0])
     obstacles = []

@@ -66,6 +66,7 @@ MISTAKES = [
     ("upper = 0.006", "upper = 6", "give metres of displacement, not millimetres"),
     ("speed = 0.004", "speed = 2", "speed is 2; give metres and seconds, 1 at most"),
     ("speed = 0.004", "speed = 0.004\nreserve = 50", "reserve is 50; give a share of the speed"),
+    ("upper = 0.006", "upper = 0.006\nstroke_reserve = 1", "give metres, less than half of it"),
     ("reach = [0.06, 0.18]", "reach = [60, 180]", "give two arclengths on it, in metres"),
     ("[[targets]]", "[[goals]]", "[[targets]] is missing"),
     ("rounding = 0.003", "rounding = 0.03", "a rounding of half the least size at most"),

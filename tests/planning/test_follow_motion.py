@@ -9,6 +9,7 @@ from glissando.geometry import se3
 from glissando.model.sensors.sensors import CoilReadings
 from glissando.planning.scene.correction_speed import correction_speed
 from glissando.planning.scene.follow import MotionFollower
+from glissando.planning.scene.motion_space import motion_space
 from glissando.planning.scene.plan_motion import MotionPlan
 from motion_scenes import COIL, any_problem
 
@@ -115,3 +116,20 @@ def test_corrections_are_as_fast_as_is_predicted_where_nothing_slows_them():
     slow = replace(follower.problem.scene, reserve=0.01)
     plan = replace(follower.plan, problem=replace(follower.problem, scene=slow))
     assert "hits may be more frequent than is stated. Raise reserve" in plan.warning
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_plans_leave_speed_and_stroke_to_corrections(seed):
+    kept = 5e-4
+    scene = any_problem(np.random.default_rng(seed), obstacles=[])[0].scene
+    held = replace(scene.tendons[0], lower=-1e-4)  # starts nearer to its limit than that
+    scene = replace(scene, tendons=[held, *scene.tendons[1:]], stroke_reserve=kept, reserve=0.3)
+    space = motion_space(scene)
+    count, wide = len(scene.tendons), np.full((7, space.paths[0].steps + 2), 1.0)
+    wide[:, ::3] = -1.0
+    moved = space.follow(wide)[:count]
+    low, high = (np.array([getattr(t, end) for t in scene.tendons]) for end in ("lower", "upper"))
+    assert np.all(moved.min(axis=1) >= np.minimum(low + kept, 0.0) - 1e-9)
+    assert np.all(moved.max(axis=1) <= high - kept + 1e-9)
+    speed = np.abs(np.diff(moved, axis=1)).max() / space.paths[0].step
+    assert speed == pytest.approx(0.7 * held.speed, rel=0.01)

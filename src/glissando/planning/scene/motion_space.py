@@ -93,7 +93,7 @@ def motion_space(
     scene: Scene, step: float = 1.0, moment: float = 0.5,
     start: Array | None = None, speed: Array | None = None,
 ) -> MotionSpace:  # fmt: skip
-    """The motions of a scene's tendons and slides; tendons keep a reserve of speed to correct.
+    """The motions of a scene's tendons and slides; tendons keep reserves to correct.
 
     Args:
         scene: The scene.
@@ -108,10 +108,13 @@ def motion_space(
     steps = max(2, round(scene.horizon / step))
     step = scene.horizon / steps
     inside = max(1, int(np.ceil(step / moment - 1e-9)))
-    share = 1.0 - scene.reserve
-    tendons = [replace(tendon, speed=share * tendon.speed) for tendon in scene.tendons]
-    actuators: list[Actuator] = [*tendons, *scene.slides]
+    actuators: list[Actuator] = [*scene.tendons, *scene.slides]
     places = np.array([a.start for a in actuators]) if start is None else start
+    for k, tendon in enumerate(scene.tendons):
+        low, high = tendon.lower + scene.stroke_reserve, tendon.upper - scene.stroke_reserve
+        low, high = min(low, float(places[k])), max(high, float(places[k]))
+        speed_left = (1.0 - scene.reserve) * tendon.speed
+        actuators[k] = replace(tendon, lower=low, upper=high, speed=speed_left)
     speeds = np.zeros(len(actuators)) if speed is None else speed
     paths = tuple(
         PathSpace(a.lower, a.upper, a.speed, a.acceleration, step, steps, float(p), float(v))

@@ -48,9 +48,8 @@ def require_possible_start(problem: MotionProblem) -> None:
 def reach_target(problem: MotionProblem, number: int) -> Array:
     """Displacements (T,) with which the tip comes to a target, by damped Gauss–Newton."""
     scene, body, target = problem.scene, problem.body, problem.scene.targets[number]
-    lower, upper = (
-        np.array([getattr(a, end) for a in scene.tendons]) for end in ("lower", "upper")
-    )
+    paths = problem.space.paths[: len(scene.tendons)]
+    lower, upper = (np.array([getattr(a, end) for a in paths]) for end in ("lower", "upper"))
     error = problem.kept ** (target.time / problem.pause) * problem.belief.mean
     rng = np.random.default_rng(number)
     best: tuple[float, Array] = (np.inf, lower)
@@ -100,8 +99,8 @@ def starts(
     at = np.array([p.start for p in space.paths])
     ends = np.array([target.time for target in scene.targets])
     knots = np.concatenate([[0.0], ends])
-    upper = np.array([a.upper for a in scene.tendons])
-    lower = np.array([a.lower for a in scene.tendons])
+    upper = np.array([p.upper for p in space.paths[:count]])
+    lower = np.array([p.lower for p in space.paths[:count]])
     ways = []
     for early in (1.0, 0.6):
         via = np.stack([np.interp(time, early * knots, column) for column in

@@ -15,6 +15,7 @@ from glissando.errors import GlissandoError, RobotFileError
 from glissando.geometry.se3 import Array
 from glissando.io.toml_table import Table, read_toml
 from glissando.model.robot import Robot
+from glissando.model.tendons.tendons import Tendons
 from glissando.planning.scene.obstacles import (
     HalfSpace,
     Obstacle,
@@ -26,6 +27,7 @@ from glissando.planning.scene.obstacles import (
 from glissando.planning.sliding_sensor import SlidingSensor
 
 _FAR = 10.0  # m, beyond which a length was given in another unit
+_LIKELY = 2.0  # standard deviations of displacements, which strokes keep for corrections
 _FAST, _SHARP = 1.0, 50.0  # m/s and m/s², beyond which a unit is another
 _WIDE = 0.1  # m, of a robot's radius likewise
 
@@ -102,6 +104,7 @@ class Scene:
         model_std: Standard deviation of a place that no model error explains, m.
         correction: Time between two corrections of the commands by what was read, s.
         reserve: Share of the tendons' speed that a plan leaves to corrections.
+        stroke_reserve: What a plan leaves to them at both ends of the tendons' strokes, m.
     """
 
     obstacles: Sequence[Obstacle]
@@ -117,6 +120,7 @@ class Scene:
     model_std: float = 2e-4
     correction: float = 0.25
     reserve: float = 0.5
+    stroke_reserve: float = 0.0
 
 
 def read_scene(path: Path, robot: Robot) -> Scene:
@@ -151,7 +155,7 @@ def read_scene(path: Path, robot: Robot) -> Scene:
     if not targets:
         raise table.fail("[[targets]]", "is missing; add one with a position.")
     targets.sort(key=lambda target: target.time)
-    tendons, reserve = _tendons(table, len(robot.tendons), robot.length)
+    tendons, reserves = _tendons(table, robot.tendons, robot.length)
     slides, sensors = [], []
     for entry in table.tables("slides"):
         slide, sensor = _slide(entry, robot)
@@ -162,7 +166,7 @@ def read_scene(path: Path, robot: Robot) -> Scene:
     table.close()
     return Scene(
         obstacles, targets, radius, delta, horizon, tendons, slides, sensors, zones, weights,
-        model_std, correction, reserve,
+        model_std, correction, *reserves,
     )  # fmt: skip
 
 
@@ -220,8 +224,11 @@ def _target(table: Table, horizon: float, radius: float) -> Target:
     return target
 
 
-def _tendons(table: Table, count: int, length: float) -> tuple[list[Actuator], float]:
-    """Limits of the tendons, and the share of their speed that is left to corrections."""
+def _tendons(
+    table: Table, made: Tendons, length: float
+) -> tuple[list[Actuator], tuple[float, float]]:
+    """Limits of the tendons, and what of their speed and strokes is left to corrections."""
+    count = len(made)
     limits = table.table("tendons", required=True)
     assert limits is not None
     lower, upper, start = (_each(limits, key, count, default) for key, default in
@@ -230,6 +237,13 @@ def _tendons(table: Table, count: int, length: float) -> tuple[list[Actuator], f
     reserve = limits.number("reserve", 0.5, positive=False)
     if not 0.0 <= reserve < 1.0:
         raise limits.fail("reserve", f"is {reserve:g}; give a share of the speed, below 1.")
+    likely = float(min(_LIKELY * np.max(made.std), 0.25 * np.min(upper - lower)))
+    stroke = limits.number("stroke_reserve", max(likely, 0.0), positive=False)
+    if not 0.0 <= 2.0 * stroke <= float(np.min(upper - lower)):
+        raise limits.fail(
+            "stroke_reserve", f"is {stroke:g} m at both ends of a stroke of "
+            f"{np.min(upper - lower):g} m; give metres, less than half of it.",
+        )  # fmt: skip
     limits.close()
     if max(np.abs(lower).max(), np.abs(upper).max()) > 0.2 * length:
         raise limits.fail(
@@ -246,7 +260,7 @@ def _tendons(table: Table, count: int, length: float) -> tuple[list[Actuator], f
     return [
         Actuator(float(low), float(high), speed, acceleration, float(at))
         for low, high, at in zip(lower, upper, start, strict=True)
-    ], reserve
+    ], (reserve, stroke)
 
 
 def _each(table: Table, key: str, count: int, default: float | None) -> Array:
