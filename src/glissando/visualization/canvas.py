@@ -126,18 +126,20 @@ def save_figure(drawn: Any, path: str | Path) -> Path:
     path = Path(path)
     require_ending(path)
     figure = np.ravel(np.asarray(drawn, dtype=object))[0].figure
-    with canvas(1.0, 1.0), new_file(path) as building:  # for the fonts of its style
-        undated = {".pdf": "CreationDate", ".svg": "Date"}.get(path.suffix.lower())
-        _draw(figure, building, {undated: None} if undated else None)
+    undated = {".pdf": "CreationDate", ".svg": "Date"}.get(path.suffix.lower())
+    metadata = {undated: None} if undated else None
+    with canvas(1.0, 1.0), new_file(path) as building, _with_room(figure):  # fonts of its style
+        figure.savefig(building, dpi=150, metadata=metadata)
     return path
 
 
-def _draw(figure: Figure, path: Path, metadata: dict[str, None] | None) -> None:
-    """Write a figure, unless its text leaves no room for its axes."""
+@contextmanager
+def _with_room(figure: Figure) -> Iterator[None]:
+    """Refuse a figure whose text leaves no room for its axes, as it is drawn."""
     with warnings.catch_warnings():
         warnings.filterwarnings("error", "constrained_layout not applied")
         try:
-            figure.savefig(path, dpi=150, metadata=metadata)
+            yield
         except UserWarning:
             width, height = INCH * figure.get_size_inches()
             raise GlissandoError(
