@@ -35,7 +35,7 @@ from glissando import GlissandoError, load_robot
 from glissando.planning.scene.motion_search import Search
 from glissando.planning.scene.obstacles import sphere
 from glissando.planning.scene.plan_motion import motion_problem, plan_motion
-from glissando.planning.scene.scene_file import Actuator, Scene, Target
+from glissando.planning.scene.scene import Actuator, Scene, Target
 from glissando.planning.sliding_sensor import sliding_sensor
 from scenes_margin import margin_rows
 from scenes_sensing import draw_sensing, scene_rows, summed

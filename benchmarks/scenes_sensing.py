@@ -17,7 +17,7 @@ from glissando.planning.scene.motion_starts import reach_target, slide_ways, sta
 from glissando.planning.scene.obstacles import RoundedBox
 from glissando.planning.scene.plan_motion import MotionPlan, motion_problem, plan_motion
 from glissando.planning.scene.sampled_risk import sample_risk
-from glissando.planning.scene.scene_file import Actuator, Scene, Target
+from glissando.planning.scene.scene import Actuator, Scene, Target
 from glissando.planning.sliding_sensor import sliding_sensor
 from scenes_world import PAUSE, WanderingWorld, followed
 

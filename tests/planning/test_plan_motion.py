@@ -11,7 +11,7 @@ from glissando.planning.scene.motion_search import Search
 from glissando.planning.scene.motion_starts import reach_target, slide_ways, starts
 from glissando.planning.scene.obstacles import HalfSpace, read_mesh, sphere
 from glissando.planning.scene.plan_motion import motion_problem, plan_motion
-from glissando.planning.scene.scene_file import Actuator, Target, Weights
+from glissando.planning.scene.scene import Actuator, Target, Weights
 from motion_scenes import ROBOT, SLIDE, TENDON, small_scene
 
 BALL = sphere(np.array([0.02, 0.006, 0.205]), 0.006)

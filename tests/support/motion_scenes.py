@@ -6,7 +6,7 @@ from glissando.planning.scene.error_belief import ErrorBelief
 from glissando.planning.scene.motion_problem import MotionProblem
 from glissando.planning.scene.motion_space import motion_space
 from glissando.planning.scene.obstacles import HalfSpace, RoundedBox, capsule, sphere
-from glissando.planning.scene.scene_file import Actuator, Scene, SpaceZone, Target, Weights
+from glissando.planning.scene.scene import Actuator, Scene, SpaceZone, Target, Weights
 from glissando.planning.scene.tendon_body import tendon_body
 from glissando.planning.sliding_sensor import SlidingSensor
 from tendon_robot import LENGTH, tendon_robot

@@ -11,7 +11,7 @@ from glissando.geometry.se3 import Array
 from glissando.planning.scene.error_belief import KnownError
 from glissando.planning.scene.motion_space import MotionSpace
 from glissando.planning.scene.risk import Clearances, HitBound
-from glissando.planning.scene.scene_file import Scene, SpaceZone
+from glissando.planning.scene.scene import Scene, SpaceZone
 from glissando.planning.scene.tendon_body import BodyShapes
 
 _HAZE = 0.25  # of a zone's radius, over which it fades out

@@ -26,7 +26,7 @@ from glissando.planning.scene.motion_cost import Evaluation, Slopes, cost_terms,
 from glissando.planning.scene.motion_space import MotionSpace
 from glissando.planning.scene.obstacles import distances
 from glissando.planning.scene.risk import Clearances, bound_hits
-from glissando.planning.scene.scene_file import Scene
+from glissando.planning.scene.scene import Scene
 from glissando.planning.scene.tendon_body import BodyShapes, TendonBody
 from glissando.planning.sliding_sensor import SlidingSensor
 

@@ -10,7 +10,7 @@ import numpy as np
 from glissando.geometry.se3 import Array
 from glissando.planning.optimize import Polytope
 from glissando.planning.path_space import PathSpace
-from glissando.planning.scene.scene_file import Actuator, Scene
+from glissando.planning.scene.scene import Actuator, Scene
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ from glissando.planning.scene.motion_starts import (
     starts,
 )
 from glissando.planning.scene.sampled_risk import sample_risk
-from glissando.planning.scene.scene_file import Scene
+from glissando.planning.scene.scene import Scene
 from glissando.planning.scene.tendon_body import tendon_body
 
 Progress = Callable[[int, int, str], None]
