@@ -7,7 +7,8 @@ import pytest
 
 from glissando.errors import DeviceError
 from glissando.hardware.capture import Coil
-from glissando.hardware.capture.capture import _motion, _name_by_handle
+from glissando.hardware.capture.capture import _motion
+from glissando.hardware.capture.coil_names import name_by_handle
 from glissando.hardware.drivers.aurora_setup import Tool
 from glissando.model.slide_path import SlideLimits, SlidePath
 
@@ -29,6 +30,6 @@ def test_a_stage_is_given_times_that_increase_to_the_paths_end(duration):
 @pytest.mark.parametrize("order", [1, -1])
 def test_a_coil_without_a_number_takes_a_plug_that_no_other_is_identified_by(order):
     coils = (Coil("free", 0.1), Coil("tip", 0.2, serial="S1"))[::order]
-    assert _name_by_handle(TOOLS, coils) == {10: "tip", 11: "free"}
+    assert name_by_handle(TOOLS, coils) == {10: "tip", 11: "free"}
     with pytest.raises(DeviceError, match="plug other in, or leave it out"):
-        _name_by_handle(TOOLS, (*coils, Coil("other", 0.3)))
+        name_by_handle(TOOLS, (*coils, Coil("other", 0.3)))

@@ -1,0 +1,60 @@
+"""Which of the tracker's tools is which coil of the rig."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+
+from glissando.errors import DeviceError
+from glissando.hardware.capture.setup import Coil
+from glissando.hardware.drivers.aurora_setup import Tool
+
+
+def name_by_handle(tools: Sequence[Tool], coils: tuple[Coil, ...]) -> dict[int, str]:
+    """Names of the coils by their handles, first of those that state a serial number.
+
+    Args:
+        tools: What is plugged in.
+        coils: What the setup names.
+
+    Raises:
+        DeviceError: They do not match.
+    """
+    handles = {tool.serial: tool.handle for tool in tools}
+    free = [tool.handle for tool in tools]
+    names = {}
+    for coil in sorted(coils, key=lambda coil: not coil.serial):
+        if coil.serial and coil.serial not in handles:
+            raise DeviceError(
+                f"No coil with serial number {coil.serial!r} ({coil.name}) is plugged in, only "
+                f"{', '.join(handles)}; plug it in, or correct `serial`."
+            )
+        handle = handles[coil.serial] if coil.serial else next(iter(free), None)
+        if handle not in free:
+            raise DeviceError(
+                f"{len(tools)} coils are plugged in and the setup names {len(coils)}; plug "
+                f"{coil.name} in, or leave it out."
+            )
+        free.remove(handle)
+        names[handle] = coil.name
+    return names
+
+
+def name_by_identity(tools: Sequence[Tool], names: dict[int, str]) -> dict[str, str]:
+    """Names of the coils by serial number, where it is unique, and by place on the plugs.
+
+    A coil that is unplugged and comes back may have another handle, or not report its number.
+
+    Args:
+        tools: What is plugged in.
+        names: Names by handle.
+    """
+    named = [tool for tool in tools if tool.handle in names]
+    serials = Counter(tool.serial for tool in tools)
+    unique = {t.serial: names[t.handle] for t in named if t.serial and serials[t.serial] == 1}
+    return {plug(t): names[t.handle] for t in named} | unique
+
+
+def plug(tool: Tool) -> str:
+    """Where a tool is plugged in."""
+    return f"port {tool.port}, channel {tool.channel}"
