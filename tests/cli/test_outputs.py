@@ -3,6 +3,7 @@
 import io
 import json
 import sys
+from contextlib import contextmanager
 
 import pytest
 
@@ -28,6 +29,14 @@ kind = "pose"
 keep_repeats = true
 truth = true
 """
+
+
+@contextmanager
+def kept(folder):
+    """Nothing in a folder is changed, added or lost."""
+    before = {p.name: p.read_bytes() for p in folder.iterdir()}
+    yield
+    assert {p.name: p.read_bytes() for p in folder.iterdir()} == before
 
 
 @pytest.fixture(scope="module")
@@ -56,10 +65,29 @@ def held(tmp_path_factory):
     ],
 )
 def test_what_was_recorded_is_not_replaced(held, capsys, words):
-    before = {p.name: p.read_bytes() for p in held.iterdir()}
-    assert run(*words.format(rec=held).split()) == 2
+    with kept(held):
+        assert run(*words.format(rec=held).split()) == 2
     assert "would replace data; give another name or folder" in capsys.readouterr().err
-    assert {p.name: p.read_bytes() for p in held.iterdir()} == before
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "estimate {rec}",
+        "replay {rec}",
+        "check {rec}",
+        "plan --zone 0.5:0.6 --horizon 1",
+        "design --zone 0.5:0.6 --horizon 1 --strokes 0.06",
+        "reproduce",
+        "study {study}",
+    ],
+)
+def test_a_recording_is_no_folder_for_results(held, tmp_path, capsys, words):
+    study = tmp_path / "sweep.toml"
+    study.write_text("seeds = 1\n")
+    with kept(held):
+        assert run(*words.format(rec=held, study=study).split(), "--out", held) == 2
+    assert "is a recording; give a folder for the results" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

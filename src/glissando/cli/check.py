@@ -15,7 +15,7 @@ from rich.table import Table
 
 from glissando.cli.check_draws import add_options, check_draws
 from glissando.cli.console import Console
-from glissando.cli.outputs import require_spared, require_writable, stated
+from glissando.cli.outputs import require_results_folder, require_spared, require_writable, stated
 from glissando.cli.shared import (
     Commands,
     add_choices,
@@ -93,7 +93,7 @@ def add_to(commands: Commands) -> None:
 
 def _check(options: argparse.Namespace) -> int:
     if options.out:
-        require_writable(options.out)
+        require_results_folder(options.out)
     if options.draws is None and options.target is not None:
         options.target = _of_results(options.target)
     if options.store_tube:

@@ -11,7 +11,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from glissando.cli.console import Console
-from glissando.cli.outputs import require_writable, stated
+from glissando.cli.outputs import require_results_folder, stated
 from glissando.cli.placement import place
 from glissando.cli.plan_task import (
     add_task,
@@ -88,7 +88,7 @@ def _numbers(text: str) -> list[float]:
 
 def _design(options: argparse.Namespace) -> int:
     if options.out:
-        require_writable(options.out)
+        require_results_folder(options.out)
     require_horizon(options)
     if options.sensor:
         refuse_silent(options, "--sensor", "strokes", "speeds", "rates", "coils", "bound", "stream")

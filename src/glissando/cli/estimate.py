@@ -14,7 +14,7 @@ from rich.table import Table
 
 from glissando.cli.console import Console
 from glissando.cli.loads import loads_json, print_loads, scanned, write_contacts
-from glissando.cli.outputs import require_packages, require_writable, stated
+from glissando.cli.outputs import require_packages, require_results_folder, stated
 from glissando.cli.progress import working
 from glissando.cli.shared import (
     Commands,
@@ -86,7 +86,7 @@ def _estimate(options: argparse.Namespace) -> int:
     query = _checked_query(options, recording, robot) if options.query else None
     if options.out:
         require_packages({"netcdf": ("xarray", "h5netcdf", "h5py"), "plot": ("matplotlib",)})
-        require_writable(options.out)
+        require_results_folder(options.out)
     elif options.animate or options.view:
         wish = "--animate" if options.animate else "--view"
         raise GlissandoError(f"{wish} writes into a folder: give --out DIR.")

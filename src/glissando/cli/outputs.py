@@ -37,11 +37,14 @@ def require_spared(option: str, out: Path, *inputs: str | Path | None) -> None:
         return
     real, given = out.resolve(), [Path(each).resolve() for each in inputs if each is not None]
     held = any(
-        folder in given or any((folder / name).is_file() for name in (_TOML, LOG))
-        for folder in (real.parent, out.parent.resolve())
+        folder in given or _is_recording(folder) for folder in (real.parent, out.parent.resolve())
     )
     if real in given or (held and (real.name == _TOML or real.suffix in _DATA)):
         raise GlissandoError(f"{option} {out} would replace data; give another name or folder.")
+
+
+def _is_recording(folder: Path) -> bool:
+    return any((folder / name).is_file() for name in (_TOML, LOG))
 
 
 def stated(options: argparse.Namespace, robot: Robot | None = None) -> dict[str, Any]:
@@ -106,6 +109,21 @@ def require_writable(folder: Path, option: str = "--out") -> None:
     above = next((p for p in (folder, *folder.absolute().parents) if p.exists()), folder)
     if not above.is_dir() or not os.access(above, os.W_OK):
         raise GlissandoError(f"{option} {folder}: {above} is not a folder that can be written to.")
+
+
+def require_results_folder(folder: Path) -> None:
+    """Make sure, before any work is done, that --out is a folder for results.
+
+    Args:
+        folder: The folder, which may not be there yet.
+
+    Raises:
+        GlissandoError: If the folder cannot be made or written to, or is a recording, which other
+            commands would then take for results.
+    """
+    require_writable(folder)
+    if _is_recording(folder):
+        raise GlissandoError(f"--out {folder} is a recording; give a folder for the results.")
 
 
 def require_packages(extras: Mapping[str, Sequence[str]]) -> None:

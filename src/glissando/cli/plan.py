@@ -14,7 +14,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from glissando.cli.console import Console
-from glissando.cli.outputs import require_writable, stated
+from glissando.cli.outputs import require_results_folder, stated
 from glissando.cli.pairing import require_pair
 from glissando.cli.plan_scene import plan_scene
 from glissando.cli.plan_task import ROBOT, add_task, require_horizon, stage_of, stream_of
@@ -109,7 +109,7 @@ def _plan(options: argparse.Namespace) -> int:
     if options.seed < 0:
         raise GlissandoError(f"--seed is {options.seed}; give 0 or more.")
     if options.out:
-        require_writable(options.out)
+        require_results_folder(options.out)
     elif options.animate:
         raise GlissandoError("--animate writes into a folder: give --out DIR.")
     if options.scene:

@@ -13,7 +13,7 @@ import numpy as np
 from rich.markup import escape
 
 from glissando.cli.console import Console
-from glissando.cli.outputs import require_writable, stated
+from glissando.cli.outputs import require_results_folder, stated
 from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_choices, add_command, recording_and_robot
 from glissando.cli.tables import site_table
@@ -72,7 +72,7 @@ def _replay(options: argparse.Namespace) -> int:
     recording, robot = recording_and_robot(options)
     _require_lag(options.lag, robot)
     if options.out:
-        require_writable(options.out)
+        require_results_folder(options.out)
         if (options.out / "replay.json").exists():
             raise GlissandoError(f"{options.out} holds a finished run; give another --out.")
     with working(f"replaying {recording.name}") as work, ExitStack() as stack:

@@ -10,7 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from glissando.cli.console import Console
-from glissando.cli.outputs import require_writable
+from glissando.cli.outputs import require_results_folder
 from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_command
 from glissando.experiments.claims import CLAIMS, Verdict, load_claims
@@ -43,7 +43,7 @@ def add_to(commands: Commands) -> None:
 
 def _reproduce(options: argparse.Namespace) -> int:
     claims = load_claims(options.claims)
-    require_writable(options.out)
+    require_results_folder(options.out)
     with working("starting") as work:
 
         def show(doing: str, done: int, whole: int) -> None:

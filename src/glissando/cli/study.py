@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from glissando.cli.console import Console
-from glissando.cli.outputs import require_writable, stated
+from glissando.cli.outputs import require_results_folder, stated
 from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_command
 from glissando.errors import GlissandoError
@@ -60,7 +60,7 @@ def _study(options: argparse.Namespace) -> int:
     study = load_study(options.file)
     cells = study.cells()
     folder = options.out or Path("results") / options.file.stem
-    require_writable(folder)
+    require_results_folder(folder)
     resume = options.resume or options.retry
     store = Store(study, folder, resume=resume)
     todo = [c for c in cells if _is_left(store, c, retry=options.retry)]
