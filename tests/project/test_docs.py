@@ -1,5 +1,7 @@
 """The README and the docs are run: their Python blocks, and the numbers that code prints."""
 
+import ast
+import importlib
 import json
 import re
 import tomllib
@@ -54,6 +56,26 @@ def test_toml_blocks_parse(block):
 def test_the_script_in_the_readme_is_short():
     (block,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
     assert len(block.strip().splitlines()) <= 16
+
+
+def test_the_reference_has_all_that_pages_and_examples_import():
+    """A class or function is found under its module, its package or the top level."""
+    reference = "".join(page.read_text() for page in (ROOT / "docs" / "api").glob("*.md"))
+    named = set(re.findall(r"^::: (\S+)", reference, re.MULTILINE))
+    missing = {}
+    for file in [*PAGES, *sorted((ROOT / "examples").rglob("*.py"))]:
+        code = file.read_text()
+        if file.suffix == ".md":
+            code = "\n".join(re.findall(r"```python\n(.*?)```", code, re.DOTALL))
+        for line in ast.walk(ast.parse(code)):
+            if isinstance(line, ast.ImportFrom) and line.module.startswith("glissando."):
+                for name in line.names:
+                    found = getattr(importlib.import_module(line.module), name.name, None)
+                    if not callable(found):  # a module, or a constant of one
+                        continue
+                    if not named & {found.__module__, f"glissando.{name.name}"}:
+                        missing[f"{found.__module__}.{name.name}"] = file.name
+    assert missing == {}
 
 
 @pytest.mark.slow
