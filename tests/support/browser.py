@@ -1,10 +1,13 @@
 """A headless Chromium for tests of pages, where one is installed."""
 
+import io
 import shutil
+import time
 from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 NAMES = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome")
 
@@ -52,3 +55,15 @@ def wait_until(page, condition):
           else requestAnimationFrame(look);
         }})(); }})"""
     )
+
+
+def screenshot_once(page, holds, seconds=10.0):
+    """The first screenshot of which something holds, or the last one after some seconds.
+
+    A canvas may reach the screen some frames after it was drawn, later on a busy machine.
+    """
+    end = time.monotonic() + seconds
+    while True:
+        picture = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
+        if holds(picture) or time.monotonic() > end:
+            return picture

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from browser import Told, chromium, wait_until
+from browser import Told, chromium, screenshot_once, wait_until
 from glissando import CoilReadings, Grid, estimate
 from glissando.estimation.confidence_tube import SIGMAS_95
 from glissando.visualization.arrows import arrows_of
@@ -89,14 +89,11 @@ def test_a_page_carries_forces_and_draws_them_unless_they_are_switched_off(poste
         page = browser.new_page(viewport={"width": 900, "height": 800}, color_scheme="light")
         problems = Told(page)
         page.goto(file.as_uri())
-        counts = []
-        for _ in range(2):
-            wait_until(page, "!state.waiting && state.moment >= 0")
-            page.screenshot(path=tmp_path / "page.png")
-            with Image.open(tmp_path / "page.png") as picture:
-                counts.append(_coloured(picture))
-            page.locator("#forces input").click()
-            wait_until(page, "!state.waiting")
+        wait_until(page, "!state.waiting && state.moment >= 0")
+        drawn = screenshot_once(page, lambda picture: _coloured(picture) > 100)
+        page.locator("#forces input").click()
+        wait_until(page, "!state.waiting")
+        hidden = screenshot_once(page, lambda picture: _coloured(picture) < 10)
         assert page.locator("#now").inner_text().count("force at") == 2
-        assert counts[0] > 100 > 10 * counts[1]
+        assert _coloured(drawn) > 100 > 10 * _coloured(hidden)
         assert problems == []
