@@ -150,6 +150,15 @@ def test_an_absurd_start_ends_well_or_shows_that_it_did_not(seed):
         assert "start nearer the shape" in str(caught[0].message)
 
 
+def test_a_start_without_a_rate_that_the_prior_has_counts_as_at_rest():
+    (_, grid, readings), prior = sliding_scene(nodes=5), load_robot("tdcr466-segments").prior
+    start = prior.rest_state(grid)
+    plain = State(start.pose, start.strain, start.velocity)
+    found, good = (estimate(prior, grid, readings, initial=s) for s in (plain, start))
+    assert start.strain_rate is not None
+    np.testing.assert_array_equal(found.state.pose, good.state.pose)
+
+
 def test_not_converging_is_never_silent():
     prior, grid, readings = sliding_scene()
     options = SolverOptions(max_iterations=1, tolerance=1e-6)

@@ -61,7 +61,7 @@ def estimate(
         readings: Readings of each sensor.
         sensor_parameters: Parameters of the sensors, matched by the readings' names; estimated with
             the states where they are uncertain, applied where they are known.
-        initial: Nodes (K, N) to start from instead.
+        initial: Nodes (K, N) to start from instead; rates that the prior has and it lacks are zero.
         initial_parameters: Sensor parameters with their values (K, size) to start from, as an
             earlier posterior of this grid holds them.
         options: When to stop.
@@ -152,6 +152,7 @@ class _Problem:
             start, before = initial[0], 0
             if start is None:
                 start, located, before = starting_point(self.prior, located, progress, clock)
+            start = start.with_fields_of(self.prior.rest_state(self.grid))
             progress = _after(before, progress)
             options = rough or self.options
             solution = minimize(self.prior, located, start, options, progress, clock)  # (19)

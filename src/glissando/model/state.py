@@ -76,6 +76,17 @@ class State(Brief):
         fields = (f.reshape(*shape, 6) for f in self._others())
         return State(self.pose.reshape(*shape, 4, 4), *fields)
 
+    def with_fields_of(self, other: State) -> State:
+        """The state with the same fields as another; rates that it lacks are zero."""
+        strain_rate, inertia = (
+            None if theirs is None else np.zeros_like(self.strain) if mine is None else mine
+            for mine, theirs in (
+                (self.strain_rate, other.strain_rate),
+                (self.inertia, other.inertia),
+            )
+        )
+        return State(self.pose, self.strain, self.velocity, strain_rate, inertia)
+
     def flatten(self) -> State:
         """The state as one list of points (M,), sharing memory."""
         return self.reshape(-1)
