@@ -24,13 +24,13 @@ from glissando.solver.linearize import NormalEquations, linearize
 from glissando.solver.located_readings import LocatedReadings
 from glissando.solver.normal_equations import system_shape
 from glissando.solver.outcome import Outcome
+from glissando.solver.step_lengths import StepLengths
 
 WORTHWHILE = 1e-3  # share of the predicted fall in cost below which a step is refused
 _GOOD = 0.25  # share above which no other way to take the step is tried
 ROUNDING = 1e-11  # a fall in cost this small, relatively, cannot be told from rounding
 _SHORTER = (0.5, 0.2)  # parts of a refused step that are tried
-_CALMER = 0.5  # part of the step before above which steps do not shrink
-_IDLE = 3.0  # tolerances: a step this short that gains nothing ends the search
+_PLAIN, _FARTHEST = 2.0, 8.0  # a stretch of a step below which it is as good; and the longest
 _DAMPING = (1e-4, 1e8)  # smallest damping worth applying, and the one at which to give up
 _ROUGH = 10.0  # standard deviations a number that a rough start may be off by
 _ROUGH_ITERATIONS = 15
@@ -97,7 +97,8 @@ class Solution:
         cholesky: Its factor.
         outcome: How it ended.
         iterations: How many it took.
-        last_step: Length of the last step, standard deviations.
+        first_step: Length of the first step, standard deviations.
+        last_step: Length of the last step.
         workspace: Memory of the system.
     """
 
@@ -107,6 +108,7 @@ class Solution:
     cholesky: Cholesky
     outcome: Outcome
     iterations: int
+    first_step: float
     last_step: float
     workspace: Array
 
@@ -162,40 +164,38 @@ def minimize(
             return linearize(prior, where[1], where[0], noise_state, workspace, weights)
 
     here, fixed = at((start, located)), None
-    damping, iteration, length, after_renewal, last = 0.0, 0, np.inf, np.inf, False
+    steps = StepLengths(options.tolerance, kinks=located.moves)
+    damping, iteration, stretch = 0.0, 0, 1.0
+
+    def solution(end: _Where, cholesky: Cholesky, outcome: Outcome) -> Solution:
+        lengths = steps.first, steps.length
+        return Solution(*end, here, cholesky, outcome, iteration, *lengths, workspace)
+
     while True:
-        before = np.inf if damping else length
         with clock("solve"):
             cholesky, step, length, predicted = _step(here, damping, cholesky)
         iteration += 1
         if progress is not None:
             progress(iteration, here.cost_of(here), length)
-        # readings that move across nodes leave kinks in the cost, below any confidence: steps that
-        # no longer shrink are as short as they get
-        idle = not damping and length < _IDLE * options.tolerance
-        short = idle and (length < options.tolerance or length > _CALMER * before)
-        if fixed is here:
-            after_renewal, last = length, length > _CALMER * after_renewal
-        if short and (fixed is None or fixed is here or last):
+        steps.note(length, damped=damping > 0.0, renewed=fixed is here)
+        if steps.short and (fixed is None or fixed is here or steps.last):
             end = next(_candidates(prior, here, step))[0]
-            return Solution(*end, here, cholesky, Outcome.CONVERGED, iteration, length, workspace)
-        if short:
+            return solution(end, cholesky, Outcome.CONVERGED)
+        if steps.short:
             here = fixed = at((here.state, here.located))
             continue
         if iteration == options.settled:
             fixed = here
-        here, gain = _try_step(prior, here, step, fixed, predicted, at)
-        ended = Outcome.CONVERGED if idle and not gain > WORTHWHILE else None
+        stretch = 1.0 if damping else stretch
+        here, gain, stretch = _try_step(prior, here, step, fixed, predicted, at, stretch)
+        ended = Outcome.CONVERGED if steps.idle and not gain > WORTHWHILE else None
         damping = _next_damping(damping, gain)
         if ended is None and damping > _DAMPING[1]:
             ended = Outcome.NO_DESCENT
         elif ended is None and iteration >= options.max_iterations:
             ended = Outcome.ITERATION_LIMIT
         if ended is not None:
-            cholesky = factor(here.system, cholesky)
-            return Solution(
-                here.state, here.located, here, cholesky, ended, iteration, length, workspace
-            )
+            return solution((here.state, here.located), factor(here.system, cholesky), ended)
 
 
 def _step(
@@ -232,20 +232,42 @@ def _try_step(
     fixed: NormalEquations | None,
     predicted: float,
     at: _Linearize,
-) -> tuple[NormalEquations, float]:
-    """The problem at the first way worth it, else as it was; and the share of the promise."""
+    stretch: float,
+) -> tuple[NormalEquations, float, float]:
+    """The problem at the first way worth it, else as it was; the share of the promise; a stretch.
+
+    Where steps keep more than they promise, the cost curves less than residuals without their
+    second derivatives say, and a stretched step is tried first.
+    """
     cost, best, best_gain = here.cost_of(here), (here.state, here.located), WORTHWHILE
+    if stretch > 1.0:
+        of_nodes, of_parameters = here.split(stretch * step)
+        with suppress(np.linalg.LinAlgError):
+            there = at((here.state.retract(of_nodes), here.located.moved(of_parameters)), fixed)
+            gain = (cost - here.cost_of(there)) / predicted
+            if gain > _PLAIN:
+                return there, gain, _next_stretch(stretch, gain)
     gain = -1.0
     for there, where, share in _ways(prior, here, step, fixed, at):
         if predicted < ROUNDING * (1.0 + cost):
-            return there, 1.0
+            return there, 1.0, 1.0
         gain = (cost - here.cost_of(there)) / (share * predicted)
         if gain > _GOOD:
-            return there, gain
+            return there, gain, _next_stretch(1.0, gain) if stretch == 1.0 else 1.0
         if gain > best_gain:
             best, best_gain = where, gain
     gain = best_gain if best_gain > WORTHWHILE else gain
-    return at(best, fixed), gain
+    return at(best, fixed), gain, 1.0
+
+
+def _next_stretch(stretch: float, gain: float) -> float:
+    """How far beyond a Gauss-Newton step the least cost lies, as the last step's gain tells.
+
+    Along a step the cost of curvature c falls by gain = 2 · stretch − c · stretch² of what
+    curvature one promises, and is least at 1/c.
+    """
+    curvature = (2.0 * stretch - gain) / stretch**2
+    return 1.0 if curvature > 1.0 / _PLAIN else 1.0 / max(curvature, 1.0 / _FARTHEST)
 
 
 def _ways(

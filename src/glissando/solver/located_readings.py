@@ -60,13 +60,18 @@ class LocatedReadings:
     batches: list[list[ReadingBatch]]
     motion: State | None = None
 
+    @property
+    def moves(self) -> bool:
+        """Whether sensor parameters decide where or when readings were taken."""
+        return any(parameter.moves for parameter in self.parameters.process.each)
+
     def moved(self, step: Array) -> LocatedReadings:
         """The readings after a step (K, E) of the sensor parameters, located anew if they move."""
         if not step.any():
             return self
         parameters = replace(self.parameters, values=self.parameters.values + step)
         batches = self.batches
-        if any(parameter.moves for parameter in parameters.process.each):
+        if self.moves:
             batches = _batches(self.grid, self.streams, parameters, self.blocks)
         return replace(self, parameters=parameters, batches=batches)
 

@@ -1,0 +1,48 @@
+"""When an iteration ends: steps that are negligible, and those that would follow as well."""
+
+from __future__ import annotations
+
+import numpy as np
+
+_IDLE = 3.0  # tolerances: a step this short that gains nothing ends the search
+_CALMER = 0.5  # part of the step before above which steps do not shrink
+_SLOWEST = 0.05  # least share by which steps count as shrinking
+
+
+class StepLengths:
+    """Lengths of steps, in standard deviations, and whether one is short enough to end with.
+
+    Steps that shrink evenly leave a geometric series to go. Readings that move across nodes leave
+    kinks in the cost, below any confidence: steps that no longer shrink are as short as they get.
+
+    Attributes:
+        first: Length of the first step.
+        length: Length of the last one.
+        idle: Whether it is so short that the search ends if it gains nothing.
+        short: Whether it, and with it all that would follow, is negligible.
+        last: Whether steps that follow renewed weights no longer shrink.
+    """
+
+    def __init__(self, tolerance: float, *, kinks: bool) -> None:
+        self._tolerance, self._kinks = tolerance, kinks
+        self.first, self.length, self._renewed = np.nan, np.inf, np.inf
+        self.idle = self.short = self.last = False
+
+    def note(self, length: float, *, damped: bool, renewed: bool) -> None:
+        """Take the length of the next step; `renewed` weights make it one of a series of theirs."""
+        before = np.inf if damped else self._renewed if renewed else self.length
+        if np.isnan(self.first):
+            self.first = length
+        self.idle = not damped and length < _IDLE * self._tolerance
+        self.short = self.idle and self._is_short(length, length / before if before else np.inf)
+        if renewed:
+            self.last = self._kinks and length > _CALMER * self._renewed
+            self._renewed = length
+        self.length = length
+
+    def _is_short(self, length: float, rate: float) -> bool:
+        """Whether a step is short enough, the `rate` times as long as the one before."""
+        if self._kinks:
+            return length < self._tolerance or rate > _CALMER
+        left = length * rate / max(1.0 - rate, _SLOWEST)
+        return max(length, left) < self._tolerance

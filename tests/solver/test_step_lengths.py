@@ -1,0 +1,34 @@
+"""An iteration ends where what is left to go is short, however slowly its steps shrink."""
+
+import numpy as np
+import pytest
+
+from glissando.solver.step_lengths import StepLengths
+
+
+@pytest.mark.parametrize("rate", [0.01, 0.3, 0.6, 0.9])
+def test_steps_that_shrink_evenly_end_within_the_tolerance_of_their_limit(rate):
+    steps, length = StepLengths(0.3, kinks=False), 100.0
+    while not steps.short:
+        steps.note(length, damped=False, renewed=False)
+        length *= rate
+    assert length / (1.0 - rate) < 0.3
+    assert steps.first == 100.0
+
+
+def test_steps_that_no_longer_shrink_end_only_where_readings_move_across_nodes():
+    for kinks in (False, True):
+        steps = StepLengths(0.3, kinks=kinks)
+        for length in (50.0, 0.5, 0.4, 0.4):
+            steps.note(length, damped=False, renewed=False)
+        assert steps.short == kinks
+
+
+def test_damped_steps_end_nothing():
+    steps = StepLengths(0.3, kinks=True)
+    for length in (1.0, 0.1, 0.0):
+        steps.note(length, damped=True, renewed=False)
+        assert not steps.idle
+    steps.note(0.0, damped=False, renewed=True)
+    steps.note(np.float64(0.0), damped=False, renewed=True)
+    assert steps.short
