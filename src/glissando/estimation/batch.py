@@ -33,6 +33,9 @@ from glissando.solver.gauss_newton import Progress, Solution, SolverOptions, Sto
 from glissando.solver.located_readings import locate
 
 _FAR = 3.0  # lengths of the robot: readings beyond are said to be why equations break down
+_ASTRAY = 10.0  # standard deviations a number by which a start may be off and still be trusted
+_MISFIT = 5.0  # standard deviations by which a reading differs from all estimates but a false one
+_NAMED = 3  # readings that do not fit
 _ROUNDS = 5  # of solving and judging readings
 _ROUGH = 0.01  # standard deviations a number by which an estimate that is judged again may be off
 
@@ -51,9 +54,11 @@ def estimate(
 ) -> Posterior:
     """Posterior over pose, strain and velocity, continuous in arclength and time.
 
-    The iteration starts at rest, over coarse time nodes. A reading that all others refute is left
-    out and named in the report; streams with a robust loss keep all of theirs. Readings of sensors
-    in channels beside the backbone are placed by the shape until both agree (M8).
+    The iteration starts at rest, over coarse time nodes. If it is given another start that turns
+    out to be far off, it starts at rest as well, and the better end counts. A reading that all
+    others refute is left out and named in the report; streams with a robust loss keep all of
+    theirs. Readings of sensors in channels beside the backbone are placed by the shape until both
+    agree (M8).
 
     Args:
         prior: What is believed before any reading.
@@ -97,8 +102,8 @@ def estimate(
     posterior = problem.posterior((initial, initial_parameters), gate)
     report = posterior.solve
     if not report.converged:
-        message = f"The estimate has {report.status}. {report.outcome.remedy}"
-        warnings.warn(message, NotConvergedWarning, stacklevel=2)
+        words = [f"The estimate has {report.status}.", report.worst, report.outcome.remedy]
+        warnings.warn(" ".join(filter(None, words)), NotConvergedWarning, stacklevel=2)
     return posterior
 
 
@@ -130,7 +135,11 @@ class _Problem:
     def first_solve(self, used: Sequence[Mask], start: _Start) -> tuple[Posterior, Solution]:
         """Solve, and say so where readings are so far off that this breaks down."""
         try:
-            return self.solve(used, start)
+            end = self.solve(used, start)
+            if start[0] is not None and _is_doubtful(end[1]):
+                with suppress(np.linalg.LinAlgError, UnobservableError):
+                    end = max(end, self.solve(used, (None, start[1])), key=_worth)
+            return end
         except (np.linalg.LinAlgError, UnobservableError) as error:
             far = _far_off(self.grid, self.prior, self.readings)
             if far is None and isinstance(error, UnobservableError):
@@ -200,6 +209,18 @@ class _Problem:
         return {r.label: np.flatnonzero(~rows).tolist() for r, rows in pairs if not rows.all()}
 
 
+def _is_doubtful(solution: Solution) -> bool:
+    """Whether a solution may not be the lowest minimum, as its start was so far off."""
+    far = solution.first_step > _ASTRAY * float(np.sqrt(solution.equations.rhs.size))
+    return far or not solution.outcome.sound
+
+
+def _worth(end: tuple[Posterior, Solution]) -> tuple[bool, float]:
+    """How good the end of an iteration is: whether it converged, and at which cost."""
+    report = end[0].solve
+    return report.converged, -report.cost
+
+
 def _end_of(solution: Solution) -> _Start:
     """Where a solution ended, to start from."""
     return solution.state, solution.located.parameters.by_name()
@@ -251,4 +272,19 @@ def _report(solution: Solution, before: int, log_evidence: float, clock: Stopwat
         log_evidence,
         suspects,
         clock.total(),
+        worst="" if solution.outcome.sound else _worst_readings(solution),
     )
+
+
+def _worst_readings(solution: Solution) -> str:
+    """A sentence on the worst reading of each stream that is beyond what chance allows, or none."""
+    misfits = []
+    streams = solution.located.streams
+    for stream, terms in zip(streams, solution.equations.reading_terms(), strict=True):
+        whitened = np.einsum("mij,mj->mi", terms.sqrt_info, terms.residual)
+        misfit = np.linalg.norm(whitened, axis=1)
+        if misfit.max(initial=0.0) > _MISFIT:
+            row = int(np.argmax(misfit))
+            misfits.append((float(misfit[row]), f"{stream.label} at {seconds(stream.time[row])} s"))
+    named = [f"{name} ({size:.3g} standard deviations)" for size, name in sorted(misfits)[::-1]]
+    return f"Readings that do not fit: {', '.join(named[:_NAMED])}." if named else ""

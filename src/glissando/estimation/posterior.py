@@ -45,6 +45,7 @@ class SolveReport:
         suspects: How many readings a robust loss gave less than half their weight.
         seconds: Processor time by phase; empty of a posterior that was loaded.
         refused: Rows of each stream that were not used, as all other readings refute them.
+        worst: Of an estimate that did not converge, the readings that fit least where it ended.
     """
 
     outcome: Outcome
@@ -56,6 +57,7 @@ class SolveReport:
     suspects: int
     seconds: dict[str, float] = field(compare=False)
     refused: dict[str, list[int]] = field(default_factory=dict)
+    worst: str = ""
 
     @property
     def converged(self) -> bool:
