@@ -80,7 +80,7 @@ def _robot_and_layout(
     robot = chosen_robot(recording, options.robot)
     window = checked_window(recording, tuple(options.window) if options.window else None)
     readings, _, _ = chosen_streams(recording, robot, window, options.use, options.truth)
-    return robot, (robot.grid(*window), readings)
+    return robot, (robot.grid(*window, readings), readings)
 
 
 def _print(robot: Robot, check: SimulationCheck) -> None:

@@ -197,7 +197,7 @@ def run_estimate(
     findings = examine_recording(recording, robot, readings, references, window, allow)
     refuse(findings)
     readings = without_false_readings(robot, readings, dropped, {*recording.allow, *allow})
-    parameters, grid = robot.sensor_parameters, robot.grid(*window)
+    parameters, grid = robot.sensor_parameters, robot.grid(*window, readings)
     try:
         posterior = estimate(
             robot.prior,

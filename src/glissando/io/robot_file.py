@@ -94,7 +94,7 @@ def parse_robot(table: Table) -> Robot:
     prior = _prior(table)
     if prior.joints.size and prior.joints[-1] >= length:
         raise table.fail("[prior]", f"has a joint at {prior.joints[-1]:g} m, beyond the tip.")
-    nodes, rate = _grid(table, length)
+    nodes, rate, at_readings = _grid(table, length)
     nodes = with_places(nodes, prior.joints)
     mechanics = getattr(prior, "mechanics", None) or read_mechanics(table)
     if mechanics is not None:
@@ -108,7 +108,9 @@ def parse_robot(table: Table) -> Robot:
     table.skip("physics")  # of the simulator, which checks it
     table.close()
     beside = (mechanics, tube, tendons)
-    return Robot(name, length, nodes, rate, prior, *sensors, sensor_parameters, *beside)
+    return Robot(
+        name, length, nodes, rate, prior, *sensors, sensor_parameters, *beside, at_readings
+    )
 
 
 def _tube(table: Table | None) -> Tube | None:
@@ -137,10 +139,11 @@ def with_tube(text: str, tube: Tube) -> str:
     return f"{kept.rstrip()}\n\n[tube]\n{entries}"
 
 
-def _grid(table: Table, length: float) -> tuple[Array, float]:
+def _grid(table: Table, length: float) -> tuple[Array, float, bool]:
+    """Arclength nodes, time nodes a second, and whether readings get time nodes of their own."""
     grid = table.table("grid", required=True)
     assert grid is not None
-    rate = grid.number("time_rate")
+    rate, at_readings = grid.number("time_rate"), grid.flag("nodes_at_readings")
     if isinstance(grid.peek("arclength_nodes"), list):
         nodes = grid.vector("arclength_nodes", len(grid.peek("arclength_nodes")))
         if nodes.size == 0 or nodes[0] != 0.0 or np.any(np.diff(nodes) <= 0.0):
@@ -158,7 +161,7 @@ def _grid(table: Table, length: float) -> tuple[Array, float]:
             )
         nodes = np.linspace(0.0, length, int(count))
     grid.close()
-    return nodes, rate
+    return nodes, rate, at_readings
 
 
 def _prior(table: Table) -> Prior:

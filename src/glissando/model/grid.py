@@ -17,6 +17,7 @@ Index = NDArray[np.intp]
 SAME = 1e-9
 """Metres: places of the robot that are no farther apart are one, as decimals are rounded."""
 
+_CROWDED = 0.05  # of an interval: a reading as near to another node gets none of its own
 _TOLERANCE = 1e-9  # relative to the length: how far outside the ends still counts as the end
 
 
@@ -144,6 +145,35 @@ class Grid(Brief):
         out = object.__new__(Grid)
         out.__dict__.update(self.__dict__, time=time, before=before, time_spans=spans)
         return out
+
+    def with_nodes_at(self, time: ArrayLike) -> Grid:
+        """The grid with a further node at each time of readings that share an interval.
+
+        Readings in one interval share the error of its bridge (13), which counts as independent
+        from reading to reading; at nodes of their own nothing is left to share.
+
+        Args:
+            time: When readings were taken (M,), s; one alone in an interval gets no node.
+
+        >>> Grid([0.0, 0.5], [0.0, 1.0, 2.0]).with_nodes_at([0.2, 0.6, 1.5]).time
+        array([0. , 0.2, 0.6, 1. , 2. ])
+        """
+        if self.time.size < 2:
+            return self
+        read = np.unique(np.asarray(time, dtype=float))
+        read = read[(read > self.time[0]) & (read < self.time[-1])]
+        lower = np.searchsorted(self.time, read, side="right") - 1
+        nodes = self.time.tolist()
+        for k, number in zip(*np.unique(lower, return_counts=True), strict=True):
+            if number < 2:
+                continue
+            end = float(self.time[k + 1])
+            latest, least = float(self.time[k]), _CROWDED * (end - float(self.time[k]))
+            for at in read[lower == k].tolist():
+                if min(at - latest, end - at) > least:
+                    nodes.append(at)
+                    latest = at
+        return self.at_times(np.sort(nodes), self.before)
 
     @property
     def shape(self) -> tuple[int, int]:

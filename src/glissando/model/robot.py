@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from glissando.model.noise import Loss
 from glissando.model.priors.prior import Prior
 from glissando.model.seconds import seconds
 from glissando.model.sensors.parameters import SensorParameter
+from glissando.model.sensors.readings import Readings
 from glissando.model.state import DOF
 from glissando.model.tendons.tendons import Tendons
 from glissando.model.tube import Tube
@@ -41,6 +43,7 @@ class Robot(Brief):
         mechanics: What it is made of, where that is stated.
         tube: A whole-body tube whose coverage is promised, if one was calibrated.
         tendons: Its tendons, where they are stated.
+        nodes_at_readings: Whether readings that share a time step get time nodes of their own.
         file: The file that it was read from, if there is one.
     """
 
@@ -57,22 +60,35 @@ class Robot(Brief):
     mechanics: Mechanics | None = None
     tube: Tube | None = None
     tendons: Tendons | None = None
+    nodes_at_readings: bool = False
     file: Path | None = None
 
-    def grid(self, start: float, stop: float) -> Grid:
-        """The robot's grid over the times [start, stop] in seconds.
+    def grid(self, start: float, stop: float, readings: Sequence[Readings] = ()) -> Grid:
+        """The robot's grid over a window.
+
+        Args:
+            start: First time, s.
+            stop: Last time, s.
+            readings: What will be estimated from, for a robot of which `nodes_at_readings`.
 
         Raises:
             OutsideGridError: An estimate would need more memory than the machine can give.
         """
         wanted = max(2.0, float(np.round((stop - start) * self.time_rate)) + 1.0)
+        self._require_memory(wanted, start, stop, f"at {self.time_rate:g} nodes a second")
+        grid = Grid(self.arclength_nodes, np.linspace(start, stop, int(wanted)))
+        if not (self.nodes_at_readings and readings):
+            return grid
+        grid = grid.with_nodes_at(np.concatenate([r.time for r in readings]))
+        self._require_memory(grid.time.size, start, stop, "with nodes_at_readings")
+        return grid
+
+    def _require_memory(self, count: float, start: float, stop: float, how: str) -> None:
         require_memory(
-            self.memory(wanted),
-            f"{seconds(start, stop)} s at {self.time_rate:g} nodes a second would be "
-            f"{wanted:,.0f} time nodes",
+            self.memory(count),
+            f"{seconds(start, stop)} s {how} would be {count:,.0f} time nodes",
             "choose a shorter window or a lower time_rate",
         )
-        return Grid(self.arclength_nodes, np.linspace(start, stop, int(wanted)))
 
     def memory(self, count: float) -> float:
         """Bytes that an estimate of so many time nodes takes, about.

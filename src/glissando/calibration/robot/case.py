@@ -43,7 +43,8 @@ class RecordingCase:
 
     def grid(self, robot: Robot) -> Grid:
         """The robot's grid over the window."""
-        return robot.grid(*self.window)
+        readings = self.readings(robot) if robot.nodes_at_readings else ()
+        return robot.grid(*self.window, readings)
 
     def readings(self, robot: Robot) -> list[Readings]:
         """The streams to use, inside the window."""

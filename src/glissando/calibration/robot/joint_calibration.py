@@ -68,7 +68,7 @@ def locate(
     start, stop = window[0] + shift, window[1] - shift
     inner = [r.select((r.time > start) & (r.time < stop)) for r in readings]
     parameters = [*robot.sensor_parameters, *constants]
-    posterior = quiet_estimate(robot.prior, robot.grid(*window), inner, parameters, _OPTIONS)
+    posterior = quiet_estimate(robot.prior, robot.grid(*window, inner), inner, parameters, _OPTIONS)
 
     def estimated(parameter: SensorParameter) -> SensorParameter:
         values, _ = posterior.parameter(parameter.name)
