@@ -11,6 +11,7 @@ from glissando.planning.scene.motion_search import Search
 from glissando.planning.scene.motion_starts import reach_target, slide_ways, starts
 from glissando.planning.scene.obstacles import HalfSpace, read_mesh, sphere
 from glissando.planning.scene.plan_motion import motion_problem, plan_motion
+from glissando.planning.scene.sampled_risk import sample_risk
 from glissando.planning.scene.scene import Actuator, Target, Weights
 from motion_scenes import ROBOT, SLIDE, TENDON, small_scene
 
@@ -87,7 +88,7 @@ def test_more_risk_costs_no_more(planned):
         ),
         (
             {"obstacles": [sphere(np.array([0.045, 0.012, 0.185]), 0.003)]},
-            r"risk of 5 % (was not reached|the tip comes no nearer than)",
+            r"is -3 mm from obstacle 1: .* is \d.* mm inside",
         ),
     ],
 )
@@ -110,21 +111,24 @@ def test_a_motion_is_planned_past_a_mesh(tmp_path):
     assert [len(part) for part in scene.obstacles[0].distance(np.zeros((0, 3)))] == [0, 0, 0]
 
 
-def exhaustive(problem, count, rounds):
-    """The least cost of all motions on a lattice, made finer about the best, that keep all."""
+def lattice(problem, count, rounds):
+    """Motions on a lattice over all limits, made finer about the best that keeps the bound."""
     space, delta = problem.space, problem.scene.delta
     rows, centre, width = space.polytope
-    middle, reach, best = np.zeros(space.size), 1.5, (np.inf, None)
+    low, high = space.bounds
+    best = np.inf
     for _ in range(rounds):
-        for offset in itertools.product(np.linspace(-reach, reach, count), repeat=space.size):
-            free = middle + np.array(offset)
-            if np.any(np.abs(rows @ free - centre) > width):
+        for free in itertools.product(*np.linspace(low, high, count).T):
+            if np.any(np.abs(rows @ free - centre) > width + 1e-9):
                 continue
-            at = problem.evaluate(space.control(free))
-            if at.cost < best[0] and at.hits.value <= delta and problem.misses(at).max() <= 1.0:
-                best = at.cost, free
-        middle, reach = (middle if best[1] is None else best[1]), reach / (0.4 * count)
-    return best[0]
+            at = problem.evaluate(space.control(np.array(free)))
+            if problem.misses(at).max() > 1.0:
+                continue
+            yield at
+            if at.cost < best and at.hits.value <= delta:
+                best, middle = at.cost, np.array(free)
+        reach = 1.5 * (high - low) / (count - 1)
+        low, high = middle - reach, middle + reach
 
 
 @pytest.mark.slow
@@ -138,9 +142,13 @@ def test_a_plan_is_within_one_percent_of_the_best_of_all_motions(weights):
     wished = motion_problem(scene, ROBOT).body.shapes(np.array([[0, 3e-3, 0, 0, 0, 0]]))
     scene = replace(scene, targets=[Target(wished.place[0, -1], 0.008, 4.0)])
     problem = motion_problem(scene, ROBOT, step=2.0)
-    best = exhaustive(Reduced(problem, np.array([1, 6])), 13, 3)
-    plan = plan_motion(problem, candidates=3)
-    assert plan.evaluation.cost <= best * 1.01
+    cost = problem.evaluate(plan_motion(problem, candidates=3).evaluation.control).cost
+    found = list(lattice(Reduced(problem, np.array([1, 6])), 25, 3))
+    costs = np.array([at.cost for at in found])
+    assert costs.min() < 1.05 * cost  # fine enough to find one that is better
+    better = [at for at in found if at.cost < 0.99 * cost]
+    for at in sorted(better, key=lambda at: at.cost):
+        assert sample_risk(problem, at)[0] > scene.delta
 
 
 class Reduced:
@@ -158,6 +166,7 @@ class Reduced:
         kept = np.any(rows[:, moving] != 0.0, axis=1)
         centre = centre - rows[:, held] @ self.rest[held]
         self.polytope = rows[kept][:, moving], centre[kept], width[kept]
+        self.bounds = tuple(end[moving] for end in self.whole.bounds)
 
     def follow(self, target):
         return self.whole.follow(target)

@@ -14,7 +14,7 @@ from glissando.planning.scene.motion_cost import Evaluation
 from glissando.planning.scene.motion_problem import MotionProblem
 
 _FAR = 10.0  # of the cost, a constraint missed by its own size
-_WITHIN = 0.9  # of what the tip may miss a target by, squared, that a plan aims at
+_WITHIN = 0.99  # of what the tip may miss a target by, squared, that a plan aims at
 _ROUNDING = 1e-2  # by which constraints, of the logarithm of the risk, may be missed
 _MORE = 0.05  # by which a restored motion keeps constraints
 _SMALL = 1e-2  # factor of a penalty, so that the first step is no longer than it may be
