@@ -33,9 +33,10 @@ import numpy as np
 from scipy.stats import beta
 
 from glissando import GlissandoError, load_robot
-from glissando.planning.scene.motion_search import Search
+from glissando.planning.scene.follow import MotionFollower
 from glissando.planning.scene.obstacles import sphere
 from glissando.planning.scene.plan_motion import motion_problem, plan_motion
+from glissando.planning.scene.replan_motion import continue_motion
 from glissando.planning.scene.scene import Actuator, Scene, Target
 from glissando.planning.sliding_sensor import sliding_sensor
 from scenes_margin import margin_rows
@@ -158,19 +159,15 @@ def speed(pool, robot, options):
     problem = motion_problem(scene, robot)
     warm = np.pad(plan.evaluation.control, ((0, 0), (0, 4)), mode="edge")
     plan = plan_motion(problem, candidates=1, warm_start=warm)
-    at, values = plan.evaluation, plan.commands()[1]
-    moved, before = values[20], values[18]
-    later = motion_problem(scene, robot, start=moved, speed=(moved - before) / 0.1)
-    target = np.concatenate([at.control[:, 1:], at.control[:, -1:]], axis=1)
-    rows, start = [], later.space.follow(target)
+    at, planned = plan.evaluation, MotionFollower(plan).planned
+    values, speeds = planned(1.0), (planned(1.0) - planned(0.999)) / 1e-3
+    belief = problem.belief.after(1.0, problem.body.time_scale)
+    rows = []
     for name, work in (
         ("value", lambda: problem.evaluate(at.control)),
         ("slope of cost", lambda: problem.cost_gradient(problem.evaluate(at.control))),
         ("slope of risk", lambda: problem.log_risk_gradient(problem.evaluate(at.control))),
-        (
-            "replan, 5 iterations",
-            lambda: Search(later, 0.045).improve(start, 5, restores=False),
-        ),
+        ("replan", lambda: continue_motion(plan, 1.0, (values, speeds), belief, 0.05)),
     ):
         work()
         taken = []

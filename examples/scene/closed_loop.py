@@ -97,7 +97,10 @@ def main():
                 f"{1e3 * path[-1, -1]:3.0f} mm, planned anew {replanner.plans} times",
                 flush=True,
             )
-    print(replanner.stopped or "It came to rest at its target.")
+    if replanner.exceeded:
+        print(replanner.exceeded)
+    far = np.linalg.norm(real.tip - scene.targets[-1].position)
+    print(replanner.stopped or f"It came to rest {1e3 * far:.1f} mm from its target.")
 
 
 if __name__ == "__main__":

@@ -59,7 +59,14 @@ def test_the_example_is_planned_and_its_commands_are_such_as_predict_reads(folde
 
 MISTAKES = [
     ("robot_radius = 0.005", "robot_radius = 5", "robot_radius is 5 m; give metres"),
-    ("delta = 0.05", "delta = 5", "delta is 5; give a probability below 1: 0.05 for 5 %"),
+    ("delta = 0.05", "delta = 5", "delta is 5; give a probability from 0.001"),
+    ("delta = 0.05", "delta = 1e-6", "delta is 1e-06; give a probability from 0.001"),
+    ("delta = 0.05", "delta = 0.05\nmodel_std = 0.2", "model_std is 0.2 m on a robot of radius"),
+    ("delta = 0.05", "delta = 0.05\ncorrection = 6", "correction is 6 s within a horizon of 10 s"),
+    ("upper = 0.006", "upper = -0.002", "give a higher upper end"),
+    ("[tendons]", "[weights]\ninformation = 1\n\n[tendons]", "information is 1 with 0 [[zones]]"),
+    ("radius = 0.012", "radius = 4", "inside obstacle 1; give its size and place in metres"),
+    ("position = [0.06, 0.02, 0.155]", "position = [0.03, 0.008, 0.185]", "mm from obstacle 1: w"),
     ("center = [0.03, 0.008, 0.185]", "center = [30, 8, 185]", "give metres, not millimetres"),
     ('kind = "sphere"', 'kind = "ball"', "give one of sphere, capsule, box, half-space, mesh"),
     ("radius = 0.012", "radios = 0.012", "radius is missing"),

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from glissando.planning.scene.motion_problem import MotionProblem
-from motion_scenes import any_problem, around
+from glissando.planning.scene.plan_motion import motion_problem
+from motion_scenes import ROBOT, any_problem, around, small_scene
 
 WORTH = {
     "cost": (lambda p, e: e.cost, MotionProblem.cost_gradient),
@@ -70,3 +71,9 @@ def test_all_values_keep_the_limits_where_the_free_numbers_do(rng):
         assert column.min() >= path.lower - 1e-9
         assert column.max() <= path.upper + 1e-9
         assert np.abs(np.diff(column)).max() <= path.speed * problem.pause * (1.0 + 1e-6)
+
+
+@pytest.mark.parametrize("correction", [0.1, 0.3, 0.4, 0.5, 0.6, 1.0, 1.7, 2.0])
+def test_readings_are_counted_on_no_sooner_than_commands_are_corrected(correction):
+    problem = motion_problem(small_scene([], horizon=8.0, correction=correction), ROBOT)
+    assert correction - 1e-9 <= problem.pause * problem.every < 2.0 * correction

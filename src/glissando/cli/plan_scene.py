@@ -61,7 +61,7 @@ def _report(plan: MotionPlan) -> dict[str, object]:
         "delta": plan.problem.scene.delta,
         "miss": plan.miss,
         "tip_std": float(tip[-1]),
-        "clearance": float(np.min(at.clearances.mean, initial=np.inf)) + plan.problem.wider,
+        "clearance": _clearance(plan),
         "cost": at.cost,
         "terms": at.terms,
         "correction_speed": correction_speed(plan.problem, at),
@@ -69,13 +69,25 @@ def _report(plan: MotionPlan) -> dict[str, object]:
     }
 
 
+def _clearance(plan: MotionPlan) -> float | None:
+    """Least expected distance of the body from an obstacle, m, if there is one."""
+    mean = plan.evaluation.clearances.mean
+    return float(mean.min()) + plan.problem.wider if mean.size else None
+
+
 def _sentence(report: dict[str, object]) -> str:
-    mm = {key: 1e3 * float(str(report[key])) for key in ("miss", "tip_std", "clearance")}
+    mm = {key: 1e3 * float(str(report[key])) for key in ("miss", "tip_std")}
     risk, delta = (100.0 * float(str(report[key])) for key in ("risk", "delta"))
-    return (
+    reached = (
         f"The tip comes within {mm['miss']:.3g} mm of its targets, known to ± {mm['tip_std']:.3g} "
-        f"mm in the end. Anything is hit with a probability of {risk:.2g} %, and {delta:g} % are "
-        f"allowed; the nearest obstacle is expected {mm['clearance']:.3g} mm away."
+        f"mm in the end. "
+    )
+    if report["clearance"] is None:
+        return f"{reached}There is no obstacle."
+    return (
+        f"{reached}Anything is hit with a probability of {risk:.2g} %, and {delta:g} % are "
+        f"allowed; the nearest obstacle is expected {1e3 * float(str(report['clearance'])):.3g} mm "
+        f"away."
     )
 
 

@@ -98,7 +98,7 @@ def motion_space(
     Args:
         scene: The scene.
         step: Duration of a piece of the splines, s.
-        moment: Largest time between moments at which a motion is judged, s.
+        moment: Least time between moments at which a motion is judged, s, but for that of a piece.
         start: Where the actuators (C,) are; where the scene starts unless given.
         speed: Their speeds (C,); at rest unless given.
 
@@ -107,7 +107,7 @@ def motion_space(
     """
     steps = max(2, round(scene.horizon / step))
     step = scene.horizon / steps
-    inside = max(1, int(np.ceil(step / moment - 1e-9)))
+    inside = max(1, int(step / moment + 1e-9))  # readings are counted on no sooner than they come
     actuators: list[Actuator] = [*scene.tendons, *scene.slides]
     places = np.array([a.start for a in actuators]) if start is None else start
     for k, tendon in enumerate(scene.tendons):

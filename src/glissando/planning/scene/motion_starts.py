@@ -31,10 +31,13 @@ def require_possible_start(problem: MotionProblem) -> None:
     clearance = clearances.mean[:, 0] + finer.radius - scene.robot_radius
     o, n = np.unravel_index(int(np.argmin(clearance)), clearance.shape)
     if clearance[o, n] < 0.0:
+        deep = -float(clearance[o, n])
+        advice = "move the obstacle, or start elsewhere"
+        if deep > finer.body.arclength[-1]:
+            advice = "give its size and place in metres"
         raise GlissandoError(
             f"The robot starts in collision: at arclength {finer.body.arclength[n]:.3g} m it is "
-            f"{-1e3 * clearance[o, n]:.3g} mm inside obstacle {o + 1}; move the obstacle, or start "
-            f"elsewhere."
+            f"{1e3 * deep:.3g} mm inside obstacle {o + 1}; {advice}."
         )
     risk, std = sample_risk(problem, at, moments=1)
     if risk > scene.delta + 2.0 * std:
@@ -43,6 +46,26 @@ def require_possible_start(problem: MotionProblem) -> None:
             f"{100 * risk:.3g} %, nearest to obstacle {o + 1}; {100 * scene.delta:.3g} % are "
             f"allowed. Know the robot better, start elsewhere, or allow more."
         )
+
+
+def require_clear_targets(problem: MotionProblem) -> None:
+    """Raise unless the tip may be at each target, in its tolerance, without touching anything.
+
+    Raises:
+        GlissandoError: A target lies in an obstacle, or too near to it for the robot.
+    """
+    scene = problem.scene
+    for target in scene.targets:
+        for o, obstacle in enumerate(scene.obstacles):
+            away = float(obstacle.distance(target.position[None])[0][0])
+            short = scene.robot_radius - away - target.tolerance
+            if short > 0.0:
+                raise GlissandoError(
+                    f"Target {target.position.tolist()} m is {1e3 * away:.3g} mm from obstacle "
+                    f"{o + 1}: within its tolerance the robot, whose radius is "
+                    f"{1e3 * scene.robot_radius:.3g} mm, is {1e3 * short:.3g} mm inside; move one "
+                    f"of them."
+                )
 
 
 def reach_target(problem: MotionProblem, number: int) -> Array:

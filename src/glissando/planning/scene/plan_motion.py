@@ -24,6 +24,7 @@ from glissando.planning.scene.motion_search import Search
 from glissando.planning.scene.motion_space import motion_space
 from glissando.planning.scene.motion_starts import (
     reach_target,
+    require_clear_targets,
     require_possible_start,
     slide_ways,
     starts,
@@ -107,7 +108,8 @@ def motion_problem(
         scene: The scene.
         robot: The robot, with [tendons] and a mechanical prior.
         belief: What is known of the model error; nothing but what [tendons] states unless given.
-        step: Duration of a piece of the paths, s; by default a twelfth of the horizon, or 1 s.
+        step: Duration of a piece of the paths, s; by default a twelfth of the horizon, 1 s, or the
+            time between two corrections, whichever is longest.
         senses: Whether readings to come are counted on.
         start: Where the actuators (C,) are; where the scene starts unless given.
         speed: Their speeds (C,); at rest unless given.
@@ -115,7 +117,7 @@ def motion_problem(
     spacing = max(_SPACING * scene.robot_radius, robot.length / _PLACES)
     body = tendon_body(robot, spacing)
     belief = belief or ErrorBelief.unknown(body.errors)
-    step = step or max(1.0, scene.horizon / _PIECES)
+    step = step or max(1.0, scene.horizon / _PIECES, scene.correction)
     space = motion_space(scene, step, scene.correction, start, speed)
     return MotionProblem(scene, body, belief, space, senses)
 
@@ -139,6 +141,7 @@ def plan_motion(
     """
     with one_thread():
         require_possible_start(problem)
+        require_clear_targets(problem)
         reaches = [reach_target(problem, k) for k in range(len(problem.scene.targets))]
         first = starts(problem, np.stack(reaches), seed, warm_start)
         search = Search(problem, problem.scene.delta * _SHARE)

@@ -82,7 +82,8 @@ class Scene:
         sensors: What slides on each.
         zones: Where confidence is wanted.
         weights: What counts.
-        model_std: Standard deviation of a place that no model error explains, m.
+        model_std: Standard deviation of a clearance that no model error explains, m: one error of
+            all places, as if the robot were thicker or thinner.
         correction: Time between two corrections of the commands by what was read, s.
         reserve: Share of the tendons' speed that a plan leaves to corrections.
         stroke_reserve: What a plan leaves to them at both ends of the tendons' strokes, m.

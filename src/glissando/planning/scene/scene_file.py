@@ -26,6 +26,8 @@ _FAR = 10.0  # m, beyond which a length was given in another unit
 _LIKELY = 2.0  # standard deviations of displacements, which strokes keep for corrections
 _FAST, _SHARP = 1.0, 50.0  # m/s and m/s², beyond which a unit is another
 _WIDE = 0.1  # m, of a robot's radius likewise
+_LEAST_RISK = 1e-3  # of which 4,000 samples hold a few
+_OFTENEST = 0.01  # s between two corrections
 
 
 def read_scene(path: Path, robot: Robot) -> Scene:
@@ -45,16 +47,25 @@ def read_scene(path: Path, robot: Robot) -> Scene:
         )
     radius = _length(table, "robot_radius", _WIDE)
     delta = table.number("delta")
-    if delta >= 1.0:
-        raise table.fail("delta", f"is {delta:g}; give a probability below 1: 0.05 for 5 %.")
+    if not _LEAST_RISK <= delta < 1.0:
+        raise table.fail(
+            "delta", f"is {delta:g}; give a probability from {_LEAST_RISK:g}, as risks are "
+            f"sampled, to below 1: 0.05 for 5 %.",
+        )  # fmt: skip
     horizon = table.number("horizon", 10.0)
     if horizon > 600.0:
         raise table.fail("horizon", f"is {horizon:g} s; give seconds, 600 at most.")
     model_std, correction = table.number("model_std", 2e-4), table.number("correction", 0.25)
-    if correction > horizon:
+    if model_std > radius:
         raise table.fail(
-            "correction", f"is {correction:g} s, above the horizon of {horizon:g} s; give seconds."
-        )
+            "model_std", f"is {model_std:g} m on a robot of radius {radius:g} m; give metres, less "
+            f"than that.",
+        )  # fmt: skip
+    if not _OFTENEST <= correction <= 0.5 * horizon:
+        raise table.fail(
+            "correction", f"is {correction:g} s within a horizon of {horizon:g} s; give seconds, "
+            f"from {_OFTENEST:g} to half of it.",
+        )  # fmt: skip
     obstacles = [_obstacle(entry, path.parent) for entry in table.tables("obstacles")]
     targets = [_target(entry, horizon, radius) for entry in table.tables("targets")]
     if not targets:
@@ -67,7 +78,7 @@ def read_scene(path: Path, robot: Robot) -> Scene:
         slides.append(slide)
         sensors.append(sensor)
     zones = [_zone(entry, robot.length) for entry in table.tables("zones")]
-    weights = _weights(table)
+    weights = _weights(table, zones)
     table.close()
     return Scene(
         obstacles, targets, radius, delta, horizon, tendons, slides, sensors, zones, weights,
@@ -142,6 +153,10 @@ def _tendons(
     reserve = limits.number("reserve", 0.5, positive=False)
     if not 0.0 <= reserve < 1.0:
         raise limits.fail("reserve", f"is {reserve:g}; give a share of the speed, below 1.")
+    if np.any(lower >= upper):
+        raise limits.fail(
+            "upper", f"is {upper.tolist()} m and lower {lower.tolist()} m; give a higher upper end."
+        )
     likely = float(min(_LIKELY * np.max(made.std), 0.25 * np.min(upper - lower)))
     stroke = limits.number("stroke_reserve", max(likely, 0.0), positive=False)
     if not 0.0 <= 2.0 * stroke <= float(np.min(upper - lower)):
@@ -155,7 +170,7 @@ def _tendons(
             "upper", f"reaches {upper.max():g} m on a robot of {length:g} m; give metres of "
             f"displacement, not millimetres.",
         )  # fmt: skip
-    off = np.flatnonzero((start < lower) | (start > upper) | (lower >= upper))
+    off = np.flatnonzero((start < lower) | (start > upper))
     if off.size:
         j = int(off[0])
         raise limits.fail(
@@ -218,15 +233,22 @@ def _zone(table: Table, length: float) -> SpaceZone:
     return zone
 
 
-def _weights(table: Table) -> Weights:
+def _weights(table: Table, zones: list[SpaceZone]) -> Weights:
+    """What counts; confidence in zones does, where there are any."""
     given = table.table("weights")
+    usual = Weights(information=1.0 if zones else 0.0)
     if given is None:
-        return Weights()
+        return usual
     values = {name: given.number(name, default, positive=False)
-              for name, default in vars(Weights()).items()}  # fmt: skip
+              for name, default in vars(usual).items()}  # fmt: skip
     given.close()
     if min(values.values()) < 0.0:
         raise given.fail(
             min(values, key=lambda name: values[name]), "is below zero; give 0 or more."
         )
+    if bool(values["information"]) != bool(zones):
+        raise given.fail(
+            "information", f"is {values['information']:g} with {len(zones)} [[zones]]; give both, "
+            f"or neither.",
+        )  # fmt: skip
     return Weights(**values)
