@@ -89,7 +89,7 @@ def tip_misses(scene: Scene, space: MotionSpace, at: Evaluation) -> list[tuple[i
     """Moment of each target, and the tip's way from it (3,) over what is allowed."""
     out = []
     for target in scene.targets:
-        k = int(np.argmin(np.abs(space.moments - target.time)))
+        k = space.moment_at(target.time)
         out.append((k, (at.tip[k] - target.position) / target.tolerance))
     return out
 

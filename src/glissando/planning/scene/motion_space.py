@@ -47,6 +47,10 @@ class MotionSpace:
             out[np.arange(x.size), piece + shift] = part
         return out
 
+    def moment_at(self, time: float) -> int:
+        """Number of the last moment that is not after a time, s."""
+        return max(0, int(np.searchsorted(self.moments, time + 1e-9, side="right")) - 1)
+
     def control(self, free: Array) -> Array:
         """Control points (C, S+2) of a motion with free numbers (n,), m."""
         own = free.reshape(len(self.paths), -1) * self.scale
@@ -98,7 +102,8 @@ def motion_space(
     Args:
         scene: The scene.
         step: Duration of a piece of the splines, s.
-        moment: Least time between moments at which a motion is judged, s, but for that of a piece.
+        moment: Least time between moments at which a motion is judged, s: readings count no sooner
+            than they correct commands.
         start: Where the actuators (C,) are; where the scene starts unless given.
         speed: Their speeds (C,); at rest unless given.
 
@@ -107,7 +112,7 @@ def motion_space(
     """
     steps = max(2, round(scene.horizon / step))
     step = scene.horizon / steps
-    inside = max(1, int(step / moment + 1e-9))  # readings are counted on no sooner than they come
+    intervals = max(1, int(scene.horizon / moment + 1e-9))
     actuators: list[Actuator] = [*scene.tendons, *scene.slides]
     places = np.array([a.start for a in actuators]) if start is None else start
     for k, tendon in enumerate(scene.tendons):
@@ -120,4 +125,4 @@ def motion_space(
         PathSpace(a.lower, a.upper, a.speed, a.acceleration, step, steps, float(p), float(v))
         for a, p, v in zip(actuators, places, speeds, strict=True)
     )
-    return MotionSpace(paths, np.linspace(0.0, scene.horizon, steps * inside + 1))
+    return MotionSpace(paths, np.linspace(0.0, scene.horizon, intervals + 1))

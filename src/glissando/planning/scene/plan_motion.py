@@ -74,13 +74,11 @@ class MotionPlan:
     @property
     def miss(self) -> float:
         """Largest distance of the tip from a target at its time, m."""
-        moments = self.problem.space.moments
+        space, tip = self.problem.space, self.evaluation.tip
         return max(
-            float(np.linalg.norm(
-                self.evaluation.tip[int(np.argmin(np.abs(moments - target.time)))] - target.position
-            ))
+            float(np.linalg.norm(tip[space.moment_at(target.time)] - target.position))
             for target in self.problem.scene.targets
-        )  # fmt: skip
+        )
 
     @property
     def warning(self) -> str:
@@ -108,8 +106,7 @@ def motion_problem(
         scene: The scene.
         robot: The robot, with [tendons] and a mechanical prior.
         belief: What is known of the model error; nothing but what [tendons] states unless given.
-        step: Duration of a piece of the paths, s; by default a twelfth of the horizon, 1 s, or the
-            time between two corrections, whichever is longest.
+        step: Duration of a piece of the paths, s; by default a twelfth of the horizon, or 1 s.
         senses: Whether readings to come are counted on.
         start: Where the actuators (C,) are; where the scene starts unless given.
         speed: Their speeds (C,); at rest unless given.
@@ -117,7 +114,7 @@ def motion_problem(
     spacing = max(_SPACING * scene.robot_radius, robot.length / _PLACES)
     body = tendon_body(robot, spacing)
     belief = belief or ErrorBelief.unknown(body.errors)
-    step = step or max(1.0, scene.horizon / _PIECES, scene.correction)
+    step = step or max(1.0, scene.horizon / _PIECES)
     space = motion_space(scene, step, scene.correction, start, speed)
     return MotionProblem(scene, body, belief, space, senses)
 
@@ -225,7 +222,7 @@ def _checked(plan: MotionPlan) -> MotionPlan:
             f"the way."
         )
     for target in scene.targets:
-        k = int(np.argmin(np.abs(plan.problem.space.moments - target.time)))
+        k = plan.problem.space.moment_at(target.time)
         miss = float(np.linalg.norm(plan.evaluation.tip[k] - target.position))
         if miss > target.tolerance:
             raise GlissandoError(
