@@ -30,6 +30,7 @@ _LARGEST, _TRIANGLES = 1 << 26, 200_000  # bytes and triangles of a mesh
 _CELLS, _THIN = 24, 6  # of a mesh's lattice along its longest side, and its thinnest
 _POINTS = 100_000  # of the lattice at most, more or less
 _MARGIN = 0.35  # of the longest side, by which the lattice goes beyond the mesh
+_AT_ONCE = 2000  # points whose distances from a mesh are found together
 _CHECKED = 1000  # points near the surface where the splines are compared with the triangles
 _SAFELY = 1.1  # of the largest distance found too large there, taken off all
 
@@ -265,11 +266,15 @@ def read_mesh(path: Path, pose: Array, scale: float = 1.0) -> Mesh:
 
 
 def _signed(surface: Any, point: Array) -> Array:
-    """Signed distances of points (M, 3) from a surface of trimesh, negative inside."""
+    """Signed distances of points (M, 3) from a surface of trimesh, negative inside.
+
+    Of some points at a time, as it keeps all triangles near each of them.
+    """
     import trimesh
 
     inside_out: Any = trimesh.proximity.signed_distance
-    return -np.asarray(inside_out(surface, point))
+    parts = np.array_split(point, 1 + len(point) // _AT_ONCE)
+    return -np.concatenate([np.asarray(inside_out(surface, part)) for part in parts])
 
 
 def _too_far(mesh: Mesh, surface: Any) -> float:
