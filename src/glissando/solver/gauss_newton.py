@@ -149,12 +149,7 @@ def minimize(
         clock: Times the phases.
         former: A solution of no fewer numbers whose memory is overwritten, as it is not needed.
     """
-    # one memory for all systems: fresh memory would cost more than the sums
-    size, cholesky = located.parameters.process.size + start.numbers, None
-    if former is None:
-        workspace = np.empty(system_shape(start.pose.shape[0], size))
-    else:
-        workspace, cholesky = former.memory(size)
+    workspace, cholesky = _memory(located, start, former)
 
     def at(where: _Where, fixed: NormalEquations | None = None) -> NormalEquations:
         noise_state, weights = (
@@ -196,6 +191,16 @@ def minimize(
             ended = Outcome.ITERATION_LIMIT
         if ended is not None:
             return solution((here.state, here.located), factor(here.system, cholesky), ended)
+
+
+def _memory(
+    located: LocatedReadings, start: State, former: Solution | None
+) -> tuple[Array, Cholesky | None]:
+    """One memory for all systems, as fresh memory would cost more than the sums, and a factor's."""
+    size = located.parameters.process.size + start.numbers
+    if former is not None:
+        return former.memory(size)
+    return np.empty(system_shape(start.pose.shape[0], size)), None
 
 
 def _step(
@@ -240,7 +245,7 @@ def _try_step(
     second derivatives say, and a stretched step is tried first.
     """
     cost, best, best_gain = here.cost_of(here), (here.state, here.located), WORTHWHILE
-    if stretch > 1.0:
+    if stretch > 1.0 and predicted > ROUNDING * (1.0 + cost):
         of_nodes, of_parameters = here.split(stretch * step)
         with suppress(np.linalg.LinAlgError):
             there = at((here.state.retract(of_nodes), here.located.moved(of_parameters)), fixed)
@@ -261,10 +266,10 @@ def _try_step(
 
 
 def _next_stretch(stretch: float, gain: float) -> float:
-    """How far beyond a Gauss-Newton step the least cost lies, as the last step's gain tells.
+    """How many Gauss–Newton steps away the least cost lies, as the gain of the last one tells.
 
-    Along a step the cost of curvature c falls by gain = 2 · stretch − c · stretch² of what
-    curvature one promises, and is least at 1/c.
+    Where the cost curves c times as much as Gauss–Newton assumes, a step α times as long gains
+    2 α − c α² of what a plain one promises, most at α = 1/c.
     """
     curvature = (2.0 * stretch - gain) / stretch**2
     return 1.0 if curvature > 1.0 / _PLAIN else 1.0 / max(curvature, 1.0 / _FARTHEST)
