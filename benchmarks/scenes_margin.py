@@ -59,7 +59,8 @@ def with_equal_risk(robot, plan):
 
 def judged(plan):
     """Risk, seconds until the tip stays at its target, length of its way (m), and cost."""
-    at, moments = plan.evaluation, plan.problem.space.moments
+    even = plan.evenly()
+    at, moments = even.evaluation, even.problem.space.moments
     target = plan.problem.scene.targets[-1]
     far = np.linalg.norm(at.tip - target.position, axis=1) > 1.05 * target.tolerance
     last = np.flatnonzero(far).max(initial=-1) + 1

@@ -15,7 +15,7 @@ from glissando.planning.scene.motion_search import Search
 from glissando.planning.scene.motion_space import MotionSpace
 from glissando.planning.scene.motion_starts import reach_target, slide_ways, starts
 from glissando.planning.scene.obstacles import RoundedBox
-from glissando.planning.scene.plan_motion import MotionPlan, motion_problem, plan_motion
+from glissando.planning.scene.plan_motion import MotionPlan, improved, motion_problem, plan_motion
 from glissando.planning.scene.sampled_risk import sample_risk
 from glissando.planning.scene.scene import Actuator, Scene, Target
 from glissando.planning.sliding_sensor import sliding_sensor
@@ -34,7 +34,6 @@ SPARE = 2e-3  # m that tendons may go beyond what the target asks for
 SLIDE = {"speed": 0.04, "acceleration": 0.08}
 REACH, BEGIN = (0.1, 1.0), 0.7  # of the length
 FIXED = 0.65, 0.8, 0.95  # of the length
-CLOSE = 4  # moments in a pause
 CANDIDATES, ITERATIONS = 2, 30
 NEAR = 0.01  # m from the target, within which a robot has reached it
 
@@ -107,14 +106,9 @@ def with_given(problem, rows, control):
     """The problem with given control points (C, S+2) of some rows."""
     space, given = problem.space, np.full(control.shape, np.nan)
     given[rows] = control[rows]
-    return replace(problem, space=GivenSpace(space.paths, space.moments, given=given))
-
-
-def closely(problem):
-    """The problem judged at close moments."""
-    moments = problem.space.moments
-    close = np.linspace(moments[0], moments[-1], CLOSE * (moments.size - 1) + 1)
-    return replace(problem, space=replace(problem.space, moments=close), every=CLOSE)
+    return replace(
+        problem, space=GivenSpace(space.paths, space.moments, space.corrected, given=given)
+    )
 
 
 def searched(problem, warm=None):
@@ -126,11 +120,11 @@ def searched(problem, warm=None):
     try:
         return plan_motion(problem, candidates=CANDIDATES, iterations=ITERATIONS, warm_start=warm)
     except GlissandoError:
-        problem = closely(problem)
         search = Search(problem, 0.9 * problem.scene.delta)
         ways = starts(problem, reach_target(problem, 0)[None], 0, warm)
-        at = search.improve(min(ways, key=search.value), ITERATIONS)
-        return MotionPlan(problem, at, *sample_risk(problem, at), search.allowed)
+        at = search.at(min(ways, key=search.value))
+        search, at = improved(search, at, ITERATIONS)
+        return MotionPlan(search.problem, at, *sample_risk(search.problem, at), search.allowed)
 
 
 def held(robot, scene, first, share):
@@ -157,7 +151,7 @@ def in_turn(robot, scene):
     blind = motion_problem(replace(scene, model_std=1.2e-3), exact, senses=False)
     control = plan_motion(blind, candidates=CANDIDATES, iterations=ITERATIONS).evaluation.control
     problem = with_given(motion_problem(scene, robot), range(len(control) - 1), control)
-    search = Search(closely(problem), 0.9 * DELTA)
+    search = Search(problem, 0.9 * DELTA)
     return searched(problem, min(slide_ways(problem, control), key=search.value))
 
 

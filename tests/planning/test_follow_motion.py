@@ -38,12 +38,13 @@ def followed(seed, corrects, error_seed=None):
         shapes = body.shapes(values[None, :6], true[None])
         off = shapes.place[0] - evaluation.shapes.place[k]
         out.append((off, evaluation.cov[k], np.diff(follower._corrections, axis=0)[0]))
-        place = np.full(round(COIL.rate * problem.pause), values[6])
+        place = np.full(round(COIL.rate * problem.space.correction), values[6])
         noise = np.pad(std * rng.standard_normal((place.size, 5)), ((0, 0), (0, 1)))
         reading = shapes.pose_at(place[:1])[0] @ se3.exp(noise)
         follower.advance(time)
-        drift = np.sqrt(1.0 - problem.kept**2) * rng.standard_normal(true.size)
-        moved = problem.kept * true + drift
+        kept = problem.kept(problem.space.correction)
+        drift = np.sqrt(1.0 - kept**2) * rng.standard_normal(true.size)
+        moved = kept * true + drift
         if corrects:
             follower.add(CoilReadings(time=np.full(place.size, time), arclength=place,
                                       values=reading, cov=COIL.cov))  # fmt: skip
@@ -109,7 +110,11 @@ def test_corrections_are_as_fast_as_is_predicted_where_nothing_slows_them():
     runs = [followed(3, True, seed) for seed in range(12)]
     changes = np.array([[change for _, _, change in run[0]] for run in runs])
     follower = runs[0][1]
-    fastest = 2.0 * np.sqrt(np.mean(changes[:, 1:] ** 2, axis=0)).max() / follower.problem.pause
+    fastest = (
+        2.0
+        * np.sqrt(np.mean(changes[:, 1:] ** 2, axis=0)).max()
+        / follower.problem.space.correction
+    )
     stated = correction_speed(follower.problem, follower.plan.evaluation)
     assert 0.6 < fastest / stated < 1.6
     assert not follower.plan.warning

@@ -1,5 +1,7 @@
 """One problem for robot and sensor: every slope, in one backward pass, is that of differences."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -51,7 +53,7 @@ def test_slopes_through_mechanics_and_belief_are_those_of_differences(name, ever
 
 def test_without_sensing_what_is_known_does_not_depend_on_the_slide(rng):
     problem, control = any_problem(rng)
-    blind = MotionProblem(problem.scene, problem.body, problem.belief, problem.space, senses=False)
+    blind = replace(problem, senses=False)
     moved = control.copy()
     moved[-1] = 0.1
     one, other = blind.evaluate(control), blind.evaluate(moved)
@@ -70,10 +72,10 @@ def test_all_values_keep_the_limits_where_the_free_numbers_do(rng):
     for path, column in zip(problem.space.paths, values.T, strict=True):
         assert column.min() >= path.lower - 1e-9
         assert column.max() <= path.upper + 1e-9
-        assert np.abs(np.diff(column)).max() <= path.speed * problem.pause * (1.0 + 1e-6)
+        assert np.abs(np.diff(column)).max() <= path.speed * problem.space.correction * (1.0 + 1e-6)
 
 
 @pytest.mark.parametrize("correction", [0.1, 0.3, 0.4, 0.5, 0.6, 1.0, 1.7, 2.0])
 def test_readings_are_counted_on_no_sooner_than_commands_are_corrected(correction):
     problem = motion_problem(small_scene([], horizon=8.0, correction=correction), ROBOT)
-    assert correction - 1e-9 <= problem.pause < 1.35 * correction
+    assert correction - 1e-9 <= problem.space.correction < 1.35 * correction

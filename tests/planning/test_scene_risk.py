@@ -36,7 +36,7 @@ def test_what_is_known_is_what_dense_algebra_says(rng):
     problem, control = any_problem(rng, int(rng.integers(1, 4)), horizon=2.0)
     known = problem.evaluate(control).known
     true = dense_covariance(problem, known.corrections.rows)
-    np.testing.assert_allclose(known.before[:: problem.every], true, atol=1e-8)
+    np.testing.assert_allclose(known.before[problem.space.corrected], true, atol=1e-8)
 
 
 def test_between_corrections_what_is_left_is_as_large_as_in_samples(rng):

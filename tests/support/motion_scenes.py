@@ -58,8 +58,11 @@ def any_problem(rng, every=1, **fields):
     belief = ErrorBelief(
         0.5 * rng.standard_normal(body.errors), root @ root.T + 0.1 * np.eye(len(root))
     )
-    space = motion_space(scene, moment=scene.correction / every)
+    space = motion_space(scene)
+    space = space.with_moments(
+        np.linspace(0.0, scene.horizon, every * (space.moments.size - 1) + 1)
+    )
     times = space.paths[0].steps + 2
     pulled = rng.uniform(-1e-3, 3e-3, (6, times))
     control = space.follow(np.vstack([pulled, rng.uniform(0.05, LENGTH, (1, times))]))
-    return MotionProblem(scene, body, belief, space, every=every), control
+    return MotionProblem(scene, body, belief, space), control

@@ -37,6 +37,7 @@ def scene_figure(plan: MotionPlan, *, style: Style = NO_STYLE) -> Any:
     Raises:
         GlissandoError: matplotlib is not installed.
     """
+    plan = plan.evenly()
     with canvas(11.0, 6.0, style) as figure:
         grid = figure.add_gridspec(3, 2, width_ratios=[1.5, 1.0])
         space = figure.add_subplot(grid[:, 0], projection="3d", computed_zorder=False)
@@ -56,6 +57,7 @@ def save_scene_film(plan: MotionPlan, file: Path) -> None:
     Raises:
         GlissandoError: matplotlib is not installed.
     """
+    plan = plan.evenly()
     moments = plan.problem.space.moments
     lasts = float(np.ptp(moments))
     rate = max(1, round(_FRAMES / lasts))
@@ -135,6 +137,7 @@ def _body_cov(at: Evaluation, k: int) -> Any:
 
 def scene_page(plan: MotionPlan) -> PageScene:
     """A planned motion as `page` shows it: the robot, its confidence, obstacles and targets."""
+    plan = plan.evenly()
     at, scene = plan.evaluation, plan.problem.scene
     moments, count = plan.problem.space.moments, len(scene.tendons)
     solids = [Solid(*obstacle.surface(), _OBSTACLE) for obstacle in scene.obstacles]

@@ -23,13 +23,12 @@ def correction_speed(problem: MotionProblem, at: Evaluation) -> float:
         problem: The problem.
         at: The motion.
     """
-    every, known = problem.every, at.known.corrections
+    corrected, known = problem.space.corrected, at.known.corrections
     balance, by_error = at.shapes.balance, at.shapes.strain_by_error
     count, moments = len(problem.scene.tendons), len(known.before)
-    by_pull = balance.strain_by_displacement()[::every, :, 3:5].reshape(moments, -1, count)
-    by_error = by_error[::every, :, 3:5].reshape(moments, by_pull.shape[1], -1)
+    by_pull = balance.strain_by_displacement()[corrected, :, 3:5].reshape(moments, -1, count)
+    by_error = by_error[corrected, :, 3:5].reshape(moments, by_pull.shape[1], -1)
     pulled = np.linalg.pinv(by_pull, rcond=_EASE) @ by_error
     learned = known.before - known.after
     variance = np.einsum("ktq,kqp,ktp->kt", pulled, learned, pulled)
-    step = problem.pause * every
-    return float(_LIKELY * np.sqrt(max(variance.max(), 0.0)) / step)
+    return float(_LIKELY * np.sqrt(max(variance.max(), 0.0)) / problem.space.correction)

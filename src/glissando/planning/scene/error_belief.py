@@ -115,31 +115,31 @@ def predict_covariance(cov: Array, rows: Array, kept: float) -> PredictedCovaria
 class KnownError:
     """Covariances of what is not known of a model error, at M moments.
 
-    Commands are corrected at every m-th moment, M − 1 = m (K − 1). From one correction to the next
-    the actuators go evenly, so what is left of the error does too: (1 − w) e_k + w e_k+1.
+    From one correction of the commands to the next the actuators go evenly, so what is left of the
+    error does too: (1 − w) e_k + w e_k+1.
 
     Attributes:
         corrections: The covariances at the corrections.
-        every: Moments m from one correction to the next.
+        position: The moments (M,) in numbers of corrections; all of these are among them.
     """
 
     corrections: PredictedCovariance
-    every: int = 1
+    position: Array
 
     @cached_property
     def before(self) -> Array:
         """Covariances (M, q, q) at the moments."""
-        at, share = self._shares
+        at, share = self.shares
         return self._mixed(at, (1.0 - share) ** 2, share**2, 2.0 * share * (1.0 - share))
 
     @cached_property
     def lagged(self) -> Array:
         """Covariances (M−1, q, q) with the error a moment later."""
-        return self._mixed(self._shares[0][:-1], *self._lagged_weights)
+        return self._mixed(self.shares[0][:-1], *self._lagged_weights)
 
     def back(self, by_before: Array, by_lagged: Array) -> Array:
         """Slope (K, r, q) by the rows, of a value with slopes by `before` and `lagged`."""
-        at, share = self._shares
+        at, share = self.shares
         first = (1.0 - share) ** 2, share**2, 2.0 * share * (1.0 - share)
         known = self.corrections
         own, lag = np.zeros_like(known.before), np.zeros_like(known.lagged)
@@ -151,18 +151,16 @@ class KnownError:
         return known.back(own, lag)
 
     @cached_property
-    def _shares(self) -> tuple[Index, Array]:
+    def shares(self) -> tuple[Index, Array]:
         """The correction before each moment (M,), the last but one at most, and how far from it."""
-        count = len(self.corrections.before) - 1
-        moment = np.arange(count * self.every + 1)
-        at = np.minimum(moment // self.every, count - 1)
-        return at, moment / self.every - at
+        at = np.minimum(self.position.astype(np.intp), len(self.corrections.before) - 2)
+        return at, self.position - at
 
     @property
     def _lagged_weights(self) -> tuple[Array, Array, Array]:
         """Weights (M−1,) of both corrections' covariances and of that between them."""
-        early = self._shares[1][:-1]
-        late = early + 1.0 / self.every
+        at, share = self.shares
+        early, late = share[:-1], self.position[1:] - at[:-1]
         both = (1.0 - early) * late + early * (1.0 - late)
         return (1.0 - early) * (1.0 - late), early * late, both
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import InitVar, dataclass, field, replace
+from dataclasses import InitVar, dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -60,7 +60,7 @@ class MotionFollower:
     def planned(self, time: ArrayLike) -> Array:
         """Values (…, C) of all actuators that the plan has at times, m; at rest after its end."""
         moment = np.clip(np.asarray(time, dtype=float), 0.0, self.problem.scene.horizon)
-        basis = replace(self.problem.space, moments=moment.ravel()).basis
+        basis = self.problem.space.basis_at(moment.ravel())
         values = basis @ self.plan.evaluation.control.T
         return np.asarray(values.reshape(*moment.shape, -1))
 
@@ -94,7 +94,7 @@ class MotionFollower:
             shapes = self.problem.body.shapes(pulled, np.tile(self.belief.mean, (count, 1)))
             at, weights = self.problem.neighbours(readings.arclength)
             own = np.arange(count)
-            twist = shapes.body_twist[own[:, None], at]
+            twist = shapes.body_twist_at(own[:, None], at)
             twist = np.einsum("mn,mniq->miq", weights[:, 0], twist)
             pose = shapes.pose_at(readings.arclength)[own, own]
             state = State(pose, np.zeros((count, 6)), np.zeros((count, 6)))

@@ -26,6 +26,7 @@ class Evaluation:
         values: Values (K, C) of the actuators at the moments.
         shapes: The expected shapes.
         known: What is known of the model error.
+        row_slopes: Slopes (M, r, q) of the whitened rows of readings by the sensors' places.
         clearances: How far the body is from obstacles.
         slopes: Slopes (O, K, N, 3) of the distances.
         curvature: Curvatures (O, K, N, 3, 3) of the distances.
@@ -37,6 +38,7 @@ class Evaluation:
     values: Array
     shapes: BodyShapes
     known: KnownError
+    row_slopes: Array
     clearances: Clearances
     slopes: Array
     curvature: Array
@@ -109,7 +111,7 @@ def cost_terms(
         "accuracy": _accuracy(scene, space, at, slopes),
         "time": _time(scene, space, at, slopes),
         "wear": _wear(scene, space, at, slopes),
-        "information": sum(_zone(scene, at, zone, slopes) for zone in scene.zones),
+        "information": sum(_zone(scene, space, at, zone, slopes) for zone in scene.zones),
     }
 
 
@@ -128,15 +130,15 @@ def _accuracy(scene: Scene, space: MotionSpace, at: Evaluation, slopes: Slopes |
 
 
 def _time(scene: Scene, space: MotionSpace, at: Evaluation, slopes: Slopes | None) -> float:
-    """Mean square distance from the next target, over that at the start."""
+    """Mean square distance from the next target at the corrections, over that at the start."""
     ends = np.array([target.time for target in scene.targets])
     positions = np.array([target.position for target in scene.targets])
-    late = np.minimum(np.searchsorted(ends, space.moments), len(ends) - 1)
-    away = at.tip - positions[late]
+    late = np.minimum(np.searchsorted(ends, space.moments[space.corrected]), len(ends) - 1)
+    away = at.tip[space.corrected] - positions[late]
     first = float(away[0] @ away[0]) + scene.targets[0].tolerance ** 2
     weight = scene.weights.time / (first * len(away))
     if slopes is not None:
-        slopes.place[:, -1] += 2.0 * weight * away
+        slopes.place[space.corrected, -1] += 2.0 * weight * away
     return weight * float(np.sum(away**2))
 
 
@@ -152,24 +154,27 @@ def _wear(scene: Scene, space: MotionSpace, at: Evaluation, slopes: Slopes | Non
     return weight * float(np.sum(speed**2))
 
 
-def _zone(scene: Scene, at: Evaluation, zone: SpaceZone, slopes: Slopes | None) -> float:
-    """Mean variance of the places in a zone, over the square of the robot's radius."""
-    inside, by_place = _inside(at.shapes, zone)
+def _zone(
+    scene: Scene, space: MotionSpace, at: Evaluation, zone: SpaceZone, slopes: Slopes | None
+) -> float:
+    """Mean variance of the places in a zone at the corrections, over the robot's radius squared."""
+    k = space.corrected
+    inside, by_place = _inside(at.shapes, at.shapes.place[k], zone)
     total = float(inside.sum()) + 1e-9
     scale = scene.weights.information * zone.weight / (scene.robot_radius**2 * total)
-    moves = at.shapes.moves
-    spread = moves @ at.known.before[:, None]
+    moves = at.shapes.moves[k]
+    spread = moves @ at.known.before[k, None]
     variance = np.sum(spread * moves, axis=(-2, -1))
     value = scale * float(np.sum(inside * variance))
     if slopes is not None:
         by_inside = scale * variance - value / total
-        slopes.place += by_inside[..., None] * by_place
-        slopes.moves += 2.0 * (scale * inside)[..., None, None] * spread
-        slopes.before += np.einsum("kn,knai,knaj->kij", scale * inside, moves, moves)
+        slopes.place[k] += by_inside[..., None] * by_place
+        slopes.moves[k] += 2.0 * (scale * inside)[..., None, None] * spread
+        slopes.before[k] += np.einsum("kn,knai,knaj->kij", scale * inside, moves, moves)
     return value
 
 
-def _inside(shapes: BodyShapes, zone: SpaceZone) -> tuple[Array, Array]:
+def _inside(shapes: BodyShapes, place: Array, zone: SpaceZone) -> tuple[Array, Array]:
     """How far places (K, N) are in a zone, from 0 to 1, and the slopes (K, N, 3) of that."""
     if zone.arclength is not None:
         low, high = zone.arclength
@@ -177,10 +182,9 @@ def _inside(shapes: BodyShapes, zone: SpaceZone) -> tuple[Array, Array]:
         near = (s >= low - 0.5 * shapes.body.step.max()) & (
             s <= high + 0.5 * shapes.body.step.max()
         )
-        shape = shapes.place.shape
-        return np.broadcast_to(near.astype(float), shape[:2]), np.zeros(shape)
+        return np.broadcast_to(near.astype(float), place.shape[:2]), np.zeros(place.shape)
     assert zone.center is not None
-    away = shapes.place - zone.center
+    away = place - zone.center
     distance = np.linalg.norm(away, axis=-1)
     haze = _HAZE * zone.radius
     inside = 0.5 * (1.0 - np.tanh(0.5 * (distance - zone.radius) / haze))

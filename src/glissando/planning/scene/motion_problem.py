@@ -27,7 +27,7 @@ from glissando.planning.scene.motion_space import MotionSpace
 from glissando.planning.scene.obstacles import distances
 from glissando.planning.scene.risk import Clearances, bound_hits
 from glissando.planning.scene.scene import Scene
-from glissando.planning.scene.tendon_body import BodyShapes, TendonBody
+from glissando.planning.scene.tendon_body import BodyShapes, BySeen, TendonBody
 from glissando.planning.sliding_sensor import SlidingSensor
 
 _ROUNDING = 1e-9  # of a step
@@ -43,7 +43,6 @@ class MotionProblem:
         belief: What is known of the model error at the start.
         space: The motions.
         senses: Whether readings to come are counted on.
-        every: Moments from one correction of the commands, by what was read, to the next.
     """
 
     scene: Scene
@@ -51,17 +50,10 @@ class MotionProblem:
     belief: ErrorBelief
     space: MotionSpace
     senses: bool = True
-    every: int = 1
 
-    @cached_property
-    def kept(self) -> float:
-        """What is left of a model error from one moment to the next."""
-        return float(np.exp(-self.pause / self.body.time_scale))
-
-    @property
-    def pause(self) -> float:
-        """Time between moments, s."""
-        return float(self.space.moments[1] - self.space.moments[0])
+    def kept(self, time: float | Array) -> Array:
+        """What is left of a model error after times (…), s."""
+        return np.exp(-np.asarray(time) / self.body.time_scale)
 
     @cached_property
     def radius(self) -> float:
@@ -85,14 +77,16 @@ class MotionProblem:
         """
         values = self.space.basis @ control.T
         start = None if like is None else like.shapes.balance.strain
-        error = self.kept ** np.arange(len(values))[:, None] * self.belief.mean
+        error = self.kept(self.space.moments)[:, None] * self.belief.mean
         shapes = self.body.shapes(values[:, : len(self.scene.tendons)], error, start)
-        rows = self._rows(shapes, values)[0]
-        known = predict_covariance(self.belief.cov, rows, self.kept**self.every)
-        left = KnownError(known, self.every)
+        rows, row_slopes = self._rows(shapes, values)
+        known = predict_covariance(self.belief.cov, rows, float(self.kept(self.space.correction)))
+        left = KnownError(known, self.space.position)
         clearances, slopes, curvature = self._clearances(shapes, left)
         hits = bound_hits(clearances)
-        out = Evaluation(control, values, shapes, left, clearances, slopes, curvature, hits, {})
+        out = Evaluation(
+            control, values, shapes, left, row_slopes, clearances, slopes, curvature, hits, {}
+        )
         return replace(out, terms=cost_terms(self.scene, self.space, out))
 
     def cut(self, at: Evaluation, spacing: float) -> tuple[MotionProblem, BodyShapes, Clearances]:
@@ -176,7 +170,7 @@ class MotionProblem:
 
     def _rows(self, shapes: BodyShapes, values: Array) -> tuple[Array, Array]:
         """Whitened rows (C, r, q) of the readings of each correction, and their slopes by place."""
-        values, twist = values[:: self.every], shapes.body_twist[:: self.every]
+        values = values[self.space.corrected]
         rows = [np.zeros((len(values), 0, self.body.errors))]
         slopes = [rows[0]]
         first = len(self.scene.tendons)
@@ -184,7 +178,7 @@ class MotionProblem:
             own = self._white[c]
             for behind in sensor.behind:
                 at, weights = self.neighbours(values[:, first + c] - behind)
-                near = twist[np.arange(len(values))[:, None], at]
+                near = shapes.body_twist_at(self.space.corrected[:, None], at)
                 both = (weights @ near.reshape(*near.shape[:2], -1)).reshape(
                     len(near), 2, *near.shape[2:]
                 )
@@ -192,33 +186,27 @@ class MotionProblem:
                 slopes.append(own @ both[:, 1])
         return np.concatenate(rows, axis=1), np.concatenate(slopes, axis=1)
 
-    def _back_rows(self, at: Evaluation, by_rows: Array) -> tuple[Array, Array]:
-        """Slopes (K, N, 6, q) by twists and (K, L) by slides, of that (C, r, q) by the rows."""
-        by_twist, first = np.zeros_like(at.shapes.body_twist), len(self.scene.tendons)
+    def _back_rows(self, at: Evaluation, by_rows: Array) -> tuple[list[BySeen], Array]:
+        """Slopes by twists and (K, L) by slides, of that (C, r, q) by the rows."""
+        by_twist: list[BySeen] = []
+        first, corrected = len(self.scene.tendons), self.space.corrected
         by_slides = np.zeros((len(at.values), at.values.shape[1] - first))
-        if not self.senses:
-            return by_twist, by_slides
-        twist, slides = by_twist[:: self.every], by_slides[:: self.every]
-        place = at.values[:: self.every, first:]
-        moments = np.arange(len(place))[:, None]
-        slopes = self._rows(at.shapes, at.values)[1]
         row = 0
-        for c, sensor in enumerate(self.scene.sensors):
+        for c, sensor in enumerate(self.scene.sensors if self.senses else ()):
             own = self._white[c]
             for behind in sensor.behind:
-                part = by_rows[:, row : row + len(own)]
-                slides[:, c] += np.sum(part * slopes[:, row : row + len(own)], axis=(1, 2))
-                near, weights = self.neighbours(place[:, c] - behind)
-                back = own.T @ part
-                np.add.at(twist, (moments, near), weights[:, 0, :, None, None] * back[:, None])
+                part, slope = (x[:, row : row + len(own)] for x in (by_rows, at.row_slopes))
+                by_slides[corrected, c] += np.sum(part * slope, axis=(1, 2))
+                near, weights = self.neighbours(at.values[corrected, first + c] - behind)
+                back = weights[:, 0, :, None, None] * (own.T @ part)[:, None]
+                by_twist.append((corrected[:, None], near, back))
                 row += len(own)
         return by_twist, by_slides
 
     @cached_property
     def _white(self) -> list[Array]:
         """Whitened rows (r, 6) of each sensor by its pose, worth its readings of a correction."""
-        time = self.pause * self.every
-        return [sensor_rows(sensor, time) for sensor in self.scene.sensors]
+        return [sensor_rows(sensor, self.space.correction) for sensor in self.scene.sensors]
 
     def neighbours(self, arclength: Array) -> tuple[Index, Array]:
         """Four places (M, 4) about arclengths (M,), and their weights and slopes (M, 2, 4)."""

@@ -8,9 +8,12 @@ from functools import cached_property
 import numpy as np
 
 from glissando.geometry.se3 import Array
+from glissando.model.grid import Index
 from glissando.planning.optimize import Polytope
 from glissando.planning.path_space import PathSpace
 from glissando.planning.scene.scene import Actuator, Scene
+
+_SAME = 1e-9  # s between two times that are one
 
 
 @dataclass(frozen=True)
@@ -20,10 +23,13 @@ class MotionSpace:
     Attributes:
         paths: The paths of each.
         moments: Times (K,) at which a motion is judged, s from its start.
+        corrected: Numbers (M,) of the moments at which commands are corrected by what was read:
+            the first, the last, and others as far apart.
     """
 
     paths: tuple[PathSpace, ...]
     moments: Array
+    corrected: Index
 
     @property
     def size(self) -> int:
@@ -38,18 +44,41 @@ class MotionSpace:
     @cached_property
     def basis(self) -> Array:
         """Values (K, S+2) of the splines of each control point at the moments."""
+        return self.basis_at(self.moments)
+
+    def basis_at(self, time: Array) -> Array:
+        """Values (…, S+2) of the splines of each control point at times (…,), s."""
         path = self.paths[0]
-        piece = np.minimum((self.moments / path.step).astype(np.intp), path.steps - 1)
-        x = self.moments / path.step - piece
-        out = np.zeros((self.moments.size, path.steps + 2))
+        piece = np.minimum((time / path.step).astype(np.intp), path.steps - 1)
+        x = time / path.step - piece
+        out = np.zeros((time.size, path.steps + 2))
         parts = 0.5 * (1.0 - x) ** 2, 0.5 + x - x**2, 0.5 * x**2
         for shift, part in enumerate(parts):
             out[np.arange(x.size), piece + shift] = part
         return out
 
+    @property
+    def correction(self) -> float:
+        """Time from one correction to the next, s."""
+        return float(self.moments[self.corrected[1]])
+
+    @cached_property
+    def position(self) -> Array:
+        """The moments (K,) in numbers of corrections, 0 to M − 1."""
+        position = self.moments / self.correction
+        position[self.corrected] = np.arange(self.corrected.size)
+        return position
+
+    def with_moments(self, time: Array) -> MotionSpace:
+        """The same motions, judged at further times as well, s."""
+        apart = np.abs(time[:, None] - self.moments).min(axis=1)
+        moments = np.sort(np.concatenate([self.moments, time[apart > _SAME]]))
+        corrected = np.searchsorted(moments, self.moments[self.corrected])
+        return replace(self, moments=moments, corrected=corrected)
+
     def moment_at(self, time: float) -> int:
         """Number of the last moment that is not after a time, s."""
-        return max(0, int(np.searchsorted(self.moments, time + 1e-9, side="right")) - 1)
+        return max(0, int(np.searchsorted(self.moments, time + _SAME, side="right")) - 1)
 
     def control(self, free: Array) -> Array:
         """Control points (C, S+2) of a motion with free numbers (n,), m."""
@@ -94,16 +123,15 @@ class MotionSpace:
 
 
 def motion_space(
-    scene: Scene, step: float = 1.0, moment: float = 0.5,
-    start: Array | None = None, speed: Array | None = None,
+    scene: Scene, step: float = 1.0, start: Array | None = None, speed: Array | None = None
 ) -> MotionSpace:  # fmt: skip
     """The motions of a scene's tendons and slides; tendons keep reserves to correct.
+
+    They are judged whenever commands are corrected, and when the tip should be at a target.
 
     Args:
         scene: The scene.
         step: Duration of a piece of the splines, s.
-        moment: Least time between moments at which a motion is judged, s: readings count no sooner
-            than they correct commands.
         start: Where the actuators (C,) are; where the scene starts unless given.
         speed: Their speeds (C,); at rest unless given.
 
@@ -112,7 +140,7 @@ def motion_space(
     """
     steps = max(2, round(scene.horizon / step))
     step = scene.horizon / steps
-    intervals = max(1, int(scene.horizon / moment + 1e-9))
+    intervals = max(1, int(scene.horizon / scene.correction + _SAME))  # no sooner than in the loop
     actuators: list[Actuator] = [*scene.tendons, *scene.slides]
     places = np.array([a.start for a in actuators]) if start is None else start
     for k, tendon in enumerate(scene.tendons):
@@ -125,4 +153,6 @@ def motion_space(
         PathSpace(a.lower, a.upper, a.speed, a.acceleration, step, steps, float(p), float(v))
         for a, p, v in zip(actuators, places, speeds, strict=True)
     )
-    return MotionSpace(paths, np.linspace(0.0, scene.horizon, intervals + 1))
+    moments = np.linspace(0.0, scene.horizon, intervals + 1)
+    space = MotionSpace(paths, moments, np.arange(moments.size))
+    return space.with_moments(np.array([target.time for target in scene.targets]))

@@ -16,6 +16,7 @@ from glissando._kernels.threads import one_thread
 from glissando.errors import GlissandoError
 from glissando.geometry.se3 import Array
 from glissando.model.robot import Robot
+from glissando.planning.scene.close_moments import judged_closely
 from glissando.planning.scene.correction_speed import correction_speed
 from glissando.planning.scene.error_belief import ErrorBelief
 from glissando.planning.scene.motion_cost import Evaluation
@@ -41,9 +42,8 @@ _PLACES = 80  # of them at most over the whole body, whose balls are then larger
 _PIECES = 12  # of a path, unless that makes them shorter than a second
 _SHARE = 0.9  # of the allowed risk that a plan aims at
 _BRIEF = 12  # iterations of each candidate
-_STRIDE = 1.0  # robot radii that a place may go between two moments
-_HALVINGS = 4  # of the time between moments at most
-_ROUNDS = 3  # of raising the allowance
+_EVEN = 4  # moments from one correction to the next, of pictures
+_ROUNDS = 3  # of raising the allowance, and of adding moments
 
 
 @dataclass(frozen=True)
@@ -68,8 +68,7 @@ class MotionPlan:
         """Times (S,), s, at 20 a second, and values (S, C) of tendons and slides, m."""
         count = max(2, round(20.0 * self.problem.scene.horizon) + 1)
         time = np.linspace(0.0, self.problem.scene.horizon, count)
-        basis = replace(self.problem.space, moments=time).basis
-        return time, basis @ self.evaluation.control.T
+        return time, self.problem.space.basis_at(time) @ self.evaluation.control.T
 
     @property
     def miss(self) -> float:
@@ -79,6 +78,14 @@ class MotionPlan:
             float(np.linalg.norm(tip[space.moment_at(target.time)] - target.position))
             for target in self.problem.scene.targets
         )
+
+    def evenly(self) -> MotionPlan:
+        """The plan judged at even moments, four from one correction to the next."""
+        space = self.problem.space
+        corrected = _EVEN * np.arange(space.corrected.size)
+        moments = np.linspace(0.0, space.moments[-1], int(corrected[-1]) + 1)
+        problem = replace(self.problem, space=replace(space, moments=moments, corrected=corrected))
+        return replace(self, problem=problem, evaluation=problem.evaluate(self.evaluation.control))
 
     @property
     def warning(self) -> str:
@@ -115,7 +122,7 @@ def motion_problem(
     body = tendon_body(robot, spacing)
     belief = belief or ErrorBelief.unknown(body.errors)
     step = step or max(1.0, scene.horizon / _PIECES)
-    space = motion_space(scene, step, scene.correction, start, speed)
+    space = motion_space(scene, step, start, speed)
     return MotionProblem(scene, body, belief, space, senses)
 
 
@@ -152,8 +159,7 @@ def plan_motion(
             found.append(search.improve(way, _BRIEF))
             if progress:
                 progress(part + 1, len(ranked) + _ROUNDS, f"cost {found[-1].cost:.4g}")
-        best = search.improve(min(found, key=search.merit).control, iterations)
-        search, best = _with_close_moments(search, best, iterations)
+        search, best = improved(search, min(found, key=search.merit), iterations)
         return _checked(_use_up(search, best, iterations, seed, progress, len(ranked)))
 
 
@@ -165,22 +171,18 @@ def _of_different_tendons(motions: list[Array], count: int) -> list[Array]:
     return list(first.values())
 
 
-def _with_close_moments(
-    search: Search, best: Evaluation, iterations: int
-) -> tuple[Search, Evaluation]:
-    """The search with so many moments that no place goes far between two, and its best motion."""
-    for _ in range(_HALVINGS):
-        problem = search.problem
-        step = np.linalg.norm(np.diff(best.shapes.place, axis=0), axis=-1).max()
-        if step <= _STRIDE * problem.scene.robot_radius:
+def improved(search: Search, motion: Evaluation, iterations: int) -> tuple[Search, Evaluation]:
+    """The best motion that the search leads to, at the moments it needs, and the search at these.
+
+    A better motion may need moments that it was not searched at; then the search goes on.
+    """
+    for _ in range(_ROUNDS):
+        motion = search.improve(motion.control, iterations)
+        count = search.problem.space.moments.size
+        search, motion = judged_closely(search, motion)
+        if search.problem.space.moments.size == count:
             break
-        moments = problem.space.moments
-        closer = np.linspace(moments[0], moments[-1], 2 * moments.size - 1)
-        space = replace(problem.space, moments=closer)
-        closer_problem = replace(problem, space=space, every=2 * problem.every)
-        search = replace(search, problem=closer_problem, last=None)
-        best = search.improve(best.control, iterations)
-    return search, best
+    return search, motion
 
 
 def _use_up(
@@ -207,7 +209,8 @@ def _use_up(
             break
         allowed *= float(np.clip(_SHARE * delta / max(risk, 1e-4), 0.2, 3.0))
         search = replace(search, allowed=allowed)
-        best = search.improve(best.control, iterations)
+        search, best = improved(search, best, iterations)
+        problem = search.problem
     assert plan is not None
     return plan
 

@@ -21,6 +21,7 @@ from glissando.geometry.se3 import Array
 from glissando.model.sensors.readings import Readings
 from glissando.planning.path_space import PathSpace
 from glissando.planning.planners import InlinePlanner, Planner
+from glissando.planning.scene.close_moments import judged_closely
 from glissando.planning.scene.error_belief import ErrorBelief
 from glissando.planning.scene.follow import MotionFollower
 from glissando.planning.scene.motion_cost import Evaluation
@@ -31,6 +32,7 @@ from glissando.planning.scene.plan_motion import MotionPlan
 from glissando.planning.scene.sampled_risk import sample_risk
 
 _ITERATIONS = 5  # of the search: the plan that is followed is a good start
+_ROUNDS = 2  # of those, where the first leads to nothing that may be followed
 _SHARE = 0.9  # of the allowed risk that the search aims at
 _LEAST_RISK = 1e-4  # that a rest may have, when more than all was spent
 _BEFORE, _ROUNDING = 1e-3, 1e-6  # s
@@ -183,7 +185,7 @@ def continue_motion(
         if new.risk <= left + 2.0 * new.risk_std:
             return Continuation(new, spent)
         still = np.repeat(state[0][:, None], new.evaluation.control.shape[1], axis=1)
-        braked = _with_risk(search, search.at(problem.space.follow(still)))
+        braked = _with_risk(*judged_closely(search, search.at(problem.space.follow(still))))
     reason = (
         f"Of what is left of the motion {100.0 * new.risk:.2g} % would hit, and {100.0 * left:.2g} "
         f"% are allowed; "
@@ -198,12 +200,18 @@ def continue_motion(
 
 
 def _moving_on(search: Search, plan: MotionPlan, start: float, values: Array) -> MotionPlan:
-    """The rest of a plan from values (C,) of the actuators, improved."""
+    """The rest of a plan from values (C,) of the actuators, improved until it may be followed."""
     space, planned = search.problem.space, MotionFollower(plan).planned
     ahead = planned(start + space.paths[0].control_times)
-    same = search.at(space.follow((ahead + values - planned(start)).T))
-    found = search.improve(same.control, _ITERATIONS, restores=False)
-    return _with_risk(search, min((found, same), key=search.merit))
+    motion = search.at(space.follow((ahead + values - planned(start)).T))
+    search, motion = judged_closely(search, motion)
+    for _ in range(_ROUNDS):
+        motion = search.improve(motion.control, _ITERATIONS, restores=False)
+        search, motion = judged_closely(search, motion)
+        new = _with_risk(search, motion)
+        if new.risk <= search.problem.scene.delta:
+            break
+    return new
 
 
 def _with_risk(search: Search, motion: Evaluation) -> MotionPlan:
@@ -218,10 +226,6 @@ def _rest(
     """The problem of what is left of a motion."""
     scene = problem.scene
     targets = [replace(t, time=t.time - start) for t in scene.targets if t.time > start]
-    horizon = scene.horizon - start
-    rest = replace(scene, targets=targets, horizon=horizon, delta=allowed)
-    space = motion_space(rest, problem.space.paths[0].step, scene.correction, *state)
-    inside = max(1, round(scene.correction / problem.pause))
-    closer = np.linspace(0.0, horizon, inside * (space.moments.size - 1) + 1)
-    space = replace(space, moments=closer)
-    return replace(problem, scene=rest, belief=belief, space=space, every=inside)
+    rest = replace(scene, targets=targets, horizon=scene.horizon - start, delta=allowed)
+    space = motion_space(rest, problem.space.paths[0].step, *state)
+    return replace(problem, scene=rest, belief=belief, space=space)

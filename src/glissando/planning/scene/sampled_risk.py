@@ -45,12 +45,17 @@ def sample_risk(
     for k, error in zip(
         range(len(at.values) if moments is None else moments), errors, strict=False
     ):
-        for o, n in np.argwhere(near[:, k]):
-            linear = c.mean[o, k, n] + error @ c.by_error[o, k, n] + floor
-            maybe = np.flatnonzero(~hit & (linear < _CURVED * problem.scene.robot_radius))
-            place = shapes.place[k, n] + error[maybe] @ shapes.moves[k, n].T
-            signed = problem.scene.obstacles[o].distance(place)[0]
-            hit[maybe] = signed - problem.radius + floor[maybe] < 0.0
+        for o, obstacle in enumerate(problem.scene.obstacles):
+            n = np.flatnonzero(near[o, k])
+            if not n.size:
+                continue
+            linear = c.mean[o, k, n] + error @ c.by_error[o, k, n].T + floor[:, None]
+            linear[hit] = np.inf
+            sample, of = np.nonzero(linear < _CURVED * problem.scene.robot_radius)
+            moved = shapes.moves[k, n[of]] @ error[sample, :, None]
+            place = shapes.place[k, n[of]] + moved[..., 0]
+            signed = obstacle.distance(place)[0]
+            hit[sample[signed - problem.radius + floor[sample] < 0.0]] = True
     share = float(hit.mean())
     return share, float(np.sqrt(max(share * (1.0 - share), 1.0 / count) / count))
 
@@ -65,15 +70,14 @@ def at_close_places(
 
 def _sampled_errors(known: KnownError, count: int, rng: np.random.Generator) -> Iterator[Array]:
     """Samples (count, q) of what is left of the model error, of one moment after another."""
-    at = known.corrections
+    at, (correction, share) = known.corrections, known.shares
     error = rng.standard_normal((count, at.before.shape[-1])) @ _root(at.before[0]).T
-    yield error
     for k in range(len(at.before) - 1):
         gain = at.kept * at.free[k]
         rest = at.before[k + 1] - gain @ at.before[k] @ gain.T
         later = error @ gain.T + rng.standard_normal(error.shape) @ _root(rest).T
-        for share in np.arange(1, known.every + 1) / known.every:
-            yield (1.0 - share) * error + share * later
+        for part in share[correction == k]:
+            yield (1.0 - part) * error + part * later
         error = later
 
 

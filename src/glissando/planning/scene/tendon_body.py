@@ -10,6 +10,7 @@ energy. Source: (M5) to (M7) of docs/tendons.md.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -21,6 +22,9 @@ from glissando.model.grid import Index
 from glissando.model.robot import Robot
 from glissando.model.tendons.statics import Equilibrium, equilibrium
 from glissando.model.tendons.tendon_rod import TendonRod, tendon_rod
+
+BySeen = tuple[Index, Index, Array]
+"""Shapes and places by number (…,), and slopes (…, 6, q) of a value by their twists."""
 
 
 @dataclass(frozen=True)
@@ -163,10 +167,7 @@ class BodyShapes:
     def twist(self) -> Array:
         """Spatial twists (K, N, 6, q) of the places by ξ; the midpoint rule over each step."""
         middle, by_error = self._fine[:, 1::2], self.strain_by_error[:, self.body.piece]
-        steps = self.body.step[:, None, None] * (se3.adjoint(middle) @ by_error)
-        out = np.zeros((len(steps), self.body.arclength.size, *steps.shape[2:]))
-        np.cumsum(steps, axis=1, out=out[:, 1:])
-        return out
+        return _summed_up(self.body.step[:, None, None] * (se3.adjoint(middle) @ by_error))
 
     @cached_property
     def moves(self) -> Array:
@@ -174,34 +175,38 @@ class BodyShapes:
         place = self.place[..., None]
         return self.twist[..., :3, :] + _cross(self.twist[..., 3:, :], place)
 
-    @cached_property
-    def body_twist(self) -> Array:
-        """Twists (K, N, 6, q) of the places by ξ, in the body frame."""
-        back = np.swapaxes(self.pose[..., :3, :3], -1, -2)
-        return np.concatenate([back @ self.moves, back @ self.twist[..., 3:, :]], axis=-2)
+    def body_twist_at(self, shape: Index, place: Index) -> Array:
+        """Twists (…, 6, q) by ξ, in the body frame, of places of shapes, given by number (…,)."""
+        back = self.pose[shape, place, :3, :3].mT
+        angular = self.twist[shape, place, 3:]
+        return np.concatenate([back @ self.moves[shape, place], back @ angular], axis=-2)
 
     def tip_by_displacement(self) -> Array:
         """∂(position of the tip)/∂displacement (K, 3, T), world frame."""
         slope = self.balance.pose_by(self.balance.strain_by_displacement())[:, -1, :3]
         return self.pose[:, -1, :3, :3] @ slope
 
-    def back(self, by_place: Array, by_moves: Array, by_body_twist: Array) -> Array:
+    def back(self, by_place: Array, by_moves: Array, by_seen: Sequence[BySeen]) -> Array:
         """Slope (K, T) by displacements, of a value whose partial slopes are given.
 
         Args:
             by_place: By `place` (K, N, 3).
             by_moves: By `moves` (K, N, 3, q).
-            by_body_twist: By `body_twist` (K, N, 6, q).
+            by_seen: By what `body_twist_at` gives.
         """
-        turn, twist = self.pose[..., :3, :3], self.twist
-        linear, angular = turn @ by_body_twist[..., :3, :], turn @ by_body_twist[..., 3:, :]
-        by_turn = -_summed(self.moves, linear) - _summed(twist[..., 3:, :], angular)
-        by_moves = by_moves + linear
+        by_moves, by_turn, twist = by_moves.copy(), np.zeros_like(by_place), self.twist
+        by_angular = np.zeros_like(by_moves)
+        for *at, slope in by_seen:
+            here = tuple(at)
+            turn, own = self.pose[here][..., :3, :3], twist[here][..., 3:, :]
+            linear, angular = turn @ slope[..., :3, :], turn @ slope[..., 3:, :]
+            np.add.at(by_turn, here, -_summed(self.moves[here], linear) - _summed(own, angular))
+            np.add.at(by_moves, here, linear)
+            np.add.at(by_angular, here, angular)
         by_place = by_place + _summed(by_moves, twist[..., 3:, :])
-        about = _cross(self.place[..., None], by_moves)
-        by_twist = np.concatenate([by_moves, about + angular], axis=-2)
-        by_step = np.flip(np.cumsum(np.flip(by_twist[:, 1:], axis=1), axis=1), axis=1)
-        by_step *= self.body.step[:, None, None]
+        by_angular += _cross(self.place[..., None], by_moves)
+        by_twist = np.concatenate([by_moves, by_angular], axis=-2)
+        by_step = self.body.step[:, None, None] * _summed_up(by_twist[:, :0:-1])[:, :0:-1]
         by_strain_slope, wrench_middle = self._back_steps(by_step)
         wrench = np.zeros((*self._fine.shape[:2], 6))
         wrench[:, ::2, :3] = by_place
@@ -234,7 +239,7 @@ class BodyShapes:
 
     def _by_strain(self, wrench: Array) -> Array:
         """Slope (K, P, 6) by strain, of wrenches (K, 2N−1, 6) on the spatial twists of poses."""
-        ahead = np.flip(np.cumsum(np.flip(wrench[:, 1:], axis=1), axis=1), axis=1)
+        ahead = _summed_up(wrench[:, :0:-1])[:, :0:-1]
         local = np.einsum("knij,kni->knj", se3.adjoint(self._fine[:, :-1]), ahead)
         local = self._by_piece(local[:, ::2] + local[:, 1::2])
         half = (0.5 * self.body.rod.length / self.body.steps)[:, None]
@@ -286,6 +291,14 @@ class BodyShapes:
         short = np.einsum("p,ktpi,kpiq->ktq", balance.rod.length, balance.reach, free)
         back = balance.yielding() @ (balance.slope[..., None] * short)
         return free - balance.compliance @ (balance.pull @ back[:, None])
+
+
+def _summed_up(steps: Array) -> Array:
+    """Sums (K, N+1, …) of the steps (K, N, …) before each place."""
+    out = np.zeros((len(steps), steps.shape[1] + 1, *steps.shape[2:]))
+    for n in range(steps.shape[1]):  # several times as fast as cumsum along an axis in the middle
+        np.add(out[:, n], steps[:, n], out=out[:, n + 1])
+    return out
 
 
 def _cross(a: Array, b: Array) -> Array:
