@@ -171,8 +171,7 @@ def speed(pool, robot, options):
     rows = []
     for name, work in (
         ("value", lambda: problem.evaluate(at.control)),
-        ("slope of cost", lambda: problem.cost_gradient(problem.evaluate(at.control))),
-        ("slope of risk", lambda: problem.log_risk_gradient(problem.evaluate(at.control))),
+        ("value and slopes", lambda: problem.gradients(problem.evaluate(at.control))),
         ("replan", lambda: continue_motion(plan, 1.0, (values, speeds), belief, 0.05)),
     ):
         work()

@@ -10,8 +10,8 @@ from glissando.planning.scene.plan_motion import motion_problem
 from motion_scenes import ROBOT, any_problem, around, small_scene
 
 WORTH = {
-    "cost": (lambda p, e: e.cost, MotionProblem.cost_gradient),
-    "risk": (MotionProblem.log_risk, MotionProblem.log_risk_gradient),
+    "cost": (lambda p, e: e.cost, lambda p, e: p.gradients(e)[0]),
+    "risk": (MotionProblem.log_risk, lambda p, e: p.gradients(e)[1]),
     "miss": (lambda p, e: p.misses(e)[0], lambda p, e: p.misses_gradient(e)[0]),
 }
 

@@ -53,6 +53,6 @@ def test_given_actuators_stay_and_have_no_slope():
     moved = given.space.control(free)
     assert np.array_equal(moved[[0, -1]], control[[0, -1]])
     assert not np.allclose(moved[1], control[1])
-    slope = given.cost_gradient(given.evaluate(moved)).reshape(len(control), -1)
+    slope = given.gradients(given.evaluate(moved))[0].reshape(len(control), -1)
     assert np.all(slope[[0, -1]] == 0.0)
     assert np.all(np.any(slope[1:-1] != 0.0, axis=1))

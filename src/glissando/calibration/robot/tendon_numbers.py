@@ -243,7 +243,7 @@ class TendonModel:
         by_strain = turn @ at.pose_by(each)[:, -1]
         by_strain = by_strain.reshape(len(turn), 3, count, 6).swapaxes(1, 2)
         # ∂tension/∂displacement is (1 + f′ A)⁻¹ f′: with f′ taken out, that of a tension's misfit
-        yielding = at.yielding()
+        yielding = at.yielding
         by_tension = np.sum(by_strain @ at.strain_by_tension(), axis=1) @ yielding
         through = at.rod.length[:, None] * (at.slope[..., None, None] * at.reach)
         through = np.einsum("mat,mtpi->mpai", by_tension, through)

@@ -12,6 +12,7 @@ numbers a shape. Source: (M5) to (M7); Rucker and Webster 2011 without external 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -63,9 +64,10 @@ class Equilibrium:
 
     def strain_by_displacement(self) -> Array:
         """∂strain/∂displacement (M, P, 6, T), displacements being the inputs."""
-        by_stretch = self.yielding() * self.slope[:, None]
+        by_stretch = self.yielding * self.slope[:, None]
         return self._rubbing(-self.compliance @ (self.pull @ by_stretch[:, None]), self.slope)
 
+    @cached_property
     def yielding(self) -> Array:
         """∂tension/∂(what a tendon would pull with) (M, T, T), as the rod and tendons yield."""
         m, t = self.slope.shape
@@ -110,7 +112,7 @@ class Equilibrium:
         m, t = slope.shape
         weighted = (self.rod.length[:, None] * self.reach).reshape(m, t, -1)
         stretch = slope[..., None] * (weighted @ free.reshape(m, -1, free.shape[-1]))
-        return free - self.compliance @ (self.pull @ (self.yielding() @ stretch)[:, None])
+        return free - self.compliance @ (self.pull @ (self.yielding @ stretch)[:, None])
 
     def _rubbing(self, slope: Array, stiffness: Array) -> Array:
         """Slopes (M, P, 6, ·) of strain with those of what friction leaves of the tensions.
@@ -209,7 +211,7 @@ def _step(at: Equilibrium, residual: Array) -> Array:
     """Newton's step (M, P, 6) of the strain, to be taken off, at wrenches (M, P, 6) left over."""
     free = (at.compliance @ residual[..., None])[..., 0]
     short = np.einsum("p,mtpi,mpi->mt", at.rod.length, at.reach, free)
-    back = at.yielding() @ (at.slope * short)[..., None]
+    back = at.yielding @ (at.slope * short)[..., None]
     return free - (at.compliance @ (at.pull @ back[:, None]))[..., 0]
 
 

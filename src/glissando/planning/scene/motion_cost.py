@@ -29,7 +29,6 @@ class Evaluation:
         row_slopes: Slopes (M, r, q) of the whitened rows of readings by the sensors' places.
         clearances: How far the body is from obstacles.
         slopes: Slopes (O, K, N, 3) of the distances.
-        curvature: Curvatures (O, K, N, 3, 3) of the distances.
         hits: The bound of the risk.
         terms: Cost of each of the objectives, weighted, by name.
     """
@@ -41,7 +40,6 @@ class Evaluation:
     row_slopes: Array
     clearances: Clearances
     slopes: Array
-    curvature: Array
     hits: HitBound
     terms: dict[str, float]
 

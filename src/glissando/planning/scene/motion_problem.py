@@ -7,6 +7,7 @@ one backward pass takes all slopes back to the control points.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -82,11 +83,9 @@ class MotionProblem:
         rows, row_slopes = self._rows(shapes, values)
         known = predict_covariance(self.belief.cov, rows, float(self.kept(self.space.correction)))
         left = KnownError(known, self.space.position)
-        clearances, slopes, curvature = self._clearances(shapes, left)
+        clearances, slopes = self._clearances(shapes, left)
         hits = bound_hits(clearances)
-        out = Evaluation(
-            control, values, shapes, left, row_slopes, clearances, slopes, curvature, hits, {}
-        )
+        out = Evaluation(control, values, shapes, left, row_slopes, clearances, slopes, hits, {})
         return replace(out, terms=cost_terms(self.scene, self.space, out))
 
     def cut(self, at: Evaluation, spacing: float) -> tuple[MotionProblem, BodyShapes, Clearances]:
@@ -108,21 +107,22 @@ class MotionProblem:
         deep = np.minimum(at.clearances.mean, 0.0) / self.scene.robot_radius
         return float(np.log(max(at.hits.value, 1e-30)) + np.sum(deep**2))
 
-    def cost_gradient(self, at: Evaluation) -> Array:
-        """Slope (n,) of the cost by the free numbers."""
+    def gradients(self, at: Evaluation) -> tuple[Array, Array]:
+        """Slopes (n,) of the cost and of `log_risk` by the free numbers, in one backward pass."""
         slopes = Slopes.zero(at)
         cost_terms(self.scene, self.space, at, slopes)
-        return self._back(at, slopes)
+        cost, risk = self._back(at, [slopes, self._log_risk_slopes(at)])
+        return cost, risk
 
-    def log_risk_gradient(self, at: Evaluation) -> Array:
-        """Slope (n,) of `log_risk` by the free numbers."""
+    def _log_risk_slopes(self, at: Evaluation) -> Slopes:
+        """Partial slopes of `log_risk`."""
         slopes, share = Slopes.zero(at), 1.0 / max(at.hits.value, 1e-30)
         slopes.before += share * at.hits.by_cov
         slopes.lagged += share * at.hits.by_lagged
         self._add_hits(at, share, slopes)
         deep = np.minimum(at.clearances.mean, 0.0) / self.scene.robot_radius**2
         slopes.place += 2.0 * np.einsum("okn,okni->kni", deep, at.slopes)
-        return self._back(at, slopes)
+        return slopes
 
     def misses(self, at: Evaluation) -> Array:
         """How far the tip is from each target (G,) at its time, over what is allowed, squared."""
@@ -140,23 +140,28 @@ class MotionProblem:
             rows.append(self.space.free_gradient(by_value, np.zeros_like(at.control)))
         return np.stack(rows)
 
-    def _back(self, at: Evaluation, slopes: Slopes) -> Array:
-        """Slope (n,) by the free numbers, of a value whose partial slopes are given."""
-        by_rows = at.known.back(slopes.before, slopes.lagged)
+    def _back(self, at: Evaluation, slopes: Sequence[Slopes]) -> list[Array]:
+        """Slopes (n,) by the free numbers, of values whose partial slopes are given."""
+        by_rows = np.stack([at.known.back(one.before, one.lagged) for one in slopes])
         by_twist, by_slides = self._back_rows(at, by_rows)
-        by_tendons = at.shapes.back(slopes.place, slopes.moves, by_twist)
-        by_value = np.concatenate([by_tendons, by_slides], axis=1)
-        return self.space.free_gradient(by_value, slopes.control)
+        by_place, by_moves = (np.stack([getattr(one, name) for one in slopes])
+                              for name in ("place", "moves"))  # fmt: skip
+        by_tendons = at.shapes.back(by_place, by_moves, by_twist)
+        by_value = np.concatenate([by_tendons, by_slides], axis=-1)
+        return [
+            self.space.free_gradient(by, one.control)
+            for by, one in zip(by_value, slopes, strict=True)
+        ]
 
-    def _clearances(self, shapes: BodyShapes, known: KnownError) -> tuple[Clearances, Array, Array]:
-        """Clearances of all places, slopes (O, K, N, 3) of the distances, and curvatures."""
+    def _clearances(self, shapes: BodyShapes, known: KnownError) -> tuple[Clearances, Array]:
+        """Clearances of all places, and slopes (O, K, N, 3) of the distances."""
         lead = shapes.place.shape[:2]
         parts = distances(self.scene.obstacles, shapes.place.reshape(-1, 3))
-        signed, slope, curved = (part.reshape(len(part), *lead, *part.shape[2:]) for part in parts)
+        signed, slope = (part.reshape(len(part), *lead, *part.shape[2:]) for part in parts)
         by_error = (slope[..., None, :] @ shapes.moves)[..., 0, :]
         mean = signed - self.radius
         floor = self.scene.model_std
-        return Clearances(mean, by_error, known.before, known.lagged, floor), slope, curved
+        return Clearances(mean, by_error, known.before, known.lagged, floor), slope
 
     def _add_hits(self, at: Evaluation, weight: float, slopes: Slopes) -> None:
         """Add slopes of the risk by places and by how they move with the model error."""
@@ -164,7 +169,10 @@ class MotionProblem:
         by_mean, by_error = weight * at.hits.by_mean[events], weight * at.hits.by_error[events]
         normal, here = at.slopes[events], events[1:]
         moved = (at.shapes.moves[here] @ by_error[..., None])[..., 0]
-        turned = (at.curvature[events] @ moved[..., None])[..., 0]
+        place, turned = at.shapes.place[here], np.empty_like(moved)
+        for o, obstacle in enumerate(self.scene.obstacles):
+            own = events[0] == o
+            turned[own] = (obstacle.curvature(place[own]) @ moved[own, :, None])[..., 0]
         np.add.at(slopes.place, here, by_mean[:, None] * normal + turned)
         np.add.at(slopes.moves, here, normal[:, :, None] * by_error[:, None, :])
 
@@ -187,18 +195,18 @@ class MotionProblem:
         return np.concatenate(rows, axis=1), np.concatenate(slopes, axis=1)
 
     def _back_rows(self, at: Evaluation, by_rows: Array) -> tuple[list[BySeen], Array]:
-        """Slopes by twists and (K, L) by slides, of that (C, r, q) by the rows."""
+        """Slopes by twists and (G, K, L) by slides, of those (G, C, r, q) by the rows."""
         by_twist: list[BySeen] = []
         first, corrected = len(self.scene.tendons), self.space.corrected
-        by_slides = np.zeros((len(at.values), at.values.shape[1] - first))
+        by_slides = np.zeros((len(by_rows), len(at.values), at.values.shape[1] - first))
         row = 0
         for c, sensor in enumerate(self.scene.sensors if self.senses else ()):
             own = self._white[c]
             for behind in sensor.behind:
-                part, slope = (x[:, row : row + len(own)] for x in (by_rows, at.row_slopes))
-                by_slides[corrected, c] += np.sum(part * slope, axis=(1, 2))
+                part, slope = (x[..., row : row + len(own), :] for x in (by_rows, at.row_slopes))
+                by_slides[:, corrected, c] += np.sum(part * slope, axis=(-2, -1))
                 near, weights = self.neighbours(at.values[corrected, first + c] - behind)
-                back = weights[:, 0, :, None, None] * (own.T @ part)[:, None]
+                back = weights[:, 0, :, None, None] * (own.T @ part)[:, :, None]
                 by_twist.append((corrected[:, None], near, back))
                 row += len(own)
         return by_twist, by_slides

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -38,6 +38,7 @@ class Search:
     problem: MotionProblem
     allowed: float
     last: Evaluation | None = None
+    _sloped: tuple[Evaluation, tuple[Array, Array]] | None = field(default=None, init=False)
 
     def merit(self, at: Evaluation) -> float:
         """Cost and how far the constraints are missed."""
@@ -79,8 +80,13 @@ class Search:
 
     def _gap_slopes(self, at: Evaluation) -> Array:
         """Slopes (G+1, n) of that by the free numbers."""
-        problem = self.problem
-        return -np.vstack([problem.misses_gradient(at), problem.log_risk_gradient(at)])
+        return -np.vstack([self.problem.misses_gradient(at), self._gradients(at)[1]])
+
+    def _gradients(self, at: Evaluation) -> tuple[Array, Array]:
+        """Slopes (n,) of the cost and the logarithm of the risk by the free numbers."""
+        if self._sloped is None or self._sloped[0] is not at:
+            self._sloped = at, self.problem.gradients(at)
+        return self._sloped[1]
 
     @cached_property
     def _limits(self) -> tuple[Array, Array]:
@@ -104,7 +110,7 @@ class Search:
 
     def _penalty_gradient(self, at: Evaluation) -> Array:
         short = self._gaps(at) < _MORE
-        slope = self.problem.cost_gradient(at)
+        slope = self._gradients(at)[0]
         return _SMALL * (slope - _FAR * short @ self._gap_slopes(at))
 
     def _minimize(self, control: Array, iterations: int, *, penalty: bool = False) -> Evaluation:
@@ -121,7 +127,7 @@ class Search:
         gaps = {"type": "ineq", "fun": lambda x: self._gaps(at(x)),
                 "jac": lambda x: self._gap_slopes(at(x))}  # fmt: skip
         value = self._penalty if penalty else lambda e: e.cost
-        slope = self._penalty_gradient if penalty else self.problem.cost_gradient
+        slope = self._penalty_gradient if penalty else lambda e: self._gradients(e)[0]
         begin = self.at(control)
         low, high = self.problem.space.bounds
         first = np.clip(self.problem.space.free(control), low, high)

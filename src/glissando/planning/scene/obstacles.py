@@ -34,9 +34,8 @@ _AT_ONCE = 2000  # points whose distances from a mesh are found together
 _CHECKED = 1000  # points near the surface where the splines are compared with the triangles
 _SAFELY = 1.1  # of the largest distance found too large there, taken off all
 
-Distances = tuple[Array, Array, Array]
-"""Signed distances (M,), their slopes (M, 3) and curvatures (M, 3, 3)."""
-
+Distances = tuple[Array, Array]
+"""Signed distances (M,) and their slopes (M, 3)."""
 
 Surface = tuple[Array, Index]
 """Vertices (V, 3) and triangles (F, 3)."""
@@ -46,7 +45,11 @@ class Obstacle(Protocol):
     """Something to keep away from."""
 
     def distance(self, point: Array) -> Distances:
-        """Signed distances of points (M, 3) from the surface, slopes and curvatures."""
+        """Signed distances of points (M, 3) from the surface, and slopes."""
+        ...
+
+    def curvature(self, point: Array) -> Array:
+        """Curvatures (M, 3, 3) of the distances at points (M, 3)."""
         ...
 
     def surface(self) -> Surface:
@@ -69,23 +72,32 @@ class RoundedBox:
     radius: float = 0.0
 
     def distance(self, point: Array) -> Distances:
-        """Signed distances of points (M, 3), slopes and curvatures."""
-        turn, half = self.pose[:3, :3], self.half
-        local = (point - self.pose[:3, 3]) @ turn
-        away = local - np.clip(local, -half, half)
-        size = np.linalg.norm(away, axis=-1)
-        outside = size > _TINY
-        safe = np.where(outside, size, 1.0)
-        normal = away / safe[:, None]
-        depth = half - np.abs(local)
-        side = np.argmin(depth, axis=-1)
-        within = np.where(local < 0.0, -1.0, 1.0) * (np.arange(3) == side[:, None])
-        normal = np.where(outside[:, None], normal, within)
-        signed = np.where(outside, size, -depth[np.arange(len(local)), side]) - self.radius
-        free = (np.abs(local) > half).astype(float)
+        """Signed distances of points (M, 3), and slopes."""
+        local, away, size = self._away(point)
+        signed, normal = size - self.radius, away / np.maximum(size, _TINY)[:, None]
+        inside = np.flatnonzero(size <= _TINY)
+        if inside.size:
+            depth = self.half - np.abs(local[inside])
+            side = np.argmin(depth, axis=-1)
+            signed[inside] = -depth[np.arange(inside.size), side] - self.radius
+            out = np.where(local[inside] < 0.0, -1.0, 1.0)
+            normal[inside] = out * (np.arange(3) == side[:, None])
+        return signed, normal @ self.pose[:3, :3].T
+
+    def curvature(self, point: Array) -> Array:
+        """Curvatures (M, 3, 3) of the distances at points (M, 3)."""
+        turn, (local, away, size) = self.pose[:3, :3], self._away(point)
+        normal = away / np.maximum(size, _TINY)[:, None]
+        free = (np.abs(local) > self.half).astype(float)
         curved = free[:, :, None] * np.eye(3) - normal[:, :, None] * normal[:, None, :]
-        curved = np.where(outside[:, None, None], curved / safe[:, None, None], 0.0)
-        return signed, normal @ turn.T, turn @ curved @ turn.T
+        curved[size <= _TINY] = 0.0
+        return np.asarray(turn @ (curved / np.maximum(size, _TINY)[:, None, None]) @ turn.T)
+
+    def _away(self, point: Array) -> tuple[Array, Array, Array]:
+        """Points (M, 3) in the box's frame, their ways from what is rounded, and lengths."""
+        local = (point - self.pose[:3, 3]) @ self.pose[:3, :3]
+        away = local - np.clip(local, -self.half, self.half)
+        return local, away, np.linalg.norm(away, axis=-1)
 
     def surface(self) -> Surface:
         """The surface of a ball whose parts are moved to the corners."""
@@ -135,9 +147,12 @@ class HalfSpace:
     normal: Array
 
     def distance(self, point: Array) -> Distances:
-        """Signed distances of points (M, 3), slopes and curvatures."""
-        slope = np.broadcast_to(self.normal, point.shape)
-        return (point - self.point) @ self.normal, slope, np.zeros((*point.shape, 3))
+        """Signed distances of points (M, 3), and slopes."""
+        return (point - self.point) @ self.normal, np.broadcast_to(self.normal, point.shape)
+
+    def curvature(self, point: Array) -> Array:
+        """Curvatures (M, 3, 3) of the distances at points (M, 3): none."""
+        return np.zeros((*point.shape, 3))
 
     def surface(self) -> Surface:
         """A square of the plane, 0.2 m wide, about its point."""
@@ -173,34 +188,45 @@ class Mesh:
         return np.asarray(spline_filter(self.values, order=3, mode="nearest"))
 
     def distance(self, point: Array) -> Distances:
-        """Signed distances of points (M, 3), slopes and curvatures, by differences of the spline.
+        """Signed distances of points (M, 3), and slopes, by differences of the spline.
 
         Beyond the lattice it is the distance to the point of the surface nearest to the lattice's.
         """
-        top = self.low + self.step * (np.array(self.values.shape) - 3.0)
-        inner = np.clip(point, self.low + 2.0 * self.step, top)
-        beyond = point - inner
-        h = 0.25 * self.step
-        offsets = h * np.array(
-            [[0, 0, 0], *np.eye(3), *-np.eye(3), [1, 1, 0], [-1, -1, 0], [1, 0, 1], [-1, 0, -1],
-             [0, 1, 1], [0, -1, -1]]
-        )  # fmt: skip
-        at = ((inner[:, None] + offsets - self.low) / self.step).reshape(-1, 3).T
-        f = map_coordinates(self._spline, at, order=3, prefilter=False, mode="nearest")
-        f = f.reshape(len(point), len(offsets))
+        inner, beyond, h = self._inner(point)
+        f = self._around(inner, h * np.array([[0, 0, 0], *np.eye(3), *-np.eye(3)]))
         slope = (f[:, 1:4] - f[:, 4:7]) / (2.0 * h)
+        signed, far = f[:, 0].copy(), np.any(beyond != 0.0, axis=-1)
+        unit = slope[far] / np.linalg.norm(slope[far], axis=-1, keepdims=True)
+        away = beyond[far] + signed[far, None] * unit
+        signed[far] = np.linalg.norm(away, axis=-1)
+        slope[far] = away / signed[far, None]
+        return signed, slope
+
+    def curvature(self, point: Array) -> Array:
+        """Curvatures (M, 3, 3) of the distances at points (M, 3): none beyond the lattice."""
+        inner, beyond, h = self._inner(point)
+        across = [[1, 1, 0], [-1, -1, 0], [1, 0, 1], [-1, 0, -1], [0, 1, 1], [0, -1, -1]]
+        f = self._around(inner, h * np.array([[0, 0, 0], *np.eye(3), *-np.eye(3), *across]))
         own = (f[:, 1:4] + f[:, 4:7] - 2.0 * f[:, :1]) / h**2
         curved = np.zeros((len(point), 3, 3))
         curved[:, range(3), range(3)] = own
         for pair, (i, j) in zip(range(7, 13, 2), ((0, 1), (0, 2), (1, 2)), strict=True):
             both = (f[:, pair] + f[:, pair + 1] - 2.0 * f[:, 0]) / h**2
             curved[:, i, j] = curved[:, j, i] = 0.5 * (both - own[:, i] - own[:, j])
-        signed, far = f[:, 0].copy(), np.any(beyond != 0.0, axis=-1)
-        unit = slope[far] / np.linalg.norm(slope[far], axis=-1, keepdims=True)
-        away = beyond[far] + signed[far, None] * unit
-        signed[far] = np.linalg.norm(away, axis=-1)
-        slope[far], curved[far] = away / signed[far, None], 0.0
-        return signed, slope, curved
+        curved[np.any(beyond != 0.0, axis=-1)] = 0.0
+        return curved
+
+    def _inner(self, point: Array) -> tuple[Array, Array, float]:
+        """The lattice's nearest points (M, 3), the ways (M, 3) from there, and a difference, m."""
+        top = self.low + self.step * (np.array(self.values.shape) - 3.0)
+        inner = np.clip(point, self.low + 2.0 * self.step, top)
+        return inner, point - inner, 0.25 * self.step
+
+    def _around(self, point: Array, offsets: Array) -> Array:
+        """Values (M, F) of the spline at points (M, 3) with each of offsets (F, 3)."""
+        at = ((point[:, None] + offsets - self.low) / self.step).reshape(-1, 3).T
+        f = map_coordinates(self._spline, at, order=3, prefilter=False, mode="nearest")
+        return np.asarray(f.reshape(len(point), len(offsets)))
 
     def surface(self) -> Surface:
         """The triangles it was made from."""
@@ -292,13 +318,8 @@ def _too_far(mesh: Mesh, surface: Any) -> float:
 
 
 def distances(obstacles: Sequence[Obstacle], point: Array) -> Distances:
-    """Signed distances (O, M) of points (M, 3) from all obstacles, slopes and curvatures."""
+    """Signed distances (O, M) of points (M, 3) from all obstacles, and slopes."""
     if not obstacles:
-        return (
-            np.zeros((0, len(point))),
-            np.zeros((0, *point.shape)),
-            np.zeros((0, *point.shape, 3)),
-        )
-    every = [obstacle.distance(point) for obstacle in obstacles]
-    signed, slope, curved = (np.stack(part) for part in zip(*every, strict=True))
-    return signed, slope, curved
+        return np.zeros((0, len(point))), np.zeros((0, *point.shape))
+    signed, slope = zip(*(obstacle.distance(point) for obstacle in obstacles), strict=True)
+    return np.stack(signed), np.stack(slope)

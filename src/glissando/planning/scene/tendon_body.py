@@ -24,7 +24,7 @@ from glissando.model.tendons.statics import Equilibrium, equilibrium
 from glissando.model.tendons.tendon_rod import TendonRod, tendon_rod
 
 BySeen = tuple[Index, Index, Array]
-"""Shapes and places by number (…,), and slopes (…, 6, q) of a value by their twists."""
+"""Shapes and places by number (…,), and slopes (G, …, 6, q) of G values by their twists."""
 
 
 @dataclass(frozen=True)
@@ -157,10 +157,15 @@ class BodyShapes:
         return self.pose[..., :3, 3]
 
     @cached_property
+    def strain_by_displacement(self) -> Array:
+        """∂strain/∂displacement (K, P, 6, T)."""
+        return self.balance.strain_by_displacement()
+
+    @cached_property
     def strain_by_error(self) -> Array:
         """∂strain/∂ξ (K, P, 6, q)."""
         balance, body = self.balance, self.body
-        by_pull = body.rod.tendons.std * balance.strain_by_displacement()
+        by_pull = body.rod.tendons.std * self.strain_by_displacement
         return np.concatenate([by_pull, body.moment_std * balance.strain_by_moment()], axis=-1)
 
     @cached_property
@@ -183,15 +188,15 @@ class BodyShapes:
 
     def tip_by_displacement(self) -> Array:
         """∂(position of the tip)/∂displacement (K, 3, T), world frame."""
-        slope = self.balance.pose_by(self.balance.strain_by_displacement())[:, -1, :3]
+        slope = self.balance.pose_by(self.strain_by_displacement)[:, -1, :3]
         return self.pose[:, -1, :3, :3] @ slope
 
     def back(self, by_place: Array, by_moves: Array, by_seen: Sequence[BySeen]) -> Array:
-        """Slope (K, T) by displacements, of a value whose partial slopes are given.
+        """Slopes (G, K, T) by displacements, of G values whose partial slopes are given.
 
         Args:
-            by_place: By `place` (K, N, 3).
-            by_moves: By `moves` (K, N, 3, q).
+            by_place: By `place` (G, K, N, 3).
+            by_moves: By `moves` (G, K, N, 3, q).
             by_seen: By what `body_twist_at` gives.
         """
         by_moves, by_turn, twist = by_moves.copy(), np.zeros_like(by_place), self.twist
@@ -200,54 +205,56 @@ class BodyShapes:
             here = tuple(at)
             turn, own = self.pose[here][..., :3, :3], twist[here][..., 3:, :]
             linear, angular = turn @ slope[..., :3, :], turn @ slope[..., 3:, :]
-            np.add.at(by_turn, here, -_summed(self.moves[here], linear) - _summed(own, angular))
-            np.add.at(by_moves, here, linear)
-            np.add.at(by_angular, here, angular)
+            turned = -_summed(self.moves[here], linear) - _summed(own, angular)
+            for whole, part in ((by_turn, turned), (by_moves, linear), (by_angular, angular)):
+                for one, its_part in zip(whole, part, strict=True):
+                    np.add.at(one, here, its_part)
         by_place = by_place + _summed(by_moves, twist[..., 3:, :])
         by_angular += _cross(self.place[..., None], by_moves)
         by_twist = np.concatenate([by_moves, by_angular], axis=-2)
-        by_step = self.body.step[:, None, None] * _summed_up(by_twist[:, :0:-1])[:, :0:-1]
+        by_step = _summed_up(by_twist[..., :0:-1, :, :])[..., :0:-1, :, :]
+        by_step *= self.body.step[:, None, None]
         by_strain_slope, wrench_middle = self._back_steps(by_step)
-        wrench = np.zeros((*self._fine.shape[:2], 6))
-        wrench[:, ::2, :3] = by_place
-        wrench[:, ::2, 3:] = np.cross(self.place, by_place) + by_turn
-        wrench[:, 1::2] = wrench_middle
+        wrench = np.zeros((len(by_place), *self._fine.shape[:2], 6))
+        wrench[..., ::2, :3] = by_place
+        wrench[..., ::2, 3:] = np.cross(self.place, by_place) + by_turn
+        wrench[..., 1::2, :] = wrench_middle
         return self._to_displacement(self._by_strain(wrench), by_strain_slope)
 
     def _back_steps(self, by_step: Array) -> tuple[Array, Array]:
-        """From slopes (K, N−1, 6, q) by the twists of steps to those by `strain_by_error`.
+        """From slopes (G, K, N−1, 6, q) by the twists of steps to those by `strain_by_error`.
 
-        Also the wrenches (K, N−1, 6) by a spatial twist of the middles.
+        Also the wrenches (G, K, N−1, 6) by a spatial twist of the middles.
         """
         middle = self._fine[:, 1::2]
         turn, place = middle[..., :3, :3], middle[..., :3, 3, None]
         moved = by_step[..., 3:, :] + _cross(by_step[..., :3, :], place)
         slope = np.concatenate([by_step[..., :3, :], moved], axis=-2)
-        rows = turn.mT[:, :, None] @ slope.reshape(*slope.shape[:2], 2, 3, -1)
-        rows = rows.reshape(slope.shape)
+        rows = turn.mT[:, :, None] @ slope.reshape(*slope.shape[:-2], 2, 3, -1)
+        rows = self._by_piece(rows.reshape(slope.shape), axis=2)
         own = self.strain_by_error[:, self.body.piece]
         linear, angular = turn @ own[..., :3, :], turn @ own[..., 3:, :]
         by_place = _summed(angular, by_step[..., :3, :])
         by_turn = _summed(linear, by_step[..., :3, :]) + _summed(angular, moved)
         wrench = np.concatenate([by_place, np.cross(place[..., 0], by_place) + by_turn], axis=-1)
-        return self._by_piece(rows), wrench
+        return rows, wrench
 
-    def _by_piece(self, by_step: Array) -> Array:
-        """Sums (K, P, …) of rows (K, N−1, …) over the steps of each piece."""
+    def _by_piece(self, by_step: Array, axis: int) -> Array:
+        """Sums (…, P, …) of rows (…, N−1, …) over the steps of each piece."""
         first = np.concatenate([[0], np.cumsum(self.body.steps)[:-1]])
-        return np.add.reduceat(by_step, first, axis=1)
+        return np.add.reduceat(by_step, first, axis=axis)
 
     def _by_strain(self, wrench: Array) -> Array:
-        """Slope (K, P, 6) by strain, of wrenches (K, 2N−1, 6) on the spatial twists of poses."""
-        ahead = _summed_up(wrench[:, :0:-1])[:, :0:-1]
-        local = np.einsum("knij,kni->knj", se3.adjoint(self._fine[:, :-1]), ahead)
-        local = self._by_piece(local[:, ::2] + local[:, 1::2])
+        """Slopes (G, K, P, 6) by strain, of wrenches (G, K, 2N−1, 6) on spatial twists of poses."""
+        ahead = _summed_up(wrench[..., :0:-1, :, None])[..., :0:-1, :, :]
+        local = (se3.adjoint(self._fine[:, :-1]).mT @ ahead)[..., 0]
+        local = self._by_piece(local[..., ::2, :] + local[..., 1::2, :], axis=2)
         half = (0.5 * self.body.rod.length / self.body.steps)[:, None]
         along = half[..., None] * se3.left_jacobian(half * self.balance.strain)
-        return np.einsum("kpij,kpi->kpj", along, local)
+        return np.asarray((along.mT @ local[..., None])[..., 0])
 
     def _to_displacement(self, by_strain: Array, by_slope: Array) -> Array:
-        """Slope (K, T) by displacements, of slopes by strain and by `strain_by_error`.
+        """Slopes (G, K, T) by displacements, of slopes by strain and by `strain_by_error`.
 
         With E the energy and A the inverse of its Hessian, dS = −A (dH S + dC); so that with
         Y = A ∂φ/∂S the value changes by −Y : dH S − Y : dC, in terms of each tendon's tension τ,
@@ -258,46 +265,49 @@ class BodyShapes:
         own = self.strain_by_error
         back = self._inverse_hessian(by_slope)
         reach = length[:, None] * balance.reach  # of z = stretch by strain
-        along, along_back = (np.einsum("ktpi,kpiq->ktq", reach, x) for x in (own, back))
+        along, along_back = (np.einsum("ktpi,...kpiq->...ktq", reach, x) for x in (own, back))
         arm, unit, speed, inside = _tangents(rod, balance.strain)
-        bend, bend_back = (np.einsum("tpai,kpiq->ktpaq", arm, x) for x in (own, back))
-        flat = [x - unit[..., None] * np.einsum("ktpa,ktpaq->ktpq", unit, x)[..., None, :]
-                for x in (bend, bend_back)]  # fmt: skip
+        bend, bend_back = (arm @ x[..., None, :, :, :] for x in (own, back))
+        unit_parts = [unit[..., None, :] @ x for x in (bend, bend_back)]
+        flat = [x - unit[..., None] * part
+                for x, part in zip((bend, bend_back), unit_parts, strict=True)]  # fmt: skip
         weight = inside * length / speed
-        squared = np.einsum("ktpaq,ktpaq->ktp", flat[0], flat[1])
+        squared = np.sum(flat[0] * flat[1], axis=(-2, -1))
         k, slope = balance.slope, _stiffening(rod, k=balance.slope)
         curved = np.sum(weight * squared, axis=-1)
         by_stretch = k * curved + slope * np.sum(along * along_back, axis=-1)
         std, picked = rod.tendons.std, np.arange(count)
-        by_stretch += std * slope * along_back[:, picked, picked]
+        by_stretch += std * slope * along_back[..., picked, picked]
         # ∂/∂t of |t|: through reach in `along` and through what is across t
         lever = flat[0] @ along_back[..., None, :, None] + flat[1] @ along[..., None, :, None]
-        lever = lever[..., 0] + std * flat[1][:, picked, :, :, picked].transpose(1, 0, 2, 3)
-        unit_parts = [np.einsum("ktpa,ktpaq->ktpq", unit, x) for x in (bend, bend_back)]
-        third = flat[0] @ unit_parts[1][..., None] + flat[1] @ unit_parts[0][..., None]
+        own_pull = np.moveaxis(flat[1][..., picked, :, :, picked], 0, -3)
+        lever = lever[..., 0] + std * own_pull
+        third = flat[0] @ unit_parts[1].mT + flat[1] @ unit_parts[0].mT
         third = third[..., 0] + unit * squared[..., None]
         by_tangent = weight[..., None] * (
             k[..., None, None] * lever - (balance.tension[..., None] / speed)[..., None] * third
         )
-        partial = np.einsum("tpai,ktpa->kpi", arm, by_tangent)
-        partial += np.einsum("kt,ktpi->kpi", by_stretch, reach)
-        total = by_strain - partial
-        return np.einsum("kpit,kpi->kt", balance.strain_by_displacement(), total) - by_stretch
+        partial = np.einsum("tpai,...ktpa->...kpi", arm, by_tangent)
+        partial += np.einsum("...kt,ktpi->...kpi", by_stretch, reach)
+        by_pull = np.einsum("kpit,...kpi->...kt", self.strain_by_displacement, by_strain - partial)
+        return np.asarray(by_pull - by_stretch)
 
     def _inverse_hessian(self, gradient: Array) -> Array:
         """The inverse Hessian of the energy times columns (K, P, 6, q)."""
         balance = self.balance
         free = balance.compliance @ (gradient / balance.rod.length[:, None, None])
-        short = np.einsum("p,ktpi,kpiq->ktq", balance.rod.length, balance.reach, free)
-        back = balance.yielding() @ (balance.slope[..., None] * short)
-        return free - balance.compliance @ (balance.pull @ back[:, None])
+        reach = balance.rod.length[:, None] * balance.reach
+        short = np.einsum("ktpi,...kpiq->...ktq", reach, free)
+        back = balance.yielding @ (balance.slope[..., None] * short)
+        return free - balance.compliance @ (balance.pull @ back[..., None, :, :])
 
 
 def _summed_up(steps: Array) -> Array:
-    """Sums (K, N+1, …) of the steps (K, N, …) before each place."""
-    out = np.zeros((len(steps), steps.shape[1] + 1, *steps.shape[2:]))
-    for n in range(steps.shape[1]):  # several times as fast as cumsum along an axis in the middle
-        np.add(out[:, n], steps[:, n], out=out[:, n + 1])
+    """Sums (…, N+1, 6, q) of the steps (…, N, 6, q) before each place."""
+    *lead, count, rows, columns = steps.shape
+    out = np.zeros((*lead, count + 1, rows, columns))
+    for n in range(count):  # several times as fast as cumsum along an axis in the middle
+        np.add(out[..., n, :, :], steps[..., n, :, :], out=out[..., n + 1, :, :])
     return out
 
 
