@@ -20,12 +20,15 @@ from glissando.visualization.shape_figure import frame_axes
 
 _SHOWN = 5  # shapes of a motion in one picture
 _FRAMES = 60  # of a film, about, unless it lasts for minutes
+_ZOOM = 0.93  # of space, so that labels have room
 _INSET = 0.05, 0.14, 0.85, 0.84  # of a film: axes, left, bottom, width, height
-_OBSTACLE, _TARGET = "#8c8c8c", "#009E73"
+_OBSTACLE, _TARGET, _ZONE = "#8c8c8c", "#009E73", "#E69F00"
 
 
 def scene_figure(plan: MotionPlan, *, style: Style = NO_STYLE) -> Any:
     """Draw a planned motion: in space with its 95 % tube, and its commands and clearance over time.
+
+    The tube is what the body reaches, its radius beside its confidence.
 
     Args:
         plan: The plan.
@@ -42,7 +45,7 @@ def scene_figure(plan: MotionPlan, *, style: Style = NO_STYLE) -> Any:
         grid = figure.add_gridspec(3, 2, width_ratios=[1.5, 1.0])
         space = figure.add_subplot(grid[:, 0], projection="3d", computed_zorder=False)
         panels = [figure.add_subplot(grid[row, 1]) for row in range(3)]
-        _draw_space(space, plan, np.linspace(0, len(plan.evaluation.tip) - 1, _SHOWN))
+        _draw_space(space, plan, np.linspace(0, len(plan.evaluation.tip) - 1, _SHOWN), _ZOOM)
         _draw_time(panels, plan)
     return np.array([space, *panels], dtype=object)
 
@@ -75,7 +78,7 @@ def save_scene_film(plan: MotionPlan, file: Path) -> None:
                 writer.grab_frame()
 
 
-def _draw_space(axes: Any, plan: MotionPlan, moments: Array) -> None:
+def _draw_space(axes: Any, plan: MotionPlan, moments: Array, zoom: float = 1.06) -> None:
     """Draw obstacles, targets, and the body at moments (K,), by number."""
     from matplotlib import colormaps
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
@@ -86,22 +89,50 @@ def _draw_space(axes: Any, plan: MotionPlan, moments: Array) -> None:
         vertices, faces = obstacle.surface()
         look = {"facecolor": _OBSTACLE, "alpha": 0.25, "linewidth": 0.0}
         axes.add_collection3d(Poly3DCollection(MM * vertices[faces], **look))
+    for zone in scene.zones:
+        if zone.center is not None:
+            vertices, faces = sphere(zone.center, zone.radius).surface()
+            look = {"facecolor": _ZONE, "alpha": 0.15, "linewidth": 0.0}
+            axes.add_collection3d(Poly3DCollection(MM * vertices[faces], **look))
     for target in scene.targets:
         axes.plot(*(MM * target.position[:, None]), "*", color=_TARGET, ms=12, label="target")
     chosen = np.unique(moments.round().astype(int))
     for share, k in zip(np.linspace(0.0, 0.85, chosen.size), chosen, strict=True):
         colour = colormaps["viridis"](share)
-        rings, _ = confidence_tube(at.shapes.pose[k], _body_cov(at, k), SIGMAS_95)
-        tube = MM * rings.reshape(-1, 3)[tube_faces(*rings.shape[:2])]
+        tube = MM * _reached(plan, k)
         axes.add_collection3d(Poly3DCollection(tube, facecolor=colour, alpha=0.15, linewidth=0.0))
         time = plan.problem.space.moments[k]
         axes.plot(*(MM * at.shapes.place[k].T), color=colour, lw=2.2, label=f"{time:.1f} s")
+        _draw_zones(axes, plan, k)
     axes.plot(*(MM * at.tip.T), color="0.3", lw=0.8, ls=":")
     shown = [at.shapes.place.reshape(-1, 3), *(target.position[None] for target in scene.targets)]
     shown += [o.surface()[0] for o in scene.obstacles if not isinstance(o, HalfSpace)]
-    frame_axes(axes, MM * np.concatenate(shown))
+    frame_axes(axes, MM * np.concatenate(shown), zoom)
     axes.legend(loc="upper left", fontsize=9)
     axes.set(xlabel="x (mm)", ylabel="y (mm)", zlabel="z (mm)")
+
+
+def _draw_zones(axes: Any, plan: MotionPlan, k: int) -> None:
+    """Draw the parts of the body at a moment that are in zones of interest."""
+    body, place = plan.problem.body, plan.evaluation.shapes.place[k]
+    for zone in plan.problem.scene.zones:
+        if zone.center is not None:
+            inside = np.linalg.norm(place - zone.center, axis=-1) <= zone.radius
+        else:
+            low, high = zone.arclength or (0.0, 0.0)
+            inside = (body.arclength >= low) & (body.arclength <= high)
+        part = np.where(inside[:, None], place, np.nan)
+        axes.plot(*(MM * part.T), color=_ZONE, lw=4.0, zorder=3.0)
+
+
+def _reached(plan: MotionPlan, k: int) -> Array:
+    """Triangles (F, 3, 3) around all that the body may reach at a moment with 95 %, m."""
+    at = plan.evaluation
+    rings, of = confidence_tube(at.shapes.pose[k], _body_cov(at, k), SIGMAS_95)
+    away = rings - at.shapes.place[k, of][:, None]
+    size = np.maximum(np.linalg.norm(away, axis=-1, keepdims=True), 1e-12)
+    rings = rings + plan.problem.scene.robot_radius * away / size
+    return np.asarray(rings.reshape(-1, 3)[tube_faces(*rings.shape[:2])])
 
 
 def _draw_time(panels: list[Any], plan: MotionPlan) -> None:
@@ -126,7 +157,8 @@ def _draw_time(panels: list[Any], plan: MotionPlan) -> None:
         panels[2].plot(moments, worst, color="black", label="expected")
         panels[2].fill_between(moments, low, worst, color="0.8", label="to 2.8 σ")
         panels[2].axhline(0.0, color="#D55E00", lw=1.0)
-        panels[2].legend(loc="upper right", fontsize=9)
+        panels[2].margins(y=0.25)
+        panels[2].legend(loc="upper right", fontsize=9, ncols=2)
     panels[2].set(xlabel="time (s)", ylabel="clearance (mm)")
 
 
@@ -144,6 +176,11 @@ def scene_page(plan: MotionPlan) -> PageScene:
     solids += [
         Solid(*sphere(target.position, target.tolerance).surface(), _TARGET, clear=True)
         for target in scene.targets
+    ]
+    solids += [
+        Solid(*sphere(zone.center, zone.radius).surface(), _ZONE, clear=True)
+        for zone in scene.zones
+        if zone.center is not None
     ]
     frames = moments.size
     nothing = np.zeros((frames, 0))

@@ -135,7 +135,7 @@ def _explain(axes: Any, own: bool, sites: Sequence[Readings], forces: str) -> No
     describe(axes, own, entries, loc="outside right upper")
 
 
-def frame_axes(axes: Any, points: Array) -> None:
+def frame_axes(axes: Any, points: Array, zoom: float = 1.06) -> None:
     """Equal scales around all points (M, 3) in millimetres, and labels."""
     low, high = points.min(axis=0), points.max(axis=0)
     half = 0.53 * np.maximum(high - low, 0.4 * (high - low).max() + 1e-6)  # never a thin slab
@@ -147,4 +147,4 @@ def frame_axes(axes: Any, points: Array) -> None:
         axis.labelpad = 16 if i == 2 else 10
         axis.set_pane_color((0.97, 0.97, 0.97, 1.0))
     axes.tick_params(axis="z", pad=7)
-    axes.set_box_aspect(half, zoom=1.06)
+    axes.set_box_aspect(half, zoom=zoom)
