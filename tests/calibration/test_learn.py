@@ -149,7 +149,7 @@ def test_slopes_are_those_of_converged_estimates(judged, monkeypatch):
     goal = Objective([Late(judged=judged)], False)
     middle, zero = goal.score(document, goal.start()), np.zeros(len(numbers))
     search = learning._Search(document, numbers, goal, SimpleNamespace(map=map), middle, zero)
-    learning._prepare(goal)
+    monkeypatch.setattr(learning, "_objective", goal)
     slope, curvature = search.slopes(lambda part: None)
     monkeypatch.setattr(objective, "_ONE_STEP", objective._TIGHT)
     true_slope, true_curvature = search.slopes(lambda part: None)
@@ -306,6 +306,18 @@ def test_a_mistake_is_one_sentence_and_status_2(recording, tmp_path, capsys, cha
     assert captured.err.startswith("glissando: ")
     assert captured.out == ""
     assert not out.exists()
+
+
+def test_a_script_without_its_guard_gets_a_sentence_and_does_not_hang(recording, tmp_path):
+    words = [str(w) for w in ("learn", recording, "--robot", recording / "few.toml", *WINDOW)]
+    script = tmp_path / "script.py"
+    script.write_text(
+        f"from glissando.cli.main import main\n"
+        f"raise SystemExit(main({[*words, '--out', str(tmp_path / 'out.toml')]!r}))\n"
+    )
+    run = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=120)
+    assert run.returncode == 2
+    assert 'call learn from a script that begins with if __name__ == "__main__":' in run.stderr
 
 
 def test_the_file_to_start_from_is_not_overwritten(recording, tmp_path, capsys):

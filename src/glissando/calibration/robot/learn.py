@@ -14,11 +14,15 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Sequence
+import pickle
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import suppress
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from multiprocessing import get_context
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -69,9 +73,28 @@ class Learned:
 _objective: Objective | None = None  # of a worker process
 
 
-def _prepare(objective: Objective) -> None:
+def _prepare(file: Path) -> None:
     global _objective
-    _objective = objective
+    _objective = pickle.loads(file.read_bytes())
+
+
+@contextmanager
+def _workers(objective: Objective, count: int) -> Iterator[ProcessPoolExecutor]:
+    """Processes that evaluate an objective.
+
+    It comes by a file: where a process ends before it has read its pipe, who writes waits forever.
+    """
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "objective"
+        file.write_bytes(pickle.dumps(objective, protocol=pickle.HIGHEST_PROTOCOL))
+        with ProcessPoolExecutor(count, get_context("spawn"), _prepare, (file,)) as pool:
+            try:
+                yield pool
+            except BrokenProcessPool:
+                raise GlissandoError(
+                    "The processes that learn ended; call learn from a script that begins with "
+                    'if __name__ == "__main__":, and see that there is memory for them.'
+                ) from None
 
 
 def _evaluate(about: Centre, document: Document) -> float:
@@ -107,13 +130,12 @@ def learn(
         watch: Called on the way, and after each step.
 
     Raises:
-        GlissandoError: If the robot file to start from cannot be estimated.
+        GlissandoError: The robot file to start from cannot be estimated, or processes cannot start.
     """
     parameters = list(parameters)
     objective = Objective(cases, calibrate)
     workers = min(os.cpu_count() or 1, 1 + 2 * len(parameters))
-    spawned = get_context("spawn")
-    with ProcessPoolExecutor(workers, spawned, _prepare, (objective,)) as pool:
+    with _workers(objective, workers) as pool:
         pool.map(int, [0])  # starts the workers while the first estimate is made
         first = objective.score(document, objective.start(constants, start))
         search = _Search(document, parameters, objective, pool, first, np.zeros(len(parameters)))
