@@ -13,6 +13,7 @@ import argparse
 import json
 import math
 import tempfile
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -46,14 +47,17 @@ POSES = [f"pose:aurora{i}" for i in range(4)]
 TENDONS = RobotOutline(
     "new", 0.466, 2, 0.012, math.pi, [*POSES[:2], "gyro:gyro_mid", "gyro:gyro_ee"]
 )
-NEW = {  # what a user states of the robot of each recording; of `extensible` in three ways
+# What a user states of the robot of each recording. That of `extensible` has a tracker at the end
+# of each third, and begins squeezed to 0.16 of its 1 m: three segments that shorten by 85 %.
+SQUEEZED = partial(RobotOutline, "new", 1.0, diameter=0.02, sensors=POSES)
+NEW = {
     "slow_free_space": {"robot new": TENDONS},
     "fast_contact": {"robot new": TENDONS},
     "extensible": {
-        "robot new": RobotOutline("new", 1.0, 1, 0.02, math.pi, POSES),
-        "robot new, stretch 70 %": RobotOutline("new", 1.0, 1, 0.02, math.pi, POSES, stretch=0.7),
-        "robot new, 3 segments, stretch 100 % (chosen here)": RobotOutline(
-            "new", 1.0, 3, 0.02, 0.5 * math.pi, POSES, stretch=1.0
+        "robot new, 1 segment, stretch 5 %": SQUEEZED(segments=1, bend=math.pi),
+        "robot new, 3 segments, stretch 5 %": SQUEEZED(segments=3, bend=0.5 * math.pi),
+        "robot new, 3 segments, stretch 85 %": SQUEEZED(
+            segments=3, bend=0.5 * math.pi, stretch=0.85
         ),
     },
 }
@@ -89,7 +93,8 @@ def of_recording(robot, folder, window):
     found = described(
         errors.nees_position <= chi2.ppf(LEVEL, 3), errors.time // block, errors.position
     )
-    return found | {"converged": run.posterior.solve.converged}
+    solve = run.posterior.solve
+    return found | {"converged": solve.converged, "doubted": bool(solve.doubt)}
 
 
 def of_sessions():
@@ -157,7 +162,8 @@ def line(row):
     return (
         f"| {row['robot']} | {row['recording']}{span} | {row['samples']} | {100 * LEVEL:g} % | "
         f"{100 * row['seen']:.1f} % ({interval}) | {row['rmse_mm']:.2f} | {verdict}"
-        f"{'' if row['converged'] else ', not converged'} |"
+        f"{'' if row['converged'] else ', not converged'}"
+        f"{', said to be too sure' if row.get('doubted') else ''} |"
     )
 
 

@@ -45,7 +45,15 @@ class DeviceError(GlissandoError):
     """A device does not answer, or answers what it should not."""
 
 
-class NotConvergedWarning(UserWarning):
+class EstimateWarning(UserWarning):
+    """Something is wrong with an estimate."""
+
+
+class FalseConfidenceWarning(EstimateWarning):
+    """Readings contradict the estimate that used them: its covariances are too small."""
+
+
+class NotConvergedWarning(EstimateWarning):
     """The estimate stopped before its step became small: do not trust it."""
 
 

@@ -148,6 +148,8 @@ def estimate_watched(
             max_iterations=most,
         )
     warn(run.findings)
+    if run.posterior.solve.doubt:
+        print(f"glissando: warning: {run.posterior.solve.doubt}", file=sys.stderr)
     complaints = [w for w in caught if issubclass(w.category, NotConvergedWarning)]
     return run, str(complaints[0].message) if complaints else ""
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from glissando._kernels.threads import one_thread
 from glissando.errors import (
+    FalseConfidenceWarning,
     NotConvergedWarning,
     SensorError,
     UnobservableError,
@@ -19,6 +20,7 @@ from glissando.errors import (
 from glissando.estimation.channels import settled
 from glissando.estimation.delays import with_unseen_delays
 from glissando.estimation.given import require_batch
+from glissando.estimation.misfit import doubt, worst_readings
 from glissando.estimation.outliers import CHANCE, Mask, judged, used_at_first
 from glissando.estimation.posterior import Posterior, SolveReport
 from glissando.estimation.starting_point import starting_point, with_parameters
@@ -34,8 +36,6 @@ from glissando.solver.located_readings import locate
 
 _FAR = 3.0  # lengths of the robot: readings beyond are said to be why equations break down
 _ASTRAY = 10.0  # standard deviations a number by which a start may be off and still be trusted
-_MISFIT = 5.0  # standard deviations by which a reading differs from all estimates but a false one
-_NAMED = 3  # readings that do not fit
 _ROUNDS = 5  # of solving and judging readings
 _ROUGH = 0.01  # standard deviations a number by which an estimate that is judged again may be off
 
@@ -81,6 +81,7 @@ def estimate(
 
     Warns:
         NotConvergedWarning: The iteration stopped early; the posterior's report says so, too.
+        FalseConfidenceWarning: Many readings contradict the estimate; the report says which.
     """
     require_batch(prior, grid, readings, sensor_parameters, initial, options)
     if any(r.channel for r in readings):
@@ -104,6 +105,8 @@ def estimate(
     if not report.converged:
         words = [f"The estimate has {report.status}.", report.worst, report.outcome.remedy]
         warnings.warn(" ".join(filter(None, words)), NotConvergedWarning, stacklevel=2)
+    elif report.doubt:
+        warnings.warn(report.doubt, FalseConfidenceWarning, stacklevel=2)
     return posterior
 
 
@@ -272,19 +275,6 @@ def _report(solution: Solution, before: int, log_evidence: float, clock: Stopwat
         log_evidence,
         suspects,
         clock.total(),
-        worst="" if solution.outcome.sound else _worst_readings(solution),
+        worst="" if solution.outcome.sound else worst_readings(solution),
+        doubt=doubt(solution) if solution.outcome.sound else "",
     )
-
-
-def _worst_readings(solution: Solution) -> str:
-    """A sentence on the worst reading of each stream that is beyond what chance allows, or none."""
-    misfits = []
-    streams = solution.located.streams
-    for stream, terms in zip(streams, solution.equations.reading_terms(), strict=True):
-        whitened = np.einsum("mij,mj->mi", terms.sqrt_info, terms.residual)
-        misfit = np.linalg.norm(whitened, axis=1)
-        if misfit.max(initial=0.0) > _MISFIT:
-            row = int(np.argmax(misfit))
-            misfits.append((float(misfit[row]), f"{stream.label} at {seconds(stream.time[row])} s"))
-    named = [f"{name} ({size:.3g} standard deviations)" for size, name in sorted(misfits)[::-1]]
-    return f"Readings that do not fit: {', '.join(named[:_NAMED])}." if named else ""

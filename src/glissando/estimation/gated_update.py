@@ -7,7 +7,7 @@ from collections import Counter
 
 import numpy as np
 
-from glissando.errors import NotConvergedWarning, SensorError, UnobservableError
+from glissando.errors import EstimateWarning, SensorError, UnobservableError
 from glissando.estimation.batch import estimate
 from glissando.estimation.held_readings import HeldReadings
 from glissando.estimation.innovation_gate import InnovationGate
@@ -51,7 +51,7 @@ class GatedUpdate:
         readings = self._buffer.streams(float(window.nodes.time[0]))
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore", NotConvergedWarning)
+                warnings.simplefilter("ignore", EstimateWarning)
                 posterior = estimate(
                     window.prior,
                     window.grid(),

@@ -46,6 +46,7 @@ class SolveReport:
         seconds: Processor time by phase; empty of a posterior that was loaded.
         refused: Rows of each stream that were not used, as all other readings refute them.
         worst: Of an estimate that did not converge, the readings that fit least where it ended.
+        doubt: Why confidence is too small, if many readings contradict the estimate.
     """
 
     outcome: Outcome
@@ -58,6 +59,7 @@ class SolveReport:
     seconds: dict[str, float] = field(compare=False)
     refused: dict[str, list[int]] = field(default_factory=dict)
     worst: str = ""
+    doubt: str = ""
 
     @property
     def converged(self) -> bool:

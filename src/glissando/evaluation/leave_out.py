@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from glissando.errors import NotConvergedWarning, UnobservableError
+from glissando.errors import EstimateWarning, UnobservableError
 from glissando.estimation.batch import estimate
 from glissando.estimation.posterior import Posterior
 from glissando.estimation.reading_noise import reading_covariance
@@ -97,7 +97,7 @@ def _predicted(
     mine = [p for p in parameters if p.known or names & {*p.streams}]
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", NotConvergedWarning)
+            warnings.simplefilter("ignore", EstimateWarning)
             posterior = estimate(robot.prior, grid, used, sensor_parameters=mine)
     except UnobservableError:
         return

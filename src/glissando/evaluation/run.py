@@ -101,6 +101,7 @@ class Run(Brief):
             "readings": {r.label: len(r) for r in self.readings},
             "log_evidence": solve.log_evidence,
             "suspects": solve.suspects,
+            "doubt": solve.doubt,
             "refused": self.refused(),
             "seconds": solve.seconds,
             "dropped": self.dropped,

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from scipy.special import bdtr, chdtr, ndtr
 
-from glissando.errors import GlissandoError, NotConvergedWarning, RobotFileError
+from glissando.errors import EstimateWarning, GlissandoError, RobotFileError
 from glissando.estimation.batch import estimate
 from glissando.estimation.fixed_lag import FixedLagSmoother
 from glissando.estimation.posterior import Posterior, StateEstimate
@@ -270,7 +270,7 @@ def _estimated(robot: Robot, grid: Grid, readings: list[Readings], *, online: bo
             smoother.advance(float(time))
         return smoother.posterior()
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotConvergedWarning)
+        warnings.simplefilter("ignore", EstimateWarning)
         return estimate(robot.prior, grid, readings, sensor_parameters=parameters)
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from threadpoolctl import threadpool_limits
 
 from glissando import __version__
-from glissando.errors import GlissandoError, NotConvergedWarning
+from glissando.errors import EstimateWarning, GlissandoError
 from glissando.evaluation.metrics import pool
 from glissando.experiments.scenes import Scene, trial
 
@@ -50,7 +50,7 @@ def outcome(scene: Scene, seed: int) -> Row:
     """
     try:
         with threadpool_limits(1), warnings.catch_warnings():
-            warnings.simplefilter("ignore", NotConvergedWarning)  # a column reports it
+            warnings.simplefilter("ignore", EstimateWarning)  # a column reports it
             result = trial(scene, seed)
     except GlissandoError as problem:
         return failure(str(problem))

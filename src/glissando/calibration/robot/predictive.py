@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from glissando.errors import NotConvergedWarning
+from glissando.errors import EstimateWarning
 from glissando.estimation.batch import estimate
 from glissando.estimation.posterior import Posterior, StateEstimate
 from glissando.geometry import se3
@@ -87,7 +87,7 @@ def quiet_estimate(
     """
     start = about or Start()
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotConvergedWarning)
+        warnings.simplefilter("ignore", EstimateWarning)
         return estimate(
             prior,
             grid,
