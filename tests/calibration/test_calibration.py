@@ -55,6 +55,7 @@ def test_the_coil_is_where_the_calibration_says_at_any_time_of_the_session():
         assert np.abs(error).max() < 5e-4
 
 
+@pytest.mark.slow
 def test_a_good_session_warns_of_nothing_but_what_needs_more_time_or_speeds():
     warnings = " ".join(rigs.calibrated()[0].warnings)
     for name in ("zero", "rotation", "position", "lead", "tracker's delay", "direction"):

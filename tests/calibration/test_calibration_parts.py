@@ -41,6 +41,7 @@ def test_slopes_of_the_coil_by_the_rig_are_right():
         assert np.allclose(slope, jacobian[:, k], atol=1e-4 * np.abs(slope).max())
 
 
+@pytest.mark.slow
 def test_a_coil_beyond_the_robots_end_is_told_from_one_at_it():
     """Else a zero near the tip would be known where it cannot be."""
     model, known = small_model()
@@ -54,6 +55,7 @@ def test_a_coil_beyond_the_robots_end_is_told_from_one_at_it():
     assert np.linalg.eigvalsh(model.covariance(ends[0])).min() > 0.0
 
 
+@pytest.mark.slow
 def test_a_lead_that_has_turned_over_is_the_other_directions():
     model, known = small_model()
     std = np.full(len(PARAMETERS), 0.02)

@@ -77,6 +77,7 @@ def test_truth_put_right_is_where_the_robot_is(found):
     assert np.abs(off.mean(axis=0)[:3]).max() < 2e-3
 
 
+@pytest.mark.slow
 def test_truth_and_a_tilted_tracker_at_one_place_agree_once_put_right(found):
     (time, tip), (late, truth) = poses(found, "tip", ()), poses(found, "t2", found[1])
     np.testing.assert_allclose(time - late, LATE, atol=4e-3)
@@ -86,6 +87,7 @@ def test_truth_and_a_tilted_tracker_at_one_place_agree_once_put_right(found):
     assert np.abs(off[3:]).max() < 5e-3
 
 
+@pytest.mark.slow
 def test_what_belongs_to_a_recording_is_not_carried_to_the_next(found):
     document, constants, std, _ = found
     assert all(np.all(s > 0.0) for s in std.values())

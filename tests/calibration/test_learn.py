@@ -308,6 +308,7 @@ def test_a_mistake_is_one_sentence_and_status_2(recording, tmp_path, capsys, cha
     assert not out.exists()
 
 
+@pytest.mark.slow
 def test_a_script_without_its_guard_gets_a_sentence_and_does_not_hang(recording, tmp_path):
     words = [str(w) for w in ("learn", recording, "--robot", recording / "few.toml", *WINDOW)]
     script = tmp_path / "script.py"

@@ -26,6 +26,7 @@ def run(*arguments):
     return main([str(a) for a in arguments])
 
 
+@pytest.mark.slow
 def test_a_recording_becomes_a_table_a_report_a_posterior_and_figures(recording, tmp_path, capsys):
     out = tmp_path / "out"
     assert run("estimate", recording, "--window", 0, 2, "--out", out) == 0
@@ -91,6 +92,7 @@ def test_json_is_one_object_and_nothing_else(recording, capsys):
     assert {"name", "arclength", "samples", "rotation_rmse"} <= set(printed["sites"][0])
 
 
+@pytest.mark.slow
 def test_a_query_is_answered_with_pose_strain_velocity_and_covariance(recording, tmp_path):
     query = tmp_path / "points.csv"
     query.write_text("arclength,time\n0.1,0.25\n0.466,0.9\n")

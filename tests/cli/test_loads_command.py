@@ -87,6 +87,7 @@ def test_a_robot_file_of_a_mechanical_prior_is_read_and_written(recording):
     assert json.loads(json.dumps(table)) == table
 
 
+@pytest.mark.slow
 def test_loads_are_printed_answered_and_saved(recording, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("points.csv").write_text("time,arclength\n0.5,0.25\n0.7,0.31\n")
@@ -120,6 +121,7 @@ def test_loads_are_printed_answered_and_saved(recording, tmp_path, capsys, monke
     np.testing.assert_allclose(data["wrench"][:, -1], data["load"][:, -1], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_contacts_are_mapped_over_arclength_and_time(recording, tmp_path, capsys):
     """The push is where a load is expected: nothing else touches the robot, and the map says so."""
     robot = load_robot(recording / "robot.toml")

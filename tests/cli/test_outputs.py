@@ -126,6 +126,7 @@ class Closed(io.StringIO):
         raise BrokenPipeError
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "report"),
     [

@@ -37,6 +37,7 @@ def test_a_planned_path_is_written_and_simulated_as_planned(tmp_path, capsys):
     assert coil.time[-1] == pytest.approx(4.0, abs=0.3)
 
 
+@pytest.mark.slow
 def test_json_alone_is_printed_and_says_what_every_path_is_worth(capsys):
     zones = ("--zone", "0.3:0.4@0:2", "--zone", "0.2:0.3..0.5:0.6@1:3*2")
     limits = ("--limits", "0.6,0.1,0.3", "--objective", "chance", "--bound", 0.01)
@@ -47,6 +48,7 @@ def test_json_alone_is_printed_and_says_what_every_path_is_worth(capsys):
     assert told["paths"]["planned"]["value"] <= told["paths"]["oscillating"]["value"]
 
 
+@pytest.mark.slow
 def test_a_plan_goes_on_from_an_estimate(tmp_path, capsys):
     robot, time = load_robot("sliding700"), np.linspace(0.0, 2.0, 41)
     seen = np.tile(np.eye(4), (41, 1, 1))
@@ -108,6 +110,7 @@ def test_designs_are_compared_and_drawn(tmp_path, capsys):
     assert (tmp_path / "design.png").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_sensors_are_placed_within_a_budget(tmp_path, capsys):
     sensors = ("--sensor", "coil=1:1e-3,0.01", "--sensor", "gyro=0.5:0.01", "--sensor", "slide=2")
     given = ("--zone", "0:0.7", "--horizon", 1, "--places", 4, "--budget", 3)

@@ -60,6 +60,7 @@ def test_the_same_inputs_give_the_same_bytes_of_every_file(estimated, tmp_path, 
         assert drawn[0] == drawn[1], ending
 
 
+@pytest.mark.slow
 def test_a_simulation_of_one_seed_is_the_same_and_states_it(estimated, tmp_path):
     session = simulate(slide="hold", duration=2.0, seed=5, name="again")
     write_session(session, tmp_path / "rec", "sliding700", seed=5)
@@ -68,6 +69,7 @@ def test_a_simulation_of_one_seed_is_the_same_and_states_it(estimated, tmp_path)
     assert "seed = 5\n" in (tmp_path / "rec" / "recording.toml").read_text()
 
 
+@pytest.mark.slow
 def test_a_rerun_gives_the_same_numbers(estimated, capsys):
     report = estimated / "out" / "report.json"
     assert set(json.loads(report.read_text())["versions"]) >= {"python", "glissando", "numba"}
@@ -78,6 +80,7 @@ def test_a_rerun_gives_the_same_numbers(estimated, capsys):
     assert capsys.readouterr().out == "The same to the last digit.\n"
 
 
+@pytest.mark.slow
 def test_a_rerun_names_the_input_that_changed_and_what_it_changed(estimated, tmp_path, capsys):
     moved = copied(estimated, tmp_path)
     report = estimated / "out" / "report.json"
@@ -134,6 +137,7 @@ def test_every_report_is_computed_again(estimated, tmp_path, capsys, words, repo
     assert {p: p.read_bytes() for p in sorted(tmp_path.rglob("*")) if p.is_file()} == before
 
 
+@pytest.mark.slow
 def test_a_tube_goes_into_the_robot_file_that_the_recording_brings(estimated, tmp_path):
     """Also where a shipped robot has its name."""
     moved, tube, out = copied(estimated, tmp_path), tmp_path / "tube.toml", tmp_path / "out"
@@ -148,6 +152,7 @@ def test_a_tube_goes_into_the_robot_file_that_the_recording_brings(estimated, tm
     assert inputs["--robot"] == inputs["mine.toml"]
 
 
+@pytest.mark.slow
 def test_a_rerun_finds_a_number_of_a_table_that_is_another(estimated, tmp_path, capsys):
     out = tmp_path / "out"
     assert main(["replay", str(estimated / "rec"), "--out", str(out)]) == 0
@@ -160,6 +165,7 @@ def test_a_rerun_finds_a_number_of_a_table_that_is_another(estimated, tmp_path, 
     assert 1e-9 < found["tables"]["newest.csv"] < 1e-3
 
 
+@pytest.mark.slow
 def test_a_report_without_its_request_or_recording_is_refused(estimated, tmp_path, capsys):
     report = json.loads((estimated / "out" / "report.json").read_text())
     requests = {

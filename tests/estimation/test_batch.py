@@ -100,6 +100,7 @@ def test_adding_readings_never_raises_a_marginal_variance():
     assert ratio.min() < 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("loss", [Huber(3.0), GemanMcClure(5.0)])
 def test_a_robust_loss_shrugs_off_gross_outliers_and_counts_them(loss):
     prior, grid, (base, coil, gyro) = sliding_scene(duration=2.0)

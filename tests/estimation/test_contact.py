@@ -69,6 +69,7 @@ def test_a_force_is_found_at_its_place_with_its_size():
     assert np.linalg.norm(gap[:2]) < 0.35 * np.linalg.norm(FORCE)
 
 
+@pytest.mark.slow
 def test_a_strong_force_is_found_though_the_search_begins_elsewhere_and_never_off_the_robot():
     """The scan is linear about a shape without the force, which a strong one leaves far behind."""
     readings = coil(np.random.default_rng(4), shape(6.0 * FORCE))

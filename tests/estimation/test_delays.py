@@ -72,6 +72,7 @@ def heard(prior, grid, readings, late):
     return smoother.posterior()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("delay", [0.03, 0.12, 0.3])
 def test_a_delay_longer_than_steps_or_the_window_is_known_no_better_than_it_is(delay):
     late = SensorParameter("late", "time_offset", ("tip",), np.array([delay]), np.array([0.01]))

@@ -31,6 +31,7 @@ UNKNOWNS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sensor_parameters", [[], UNKNOWNS], ids=["known", "unknowns"])
 @pytest.mark.parametrize("kind", PRIORS)
 def test_a_window_as_long_as_the_recording_is_the_batch_estimate(kind, sensor_parameters):

@@ -69,6 +69,7 @@ def nees(error, cov):
     return np.einsum("...i,...i->...", error, np.linalg.solve(cov, error[..., None])[..., 0])
 
 
+@pytest.mark.slow
 def test_wrenches_err_as_their_covariance_says_and_not_as_a_third_more_would(drawn):
     loads, coil = drawn
     found = estimate_static(prior(), NODES, [coil], count=COUNT)

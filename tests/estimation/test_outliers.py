@@ -33,6 +33,7 @@ def thrown(rng, stream, row, least=0.0):
     return replace(stream, values=values)
 
 
+@pytest.mark.slow
 @settings(law, max_examples=12)
 @given(generators)
 def test_outliers_of_any_size_are_named_and_change_nothing_else(rng):

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 
 from draws import generators, law
@@ -30,6 +31,7 @@ def unsure(rng):
     return prior, grid, [base, moved, gyro], parameters
 
 
+@pytest.mark.slow
 @settings(law, max_examples=8)
 @given(generators)
 def test_an_innovation_is_the_distance_from_what_all_others_predict(rng):

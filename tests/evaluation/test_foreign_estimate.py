@@ -127,6 +127,7 @@ def test_nothing_is_judged_in_gaps_or_outside_and_that_is_counted(scene):
     assert [(s["name"], s["samples"]) for s in report["sites"]] == [("at_466", 7)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("factors", "sentence"),
     [

@@ -230,6 +230,7 @@ def test_streams_left_out_accuse_a_biased_one_and_no_other():
         assert judged["by other times", "coil"].nees.size > 30
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 def test_damaged_numbers_never_break_the_guard(session, seed):
     """Numbers beyond all reason in any field are judged, or pass, without an error."""

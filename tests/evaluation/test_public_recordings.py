@@ -25,6 +25,7 @@ def run(folder, window):
     return run_estimate(recording, recording.robot, window=window, use=None, truth=None)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "window", "published"), PUBLISHED)
 def test_every_site_is_as_near_truth_as_the_published_code(spacetime, name, window, published):
     found = run(spacetime / name, window)
@@ -36,6 +37,7 @@ def test_every_site_is_as_near_truth_as_the_published_code(spacetime, name, wind
         assert sites[near] <= 1.05 * rmse
 
 
+@pytest.mark.slow
 def test_the_extensible_robot_meets_its_tip(spacetime):
     found = run(spacetime / "extensible", (0, 1))
     assert found.posterior.solve.unknowns == 19 * 31 * 18
@@ -81,6 +83,7 @@ def test_published_settings_come_back_from_the_densities():
         assert density * times == pytest.approx(5 * np.repeat(published, 3), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_the_command_prints_one_json_object(spacetime, capsys):
     folder = str(spacetime / "extensible")
     assert main(["estimate", folder, "--window", "0", "1", "--json"]) == 0

@@ -95,6 +95,7 @@ def test_a_journal_gives_back_what_was_written_sorted_by_time(rng):
         np.testing.assert_allclose(mine.mount, its.mount, atol=1e-14)
 
 
+@pytest.mark.slow
 @settings(max_examples=100, deadline=None)
 @given(generators, st.floats(0.0, 1.0))
 def test_a_journal_cut_anywhere_loses_only_its_end_and_can_be_gone_on_with(rng, share):

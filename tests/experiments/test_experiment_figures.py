@@ -132,6 +132,7 @@ def test_dots_are_at_the_minima_of_the_curves(confidence):
     assert sum(line.get_marker() == "o" for line in c.lines) == 1
 
 
+@pytest.mark.slow
 def test_the_coil_slides_in_from_the_tip(following):
     told, found, scene = following
     figure = following_figure(found, scene, told)

@@ -280,6 +280,7 @@ def echo(server):
             client.sendall(came)
 
 
+@pytest.mark.slow
 def test_what_is_no_aurora_is_a_sentence():
     with socket.create_server(("127.0.0.1", 0)) as server:
         address = f"tcp://127.0.0.1:{server.getsockname()[1]}"

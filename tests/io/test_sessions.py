@@ -170,6 +170,7 @@ while True:
 """
 
 
+@pytest.mark.slow
 def test_after_kill_9_all_but_the_last_second_is_there(tmp_path):
     path = tmp_path / "killed.mcap"
     child = subprocess.Popen(

@@ -90,6 +90,7 @@ def calibrations():
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", SIZES)
 def test_what_sensors_are_off_by_is_found_as_surely_as_stated(calibrations, kind):
     squares, wrong = [], []
@@ -105,6 +106,7 @@ def test_what_sensors_are_off_by_is_found_as_surely_as_stated(calibrations, kind
     assert not consistent(wrong, dof)
 
 
+@pytest.mark.slow
 def test_the_stated_confidence_is_small_enough_to_mean_something(calibrations):
     for kind, most in (
         ("frame", 0.05),
@@ -116,6 +118,7 @@ def test_the_stated_confidence_is_small_enough_to_mean_something(calibrations):
         assert np.sqrt(np.diagonal(cov)).max() < most
 
 
+@pytest.mark.slow
 def test_covariances_are_those_of_the_dense_inverse(calibrations):
     posterior = calibrations[0]
     system = posterior.system
@@ -255,6 +258,7 @@ def test_unknowns_of_streams_that_are_not_there_change_nothing():
 # Files.
 
 
+@pytest.mark.slow
 def test_a_posterior_with_unknowns_is_read_back_as_it_was_written(calibrations, tmp_path):
     posterior = estimate(
         STEADY,
@@ -283,6 +287,7 @@ def test_a_posterior_with_unknowns_is_read_back_as_it_was_written(calibrations, 
     assert draw.pose.shape == (1, *COARSE.shape, 4, 4)
 
 
+@pytest.mark.slow
 def test_an_unknown_that_was_not_estimated_is_answered_with_those_that_were(calibrations):
     names = ", ".join(SIZES)
     with pytest.raises(GlissandoError, match=f"No sensor parameter 'nose' was .*: {names}"):

@@ -105,6 +105,7 @@ def test_commands_are_no_faster_than_the_tendons_whatever_is_known(seed):
     assert 0.9 < fastest < 1.0 + 1e-6
 
 
+@pytest.mark.slow
 def test_corrections_are_as_fast_as_is_predicted_where_nothing_slows_them():
     """Changes of commands of robots that are drawn as the belief says, and the largest of them."""
     runs = [followed(3, True, seed) for seed in range(12)]

@@ -65,6 +65,7 @@ def test_a_path_can_be_left_at_any_knot_for_another_within_the_limits(stage, rng
     assert time[1] == pytest.approx(0.1)
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(stages, st.floats(0.0, 1.0), generators)
 def test_a_path_can_be_left_between_knots_near_an_end_of_the_slide(stage, share, rng):

@@ -41,6 +41,7 @@ def test_a_plan_reaches_its_target_within_limits_at_the_risk_that_is_allowed(pla
         assert abs(column[-1] - column[-2]) < 1e-3 * actuator.speed
 
 
+@pytest.mark.slow
 def test_the_straight_way_would_not_have_kept_the_risk(planned):
     problem = planned.problem
     ends = planned.evaluation.values[-1]
@@ -50,6 +51,7 @@ def test_the_straight_way_would_not_have_kept_the_risk(planned):
     assert problem.evaluate(straight).hits.value > 2.0 * problem.scene.delta
 
 
+@pytest.mark.slow
 def test_a_search_begins_on_both_sides_of_what_is_in_the_way():
     problem = motion_problem(small_scene([BALL], target=(0.045, 0.012, 0.185)), ROBOT)
     reaches = reach_target(problem, 0)[None]
@@ -99,6 +101,7 @@ def test_a_scene_that_is_impossible_says_which_part_and_by_how_much(fields, sent
         plan_motion(problem, iterations=5, candidates=1)
 
 
+@pytest.mark.slow
 def test_a_motion_is_planned_past_a_mesh(tmp_path):
     trimesh = pytest.importorskip("trimesh", reason="trimesh is not installed")
     pytest.importorskip("rtree", reason="rtree is not installed")
@@ -201,6 +204,7 @@ def narrow_passage(rng):
     return motion_problem(replace(scene, obstacles=balls), ROBOT), motion
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 6])
 def test_a_search_from_a_motion_that_hits_finds_one_through_a_narrow_passage(seed):
     problem, motion = narrow_passage(np.random.default_rng(seed))

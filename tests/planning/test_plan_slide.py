@@ -33,6 +33,7 @@ def test_no_start_is_better_than_the_plan_and_neither_is_the_greedy_path(kind, n
     assert plan.value <= plan_greedily(path_objective, space)
 
 
+@pytest.mark.slow
 @settings(max_examples=15, deadline=None)
 @given(
     share=st.floats(0.0, 1.0),

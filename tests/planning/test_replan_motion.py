@@ -99,6 +99,7 @@ def known_well(problem):
     return ErrorBelief(np.zeros(size), 0.01 * np.eye(size))
 
 
+@pytest.mark.slow
 def test_where_no_motion_on_is_safe_the_robot_comes_to_rest(plan):
     problem, start = plan.problem, 0.5
     ball = sphere(plan.evaluation.tip[-1], 0.006)
@@ -116,6 +117,7 @@ def test_where_no_motion_on_is_safe_the_robot_comes_to_rest(plan):
     np.testing.assert_array_less(moved, speed**2 / sharpest + np.abs(speed) * step + 1e-9)
 
 
+@pytest.mark.slow
 def test_what_is_known_better_lets_the_rest_be_no_riskier(plan):
     found = continue_motion(plan, 1.0, state_at(plan, 1.0), known_well(plan.problem), 0.05)
     assert not found.stopped
@@ -124,6 +126,7 @@ def test_what_is_known_better_lets_the_rest_be_no_riskier(plan):
     assert 0.0 <= found.spent <= plan.risk + 0.01
 
 
+@pytest.mark.slow
 def test_where_to_stop_is_no_safer_it_goes_on_and_says_so(plan):
     problem, start = plan.problem, 0.5
     values, speed = state_at(plan, start)

@@ -61,6 +61,7 @@ def as_risky(problem, control, risk):
     return replace(problem, scene=replace(problem.scene, robot_radius=low))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("risk", [0.01, 0.1])
 def test_the_bound_is_above_the_risk_and_at_most_three_times_of_it(risk, rng):
     ratios = []

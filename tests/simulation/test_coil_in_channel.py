@@ -42,6 +42,7 @@ def expected(channel, travel, time):
     return at[0] + (travel - inside) * at[1], at[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("channel", CHANNELS, ids=["straight", "winding"])
 def test_the_coil_is_where_its_travel_along_the_channel_leads(channel):
     time, longest = ANY.uniform(0.0, 20.0, 5), straight_length(routed(channel, 0.7), 0.7)
@@ -60,6 +61,7 @@ def test_the_coil_is_where_its_travel_along_the_channel_leads(channel):
         assert np.linalg.norm(turned[:2]) < 0.02
 
 
+@pytest.mark.slow
 def test_a_scene_keeps_the_channel(tmp_path):
     coil = SceneCoil(0.5, -1.0, np.eye(4), port=0, way=CHANNELS[1].to_table())
     made = Scene.of(motion(), [0.0], [coil], flaws=BENCH.flaws)

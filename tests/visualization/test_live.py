@@ -95,6 +95,7 @@ def test_only_this_machine_is_served(shown):
     assert shown._server.get_host() == "127.0.0.1"
 
 
+@pytest.mark.slow
 def test_a_browser_shows_it_without_another_server(posterior, shown):
     scene = scene_of(posterior)
     with chromium() as browser:

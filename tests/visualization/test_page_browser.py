@@ -174,6 +174,7 @@ def drawn_box(page):
     )
 
 
+@pytest.mark.slow
 def test_boxes_take_away_what_they_name(page):
     whole = page.evaluate("partsAt(bodyAt(scene, 3), 3)")
     for name in ("tube", "ellipsoids", "sensors"):
@@ -192,6 +193,7 @@ def test_boxes_take_away_what_they_name(page):
     np.testing.assert_allclose(radius[1], 10.0 * radius[0], rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_keys_play_step_and_turn_nothing_else(page):
     moment = "state.moment"
     for key, expected in [("End", 20), ("ArrowLeft", 19), ("Home", 0), ("ArrowRight", 1)]:
@@ -250,6 +252,7 @@ def test_the_scale_bar_is_as_long_as_it_says(page):
     assert pixels[1][0] - pixels[0][0] == pytest.approx(0.1 / view["pixel"], rel=1e-6)
 
 
+@pytest.mark.slow
 def test_dark_is_dark_and_light_is_light(browser, file):
     means = []
     for scheme in ("light", "dark"):

@@ -190,6 +190,7 @@ def test_a_run_given_twice_is_one_sentence(runs, capsys):
     assert "A run is given twice" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_in_a_browser_scenes_share_their_time_and_nothing_else_is_asked_for(runs, html):
     with chromium() as browser:
         tall = {"width": 1280, "height": 6000}  # a browser draws no frame that is out of sight
@@ -225,6 +226,7 @@ def test_an_entry_that_nobody_wrote_so_is_one_sentence(runs, tmp_path, capsys, k
     assert told.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_a_page_that_somebody_else_wrote_stays_in_its_frame(runs, tmp_path):
     """What stands in a run's view.html may be anybody's: it can neither leave, open nor submit."""
     (tmp_path / "report.json").write_text(json.dumps(runs[1]["fixed"]))

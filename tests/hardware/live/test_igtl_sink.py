@@ -62,6 +62,7 @@ def test_frames_line_tube_and_ellipsoids_are_the_estimates():
     assert json.loads(read["Estimate", "STRING"].text)["skipped"] >= 0
 
 
+@pytest.mark.slow
 def test_axes_and_units_are_switched_and_parts_left_out():
     update, _, read = _shown("?axes=lps&unit=m&send=frames")
     assert {device for device, _ in read} == {"Robot"}

@@ -281,6 +281,7 @@ def test_stamps_of_a_senders_clock_become_times_better_than_their_arrivals():
     assert np.abs(misses[100:]).max() < 3e-3
 
 
+@pytest.mark.slow
 def test_silence_ends_with_a_sentence_and_so_do_wrong_arguments(tmp_path):
     with Endpoint("igtl-server://:0") as peer:
         source = IgtlSource(f"igtl://127.0.0.1:{peer.address.port}", ROBOT, PLACES)

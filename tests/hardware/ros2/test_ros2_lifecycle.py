@@ -22,6 +22,7 @@ def _an_update():
         return next(iter(session))
 
 
+@pytest.mark.slow
 def test_a_manager_configures_activates_deactivates_and_cleans_up(domain):
     from lifecycle_msgs.msg import Transition
 

@@ -17,6 +17,7 @@ from ros_peers import Peer
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of rclpy's own imports
 
 
+@pytest.mark.slow
 def test_a_rig_records_a_tracker_that_is_topics(domain, tmp_path):
     rig = Rig("bench", "sliding700", domain, (Coil("tip", 0.7, slides=False, serial="/tip/pose"),))
     seen, over = np.eye(4), threading.Event()

@@ -17,6 +17,7 @@ from waiting import until
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of rclpy's own imports
 
 
+@pytest.mark.slow
 def test_a_late_subscriber_of_any_quality_gets_the_newest_update(domain):
     source, sink = RecordingSource(swaying(), ROBOT), Ros2Sink(domain)
     with LiveSession(ROBOT, [source], [sink], points=5, duration=0.3) as session:
@@ -51,6 +52,7 @@ def test_a_late_subscriber_of_any_quality_gets_the_newest_update(domain):
     )
 
 
+@pytest.mark.slow
 def test_forces_are_arrows_with_their_ellipsoids_and_the_tips_is_a_wrench(domain):
     sink = Ros2Sink(domain)
     source, got = RecordingSource(swaying(), ROD), {}
@@ -84,6 +86,7 @@ def test_forces_are_arrows_with_their_ellipsoids_and_the_tips_is_a_wrench(domain
         np.testing.assert_allclose(half @ half.T, cov, atol=1e-6 * np.abs(cov).max())
 
 
+@pytest.mark.slow
 def test_a_reader_that_stops_reading_holds_nobody_up(domain):
     sink = Ros2Sink(domain)
     with Graph(Ros2Address.parse(domain), "stuck") as stuck:

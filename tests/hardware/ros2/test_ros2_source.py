@@ -53,6 +53,7 @@ def _through_ros(recording, domain, journal):
             return list(islice(session, 25))
 
 
+@pytest.mark.slow
 def test_a_session_through_ros_openigtlink_and_replay_gives_the_same_estimates(domain, tmp_path):
     recording = _exact(swaying(2))
     live = _through_ros(recording, domain, tmp_path / "log")
@@ -83,6 +84,7 @@ def test_what_is_no_pose_is_counted(domain):
         np.testing.assert_allclose(read.values[0], good, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_one_look_takes_all_that_has_come(domain):
     source = Ros2Source(f"{domain}&clock=arrival", ROBOT, PLACES)
     with source, Peer(domain, [p.name for p in PLACES]) as peer:
