@@ -32,6 +32,7 @@ from glissando.calibration.robot.objective import Centre, Objective
 from glissando.calibration.robot.predictive import Score, Start
 from glissando.errors import GlissandoError
 from glissando.geometry.se3 import Array
+from glissando.io.atomic_file import new_file
 from glissando.model.sensors.parameters import SensorParameter
 
 _BAD = 1e3  # objective of a document that cannot be estimated
@@ -86,7 +87,8 @@ def _workers(objective: Objective, count: int) -> Iterator[ProcessPoolExecutor]:
     """
     with TemporaryDirectory() as folder:
         file = Path(folder) / "objective"
-        file.write_bytes(pickle.dumps(objective, protocol=pickle.HIGHEST_PROTOCOL))
+        with new_file(file) as building:
+            building.write_bytes(pickle.dumps(objective, protocol=pickle.HIGHEST_PROTOCOL))
         with ProcessPoolExecutor(count, get_context("spawn"), _prepare, (file,)) as pool:
             try:
                 yield pool
