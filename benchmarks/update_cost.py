@@ -108,6 +108,7 @@ def recorded(folder, between, robot, nodes, window):
     recording = load_recording(folder)
     robot = load_robot(robot) if robot else recording.robot
     places = np.linspace(0.0, robot.length, nodes)
+    places = np.union1d(places, getattr(robot.prior, "joints", ()))  # which have to be nodes
     streams = chosen_streams(recording, robot, between, None, None)[0]
     count = max(2, round((between[1] - between[0]) * robot.time_rate) + 1)
     times, taken = np.linspace(*between, count), []
