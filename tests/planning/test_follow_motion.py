@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from glissando.errors import GlissandoError
 from glissando.geometry import se3
 from glissando.model.sensors.sensors import CoilReadings
 from glissando.planning.scene.correction_speed import correction_speed
@@ -139,3 +140,38 @@ def test_plans_leave_speed_and_stroke_to_corrections(seed):
     assert np.all(moved.max(axis=1) <= high - kept + 1e-9)
     speed = np.abs(np.diff(moved, axis=1)).max() / space.paths[0].step
     assert speed == pytest.approx(0.7 * held.speed, rel=0.01)
+
+
+@pytest.fixture
+def follower():
+    problem, control = any_problem(np.random.default_rng(0), obstacles=[])
+    return MotionFollower(MotionPlan(problem, problem.evaluate(control), 0.0, 0.0, 0.05))
+
+
+def coil(place, height, time=0.4):
+    pose = np.eye(4)[None].copy()
+    pose[:, 2, 3] = height
+    return CoilReadings(time=[time], arclength=[place], values=pose, cov=COIL.cov)
+
+
+@pytest.mark.parametrize(("place", "height"), [(0.15, 150.0), (0.15, 0.65), (150.0, 0.15)])
+def test_readings_that_no_such_robot_gives_are_counted_and_move_no_command(follower, place, height):
+    follower.command(0.5)
+    follower.advance(0.5)
+    before = follower.belief
+    follower.add(coil(place, height))
+    assert follower.dropped == 1
+    np.testing.assert_allclose(follower.belief.mean, before.mean, atol=1e-12)
+    follower.add(coil(0.15, 0.15).select(slice(0, 0)))
+    follower.command(1.0)
+
+
+def test_time_does_not_go_back_and_is_the_plans(follower):
+    follower.advance(1.0)
+    before = follower.belief
+    follower.advance(0.5)
+    assert follower.belief is before
+    for call in (follower.advance, follower.command):
+        for time in (5e3, -1e9, float("nan")):
+            with pytest.raises(GlissandoError, match="give seconds from its start"):
+                call(time)

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import lsq_linear
 
 from glissando._kernels.threads import one_thread
-from glissando.errors import NoShapeError
+from glissando.errors import GlissandoError
 from glissando.geometry.se3 import Array
 from glissando.model.noise import sqrt_information
 from glissando.model.sensors.readings import Readings
@@ -21,6 +21,8 @@ from glissando.planning.scene.tendon_body import BodyShapes
 
 _STEPS = 4  # of Gauss and Newton towards the planned bends
 _EASE = 1e-3  # of the largest curvature by displacement, below which tendons are left alone
+_ABSURD = 10.0  # standard deviations a number beyond which a reading is none of this robot
+_LONGEST = 10.0  # s without a command, or as long as the plan, after which a clock is to blame
 _ROOM = 1e-9  # m that a tendon is always given to move
 
 
@@ -38,6 +40,7 @@ class MotionFollower:
         time: Time of the newest reading, s from the plan's start.
         due: Time that the newest command is for, s from the plan's start.
         belief: What is known of the model error, at the time of the newest reading.
+        dropped: How many readings were not used.
     """
 
     plan: MotionPlan
@@ -45,6 +48,7 @@ class MotionFollower:
     time: float = 0.0
     due: float = 0.0
     belief: ErrorBelief = field(init=False)
+    dropped: int = field(default=0, init=False)
     _begun: float = field(default=-1.0, init=False)
     _corrections: Array = field(init=False)  # (2, T) of the commands before and now, m
 
@@ -78,17 +82,31 @@ class MotionFollower:
         return values
 
     def advance(self, time: float) -> None:
-        """Let time pass, s from the plan's start, without readings."""
+        """Let time pass, s from the plan's start, without readings; it never goes back.
+
+        Raises:
+            GlissandoError: The time is none of the plan's.
+        """
+        self._require_time(time)
+        if time <= self.time:
+            return
         self.belief = self.belief.after(time - self.time, self.problem.body.time_scale)
         self.time = time
 
     def add(self, readings: Readings) -> None:
         """Take readings of a coil at times of the plan, m and s.
 
+        Those off the robot, and those that no such robot can give, are counted in `dropped`. The
+        limit is wide: a robot is never quite its model, and has to be seen all the same.
+
         Source: the extended Kalman filter; a batch is linearised where the robot is expected, and
         its readings count as of the newest time.
         """
-        count = len(readings)
+        on = (readings.arclength >= 0.0) & (readings.arclength <= self.problem.body.arclength[-1])
+        self.dropped += int(np.sum(~on))
+        readings, count = readings.select(on), int(np.sum(on))
+        if not count:
+            return
         with one_thread():
             pulled = self.at(readings.time)[:, : self._corrections.shape[1]]
             shapes = self.problem.body.shapes(pulled, np.tile(self.belief.mean, (count, 1)))
@@ -102,14 +120,23 @@ class MotionFollower:
             rows = white @ readings.jacobian(state)[..., :6] @ twist
             residual = -(white @ readings.residual(state)[..., None])
             size = rows.shape[-1]
-            self.belief = self.belief.updated(rows.reshape(-1, size), residual.ravel())
+            spread = np.eye(rows.shape[1]) + rows @ self.belief.cov @ rows.mT
+            squared = np.sum(residual[..., 0] * np.linalg.solve(spread, residual)[..., 0], axis=-1)
+            likely = squared < _ABSURD**2 * rows.shape[1]
+            self.dropped += int(np.sum(~likely))
+            rows, residual = rows[likely].reshape(-1, size), residual[likely].ravel()
+            self.belief = self.belief.updated(rows, residual)
 
     def command(self, time: float) -> Array:
         """Values (C,) that all actuators should have come to by a time, s from the start, m.
 
         Where the planned bends have no shape any more, the correction stays as it is. Tendons go no
         faster than they may; where one would, others make the correction if they can.
+
+        Raises:
+            GlissandoError: The time is none of the plan's.
         """
+        self._require_time(time)
         values, count = self.planned(time), self._corrections.shape[1]
         scale = self.problem.body.time_scale
         start = self.problem.belief.after(time, scale).mean
@@ -123,11 +150,20 @@ class MotionFollower:
             try:
                 wished = self.problem.body.shapes(pulled[None], start[None])
                 new = self._bent_as(wished, pulled, mean, (low, high)) - pulled
-            except NoShapeError:
+            except GlissandoError:
                 pass
         self._begun = self.due if time > self.due else time - 1.0
         self._corrections, self.due = np.stack([before, new]), time
         return self.at(time)
+
+    def _require_time(self, time: float) -> None:
+        """Refuse a step in time that is longer than the plan, as that of another unit would be."""
+        lasts = max(self.problem.scene.horizon, _LONGEST)
+        if not abs(time - max(self.time, self.due)) <= lasts:
+            raise GlissandoError(
+                f"The time goes from {self.due:g} to {time:g} s within a plan of "
+                f"{self.problem.scene.horizon:g} s; give seconds from its start."
+            )
 
     def _changes(self, begin: float, end: float) -> Array:
         """Least and largest changes (2, T) of the corrections between two times, m.

@@ -218,12 +218,6 @@ def _use_up(
 def _checked(plan: MotionPlan) -> MotionPlan:
     """The plan, if it keeps the risk and reaches its targets."""
     scene = plan.problem.scene
-    if plan.risk > scene.delta + 2.0 * plan.risk_std:
-        raise GlissandoError(
-            f"A risk of {100 * scene.delta:.3g} % was not reached: the best motion found hits with "
-            f"{100 * plan.risk:.3g} %. Allow more, give more time or sensing, or move what is in "
-            f"the way."
-        )
     for target in scene.targets:
         k = plan.problem.space.moment_at(target.time)
         miss = float(np.linalg.norm(plan.evaluation.tip[k] - target.position))
@@ -234,4 +228,10 @@ def _checked(plan: MotionPlan) -> MotionPlan:
                 f"{target.time:g} s, and {1e3 * target.tolerance:.3g} mm are asked for; allow more "
                 f"risk, time or distance."
             )
+    if plan.risk > scene.delta + 2.0 * plan.risk_std:
+        raise GlissandoError(
+            f"A risk of {100 * scene.delta:.3g} % was not reached: the best motion found hits with "
+            f"{100 * plan.risk:.3g} %. Allow more, give more time or sensing, or move what is in "
+            f"the way."
+        )
     return plan
