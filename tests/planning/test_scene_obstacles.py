@@ -137,3 +137,42 @@ def test_a_mesh_of_others_is_refused_or_read_alone(tmp_path):
     for name in ("pipe.stl", "box.3mf", "long.stl", "long.ply", "none.stl"):
         with pytest.raises(GlissandoError, match=r"is no mesh|has 0 triangles"):
             read_mesh(tmp_path / name, np.eye(4))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "kind", ["as it is", "inside out", "one triangle turned", "two that overlap"]
+)
+def test_a_mesh_is_solid_however_its_triangles_turn(kind, tmp_path, rng):
+    trimesh = pytest.importorskip("trimesh", reason="trimesh is not installed")
+    pytest.importorskip("rtree", reason="rtree is not installed")
+    half, apart = 0.02, np.array([0.02, 0.0, 0.0])
+    cube = trimesh.creation.box((2.0 * half,) * 3)
+    boxes = [RoundedBox(np.eye(4), np.full(3, half))]
+    if kind == "inside out":
+        cube.invert()
+    elif kind == "two that overlap":
+        moved = cube.copy()
+        moved.apply_translation(apart)
+        cube = trimesh.util.concatenate([cube, moved])
+        pose = np.eye(4)
+        pose[:3, 3] = apart
+        boxes.append(RoundedBox(pose, np.full(3, half)))
+    cube.export(tmp_path / "cube.stl")
+    mesh = read_mesh(tmp_path / "cube.stl", np.eye(4))
+    points = rng.uniform(-0.035, 0.055, (800, 3))
+    true = np.min([box.distance(points)[0] for box in boxes], axis=0)
+    clear = np.abs(true) > 2e-3
+    found = mesh.distance(points)[0][clear]
+    assert np.array_equal(found < 0.0, true[clear] < 0.0)
+    assert np.all(found < true[clear] + 2e-4)
+
+
+def test_a_mesh_whose_triangles_disagree_is_refused(tmp_path):
+    trimesh = pytest.importorskip("trimesh", reason="trimesh is not installed")
+    pytest.importorskip("rtree", reason="rtree is not installed")
+    cube = trimesh.creation.box((0.02, 0.02, 0.02))
+    cube.faces[3] = cube.faces[3][::-1]
+    cube.export(tmp_path / "cube.stl")
+    with pytest.raises(GlissandoError, match="face inwards and others outwards"):
+        read_mesh(tmp_path / "cube.stl", np.eye(4))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from glissando.io.provenance import write_report
 from glissando.io.robot_file import load_robot
 from glissando.planning.scene.correction_speed import correction_speed
 from glissando.planning.scene.plan_motion import MotionPlan, motion_problem, plan_motion
+from glissando.planning.scene.scene_checks import idle_obstacles
 from glissando.planning.scene.scene_file import read_scene
 from glissando.visualization.canvas import save_figure
 from glissando.visualization.page import page
@@ -37,6 +39,8 @@ def plan_scene(options: argparse.Namespace) -> int:
     robot = load_robot(options.robot)
     scene = read_scene(options.scene, robot)
     problem = motion_problem(scene, robot)
+    for sentence in idle_obstacles(scene, robot):
+        print(f"glissando: warning: {sentence}", file=sys.stderr)
     with working("planning") as work:
         plan = plan_motion(problem, seed=options.seed, progress=work.update)
     report = _report(plan)
@@ -65,6 +69,7 @@ def _report(plan: MotionPlan) -> dict[str, object]:
         "cost": at.cost,
         "terms": at.terms,
         "correction_speed": correction_speed(plan.problem, at),
+        "units": "m, s, m/s; risks are probabilities",
         "warning": plan.warning,
     }
 
@@ -85,10 +90,15 @@ def _sentence(report: dict[str, object]) -> str:
     if report["clearance"] is None:
         return f"{reached}There is no obstacle."
     return (
-        f"{reached}Anything is hit with a probability of {risk:.2g} %, and {delta:g} % are "
+        f"{reached}Anything is hit with a probability of {_share(risk)} %, and {delta:g} % are "
         f"allowed; the nearest obstacle is expected {1e3 * float(str(report['clearance'])):.3g} mm "
         f"away."
     )
+
+
+def _share(percent: float) -> str:
+    """A sampled risk as it is known: none of 4,000 samples is no zero."""
+    return f"{percent:.2g}" if percent > 0.0 else "less than 0.1"
 
 
 def _write(

@@ -78,6 +78,13 @@ def _robot(options: argparse.Namespace) -> int:
         time_scale=options.time_scale,
     )
     write_text(out, robot_text(outline))
+    bare = [kind for kind in outline.sensors if ":" not in kind]
+    if bare:
+        print(
+            f"{', '.join(bare)} name no stream, so their mounts and drifts count as known: give "
+            f"KIND:STREAM for what may be mounted a little off.",
+            file=sys.stderr,
+        )
     print(f"Wrote {out}. Now: glissando estimate RECORDING --robot {out} --out results")
     return 0
 

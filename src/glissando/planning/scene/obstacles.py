@@ -274,6 +274,11 @@ def read_mesh(path: Path, pose: Array, scale: float = 1.0) -> Mesh:
         raise GlissandoError(
             f"{path.name} has holes, so it has no inside; close its surface, or give boxes."
         )
+    if not surface.is_winding_consistent:
+        raise GlissandoError(
+            f"Some triangles of {path.name} face inwards and others outwards, so it has no inside; "
+            f"repair it (unify its normals), or give boxes."
+        )
     low, high = surface.bounds
     size = float(np.max(high - low))
     if size > 10.0:
@@ -285,14 +290,25 @@ def read_mesh(path: Path, pose: Array, scale: float = 1.0) -> Mesh:
     step = max(fine, float(np.prod(sides) / _POINTS) ** (1.0 / 3.0))
     lattice = np.indices(np.ceil(sides / step).astype(int) + 1)
     points = low + step * np.moveaxis(lattice, 0, -1)
-    signed = _signed(surface, points.reshape(-1, 3)).reshape(points.shape[:3])
+    bodies = _bodies(surface)
+    signed = _signed(bodies, points.reshape(-1, 3)).reshape(points.shape[:3])
     faces = np.asarray(surface.faces, dtype=np.intp)
     mesh = Mesh(low, step, signed, np.asarray(surface.vertices), faces)
-    return replace(mesh, values=signed - _too_far(mesh, surface))
+    return replace(mesh, values=signed - _too_far(mesh, bodies))
 
 
-def _signed(surface: Any, point: Array) -> Array:
-    """Signed distances of points (M, 3) from a surface of trimesh, negative inside.
+def _bodies(surface: Any) -> list[Any]:
+    """The closed bodies of a surface of trimesh, whose triangles all face outwards."""
+    import trimesh
+
+    def outwards(body: Any) -> Any:
+        return body if body.volume > 0.0 else trimesh.Trimesh(body.vertices, body.faces[:, ::-1])
+
+    return [outwards(body) for body in surface.split()]
+
+
+def _signed(bodies: Sequence[Any], point: Array) -> Array:
+    """Signed distances of points (M, 3) from bodies of trimesh, negative inside any of them.
 
     Of some points at a time, as it keeps all triangles near each of them.
     """
@@ -300,10 +316,13 @@ def _signed(surface: Any, point: Array) -> Array:
 
     inside_out: Any = trimesh.proximity.signed_distance
     parts = np.array_split(point, 1 + len(point) // _AT_ONCE)
-    return -np.concatenate([np.asarray(inside_out(surface, part)) for part in parts])
+    every = [
+        -np.concatenate([np.asarray(inside_out(body, part)) for part in parts]) for body in bodies
+    ]
+    return np.asarray(np.min(every, axis=0))
 
 
-def _too_far(mesh: Mesh, surface: Any) -> float:
+def _too_far(mesh: Mesh, bodies: Sequence[Any]) -> float:
     """By how much distances near the surface may be too large, from random points there, m."""
     rng = np.random.default_rng(0)
     corners = mesh.vertices[mesh.triangles]
@@ -313,7 +332,7 @@ def _too_far(mesh: Mesh, surface: Any) -> float:
     within = rng.dirichlet(np.ones(3), _CHECKED)
     point = np.einsum("mi,mij->mj", within, corners[picked])
     point += mesh.step * rng.uniform(-1.0, 1.0, (_CHECKED, 3))
-    over = mesh.distance(point)[0] - _signed(surface, point)
+    over = mesh.distance(point)[0] - _signed(bodies, point)
     return _SAFELY * max(0.0, float(over.max()))
 
 

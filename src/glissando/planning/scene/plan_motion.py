@@ -32,6 +32,7 @@ from glissando.planning.scene.motion_starts import (
 )
 from glissando.planning.scene.sampled_risk import sample_risk
 from glissando.planning.scene.scene import Scene
+from glissando.planning.scene.scene_checks import require_scene
 from glissando.planning.scene.tendon_body import tendon_body
 
 Progress = Callable[[int, int, str], None]
@@ -117,7 +118,11 @@ def motion_problem(
         senses: Whether readings to come are counted on.
         start: Where the actuators (C,) are; where the scene starts unless given.
         speed: Their speeds (C,); at rest unless given.
+
+    Raises:
+        GlissandoError: The scene is none, or none of this robot.
     """
+    require_scene(scene, robot)
     spacing = max(_SPACING * scene.robot_radius, robot.length / _PLACES)
     body = tendon_body(robot, spacing)
     belief = belief or ErrorBelief.unknown(body.errors)
@@ -143,6 +148,10 @@ def plan_motion(
     Raises:
         GlissandoError: The scene is impossible: the sentence says which part, and by how much.
     """
+    if candidates < 1 or iterations < 1:
+        raise GlissandoError(
+            f"candidates and iterations are {candidates} and {iterations}; give 1 or more."
+        )
     with one_thread():
         require_possible_start(problem)
         require_clear_targets(problem)

@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from glissando.geometry.se3 import Array
 from glissando.planning.scene.obstacles import Obstacle
 from glissando.planning.sliding_sensor import SlidingSensor
@@ -20,6 +22,9 @@ class Target:
     position: Array
     tolerance: float
     time: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "position", np.asarray(self.position, dtype=float))
 
 
 @dataclass(frozen=True)
@@ -37,6 +42,10 @@ class SpaceZone:
     radius: float = 0.0
     arclength: tuple[float, float] | None = None
     weight: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.center is not None:
+            object.__setattr__(self, "center", np.asarray(self.center, dtype=float))
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,125 @@
+"""What makes a scene one that a robot can be planned in: each mistake is a sentence."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import pairwise
+
+import numpy as np
+
+from glissando.errors import GlissandoError
+from glissando.geometry.se3 import Array
+from glissando.model.robot import Robot
+from glissando.planning.scene.scene import Scene
+
+_ROUNDING = 1e-9
+_STRETCHED = 1.2  # of its length, how far a robot reaches at most
+
+
+def require_scene(scene: Scene, robot: Robot) -> None:
+    """Refuse a scene that is none, or none of this robot.
+
+    Args:
+        scene: The scene.
+        robot: The robot.
+
+    Raises:
+        GlissandoError: The first mistake.
+    """
+    for mistake in _mistakes(scene, robot):
+        raise GlissandoError(mistake)
+
+
+def idle_obstacles(scene: Scene, robot: Robot) -> Iterator[str]:
+    """A sentence for each obstacle that no part of the robot can reach, as another unit places it.
+
+    Args:
+        scene: The scene.
+        robot: The robot.
+    """
+    base = _base(robot)[None]
+    for number, obstacle in enumerate(scene.obstacles, start=1):
+        away = float(obstacle.distance(base)[0][0]) - scene.robot_radius
+        if away > _STRETCHED * robot.length:
+            yield (
+                f"Obstacle {number} is {away:.3g} m from the base of a robot of "
+                f"{robot.length:.3g} m, which never comes there: are its numbers metres?"
+            )
+
+
+def _base(robot: Robot) -> Array:
+    """Position (3,) of the base, m."""
+    pose: Array = getattr(robot.prior, "base_pose", np.eye(4))
+    return pose[:3, 3]
+
+
+def _mistakes(scene: Scene, robot: Robot) -> Iterator[str]:
+    for name in ("robot_radius", "horizon", "correction"):
+        if not getattr(scene, name) > 0.0:
+            yield f"{name} of the scene is {getattr(scene, name)}; give a number above zero."
+    if not 0.0 < scene.delta < 1.0:
+        yield f"delta of the scene is {scene.delta}; give a probability below 1: 0.05 for 5 %."
+    if not 2.0 * scene.correction <= scene.horizon:
+        yield (
+            f"correction of the scene is {scene.correction:g} s within a horizon of "
+            f"{scene.horizon:g} s; give half of it at most."
+        )
+    count = 0 if robot.tendons is None else len(robot.tendons)
+    if len(scene.tendons) != count:
+        yield (
+            f"The scene has limits of {len(scene.tendons)} tendons, and robot {robot.name!r} has "
+            f"{count}; give an Actuator for each."
+        )
+    if len(scene.sensors) != len(scene.slides):
+        yield (
+            f"The scene has {len(scene.slides)} slides and {len(scene.sensors)} sensors; give what "
+            f"slides on each."
+        )
+    yield from _mistakes_of_actuators(scene)
+    yield from _mistakes_of_targets(scene)
+    for number, zone in enumerate(scene.zones, start=1):
+        if zone.center is not None:
+            away = float(np.linalg.norm(zone.center - _base(robot)))
+            short = away - zone.radius - robot.length
+            if short > 0.0:
+                yield (
+                    f"Zone {number} at {zone.center.tolist()} m is {short:.3g} m out of "
+                    f"reach of a robot of {robot.length:g} m; give metres, in the world frame."
+                )
+
+
+def _mistakes_of_actuators(scene: Scene) -> Iterator[str]:
+    kinds = (("tendon", scene.tendons), ("slide", scene.slides))
+    for name, number, a in ((n, k, a) for n, each in kinds for k, a in enumerate(each)):
+        if not a.lower < a.upper:
+            yield f"The limits of {name} {number} are {a.lower:g} and {a.upper:g} m; give a range."
+        if not a.lower - _ROUNDING <= a.start <= a.upper + _ROUNDING:
+            yield (
+                f"{name.capitalize()} {number} starts at {a.start:g} m, and its limits are "
+                f"{a.lower:g} and {a.upper:g} m; start between them."
+            )
+        if not (a.speed > 0.0 and a.acceleration > 0.0):
+            yield (
+                f"{name.capitalize()} {number} has a speed of {a.speed:g} m/s and an acceleration "
+                f"of {a.acceleration:g} m/s²; give numbers above zero."
+            )
+
+
+def _mistakes_of_targets(scene: Scene) -> Iterator[str]:
+    if not scene.targets:
+        yield "The scene has no target; give one at least."
+    for target in scene.targets:
+        if np.shape(target.position) != (3,) or not np.all(np.isfinite(target.position)):
+            yield f"The position of a target is {target.position!r}; give three numbers, m."
+        if not 0.0 < target.time <= scene.horizon + _ROUNDING:
+            yield (
+                f"A target is due at {target.time:g} s, and the motion lasts {scene.horizon:g} s; "
+                f"give a time within it."
+            )
+    for a, b in pairwise(sorted(scene.targets, key=lambda target: target.time)):
+        apart = float(np.linalg.norm(np.subtract(a.position, b.position)))
+        if b.time == a.time and apart > a.tolerance + b.tolerance:
+            yield (
+                f"Two targets that are {1e3 * apart:.3g} mm apart are due at {a.time:g} s; give "
+                f"them times of their own."
+            )
