@@ -96,6 +96,7 @@ def _estimate(options: argparse.Namespace) -> int:
     written = _write(options, run, query, scan, stated(options, robot))
     if complaint:
         print(f"glissando: {complaint}", file=sys.stderr)
+    _warn_of_truth(run)
     if options.json:
         more = loads_json(run.posterior, scan) if scan else {}
         print(json.dumps(run.as_json() | more))
@@ -108,6 +109,7 @@ def _estimate(options: argparse.Namespace) -> int:
     return 0 if run.posterior.solve.converged else 1
 
 
+_ENOUGH, _FALSE = 50, 0.7  # samples of truth, and the share inside 95 % that is warned of
 _SHOWN = 5  # times of readings that were not used
 _COLUMNS = (  # heading, key of the summary, scale, format
     ("position (mm)", "position_rmse", 1e3, "{:.2f}"),
@@ -115,6 +117,21 @@ _COLUMNS = (  # heading, key of the summary, scale, format
     ("NEES / dof", "nees_position", 1.0, "{:.2f}"),
     ("inside 95 %", "coverage95_position", 100.0, "{:.1f} %"),
 )
+
+
+def _warn_of_truth(run: Run) -> None:
+    """Say on stderr where truth lies outside far more often than is claimed."""
+    if not run.errors:
+        return
+    errors = pool(run.errors)
+    inside = errors.summary()["coverage95_position"]
+    if inside is not None and errors.position.size >= _ENOUGH and inside < _FALSE:
+        print(
+            f"glissando: warning: {100.0 * inside:.0f} % of truth lies inside the ellipsoids that "
+            f"should hold 95 %: the robot file is too sure of this robot, or truth is not in its "
+            f"frame. See glissando check, and learn or widen the file.",
+            file=sys.stderr,
+        )
 
 
 def _print(run: Run, console: Console) -> None:

@@ -16,7 +16,12 @@ from glissando.cli.commands import COMMANDS
 from glissando.cli.pairing import require_pair
 from glissando.cli.progress import working
 from glissando.cli.silent import refuse_silent
-from glissando.errors import GlissandoError, NotConvergedWarning, RobotFileError
+from glissando.errors import (
+    EstimateWarning,
+    GlissandoError,
+    NotConvergedWarning,
+    RobotFileError,
+)
 from glissando.estimation.posterior import Posterior
 from glissando.evaluation.plausibility.examine import examine_recording
 from glissando.evaluation.plausibility.finding import Finding, listed
@@ -126,7 +131,7 @@ def estimate_watched(
         raise GlissandoError(f"--max-iterations is {most}; give 1 or more.")
     work = working(f"estimating {recording.name}")
     with warnings.catch_warnings(record=True) as caught, work as shown:
-        warnings.simplefilter("always", NotConvergedWarning)
+        warnings.simplefilter("always", EstimateWarning)
         tolerance, longest, done = SolverOptions().tolerance, 0.0, 0.0
 
         def advance(iteration: int, cost: float, length: float) -> None:

@@ -120,7 +120,8 @@ def _explained(streams: Streams, rod: Rod, seen: Sightings, miss: Array, effort:
     return Finding(
         "shape",
         f"No shape of the robot fits {listed(names)} ({_how(streams, miss, effort)}): a frame, "
-        f"mount, arclength or unit is probably wrong; check them, or calibrate.",
+        f"mount, arclength, unit or the stretch of the robot file is probably wrong; check them, "
+        f"or calibrate.",
         False, names,
     )  # fmt: skip
 

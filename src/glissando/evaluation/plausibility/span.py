@@ -62,7 +62,8 @@ def check_span(streams: Streams) -> Iterator[Finding]:
         f"Between {one.label!r} and {other.label!r} the robot is {1e3 * ratio * stated:.3g} mm "
         f"long by their poses and {1e3 * stated:.3g} mm by their arclengths, and likewise between "
         f"others of {listed(names)}: the robot's length and the arclengths are probably "
-        f"{1.0 / ratio:.2g} times what they should be; measure them along the robot, in metres.",
+        f"{1.0 / ratio:.2g} times what they should be; measure them along the robot, in metres. "
+        f"If it stretches so, the prior of the robot file has to say it.",
         False, names, "arclengths",
     )  # fmt: skip
 
