@@ -8,7 +8,7 @@ import trimesh
 from glissando.calibration.rig.result import Calibration, load_calibration
 from glissando.calibration.rig.rig import PARAMETERS, Rig
 from glissando.io.robot_file import load_robot
-from glissando.planning.scene.obstacles import read_mesh
+from glissando.planning.scene.mesh import read_mesh
 from glissando.planning.scene.scene_file import read_scene
 from mutation_kinds import mutated_bytes, mutated_table, mutated_toml
 from mutation_samples import Parser

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from glissando.errors import GlissandoError
+from glissando.planning.scene.mesh import read_mesh
 from glissando.planning.scene.motion_search import Search
 from glissando.planning.scene.motion_starts import reach_target, slide_ways, starts
-from glissando.planning.scene.obstacles import HalfSpace, read_mesh, sphere
+from glissando.planning.scene.obstacles import HalfSpace, sphere
 from glissando.planning.scene.plan_motion import motion_problem, plan_motion
 from glissando.planning.scene.sampled_risk import sample_risk
 from glissando.planning.scene.scene import Actuator, Target, Weights

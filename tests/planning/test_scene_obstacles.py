@@ -7,12 +7,12 @@ import pytest
 
 from glissando.errors import GlissandoError
 from glissando.geometry import se3
+from glissando.planning.scene.mesh import read_mesh
 from glissando.planning.scene.obstacles import (
     HalfSpace,
     RoundedBox,
     capsule,
     distances,
-    read_mesh,
     sphere,
 )
 

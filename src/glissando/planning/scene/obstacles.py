@@ -1,38 +1,25 @@
 """Obstacles in the world frame: signed distances of points, their slopes and curvatures.
 
 Spheres, capsules and boxes are one thing: a box with rounded edges, of which a sphere's has no size
-and a capsule's only a length. A half-space and a mesh are the other two. Distances are negative
-inside. Source: the distance to a convex set has slope n = v / |v| for v from its nearest point, and
+and a capsule's only a length. A half-space is the other; `mesh` has the third. Distances are
+negative inside. Source: the distance to a convex set has slope n = v / |v| for v from its nearest point, and
 curvature (I − n nᵀ − A) / |v|, A the projector along the face that the nearest point lies in.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
-from pathlib import Path
-from typing import Any, Protocol
+from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
-from scipy.ndimage import map_coordinates, spline_filter
 
-from glissando.errors import GlissandoError
 from glissando.estimation.confidence_tube import tube_faces
 from glissando.geometry.se3 import Array
-from glissando.io.plain_file import require_plain
 from glissando.model.grid import Index
 
 _TINY = 1e-12
 _RINGS = 6  # of a quarter of a surface that is shown
-_KINDS = "stl", "obj", "ply"
-_LARGEST, _TRIANGLES = 1 << 26, 200_000  # bytes and triangles of a mesh
-_CELLS, _THIN = 24, 6  # of a mesh's lattice along its longest side, and its thinnest
-_POINTS = 100_000  # of the lattice at most, more or less
-_MARGIN = 0.35  # of the longest side, by which the lattice goes beyond the mesh
-_AT_ONCE = 2000  # points whose distances from a mesh are found together
-_CHECKED = 1000  # points near the surface where the splines are compared with the triangles
-_SAFELY = 1.1  # of the largest distance found too large there, taken off all
 
 Distances = tuple[Array, Array]
 """Signed distances (M,) and their slopes (M, 3)."""
@@ -161,179 +148,6 @@ class HalfSpace:
         v = np.cross(self.normal, u)
         corners = np.array([-u - v, u - v, -u + v, u + v])
         return self.point + corners, np.array([[0, 1, 2], [1, 3, 2]])
-
-
-@dataclass(frozen=True)
-class Mesh:
-    """A closed surface of triangles, by cubic splines through its distances on a lattice.
-
-    `read_mesh` takes off what the splines are found too large by, so it is a little too thick.
-
-    Attributes:
-        low: Lowest corner (3,) of the lattice, m.
-        step: Distance of its points, m.
-        values: Signed distances (X, Y, Z) there, m.
-        vertices: Points (V, 3) of the surface, m.
-        triangles: Its triangles (F, 3).
-    """
-
-    low: Array
-    step: float
-    values: Array
-    vertices: Array
-    triangles: Index
-
-    @cached_property
-    def _spline(self) -> Array:
-        return np.asarray(spline_filter(self.values, order=3, mode="nearest"))
-
-    def distance(self, point: Array) -> Distances:
-        """Signed distances of points (M, 3), and slopes, by differences of the spline.
-
-        Beyond the lattice it is the distance to the point of the surface nearest to the lattice's.
-        """
-        inner, beyond, h = self._inner(point)
-        f = self._around(inner, h * np.array([[0, 0, 0], *np.eye(3), *-np.eye(3)]))
-        slope = (f[:, 1:4] - f[:, 4:7]) / (2.0 * h)
-        signed, far = f[:, 0].copy(), np.any(beyond != 0.0, axis=-1)
-        unit = slope[far] / np.linalg.norm(slope[far], axis=-1, keepdims=True)
-        away = beyond[far] + signed[far, None] * unit
-        signed[far] = np.linalg.norm(away, axis=-1)
-        slope[far] = away / signed[far, None]
-        return signed, slope
-
-    def curvature(self, point: Array) -> Array:
-        """Curvatures (M, 3, 3) of the distances at points (M, 3): none beyond the lattice."""
-        inner, beyond, h = self._inner(point)
-        across = [[1, 1, 0], [-1, -1, 0], [1, 0, 1], [-1, 0, -1], [0, 1, 1], [0, -1, -1]]
-        f = self._around(inner, h * np.array([[0, 0, 0], *np.eye(3), *-np.eye(3), *across]))
-        own = (f[:, 1:4] + f[:, 4:7] - 2.0 * f[:, :1]) / h**2
-        curved = np.zeros((len(point), 3, 3))
-        curved[:, range(3), range(3)] = own
-        for pair, (i, j) in zip(range(7, 13, 2), ((0, 1), (0, 2), (1, 2)), strict=True):
-            both = (f[:, pair] + f[:, pair + 1] - 2.0 * f[:, 0]) / h**2
-            curved[:, i, j] = curved[:, j, i] = 0.5 * (both - own[:, i] - own[:, j])
-        curved[np.any(beyond != 0.0, axis=-1)] = 0.0
-        return curved
-
-    def _inner(self, point: Array) -> tuple[Array, Array, float]:
-        """The lattice's nearest points (M, 3), the ways (M, 3) from there, and a difference, m."""
-        top = self.low + self.step * (np.array(self.values.shape) - 3.0)
-        inner = np.clip(point, self.low + 2.0 * self.step, top)
-        return inner, point - inner, 0.25 * self.step
-
-    def _around(self, point: Array, offsets: Array) -> Array:
-        """Values (M, F) of the spline at points (M, 3) with each of offsets (F, 3)."""
-        at = ((point[:, None] + offsets - self.low) / self.step).reshape(-1, 3).T
-        f = map_coordinates(self._spline, at, order=3, prefilter=False, mode="nearest")
-        return np.asarray(f.reshape(len(point), len(offsets)))
-
-    def surface(self) -> Surface:
-        """The triangles it was made from."""
-        return self.vertices, self.triangles
-
-
-def read_mesh(path: Path, pose: Array, scale: float = 1.0) -> Mesh:
-    """A closed surface from a file: STL, OBJ or PLY. No file that it names is read.
-
-    Args:
-        path: The file.
-        pose: Pose (4, 4) of its frame in the world.
-        scale: Metres of a unit of the file.
-
-    Raises:
-        GlissandoError: The file cannot be read, or has too many triangles; the surface is open or
-            not a few metres at most; trimesh is not installed.
-    """
-    try:
-        import rtree  # noqa: F401  which trimesh needs for distances
-        import trimesh
-    except ImportError as missing:
-        raise GlissandoError(
-            "Meshes need trimesh and rtree, which are not both installed: run pip install "
-            "'glissando[mesh]'."
-        ) from missing
-    kind = path.suffix.lower().removeprefix(".")
-    try:
-        require_plain(path, _LARGEST)
-        if kind not in _KINDS:
-            raise ValueError(f"its name ends in {path.suffix[:20]!r}")
-        with path.open("rb") as file:
-            surface: Any = trimesh.load_mesh(file, file_type=kind, skip_materials=True)
-        surface.apply_transform(pose @ np.diag([scale, scale, scale, 1.0]))
-        sound = surface.faces.size and np.all(np.isfinite(surface.vertices))
-    except Exception as problem:  # trimesh has no errors of its own
-        why = str(problem)[:200] or type(problem).__name__
-        raise GlissandoError(f"{path} is no mesh ({why}); give STL, OBJ or PLY.") from None
-    if not sound or len(surface.faces) > _TRIANGLES:
-        raise GlissandoError(
-            f"{path.name} has {len(surface.faces):,} triangles, or points that are not finite; "
-            f"give 1 to {_TRIANGLES:,}."
-        )
-    if not surface.is_watertight:
-        raise GlissandoError(
-            f"{path.name} has holes, so it has no inside; close its surface, or give boxes."
-        )
-    if not surface.is_winding_consistent:
-        raise GlissandoError(
-            f"Some triangles of {path.name} face inwards and others outwards, so it has no inside; "
-            f"repair it (unify its normals), or give boxes."
-        )
-    low, high = surface.bounds
-    size = float(np.max(high - low))
-    if size > 10.0:
-        raise GlissandoError(
-            f"{path.name} is {size:.3g} m long; give scale = 0.001 if it is in millimetres."
-        )
-    low, sides = low - _MARGIN * size, high - low + 2.0 * _MARGIN * size
-    fine = min(size / _CELLS, float(np.min(high - surface.bounds[0])) / _THIN)
-    step = max(fine, float(np.prod(sides) / _POINTS) ** (1.0 / 3.0))
-    lattice = np.indices(np.ceil(sides / step).astype(int) + 1)
-    points = low + step * np.moveaxis(lattice, 0, -1)
-    bodies = _bodies(surface)
-    signed = _signed(bodies, points.reshape(-1, 3)).reshape(points.shape[:3])
-    faces = np.asarray(surface.faces, dtype=np.intp)
-    mesh = Mesh(low, step, signed, np.asarray(surface.vertices), faces)
-    return replace(mesh, values=signed - _too_far(mesh, bodies))
-
-
-def _bodies(surface: Any) -> list[Any]:
-    """The closed bodies of a surface of trimesh, whose triangles all face outwards."""
-    import trimesh
-
-    def outwards(body: Any) -> Any:
-        return body if body.volume > 0.0 else trimesh.Trimesh(body.vertices, body.faces[:, ::-1])
-
-    return [outwards(body) for body in surface.split()]
-
-
-def _signed(bodies: Sequence[Any], point: Array) -> Array:
-    """Signed distances of points (M, 3) from bodies of trimesh, negative inside any of them.
-
-    Of some points at a time, as it keeps all triangles near each of them.
-    """
-    import trimesh
-
-    inside_out: Any = trimesh.proximity.signed_distance
-    parts = np.array_split(point, 1 + len(point) // _AT_ONCE)
-    every = [
-        -np.concatenate([np.asarray(inside_out(body, part)) for part in parts]) for body in bodies
-    ]
-    return np.asarray(np.min(every, axis=0))
-
-
-def _too_far(mesh: Mesh, bodies: Sequence[Any]) -> float:
-    """By how much distances near the surface may be too large, from random points there, m."""
-    rng = np.random.default_rng(0)
-    corners = mesh.vertices[mesh.triangles]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    area = np.linalg.norm(normal, axis=-1)
-    picked = rng.choice(len(area), _CHECKED, p=area / area.sum())
-    within = rng.dirichlet(np.ones(3), _CHECKED)
-    point = np.einsum("mi,mij->mj", within, corners[picked])
-    point += mesh.step * rng.uniform(-1.0, 1.0, (_CHECKED, 3))
-    over = mesh.distance(point)[0] - _signed(bodies, point)
-    return _SAFELY * max(0.0, float(over.max()))
 
 
 def distances(obstacles: Sequence[Obstacle], point: Array) -> Distances:

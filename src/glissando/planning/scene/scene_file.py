@@ -11,12 +11,12 @@ from glissando.geometry.se3 import Array
 from glissando.io.toml_table import Table, read_toml
 from glissando.model.robot import Robot
 from glissando.model.tendons.tendons import Tendons
+from glissando.planning.scene.mesh import read_mesh
 from glissando.planning.scene.obstacles import (
     HalfSpace,
     Obstacle,
     RoundedBox,
     capsule,
-    read_mesh,
     sphere,
 )
 from glissando.planning.scene.scene import Actuator, Scene, SpaceZone, Target, Weights
