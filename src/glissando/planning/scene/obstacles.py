@@ -2,8 +2,8 @@
 
 Spheres, capsules and boxes are one thing: a box with rounded edges, of which a sphere's has no size
 and a capsule's only a length. A half-space is the other; `mesh` has the third. Distances are
-negative inside. Source: the distance to a convex set has slope n = v / |v| for v from its nearest point, and
-curvature (I − n nᵀ − A) / |v|, A the projector along the face that the nearest point lies in.
+negative inside. Source: the distance to a convex set has slope n = v / |v| for v from its nearest
+point, and curvature (I − n nᵀ − A) / |v|, A the projector along the face that this point lies in.
 """
 
 from __future__ import annotations
