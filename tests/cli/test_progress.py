@@ -56,9 +56,11 @@ def test_short_work_and_failed_work_leave_no_line_and_no_thread(capsys):
 
 def test_the_time_left_is_that_of_the_part_under_way():
     work = Work("first")
-    work.update(9, 10)
     work._began -= 90.0
+    work.update(9, 10)
     assert work.line() == "first: 90 % done, 90 s, about 10 s left"
+    work._began -= 4.0
+    assert work.line() == "first: 90 % done, 94 s, about 6 s left"
     work.begin("first")
     assert work.share == 0.9
     work.begin("second")

@@ -41,10 +41,13 @@ class Work:
         if doing != self.doing:
             self.doing, self.note, self._began = doing, "", time.monotonic()
             self.share: float | None = None
+            self._came = 0.0  # s until this share was done
 
     def update(self, done: float, total: float, note: str = "") -> None:
         """State how much is done, of how much in all, and what else is worth a word."""
-        self.share, self.note = min(done / total, 1.0) if total else None, note
+        share, self.note = min(done / total, 1.0) if total else None, note
+        if share != self.share:
+            self.share, self._came = share, time.monotonic() - self._began
 
     def line(self) -> str:
         """The state of the work as one line of text.
@@ -59,7 +62,8 @@ class Work:
         parts += [f"{100 * self.share:.0f} % done"] if self.share is not None else []
         parts.append(f"{elapsed:.0f} s")
         if self.share is not None and self.share > _SOON:
-            parts.append(f"about {elapsed * (1.0 / self.share - 1.0):.0f} s left")
+            left = max(0.0, self._came / self.share - elapsed)  # counts down while a part lasts
+            parts.append(f"about {left:.0f} s left")
         return f"{self.doing}: {', '.join(parts)}"
 
 
