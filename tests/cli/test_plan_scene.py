@@ -70,6 +70,7 @@ MISTAKES = [
     ("center = [0.03, 0.008, 0.185]", "center = [30, 8, 185]", "give metres, not millimetres"),
     ('kind = "sphere"', 'kind = "ball"', "give one of sphere, capsule, box, half-space, mesh"),
     ("radius = 0.012", "radios = 0.012", "radius is missing"),
+    ("end = [0.085, 0.05, 0.15]", "end = [0.085, -0.05, 0.15]", "end is where it starts"),
     ("upper = 0.006", "upper = 6", "give metres of displacement, not millimetres"),
     ("speed = 0.004", "speed = 2", "speed is 2; give metres and seconds, 1 at most"),
     ("speed = 0.004", "speed = 0.004\nreserve = 50", "reserve is 50; give a share of the speed"),

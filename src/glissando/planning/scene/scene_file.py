@@ -107,6 +107,8 @@ def _obstacle(table: Table, folder: Path) -> Obstacle:
         made = sphere(_point(table, "center"), _length(table, "radius"))
     elif kind == "capsule":
         ends = _point(table, "start"), _point(table, "end")
+        if np.array_equal(*ends):
+            raise table.fail("end", f"is where it starts, {ends[0].tolist()} m; give a sphere.")
         made = capsule(*ends, _length(table, "radius"))
     elif kind == "half-space":
         point, normal = _point(table, "point"), table.vector("normal", 3)
