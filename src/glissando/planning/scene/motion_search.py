@@ -60,11 +60,12 @@ class Search:
         return self.last
 
     def improve(self, control: Array, iterations: int, *, restores: bool = True) -> Evaluation:
-        """The best motion that the search leads to; `restores` takes longer where it misses."""
+        """The best motion that the search leads to; `restores` takes longer where it misses.
+
+        Narrow passages bend the constraints more than their slopes say.
+        """
         best = self._minimize(control, iterations)
-        if restores and self.missed(
-            best
-        ):  # narrow passages bend the constraints more than their slopes say
+        if restores and self.missed(best):
             restored = self._minimize(best.control, _RESTORE, penalty=True)
             best = min(self._minimize(restored.control, iterations), best, key=self.merit)
         return best
