@@ -25,25 +25,29 @@ def judged_closely(search: Search, motion: Evaluation) -> tuple[Search, Evaluati
     """The search with all moments that a motion needs, and the motion judged at these."""
     for _ in range(_HALVINGS):
         problem = search.problem
-        between = _too_far_apart(problem, motion)
-        if not between.size:
+        parts, moments = _parts(problem, motion), problem.space.moments
+        split = np.flatnonzero(parts > 1)
+        if not split.size:
             break
-        moments = problem.space.moments
-        space = problem.space.with_moments(0.5 * (moments[between] + moments[between + 1]))
+        times = [np.linspace(moments[k], moments[k + 1], int(parts[k]) + 1)[1:-1] for k in split]
+        space = problem.space.with_moments(np.concatenate(times))
         search = replace(search, problem=replace(problem, space=space), last=None)
         motion = search.at(motion.control)
     return search, motion
 
 
-def _too_far_apart(problem: MotionProblem, motion: Evaluation) -> Index:
-    """Numbers of the moments to the next of which a place goes too far near something."""
+def _parts(problem: MotionProblem, motion: Evaluation) -> Index:
+    """How many parts (K−1,) the time to the next moment needs, each twice as many as another."""
     space, clearances = problem.space, motion.clearances
-    apart = np.diff(space.moments) > 1.5 * space.correction / 2**_HALVINGS
     way = np.linalg.norm(np.diff(motion.shapes.place, axis=0), axis=-1)
-    far = way > _STRIDE * problem.scene.robot_radius
     least = _both(clearances.mean, np.minimum) - way
-    near: Array = least < _NEAR * _both(clearances.std(), np.maximum)
-    return np.flatnonzero(apart & np.any(far & near, axis=(0, 2)))
+    near = np.any(least < _NEAR * _both(clearances.std(), np.maximum), axis=0)
+    longest = np.max(way, axis=1, where=near, initial=0.0)
+    strides = longest / (_STRIDE * problem.scene.robot_radius)
+    most = np.diff(space.moments) * 2**_HALVINGS / space.correction
+    halvings = np.ceil(np.log2(np.clip(strides, 1.0, None)))
+    out: Index = (2.0 ** np.minimum(halvings, np.round(np.log2(most)))).astype(np.intp)
+    return out
 
 
 def _both(values: Array, which: np.ufunc) -> Array:
