@@ -175,3 +175,11 @@ def test_time_does_not_go_back_and_is_the_plans(follower):
         for time in (5e3, -1e9, float("nan")):
             with pytest.raises(GlissandoError, match="give seconds from its start"):
                 call(time)
+
+
+def test_a_robot_that_has_come_to_rest_may_be_left_alone_for_long(follower):
+    horizon = follower.problem.scene.horizon
+    at_rest = follower.command(horizon)
+    follower.advance(3600.0)
+    np.testing.assert_allclose(follower.command(3600.0), follower.planned(horizon), atol=1e-3)
+    np.testing.assert_allclose(at_rest, follower.planned(horizon), atol=1e-3)

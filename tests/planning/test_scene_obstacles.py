@@ -151,8 +151,11 @@ def test_a_mesh_is_solid_however_its_triangles_turn(kind, tmp_path, rng):
     boxes = [RoundedBox(np.eye(4), np.full(3, half))]
     if kind == "inside out":
         cube.invert()
-    elif kind == "two that overlap":
+    elif kind != "as it is":
         moved = cube.copy()
+        if kind == "one of two turned":
+            apart = 2.5 * apart
+            moved.faces = moved.faces[:, ::-1]
         moved.apply_translation(apart)
         cube = trimesh.util.concatenate([cube, moved])
         pose = np.eye(4)
@@ -166,6 +169,25 @@ def test_a_mesh_is_solid_however_its_triangles_turn(kind, tmp_path, rng):
     found = mesh.distance(points)[0][clear]
     assert np.array_equal(found < 0.0, true[clear] < 0.0)
     assert np.all(found < true[clear] + 2e-4)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_cavity_is_free_and_what_stands_in_it_is_not(turned, tmp_path, rng):
+    trimesh = pytest.importorskip("trimesh", reason="trimesh is not installed")
+    pytest.importorskip("rtree", reason="rtree is not installed")
+    wall, cavity, island = (trimesh.creation.box((2.0 * h,) * 3) for h in (0.04, 0.025, 0.008))
+    cavity.faces = cavity.faces[:, ::-1]
+    whole = trimesh.util.concatenate([wall, cavity, island])
+    if turned:
+        whole.faces = whole.faces[:, ::-1]
+    whole.export(tmp_path / "organ.stl")
+    mesh = read_mesh(tmp_path / "organ.stl", np.eye(4))
+    points = rng.uniform(-0.06, 0.06, (1500, 3))
+    far = np.abs(points).max(axis=1)
+    true = ((far < 0.04) & (far > 0.025)) | (far < 0.008)
+    clear = np.min([np.abs(far - h) for h in (0.04, 0.025, 0.008)], axis=0) > 5e-3
+    assert np.array_equal(mesh.distance(points[clear])[0] < 0.0, true[clear])
 
 
 def test_a_mesh_whose_triangles_disagree_is_refused(tmp_path):

@@ -159,7 +159,8 @@ class MotionFollower:
     def _require_time(self, time: float) -> None:
         """Refuse a step in time that is longer than the plan, as that of another unit would be."""
         lasts = max(self.problem.scene.horizon, _LONGEST)
-        if not abs(time - max(self.time, self.due)) <= lasts:
+        ended = self.due >= self.problem.scene.horizon and 0.0 <= time < np.inf  # it rests there
+        if not (ended or abs(time - max(self.time, self.due)) <= lasts):
             raise GlissandoError(
                 f"The time goes from {self.due:g} to {time:g} s within a plan of "
                 f"{self.problem.scene.horizon:g} s; give seconds from its start."

@@ -106,9 +106,26 @@ def read_mesh(path: Path, pose: Array, scale: float = 1.0) -> Mesh:
         scale: Metres of a unit of the file.
 
     Raises:
-        GlissandoError: The file cannot be read, or has too many triangles; the surface is open or
-            not a few metres at most; trimesh is not installed.
+        GlissandoError: The file cannot be read, or has too many triangles; the surface is open, of
+            triangles that face both ways, or not a few metres at most; trimesh is not installed.
     """
+    surface = _closed_surface(path, pose, scale)
+    low, high = surface.bounds
+    size = float(np.max(high - low))
+    low, sides = low - _MARGIN * size, high - low + 2.0 * _MARGIN * size
+    fine = min(size / _CELLS, float(np.min(high - surface.bounds[0])) / _THIN)
+    step = max(fine, float(np.prod(sides) / _POINTS) ** (1.0 / 3.0))
+    lattice = np.indices(np.ceil(sides / step).astype(int) + 1)
+    points = low + step * np.moveaxis(lattice, 0, -1)
+    solids = _solids(surface)
+    signed = _signed(solids, points.reshape(-1, 3)).reshape(points.shape[:3])
+    faces = np.asarray(surface.faces, dtype=np.intp)
+    mesh = Mesh(low, step, signed, np.asarray(surface.vertices), faces)
+    return replace(mesh, values=signed - _too_far(mesh, solids))
+
+
+def _closed_surface(path: Path, pose: Array, scale: float) -> Any:
+    """The surface of trimesh in a file, placed, which has an inside; see `read_mesh`."""
     try:
         import rtree  # noqa: F401  which trimesh needs for distances
         import trimesh
@@ -143,36 +160,67 @@ def read_mesh(path: Path, pose: Array, scale: float = 1.0) -> Mesh:
             f"Some triangles of {path.name} face inwards and others outwards, so it has no inside; "
             f"repair it (unify its normals), or give boxes."
         )
-    low, high = surface.bounds
-    size = float(np.max(high - low))
+    size = float(np.max(np.ptp(surface.bounds, axis=0)))
     if size > 10.0:
         raise GlissandoError(
             f"{path.name} is {size:.3g} m long; give scale = 0.001 if it is in millimetres."
         )
-    low, sides = low - _MARGIN * size, high - low + 2.0 * _MARGIN * size
-    fine = min(size / _CELLS, float(np.min(high - surface.bounds[0])) / _THIN)
-    step = max(fine, float(np.prod(sides) / _POINTS) ** (1.0 / 3.0))
-    lattice = np.indices(np.ceil(sides / step).astype(int) + 1)
-    points = low + step * np.moveaxis(lattice, 0, -1)
-    bodies = _bodies(surface)
-    signed = _signed(bodies, points.reshape(-1, 3)).reshape(points.shape[:3])
-    faces = np.asarray(surface.faces, dtype=np.intp)
-    mesh = Mesh(low, step, signed, np.asarray(surface.vertices), faces)
-    return replace(mesh, values=signed - _too_far(mesh, bodies))
+    return surface
 
 
-def _bodies(surface: Any) -> list[Any]:
-    """The closed bodies of a surface of trimesh, whose triangles all face outwards."""
+Solid = tuple[Any, list[Any]]
+"""A body of trimesh that is full, and the cavities in it, as bodies that are full."""
+
+
+def _solids(surface: Any) -> list[Solid]:
+    """The bodies of a closed surface that are full, each with its cavities.
+
+    A body whose triangles face inwards is a cavity of those it lies in, unless all of the surface
+    is inside out; one that lies in none is full as well.
+    """
+    turn = 1.0 if surface.volume > 0.0 else -1.0
+    bodies = surface.split()
+    full = [_outwards(body) for body in bodies if turn * body.volume > 0.0]
+    hollow = [_outwards(body) for body in bodies if turn * body.volume < 0.0]
+    within = [[_distance(body, c.vertices[:1])[0] < 0.0 for body in full] for c in hollow]
+    full += [c for c, inside in zip(hollow, within, strict=True) if not any(inside)]
+    cavities = [[c for c, inside in zip(hollow, within, strict=True) if any(inside[k : k + 1])]
+                for k in range(len(full))]  # fmt: skip
+    return _joined(list(zip(full, cavities, strict=True)))
+
+
+def _joined(solids: list[Solid]) -> list[Solid]:
+    """The same solids, with those that are apart from all others as one: one pass does for all."""
     import trimesh
 
-    def outwards(body: Any) -> Any:
-        return body if body.volume > 0.0 else trimesh.Trimesh(body.vertices, body.faces[:, ::-1])
+    low, high = np.moveaxis(np.array([body.bounds for body, _ in solids]), 1, 0)
+    meet = np.all((low[:, None] <= high) & (low <= high[:, None]), axis=-1).sum(axis=1) > 1
+    alone = [not cavities and not meets for (_, cavities), meets in zip(solids, meet, strict=True)]
+    together = [body for (body, _), one in zip(solids, alone, strict=True) if one]
+    others = [solid for solid, one in zip(solids, alone, strict=True) if not one]
+    return others + ([(trimesh.util.concatenate(together), [])] if together else [])
 
-    return [outwards(body) for body in surface.split()]
+
+def _outwards(body: Any) -> Any:
+    """A body whose triangles face outwards."""
+    import trimesh
+
+    return body if body.volume > 0.0 else trimesh.Trimesh(body.vertices, body.faces[:, ::-1])
 
 
-def _signed(bodies: Sequence[Any], point: Array) -> Array:
-    """Signed distances of points (M, 3) from bodies of trimesh, negative inside any of them.
+def _signed(solids: Sequence[Solid], point: Array) -> Array:
+    """Signed distances of points (M, 3) from solids, negative inside any of them."""
+    out = np.full(len(point), np.inf)
+    for body, cavities in solids:
+        own = _distance(body, point)
+        for cavity in cavities:
+            own = np.maximum(own, -_distance(cavity, point))
+        out = np.minimum(out, own)
+    return out
+
+
+def _distance(body: Any, point: Array) -> Array:
+    """Signed distances of points (M, 3) from a body of trimesh, negative inside.
 
     Of some points at a time, as it keeps all triangles near each of them.
     """
@@ -180,13 +228,10 @@ def _signed(bodies: Sequence[Any], point: Array) -> Array:
 
     inside_out: Any = trimesh.proximity.signed_distance
     parts = np.array_split(point, 1 + len(point) // _AT_ONCE)
-    every = [
-        -np.concatenate([np.asarray(inside_out(body, part)) for part in parts]) for body in bodies
-    ]
-    return np.asarray(np.min(every, axis=0))
+    return -np.concatenate([np.asarray(inside_out(body, part)) for part in parts])
 
 
-def _too_far(mesh: Mesh, bodies: Sequence[Any]) -> float:
+def _too_far(mesh: Mesh, solids: Sequence[Solid]) -> float:
     """By how much distances near the surface may be too large, from random points there, m."""
     rng = np.random.default_rng(0)
     corners = mesh.vertices[mesh.triangles]
@@ -196,5 +241,5 @@ def _too_far(mesh: Mesh, bodies: Sequence[Any]) -> float:
     within = rng.dirichlet(np.ones(3), _CHECKED)
     point = np.einsum("mi,mij->mj", within, corners[picked])
     point += mesh.step * rng.uniform(-1.0, 1.0, (_CHECKED, 3))
-    over = mesh.distance(point)[0] - _signed(bodies, point)
+    over = mesh.distance(point)[0] - _signed(solids, point)
     return _SAFELY * max(0.0, float(over.max()))
