@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
-from contextlib import suppress
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -37,7 +37,6 @@ from glissando.solver.located_readings import locate
 _FAR = 3.0  # lengths of the robot: readings beyond are said to be why equations break down
 _ASTRAY = 10.0  # standard deviations a number by which a start may be off and still be trusted
 _ROUNDS = 5  # of solving and judging readings
-_ROUGH = 0.01  # standard deviations a number by which an estimate that is judged again may be off
 
 
 def estimate(
@@ -113,6 +112,9 @@ def estimate(
 _Start = tuple[State | None, Sequence[tuple[SensorParameter, Array]]]
 """Nodes to start from, and sensor parameters with their values."""
 
+_End = tuple[Posterior, Solution]
+"""A posterior, and where the iteration ended."""
+
 
 @dataclass(frozen=True)
 class _Problem:
@@ -124,40 +126,45 @@ class _Problem:
     sensor_parameters: Sequence[SensorParameter]
     options: SolverOptions
     progress: Progress | None
+    clock: Stopwatch = field(default_factory=Stopwatch)
 
     def posterior(self, start: _Start, gate: float | None) -> Posterior:
         """The posterior of all readings but those that the others refute."""
         used = [used_at_first(r, gate) for r in self.readings]
         if not all(rows.all() for rows in used):
             locate(self.grid, self.readings, self.sensor_parameters)  # raises for spikes off, too
-        posterior, solution = self.first_solve(used, start)
-        if gate is not None:
-            posterior, used = self.solve_without_refuted(posterior, solution, used, gate)
+        with self.said():
+            end = self.first_solve(used, start)
+            if gate is not None:
+                end, used = self.solve_without_refuted(end, used, gate)
+            posterior = self.dated(*end)
         return replace(posterior, solve=replace(posterior.solve, refused=self.left_out(used)))
 
-    def first_solve(self, used: Sequence[Mask], start: _Start) -> tuple[Posterior, Solution]:
-        """Solve, and say so where readings are so far off that this breaks down."""
+    @contextmanager
+    def said(self) -> Iterator[None]:
+        """Say so where readings are so far off that solving breaks down."""
         try:
-            end = self.solve(used, start)
-            if start[0] is not None and _is_doubtful(end[1]):
-                with suppress(np.linalg.LinAlgError, UnobservableError):
-                    end = max(end, self.solve(used, (None, start[1])), key=_worth)
-            return end
+            yield
         except (np.linalg.LinAlgError, UnobservableError) as error:
             far = _far_off(self.grid, self.prior, self.readings)
             if far is None and isinstance(error, UnobservableError):
                 raise
             raise far or SensorError("No shape of this robot comes near the readings.") from error
 
-    def solve(
-        self, used: Sequence[Mask], initial: _Start, rough: SolverOptions | None = None
-    ) -> tuple[Posterior, Solution]:
-        """The posterior of the readings that are used, and where the iteration ended.
+    def first_solve(self, used: Sequence[Mask], start: _Start) -> _End:
+        """Solve from a start, and from rest as well where that turns out to be far off."""
+        end = self.solve(used, start)
+        if start[0] is not None and _is_doubtful(end[1]):
+            with suppress(np.linalg.LinAlgError, UnobservableError):
+                end = max(end, self.solve(used, (None, start[1])), key=_worth)
+        return end
 
-        A `rough` one does not ask who shows the motion by which delays are known.
-        """
+    def solve(
+        self, used: Sequence[Mask], initial: _Start, options: SolverOptions | None = None
+    ) -> _End:
+        """The posterior of the readings that are used, and where the iteration ended."""
         readings = [r.select(rows) for r, rows in zip(self.readings, used, strict=True)]
-        clock, progress = Stopwatch(), self.progress
+        progress, clock = self.progress, self.clock
         with one_thread():
             located = locate(self.grid, readings, self.sensor_parameters)  # (16)
             located = with_parameters(located, initial[1])
@@ -166,45 +173,51 @@ class _Problem:
                 start, located, before = starting_point(self.prior, located, progress, clock)
             start = start.with_fields_of(self.prior.rest_state(self.grid))
             progress = _after(before, progress)
-            options = rough or self.options
+            options = options or self.options
             solution = minimize(self.prior, located, start, options, progress, clock)  # (19)
-            if rough is None:
-                solution = with_unseen_delays(self.prior, solution, self.sensor_parameters, options)
-            evidence = _log_evidence(solution)  # (22)
-            with clock("covariance"):
-                marginals = solution.cholesky.marginals(consume=True)  # (21)
-        posterior = Posterior(
+        solution = replace(solution, iterations=before + solution.iterations)
+        return self.known_by(solution), solution
+
+    def known_by(self, solution: Solution) -> Posterior:
+        """The posterior of a solution, whose factor it overwrites."""
+        evidence = _log_evidence(solution)  # (22)
+        with one_thread(), self.clock("covariance"):
+            marginals = solution.cholesky.marginals(consume=True)  # (21)
+        return Posterior(
             self.prior,
             self.grid,
             solution.state,
             solution.equations.system,
             marginals,
-            _report(solution, before, evidence, clock),
+            _report(solution, evidence, self.clock),
             solution.located.parameters.by_name(),
             (solution.equations.state, solution.equations.noise_state),
         )
-        return posterior, solution
+
+    def dated(self, posterior: Posterior, solution: Solution) -> Posterior:
+        """The posterior in which delays are known by what streams without one show."""
+        with one_thread():
+            seen = with_unseen_delays(self.prior, solution, self.sensor_parameters, self.options)
+        return posterior if seen is solution else self.known_by(seen)
 
     def solve_without_refuted(
-        self, posterior: Posterior, solution: Solution, used: list[Mask], gate: float
-    ) -> tuple[Posterior, list[Mask]]:
+        self, end: _End, used: list[Mask], gate: float
+    ) -> tuple[_End, list[Mask]]:
         """Judge readings and solve again until those used are those that no others refute.
 
         Estimates that are judged again are rough.
         """
         first = used
-        tolerance = _ROUGH * float(np.sqrt(solution.equations.rhs.size))
-        rough = replace(self.options, tolerance=tolerance)
+        rough = self.options.rougher(end[1].equations.rhs.size)
         with suppress(np.linalg.LinAlgError):  # of an estimate that had not converged
             for _ in range(_ROUNDS):
-                kept = judged(posterior, solution, self.readings, used, gate)  # (25)
+                kept = judged(*end, self.readings, used, gate)  # (25)
                 if all(map(np.array_equal, used, kept)):
                     break
-                posterior, solution = self.solve(kept, _end_of(solution), rough)
-                used = kept
+                end, used = self.solve(kept, _end_of(end[1]), rough), kept
             if used is not first:
-                posterior, solution = self.solve(used, _end_of(solution))
-        return posterior, used
+                end = self.solve(used, _end_of(end[1]))
+        return end, used
 
     def left_out(self, used: Sequence[Mask]) -> dict[str, list[int]]:
         """Rows of each stream that were not used, of streams that have such rows."""
@@ -218,7 +231,7 @@ def _is_doubtful(solution: Solution) -> bool:
     return far or not solution.outcome.sound
 
 
-def _worth(end: tuple[Posterior, Solution]) -> tuple[bool, float]:
+def _worth(end: _End) -> tuple[bool, float]:
     """How good the end of an iteration is: whether it converged, and at which cost."""
     report = end[0].solve
     return report.converged, -report.cost
@@ -262,13 +275,13 @@ def _log_evidence(solution: Solution) -> float:
     return -cost - 0.5 * (noise + solution.cholesky.log_det)
 
 
-def _report(solution: Solution, before: int, log_evidence: float, clock: Stopwatch) -> SolveReport:
+def _report(solution: Solution, log_evidence: float, clock: Stopwatch) -> SolveReport:
     """The record of the solve that goes with the posterior."""
     at = solution.equations
     suspects = sum(int(np.sum(terms.robust_weights() < 0.5)) for terms in at.terms)
     return SolveReport(
         solution.outcome,
-        before + solution.iterations,
+        solution.iterations,
         solution.last_step,
         at.rhs.size,
         at.cost_of(at),

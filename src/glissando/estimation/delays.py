@@ -60,7 +60,8 @@ def with_unseen_delays(
         with suppress(UnobservableError, np.linalg.LinAlgError):  # they show no motion
             values = solution.located.parameters.by_name()
             alone = with_parameters(locate(grid, streams, others), values)
-            motion = minimize(prior, alone, state, options, None, Stopwatch(), solution).state
+            rough = options.rougher(state.pose.shape[0] * state.numbers)
+            motion = minimize(prior, alone, state, rough, None, Stopwatch(), solution).state
     moving = replace(solution.located, motion=motion)
     workspace, cholesky = solution.memory(state.numbers + process.size)
     noise_state = solution.equations.noise_state

@@ -11,7 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -34,6 +34,7 @@ _PLAIN, _FARTHEST = 2.0, 8.0  # a stretch of a step below which it is as good; a
 _DAMPING = (1e-4, 1e8)  # smallest damping worth applying, and the one at which to give up
 _ROUGH = 10.0  # standard deviations a number that a rough start may be off by
 _ROUGH_ITERATIONS = 15
+_PASSING = 0.01  # standard deviations a number that what is only looked at may be off by
 
 Progress = Callable[[int, float, float], None]
 """Called after each iteration with its number, the cost and the step in standard deviations."""
@@ -61,6 +62,10 @@ class SolverOptions:
     def rough(numbers: int) -> SolverOptions:
         """Options for a start that may be off by several standard deviations a number."""
         return SolverOptions(_ROUGH_ITERATIONS, _ROUGH * float(np.sqrt(numbers)))
+
+    def rougher(self, numbers: int) -> SolverOptions:
+        """The same for a passing estimate of so many numbers, which another one follows."""
+        return replace(self, tolerance=max(self.tolerance, _PASSING * float(np.sqrt(numbers))))
 
 
 class Stopwatch:
