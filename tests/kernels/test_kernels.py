@@ -101,13 +101,6 @@ def covariances(size):
     return arguments
 
 
-def step_gain(rng, lead):
-    m = int(np.prod(lead))
-    step = rng.uniform(0.01, 0.3, m)
-    return ((ARCLENGTH, TIME)[rng.integers(2)], states(rng, (m,)), states(rng, (m,)), step,
-            0.4 * step, 0.2 * rng.standard_normal((m, 12, 12))), {}  # fmt: skip
-
-
 def weighted(rng, lead):
     """Steps between any two of seven states, as many as `lead` has items."""
     direction, m = (ARCLENGTH, TIME)[rng.integers(2)], int(np.prod(lead))
@@ -152,7 +145,6 @@ ARGUMENTS = {
     noise.pair_sqrt_information: covariances(12),
     steps.weighted_steps: weighted,
     steps.static_steps: still,
-    steps.pair_between: step_gain,
     intervals_.interval_error: rated,
     intervals_.interval_between: inside_rated,
 }

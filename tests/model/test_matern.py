@@ -75,7 +75,7 @@ def test_two_steps_are_one_long_step(rng):
 @given(generators)
 def test_a_step_is_the_exponential_of_its_drift(rng):
     scale = rng.uniform(0.1, 10.0)
-    step, rate = scale * rng.uniform(0.0, 3.0), np.sqrt(3.0) / scale
+    step, rate = np.array(scale * rng.uniform(0.0, 3.0)), np.sqrt(3.0) / scale
     drift = np.array([[0.0, 1.0], [-(rate**2), -2.0 * rate]])
     np.testing.assert_allclose(
         matern.transition(scale, step), expm(step * drift), rtol=1e-10, atol=1e-13

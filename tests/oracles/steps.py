@@ -144,8 +144,3 @@ def _bridge_covariance(direction: Direction, bridge: Bridge, turn: Array) -> Arr
     cov[..., direction.rate, direction.rate] = bridge.cov[..., 6:, 6:]
     cov[..., direction.carried, direction.carried] = bridge.carried_cov
     return cov
-
-
-def pair_between(direction, start, end, step, offset, gain):
-    """Pose and rate inside steps, and Jacobians (M, 18, 18)."""
-    return bent_pair(direction, start, end, step, offset, gain)[:4]

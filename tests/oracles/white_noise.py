@@ -6,7 +6,7 @@ import numpy as np
 
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid, Index
-from glissando.model.interpolation import Interpolation, Points, chained
+from glissando.model.interpolation import Interpolation, Points
 from glissando.model.priors.prior import interval_strain
 from glissando.model.priors.steps import ARCLENGTH, TIME
 from glissando.model.priors.white_noise import WhiteNoisePrior
@@ -75,3 +75,8 @@ def _between_times(
         span = grid.arclength_spans[s.nearest, None]
     psd, carried, jump = prior.along_time(grid.time[t.lower] + 0.5 * t.step)
     return bridged(TIME, start, end, t.step, t.offset, rate, (psd / span, carried / span, jump))
+
+
+def chained(outer, inner):
+    """Jacobians (M, r, c, d) by c nodes, of slopes (M, r, s) by a state of slopes (M, s, c, d)."""
+    return np.einsum("mrs,mscd->mrcd", outer, inner)

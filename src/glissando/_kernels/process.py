@@ -152,27 +152,35 @@ def _condition(near, cross, root, gain, cov):
 
 
 @jit()
+def transition_of_pair_into(rate, step, out):
+    """Φ(step) (12, 12) of [pose error, rate error] about a constant rate."""
+    x, pose, block = np.empty(6), np.empty((4, 4)), np.empty((6, 6))
+    for j in range(6):
+        x[j] = step * rate[j]
+    right_jacobian_into(x, block)
+    for i in range(6):
+        x[i] = -x[i]
+        for j in range(6):
+            out[i, 6 + j], out[6 + i, j] = step * block[i, j], 0.0
+            out[6 + i, 6 + j] = 1.0 if i == j else 0.0
+    exp_into(x, pose)
+    adjoint_into(pose, block)
+    for i in range(6):
+        for j in range(6):
+            out[i, j] = block[i, j]
+
+
+@jit()
 def bridge_into(
     rate, step, offset, psd, carried_psd, jump, rigid, gain, cov, carried_gain, carried_cov
 ):
     """Bridge at `offset` into a step: gains and covariances of pair (12, 12), carried (6, 6)."""
-    rest, x, jumps = step - offset, np.empty(6), np.zeros((2, 6))
-    phi, pose, lever = np.eye(12), np.empty((4, 4)), np.empty((6, 6))
+    rest, jumps, phi = step - offset, np.zeros((2, 6)), np.empty((12, 12))
     noise, carried, cross = np.empty((2, 12, 12)), np.empty((2, 6, 6)), np.empty((12, 12))
     root, root6, cross6 = np.zeros((12, 12)), np.empty((6, 6)), np.empty((6, 6))
+    transition_of_pair_into(rate, rest, phi)
     for j in range(6):
-        x[j] = rest * rate[j]
-    right_jacobian_into(x, lever)
-    for j in range(6):
-        x[j] = -x[j]
         jumps[1, j] = jump[j]
-        for k in range(6):
-            phi[j, 6 + k] = rest * lever[j, k]
-    exp_into(x, pose)
-    adjoint_into(pose, lever)
-    for j in range(6):
-        for k in range(6):
-            phi[j, k] = lever[j, k]
     for i in range(2):  # up to the point, and of the whole step
         process_into(
             rate, step if i else offset, psd, carried_psd, jumps[i], rigid, noise[i], carried[i]
@@ -181,7 +189,7 @@ def bridge_into(
     pair_whiten_into(noise[1], root)
     _condition(noise[0], cross, root, gain, cov)
     if rigid:
-        product(lever, carried[0], cross6, 1.0, 0.0, False, False)
+        product(phi[0:6, 0:6], carried[0], cross6, 1.0, 0.0, False, False)
         whiten_into(carried[1], root6)
         _condition(carried[0], cross6, root6, carried_gain, carried_cov)
         return

@@ -6,7 +6,6 @@ import numpy as np
 
 from glissando._kernels.jit import jit
 from glissando._kernels.process import bridge_into, pair_whiten_into, process_into
-from glissando._kernels.steps import pair_point_into
 
 
 @jit("(f8[:,::1], f8[::1], f8[:,::1], f8[:,::1], f8[:,::1], b1)")
@@ -39,17 +38,3 @@ def pair_sqrt_information(cov):
     for n in range(len(cov)):
         pair_whiten_into(cov[n], out[n])
     return out
-
-
-@jit("(f8[:,:,::1], f8[:,:,::1], f8[:,::1], f8[:,::1], f8[::1], f8[::1], f8[:,:,::1], i8, i8)")
-def pair_between(start, end, rate0, rate1, step, offset, gain, at, columns):
-    """Poses and rates inside steps; slopes (M, 18, columns) by both ends with those rows."""
-    m = len(step)
-    pose, rate, turn = np.empty((m, 4, 4)), np.empty((m, 6)), np.empty((6, 6))
-    j0, j1 = np.zeros((m, 18, columns)), np.zeros((m, 18, columns))
-    for n in range(m):
-        pair_point_into(
-            start[n], end[n], rate0[n], rate1[n], step[n], offset[n], gain[n], at,
-            pose[n], rate[n], turn, j0[n], j1[n],
-        )  # fmt: skip
-    return pose, rate, j0, j1

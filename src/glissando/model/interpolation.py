@@ -67,14 +67,3 @@ def sort_points(grid: Grid, arclength: Array, time: Array) -> Iterator[Points]:
         rows = np.flatnonzero(part == kind)
         cells = s.take(rows), t.take(rows)
         yield Points(rows, arclength[rows], time[rows], *cells, bool(kind & 2), bool(kind & 1))
-
-
-def chained(outer: Array, inner: Array) -> Array:
-    """Jacobians (M, r, c, d) by nodes of what has slopes `outer` (M, r, s) by a state there.
-
-    Args:
-        outer: Slopes (M, r, s) by the state.
-        inner: Slopes (M, s, c, d) of the state by c nodes.
-    """
-    m, _, c, d = inner.shape
-    return (outer @ inner.reshape(m, -1, c * d)).reshape(m, -1, c, d)

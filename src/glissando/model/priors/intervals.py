@@ -60,7 +60,7 @@ def interval_error(start: State, end: State, step: Array) -> tuple[Array, Array,
         Errors (…, 24) and Jacobians (…, 24, 24) by both ends.
     """
     lead = start.pose.shape[:-2]
-    (pose0, fields0), (pose1, fields1) = (_split(at, lead) for at in (start, end))
+    (pose0, fields0), (pose1, fields1) = (as_fields(at, lead) for at in (start, end))
     error, j0, j1 = unflatten(
         lead, *kernels.interval_error(pose0, pose1, fields0, fields1, items(step, lead))
     )
@@ -87,7 +87,7 @@ def interval_between(
         State (…) with strain rate, Jacobians (…, 24, 24) by both ends.
     """
     lead = start.pose.shape[:-2]
-    (pose0, fields0), (pose1, fields1) = (_split(at, lead) for at in (start, end))
+    (pose0, fields0), (pose1, fields1) = (as_fields(at, lead) for at in (start, end))
     places, gains = (items(each, lead) for each in (step, offset)), items(gain, lead, 12, 12)
     errors = (items(each, lead, 12) for each in rest)
     pose, fields, j0, j1 = unflatten(
@@ -97,7 +97,7 @@ def interval_between(
     return State(pose, fields[..., :6], fields[..., 6:12], fields[..., 12:]), j0, j1
 
 
-def _split(at: State, lead: tuple[int, ...]) -> tuple[Array, Array]:
+def as_fields(at: State, lead: tuple[int, ...]) -> tuple[Array, Array]:
     """Poses (M, 4, 4) of nodes, and strain, velocity, strain rate side by side (M, 18)."""
     return items(at.pose, lead, 4, 4), items(np.concatenate(at.fields()[1:], -1), lead, 18)
 

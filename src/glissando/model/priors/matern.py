@@ -6,8 +6,9 @@ Everything is 2×2, exact at any step against the time scale ℓ; λ = √3/ℓ.
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import gammainc
 
+from glissando._kernels import matern as kernels
+from glissando._kernels.arrays import items, unflatten
 from glissando.geometry.se3 import Array
 
 
@@ -18,21 +19,14 @@ def stationary(time_scale: float) -> Array:
 
 def transition(time_scale: float, step: Array) -> Array:
     """Φ(step) (…, 2, 2)."""
-    decay = np.sqrt(3.0) / time_scale
-    a = decay * step
-    rows = [[1.0 + a, step], [-decay * a, 1.0 - a]]
-    return np.exp(-a)[..., None, None] * np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+    (out,) = unflatten(step.shape, kernels.transition(time_scale, items(step, step.shape)))
+    return out
 
 
 def process_covariance(time_scale: float, step: Array) -> Array:
     """Q(step) = P∞ − Φ P∞ Φᵀ (…, 2, 2), without the cancellation of that difference."""
-    decay = np.sqrt(3.0) / time_scale
-    a = decay * step
-    fade = np.exp(-2.0 * a)
-    first = gammainc(3.0, 2.0 * a)
-    corner = 2.0 * decay * a**2 * fade
-    rows = [[first, corner], [corner, decay**2 * (first + 4.0 * a * fade)]]
-    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+    (out,) = unflatten(step.shape, kernels.process_covariance(time_scale, items(step, step.shape)))
+    return out
 
 
 def bridge(time_scale: float, step: Array, offset: Array) -> tuple[Array, Array, Array]:
@@ -40,11 +34,7 @@ def bridge(time_scale: float, step: Array, offset: Array) -> tuple[Array, Array,
 
     The mean is Λ z₀ + Ψ z₁; offsets lie strictly inside. Source: equations (10) and (12).
     """
-    near, rest = process_covariance(time_scale, offset), step - offset
-    onward = transition(time_scale, rest)
-    whole = process_covariance(time_scale, step)
-    late = np.swapaxes(np.linalg.solve(whole, onward @ near), -1, -2)
-    early = transition(time_scale, offset) - late @ transition(time_scale, step)
-    beyond = np.linalg.solve(process_covariance(time_scale, rest), onward)
-    information = np.linalg.inv(near) + np.swapaxes(onward, -1, -2) @ beyond
-    return early, late, np.linalg.inv(information)
+    lead = offset.shape
+    places = items(step, lead), items(offset, lead)
+    early, late, left = unflatten(lead, *kernels.bridge(time_scale, *places))
+    return early, late, left

@@ -14,6 +14,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from glissando._kernels import stationary as kernels
+from glissando._kernels.arrays import whole
 from glissando.geometry.se3 import Array
 from glissando.model.factors import Factors
 from glissando.model.grid import Cells, Grid, Index
@@ -41,7 +43,7 @@ from glissando.model.priors.stationary import (
     longest_scale,
     require_digits,
 )
-from glissando.model.priors.transitions import bridge, process_covariances, transition
+from glissando.model.priors.transitions import bridge, process_covariances
 from glissando.model.state import POSE, STRAIN, State
 
 
@@ -273,22 +275,12 @@ class SeparablePrior:
         self, grid: Grid, noise_state: State, k: Index, n: Index, s: Cells, inside: bool
     ) -> Array:
         """Prior covariance K_s (M, 12, 12) of pose and strain, along the shapes at time nodes k."""
-        times, which = np.unique(k, return_inverse=True)
-        there = noise_state.take(times)
-        cov = np.empty((*there.strain.shape[:2], 12, 12))
         pose = np.zeros(6) if self.base_time_scale else self.base.pose  # as good as at its nodes
-        cov[:, 0] = np.diag(np.concatenate([pose, self.base.strain]))
-        strain, noise = self._interval_covariances(grid, there)
-        onward = transition(strain, np.broadcast_to(np.diff(grid.arclength), strain.shape[:2]))
-        for i in range(grid.arclength.size - 1):
-            cov[:, i + 1] = onward[:, i] @ cov[:, i] @ _transposed(onward[:, i]) + noise[:, i]
-        if not inside:
-            return cov[which, n]
-        psd, strain = self._intervals(grid)[0][n], strain[which, n]
-        onward = transition(strain, s.offset)
-        noise = process_covariances(strain, s.offset, psd, psd, rigid=False)[0]
-        return onward @ cov[which, n] @ _transposed(onward) + noise
-
-
-def _transposed(matrix: Array) -> Array:
-    return np.swapaxes(matrix, -1, -2)
+        base = np.diag(np.concatenate([pose, self.base.strain]))
+        psd, jump = map(whole, self._intervals(grid))
+        offset = s.offset if inside else np.zeros(k.size)
+        cov: Array = kernels.sections(
+            whole(noise_state.strain), np.diff(grid.arclength), psd, jump, base, whole(k), whole(n),
+            whole(offset),
+        )  # fmt: skip
+        return cov

@@ -12,17 +12,17 @@ from typing import Protocol
 
 import numpy as np
 
+from glissando._kernels import stationary as kernels
+from glissando._kernels.arrays import items, whole
 from glissando.errors import OutsideGridError
-from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.factors import Factors, Residuals
 from glissando.model.grid import Cells, Grid, Index
-from glissando.model.interpolation import Interpolation, Points, chained
+from glissando.model.interpolation import Interpolation, Points
 from glissando.model.noise import pair_sqrt_information, sqrt_information
 from glissando.model.priors import matern
-from glissando.model.priors.intervals import RATED, kron_pair, strain_rate_of
-from glissando.model.priors.steps import TIME, pair_between
-from glissando.model.state import DOF, POSE, STRAIN, STRAIN_RATE, VELOCITY, State
+from glissando.model.priors.intervals import as_fields, kron_pair
+from glissando.model.state import DOF, State
 
 _DENSEST = 200.0  # time nodes a time scale: beyond, rounding shows in the covariance
 
@@ -96,29 +96,19 @@ def chain_factors(
         cov: Covariances Q (K, I, r, r).
         paired: Whether the last six rows and columns of Q are diagonal.
     """
-    whitener = pair_sqrt_information if paired else sqrt_information
-    count, rows, dof = nodes.shape[2], error.shape[-1], jacobian.shape[-1]
-    every = slice(0, dof)
+    every, shape = slice(0, jacobian.shape[-1]), error.shape[:2]
     if first:
+        whitener = pair_sqrt_information if paired else sqrt_information
         root = np.diag(np.diagonal(matern.stationary(time_scale)) ** -0.5)
         terms = Residuals(error[0], kron_pair(root, whitener(cov[0])))
         yield Factors(nodes[0], every, jacobian[0], terms)
     if not len(steps):
         return
-    fade = matern.transition(time_scale, steps)[:, None]
-    root = np.linalg.inv(np.linalg.cholesky(matern.process_covariance(time_scale, steps)))
-    before = error[:-1].reshape(*error[:-1].shape[:2], 2, rows // 2)
-    slopes = jacobian[:-1].reshape(*before.shape, count * dof)
-    innovation = error[1:] - (fade @ before).reshape(error[1:].shape)
-    fading = fade @ slopes.reshape(*before.shape[:3], -1)
-    both = np.empty((*innovation.shape, 2 * count, dof))
-    both[..., :count, :] = -fading.reshape(both[..., :count, :].shape)
-    both[..., count:, :] = jacobian[1:]
-    joined = np.concatenate([nodes[:-1], nodes[1:]], axis=2)
-    info = kron_pair(root[:, None], whitener(0.5 * (cov[:-1] + cov[1:])))
-    terms = Residuals(innovation.reshape(-1, rows), info.reshape(-1, rows, rows))
-    shape = -1, rows, 2 * count, dof
-    yield Factors(joined.reshape(-1, 2 * count), every, both.reshape(shape), terms)
+    given = whole(steps), whole(error), whole(jacobian), items(cov, shape, *cov.shape[2:])
+    given = *given[:3], given[3].reshape(cov.shape)
+    innovation, slopes, info = kernels.chain(time_scale, *given, paired)
+    joined = np.concatenate([nodes[:-1], nodes[1:]], axis=2).reshape(len(innovation), -1)
+    yield Factors(joined, every, slopes, Residuals(innovation, info))
 
 
 def interpolate_process(
@@ -135,46 +125,25 @@ def interpolate_process(
     n = s.lower if points.inside_arclength else s.nearest
     crossing = prior.crossing(grid, noise_state, k, s) if points.inside_arclength else None
     gain = None if crossing is None else crossing[0]
+    m, section, time_left = k.size, np.zeros((12, 12)), np.zeros((2, 2))
+    along = np.zeros((12, 12)) if crossing is None else crossing[1]
     if not points.inside_time:
         at, nodes, jacobian = prior.at_time_nodes(grid, state, k, n, s, gain)
-        at, jacobian, time_left = replace(at, strain_rate=None), jacobian[:, :DOF], None
+        at, jacobian = replace(at, strain_rate=None), jacobian[:, :DOF]
+        if crossing is None:  # on nodes
+            return Interpolation(at, nodes, jacobian, np.zeros((m, DOF, DOF)))
     else:
         early, late = (prior.at_time_nodes(grid, state, k + i, n, s, gain) for i in (0, 1))
-        rest = prior.mean_strain(points.arclength)
-        at, j0, j1, time_left = _along_time(prior.time_scale, early[0], late[0], t, rest)
-        jacobian = np.concatenate([chained(j0, early[2]), chained(j1, late[2])], axis=2)
-        nodes = np.concatenate([early[1], late[1]], axis=1)
-    if crossing is None and time_left is None:  # on nodes
-        return Interpolation(at, nodes, jacobian, np.zeros((k.size, DOF, DOF)))
-    left = np.zeros((k.size, RATED, RATED))
-    if crossing is not None:
-        left += kron_pair(matern.stationary(prior.time_scale), crossing[1])
-    if time_left is not None:
+        poses, fields = zip(*(as_fields(end[0], (m,)) for end in (early, late)), strict=True)
+        rest = whole(prior.mean_strain(points.arclength))
+        slopes = whole(early[2]), whole(late[2])
+        pose, strain, velocity, jacobian, time_left = kernels.between(
+            prior.time_scale, *poses, *fields, whole(t.step), whole(t.offset), rest, *slopes
+        )
+        at, nodes = State(pose, strain, velocity), np.concatenate([early[1], late[1]], axis=1)
         section = prior.section(grid, noise_state, k, n, s, points.inside_arclength)
-        known = section if crossing is None else section - crossing[1]
-        left += kron_pair(time_left, known)
-    return Interpolation(at, nodes, jacobian, _in_body(at, left[:, :DOF, :DOF]))
-
-
-def _along_time(
-    time_scale: float, early: State, late: State, t: Cells, rest: Array
-) -> tuple[State, Array, Array, Array]:
-    """State (M,) within time steps, its Jacobians (M, 18, 24) at both ends, and Σ_t."""
-    fading, rising, left = matern.bridge(time_scale, t.step, t.offset)
-    gain = np.einsum("mij,ab->miajb", rising, np.eye(6)).reshape(-1, 12, 12)
-    pose, velocity, j0, j1 = pair_between(TIME, early, late, t.step, t.offset, gain)
-    strain = rest
-    for end, weights, j in ((early, fading, j0), (late, rising, j1)):
-        strain = strain + weights[:, 0, :1] * (end.strain - rest)
-        strain = strain + weights[:, 0, 1:] * strain_rate_of(end)
-        j[:, STRAIN, STRAIN] = weights[:, 0, 0, None, None] * np.eye(6)
-        j[:, STRAIN, STRAIN_RATE] = weights[:, 0, 1, None, None] * np.eye(6)
-    return State(pose, strain, velocity), j0, j1, left
-
-
-def _in_body(at: State, left: Array) -> Array:
-    """Covariance (M, 18, 18) of the body's velocity from that of the pose's rate, in place."""
-    curl = se3.ad(at.velocity)
-    left[..., VELOCITY, :] += curl @ left[..., POSE, :]
-    left[..., VELOCITY] += left[..., POSE] @ np.swapaxes(curl, -1, -2)
-    return left
+    left = kernels.left_over(
+        prior.time_scale, whole(at.velocity), items(time_left, (m,), 2, 2),
+        items(section, (m,), 12, 12), items(along, (m,), 12, 12),
+    )  # fmt: skip
+    return Interpolation(at, nodes, jacobian, left)

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 from glissando._kernels import static_steps as still
 from glissando._kernels import steps as kernels
-from glissando._kernels import transitions
 from glissando._kernels.arrays import whole
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Index
@@ -108,26 +107,3 @@ def static_steps(
         *map(whole, (flat.pose, flat.strain, nodes, step, psd, jump)), False
     )
     return error, jacobian, whitener
-
-
-def pair_between(
-    direction: Direction, start: State, end: State, step: Array, offset: Array, gain: Array
-) -> tuple[Array, Array, Array, Array]:
-    """Pose and rate inside a step for a given gain, with Jacobians by both ends.
-
-    Args:
-        direction: Along arclength or time.
-        start: State (M,) where the steps begin.
-        end: State (M,) where they end.
-        step: Lengths (M,), metres or seconds.
-        offset: Places (M,) inside the steps.
-        gain: Gains (M, 12, 12) of the point's error on that of the step.
-
-    Returns:
-        Pose (M, 4, 4), rate (M, 6), Jacobians (M, 18, dof) of a state with those two rows filled.
-    """
-    pose, rate, j0, j1 = transitions.pair_between(
-        *map(whole, (start.pose, end.pose, direction.rate_of(start), direction.rate_of(end))),
-        *map(whole, (step, offset, gain)), direction.rate.start, start.dof,
-    )  # fmt: skip
-    return pose, rate, j0, j1

@@ -1,0 +1,220 @@
+"""Intervals of arclength that are stationary processes in time. Source: (8), (10) to (12).
+
+An interval's error has covariance k(t−t′) Q, with k of `matern` and Q (r, r).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from glissando._kernels.blas import product
+from glissando._kernels.jit import jit
+from glissando._kernels.lie import ad_into
+from glissando._kernels.matern import (
+    bridge_into,
+    inverse_root_of_noise_into,
+    transition_into,
+)
+from glissando._kernels.process import (
+    middle_into,
+    pair_whiten_into,
+    process_into,
+    transition_of_pair_into,
+    whiten_into,
+)
+from glissando._kernels.steps import pair_point_into
+
+
+@jit()
+def kron_into(small, large, out):
+    """The Kronecker product of (2, 2) and (r, r)."""
+    r = len(large)
+    for a in range(2):
+        for b in range(2):
+            for i in range(r):
+                for j in range(r):
+                    out[a * r + i, b * r + j] = small[a, b] * large[i, j]
+
+
+@jit()
+def _faded_into(fade, before, now, out):
+    """What of [r; ṙ] (2 r, ·) now does not follow from what was before."""
+    r = len(now) // 2
+    for i in range(r):
+        for j in range(now.shape[1]):
+            x, y = before[i, j], before[r + i, j]
+            out[i, j] = now[i, j] - fade[0, 0] * x - fade[0, 1] * y
+            out[r + i, j] = now[r + i, j] - fade[1, 0] * x - fade[1, 1] * y
+
+
+@jit("(f8, f8[::1], f8[:,:,::1], f8[:,:,:,:,::1], f8[:,:,:,::1], b1)")
+def chain(scale, steps, error, jacobian, cov, paired):
+    """Innovations of processes (K, I) over steps (K−1,) between times.
+
+    Args:
+        scale: Time scale, s.
+        steps: s.
+        error: [r; ṙ] (K, I, 2 r).
+        jacobian: (K, I, 2 r, c, dof).
+        cov: Q (K, I, r, r).
+        paired: Whether the last block of Q is diagonal.
+
+    Returns:
+        Innovations (M, 2 r), M = (K−1) I, Jacobians (M, 2 r, 2 c, dof) and whiteners (M, 2 r, 2 r).
+    """
+    count, rows, c, dof = error.shape[1], error.shape[2], jacobian.shape[3], jacobian.shape[4]
+    m, r, wide = len(steps) * count, rows // 2, c * dof
+    out, slopes = np.empty((m, rows, 1)), np.zeros((m, rows, 2, wide))
+    info, mean, root = np.empty((m, rows, rows)), np.empty((r, r)), np.zeros((r, r))
+    fade, shrink, none = np.empty((2, 2)), np.empty((2, 2)), np.zeros((rows, wide))
+    inner = jacobian.reshape(len(error), count, rows, wide)
+    for k in range(len(steps)):
+        transition_into(scale, steps[k], fade)
+        inverse_root_of_noise_into(scale, steps[k], shrink)
+        for i in range(count):
+            n = k * count + i
+            before, now = error[k, i].reshape(rows, 1), error[k + 1, i].reshape(rows, 1)
+            _faded_into(fade, before, now, out[n])
+            _faded_into(fade, inner[k, i], none, slopes[n, :, 0])
+            for y in range(rows):
+                for x in range(wide):
+                    slopes[n, y, 1, x] = inner[k + 1, i, y, x]
+            for y in range(r):
+                for x in range(r):
+                    mean[y, x] = 0.5 * (cov[k, i, y, x] + cov[k + 1, i, y, x])
+                    root[y, x] = 0.0
+            if paired:
+                pair_whiten_into(mean, root)
+            else:
+                whiten_into(mean, root)
+            kron_into(shrink, root, info[n])
+    return out.reshape(m, rows), slopes.reshape(m, rows, 2 * c, dof), info
+
+
+@jit()
+def _strain_between(early, late, rest, fading, rising, strain, j0, j1):
+    """Strain (6,) by the nodes' fields (18,), and its rows of the slopes (18, 24) by both."""
+    for i in range(6):
+        strain[i] = rest[i]
+        strain[i] += fading[0, 0] * (early[i] - rest[i]) + fading[0, 1] * early[12 + i]
+        strain[i] += rising[0, 0] * (late[i] - rest[i]) + rising[0, 1] * late[12 + i]
+        j0[6 + i, 6 + i], j0[6 + i, 18 + i] = fading[0, 0], fading[0, 1]
+        j1[6 + i, 6 + i], j1[6 + i, 18 + i] = rising[0, 0], rising[0, 1]
+
+
+@jit(
+    "(f8, f8[:,:,::1], f8[:,:,::1], f8[:,::1], f8[:,::1], f8[::1], f8[::1], f8[:,::1],"
+    " f8[:,:,:,::1], f8[:,:,:,::1])"
+)
+def between(scale, pose0, pose1, fields0, fields1, step, offset, rest, slopes0, slopes1):
+    """States inside time steps, by those at both ends.
+
+    Args:
+        scale: Time scale, s.
+        pose0: Poses (M, 4, 4) at the earlier ends.
+        pose1: And at the later ones.
+        fields0: Strain, velocity and strain rate (M, 18) at the earlier ends.
+        fields1: And at the later ones.
+        step: Lengths (M,), s.
+        offset: Places (M,) inside the steps, s.
+        rest: Strain (M, 6) that is expected.
+        slopes0: Slopes (M, 24, c, dof) of the earlier ends by their nodes.
+        slopes1: And of the later ones.
+
+    Returns:
+        Poses, strains and velocities; slopes (M, 18, 2 c, dof) by all nodes; Σ_t (M, 2, 2).
+    """
+    m, c, dof = len(step), slopes0.shape[2], slopes0.shape[3]
+    pose, strain, velocity = np.empty((m, 4, 4)), np.empty((m, 6)), np.empty((m, 6))
+    slopes, left = np.empty((m, 18, 2 * c * dof)), np.empty((m, 2, 2))
+    fading, rising, turn = np.empty((2, 2)), np.empty((2, 2)), np.empty((6, 6))
+    gain, eye, wide = np.empty((12, 12)), np.eye(6), c * dof
+    for n in range(m):
+        j0, j1 = np.zeros((18, 24)), np.zeros((18, 24))
+        early, late = fields0[n], fields1[n]
+        bridge_into(scale, step[n], offset[n], fading, rising, left[n])
+        kron_into(rising, eye, gain)
+        pair_point_into(
+            pose0[n], pose1[n], early[6:12], late[6:12], step[n], offset[n], gain, 12,
+            pose[n], velocity[n], turn, j0, j1,
+        )  # fmt: skip
+        _strain_between(early, late, rest[n], fading, rising, strain[n], j0, j1)
+        inner0, inner1 = slopes0[n].reshape(24, wide), slopes1[n].reshape(24, wide)
+        product(j0, inner0, slopes[n, :, :wide], 1.0, 0.0, False, False)
+        product(j1, inner1, slopes[n, :, wide:], 1.0, 0.0, False, False)
+    return pose, strain, velocity, slopes.reshape(m, 18, 2 * c, dof), left
+
+
+@jit("(f8, f8[:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,:,::1])")
+def left_over(scale, velocity, through, section, along):
+    """What nodes leave uncertain of the state at points, Σ_s ⊗ P∞ + (K_s − Σ_s) ⊗ Σ_t. (12).
+
+    Args:
+        scale: Time scale, s.
+        velocity: Of the body (M, 6).
+        through: Σ_t (M, 2, 2).
+        section: K_s (M, 12, 12).
+        along: Σ_s (M, 12, 12).
+
+    Returns:
+        Covariances (M, 18, 18) of pose, strain and the body's velocity.
+    """
+    m, whole, curl = len(velocity), np.zeros((2, 2)), np.empty((6, 6))
+    whole[0, 0], whole[1, 1] = 1.0, 3.0 / scale**2
+    out = np.empty((m, 18, 18))
+    for n in range(m):
+        for y in range(18):
+            a, i = divmod(y, 12)
+            for x in range(18):
+                b, j = divmod(x, 12)
+                own = along[n, i, j]
+                out[n, y, x] = whole[a, b] * own + through[n, a, b] * (section[n, i, j] - own)
+        ad_into(velocity[n], curl)
+        product(curl, out[n, 0:6], out[n, 12:18], 1.0, 1.0, False, False)
+        product(out[n, :, 0:6], curl, out[n, :, 12:18], 1.0, 1.0, False, True)
+    return out
+
+
+@jit()
+def _onward_into(rate, step, psd, jump, before, out):
+    """Covariance (12, 12) of a cross-section `step` beyond one with the covariance `before`."""
+    phi, half, carried = np.empty((12, 12)), np.empty((12, 12)), np.empty((6, 6))
+    transition_of_pair_into(rate, step, phi)
+    process_into(rate, step, psd, psd, jump, False, out, carried)
+    product(phi, before, half, 1.0, 0.0, False, False)
+    product(half, phi, out, 1.0, 1.0, False, True)
+
+
+@jit("(f8[:,:,::1], f8[::1], f8[:,::1], f8[:,::1], f8[:,::1], i8[::1], i8[::1], f8[::1])")
+def sections(strain, lengths, psd, jump, base, k, n, offset):
+    """Prior covariances K_s (M, 12, 12) of cross-sections along the shapes at time nodes.
+
+    Args:
+        strain: At nodes (K, N, 6).
+        lengths: Of intervals (N−1,), m.
+        psd: Densities (N−1, 6) of strain.
+        jump: Variances (N−1, 6) of strain's jump at the end of intervals.
+        base: Covariance (12, 12) at the base.
+        k: Time nodes (M,).
+        n: Arclength nodes (M,).
+        offset: Places beyond those (M,), m; zero on a node.
+    """
+    count, first = len(lengths), k.min()
+    known = np.zeros(k.max() + 1 - first, np.bool_)
+    cov = np.empty((len(known), count + 1, 12, 12))
+    out, middle, smooth = np.empty((len(k), 12, 12)), np.empty(6), np.zeros(6)
+    for i in range(len(k)):
+        shape, at = cov[k[i] - first], strain[k[i]]
+        if not known[k[i] - first]:
+            known[k[i] - first] = True
+            shape[0] = base
+            for j in range(count):
+                middle_into(at[j], at[j + 1], lengths[j], psd[j], jump[j], middle)
+                _onward_into(middle, lengths[j], psd[j], jump[j], shape[j], shape[j + 1])
+        if offset[i] > 0.0:
+            j = n[i]
+            middle_into(at[j], at[j + 1], lengths[j], psd[j], jump[j], middle)
+            _onward_into(middle, offset[i], psd[j], smooth, shape[j], out[i])
+        else:
+            out[i] = shape[n[i]]
+    return out
