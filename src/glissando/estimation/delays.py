@@ -30,6 +30,8 @@ from glissando.solver.gauss_newton import Solution, SolverOptions, Stopwatch, mi
 from glissando.solver.linearize import linearize
 from glissando.solver.located_readings import locate
 
+_MOTION = 0.03  # standard deviations a number by which a motion that dates delays may be off
+
 
 def with_unseen_delays(
     prior: Prior,
@@ -60,7 +62,7 @@ def with_unseen_delays(
         with suppress(UnobservableError, np.linalg.LinAlgError):  # they show no motion
             values = solution.located.parameters.by_name()
             alone = with_parameters(locate(grid, streams, others), values)
-            rough = options.rougher(state.pose.shape[0] * state.numbers)
+            rough = options.rougher(state.pose.shape[0] * state.numbers, _MOTION)
             motion = minimize(prior, alone, state, rough, None, Stopwatch(), solution).state
     moving = replace(solution.located, motion=motion)
     workspace, cholesky = solution.memory(state.numbers + process.size)

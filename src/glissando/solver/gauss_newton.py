@@ -63,9 +63,9 @@ class SolverOptions:
         """Options for a start that may be off by several standard deviations a number."""
         return SolverOptions(_ROUGH_ITERATIONS, _ROUGH * float(np.sqrt(numbers)))
 
-    def rougher(self, numbers: int) -> SolverOptions:
-        """The same for a passing estimate of so many numbers, which another one follows."""
-        return replace(self, tolerance=max(self.tolerance, _PASSING * float(np.sqrt(numbers))))
+    def rougher(self, numbers: int, off: float = _PASSING) -> SolverOptions:
+        """The same for a passing estimate, which may be `off` by standard deviations a number."""
+        return replace(self, tolerance=max(self.tolerance, off * float(np.sqrt(numbers))))
 
 
 class Stopwatch:
