@@ -102,46 +102,40 @@ def _strain_between(early, late, rest, fading, rising, strain, j0, j1):
         j1[6 + i, 6 + i], j1[6 + i, 18 + i] = rising[0, 0], rising[0, 1]
 
 
-@jit(
-    "(f8, f8[:,:,::1], f8[:,:,::1], f8[:,::1], f8[:,::1], f8[::1], f8[::1], f8[:,::1],"
-    " f8[:,:,:,::1], f8[:,:,:,::1])"
-)
-def between(scale, pose0, pose1, fields0, fields1, step, offset, rest, slopes0, slopes1):
-    """States inside time steps, by those at both ends.
+@jit("(f8, f8[:,:,::1], f8[:,::1], f8[::1], f8[::1], f8[:,::1], f8[:,:,:,::1])")
+def between(scale, poses, fields, step, offset, rest, inner):
+    """States inside time steps, by those at both ends: all (M) earlier ones, then all later ones.
 
     Args:
         scale: Time scale, s.
-        pose0: Poses (M, 4, 4) at the earlier ends.
-        pose1: And at the later ones.
-        fields0: Strain, velocity and strain rate (M, 18) at the earlier ends.
-        fields1: And at the later ones.
+        poses: Poses (2 M, 4, 4) at the ends.
+        fields: Strain, velocity and strain rate (2 M, 18) at the ends.
         step: Lengths (M,), s.
         offset: Places (M,) inside the steps, s.
         rest: Strain (M, 6) that is expected.
-        slopes0: Slopes (M, 24, c, dof) of the earlier ends by their nodes.
-        slopes1: And of the later ones.
+        inner: Slopes (2 M, 24, c, dof) of the ends by their nodes.
 
     Returns:
         Poses, strains and velocities; slopes (M, 18, 2 c, dof) by all nodes; Σ_t (M, 2, 2).
     """
-    m, c, dof = len(step), slopes0.shape[2], slopes0.shape[3]
+    m, c, dof = len(step), inner.shape[2], inner.shape[3]
     pose, strain, velocity = np.empty((m, 4, 4)), np.empty((m, 6)), np.empty((m, 6))
     slopes, left = np.empty((m, 18, 2 * c * dof)), np.empty((m, 2, 2))
     fading, rising, turn = np.empty((2, 2)), np.empty((2, 2)), np.empty((6, 6))
     gain, eye, wide = np.empty((12, 12)), np.eye(6), c * dof
     for n in range(m):
         j0, j1 = np.zeros((18, 24)), np.zeros((18, 24))
-        early, late = fields0[n], fields1[n]
+        early, late = fields[n], fields[m + n]
         bridge_into(scale, step[n], offset[n], fading, rising, left[n])
         kron_into(rising, eye, gain)
         pair_point_into(
-            pose0[n], pose1[n], early[6:12], late[6:12], step[n], offset[n], gain, 12,
+            poses[n], poses[m + n], early[6:12], late[6:12], step[n], offset[n], gain, 12,
             pose[n], velocity[n], turn, j0, j1,
         )  # fmt: skip
         _strain_between(early, late, rest[n], fading, rising, strain[n], j0, j1)
-        inner0, inner1 = slopes0[n].reshape(24, wide), slopes1[n].reshape(24, wide)
-        product(j0, inner0, slopes[n, :, :wide], 1.0, 0.0, False, False)
-        product(j1, inner1, slopes[n, :, wide:], 1.0, 0.0, False, False)
+        first, last = inner[n].reshape(24, wide), inner[m + n].reshape(24, wide)
+        product(j0, first, slopes[n, :, :wide], 1.0, 0.0, False, False)
+        product(j1, last, slopes[n, :, wide:], 1.0, 0.0, False, False)
     return pose, strain, velocity, slopes.reshape(m, 18, 2 * c, dof), left
 
 

@@ -133,14 +133,14 @@ def interpolate_process(
         if crossing is None:  # on nodes
             return Interpolation(at, nodes, jacobian, np.zeros((m, DOF, DOF)))
     else:
-        early, late = (prior.at_time_nodes(grid, state, k + i, n, s, gain) for i in (0, 1))
-        poses, fields = zip(*(as_fields(end[0], (m,)) for end in (early, late)), strict=True)
-        rest = whole(prior.mean_strain(points.arclength))
-        slopes = whole(early[2]), whole(late[2])
+        both, ends = np.tile(np.arange(m), 2), np.concatenate([k, k + 1])
+        gains = None if gain is None else gain[both]
+        found, touched, inner = prior.at_time_nodes(grid, state, ends, n[both], s.take(both), gains)
         pose, strain, velocity, jacobian, time_left = kernels.between(
-            prior.time_scale, *poses, *fields, whole(t.step), whole(t.offset), rest, *slopes
-        )
-        at, nodes = State(pose, strain, velocity), np.concatenate([early[1], late[1]], axis=1)
+            prior.time_scale, *as_fields(found, (2 * m,)), whole(t.step), whole(t.offset),
+            whole(prior.mean_strain(points.arclength)), whole(inner),
+        )  # fmt: skip
+        at, nodes = State(pose, strain, velocity), np.hstack([touched[:m], touched[m:]])
         section = prior.section(grid, noise_state, k, n, s, points.inside_arclength)
     left = kernels.left_over(
         prior.time_scale, whole(at.velocity), items(time_left, (m,), 2, 2),

@@ -68,7 +68,6 @@ class Flow:
     by_weight: Array
 
 
-@np.errstate(over="ignore", invalid="ignore")  # a step too long leads anywhere, and is refused
 def flow(rotation: Array, wrench: Array, step: Array, section: Section, *, noisy: bool) -> Flow:
     """The rod from where intervals begin to their ends. Source: equation (27).
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -110,7 +110,7 @@ class MechanicalPrior:
         """Where segments meet or a wrench may act (J,), m; these must be nodes of the grid."""
         return self.rod.joints
 
-    @property
+    @cached_property
     def rod(self) -> LoadedRod:
         """The rod, to be cut into intervals."""
         psd = np.concatenate([self.psd_strain_error, self.psd_load])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -52,12 +53,26 @@ class LoadedRod:
         rest = self.rest.at(s.ravel()).reshape(*s.shape, 6)
         return stiffness * (strain - rest), stiffness
 
+    @cached_property
+    def _last(self) -> dict[bytes, Intervals]:
+        """The intervals that were asked for last, by their nodes: an update asks many times."""
+        return {}
+
     def intervals(self, arclength: Array) -> Intervals:
-        """The intervals (N−1,) between nodes (N,) of arclength.
+        """The intervals (N−1,) between nodes (N,) of arclength, not to be written to.
 
         Raises:
             OutsideGridError: A segment begins or a wrench acts between nodes.
         """
+        key = arclength.tobytes()
+        found = self._last.get(key)
+        if found is None:
+            found = self._cut(arclength)
+            self._last.clear()
+            self._last[key] = found
+        return found
+
+    def _cut(self, arclength: Array) -> Intervals:
         jump = np.zeros((arclength.size - 1, 6))
         for place in self.joints:
             at = int(np.argmin(np.abs(arclength - place)))

@@ -7,6 +7,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from glissando._kernels import information as kernels
+from glissando._kernels.arrays import whole
 from glissando.errors import GlissandoError
 from glissando.geometry.se3 import Array
 from glissando.model.mechanics import Mechanics
@@ -126,12 +128,9 @@ def section_covariances(
     found = every.flow(start, noisy=True)
     shape = (k_count, n_count - 1, 12, 12)
     onward, noise = found.transition.reshape(shape), found.noise.reshape(shape)
-    outwards, inwards = np.zeros((2, k_count, n_count, 12, 12))
-    outwards[:, 0, :6, :6], inwards[:, -1] = ends
-    for i in range(n_count - 1):
-        outwards[:, i + 1] = _carried(outwards[:, i], onward[:, i], noise[:, i])
-        j = n_count - 2 - i
-        inwards[:, j] = _returned(inwards[:, j + 1], onward[:, j], noise[:, j])
+    base = np.zeros((12, 12))
+    base[:6, :6] = ends[0]
+    outwards, inwards = kernels.along_chain(base, *map(whole, (ends[1], onward, noise)))
     if offset is None:
         return _inverse(outwards[which, n] + inwards[which, n])
     piece = every.take(which * (n_count - 1) + n)

@@ -1,0 +1,48 @@
+"""What the ends of a chain say of the places between: information carried along it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from glissando._kernels.blas import product
+from glissando._kernels.jit import jit
+
+
+@jit()
+def _blurred_into(information, noise, out):
+    """Information after noise is added, (1 + I Q)⁻¹ I, made symmetric."""
+    n = len(noise)
+    mixed = np.eye(n)
+    product(information, noise, mixed, 1.0, 1.0, False, False)
+    found = np.linalg.solve(mixed, information)
+    for i in range(n):
+        for j in range(n):
+            out[i, j] = 0.5 * (found[i, j] + found[j, i])
+
+
+@jit("(f8[:,::1], f8[:,:,::1], f8[:,:,:,::1], f8[:,:,:,::1])")
+def along_chain(base, tip, onward, noise):
+    """Information (K, N, r, r) at N places of K chains: that of their base, and that of their tip.
+
+    Args:
+        base: Information (r, r) at the first place.
+        tip: Information (K, r, r) at the last places.
+        onward: How errors travel (K, N−1, r, r) from one place to the next.
+        noise: What is added to them on the way (K, N−1, r, r).
+    """
+    chains, steps, r = onward.shape[:3]
+    outwards = np.empty((chains, steps + 1, r, r))
+    inwards = np.empty((chains, steps + 1, r, r))
+    half, carried = np.empty((r, r)), np.empty((r, r))
+    for k in range(chains):
+        outwards[k, 0], inwards[k, steps] = base, tip[k]
+        for i in range(steps):
+            back = np.ascontiguousarray(np.linalg.inv(onward[k, i]))  # comes by columns
+            product(outwards[k, i], back, half, 1.0, 0.0, False, False)
+            product(back, half, carried, 1.0, 0.0, True, False)
+            _blurred_into(carried, noise[k, i], outwards[k, i + 1])
+        for i in range(steps - 1, -1, -1):
+            _blurred_into(inwards[k, i + 1], noise[k, i], carried)
+            product(carried, onward[k, i], half, 1.0, 0.0, False, False)
+            product(onward[k, i], half, inwards[k, i], 1.0, 0.0, True, False)
+    return outwards, inwards
