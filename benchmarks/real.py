@@ -138,7 +138,9 @@ def main():
     if not options.data.is_dir():
         sys.exit(f"{options.data} does not hold the public recordings.")
     if options.learn:
+        begin = Path(__file__).with_name("real.toml")
         words = LEARN.format(data=options.data, out=options.learn)
+        words = words.replace("benchmarks/real.toml", shlex.quote(str(begin)))
         subprocess.run([sys.executable, "-m", *shlex.split(words)], check=True)
     print(page(options.data, options.learn or options.learned))
 
