@@ -141,7 +141,7 @@ def test_a_mesh_of_others_is_refused_or_read_alone(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "kind", ["as it is", "inside out", "one triangle turned", "two that overlap"]
+    "kind", ["as it is", "inside out", "one of two turned", "two that overlap"]
 )
 def test_a_mesh_is_solid_however_its_triangles_turn(kind, tmp_path, rng):
     trimesh = pytest.importorskip("trimesh", reason="trimesh is not installed")
