@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from glissando.calibration.robot.hyperparameters import expanded
-from glissando.calibration.robot.joint_calibration import in_motion, lasting, locate
+from glissando.calibration.robot.joint_calibration import lasting, locate, while_moving
 from glissando.errors import GlissandoError
 from glissando.geometry import se3
 from glissando.io.csv_stream import Rows, Stream
@@ -115,7 +115,7 @@ def test_truth_counts_while_any_of_it_moves():
         for name, place in (("low", 0.0), ("high", LENGTH))
     )
     none = rest.select(slice(0, 0))
-    low, nothing, high = in_motion([rest, none, swing], [none, rest, swing])
+    low, nothing, high = while_moving([rest, none, swing], [none, rest, swing])
     assert len(nothing) == 0
     for body in (low, high):
         np.testing.assert_allclose(body.time, time[(time < 0.49) | (time > 2.49)])

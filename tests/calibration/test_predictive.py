@@ -50,7 +50,7 @@ def test_the_score_is_the_gaussian_log_likelihood(monkeypatch):
     assert predict(posterior, [*truth, *none], (), free=False).value == found.value
 
 
-def test_truth_that_rests_counts_once_and_what_moves_counts_each_time():
+def test_truth_that_rests_counts_once_and_all_of_it_counts_while_any_moves():
     time = np.linspace(0.0, 9.9, 100)
     rests, moves = np.repeat(0.0, 100), np.linspace(0.0, 4.0, 100)
     tip = {"arclength": np.full(100, LENGTH), "cov": np.full(6, 1e-6)}
@@ -60,12 +60,16 @@ def test_truth_that_rests_counts_once_and_what_moves_counts_each_time():
     )
     half = replace(swung, values=np.concatenate([still.values[:50], swung.values[50:]]))
     base = replace(swung, arclength=np.zeros(100), values=arc(0.0, moves))
-    found = [len(predictive.informative(truth)) for truth in (still, swung, half, base)]
-    assert found == [1, 20, 11, 1]
+    none = still.select(slice(0, 0))
+    found = [
+        [len(stream) for stream in predictive.informative(truth)]
+        for truth in ([still], [swung], [half], [base], [base, none, half], [])
+    ]
+    assert found == [[1], [20], [11], [1], [11, 0, 11], []]
     place = PositionReadings(
         time=time, values=still.values[:, :3, 3], name="p", **tip | {"cov": 1e-6}
     )
-    assert len(predictive.informative(place)) == 20  # places alone cannot be compared
+    assert len(predictive.informative([place])[0]) == 20  # places alone cannot be compared
 
 
 def test_the_frame_of_the_truth_and_the_mounts_of_its_bodies_are_found():

@@ -18,7 +18,7 @@ from glissando.calibration.robot.predictive import (
     APART,
     Start,
     constants_of,
-    informative,
+    in_motion,
     quiet_estimate,
 )
 from glissando.errors import GlissandoError
@@ -61,7 +61,7 @@ def locate(
     robot = parse_robot(Table(document, "located", GlissandoError))
     sensors, bodies = (recording.readings(names, robot, window)[0] for names in (use, truth))
     constants = [replace(c, std=np.repeat(_PRIOR_STD[c.kind], 3)) for c in constants_of(bodies)]
-    readings = in_motion([*sensors, *bodies], bodies)
+    readings = while_moving([*sensors, *bodies], bodies)
     std = np.array([_LATE])
     constants += [SensorParameter("truth delay", "time_offset", tuple(truth), np.zeros(1), std)]
     shift = 2.0 * _LATE  # no reading may be moved off the grid
@@ -92,7 +92,7 @@ def _std(posterior: Posterior, name: str) -> Array:
     return np.sqrt(np.diagonal(cov[len(cov) // 2]))
 
 
-def in_motion(readings: Sequence[Readings], truth: Sequence[Readings]) -> list[Readings]:
+def while_moving(readings: Sequence[Readings], truth: Sequence[Readings]) -> list[Readings]:
     """Readings from those stretches of time in which any truth has moved.
 
     A robot at rest would give drifts, and the prior's pull on that one shape, the weight of
@@ -102,8 +102,8 @@ def in_motion(readings: Sequence[Readings], truth: Sequence[Readings]) -> list[R
         readings: The streams to select from.
         truth: Truth streams.
     """
-    moving = [np.unique(informative(t).time // APART) for t in truth if len(t)]
-    return [r.select(np.isin(r.time // APART, np.concatenate(moving))) for r in readings]
+    moving = in_motion(truth)
+    return [r.select(np.isin(r.time // APART, moving)) for r in readings]
 
 
 def lasting(constants: Sequence[SensorParameter]) -> tuple[SensorParameter, ...]:

@@ -126,7 +126,7 @@ def predict(
     """
     moving = [c for c in constants if c.moves]
     inside = [corrected(t, moving).inside(posterior.grid) for t in truth]
-    sparse = [informative(t) for t in inside if len(t)]
+    sparse = [t for t in informative(inside) if len(t)]
     states = [posterior.at(t.arclength, t.time) for t in sparse]
     constants = tuple(c for c in constants if not c.moves)
     for _ in range(_ROUNDS * free):
@@ -139,21 +139,43 @@ def predict(
     return Score(-total / max(count, 1), count, independent, (*constants, *moving))
 
 
-def informative(truth: Readings) -> Readings:
-    """The first moment of every stretch of APART seconds at which truth has moved.
+def informative(truth: Sequence[Readings]) -> list[Readings]:
+    """The first moments of those stretches of time in which the robot has moved.
 
-    Repeated samples of a robot at rest are correlated and would count for too much.
+    Repeated samples of a robot at rest are correlated and would count for too much. While it moves,
+    errors change everywhere, also at its base, where nothing does.
 
     Args:
-        truth: A truth stream; positions cannot be compared and all count as moved.
+        truth: The truth streams of one robot.
     """
-    stretch = np.floor(truth.time / APART)
-    starts = truth.time[np.append(True, np.diff(stretch) > 0.0)]
+    moving = in_motion(truth)
+    firsts = [t.select(_begins_stretch(t)) for t in truth]
+    return [t.select(np.isin(t.time // APART, moving)) for t in firsts]
+
+
+def in_motion(truth: Sequence[Readings]) -> Array:
+    """Numbers of the stretches of APART seconds in which a truth stream has moved at any place.
+
+    Args:
+        truth: Truth streams; positions cannot be compared and all count as moved.
+    """
+    return np.unique(np.concatenate([np.zeros(0), *(_moved_in(t) for t in truth if len(t))]))
+
+
+def _begins_stretch(truth: Readings) -> Array:
+    """Whether a sample belongs to the first moment of its stretch (M,)."""
+    starts = truth.time[np.diff(truth.time // APART, prepend=-np.inf) > 0.0]
+    return np.isin(truth.time, starts)
+
+
+def _moved_in(truth: Readings) -> Array:
+    """Numbers of the stretches at whose first moment a stream has moved since one before."""
     chosen: list[Readings] = []
-    for moment in (truth.select(truth.time == start) for start in starts):
+    for time in np.unique(truth.time[_begins_stretch(truth)]):
+        moment = truth.select(truth.time == time)
         if not chosen or _moved_between(chosen[-1], moment):
             chosen.append(moment)
-    return truth.select(np.isin(truth.time, [float(moment.time[0]) for moment in chosen]))
+    return np.array([moment.time[0] // APART for moment in chosen])
 
 
 def _moved_between(before: Readings, after: Readings) -> bool:
