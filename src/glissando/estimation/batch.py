@@ -6,7 +6,6 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import numpy as np
 
@@ -20,21 +19,19 @@ from glissando.errors import (
 from glissando.estimation.channels import settled
 from glissando.estimation.delays import with_unseen_delays
 from glissando.estimation.given import require_batch
-from glissando.estimation.misfit import doubt, worst_readings
+from glissando.estimation.misfit import doubt, far_off, worst_readings
 from glissando.estimation.outliers import CHANCE, Mask, judged, used_at_first
 from glissando.estimation.posterior import Posterior, SolveReport
 from glissando.estimation.starting_point import starting_point, with_parameters
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
 from glissando.model.priors.prior import Prior
-from glissando.model.seconds import seconds
 from glissando.model.sensors.parameters import SensorParameter, corrected
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
 from glissando.solver.gauss_newton import Progress, Solution, SolverOptions, Stopwatch, minimize
 from glissando.solver.located_readings import locate
 
-_FAR = 3.0  # lengths of the robot: readings beyond are said to be why equations break down
 _ASTRAY = 10.0  # standard deviations a number by which a start may be off and still be trusted
 _ROUNDS = 5  # of solving and judging readings
 
@@ -83,23 +80,10 @@ def estimate(
         FalseConfidenceWarning: Many readings contradict the estimate; the report says which.
     """
     require_batch(prior, grid, readings, sensor_parameters, initial, options)
-    if any(r.channel for r in readings):
-        again = partial(
-            estimate, prior, grid, sensor_parameters=sensor_parameters,
-            initial_parameters=initial_parameters, options=options, progress=progress, gate=gate,
-        )  # fmt: skip
-        shape = prior.rest_state(grid) if initial is None else initial
-        return settled(again, readings, (prior, grid, shape), initial)
-    known = [parameter for parameter in sensor_parameters if parameter.known]
     problem = _Problem(
-        prior,
-        grid,
-        [corrected(r, known) for r in readings],
-        sensor_parameters,
-        options or SolverOptions(),
-        progress,
+        prior, grid, readings, sensor_parameters, options or SolverOptions(), progress, gate
     )
-    posterior = problem.posterior((initial, initial_parameters), gate)
+    posterior = problem.placed((initial, initial_parameters))
     report = posterior.solve
     if not report.converged:
         words = [f"The estimate has {report.status}.", report.worst, report.outcome.remedy]
@@ -107,6 +91,34 @@ def estimate(
     elif report.doubt:
         warnings.warn(report.doubt, FalseConfidenceWarning, stacklevel=2)
     return posterior
+
+
+def estimate_in_passing(
+    prior: Prior,
+    grid: Grid,
+    readings: Sequence[Readings],
+    sensor_parameters: Sequence[SensorParameter],
+    options: SolverOptions,
+    *,
+    initial: State | None = None,
+    initial_parameters: Sequence[tuple[SensorParameter, Array]] = (),
+    dates: bool = True,
+) -> Posterior:
+    """A posterior to be compared with others: no reading is left out, and nothing is warned of.
+
+    Args:
+        prior: What is believed before any reading.
+        grid: Nodes over arclength (m) and time (s).
+        readings: Readings of each sensor.
+        sensor_parameters: Parameters of the sensors.
+        options: When to stop.
+        initial: Nodes (K, N) to start from, if any.
+        initial_parameters: Sensor parameters with their values (K, size) to start from.
+        dates: Whether delays are known by what streams without one show, see `delays`, which costs
+            as much as two iterations; else they are as sure as Gauss–Newton steps have them.
+    """
+    problem = _Problem(prior, grid, readings, sensor_parameters, options, dates=dates)
+    return problem.placed((initial, initial_parameters))
 
 
 _Start = tuple[State | None, Sequence[tuple[SensorParameter, Array]]]
@@ -122,22 +134,40 @@ class _Problem:
 
     prior: Prior
     grid: Grid
-    readings: list[Readings]
+    readings: Sequence[Readings]
     sensor_parameters: Sequence[SensorParameter]
     options: SolverOptions
-    progress: Progress | None
+    progress: Progress | None = None
+    gate: float | None = None
+    dates: bool = True
     clock: Stopwatch = field(default_factory=Stopwatch)
 
-    def posterior(self, start: _Start, gate: float | None) -> Posterior:
+    def placed(self, start: _Start) -> Posterior:
+        """The posterior, for which readings in channels are where it says itself."""
+        if not any(r.channel for r in self.readings):
+            return self.corrected().posterior(start)
+
+        def again(readings: list[Readings], initial: State | None) -> Posterior:
+            return replace(self, readings=readings).corrected().posterior((initial, start[1]))
+
+        shape = self.prior.rest_state(self.grid) if start[0] is None else start[0]
+        return settled(again, self.readings, (self.prior, self.grid, shape), start[0])
+
+    def corrected(self) -> _Problem:
+        """The problem with what is known of the sensors put into their readings."""
+        known = [parameter for parameter in self.sensor_parameters if parameter.known]
+        return replace(self, readings=[corrected(r, known) for r in self.readings])
+
+    def posterior(self, start: _Start) -> Posterior:
         """The posterior of all readings but those that the others refute."""
-        used = [used_at_first(r, gate) for r in self.readings]
+        used = [used_at_first(r, self.gate) for r in self.readings]
         if not all(rows.all() for rows in used):
             locate(self.grid, self.readings, self.sensor_parameters)  # raises for spikes off, too
         with self.said():
             end = self.first_solve(used, start)
-            if gate is not None:
-                end, used = self.solve_without_refuted(end, used, gate)
-            posterior = self.dated(*end)
+            if self.gate is not None:
+                end, used = self.solve_without_refuted(end, used, self.gate)
+            posterior = self.dated(*end) if self.dates else end[0]
         return replace(posterior, solve=replace(posterior.solve, refused=self.left_out(used)))
 
     @contextmanager
@@ -146,7 +176,7 @@ class _Problem:
         try:
             yield
         except (np.linalg.LinAlgError, UnobservableError) as error:
-            far = _far_off(self.grid, self.prior, self.readings)
+            far = far_off(self.grid, self.prior, self.readings)
             if far is None and isinstance(error, UnobservableError):
                 raise
             raise far or SensorError("No shape of this robot comes near the readings.") from error
@@ -240,25 +270,6 @@ def _worth(end: _End) -> tuple[bool, float]:
 def _end_of(solution: Solution) -> _Start:
     """Where a solution ended, to start from."""
     return solution.state, solution.located.parameters.by_name()
-
-
-def _far_off(grid: Grid, prior: Prior, readings: Sequence[Readings]) -> SensorError | None:
-    """What to say when equations break down since readings are far beyond the robot's reach."""
-    base = prior.rest_state(Grid(grid.arclength, grid.time[:1])).pose[0, 0, :3, 3]
-    farthest, where = _FAR * float(grid.arclength[-1]), ""
-    for r in readings:
-        if r.value_shape in ((4, 4), (3,)) and r.fixes_base and len(r):
-            place = r.values[:, :3, 3] if r.value_shape == (4, 4) else r.values
-            away = np.linalg.norm(place - base, axis=1)
-            if away.max() > farthest:
-                row = int(np.argmax(away))
-                farthest, at = float(away[row]), seconds(r.time[row])
-                where = f"{r.label} row {row} at {at} s, {farthest:.3g} m from the base"
-    said = (
-        f"No shape of this robot of {grid.arclength[-1]:g} m comes near the readings: {where}. "
-        f"Check units (mm for m, degrees for radians) and frames."
-    )
-    return SensorError(said) if where else None
 
 
 def _after(before: int, progress: Progress | None) -> Progress | None:

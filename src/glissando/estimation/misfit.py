@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy.special import chdtri
 
+from glissando.errors import SensorError
 from glissando.estimation.outliers import Mask
 from glissando.model.factors import Residuals
+from glissando.model.grid import Grid
+from glissando.model.priors.prior import Prior
 from glissando.model.seconds import seconds
 from glissando.model.sensors.readings import Readings
 from glissando.solver.gauss_newton import Solution
 
+_FAR = 3.0  # lengths of the robot: readings beyond are said to be why equations break down
 _MISFIT = 5.0  # standard deviations by which a reading differs from all estimates but a false one
 _NAMED = 3  # readings or streams that are named
 _CHANCE = 1e-3  # that a residual is beyond what counts as far
@@ -66,6 +70,25 @@ def _far_off(terms: Residuals) -> Mask:
     along = np.einsum("mi,mi->m", white[1:], white[:-1])
     alike = far[1:] & far[:-1] & (along > _ALIKE * size[1:] * size[:-1])
     return np.append(alike, False) | np.append(False, alike)
+
+
+def far_off(grid: Grid, prior: Prior, readings: Sequence[Readings]) -> SensorError | None:
+    """What to say where equations break down since readings are far beyond the robot's reach."""
+    base = prior.rest_state(Grid(grid.arclength, grid.time[:1])).pose[0, 0, :3, 3]
+    farthest, where = _FAR * float(grid.arclength[-1]), ""
+    for r in readings:
+        if r.value_shape in ((4, 4), (3,)) and r.fixes_base and len(r):
+            place = r.values[:, :3, 3] if r.value_shape == (4, 4) else r.values
+            away = np.linalg.norm(place - base, axis=1)
+            if away.max() > farthest:
+                row = int(np.argmax(away))
+                farthest, at = float(away[row]), seconds(r.time[row])
+                where = f"{r.label} row {row} at {at} s, {farthest:.3g} m from the base"
+    said = (
+        f"No shape of this robot of {grid.arclength[-1]:g} m comes near the readings: {where}. "
+        f"Check units (mm for m, degrees for radians) and frames."
+    )
+    return SensorError(said) if where else None
 
 
 def _terms(solution: Solution) -> Iterator[tuple[Readings, Residuals]]:

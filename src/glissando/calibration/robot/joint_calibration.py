@@ -19,9 +19,9 @@ from glissando.calibration.robot.predictive import (
     Start,
     constants_of,
     in_motion,
-    quiet_estimate,
 )
 from glissando.errors import GlissandoError
+from glissando.estimation.batch import estimate_in_passing
 from glissando.estimation.posterior import Posterior
 from glissando.geometry.se3 import Array
 from glissando.io.recording import Recording
@@ -68,7 +68,9 @@ def locate(
     start, stop = window[0] + shift, window[1] - shift
     inner = [r.select((r.time > start) & (r.time < stop)) for r in readings]
     parameters = [*robot.sensor_parameters, *constants]
-    posterior = quiet_estimate(robot.prior, robot.grid(*window, inner), inner, parameters, _OPTIONS)
+    posterior = estimate_in_passing(
+        robot.prior, robot.grid(*window, inner), inner, parameters, _OPTIONS
+    )
 
     def estimated(parameter: SensorParameter) -> SensorParameter:
         values, _ = posterior.parameter(parameter.name)

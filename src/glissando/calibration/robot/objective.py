@@ -18,9 +18,9 @@ from glissando.calibration.robot.predictive import (
     Start,
     constants_of,
     predict,
-    quiet_estimate,
 )
 from glissando.errors import GlissandoError, RecordingError
+from glissando.estimation.batch import estimate_in_passing
 from glissando.estimation.posterior import Posterior
 from glissando.io.robot_file import parse_robot
 from glissando.io.toml_table import Table
@@ -79,13 +79,20 @@ class Objective:
         options = _ONE_STEP if beside else _TIGHT
         robot = parse_robot(Table(document, "learned", GlissandoError))
         readings = [self._readings(case, robot) for case in self.cases]
+        truths = [case.truth(robot) for case in self.cases]
         posteriors = [
-            quiet_estimate(
-                robot.prior, case.grid(robot), each, robot.sensor_parameters, options, start
+            estimate_in_passing(
+                robot.prior,
+                case.grid(robot),
+                each,
+                robot.sensor_parameters,
+                options,
+                initial=start.state,
+                initial_parameters=start.sensor_parameters,
+                dates=not any(truths),  # which changes what is foretold by less than a step gains
             )
             for case, each, start in zip(self.cases, readings, about.starts, strict=True)
         ]
-        truths = [case.truth(robot) for case in self.cases]
         if any(truths):
             score = self._predictive(posteriors, truths, about.score.constants)
         else:

@@ -6,23 +6,18 @@ the constants under which the truth is most likely given the estimate.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from glissando.errors import EstimateWarning
-from glissando.estimation.batch import estimate
 from glissando.estimation.posterior import Posterior, StateEstimate
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
-from glissando.model.grid import Grid
-from glissando.model.priors.prior import Prior
 from glissando.model.sensors.parameters import SIZES, SensorParameter, corrected
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
-from glissando.solver.gauss_newton import SolverOptions
 
 _PRIOR_STD = {"frame": (0.005, 0.03), "mount": (0.005, 0.05)}  # m, rad: how far off it may be
 _ROUNDS = 2  # Gauss-Newton steps towards the constants, from those of the last evaluation
@@ -65,39 +60,6 @@ class Start:
     def of(posterior: Posterior) -> Start:
         """What is kept of an estimate."""
         return Start(posterior.state, posterior.sensor_parameters)
-
-
-def quiet_estimate(
-    prior: Prior,
-    grid: Grid,
-    readings: Sequence[Readings],
-    parameters: Sequence[SensorParameter],
-    options: SolverOptions,
-    about: Start | None = None,
-) -> Posterior:
-    """Estimate as `estimate` does, without a warning where the options end it early.
-
-    Args:
-        prior: The prior.
-        grid: The nodes.
-        readings: Readings of each sensor.
-        parameters: Parameters of the sensors.
-        options: When to stop.
-        about: Where to start.
-    """
-    start = about or Start()
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", EstimateWarning)
-        return estimate(
-            prior,
-            grid,
-            readings,
-            sensor_parameters=parameters,
-            initial=start.state,
-            initial_parameters=start.sensor_parameters,
-            options=options,
-            gate=None,
-        )
 
 
 def constants_of(truth: Sequence[Readings]) -> tuple[SensorParameter, ...]:
@@ -162,7 +124,7 @@ def in_motion(truth: Sequence[Readings]) -> Array:
     return np.unique(np.concatenate([np.zeros(0), *(_moved_in(t) for t in truth if len(t))]))
 
 
-def _begins_stretch(truth: Readings) -> Array:
+def _begins_stretch(truth: Readings) -> NDArray[np.bool_]:
     """Whether a sample belongs to the first moment of its stretch (M,)."""
     starts = truth.time[np.diff(truth.time // APART, prepend=-np.inf) > 0.0]
     return np.isin(truth.time, starts)
