@@ -143,9 +143,9 @@ def test_slopes_are_those_of_converged_estimates(judged, monkeypatch):
     drift = {"name": "drift", "kind": "mount", "streams": ["p1"], "correlation_time": 0.5}
     late = {"name": "late", "kind": "time_offset", "streams": ["p1"], "std": [0.05]}
     document["sensor_parameters"] = [{**drift, "std": [1e-3] * 3 + [1e-2] * 3}, late]
-    words = ("noise, linear", "spread linear", "velocity time, linear", "arclength, bending")
+    words = ("noise, linear", "spread linear", "correlation", "time, linear", "arclength, bending")
     numbers = [p for word in words for p in of_label(document, word)]
-    assert len(numbers) == 4
+    assert len(numbers) == 5
     goal = Objective([Late(judged=judged)], False)
     middle, zero = goal.score(document, goal.start()), np.zeros(len(numbers))
     search = learning._Search(document, numbers, goal, SimpleNamespace(map=map), middle, zero)

@@ -145,6 +145,8 @@ def _all(document: Document, kinds: Sequence[str], alike: bool) -> Iterator[Para
             halves = _HALVES if size == 6 else {"": tuple(range(size))}
             for part, entries in halves.items():
                 yield Parameter(f"{unknown['name']} spread {part}".strip(), to, entries)
+            to = ("sensor_parameters", i, "correlation_time")
+            yield Parameter(f"{unknown['name']} correlation time", to, ())
 
 
 def _by_segment(name: str, paths: list[tuple[str | int, ...]], alike: bool) -> Iterator[Parameter]:
