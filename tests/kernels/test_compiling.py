@@ -1,12 +1,15 @@
 """Kernels are compiled once on a machine, whatever its home is like, and never without need."""
 
 import os
+import re
 import subprocess
 import sys
+from pathlib import Path
 from subprocess import PIPE
 
 import pytest
 
+import glissando._kernels
 from glissando._kernels.jit import cache_folder
 
 
@@ -45,6 +48,20 @@ def test_a_home_that_cannot_be_written_to_does_not_matter(tmp_path, home):
         [sys.executable, "-c", ONCE], env=environment, check=True, capture_output=True, text=True
     )
     assert run.stdout == "1.0\n"
+
+
+def test_processes_that_compile_know_the_kernels_of_every_module():
+    """One that they do not know is compiled by whoever calls it, alone and one after another."""
+    code = (
+        "import glissando._kernels.compile\n"
+        "from glissando._kernels.jit import _KERNELS\n"
+        "print(*{k.module for k in _KERNELS if k.signatures})\n"
+    )
+    told = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    sources = Path(glissando._kernels.__file__).parent.glob("*.py")
+    called = {s.stem for s in sources if re.search(r"^@jit\(\s*f?\"", s.read_text(), re.MULTILINE)}
+    assert {"se3", "matern", "rod_flow"} <= called
+    assert set(told.stdout.split()) == called
 
 
 def test_what_an_upgrade_leaves_behind_is_never_met(tmp_path, monkeypatch):

@@ -7,7 +7,9 @@ from pathlib import Path
 
 from glissando._kernels import (  # noqa: F401  (importing them makes their kernels known)
     block_tridiagonal,
+    information,
     intervals,
+    matern,
     normal_equations,
     process,
     rod_flow,
@@ -16,6 +18,7 @@ from glissando._kernels import (  # noqa: F401  (importing them makes their kern
     se3,
     sensors,
     static_steps,
+    stationary,
     steps,
     transitions,
     white_noise,
