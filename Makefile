@@ -47,7 +47,7 @@ docs: $(READY)
 
 pytest: $(READY)
 	$(BIN)/pytest -q -n 2 -m "not alone"
-	$(BIN)/pytest -q -m alone tests/hardware
+	$(BIN)/pytest -q -n 2 -m alone tests/hardware
 
 bench: $(READY)
 	$(BIN)/python benchmarks/estimate.py
