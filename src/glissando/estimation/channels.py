@@ -16,7 +16,7 @@ from glissando.estimation.posterior import Posterior
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
-from glissando.model.priors.prior import Prior
+from glissando.model.priors.prior import Prior, both_sides
 from glissando.model.priors.rest_shape import STRAIGHT
 from glissando.model.sensors.readings import Readings
 from glissando.model.sensors.tendons import up_to
@@ -49,7 +49,7 @@ def place_in_channel(readings: Readings, prior: Prior, grid: Grid, state: State)
     count, nodes = len(readings), grid.arclength
     where, out = np.empty((2, count))
     beside = np.empty((count, 2, nodes.size, 6))
-    places = np.union1d(nodes, 0.5 * (nodes[1:] + nodes[:-1]))
+    places = np.union1d(both_sides(nodes, prior.joints), 0.5 * (nodes[1:] + nodes[:-1]))
     time = np.clip(readings.time, grid.time[0], grid.time[-1])
     for first in range(0, count, _CHUNK):
         rows = slice(first, first + _CHUNK)

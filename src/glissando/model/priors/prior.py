@@ -19,6 +19,7 @@ Spread = tuple[Array, Array]
 """Of intervals: the density of strain (…, 6) inside them, and the variance (…, 6) of its jump."""
 
 _SOFT = 0.022**2  # m², of strain density over curvature density
+_BEFORE = 1e-6  # of an interval, at which a place lies just before a joint
 _STIFF = 10.0  # times softer than a prior must be to be worth a start of its own
 
 
@@ -87,6 +88,16 @@ def soften(psd: Array) -> Array:
 def is_soft(psd: Array, softened: Array) -> bool:
     """Whether softening changed so little that a start of its own would not pay."""
     return bool(np.all(softened <= _STIFF * psd))
+
+
+def both_sides(arclength: Array, joints: Array) -> Array:
+    """Nodes (N,) of a grid and places just before joints: a node there has the strain beyond it.
+
+    Lines through the strains at these places jump where strain may jump.
+    """
+    at = np.flatnonzero(np.isclose(arclength, joints[:, None], rtol=0.0, atol=SAME).any(axis=0))
+    at = at[at > 0]
+    return np.union1d(arclength, arclength[at] - _BEFORE * (arclength[at] - arclength[at - 1]))
 
 
 def by_interval(arclength: Array, psd: Array, joints: Array, jumps: Array) -> Spread:
