@@ -39,7 +39,7 @@ def test_other_tendons_do_the_better_the_finer_the_pieces(kind):
     tension = draw(4)
     truth = solved(robot, tension[0]).at(LENGTH).pose
     errors = []
-    for count in (11, 41):
+    for count in (5, 17) if kind == "rubbing" else (41, 161):  # fewer would be too few for helices
         rod = tendon_rod(robot, np.linspace(0.0, LENGTH, count))
         miss = equilibrium(rod, tension=tension).pose()[0, -1] - truth
         errors.append(np.abs(miss).max())

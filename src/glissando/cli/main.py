@@ -19,9 +19,15 @@ from typing import Any
 from glissando import __version__
 from glissando.cli.commands import COMMANDS
 from glissando.cli.interrupts import is_interrupt
-from glissando.errors import GlissandoError, NoShapeError, OldNameWarning, PlanWarning
+from glissando.errors import (
+    FalseConfidenceWarning,
+    GlissandoError,
+    NoShapeError,
+    OldNameWarning,
+    PlanWarning,
+)
 
-_OWN = (OldNameWarning, PlanWarning)
+_OWN = (OldNameWarning, PlanWarning, FalseConfidenceWarning)
 _AGAIN = 0.05  # s after which an interrupt that was lost comes again
 _CLEAN_UP = 15.0  # s in which a second signal does not interrupt how the first one ends
 
@@ -148,7 +154,7 @@ def _stopped_by_signals(*, ends_process: bool = False) -> Iterator[None]:
 
 @contextmanager
 def _own_warnings_shown() -> Iterator[None]:
-    """Show each warning of an old name, or of a plan, as one line on stderr."""
+    """Show each warning of an old name, a plan or false confidence as one line on stderr."""
     shown: set[str] = set()
     with warnings.catch_warnings():
         show = warnings.showwarning

@@ -31,7 +31,7 @@ examples:
   glissando predict --robot learned.toml --tendons commands.csv --arclength 0.1,0.18 --out foretold
 
 DIR/query.csv has a row for each time and arclength, with the columns of glissando estimate --query.
-The robot stands still at every time and nothing outside touches it.
+The robot stands still at every time, nothing outside touches it, and its weight is left out.
 
 exit status: 0 done; 1 the tendons leave no static shape; 2 something given was wrong.
 """

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import warnings
+from dataclasses import replace
+
 import numpy as np
 
-from glissando.errors import GlissandoError
+from glissando.errors import FalseConfidenceWarning, GlissandoError
 from glissando.estimation.posterior import StateEstimate
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
+from glissando.model.grid import Grid
 from glissando.model.robot import Robot
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.state import DOF
 from glissando.model.tendons.statics import equilibrium
-from glissando.model.tendons.tendon_rod import TendonRod, tendon_rod
+from glissando.model.tendons.tendon_rod import TendonRod, mechanical, tendon_rod
 
 _VELOCITY = slice(12, 18)
+_NOTICED = 0.1  # of the claimed standard deviation, by which weight moves a robot
 
 
 def predict(
@@ -22,8 +27,9 @@ def predict(
 ) -> StateEstimate:
     """The robot's motion from commands of its tendons alone.
 
-    The robot is in static equilibrium at every time, without loads from outside. Covariance is that
-    of [tendons]: displacements that differ from the commands, moments that the model lacks.
+    The robot is in static equilibrium at every time, without loads from outside and without its own
+    weight. Covariance is that of [tendons] and [base]: displacements that differ from the commands,
+    moments that the model lacks, and how well it is known where the base stands.
 
     Args:
         robot: Robot with [mechanics] and [tendons].
@@ -37,6 +43,9 @@ def predict(
     Raises:
         GlissandoError: Commands are impossible, or the robot lacks a table.
         NoShapeError: No equilibrium was found.
+
+    Warns:
+        FalseConfidenceWarning: The robot's weight, which is left out, bends it noticeably.
     """
     places = robot.arclength_nodes if arclength is None else np.asarray(arclength, dtype=float)
     if np.any((places < 0.0) | (places > robot.length + 1e-9)):
@@ -52,9 +61,26 @@ def predict(
     cov[..., : _VELOCITY.start, : _VELOCITY.start] = shape.cov()[:, node]
     by_pull = shape.pose_by(shape.strain_by_displacement())[:, node]
     velocity, cov[..., _VELOCITY, _VELOCITY] = _velocity(rod, time, displacement, by_pull)
-    return StateEstimate(
-        shape.pose()[:, node], shape.strain[:, np.maximum(node - 1, 0)], velocity, cov
-    )
+    strain = shape.strain[:, np.maximum(node - 1, 0)]
+    found = StateEstimate(shape.pose()[:, node], strain, velocity, cov)
+    _warn_of_weight(robot, float(found.std_position.max()))
+    return found
+
+
+def _warn_of_weight(robot: Robot, std: float) -> None:
+    """Say so where the weight in [mechanics] moves the robot by a share of what is claimed."""
+    prior, grid = mechanical(robot), Grid(robot.arclength_nodes, np.zeros(1))
+    light = replace(prior, mechanics=replace(prior.mechanics, gravity=np.zeros(3)))
+    there, straight = (each.rest_state(grid).pose[0, :, :3, 3] for each in (prior, light))
+    sag = float(np.linalg.norm(there - straight, axis=1).max())
+    if sag > _NOTICED * std:
+        warnings.warn(
+            f"The weight in [mechanics] of robot {robot.name!r}, which tendons alone do not "
+            f"foretell, moves it by {1e3 * sag:.2g} mm when no tendon pulls; positions are claimed "
+            f"to {1e3 * std:.2g} mm. Read a sensor and estimate, or state no gravity.",
+            FalseConfidenceWarning,
+            stacklevel=3,
+        )
 
 
 def predict_tip(robot: Robot, displacement: Array, stream: str) -> tuple[Array, Array]:
@@ -69,8 +95,6 @@ def predict_tip(robot: Robot, displacement: Array, stream: str) -> tuple[Array, 
         Positions (M, 3) in the tracker's frame, and covariances (M, 3, 3) of readings of them.
     """
     rod = tendon_rod(robot, np.zeros(0))
-    if not rod.tendons.straight:
-        rod = tendon_rod(robot)
     shape = equilibrium(rod, displacement=rod.tendons.effective(displacement))
     mount = se3.exp(_parameter(robot.sensor_parameters, "mount", stream))
     frame = se3.inverse(se3.exp(_parameter(robot.sensor_parameters, "frame", stream)))

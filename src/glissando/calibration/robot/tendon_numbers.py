@@ -57,9 +57,7 @@ class TendonModel:
         Raises:
             RecordingError: The robot has another number of tendons.
         """
-        rod = tendon_rod(robot)
-        if rod.tendons.straight:
-            rod = tendon_rod(robot, np.zeros(0))
+        rod = tendon_rod(robot, np.zeros(0))
         tendons, mechanics = rod.tendons, mechanical(robot).mechanics
         if len(tendons) != columns:
             raise RecordingError(
@@ -198,9 +196,8 @@ class TendonModel:
         """Covariances (M, 3, 3) of the tip by a metre of displacement, unit moments, a metre."""
         _, at = self.tip(numbers, self.reached(numbers, displacement))
         turn = self._turn(numbers, at)
-        root = np.sqrt(np.repeat(at.rod.length, 2))
-        slopes = at.strain_by_displacement(), at.strain_by_moment() / root
-        by_pull, by_moment = (turn @ at.pose_by(slope)[:, -1] for slope in slopes)
+        slopes = at.pose_by(at.strain_by_displacement()), at.pose_by_moment()
+        by_pull, by_moment = (turn @ slope[:, -1] for slope in slopes)
         marker = np.broadcast_to(np.eye(3), (len(turn), 3, 3))
         pull, bend = (by @ np.swapaxes(by, 1, 2) for by in (by_pull, by_moment))
         return pull, bend, marker

@@ -132,18 +132,38 @@ class Equilibrium:
         found = np.linalg.solve(whole, slope.reshape(m, 6 * count, -1))
         return np.asarray(found.reshape(slope.shape))
 
-    def cov(self) -> Array:
-        """Covariance (M, P+1, 12, 12) of poses and strains that [tendons] states.
+    def pose_by_moment(self) -> Array:
+        """Slopes (M, P+1, 6, 4 P) of the poses by white bending moments of unit density.
 
-        Displacements differ from the commands, and moments are missing along the robot. The strain
-        of a node is that of the piece before it.
+        By their means over the pieces, and by their first moments about the middles of these, which
+        move a piece's end aside: the covariance does not depend on the pieces.
         """
-        tendons, count = self.rod.tendons, len(self.rod.length)
-        moment = np.sqrt(tendons.psd_moment / np.repeat(self.rod.length, 2))
-        slopes = [tendons.std * self.strain_by_displacement(), moment * self.strain_by_moment()]
-        by_strain = np.concatenate(slopes, axis=-1)
+        length, count = self.rod.length, len(self.rod.length)
+        mean = self.strain_by_moment() / np.sqrt(np.repeat(length, 2))
+        aside = np.zeros_like(mean)
+        by_lever = np.sqrt(length / 12.0)[:, None] / self.rod.stiffness[:, [4, 3]]
+        for piece in range(count):
+            aside[:, piece, :2, 2 * piece : 2 * piece + 2] = np.diag(by_lever[piece])
+        return self.pose_by(np.concatenate([mean, aside], axis=-1))
+
+    def cov(self) -> Array:
+        """Covariance (M, P+1, 12, 12) of poses and strains that [tendons] and [base] state.
+
+        Displacements differ from the commands, moments are missing along the robot, and the base
+        stands about its pose. The strain of a node is that of the piece before it.
+        """
+        tendons, (m, count) = self.rod.tendons, self.strain.shape[:2]
+        root = np.sqrt(tendons.psd_moment)
+        by_pull = tendons.std * self.strain_by_displacement()
+        by_moment = root * self.strain_by_moment() / np.sqrt(np.repeat(self.rod.length, 2))
+        by_base = [np.broadcast_to(np.diag(np.sqrt(self.rod.var_base)), (m, 6, 6))]
+        for across in self._steps()[0].swapaxes(0, 1):
+            by_base.append(across @ by_base[-1])
+        poses = [self.pose_by(by_pull), root * self.pose_by_moment(), np.stack(by_base, axis=1)]
+        nothing = np.zeros((m, count, 6, 2 * count + 6))
+        by_strain = np.concatenate([by_pull, by_moment, nothing], axis=-1)
         before = np.maximum(np.arange(count + 1) - 1, 0)
-        both = np.concatenate([self.pose_by(by_strain), by_strain[:, before]], axis=2)
+        both = np.concatenate([np.concatenate(poses, axis=-1), by_strain[:, before]], axis=2)
         return np.asarray(both @ np.swapaxes(both, -1, -2))
 
     def _steps(self) -> tuple[Array, Array]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -12,6 +12,8 @@ from glissando.geometry.se3 import Array
 from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.model.robot import Robot
 from glissando.model.tendons.tendons import Tendons
+
+_PIECES = 24  # for a turn of a tendon about the robot, which puts the tip right to 3e-4 of its way
 
 
 @dataclass(frozen=True)
@@ -24,6 +26,7 @@ class TendonRod:
         stiffness: Of each piece (P, 6).
         rest: Strain of each without loads (P, 6).
         base: Pose of the base (4, 4).
+        var_base: Variance (6,) of the base's pose about that.
     """
 
     tendons: Tendons
@@ -31,6 +34,7 @@ class TendonRod:
     stiffness: Array
     rest: Array
     base: Array
+    var_base: Array = field(default_factory=lambda: np.zeros(6))
 
     @property
     def length(self) -> Array:
@@ -68,7 +72,7 @@ def tendon_rod(robot: Robot, nodes: Array | None = None) -> TendonRod:
     Args:
         robot: The robot.
         nodes: Arclengths where pieces may meet, m; the robot's nodes unless given. Segments and
-            ends of tendons are added.
+            ends of tendons are added, and as many more as helical tendons need.
 
     Raises:
         GlissandoError: The robot has no tendons or another prior.
@@ -80,7 +84,18 @@ def tendon_rod(robot: Robot, nodes: Array | None = None) -> TendonRod:
         )
     given = robot.arclength_nodes if nodes is None else nodes
     every = np.concatenate([[0.0, robot.length], given, prior.mechanics.joints, tendons.end])
-    every = np.unique(np.round(every, 9))
+    every = _close(np.unique(np.round(every, 9)), tendons)
     middle = 0.5 * (every[1:] + every[:-1])
     stiffness = prior.mechanics.stiffness[prior.mechanics.segment(middle)]
-    return TendonRod(tendons, every, stiffness, prior.rest.at(middle), prior.base_pose)
+    base = prior.base_pose, prior.var_base
+    return TendonRod(tendons, every, stiffness, prior.rest.at(middle), *base)
+
+
+def _close(nodes: Array, tendons: Tendons) -> Array:
+    """Nodes with so many between them that tendons hardly turn about the robot on a piece."""
+    turns = np.diff(nodes) * np.max(1.0 / np.abs(tendons.pitch))
+    counts = np.maximum(1, np.ceil(_PIECES * turns - 1e-9)).astype(int)
+    between = zip(nodes[:-1], nodes[1:], counts, strict=True)
+    return np.append(
+        np.concatenate([np.linspace(a, b, n, endpoint=False) for a, b, n in between]), nodes[-1]
+    )

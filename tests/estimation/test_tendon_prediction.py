@@ -1,0 +1,59 @@
+"""What tendons foretell does not depend on what is asked, and says what it leaves out."""
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from glissando.errors import FalseConfidenceWarning
+from glissando.estimation.tendon_prediction import predict
+from glissando.geometry import se3
+from tendon_robot import LENGTH, tendon_robot
+
+TIME = np.zeros(1)
+
+
+def commands(seed):
+    return 2e-3 * np.random.default_rng(seed).uniform(-1.0, 1.0, (1, 6))
+
+
+@pytest.mark.parametrize("pitch", [0.0, 0.1])
+@pytest.mark.parametrize("seed", range(4))
+def test_it_is_the_same_whichever_places_are_asked_for(pitch, seed):
+    robot = tendon_robot(pitch=pitch, psd_moment=1e-7, std=1e-4)
+    fine = np.linspace(0.0, LENGTH, 201)
+    rng = np.random.default_rng(seed)
+    few = np.sort(rng.choice(fine[1:], 3, replace=False))
+    every, some, tip = (
+        predict(robot, TIME, commands(seed), places) for places in (fine, few, np.array([LENGTH]))
+    )
+    at = np.searchsorted(fine, few)
+    np.testing.assert_allclose(some.position[0], every.position[0, at], atol=1e-4)
+    np.testing.assert_allclose(some.std_position[0], every.std_position[0, at], rtol=0.03)
+    np.testing.assert_allclose(tip.position[0, -1], every.position[0, -1], atol=1e-4)
+    np.testing.assert_allclose(tip.std_position[0, -1], every.std_position[0, -1], rtol=0.03)
+
+
+def test_a_base_that_may_stand_elsewhere_moves_all_that_is_foretold():
+    robot, var = tendon_robot(psd_moment=1e-7, std=1e-4), np.repeat([1e-4, 1e-2], 3)
+    sure, unsure = (
+        predict(replace(robot, prior=replace(robot.prior, var_base=v)), TIME, commands(1))
+        for v in (np.zeros(6), var)
+    )
+    back = se3.adjoint(se3.inverse(sure.pose) @ robot.prior.base_pose)
+    added = back @ np.diag(var) @ np.swapaxes(back, -1, -2)
+    np.testing.assert_allclose((unsure.cov - sure.cov)[..., :6, :6], added, atol=1e-10)
+
+
+def test_weight_that_is_left_out_is_named_where_it_bends_the_robot():
+    robot = tendon_robot(slack=0.01, psd_moment=1e-7, std=1e-4)
+    heavy = replace(robot.prior.mechanics, gravity=np.array([9.81, 0.0, 0.0]), tip_mass=0.002)
+    for mechanics, heard in ((heavy, True), (replace(heavy, tip_mass=0.0), False)):
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", FalseConfidenceWarning)
+            predict(
+                replace(robot, prior=replace(robot.prior, mechanics=mechanics)), TIME, commands(2)
+            )
+        assert bool(caught) == heard
+    assert heavy.gravity[0] > 0.0
