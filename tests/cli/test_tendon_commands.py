@@ -10,6 +10,7 @@ from scipy.stats import chi2
 from glissando.cli.main import main
 from glissando.estimation.tendon_prediction import predict_tip
 from glissando.io.query_csv import QUERY_COLUMNS
+from glissando.io.recording import load_recording
 from glissando.io.robot_file import load_robot
 from glissando.model.tendons.statics import equilibrium
 from glissando.model.tendons.tendon_rod import tendon_rod
@@ -116,3 +117,54 @@ def test_servos_need_a_robot_with_as_many_tendons(tmp_path, capsys):
     given = ["import", str(tmp_path / "servo.csv"), "--arclength", "tip=0.2"]
     assert main([*given, "--out", str(tmp_path / "rec")]) == 2
     assert "has 6 tendons, the robot 0; name a robot" in capsys.readouterr().err
+
+
+def imported(tmp_path, start, columns, name):
+    """Displacements of a recording made of servos in other columns."""
+    rng = np.random.default_rng(5)
+    file = tmp_path / f"{name}.csv"
+    servo_file(file, moves(rng, 30), rng)
+    head, *rows = [line.split(",") for line in file.read_text().splitlines()]
+    order = [0, *(1 + np.array(columns)), 7, 8, 9]
+    file.write_text("\n".join(",".join(np.array(row)[order]) for row in [head, *rows]))
+    words = ["import", str(file), "--robot", start, "--arclength", "tip=0.2", "--truth", "tip"]
+    assert main([*words, "--out", str(tmp_path / name)]) == 0
+    return load_recording(tmp_path / name).streams["tendons"].rows.values
+
+
+def test_servos_are_known_by_their_names_in_whatever_order_they_come(tmp_path, start, capsys):
+    straight = imported(tmp_path, start, range(6), "straight")
+    shuffled = imported(tmp_path, start, [4, 2, 0, 5, 1, 3], "shuffled")
+    np.testing.assert_array_equal(straight, shuffled)
+    other = tmp_path / "other.toml"
+    other.write_text(tomli_w.dumps(document(names=[f"motor_{j}" for j in range(6)])))
+    words = ["import", str(tmp_path / "straight.csv"), "--robot", str(other), "--arclength"]
+    assert main([*words, "tip=0.2", "--truth", "tip", "--out", str(tmp_path / "no")]) == 2
+    assert "has no column 'motor_0'" in capsys.readouterr().err
+    assert not (tmp_path / "no").exists()
+
+
+@pytest.mark.parametrize(
+    "more", ["--use tip", "--truth tip", "--hold-out tip", "--only slack", "--alike", "--steps 3"]
+)
+def test_learning_from_tendons_refuses_options_that_it_does_not_heed(tmp_path, start, capsys, more):
+    imported(tmp_path, start, range(6), "rec")
+    words = ["learn", str(tmp_path / "rec"), "--robot", start, "--out", str(tmp_path / "out.toml")]
+    assert main([*words, *more.split()]) == 2
+    assert f"{more.split()[0]} has no effect" in capsys.readouterr().err
+    assert main([*words, "--window", "5000", "6000"]) == 2
+    assert "the rows go from 0 to" in capsys.readouterr().err
+
+
+def test_a_tendon_has_one_name_and_one_column(tmp_path, start, capsys):
+    rest = document()
+    rest["tendons"]["names"] = [NAMES[0], *NAMES[:5]]
+    twice = tmp_path / "twice.toml"
+    twice.write_text(tomli_w.dumps(rest))
+    commands = tmp_path / "commands.csv"
+    head = ",".join(["time", *NAMES, f"{NAMES[2]}_mm"])
+    np.savetxt(commands, np.zeros((1, 8)), delimiter=",", header=head, comments="")
+    for robot, said in ((str(twice), f"two are named {NAMES[0]!r}"), (start, "for one tendon")):
+        words = ["predict", "--robot", robot, "--tendons", str(commands)]
+        assert main([*words, "--out", str(tmp_path / "out")]) == 2
+        assert said in capsys.readouterr().err

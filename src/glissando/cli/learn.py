@@ -16,7 +16,7 @@ from glissando.calibration.robot.joint_calibration import lasting, locate
 from glissando.calibration.robot.learn import Learned, learn
 from glissando.calibration.robot.predictive import Start
 from glissando.cli.console import Console
-from glissando.cli.learn_tendons import learn_from_tendons
+from glissando.cli.learn_tendons import STEPS, learn_from_tendons
 from glissando.cli.outputs import require_spared, write_robot
 from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_command, names
@@ -72,7 +72,7 @@ def add_to(commands: Commands) -> None:
     add("--only", type=names, metavar="WORDS,…", help=only)
     alike = "segments are built alike: scale what each has together"
     add("--alike", action="store_true", help=alike)
-    add("--steps", type=int, default=20, metavar="N", help="steps at most (default: 20)")
+    add("--steps", type=int, default=STEPS, metavar="N", help=f"steps at most (default: {STEPS})")
     add("--json", action="store_true", help="print one JSON object and nothing else")
 
 

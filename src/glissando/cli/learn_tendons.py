@@ -20,6 +20,9 @@ from glissando.io.recording import Recording
 from glissando.io.robot_file import load_robot
 from glissando.model.robot import Robot
 
+STEPS = 20
+"""Default of --steps, which learning from tendons does not heed."""
+
 
 def learn_from_tendons(
     recordings: Sequence[Recording], document: Document, options: argparse.Namespace
@@ -34,7 +37,9 @@ def learn_from_tendons(
     Raises:
         RecordingError: A recording lacks one of the streams.
     """
-    parts = [_rows(recording) for recording in recordings]
+    _require_effect(options)
+    window = options.window or (-np.inf, np.inf)
+    parts = [_rows(recording, *window) for recording in recordings]
     displacement, tip = (np.concatenate(column) for column in zip(*parts, strict=True))
     robot = load_robot(options.robot)
     learned = learn_tendons(robot, TendonData.of(displacement, tip), _say)
@@ -55,8 +60,22 @@ def _say(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
 
-def _rows(recording: Recording) -> tuple[Array, Array]:
-    """Displacements (M, T) and positions (M, 3) of the times that both streams have."""
+def _require_effect(options: argparse.Namespace) -> None:
+    """Raise if an option is given that learning from tendons does not heed."""
+    lists = ("use", "truth", "hold_out", "only")
+    given = [name for name in lists if getattr(options, name)]
+    given += [name for name in ("calibrate", "joint", "alike") if getattr(options, name)]
+    given += ["steps"] * (options.steps != STEPS)
+    if given:
+        raise RecordingError(
+            f"--{given[0].replace('_', '-')} has no effect on what is learned from tendons: all "
+            f"numbers of [tendons] and the marker {TIP!r}, until they settle. Leave it out; "
+            f"--window chooses rows."
+        )
+
+
+def _rows(recording: Recording, start: float, stop: float) -> tuple[Array, Array]:
+    """Displacements (M, T) and positions (M, 3) of the times in a window that both streams have."""
     streams = recording.streams.values()
     tendons = next((s.rows for s in streams if s.rows.kind == "tendon"), None)
     tip = next((s.rows for s in streams if s.name == TIP and s.rows.kind == "position"), None)
@@ -68,6 +87,14 @@ def _rows(recording: Recording) -> tuple[Array, Array]:
         raise RecordingError(
             f"{recording.name}: tendons and {TIP} have no time in common; give them one clock."
         )
+    inside = (tendons.time[mine] >= start) & (tendons.time[mine] <= stop)
+    if not inside.any():
+        first, last = tendons.time[mine][[0, -1]]
+        raise RecordingError(
+            f"{recording.name}: no row lies within --window {start:g} {stop:g}; the rows go from "
+            f"{first:.6g} to {last:.6g} s."
+        )
+    mine, its = mine[inside], its[inside]
     return tendons.values[mine][:, : np.size(tendons.settings["radius"])], tip.values[its]
 
 

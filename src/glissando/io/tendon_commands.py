@@ -31,7 +31,12 @@ def read_tendon_commands(path: Path, names: tuple[str, ...]) -> tuple[Array, Arr
     clock = next((name for name in ("time", "timestamp") if name in head), None)
     columns, scales = [], []
     for name in names:
-        found = next((n for n in (name, f"{name}_mm") if n in head), None)
+        given = [n for n in head if n in (name, f"{name}_mm")]
+        if len(given) > 1:
+            raise RecordingError(
+                f"{path.name} line 1 has columns {' and '.join(given)} for one tendon; keep one."
+            )
+        found = given[0] if given else None
         if clock is None or found is None:
             raise RecordingError(
                 f"{path.name} line 1 has {len(head)} columns and no "

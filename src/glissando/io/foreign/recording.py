@@ -123,8 +123,17 @@ def _tendon_rows(track: Track, time: Array, robot: Robot | None) -> Rows:
             f"{track.name} has {track.values.shape[1]} tendons, the robot {count}; name a robot "
             f"file with their [tendons] by --robot."
         )
+    lacking = [name for name in tendons.names if name not in track.columns]
+    if tendons.named and track.columns and lacking:
+        raise RecordingError(
+            f"{track.name} has no column {lacking[0]!r} that [tendons] names of the robot states; "
+            f"it has {', '.join(track.columns)}. Correct the names."
+        )
+    order = np.arange(len(tendons))
+    if tendons.named and track.columns:
+        order = np.array([track.columns.index(name) for name in tendons.names])
     place = np.full(time.size, tendons.end.max())
-    return Rows("tendon", time, place, track.values, {}, tendons.settings())
+    return Rows("tendon", time, place, track.values[:, order], {}, tendons.settings())
 
 
 def _placed(track: Track, choices: Choices, start: float, robot: Robot | None) -> Rows | None:

@@ -93,7 +93,8 @@ def read_servo_csv(path: Path) -> ServoLog:
 def servo_tracks(path: Path) -> list[Track]:
     """The displacements as a track of kind tendon, and the marker as one of kind position."""
     log = read_servo_csv(path)
+    pulled, missing = log.displacement, log.missing
     return [
-        Track("tendons", "tendon", log.time, log.displacement, log.missing, absolute=True),
-        Track("tip", "position", log.time, log.tip, log.missing, absolute=True),
+        Track("tendons", "tendon", log.time, pulled, missing, absolute=True, columns=log.names),
+        Track("tip", "position", log.time, log.tip, missing, absolute=True),
     ]

@@ -35,6 +35,7 @@ class Track:
         absolute: Whether times are those of a clock, which may count from 1970, not of frames.
         numbered: Whether rows have frame numbers, so that repeated values are new readings.
         dropped: Number of other rows left out, by reason.
+        columns: Names of the columns of values, where the file names them.
     """
 
     name: str
@@ -46,6 +47,7 @@ class Track:
     absolute: bool = False
     numbered: bool = True
     dropped: Mapping[str, int] = field(default_factory=dict)
+    columns: tuple[str, ...] = ()
 
 
 def plain_name(text: str) -> str:

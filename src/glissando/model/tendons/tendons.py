@@ -23,6 +23,10 @@ _SHARED = {"softness": 1e-4, "std": 1e-4, "psd_moment": 1e-7}
 _OPTIONAL = {"pitch": 0.0, "slack": 0.0, "play": 0.0, "friction": 0.0}
 
 
+def _numbered(count: int) -> tuple[str, ...]:
+    return tuple(f"tendon_{j}" for j in range(count))
+
+
 @dataclass(frozen=True)
 class Tendons:
     """T tendons.
@@ -64,13 +68,21 @@ class Tendons:
                     f"Tendons: {name} has {value.size} numbers for {count} tendons; give one each."
                 )
             object.__setattr__(self, name, np.broadcast_to(value, count).copy())
-        names = self.names or tuple(f"tendon_{j}" for j in range(count))
+        names = self.names or _numbered(count)
+        twice = [name for name in names if names.count(name) > 1]
+        if twice:
+            raise SensorError(f"Tendons: two are named {twice[0]!r}; give each its own column.")
         if len(names) != count:
             raise SensorError(f"Tendons: {len(names)} names for {count} tendons; give one each.")
         object.__setattr__(self, "names", names)
 
     def __len__(self) -> int:
         return int(self.radius.size)
+
+    @property
+    def named(self) -> bool:
+        """Whether the tendons have names of their own, which columns of files are matched by."""
+        return self.names != _numbered(len(self))
 
     @property
     def straight(self) -> bool:
