@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from glissando import CoilReadings, FixedLagSmoother, Grid, SolverOptions, estimate
-from glissando.errors import OutsideGridError
+from glissando.errors import GlissandoError, OutsideGridError
 from glissando.estimation.contact import ContactScan, locate_contact, scan_contacts
 from glissando.estimation.contact_evidence import error_priors
 from glissando.geometry import se3
@@ -117,6 +117,34 @@ def test_online_a_touch_is_seen_while_it_lasts():
         said.append(smoother.contacts(std_force=STD, false_alarms=1e-3).detected)
     assert not any(said[:4])
     assert all(said[5:])
+
+
+def test_times_at_which_nothing_was_read_say_nothing_of_a_touch():
+    readings = coil(np.random.default_rng(6), shape(FORCE), [0.0])
+    grid = Grid(NODES, np.arange(0.0, 3.01, 0.25))
+    scan = scan_contacts(estimate(PRIOR, grid, [readings]), grid.time, std_force=STD)
+    assert scan.detected.tolist() == [True] + [False] * 12
+    assert np.all(scan.force[1:] == 0.0)
+    std = np.sqrt(np.einsum("kcii->kci", scan.cov[1:]))
+    np.testing.assert_allclose(std, np.broadcast_to(STD, std.shape))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "sentence"),
+    [
+        ({"false_alarms": 1e-6}, "give a share of times from 0.001 to 0.5"),
+        ({"false_alarms": 1.0}, "give a share of times from 0.001 to 0.5"),
+        ({"std_force": np.nan}, "give newtons above 0, one number or three"),
+        ({"std_force": [0.3, 0.3, 0.0]}, "give newtons above 0, one number or three"),
+        ({"std_force": [0.3, 0.3]}, "give newtons above 0, one number or three"),
+        ({"time": []}, "needs a time"),
+    ],
+)
+def test_a_scan_for_no_force_or_an_untold_rate_is_one_sentence(wrong, sentence):
+    readings = coil(np.random.default_rng(6), shape(FORCE), [0.0])
+    posterior = estimate(PRIOR, Grid(NODES, [0.0]), [readings])
+    with pytest.raises(GlissandoError, match=sentence):
+        scan_contacts(posterior, **{"time": 0.0} | wrong)
 
 
 TIMES = np.linspace(0.0, 0.6, 7)

@@ -103,7 +103,7 @@ def _estimate(options: argparse.Namespace) -> int:
     else:
         _print(run, Console())
         if scan:
-            print_loads(run.posterior, scan, Console())
+            print_loads(run.posterior, scan, Console(), tendons=_pulled(run))
         if written:
             Console().print("Wrote " + ", ".join(str(path) for path in written), markup=False)
     return 0 if run.posterior.solve.converged else 1
@@ -117,6 +117,11 @@ _COLUMNS = (  # heading, key of the summary, scale, format
     ("NEES / dof", "nees_position", 1.0, "{:.2f}"),
     ("inside 95 %", "coverage95_position", 100.0, "{:.1f} %"),
 )
+
+
+def _pulled(run: Run) -> bool:
+    """Whether tendons pull the robot, as its file or a stream of theirs says."""
+    return run.robot.tendons is not None or any(r.spans for r in run.readings)
 
 
 def _warn_of_truth(run: Run) -> None:

@@ -48,8 +48,17 @@ def loads_json(posterior: Posterior, scan: ContactScan) -> dict[str, Any]:
     return {"loads": _rows(posterior), "contacts": contacts}
 
 
-def print_loads(posterior: Posterior, scan: ContactScan, console: Console) -> None:
-    """Print forces and moments with their standard deviations, and what touches the robot."""
+def print_loads(
+    posterior: Posterior, scan: ContactScan, console: Console, *, tendons: bool = False
+) -> None:
+    """Print forces and moments with their standard deviations, and what touches the robot.
+
+    Args:
+        posterior: The posterior.
+        scan: Its scan for contacts.
+        console: Where to print.
+        tendons: Whether tendons pull the robot, which counts as a touch.
+    """
     table = Table("time (s)", "arclength (m)", title="What acts on the robot, world frame")
     for what in ("force x, y, z (N)", "moment x, y, z (N m)"):
         table.add_column(what, justify="right")
@@ -72,6 +81,12 @@ def print_loads(posterior: Posterior, scan: ContactScan, console: Console) -> No
         f"Something else touches the robot at {touched.size} {chance}. Surest at "
         f"{scan.time[surest]:.3f} s, likeliest there at {place:.3g} m."
     )
+    if tendons:
+        console.print(
+            "The prior knows no tendons, so that what they pull counts as a touch: give [prior] "
+            "points where they end, with var_points as large as their moments.",
+            markup=False,
+        )
 
 
 def write_contacts(scan: ContactScan, folder: Path) -> list[Path]:

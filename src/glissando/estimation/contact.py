@@ -10,20 +10,29 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.special import logsumexp
 
 from glissando.errors import GlissandoError, OutsideGridError, UnobservableError
 from glissando.estimation.batch import estimate
-from glissando.estimation.contact_evidence import ForceEvidence, error_priors, force_evidence
+from glissando.estimation.contact_evidence import (
+    RAREST,
+    ForceEvidence,
+    error_priors,
+    force_evidence,
+)
 from glissando.estimation.loads import require_mechanics
 from glissando.estimation.posterior import Posterior
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid, Index, with_places
 from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.model.sensors.readings import Readings
+from glissando.solver.linearize import linearize
+from glissando.solver.located_readings import locate
+from glissando.solver.normal_equations import system_shape
 
 _ROUNDS = 8
+_ROUNDING = 1e-12  # of a diagonal entry
 _MISFIT = 5.0  # standard deviations of readings' misfit beyond which a search begins elsewhere
 _WORSE = 1.0  # by which the cost may grow on the way: a moment stands for a place that is off
 _STARTS = (0.15, 0.4, 0.65, 0.9)  # of the length
@@ -84,6 +93,10 @@ def scan_contacts(
 ) -> ContactScan:
     """Scan a posterior of a mechanical prior for one force, at the time nodes nearest to `time`.
 
+    A force counts as the prior's loads do, which fade over its `time_scale`: after a release it is
+    what would leave the fading rest of one, however small. For a force over time give the prior
+    `points`, or ask `locate_contact`. A time beside which nothing was read says nothing.
+
     Args:
         posterior: The posterior, in whose prior there is no contact.
         time: Seconds: one time, or (K,) for a map over arclength and time.
@@ -92,11 +105,14 @@ def scan_contacts(
         false_alarms: Share of times at which an untouched robot may be said to be touched.
 
     Raises:
-        GlissandoError: The prior knows no loads, or the posterior's file is of an older version.
+        GlissandoError: The prior knows no loads, the posterior's file is of an older version, or
+            there is no such force or share.
         OutsideGridError: A time is off the grid.
     """
     prior, grid = require_mechanics(posterior.prior), posterior.grid
     when = np.asarray(time, dtype=float)
+    if not when.size:
+        raise GlissandoError("A scan for contacts needs a time; give one, or several.")
     grid.require(np.zeros(when.size), when.ravel(), "Contact")
     if posterior.linearized is None:
         raise GlissandoError(
@@ -108,11 +124,28 @@ def scan_contacts(
     errors, cov = error_priors(prior, grid, noise_state), posterior.marginals.cov
     step = posterior.state.difference(state).reshape(grid.time.size, -1)
     variance, nodes = force_variance(prior, grid.arclength, std_force), grid.arclength
-    scans = []
+    seen, scans = _seen(posterior), []
     for k in rows:
         found = force_evidence(prior, nodes, errors[k], state.take(k), cov[k], step[k])
+        found = found if seen[k] else found.of_nothing()
         scans.append(scan_of(found, errors[k].time, variance, false_alarms))
     return ContactScan.over(scans) if when.ndim else scans[0]
+
+
+def _seen(posterior: Posterior) -> NDArray[np.bool_]:
+    """Whether readings lie in the time steps beside each time node (K,).
+
+    Elsewhere the state is what it was, faded, and a force that acts there would be what explains a
+    small rest of an earlier one.
+    """
+    prior, grid, system = posterior.prior, posterior.grid, posterior.system
+    assert posterior.linearized is not None
+    state, noise_state = posterior.linearized
+    workspace = np.empty(system_shape(grid.time.size, state.numbers))
+    alone = linearize(prior, locate(grid, []), state, noise_state, workspace).system
+    own = np.einsum("kii->ki", system.diagonal)[:, : state.numbers]
+    rest = np.einsum("kii->ki", alone.diagonal)
+    return np.asarray(np.any(np.abs(own - rest) > _ROUNDING * own, axis=1))
 
 
 def scan_of(found: ForceEvidence, time: float, variance: Array, false_alarms: float) -> ContactScan:
@@ -124,6 +157,10 @@ def scan_of(found: ForceEvidence, time: float, variance: Array, false_alarms: fl
         variance: Prior variance (3,) of a force, N².
         false_alarms: Share of times at which an untouched robot may be said to be touched.
     """
+    if not RAREST <= false_alarms <= 0.5:
+        raise GlissandoError(
+            f"false_alarms is {false_alarms:g}; give a share of times from {RAREST:g} to 0.5."
+        )
     cov, half_log_det = found.given_force(variance)
     force = np.einsum("cij,cj->ci", cov, found.vector)
     ratio = 0.5 * np.einsum("ci,ci->c", found.vector, force) - half_log_det
@@ -140,8 +177,12 @@ def bending_force(prior: MechanicalPrior, arclength: Array) -> float:
 
 def force_variance(prior: MechanicalPrior, arclength: Array, std: ArrayLike | None) -> Array:
     """Prior variance (3,) of a force of deviations (3,) or (), `bending_force` unless given, N²."""
-    given = bending_force(prior, arclength) if std is None else std
-    return np.broadcast_to(np.asarray(given, dtype=float), 3) ** 2
+    given = np.asarray(bending_force(prior, arclength) if std is None else std, dtype=float)
+    if given.shape not in ((), (3,)) or not np.all((given > 0.0) & np.isfinite(given)):
+        raise GlissandoError(
+            f"std_force is {given.tolist()}; give newtons above 0, one number or three."
+        )
+    return np.broadcast_to(given, 3) ** 2
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,9 @@ from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.model.state import State
 
 _DRAWS = 4000  # of a robot that nothing touches, for the threshold
+RAREST = 4.0 / _DRAWS
+"""Least share of false alarms that so many draws tell."""
+
 _PER_INTERVAL = 6  # places
 _UNSEEN = 1e-9  # share of an error's prior variance
 
@@ -99,6 +102,10 @@ class ForceEvidence:
     def take(self, rows: slice) -> ForceEvidence:
         """What it says of some of the places."""
         return ForceEvidence(self.arclength[rows], self.vector[rows], self.root[:, rows])
+
+    def of_nothing(self) -> ForceEvidence:
+        """What a state that no reading tells of says."""
+        return ForceEvidence(self.arclength, 0.0 * self.vector, 0.0 * self.root)
 
     @property
     def shares(self) -> Array:
