@@ -43,6 +43,23 @@ def coil(rng, time, pose, length):
     )
 
 
+@pytest.mark.parametrize("name", shipped_robots())
+@pytest.mark.parametrize("pause", [60.0, 3600.0])
+def test_a_silence_after_the_first_update_is_one_as_well(name, pause):
+    """Nothing says yet how often the robot is read: a single step would make it sure of rest."""
+    robot, rng = load_robot(name), np.random.default_rng(0)
+    smoother = FixedLagSmoother(robot.prior, robot.arclength_nodes)
+    rest = smoother.advance(-10.0)
+    smoother.add(coil(rng, 0.0, tip(robot.length, 1e-3, 0.0), robot.length))
+    smoother.advance(0.0)
+    quiet = smoother.advance(pause - 1.0)
+    assert quiet.std_position[-1] > 0.7 * rest.std_position[-1]
+    bent = tip(robot.length, 1.0 / robot.length, 0.5)
+    smoother.add(coil(rng, pause, bent, robot.length))
+    found = smoother.advance(pause)
+    assert np.linalg.norm(found.position[-1] - bent[:3, 3]) < 0.01
+
+
 def squared(estimate, pose):
     """Squared errors of position and rotation of the tip in units of their covariances."""
     turn = estimate.pose[-1, :3, :3]

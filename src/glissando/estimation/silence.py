@@ -10,6 +10,7 @@ import numpy as np
 
 from glissando.estimation.reading_buffer import ReadingBuffer
 
+_USUAL = 1.0  # s: the usual step until two updates say what it is
 _VOID = 2.0  # usual steps without a reading, which make a silence
 _GROWTH = 0.2  # of the silence so far: the longest step in it
 _CURVED = 0.2  # rad: where the turn of the tip is known less well, belief is not linear
@@ -29,7 +30,7 @@ class Silence:
     """
 
     def __init__(self) -> None:
-        self.step, self.heard = np.inf, -np.inf
+        self.step, self.heard = _USUAL, -np.inf
         self.curved = False
         self._limits: Spread | None = None
 

@@ -111,7 +111,8 @@ class WindowSteps:
             )
         on = [*([] if before is None else [before]), *nodes.tolist()]
         longest = max((b - a for a, b in pairwise(on)), default=0.0)
-        return on[-1] if time - on[-1] < _MERGED * longest else time
+        close = _MERGED * min(longest, self._silence.step)  # however long a silence lasted
+        return on[-1] if time - on[-1] < close else time
 
     def _next_node(self, time: float) -> float:
         """The next node on the way to a time: that time, but in silence nodes lie closer."""
