@@ -73,6 +73,7 @@ STIFF = "\n[mechanics]\nstiffness = [1e5, 1e5, 2e5, 0.06, 0.06, 0.05]\nmass_per_
     ("old", "new", "sentence"),
     [
         ("young = 60e9", "young = 60", "give pascals"),
+        ("inner = 1.8e-3", "inner = 0.5e-3", "tubes fit into each other"),
         ("young = 60e9", "young = 60e3", "could not carry its own weight"),
         ("poisson = 0.33", "poisson = 33", "give a ratio"),
         ("density = 6450", "density = 6.45", "give kg/m³"),

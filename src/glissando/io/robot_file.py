@@ -103,7 +103,7 @@ def parse_robot(table: Table) -> Robot:
     sensor_parameters = tuple(
         _sensor_parameter(entry) for entry in table.tables("sensor_parameters")
     )
-    tube, tendons = _tube(table.table("tube")), read_tendons(table, length)
+    tube, tendons = _tube(table.table("tube")), read_tendons(table, length, mechanics)
     table.skip("format")
     table.skip("physics")  # of the simulator, which checks it
     table.close()

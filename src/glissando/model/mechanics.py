@@ -7,6 +7,7 @@ in the body frame, [force N, moment N m]. Source: equation (26).
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -148,15 +149,17 @@ def require_plausible(mechanics: Mechanics, length: float, robot: PriorTable) ->
             f"`end` out for a tube that reaches the tip.",
         )
     bending = mechanics.stiffness[:, 3:5].min(axis=1)
-    droop = mechanics.mass_per_length * _GRAVITY * length**3 / bending
+    weight = _GRAVITY * (mechanics.mass_per_length * length + mechanics.tip_mass)
+    droop = weight * length**2 / bending
     if droop.max() > _DROOP:
         worst = int(np.argmax(droop))
         raise robot.fail(
             "[mechanics]",
             f"has a bending stiffness of {bending[worst]:.3g} N m² and "
-            f"{mechanics.mass_per_length[worst]:.3g} kg/m: over {length:g} m the rod could not "
-            f"carry its own weight. Give young in Pa (200e9, not 200 GPa or 200e3 N/mm²), "
-            f"stiffness in N and N m², and lengths in metres.",
+            f"{mechanics.mass_per_length[worst]:.3g} kg/m with {mechanics.tip_mass:.3g} kg at the "
+            f"tip: over {length:g} m the rod could not carry its own weight. Give young in Pa "
+            f"(200e9, not 200 GPa or 200e3 N/mm²), stiffness in N and N m², masses in kg and "
+            f"lengths in metres.",
         )
 
 
@@ -181,6 +184,15 @@ def _tubes(table: PriorTable) -> dict[str, Any]:
         ends.append(entry.number("end", _REACHES))
         tubes.append((outer, inner))
         entry.close()
+    if not tubes:
+        raise table.fail("tubes", "is empty; give one tube or more, or `stiffness`.")
+    for (wide, hollow), (outer, _) in pairwise(sorted(tubes, reverse=True)):
+        if hollow < outer:
+            raise table.fail(
+                "tubes",
+                f"has one of {wide:g} m outside and {hollow:g} m inside about one of {outer:g} m "
+                f"outside; concentric tubes fit into each other.",
+            )
     joints = np.unique(ends)[:-1]
     here = [[t for t, end in zip(tubes, ends, strict=True) if end > s] for s in [0.0, *joints]]
     return {

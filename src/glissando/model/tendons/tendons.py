@@ -14,6 +14,7 @@ import numpy as np
 
 from glissando.errors import SensorError
 from glissando.geometry.se3 import Array
+from glissando.model.mechanics import Mechanics
 from glissando.model.priors.prior_table import PriorTable
 from glissando.model.tendons.channel import Channel
 
@@ -21,6 +22,8 @@ _LARGEST_RADIUS = 0.1  # m, beyond which a radius was most likely given in milli
 _EACH = ("radius", "angle", "pitch", "end", "stiffness", "slack", "play", "friction")
 _SHARED = {"softness": 1e-4, "std": 1e-4, "psd_moment": 1e-7}
 _OPTIONAL = {"pitch": 0.0, "slack": 0.0, "play": 0.0, "friction": 0.0}
+_TRAVEL = 10.0  # rad, times its radius: what no slack, play or error of a tendon exceeds
+_SOFT = 0.05  # of a tendon's stretch goes into bending: less, and units are wrong
 
 
 def _numbered(count: int) -> tuple[str, ...]:
@@ -137,7 +140,9 @@ class Tendons:
         return {**table, **{name: float(getattr(self, name)) for name in _SHARED}}
 
 
-def read_tendons(robot: PriorTable, length: float) -> Tendons | None:
+def read_tendons(
+    robot: PriorTable, length: float, mechanics: Mechanics | None = None
+) -> Tendons | None:
     """The [tendons] of a robot file, or None where it has none.
 
     `radius`, `angle`, `end` and `stiffness` are numbers or lists with one a tendon, `pitch` too,
@@ -146,6 +151,7 @@ def read_tendons(robot: PriorTable, length: float) -> Tendons | None:
     Args:
         robot: The file.
         length: Length of the robot, m.
+        mechanics: Its mechanics, where they are known.
 
     Raises:
         GlissandoError: A value is missing, impossible, or most likely in another unit.
@@ -163,6 +169,8 @@ def read_tendons(robot: PriorTable, length: float) -> Tendons | None:
     table.close()
     tendons = Tendons(names=names, **given)
     _require_plausible(table, tendons, length)
+    if mechanics is not None:
+        _require_stiff(table, tendons, float(mechanics.stiffness[:, 3:5].max()))
     return tendons
 
 
@@ -192,12 +200,27 @@ def _require_plausible(table: PriorTable, tendons: Tendons, length: float) -> No
             "stiffness", f"is {tendons.stiffness.tolist()}; give N/m above zero, Young's modulus "
             f"times section over length.",
         )  # fmt: skip
+    most = _TRAVEL * float(tendons.radius.max())
     for name in ("slack", "play", "softness", "std"):
         value = np.abs(np.asarray(getattr(tendons, name)))
-        if np.any(value > length):
+        if np.any(value > most):
             raise table.fail(
-                name, f"reaches {value.max():g} m, more than the robot's length; give metres."
+                name,
+                f"reaches {value.max():g} m, more than bending by {_TRAVEL:g} rad pulls a tendon "
+                f"by; give metres.",
             )
     for name in ("play", "friction"):
         if np.any(getattr(tendons, name) < 0.0):
             raise table.fail(name, f"is {getattr(tendons, name).tolist()}; give zero or more.")
+
+
+def _require_stiff(table: PriorTable, tendons: Tendons, bending: float) -> None:
+    """Raise unless tendons bend a rod of that stiffness (N m²) and do not just stretch."""
+    ratio = tendons.stiffness * tendons.radius**2 * tendons.end / bending
+    if ratio.max() < _SOFT:
+        raise table.fail(
+            "stiffness",
+            f"reaches {tendons.stiffness.max():g} N/m, with which tendons stretch "
+            f"{1.0 / ratio.max():.2g} times as much as they bend the robot; give N/m: 1e4 for "
+            f"10 N/mm.",
+        )
