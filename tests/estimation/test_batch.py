@@ -22,7 +22,7 @@ from glissando import (
     load_robot,
     uniform_grid,
 )
-from glissando.errors import OutsideGridError, UnobservableError
+from glissando.errors import OutsideGridError, SensorError, UnobservableError
 from glissando.geometry import se3
 from scenes import LENGTH, arc, sliding_scene
 
@@ -221,6 +221,15 @@ def test_an_argument_of_another_kind_is_one_sentence():
     ):
         with pytest.raises(GlissandoError, match=said):
             call()
+
+
+@pytest.mark.parametrize("gate", [2.0, 1.0, 0.0, -1.0, np.nan])
+def test_a_gate_that_is_no_chance_is_one_sentence(gate):
+    robot = load_robot("tdcr466")
+    with pytest.raises(SensorError, match="the chance, between 0 and 1"):
+        estimate(robot.prior, robot.grid(0.0, 1.0), [], gate=gate)
+    with pytest.raises(SensorError, match="the chance, between 0 and 1"):
+        FixedLagSmoother(robot.prior, robot.arclength_nodes, gate=gate)
 
 
 def test_readings_off_the_grid_are_named():

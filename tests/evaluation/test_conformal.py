@@ -72,8 +72,21 @@ def test_a_block_scores_its_worst_sample_of_all_sites(rng, seconds):
     for t, n in pairs:
         block = np.floor((t - first) / seconds) if seconds else t
         worst[block] = max(worst.get(block, 0.0), n)
+    if seconds:  # a block that ends before its time is none
+        every = np.unique([t for t, _ in pairs])
+        end = every[-1] + np.median(np.diff(every))
+        worst = {
+            b: n for b, n in worst.items() if first + (b + 1) * seconds <= end + 1e-6 * seconds
+        }
     expected = np.sqrt([worst[block] for block in sorted(worst)])
     assert np.allclose(block_scores(errors, seconds), expected)
+
+
+def test_a_recording_holds_as_many_blocks_as_fill_it():
+    errors = [errors_of("a", np.arange(0.0, 5.475, 0.025), np.ones(219))]
+    assert [block_scores(errors, s).size for s in (1.0, 2.0, 5.475, 6.0, 100.0)] == [5, 2, 1, 0, 0]
+    exact = [errors_of("a", np.arange(0.0, 6.0, 0.025), np.ones(240))]
+    assert block_scores(exact, 2.0).size == 3
 
 
 @law

@@ -36,7 +36,7 @@ MISTAKES = {
     r"arclength \(\) and .* must share their first length": {"arclength": 0.0},
     "give a variance, 3 variances, or a 3×3 matrix": {"cov": np.ones(5)},
     r"give a variance, 3 variances, .* \(one, or one a reading\)": {"cov": np.ones((3, 2))},
-    "not symmetric positive definite; give every row a variance above zero": {"cov": 0.0},
+    "not positive definite; give every row a variance above zero": {"cov": 0.0},
     "probe: covariance is not symmetric": {"cov": np.eye(3) + np.eye(3, k=1), "name": "probe"},
     "PositionReadings: covariance is not finite": {"cov": [1.0, np.nan, 1.0]},
     "covariance is not finite; give every row a finite variance": {"cov": np.inf},
@@ -138,6 +138,20 @@ def test_inside_keeps_the_ends_and_drops_what_lies_beyond_either():
     kept = coloured(8).inside(grid)  # times 0.0 to 0.7, arclengths 0.00 to 0.07
     np.testing.assert_allclose(kept.time, [0.2, 0.3, 0.4])
     grid.require(kept.arclength, kept.time, kept.label)
+
+
+@law
+@given(generators, st.integers(2, 6))
+def test_a_covariance_that_rounding_made_uneven_is_one(rng, rows):
+    turn = np.linalg.qr(rng.standard_normal((rows, rows)))[0]
+    full = turn @ np.diag(10.0 ** rng.uniform(-8, -2, rows)) @ turn.T
+    full[0, 1] += 1e-11 * np.sqrt(full[0, 0] * full[1, 1])
+    found = covariance_matrix(full, rows, "it")
+    np.testing.assert_array_equal(found, found.T)
+    np.testing.assert_allclose(found, full, atol=1e-11 * full.max())
+    full[0, 1] += 0.01 * np.sqrt(full[0, 0] * full[1, 1])
+    with pytest.raises(SensorError, match="not symmetric"):
+        covariance_matrix(full, rows, "it")
 
 
 @law

@@ -23,7 +23,7 @@ from glissando.cli.shared import Commands, add_command, names
 from glissando.cli.tables import parameter_text
 from glissando.errors import GlissandoError, RecordingError
 from glissando.evaluation.metrics import pool
-from glissando.evaluation.run import checked_window, run_estimate
+from glissando.evaluation.run import checked_window, require_rows, run_estimate
 from glissando.geometry.se3 import Array
 from glissando.io.recording import Recording, load_recording
 from glissando.io.robot_file import load_robot, parse_robot, read_robot_document
@@ -174,8 +174,15 @@ def _case(recording: Recording, options: argparse.Namespace) -> RecordingCase:
         raise RecordingError(f"{', '.join(sorted(both))} cannot be learned from and held out.")
     marked = recording.choose(None, None)[1]
     use, _ = recording.choose(options.use, list(dict.fromkeys([*truth, *held_out, *marked])))
-    recording.choose([], truth or None)
-    return RecordingCase(recording, checked_window(recording, options.window), tuple(use), truth)
+    recording.choose([], [*truth, *held_out] or None)
+    window = checked_window(recording, options.window)
+    missing = [name for name in held_out if name not in recording.streams]
+    if missing:
+        raise RecordingError(
+            f"{recording.name} has no stream {missing[0]!r}; it has {', '.join(recording.streams)}."
+        )
+    require_rows(recording, [*truth, *held_out, *(options.use or ())], window)
+    return RecordingCase(recording, window, tuple(use), truth)
 
 
 def _with_constants(result: Learned) -> Document:

@@ -18,7 +18,7 @@ from glissando.errors import (
 )
 from glissando.estimation.channels import settled
 from glissando.estimation.delays import with_unseen_delays
-from glissando.estimation.given import require_batch
+from glissando.estimation.given import require_batch, require_gate
 from glissando.estimation.misfit import doubt, far_off, worst_readings
 from glissando.estimation.outliers import CHANCE, Mask, judged, used_at_first
 from glissando.estimation.posterior import Posterior, SolveReport
@@ -80,6 +80,7 @@ def estimate(
         FalseConfidenceWarning: Many readings contradict the estimate; the report says which.
     """
     require_batch(prior, grid, readings, sensor_parameters, initial, options)
+    require_gate(gate)
     problem = _Problem(
         prior, grid, readings, sensor_parameters, options or SolverOptions(), progress, gate
     )

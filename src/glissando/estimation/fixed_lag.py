@@ -21,7 +21,7 @@ from glissando.estimation.channels import place_in_channel
 from glissando.estimation.contact import ContactScan, force_variance, scan_of
 from glissando.estimation.contact_evidence import ErrorPrior, error_priors, force_evidence
 from glissando.estimation.delays import delayed
-from glissando.estimation.given import require_model, require_stream, require_window
+from glissando.estimation.given import require_gate, require_model, require_stream, require_window
 from glissando.estimation.loads import require_mechanics
 from glissando.estimation.posterior import Posterior, StateEstimate, state_at
 from glissando.estimation.sliding_window import SlidingWindow
@@ -66,6 +66,7 @@ class FixedLagSmoother:
             GlissandoError: The prior is none, or two sensor parameters have one name.
         """
         require_window(window)
+        require_gate(gate)
         load("window")
         self.arclength = np.asarray(arclength, dtype=float)
         require_model(prior, self.arclength, sensor_parameters)

@@ -75,6 +75,15 @@ def require_options(options: SolverOptions | None) -> None:
         _require_kind(options, SolverOptions, "options", "give SolverOptions(max_iterations=…)")
 
 
+def require_gate(gate: float | None) -> None:
+    """Raise SensorError unless a gate is a chance that a reading may have, or none."""
+    if gate is not None and not 0.0 < gate < 1.0:
+        raise SensorError(
+            f"The gate is {gate!r}; give the chance, between 0 and 1, below which a reading is "
+            f"refused, or None."
+        )
+
+
 def require_stream(readings: Readings) -> None:
     """Raise GlissandoError unless these are the readings of one stream."""
     _require_kind(readings, Readings, "stream", "give the readings of one sensor at a time")

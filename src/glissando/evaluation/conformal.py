@@ -19,6 +19,7 @@ from glissando.evaluation.metrics import Errors
 from glissando.geometry.se3 import Array
 from glissando.model.tube import Tube
 
+_ROUNDING = 1e-6  # of a block, by which its last sample may come early
 _REMEMBERED = 500  # scores that an adaptive set looks back on
 
 
@@ -35,7 +36,8 @@ def block_scores(errors: Sequence[Errors], seconds: float) -> Array:
 
     Args:
         errors: Errors of each site.
-        seconds: Length of a block, s; blocks without truth are left out. 0 makes every time one.
+        seconds: Length of a block, s; blocks without truth are left out, and the rest at the end
+            that fills none. 0 makes every time one.
 
     Raises:
         GlissandoError: The length is negative or not finite.
@@ -47,6 +49,13 @@ def block_scores(errors: Sequence[Errors], seconds: float) -> Array:
     if not time.size:
         return np.zeros(0)
     block = np.floor((time - time.min()) / seconds) if seconds else time
+    if seconds:
+        every = np.unique(time)
+        end = every[-1] + (float(np.median(np.diff(every))) if every.size > 1 else 0.0)
+        whole = block < np.floor((end - every[0]) / seconds + _ROUNDING)
+        block, squared = block[whole], squared[whole]
+        if not block.size:
+            return np.zeros(0)
     _, which = np.unique(block, return_inverse=True)
     largest = np.zeros(which.max() + 1)
     np.maximum.at(largest, which, squared)

@@ -157,10 +157,31 @@ def chosen_streams(
     Raises:
         RecordingError: If the recording has no such stream.
     """
+    require_rows(recording, [*(use or ()), *(truth or ())], window)
     use, truth = recording.choose(use, truth)
     readings, dropped = recording.readings(use, robot, window)
     references, _ = recording.readings(truth, robot, window, as_truth=True)
     return readings, [corrected(t, robot.sensor_parameters) for t in references if len(t)], dropped
+
+
+def require_rows(recording: Recording, names: Sequence[str], window: tuple[float, float]) -> None:
+    """Raise RecordingError unless streams that were asked for have rows in a window.
+
+    Args:
+        recording: The recording.
+        names: Names of streams; those that it lacks are left to others to name.
+        window: First and last time, s.
+    """
+    for name in names:
+        time = recording.streams[name].rows.time if name in recording.streams else None
+        if time is None or np.any((time >= window[0]) & (time <= window[1])):
+            continue
+        span = f"they go from {seconds(time.min())} to {seconds(time.max())} s" if time.size else ""
+        raise RecordingError(
+            f"{recording.name}: stream {name!r} has no rows from {seconds(window[0])} to "
+            f"{seconds(window[1])} s; {span or 'it is empty'}. Choose another window, or bring all "
+            f"streams to one clock."
+        )
 
 
 def run_estimate(

@@ -23,6 +23,7 @@ from glissando.io.shipped_robots import beside, shipped_robots
 from glissando.io.toml_table import Table, read_toml
 from glissando.model.brief import Brief
 from glissando.model.robot import Robot
+from glissando.model.sensors.parameters import corrected
 from glissando.model.sensors.readings import SENSORS, Readings, slide_motion
 from glissando.model.sensors.sensors import sensor_class, sensor_kinds
 from glissando.model.tendons.channel import Channel
@@ -95,7 +96,11 @@ class Recording(Brief):
             if rows.dropped:
                 dropped[name] = rows.dropped
             readings = _as_readings(replace(stream, rows=rows), robot, as_truth)
-            out.append(readings.select((rows.time >= window[0]) & (rows.time <= window[1])))
+            known = [p for p in robot.sensor_parameters if p.known]
+            inside = np.ones(len(readings), dtype=bool)
+            for each in (readings, corrected(readings, known)):  # both must lie on the grid
+                inside &= (each.time >= window[0]) & (each.time <= window[1])
+            out.append(readings.select(inside))
         return out, dropped
 
     def _require_frame(self, stream: Stream, robot: Robot) -> None:

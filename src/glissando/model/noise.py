@@ -13,6 +13,8 @@ from glissando._kernels.arrays import items
 from glissando.errors import SensorError
 from glissando.geometry.se3 import Array
 
+_ASYMMETRY = 1e-9  # of both standard deviations, which is rounding
+
 
 def covariance_matrix(given: ArrayLike, rows: int, what: str) -> Array:
     """A covariance (rows, rows) or (M, rows, rows) from a matrix, variances (rows,) or a scalar.
@@ -34,11 +36,15 @@ def covariance_matrix(given: ArrayLike, rows: int, what: str) -> Array:
             f"{what}: covariance has shape {np.shape(given)}; give a variance, {rows} variances, "
             f"or a {rows}×{rows} matrix (one, or one a reading)."
         )
-    symmetric = np.allclose(cov, np.swapaxes(cov, -1, -2), rtol=1e-9, atol=0.0)
-    if not symmetric or not np.all(np.linalg.eigvalsh(cov) > 0.0):
+    other = np.swapaxes(cov, -1, -2)
+    std = np.sqrt(np.maximum(np.diagonal(cov, axis1=-2, axis2=-1), 0.0))
+    if np.any(np.abs(cov - other) > _ASYMMETRY * std[..., :, None] * std[..., None, :]):
+        raise SensorError(f"{what}: covariance is not symmetric; give a symmetric matrix.")
+    cov = 0.5 * (cov + other)
+    if not np.all(np.linalg.eigvalsh(cov) > 0.0):
         raise SensorError(
-            f"{what}: covariance is not symmetric positive definite; "
-            f"give every row a variance above zero."
+            f"{what}: covariance is not positive definite; give every row a variance above zero, "
+            f"and correlations between −1 and 1."
         )
     return cov
 

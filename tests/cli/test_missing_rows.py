@@ -1,0 +1,96 @@
+"""Streams that were asked for and have no rows, and delays that are known."""
+
+import numpy as np
+import pytest
+
+from glissando.cli.main import main
+from glissando.geometry import se3
+from glissando.io.csv_stream import Rows, Stream
+from glissando.io.recording_writer import write_streams
+from glissando.io.shipped_robots import robot_file
+
+LENGTH, BEND = 0.7, np.array([0.0, 0.0, 1.0, 0.0, 0.5, 0.0])
+
+
+def rows(late=0.0):
+    """Poses of a tip that swings for two seconds."""
+    time = np.arange(0.0, 2.0, 0.05)
+    bend = BEND + np.outer(np.sin(time), [0, 0, 0, 0.5, 0, 0])
+    noise = se3.exp(1e-3 * np.random.default_rng(0).standard_normal((time.size, 6)))
+    place = np.full(time.size, LENGTH)
+    return Rows("pose", time + late, place, se3.exp(LENGTH * bend) @ noise, {})
+
+
+@pytest.fixture
+def recording(tmp_path):
+    """A folder with a tip's tracker and truth, of which one is on another clock by hours."""
+
+    def write(late):
+        streams = [Stream("tip", rows()), Stream("mocap", rows(late), truth=True)]
+        write_streams(tmp_path / "rec", "rec", streams)
+        return str(tmp_path / "rec")
+
+    return write
+
+
+NOISE = "\n[sensors.pose]\nstd = [1e-3, 1e-3]\n"
+DELAY = """
+[[sensor_parameters]]
+name = "late"
+kind = "time_offset"
+streams = ["tip"]
+value = [%g]
+"""
+
+
+@pytest.fixture
+def robot(tmp_path):
+    """The shipped robot's file with something added to it."""
+
+    def write(more=""):
+        file = tmp_path / "robot.toml"
+        file.write_text(robot_file("sliding700").read_text() + NOISE + more)
+        return str(file)
+
+    return write
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["estimate", "--truth", "mocap", "--window", "0", "2"],
+        ["estimate", "--use", "mocap", "--window", "0", "2"],
+        ["learn", "--truth", "mocap", "--steps", "1", "--window", "0", "2"],
+        ["learn", "--hold-out", "mocap", "--steps", "1", "--window", "0", "2"],
+    ],
+)
+def test_a_stream_on_another_clock_is_named_before_anything_is_computed(
+    recording, robot, tmp_path, capsys, words
+):
+    command, *more = words
+    out = ["--out", str(tmp_path / "out.toml")] if command == "learn" else []
+    assert main([command, recording(7200.0), "--robot", robot(), *more, *out]) == 2
+    said = capsys.readouterr().err
+    assert "stream 'mocap' has no rows from 0 to 2 s; they go from 7200 to" in said
+    assert "one clock" in said
+    assert not (tmp_path / "out.toml").exists()
+
+
+def test_a_stream_that_is_held_out_and_not_there_is_named_first(recording, robot, tmp_path, capsys):
+    out = str(tmp_path / "out.toml")
+    words = ["learn", recording(0.0), "--robot", robot(), "--hold-out", "mocup", "--out", out]
+    assert main(words) == 2
+    assert "has no stream 'mocup'; it has" in capsys.readouterr().err
+    assert not (tmp_path / "out.toml").exists()
+
+
+@pytest.mark.parametrize("delay", [0.02, -0.02])
+def test_a_delay_that_is_known_moves_readings_and_the_window_with_them(
+    recording, robot, capsys, delay
+):
+    for window in ([], ["--window", "0.5", "1.5"]):
+        assert main(["estimate", recording(0.0), "--robot", robot(DELAY % delay), *window]) in (
+            0,
+            1,
+        )
+        assert "outside the grid" not in capsys.readouterr().err
