@@ -116,6 +116,27 @@ def test_a_delay_is_estimated_from_a_first_update_that_has_readings():
     assert smoother.posterior().parameter("late")[1][-1, 0, 0] == pytest.approx(STD**2, rel=1e-6)
 
 
+@pytest.mark.parametrize(("name", "span"), [("sliding700", 6.0), ("tdcr466-segments", 1.0)])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_robot_at_rest_tells_nothing_of_a_delay(name, span, seed):
+    """What noise makes it seem to do would date readings to milliseconds."""
+    robot, rng, streams = load_robot(name), np.random.default_rng(seed), []
+    std = np.repeat([1e-3, 1e-2], 3)
+    for label in "ab":
+        time = np.arange(0.01, span, 0.025)
+        straight = np.tile(np.eye(4), (time.size, 1, 1))
+        straight[:, 2, 3] = robot.length
+        noise = se3.exp(std * rng.standard_normal((time.size, 6)))
+        place = np.full(time.size, robot.length)
+        data = {"time": time, "arclength": place, "values": straight @ noise, "cov": std**2}
+        streams.append(PoseReadings(**data, name=label))
+    delay = SensorParameter("late", "time_offset", ("b",), [0.0], [0.05])
+    found = estimate(robot.prior, robot.grid(0.0, span), streams, sensor_parameters=[delay])
+    value, cov = found.parameter("late")
+    assert np.sqrt(cov[-1, 0, 0]) > 0.045
+    assert abs(value[-1, 0]) < 0.1
+
+
 @pytest.mark.parametrize("online", [False, True])
 @pytest.mark.parametrize(("stated", "shift"), [(0.02, 0.0), (0.2, 0.1)])
 def test_a_delay_that_all_streams_share_stays_as_uncertain_as_before(stated, shift, online):

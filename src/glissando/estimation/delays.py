@@ -28,8 +28,12 @@ from glissando.model.state import State
 from glissando.solver.block_tridiagonal import BlockTridiagonal, factor
 from glissando.solver.gauss_newton import Solution, SolverOptions, Stopwatch, minimize
 from glissando.solver.linearize import linearize
-from glissando.solver.located_readings import locate
+from glissando.solver.located_readings import LocatedReadings, locate
+from glissando.solver.measurement_factors import measurement_factors
+from glissando.solver.normal_equations import Layout, NormalEquationsBuilder
 
+_DRAWS = 2  # of noise, for what it tells of a delay
+_MARGIN = 2.0  # times that, for how it varies
 _MOTION = 0.03  # standard deviations a number by which a motion that dates delays may be off
 
 
@@ -57,14 +61,15 @@ def with_unseen_delays(
     late, others = delayed(sensor_parameters)
     streams = [r for r in solution.located.streams if r.name not in late]
     grid, state = solution.located.grid, solution.state
-    motion = prior.rest_state(grid)
+    motion, shares = prior.rest_state(grid), dict.fromkeys(late, 0.0)
     if streams:
         with suppress(UnobservableError, np.linalg.LinAlgError):  # they show no motion
             values = solution.located.parameters.by_name()
             alone = with_parameters(locate(grid, streams, others), values)
             rough = options.rougher(state.pose.shape[0] * state.numbers, _MOTION)
-            motion = minimize(prior, alone, state, rough, None, Stopwatch(), solution).state
-    moving = replace(solution.located, motion=motion)
+            shown = minimize(prior, alone, state, rough, None, Stopwatch(), solution)
+            motion, shares = shown.state, _shares(prior, shown, solution, late)
+    moving = replace(solution.located, motion=motion, shares=shares)
     workspace, cholesky = solution.memory(state.numbers + process.size)
     noise_state = solution.equations.noise_state
     seen = linearize(prior, moving, state, noise_state, workspace, solution.equations.terms)
@@ -72,6 +77,67 @@ def with_unseen_delays(
     system = _moving_along(seen.system, own, [state.numbers + column for column in delays])
     equations = replace(solution.equations, system=system)
     return replace(solution, equations=equations, cholesky=factor(system, cholesky))
+
+
+def _shares(prior: Prior, shown: Solution, solution: Solution, late: set[str]) -> dict[str, float]:
+    """How much of the motion's slope each late stream can count on, where noise makes motion, too.
+
+    A robot at rest is estimated to move by what noise makes of it, and such motion dates nothing.
+    What it would tell of a delay is found by draws of the readings' noise, and taken off.
+
+    Args:
+        prior: The prior.
+        shown: The motion that streams without a delay show.
+        solution: The estimate from all streams.
+        late: Names of those with a delay.
+    """
+    located, state = solution.located, solution.state
+    streams = [r for r in located.streams if r.name in late]
+    own = locate(located.grid, streams, located.parameters.process.each)
+    own = with_parameters(own, located.parameters.by_name())
+    real = _told(prior, replace(own, motion=shown.state), state)
+    rng, rest = np.random.default_rng(0), dict.fromkeys(real, 0.0)
+    for _ in range(_DRAWS):
+        still = replace(own, motion=_motion_of_noise(prior, shown, rng))
+        for name, told in _told(prior, still, state).items():
+            rest[name] += told / _DRAWS
+    return {
+        name: float(np.sqrt(max(1.0 - _MARGIN * rest[name] / told, 0.0))) if told > 0.0 else 0.0
+        for name, told in real.items()
+    }
+
+
+def _told(prior: Prior, located: LocatedReadings, state: State) -> dict[str, float]:
+    """What the readings of each stream tell of its delay by the motion, s⁻²."""
+    process = located.parameters.process
+    columns = delay_columns(process)
+    columns = [*columns, *(process.size + column for column in columns)]
+    out = {stream.name: 0.0 for stream in located.streams}
+    for block in range(len(located.blocks)):
+        for stream, _, batch in measurement_factors(prior, located, state, state, block):
+            if batch.extras is not None:
+                slope = batch.extras[..., columns].sum(axis=-1)
+                white = batch.terms.whiten(slope)
+                told = batch.terms.robust_weights() * np.sum(white**2, axis=1)
+                out[located.streams[stream].name] += float(np.sum(told))
+    return out
+
+
+def _motion_of_noise(prior: Prior, shown: Solution, rng: np.random.Generator) -> State:
+    """What noise of the readings alone would make a robot at rest seem to do."""
+    located, state = shown.located, shown.state
+    layout = Layout(located.grid.arclength.size, state.dof, located.parameters.process.size)
+    builder = NormalEquationsBuilder.joined(layout, located.grid.time.size, shown.workspace)
+    noise_state = shown.equations.noise_state
+    for block in range(len(located.blocks)):
+        for _, _, batch in measurement_factors(prior, located, state, noise_state, block):
+            white = rng.standard_normal(batch.terms.residual.shape)
+            noise = np.asarray(np.linalg.solve(batch.terms.sqrt_info, white[..., None])[..., 0])
+            weights = batch.terms.robust_weights()
+            builder.accumulate(replace(batch, terms=replace(batch.terms, residual=noise)), weights)
+    step = shown.cholesky.solve(builder.rhs_begin)[:, : state.numbers]
+    rest = prior.rest_state(located.grid).with_fields_of(state)
+    return rest.retract(step.reshape(*state.strain.shape[:2], state.dof))
 
 
 def delayed(

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -51,6 +51,7 @@ class LocatedReadings:
         blocks: Runs of time nodes that are linearised together.
         batches: The readings of each block, by the part of a cell in which they lie.
         motion: Nodes (K, N) by whose motion delays are seen; those linearised at unless given.
+        shares: By stream, how much of that motion's slope counts; all unless given.
     """
 
     grid: Grid
@@ -59,6 +60,7 @@ class LocatedReadings:
     blocks: list[slice]
     batches: list[list[ReadingBatch]]
     motion: State | None = None
+    shares: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def moves(self) -> bool:

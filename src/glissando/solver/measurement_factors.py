@@ -223,6 +223,8 @@ def _slopes(
             for (stream, r), part in zip(moved, parts, strict=True):
                 if way == "arclength" and r.winding is not None:
                     part[:, POSE] += r.winding
+                if way == "time":
+                    part *= located.shares.get(r.name, 1.0)
                 out[stream][way] = part
     return out
 
