@@ -13,6 +13,7 @@ from glissando import (
     Huber,
     NotConvergedWarning,
     PoseReadings,
+    PositionReadings,
     Posterior,
     SensorParameter,
     SolverOptions,
@@ -230,6 +231,37 @@ def test_a_gate_that_is_no_chance_is_one_sentence(gate):
         estimate(robot.prior, robot.grid(0.0, 1.0), [], gate=gate)
     with pytest.raises(SensorError, match="the chance, between 0 and 1"):
         FixedLagSmoother(robot.prior, robot.arclength_nodes, gate=gate)
+
+
+def in_millimetres(robot, time):
+    """Positions of an arc at three places, each at one of three times."""
+    place = robot.length * np.array([0.3, 0.7, 1.0])
+    bent = se3.exp(place[:, None] * np.array([0.0, 0.0, 1.0, 0.0, 0.8, 0.0]))
+    data = {"arclength": place, "values": 1e3 * bent[:, :3, 3], "cov": 1e-6, "name": "seen"}
+    return PositionReadings(time=np.broadcast_to(time, 3), **data)
+
+
+FAR_OFF = r"No shape of this robot.*Check units"
+
+
+@pytest.mark.parametrize("name", ["tdcr466", "tdcr466-segments", "sliding700"])
+def test_static_shapes_in_millimetres_are_one_sentence(name):
+    robot = load_robot(name)
+    with pytest.raises(SensorError, match=FAR_OFF):
+        estimate_static(robot.prior, robot.arclength_nodes, [in_millimetres(robot, 0.0)])
+
+
+def test_updates_in_millimetres_are_one_sentence():
+    robot = load_robot("tdcr466")
+    smoother = FixedLagSmoother(robot.prior, robot.arclength_nodes)
+
+    def go():
+        for now in 0.1 * np.arange(20):
+            smoother.add(in_millimetres(robot, now))
+            smoother.advance(now)
+
+    with pytest.raises(SensorError, match=FAR_OFF):
+        go()
 
 
 def test_readings_off_the_grid_are_named():

@@ -93,6 +93,30 @@ def test_a_mistake_in_a_sensor_parameter_names_file_entry_and_key(tmp_path, chan
         robot_with(tmp_path, as_lines({**GOOD, **changes}))
 
 
+@pytest.mark.parametrize(
+    ("kind", "std"),
+    [
+        ("frame", "[5, 1]"),
+        ("frame", "[0.1, 0.1, 0.1, 10, 10, 10]"),
+        ("mount", "[5, 1]"),
+        ("arclength_offset", "[8]"),
+        ("time_offset", "[20]"),
+        ("slide_lag", "[20]"),
+        ("slide_play", "[0.3]"),
+    ],
+)
+def test_deviations_in_another_unit_are_one_sentence(tmp_path, kind, std):
+    lines = as_lines({**GOOD, "kind": f'"{kind}"', "std": std})
+    with pytest.raises(RobotFileError, match="give metres, radians and seconds"):
+        robot_with(tmp_path, lines)
+
+
+def test_a_misspelt_key_is_told_also_where_its_right_name_is_not_given(tmp_path):
+    wrong = {key: value for key, value in GOOD.items() if key != "correlation_time"}
+    with pytest.raises(RobotFileError, match="did you mean 'correlation_time'"):
+        robot_with(tmp_path, as_lines({**wrong, "corelation_time": "1"}))
+
+
 def test_sensor_parameters_must_be_tables(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text(f"sensor_parameters = 3\n{robot_file('tdcr466').read_text()}")

@@ -13,13 +13,12 @@ from glissando._kernels.threads import one_thread
 from glissando.errors import (
     FalseConfidenceWarning,
     NotConvergedWarning,
-    SensorError,
     UnobservableError,
 )
 from glissando.estimation.channels import settled
 from glissando.estimation.delays import with_unseen_delays
 from glissando.estimation.given import require_batch, require_gate
-from glissando.estimation.misfit import doubt, far_off, worst_readings
+from glissando.estimation.misfit import breakdown, doubt, worst_readings
 from glissando.estimation.outliers import CHANCE, Mask, judged, used_at_first
 from glissando.estimation.posterior import Posterior, SolveReport
 from glissando.estimation.starting_point import starting_point, with_parameters
@@ -177,10 +176,7 @@ class _Problem:
         try:
             yield
         except (np.linalg.LinAlgError, UnobservableError) as error:
-            far = far_off(self.grid, self.prior, self.readings)
-            if far is None and isinstance(error, UnobservableError):
-                raise
-            raise far or SensorError("No shape of this robot comes near the readings.") from error
+            raise breakdown(error, self.grid, self.prior, self.readings) from error
 
     def first_solve(self, used: Sequence[Mask], start: _Start) -> _End:
         """Solve from a start, and from rest as well where that turns out to be far off."""

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from scipy.special import chdtri
 
-from glissando.errors import SensorError
+from glissando.errors import SensorError, UnobservableError
 from glissando.estimation.outliers import Mask
 from glissando.model.factors import Residuals
 from glissando.model.grid import Grid
@@ -70,6 +70,23 @@ def _far_off(terms: Residuals) -> Mask:
     along = np.einsum("mi,mi->m", white[1:], white[:-1])
     alike = far[1:] & far[:-1] & (along > _ALIKE * size[1:] * size[:-1])
     return np.append(alike, False) | np.append(False, alike)
+
+
+def breakdown(
+    error: Exception, grid: Grid, prior: Prior, readings: Sequence[Readings]
+) -> Exception:
+    """What to raise where equations break down: that readings are far off, or what is undetermined.
+
+    Args:
+        error: What the solver raised.
+        grid: The nodes.
+        prior: The prior.
+        readings: The readings that were to be explained.
+    """
+    far = far_off(grid, prior, readings)
+    if far is None and isinstance(error, UnobservableError):
+        return error
+    return far or SensorError("No shape of this robot comes near the readings.")
 
 
 def far_off(grid: Grid, prior: Prior, readings: Sequence[Readings]) -> SensorError | None:

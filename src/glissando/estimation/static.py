@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from glissando._kernels.threads import one_thread
-from glissando.errors import OutsideGridError
+from glissando.errors import OutsideGridError, UnobservableError
 from glissando.estimation.batch import estimate
 from glissando.estimation.given import require_model, require_options, require_streams
 from glissando.estimation.loads import (
@@ -23,6 +23,7 @@ from glissando.estimation.loads import (
     point_loads,
     require_mechanics,
 )
+from glissando.estimation.misfit import breakdown
 from glissando.estimation.posterior import Posterior, StateEstimate
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid, Index
@@ -188,8 +189,12 @@ def estimate_static(
     grid = Grid.apart(arclength, count)
     with one_thread():
         located = locate(grid, given)
-        start = _first_shapes(prior, located)
-        state, (cov, cross), left = _iterated(prior, located, start, options)
+        try:
+            start = _first_shapes(prior, located)
+            state, (cov, cross), left = _iterated(prior, located, start, options)
+        except (np.linalg.LinAlgError, UnobservableError) as error:
+            first = prior.of_shape(0) if isinstance(prior, MechanicalPrior) else prior
+            raise breakdown(error, grid, first, given) from error
     outcomes = [Outcome.CONVERGED] * count
     for k in np.flatnonzero(left):
         one = _alone(prior, grid.arclength, given, int(k), options)

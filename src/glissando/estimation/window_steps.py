@@ -7,6 +7,8 @@ asked for, and belief grows until a robot at rest is known as well; from then on
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
 from itertools import pairwise
 
 import numpy as np
@@ -16,6 +18,7 @@ from glissando.errors import OutsideGridError, UnobservableError
 from glissando.estimation.gated_update import GatedUpdate, LostError
 from glissando.estimation.held_readings import HeldReadings
 from glissando.estimation.innovation_gate import InnovationGate
+from glissando.estimation.misfit import breakdown
 from glissando.estimation.posterior import StateEstimate
 from glissando.estimation.reading_buffer import ReadingBuffer
 from glissando.estimation.shape_spread import ShapeSpread, shape_covariances, spread_of
@@ -132,10 +135,11 @@ class WindowSteps:
                 self._started = self.update.start(fresh)  # all there is, as in a batch
             try:
                 self._solve(self.update.first_changed(earliest), fresh)  # (19) to (21), gated
-            except (np.linalg.LinAlgError, UnobservableError, LostError):
-                if not self._started:
-                    raise
-                self._restart(min(earliest, newest - self._silence.step), fresh)
+            except (np.linalg.LinAlgError, UnobservableError, LostError) as error:
+                with self._said():
+                    if not self._started:
+                        raise error
+                    self._restart(min(earliest, newest - self._silence.step), fresh)
             if fresh.total():
                 self._silence.end(before, newest)
             elif self._started:
@@ -224,6 +228,15 @@ class WindowSteps:
         if fresh:
             self._started = self.update.start(fresh)
         self._solve(0, fresh)
+
+    @contextmanager
+    def _said(self) -> Iterator[None]:
+        """Say so where no shape comes near the readings, also from rest."""
+        try:
+            yield
+        except (np.linalg.LinAlgError, UnobservableError) as error:
+            window, streams = self.window, self.buffer.streams(-np.inf)
+            raise breakdown(error, window.grid(), window.prior, streams) from error
 
     def _solve(self, first: int, fresh: Counter[str]) -> None:
         """Solve from a node on, with the new readings that the gate believes."""

@@ -173,6 +173,17 @@ def _prior(table: Table) -> Prior:
     return prior
 
 
+_PLAUSIBLE_STD: dict[str, Array | float] = {
+    "frame": np.repeat([2.0, np.pi], 3),
+    "mount": np.repeat([0.5, np.pi], 3),
+    "arclength_offset": 1.0,
+    "time_offset": 5.0,
+    "slide_lag": 5.0,
+    "slide_play": 0.1,
+}
+"""m, rad or s: beyond it a unit is wrong."""
+
+
 def _sensor_parameter(table: Table) -> SensorParameter:
     """One of [[sensor_parameters]]; without a std its value is known."""
     name, kind = table.text("name"), table.text("kind", choices=SIZES)
@@ -180,10 +191,15 @@ def _sensor_parameter(table: Table) -> SensorParameter:
     value = table.vector("value", size, np.zeros(size), pairs=False)
     std = table.vector("std", size, np.zeros(size), positive=True)
     drifts = table.peek("correlation_time") is not None
-    memory = table.number("correlation_time") if drifts else np.inf
+    memory = table.number("correlation_time", 1.0)
+    most = _PLAUSIBLE_STD.get(kind, np.inf)
+    if np.any(std > most):
+        raise table.fail(
+            "std", f"is {std.tolist()} for a {kind}; give metres, radians and seconds."
+        )
     streams = tuple(table.texts("streams"))
     table.close()
-    return SensorParameter(name, kind, streams, value, std, memory)
+    return SensorParameter(name, kind, streams, value, std, memory if drifts else np.inf)
 
 
 def _sensors(
