@@ -144,6 +144,12 @@ def _parameters(
     kinds = [case.recording.streams[name].rows.kind for case in cases for name in case.use]
     everything = learnable(document, kinds, alike=options.alike)
     chosen = [p for p in everything if not options.only or _matches(p.label, options.only)]
+    for words in options.only or ():
+        if everything and not any(_matches(p.label, [words]) for p in everything):
+            raise GlissandoError(
+                f"--only {words!r} matches no number; the numbers are: "
+                f"{'; '.join(p.label for p in everything)}."
+            )
     if not chosen or options.steps < 1:
         raise GlissandoError(
             f"There is nothing to learn with --only {','.join(options.only or [])} and "

@@ -93,7 +93,11 @@ def parse_robot(table: Table) -> Robot:
         raise table.fail("length", f"is {length:g} m; give metres, not millimetres or inches.")
     prior = _prior(table)
     if prior.joints.size and prior.joints[-1] >= length:
-        raise table.fail("[prior]", f"has a joint at {prior.joints[-1]:g} m, beyond the tip.")
+        raise table.fail(
+            "[prior]",
+            f"has a joint or a point load at {prior.joints[-1]:g} m, at or beyond the tip at "
+            f"{length:g} m; give arclengths in metres, and var_tip for loads at the tip.",
+        )
     nodes, rate, at_readings = _grid(table, length)
     nodes = with_places(nodes, prior.joints)
     mechanics = getattr(prior, "mechanics", None) or read_mechanics(table)

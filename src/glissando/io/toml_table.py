@@ -135,7 +135,7 @@ class Table:
             return default
         pair = pairs and size == 6 and isinstance(value, list) and len(value) == 2
         if not isinstance(value, list) or not (pair or len(value) == size):
-            wanted = f"{size} numbers" + (", or 2 for [linear, angular]" * (size == 6))
+            wanted = f"{size} numbers" + (", or 2 for [linear, angular]" * (pairs and size == 6))
             raise self.fail(key, f"is {_shown(value)}; give {wanted}.")
         if not all(_is_number(v) and (v > 0 or not positive) for v in value):
             raise self.fail(key, f"is {value!r}; give numbers{' above zero' * positive}.")

@@ -73,7 +73,7 @@ def _too_slow(slow: Sequence[Readings]) -> Finding:
 
 
 def _repeats(r: Readings) -> Iterator[Finding]:
-    same = np.diff(r.time) == 0.0
+    same = (np.diff(r.time) == 0.0) & (np.diff(r.arclength) == 0.0)
     share = float(np.mean(same))
     if share > _SAME:
         flat = r.values.reshape(len(r), -1)
@@ -86,7 +86,7 @@ def _repeats(r: Readings) -> Iterator[Finding]:
         )
         yield Finding(
             "sampling",
-            f"{share:.0%} of the rows of {r.label!r} have the time of the row before {what}.",
+            f"{share:.0%} of the rows of {r.label!r} have time and place of the row before {what}.",
             alike > 0.5, (r.label,), "repeats" if alike > 0.5 else "stamps",
         )  # fmt: skip
         return
