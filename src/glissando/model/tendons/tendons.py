@@ -22,6 +22,7 @@ _LARGEST_RADIUS = 0.1  # m, beyond which a radius was most likely given in milli
 _EACH = ("radius", "angle", "pitch", "end", "stiffness", "slack", "play", "friction")
 _SHARED = {"softness": 1e-4, "std": 1e-4, "psd_moment": 1e-7}
 _OPTIONAL = {"pitch": 0.0, "slack": 0.0, "play": 0.0, "friction": 0.0}
+_ZERO = 0.05  # m, by which slack may hold where a servo's zero lies
 _TRAVEL = 10.0  # rad, times its radius: what no slack, play or error of a tendon exceeds
 _SOFT = 0.05  # of a tendon's stretch goes into bending: less, and units are wrong
 
@@ -200,9 +201,10 @@ def _require_plausible(table: PriorTable, tendons: Tendons, length: float) -> No
             "stiffness", f"is {tendons.stiffness.tolist()}; give N/m above zero, Young's modulus "
             f"times section over length.",
         )  # fmt: skip
-    most = _TRAVEL * float(tendons.radius.max())
+    travel = _TRAVEL * float(tendons.radius.max())
     for name in ("slack", "play", "softness", "std"):
         value = np.abs(np.asarray(getattr(tendons, name)))
+        most = min(max(travel, _ZERO), length) if name == "slack" else travel
         if np.any(value > most):
             raise table.fail(
                 name,
