@@ -5,8 +5,10 @@ that is the same at all times cannot tell. Gauss–Newton steps do not see that,
 curvature of the residuals, and would have the delay known from the motion that its own readings
 gave. So a delay is seen by the motion x₀ that streams without one give, and what is left of the
 motion, x − x₀, moves with it: with c = ∂(x − x₀)/∂t at the nodes, x = x′ + c d, and d enters the
-readings by ∂x₀/∂t alone. Streams that each have a delay of their own do not date one another.
-Online, x₀ is that of a second smoother, which streams with a delay never reach.
+readings by ∂x₀/∂t alone. Streams that each have a delay of their own do not date one another. Noise
+makes a robot at rest seem to move; what that would tell of a delay is drawn and taken off.
+Online, x₀ is that of a second smoother, which streams with a delay never reach, and nothing is
+taken off.
 """
 
 from __future__ import annotations
