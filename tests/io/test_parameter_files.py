@@ -94,6 +94,22 @@ def test_a_mistake_in_a_sensor_parameter_names_file_entry_and_key(tmp_path, chan
 
 
 @pytest.mark.parametrize(
+    ("wrong", "sentence"),
+    [
+        ({"correlation_time": None}, "correlation_time is None; give seconds"),
+        ({"correlation_time": "long"}, "correlation_time is 'long'; give seconds"),
+        ({"correlation_time": [1.0, 2.0]}, r"correlation_time is \[1.0, 2.0\]; give seconds"),
+        ({"value": "abc"}, "value is 'abc'; give 1 numbers"),
+        ({"std": [[0.1], "x"]}, "std is .*; give 1 numbers"),
+    ],
+)
+def test_what_is_no_number_is_one_sentence_in_python_as_well(wrong, sentence):
+    given = {"value": [0.0], "std": [0.1]} | wrong
+    with pytest.raises(SensorError, match=sentence):
+        SensorParameter("late", "time_offset", ("a",), **given)
+
+
+@pytest.mark.parametrize(
     ("kind", "std"),
     [
         ("frame", "[5, 1]"),

@@ -94,17 +94,31 @@ class SensorParameter:
                 f"Sensor parameter {self.name!r}: streams is {streams!r}; give a list of names."
             )
         for part in ("value", "std"):
-            given = np.asarray(getattr(self, part), dtype=float)
+            given = self._numbers(part)
             object.__setattr__(self, part, given)
             if given.shape != (self.size,) or not np.all(np.isfinite(given)):
                 raise SensorError(
                     f"Sensor parameter {self.name!r}: {part} is {given}; give {self.size} numbers."
                 )
+        object.__setattr__(self, "correlation_time", float(self._numbers("correlation_time")))
         if np.any(self.std < 0.0) or not self.correlation_time > 0.0:
             raise SensorError(
                 f"Sensor parameter {self.name!r}: std {self.std} and correlation time "
                 f"{self.correlation_time:g} s must not be negative."
             )
+
+    def _numbers(self, part: str) -> Array:
+        given = getattr(self, part)
+        try:
+            found: Array = np.asarray(given, dtype=float)
+            if given is not None and (part != "correlation_time" or found.ndim == 0):
+                return found
+        except (TypeError, ValueError):
+            pass
+        wanted = "seconds" if part == "correlation_time" else f"{self.size} numbers"
+        raise SensorError(
+            f"Sensor parameter {self.name!r}: {part} is {given!r}; give {wanted}."
+        ) from None
 
     @property
     def size(self) -> int:
