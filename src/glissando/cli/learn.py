@@ -16,7 +16,7 @@ from glissando.calibration.robot.joint_calibration import lasting, locate
 from glissando.calibration.robot.learn import Learned, learn
 from glissando.calibration.robot.predictive import Start
 from glissando.cli.console import Console
-from glissando.cli.learn_tendons import STEPS, learn_from_tendons
+from glissando.cli.learn_tendons import learn_from_tendons
 from glissando.cli.outputs import require_spared, write_robot
 from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_command, names
@@ -31,6 +31,7 @@ from glissando.io.shipped_robots import robot_file
 from glissando.io.toml_table import Table
 from glissando.model.sensors.parameters import SensorParameter
 
+_STEPS = 20  # unless told otherwise
 _HELP = """\
 Learn the numbers of a robot file from recordings: densities, time scale, strength by segment,
 noise, drifts. Without truth, the numbers that make the readings most likely (their evidence); with
@@ -72,7 +73,7 @@ def add_to(commands: Commands) -> None:
     add("--only", type=names, metavar="WORDS,…", help=only)
     alike = "segments are built alike: scale what each has together"
     add("--alike", action="store_true", help=alike)
-    add("--steps", type=int, default=STEPS, metavar="N", help=f"steps at most (default: {STEPS})")
+    add("--steps", type=int, metavar="N", help=f"steps at most (default: {_STEPS})")
     add("--json", action="store_true", help="print one JSON object and nothing else")
 
 
@@ -105,7 +106,7 @@ def _learn(options: argparse.Namespace) -> int:
             calibrate=options.calibrate,
             constants=constants,
             start=start,
-            steps=options.steps,
+            steps=_steps(options),
             watch=lambda done, value, total: work.update(
                 done, total, f"step {math.ceil(done)}, {value:.4f} a degree of freedom"
             ),
@@ -137,6 +138,11 @@ def _require_one_way(options: argparse.Namespace) -> None:
         raise GlissandoError("--joint and --calibrate find the same constants; give one of them.")
 
 
+def _steps(options: argparse.Namespace) -> int:
+    """Steps at most; None tells an option that was not given."""
+    return _STEPS if options.steps is None else options.steps
+
+
 def _parameters(
     document: Document, cases: list[RecordingCase], options: argparse.Namespace
 ) -> list[Parameter]:
@@ -150,10 +156,10 @@ def _parameters(
                 f"--only {words!r} matches no number; the numbers are: "
                 f"{'; '.join(p.label for p in everything)}."
             )
-    if not chosen or options.steps < 1:
+    if not chosen or _steps(options) < 1:
         raise GlissandoError(
             f"There is nothing to learn with --only {','.join(options.only or [])} and "
-            f"--steps {options.steps}; the numbers are: "
+            f"--steps {_steps(options)}; the numbers are: "
             f"{'; '.join(p.label for p in everything)}."
         )
     return chosen
@@ -182,11 +188,6 @@ def _case(recording: Recording, options: argparse.Namespace) -> RecordingCase:
     use, _ = recording.choose(options.use, list(dict.fromkeys([*truth, *held_out, *marked])))
     recording.choose([], [*truth, *held_out] or None)
     window = checked_window(recording, options.window)
-    missing = [name for name in held_out if name not in recording.streams]
-    if missing:
-        raise RecordingError(
-            f"{recording.name} has no stream {missing[0]!r}; it has {', '.join(recording.streams)}."
-        )
     require_rows(recording, [*truth, *held_out, *(options.use or ())], window)
     return RecordingCase(recording, window, tuple(use), truth)
 

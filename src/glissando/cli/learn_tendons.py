@@ -20,8 +20,7 @@ from glissando.io.recording import Recording
 from glissando.io.robot_file import load_robot
 from glissando.model.robot import Robot
 
-STEPS = 20
-"""Default of --steps, which learning from tendons does not heed."""
+_UNHEEDED = ("use", "truth", "hold_out", "only", "calibrate", "joint", "alike", "steps")
 
 
 def learn_from_tendons(
@@ -62,10 +61,7 @@ def _say(text: str) -> None:
 
 def _require_effect(options: argparse.Namespace) -> None:
     """Raise if an option is given that learning from tendons does not heed."""
-    lists = ("use", "truth", "hold_out", "only")
-    given = [name for name in lists if getattr(options, name)]
-    given += [name for name in ("calibrate", "joint", "alike") if getattr(options, name)]
-    given += ["steps"] * (options.steps != STEPS)
+    given = [name for name in _UNHEEDED if getattr(options, name) not in (None, False)]
     if given:
         raise RecordingError(
             f"--{given[0].replace('_', '-')} has no effect on what is learned from tendons: all "

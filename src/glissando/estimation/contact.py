@@ -10,7 +10,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import logsumexp
 
 from glissando.errors import GlissandoError, OutsideGridError, UnobservableError
@@ -20,6 +20,7 @@ from glissando.estimation.contact_evidence import (
     ForceEvidence,
     error_priors,
     force_evidence,
+    seen_times,
 )
 from glissando.estimation.loads import require_mechanics
 from glissando.estimation.posterior import Posterior
@@ -27,12 +28,8 @@ from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid, Index, with_places
 from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.model.sensors.readings import Readings
-from glissando.solver.linearize import linearize
-from glissando.solver.located_readings import locate
-from glissando.solver.normal_equations import system_shape
 
 _ROUNDS = 8
-_ROUNDING = 1e-12  # of a diagonal entry
 _MISFIT = 5.0  # standard deviations of readings' misfit beyond which a search begins elsewhere
 _WORSE = 1.0  # by which the cost may grow on the way: a moment stands for a place that is off
 _STARTS = (0.15, 0.4, 0.65, 0.9)  # of the length
@@ -124,28 +121,12 @@ def scan_contacts(
     errors, cov = error_priors(prior, grid, noise_state), posterior.marginals.cov
     step = posterior.state.difference(state).reshape(grid.time.size, -1)
     variance, nodes = force_variance(prior, grid.arclength, std_force), grid.arclength
-    seen, scans = _seen(posterior), []
+    seen, scans = seen_times(posterior), []
     for k in rows:
         found = force_evidence(prior, nodes, errors[k], state.take(k), cov[k], step[k])
         found = found if seen[k] else found.of_nothing()
         scans.append(scan_of(found, errors[k].time, variance, false_alarms))
     return ContactScan.over(scans) if when.ndim else scans[0]
-
-
-def _seen(posterior: Posterior) -> NDArray[np.bool_]:
-    """Whether readings lie in the time steps beside each time node (K,).
-
-    Elsewhere the state is what it was, faded, and a force that acts there would be what explains a
-    small rest of an earlier one.
-    """
-    prior, grid, system = posterior.prior, posterior.grid, posterior.system
-    assert posterior.linearized is not None
-    state, noise_state = posterior.linearized
-    workspace = np.empty(system_shape(grid.time.size, state.numbers))
-    alone = linearize(prior, locate(grid, []), state, noise_state, workspace).system
-    own = np.einsum("kii->ki", system.diagonal)[:, : state.numbers]
-    rest = np.einsum("kii->ki", alone.diagonal)
-    return np.asarray(np.any(np.abs(own - rest) > _ROUNDING * own, axis=1))
 
 
 def scan_of(found: ForceEvidence, time: float, variance: Array, false_alarms: float) -> ContactScan:

@@ -10,7 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
+from glissando.estimation.posterior import Posterior
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid, Index
 from glissando.model.noise import sqrt_information
@@ -18,12 +20,16 @@ from glissando.model.priors import matern
 from glissando.model.priors.mechanical.intervals import still_columns, still_error
 from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.model.state import State
+from glissando.solver.linearize import linearize
+from glissando.solver.located_readings import locate
+from glissando.solver.normal_equations import system_shape
 
 _DRAWS = 4000  # of a robot that nothing touches, for the threshold
 RAREST = 4.0 / _DRAWS
 """Least share of false alarms that so many draws tell."""
 
 _PER_INTERVAL = 6  # places
+_ROUNDING = 1e-12  # of a diagonal entry of the information
 _UNSEEN = 1e-9  # share of an error's prior variance
 
 
@@ -82,6 +88,25 @@ def error_priors(
             before = before.onward(prior.time_scale, float(time), here)
         out.append(before)
     return out
+
+
+def seen_times(posterior: Posterior) -> NDArray[np.bool_]:
+    """Whether readings lie in the time steps beside each time node (K,).
+
+    Elsewhere the state is what it was, faded, and a force that acts there would be what explains a
+    small rest of an earlier one.
+
+    Args:
+        posterior: A posterior that knows where it was linearised.
+    """
+    prior, grid, system = posterior.prior, posterior.grid, posterior.system
+    assert posterior.linearized is not None
+    state, noise_state = posterior.linearized
+    workspace = np.empty(system_shape(grid.time.size, state.numbers))
+    alone = linearize(prior, locate(grid, []), state, noise_state, workspace).system
+    own = np.einsum("kii->ki", system.diagonal)[:, : state.numbers]
+    rest = np.einsum("kii->ki", alone.diagonal)
+    return np.asarray(np.any(np.abs(own - rest) > _ROUNDING * own, axis=1))
 
 
 @dataclass(frozen=True)

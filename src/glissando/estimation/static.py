@@ -177,24 +177,11 @@ def estimate_static(
     require_streams(readings)
     require_options(options)
     given, options = [r for r in readings if len(r)], options or SolverOptions()
-    for r in given:
-        _require_whole(r.time, r.label)
-    if count is None:
-        count = 1 + int(max((r.time.max() for r in given), default=0.0))
-    require_memory(
-        _BLOCKS * 8.0 * STATIC_DOF**2 * np.size(arclength) * count,
-        f"Shapes 0 to {count - 1} would be {count:,} shapes",
-        "number the readings' shapes 0, 1, 2, … in place of times",
-    )
+    count = _count(given, np.size(arclength), count)
     grid = Grid.apart(arclength, count)
     with one_thread():
         located = locate(grid, given)
-        try:
-            start = _first_shapes(prior, located)
-            state, (cov, cross), left = _iterated(prior, located, start, options)
-        except (np.linalg.LinAlgError, UnobservableError) as error:
-            first = prior.of_shape(0) if isinstance(prior, MechanicalPrior) else prior
-            raise breakdown(error, grid, first, given) from error
+        state, (cov, cross), left = _together(prior, located, options)
     outcomes = [Outcome.CONVERGED] * count
     for k in np.flatnonzero(left):
         one = _alone(prior, grid.arclength, given, int(k), options)
@@ -205,6 +192,37 @@ def estimate_static(
         with one_thread():
             cov, cross = _with_curvature(prior, located, state, cov)  # (31)
     return StaticPosterior(prior, grid, state, cov, cross, tuple(outcomes))
+
+
+def _count(readings: Sequence[Readings], nodes: int, count: int | None) -> int:
+    """How many shapes there are, of whole numbers, which fit into memory."""
+    for r in readings:
+        _require_whole(r.time, r.label)
+    if count is None:
+        count = 1 + int(max((r.time.max() for r in readings), default=0.0))
+    require_memory(
+        _BLOCKS * 8.0 * STATIC_DOF**2 * nodes * count,
+        f"Shapes 0 to {count - 1} would be {count:,} shapes",
+        "number the readings' shapes 0, 1, 2, … in place of times",
+    )
+    return count
+
+
+_Solved = tuple[State, tuple[Array, Array], NDArray[np.bool_]]
+"""States (S, N), their covariances and those of neighbours, and which shapes are left."""
+
+
+def _together(prior: Prior, located: LocatedReadings, options: SolverOptions) -> _Solved:
+    """All shapes from where they start.
+
+    Raises:
+        SensorError: No shape comes near the readings.
+    """
+    try:
+        return _iterated(prior, located, _first_shapes(prior, located), options)
+    except (np.linalg.LinAlgError, UnobservableError) as error:
+        first = prior.of_shape(0) if isinstance(prior, MechanicalPrior) else prior
+        raise breakdown(error, located.grid, first, located.streams) from error
 
 
 def _first_shapes(prior: Prior, located: LocatedReadings) -> State:
@@ -237,7 +255,7 @@ def _node_blocks(one: Posterior) -> tuple[Array, Array]:
 
 def _iterated(
     prior: Prior, located: LocatedReadings, start: State, options: SolverOptions
-) -> tuple[State, tuple[Array, Array], NDArray[np.bool_]]:
+) -> _Solved:
     """Gauss–Newton steps of all shapes, straight on or bent: states, marginals, and who is left.
 
     A shape that neither way brings down is left, at rest, to those who can shorten and damp steps.

@@ -165,16 +165,16 @@ def chosen_streams(
 
 
 def require_rows(recording: Recording, names: Sequence[str], window: tuple[float, float]) -> None:
-    """Raise RecordingError unless streams that were asked for have rows in a window.
+    """Raise RecordingError unless streams that were asked for are there and have rows in a window.
 
     Args:
         recording: The recording.
-        names: Names of streams; those that it lacks are left to others to name.
+        names: Names of streams.
         window: First and last time, s.
     """
     for name in names:
-        time = recording.streams[name].rows.time if name in recording.streams else None
-        if time is None or np.any((time >= window[0]) & (time <= window[1])):
+        time = recording.stream(name).rows.time
+        if np.any((time >= window[0]) & (time <= window[1])):
             continue
         span = f"they go from {seconds(time.min())} to {seconds(time.max())} s" if time.size else ""
         raise RecordingError(

@@ -81,12 +81,9 @@ class Recording(Brief):
                 or nothing says where the stream's frame is.
         """
         out, dropped = [], {}
+        moving = [p for p in robot.sensor_parameters if p.known and p.moves]
         for name in names:
-            if name not in self.streams:
-                raise RecordingError(
-                    f"{self.name} has no stream {name!r}; it has {', '.join(self.streams)}."
-                )
-            stream = self.streams[name]
+            stream = self.stream(name)
             kind = stream.rows.kind
             self._require_frame(stream, robot)
             rows = clean(stream.rows, robot.sensor_range.get(kind), stream.keep_repeats)
@@ -96,12 +93,22 @@ class Recording(Brief):
             if rows.dropped:
                 dropped[name] = rows.dropped
             readings = _as_readings(replace(stream, rows=rows), robot, as_truth)
-            known = [p for p in robot.sensor_parameters if p.known]
-            inside = np.ones(len(readings), dtype=bool)
-            for each in (readings, corrected(readings, known)):  # both must lie on the grid
-                inside &= (each.time >= window[0]) & (each.time <= window[1])
-            out.append(readings.select(inside))
+            stamped, made = rows.time, corrected(readings, moving).time
+            inside = np.minimum(stamped, made) >= window[0]
+            out.append(readings.select(inside & (np.maximum(stamped, made) <= window[1])))
         return out, dropped
+
+    def stream(self, name: str) -> Stream:
+        """The stream of a name.
+
+        Raises:
+            RecordingError: There is none.
+        """
+        if name not in self.streams:
+            raise RecordingError(
+                f"{self.name} has no stream {name!r}; it has {', '.join(self.streams)}."
+            )
+        return self.streams[name]
 
     def _require_frame(self, stream: Stream, robot: Robot) -> None:
         """Raise RecordingError unless the frame of a stream is known or will be estimated."""

@@ -39,6 +39,15 @@ _LOSSES: dict[str, type[Huber] | type[GemanMcClure]] = {
     "huber": Huber,
     "geman-mcclure": GemanMcClure,
 }
+_PLAUSIBLE_STD: dict[str, Array | float] = {
+    "frame": np.repeat([2.0, np.pi], 3),
+    "mount": np.repeat([0.5, np.pi], 3),
+    "arclength_offset": 1.0,
+    "time_offset": 5.0,
+    "slide_lag": 5.0,
+    "slide_play": 0.1,
+}
+"""Standard deviations of sensor parameters, m, rad or s, beyond which a unit is wrong."""
 
 
 def load_robot(name: str | Path) -> Robot:
@@ -175,17 +184,6 @@ def _prior(table: Table) -> Prior:
     prior = prior_class(entries.text("kind", choices=prior_kinds())).from_table(entries, table)
     entries.close()
     return prior
-
-
-_PLAUSIBLE_STD: dict[str, Array | float] = {
-    "frame": np.repeat([2.0, np.pi], 3),
-    "mount": np.repeat([0.5, np.pi], 3),
-    "arclength_offset": 1.0,
-    "time_offset": 5.0,
-    "slide_lag": 5.0,
-    "slide_play": 0.1,
-}
-"""m, rad or s: beyond it a unit is wrong."""
 
 
 def _sensor_parameter(table: Table) -> SensorParameter:

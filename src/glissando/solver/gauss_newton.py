@@ -157,9 +157,8 @@ def minimize(
     workspace, cholesky = _memory(located, start, former)
 
     def at(where: _Where, fixed: NormalEquations | None = None) -> NormalEquations:
-        noise_state, weights = (
-            (where[0], None) if fixed is None else (fixed.noise_state, fixed.terms)
-        )
+        noise_state = where[0] if fixed is None else fixed.noise_state
+        weights = None if fixed is None else fixed.terms
         with clock("linearise"):
             return linearize(prior, where[1], where[0], noise_state, workspace, weights)
 
@@ -188,14 +187,19 @@ def minimize(
             fixed = here
         stretch = 1.0 if damping else stretch
         here, gain, stretch = _try_step(prior, here, step, fixed, predicted, at, stretch)
-        ended = Outcome.CONVERGED if steps.idle and not gain > WORTHWHILE else None
         damping = _next_damping(damping, gain)
-        if ended is None and damping > _DAMPING[1]:
-            ended = Outcome.NO_DESCENT
-        elif ended is None and iteration >= options.max_iterations:
-            ended = Outcome.ITERATION_LIMIT
+        ended = _ended(steps.idle and not gain > WORTHWHILE, damping, iteration, options)
         if ended is not None:
             return solution((here.state, here.located), factor(here.system, cholesky), ended)
+
+
+def _ended(settled: bool, damping: float, iteration: int, options: SolverOptions) -> Outcome | None:
+    """How the iteration has ended, if it has: settled, damped in vain, or at its limit."""
+    if settled:
+        return Outcome.CONVERGED
+    if damping > _DAMPING[1]:
+        return Outcome.NO_DESCENT
+    return Outcome.ITERATION_LIMIT if iteration >= options.max_iterations else None
 
 
 def _memory(

@@ -13,9 +13,8 @@ from glissando.geometry.se3 import Array
 from glissando.model.factors import Factors, Residuals
 from glissando.model.grid import Grid, Index
 from glissando.model.interpolation import Interpolation, sort_points
-from glissando.model.noise import sqrt_information
 from glissando.model.priors.acceleration import accelerated
-from glissando.model.priors.prior import Prior, both_sides
+from glissando.model.priors.prior import Prior
 from glissando.model.sensors.accelerometer import AccelerometerReadings
 from glissando.model.sensors.parameter_jacobians import by_parameters
 from glissando.model.sensors.parameter_process import ParameterValues
@@ -23,6 +22,7 @@ from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import DOF, POSE, STRAIN, State
 from glissando.solver.located_readings import LocatedReadings, ReadingBatch
+from glissando.solver.spanning_factors import interpolated, spanning_factor
 
 _WAYS = ("arclength", "time")
 
@@ -49,7 +49,7 @@ def measurement_factors(
             mine = at.take(slice(first, first + len(readings)))
             first += len(readings)
             if readings.spans:
-                yield stream, rows, _spanning_factor(readings, prior, located, state, noise_state)
+                yield stream, rows, spanning_factor(readings, prior, located, state, noise_state)
                 continue
             if isinstance(readings, AccelerometerReadings):
                 place = located.grid, state, noise_state, readings.arclength, readings.time
@@ -145,49 +145,6 @@ def _along(
     return prior.interpolate(grid, state, noise_state, points)
 
 
-def _spanning_factor(
-    readings: Readings, prior: Prior, located: LocatedReadings, state: State, noise_state: State
-) -> Factors:
-    """Factors of readings that depend on all nodes of their time, and on both sides of joints.
-
-    What the bridge in time leaves open counts as fully correlated along the robot, which it nearly
-    is: the careful side.
-    """
-    if located.parameters.of(readings):
-        raise SensorError(
-            f"{readings.label}: parameters of a sensor that reads the whole robot are not "
-            f"estimated; leave them out."
-        )
-    grid, m, n_count = located.grid, len(readings), located.grid.arclength.size
-    s = both_sides(grid.arclength, prior.joints)
-    at, parts = State(np.empty((m * s.size, 4, 4)), *np.empty((2, m * s.size, 6))), []
-    for points in sort_points(grid, np.tile(s, m), np.repeat(readings.time, s.size)):
-        found = prior.interpolate(grid, state, noise_state, points)
-        for every, those in zip(at.fields(), found.state.fields(), strict=False):
-            every[points.rows] = those
-        parts.append((points.rows // s.size, points.rows, found))
-    at = at.reshape(m, s.size)
-    residual = readings.residual_over(s, at)
-    by_state = readings.jacobian_over(s, at).swapaxes(1, 2)
-    by_state = by_state.reshape(m * s.size, -1, DOF)
-    first = np.full(m, grid.time.size)
-    for row, _, found in parts:
-        np.minimum.at(first, row, found.nodes.min(axis=1) // n_count)
-    last = max(int(np.max(found.nodes.max(axis=1) // n_count - first[r])) for r, _, found in parts)
-    nodes = n_count * first[:, None] + np.arange(n_count * (last + 1))
-    by_nodes, std = np.zeros((*nodes.shape, residual.shape[1], state.dof)), np.zeros(residual.shape)
-    for row, rows, found in parts:
-        slope = by_state[rows]
-        through = slope @ found.jacobian.reshape(rows.size, DOF, -1)
-        through = through.reshape(*slope.shape[:2], -1, state.dof).swapaxes(1, 2)
-        np.add.at(by_nodes, (row[:, None], found.nodes - nodes[row, :1]), through)
-        left = np.einsum("pri,pij,prj->pr", slope, found.cov, slope)
-        np.add.at(std, row, np.sqrt(np.maximum(left, 0.0)))
-    cov = readings.cov + std[..., None] ** 2 * np.eye(residual.shape[1])
-    terms = Residuals(residual, sqrt_information(cov), readings.loss)
-    return Factors(nodes, slice(0, state.dof), whole(by_nodes.swapaxes(1, 2)), terms)
-
-
 def _by_parameters(
     readings: Readings,
     corrected: Readings,
@@ -259,12 +216,7 @@ def state_slope(
 
 def states_at(prior: Prior, grid: Grid, state: State, arclength: Array, time: Array) -> State:
     """The mean at points (M,) of the grid, of nodes (K, N)."""
-    out = State(np.empty((time.size, 4, 4)), *np.empty((2, time.size, 6)))
-    for points in sort_points(grid, arclength, time):
-        found = prior.interpolate(grid, state, state, points).state
-        out.pose[points.rows], out.strain[points.rows] = found.pose, found.strain
-        out.velocity[points.rows] = found.velocity
-    return out
+    return interpolated(prior, grid, state, state, arclength, time)[0]
 
 
 def _checked(readings: Readings, at: Interpolation) -> tuple[Array, Array]:

@@ -132,17 +132,21 @@ class Equilibrium:
         found = np.linalg.solve(whole, slope.reshape(m, 6 * count, -1))
         return np.asarray(found.reshape(slope.shape))
 
+    @cached_property
+    def _mean_by_moment(self) -> Array:
+        """Slopes (M, P, 6, 2 P) of the strain by white bending moments of unit density."""
+        return self.strain_by_moment() / np.sqrt(np.repeat(self.rod.length, 2))
+
     def pose_by_moment(self) -> Array:
         """Slopes (M, P+1, 6, 4 P) of the poses by white bending moments of unit density.
 
         By their means over the pieces, and by their first moments about the middles of these, which
         move a piece's end aside: the covariance does not depend on the pieces.
         """
-        length, count = self.rod.length, len(self.rod.length)
-        mean = self.strain_by_moment() / np.sqrt(np.repeat(length, 2))
+        mean, length = self._mean_by_moment, self.rod.length
         aside = np.zeros_like(mean)
         by_lever = np.sqrt(length / 12.0)[:, None] / self.rod.stiffness[:, [4, 3]]
-        for piece in range(count):
+        for piece in range(length.size):
             aside[:, piece, :2, 2 * piece : 2 * piece + 2] = np.diag(by_lever[piece])
         return self.pose_by(np.concatenate([mean, aside], axis=-1))
 
@@ -155,7 +159,7 @@ class Equilibrium:
         tendons, (m, count) = self.rod.tendons, self.strain.shape[:2]
         root = np.sqrt(tendons.psd_moment)
         by_pull = tendons.std * self.strain_by_displacement()
-        by_moment = root * self.strain_by_moment() / np.sqrt(np.repeat(self.rod.length, 2))
+        by_moment = root * self._mean_by_moment
         by_base = [np.broadcast_to(np.diag(np.sqrt(self.rod.var_base)), (m, 6, 6))]
         for across in self._steps()[0].swapaxes(0, 1):
             by_base.append(across @ by_base[-1])
