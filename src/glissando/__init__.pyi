@@ -4,7 +4,8 @@ from .errors import GlissandoError, NotConvergedWarning
 from .estimation.batch import estimate
 from .estimation.fixed_lag import FixedLagSmoother
 from .estimation.posterior import Posterior, SolveReport, StateEstimate
-from .estimation.static import StaticPosterior, estimate_static
+from .estimation.static import estimate_static
+from .estimation.static_posterior import StaticPosterior
 from .evaluation.consistency import check
 from .evaluation.metrics import errors_against
 from .geometry import se3

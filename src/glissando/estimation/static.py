@@ -8,33 +8,26 @@ hundred of them cost little more than one. Source: equations (2'), (20), (21).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from glissando._kernels.threads import one_thread
-from glissando.errors import OutsideGridError, UnobservableError
+from glissando.errors import UnobservableError
 from glissando.estimation.batch import estimate
 from glissando.estimation.given import require_model, require_options, require_streams
-from glissando.estimation.loads import (
-    WrenchEstimate,
-    internal_wrench,
-    point_loads,
-    require_mechanics,
-)
 from glissando.estimation.misfit import breakdown
-from glissando.estimation.posterior import Posterior, StateEstimate
+from glissando.estimation.posterior import Posterior
+from glissando.estimation.static_posterior import StaticPosterior, require_whole
 from glissando.geometry.se3 import Array
-from glissando.model.grid import Grid, Index
-from glissando.model.interpolation import sort_points
+from glissando.model.grid import Grid
 from glissando.model.memory import require_memory
 from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.model.priors.prior import Prior
 from glissando.model.priors.static import STATIC_DOF
-from glissando.model.priors.transitions import symmetrize
 from glissando.model.sensors.readings import Readings
-from glissando.model.state import DOF, State
+from glissando.model.state import State
 from glissando.solver.curvature import curvature, with_curvature
 from glissando.solver.gauss_newton import ROUNDING, WORTHWHILE, SolverOptions
 from glissando.solver.located_readings import LocatedReadings, locate
@@ -45,92 +38,6 @@ _DOFS = slice(0, STATIC_DOF)
 _BLOCKS = 6.0  # square blocks of numbers that are kept for a node of a shape
 _SOFT_ITERATIONS = 8
 _SHARES = (1.0, 0.3, 0.1)  # of a bent step, tried in turn
-
-
-@dataclass(frozen=True)
-class StaticPosterior:
-    """Posterior of S static shapes: pose and strain at any arclength.
-
-    Attributes:
-        prior: What was believed before any reading.
-        grid: Arclength nodes (N,); its times are the shapes' numbers.
-        state: Mean (S, N) at the nodes.
-        cov: Covariances (S, N, 12, 12) of nodes.
-        cross: Covariances (S, N−1, 12, 12) of neighbouring nodes.
-        outcomes: How the solver ended for each shape.
-    """
-
-    prior: Prior
-    grid: Grid
-    state: State
-    cov: Array
-    cross: Array
-    outcomes: tuple[Outcome, ...]
-
-    @property
-    def converged(self) -> NDArray[np.bool_]:
-        """Which shapes (S,) were found."""
-        return np.array([outcome.sound for outcome in self.outcomes])
-
-    def at(self, arclength: ArrayLike, shape: ArrayLike) -> StateEstimate:
-        """State with covariance; velocity is zero, and sure, as shapes hold still.
-
-        Args:
-            arclength: Metres; broadcast with `shape`.
-            shape: Numbers of shapes.
-
-        Raises:
-            OutsideGridError: A point is off the grid.
-        """
-        s, k = np.broadcast_arrays(
-            np.asarray(arclength, dtype=float), np.asarray(shape, dtype=float)
-        )
-        whole, s, k = s.shape, s.ravel(), k.ravel()
-        self.grid.require(s, k, "Query")
-        _require_whole(k, "Query")
-        pose, strain = np.empty((s.size, 4, 4)), np.empty((s.size, 6))
-        cov = np.zeros((s.size, DOF, DOF))
-        for points in sort_points(self.grid, s, k):
-            found = self.prior.interpolate(self.grid, self.state, self.state, points)
-            pose[points.rows], strain[points.rows] = found.state.pose, found.state.strain
-            slopes, left = found.jacobian[:, _DOFS], found.cov[:, _DOFS, _DOFS]
-            cov[points.rows, _DOFS, _DOFS] = self._spread(found.nodes, slopes, left)
-        arrays = (pose, strain, np.zeros_like(strain), cov)
-        return StateEstimate(*(a.reshape(*whole, *a.shape[1:]) for a in arrays))
-
-    def wrench(
-        self, arclength: ArrayLike, shape: ArrayLike, *, frame: str = "body"
-    ) -> WrenchEstimate:
-        """Internal wrench at points of shapes, as `Posterior.wrench` of moments."""
-        require_mechanics(self.prior, frame)
-        at = self.at(arclength, shape)
-        s = np.broadcast_arrays(np.asarray(arclength, dtype=float), shape)[0]
-        return internal_wrench(self.prior, s, at.pose, at.strain, at.cov, frame)
-
-    def load(
-        self, arclength: ArrayLike, shape: ArrayLike, *, frame: str = "body"
-    ) -> WrenchEstimate:
-        """The unknown wrench at the tip or at one of the prior's `points`, as `Posterior.load`."""
-        s, k = np.broadcast_arrays(
-            np.asarray(arclength, dtype=float), np.asarray(shape, dtype=float)
-        )
-        self.grid.require(s.ravel(), k.ravel(), "Query")
-        _require_whole(k.ravel(), "Query")
-        prior, grid, which = self.prior, self.grid, k.ravel().astype(np.intp)
-        found = point_loads(prior, grid, self.state, self._spread, s.ravel(), which, frame)
-        wrench, cov = found.wrench.reshape(*s.shape, 6), found.cov.reshape(*s.shape, 6, 6)
-        return WrenchEstimate(wrench, cov, frame)
-
-    def _spread(self, nodes: Index, slopes: Array, left: Array) -> Array:
-        """Covariance (M, r, r) by slopes (M, r, c, ·) of a node, or of it and the next (M, c)."""
-        k, n = np.divmod(nodes[:, 0], self.grid.arclength.size)
-        own = slopes[..., :STATIC_DOF].reshape(*slopes.shape[:2], -1)
-        joint = self.cov[k, n]
-        if nodes.shape[1] == 2:
-            cross = self.cross[k, n]
-            back = np.swapaxes(cross, -1, -2)
-            joint = np.block([[joint, cross], [back, self.cov[k, n + 1]]])
-        return symmetrize(own @ joint @ np.swapaxes(own, -1, -2) + left)
 
 
 def estimate_static(
@@ -197,7 +104,7 @@ def estimate_static(
 def _count(readings: Sequence[Readings], nodes: int, count: int | None) -> int:
     """How many shapes there are, of whole numbers, which fit into memory."""
     for r in readings:
-        _require_whole(r.time, r.label)
+        require_whole(r.time, r.label)
     if count is None:
         count = 1 + int(max((r.time.max() for r in readings), default=0.0))
     require_memory(
@@ -321,13 +228,3 @@ def _chosen(where: NDArray[np.bool_], one: State, other: State) -> State:
     """The state that is `one` in the shapes `where` (S,) says so, and `other` in the rest."""
     pairs = zip(one.fields(), other.fields(), strict=True)
     return State(*(np.where(where.reshape(-1, *(1,) * (a.ndim - 1)), a, b) for a, b in pairs))
-
-
-def _require_whole(number: Array, what: str) -> None:
-    """Raise OutsideGridError unless all numbers of shapes are whole, from 0 up."""
-    wrong = np.flatnonzero((number != np.round(number)) | (number < 0.0))
-    if wrong.size:
-        raise OutsideGridError(
-            f"{what}: row {wrong[0]} is of shape {number[wrong[0]]:g}; shapes are numbered 0, 1, "
-            f"2, … in place of times."
-        )

@@ -1,0 +1,123 @@
+"""The posterior of static shapes: pose and strain anywhere on each, and what acts there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from glissando.errors import OutsideGridError
+from glissando.estimation.loads import (
+    WrenchEstimate,
+    internal_wrench,
+    point_loads,
+    require_mechanics,
+)
+from glissando.estimation.posterior import StateEstimate
+from glissando.geometry.se3 import Array
+from glissando.model.grid import Grid, Index
+from glissando.model.interpolation import sort_points
+from glissando.model.priors.prior import Prior
+from glissando.model.priors.static import STATIC_DOF
+from glissando.model.priors.transitions import symmetrize
+from glissando.model.state import DOF, State
+from glissando.solver.outcome import Outcome
+
+_DOFS = slice(0, STATIC_DOF)
+
+
+@dataclass(frozen=True)
+class StaticPosterior:
+    """Posterior of S static shapes: pose and strain at any arclength.
+
+    Attributes:
+        prior: What was believed before any reading.
+        grid: Arclength nodes (N,); its times are the shapes' numbers.
+        state: Mean (S, N) at the nodes.
+        cov: Covariances (S, N, 12, 12) of nodes.
+        cross: Covariances (S, N−1, 12, 12) of neighbouring nodes.
+        outcomes: How the solver ended for each shape.
+    """
+
+    prior: Prior
+    grid: Grid
+    state: State
+    cov: Array
+    cross: Array
+    outcomes: tuple[Outcome, ...]
+
+    @property
+    def converged(self) -> NDArray[np.bool_]:
+        """Which shapes (S,) were found."""
+        return np.array([outcome.sound for outcome in self.outcomes])
+
+    def at(self, arclength: ArrayLike, shape: ArrayLike) -> StateEstimate:
+        """State with covariance; velocity is zero, and sure, as shapes hold still.
+
+        Args:
+            arclength: Metres; broadcast with `shape`.
+            shape: Numbers of shapes.
+
+        Raises:
+            OutsideGridError: A point is off the grid.
+        """
+        s, k = np.broadcast_arrays(
+            np.asarray(arclength, dtype=float), np.asarray(shape, dtype=float)
+        )
+        whole, s, k = s.shape, s.ravel(), k.ravel()
+        self.grid.require(s, k, "Query")
+        require_whole(k, "Query")
+        pose, strain = np.empty((s.size, 4, 4)), np.empty((s.size, 6))
+        cov = np.zeros((s.size, DOF, DOF))
+        for points in sort_points(self.grid, s, k):
+            found = self.prior.interpolate(self.grid, self.state, self.state, points)
+            pose[points.rows], strain[points.rows] = found.state.pose, found.state.strain
+            slopes, left = found.jacobian[:, _DOFS], found.cov[:, _DOFS, _DOFS]
+            cov[points.rows, _DOFS, _DOFS] = self._spread(found.nodes, slopes, left)
+        arrays = (pose, strain, np.zeros_like(strain), cov)
+        return StateEstimate(*(a.reshape(*whole, *a.shape[1:]) for a in arrays))
+
+    def wrench(
+        self, arclength: ArrayLike, shape: ArrayLike, *, frame: str = "body"
+    ) -> WrenchEstimate:
+        """Internal wrench at points of shapes, as `Posterior.wrench` of moments."""
+        require_mechanics(self.prior, frame)
+        at = self.at(arclength, shape)
+        s = np.broadcast_arrays(np.asarray(arclength, dtype=float), shape)[0]
+        return internal_wrench(self.prior, s, at.pose, at.strain, at.cov, frame)
+
+    def load(
+        self, arclength: ArrayLike, shape: ArrayLike, *, frame: str = "body"
+    ) -> WrenchEstimate:
+        """The unknown wrench at the tip or at one of the prior's `points`, as `Posterior.load`."""
+        s, k = np.broadcast_arrays(
+            np.asarray(arclength, dtype=float), np.asarray(shape, dtype=float)
+        )
+        self.grid.require(s.ravel(), k.ravel(), "Query")
+        require_whole(k.ravel(), "Query")
+        prior, grid, which = self.prior, self.grid, k.ravel().astype(np.intp)
+        found = point_loads(prior, grid, self.state, self._spread, s.ravel(), which, frame)
+        wrench, cov = found.wrench.reshape(*s.shape, 6), found.cov.reshape(*s.shape, 6, 6)
+        return WrenchEstimate(wrench, cov, frame)
+
+    def _spread(self, nodes: Index, slopes: Array, left: Array) -> Array:
+        """Covariance (M, r, r) by slopes (M, r, c, ·) of a node, or of it and the next (M, c)."""
+        k, n = np.divmod(nodes[:, 0], self.grid.arclength.size)
+        own = slopes[..., :STATIC_DOF].reshape(*slopes.shape[:2], -1)
+        joint = self.cov[k, n]
+        if nodes.shape[1] == 2:
+            cross = self.cross[k, n]
+            back = np.swapaxes(cross, -1, -2)
+            joint = np.block([[joint, cross], [back, self.cov[k, n + 1]]])
+        return symmetrize(own @ joint @ np.swapaxes(own, -1, -2) + left)
+
+
+def require_whole(number: Array, what: str) -> None:
+    """Raise OutsideGridError unless all numbers of shapes are whole, from 0 up."""
+    wrong = np.flatnonzero((number != np.round(number)) | (number < 0.0))
+    if wrong.size:
+        raise OutsideGridError(
+            f"{what}: row {wrong[0]} is of shape {number[wrong[0]]:g}; shapes are numbered 0, 1, "
+            f"2, … in place of times."
+        )
