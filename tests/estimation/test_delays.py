@@ -116,9 +116,12 @@ def test_a_delay_is_estimated_from_a_first_update_that_has_readings():
     assert smoother.posterior().parameter("late")[1][-1, 0, 0] == pytest.approx(STD**2, rel=1e-6)
 
 
-@pytest.mark.parametrize(("name", "span"), [("sliding700", 6.0), ("tdcr466-segments", 1.0)])
+@pytest.mark.parametrize(
+    ("name", "span", "online"),
+    [("sliding700", 6.0, False), ("tdcr466-segments", 1.0, False), ("tdcr466-segments", 1.0, True)],
+)
 @pytest.mark.parametrize("seed", range(3))
-def test_a_robot_at_rest_tells_nothing_of_a_delay(name, span, seed):
+def test_a_robot_at_rest_tells_nothing_of_a_delay(name, span, online, seed):
     """What noise makes it seem to do would date readings to milliseconds."""
     robot, rng, streams = load_robot(name), np.random.default_rng(seed), []
     std = np.repeat([1e-3, 1e-2], 3)
@@ -131,7 +134,11 @@ def test_a_robot_at_rest_tells_nothing_of_a_delay(name, span, seed):
         data = {"time": time, "arclength": place, "values": straight @ noise, "cov": std**2}
         streams.append(PoseReadings(**data, name=label))
     delay = SensorParameter("late", "time_offset", ("b",), [0.0], [0.05])
-    found = estimate(robot.prior, robot.grid(0.0, span), streams, sensor_parameters=[delay])
+    grid = robot.grid(0.0, span)
+    if online:
+        found = heard(robot.prior, grid, streams, delay)
+    else:
+        found = estimate(robot.prior, grid, streams, sensor_parameters=[delay])
     value, cov = found.parameter("late")
     assert np.sqrt(cov[-1, 0, 0]) > 0.045
     assert abs(value[-1, 0]) < 0.1

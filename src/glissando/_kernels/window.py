@@ -75,13 +75,38 @@ def solve(blocks, vectors, slot, start, begin, end, across, rhs_begin, rhs_end, 
         forward_slab(inverse, vectors[SOLVED, own])
         if vanished < 0 and not has_information(inverse, scale):
             vanished = k
+    _backward(blocks, vectors[SOLVED], slot, step)
+    return vanished
+
+
+@jit()
+def _backward(blocks, solved, slot, step):
+    """The solution (K, D) of what is solved forward (·, D)."""
+    count = len(slot)
     for k in range(count - 1, -1, -1):
         own = slot[k]
-        step[k, :] = vectors[SOLVED, own]
+        step[k, :] = solved[own]
         if k + 1 < count:
             less_coupling(blocks[COUPLING, own], step[k + 1], step[k])
         backward_slab(blocks[INVERSE, own], step[k])
-    return vanished
+
+
+@jit("(f8[:,:,:,::1], f8[:,:,::1], i8[::1], i8, f8[:,::1], f8[:,::1], f8[:,::1])")
+def respond(blocks, vectors, slot, start, rhs_begin, rhs_end, step):
+    """Solve for another right-hand side, by the factor there is.
+
+    `vectors` (2, ·, D) keep what older slabs say of each and its sum solved forward; the sums
+    (K − start, D) are those of the intervals from slab `start` on, `step` (K, D) is the solution.
+    """
+    behind, solved = vectors[0], vectors[1]
+    for k in range(start, len(slot)):
+        own, i = slot[k], k - start
+        if i:
+            behind[own, :] = rhs_end[i - 1]
+            less_coupled(blocks[COUPLING, slot[k - 1]], solved[slot[k - 1]], behind[own])
+        solved[own, :] = rhs_begin[i] + behind[own]
+        forward_slab(blocks[INVERSE, own], solved[own])
+    _backward(blocks, solved, slot, step)
 
 
 @jit("(f8[:,::1], i8, i8, i8)")

@@ -7,8 +7,7 @@ gave. So a delay is seen by the motion x₀ that streams without one give, and w
 motion, x − x₀, moves with it: with c = ∂(x − x₀)/∂t at the nodes, x = x′ + c d, and d enters the
 readings by ∂x₀/∂t alone. Streams that each have a delay of their own do not date one another. Noise
 makes a robot at rest seem to move; what that would tell of a delay is drawn and taken off.
-Online, x₀ is that of a second smoother, which streams with a delay never reach, and nothing is
-taken off.
+Online, x₀ is that of a second smoother, which streams with a delay never reach: see `delay_dating`.
 """
 
 from __future__ import annotations
@@ -35,7 +34,8 @@ from glissando.solver.measurement_factors import measurement_factors
 from glissando.solver.normal_equations import Layout, NormalEquationsBuilder
 
 _DRAWS = 2  # of noise, for what it tells of a delay
-_MARGIN = 2.0  # times that, for how it varies
+MARGIN = 2.0
+"""How often what noise tells is taken off, for how it varies."""
 _MOTION = 0.03  # standard deviations a number by which a motion that dates delays may be off
 
 
@@ -104,7 +104,7 @@ def _shares(prior: Prior, shown: Solution, solution: Solution, late: set[str]) -
         for name, told in _told(prior, still, state).items():
             rest[name] += told / _DRAWS
     return {
-        name: float(np.sqrt(max(1.0 - _MARGIN * rest[name] / told, 0.0))) if told > 0.0 else 0.0
+        name: float(np.sqrt(max(1.0 - MARGIN * rest[name] / told, 0.0))) if told > 0.0 else 0.0
         for name, told in real.items()
     }
 
@@ -133,13 +133,19 @@ def _motion_of_noise(prior: Prior, shown: Solution, rng: np.random.Generator) ->
     noise_state = shown.equations.noise_state
     for block in range(len(located.blocks)):
         for _, _, batch in measurement_factors(prior, located, state, noise_state, block):
-            white = rng.standard_normal(batch.terms.residual.shape)
-            noise = np.asarray(np.linalg.solve(batch.terms.sqrt_info, white[..., None])[..., 0])
-            weights = batch.terms.robust_weights()
-            builder.accumulate(replace(batch, terms=replace(batch.terms, residual=noise)), weights)
+            add_noise(builder, batch, batch.terms.robust_weights(), rng)
     step = shown.cholesky.solve(builder.rhs_begin)[:, : state.numbers]
     rest = prior.rest_state(located.grid).with_fields_of(state)
     return rest.retract(step.reshape(*state.strain.shape[:2], state.dof))
+
+
+def add_noise(
+    builder: NormalEquationsBuilder, batch: Factors, weights: Array, rng: np.random.Generator
+) -> None:
+    """Add readings as they would be if there were nothing but noise in them, with weights (M,)."""
+    white = rng.standard_normal(batch.terms.residual.shape)
+    noise = np.asarray(np.linalg.solve(batch.terms.sqrt_info, white[..., None])[..., 0])
+    builder.accumulate(replace(batch, terms=replace(batch.terms, residual=noise)), weights)
 
 
 def delayed(
@@ -157,7 +163,7 @@ def delay_columns(process: EstimatedParameters) -> list[int]:
 
 def motion_left(state: State, motion: State, time: Array) -> Array:
     """∂(x − x₀)/∂t (K, N, dof) at the nodes `state` x, of which x₀ is the `motion`."""
-    return _slope(state, time) - _slope(motion, time)
+    return slope_in_time(state, time) - slope_in_time(motion, time)
 
 
 def at_times(state: State, nodes: Array, time: Array) -> State:
@@ -196,7 +202,7 @@ def _is_delay(parameter: SensorParameter) -> bool:
     return parameter.kind == "time_offset" and not parameter.known
 
 
-def _slope(state: State, time: Array) -> Array:
+def slope_in_time(state: State, time: Array) -> Array:
     """Slope (K, N, dof) of nodes along time, between their neighbours."""
     if time.size == 1:  # no motion is seen
         return np.zeros((*state.pose.shape[:2], state.dof))

@@ -76,12 +76,13 @@ class FixedLagSmoother:
         self._window = SlidingWindow(prior, self.arclength, sensor_parameters)
         self._steps = WindowSteps(self._window, window, gate)
         self._late, others = delayed(sensor_parameters)
+        self._errors: ErrorPrior | None = None  # of the window's first node, for contacts
         self._undelayed: WindowSteps | None = None  # the motion by which delays are known
         self._shown = prior.fixes_base
-        self._errors: ErrorPrior | None = None  # of the window's first node, for contacts
         if self._late:  # slopes at the oldest node take one before it
-            self._window.undelayed = SlidingWindow(prior, self.arclength, others)
-            self._undelayed = WindowSteps(self._window.undelayed, window + 2, gate)
+            undelayed = SlidingWindow(prior, self.arclength, others)
+            self._window.date_by(undelayed)
+            self._undelayed = WindowSteps(undelayed, window + 2, gate)
 
     @property
     def time(self) -> float | None:

@@ -36,7 +36,7 @@ class GatedUpdate:
         """The first node whose interval is to be linearised again for readings since `earliest`."""
         time = self._window.nodes.time
         renewed = _RENEWED if self._missed > _CLOSE else 1
-        if self._window.undelayed is not None:
+        if self._window.dating is not None:
             renewed = len(time)  # a delay is known by slopes, which later readings make better
         late = int(time.searchsorted(earliest, "right")) - 1
         return max(0, min(len(time) - 1 - renewed, late, self._window.intact - 1))

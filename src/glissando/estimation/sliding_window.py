@@ -18,7 +18,8 @@ import numpy as np
 from glissando._kernels import normal_equations as kernels
 from glissando._kernels import window as window_kernels
 from glissando.estimation.channels import place_in_channel
-from glissando.estimation.delays import at_times, delay_columns, motion_left, moving_with
+from glissando.estimation.delay_dating import DelayDating
+from glissando.estimation.delays import add_noise
 from glissando.estimation.held_readings import HeldReadings
 from glissando.estimation.posterior import Posterior, SolveReport, StateEstimate
 from glissando.estimation.window_nodes import Nodes
@@ -72,7 +73,7 @@ class SlidingWindow:
     """Time nodes of a prior on `arclength` (N,), solved together with `sensor_parameters`.
 
     Attributes:
-        undelayed: A window of the streams that no estimated delay shifts, if there are delays.
+        dating: What dates the readings of streams with an estimated delay, if there are any.
     """
 
     def __init__(
@@ -81,15 +82,21 @@ class SlidingWindow:
         self.prior, self.arclength = prior, arclength
         self.sensor_parameters = tuple(p for p in sensor_parameters if not p.known)
         self.before: float | None = None
-        self.undelayed: SlidingWindow | None = None
+        self.dating: DelayDating | None = None
         self._grid = Grid(arclength, [0.0])
         self._process = EstimatedParameters(self._grid, self.sensor_parameters)
         self._parameters = self._process.mean, np.diag(self._process.std**2)
         self._root = np.zeros((0, 0))  # its square is the covariance of the newest node
         self._terms: list[_Terms] = []
+        self._rng: np.random.Generator | None = None  # of noise, where it is asked for
         if type(prior) is WhiteNoisePrior:
             self._along = prior.arclength_densities(arclength)
         self._first = 0
+
+    def date_by(self, others: SlidingWindow) -> None:
+        """Date delayed streams by the motion of another window, see `DelayDating`."""
+        others._rng = np.random.default_rng(0)
+        self.dating = DelayDating(others, self._process)
 
     def begin(self, time: float, state: State) -> None:
         """Start with one node, linearised at `state` (N,); of before, keep sensor parameters."""
@@ -104,6 +111,7 @@ class SlidingWindow:
         info[own, own] = np.linalg.inv(cov) - np.diag(own_info)
         rhs[own] = own_info * (values - self._process.mean)
         self._system = WindowSystem(self.layout, info, rhs)
+        self._noise = np.zeros((1, size))
         self._root = np.zeros((0, 0))
 
     def _carry(self, time: float) -> None:
@@ -148,12 +156,14 @@ class SlidingWindow:
         if state.strain_rate is not None:
             ahead[:, STRAIN] = lasts * state.strain_rate
         self.nodes = self.nodes.joined(self._node(time, state.retract(ahead), parameters))
+        self._noise = np.concatenate([self._noise, np.zeros((1, self.layout.size))])
         self._system.append()
 
     def copied(self) -> SlidingWindow:
         """The same window, to go on with without a change to this one."""
         out = copy(self)
         out._system = self._system.copied()
+        out.dating = self.dating and self.dating.copied()
         return out
 
     def _node(self, time: float, state: State, parameters: Array) -> Nodes:
@@ -168,7 +178,7 @@ class SlidingWindow:
         """
         self._system.drop()
         self.before = float(self.nodes.time[0])
-        self.nodes = self.nodes.take(slice(1, None))
+        self.nodes, self._noise = self.nodes.take(slice(1, None)), self._noise[1:]
         self._first = max(0, self._first - 1)
 
     def _fixed(self, first: int) -> int:
@@ -199,7 +209,7 @@ class SlidingWindow:
 
     def takes_as_row(self, readings: Readings) -> bool:
         """Whether readings may come as rows, with the streams of others."""
-        fits = type(self.prior) is WhiteNoisePrior and self.undelayed is None
+        fits = type(self.prior) is WhiteNoisePrior and self.dating is None
         known = all(readings.name not in p.streams for p in self.sensor_parameters)
         return fits and known and is_compiled(readings)
 
@@ -213,14 +223,35 @@ class SlidingWindow:
         sums = self._linearized(first, readings)
         self.nodes = self.nodes.stepped(self._system.solve(first, sums))
         self._root = self._system.root.copy()
+        if self._rng is not None:
+            noise = self._sums_of_noise(len(self.nodes) - first, self._rng)
+            self._noise = self._system.respond(first, noise)
+
+    def _sums_of_noise(self, count: int, rng: np.random.Generator) -> NormalEquationsBuilder:
+        """Sums of the last `count` nodes' readings, were nothing but noise in them."""
+        size = self.layout.size
+        begin, end, across = np.empty((3, count, size, size))
+        rhs_begin, rhs_end = np.empty((2, count, size))
+        builder = NormalEquationsBuilder(self.layout, begin, end, across[1:], rhs_begin, rhs_end)
+        for terms in self._terms:
+            add_noise(builder, terms.batch, terms.weights, rng)
+        return builder
+
+    @property
+    def estimate_and_noise(self) -> tuple[State, State]:
+        """Nodes (K, N) as estimated, and moved by what noise of the readings makes of a robot."""
+        state = self.nodes.estimate[0]
+        noise = self._noise[:, : state.numbers].reshape(*state.pose.shape[:2], -1)
+        return state, state.retract(noise)
 
     def _linearized(self, first: int, readings: HeldReadings) -> NormalEquationsBuilder:
         """Sum the factors of the intervals from `first` on. Source: equation (19)."""
-        motion = self._motion_of_others(first)
+        if self.dating is not None:
+            self.nodes = self.dating.see(self.nodes, first, self._fixed(first))
         nodes, grid = self.nodes.take(slice(first, None)), self.grid(first)
         builder = self._system.builder(first)
         self._terms, self._first, self._held = [], first, readings
-        if type(self.prior) is WhiteNoisePrior and motion is None:
+        if type(self.prior) is WhiteNoisePrior and self.dating is None:
             densities, rows = (self._along, self.prior.time_densities(grid.time)), readings.which
             memory = *readings.rows.memory, rows
             found = self.prior.accumulate(grid, nodes.state, densities, memory, builder.sums)
@@ -230,9 +261,9 @@ class SlidingWindow:
                 self._terms.append(_Terms(None, rows, batch, weights))
         else:
             for batch in self.prior.factors(grid, nodes.state, nodes.state, slice(0, len(nodes))):
-                builder.accumulate(self._dated(batch, nodes))
+                builder.accumulate(self._moving(batch, nodes))
         if readings.streams or self._process.size:
-            self._add_streams(readings.streams, grid, nodes, motion, builder)
+            self._add_streams(readings.streams, grid, nodes, builder)
         return builder
 
     def _add_streams(
@@ -240,43 +271,28 @@ class SlidingWindow:
         streams: Sequence[Readings],
         grid: Grid,
         nodes: Nodes,
-        motion: State | None,
         builder: NormalEquationsBuilder,
     ) -> None:
         """Add the streams that do not come as rows, and the drift of the sensor parameters."""
         known = self.sensor_parameters, nodes.parameters
         placed = [place_in_channel(r, self.prior, grid, nodes.state) for r in streams]  # (M8)
+        motion = None if self.dating is None else self.dating.motion
         located = replace(locate(grid, placed, *known, keep_all=True), motion=motion)
         for i in range(len(located.blocks)):
             found = measurement_factors(self.prior, located, nodes.state, nodes.state, i)
             for stream, rows, batch in found:
-                dated = self._dated(batch, nodes)
-                weights = dated.terms.robust_weights()
-                builder.accumulate(dated, weights)
-                self._terms.append(_Terms(streams[stream], rows, dated, weights))
+                if self.dating is not None:
+                    batch = self.dating.dated(streams[stream].name, batch)
+                moving = self._moving(batch, nodes)
+                weights = moving.terms.robust_weights()
+                builder.accumulate(moving, weights)
+                self._terms.append(_Terms(streams[stream], rows, moving, weights))
         if self._process.size:
             builder.accumulate_drift(*located.parameters.process.drift(nodes.parameters))
 
-    def _motion_of_others(self, first: int) -> State | None:
-        """The nodes from `first` on as streams without a delay show them, if there are delays.
-
-        What moves with a delay is found anew for nodes whose linearisation may move.
-        """
-        if self.undelayed is None:
-            return None
-        time, others = self.nodes.time, self.undelayed
-        motion = self.nodes.state.take(np.zeros(time.size, dtype=int))  # none
-        if others.started:
-            motion = at_times(others.nodes.estimate[0], others.nodes.time, time)
-        own, free = motion_left(self.nodes.state, motion, time), self._fixed(first)
-        self.nodes = replace(self.nodes, own=np.concatenate([self.nodes.own[:free], own[free:]]))
-        return motion.take(slice(first, None))
-
-    def _dated(self, factors: Factors, nodes: Nodes) -> Factors:
+    def _moving(self, factors: Factors, nodes: Nodes) -> Factors:
         """Factors of a motion that moves with the delays, if there are any."""
-        if self.undelayed is None:
-            return factors
-        return moving_with(factors, nodes.own, delay_columns(self._process), self._process.size)
+        return factors if self.dating is None else self.dating.moving(factors, nodes)
 
     def miss(self, first: int) -> float:
         """How far the last step may have missed, in standard deviations of the newest poses.

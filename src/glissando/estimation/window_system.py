@@ -49,6 +49,7 @@ class WindowSystem:
         size = self.layout.size
         self._blocks = np.zeros((COUPLING + 1, room, size, size))
         self._vectors = np.empty((SCALE + 1, room, size))
+        self._aside = np.zeros((2, room, size))
         self._sums = np.empty((ACROSS + 1, room, size, size)), np.empty((2, room, size))
 
     def __len__(self) -> int:
@@ -77,9 +78,10 @@ class WindowSystem:
 
     def _keep(self, slot: Index, room: int) -> None:
         """Move slabs to the front of new memory."""
-        blocks, vectors, count = self._blocks, self._vectors, len(slot)
+        blocks, vectors, aside, count = self._blocks, self._vectors, self._aside, len(slot)
         self._make_room(room)
         self._blocks[:, :count], self._vectors[:, :count] = blocks[:, slot], vectors[:, slot]
+        self._aside[:, :count] = aside[:, slot]
         self._slot = np.arange(count)
 
     def append(self) -> None:
@@ -111,6 +113,17 @@ class WindowSystem:
         memory = self._blocks, self._vectors, self._slot
         eliminate(kernels.solve, *memory, first, *sums.sums, solution)
         self.intact = len(self)
+        return solution
+
+    def respond(self, first: int, sums: NormalEquationsBuilder) -> Array:
+        """The solution (K, D) for the right-hand side of other sums from slab `first` on.
+
+        Their blocks do not count; of what older slabs say of it only what such sums said is known.
+        """
+        solution = np.empty((len(self), self.layout.size))
+        kernels.respond(
+            self._blocks, self._aside, self._slot, first, sums.rhs_begin, sums.rhs_end, solution
+        )
         return solution
 
     def system(self) -> tuple[BlockTridiagonal, Array]:

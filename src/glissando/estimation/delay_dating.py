@@ -1,0 +1,114 @@
+"""Online: by which motion delayed streams are dated, and how much of that motion is noise.
+
+A second smoother shows the motion of the streams without an estimated delay. It also answers to
+readings of nothing but noise, as it would make a robot at rest move, and what that would tell of a
+delay is taken off. See `delays`.
+"""
+
+from __future__ import annotations
+
+from copy import copy
+from dataclasses import replace
+from typing import Protocol
+
+import numpy as np
+
+from glissando.estimation.delays import MARGIN, at_times, delay_columns, moving_with, slope_in_time
+from glissando.estimation.window_nodes import Nodes
+from glissando.geometry.se3 import Array
+from glissando.model.factors import Factors
+from glissando.model.sensors.parameter_process import EstimatedParameters
+from glissando.model.state import State
+
+_MEMORY = 50.0  # solutions of a window over which a stream's share is found
+
+
+class Window(Protocol):
+    """A window of a smoother that estimated delays do not reach."""
+
+    nodes: Nodes
+
+    @property
+    def started(self) -> bool:
+        """Whether there is a node."""
+
+    @property
+    def estimate_and_noise(self) -> tuple[State, State]:
+        """Nodes (K, N) as estimated, and moved by what noise of the readings makes of a robot."""
+
+
+class DelayDating:
+    """What dates the delayed readings of a window.
+
+    Attributes:
+        motion: Nodes (K, N) of the window as streams without a delay show them.
+    """
+
+    motion: State
+
+    def __init__(self, others: Window, process: EstimatedParameters) -> None:
+        """Date by the motion of a window of the other streams, of these sensor parameters."""
+        self._others, self._size = others, process.size
+        self._columns = delay_columns(process)
+        self._told: dict[str, Array] = {}  # by a stream's name: what motion tells, and noise
+
+    def copied(self) -> DelayDating:
+        """The same, to go on with without a change to this one."""
+        out = copy(self)
+        out._told = {name: told.copy() for name, told in self._told.items()}
+        return out
+
+    def see(self, nodes: Nodes, first: int, free: int) -> Nodes:
+        """Find the motion of a window.
+
+        Args:
+            nodes: Its nodes (K, N).
+            first: From which one on readings are linearised.
+            free: The first whose linearisation may move: what moves with a delay is found anew.
+
+        Returns:
+            The nodes, with how they move with a delay.
+        """
+        motion, other = self._motions(nodes)
+        slope, noisy = (slope_in_time(m, nodes.time) for m in (motion, other))
+        own = slope_in_time(nodes.state, nodes.time) - slope
+        nodes = replace(nodes, own=np.concatenate([nodes.own[:free], own[free:]]))
+        self.motion = motion.take(slice(first, None))
+        self._slopes = np.stack([slope, noisy - slope])[:, first:]
+        for told in self._told.values():
+            told *= 1.0 - 1.0 / _MEMORY
+        return nodes
+
+    def moving(self, factors: Factors, nodes: Nodes) -> Factors:
+        """Factors of a motion that moves with the delays, see `delays.moving_with`."""
+        return moving_with(factors, nodes.own, self._columns, self._size)
+
+    def dated(self, stream: str, factors: Factors) -> Factors:
+        """Factors of a stream's readings, with the share of the motion's slope that is no noise."""
+        if factors.extras is None:
+            return factors
+        m, r = factors.terms.residual.shape
+        extras = factors.extras.reshape(m, r, 2, -1).copy()
+        delays = extras[..., self._columns]
+        if not delays.any():
+            return factors
+        self._told[stream] = self._told.get(stream, np.zeros(2)) + self._tell(factors)
+        told, of_noise = self._told[stream]
+        share = np.sqrt(max(1.0 - MARGIN * of_noise / told, 0.0)) if told > 0.0 else 0.0
+        extras[..., self._columns] = share * delays
+        return replace(factors, extras=extras.reshape(m, r, -1))
+
+    def _tell(self, factors: Factors) -> Array:
+        """What the motion tells readings of their delay, and what noise would (2,), s⁻²."""
+        k, n = np.divmod(factors.nodes, self._slopes.shape[2])
+        slopes = self._slopes[:, k, n][..., factors.dofs]
+        by_time = np.einsum("mrcd,amcd->amr", factors.jacobian, slopes)
+        white = (factors.terms.sqrt_info @ by_time[..., None])[..., 0]
+        return np.asarray(np.einsum("m,amr->a", factors.terms.robust_weights(), white**2))
+
+    def _motions(self, nodes: Nodes) -> list[State]:
+        """The motion at the times of nodes, and with noise; none before there is any."""
+        others = self._others
+        if not others.started:
+            return 2 * [nodes.state.take(np.zeros(len(nodes), dtype=int))]
+        return [at_times(m, others.nodes.time, nodes.time) for m in others.estimate_and_noise]
