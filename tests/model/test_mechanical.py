@@ -97,7 +97,7 @@ def test_without_unknown_loads_it_is_the_simulators_rod(nodes):
         rod.stiffness[None], np.array([rod.mass_per_length]), gravity=gravity, tip_mass=tool
     )
     none = {"rest_strain": np.array([0, 0, 1.0, 0, 0, 0]), "rest_slope": np.zeros(6),
-            "points": np.zeros(0)}  # fmt: skip
+            **NO_POINTS}  # fmt: skip
     prior = mechanical(mechanics=mechanics, base_pose=np.eye(4), **none)
     grid = Grid(np.sort(np.r_[0.0, 0.6, rng.uniform(0.01, 0.59, nodes - 2)]), [0.0])
     found, expected = prior.rest_state(grid), shape.at(grid.arclength)

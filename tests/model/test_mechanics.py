@@ -102,7 +102,7 @@ def test_wrong_units_and_impossible_tubes_are_one_sentence(tmp_path, old, new, s
         ("0.06, 0.06, 0.05", "6e4, 6e4, 5e4", "m thick"),
         ("0.06, 0.06, 0.05", "-0.06, 0.06, 0.05", "above zero"),
         ("0.016", "-0.016", "zero or more"),
-        ("0.016", "16e3", "zero or more"),
+        ("0.016", "16e3", "give kg/m"),
         ("1e5, 1e5, 2e5, 0.06, 0.06, 0.05", "1e5, 1e5", "m thick"),
     ],
 )

@@ -99,7 +99,7 @@ PRIORS = {
     ),
     "curved": SeparablePrior(
         np.outer([1, 2], SIX), 0.5, BaseVariance(SIX, SIX), joints=np.array([0.2]),
-        jumps=SIX[None], rest_strain=np.outer([1, -1], SIX), rest_slope=np.outer([1, 3], SIX),
+        jumps=SIX[None], rest_strain=np.outer([1, 2], SIX), rest_slope=np.outer([1, 3], SIX),
         base_pose=TURNED,
     ),
 } | {name: load_robot(name).prior for name in shipped_robots()}  # fmt: skip

@@ -10,6 +10,7 @@ import numpy as np
 from glissando.errors import GlissandoError, OutsideGridError, SensorError, UnobservableError
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
+from glissando.model.mechanics import Mechanics, implausible
 from glissando.model.priors.prior import Prior
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.sensors.readings import Readings
@@ -57,6 +58,10 @@ def require_model(
         raise OutsideGridError(
             f"The arclength nodes reach {longest:g} m; give metres, not millimetres."
         )
+    mechanics = getattr(prior, "mechanics", None)
+    wrong = implausible(mechanics, longest) if isinstance(mechanics, Mechanics) else None
+    if wrong is not None:
+        raise GlissandoError(f"Mechanics: {wrong[0]} {wrong[1]}")
     names = set()
     for parameter in _listed(sensor_parameters, SensorParameter, "sensor parameters"):
         if parameter.name in names:

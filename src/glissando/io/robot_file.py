@@ -16,7 +16,7 @@ from glissando.io.provenance import require_readable
 from glissando.io.shipped_robots import robot_file
 from glissando.io.toml_table import Table, read_document
 from glissando.model.grid import with_places
-from glissando.model.mechanics import read_mechanics, require_plausible
+from glissando.model.mechanics import implausible, read_mechanics
 from glissando.model.noise import GemanMcClure, Huber, Loss
 from glissando.model.priors.prior import Prior
 from glissando.model.priors.registry import prior_class, prior_kinds
@@ -111,7 +111,9 @@ def parse_robot(table: Table) -> Robot:
     nodes = with_places(nodes, prior.joints)
     mechanics = getattr(prior, "mechanics", None) or read_mechanics(table)
     if mechanics is not None:
-        require_plausible(mechanics, length, table)
+        wrong = implausible(mechanics, length)
+        if wrong is not None:
+            raise table.fail(f"[mechanics] {wrong[0]}", wrong[1])
     sensors = _sensors(table)
     sensor_parameters = tuple(
         _sensor_parameter(entry) for entry in table.tables("sensor_parameters")

@@ -16,6 +16,7 @@ from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.grid import SAME, Index, segment_at
 from glissando.model.priors.prior_table import PriorTable
+from glissando.model.stated import Stated
 
 _GRAVITY = 9.81  # m/s², only to judge whether a rod could carry its own weight
 _REACHES = np.finfo(float).max  # the end of a tube that states none
@@ -46,8 +47,17 @@ class Mechanics:
     end: float = _REACHES
 
     def __post_init__(self) -> None:
-        mass = np.broadcast_to(self.mass_per_length, len(self.stiffness)).copy()
-        object.__setattr__(self, "mass_per_length", mass)
+        stated = Stated(self)
+        count = stated.places("joints").size + 1
+        stiffness = stated.numbers("stiffness", (6,), (count, 6), above=0.0).reshape(-1, 6)
+        if len(stiffness) != count:
+            raise stated.fail("stiffness", f"has one row for {count} segments; give one each.")
+        object.__setattr__(self, "stiffness", stiffness)
+        mass = stated.numbers("mass_per_length", (), (1,), (count,), least=0.0)
+        object.__setattr__(self, "mass_per_length", np.broadcast_to(mass, count).copy())
+        stated.numbers("gravity", (3,), (-1, 3))
+        stated.number("tip_mass", least=0.0)
+        stated.numbers("tip_center", (3,))
 
     def segment(self, arclength: Array) -> Index:
         """Number (M,) of the segment at arclengths (M,); at a joint the one beyond it."""
@@ -111,56 +121,72 @@ def read_mechanics(robot: PriorTable) -> Mechanics | None:
         return None
     fields = _tubes(table) if table.peek("tubes") is not None else _sections(table)
     gravity = table.vector("gravity", 3, np.zeros(3))
-    size = float(np.linalg.norm(gravity))
-    if 0.0 < size < 1.5 or size > 30.0:
-        raise table.fail(
-            "gravity", f"has length {size:g}; give the acceleration in m/s², as [0, 0, -9.81]."
-        )
     tip = table.table("tip")
     if tip is not None:
-        mass = tip.number("mass")
-        if mass > 5.0:
-            raise tip.fail("mass", f"is {mass:g} kg; give kilograms, not grams.")
         center = tip.vector("center", 3, np.zeros(3))
-        if np.linalg.norm(center) > 0.5:
-            raise tip.fail("center", f"is {center.tolist()}; give metres, not millimetres.")
-        fields |= {"tip_mass": mass, "tip_center": center}
+        fields |= {"tip_mass": tip.number("mass"), "tip_center": center}
         tip.close()
     table.close()
     return Mechanics(gravity=gravity, **fields)
 
 
-def require_plausible(mechanics: Mechanics, length: float, robot: PriorTable) -> None:
-    """Raise unless the rod's segments lie on it and could carry their own weight.
+def implausible(mechanics: Mechanics, length: float) -> tuple[str, str] | None:
+    """What of a rod's mechanics is most likely in another unit: the field, and what to do.
 
-    Raises:
-        GlissandoError: A joint is beyond the tip, or a unit is wrong.
+    Args:
+        mechanics: The mechanics.
+        length: Length of the rod, m.
     """
+    size = np.linalg.norm(np.atleast_2d(mechanics.gravity), axis=1)
+    size = size[size > 0.0]
+    if np.any((size < 1.5) | (size > 30.0)):
+        wrong = size[(size < 1.5) | (size > 30.0)][0]
+        return "gravity", f"has length {wrong:g}; give the acceleration in m/s², as [0, 0, -9.81]."
+    if mechanics.tip_mass > 5.0:
+        return "tip mass", f"is {mechanics.tip_mass:g} kg; give kilograms, not grams."
+    if np.linalg.norm(mechanics.tip_center) > 0.5:
+        return "tip center", f"is {mechanics.tip_center.tolist()}; give metres, not millimetres."
+    if np.any(mechanics.mass_per_length > 50.0):
+        return "mass_per_length", f"is {mechanics.mass_per_length.max():g}; give kg/m."
     if mechanics.joints.size and mechanics.joints[-1] >= length:
-        raise robot.fail(
-            "[mechanics]",
-            f"has a segment that begins at {mechanics.joints[-1]:g} m, beyond the tip at "
-            f"{length:g} m; give arclengths in metres.",
+        return "joints", (
+            f"begin a segment at {mechanics.joints[-1]:g} m, beyond the tip at {length:g} m; give "
+            f"arclengths in metres."
         )
     if mechanics.end < length - SAME:
-        raise robot.fail(
-            "[mechanics]",
-            f"has tubes that all end by {mechanics.end:g} m, before the tip at {length:g} m; leave "
-            f"`end` out for a tube that reaches the tip.",
+        return "tubes", (
+            f"all end by {mechanics.end:g} m, before the tip at {length:g} m; leave `end` out for "
+            f"a tube that reaches the tip."
         )
+    return _too_thick(mechanics) or _too_soft(mechanics, length)
+
+
+def _too_thick(mechanics: Mechanics) -> tuple[str, str] | None:
+    """What is said of bending and extension that no rod has together."""
+    gyration = np.sqrt(mechanics.stiffness[:, 3:5].max(axis=1) / mechanics.stiffness[:, 2])
+    if np.all((gyration <= 0.1) & (gyration >= 1e-6)):
+        return None
+    return "stiffness", (
+        f"is {mechanics.stiffness.tolist()}, whose bending over extension belongs to a rod "
+        f"{2 * gyration.max():.2g} m thick; give N for shear and extension, N m² for bending and "
+        f"twist."
+    )
+
+
+def _too_soft(mechanics: Mechanics, length: float) -> tuple[str, str] | None:
+    """What is said of a rod that its own weight would fold."""
     bending = mechanics.stiffness[:, 3:5].min(axis=1)
     weight = _GRAVITY * (mechanics.mass_per_length * length + mechanics.tip_mass)
     droop = weight * length**2 / bending
-    if droop.max() > _DROOP:
-        worst = int(np.argmax(droop))
-        raise robot.fail(
-            "[mechanics]",
-            f"has a bending stiffness of {bending[worst]:.3g} N m² and "
-            f"{mechanics.mass_per_length[worst]:.3g} kg/m with {mechanics.tip_mass:.3g} kg at the "
-            f"tip: over {length:g} m the rod could not carry its own weight. Give young in Pa "
-            f"(200e9, not 200 GPa or 200e3 N/mm²), stiffness in N and N m², masses in kg and "
-            f"lengths in metres.",
-        )
+    if droop.max() <= _DROOP:
+        return None
+    worst = int(np.argmax(droop))
+    return "stiffness", (
+        f"in bending is {bending[worst]:.3g} N m², with {mechanics.mass_per_length[worst]:.3g} "
+        f"kg/m and {mechanics.tip_mass:.3g} kg at the tip: over {length:g} m the rod could not "
+        f"carry its own weight. Give young in Pa (200e9, not 200 GPa or 200e3 N/mm²), stiffness in "
+        f"N and N m², masses in kg and lengths in metres."
+    )
 
 
 def _tubes(table: PriorTable) -> dict[str, Any]:
@@ -214,19 +240,12 @@ def _sections(table: PriorTable) -> dict[str, Any]:
         stiffness = table.rows("stiffness", joints.size + 1, 6)
     else:
         stiffness = table.vector("stiffness", 6, positive=True)[None]
-    gyration = np.sqrt(stiffness[:, 3:5].max(axis=1) / stiffness[:, 2])
-    if np.any((gyration > 0.1) | (gyration < 1e-6)):
-        raise table.fail(
-            "stiffness",
-            f"is {rows!r}, whose bending over extension belongs to a rod {2 * gyration.max():.2g} "
-            f"m thick; give N for shear and extension, N m² for bending and twist.",
-        )
     mass = table.peek("mass_per_length")
     if isinstance(mass, list):
         masses = table.vector("mass_per_length", joints.size + 1)
     else:
         single = table.number("mass_per_length", 0.0, positive=False)
         masses = np.full(joints.size + 1, single)
-    if np.any(masses < 0.0) or np.any(masses > 50.0):
+    if np.any(masses < 0.0):
         raise table.fail("mass_per_length", f"is {mass!r}; give kg/m, zero or more.")
     return {"stiffness": stiffness, "mass_per_length": masses, "joints": joints}

@@ -45,6 +45,7 @@ from glissando.model.priors.stationary import (
 )
 from glissando.model.priors.transitions import bridge, process_covariances
 from glissando.model.state import POSE, STRAIN, State
+from glissando.model.stated import Stated
 
 
 @dataclass(frozen=True)
@@ -53,6 +54,10 @@ class BaseVariance:
 
     pose: Array
     strain: Array
+
+    def __post_init__(self) -> None:
+        for name in ("pose", "strain"):
+            Stated(self).numbers(name, (6,), above=0.0)
 
 
 @dataclass(frozen=True)
@@ -80,6 +85,17 @@ class SeparablePrior:
     rest_slope: Array = field(default_factory=lambda: np.zeros(6))
     base_time_scale: float | None = None
     kind: ClassVar[str] = "separable"
+
+    def __post_init__(self) -> None:
+        stated = Stated(self)
+        stated.rest(stated.segments())
+        stated.numbers("rest_slope", (6,), (self.joints.size + 1, 6))
+        stated.pose("base_pose")
+        stated.number("time_scale", above=0.0)
+        if self.base_time_scale is not None:
+            stated.number("base_time_scale", above=0.0)
+        if not isinstance(self.base, BaseVariance):
+            raise stated.fail("base", f"is {self.base!r}; give a BaseVariance.")
 
     @classmethod
     def from_table(cls, prior: PriorTable, robot: PriorTable) -> SeparablePrior:

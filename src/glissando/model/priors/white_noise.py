@@ -34,6 +34,7 @@ from glissando.model.priors.rest_shape import STRAIGHT, RestShape
 from glissando.model.priors.static import static_factors
 from glissando.model.priors.steps import ARCLENGTH, TIME, Direction, weighted_steps
 from glissando.model.state import DOF, POSE, STRAIN, VELOCITY, State, rest_state
+from glissando.model.stated import Stated
 
 _ALL = slice(0, DOF)
 
@@ -49,6 +50,10 @@ class BaseDensity:
     pose: Array
     strain: Array
     velocity: Array
+
+    def __post_init__(self) -> None:
+        for name in ("pose", "strain", "velocity"):
+            Stated(self).numbers(name, (6,), above=0.0)
 
 
 @dataclass(frozen=True)
@@ -78,6 +83,17 @@ class WhiteNoisePrior:
     kind: ClassVar[str] = "white-noise"
     pace: Array = field(default_factory=lambda: np.ones(1))
     pace_times: Array = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        stated = Stated(self)
+        stated.segments()
+        stated.rest(1)
+        for name in ("psd_velocity_time", "psd_strain_time", "psd_velocity_arclength"):
+            stated.numbers(name, (6,), above=0.0)
+        stated.pose("base_pose")
+        stated.numbers("pace", (np.size(self.pace_times) + 1,), above=0.0)
+        if self.base is not None and not isinstance(self.base, BaseDensity):
+            raise stated.fail("base", f"is {self.base!r}; give a BaseDensity or None.")
 
     @classmethod
     def from_table(cls, prior: PriorTable, robot: PriorTable) -> WhiteNoisePrior:

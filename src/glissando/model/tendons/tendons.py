@@ -7,7 +7,9 @@ it. Source: (M5) and (M6) of docs/tendons.md.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,6 +20,7 @@ from glissando.model.mechanics import Mechanics
 from glissando.model.priors.prior_table import PriorTable
 from glissando.model.tendons.channel import Channel
 
+_LONGEST = 50.0  # m of a robot
 _LARGEST_RADIUS = 0.1  # m, beyond which a radius was most likely given in millimetres
 _EACH = ("radius", "angle", "pitch", "end", "stiffness", "slack", "play", "friction")
 _SHARED = {"softness": 1e-4, "std": 1e-4, "psd_moment": 1e-7}
@@ -79,6 +82,7 @@ class Tendons:
         if len(names) != count:
             raise SensorError(f"Tendons: {len(names)} names for {count} tendons; give one each.")
         object.__setattr__(self, "names", names)
+        _require_units(self, lambda name, problem: SensorError(f"Tendons: {name} {problem}"))
 
     def __len__(self) -> int:
         return int(self.radius.size)
@@ -168,8 +172,18 @@ def read_tendons(
     given["pitch"] = np.where(pitch == 0.0, np.inf, pitch)
     given |= {name: table.number(name, usual) for name, usual in _SHARED.items()}
     table.close()
+    _require_units(SimpleNamespace(**given), table.fail)
     tendons = Tendons(names=names, **given)
-    _require_plausible(table, tendons, length)
+    off = np.flatnonzero(tendons.end > length + 1e-9)
+    if off.size:
+        raise table.fail(
+            "end",
+            f"puts tendon {off[0]} at {tendons.end[off[0]]:g} m, outside the robot of "
+            f"{length:g} m; end it on the robot, in metres.",
+        )
+    slack = np.abs(tendons.slack).max()
+    if slack > length:
+        raise table.fail("slack", f"reaches {slack:g} m on {length:g} m; give metres.")
     if mechanics is not None:
         _require_stiff(table, tendons, float(mechanics.stiffness[:, 3:5].max()))
     return tendons
@@ -183,37 +197,33 @@ def _each(table: PriorTable, name: str, count: int) -> Array:
     return np.full(count, table.number(name, default, positive=name in ("radius", "stiffness")))
 
 
-def _require_plausible(table: PriorTable, tendons: Tendons, length: float) -> None:
-    """Raise unless tendons lie in the robot and their numbers are in SI units."""
-    off = np.flatnonzero((tendons.end <= 0.0) | (tendons.end > length + 1e-9))
-    if off.size:
-        raise table.fail(
-            "end",
-            f"puts tendon {off[0]} at {tendons.end[off[0]]:g} m, outside the robot of "
-            f"{length:g} m; end it on the robot, in metres.",
-        )
-    if np.any((tendons.radius <= 0.0) | (tendons.radius > _LARGEST_RADIUS)):
-        raise table.fail("radius", f"is {tendons.radius.tolist()}; give metres: 0.0045 for 4.5 mm.")
+def _require_units(tendons: Any, fail: Callable[[str, str], Exception]) -> None:
+    """Raise what `fail` makes of a field unless tendons' numbers can be, in SI units."""
+    for name in (*_EACH, *_SHARED):
+        value = np.asarray(getattr(tendons, name), dtype=float)
+        if np.any(np.isnan(value)) or (name != "pitch" and np.any(np.isinf(value))):
+            raise fail(name, f"is {value.tolist()}; give finite numbers.")
+        if name in ("radius", "end", "stiffness", *_SHARED) and np.any(value <= 0.0):
+            raise fail(name, f"is {value.tolist()}; give numbers above zero.")
+        if name in ("play", "friction") and np.any(value < 0.0):
+            raise fail(name, f"is {value.tolist()}; give zero or more.")
+    if np.any(tendons.radius > _LARGEST_RADIUS):
+        raise fail("radius", f"is {tendons.radius.tolist()}; give metres: 0.0045 for 4.5 mm.")
     if np.any(np.abs(tendons.angle) > 4.0 * np.pi):
-        raise table.fail("angle", f"is {tendons.angle.tolist()}; give radians, not degrees.")
-    if np.any(tendons.stiffness <= 0.0):
-        raise table.fail(
-            "stiffness", f"is {tendons.stiffness.tolist()}; give N/m above zero, Young's modulus "
-            f"times section over length.",
-        )  # fmt: skip
+        raise fail("angle", f"is {tendons.angle.tolist()}; give radians, not degrees.")
+    if np.any(tendons.end > _LONGEST):
+        raise fail("end", f"reaches {tendons.end.max():g} m; give metres, not millimetres.")
+    if np.any(np.abs(tendons.pitch) < tendons.radius):
+        raise fail("pitch", f"is {tendons.pitch.tolist()}; give metres a turn, inf if straight.")
     travel = _TRAVEL * float(tendons.radius.max())
     for name in ("slack", "play", "softness", "std"):
         value = np.abs(np.asarray(getattr(tendons, name)))
-        most = min(max(travel, _ZERO), length) if name == "slack" else travel
-        if np.any(value > most):
-            raise table.fail(
+        if np.any(value > (max(travel, _ZERO) if name == "slack" else travel)):
+            raise fail(
                 name,
                 f"reaches {value.max():g} m, more than bending by {_TRAVEL:g} rad pulls a tendon "
                 f"by; give metres.",
             )
-    for name in ("play", "friction"):
-        if np.any(getattr(tendons, name) < 0.0):
-            raise table.fail(name, f"is {getattr(tendons, name).tolist()}; give zero or more.")
 
 
 def _require_stiff(table: PriorTable, tendons: Tendons, bending: float) -> None:

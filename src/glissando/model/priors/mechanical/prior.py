@@ -43,6 +43,7 @@ from glissando.model.priors.rest_shape import STRAIGHT, RestShape
 from glissando.model.priors.static import STATIC_DOF
 from glissando.model.priors.stationary import chain_factors, interpolate_process, require_digits
 from glissando.model.state import State
+from glissando.model.stated import Stated
 
 _REACH = 0.3  # m, over which a load acts, for orders of magnitude
 _SOFT = 0.022  # m, of shear over curvature
@@ -86,6 +87,18 @@ class MechanicalPrior:
     var_points: Array = field(default_factory=lambda: np.zeros((0, 6)))
     inertia: Inertia | None = None
     kind: ClassVar[str] = "mechanical"
+
+    def __post_init__(self) -> None:
+        stated = Stated(self)
+        for name in ("psd_load", "psd_strain_error", "var_tip", "var_base"):
+            stated.numbers(name, (6,), above=0.0)
+        stated.number("time_scale", above=0.0)
+        stated.pose("base_pose")
+        if not isinstance(self.mechanics, Mechanics):
+            raise stated.fail("mechanics", f"is {self.mechanics!r}; give a Mechanics.")
+        stated.rest(self.mechanics.joints.size + 1)
+        stated.numbers("rest_slope", (6,), (self.mechanics.joints.size + 1, 6))
+        stated.numbers("var_points", (stated.places("points").size, 6), least=0.0)
 
     @classmethod
     def from_table(cls, prior: PriorTable, robot: PriorTable) -> MechanicalPrior:

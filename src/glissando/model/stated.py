@@ -1,0 +1,119 @@
+"""What a model is made with in Python, checked as robot files are: shapes, signs and units."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from glissando.errors import GlissandoError
+from glissando.geometry.se3 import Array
+
+_TURNED = 1e-6  # by which a rotation may differ from one
+_FAR = 50.0  # m of any position
+
+
+class Stated:
+    """The fields of a frozen dataclass as they are given; each method checks one and keeps it.
+
+    Every method raises GlissandoError, which names the class, the field and the value.
+
+    Args:
+        model: The dataclass, while it is being made.
+    """
+
+    def __init__(self, model: Any) -> None:
+        self._model = model
+
+    def fail(self, name: str, problem: str) -> GlissandoError:
+        """An error that names the field."""
+        return GlissandoError(f"{type(self._model).__name__}: {name} {problem}")
+
+    def numbers(
+        self, name: str, *shapes: tuple[int, ...], above: float | None = None,
+        least: float | None = None,
+    ) -> Array:  # fmt: skip
+        """A field as finite numbers of one of some shapes.
+
+        Args:
+            name: The field.
+            shapes: Shapes that it may have; −1 stands for any number from 1, () for a number.
+            above: What every number exceeds, if anything.
+            least: What no number falls below, if anything.
+        """
+        given = getattr(self._model, name)
+        try:
+            value = np.asarray(given, dtype=float)
+        except (TypeError, ValueError):
+            raise self.fail(name, f"is {given!r}; give numbers.") from None
+        if not any(_fits(value.shape, shape) for shape in shapes):
+            wanted = " or ".join(_said(shape) for shape in shapes)
+            raise self.fail(name, f"has shape {value.shape}; give {wanted}.")
+        low = above if above is not None else least
+        bad = ~np.isfinite(value)
+        if low is not None:
+            bad |= (value <= low) if above is not None else (value < low)
+        if bad.any():
+            wanted = "finite numbers"
+            if low is not None:
+                wanted += f" above {low:g}" if above is not None else f" from {low:g}"
+            raise self.fail(name, f"holds {value[bad].flat[0]:g}; give {wanted}.")
+        object.__setattr__(self._model, name, value)
+        return value
+
+    def number(self, name: str, *, above: float | None = None, least: float | None = None) -> float:
+        """A field as one finite number."""
+        value = float(self.numbers(name, (), above=above, least=least))
+        object.__setattr__(self._model, name, value)
+        return value
+
+    def places(self, name: str) -> Array:
+        """A field as arclengths (P,) that increase from above 0, none or more."""
+        given = getattr(self._model, name)
+        if np.size(given) == 0:
+            object.__setattr__(self._model, name, np.zeros(0))
+            return np.zeros(0)
+        value = self.numbers(name, (-1,), above=0.0)
+        if np.any(np.diff(value) <= 0.0):
+            raise self.fail(name, f"is {value.tolist()}; give arclengths that increase, in metres.")
+        return value
+
+    def pose(self, name: str) -> Array:
+        """A field as a pose (4, 4)."""
+        value = self.numbers(name, (4, 4))
+        rotation = value[:3, :3]
+        turned = np.abs(rotation.T @ rotation - np.eye(3)).max() < _TURNED
+        if not turned or np.linalg.det(rotation) < 0.0 or np.any(value[3] != [0, 0, 0, 1]):
+            raise self.fail(name, "is no pose; give a rotation, a position and [0, 0, 0, 1].")
+        far = float(np.linalg.norm(value[:3, 3]))
+        if far > _FAR:
+            raise self.fail(name, f"lies {far:g} m from the origin; give metres, not millimetres.")
+        return value
+
+    def rest(self, segments: int) -> None:
+        """`rest_strain` of a body or of its segments, which a robot can have."""
+        strain = self.numbers("rest_strain", (6,), (segments, 6))
+        if np.any(strain[..., 2] <= 0.0):
+            raise self.fail(
+                "rest_strain",
+                f"has an extension of {strain[..., 2].min():g}; a straight rod at its own length "
+                f"has [0, 0, 1, 0, 0, 0].",
+            )
+
+    def segments(self) -> int:
+        """`psd_strain_arclength` of a body or of its segments, `joints`, `jumps`: how many."""
+        joints = self.places("joints").size
+        psd = self.numbers("psd_strain_arclength", (6,), (joints + 1, 6), above=0.0)
+        if np.size(self._model.jumps) or psd.ndim > 1 < len(psd):
+            self.numbers("jumps", (joints, 6), least=0.0)
+        return joints + 1
+
+
+def _fits(shape: tuple[int, ...], wanted: tuple[int, ...]) -> bool:
+    if len(shape) != len(wanted):
+        return False
+    return all(a == b or (b == -1 and a) for a, b in zip(shape, wanted, strict=True))
+
+
+def _said(shape: tuple[int, ...]) -> str:
+    return str(shape).replace("-1", "K") if shape else "one number"
