@@ -57,6 +57,7 @@ def test_a_robot_is_learned_from_imported_servos_and_foretells_other_moves(tmp_p
     servo_file(tmp_path / "servo.csv", moves(rng, 300), rng)
     record = ["import", str(tmp_path / "servo.csv"), "--robot", start, "--arclength", "tip=0.2"]
     assert main([*record, "--truth", "tip", "--out", str(tmp_path / "rec")]) == 0
+    assert f"Now: glissando learn {tmp_path / 'rec'}" in capsys.readouterr().out
     learn = ["learn", str(tmp_path / "rec"), "--robot", start, "--out", str(out), "--json"]
     assert main(learn) == 0
     report = json.loads(capsys.readouterr().out.splitlines()[-1])

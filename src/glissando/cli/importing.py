@@ -20,7 +20,7 @@ from glissando.io.foreign import Choices, read_tracks, write_recording
 from glissando.io.foreign.kinds import is_bag
 from glissando.io.foreign.tracks import Track
 from glissando.io.provenance import write_report
-from glissando.io.recording import load_recording
+from glissando.io.recording import Recording, load_recording
 
 _HELP = """\
 Bring files of motion capture and trackers into a recording folder that every command takes.
@@ -98,9 +98,9 @@ def _import(options: argparse.Namespace) -> int:
         tracks += read_tracks(file, rate=rate, topics=options.topic, columns=columns)
     for line in write_recording(tracks, options.out, choices):
         print(line)
-    unknown = load_recording(options.out).unknown_frames
-    print(f"Wrote {options.out}. {_next(options.out, sorted(unknown), bool(choices.truth))}")
-    if not unknown:
+    recording = load_recording(options.out)
+    print(f"Wrote {options.out}. {_next(options.out, recording, bool(choices.truth))}")
+    if not recording.unknown_frames:
         warn(findings_in(options.out))
     return 0
 
@@ -141,8 +141,11 @@ def _import_estimate(options: argparse.Namespace) -> int:
     return 0
 
 
-def _next(folder: Path, unknown: list[str], truth: bool) -> str:
+def _next(folder: Path, recording: Recording, truth: bool) -> str:
     """What to do with a recording that was imported."""
+    unknown, used = sorted(recording.unknown_frames), recording.choose(None, None)[0]
+    if not unknown and {recording.streams[name].rows.kind for name in used} == {"tendon"}:
+        return f"Now: glissando learn {folder} --out learned.toml"
     if not unknown:
         return f"Now: glissando estimate {folder} --out results"
     where = f"Where the frame {' and '.join(unknown)} is in the world is not known"
