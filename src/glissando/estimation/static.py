@@ -29,10 +29,11 @@ from glissando.model.priors.static import STATIC_DOF
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
 from glissando.solver.curvature import curvature, with_curvature
-from glissando.solver.gauss_newton import ROUNDING, WORTHWHILE, SolverOptions
+from glissando.solver.gauss_newton import SolverOptions
 from glissando.solver.located_readings import LocatedReadings, locate
 from glissando.solver.outcome import Outcome
 from glissando.solver.static_equations import StaticEquations, linearize_static, static_factors
+from glissando.solver.step_search import ROUNDING, WORTHWHILE
 
 _DOFS = slice(0, STATIC_DOF)
 _BLOCKS = 6.0  # square blocks of numbers that are kept for a node of a shape

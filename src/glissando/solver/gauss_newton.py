@@ -9,13 +9,11 @@ when a step is a negligible fraction of a posterior standard deviation. Source: 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
-from contextlib import suppress
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from glissando.errors import UnobservableError
 from glissando.geometry.se3 import Array
 from glissando.model.priors.prior import Prior
 from glissando.model.state import State
@@ -25,12 +23,8 @@ from glissando.solver.located_readings import LocatedReadings
 from glissando.solver.normal_equations import system_shape
 from glissando.solver.outcome import Outcome
 from glissando.solver.step_lengths import StepLengths
+from glissando.solver.step_search import WORTHWHILE, Manner, Where, candidates, try_step
 
-WORTHWHILE = 1e-3  # share of the predicted fall in cost below which a step is refused
-_GOOD = 0.25  # share above which no other way to take the step is tried
-ROUNDING = 1e-11  # a fall in cost this small, relatively, cannot be told from rounding
-_SHORTER = (0.5, 0.2)  # parts of a refused step that are tried
-_PLAIN, _FARTHEST = 2.0, 8.0  # a stretch of a step below which it is as good; and the longest
 _DAMPING = (1e-4, 1e8)  # smallest damping worth applying, and the one at which to give up
 _ROUGH = 10.0  # standard deviations a number that a rough start may be off by
 _ROUGH_ITERATIONS = 15
@@ -128,12 +122,6 @@ class Solution:
         return workspace, Cholesky(inverse, coupling)
 
 
-_Where = tuple[State, LocatedReadings]
-"""A state, and the readings where the sensor parameters that go with it put them."""
-
-_Linearize = Callable[[_Where, NormalEquations | None], NormalEquations]
-
-
 def minimize(
     prior: Prior,
     located: LocatedReadings,
@@ -156,7 +144,7 @@ def minimize(
     """
     workspace, cholesky = _memory(located, start, former)
 
-    def at(where: _Where, fixed: NormalEquations | None = None) -> NormalEquations:
+    def at(where: Where, fixed: NormalEquations | None = None) -> NormalEquations:
         noise_state = where[0] if fixed is None else fixed.noise_state
         weights = None if fixed is None else fixed.terms
         with clock("linearise"):
@@ -164,9 +152,9 @@ def minimize(
 
     here, fixed = at((start, located)), None
     steps = StepLengths(options.tolerance, kinks=located.moves)
-    damping, iteration, stretch = 0.0, 0, 1.0
+    damping, iteration, manner = 0.0, 0, Manner()
 
-    def solution(end: _Where, cholesky: Cholesky, outcome: Outcome) -> Solution:
+    def solution(end: Where, cholesky: Cholesky, outcome: Outcome) -> Solution:
         lengths = steps.first, steps.length
         return Solution(*end, here, cholesky, outcome, iteration, *lengths, workspace)
 
@@ -178,15 +166,15 @@ def minimize(
             progress(iteration, here.cost_of(here), length)
         steps.note(length, damped=damping > 0.0, renewed=fixed is here)
         if steps.short and (fixed is None or fixed is here or steps.last):
-            end = next(_candidates(prior, here, step))[0]
+            end = next(candidates(prior, here, step)).where
             return solution(end, cholesky, Outcome.CONVERGED)
         if steps.short:
             here = fixed = at((here.state, here.located))
             continue
         if iteration == options.settled:
             fixed = here
-        stretch = 1.0 if damping else stretch
-        here, gain, stretch = _try_step(prior, here, step, fixed, predicted, at, stretch)
+        manner.stretch = 1.0 if damping else manner.stretch
+        here, gain = try_step(prior, here, step, fixed, predicted, at, manner)
         damping = _next_damping(damping, gain)
         ended = _ended(steps.idle and not gain > WORTHWHILE, damping, iteration, options)
         if ended is not None:
@@ -221,93 +209,6 @@ def _step(
     step = cholesky.solve(here.rhs)
     length = float(np.sqrt(np.maximum(np.sum(step * (here.rhs - extra * step)), 0.0)))
     return cholesky, step, length, 0.5 * float(np.sum(step * (here.rhs + extra * step)))
-
-
-def _candidates(prior: Prior, here: NormalEquations, step: Array) -> Iterator[tuple[_Where, float]]:
-    """Where a step may lead, and the share of its promise: straight on, bent, or bent and shorter.
-
-    A long step straight on tears poses and strains apart, which stiff priors punish; bent, poses
-    still follow from the strains. Along a curved valley a shorter one is better than a damped one.
-    """
-    of_nodes, of_parameters = here.split(step)
-    located = here.located.moved(of_parameters)
-    yield (here.state.retract(of_nodes), located), 1.0
-    yield (prior.bent(located.grid, here.state, of_nodes), located), 1.0
-    for part in _SHORTER:
-        located = here.located.moved(part * of_parameters)
-        bent = prior.bent(located.grid, here.state, part * of_nodes)
-        yield (bent, located), part * (2.0 - part)
-
-
-def _try_step(
-    prior: Prior,
-    here: NormalEquations,
-    step: Array,
-    fixed: NormalEquations | None,
-    predicted: float,
-    at: _Linearize,
-    stretch: float,
-) -> tuple[NormalEquations, float, float]:
-    """The problem at the first way worth it, else as it was; the share of the promise; a stretch.
-
-    Where steps keep more than they promise, the cost curves less than residuals without their
-    second derivatives say, and a stretched step is tried first.
-    """
-    cost, best, best_gain = here.cost_of(here), (here.state, here.located), WORTHWHILE
-    if stretch > 1.0 and predicted > ROUNDING * (1.0 + cost):
-        of_nodes, of_parameters = here.split(stretch * step)
-        with suppress(np.linalg.LinAlgError):
-            there = at((here.state.retract(of_nodes), here.located.moved(of_parameters)), fixed)
-            gain = (cost - here.cost_of(there)) / predicted
-            if gain > _PLAIN:
-                return there, gain, _next_stretch(stretch, gain)
-    gain = -1.0
-    for there, where, share in _ways(prior, here, step, fixed, at):
-        if predicted < ROUNDING * (1.0 + cost):
-            return there, 1.0, 1.0
-        gain = (cost - here.cost_of(there)) / (share * predicted)
-        if gain > _GOOD:
-            return there, gain, _next_stretch(1.0, gain) if stretch == 1.0 else 1.0
-        if gain > best_gain:
-            best, best_gain = where, gain
-    gain = best_gain if best_gain > WORTHWHILE else gain
-    return at(best, fixed), gain, 1.0
-
-
-def _next_stretch(stretch: float, gain: float) -> float:
-    """How many Gauss–Newton steps away the least cost lies, as the gain of the last one tells.
-
-    Where the cost curves c times as much as Gauss–Newton assumes, a step α times as long gains
-    2 α − c α² of what a plain one promises, most at α = 1/c.
-    """
-    curvature = (2.0 * stretch - gain) / stretch**2
-    return 1.0 if curvature > 1.0 / _PLAIN else 1.0 / max(curvature, 1.0 / _FARTHEST)
-
-
-def _ways(
-    prior: Prior,
-    here: NormalEquations,
-    step: Array,
-    fixed: NormalEquations | None,
-    at: _Linearize,
-) -> Iterator[tuple[NormalEquations, _Where, float]]:
-    """The problem where each candidate leads, as far as its weights exist, and its share.
-
-    Last comes where a second step from the first candidate leads. A step along the tangent of a
-    narrow valley ends high on its side and shorter ones gain little; the next step from there falls
-    back into the valley, farther on (Chamberlain et al., The watchdog technique, 1982).
-    """
-    first = None
-    for where, share in _candidates(prior, here, step):
-        with suppress(np.linalg.LinAlgError):  # so far off that not even its weights exist
-            yield at(where, fixed), where, share
-            first = first or where
-    if first is not None:
-        with suppress(np.linalg.LinAlgError, UnobservableError):
-            high = at(first, fixed)
-            onward = factor(high.system).solve(high.rhs)
-            where = next(_candidates(prior, high, onward))[0]
-            yield at(where, fixed), where, 1.0
 
 
 def _next_damping(damping: float, gain: float) -> float:
