@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from draws import generators, law
-from glissando import estimate, load_recording, load_robot
+from glissando import PoseReadings, estimate, load_recording, load_robot
 from glissando.errors import SensorError
 from glissando.estimation.outliers import spikes
 from glissando.evaluation.metrics import errors_against, pool
@@ -92,6 +93,27 @@ def test_only_what_leaves_its_neighbours_behind_is_a_spike(rng):
     shuffled = rng.permutation(len(coil))
     assert np.flatnonzero(spikes(wrong)).tolist() == [row]
     assert shuffled[spikes(wrong.select(shuffled))].tolist() == [row]
+
+
+@law
+@given(generators, st.sampled_from(["moved", "turned"]))
+def test_spikes_show_in_a_fast_motion(rng, how):
+    """What is wrong is less than the tracker goes and turns between a few readings."""
+    time = np.sort(rng.uniform(0.0, 3.0, 120))
+    sway = rng.uniform(-1.0, 1.0, (2, 6)) * [0.15, 0.15, 0.15, 0.6, 0.6, 0.6]
+    motion = np.sin(4.0 * time)[:, None] * sway[0] + np.cos(3.0 * time)[:, None] * sway[1]
+    std = np.repeat([1e-3, 1e-2], 3)
+    values = se3.exp(motion) @ se3.exp(std * rng.standard_normal((time.size, 6)))
+    tip = PoseReadings(time=time, arclength=np.full(time.size, 0.5), values=values, cov=std**2)
+    assert not spikes(tip).any()
+    rows = np.arange(5, 115, 20) + rng.integers(0, 8)
+    off, way = np.zeros((rows.size, 6)), rng.standard_normal((rows.size, 3))
+    way *= {"moved": 0.2, "turned": 1.5}[how] / np.linalg.norm(way, axis=1, keepdims=True)
+    off[:, slice(0, 3) if how == "moved" else slice(3, 6)] = way
+    values[rows] = values[rows] @ se3.exp(off)
+    found = np.flatnonzero(spikes(tip.changed(values=values)))
+    assert set(found) <= set(rows)
+    assert found.size >= rows.size - 1
 
 
 @pytest.mark.slow

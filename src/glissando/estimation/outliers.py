@@ -34,24 +34,54 @@ Mask = NDArray[np.bool_]
 
 
 def spikes(readings: Readings) -> Mask:
-    """Readings (M,) far from the median of their neighbours in time, and those not far from it."""
-    count, wide = len(readings), 2 * _NEIGHBOURS
-    poses = readings.values.shape[1:] == (4, 4)
-    values = readings.values[:, :3, 3] if poses else readings.values.reshape(count, -1)
-    if count <= wide or readings.values.shape[1:] == (3, 3) or not values.shape[1]:
-        return np.zeros(count, dtype=bool)
-    order = np.argsort(readings.time, kind="stable")
+    """Readings (M,) far from where their neighbours in time are on the way to.
+
+    What those agree on, too, moves on a straight line, which some wrong ones do not bend.
+    """
+    count, values = len(readings), readings.values
+    out = np.zeros(count, dtype=bool)
+    if count <= 2 * _NEIGHBOURS or not values.size or values.shape[1:] == (3, 3):
+        return out
+    variance = np.diagonal(
+        np.broadcast_to(readings.cov, (count, *readings.cov.shape[-2:])), 0, 1, 2
+    )
+    if values.shape[1:] != (4, 4):
+        flat = values.reshape(count, -1)
+        return _off_line(readings.time, flat, variance[:, : flat.shape[1]].sum(axis=1))
+    out |= _off_line(readings.time, values[:, :3, 3], variance[:, :3].sum(axis=1))
+    if variance.shape[1] == 6:  # another sensor does not show its roll
+        turned = values[:, :3, :3].reshape(count, 9) / np.sqrt(
+            2.0
+        )  # so that its length is an angle
+        out |= _off_line(readings.time, turned, variance[:, 3:].sum(axis=1))
+    return out
+
+
+def _off_line(time: Array, values: Array, variance: Array) -> Mask:
+    """Which values (M, n) with noise of a total variance (M,) are far off a line by neighbours.
+
+    The line has the median of slopes between any two of them (Theil and Sen).
+    """
+    count, wide = len(time), 2 * _NEIGHBOURS
+    order = np.argsort(time, kind="stable")
     first = np.clip(np.arange(count) - _NEIGHBOURS, 0, count - wide - 1)
     near = first[:, None] + np.arange(wide + 1)
     near = near[near != np.arange(count)[:, None]].reshape(count, wide)  # all but itself
-    around, own = values[order][near], values[order]
+    when, around = time[order][near] - time[order][:, None], values[order][near]
+    a, b = np.triu_indices(wide, 1)
+    step = when[:, b] - when[:, a]
+    rise = around[:, b] - around[:, a]
+    slopes = np.divide(rise, step[..., None], out=np.zeros_like(rise), where=step[..., None] > 0.0)
+    slope = np.median(slopes, axis=1)[:, None]
+    around = around - slope * when[..., None]
     middle = np.median(around, axis=1)
     spread = np.median(np.linalg.norm(around - middle[:, None], axis=2), axis=1)
-    variance = np.trace(readings.cov[..., : values.shape[1], : values.shape[1]], axis1=-2, axis2=-1)
-    limit = _SPIKE * (spread + np.sqrt(variance))
-    found = np.zeros(count, dtype=bool)
-    found[order] = np.linalg.norm(own - middle, axis=1) > limit
-    return found
+    turned = np.median(np.linalg.norm(slopes - slope, axis=2), axis=1)
+    spread += np.abs(when.mean(axis=1)) * turned  # a line is less sure beyond its points
+    limit = _SPIKE * (spread + np.sqrt(variance[order]))
+    out = np.zeros(count, dtype=bool)
+    out[order] = np.linalg.norm(values[order] - middle, axis=1) > limit
+    return out
 
 
 def used_at_first(readings: Readings, gate: float | None) -> Mask:
