@@ -56,22 +56,25 @@ class _Way:
 def candidates(
     prior: Prior, here: NormalEquations, step: Array, *, bent: bool = False
 ) -> Iterator[_Way]:
-    """Where a step may lead: straight on or bent, that which is asked for first; bent and shorter.
+    """Where a step may lead: straight on, bent, and bent and shorter; straight on last if `bent`.
 
     A long step straight on tears poses and strains apart, which stiff priors punish; bent, poses
     still follow from the strains. Along a curved valley a shorter one is better than a damped one.
     """
+    if not bent:
+        yield _straight(here, step)
+    for part in (1.0, *_SHORTER):
+        of_nodes, of_parameters = here.split(part * step)
+        located = here.located.moved(of_parameters)
+        where = prior.bent(located.grid, here.state, of_nodes), located
+        yield _Way(where, part * (2.0 - part), True if part == 1.0 else None)
+    if bent:
+        yield _straight(here, step)
+
+
+def _straight(here: NormalEquations, step: Array) -> _Way:
     of_nodes, of_parameters = here.split(step)
-    located = here.located.moved(of_parameters)
-    for bends in (bent, not bent):
-        if bends:
-            yield _Way((prior.bent(located.grid, here.state, of_nodes), located), bent=True)
-        else:
-            yield _Way((here.state.retract(of_nodes), located), bent=False)
-    for part in _SHORTER:
-        located = here.located.moved(part * of_parameters)
-        shorter = prior.bent(located.grid, here.state, part * of_nodes)
-        yield _Way((shorter, located), part * (2.0 - part))
+    return _Way((here.state.retract(of_nodes), here.located.moved(of_parameters)), bent=False)
 
 
 def try_step(
