@@ -143,8 +143,10 @@ def main():
     robot = load_robot(options.robot)
     recording = load_recording(options.folder / RECORDING)
     print(
-        f"Robot `{robot.name}`, {RECORDING}, {options.seeds} seeds: mean (worst); position RMSE "
-        f"over all sites. Growth is against the same loss, and against no loss, on clean rows.\n"
+        f"Robot `{robot.name}`, {RECORDING}, {options.seeds} seeds: mean (worst); position RMSE\n"
+        f"over all sites. Growth is against the same loss, and against no loss, on clean rows. "
+        f"Without a\nloss the gate that every estimate has leaves outliers out; a loss that "
+        f"forgives little, as Huber's,\nkeeps them.\n"
     )
     heads = ("window", "loss", "clean (mm)", "corrupted (mm)", "growth", "of no loss, clean")
     heads += ("suspects clean → corrupted", "corrupted rows", "iterations", "converged")

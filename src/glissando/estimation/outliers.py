@@ -25,6 +25,7 @@ CHANCE = 1e-9
 """By which the innovation of a sound reading would be refused."""
 
 _NEIGHBOURS = 3  # on either side
+_CHUNK = 4096  # readings whose neighbours are compared at a time, for their memory
 _SPIKE = 10.0  # spreads of its neighbours, and standard deviations, at which a reading is a spike
 _LIKELY = 1e-6  # chance of a residual below which a reading is judged
 _WORST = 0.2  # of a stream's largest squared innovation: what is refused together
@@ -34,54 +35,68 @@ Mask = NDArray[np.bool_]
 
 
 def spikes(readings: Readings) -> Mask:
-    """Readings (M,) far from where their neighbours in time are on the way to.
-
-    What those agree on, too, moves on a straight line, which some wrong ones do not bend.
-    """
+    """Readings (M,) far from their neighbours in time; of a tracker, from the line these are on."""
     count, values = len(readings), readings.values
-    out = np.zeros(count, dtype=bool)
     if count <= 2 * _NEIGHBOURS or not values.size or values.shape[1:] == (3, 3):
-        return out
+        return np.zeros(count, dtype=bool)
     variance = np.diagonal(
         np.broadcast_to(readings.cov, (count, *readings.cov.shape[-2:])), 0, 1, 2
     )
     if values.shape[1:] != (4, 4):
         flat = values.reshape(count, -1)
-        return _off_line(readings.time, flat, variance[:, : flat.shape[1]].sum(axis=1))
-    out |= _off_line(readings.time, values[:, :3, 3], variance[:, :3].sum(axis=1))
+        noise = variance[:, : flat.shape[1]].sum(axis=1)
+        return _stray(readings.time, flat, noise, level=not readings.tracker)
+    out = _stray(readings.time, values[:, :3, 3], variance[:, :3].sum(axis=1))
     if variance.shape[1] == 6:  # another sensor does not show its roll
         turned = values[:, :3, :3].reshape(count, 9) / np.sqrt(
             2.0
         )  # so that its length is an angle
-        out |= _off_line(readings.time, turned, variance[:, 3:].sum(axis=1))
+        out |= _stray(readings.time, turned, variance[:, 3:].sum(axis=1))
     return out
 
 
-def _off_line(time: Array, values: Array, variance: Array) -> Mask:
-    """Which values (M, n) with noise of a total variance (M,) are far off a line by neighbours.
-
-    The line has the median of slopes between any two of them (Theil and Sen).
-    """
+def _stray(time: Array, values: Array, variance: Array, *, level: bool = False) -> Mask:
+    """Which values (M, n) with noise of a total variance (M,) are far off a line by neighbours."""
     count, wide = len(time), 2 * _NEIGHBOURS
     order = np.argsort(time, kind="stable")
+    time, values = time[order], values[order]
     first = np.clip(np.arange(count) - _NEIGHBOURS, 0, count - wide - 1)
     near = first[:, None] + np.arange(wide + 1)
     near = near[near != np.arange(count)[:, None]].reshape(count, wide)  # all but itself
-    when, around = time[order][near] - time[order][:, None], values[order][near]
-    a, b = np.triu_indices(wide, 1)
-    step = when[:, b] - when[:, a]
-    rise = around[:, b] - around[:, a]
-    slopes = np.divide(rise, step[..., None], out=np.zeros_like(rise), where=step[..., None] > 0.0)
-    slope = np.median(slopes, axis=1)[:, None]
-    around = around - slope * when[..., None]
+    off, spread = np.empty(count), np.empty(count)
+    for begin in range(0, count, _CHUNK):
+        rows = slice(begin, begin + _CHUNK)
+        when = time[near[rows]] - time[rows, None]
+        off[rows], spread[rows] = _off_line(when, values[near[rows]], values[rows], level=level)
+    out = np.zeros(count, dtype=bool)
+    out[order] = off > _SPIKE * (spread + np.sqrt(variance[order]))
+    return out
+
+
+def _off_line(when: Array, around: Array, own: Array, *, level: bool) -> tuple[Array, Array]:
+    """How far values (M, n) are off a line by their neighbours (M, 6, n), and how far these are.
+
+    The line is `level`, or has the median of slopes between any two of them (Theil and Sen). It is
+    less sure beyond them.
+
+    Args:
+        when: Times (M, 6) of the neighbours from that of the value.
+        around: Their values.
+        own: The values.
+        level: Whether the line has no slope.
+    """
+    unsure = np.zeros(len(own))
+    if not level:
+        a, b = np.triu_indices(when.shape[1], 1)
+        step, rise = (when[:, b] - when[:, a])[..., None], around[:, b] - around[:, a]
+        slopes = np.divide(rise, step, out=np.zeros_like(rise), where=step > 0.0)
+        slope = np.median(slopes, axis=1)[:, None]
+        unsure = np.median(np.linalg.norm(slopes - slope, axis=2), axis=1)
+        around = around - slope * when[..., None]
     middle = np.median(around, axis=1)
     spread = np.median(np.linalg.norm(around - middle[:, None], axis=2), axis=1)
-    turned = np.median(np.linalg.norm(slopes - slope, axis=2), axis=1)
-    spread += np.abs(when.mean(axis=1)) * turned  # a line is less sure beyond its points
-    limit = _SPIKE * (spread + np.sqrt(variance[order]))
-    out = np.zeros(count, dtype=bool)
-    out[order] = np.linalg.norm(values[order] - middle, axis=1) > limit
-    return out
+    spread += np.abs(when.mean(axis=1)) * unsure
+    return np.linalg.norm(own - middle, axis=1), spread
 
 
 def used_at_first(readings: Readings, gate: float | None) -> Mask:
