@@ -10,8 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass, replace
-from itertools import groupby
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,8 +18,12 @@ from glissando._kernels import normal_equations as kernels
 from glissando._kernels import window as window_kernels
 from glissando.estimation.channels import place_in_channel
 from glissando.estimation.delay_dating import DelayDating
-from glissando.estimation.delays import add_noise
 from glissando.estimation.held_readings import HeldReadings
+from glissando.estimation.linearized_readings import (
+    Innovations,
+    LinearizedReadings,
+    sums_of_noise,
+)
 from glissando.estimation.posterior import Posterior, SolveReport, StateEstimate
 from glissando.estimation.window_nodes import Nodes
 from glissando.estimation.window_system import WindowSystem
@@ -38,35 +41,6 @@ from glissando.solver.located_readings import locate
 from glissando.solver.measurement_factors import measurement_factors
 from glissando.solver.normal_equations import Layout, NormalEquationsBuilder, kernel_arguments
 from glissando.solver.outcome import Outcome
-
-
-@dataclass(frozen=True)
-class Innovations:
-    """Readings of one stream at the solution.
-
-    Attributes:
-        stream: The stream's label.
-        nis: Their squared normalised innovations (M,).
-        dof: Degrees of freedom of each.
-        time: When each was read (M,), s.
-        arclength: And where (M,), m.
-    """
-
-    stream: str
-    nis: Array
-    dof: int
-    time: Array
-    arclength: Array
-
-
-@dataclass(frozen=True)
-class _Terms:
-    """Linearised readings (M,): which of their stream, or of all rows, factors, weights (M,)."""
-
-    stream: Readings | None
-    rows: Index
-    batch: Factors
-    weights: Array
 
 
 class SlidingWindow:
@@ -87,7 +61,7 @@ class SlidingWindow:
         self._process = EstimatedParameters(self._grid, self.sensor_parameters)
         self._parameters = self._process.mean, np.diag(self._process.std**2)
         self._root = np.zeros((0, 0))  # its square is the covariance of the newest node
-        self._terms: list[_Terms] = []
+        self._terms: list[LinearizedReadings] = []
         self._rng: np.random.Generator | None = None  # of noise, where it is asked for
         if type(prior) is WhiteNoisePrior:
             self._along = prior.arclength_densities(arclength)
@@ -224,18 +198,8 @@ class SlidingWindow:
         self.nodes = self.nodes.stepped(self._system.solve(first, sums))
         self._root = self._system.root.copy()
         if self._rng is not None:
-            noise = self._sums_of_noise(len(self.nodes) - first, self._rng)
+            noise = sums_of_noise(self._terms, self.layout, len(self.nodes) - first, self._rng)
             self._noise = self._system.respond(first, noise)
-
-    def _sums_of_noise(self, count: int, rng: np.random.Generator) -> NormalEquationsBuilder:
-        """Sums of the last `count` nodes' readings, were nothing but noise in them."""
-        size = self.layout.size
-        begin, end, across = np.empty((3, count, size, size))
-        rhs_begin, rhs_end = np.empty((2, count, size))
-        builder = NormalEquationsBuilder(self.layout, begin, end, across[1:], rhs_begin, rhs_end)
-        for terms in self._terms:
-            add_noise(builder, terms.batch, terms.weights, rng)
-        return builder
 
     @property
     def estimate_and_noise(self) -> tuple[State, State]:
@@ -258,7 +222,7 @@ class SlidingWindow:
             if rows.size:
                 at, slopes, *terms, weights = found
                 batch = Factors(at, slice(0, DOF), slopes, Residuals(*terms))
-                self._terms.append(_Terms(None, rows, batch, weights))
+                self._terms.append(LinearizedReadings(None, rows, batch, weights))
         else:
             for batch in self.prior.factors(grid, nodes.state, nodes.state, slice(0, len(nodes))):
                 builder.accumulate(self._moving(batch, nodes))
@@ -286,7 +250,7 @@ class SlidingWindow:
                 moving = self._moving(batch, nodes)
                 weights = moving.terms.robust_weights()
                 builder.accumulate(moving, weights)
-                self._terms.append(_Terms(streams[stream], rows, moving, weights))
+                self._terms.append(LinearizedReadings(streams[stream], rows, moving, weights))
         if self._process.size:
             builder.accumulate_drift(*located.parameters.process.drift(nodes.parameters))
 
@@ -308,27 +272,12 @@ class SlidingWindow:
 
     def innovations(self, fresh: Mapping[str, int]) -> Iterator[Innovations]:
         """Squared innovations of each stream's last `fresh` readings, each against all others."""
-        held = self._held
         for terms in self._terms:
-            stream = terms.stream
-            begin = held.rows.old if stream is None else len(stream) - fresh[stream.label]
-            which = (terms.rows >= begin).nonzero()[0]
-            if not which.size:
-                continue
-            rows, nis = terms.rows[which], self._squared(terms, which)
-            if stream is not None:
-                dof = terms.batch.terms.residual.shape[1]
-                place = stream.time[rows], stream.arclength[rows]
-                yield Innovations(stream.label, nis, dof, *place)
-                continue
-            time, arclength = held.rows.time[rows], held.rows.arclength[rows]
-            end = 0
-            for number, each in groupby(held.rows.stream[rows].tolist()):
-                begin, end = end, end + sum(1 for _ in each)
-                own, (label, dof) = slice(begin, end), held.labels[number]
-                yield Innovations(label, nis[own], dof, time[own], arclength[own])
+            which = terms.last(fresh, self._held)
+            if which.size:
+                yield from terms.innovations(which, self._squared(terms, which), self._held)
 
-    def _squared(self, terms: _Terms, which: Index) -> Array:
+    def _squared(self, terms: LinearizedReadings, which: Index) -> Array:
         """Squared innovations of `which` readings of a batch."""
         inverse, coupling, slot = self._system.factor
         nis: Array = kernels.squared_innovations(

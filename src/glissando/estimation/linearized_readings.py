@@ -1,0 +1,84 @@
+"""Readings as a window linearised them: factors, innovations, and noise in their place."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+
+import numpy as np
+
+from glissando.estimation.delays import add_noise
+from glissando.estimation.held_readings import HeldReadings
+from glissando.geometry.se3 import Array
+from glissando.model.factors import Factors
+from glissando.model.grid import Index
+from glissando.model.sensors.readings import Readings
+from glissando.solver.normal_equations import Layout, NormalEquationsBuilder
+
+
+@dataclass(frozen=True)
+class Innovations:
+    """Readings of one stream at the solution.
+
+    Attributes:
+        stream: The stream's label.
+        nis: Their squared normalised innovations (M,).
+        dof: Degrees of freedom of each.
+        time: When each was read (M,), s.
+        arclength: And where (M,), m.
+    """
+
+    stream: str
+    nis: Array
+    dof: int
+    time: Array
+    arclength: Array
+
+
+@dataclass(frozen=True)
+class LinearizedReadings:
+    """Linearised readings (M,), of one stream or of all that come as rows.
+
+    Attributes:
+        stream: The stream; None where they come as rows.
+        rows: Which (M,) of their stream, or of all rows.
+        batch: Their factors.
+        weights: Weights (M,) under their losses.
+    """
+
+    stream: Readings | None
+    rows: Index
+    batch: Factors
+    weights: Array
+
+    def last(self, fresh: Mapping[str, int], held: HeldReadings) -> Index:
+        """Which are of each stream's last `fresh` readings."""
+        stream = self.stream
+        begin = held.rows.old if stream is None else len(stream) - fresh[stream.label]
+        return np.asarray((self.rows >= begin).nonzero()[0])
+
+    def innovations(self, which: Index, nis: Array, held: HeldReadings) -> Iterator[Innovations]:
+        """Squared innovations `nis` of some of them, stream by stream."""
+        rows, stream = self.rows[which], self.stream
+        if stream is not None:
+            dof = self.batch.terms.residual.shape[1]
+            yield Innovations(stream.label, nis, dof, stream.time[rows], stream.arclength[rows])
+            return
+        time, arclength, end = held.rows.time[rows], held.rows.arclength[rows], 0
+        for number, each in groupby(held.rows.stream[rows].tolist()):
+            begin, end = end, end + sum(1 for _ in each)
+            own, (label, dof) = slice(begin, end), held.labels[number]
+            yield Innovations(label, nis[own], dof, time[own], arclength[own])
+
+
+def sums_of_noise(
+    every: Sequence[LinearizedReadings], layout: Layout, count: int, rng: np.random.Generator
+) -> NormalEquationsBuilder:
+    """Sums of `count` nodes' readings, were nothing but noise in them."""
+    begin, end, across = np.empty((3, count, layout.size, layout.size))
+    rhs_begin, rhs_end = np.empty((2, count, layout.size))
+    builder = NormalEquationsBuilder(layout, begin, end, across[1:], rhs_begin, rhs_end)
+    for readings in every:
+        add_noise(builder, readings.batch, readings.weights, rng)
+    return builder
