@@ -13,14 +13,19 @@ from typing import Protocol
 
 import numpy as np
 
-from glissando.estimation.delays import MARGIN, at_times, delay_columns, moving_with, slope_in_time
+from glissando.estimation.delays import (
+    at_times,
+    delay_columns,
+    delayed_streams,
+    moving_with,
+    slope_in_time,
+)
+from glissando.estimation.slope_information import SlopeInformation, Slopes
 from glissando.estimation.window_nodes import Nodes
-from glissando.geometry.se3 import Array
 from glissando.model.factors import Factors
 from glissando.model.sensors.parameter_process import EstimatedParameters
 from glissando.model.state import State
-
-_MEMORY = 50.0  # solutions of a window over which a stream's share is found
+from glissando.solver.normal_equations import NormalEquationsBuilder
 
 
 class Window(Protocol):
@@ -42,6 +47,7 @@ class DelayDating:
 
     Attributes:
         motion: Nodes (K, N) of the window as streams without a delay show them.
+        information: What that motion and its noise tell of the delays.
     """
 
     motion: State
@@ -50,12 +56,13 @@ class DelayDating:
         """Date by the motion of a window of the other streams, of these sensor parameters."""
         self._others, self._size = others, process.size
         self._columns = delay_columns(process)
-        self._told: dict[str, Array] = {}  # by a stream's name: what motion tells, and noise
+        self.information = SlopeInformation(delayed_streams(process), self._columns)
+        self._slopes: list[Slopes] = []
 
     def copied(self) -> DelayDating:
         """The same, to go on with without a change to this one."""
         out = copy(self)
-        out._told = {name: told.copy() for name, told in self._told.items()}
+        out.information = self.information.copied()
         return out
 
     def see(self, nodes: Nodes, first: int, free: int) -> Nodes:
@@ -74,9 +81,8 @@ class DelayDating:
         own = slope_in_time(nodes.state, nodes.time) - slope
         nodes = replace(nodes, own=np.concatenate([nodes.own[:free], own[free:]]))
         self.motion = motion.take(slice(first, None))
-        self._slopes = np.stack([slope, noisy - slope])[:, first:]
-        for told in self._told.values():
-            told *= 1.0 - 1.0 / _MEMORY
+        self._by_time = np.stack([slope, noisy - slope])[:, first:]
+        self._slopes = []
         return nodes
 
     def moving(self, factors: Factors, nodes: Nodes) -> Factors:
@@ -92,19 +98,16 @@ class DelayDating:
         delays = extras[..., self._columns]
         if not delays.any():
             return factors
-        self._told[stream] = self._told.get(stream, np.zeros(2)) + self._tell(factors)
-        told, of_noise = self._told[stream]
-        share = np.sqrt(max(1.0 - MARGIN * of_noise / told, 0.0)) if told > 0.0 else 0.0
-        extras[..., self._columns] = share * delays
+        k, n = np.divmod(factors.nodes, self._by_time.shape[2])
+        slopes = self._by_time[:, k, n][..., factors.dofs]
+        by_time = np.einsum("mrcd,amcd->amr", factors.jacobian, slopes)
+        self._slopes.append(Slopes(stream, factors, by_time))
+        extras[..., self._columns] = self.information.share(stream) * delays
         return replace(factors, extras=extras.reshape(m, r, -1))
 
-    def _tell(self, factors: Factors) -> Array:
-        """What the motion tells readings of their delay, and what noise would (2,), s⁻²."""
-        k, n = np.divmod(factors.nodes, self._slopes.shape[2])
-        slopes = self._slopes[:, k, n][..., factors.dofs]
-        by_time = np.einsum("mrcd,amcd->amr", factors.jacobian, slopes)
-        white = (factors.terms.sqrt_info @ by_time[..., None])[..., 0]
-        return np.asarray(np.einsum("m,amr->a", factors.terms.robust_weights(), white**2))
+    def note(self, sums: NormalEquationsBuilder) -> None:
+        """Note what the motion tells in a whole window of these sums."""
+        self.information.note(sums, self._slopes)
 
     def _motions(self, nodes: Nodes) -> list[State]:
         """The motion at the times of nodes, and with noise; none before there is any."""

@@ -26,16 +26,17 @@ from glissando.model.priors.prior import Prior
 from glissando.model.sensors.parameter_process import EstimatedParameters
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.state import State
-from glissando.solver.block_tridiagonal import BlockTridiagonal, factor
+from glissando.solver.block_tridiagonal import BlockTridiagonal, Cholesky, factor
 from glissando.solver.gauss_newton import Solution, SolverOptions, Stopwatch, minimize
 from glissando.solver.linearize import linearize
 from glissando.solver.located_readings import LocatedReadings, locate
 from glissando.solver.measurement_factors import measurement_factors
 from glissando.solver.normal_equations import Layout, NormalEquationsBuilder
 
-_DRAWS = 2  # of noise, for what it tells of a delay
-MARGIN = 2.0
-"""How often what noise tells is taken off, for how it varies."""
+_DRAWS = 4  # of noise, for what it tells of a delay
+_ALIKE = 3.0  # numbers of readings whose noise tells of a delay as one does, at a guess
+_STEPS = 20  # in which delays settle
+_HELD = 1e14  # s⁻²: of a delay that is held
 _MOTION = 0.03  # standard deviations a number by which a motion that dates delays may be off
 
 
@@ -63,66 +64,128 @@ def with_unseen_delays(
     late, others = delayed(sensor_parameters)
     streams = [r for r in solution.located.streams if r.name not in late]
     grid, state = solution.located.grid, solution.state
-    motion, shares = prior.rest_state(grid), dict.fromkeys(late, 0.0)
+    motion, noise = prior.rest_state(grid), None
     if streams:
         with suppress(UnobservableError, np.linalg.LinAlgError):  # they show no motion
             values = solution.located.parameters.by_name()
             alone = with_parameters(locate(grid, streams, others), values)
             rough = options.rougher(state.pose.shape[0] * state.numbers, _MOTION)
             shown = minimize(prior, alone, state, rough, None, Stopwatch(), solution)
-            motion, shares = shown.state, _shares(prior, shown, solution, late)
-    moving = replace(solution.located, motion=motion, shares=shares)
+            rng = np.random.default_rng(0)
+            noise = [_motion_of_noise(prior, shown, rng) for _ in range(_DRAWS)]
+            motion = shown.state
+    moving = replace(solution.located, motion=motion)
+    shares = dict.fromkeys(late, 0.0)
+    if noise is not None:
+        shares = _shares(prior, moving, noise, solution, late)
+    return _settled(prior, replace(moving, shares=shares), motion, solution, options)
+
+
+def _settled(
+    prior: Prior,
+    located: LocatedReadings,
+    motion: State,
+    solution: Solution,
+    options: SolverOptions,
+) -> Solution:
+    """Where steps lead in which delays move by what the motion tells of them, and nothing else.
+
+    The least cost would have readings fall between those of other streams, where a motion that may
+    bend freely contradicts them least, whatever their delay is.
+    """
+    state, time, noise_state = solution.state, located.grid.time, solution.equations.noise_state
+    process = located.parameters.process
+    columns = [state.numbers + column for column in delay_columns(process)]
     workspace, cholesky = solution.memory(state.numbers + process.size)
-    noise_state = solution.equations.noise_state
-    seen = linearize(prior, moving, state, noise_state, workspace, solution.equations.terms)
-    own = motion_left(state, motion, grid.time).reshape(grid.time.size, -1)
-    system = _moving_along(seen.system, own, [state.numbers + column for column in delays])
-    equations = replace(solution.equations, system=system)
-    return replace(solution, equations=equations, cholesky=factor(system, cholesky))
+    for _ in range(_STEPS):
+        seen = linearize(prior, located, state, noise_state, workspace)
+        own = motion_left(state, motion, time).reshape(time.size, -1)
+        seen.rhs[:, columns] -= np.sum(own * seen.rhs[:, : state.numbers], axis=1)[:, None]
+        system = _moving_along(seen.system, own, columns)
+        cholesky = factor(system, cholesky)
+        step = cholesky.solve(seen.rhs)
+        if np.sqrt(np.sum(step * seen.rhs)) < options.tolerance:
+            break
+        of_nodes, of_parameters = seen.split(step)
+        state, located = state.retract(of_nodes), located.moved(of_parameters)
+    else:
+        if any(located.shares.values()):  # then the delays are what they were stated to be
+            still = dict.fromkeys(located.shares, 0.0)
+            return _settled(prior, replace(located, shares=still), motion, solution, options)
+    equations = replace(seen, system=system)
+    return replace(solution, state=state, located=located, equations=equations, cholesky=cholesky)
 
 
-def _shares(prior: Prior, shown: Solution, solution: Solution, late: set[str]) -> dict[str, float]:
+def _shares(
+    prior: Prior,
+    moving: LocatedReadings,
+    noise: Sequence[State],
+    solution: Solution,
+    late: set[str],
+) -> dict[str, float]:
     """How much of the motion's slope each late stream can count on, where noise makes motion, too.
 
     A robot at rest is estimated to move by what noise makes of it, and such motion dates nothing.
     What it would tell of a delay is found by draws of the readings' noise, and taken off.
+    """
+    state, equations = solution.state, solution.equations
+    workspace, cholesky = solution.memory(state.numbers + moving.parameters.process.size)
+    held = linearize(prior, moving, state, equations.noise_state, workspace)
+    columns = [state.numbers + c for c in delay_columns(moving.parameters.process)]
+    held.system.diagonal[:, columns, columns] += _HELD
+    cholesky = factor(held.system, cholesky)
+    streams = [r for r in moving.streams if r.name in late]
+    out = {}
+    for stream in streams:
+        own = locate(moving.grid, [stream], moving.parameters.process.each, keep_all=True)
+        own = with_parameters(own, moving.parameters.by_name())
+        told, *rest = (
+            _told(prior, replace(own, motion=motion), solution, workspace, cholesky)
+            for motion in (moving.motion, *noise)
+        )
+        numbers = len(stream) * stream.row_count
+        out[stream.name] = share(told, float(np.mean(rest)), numbers)
+    return out
+
+
+def share(told: float, of_noise: float, numbers: float, deviations: float = 2.0) -> float:
+    """How much of the motion's slope counts.
+
+    Half the logarithm of the ratio of two sums of ν squares has a standard deviation of ν^-1/2: as
+    many times of what noise tells are taken off. Source: Fisher's z.
 
     Args:
-        prior: The prior.
-        shown: The motion that streams without a delay show.
-        solution: The estimate from all streams.
-        late: Names of those with a delay.
+        told: What readings say of the delay, s⁻².
+        of_noise: What nothing but noise would say.
+        numbers: How many numbers that is from.
+        deviations: Standard deviations of what noise tells by chance that are taken off.
     """
-    located, state = solution.located, solution.state
-    streams = [r for r in located.streams if r.name in late]
-    own = locate(located.grid, streams, located.parameters.process.each)
-    own = with_parameters(own, located.parameters.by_name())
-    real = _told(prior, replace(own, motion=shown.state), state)
-    rng, rest = np.random.default_rng(0), dict.fromkeys(real, 0.0)
-    for _ in range(_DRAWS):
-        still = replace(own, motion=_motion_of_noise(prior, shown, rng))
-        for name, told in _told(prior, still, state).items():
-            rest[name] += told / _DRAWS
-    return {
-        name: float(np.sqrt(max(1.0 - MARGIN * rest[name] / told, 0.0))) if told > 0.0 else 0.0
-        for name, told in real.items()
-    }
+    if not told > 0.0:
+        return 0.0
+    margin = np.exp(2.0 * deviations / np.sqrt(max(numbers / _ALIKE, 1e-3)))
+    return float(np.sqrt(max(1.0 - margin * of_noise / told, 0.0)))
 
 
-def _told(prior: Prior, located: LocatedReadings, state: State) -> dict[str, float]:
-    """What the readings of each stream tell of its delay by the motion, s⁻²."""
-    process = located.parameters.process
+def _told(
+    prior: Prior, own: LocatedReadings, solution: Solution, workspace: Array, cholesky: Cholesky
+) -> float:
+    """What the readings of a stream tell of its delay by the motion, s⁻²."""
+    process, state = own.parameters.process, solution.state
     columns = delay_columns(process)
     columns = [*columns, *(process.size + column for column in columns)]
-    out = {stream.name: 0.0 for stream in located.streams}
-    for block in range(len(located.blocks)):
-        for stream, _, batch in measurement_factors(prior, located, state, state, block):
+    layout = Layout(own.grid.arclength.size, state.dof, process.size)
+    builder, out = NormalEquationsBuilder.joined(layout, own.grid.time.size, workspace), 0.0
+    for block in range(len(own.blocks)):
+        noise_state = solution.equations.noise_state
+        for _, _, batch in measurement_factors(prior, own, state, noise_state, block):
             if batch.extras is not None:
                 slope = batch.extras[..., columns].sum(axis=-1)
-                white = batch.terms.whiten(slope)
-                told = batch.terms.robust_weights() * np.sum(white**2, axis=1)
-                out[located.streams[stream].name] += float(np.sum(told))
-    return out
+                weights = batch.terms.robust_weights()
+                out += float(np.sum(weights * np.sum(batch.terms.whiten(slope) ** 2, axis=1)))
+                terms = replace(batch.terms, residual=slope)
+                builder.accumulate(replace(batch, terms=terms), weights)
+    rhs = builder.rhs_begin
+    return out - float(np.sum(rhs * cholesky.solve(rhs)))
 
 
 def _motion_of_noise(prior: Prior, shown: Solution, rng: np.random.Generator) -> State:
@@ -159,6 +222,11 @@ def delayed(
 def delay_columns(process: EstimatedParameters) -> list[int]:
     """Which of the numbers of a time node's parameters are delays."""
     return [c.start for p, c in zip(process.each, process.columns, strict=True) if _is_delay(p)]
+
+
+def delayed_streams(process: EstimatedParameters) -> list[str]:
+    """Names of the streams whose delay is estimated."""
+    return sorted({name for p in process.each if _is_delay(p) for name in p.streams})
 
 
 def motion_left(state: State, motion: State, time: Array) -> Array:

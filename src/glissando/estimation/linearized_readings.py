@@ -76,9 +76,7 @@ def sums_of_noise(
     every: Sequence[LinearizedReadings], layout: Layout, count: int, rng: np.random.Generator
 ) -> NormalEquationsBuilder:
     """Sums of `count` nodes' readings, were nothing but noise in them."""
-    begin, end, across = np.empty((3, count, layout.size, layout.size))
-    rhs_begin, rhs_end = np.empty((2, count, layout.size))
-    builder = NormalEquationsBuilder(layout, begin, end, across[1:], rhs_begin, rhs_end)
+    builder = NormalEquationsBuilder.apart(layout, count)
     for readings in every:
         add_noise(builder, readings.batch, readings.weights, rng)
     return builder

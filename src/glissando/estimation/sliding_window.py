@@ -85,6 +85,8 @@ class SlidingWindow:
         info[own, own] = np.linalg.inv(cov) - np.diag(own_info)
         rhs[own] = own_info * (values - self._process.mean)
         self._system = WindowSystem(self.layout, info, rhs)
+        if self.dating is not None:
+            self.dating.information.begin(self.layout, info)
         self._noise = np.zeros((1, size))
         self._root = np.zeros((0, 0))
 
@@ -132,6 +134,8 @@ class SlidingWindow:
         self.nodes = self.nodes.joined(self._node(time, state.retract(ahead), parameters))
         self._noise = np.concatenate([self._noise, np.zeros((1, self.layout.size))])
         self._system.append()
+        if self.dating is not None:
+            self.dating.information.append()
 
     def copied(self) -> SlidingWindow:
         """The same window, to go on with without a change to this one."""
@@ -151,6 +155,8 @@ class SlidingWindow:
         Source: equation (20).
         """
         self._system.drop()
+        if self.dating is not None:
+            self.dating.information.drop()
         self.before = float(self.nodes.time[0])
         self.nodes, self._noise = self.nodes.take(slice(1, None)), self._noise[1:]
         self._first = max(0, self._first - 1)
@@ -197,6 +203,8 @@ class SlidingWindow:
         sums = self._linearized(first, readings)
         self.nodes = self.nodes.stepped(self._system.solve(first, sums))
         self._root = self._system.root.copy()
+        if self.dating is not None and not first:
+            self.dating.note(sums)
         if self._rng is not None:
             noise = sums_of_noise(self._terms, self.layout, len(self.nodes) - first, self._rng)
             self._noise = self._system.respond(first, noise)

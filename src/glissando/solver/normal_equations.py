@@ -72,6 +72,14 @@ class NormalEquationsBuilder:
         begin, rhs = workspace[:count], np.empty((count, layout.size))
         return NormalEquationsBuilder(layout, begin, begin[1:], workspace[count:], rhs, rhs[1:])
 
+    @staticmethod
+    def apart(layout: Layout, count: int) -> NormalEquationsBuilder:
+        """A builder of `count` slabs that keeps what an interval adds to both of its ends apart."""
+        begin, end, across = np.empty((3, count, layout.size, layout.size))
+        return NormalEquationsBuilder(
+            layout, begin, end, across[1:], *np.empty((2, count, layout.size))
+        )
+
     @property
     def sums(self) -> tuple[Array, ...]:
         """All sums, as kernels take them."""
