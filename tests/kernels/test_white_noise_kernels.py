@@ -117,7 +117,7 @@ def test_readings_taken_together_weigh_what_each_stream_does(kind, loss):
     believed.accumulate(GRID, state, densities(believed), memory, one.sums)
     for batch in believed.factors(GRID, state, state, slice(0, 4)):
         each.accumulate(batch)
-    for _, _, batch in measurement_factors(believed, locate(GRID, [readings]), state, state, 0):
+    for _, _, batch in measurement_factors(believed, locate(GRID, [readings]), state, state):
         each.accumulate(batch)
     for mine, its in zip(one.sums, each.sums, strict=True):
         same(mine, its)

@@ -89,11 +89,11 @@ def test_readings_pull_on_the_nodes_as_their_jacobian_says(kind, place):
     )
     readings = readings_at(s, t, mount=se3.exp(sixes(rng, reach=0.02)))
     located = locate(grid, [readings])
-    ((*_, batch),) = measurement_factors(believed, located, state, state, 0)
+    ((*_, batch),) = measurement_factors(believed, located, state, state)
 
     def moved(step):
         there = state.retract(scale * step.reshape(scale.shape))
-        ((*_, again),) = measurement_factors(believed, located, there, state, 0)
+        ((*_, again),) = measurement_factors(believed, located, there, state)
         return again.terms.residual.ravel()
 
     spread = oracle.spread if kind == "inertia" else dense.spread

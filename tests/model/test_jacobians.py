@@ -229,11 +229,11 @@ def test_readings_inside_cells_pull_on_the_nodes_as_their_jacobian_says(sensor):
     (points,) = sort_points(GRID, where["arclength"], where["time"])
     at = prior().interpolate(GRID, state, state, points).state
     located = locate(GRID, [readings_of(sensor, rng, at, **where)])
-    ((*_, batch),) = measurement_factors(prior(), located, state, state, 0)
+    ((*_, batch),) = measurement_factors(prior(), located, state, state)
 
     def moved(step):
         there = state.retract(step.reshape(*GRID.shape, DOF))
-        ((*_, again),) = measurement_factors(prior(), located, there, state, 0)
+        ((*_, again),) = measurement_factors(prior(), located, there, state)
         return again.terms.residual.ravel()
 
     jacobian = dense.spread(batch, NODES)

@@ -47,12 +47,12 @@ def test_readings_pull_on_all_nodes_of_their_time_as_their_jacobian_says(time, m
     rng, robot = np.random.default_rng(3), tendon_robot()
     prior, state = robot.prior, moving(rng, robot.prior, GRID)
     located = locate(GRID, [readings(time, 1e-3 * rng.standard_normal((2, 3)), **more)])
-    ((*_, batch),) = measurement_factors(prior, located, state, state, 0)
+    ((*_, batch),) = measurement_factors(prior, located, state, state)
     assert batch.nodes.shape[1] == NODES.size * (1 if time[0] == 0.5 else 2)
 
     def moved(step):
         there = state.retract(step.reshape(*GRID.shape, state.dof))
-        ((*_, again),) = measurement_factors(prior, located, there, state, 0)
+        ((*_, again),) = measurement_factors(prior, located, there, state)
         return again.terms.residual.ravel()
 
     jacobian = np.zeros((2, 3, 3 * NODES.size, state.dof))

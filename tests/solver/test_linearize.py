@@ -66,7 +66,7 @@ def test_the_slabs_hold_what_dense_assembly_finds(loss):
     found = equations(readings)
     located = locate(GRID, readings)
     batches = [*prior().factors(GRID, STATE, ABOUT, slice(0, K))]
-    batches += [b for *_, b in measurement_factors(prior(), located, STATE, ABOUT, 0)]
+    batches += [b for *_, b in measurement_factors(prior(), located, STATE, ABOUT)]
     assert sum(len(b.nodes) for b in batches[5:]) == 180
     expected = dense.assemble(batches, K * N)
     scale = np.abs(expected.information).max()
@@ -138,7 +138,7 @@ def test_the_bridge_widens_a_readings_covariance_only_between_nodes():
     where = {"time": t, "arclength": s}
     reading = PositionReadings(**where, values=np.zeros((2, 3)), cov=1e-6)
     located = locate(GRID, [reading])
-    found = measurement_factors(prior(), located, STATE, ABOUT, 0)
+    found = measurement_factors(prior(), located, STATE, ABOUT)
     on_node, between_nodes = (batch for *_, batch in found)
     np.testing.assert_allclose(on_node.terms.sqrt_info[0], 1e3 * np.eye(3), rtol=1e-12, atol=1e-9)
     root = np.linalg.inv(between_nodes.terms.sqrt_info[0])

@@ -175,15 +175,14 @@ def _told(
     columns = [*columns, *(process.size + column for column in columns)]
     layout = Layout(own.grid.arclength.size, state.dof, process.size)
     builder, out = NormalEquationsBuilder.joined(layout, own.grid.time.size, workspace), 0.0
-    for block in range(len(own.blocks)):
-        noise_state = solution.equations.noise_state
-        for _, _, batch in measurement_factors(prior, own, state, noise_state, block):
-            if batch.extras is not None:
-                slope = batch.extras[..., columns].sum(axis=-1)
-                weights = batch.terms.robust_weights()
-                out += float(np.sum(weights * np.sum(batch.terms.whiten(slope) ** 2, axis=1)))
-                terms = replace(batch.terms, residual=slope)
-                builder.accumulate(replace(batch, terms=terms), weights)
+    noise_state = solution.equations.noise_state
+    for _, _, batch in measurement_factors(prior, own, state, noise_state):
+        if batch.extras is not None:
+            slope = batch.extras[..., columns].sum(axis=-1)
+            weights = batch.terms.robust_weights()
+            out += float(np.sum(weights * np.sum(batch.terms.whiten(slope) ** 2, axis=1)))
+            terms = replace(batch.terms, residual=slope)
+            builder.accumulate(replace(batch, terms=terms), weights)
     rhs = builder.rhs_begin
     return out - float(np.sum(rhs * cholesky.solve(rhs)))
 
@@ -194,9 +193,8 @@ def _motion_of_noise(prior: Prior, shown: Solution, rng: np.random.Generator) ->
     layout = Layout(located.grid.arclength.size, state.dof, located.parameters.process.size)
     builder = NormalEquationsBuilder.joined(layout, located.grid.time.size, shown.workspace)
     noise_state = shown.equations.noise_state
-    for block in range(len(located.blocks)):
-        for _, _, batch in measurement_factors(prior, located, state, noise_state, block):
-            add_noise(builder, batch, batch.terms.robust_weights(), rng)
+    for _, _, batch in measurement_factors(prior, located, state, noise_state):
+        add_noise(builder, batch, batch.terms.robust_weights(), rng)
     step = shown.cholesky.solve(builder.rhs_begin)[:, : state.numbers]
     rest = prior.rest_state(located.grid).with_fields_of(state)
     return rest.retract(step.reshape(*state.strain.shape[:2], state.dof))

@@ -69,12 +69,11 @@ def fit_of(posterior: Posterior, readings: Readings) -> ReadingFit:
         part = readings.select(slice(first, first + _CHUNK))
         located = locate(grid, [part], parameters, values, keep_all=True)
         at = posterior.prior, located, posterior.state, posterior.state
-        for block in range(len(located.blocks)):
-            for _, rows, batch in measurement_factors(*at, block):
-                whitener = batch.terms.sqrt_info
-                cov = whitener @ _explained(posterior, batch) @ np.swapaxes(whitener, -1, -2)
-                residual[first + rows] = batch.terms.whiten(batch.terms.residual)
-                explained[first + rows] = 0.5 * (cov + np.swapaxes(cov, -1, -2))
+        for _, rows, batch in measurement_factors(*at):
+            whitener = batch.terms.sqrt_info
+            cov = whitener @ _explained(posterior, batch) @ np.swapaxes(whitener, -1, -2)
+            residual[first + rows] = batch.terms.whiten(batch.terms.residual)
+            explained[first + rows] = 0.5 * (cov + np.swapaxes(cov, -1, -2))
     return ReadingFit(residual, explained)
 
 

@@ -250,15 +250,14 @@ class SlidingWindow:
         placed = [place_in_channel(r, self.prior, grid, nodes.state) for r in streams]  # (M8)
         motion = None if self.dating is None else self.dating.motion
         located = replace(locate(grid, placed, *known, keep_all=True), motion=motion)
-        for i in range(len(located.blocks)):
-            found = measurement_factors(self.prior, located, nodes.state, nodes.state, i)
-            for stream, rows, batch in found:
-                if self.dating is not None:
-                    batch = self.dating.dated(streams[stream].name, batch)
-                moving = self._moving(batch, nodes)
-                weights = moving.terms.robust_weights()
-                builder.accumulate(moving, weights)
-                self._terms.append(LinearizedReadings(streams[stream], rows, moving, weights))
+        found = measurement_factors(self.prior, located, nodes.state, nodes.state)
+        for stream, rows, batch in found:
+            if self.dating is not None:
+                batch = self.dating.dated(streams[stream].name, batch)
+            moving = self._moving(batch, nodes)
+            weights = moving.terms.robust_weights()
+            builder.accumulate(moving, weights)
+            self._terms.append(LinearizedReadings(streams[stream], rows, moving, weights))
         if self._process.size:
             builder.accumulate_drift(*located.parameters.process.drift(nodes.parameters))
 

@@ -83,16 +83,15 @@ class PredictedInformation:
 
     def _rows(self, located: LocatedReadings) -> Rows:
         rows = self._empty_rows(len(located.streams[0]), located.streams[0].row_count)
-        for block in range(len(located.blocks)):
-            batches = measurement_factors(self.prior, located, self.mean, self.mean, block)
-            for _, at, batch in batches:
-                whitened = batch.whitened(robust=False)[1]
-                count, d = batch.nodes.shape[1], batch.jacobian.shape[-1]
-                jacobian = np.zeros((*whitened.shape[:2], count, self.mean.dof))
-                jacobian[..., batch.dofs] = whitened[..., : count * d].reshape(
-                    *whitened.shape[:2], count, d
-                )
-                self._fill(rows, at, batch.nodes, jacobian, whitened[..., count * d :])
+        batches = measurement_factors(self.prior, located, self.mean, self.mean)
+        for _, at, batch in batches:
+            whitened = batch.whitened(robust=False)[1]
+            count, d = batch.nodes.shape[1], batch.jacobian.shape[-1]
+            jacobian = np.zeros((*whitened.shape[:2], count, self.mean.dof))
+            jacobian[..., batch.dofs] = whitened[..., : count * d].reshape(
+                *whitened.shape[:2], count, d
+            )
+            self._fill(rows, at, batch.nodes, jacobian, whitened[..., count * d :])
         return rows
 
     def points(self, arclength: Array, time: Array) -> tuple[Rows, Array]:
@@ -163,10 +162,8 @@ class PredictedInformation:
         builder = _builder(self.grid, self.mean, self.sensor_parameters)
         place = np.add.outer(-sensor.behind, arclength).ravel()
         located = self._located(sensor, place, np.tile(time, sensor.coils))
-        for block in range(len(located.blocks)):
-            batches = measurement_factors(self.prior, located, self.mean, self.mean, block)
-            for _, _, batch in batches:
-                builder.accumulate(batch)
+        for _, _, batch in measurement_factors(self.prior, located, self.mean, self.mean):
+            builder.accumulate(batch)
         gained = builder.system()
         system = BlockTridiagonal(
             self.system.diagonal + gained.diagonal, self.system.lower + gained.lower

@@ -88,13 +88,12 @@ def linearize(
             terms.append(batch.terms)
     first = len(terms)
     terms += [_empty_terms(stream) for stream in located.streams]
-    for i in range(len(located.blocks)):
-        for stream, rows, batch in measurement_factors(prior, located, state, noise_state, i):
-            fixed = None if fixed_weights is None else fixed_weights[first + stream]
-            batch = _with_weights(batch, None if fixed is None else fixed.sqrt_info[rows])
-            builder.accumulate(batch)
-            terms[first + stream].residual[rows] = batch.terms.residual
-            terms[first + stream].sqrt_info[rows] = batch.terms.sqrt_info
+    for stream, rows, batch in measurement_factors(prior, located, state, noise_state):
+        fixed = None if fixed_weights is None else fixed_weights[first + stream]
+        batch = _with_weights(batch, None if fixed is None else fixed.sqrt_info[rows])
+        builder.accumulate(batch)
+        terms[first + stream].residual[rows] = batch.terms.residual
+        terms[first + stream].sqrt_info[rows] = batch.terms.sqrt_info
     if size:
         decay, std, residual = located.parameters.process.drift(located.parameters.values)
         builder.accumulate_drift(decay, std, residual)

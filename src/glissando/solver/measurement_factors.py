@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import chain
 
 import numpy as np
 
@@ -28,21 +29,20 @@ _WAYS = ("arclength", "time")
 
 
 def measurement_factors(
-    prior: Prior, located: LocatedReadings, state: State, noise_state: State, block: int
+    prior: Prior, located: LocatedReadings, state: State, noise_state: State
 ) -> Iterator[tuple[int, Index, Factors]]:
-    """Factors of one block's readings, covariance widened by the bridge. Source: (13).
+    """Factors of readings, covariance widened by the bridge. Source: (13).
 
     Args:
         prior: What lies between the nodes.
         located: The readings.
         state: Nodes (K, N) to linearise at.
         noise_state: Nodes (K, N) whose rates the bridge's noise comes from.
-        block: Which run of time nodes.
 
     Yields:
         Number of the stream, which of its rows, and their factors.
     """
-    for batch in located.batches[block]:
+    for batch in chain.from_iterable(located.batches):
         at = prior.interpolate(located.grid, state, noise_state, batch.points)
         first, slopes = 0, _slopes(prior, located, state, batch)
         for stream, rows, readings in batch.streams:

@@ -95,11 +95,10 @@ def static_factors(prior: Prior, located: LocatedReadings, state: State) -> Iter
         SensorError: A sensor reads a velocity.
     """
     yield from prior.static_factors(located.grid, state)
-    for block in range(len(located.blocks)):
-        for stream, _, batch in measurement_factors(prior, located, state, state, block):
-            if batch.jacobian[..., STATIC_DOF:].any():
-                raise SensorError(
-                    f"{located.streams[stream].label}: a shape that holds still has no velocity "
-                    f"to read; leave these readings out."
-                )
-            yield batch
+    for stream, _, batch in measurement_factors(prior, located, state, state):
+        if batch.jacobian[..., STATIC_DOF:].any():
+            raise SensorError(
+                f"{located.streams[stream].label}: a shape that holds still has no velocity "
+                f"to read; leave these readings out."
+            )
+        yield batch
