@@ -24,7 +24,7 @@ from glissando.geometry import se3
 from glissando.io.recording import load_recording
 from glissando.io.robot_file import parse_robot, read_robot_document
 from glissando.io.shipped_robots import robot_file
-from glissando.io.toml_table import Table
+from glissando.model.table import Table
 
 BENDING, AXIAL = (3, 4), (2,)
 VARIED = {  # what is scaled: key, rows of segments or joints, entries, factor

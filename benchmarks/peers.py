@@ -28,7 +28,7 @@ import shapes
 from glissando import BaseVariance, PoseReadings, SeparablePrior, estimate_static, load_robot
 from glissando.errors import GlissandoError
 from glissando.io.robot_file import parse_robot
-from glissando.io.toml_table import Table
+from glissando.model.table import Table
 from glissando.solver.gauss_newton import SolverOptions
 from peers_page import TEXT, draw, ratios
 from peers_problems import REPORTED_ON, ROD_NOISE, TUNED_ON, Numbers

@@ -22,7 +22,7 @@ from glissando.errors import GlissandoError
 from glissando.evaluation.metrics import errors_against
 from glissando.geometry import se3
 from glissando.io.robot_file import parse_robot
-from glissando.io.toml_table import Table
+from glissando.model.table import Table
 from sorosim import FILE
 
 TUNED_ON = range(0, 250, 2)  # every second of shapes 1 to 250 of the file

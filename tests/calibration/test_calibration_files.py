@@ -18,7 +18,7 @@ from glissando.geometry import se3
 from glissando.io.robot_file import parse_robot
 from glissando.io.session_log import read_session
 from glissando.io.shipped_robots import robot_file
-from glissando.io.toml_table import Table
+from glissando.model.table import Table
 
 
 def test_what_is_saved_comes_back_and_serves_a_robot_file(tmp_path):

@@ -7,8 +7,8 @@ from glissando import GlissandoError, load_robot
 from glissando.calibration.robot.hyperparameters import Parameter, expanded, learnable, moved
 from glissando.io.robot_file import parse_robot
 from glissando.io.shipped_robots import shipped_robots
-from glissando.io.toml_table import Table
 from glissando.model.sensors.sensors import sensor_kinds
+from glissando.model.table import Table
 from learn_drawn import shipped
 
 

@@ -12,9 +12,9 @@ from glissando.geometry import se3
 from glissando.io.csv_stream import Rows, Stream
 from glissando.io.recording import Recording
 from glissando.io.robot_file import parse_robot
-from glissando.io.toml_table import Table
 from glissando.model.sensors.parameters import corrected
 from glissando.model.sensors.sensors import PoseReadings
+from glissando.model.table import Table
 from learn_drawn import shipped
 from scenes import LENGTH, arc
 

@@ -21,7 +21,7 @@ from glissando.io.netcdf import load_posterior, save_posterior, to_xarray
 from glissando.io.query_csv import LOAD_COLUMNS
 from glissando.io.recording_writer import write_streams
 from glissando.io.robot_file import load_robot, parse_robot
-from glissando.io.toml_table import Table
+from glissando.model.table import Table
 from glissando.simulation import Loads, Rod, Wrench, solve_shape
 from glissando.visualization.contact_figure import contact_figure
 

@@ -14,7 +14,7 @@ from glissando.estimation.outliers import CHANCE
 from glissando.estimation.posterior import SolveReport
 from glissando.io.robot_file import parse_robot
 from glissando.io.robot_template import RobotOutline, robot_text
-from glissando.io.toml_table import Table
+from glissando.model.table import Table
 from learn_drawn import NOISE, readings, shipped
 from scenes import LENGTH
 

@@ -13,7 +13,7 @@ from glissando.errors import DeviceError
 from glissando.hardware.drivers import Slide, Stage
 from glissando.hardware.drivers.dynamixel import WRAP, hardware_error, unwrapped
 from glissando.hardware.simulated_devices.xl430 import OVERLOAD
-from glissando.io.toml_table import Table
+from glissando.model.table import Table
 from servo_world import World, together
 from slide_world import STAGE, TICK, home
 

@@ -8,7 +8,7 @@ import pytest
 from glissando import Grid, PoseReadings, estimate
 from glissando.errors import RobotFileError
 from glissando.io.robot_file import parse_robot
-from glissando.io.toml_table import Table
+from glissando.model.table import Table
 from separable_sessions import PRIOR
 
 

@@ -8,8 +8,8 @@ from glissando.errors import RobotFileError
 from glissando.estimation.channels import placed
 from glissando.geometry import se3
 from glissando.io.robot_file import parse_robot
-from glissando.io.toml_table import Table
 from glissando.model.sensors.tendons import TendonReadings
+from glissando.model.table import Table
 from glissando.model.tendons.channel import Channel
 
 LENGTH, JOINT, RADIUS = 0.2, 0.1, 0.0045

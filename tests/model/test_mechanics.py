@@ -6,8 +6,8 @@ import pytest
 from glissando.errors import RobotFileError
 from glissando.io.robot_file import load_robot
 from glissando.io.shipped_robots import robot_file
-from glissando.io.toml_table import Table
 from glissando.model.mechanics import Mechanics, read_mechanics
+from glissando.model.table import Table
 from glissando.simulation import Rod
 
 TUBES = """

@@ -21,8 +21,8 @@ from glissando import (
 from glissando.errors import OldNameWarning
 from glissando.geometry import se3
 from glissando.io.shipped_robots import robot_file, shipped_robots
-from glissando.io.toml_table import Table
 from glissando.model.priors import registry
+from glissando.model.table import Table
 from scenes import sliding_scene
 
 

@@ -16,7 +16,7 @@ from glissando.hardware.openigtlink.wire_frame import WireFrame
 from glissando.io.csv_stream import Rows, Stream
 from glissando.io.recording import Recording
 from glissando.io.robot_file import load_robot, parse_robot
-from glissando.io.toml_table import Table
+from glissando.model.table import Table
 from waiting import until
 
 ROBOT = load_robot("tdcr466")

@@ -4,7 +4,7 @@ import numpy as np
 
 from glissando.errors import RobotFileError
 from glissando.io.robot_file import parse_robot
-from glissando.io.toml_table import Table
+from glissando.model.table import Table
 from glissando.simulation import Rod, Tendon
 
 LENGTH, ENDS = 0.2, (0.1, 0.2)

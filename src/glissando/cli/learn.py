@@ -28,8 +28,8 @@ from glissando.geometry.se3 import Array
 from glissando.io.recording import Recording, load_recording
 from glissando.io.robot_file import load_robot, parse_robot, read_robot_document
 from glissando.io.shipped_robots import robot_file
-from glissando.io.toml_table import Table
 from glissando.model.sensors.parameters import SensorParameter
+from glissando.model.table import Table
 
 _STEPS = 20  # unless told otherwise
 _HELP = """\

@@ -23,7 +23,6 @@ from glissando.estimation.fixed_lag import FixedLagSmoother
 from glissando.estimation.posterior import Posterior, StateEstimate
 from glissando.evaluation.prior_predictive import PriorPredictive, Session, session_layout
 from glissando.geometry.se3 import Array
-from glissando.io.toml_table import Table
 from glissando.model.grid import Grid, Index
 from glissando.model.priors.prior import Prior
 from glissando.model.priors.registry import prior_class
@@ -31,6 +30,7 @@ from glissando.model.quantiles import binomial_quantile
 from glissando.model.robot import Robot
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
+from glissando.model.table import Table
 
 FIELDS = ("pose", "strain", "velocity")
 QUANTITIES = (
@@ -192,8 +192,7 @@ def misjudged(prior: Prior, factor: float) -> Prior:
         return value
 
     robot = Table(scaled("", table), "scaled prior", RobotFileError)
-    entries = robot.table("prior", required=True)
-    assert entries is not None
+    entries = robot.subtable("prior")
     cls = prior_class(entries.text("kind"))
     return cls.from_table(entries, robot)
 

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from glissando.errors import GlissandoError
-from glissando.io.toml_table import Table, read_toml
+from glissando.io.toml_table import read_toml
+from glissando.model.table import Table
 
 CLAIMS = Path(__file__).parent / "claims.toml"
 _DIRECTIONS = ("below", "above", "report")

@@ -22,7 +22,6 @@ from glissando.io.atomic_file import new_file
 from glissando.io.plain_file import largest_unpacked, require_plain
 from glissando.io.provenance import require_readable, stated_format, versions
 from glissando.io.robot_file import OLD_KINDS
-from glissando.io.toml_table import Table
 from glissando.model.grid import Grid
 from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.model.priors.prior import Prior
@@ -31,6 +30,7 @@ from glissando.model.priors.separable import BaseVariance
 from glissando.model.priors.white_noise import BaseDensity
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.state import State
+from glissando.model.table import Table
 from glissando.solver.block_tridiagonal import BlockTridiagonal, factor
 
 if TYPE_CHECKING:
@@ -281,8 +281,7 @@ def _as_prior(document: dict[str, Any], where: str) -> Prior:
     if "prior" not in document:
         return _prior_of_fields(document)
     table = Table(document, where, GlissandoError)
-    entries = table.table("prior", required=True)
-    assert entries is not None
+    entries = table.subtable("prior")
     return prior_class(entries.text("kind")).from_table(entries, table)
 
 

@@ -20,12 +20,13 @@ from glissando.io.robot_file import load_robot
 from glissando.io.session_log import read_session
 from glissando.io.session_recording import LOG, session_setup, session_streams
 from glissando.io.shipped_robots import beside, shipped_robots
-from glissando.io.toml_table import Table, read_toml
+from glissando.io.toml_table import read_toml
 from glissando.model.brief import Brief
 from glissando.model.robot import Robot
 from glissando.model.sensors.parameters import corrected
 from glissando.model.sensors.readings import SENSORS, Readings, slide_motion
 from glissando.model.sensors.sensors import sensor_class, sensor_kinds
+from glissando.model.table import Table
 from glissando.model.tendons.channel import Channel
 
 _TRUTH_STD = 1e-6  # noise of a truth stream that states none: negligible against any posterior

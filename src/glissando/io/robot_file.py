@@ -14,7 +14,7 @@ from glissando.errors import OldNameWarning, RobotFileError
 from glissando.geometry.se3 import Array
 from glissando.io.provenance import require_readable
 from glissando.io.shipped_robots import robot_file
-from glissando.io.toml_table import Table, read_document
+from glissando.io.toml_table import read_document
 from glissando.model.grid import with_places
 from glissando.model.mechanics import implausible, read_mechanics
 from glissando.model.noise import GemanMcClure, Huber, Loss
@@ -23,6 +23,7 @@ from glissando.model.priors.registry import prior_class, prior_kinds
 from glissando.model.robot import Robot
 from glissando.model.sensors.parameters import SIZES, SensorParameter
 from glissando.model.sensors.sensors import sensor_class, sensor_kinds
+from glissando.model.table import Table
 from glissando.model.tendons.tendons import read_tendons
 from glissando.model.tube import Tube
 
@@ -156,8 +157,7 @@ def with_tube(text: str, tube: Tube) -> str:
 
 def _grid(table: Table, length: float) -> tuple[Array, float, bool]:
     """Arclength nodes, time nodes a second, and whether readings get time nodes of their own."""
-    grid = table.table("grid", required=True)
-    assert grid is not None
+    grid = table.subtable("grid")
     rate, at_readings = grid.number("time_rate"), grid.flag("nodes_at_readings")
     if isinstance(grid.peek("arclength_nodes"), list):
         nodes = grid.vector("arclength_nodes", len(grid.peek("arclength_nodes")))
@@ -181,8 +181,7 @@ def _grid(table: Table, length: float) -> tuple[Array, float, bool]:
 
 def _prior(table: Table) -> Prior:
     """The prior of the kind that its table names."""
-    entries = table.table("prior", required=True)
-    assert entries is not None
+    entries = table.subtable("prior")
     prior = prior_class(entries.text("kind", choices=prior_kinds())).from_table(entries, table)
     entries.close()
     return prior

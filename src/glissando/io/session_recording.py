@@ -16,7 +16,7 @@ from glissando.io.csv_stream import Rows, Stream
 from glissando.io.robot_file import load_robot
 from glissando.io.session_log import RawSession, Topic
 from glissando.io.shipped_robots import robot_file
-from glissando.io.toml_table import Table
+from glissando.model.table import Table
 from glissando.model.tendons.channel import Channel
 
 LOG = "session.mcap"

@@ -15,8 +15,8 @@ import numpy as np
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.grid import SAME, Index, segment_at
-from glissando.model.priors.prior_table import PriorTable
 from glissando.model.stated import Stated
+from glissando.model.table import Table
 
 _GRAVITY = 9.81  # m/s², only to judge whether a rod could carry its own weight
 _REACHES = np.finfo(float).max  # the end of a tube that states none
@@ -108,7 +108,7 @@ def _area(tubes: list[tuple[float, float]]) -> float:
     return float(sum(np.pi / 4.0 * (outer**2 - inner**2) for outer, inner in tubes))
 
 
-def read_mechanics(robot: PriorTable) -> Mechanics | None:
+def read_mechanics(robot: Table) -> Mechanics | None:
     """The [mechanics] of a robot file, or None where it has none.
 
     Either `tubes` with `young`, `poisson` and `density`, or `stiffness` with `mass_per_length`.
@@ -189,7 +189,7 @@ def _too_soft(mechanics: Mechanics, length: float) -> tuple[str, str] | None:
     )
 
 
-def _tubes(table: PriorTable) -> dict[str, Any]:
+def _tubes(table: Table) -> dict[str, Any]:
     """Segments between the ends of concentric tubes."""
     young = table.number("young")
     if not 1e4 <= young <= 2e12:
@@ -229,7 +229,7 @@ def _tubes(table: PriorTable) -> dict[str, Any]:
     }
 
 
-def _sections(table: PriorTable) -> dict[str, Any]:
+def _sections(table: Table) -> dict[str, Any]:
     """Segments that state their stiffness."""
     joints = table.numbers("joints") if table.peek("joints") is not None else np.zeros(0)
     if np.any(np.diff(joints, prepend=0.0) <= 0.0):

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from glissando.geometry.se3 import Array
-from glissando.io.toml_table import Table
+from glissando.model.table import Table
 from glissando.simulation.rod import Loads, Wrench
 
 

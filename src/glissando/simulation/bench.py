@@ -12,8 +12,9 @@ import numpy as np
 
 from glissando.errors import SimulationError
 from glissando.geometry.se3 import Array
-from glissando.io.toml_table import Table, read_toml
+from glissando.io.toml_table import read_toml
 from glissando.model.slide_path import SlideLimits
+from glissando.model.table import Table
 from glissando.simulation.actuation import Actuation, read_actuation
 from glissando.simulation.dynamics.integrate import simulate_motion
 from glissando.simulation.dynamics.motion import DynamicMotion
@@ -149,8 +150,7 @@ def _bench(table: Table, length: float, rest_strain: Array, base: Array) -> Benc
     tendons = tuple(_tendon(entry, rod, radius) for entry in table.tables("tendons"))
     slide, offset = _stage(table, "slide")
     full_slide, _ = _stage(table, "full_slide")
-    mount = table.table("tracker", required=True)
-    assert mount is not None
+    mount = table.subtable("tracker")
     tracker = mount.pose()
     mount.close()
     listed = table.table("imperfections")
@@ -164,8 +164,7 @@ def _bench(table: Table, length: float, rest_strain: Array, base: Array) -> Benc
     shapes = {}
     if (entries := table.table("shapes")) is not None:
         for name in entries.names():
-            entry = entries.table(name, required=True)
-            assert entry is not None
+            entry = entries.subtable(name)
             shapes[name] = read_actuation(entry, len(tendons), gravity)
     table.close()
     stages = slide, full_slide, offset
@@ -232,8 +231,7 @@ def _tendon(table: Table, rod: Rod, disk_radius: float) -> Tendon:
 
 
 def _stage(table: Table, key: str) -> tuple[SlideLimits, float]:
-    stage = table.table(key, required=True)
-    assert stage is not None
+    stage = table.subtable(key)
     limits = SlideLimits(*(stage.number(name) for name in ("stroke", "speed", "acceleration")))
     offset = stage.number("coil_offset", 0.0, positive=False)
     stage.close()

@@ -19,10 +19,11 @@ from glissando.io.atomic_file import write_text
 from glissando.io.csv_stream import Rows, Stream
 from glissando.io.provenance import require_readable, stated_format, versions
 from glissando.io.recording import Recording
-from glissando.io.toml_table import Table, read_toml
+from glissando.io.toml_table import read_toml
 from glissando.model.brief import Brief
 from glissando.model.robot import Robot
 from glissando.model.sensors.parameters import SensorParameter
+from glissando.model.table import Table
 from glissando.model.tendons.channel import Channel
 
 _UNITS = {"delay": ("ms", 1e3), "rate": ("ppm", 1e6), "lead": ("1", 1.0)}
@@ -170,7 +171,7 @@ def load_calibration(path: str | Path) -> Calibration:
     table = read_toml(Path(path), GlissandoError)
     require_readable(table.text("format"), "calibration", path)
     frames, coil, slide, covariance = (
-        _subtable(table, key) for key in ("frames", "coil", "slide", "covariance")
+        table.subtable(key) for key in ("frames", "coil", "slide", "covariance")
     )
     epoch = table.number("epoch", positive=False)
     odds = table.peek("log_odds")
@@ -178,11 +179,11 @@ def load_calibration(path: str | Path) -> Calibration:
     if direction not in (1.0, -1.0):
         raise slide.fail("direction", f"is {direction:g}; give 1 or -1.")
     rig = Rig(
-        _subtable(frames, "tracker").pose(),
+        frames.subtable("tracker").pose(),
         int(direction),
         slide.number("zero", positive=False),
         epoch,
-        se3.log(_subtable(coil, "mount").pose())[MOUNT],
+        se3.log(coil.subtable("mount").pose())[MOUNT],
         slide.number("lead"),
         slide.number("backlash", positive=False),
         _read_clock(coil),
@@ -196,14 +197,8 @@ def load_calibration(path: str | Path) -> Calibration:
     return Calibration(*found, warnings=tuple(warnings), channel=coil.channel())
 
 
-def _subtable(table: Table, key: str) -> Table:
-    subtable = table.table(key, required=True)
-    assert subtable is not None
-    return subtable
-
-
 def _read_clock(device: Table) -> Array:
-    clock = _subtable(device, "clock")
+    clock = device.subtable("clock")
     return np.array([clock.number(key, positive=False) for key in ("delay", "rate")])
 
 

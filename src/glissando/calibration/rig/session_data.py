@@ -12,7 +12,7 @@ from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.io.session_log import RawSession, Topic
 from glissando.io.session_recording import session_setup
-from glissando.io.toml_table import Table
+from glissando.model.table import Table
 from glissando.model.tendons.channel import Channel
 
 _NOISE = {"mocap": "mocap_std", "coil": "coil_std", "bias": "coil_bias", "play": "play"}
@@ -133,8 +133,7 @@ def _bodies(session: RawSession, setup: Table) -> tuple[dict[str, Body], TubeBod
                 f"Motion capture saw {name!r}, and the setup does not say where it sits; add it to "
                 f"its bodies with arclength, position and quaternion."
             )
-        entry = given.table(name, required=True)
-        assert entry is not None
+        entry = given.subtable(name)
         time, poses = _poses(topic)
         if entry.flag("slides"):
             tubes.append(TubeBody(name, time, poses))

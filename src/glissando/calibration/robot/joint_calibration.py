@@ -26,9 +26,9 @@ from glissando.estimation.posterior import Posterior
 from glissando.geometry.se3 import Array
 from glissando.io.recording import Recording
 from glissando.io.robot_file import parse_robot
-from glissando.io.toml_table import Table
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.sensors.readings import Readings
+from glissando.model.table import Table
 from glissando.solver.gauss_newton import SolverOptions
 
 _OF_A_RECORDING = ("time_offset", "bias")  # kinds that differ between recordings

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from glissando.calibration.robot.case import Case
+from glissando.calibration.robot.case import RecordingCase
 from glissando.calibration.robot.hyperparameters import Document
 from glissando.calibration.robot.predictive import (
     Score,
@@ -23,10 +23,10 @@ from glissando.errors import GlissandoError, RecordingError
 from glissando.estimation.batch import estimate_in_passing
 from glissando.estimation.posterior import Posterior
 from glissando.io.robot_file import parse_robot
-from glissando.io.toml_table import Table
 from glissando.model.robot import Robot
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.sensors.readings import Readings
+from glissando.model.table import Table
 from glissando.solver.gauss_newton import SolverOptions
 
 _TIGHT = SolverOptions(max_iterations=20, tolerance=1.0)
@@ -55,7 +55,7 @@ class Objective:
         calibrate: Whether frame and mounts of the truth are calibrated.
     """
 
-    cases: Sequence[Case]
+    cases: Sequence[RecordingCase]
     calibrate: bool
 
     def start(
@@ -124,7 +124,7 @@ class Objective:
         return Score(value, samples, sum(s.independent for s in scores), constants)
 
     @staticmethod
-    def _readings(case: Case, robot: Robot) -> list[Readings]:
+    def _readings(case: RecordingCase, robot: Robot) -> list[Readings]:
         readings = case.readings(robot)
         if not sum(map(len, readings)):
             raise RecordingError("The window holds no readings to learn from; choose another.")

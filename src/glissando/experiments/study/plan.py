@@ -17,7 +17,8 @@ import numpy as np
 from glissando.errors import GlissandoError
 from glissando.experiments.scenes import ROBOT, Scene, bench, grid, known_robot, path, prior
 from glissando.io.shipped_robots import beside, shipped_robots
-from glissando.io.toml_table import Table, read_toml
+from glissando.io.toml_table import read_toml
+from glissando.model.table import Table
 from glissando.simulation.imperfections import PARTS
 
 Value = str | float | int | bool | None

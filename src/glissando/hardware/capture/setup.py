@@ -17,7 +17,8 @@ from glissando.hardware.drivers.position_stage import optional_number
 from glissando.io.plain_file import file_stem
 from glissando.io.robot_file import load_robot
 from glissando.io.shipped_robots import beside, robot_file, shipped_robots
-from glissando.io.toml_table import Table, read_toml
+from glissando.io.toml_table import read_toml
+from glissando.model.table import Table
 from glissando.model.tendons.channel import Channel
 
 _ARCLENGTH_STD = 2e-3  # m: how well one measures by hand where the coil is

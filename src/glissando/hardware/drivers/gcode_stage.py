@@ -8,7 +8,7 @@ from typing import Any
 
 from glissando.errors import DeviceError
 from glissando.hardware.drivers.position_stage import PositionStage
-from glissando.io.toml_table import Table
+from glissando.model.table import Table
 
 _STATUS = re.compile(rb"<(\w+)(?::\d)?\|(MPos|WPos):([-\d.,]+)")
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from glissando.errors import DeviceError
 from glissando.geometry.se3 import Array
-from glissando.io.toml_table import Table
+from glissando.model.table import Table
 
 
 @dataclass(frozen=True)

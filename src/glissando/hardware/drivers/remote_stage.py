@@ -14,7 +14,7 @@ from glissando.errors import DeviceError
 from glissando.hardware.drivers.interfaces import SlideReading
 from glissando.hardware.drivers.position_slide import PositionSlide
 from glissando.hardware.drivers.position_stage import PositionStage
-from glissando.io.toml_table import Table
+from glissando.model.table import Table
 
 MESSAGES = ("joint_state", "float64_array")
 _FIRST = 5.0  # s for the first position to come

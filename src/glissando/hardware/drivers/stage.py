@@ -11,7 +11,8 @@ import numpy as np
 
 from glissando.errors import DeviceError
 from glissando.hardware.drivers.position_stage import PositionStage
-from glissando.io.toml_table import Table, read_toml
+from glissando.io.toml_table import read_toml
+from glissando.model.table import Table
 
 TICKS = 4096  # a revolution
 _RPM = 0.229  # a unit of speed
@@ -77,8 +78,7 @@ class Stage(PositionStage):
     @classmethod
     def load(cls, path: Path, key: str = "slide") -> Self:
         """The stage of a TOML file, in its table `key`. Raises DeviceError."""
-        table = read_toml(path, DeviceError).table(key, required=True)
-        assert table is not None
+        table = read_toml(path, DeviceError).subtable(key)
         return cls.from_table(table)
 
     @classmethod

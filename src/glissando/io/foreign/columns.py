@@ -30,8 +30,9 @@ from glissando.io.foreign.tracks import (
     require_no_rate,
     unit_rotations,
 )
-from glissando.io.toml_table import Table, read_toml
+from glissando.io.toml_table import read_toml
 from glissando.model.sensors.readings import SENSORS
+from glissando.model.table import Table
 
 _TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _ANGLES = {"rad": 1.0, "deg": np.pi / 180.0}

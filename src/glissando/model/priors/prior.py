@@ -12,8 +12,8 @@ from glissando.geometry.se3 import Array
 from glissando.model.factors import Factors
 from glissando.model.grid import SAME, Grid
 from glissando.model.interpolation import Interpolation, Points
-from glissando.model.priors.prior_table import PriorTable
 from glissando.model.state import State
+from glissando.model.table import Table
 
 Spread = tuple[Array, Array]
 """Of intervals: the density of strain (…, 6) inside them, and the variance (…, 6) of its jump."""
@@ -34,7 +34,7 @@ class Prior(Protocol):
         ...
 
     @classmethod
-    def from_table(cls, prior: PriorTable, robot: PriorTable) -> Self:
+    def from_table(cls, prior: Table, robot: Table) -> Self:
         """The prior of a robot file, from its [prior] table and the file with [base] and rest."""
         ...
 

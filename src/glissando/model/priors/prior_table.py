@@ -2,64 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.priors.rest_shape import STRAIGHT
+from glissando.model.table import Table
 
 
-class PriorTable(Protocol):
-    """A table of a robot file as a prior reads it, `glissando.io.toml_table.Table`."""
-
-    def peek(self, key: str) -> Any:
-        """The raw value of a key, or None."""
-
-    def fail(self, key: str, problem: str) -> Exception:
-        """An error that names the file and the key."""
-
-    def close(self) -> None:
-        """Raise unless every key was read."""
-
-    def table(self, key: str, *, required: bool = False) -> PriorTable | None:
-        """A sub-table, or None when it is absent and not required."""
-
-    def tables(self, key: str) -> Sequence[PriorTable]:
-        """An array of tables; empty when absent."""
-
-    def number(self, key: str, default: float | None = None, *, positive: bool = True) -> float:
-        """A finite number."""
-
-    def numbers(self, key: str) -> Array:
-        """Numbers, at least one."""
-
-    def texts(self, key: str) -> list[str]:
-        """Strings, at least one."""
-
-    def vector(
-        self,
-        key: str,
-        size: int,
-        default: Array | None = None,
-        *,
-        positive: bool = False,
-        pairs: bool = True,
-    ) -> Array:
-        """`size` numbers; six may be a pair [linear, angular] if `pairs`."""
-
-    def rows(
-        self, key: str, count: int, size: int, *, positive: bool = True, signed: bool = False
-    ) -> Array:
-        """`count` vectors (count, size)."""
-
-    def pose(self) -> Array:
-        """`position` and `quaternion` as a pose (4, 4)."""
-
-
-def read_segments(prior: PriorTable, jumps: str) -> dict[str, Array]:
+def read_segments(prior: Table, jumps: str) -> dict[str, Array]:
     """Strain densities (6,), or of S segments with their joints and jumps.
 
     Args:
@@ -76,7 +29,7 @@ def read_segments(prior: PriorTable, jumps: str) -> dict[str, Array]:
     return {"psd_strain_arclength": psd, "joints": joints, "jumps": strain_jumps}
 
 
-def read_rest(robot: PriorTable, segments: int) -> dict[str, Array]:
+def read_rest(robot: Table, segments: int) -> dict[str, Array]:
     """The rest strain, and its slope where it is given; one row a segment, or (6,) of the body."""
     rest = {}
     for key in ("rest_strain", "rest_slope"):
@@ -99,6 +52,6 @@ def segments_table(psd: Array, joints: Array, jumps: Array, key: str) -> dict[st
 
 
 def pose_table(pose: Array) -> dict[str, Any]:
-    """A pose (4, 4) as `PriorTable.pose` reads it."""
+    """A pose (4, 4) as `Table.pose` reads it."""
     quaternion = se3.quaternion(pose[:3, :3])
     return {"position": pose[:3, 3].tolist(), "quaternion": quaternion.tolist()}

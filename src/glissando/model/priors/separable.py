@@ -29,7 +29,6 @@ from glissando.model.priors.intervals import (
 )
 from glissando.model.priors.prior import by_interval, interval_strain, is_soft, soften
 from glissando.model.priors.prior_table import (
-    PriorTable,
     pose_table,
     read_rest,
     read_segments,
@@ -46,6 +45,7 @@ from glissando.model.priors.stationary import (
 from glissando.model.priors.transitions import bridge, process_covariances
 from glissando.model.state import POSE, STRAIN, State
 from glissando.model.stated import Stated
+from glissando.model.table import Table
 
 
 @dataclass(frozen=True)
@@ -98,12 +98,11 @@ class SeparablePrior:
             raise stated.fail("base", f"is {self.base!r}; give a BaseVariance.")
 
     @classmethod
-    def from_table(cls, prior: PriorTable, robot: PriorTable) -> SeparablePrior:
+    def from_table(cls, prior: Table, robot: Table) -> SeparablePrior:
         """The prior of a robot file, from its [prior] table and the file with [base] and rest."""
         fields = read_segments(prior, "var_jumps")
         fields |= read_rest(robot, 1 + fields["joints"].size if "joints" in fields else 1)
-        base = robot.table("base", required=True)
-        assert base is not None
+        base = robot.subtable("base")
         fields["base_pose"] = base.pose()
         parts = (base.vector(f"var_{part}", 6, positive=True) for part in ("pose", "strain"))
         variance = BaseVariance(*parts)

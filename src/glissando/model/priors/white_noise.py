@@ -24,7 +24,6 @@ from glissando.model.grid import Grid, Index
 from glissando.model.interpolation import Interpolation, Points
 from glissando.model.priors.prior import by_interval, interval_strain, is_soft, soften
 from glissando.model.priors.prior_table import (
-    PriorTable,
     pose_table,
     read_rest,
     read_segments,
@@ -35,6 +34,7 @@ from glissando.model.priors.static import static_factors
 from glissando.model.priors.steps import ARCLENGTH, TIME, Direction, weighted_steps
 from glissando.model.state import DOF, POSE, STRAIN, VELOCITY, State, rest_state
 from glissando.model.stated import Stated
+from glissando.model.table import Table
 
 _ALL = slice(0, DOF)
 
@@ -96,7 +96,7 @@ class WhiteNoisePrior:
             raise stated.fail("base", f"is {self.base!r}; give a BaseDensity or None.")
 
     @classmethod
-    def from_table(cls, prior: PriorTable, robot: PriorTable) -> WhiteNoisePrior:
+    def from_table(cls, prior: Table, robot: Table) -> WhiteNoisePrior:
         """The prior of a robot file, from its [prior] table and the file with [base] and rest."""
         rest, psd = robot.peek("rest_strain"), ("pose", "strain", "velocity")
         rows = isinstance(rest, list) and any(isinstance(row, list) for row in rest)

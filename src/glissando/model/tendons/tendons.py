@@ -17,7 +17,7 @@ import numpy as np
 from glissando.errors import SensorError
 from glissando.geometry.se3 import Array
 from glissando.model.mechanics import Mechanics
-from glissando.model.priors.prior_table import PriorTable
+from glissando.model.table import Table
 from glissando.model.tendons.channel import Channel
 
 _LONGEST = 50.0  # m of a robot
@@ -145,9 +145,7 @@ class Tendons:
         return {**table, **{name: float(getattr(self, name)) for name in _SHARED}}
 
 
-def read_tendons(
-    robot: PriorTable, length: float, mechanics: Mechanics | None = None
-) -> Tendons | None:
+def read_tendons(robot: Table, length: float, mechanics: Mechanics | None = None) -> Tendons | None:
     """The [tendons] of a robot file, or None where it has none.
 
     `radius`, `angle`, `end` and `stiffness` are numbers or lists with one a tendon, `pitch` too,
@@ -189,7 +187,7 @@ def read_tendons(
     return tendons
 
 
-def _each(table: PriorTable, name: str, count: int) -> Array:
+def _each(table: Table, name: str, count: int) -> Array:
     """A number for all tendons, or a list with one each."""
     if isinstance(table.peek(name), list):
         return table.vector(name, count, pairs=False)
@@ -226,7 +224,7 @@ def _require_units(tendons: Any, fail: Callable[[str, str], Exception]) -> None:
             )
 
 
-def _require_stiff(table: PriorTable, tendons: Tendons, bending: float) -> None:
+def _require_stiff(table: Table, tendons: Tendons, bending: float) -> None:
     """Raise unless tendons bend a rod of that stiffness (N m²) and do not just stretch."""
     ratio = tendons.stiffness * tendons.radius**2 * tendons.end / bending
     if ratio.max() < _SOFT:

@@ -8,8 +8,9 @@ import numpy as np
 
 from glissando.errors import GlissandoError, RobotFileError
 from glissando.geometry.se3 import Array
-from glissando.io.toml_table import Table, read_toml
+from glissando.io.toml_table import read_toml
 from glissando.model.robot import Robot
+from glissando.model.table import Table
 from glissando.model.tendons.tendons import Tendons
 from glissando.planning.scene.mesh import read_mesh
 from glissando.planning.scene.obstacles import (
@@ -147,8 +148,7 @@ def _tendons(
 ) -> tuple[list[Actuator], tuple[float, float]]:
     """Limits of the tendons, and what of their speed and strokes is left to corrections."""
     count = len(made)
-    limits = table.table("tendons", required=True)
-    assert limits is not None
+    limits = table.subtable("tendons")
     lower, upper, start = (_each(limits, key, count, default) for key, default in
                            (("lower", 0.0), ("upper", None), ("start", 0.0)))  # fmt: skip
     speed, acceleration = _quickness(limits)

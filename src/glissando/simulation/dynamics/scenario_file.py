@@ -6,7 +6,7 @@ import numpy as np
 
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
-from glissando.io.toml_table import Table
+from glissando.model.table import Table
 from glissando.simulation.actuation import Actuation
 from glissando.simulation.dynamics.base_motion import BaseMotion
 from glissando.simulation.dynamics.scenario import HalfSpace, Hold, Scenario, TimedWrench

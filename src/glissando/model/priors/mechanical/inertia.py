@@ -25,9 +25,9 @@ from glissando.model.noise import sqrt_information
 from glissando.model.priors import matern
 from glissando.model.priors.intervals import strain_rate_of
 from glissando.model.priors.mechanical.beam_modes import BeamModes
-from glissando.model.priors.prior_table import PriorTable
 from glissando.model.priors.stationary import chain_factors
 from glissando.model.state import INERTIA, POSE, STRAIN, STRAIN_RATE, VELOCITY, State
+from glissando.model.table import Table
 
 _POINTS = 24  # to integrate over a time step
 FASTEST = 5.0  # rad a time step, of oscillation; what is faster follows loads at once
@@ -56,7 +56,7 @@ class Inertia:
     std_release: float
 
     @classmethod
-    def from_table(cls, table: PriorTable) -> Inertia:
+    def from_table(cls, table: Table) -> Inertia:
         """The inertia of a robot file's [prior.inertia]."""
         modes = table.number("modes", 4)
         retardation = table.number("retardation", 0.0, positive=False)

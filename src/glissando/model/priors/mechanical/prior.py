@@ -38,12 +38,13 @@ from glissando.model.priors.mechanical.point_load import PointLoad, point_load
 from glissando.model.priors.mechanical.rod import LoadedRod
 from glissando.model.priors.mechanical.section import hanging_rod, section_covariances
 from glissando.model.priors.mechanical.table import read_fields
-from glissando.model.priors.prior_table import PriorTable, pose_table
+from glissando.model.priors.prior_table import pose_table
 from glissando.model.priors.rest_shape import STRAIGHT, RestShape
 from glissando.model.priors.static import STATIC_DOF
 from glissando.model.priors.stationary import chain_factors, interpolate_process, require_digits
 from glissando.model.state import State
 from glissando.model.stated import Stated
+from glissando.model.table import Table
 
 _REACH = 0.3  # m, over which a load acts, for orders of magnitude
 _SOFT = 0.022  # m, of shear over curvature
@@ -101,7 +102,7 @@ class MechanicalPrior:
         stated.numbers("var_points", (stated.places("points").size, 6), least=0.0)
 
     @classmethod
-    def from_table(cls, prior: PriorTable, robot: PriorTable) -> MechanicalPrior:
+    def from_table(cls, prior: Table, robot: Table) -> MechanicalPrior:
         """The prior of a robot file, from its [prior] table and the file with [mechanics]."""
         return cls(**read_fields(prior, robot))
 

@@ -8,10 +8,11 @@ import numpy as np
 
 from glissando.model.mechanics import Mechanics, read_mechanics
 from glissando.model.priors.mechanical.inertia import Inertia
-from glissando.model.priors.prior_table import PriorTable, read_rest
+from glissando.model.priors.prior_table import read_rest
+from glissando.model.table import Table
 
 
-def read_fields(prior: PriorTable, robot: PriorTable) -> dict[str, Any]:
+def read_fields(prior: Table, robot: Table) -> dict[str, Any]:
     """Fields of the prior of a robot file, from its [prior] table and the file with [mechanics]."""
     mechanics = read_mechanics(robot)
     if mechanics is None:
@@ -24,8 +25,7 @@ def read_fields(prior: PriorTable, robot: PriorTable) -> dict[str, Any]:
         if np.any(np.diff(points, prepend=0.0) <= 0.0):
             raise prior.fail("points", "must increase from above 0.")
         fields |= {"points": points, "var_points": prior.rows("var_points", points.size, 6)}
-    base = robot.table("base", required=True)
-    assert base is not None
+    base = robot.subtable("base")
     fields |= {"base_pose": base.pose(), "var_base": base.vector("var_pose", 6, positive=True)}
     base.close()
     return {
@@ -36,7 +36,7 @@ def read_fields(prior: PriorTable, robot: PriorTable) -> dict[str, Any]:
     }
 
 
-def _inertia(prior: PriorTable, mechanics: Mechanics) -> Inertia | None:
+def _inertia(prior: Table, mechanics: Mechanics) -> Inertia | None:
     """The [prior.inertia] of a robot file, if it has one."""
     table = prior.table("inertia")
     if table is None:
