@@ -61,13 +61,6 @@ class Motion:
             pose.reshape(*shape, 4, 4), strain.reshape(*shape, 6), wrench.reshape(*shape, 6)
         )
 
-    def shortening(self, tendons: Sequence[Tendon], time: Array) -> Array:
-        """How much shorter (M, T) channels are at times (M,) than in the straight rod, m.
-
-        What servos pull in of tendons that do not stretch. Source: (M5).
-        """
-        return shortening(self.mesh, self.strains(time), tendons)
-
     def strains(self, time: Array) -> Array:
         """Strains (M, G, 6) at the mesh's points at times (M,), s."""
         time = np.clip(time, self.time[0], self.time[-1])
@@ -83,7 +76,10 @@ class Motion:
 
 
 def shortening(mesh: Mesh, strain: Array, tendons: Sequence[Tendon]) -> Array:
-    """How much shorter (M, T) channels are under strains (M, G, 6) than in the straight rod, m."""
+    """How much shorter (M, T) channels are under strains (M, G, 6) than in the straight rod, m.
+
+    What servos pull in of tendons that do not stretch. Source: (M5).
+    """
     points, columns = mesh.points, []
     for tendon in tendons:
         place, slope = tendon.path(points)

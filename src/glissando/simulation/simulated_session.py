@@ -20,7 +20,7 @@ from glissando.simulation.bench import Bench
 from glissando.simulation.channel import routed
 from glissando.simulation.dynamics.motion import DynamicMotion
 from glissando.simulation.imperfections import Imperfections
-from glissando.simulation.motion import Motion
+from glissando.simulation.motion import Motion, shortening
 from glissando.simulation.session_truth import write_dynamics
 from glissando.simulation.tracker import coil_rows, inertial_rows, mocap_rows
 
@@ -148,7 +148,7 @@ def _tendon_rows(
     channels = np.array([tendon.channel() for tendon in bench.tendons]).T
     ends = np.array([tendon.end for tendon in bench.tendons])
     settings = dict(zip(("radius", "angle", "pitch"), channels, strict=True)) | {"end": ends}
-    pulled = motion.shortening(bench.tendons, time)
+    pulled = shortening(motion.mesh, motion.strains(time), bench.tendons)
     pulled = pulled + _TENDON_STD * rng.standard_normal(pulled.shape)
     return Rows("tendon", time, np.full(time.size, ends.max()), pulled, {}, settings)
 

@@ -4,25 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 from glissando.io.recording import Recording
 from glissando.model.grid import Grid
 from glissando.model.robot import Robot
 from glissando.model.sensors.readings import Readings
-
-
-class Case(Protocol):
-    """Data to learn from: a grid, readings and truth that depend on the robot file."""
-
-    def grid(self, robot: Robot) -> Grid:
-        """The grid to estimate on."""
-
-    def readings(self, robot: Robot) -> list[Readings]:
-        """The sensors' readings."""
-
-    def truth(self, robot: Robot) -> list[Readings]:
-        """Truth to predict; empty to maximise the likelihood of the readings."""
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from glissando.calibration.robot.case import Case
+from glissando.calibration.robot.case import RecordingCase
 from glissando.calibration.robot.hyperparameters import Document, Parameter, moved
 from glissando.calibration.robot.objective import Centre, Objective
 from glissando.calibration.robot.predictive import Score, Start
@@ -111,7 +111,7 @@ def _evaluate(about: Centre, document: Document) -> float:
 def learn(
     document: Document,
     parameters: Sequence[Parameter],
-    cases: Sequence[Case],
+    cases: Sequence[RecordingCase],
     *,
     calibrate: bool = False,
     constants: tuple[SensorParameter, ...] = (),

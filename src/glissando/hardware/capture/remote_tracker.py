@@ -101,6 +101,6 @@ def _serve(address: str, baud: int, pipe: Connection) -> None:
                     frame = None
                     with suppress(SilentError):
                         frame = tracker.read(_PATIENCE)
-                    pipe.send((frame, tracker.tools, dict(vars(tracker.counts))))
+                    pipe.send((frame, tracker.tools, dict(tracker.counts)))
         except DeviceError as problem:
             pipe.send(DeviceError(str(problem)))  # its subclasses may not survive pickling

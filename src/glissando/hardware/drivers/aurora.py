@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from glissando.hardware.drivers.aurora_protocol import (
     parse_bx,
     parse_tx,
 )
-from glissando.hardware.drivers.aurora_reply import Counts, Frame, GarbledError, RefusedError, Reply
+from glissando.hardware.drivers.aurora_reply import Frame, GarbledError, RefusedError, Reply
 from glissando.hardware.drivers.clock import ClockFit
 from glissando.hardware.drivers.link import Link, LostError, SilentError
 
@@ -70,7 +71,7 @@ class Aurora:
         if baud not in setup.BAUD_CODES:
             known = ", ".join(map(str, sorted(setup.BAUD_CODES)))
             raise DeviceError(f"An Aurora has no rate of {baud} baud; give one of {known}.")
-        self.address, self.counts = address, Counts()
+        self.address, self.counts = address, Counter[str]()
         self.clock = ClockFit(1.0 / rate, 2**32, latency=latency, std_latency=std_latency)
         self.version, self.tools = "", list[setup.Tool]()
         self._baud, self._srom, self._period = baud, srom, 1.0 / rate
@@ -128,8 +129,9 @@ class Aurora:
             frame = self._accept(reply) if reply else None
             if frame:
                 return frame
+        told = ", ".join(f"{n} {what}" for what, n in self.counts.items()) or "none at all"
         raise SilentError(
-            f"The Aurora at {self.address} had no new frame for {timeout:.3g} s ({self.counts}); "
+            f"The Aurora at {self.address} had no new frame for {timeout:.3g} s ({told}); "
             f"check that a coil is plugged in."
         )
 
@@ -163,7 +165,7 @@ class Aurora:
             except DeviceError as problem:
                 why = problem
                 continue
-            self.counts.reconnects += 1
+            self.counts["reconnects"] += 1
             self.clock.restart()
             self._last = -1
             return
@@ -189,9 +191,9 @@ class Aurora:
             reply = self._request()
         except (GarbledError, SilentError) as problem:
             if isinstance(problem, GarbledError):
-                self.counts.bad_crc += 1
+                self.counts["bad_crc"] += 1
             else:
-                self.counts.silent += 1
+                self.counts["silent"] += 1
             if time.monotonic() - self._heard > _SILENCE:
                 raise LostError(f"The Aurora has fallen silent: {problem}") from None
             return None
@@ -218,11 +220,11 @@ class Aurora:
         if refusal.code in _TELLS_STATE:
             raise LostError(f"The Aurora has stopped tracking. {refusal}")
         if refusal.code in _GARBLED:
-            self.counts.bad_crc += 1
+            self.counts["bad_crc"] += 1
             return
         self._refusals += 1
         if self._refusals < _REFUSALS:  # the request may have come damaged
-            self.counts.bad_crc += 1
+            self.counts["bad_crc"] += 1
         elif self._binary:
             self._binary, self._refusals = False, 0
         else:
@@ -248,35 +250,35 @@ class Aurora:
         restarts, last = self.clock.restarts, self._last
         count = self.clock.add(numbers[0], arrival)
         jumped = self.clock.restarts > restarts
-        self.counts.clock_restarts += jumped
+        self.counts["clock_restarts"] += jumped
         if count == last and not jumped:
-            self.counts.duplicates += 1
+            self.counts["duplicates"] += 1
             self._in_vain = True
             return None
         early = 0.9 * self._early if self._in_vain else 2.0 * self._early
         self._early, self._in_vain = min(max(early, _EARLY), self._period), False
         if last >= 0 and not jumped:
-            self.counts.dropped += count - last - 1
+            self.counts["dropped"] += count - last - 1
         self._last = count
         return self._frame(count, numbers[0], arrival, reply)
 
     def _frame(self, count: int, number: int, arrival: float, reply: Reply) -> Frame:
         # All ports of a reply belong to one frame [inferred]; another's time would be wrong.
         ports = tuple(p for p in reply.ports if p.number in (None, number))
-        self.counts.frames += 1
-        self.counts.missing += sum(p.missing for p in ports)
-        self.counts.out_of_volume += sum(p.out_of_volume for p in ports)
+        self.counts["frames"] += 1
+        self.counts["missing"] += sum(p.missing for p in ports)
+        self.counts["out_of_volume"] += sum(p.out_of_volume for p in ports)
         moment, std = self.clock.time(count), self.clock.std_time(count)
         return Frame(count, moment, std, arrival, ports)
 
     def _set_up_again(self) -> None:
         """Free handles of absent coils and set up new ones; the others miss a few frames."""
         link = self._open_link()
-        self.counts.hot_plugs += 1
+        self.counts["hot_plugs"] += 1
         try:
             setup.end_tracking(link)
             self.tools, faulty = setup.enable_tools(link, self._srom)
             setup.begin_tracking(link)
         except DeviceError as problem:
             raise LostError(f"After a coil was plugged in or out: {problem}") from None
-        self.counts.faulty += len(faulty)
+        self.counts["faulty"] += len(faulty)

@@ -123,37 +123,6 @@ class Reply:
         return bool(self.status & HOT_PLUG)
 
 
-@dataclass
-class Counts:
-    """What became of the replies and frames so far.
-
-    Attributes:
-        frames: Frames returned.
-        duplicates: Replies that repeated a frame.
-        dropped: Frame numbers that never came.
-        bad_crc: Damaged replies.
-        silent: Replies cut short or absent.
-        missing: Readings of single coils that were not located.
-        out_of_volume: Readings of single coils outside the volume.
-        reconnects: Connections after a lost link or a reset of the device.
-        hot_plugs: Times that coils were plugged in or out.
-        faulty: Coils that could not be used after that.
-        clock_restarts: Jumps of the frame counter.
-    """
-
-    frames: int = 0
-    duplicates: int = 0
-    dropped: int = 0
-    bad_crc: int = 0
-    silent: int = 0
-    missing: int = 0
-    out_of_volume: int = 0
-    reconnects: int = 0
-    hot_plugs: int = 0
-    faulty: int = 0
-    clock_restarts: int = 0
-
-
 @dataclass(frozen=True)
 class Frame:
     """One frame of the tracker.

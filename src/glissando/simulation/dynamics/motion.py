@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -13,8 +12,7 @@ from glissando.errors import SimulationError
 from glissando.geometry.se3 import Array
 from glissando.simulation.dynamics.scenario import Acting
 from glissando.simulation.mesh import Mesh
-from glissando.simulation.motion import shortening
-from glissando.simulation.rod import Rod, Tendon
+from glissando.simulation.rod import Rod
 from glissando.simulation.shape import Section
 
 _CHUNK = 500  # queries at a time, to bound memory
@@ -182,10 +180,6 @@ class DynamicMotion:
         felt = body[:, 2] - back[:, 0] @ gravity
         velocity, acceleration = body[:, :2].reshape(-1, 6), body[:, 2:].reshape(-1, 6)
         return pose, strain, self.rod.stiffness * spring, velocity, acceleration, felt
-
-    def shortening(self, tendons: Sequence[Tendon], time: Array) -> Array:
-        """How much shorter (M, T) channels are at times (M,) than in the straight rod, m."""
-        return shortening(self.mesh, self.strains(time), tendons)
 
     def strains(self, time: Array) -> Array:
         """Strains (M, G, 6) at the mesh's points at times (M,), s."""
