@@ -35,7 +35,7 @@ from glissando.solver.normal_equations import Layout, NormalEquationsBuilder
 
 _DRAWS = 4  # of noise, for what it tells of a delay
 _ALIKE = 3.0  # numbers of readings whose noise tells of a delay as one does, at a guess
-_STEPS = 20  # in which delays settle
+_STEPS = 15  # in which delays settle
 _HELD = 1e14  # s⁻²: of a delay that is held
 _MOTION = 0.03  # standard deviations a number by which a motion that dates delays may be off
 
@@ -91,29 +91,55 @@ def _settled(
     """Where steps lead in which delays move by what the motion tells of them, and nothing else.
 
     The least cost would have readings fall between those of other streams, where a motion that may
-    bend freely contradicts them least, whatever their delay is.
+    bend freely contradicts them least, whatever their delay is. Where the motion tells nothing, or
+    steps lead nowhere, it stays at the least cost, of which delays are as uncertain as stated.
     """
-    state, time, noise_state = solution.state, located.grid.time, solution.equations.noise_state
-    process = located.parameters.process
-    columns = [state.numbers + column for column in delay_columns(process)]
-    workspace, cholesky = solution.memory(state.numbers + process.size)
-    for _ in range(_STEPS):
-        seen = linearize(prior, located, state, noise_state, workspace)
-        own = motion_left(state, motion, time).reshape(time.size, -1)
-        seen.rhs[:, columns] -= np.sum(own * seen.rhs[:, : state.numbers], axis=1)[:, None]
-        system = _moving_along(seen.system, own, columns)
-        cholesky = factor(system, cholesky)
-        step = cholesky.solve(seen.rhs)
-        if np.sqrt(np.sum(step * seen.rhs)) < options.tolerance:
-            break
-        of_nodes, of_parameters = seen.split(step)
-        state, located = state.retract(of_nodes), located.moved(of_parameters)
-    else:
-        if any(located.shares.values()):  # then the delays are what they were stated to be
-            still = dict.fromkeys(located.shares, 0.0)
-            return _settled(prior, replace(located, shares=still), motion, solution, options)
-    equations = replace(seen, system=system)
-    return replace(solution, state=state, located=located, equations=equations, cholesky=cholesky)
+    if any(located.shares.values()):
+        here = _Settling(prior, located, motion, solution)
+        for _ in range(_STEPS):
+            if here.length < options.tolerance:
+                return here.solution()
+            here.step()
+    nothing = replace(located, shares=dict.fromkeys(located.shares, 0.0))
+    return _Settling(prior, nothing, motion, solution).solution()
+
+
+class _Settling:
+    """Steps of a solution in which delays are known by a motion, and information there."""
+
+    def __init__(
+        self, prior: Prior, located: LocatedReadings, motion: State, solution: Solution
+    ) -> None:
+        self._prior, self._motion, self._from = prior, motion, solution
+        process = located.parameters.process
+        size = solution.state.numbers + process.size
+        self._columns = [solution.state.numbers + column for column in delay_columns(process)]
+        self._workspace, self._cholesky = solution.memory(size)
+        self._linearize(solution.state, located)
+
+    def _linearize(self, state: State, located: LocatedReadings) -> None:
+        time, numbers = located.grid.time, state.numbers
+        noise_state = self._from.equations.noise_state
+        seen = linearize(self._prior, located, state, noise_state, self._workspace)
+        own = motion_left(state, self._motion, time).reshape(time.size, -1)
+        seen.rhs[:, self._columns] -= np.sum(own * seen.rhs[:, :numbers], axis=1)[:, None]
+        self._seen = replace(seen, system=_moving_along(seen.system, own, self._columns))
+        self._cholesky = factor(self._seen.system, self._cholesky)
+        self._step = self._cholesky.solve(seen.rhs)
+        self.length = float(np.sqrt(np.sum(self._step * seen.rhs)))
+
+    def step(self) -> None:
+        """Go on; what is left to go may grow before it shrinks, as the motion follows a delay."""
+        of_nodes, of_parameters = self._seen.split(self._step)
+        moved = self._seen.located.moved(of_parameters)
+        self._linearize(self._seen.state.retract(of_nodes), moved)
+
+    def solution(self) -> Solution:
+        """The solution here."""
+        seen, known = self._seen, self._from
+        return replace(
+            known, state=seen.state, located=seen.located, equations=seen, cholesky=self._cholesky
+        )
 
 
 def _shares(
