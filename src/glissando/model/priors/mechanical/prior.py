@@ -16,16 +16,16 @@ from typing import Any, ClassVar
 import numpy as np
 
 from glissando.errors import OutsideGridError
-from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.factors import Factors, Residuals
 from glissando.model.grid import Cells, Grid, Index
 from glissando.model.interpolation import Interpolation, Points
 from glissando.model.mechanics import Mechanics
 from glissando.model.noise import sqrt_information
-from glissando.model.priors.intervals import RATED, at_nodes, place_error
+from glissando.model.priors.intervals import RATED, at_nodes
 from glissando.model.priors.mechanical.beam_modes import beam_modes
 from glissando.model.priors.mechanical.bend import bent
+from glissando.model.priors.mechanical.ends import RodEnds
 from glissando.model.priors.mechanical.inertia import Inertia, ModalMotion
 from glissando.model.priors.mechanical.intervals import (
     bridge,
@@ -50,7 +50,7 @@ _REACH = 0.3  # m, over which a load acts, for orders of magnitude
 _SOFT = 0.022  # m, of shear over curvature
 _NO_FORCE = 1e-6
 _STATIC = slice(0, STATIC_DOF)
-_POSE_ROWS = np.r_[0:6, 12:18]
+_ENDS = (slice(None, -1), slice(1, None))  # of intervals, along arclength nodes
 
 
 @dataclass(frozen=True)
@@ -129,6 +129,11 @@ class MechanicalPrior:
         """The rod, to be cut into intervals."""
         psd = np.concatenate([self.psd_strain_error, self.psd_load])
         return LoadedRod(self.mechanics, self.rest, psd, self.points, self.var_points)
+
+    @cached_property
+    def ends(self) -> RodEnds:
+        """The rod's base and tip."""
+        return RodEnds(self.rod, self.base_pose, self.var_base, self.var_tip)
 
     @property
     def rest(self) -> RestShape:
@@ -218,15 +223,7 @@ class MechanicalPrior:
         here, local = node[touched], state.take(touched)
         first = times.start == 0 and grid.before is None
         chain = self.time_scale, first, np.diff(grid.time[touched])
-        at = local.take(np.s_[:, :1])
-        error, slope = place_error(self.base_pose, at.strain[0, 0], at)
-        error, slope = error[..., _POSE_ROWS], _widened(slope[..., _POSE_ROWS, :], state.dof)
-        cov = np.broadcast_to(np.diag(self.var_base), (len(here), 1, 6, 6))
-        yield from chain_factors(*chain, here[:, :1, None], error, slope, cov, paired=False)
-        error, slope = self.rod.tip_error(grid, local.take(np.s_[:, -1:]))
-        cov = np.broadcast_to(np.diag(self.var_tip), (len(here), 1, 6, 6))
-        slope = _widened(slope, state.dof)
-        yield from chain_factors(*chain, here[:, -1:, None], error, slope, cov, paired=False)
+        yield from self.ends.factors(chain, grid, local, here)
         if n_count == 1:
             return
         if self.inertia is not None:
@@ -274,14 +271,7 @@ class MechanicalPrior:
             nodes = np.stack([node[:, part].ravel() for part in _ENDS], axis=1)
             terms = Residuals(error, whitener)
             yield Factors(nodes, _STATIC, np.stack(slopes, axis=2), terms)
-        at = state.take(np.s_[:, 0])
-        xi = se3.log(se3.inverse(self.base_pose) @ at.pose)
-        jacobian = np.zeros((count, 6, 1, STATIC_DOF))
-        jacobian[:, :, 0, :6] = se3.right_jacobian_inverse(xi)
-        yield Factors(node[:, :1], _STATIC, jacobian, Residuals(xi, _firm(self.var_base, count)))
-        error, slope = self.rod.tip_error(grid, state.take(np.s_[:, -1]))
-        terms = Residuals(error[:, :6], _firm(self.var_tip, count))
-        yield Factors(node[:, -1:], _STATIC, slope[:, :6, None, _STATIC], terms)
+        yield from self.ends.static_factors(grid, state, node)
 
     def interpolate(
         self, grid: Grid, state: State, noise_state: State, points: Points
@@ -325,8 +315,7 @@ class MechanicalPrior:
         """Prior covariance (M, 12, 12) of pose and strain at time nodes k, on n or inside `s`."""
         times, which = np.unique(k, return_inverse=True)
         there, every = noise_state.take(times), self.rod.tiled(grid, times.size)
-        tip = self.rod.tip_error(grid, there.take(np.s_[:, -1]))[1][:, :6, _STATIC]
-        ends = np.diag(1.0 / self.var_base), _transposed(tip) @ (tip / self.var_tip[:, None])
+        ends = self.ends.information(grid, there)
         offsets = (which, n, s.offset) if inside else (which, n, None)
         return section_covariances(there, every, ends, *offsets)
 
@@ -340,21 +329,3 @@ class MechanicalPrior:
         last = n == grid.arclength.size - 1
         piece = self.rod.pick(grid, k, n - 1)
         return point_load(start, end, piece, nodes, (last, *self.rod.tip_error(grid, end, k)))
-
-
-def _widened(slope: Array, dof: int) -> Array:
-    """Jacobians (…, r, 1, dof) by a node, from those by its first numbers (…, r, d)."""
-    none = np.zeros((*slope.shape[:-1], dof - slope.shape[-1]))
-    return np.concatenate([slope, none], axis=-1)[..., None, :]
-
-
-_ENDS = (slice(None, -1), slice(1, None))
-
-
-def _firm(variance: Array, count: int) -> Array:
-    """Whiteners (count, 6, 6) of one variance (6,)."""
-    return np.broadcast_to(np.diag(variance**-0.5), (count, 6, 6))
-
-
-def _transposed(matrix: Array) -> Array:
-    return np.swapaxes(matrix, -1, -2)

@@ -1,0 +1,89 @@
+"""The two ends of a rod: a base whose pose is known so far, a tip where an unknown wrench acts.
+
+Source: equations (26) and (27).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from glissando.geometry import se3
+from glissando.geometry.se3 import Array
+from glissando.model.factors import Factors, Residuals
+from glissando.model.grid import Grid, Index
+from glissando.model.priors.intervals import place_error
+from glissando.model.priors.mechanical.rod import LoadedRod
+from glissando.model.priors.static import STATIC_DOF
+from glissando.model.priors.stationary import chain_factors
+from glissando.model.state import State
+
+_STATIC = slice(0, STATIC_DOF)
+_POSE_ROWS = np.r_[0:6, 12:18]
+
+
+@dataclass(frozen=True)
+class RodEnds:
+    """What is believed of a rod's ends.
+
+    Attributes:
+        rod: The rod.
+        base_pose: Where it stands (4, 4).
+        var_base: Variance (6,) of the base's pose about that.
+        var_tip: Variance (6,) of the unknown wrench at the tip, N² and N² m².
+    """
+
+    rod: LoadedRod
+    base_pose: Array
+    var_base: Array
+    var_tip: Array
+
+    def factors(
+        self, chain: tuple[float, bool, Array], grid: Grid, state: State, node: Index
+    ) -> Iterator[Factors]:
+        """Factors of the base, then of the tip, of a chain of time nodes.
+
+        Args:
+            chain: Time scale, whether it begins at the first of all times, and its steps.
+            grid: The nodes.
+            state: Those of the chain (K, N).
+            node: Their numbers (K, N).
+        """
+        at = state.take(np.s_[:, :1])
+        error, slope = place_error(self.base_pose, at.strain[0, 0], at)
+        error, slope = error[..., _POSE_ROWS], _widened(slope[..., _POSE_ROWS, :], state.dof)
+        cov = np.broadcast_to(np.diag(self.var_base), (len(node), 1, 6, 6))
+        yield from chain_factors(*chain, node[:, :1, None], error, slope, cov, paired=False)
+        error, slope = self.rod.tip_error(grid, state.take(np.s_[:, -1:]))
+        cov = np.broadcast_to(np.diag(self.var_tip), (len(node), 1, 6, 6))
+        slope = _widened(slope, state.dof)
+        yield from chain_factors(*chain, node[:, -1:, None], error, slope, cov, paired=False)
+
+    def static_factors(self, grid: Grid, state: State, node: Index) -> Iterator[Factors]:
+        """The same of shapes that hold still, of nodes (S, N)."""
+        at, count = state.take(np.s_[:, 0]), len(node)
+        xi = se3.log(se3.inverse(self.base_pose) @ at.pose)
+        jacobian = np.zeros((count, 6, 1, STATIC_DOF))
+        jacobian[:, :, 0, :6] = se3.right_jacobian_inverse(xi)
+        yield Factors(node[:, :1], _STATIC, jacobian, Residuals(xi, _firm(self.var_base, count)))
+        error, slope = self.rod.tip_error(grid, state.take(np.s_[:, -1]))
+        terms = Residuals(error[:, :6], _firm(self.var_tip, count))
+        yield Factors(node[:, -1:], _STATIC, slope[:, :6, None, _STATIC], terms)
+
+    def information(self, grid: Grid, state: State) -> tuple[Array, Array]:
+        """What is known of the base's pose (6, 6), and of the tip (K, 12, 12) at nodes (K, N)."""
+        tip = self.rod.tip_error(grid, state.take(np.s_[:, -1]))[1][:, :6, _STATIC]
+        return np.diag(1.0 / self.var_base), tip.mT @ (tip / self.var_tip[:, None])
+
+
+def _widened(slope: Array, dof: int) -> Array:
+    """Jacobians (…, r, 1, dof) by a node, from those by its first numbers (…, r, d)."""
+    none = np.zeros((*slope.shape[:-1], dof - slope.shape[-1]))
+    return np.concatenate([slope, none], axis=-1)[..., None, :]
+
+
+def _firm(variance: Array, count: int) -> Array:
+    """Whiteners (count, 6, 6) of one variance (6,)."""
+    return np.broadcast_to(np.diag(variance**-0.5), (count, 6, 6))
