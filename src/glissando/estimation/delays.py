@@ -6,7 +6,7 @@ curvature of the residuals, and would have the delay known from the motion that 
 gave. So a delay is seen by the motion x₀ that streams without one give, and what is left of the
 motion, x − x₀, moves with it: with c = ∂(x − x₀)/∂t at the nodes, x = x′ + c d, and d enters the
 readings by ∂x₀/∂t alone. Streams that each have a delay of their own do not date one another. Noise
-makes a robot at rest seem to move; what that would tell of a delay is drawn and taken off.
+makes a robot seem to move as well; what that would tell of a delay is taken off: see `slope_share`.
 Online, x₀ is that of a second smoother, which streams with a delay never reach: see `delay_dating`.
 """
 
@@ -19,24 +19,22 @@ from dataclasses import replace
 import numpy as np
 
 from glissando.errors import UnobservableError
+from glissando.estimation.slope_share import motion_of_noise, shares_of_slope
 from glissando.estimation.starting_point import with_parameters
 from glissando.geometry.se3 import Array
-from glissando.model.factors import Factors
+from glissando.model.factors import Factors, Residuals
 from glissando.model.priors.prior import Prior
 from glissando.model.sensors.parameter_process import EstimatedParameters
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.state import State
 from glissando.solver.block_tridiagonal import BlockTridiagonal, Cholesky, factor
 from glissando.solver.gauss_newton import Solution, SolverOptions, Stopwatch, minimize
-from glissando.solver.linearize import linearize
+from glissando.solver.linearize import NormalEquations, linearize
 from glissando.solver.located_readings import LocatedReadings, locate
-from glissando.solver.measurement_factors import measurement_factors
-from glissando.solver.normal_equations import Layout, NormalEquationsBuilder
+from glissando.solver.outcome import Outcome
 
 _DRAWS = 4  # of noise, for what it tells of a delay
-_ALIKE = 3.0  # numbers of readings whose noise tells of a delay as one does, at a guess
 _STEPS = 15  # in which delays settle
-_HELD = 1e14  # s⁻²: of a delay that is held
 _MOTION = 0.03  # standard deviations a number by which a motion that dates delays may be off
 
 
@@ -64,7 +62,7 @@ def with_unseen_delays(
     late, others = delayed(sensor_parameters)
     streams = [r for r in solution.located.streams if r.name not in late]
     grid, state = solution.located.grid, solution.state
-    motion, noise = prior.rest_state(grid), None
+    motion, shares = prior.rest_state(grid), dict.fromkeys(late, 0.0)
     if streams:
         with suppress(UnobservableError, np.linalg.LinAlgError):  # they show no motion
             values = solution.located.parameters.by_name()
@@ -72,13 +70,12 @@ def with_unseen_delays(
             rough = options.rougher(state.pose.shape[0] * state.numbers, _MOTION)
             shown = minimize(prior, alone, state, rough, None, Stopwatch(), solution)
             rng = np.random.default_rng(0)
-            noise = [_motion_of_noise(prior, shown, rng) for _ in range(_DRAWS)]
+            noise = [motion_of_noise(prior, shown, rng) for _ in range(_DRAWS)]
             motion = shown.state
-    moving = replace(solution.located, motion=motion)
-    shares = dict.fromkeys(late, 0.0)
-    if noise is not None:
-        shares = _shares(prior, moving, noise, solution, late)
-    return _settled(prior, replace(moving, shares=shares), motion, solution, options)
+            moving = replace(solution.located, motion=motion)
+            shares = shares_of_slope(prior, moving, noise, solution, late, delays)
+    located = replace(solution.located, motion=motion, shares=shares)
+    return _settled(prior, located, motion, solution, options)
 
 
 def _settled(
@@ -92,147 +89,43 @@ def _settled(
 
     The least cost would have readings fall between those of other streams, where a motion that may
     bend freely contradicts them least, whatever their delay is. Where the motion tells nothing, or
-    steps lead nowhere, it stays at the least cost, of which delays are as uncertain as stated.
+    steps do not settle, the solution stays, with delays as uncertain as stated.
     """
-    if any(located.shares.values()):
-        here = _Settling(prior, located, motion, solution)
-        for _ in range(_STEPS):
-            if here.length < options.tolerance:
-                return here.solution()
-            here.step()
-    nothing = replace(located, shares=dict.fromkeys(located.shares, 0.0))
-    return _Settling(prior, nothing, motion, solution).solution()
+    state, at = solution.state, located
+    for _ in range(_STEPS if any(located.shares.values()) else 0):
+        seen, cholesky = _known_by_motion(prior, at, motion, state, solution)
+        step = cholesky.solve(seen.rhs)
+        length = float(np.sqrt(np.sum(step * seen.rhs)))  # grows before it shrinks
+        if length < options.tolerance:
+            found = replace(solution, state=state, located=at, equations=seen, cholesky=cholesky)
+            return replace(found, outcome=Outcome.CONVERGED, last_step=length)
+        of_nodes, of_parameters = seen.split(step)
+        state, at = state.retract(of_nodes), at.moved(of_parameters)
+    nothing, weights = dict.fromkeys(located.shares, 0.0), solution.equations.terms
+    unseen = replace(located, shares=nothing), motion, solution.state, solution, weights
+    seen, cholesky = _known_by_motion(prior, *unseen)
+    equations = replace(solution.equations, system=seen.system)
+    return replace(solution, equations=equations, cholesky=cholesky)
 
 
-class _Settling:
-    """Steps of a solution in which delays are known by a motion, and information there."""
-
-    def __init__(
-        self, prior: Prior, located: LocatedReadings, motion: State, solution: Solution
-    ) -> None:
-        self._prior, self._motion, self._from = prior, motion, solution
-        process = located.parameters.process
-        size = solution.state.numbers + process.size
-        self._columns = [solution.state.numbers + column for column in delay_columns(process)]
-        self._workspace, self._cholesky = solution.memory(size)
-        self._linearize(solution.state, located)
-
-    def _linearize(self, state: State, located: LocatedReadings) -> None:
-        time, numbers = located.grid.time, state.numbers
-        noise_state = self._from.equations.noise_state
-        seen = linearize(self._prior, located, state, noise_state, self._workspace)
-        own = motion_left(state, self._motion, time).reshape(time.size, -1)
-        seen.rhs[:, self._columns] -= np.sum(own * seen.rhs[:, :numbers], axis=1)[:, None]
-        self._seen = replace(seen, system=_moving_along(seen.system, own, self._columns))
-        self._cholesky = factor(self._seen.system, self._cholesky)
-        self._step = self._cholesky.solve(seen.rhs)
-        self.length = float(np.sqrt(np.sum(self._step * seen.rhs)))
-
-    def step(self) -> None:
-        """Go on; what is left to go may grow before it shrinks, as the motion follows a delay."""
-        of_nodes, of_parameters = self._seen.split(self._step)
-        moved = self._seen.located.moved(of_parameters)
-        self._linearize(self._seen.state.retract(of_nodes), moved)
-
-    def solution(self) -> Solution:
-        """The solution here."""
-        seen, known = self._seen, self._from
-        return replace(
-            known, state=seen.state, located=seen.located, equations=seen, cholesky=self._cholesky
-        )
-
-
-def _shares(
+def _known_by_motion(
     prior: Prior,
-    moving: LocatedReadings,
-    noise: Sequence[State],
+    located: LocatedReadings,
+    motion: State,
+    state: State,
     solution: Solution,
-    late: set[str],
-) -> dict[str, float]:
-    """How much of the motion's slope each late stream can count on, where noise makes motion, too.
-
-    A robot at rest is estimated to move by what noise makes of it, and such motion dates nothing.
-    What it would tell of a delay is found by draws of the readings' noise, and taken off.
-    """
-    state, equations = solution.state, solution.equations
-    workspace, cholesky = solution.memory(state.numbers + moving.parameters.process.size)
-    held = linearize(prior, moving, state, equations.noise_state, workspace)
-    columns = [state.numbers + c for c in delay_columns(moving.parameters.process)]
-    held.system.diagonal[:, columns, columns] += _HELD
-    cholesky = factor(held.system, cholesky)
-    streams = [r for r in moving.streams if r.name in late]
-    out = {}
-    for stream in streams:
-        own = locate(moving.grid, [stream], moving.parameters.process.each, keep_all=True)
-        own = with_parameters(own, moving.parameters.by_name())
-        told, *rest = (
-            _told(prior, replace(own, motion=motion), solution, workspace, cholesky)
-            for motion in (moving.motion, *noise)
-        )
-        numbers = len(stream) * stream.row_count
-        out[stream.name] = share(told, float(np.mean(rest)), numbers)
-    return out
-
-
-def share(told: float, of_noise: float, numbers: float, deviations: float = 2.0) -> float:
-    """How much of the motion's slope counts.
-
-    Half the logarithm of the ratio of two sums of ν squares has a standard deviation of ν^-1/2: as
-    many times of what noise tells are taken off. Source: Fisher's z.
-
-    Args:
-        told: What readings say of the delay, s⁻².
-        of_noise: What nothing but noise would say.
-        numbers: How many numbers that is from.
-        deviations: Standard deviations of what noise tells by chance that are taken off.
-    """
-    if not told > 0.0:
-        return 0.0
-    margin = np.exp(2.0 * deviations / np.sqrt(max(numbers / _ALIKE, 1e-3)))
-    return float(np.sqrt(max(1.0 - margin * of_noise / told, 0.0)))
-
-
-def _told(
-    prior: Prior, own: LocatedReadings, solution: Solution, workspace: Array, cholesky: Cholesky
-) -> float:
-    """What the readings of a stream tell of its delay by the motion, s⁻²."""
-    process, state = own.parameters.process, solution.state
-    columns = delay_columns(process)
-    columns = [*columns, *(process.size + column for column in columns)]
-    layout = Layout(own.grid.arclength.size, state.dof, process.size)
-    builder, out = NormalEquationsBuilder.joined(layout, own.grid.time.size, workspace), 0.0
+    weights: Sequence[Residuals] | None = None,
+) -> tuple[NormalEquations, Cholesky]:
+    """Normal equations of x′ at a state, and their factor, in the memory of a solution."""
+    process, time = located.parameters.process, located.grid.time
+    workspace, cholesky = solution.memory(state.numbers + process.size)
     noise_state = solution.equations.noise_state
-    for _, _, batch in measurement_factors(prior, own, state, noise_state):
-        if batch.extras is not None:
-            slope = batch.extras[..., columns].sum(axis=-1)
-            weights = batch.terms.robust_weights()
-            out += float(np.sum(weights * np.sum(batch.terms.whiten(slope) ** 2, axis=1)))
-            terms = replace(batch.terms, residual=slope)
-            builder.accumulate(replace(batch, terms=terms), weights)
-    rhs = builder.rhs_begin
-    return out - float(np.sum(rhs * cholesky.solve(rhs)))
-
-
-def _motion_of_noise(prior: Prior, shown: Solution, rng: np.random.Generator) -> State:
-    """What noise of the readings alone would make a robot at rest seem to do."""
-    located, state = shown.located, shown.state
-    layout = Layout(located.grid.arclength.size, state.dof, located.parameters.process.size)
-    builder = NormalEquationsBuilder.joined(layout, located.grid.time.size, shown.workspace)
-    noise_state = shown.equations.noise_state
-    for _, _, batch in measurement_factors(prior, located, state, noise_state):
-        add_noise(builder, batch, batch.terms.robust_weights(), rng)
-    step = shown.cholesky.solve(builder.rhs_begin)[:, : state.numbers]
-    rest = prior.rest_state(located.grid).with_fields_of(state)
-    return rest.retract(step.reshape(*state.strain.shape[:2], state.dof))
-
-
-def add_noise(
-    builder: NormalEquationsBuilder, batch: Factors, weights: Array, rng: np.random.Generator
-) -> None:
-    """Add readings as they would be if there were nothing but noise in them, with weights (M,)."""
-    white = rng.standard_normal(batch.terms.residual.shape)
-    noise = np.asarray(np.linalg.solve(batch.terms.sqrt_info, white[..., None])[..., 0])
-    builder.accumulate(replace(batch, terms=replace(batch.terms, residual=noise)), weights)
+    seen = linearize(prior, located, state, noise_state, workspace, weights)
+    own = slope_in_time(state, time) - slope_in_time(motion, time)
+    own = own.reshape(time.size, -1)
+    columns = [state.numbers + column for column in delay_columns(process)]
+    seen.rhs[:, columns] -= np.sum(own * seen.rhs[:, : state.numbers], axis=1)[:, None]
+    return seen, factor(_moving_along(seen.system, own, columns), cholesky)
 
 
 def delayed(
@@ -251,11 +144,6 @@ def delay_columns(process: EstimatedParameters) -> list[int]:
 def delayed_streams(process: EstimatedParameters) -> list[str]:
     """Names of the streams whose delay is estimated."""
     return sorted({name for p in process.each if _is_delay(p) for name in p.streams})
-
-
-def motion_left(state: State, motion: State, time: Array) -> Array:
-    """∂(x − x₀)/∂t (K, N, dof) at the nodes `state` x, of which x₀ is the `motion`."""
-    return slope_in_time(state, time) - slope_in_time(motion, time)
 
 
 def at_times(state: State, nodes: Array, time: Array) -> State:

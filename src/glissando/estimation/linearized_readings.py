@@ -8,8 +8,8 @@ from itertools import groupby
 
 import numpy as np
 
-from glissando.estimation.delays import add_noise
 from glissando.estimation.held_readings import HeldReadings
+from glissando.estimation.slope_share import add_noise
 from glissando.geometry.se3 import Array
 from glissando.model.factors import Factors
 from glissando.model.grid import Index

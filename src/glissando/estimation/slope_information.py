@@ -16,14 +16,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from glissando.estimation.delays import share
+from glissando.estimation.slope_share import share
 from glissando.estimation.window_system import WindowSystem
 from glissando.geometry.se3 import Array
 from glissando.model.factors import Factors
 from glissando.solver.normal_equations import Layout, NormalEquationsBuilder
 
 _MEMORY = 50.0  # intervals over which it is found
-_DEVIATIONS = 3.5  # for what noise tells by chance at one of many updates
+_DEVIATIONS = 3.0  # by which motion has to tell more than noise, at each of many updates
 _KINDS = 2  # of slopes: of motion and of noise
 
 
@@ -44,8 +44,9 @@ class Slopes(NamedTuple):
 class SlopeInformation:
     """What motion and noise tell some streams of their delays, as a window goes on.
 
-    Of each stream three numbers are found: what motion tells, what noise tells, s⁻², and of how
-    many numbers of readings.
+    Attributes:
+        total: Of each stream (·, 3) what motion tells and what noise tells, s⁻², since the window
+            began, and of how many numbers of readings.
     """
 
     def __init__(self, streams: Sequence[str], columns: Sequence[int]) -> None:
@@ -65,7 +66,7 @@ class SlopeInformation:
         self._hold(held[None])
         held[self._delays, self._delays] = 1.0
         self._system = WindowSystem(layout, held, np.zeros(len(info)), _KINDS * count)
-        self._oldest, self._left, self._all, self._counted = np.zeros((4, count, 3))
+        self._oldest, self._left, self.total, self._counted = np.zeros((4, count, 3))
 
     def _hold(self, blocks: Array) -> None:
         """Take what is known of delays out of blocks (K, D, D), in place."""
@@ -78,8 +79,8 @@ class SlopeInformation:
 
     def drop(self) -> None:
         """Leave the oldest node behind, and count what was read since the last one left."""
-        self._recent = (1.0 - 1.0 / _MEMORY) * self._recent + self._all - self._counted
-        self._counted = self._all
+        self._recent = (1.0 - 1.0 / _MEMORY) * self._recent + self.total - self._counted
+        self._counted = self.total
         self._left = self._left + self._oldest
         self._left[:, :_KINDS] -= self._solved()[..., 0]
         self._system.drop()
@@ -109,15 +110,15 @@ class SlopeInformation:
             self._hold(blocks)
         held.begin[:, self._delays, self._delays] = 1.0
         self._system.solve(0, held)
-        self._oldest, self._all = np.zeros((2, len(self._streams), 3))
+        self._oldest, self.total = np.zeros((2, len(self._streams), 3))
         for i, stream in enumerate(self._streams):
             mine = [found for found in slopes if found.stream == stream]
             for kind in range(_KINDS):
                 self._respond(mine, kind, _KINDS * i + kind)
             for found in mine:
                 self._add(i, found)
-        self._all += self._left
-        self._all[:, :_KINDS] -= self._solved().sum(axis=-1)
+        self.total += self._left
+        self.total[:, :_KINDS] -= self._solved().sum(axis=-1)
 
     def _respond(self, slopes: Sequence[Slopes], kind: int, which: int) -> None:
         """Solve for slopes in the place of residuals."""
@@ -136,7 +137,7 @@ class SlopeInformation:
         for kind in range(_KINDS):
             white = terms.whiten(slopes.by_time[kind])
             squares[:, kind] = terms.robust_weights() * np.sum(white**2, axis=1)
-        self._all[row] += squares.sum(axis=0)
+        self.total[row] += squares.sum(axis=0)
         oldest = slopes.factors.nodes.min(axis=1) < self._system.layout.nodes
         self._oldest[row] += squares[oldest].sum(axis=0)
 

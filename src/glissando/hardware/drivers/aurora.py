@@ -129,7 +129,7 @@ class Aurora:
             frame = self._accept(reply) if reply else None
             if frame:
                 return frame
-        told = ", ".join(f"{n} {what}" for what, n in self.counts.items()) or "none at all"
+        told = ", ".join(f"{what}: {n}" for what, n in self.counts.items() if n) or "no reply"
         raise SilentError(
             f"The Aurora at {self.address} had no new frame for {timeout:.3g} s ({told}); "
             f"check that a coil is plugged in."
