@@ -328,7 +328,24 @@ def test_progress_is_told_of_every_iteration():
     seen = []
     posterior = estimate(prior, grid, readings, progress=lambda *told: seen.append(told))
     assert [number for number, _, _ in seen] == list(range(1, posterior.solve.iterations + 1))
-    assert seen[-1][2] < SolverOptions().tolerance
+    assert posterior.solve.last_step == seen[-1][2]
+
+
+@pytest.mark.parametrize("tolerance", [0.03, 0.3, 3.0])
+def test_an_estimate_ends_within_the_tolerance_of_where_it_would_end(tolerance):
+    prior, grid, readings = sliding_scene()
+    ended, limit = (
+        estimate(prior, grid, readings, options=SolverOptions(tolerance=t))
+        for t in (tolerance, 1e-6)
+    )
+    off = ended.state.difference(limit.state).reshape(grid.time.size, -1)
+    system = limit.system
+    pulled = np.einsum("kij,kj->ki", system.diagonal, off)
+    pulled[1:] += np.einsum("kij,kj->ki", system.lower, off[:-1])
+    pulled[:-1] += np.einsum("kij,ki->kj", system.lower, off[1:])
+    assert np.sqrt(np.sum(off * pulled)) < tolerance
+    assert ended.solve.cost == pytest.approx(limit.solve.cost, abs=0.5 * tolerance**2)
+    assert ended.solve.log_evidence == pytest.approx(limit.solve.log_evidence, abs=tolerance**2)
 
 
 def test_a_warm_start_needs_fewer_iterations():

@@ -6,9 +6,10 @@ import pytest
 from glissando.solver.step_lengths import StepLengths
 
 
+@pytest.mark.parametrize("weighted", [False, True])
 @pytest.mark.parametrize("rate", [0.01, 0.3, 0.6, 0.9])
-def test_steps_that_shrink_evenly_end_within_the_tolerance_of_their_limit(rate):
-    steps, length = StepLengths(0.3, kinks=False), 100.0
+def test_steps_that_shrink_evenly_end_within_the_tolerance_of_their_limit(rate, weighted):
+    steps, length = StepLengths(0.3, kinks=False, weighted=weighted), 100.0
     while not steps.short:
         steps.note(length, damped=False, renewed=False)
         length *= rate
@@ -16,16 +17,31 @@ def test_steps_that_shrink_evenly_end_within_the_tolerance_of_their_limit(rate):
     assert steps.first == 100.0
 
 
+def test_a_step_far_shorter_than_the_one_before_ends_unless_weights_depend_on_residuals():
+    for weighted in (False, True):
+        steps = StepLengths(0.3, kinks=False, weighted=weighted)
+        for length in (400.0, 4.0):
+            assert not steps.short
+            steps.note(length, damped=False, renewed=False)
+        assert steps.short != weighted
+
+
+def test_the_first_step_is_short_by_its_own_length_alone():
+    steps = StepLengths(0.3, kinks=False, weighted=False)
+    steps.note(4.0, damped=False, renewed=False)
+    assert not steps.short
+
+
 def test_steps_that_no_longer_shrink_end_only_where_readings_move_across_nodes():
     for kinks in (False, True):
-        steps = StepLengths(0.3, kinks=kinks)
+        steps = StepLengths(0.3, kinks=kinks, weighted=False)
         for length in (50.0, 0.5, 0.4, 0.4):
             steps.note(length, damped=False, renewed=False)
         assert steps.short == kinks
 
 
 def test_damped_steps_end_nothing():
-    steps = StepLengths(0.3, kinks=True)
+    steps = StepLengths(0.3, kinks=True, weighted=True)
     for length in (1.0, 0.1, 0.0):
         steps.note(length, damped=True, renewed=False)
         assert not steps.idle

@@ -279,8 +279,7 @@ def _after(before: int, progress: Progress | None) -> Progress | None:
 def _log_evidence(solution: Solution) -> float:
     """The Laplace log marginal likelihood, up to a constant. Source: equation (22)."""
     noise = sum(terms.log_det_cov() for terms in solution.equations.terms)
-    cost = solution.equations.cost_of(solution.equations)
-    return -cost - 0.5 * (noise + solution.cholesky.log_det)
+    return -solution.cost - 0.5 * (noise + solution.cholesky.log_det)
 
 
 def _report(solution: Solution, log_evidence: float, clock: Stopwatch) -> SolveReport:
@@ -292,7 +291,7 @@ def _report(solution: Solution, log_evidence: float, clock: Stopwatch) -> SolveR
         solution.iterations,
         solution.last_step,
         at.rhs.size,
-        at.cost_of(at),
+        solution.cost,
         log_evidence,
         suspects,
         clock.total(),

@@ -98,7 +98,8 @@ def _settled(
         length = float(np.sqrt(np.sum(step * seen.rhs)))  # grows before it shrinks
         if length < options.tolerance:
             found = replace(solution, state=state, located=at, equations=seen, cholesky=cholesky)
-            return replace(found, outcome=Outcome.CONVERGED, last_step=length)
+            ended = Outcome.CONVERGED
+            return replace(found, cost=seen.cost_of(seen), outcome=ended, last_step=length)
         of_nodes, of_parameters = seen.split(step)
         state, at = state.retract(of_nodes), at.moved(of_parameters)
     nothing, weights = dict.fromkeys(located.shares, 0.0), solution.equations.terms

@@ -2,8 +2,8 @@
 
 Linearise every factor, factor the block-tridiagonal system, step; when the cost does not fall, look
 where the next step from there leads, else shorten the step by Levenberg–Marquardt damping; stop
-when a step is a negligible fraction of a posterior standard deviation. Source: equations (19) to
-(21).
+when what a step leaves to go is a negligible fraction of a posterior standard deviation. Source:
+equations (19) to (21).
 """
 
 from __future__ import annotations
@@ -36,15 +36,15 @@ Progress = Callable[[int, float, float], None]
 
 @dataclass(frozen=True)
 class SolverOptions:
-    """When to stop: after `max_iterations`, or when a step is shorter than `tolerance`.
+    """When to stop: after `max_iterations`, or when what is left to go is below `tolerance`.
 
-    A step's length is in posterior standard deviations, over the whole state at once, so that the
-    mean of a thousand unknowns moves by far less than this in any of them.
+    Lengths are in posterior standard deviations, over the whole state at once, so that the mean of
+    a thousand unknowns moves by far less than this in any of them.
 
     Attributes:
         max_iterations: Most iterations, after the rough ones over few time nodes that find a
             start; a report counts those, too.
-        tolerance: Length of a step that is negligible, standard deviations.
+        tolerance: Length of a way that is negligible, standard deviations.
         settled: Iterations after which weights are fixed, so that the cost can only fall.
     """
 
@@ -94,6 +94,7 @@ class Solution:
         located: The readings, with the sensor parameters estimated.
         equations: The last linearisation.
         cholesky: Its factor.
+        cost: The cost where it ended, to second order.
         outcome: How it ended.
         iterations: How many it took.
         first_step: Length of the first step, standard deviations.
@@ -105,6 +106,7 @@ class Solution:
     located: LocatedReadings
     equations: NormalEquations
     cholesky: Cholesky
+    cost: float
     outcome: Outcome
     iterations: int
     first_step: float
@@ -151,12 +153,12 @@ def minimize(
             return linearize(prior, where[1], where[0], noise_state, workspace, weights)
 
     here, fixed = at((start, located)), None
-    steps = StepLengths(options.tolerance, kinks=located.moves)
+    steps = StepLengths(options.tolerance, kinks=located.moves, weighted=located.weighted)
     damping, iteration, manner = 0.0, 0, Manner()
 
-    def solution(end: Where, cholesky: Cholesky, outcome: Outcome) -> Solution:
-        lengths = steps.first, steps.length
-        return Solution(*end, here, cholesky, outcome, iteration, *lengths, workspace)
+    def solution(end: Where, cholesky: Cholesky, outcome: Outcome, fall: float = 0.0) -> Solution:
+        cost, lengths = here.cost_of(here) - fall, (steps.first, steps.length)
+        return Solution(*end, here, cholesky, cost, outcome, iteration, *lengths, workspace)
 
     while True:
         with clock("solve"):
@@ -167,7 +169,7 @@ def minimize(
         steps.note(length, damped=damping > 0.0, renewed=fixed is here)
         if steps.short and (fixed is None or fixed is here or steps.last):
             end = next(candidates(prior, here, step)).where
-            return solution(end, cholesky, Outcome.CONVERGED)
+            return solution(end, cholesky, Outcome.CONVERGED, predicted)
         if steps.short:
             here = fixed = at((here.state, here.located))
             continue

@@ -67,6 +67,11 @@ class LocatedReadings:
         """Whether sensor parameters decide where or when readings were taken."""
         return any(parameter.moves for parameter in self.parameters.process.each)
 
+    @property
+    def weighted(self) -> bool:
+        """Whether a robust loss weights any reading by its residual."""
+        return any(stream.loss is not None for stream in self.streams)
+
     def moved(self, step: Array) -> LocatedReadings:
         """The readings after a step (K, E) of the sensor parameters, located anew if they move."""
         if not step.any():

@@ -7,13 +7,17 @@ import numpy as np
 _IDLE = 3.0  # tolerances: a step this short that gains nothing ends the search
 _CALMER = 0.5  # part of the step before above which steps do not shrink
 _SLOWEST = 0.05  # least share by which steps count as shrinking
+_STEADY = 0.05  # part of itself that a Gauss–Newton step leaves to go at best, near the end
+_FALLING = 0.1  # part of the step before below which steps are on their way to the end
 
 
 class StepLengths:
     """Lengths of steps, in standard deviations, and whether one is short enough to end with.
 
-    Steps that shrink evenly leave a geometric series to go. Readings that move across nodes leave
-    kinks in the cost, below any confidence: steps that no longer shrink are as short as they get.
+    Steps that shrink evenly leave a geometric series to go. Where no weight depends on the
+    residuals, a step that is a small part of the one before is followed by smaller ones, and
+    what it leaves decides. Readings that move across nodes leave kinks in the cost, below any
+    confidence: steps that no longer shrink are as short as they get.
 
     Attributes:
         first: Length of the first step.
@@ -23,8 +27,8 @@ class StepLengths:
         last: Whether steps that follow renewed weights no longer shrink.
     """
 
-    def __init__(self, tolerance: float, *, kinks: bool) -> None:
-        self._tolerance, self._kinks = tolerance, kinks
+    def __init__(self, tolerance: float, *, kinks: bool, weighted: bool) -> None:
+        self._tolerance, self._kinks, self._weighted = tolerance, kinks, weighted
         self.first, self.length, self._renewed = np.nan, np.inf, np.inf
         self.idle = self.short = self.last = False
 
@@ -34,7 +38,8 @@ class StepLengths:
         if np.isnan(self.first):
             self.first = length
         self.idle = not damped and length < _IDLE * self._tolerance
-        self.short = self.idle and self._is_short(length, length / before if before else np.inf)
+        rate = length / before if before else np.inf
+        self.short = not damped and self._is_short(length, rate)
         if renewed:
             self.last = self._kinks and length > _CALMER * self._renewed
             self._renewed = length
@@ -43,6 +48,8 @@ class StepLengths:
     def _is_short(self, length: float, rate: float) -> bool:
         """Whether a step is short enough, the `rate` times as long as the one before."""
         if self._kinks:
-            return length < self._tolerance or rate > _CALMER
-        left = length * rate / max(1.0 - rate, _SLOWEST)
+            return length < self._tolerance or (self.idle and rate > _CALMER)
+        left = length * max(rate, _STEADY) / max(1.0 - rate, _SLOWEST)
+        if not self._weighted and 0.0 < rate < _FALLING:
+            return left < self._tolerance
         return max(length, left) < self._tolerance

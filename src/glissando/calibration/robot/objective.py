@@ -29,7 +29,7 @@ from glissando.model.sensors.readings import Readings
 from glissando.model.table import Table
 from glissando.solver.gauss_newton import SolverOptions
 
-_TIGHT = SolverOptions(max_iterations=20, tolerance=1.0)
+_TIGHT = SolverOptions(max_iterations=20, tolerance=0.03)
 _ONE_STEP = SolverOptions(max_iterations=1, tolerance=np.inf)
 
 
