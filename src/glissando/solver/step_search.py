@@ -62,19 +62,25 @@ def candidates(
     still follow from the strains. Along a curved valley a shorter one is better than a damped one.
     """
     if not bent:
-        yield _straight(here, step)
+        yield _Way(_straight(here, step), bent=False)
     for part in (1.0, *_SHORTER):
-        of_nodes, of_parameters = here.split(part * step)
-        located = here.located.moved(of_parameters)
-        where = prior.bent(located.grid, here.state, of_nodes), located
+        where = _bent(prior, here, part * step)
         yield _Way(where, part * (2.0 - part), True if part == 1.0 else None)
     if bent:
-        yield _straight(here, step)
+        yield _Way(_straight(here, step), bent=False)
 
 
-def _straight(here: NormalEquations, step: Array) -> _Way:
+def _straight(here: NormalEquations, step: Array) -> Where:
+    """Where a step leads that moves each node by itself."""
     of_nodes, of_parameters = here.split(step)
-    return _Way((here.state.retract(of_nodes), here.located.moved(of_parameters)), bent=False)
+    return here.state.retract(of_nodes), here.located.moved(of_parameters)
+
+
+def _bent(prior: Prior, here: NormalEquations, step: Array) -> Where:
+    """Where a step leads on which poses follow from the strains."""
+    of_nodes, of_parameters = here.split(step)
+    located = here.located.moved(of_parameters)
+    return prior.bent(located.grid, here.state, of_nodes), located
 
 
 def try_step(
@@ -94,9 +100,10 @@ def try_step(
     cost, best, best_gain = here.cost_of(here), (here.state, here.located), WORTHWHILE
     stretch, manner.stretch = manner.stretch, 1.0
     if stretch > 1.0 and predicted > ROUNDING * (1.0 + cost):
-        of_nodes, of_parameters = here.split(stretch * step)
+        far = stretch * step
         with suppress(np.linalg.LinAlgError):
-            there = at((here.state.retract(of_nodes), here.located.moved(of_parameters)), fixed)
+            where = _bent(prior, here, far) if manner.bent else _straight(here, far)
+            there = at(where, fixed)
             gain = (cost - here.cost_of(there)) / predicted
             if gain > _PLAIN:
                 manner.stretch = _next_stretch(stretch, gain)
