@@ -66,6 +66,12 @@ class Bodies:
 def load_bodies(recording, robot, window):
     """The bodies with frames and mounts put right, their noise as stated here."""
     found, _ = recording.readings(BODIES, robot, window, as_truth=True)
+    unseen = [r.label for r in found if not len(r)]
+    if unseen:
+        raise SystemExit(
+            f"{recording.name}: {', '.join(unseen)} was not seen between {window[0]:g} and "
+            f"{window[1]:g} s; give another --window."
+        )
     cov = STD**2 + MOUNT_STD**2
     streams = [replace(corrected(r, robot.sensor_parameters), cov=cov) for r in found]
     time = np.unique(np.concatenate([s.time for s in streams]))
@@ -147,10 +153,15 @@ def chosen(bodies, arm, truth):
 
 
 def relative_change(time, errors, against, rng):
-    """RMSE over another's less one, and its 95 % interval from blocks of time drawn anew."""
+    """RMSE over another's less one, and its 95 % interval from blocks of time drawn anew.
+
+    Fewer than two blocks have no interval.
+    """
     moments = np.unique(time)
     at = np.searchsorted(moments, time)
     sums = [np.bincount(at, e.position**2, moments.size) for e in (errors, against)]
+    if np.ptp(moments) < 2.0 * BLOCK:
+        return float(np.sqrt(sums[0].sum() / sums[1].sum()) - 1.0), None, None
     starts = np.flatnonzero(moments <= moments[-1] - BLOCK)
     ends = np.searchsorted(moments, moments[starts] + BLOCK)
     totals = [np.append(0.0, np.cumsum(s)) for s in sums]
@@ -209,13 +220,15 @@ NEES position | NEES rotation | against fixed, 95 % interval | solve |
 def line(row):
     """A row of the table."""
     change = row["against_fixed"]
-    change = "{:+.0f} % ({:+.0f} to {:+.0f})".format(*(100 * c for c in change)) if change else ""
+    if change:
+        percent = [f"{100 * c:+.0f}" for c in change if c is not None]
+        change = f"{percent[0]} %" + (" ({} to {})".format(*percent[1:]) if percent[1:] else "")
     solve = f"{row['iterations']} it." + ("" if row["converged"] else ", not converged")
     return (
         f"| {row['period']:g} | {row['arm']} | {row['truth']} | {row['samples']} | "
         f"{1e3 * row['position_rmse']:.1f} | {np.degrees(row['rotation_rmse']):.1f} | "
         f"{100 * row['inside_95']:.0f} % | {row['nees_position']:.2f} | "
-        f"{row['nees_rotation']:.2f} | {change} | {solve} |"
+        f"{row['nees_rotation']:.2f} | {change or ''} | {solve} |"
     )
 
 
