@@ -158,7 +158,8 @@ def test_a_delay_that_another_stream_shows_is_as_uncertain_as_stated(which, onli
     found = [estimated(which, seed, online=online) for seed in range(100, 114)]
     drawn, values, std = np.array(found).T
     squares = ((values - drawn) / std) ** 2
-    assert std.max() < STD / 2.0
+    assert np.median(std) < STD / 2.0
+    assert std.max() < (0.7 if online else 0.5) * STD  # online, what has left the window counts
     assert consistent(squares, squares.size)
     assert not consistent(9.0 * squares, squares.size)
 

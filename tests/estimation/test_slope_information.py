@@ -58,7 +58,6 @@ def test_it_is_what_a_dense_matrix_of_all_readings_says(lag):
     known = info[:SIZE, :SIZE]
     processes, readings, first = [], [], 0
     for slab in range(1, SLABS):
-        found.append()
         processes.append([interval(rng, 6)])
         mine = {name: (interval(rng, 3), rng.standard_normal((2, 3, 2))) for name in STREAMS}
         readings.append(mine)
@@ -71,19 +70,20 @@ def test_it_is_what_a_dense_matrix_of_all_readings_says(lag):
                 sums.accumulate(moved)
                 slopes.append(Slopes(name, moved, by_time))
         found.note(sums, slopes)
-        for i, name in enumerate(STREAMS):
-            others = [
-                [*own, *(r[0] for n, r in each.items() if n != name)]
-                for own, each in zip(processes, readings, strict=True)
-            ]
-            of_stream = [[each[name]] for each in readings]
-            for kind in range(2):
-                wanted = dense(known, others, of_stream, kind)
-                assert found.total[i, kind] == pytest.approx(wanted, rel=1e-9)
-            assert found.total[i, 2] == 6 * slab
         while slab + 1 - first > lag:
             found.drop()
             first += 1
+            for i, name in enumerate(STREAMS):
+                others = [
+                    [*own, *(r[0] for n, r in each.items() if n != name)]
+                    for own, each in zip(processes[:first], readings[:first], strict=True)
+                ]
+                of_stream = [[each[name]] for each in readings[:first]]
+                for kind in range(2):
+                    wanted = dense(known, others, of_stream, kind)
+                    assert found.total[i, kind] == pytest.approx(wanted, rel=1e-9)
+                assert found.total[i, 2] == 6 * first
+    assert first == SLABS - lag
 
 
 def test_nothing_counts_before_the_motion_tells_more_than_noise_may():
@@ -92,7 +92,6 @@ def test_nothing_counts_before_the_motion_tells_more_than_noise_may():
     found.begin(LAYOUT, np.eye(LAYOUT.size))
     shares = [found.share("late")]
     for _ in range(40):
-        found.append()
         batch, process = interval(rng, 3), interval(rng, 6)
         by_time = rng.standard_normal((2, 3, 2)) * np.array([20.0, 1.0])[:, None, None]
         sums = NormalEquationsBuilder.apart(LAYOUT, 2)

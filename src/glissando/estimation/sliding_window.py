@@ -134,8 +134,6 @@ class SlidingWindow:
         self.nodes = self.nodes.joined(self._node(time, state.retract(ahead), parameters))
         self._noise = np.concatenate([self._noise, np.zeros((1, self.layout.size))])
         self._system.append()
-        if self.dating is not None:
-            self.dating.information.append()
 
     def copied(self) -> SlidingWindow:
         """The same window, to go on with without a change to this one."""

@@ -37,12 +37,9 @@ class WindowSystem:
         intact: How many slabs, from the oldest on, have sums and factor up to date.
     """
 
-    def __init__(self, layout: Layout, info: Array, rhs: Array, responses: int = 1) -> None:
-        """Begin with one slab, of which `info` (D, D) and `rhs` (D,) are known.
-
-        `responses` are how many other right-hand sides it is solved for, see `respond`.
-        """
-        self.layout, self.intact, self._responses = layout, 0, responses
+    def __init__(self, layout: Layout, info: Array, rhs: Array) -> None:
+        """Begin with one slab, of which `info` (D, D) and `rhs` (D,) are known."""
+        self.layout, self.intact = layout, 0
         self._make_room(_ROOM)
         self._slot = np.zeros(1, dtype=np.intp)
         self.info[:], self.rhs = info, rhs
@@ -52,7 +49,7 @@ class WindowSystem:
         size = self.layout.size
         self._blocks = np.zeros((COUPLING + 1, room, size, size))
         self._vectors = np.empty((SCALE + 1, room, size))
-        self._aside = np.zeros((self._responses, 2, room, size))
+        self._aside = np.zeros((2, room, size))
         self._sums = np.empty((ACROSS + 1, room, size, size)), np.empty((2, room, size))
 
     def __len__(self) -> int:
@@ -84,7 +81,7 @@ class WindowSystem:
         blocks, vectors, aside, count = self._blocks, self._vectors, self._aside, len(slot)
         self._make_room(room)
         self._blocks[:, :count], self._vectors[:, :count] = blocks[:, slot], vectors[:, slot]
-        self._aside[:, :, :count] = aside[:, :, slot]
+        self._aside[:, :count] = aside[:, slot]
         self._slot = np.arange(count)
 
     def append(self) -> None:
@@ -118,20 +115,14 @@ class WindowSystem:
         self.intact = len(self)
         return solution
 
-    def respond(self, first: int, sums: NormalEquationsBuilder, which: int = 0) -> Array:
+    def respond(self, first: int, sums: NormalEquationsBuilder) -> Array:
         """The solution (K, D) for the right-hand side of other sums from slab `first` on.
 
-        Their blocks do not count; of what older slabs say of it only what such sums said is known,
-        of each of several such right-hand sides by itself.
+        Their blocks do not count; of what older slabs say of it only what such sums said is known.
         """
         solution, rhs = np.empty((len(self), self.layout.size)), (sums.rhs_begin, sums.rhs_end)
-        kernels.respond(self._blocks, self._aside[which], self._slot, first, *rhs, solution)
+        kernels.respond(self._blocks, self._aside, self._slot, first, *rhs, solution)
         return solution
-
-    @property
-    def responses(self) -> Array:
-        """Those sums solved forward (·, K, D): their squares are what each slab adds to bᵀA⁻¹b."""
-        return self._aside[:, 1, self._slot]
 
     def system(self) -> tuple[BlockTridiagonal, Array]:
         """The normal equations."""
