@@ -97,7 +97,7 @@ def test_sessions_have_the_prior_and_the_parameters_that_the_robot_file_states()
     drawn = ParameterValues(predictive.process, session.parameters)
     for readings in session.readings:
         put_right = drawn.corrected(readings, drawn.at(readings.time))
-        put_right = drawn.relocated(put_right)
+        put_right = drawn.displaced(put_right)
         k = np.abs(predictive.fine.time[:, None] - put_right.time).argmin(axis=0)
         n = np.abs(predictive.fine.arclength[:, None] - put_right.arclength).argmin(axis=0)
         white = put_right.residual(session.truth.take((k, n))) / np.sqrt(np.diag(readings.cov))

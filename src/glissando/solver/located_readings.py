@@ -144,11 +144,13 @@ def _batches(
     """
     if not streams:
         return [[] for _ in blocks]
-    counted = np.zeros(sum(map(len, streams)), dtype=bool)
-    if grid.before is not None:
-        counted = _joined([parameters.displaced(r) for r in streams])[1] < grid.time[0]
-    streams = [parameters.relocated(r) for r in streams]
     begins = np.cumsum([0, *map(len, streams)])
+    displaced = [parameters.displaced(r) for r in streams]
+    counted = (_joined(displaced)[1] < grid.time[0]) & (grid.before is not None)
+    streams = [
+        r if moved is r else _kept_on(grid, moved)
+        for r, moved in zip(streams, displaced, strict=True)
+    ]
     arclength, time = _joined(streams)
     starts = [grid.time[block.start] for block in blocks]
     block_of = np.maximum(np.searchsorted(starts, time, side="right") - 1, 0)
@@ -169,3 +171,11 @@ def _batches(
             ]
             batches[-1].append(ReadingBatch(points, split))
     return batches
+
+
+def _kept_on(grid: Grid, readings: Readings) -> Readings:
+    """Readings with what lies off the grid at its end."""
+    return readings.changed(
+        arclength=np.clip(readings.arclength, grid.arclength[0], grid.arclength[-1]),
+        time=np.clip(readings.time, grid.time[0], grid.time[-1]),
+    )

@@ -110,16 +110,6 @@ class ParameterValues:
         nodes = self.process.grid.time
         return self.between(np.clip(time, nodes[0], nodes[-1]))[0]
 
-    def relocated(self, readings: Readings) -> Readings:
-        """Readings where and when the parameters say they were taken, kept on the grid."""
-        grid, moved = self.process.grid, self.displaced(readings)
-        if moved is readings:
-            return readings
-        return moved.changed(
-            arclength=np.clip(moved.arclength, grid.arclength[0], grid.arclength[-1]),
-            time=np.clip(moved.time, grid.time[0], grid.time[-1]),
-        )
-
     def displaced(self, readings: Readings) -> Readings:
         """Readings where and when the parameters say they were taken, also off the grid."""
         moving = [(u, c) for u, c in self.of(readings) if u.moves]
