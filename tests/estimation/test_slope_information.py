@@ -8,8 +8,8 @@ from glissando.model.factors import Factors, Residuals
 from glissando.solver.normal_equations import Layout, NormalEquationsBuilder
 
 N, DOF, SLABS = 2, 3, 9
-SIZE = N * DOF
-LAYOUT = Layout(N, DOF, 1)  # one parameter, which is the delay
+LAYOUT = Layout(N, DOF, 2)  # of two parameters the first is the delay
+SIZE = N * DOF + 1  # numbers of a slab without it
 STREAMS = ["early", "late"]
 
 
@@ -19,7 +19,7 @@ def interval(rng, rows):
     jacobian = rng.standard_normal((rows, 2, 2 * N, DOF))
     sqrt_info = np.tile(np.diag(rng.uniform(0.5, 2.0, 2)), (rows, 1, 1))
     terms = Residuals(rng.standard_normal((rows, 2)), sqrt_info)
-    return Factors(nodes, slice(0, DOF), jacobian, terms, rng.standard_normal((rows, 2, 2)))
+    return Factors(nodes, slice(0, DOF), jacobian, terms, rng.standard_normal((rows, 2, 4)))
 
 
 def shifted(factors, slabs):
@@ -35,11 +35,13 @@ def dense(known, intervals, slopes, kind):
     information[:SIZE, :SIZE] = known
     for k, (factors, own) in enumerate(zip(intervals, slopes, strict=True)):
         for batch, by_time in [*((each, None) for each in factors), *own]:
-            for jacobian, root, row in zip(
-                batch.jacobian, batch.terms.sqrt_info, range(len(batch.nodes)), strict=True
-            ):
-                wide = np.zeros((2, count))
-                wide[:, SIZE * k : SIZE * (k + 2)] = root @ jacobian.reshape(2, -1)
+            for row in range(len(batch.nodes)):
+                jacobian, root = batch.jacobian[row], batch.terms.sqrt_info[row]
+                wide, slabs = np.zeros((2, count)), jacobian.reshape(2, 2, N * DOF)
+                for late in range(2):
+                    begin = SIZE * (k + late)
+                    wide[:, begin : begin + N * DOF] = root @ slabs[:, late]
+                    wide[:, begin + N * DOF] = root @ batch.extras[row, :, 2 * late + 1]
                 information += wide.T @ wide
                 if by_time is not None:
                     white = root @ by_time[kind, row]
@@ -55,7 +57,7 @@ def test_it_is_what_a_dense_matrix_of_all_readings_says(lag):
     root = rng.standard_normal((LAYOUT.size, LAYOUT.size))
     info = root @ root.T + np.eye(LAYOUT.size)
     found.begin(LAYOUT, info)
-    known = info[:SIZE, :SIZE]
+    known = np.delete(np.delete(info, N * DOF, 0), N * DOF, 1)
     processes, readings, first = [], [], 0
     for slab in range(1, SLABS):
         processes.append([interval(rng, 6)])

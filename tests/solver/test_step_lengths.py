@@ -48,3 +48,20 @@ def test_damped_steps_end_nothing():
     steps.note(0.0, damped=False, renewed=True)
     steps.note(np.float64(0.0), damped=False, renewed=True)
     assert steps.short
+
+
+def test_steps_that_gain_nothing_for_long_end_where_readings_move_across_nodes():
+    for kinks in (False, True):
+        steps = StepLengths(0.3, kinks=kinks, weighted=False)
+        falling = [steps.stall(10.0 - 0.1 * k) for k in range(10)]
+        assert not any(falling)
+        stalled = [steps.stall(9.0 - 1e-3 * k) for k in range(10)]
+        assert any(stalled) == kinks
+
+
+def test_weights_that_are_renewed_begin_a_series_of_costs():
+    steps = StepLengths(0.3, kinks=True, weighted=True)
+    assert not any(steps.stall(10.0) for _ in range(5))
+    steps.note(1.0, damped=False, renewed=True)
+    assert not any(steps.stall(10.0) for _ in range(5))
+    assert steps.stall(10.0)

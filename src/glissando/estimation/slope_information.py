@@ -106,21 +106,25 @@ class SlopeInformation:
 
     def _slope_sums(self, interval: int) -> Array:
         """Sums b of an interval's readings (2, D, ·) where it begins and ends; counts sᵀR⁻¹s."""
-        n, dof = self._layout.nodes, self._layout.dof
-        by_node = np.zeros((2 * n, dof, len(self._streams), _KINDS))
+        layout, rows = self._layout, (len(self._streams), _KINDS)
+        n, last = layout.nodes, max(len(self._sums.begin) - 2, 0)
+        of_nodes = np.zeros((2 * n, layout.dof, *rows))
+        of_parameters = np.zeros((2, layout.parameters, *rows))
         for stream, factors, by_time in self._slopes:
-            within = factors.nodes.min(axis=1) // n == interval
+            within = np.minimum(factors.nodes[:, 0] // n, last) == interval
             mine, row = factors.take(within), self._streams.index(stream)
             terms, weights = mine.terms, mine.terms.robust_weights()[:, None]
             slopes = np.einsum("mij,amj->ami", terms.sqrt_info, by_time[:, within])
-            jacobian = np.einsum("mij,mjcd->micd", terms.sqrt_info, mine.jacobian)
-            b = np.einsum("micd,ami->mcda", jacobian, weights * slopes)
-            np.add.at(by_node[:, mine.dofs, row], mine.nodes - interval * n, b)
+            pulls = np.einsum("mij,ami->maj", terms.sqrt_info, weights * slopes)
+            b = np.einsum("mjcd,maj->mcda", mine.jacobian, pulls)
+            np.add.at(of_nodes[:, mine.dofs, row], mine.nodes - interval * n, b)
+            if mine.extras is not None:
+                extras = mine.extras.reshape(*terms.residual.shape, 2, layout.parameters)
+                of_parameters[:, :, row] += np.einsum("mjte,maj->tea", extras, pulls)
             self._squares[row, :_KINDS] += np.sum(weights * slopes**2, axis=(1, 2))
             self._squares[row, _KINDS] += terms.residual.size
-        out = np.zeros((2, self._layout.size, len(self._streams) * _KINDS))
-        out[:, : n * dof] = by_node.reshape(2, n * dof, -1)
-        return out[:, self._kept]
+        out = np.concatenate([of_nodes.reshape(2, -1, *rows), of_parameters], axis=1)
+        return out.reshape(2, layout.size, -1)[:, self._kept]
 
 
 def _eliminated(info: Array, rhs: Array) -> tuple[Array, Array]:

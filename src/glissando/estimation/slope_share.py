@@ -80,6 +80,7 @@ def share(told: float, of_noise: float, numbers: float, deviations: float = 2.0)
         deviations: Standard deviations by which it has to exceed what noise would say.
     """
     chance = np.exp(2.0 * deviations / np.sqrt(max(numbers / _ALIKE, 1e-3)))
+    of_noise = max(of_noise, 0.0)  # but for rounding
     return float(np.sqrt(1.0 - of_noise / told)) if told > chance * of_noise else 0.0
 
 

@@ -178,7 +178,9 @@ def minimize(
         manner.stretch = 1.0 if damping else manner.stretch
         here, gain = try_step(prior, here, step, fixed, predicted, at, manner)
         damping = _next_damping(damping, gain)
-        ended = _ended(steps.idle and not gain > WORTHWHILE, damping, iteration, options)
+        settled = steps.idle and not gain > WORTHWHILE
+        settled |= fixed is not None and steps.stall(here.cost_of(here))
+        ended = _ended(settled, damping, iteration, options)
         if ended is not None:
             return solution((here.state, here.located), factor(here.system, cholesky), ended)
 

@@ -6,6 +6,7 @@ import numpy as np
 
 _IDLE = 3.0  # tolerances: a step this short that gains nothing ends the search
 _CALMER = 0.5  # part of the step before above which steps do not shrink
+_STALLED = 5  # steps that together gain nothing end the search
 _SLOWEST = 0.05  # least share by which steps count as shrinking
 _STEADY = 0.05  # part of itself that a Gauss–Newton step leaves to go at best, near the end
 _FALLING = 0.1  # part of the step before below which steps are on their way to the end
@@ -17,7 +18,8 @@ class StepLengths:
     Steps that shrink evenly leave a geometric series to go. Where no weight depends on the
     residuals, a step that is a small part of the one before is followed by smaller ones, and
     what it leaves decides. Readings that move across nodes leave kinks in the cost, below any
-    confidence: steps that no longer shrink are as short as they get.
+    confidence: steps that no longer shrink are as short as they get, and in a kink itself, where
+    none leads down for long, they may be long and gain nothing.
 
     Attributes:
         first: Length of the first step.
@@ -30,6 +32,7 @@ class StepLengths:
     def __init__(self, tolerance: float, *, kinks: bool, weighted: bool) -> None:
         self._tolerance, self._kinks, self._weighted = tolerance, kinks, weighted
         self.first, self.length, self._renewed = np.nan, np.inf, np.inf
+        self._costs: list[float] = []
         self.idle = self.short = self.last = False
 
     def note(self, length: float, *, damped: bool, renewed: bool) -> None:
@@ -42,7 +45,7 @@ class StepLengths:
         self.short = not damped and self._is_short(length, rate)
         if renewed:
             self.last = self._kinks and length > _CALMER * self._renewed
-            self._renewed = length
+            self._renewed, self._costs = length, []
         self.length = length
 
     def _is_short(self, length: float, rate: float) -> bool:
@@ -53,3 +56,10 @@ class StepLengths:
         if not self._weighted and 0.0 < rate < _FALLING:
             return left < self._tolerance
         return max(length, left) < self._tolerance
+
+    def stall(self, cost: float) -> bool:
+        """Whether steps gain nothing any more, by the cost after each, with weights held."""
+        self._costs.append(cost)
+        if not self._kinks or len(self._costs) <= _STALLED:
+            return False
+        return self._costs[-1 - _STALLED] - cost < 0.5 * self._tolerance**2
