@@ -26,6 +26,7 @@ def test_poses_are_a_group(rng):
     close((a @ b) @ c, a @ (b @ c))
     close(a @ se3.inverse(a), np.eye(4))
     close(se3.inverse(a) @ a, np.eye(4))
+    close(se3.pose(a[..., :3, :3], a[..., :3, 3]), a)
     close(se3.inverse(a @ b), se3.inverse(b) @ se3.inverse(a))
     close(se3.inverse(se3.inverse(a)), a)
 

@@ -275,8 +275,6 @@ def _between(time: Array, pose: Array, cov: Array, when: Array) -> tuple[Array, 
 
 def _part(near: Array, far: Array, share: Array) -> Array:
     """Poses (M, 4, 4) a share of the way, in a straight line with a steady turn."""
-    out = np.tile(np.eye(4), (len(near), 1, 1))
-    out[:, :3, 3] = near[:, :3, 3] + share[:, None] * (far[:, :3, 3] - near[:, :3, 3])
+    position = near[:, :3, 3] + share[:, None] * (far[:, :3, 3] - near[:, :3, 3])
     turn = se3.so3_log(np.swapaxes(near[:, :3, :3], 1, 2) @ far[:, :3, :3])
-    out[:, :3, :3] = near[:, :3, :3] @ se3.so3_exp(share[:, None] * turn)
-    return out
+    return se3.pose(near[:, :3, :3] @ se3.so3_exp(share[:, None] * turn), position)

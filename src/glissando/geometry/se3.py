@@ -50,6 +50,14 @@ def hat(x: Array) -> Array:
     return out
 
 
+def pose(rotation: Array, position: Array) -> Array:
+    """Pose (…, 4, 4) of a rotation matrix (…, 3, 3) and a position (…, 3)."""
+    lead = np.broadcast_shapes(rotation.shape[:-2], position.shape[:-1])
+    out = np.zeros((*lead, 4, 4))
+    out[..., :3, :3], out[..., :3, 3], out[..., 3, 3] = rotation, position, 1.0
+    return out
+
+
 def so3_exp(phi: Array) -> Array:
     """Rotation matrix (…, 3, 3) of a rotation vector (…, 3)."""
     x = np.zeros((*phi.shape[:-1], 6))
@@ -86,9 +94,7 @@ def rotation_from_quaternion(q: Array) -> Array:
 
 def so3_log(rotation: Array) -> Array:
     """Rotation vector (…, 3) of a rotation matrix (…, 3, 3), its norm in [0, π]."""
-    pose = np.zeros((*rotation.shape[:-2], 4, 4))
-    pose[..., :3, :3], pose[..., 3, 3] = rotation, 1.0
-    return log(pose)[..., 3:]
+    return log(pose(rotation, np.zeros(3)))[..., 3:]
 
 
 def exp(x: Array) -> Array:

@@ -167,10 +167,8 @@ def _poses(topic: Topic | None, span: tuple[float, float]) -> tuple[Array, Array
     time, position, quaternion = map(topic.column, ("time", "position", "quaternion"))
     seen = np.all(np.isfinite(position), axis=1) & (time >= span[0]) & (time <= span[1])
     order = np.flatnonzero(seen)[np.argsort(time[seen], kind="stable")]
-    poses = np.tile(np.eye(4), (order.size, 1, 1))
-    poses[:, :3, :3] = se3.rotation_from_quaternion(quaternion[order])
-    poses[:, :3, 3] = position[order]
-    return time[order], poses
+    rotation = se3.rotation_from_quaternion(quaternion[order])
+    return time[order], se3.pose(rotation, position[order])
 
 
 def _gaps(name: str, time: Array, span: tuple[float, float], zero: float) -> list[str]:

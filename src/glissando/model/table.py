@@ -177,15 +177,13 @@ class Table:
 
     def pose(self) -> Array:
         """`position` and `quaternion` [w, x, y, z] as a pose (4, 4); identity when absent."""
-        out = np.eye(4)
-        out[:3, 3] = self.vector("position", 3, np.zeros(3))
+        position = self.vector("position", 3, np.zeros(3))
         q = self.vector("quaternion", 4, np.array([1.0, 0, 0, 0]))
         if abs(np.linalg.norm(q) - 1.0) > 1e-3:
             raise self.fail(
                 "quaternion", f"has norm {np.linalg.norm(q):.4g}; give a unit one, [w, x, y, z]."
             )
-        out[:3, :3] = se3.rotation_from_quaternion(q)
-        return out
+        return se3.pose(se3.rotation_from_quaternion(q), position)
 
     def channel(self, length: float = 1.0, angle: float = 1.0) -> Channel | None:
         """`channel`, a table of radius, angle and pitch in units of m and rad; None when absent."""

@@ -49,12 +49,11 @@ def poses_in(channel: Tendon, motion: Motion | DynamicMotion, travel: Array, tim
     inside = np.clip(travel, 0.0, ends[1][which])
     behind = [np.interp(x, way[k], s - way[k]) for x, k in zip(inside, which, strict=True)]
     place = np.clip(inside + behind, 0.0, length)
-    at, local = motion.at(place, time), np.tile(np.eye(4), (time.size, 1, 1))
+    at = motion.at(place, time)
     tangent = _along(channel, place, at.strain)
     axis = tangent / np.linalg.norm(tangent, axis=-1, keepdims=True)
-    local[:, :3, :3] = least_turn(axis)
-    local[:, :3, 3] = channel.path(place)[0] + (travel - inside)[:, None] * axis
-    return at.pose @ local
+    position = channel.path(place)[0] + (travel - inside)[:, None] * axis
+    return at.pose @ se3.pose(least_turn(axis), position)
 
 
 def _along(channel: Tendon, arclength: Array, strain: Array) -> Array:

@@ -61,8 +61,7 @@ def coil_rows(
     pose = pose @ _play(next(streams), place, flaws.play)
     pose = _mean(pose.reshape(time.size, shares.size, 4, 4))
     pose = pose @ se3.exp(_tracker_error(next(streams), next(streams), pose, flaws))
-    centre = np.eye(4)
-    centre[:3, 3] = flaws.field_centre
+    centre = se3.pose(np.eye(3), np.asarray(flaws.field_centre))
     slip = centre @ se3.exp(_registration(next(streams), flaws)) @ se3.inverse(centre)
     reported = rolled(se3.inverse(T_wt) @ slip @ pose, flaws.roll, next(streams))
     kept = _kept(next(streams), time, flaws)
@@ -114,9 +113,7 @@ def _play(rng: np.random.Generator, arclength: Array, clearance: float) -> Array
 
     slope = (touch(arclength + 1e-5) - touch(arclength - 1e-5)) / 2e-5
     lean = np.stack([-slope[:, 1], slope[:, 0], np.zeros(arclength.size)], axis=-1)
-    out = np.zeros((arclength.size, 4, 4))
-    out[:, :3, :3], out[:, :3, 3], out[:, 3, 3] = se3.so3_exp(lean), touch(arclength), 1.0
-    return out
+    return se3.pose(se3.so3_exp(lean), touch(arclength))
 
 
 def _tracker_error(

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from glissando.calibration.rig.model import ROWS, CoilModel
 from glissando.calibration.rig.rig import Rig
 from glissando.calibration.rig.slide_timing import LATEST
+from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 
 FEWEST = 10
@@ -36,10 +37,8 @@ def registration(expected: Array, measured: Array) -> Array:
     points = (expected[:, :3, 3] - centres[0]).T @ (measured[:, :3, 3] - centres[1])
     both = points / _POINT**2 + expected[:, :3, 2].T @ measured[:, :3, 2] / _AXIS**2
     u, _, vt = np.linalg.svd(both)
-    out = np.eye(4)
-    out[:3, :3] = u @ np.diag([1.0, 1.0, np.linalg.det(u) * np.linalg.det(vt)]) @ vt
-    out[:3, 3] = centres[0] - out[:3, :3] @ centres[1]
-    return out
+    rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u) * np.linalg.det(vt)]) @ vt
+    return se3.pose(rotation, centres[0] - rotation @ centres[1])
 
 
 def rough_start(model: CoilModel, expected: Rig, lag: float) -> Rig:

@@ -103,10 +103,8 @@ def _poses(topic: Topic) -> tuple[Array, Array]:
     rows = rows[np.argsort(time[rows], kind="stable")]
     again = np.append(False, frame[rows][1:] == frame[rows][:-1]) if rows.size else rows > 0
     rows = rows[~again]
-    poses = np.tile(np.eye(4), (rows.size, 1, 1))
-    poses[:, :3, :3] = se3.rotation_from_quaternion(quaternion[rows])
-    poses[:, :3, 3] = position[rows]
-    return time[rows], poses
+    rotation = se3.rotation_from_quaternion(quaternion[rows])
+    return time[rows], se3.pose(rotation, position[rows])
 
 
 def _slide(session: RawSession) -> tuple[Array, Array]:

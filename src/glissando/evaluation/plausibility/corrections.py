@@ -164,8 +164,7 @@ def _mounts() -> Iterator[Correction]:
         "−x": [0.0, -np.pi / 2, 0.0],
         "−y": [np.pi / 2, 0.0, 0.0],
     }.items():
-        rotation = np.eye(4)
-        rotation[:3, :3] = se3.so3_exp(np.array(turn))
+        rotation = se3.pose(se3.so3_exp(np.array(turn)), np.zeros(3))
         yield Correction(
             "mount",
             f"its {name} axis, not z, probably runs along the robot",
@@ -241,43 +240,32 @@ def signed_axes() -> Iterator[tuple[tuple[int, ...], tuple[float, ...]]]:
 
 def scaled(pose: Array, factor: float) -> Array:
     """Poses with positions times a factor."""
-    out = pose.copy()
-    out[..., :3, 3] *= factor
-    return out
+    return se3.pose(pose[..., :3, :3], factor * pose[..., :3, 3])
 
 
 def reordered(pose: Array, index: list[int]) -> Array:
     """Poses with the numbers of their quaternions in another order."""
-    out = pose.copy()
-    out[..., :3, :3] = se3.rotation_from_quaternion(se3.quaternion(pose[..., :3, :3])[..., index])
-    return out
+    quaternion = se3.quaternion(pose[..., :3, :3])[..., index]
+    return se3.pose(se3.rotation_from_quaternion(quaternion), pose[..., :3, 3])
 
 
 def placed(pose: Array, matrix: Array) -> Array:
     """Poses with positions times a matrix."""
-    out = pose.copy()
-    out[..., :3, 3] = pose[..., :3, 3] @ matrix.T
-    return out
+    return se3.pose(pose[..., :3, :3], pose[..., :3, 3] @ matrix.T)
 
 
 def turned(pose: Array, matrix: Array) -> Array:
     """Poses with positions and rotations times a rotation."""
-    out = placed(pose, matrix)
-    out[..., :3, :3] = matrix @ pose[..., :3, :3]
-    return out
+    return se3.pose(matrix @ pose[..., :3, :3], pose[..., :3, 3] @ matrix.T)
 
 
 def mirrored(pose: Array, matrix: Array) -> Array:
     """Poses of mirrored coordinates in right-handed ones."""
-    out = placed(pose, matrix)
-    out[..., :3, :3] = matrix @ pose[..., :3, :3] @ matrix.T
-    return out
+    return se3.pose(matrix @ pose[..., :3, :3] @ matrix.T, pose[..., :3, 3] @ matrix.T)
 
 
 def _conjugated(pose: Array) -> Array:
-    out = pose.copy()
-    out[..., :3, :3] = np.swapaxes(pose[..., :3, :3], -1, -2)
-    return out
+    return se3.pose(np.swapaxes(pose[..., :3, :3], -1, -2), pose[..., :3, 3])
 
 
 def _identity(pose: Array) -> Array:

@@ -11,6 +11,7 @@ from glissando.evaluation.plausibility.corrections import reordered, signed_axes
 from glissando.evaluation.plausibility.finding import Finding
 from glissando.evaluation.plausibility.session import Streams, as_poses, weights
 from glissando.evaluation.plausibility.shape import stretch
+from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.sensors.readings import Readings
 
@@ -235,8 +236,7 @@ def _explained(
     r: Readings, course: _Course, rotation: Array, moved: Array, left: float
 ) -> Finding | None:
     """The finding that another reading of the columns makes motion follow the slide."""
-    pose = np.tile(np.eye(4), (len(rotation), 1, 1))
-    pose[:, :3, :3] = rotation
+    pose = se3.pose(rotation, np.zeros(3))
     tries: list[tuple[str, str, Array, Array]] = [
         ("quaternion", "the quaternions are probably [x, y, z, w]; give qw, qx, qy, qz",
          reordered(pose, [3, 0, 1, 2])[:, :3, :3], moved),

@@ -16,10 +16,9 @@ import numpy as np
 
 from glissando.errors import GlissandoError
 from glissando.estimation.fixed_lag import FixedLagSmoother
-from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.hardware.capture.child_process import blocked_signals, end_with_parent
-from glissando.hardware.capture.setup import Coil, Rig
+from glissando.hardware.capture.setup import Coil, Rig, pose_of
 from glissando.io.robot_file import load_robot
 from glissando.io.shipped_robots import robot_file
 from glissando.model.robot import Robot
@@ -112,13 +111,10 @@ def _estimate(rig: Rig, open_view: Any, show: Any, messages: Any, address: Any) 
 def _reading(
     rig: Rig, robot: Robot, coil: Coil, message: dict[str, Any], travel: Array
 ) -> CoilReadings:
-    pose = np.eye(4)
-    pose[:3, :3] = se3.rotation_from_quaternion(np.array(message["quaternion"]))
-    pose[:3, 3] = message["position"]
     return CoilReadings(
         time=np.array([message["time"]]),
         arclength=coil.arclengths(travel, robot.length),
-        values=(rig.frame @ pose)[None],
+        values=(rig.frame @ pose_of(message))[None],
         cov=robot.sensor_std["coil"] ** 2,
         name=coil.name,
         channel=coil.channel,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -160,6 +161,12 @@ def pose_entries(pose: Array) -> dict[str, Any]:
     """Position (m) and quaternion [w, x, y, z] of a pose (4, 4), as lists."""
     quaternion = se3.quaternion(pose[:3, :3])
     return {"position": pose[:3, 3].tolist(), "quaternion": quaternion.tolist()}
+
+
+def pose_of(entries: Mapping[str, Any]) -> Array:
+    """The pose (4, 4) of position (m) and quaternion [w, x, y, z], as a message has them."""
+    rotation = se3.rotation_from_quaternion(np.array(entries["quaternion"]))
+    return se3.pose(rotation, np.array(entries["position"]))
 
 
 def load_rig(path: str | Path) -> Rig:

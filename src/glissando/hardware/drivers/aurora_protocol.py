@@ -197,9 +197,7 @@ def _reading(handle: int, values: Array | None, number: int, status: int) -> Por
     # The tracker may go on reporting poses of a broken coil; they are not believed.
     if values is None or status & BROKEN_COIL or not _is_pose(values):
         return PortReading(handle, "missing", number, status)
-    pose = np.eye(4)
-    pose[:3, :3] = se3.rotation_from_quaternion(values[:4])
-    pose[:3, 3] = 1e-3 * values[4:7]
+    pose = se3.pose(se3.rotation_from_quaternion(values[:4]), 1e-3 * values[4:7])
     return PortReading(handle, "valid", number, status, pose, float(values[7]))
 
 

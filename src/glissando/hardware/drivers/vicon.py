@@ -22,6 +22,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from glissando.errors import DeviceError
+from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 
 PORT = 51001
@@ -100,10 +101,7 @@ def _object(item: bytes) -> tuple[str, Array]:
 
 
 def _pose(values: Array) -> Array:
-    out = np.eye(4)
-    out[:3, :3] = Rotation.from_euler("XYZ", values[3:]).as_matrix()
-    out[:3, 3] = 1e-3 * values[:3]
-    return out
+    return se3.pose(Rotation.from_euler("XYZ", values[3:]).as_matrix(), 1e-3 * values[:3])
 
 
 class ViconStream:

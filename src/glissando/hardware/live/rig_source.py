@@ -23,10 +23,10 @@ from typing import Any, Self
 import numpy as np
 
 from glissando.errors import DeviceError, GlissandoError
-from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.hardware.capture import Coil, Rig, capture
 from glissando.hardware.capture.child_process import blocked_signals, end_with_parent
+from glissando.hardware.capture.setup import pose_of
 from glissando.hardware.live.clock import SessionClock
 from glissando.hardware.live.placement import reading
 from glissando.model.robot import Robot
@@ -165,12 +165,9 @@ class RigSource:
         return out
 
     def _reading(self, coil: Coil, message: dict[str, Any], clock: SessionClock) -> Readings:
-        pose = np.eye(4)
-        pose[:3, :3] = se3.rotation_from_quaternion(np.array(message["quaternion"]))
-        pose[:3, 3] = message["position"]
         travel = np.array([self._travel.get(coil.slide_topic, 0.0)])
         place = float(coil.arclengths(travel, self._robot.length)[0])
-        time, seen = clock.of_monotonic(message["time"]), self._rig.frame @ pose
+        time, seen = clock.of_monotonic(message["time"]), self._rig.frame @ pose_of(message)
         out = reading(self._robot, "coil", coil.name, time, place, seen)
         return replace(out, channel=coil.channel)
 

@@ -54,9 +54,8 @@ def is_rigid(pose: Array) -> bool:
 
 def normalized(pose: Array) -> Array:
     """The pose with a rotation that is one to the last digit."""
-    out = pose.copy()
-    out[:3, :3] = se3.rotation_from_quaternion(se3.quaternion(pose[:3, :3]))
-    return out
+    turn = se3.rotation_from_quaternion(se3.quaternion(pose[:3, :3]))
+    return se3.pose(turn, pose[:3, 3])
 
 
 class IgtlTracker:

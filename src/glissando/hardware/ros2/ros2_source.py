@@ -202,9 +202,7 @@ def pose_of(message: Any, name: str) -> Array:
     place = inner.position if hasattr(inner, "position") else inner.translation
     turn = inner.orientation if hasattr(inner, "orientation") else inner.rotation
     quaternion = np.array([turn.w, turn.x, turn.y, turn.z])
-    out = np.eye(4)
-    out[:3, 3] = place.x, place.y, place.z
-    if not abs(np.linalg.norm(quaternion) - 1.0) < 1e-2 or not np.all(np.abs(out[:3, 3]) < _FAR):
+    position = np.array([place.x, place.y, place.z])
+    if not abs(np.linalg.norm(quaternion) - 1.0) < 1e-2 or not np.all(np.abs(position) < _FAR):
         raise DeviceError(f"{name} sent no rigid motion within {_FAR:g} m; check its units.")
-    out[:3, :3] = se3.rotation_from_quaternion(quaternion)
-    return out
+    return se3.pose(se3.rotation_from_quaternion(quaternion), position)

@@ -112,10 +112,8 @@ class Scene:
         along = np.array([np.interp(inside, lengths, x) for x in slopes])
         out = self.pose(at, time)[0]
         axis = out[:3, :3].T @ (along / np.linalg.norm(along))
-        local = np.eye(4)
-        local[:3, :3] = least_turn(axis[None])[0]
-        local[:3, 3] = channel.path(at)[0][0] + (travel - inside) * axis
-        return np.asarray(out @ local)
+        position = channel.path(at)[0][0] + (travel - inside) * axis
+        return np.asarray(out @ se3.pose(least_turn(axis[None])[0], position))
 
     def save(self, path: Path) -> None:
         """Write the scene as NPZ: time, arclength, T_wb and, as JSON, everything else."""

@@ -26,7 +26,6 @@ from glissando.io.foreign.tracks import (
     LENGTHS,
     Track,
     plain_name,
-    poses,
     require_no_rate,
     unit_rotations,
 )
@@ -257,7 +256,7 @@ def _values(path: Path, mapping: Mapping, kind: str, keys: tuple[str, ...], tabl
             rotation = se3.so3_exp(mapping.angle * turn)
         else:
             rotation = Rotation.from_euler(mapping.euler, mapping.angle * turn).as_matrix()
-        return poses(rotation, mapping.length * table[:, :3])
+        return se3.pose(rotation, mapping.length * table[:, :3])
     sensor = SENSORS[kind]
     units = sensor.value_columns({})
     scale = [scale_of(units[key], mapping.length, mapping.angle) for key in keys]

@@ -26,7 +26,6 @@ from glissando.io.foreign.tracks import (
     Track,
     as_numbers,
     plain_name,
-    poses,
     require_ahead,
     require_no_rate,
 )
@@ -109,7 +108,7 @@ def _tool(
         turn = se3.rotation_from_quaternion(table[:, :4])
     else:
         turn = Rotation.from_euler("ZYX", table[:, :3], degrees=True).as_matrix()
-    pose = poses(turn, 1e-3 * table[:, -3:])
+    pose = se3.pose(turn, 1e-3 * table[:, -3:])
     track = Track(name, "coil", np.array(times), pose, missing, "tracker", absolute=absolute)
     return replace(track, dropped={REPEATED: repeated})
 

@@ -15,9 +15,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from glissando.errors import RecordingError
+from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.io.foreign.delimited import Line, cells_of, samples
-from glissando.io.foreign.tracks import Track, plain_name, poses, unit_rotations
+from glissando.io.foreign.tracks import Track, plain_name, unit_rotations
 
 _LENGTHS = {"meters": 1.0, "centimeters": 1e-2, "millimeters": 1e-3}
 _TITLE = "format version"
@@ -61,7 +62,7 @@ def read_motive_csv(path: Path, rate: float | None) -> list[Track]:
         at, what = scale * seen.values[:, :3], "position"
         values = at
         if turn:
-            what, values = "pose", poses(_rotations(path, kind, seen.values[:, 3:]), at)
+            what, values = "pose", se3.pose(_rotations(path, kind, seen.values[:, 3:]), at)
         track = Track(plain_name(name), what, seen.time, values, seen.missing)
         tracks.append(replace(track, dropped=seen.dropped))
     if not tracks:

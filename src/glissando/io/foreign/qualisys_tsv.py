@@ -13,8 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from glissando.errors import RecordingError
+from glissando.geometry import se3
 from glissando.io.foreign.delimited import Line, cells_of, samples
-from glissando.io.foreign.tracks import Track, plain_name, poses
+from glissando.io.foreign.tracks import Track, plain_name
 
 _MM = 1e-3
 _BODY, _TURN = 16, 7  # columns of a body, and the first of them that is of its rotation
@@ -55,7 +56,7 @@ def read_qualisys_tsv(path: Path, rate: float | None) -> list[Track]:
         else:
             matrix = seen.values[:, 3:].reshape(-1, 3, 3).swapaxes(1, 2)
             sound = np.abs(np.linalg.det(matrix) - 1.0) < 1e-2
-            pose = poses(_orthonormal(matrix[sound]), at[sound])
+            pose = se3.pose(_orthonormal(matrix[sound]), at[sound])
             lost = seen.missing + int(np.sum(~sound))
             track = Track(plain_name(name), "pose", seen.time[sound], pose, lost)
         tracks.append(track)

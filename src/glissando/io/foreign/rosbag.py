@@ -12,7 +12,7 @@ import numpy as np
 
 from glissando.errors import GlissandoError, RecordingError
 from glissando.geometry import se3
-from glissando.io.foreign.tracks import SAME_TIME, Track, plain_name, poses
+from glissando.io.foreign.tracks import SAME_TIME, Track, plain_name
 from glissando.io.plain_file import largest_unpacked, require_plain
 
 _KINDS = {
@@ -124,7 +124,7 @@ def _track(bag: Any, topic: str) -> Track:
             missing += 1
     stamps = sorted(rows)
     table = np.array([rows[t] for t in stamps]).reshape(-1, 7)
-    pose = poses(se3.rotation_from_quaternion(table[:, :4]), table[:, 4:])
+    pose = se3.pose(se3.rotation_from_quaternion(table[:, :4]), table[:, 4:])
     name = plain_name(topic.replace("/", "_").strip("_"))
     frame = "world" if frame.strip("/") in _WORLDS else plain_name(frame)
     time = np.array([1e-9 * t for t in stamps])

@@ -120,10 +120,3 @@ def unit_rotations(path: Path, quaternion: Array) -> Array:
             f"which columns are qw, qx, qy and qz."
         )
     return se3.rotation_from_quaternion(quaternion)
-
-
-def poses(rotation: Array, position: Array) -> Array:
-    """Poses (M, 4, 4) of rotations (M, 3, 3) and positions (M, 3)."""
-    out = np.tile(np.eye(4), (len(position), 1, 1))
-    out[:, :3, :3], out[:, :3, 3] = rotation, position
-    return out

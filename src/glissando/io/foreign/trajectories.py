@@ -9,7 +9,7 @@ import numpy as np
 
 from glissando.errors import GlissandoError
 from glissando.estimation.posterior import Posterior, StateEstimate
-from glissando.geometry.se3 import Array, inverse, quaternion
+from glissando.geometry.se3 import Array, inverse, pose, quaternion
 from glissando.io.atomic_file import new_file
 from glissando.io.csv_stream import Stream, write_named
 from glissando.io.query_csv import write_query
@@ -103,8 +103,7 @@ def export_stream(stream: Stream, out: str | Path) -> int:
     if rows.values.shape[1:] == (4, 4):
         poses = rows.values @ inverse(stream.mount)
     elif rows.kind == "position":
-        poses = np.tile(np.eye(4), (rows.time.size, 1, 1))
-        poses[:, :3, 3] = rows.values
+        poses = pose(np.eye(3), rows.values)
     else:
         raise GlissandoError(f"{stream.name} is a {rows.kind}; a trajectory needs positions.")
     order = np.argsort(rows.time, kind="stable")

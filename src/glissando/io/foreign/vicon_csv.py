@@ -24,7 +24,6 @@ from glissando.io.foreign.tracks import (
     Track,
     as_numbers,
     plain_name,
-    poses,
     require_ahead,
 )
 
@@ -149,7 +148,7 @@ def _track(
     values, missing = values[seen], int(np.sum(~seen))
     if len(at) == 3:
         return Track(_name(name), "position", time[seen], values, missing)
-    pose = poses(se3.so3_exp(values[:, :3]), values[:, 3:])
+    pose = se3.pose(se3.so3_exp(values[:, :3]), values[:, 3:])
     return Track(_name(name), "pose", time[seen], pose, missing)
 
 

@@ -56,10 +56,7 @@ class _TrackedPose(CompiledReadings):
     @classmethod
     def from_columns(cls, table: Array) -> Array:
         """Poses from positions and quaternions [w, x, y, z]."""
-        pose = np.tile(np.eye(4), (len(table), 1, 1))
-        pose[:, :3, :3] = se3.rotation_from_quaternion(table[:, 3:])
-        pose[:, :3, 3] = table[:, :3]
-        return pose
+        return se3.pose(se3.rotation_from_quaternion(table[:, 3:]), table[:, :3])
 
     @classmethod
     def to_columns(cls, values: Array) -> Array:

@@ -15,6 +15,7 @@ from typing import Protocol
 import numpy as np
 
 from glissando.estimation.confidence_tube import tube_faces
+from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Index
 
@@ -100,25 +101,19 @@ class RoundedBox:
 
 def sphere(center: Array, radius: float) -> RoundedBox:
     """A sphere around a centre (3,), m."""
-    return RoundedBox(_placed(center), np.zeros(3), radius)
+    return RoundedBox(se3.pose(np.eye(3), np.asarray(center)), np.zeros(3), radius)
 
 
 def capsule(start: Array, end: Array, radius: float) -> RoundedBox:
     """All points within a radius of the line from a start (3,) to an end (3,), m."""
     axis = end - start
-    pose = _placed(0.5 * (start + end))
+    pose = se3.pose(np.eye(3), 0.5 * (start + end))
     size = float(np.linalg.norm(axis))
     if size > 0.0:
         across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
         across /= np.linalg.norm(across)
         pose[:3, :3] = np.stack([across, np.cross(axis / size, across), axis / size], axis=-1)
     return RoundedBox(pose, np.array([0.0, 0.0, 0.5 * size]), radius)
-
-
-def _placed(center: Array) -> Array:
-    pose = np.eye(4)
-    pose[:3, 3] = center
-    return pose
 
 
 @dataclass(frozen=True)
