@@ -65,7 +65,11 @@ def canvas(width: float, height: float, style: Style = NO_STYLE) -> Iterator[Fig
 
 @contextmanager
 def panels_on(
-    given: Any, shape: tuple[int, int], size: tuple[float, float], style: Style, **look: Any
+    given: Any,
+    shape: tuple[int, int],
+    size: tuple[float, float],
+    style: Style = NO_STYLE,
+    **look: Any,
 ) -> Iterator[Any]:
     """Axes (R, C) of a new figure of that size, or those that were given, and the look."""
     if not SIDES[0] <= INCH * min(size) <= INCH * max(size) <= SIDES[1]:

@@ -12,12 +12,10 @@ from glissando.evaluation.replay import Replay
 from glissando.evaluation.simulation_based import SimulationCheck, bands, rank_points
 from glissando.geometry.se3 import Array
 from glissando.model.quantiles import chi_square_quantile
-from glissando.visualization.canvas import NO_STYLE, SENSORS, Style, describe, panels_on
+from glissando.visualization.canvas import SENSORS, legend, panels_on
 
 
-def calibration_figure(
-    checks: Sequence[Consistency], *, ax: Any = None, style: Style = NO_STYLE
-) -> Any:
+def calibration_figure(checks: Sequence[Consistency]) -> Any:
     """Actual against nominal coverage in %, position and rotation, a line a site.
 
     The grey band holds a consistent estimate's line over all sites at each level with probability
@@ -25,25 +23,23 @@ def calibration_figure(
 
     Args:
         checks: What `check` returns.
-        ax: Axes (1, Q) to draw into, one a quantity; those of a new figure unless given.
-        style: rcParams to draw with.
 
     Returns:
-        The axes (1, Q).
+        The axes (1, Q), one a quantity.
 
     Raises:
         GlissandoError: matplotlib is not installed.
     """
     quantities = [q for q in ("position", "rotation") if any(c.quantity == q for c in checks)]
     shape, size = (1, len(quantities)), (5.2 * len(quantities), 5.0)
-    with panels_on(ax, shape, size, style) as panels:
+    with panels_on(None, shape, size) as panels:
         for axes, quantity in zip(panels[0], quantities, strict=True):
             _draw(axes, [c for c in checks if c.quantity == quantity])
             axes.set_title(quantity, loc="left", fontweight="bold")
             axes.set(xlabel="nominal coverage (%)", xlim=(0, 100), ylim=(0, 101), aspect="equal")
         panels[0][0].set_ylabel("errors inside (%)")
         entries = dict(zip(*panels[0][0].get_legend_handles_labels()[::-1], strict=True))
-        describe(panels[0][0], ax is None, entries, loc="outside upper center", ncols=4)
+        legend(panels[0][0].figure, entries, loc="outside upper center", ncols=4)
     return panels
 
 
@@ -61,9 +57,7 @@ def _draw(axes: Any, checks: Sequence[Consistency]) -> None:
         axes.plot(100 * level, 100 * inside, color=colour, linewidth=width, label=c.site)
 
 
-def ecdf_figure(
-    checks: Sequence[SimulationCheck], *, ax: Any = None, style: Style = NO_STYLE
-) -> Any:
+def ecdf_figure(checks: Sequence[SimulationCheck]) -> Any:
     """Distribution functions of ranks less that of uniform ones, a panel an estimator.
 
     The grey band holds the lines of all quantities at once with the check's level if confidence is
@@ -72,18 +66,16 @@ def ecdf_figure(
 
     Args:
         checks: What is drawn.
-        ax: Axes, one an estimator, to draw into; those of a new figure unless given.
-        style: rcParams to draw with.
 
     Returns:
-        The axes (1, E).
+        The axes (1, E), one an estimator.
 
     Raises:
         GlissandoError: matplotlib is not installed.
     """
     points = rank_points()
     shape, size = (1, len(checks)), (5.2 * len(checks), 4.2)
-    with panels_on(ax, shape, size, style, sharey=True) as panels:
+    with panels_on(None, shape, size, sharey=True) as panels:
         for axes, check in zip(panels[0], checks, strict=True):
             low, high = bands(check.checks[0].ranks.size, check.p_limit)
             axes.fill_between(points, low, high, color="0.88", label=f"uniform, {check.level:.0%}")
@@ -100,13 +92,11 @@ def ecdf_figure(
     return panels
 
 
-def replay_figure(run: Replay, *, ax: Any = None, style: Style = NO_STYLE) -> Any:
+def replay_figure(run: Replay) -> Any:
     """Errors of the newest states and their confidence over time, and latencies by frequency.
 
     Args:
         run: What `replay` returns.
-        ax: Two axes to draw into; those of a new figure unless given.
-        style: rcParams to draw with.
 
     Returns:
         The axes (2, 1).
@@ -114,7 +104,7 @@ def replay_figure(run: Replay, *, ax: Any = None, style: Style = NO_STYLE) -> An
     Raises:
         GlissandoError: matplotlib is not installed.
     """
-    with panels_on(ax, (2, 1), (9.0, 5.6), style) as panels:
+    with panels_on(None, (2, 1), (9.0, 5.6)) as panels:
         upper, lower = panels[:, 0]
         _draw_newest(upper, run)
         latency = 1e3 * np.sort(run.latency)

@@ -13,7 +13,7 @@ from glissando.io.atomic_file import new_file
 from glissando.planning.scene.motion_cost import Evaluation
 from glissando.planning.scene.obstacles import HalfSpace, sphere
 from glissando.planning.scene.plan_motion import MotionPlan
-from glissando.visualization.canvas import MM, NO_STYLE, SENSORS, Style, canvas
+from glissando.visualization.canvas import MM, SENSORS, canvas
 from glissando.visualization.page.scene import Scene as PageScene
 from glissando.visualization.page.scene import Solid, symmetric_root
 from glissando.visualization.shape_figure import frame_axes
@@ -25,14 +25,13 @@ _INSET = 0.05, 0.14, 0.85, 0.84  # of a film: axes, left, bottom, width, height
 _OBSTACLE, _TARGET, _ZONE = "#8c8c8c", "#009E73", "#E69F00"
 
 
-def scene_figure(plan: MotionPlan, *, style: Style = NO_STYLE) -> Any:
+def scene_figure(plan: MotionPlan) -> Any:
     """Draw a planned motion: in space with its 95 % tube, and its commands and clearance over time.
 
     The tube is what the body reaches, its radius beside its confidence.
 
     Args:
         plan: The plan.
-        style: rcParams to draw with.
 
     Returns:
         The axes (4,): space, tendons, slides with the tip's confidence, clearance.
@@ -41,7 +40,7 @@ def scene_figure(plan: MotionPlan, *, style: Style = NO_STYLE) -> Any:
         GlissandoError: matplotlib is not installed.
     """
     plan = plan.evenly()
-    with canvas(11.0, 6.0, style) as figure:
+    with canvas(11.0, 6.0) as figure:
         grid = figure.add_gridspec(3, 2, width_ratios=[1.5, 1.0])
         space = figure.add_subplot(grid[:, 0], projection="3d", computed_zorder=False)
         panels = [figure.add_subplot(grid[row, 1]) for row in range(3)]

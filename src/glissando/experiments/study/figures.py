@@ -6,19 +6,17 @@ from typing import Any
 
 import numpy as np
 
-from glissando.visualization.canvas import NO_STYLE, Style, panels_on
+from glissando.visualization.canvas import panels_on
 
 _UNITS = {"at": "m", "stroke": "m", "speed": "m/s", "duration": "s", "time_rate": "1/s"}
 _COLOUR = "#0072B2"
 
 
-def study_figure(summary: dict[str, Any], *, ax: Any = None, style: Style = NO_STYLE) -> Any:
+def study_figure(summary: dict[str, Any]) -> Any:
     """Position RMSE in mm above, share inside the 95 % ellipsoid below, a column an axis.
 
     Args:
         summary: What `summarise` gives; bars are its 95 % intervals.
-        ax: Axes (2, C) to draw into; those of a new figure unless given.
-        style: rcParams to draw with.
 
     Returns:
         The axes (2, C).
@@ -27,10 +25,9 @@ def study_figure(summary: dict[str, Any], *, ax: Any = None, style: Style = NO_S
         GlissandoError: matplotlib is not installed.
     """
     axes: dict[str, Any] = summary["axes"]
-    shares, size = {"sharex": "col", "sharey": "row"}, (1.2 + 3.2 * len(axes), 5.6)
-    with panels_on(ax, (2, len(axes)), size, style, **shares) as panels:
-        if ax is None:
-            panels[0, 0].figure.suptitle(summary["name"], x=0.02, ha="left", fontweight="bold")
+    size = 1.2 + 3.2 * len(axes), 5.6
+    with panels_on(None, (2, len(axes)), size, sharex="col", sharey="row") as panels:
+        panels[0, 0].figure.suptitle(summary["name"], x=0.02, ha="left", fontweight="bold")
         for column, (name, points) in enumerate(axes.items()):
             upper, lower = panels[:, column]
             sound = [p for p in points if "position_rmse" in p]
