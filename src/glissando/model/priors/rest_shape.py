@@ -24,6 +24,12 @@ class RestShape:
     slope: Array
     joints: Array
 
+    @classmethod
+    def of_segments(cls, strain: Array, slope: Array, joints: Array) -> RestShape:
+        """The shape of strain and slope (6,) of the whole body, or (S, 6) of its segments."""
+        strain, slope = np.broadcast_arrays(np.atleast_2d(strain), np.atleast_2d(slope))
+        return cls(strain, slope, joints if len(strain) > 1 else np.zeros(0))
+
     def at(self, arclength: Array) -> Array:
         """Rest strain (M, 6) at arclengths (M,); at a joint the one beyond it."""
         segment = segment_at(self.joints, arclength)

@@ -21,7 +21,6 @@ from glissando.model.factors import Factors
 from glissando.model.grid import Cells, Grid, Index
 from glissando.model.interpolation import Interpolation, Points
 from glissando.model.priors.intervals import (
-    at_nodes,
     interval_between,
     interval_end,
     interval_error,
@@ -125,9 +124,7 @@ class SeparablePrior:
     @property
     def rest(self) -> RestShape:
         """The shape at rest."""
-        given = np.atleast_2d(self.rest_strain), np.atleast_2d(self.rest_slope)
-        strain, slope = np.broadcast_arrays(*given)
-        return RestShape(strain, slope, self.joints if len(strain) > 1 else np.zeros(0))
+        return RestShape.of_segments(self.rest_strain, self.rest_slope, self.joints)
 
     @property
     def fixes_base(self) -> bool:
@@ -222,9 +219,13 @@ class SeparablePrior:
         """Error [r; ṙ] (K, 1, 24) of the base, its Jacobian (K, 1, 24, 1, 24) and variance."""
         at = state.take(np.s_[:, :1])
         error, jacobian = place_error(self.base_pose, self.rest.at(np.zeros(1)), at)
-        variance = np.concatenate([self.base.pose, self.base.strain])
-        cov = np.broadcast_to(np.diag(variance), (*error.shape[:2], 12, 12))
+        cov = np.broadcast_to(np.diag(self._base_variance), (*error.shape[:2], 12, 12))
         return error, jacobian[..., None, :], cov
+
+    @property
+    def _base_variance(self) -> Array:
+        """Variances (12,) of the base's pose and strain."""
+        return np.concatenate([self.base.pose, self.base.strain])
 
     def _interval_covariances(self, grid: Grid, noise_state: State) -> tuple[Array, Array]:
         """Strains (K, N−1, 6) that intervals are linearised about, and their Q (K, N−1, 12, 12)."""
@@ -241,7 +242,7 @@ class SeparablePrior:
 
     def static_factors(self, grid: Grid, state: State) -> Iterator[Factors]:
         """Factors of shapes that hold still, linearised at nodes (S, N) of pose and strain."""
-        base = self.base_pose, self.base
+        base = self.base_pose, self._base_variance
         yield from static_factors(grid, state, self.rest, self._intervals(grid), base)
 
     def interpolate(
@@ -255,20 +256,11 @@ class SeparablePrior:
         """
         return interpolate_process(self, grid, state, noise_state, points)
 
-    def at_time_nodes(
-        self, grid: Grid, state: State, k: Index, n: Index, s: Cells, gain: Array | None
-    ) -> tuple[State, Index, Array]:
-        """State, nodes (M, 1 or 2) and Jacobian (M, 24, c, 24) at time nodes k.
-
-        At the arclength nodes n or, with the gains (M, 12, 12) of their errors, inside `s`.
-        """
-        if gain is None:
-            return at_nodes(state, k, n)
-        nodes = (k * grid.arclength.size + n)[:, None] + np.arange(2)
-        start, end = (state.flatten().take(nodes[:, i]) for i in (0, 1))
-        rest = self._rest_within(grid, s)
-        at, j0, j1 = interval_between(start, end, s.step, s.offset, gain, rest)
-        return at, nodes, np.stack([j0, j1], axis=2)
+    def between(
+        self, grid: Grid, start: State, end: State, k: Index, s: Cells, gain: Array
+    ) -> tuple[State, Array, Array]:
+        """State (M,) inside the intervals `s` at time nodes k, its Jacobians by start and end."""
+        return interval_between(start, end, s.step, s.offset, gain, self._rest_within(grid, s))
 
     def crossing(self, grid: Grid, noise_state: State, k: Index, s: Cells) -> tuple[Array, Array]:
         """Gain and covariance (M, 12, 12) inside the intervals `s` at time nodes k."""
@@ -281,10 +273,6 @@ class SeparablePrior:
         """Errors (M, 12) at rest of the intervals `s`, and of their parts up to the points."""
         whole = self.rest.interval_errors(grid.arclength)[np.minimum(s.lower, grid.shape[1] - 2)]
         return whole, self.rest.error(grid.arclength[s.lower], s.offset)
-
-    def mean_strain(self, arclength: Array) -> Array:
-        """The strain (M, 6) that is expected at arclengths (M,)."""
-        return self.rest.at(arclength)
 
     def section(
         self, grid: Grid, noise_state: State, k: Index, n: Index, s: Cells, inside: bool

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Protocol
 
 import numpy as np
 
@@ -21,26 +20,12 @@ STATIC_DOF = 12
 _DOFS = slice(0, STATIC_DOF)
 
 
-class StaticBase(Protocol):
-    """How firmly pose and strain at s = 0 are known: variances (6,)."""
-
-    @property
-    def pose(self) -> Array:
-        """Variance (6,) of the pose."""
-        ...
-
-    @property
-    def strain(self) -> Array:
-        """Variance (6,) of the strain."""
-        ...
-
-
 def static_factors(
     grid: Grid,
     state: State,
     rest: RestShape,
     intervals: tuple[Array, Array],
-    base: tuple[Array, StaticBase] | None,
+    base: tuple[Array, Array] | None,
 ) -> Iterator[Factors]:
     """Factors of arclength intervals and of the base at single moments. Source: (2') and (5).
 
@@ -49,7 +34,8 @@ def static_factors(
         state: Nodes (S, N) to linearise at.
         rest: The shape at rest.
         intervals: Density (N−1, 6) of strain in each interval, variance (N−1, 6) of its jump.
-        base: Expected pose (4, 4) of the base and its variances, if the prior fixes it.
+        base: Expected pose (4, 4) of the base, and variances (12,) of its pose and strain, if the
+            prior fixes it.
     """
     count, n_count = grid.shape
     node = np.arange(count * n_count).reshape(count, n_count)
@@ -69,6 +55,5 @@ def static_factors(
     jacobian = np.zeros((count, STATIC_DOF, 1, STATIC_DOF))
     jacobian[:, :6, 0, :6] = se3.right_jacobian_inverse(xi)
     jacobian[:, 6:, 0, 6:] = np.eye(6)
-    firm = np.diag(np.concatenate([variance.pose, variance.strain]) ** -0.5)
-    whitener = np.broadcast_to(firm, (count, STATIC_DOF, STATIC_DOF))
+    whitener = np.broadcast_to(np.diag(variance**-0.5), (count, STATIC_DOF, STATIC_DOF))
     yield Factors(node[:, :1], _DOFS, jacobian, Residuals(error, whitener))

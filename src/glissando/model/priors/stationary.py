@@ -21,7 +21,8 @@ from glissando.model.grid import Cells, Grid, Index
 from glissando.model.interpolation import Interpolation, Points
 from glissando.model.noise import pair_sqrt_information, sqrt_information
 from glissando.model.priors import matern
-from glissando.model.priors.intervals import as_fields, kron_pair
+from glissando.model.priors.intervals import as_fields, at_nodes, kron_pair
+from glissando.model.priors.rest_shape import RestShape
 from glissando.model.state import DOF, State
 
 _DENSEST = 200.0  # time nodes a time scale: beyond, rounding shows in the covariance
@@ -39,14 +40,15 @@ class StationaryPrior(Protocol):
         """Gain and covariance (M, 12, 12) inside the intervals `s` at time nodes k."""
         ...
 
-    def at_time_nodes(
-        self, grid: Grid, state: State, k: Index, n: Index, s: Cells, gain: Array | None
-    ) -> tuple[State, Index, Array]:
-        """State, nodes (M, c) and Jacobian (M, 24, c, dof) at time nodes k, on n or inside `s`."""
+    def between(
+        self, grid: Grid, start: State, end: State, k: Index, s: Cells, gain: Array
+    ) -> tuple[State, Array, Array]:
+        """State (M,) inside the intervals `s` at time nodes k, its Jacobians by start and end."""
         ...
 
-    def mean_strain(self, arclength: Array) -> Array:
-        """The strain (M, 6) that is expected at arclengths (M,)."""
+    @property
+    def rest(self) -> RestShape:
+        """The shape that is expected where nothing acts."""
         ...
 
     def section(
@@ -128,17 +130,18 @@ def interpolate_process(
     m, section, time_left = k.size, np.zeros((12, 12)), np.zeros((2, 2))
     along = np.zeros((12, 12)) if crossing is None else crossing[1]
     if not points.inside_time:
-        at, nodes, jacobian = prior.at_time_nodes(grid, state, k, n, s, gain)
+        at, nodes, jacobian = _at_time_nodes(prior, grid, state, k, n, s, gain)
         at, jacobian = replace(at, strain_rate=None), jacobian[:, :DOF]
         if crossing is None:  # on nodes
             return Interpolation(at, nodes, jacobian, np.zeros((m, DOF, DOF)))
     else:
         both, ends = np.tile(np.arange(m), 2), np.concatenate([k, k + 1])
         gains = None if gain is None else gain[both]
-        found, touched, inner = prior.at_time_nodes(grid, state, ends, n[both], s.take(both), gains)
+        places = ends, n[both], s.take(both), gains
+        found, touched, inner = _at_time_nodes(prior, grid, state, *places)
         pose, strain, velocity, jacobian, time_left = kernels.between(
             prior.time_scale, *as_fields(found, (2 * m,)), whole(t.step), whole(t.offset),
-            whole(prior.mean_strain(points.arclength)), whole(inner),
+            whole(prior.rest.at(points.arclength)), whole(inner),
         )  # fmt: skip
         at, nodes = State(pose, strain, velocity), np.hstack([touched[:m], touched[m:]])
         section = prior.section(grid, noise_state, k, n, s, points.inside_arclength)
@@ -147,3 +150,24 @@ def interpolate_process(
         items(section, (m,), 12, 12), items(along, (m,), 12, 12),
     )  # fmt: skip
     return Interpolation(at, nodes, jacobian, left)
+
+
+def _at_time_nodes(
+    prior: StationaryPrior,
+    grid: Grid,
+    state: State,
+    k: Index,
+    n: Index,
+    s: Cells,
+    gain: Array | None,
+) -> tuple[State, Index, Array]:
+    """State, nodes (M, c) and Jacobian (M, 24, c, dof) at time nodes k.
+
+    At the arclength nodes n or, with the gains (M, 12, 12) of their errors, inside `s`.
+    """
+    if gain is None:
+        return at_nodes(state, k, n)
+    nodes = (k * grid.arclength.size + n)[:, None] + np.arange(2)
+    start, end = (state.flatten().take(nodes[:, i]) for i in (0, 1))
+    at, *jacobians = prior.between(grid, start, end, k, s, gain)
+    return at, nodes, np.stack(jacobians, axis=2)

@@ -223,7 +223,7 @@ class WhiteNoisePrior:
 
     def static_factors(self, grid: Grid, state: State) -> Iterator[Factors]:
         """Factors of shapes that hold still, linearised at nodes (S, N) of pose and strain."""
-        base = None if self.base is None else (self.base_pose, self.base)
+        base = (self.base_pose, self._base_densities[:12]) if self.base else None
         intervals = self._intervals(grid.arclength)
         yield from static_factors(grid, state, self.rest, intervals, base)
 
@@ -307,13 +307,11 @@ class WhiteNoisePrior:
             yield Factors(nodes, _ALL, jacobian, Residuals(error, info))
 
     def _base(self, spans: Array, flat: State, nodes: Index) -> Factors:
-        assert self.base is not None
         state = flat.take(nodes[:, 0])
         xi = se3.log(se3.inverse(self.base_pose) @ state.pose)
         residual = np.concatenate([xi, state.strain - self.rest_strain, state.velocity], axis=-1)
         jacobian = np.zeros((nodes.size, DOF, 1, DOF))
         jacobian[:, POSE, 0, POSE] = se3.right_jacobian_inverse(xi)
         jacobian[:, STRAIN, 0, STRAIN] = jacobian[:, VELOCITY, 0, VELOCITY] = np.eye(6)
-        density = np.concatenate([self.base.pose, self.base.strain, self.base.velocity])
-        info = np.sqrt(spans)[:, None, None] * np.diag(1.0 / np.sqrt(density))
+        info = np.sqrt(spans)[:, None, None] * np.diag(1.0 / np.sqrt(self._base_densities))
         return Factors(nodes, _ALL, jacobian, Residuals(residual, info))

@@ -22,7 +22,7 @@ from glissando.model.grid import Cells, Grid, Index
 from glissando.model.interpolation import Interpolation, Points
 from glissando.model.mechanics import Mechanics
 from glissando.model.noise import sqrt_information
-from glissando.model.priors.intervals import RATED, at_nodes
+from glissando.model.priors.intervals import RATED
 from glissando.model.priors.mechanical.beam_modes import beam_modes
 from glissando.model.priors.mechanical.bend import bent
 from glissando.model.priors.mechanical.ends import RodEnds
@@ -138,9 +138,7 @@ class MechanicalPrior:
     @property
     def rest(self) -> RestShape:
         """The shape without loads."""
-        given = np.atleast_2d(self.rest_strain), np.atleast_2d(self.rest_slope)
-        strain, slope = np.broadcast_arrays(*given)
-        return RestShape(strain, slope, self.mechanics.joints if len(strain) > 1 else np.zeros(0))
+        return RestShape.of_segments(self.rest_strain, self.rest_slope, self.mechanics.joints)
 
     @property
     def fixes_base(self) -> bool:
@@ -293,21 +291,11 @@ class MechanicalPrior:
         start = noise_state.take((k, s.lower))
         return bridge(start, self.rod.pick(grid, k, s.lower), s.offset)
 
-    def at_time_nodes(
-        self, grid: Grid, state: State, k: Index, n: Index, s: Cells, gain: Array | None
-    ) -> tuple[State, Index, Array]:
-        """State, nodes (M, c) and Jacobian (M, 24, c, 24) at time nodes k, on n or inside `s`."""
-        if gain is None:
-            return at_nodes(state, k, n)
-        nodes = (k * grid.arclength.size + n)[:, None] + np.arange(2)
-        start, end = (state.flatten().take(nodes[:, i]) for i in (0, 1))
-        intervals = self.rod.pick(grid, k, s.lower)
-        at, j0, j1 = interval_between(start, end, intervals, s.offset, gain)
-        return at, nodes, np.stack([j0, j1], axis=2)
-
-    def mean_strain(self, arclength: Array) -> Array:
-        """The strain (M, 6) without loads, beside which the weight's matters little in a step."""
-        return self.rest.at(arclength)
+    def between(
+        self, grid: Grid, start: State, end: State, k: Index, s: Cells, gain: Array
+    ) -> tuple[State, Array, Array]:
+        """State (M,) inside the intervals `s` at time nodes k, its Jacobians by start and end."""
+        return interval_between(start, end, self.rod.pick(grid, k, s.lower), s.offset, gain)
 
     def section(
         self, grid: Grid, noise_state: State, k: Index, n: Index, s: Cells, inside: bool
