@@ -103,7 +103,7 @@ def test_a_tube_that_cannot_be_stored_is_refused_before_an_estimate(
     held, monkeypatch, capsys, words, said
 ):
     monkeypatch.chdir(held)
-    monkeypatch.setattr("glissando.cli.check.estimate_watched", None)
+    monkeypatch.setattr("glissando.cli.check.posterior_shown", None)
     assert run("check", ".", "--store-tube", *words.split()) == 2
     assert said in capsys.readouterr().err
 

@@ -89,7 +89,7 @@ def test_every_command_that_computes_shows_its_work(module):
     called = {
         n.func.id for n in ast.walk(tree) if isinstance(n, ast.Call) and hasattr(n.func, "id")
     }
-    assert called & {"working", "estimate_watched"}
+    assert called & {"working", "estimate_watched", "posterior_shown"}
 
 
 def test_compiling_says_how_far_it_is(tmp_path, monkeypatch, capsys):

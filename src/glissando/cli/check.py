@@ -18,11 +18,11 @@ from glissando.cli.console import Console
 from glissando.cli.outputs import require_results_folder, require_spared, require_writable, stated
 from glissando.cli.shared import (
     Commands,
+    Shown,
     add_choices,
     add_command,
-    chosen_robot,
-    estimate_watched,
-    streams_of,
+    of_results,
+    posterior_shown,
 )
 from glissando.cli.silent import refuse_silent
 from glissando.errors import GlissandoError, RecordingError
@@ -32,9 +32,7 @@ from glissando.evaluation.leave_out import leave_out
 from glissando.evaluation.metrics import Errors, errors_against
 from glissando.io.atomic_file import write_text
 from glissando.io.atomic_folder import renewed_folder
-from glissando.io.netcdf import load_posterior
 from glissando.io.provenance import write_report
-from glissando.io.recording import load_recording
 from glissando.io.robot_file import with_tube
 from glissando.model.robot import Robot
 from glissando.visualization.canvas import save_figure
@@ -95,7 +93,7 @@ def _check(options: argparse.Namespace) -> int:
     if options.out:
         require_results_folder(options.out)
     if options.draws is None and options.target is not None:
-        options.target = _of_results(options.target)
+        options.target = of_results(options.target)
     if options.store_tube:
         require_tube(options.block, options.level)
         if options.store_tube.is_dir():
@@ -107,13 +105,14 @@ def _check(options: argparse.Namespace) -> int:
         return check_draws(options)
     if options.target is None:
         raise GlissandoError("Nothing to check: give a recording or posterior, or --draws N.")
-    checks, errors, robot, name, status = _checks(options)
+    checks, errors, robot, shown = _checks(options)
     if not checks:
         raise RecordingError(
-            f"{name} has no truth inside the window; name streams with --truth, or another window."
+            f"{shown.title} has no truth inside the window; name streams with --truth, or another "
+            f"window."
         )
     tube = _tube(robot, errors, options)
-    document = {"name": name, "checks": [c.as_json() for c in checks], "tube": tube}
+    document = {"name": shown.title, "checks": [c.as_json() for c in checks], "tube": tube}
     if options.out:
         with renewed_folder(options.out, ("check.json", "calibration.png")) as building:
             write_report(building / "check.json", document | stated(options, robot))
@@ -125,14 +124,7 @@ def _check(options: argparse.Namespace) -> int:
             Console().print(_table(quantity, [c for c in checks if c.quantity == quantity]), "")
         if tube:
             print(_TUBE.format(**tube))
-    return status
-
-
-def _of_results(target: Path) -> Path:
-    """The posterior of a folder of results, else what was given."""
-    inside = target / "posterior.nc"
-    held = inside.is_file() and not (target / "recording.toml").exists()
-    return inside if held else target
+    return 0 if shown.posterior.solve.converged else 1
 
 
 def _refuse_silent(options: argparse.Namespace) -> None:
@@ -177,34 +169,22 @@ Here {inside:.1%} of {here} blocks lie wholly inside."""
 
 def _checks(
     options: argparse.Namespace,
-) -> tuple[list[Consistency], list[Errors], Robot, str, int]:
-    """Every check (none without truth), errors, robot, what is checked, and the exit status."""
-    if options.target.is_dir():
-        recording = load_recording(options.target)
-        robot = chosen_robot(recording, options.robot)
-        run, complaint = estimate_watched(recording, robot, options)
-        checks = run.consistency() if run.errors or options.leave_out else []
-        if options.leave_out:
-            checks += leave_out(robot, run.posterior.grid, run.readings, _say)
-        return checks, run.errors, robot, recording.name, 1 if complaint else 0
-    if not options.target.is_file():
-        raise GlissandoError(
-            f"There is no recording folder or posterior {str(options.target)!r}; give one."
-        )
-    if options.recording is None:
+) -> tuple[list[Consistency], list[Errors], Robot, Shown]:
+    """Every check (none without truth), errors, robot, and what is checked."""
+    if options.target.is_file() and options.recording is None:
         raise GlissandoError(
             "A posterior holds no truth: give the folder that does with --recording FOLDER."
         )
-    posterior = load_posterior(options.target)
-    recording = load_recording(options.recording)
-    robot = chosen_robot(recording, options.robot)
-    readings, truth = streams_of(posterior, recording, robot, options)
-    status = 0 if posterior.solve.converged else 1
-    errors = [errors_against(posterior, t) for t in truth]
+    shown = posterior_shown(options)
+    robot = shown.robot
+    assert robot is not None  # which a recording tells
+    errors = [errors_against(shown.posterior, t) for t in shown.truth]
     checks = check(errors)
-    if checks:
-        checks += check_readings(posterior, readings, robot.sensor_parameters)
-    return checks, errors, robot, options.target.name, status
+    if errors or options.leave_out:
+        checks += check_readings(shown.posterior, shown.readings, robot.sensor_parameters)
+    if options.leave_out:
+        checks += leave_out(robot, shown.posterior.grid, shown.readings, _say)
+    return checks, errors, robot, shown
 
 
 def _say(left: str, number: int, count: int) -> None:

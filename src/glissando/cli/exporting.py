@@ -9,7 +9,7 @@ import numpy as np
 
 from glissando.cli.importing import number
 from glissando.cli.outputs import require_spared, require_writable
-from glissando.cli.shared import Commands, add_command, names
+from glissando.cli.shared import Commands, add_command, names, of_results
 from glissando.cli.silent import refuse_silent
 from glissando.errors import GlissandoError
 from glissando.io.foreign import export
@@ -53,13 +53,12 @@ def _export(options: argparse.Namespace) -> int:
     require_spared("--out", options.out, options.posterior)
     given = [number("--arclength", place) for place in options.arclength or ()]
     places = np.array(given) if given else None
-    if options.posterior.is_dir() and not (options.posterior / "posterior.nc").is_file():
+    source = of_results(options.posterior)
+    if source.is_dir():
         return _export_stream(options)
     if options.stream:
         raise GlissandoError("--stream names one of a recording; give its folder.")
-    inside = options.posterior / "posterior.nc"
-    posterior = load_posterior(inside if options.posterior.is_dir() else options.posterior)
-    times = export(posterior, options.out, arclength=places, rate=options.rate)
+    times = export(load_posterior(source), options.out, arclength=places, rate=options.rate)
     print(f"Wrote {options.out}: {times} times.")
     return 0
 

@@ -10,7 +10,14 @@ from typing import Any
 from glissando.cli.importing import number
 from glissando.cli.outputs import require_writable
 from glissando.cli.progress import working
-from glissando.cli.shared import Commands, add_choices, add_command, names, posterior_shown
+from glissando.cli.shared import (
+    Commands,
+    add_choices,
+    add_command,
+    names,
+    of_results,
+    posterior_shown,
+)
 from glissando.cli.silent import refuse_silent
 from glissando.errors import GlissandoError
 from glissando.estimation.contact import scan_contacts
@@ -64,7 +71,7 @@ def _figure(options: argparse.Namespace) -> int:
         raise GlissandoError("--times names no time; give seconds, separated by commas.")
     if options.kind != "shape":
         refuse_silent(options, f"the figure {options.kind}", "times")
-    if options.target.is_file() or (options.target / "posterior.nc").is_file():
+    if of_results(options.target).is_file():
         refuse_silent(options, "a posterior, which is drawn whole", "window")
         if options.recording is None:
             refuse_silent(options, "a figure of a posterior without --recording", "robot")

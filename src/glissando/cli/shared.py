@@ -32,7 +32,6 @@ from glissando.io.robot_file import load_robot
 from glissando.io.shipped_robots import shipped_robots
 from glissando.model.robot import Robot
 from glissando.model.sensors.readings import Readings
-from glissando.model.tube import Tube
 from glissando.solver.gauss_newton import SolverOptions
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
@@ -188,7 +187,7 @@ class Shown:
         truth: Streams to compare with.
         title: Name of the recording or of the posterior's folder.
         complaint: Sentence of a warning that it has not converged, else empty.
-        tube: The robot file's tube, where it has one.
+        robot: The robot, where a recording or a name tells it.
     """
 
     posterior: Posterior
@@ -196,7 +195,13 @@ class Shown:
     truth: list[Readings]
     title: str
     complaint: str = ""
-    tube: Tube | None = None
+    robot: Robot | None = None
+
+
+def of_results(target: Path) -> Path:
+    """The posterior of a folder of results, else what was given, such as a recording's folder."""
+    inside = target / "posterior.nc"
+    return inside if inside.is_file() and not (target / "recording.toml").exists() else target
 
 
 def posterior_shown(options: argparse.Namespace) -> Shown:
@@ -205,15 +210,13 @@ def posterior_shown(options: argparse.Namespace) -> Shown:
     Raises:
         GlissandoError: There is neither.
     """
-    target: Path = options.target
-    inside = target / "posterior.nc"
-    if target.is_dir() and not inside.is_file():
+    target = of_results(options.target)
+    if target.is_dir():
         refuse_silent(options, "a recording, which has its own", "recording")
         recording = load_recording(target)
         robot = chosen_robot(recording, options.robot)
         run, complaint = estimate_watched(recording, robot, options)
-        return Shown(run.posterior, run.readings, run.truth, recording.name, complaint, robot.tube)
-    target = inside if target.is_dir() else target
+        return Shown(run.posterior, run.readings, run.truth, recording.name, complaint, robot)
     if not target.is_file():
         raise GlissandoError(
             f"There is no recording folder or posterior {str(target)!r}; give one."
@@ -222,12 +225,12 @@ def posterior_shown(options: argparse.Namespace) -> Shown:
     posterior = load_posterior(target)
     if options.recording is None:
         refuse_silent(options, "a posterior without --recording", "use", "truth")
-        tube = load_robot(options.robot).tube if options.robot else None
-        return Shown(posterior, [], [], options.target.resolve().name, "", tube)
+        known = load_robot(options.robot) if options.robot else None
+        return Shown(posterior, [], [], options.target.resolve().name, "", known)
     recording = load_recording(options.recording)
     robot = chosen_robot(recording, options.robot)
     streams = streams_of(posterior, recording, robot, options)
-    return Shown(posterior, *streams, recording.name, "", robot.tube)
+    return Shown(posterior, *streams, recording.name, "", robot)
 
 
 def _start(options: argparse.Namespace, recording: Recording, robot: Robot) -> Posterior | None:

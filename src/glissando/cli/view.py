@@ -57,7 +57,7 @@ def _view(options: argparse.Namespace) -> int:
             shown.readings,
             shown.truth,
             window=window,
-            tube=shown.tube,
+            tube=shown.robot.tube if shown.robot else None,
             progress=work.update,
         )
     if options.live:
