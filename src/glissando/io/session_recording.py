@@ -86,7 +86,9 @@ def session_streams(session: RawSession, setup: Mapping[str, Any]) -> SessionStr
     streams: list[Stream] = []
 
     def seen(topic: str, name: str) -> tuple[Array, Array]:
-        time, poses = _poses(session.topics.get(f"/{topic}/{name}"), span)
+        time, poses = seen_poses(session.topics.get(f"/{topic}/{name}"))
+        inside = (time >= span[0]) & (time <= span[1])
+        time, poses = time[inside], poses[inside]
         gaps = _gaps(name, time, span, zero) if time.size else [f"{name} was never seen"]
         warnings.extend(gaps)
         return time, poses
@@ -118,10 +120,9 @@ def session_streams(session: RawSession, setup: Mapping[str, Any]) -> SessionStr
 
 def _slide(session: RawSession) -> tuple[tuple[Array, Array], float, tuple[float, float]]:
     """Times and travels of the slide, when times begin, and the span in which it was read."""
-    slide = session.topics.get("/slide")
-    if slide and slide.messages:
-        time = slide.column("time")
-        return (time, slide.column("travel")), float(time[0]), (time[0], time[-1])
+    time, travel = seen_travels(session.topics.get("/slide"))
+    if time.size:
+        return (time, travel), float(time[0]), (time[0], time[-1])
     begins = [topic.time_ns[0] for topic in session.topics.values() if topic.time_ns.size]
     zero = 1e-9 * float(min(begins, default=0.0))
     return (np.zeros(1), np.zeros(1)), zero, (-np.inf, np.inf)
@@ -129,10 +130,10 @@ def _slide(session: RawSession) -> tuple[tuple[Array, Array], float, tuple[float
 
 def _travels(session: RawSession, name: str) -> tuple[Array, Array]:
     """Times and travels of a further stage. Raises RecordingError when it has none."""
-    topic = session.topics.get(f"/slide/{name}")
-    if topic is None or not topic.messages:
+    time, travel = seen_travels(session.topics.get(f"/slide/{name}"))
+    if not time.size:
         raise RecordingError(f"The session holds no travel of the stage {name!r}; record again.")
-    return topic.column("time"), topic.column("travel")
+    return time, travel
 
 
 _Coil = tuple[float, float, str, Channel | None]
@@ -160,15 +161,40 @@ def _coils(session: RawSession, setup: Table) -> dict[str, _Coil]:
     return {name: (setup.number("coil_arclength", positive=False), direction or -1.0, "", None)}
 
 
-def _poses(topic: Topic | None, span: tuple[float, float]) -> tuple[Array, Array]:
-    """Times (M,) in a span and poses (M, 4, 4) of the messages that have one, in order of time."""
-    if topic is None or not topic.messages or topic.column("position").ndim != 2:  # never seen
+def seen_poses(topic: Topic | None) -> tuple[Array, Array]:
+    """Times (M,) and poses (M, 4, 4) that were seen, in the order of time, each frame once.
+
+    Raises:
+        RecordingError: Positions or quaternions have another number of entries.
+    """
+    if topic is None:
         return np.zeros(0), np.zeros((0, 4, 4))
-    time, position, quaternion = map(topic.column, ("time", "position", "quaternion"))
-    seen = np.all(np.isfinite(position), axis=1) & (time >= span[0]) & (time <= span[1])
-    order = np.flatnonzero(seen)[np.argsort(time[seen], kind="stable")]
-    rotation = se3.rotation_from_quaternion(quaternion[order])
-    return time[order], se3.pose(rotation, position[order])
+    time, frame = topic.column("time"), topic.column("frame")
+    position, quaternion = topic.column("position"), topic.column("quaternion")
+    if position.ndim != 2 or quaternion.ndim != 2:  # nothing was ever seen
+        return np.zeros(0), np.zeros((0, 4, 4))
+    if position.shape[1] != 3 or quaternion.shape[1] != 4:
+        raise RecordingError(
+            f"Topic {topic.name!r}: give positions of 3 numbers and quaternions [w, x, y, z]."
+        )
+    seen = np.isfinite(time) & np.all(np.isfinite(np.hstack([position, quaternion])), axis=1)
+    seen &= np.abs(np.linalg.norm(quaternion, axis=1) - 1.0) < 0.01
+    rows = np.flatnonzero(seen)
+    rows = rows[np.argsort(time[rows], kind="stable")]
+    again = np.append(False, frame[rows][1:] == frame[rows][:-1]) if rows.size else rows > 0
+    rows = rows[~again]
+    rotation = se3.rotation_from_quaternion(quaternion[rows])
+    return time[rows], se3.pose(rotation, position[rows])
+
+
+def seen_travels(topic: Topic | None) -> tuple[Array, Array]:
+    """Times (M,) and travels (M,) of a stage, in the order of time, each time once."""
+    if topic is None:
+        return np.zeros(0), np.zeros(0)
+    time, travel = topic.column("time"), topic.column("travel")
+    rows = np.flatnonzero(np.isfinite(time) & np.isfinite(travel))
+    time, first = np.unique(time[rows], return_index=True)
+    return time, travel[rows][first]
 
 
 def _gaps(name: str, time: Array, span: tuple[float, float], zero: float) -> list[str]:

@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from glissando.calibration.rig.rig import Body, Noise, RigData, TubeBody
 from glissando.errors import RecordingError
-from glissando.geometry import se3
 from glissando.geometry.se3 import Array
-from glissando.io.session_log import RawSession, Topic
-from glissando.io.session_recording import session_setup
+from glissando.io.session_log import RawSession
+from glissando.io.session_recording import seen_poses, seen_travels, session_setup
 from glissando.model.table import Table
 from glissando.model.tendons.channel import Channel
 
 _NOISE = {"mocap": "mocap_std", "coil": "coil_std", "bias": "coil_bias", "play": "play"}
-_TRACKER, _MOCAP, _SLIDE = "/tracker/", "/mocap/", "/slide"
+_TRACKER, _MOCAP = "/tracker/", "/mocap/"
 
 
 def rig_data(session: RawSession) -> RigData:
@@ -31,7 +28,7 @@ def rig_data(session: RawSession) -> RigData:
     """
     setup = Table(session_setup(session), "setup", RecordingError)
     name, time, coil = _coil(session, setup)
-    slide_time, travel = _slide(session)
+    slide_time, travel = seen_travels(session.topics.get("/slide"))
     bodies, tube = _bodies(session, setup)
     direction = setup.number("direction", 0.0, positive=False)
     if direction not in (-1.0, 0.0, 1.0):
@@ -77,44 +74,13 @@ def _coil(session: RawSession, setup: Table) -> tuple[str, Array, Array]:
             f'"coil": NAME in the setup.'
         )
     name = names[0] if wanted is None else setup.text("coil", choices=names)
-    time, poses = _poses(session.topics[_TRACKER + name])
-    return name, time, poses
+    return name, *seen_poses(session.topics[_TRACKER + name])
 
 
 def _channel(setup: Table, name: str) -> Channel | None:
     """The channel that the setup states of a coil."""
     entry = dict(setup.named_tables("coils")).get(name)
     return entry.channel() if entry else None
-
-
-def _poses(topic: Topic) -> tuple[Array, Array]:
-    """Times (M,) and poses (M, 4, 4) that were seen, in the order of time, each frame once."""
-    time, frame = topic.column("time"), topic.column("frame")
-    position, quaternion = topic.column("position"), topic.column("quaternion")
-    if position.ndim != 2 or quaternion.ndim != 2:  # nothing was ever seen
-        return np.zeros(0), np.zeros((0, 4, 4))
-    if position.shape[1] != 3 or quaternion.shape[1] != 4:
-        raise RecordingError(
-            f"Topic {topic.name!r}: give positions of 3 numbers and quaternions [w, x, y, z]."
-        )
-    seen = np.isfinite(time) & np.all(np.isfinite(np.hstack([position, quaternion])), axis=1)
-    seen &= np.abs(np.linalg.norm(quaternion, axis=1) - 1.0) < 0.01
-    rows = np.flatnonzero(seen)
-    rows = rows[np.argsort(time[rows], kind="stable")]
-    again = np.append(False, frame[rows][1:] == frame[rows][:-1]) if rows.size else rows > 0
-    rows = rows[~again]
-    rotation = se3.rotation_from_quaternion(quaternion[rows])
-    return time[rows], se3.pose(rotation, position[rows])
-
-
-def _slide(session: RawSession) -> tuple[Array, Array]:
-    topic = session.topics.get(_SLIDE)
-    if topic is None:
-        return np.zeros(0), np.zeros(0)
-    time, travel = topic.column("time"), topic.column("travel")
-    rows = np.flatnonzero(np.isfinite(time) & np.isfinite(travel))
-    time, first = np.unique(time[rows], return_index=True)
-    return time, travel[rows][first]
 
 
 def _bodies(session: RawSession, setup: Table) -> tuple[dict[str, Body], TubeBody | None]:
@@ -132,7 +98,7 @@ def _bodies(session: RawSession, setup: Table) -> tuple[dict[str, Body], TubeBod
                 f"its bodies with arclength, position and quaternion."
             )
         entry = given.subtable(name)
-        time, poses = _poses(topic)
+        time, poses = seen_poses(topic)
         if entry.flag("slides"):
             tubes.append(TubeBody(name, time, poses))
         else:
