@@ -4,6 +4,11 @@ Every message says what is wrong, shows the value, and says what to do. The comm
 prints that sentence alone and exits with 2.
 """
 
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 
 class GlissandoError(ValueError):
     """A mistake in what was given: files, options or arrays."""
@@ -63,3 +68,21 @@ class OldNameWarning(UserWarning):
 
 class PlanWarning(UserWarning):
     """A plan of the sensor's path came too late or not at all, or leaves something out."""
+
+
+@contextmanager
+def needing(what: str, extra: str, error: type[GlissandoError] = GlissandoError) -> Iterator[None]:
+    """Name the extra to install where a package that is imported inside is missing.
+
+    Args:
+        what: What needs which packages, such as 'Figures need matplotlib'.
+        extra: The extra that brings them.
+        error: Class of the error.
+
+    Raises:
+        GlissandoError: A package cannot be imported.
+    """
+    try:
+        yield
+    except ImportError as missing:
+        raise error(f"{what} ({missing}): run pip install 'glissando[{extra}]'.") from missing

@@ -331,7 +331,7 @@ def test_permission_a_missing_package_and_a_wrong_baud_rate_are_sentences(monkey
     with pytest.raises(DeviceError, match="usermod -aG dialout"):
         Link("/dev/ttyUSB0")
     monkeypatch.setitem(sys.modules, "serial", None)
-    with pytest.raises(DeviceError, match=r'pip install "glissando\[hardware\]"'):
+    with pytest.raises(DeviceError, match=r"pip install 'glissando\[hardware\]'"):
         Link("/dev/ttyUSB0")
 
 

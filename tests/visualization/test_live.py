@@ -69,7 +69,7 @@ def test_shapes_that_do_not_fit_are_one_sentence(posterior, shown):
 
 def test_without_viser_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "viser", None)
-    with pytest.raises(GlissandoError, match=r"needs viser, .* pip install 'glissando\[view\]'"):
+    with pytest.raises(GlissandoError, match=r"needs viser .* pip install 'glissando\[view\]'"):
         Live([0.0, 1.0])
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from threadpoolctl import threadpool_limits
 
 from glissando import __version__
-from glissando.errors import EstimateWarning, GlissandoError
+from glissando.errors import EstimateWarning, GlissandoError, needing
 from glissando.evaluation.metrics import pool
 from glissando.experiments.scenes import Scene, trial
 
@@ -128,17 +128,12 @@ def cluster(address: str | None = None, workers: int | None = None) -> Iterator[
         GlissandoError: Dask is not installed, nobody answers at the address, no worker joins, or a
             worker has another version of glissando.
     """
-    try:
+    with needing("Trials run on Dask with cryptography", "study"):
         import dask
         from distributed import Client, LocalCluster
         from distributed.security import Security
 
         ours = Security.temporary() if address is None else None
-    except ImportError:
-        raise GlissandoError(
-            "Trials run on Dask with cryptography, which are not both installed: run pip install "
-            '"glissando[study]".'
-        ) from None
     with ExitStack() as stack:
         if address is None:
             # 50: of logging's levels the one that nothing reaches; errors are in the rows

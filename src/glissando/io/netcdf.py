@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from glissando.errors import GlissandoError
+from glissando.errors import GlissandoError, needing
 from glissando.estimation.loads import load_places
 from glissando.estimation.posterior import Posterior, SolveReport
 from glissando.geometry import se3
@@ -58,15 +58,10 @@ COMPONENTS = [f"{field}_{part}" for field in _FIELDS for part in _SIX]
 
 
 def _xarray() -> Any:
-    try:
+    with needing("Saving and loading posteriors needs xarray, h5netcdf and h5py", "netcdf"):
         import h5netcdf
         import h5py
         import xarray
-    except ImportError:
-        raise GlissandoError(
-            "Saving and loading posteriors needs xarray, h5netcdf and h5py; "
-            "run pip install 'glissando[netcdf]'."
-        ) from None
     del h5netcdf, h5py
     return xarray
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from glissando.errors import GlissandoError
+from glissando.errors import GlissandoError, needing
 from glissando.io.atomic_file import new_file
 from glissando.model.quantiles import chi_square_quantile
 
@@ -50,14 +50,10 @@ NO_STYLE: Style = {}
 @contextmanager
 def canvas(width: float, height: float, style: Style = NO_STYLE) -> Iterator[Figure]:
     """An empty figure of that size in inches on its own canvas, and the look while it is filled."""
-    try:
+    with needing("Figures need matplotlib", "plot"):
         import matplotlib
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
-    except ImportError as missing:
-        raise GlissandoError(
-            "Figures need matplotlib, which is not installed: run pip install 'glissando[plot]'."
-        ) from missing
     look: dict[Any, Any] = {**_STYLE, **style}
     with matplotlib.rc_context(look):
         yield FigureCanvasAgg(Figure(figsize=(width, height), layout="constrained")).figure

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from glissando import __version__
-from glissando.errors import GlissandoError
+from glissando.errors import needing
 from glissando.experiments.runner import METRICS, Row, run_trials
 from glissando.experiments.study.plan import SETTINGS, Cell, Study, StudyError
 from glissando.io.atomic_file import new_file
@@ -35,12 +35,8 @@ _BATCH, _PAUSE = 100, 2.0  # cells, and seconds, after which a part is written
 
 def parquet() -> Any:
     """The module pyarrow.parquet. Raises GlissandoError when it is not installed."""
-    try:
+    with needing("Studies are kept in Parquet files by pyarrow", "study"):
         import pyarrow.parquet
-    except ImportError:
-        raise GlissandoError(
-            'Studies are kept in Parquet files: pip install "glissando[study]".'
-        ) from None
     return pyarrow.parquet
 
 

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from typing import Protocol
 from urllib.parse import urlsplit
 
-from glissando.errors import DeviceError
+from glissando.errors import DeviceError, needing
 
 _CONNECT = 5.0  # s for a network device to accept
 _FLOOD = 1 << 20  # bytes between two requests, which no device sends
@@ -175,13 +175,8 @@ class _Tcp:
 
 class _Serial:
     def __init__(self, path: str, baud: int):
-        try:
+        with needing(f"Opening {path} needs pyserial", "hardware", DeviceError):
             import serial
-        except ImportError:
-            raise DeviceError(
-                f"Opening {path} needs pyserial, which is not installed; "
-                f'install it with pip install "glissando[hardware]".'
-            ) from None
         try:
             self.port = serial.Serial(path, baud, timeout=0, write_timeout=5.0, exclusive=True)
         except (OSError, ValueError) as problem:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from glissando.errors import DeviceError
+from glissando.errors import DeviceError, needing
 
 
 def lost_port() -> tuple[type[Exception], ...]:
@@ -18,12 +18,8 @@ def lost_port() -> tuple[type[Exception], ...]:
 
 def opened(address: str, baud: int) -> tuple[Any, Any]:
     """The SDK's port and packet handler. Raises DeviceError if it does not open."""
-    try:
+    with needing("The slide needs dynamixel-sdk", "hardware", DeviceError):
         from dynamixel_sdk import PacketHandler, PortHandler
-    except ImportError:
-        raise DeviceError(
-            'The slide needs the package dynamixel-sdk: pip install "glissando[hardware]".'
-        ) from None
     port = PortHandler(address)
     try:
         ready = port.setBaudRate(baud)

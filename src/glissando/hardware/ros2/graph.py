@@ -13,11 +13,13 @@ from pathlib import Path
 from typing import Any, Self
 from urllib.parse import parse_qsl, urlsplit
 
-from glissando.errors import DeviceError
+from glissando.errors import DeviceError, needing
 
 _TYPES = ("pose", "transform")
 _CLOCKS = ("shared", "arrival", "sender", "sim")
 _STARTS = ("self", "managed")
+ROS_PACKAGES = "ROS 2 needs its packages, of Python 3.11 or of a sourced installation"
+"""What a missing package means."""
 _HINT = (
     "give ros2, and after a ? domain=0, name=glissando, frame=world, type=pose|transform, "
     "travel=/TOPIC, clock=shared|arrival|sender|sim, start=self|managed, params=FILE."
@@ -120,15 +122,10 @@ class Graph:
         self._executor: Any = None
 
     def __enter__(self) -> Self:
-        try:
+        with needing(ROS_PACKAGES, "ros2", DeviceError):
             import rclpy
             from rclpy.context import Context
             from rclpy.executors import SingleThreadedExecutor, TimeoutException
-        except ImportError as missing:
-            raise DeviceError(
-                f"ROS 2 needs {missing.name}, which is not installed: run pip install "
-                f"'glissando[ros2]' (Python 3.11), or source a ROS 2 installation."
-            ) from None
         self._context, self._idle = Context(), TimeoutException
         given = ["--ros-args", "--params-file", self.address.params] if self.address.params else []
         try:

@@ -20,10 +20,10 @@ from typing import Any, Self
 
 import numpy as np
 
-from glissando.errors import DeviceError
+from glissando.errors import DeviceError, needing
 from glissando.geometry.se3 import Array
 from glissando.hardware.live.update import Update
-from glissando.hardware.ros2.graph import Graph, Ros2Address, profile
+from glissando.hardware.ros2.graph import ROS_PACKAGES, Graph, Ros2Address, profile
 from glissando.hardware.ros2.markers import MarkerBuilder
 
 _RATES = {"marker_rate": 10.0, "diagnostic_rate": 1.0}  # Hz, by default
@@ -54,13 +54,9 @@ class Ros2Sink:
         self._marked = self._diagnosed = -np.inf
 
     def __enter__(self) -> Self:
-        try:
+        with needing(ROS_PACKAGES, "ros2", DeviceError):
             from geometry_msgs import msg as geometry
             from visualization_msgs import msg as visualization
-        except ImportError as missing:
-            raise DeviceError(
-                f"ROS 2 needs {missing.name}: run pip install 'glissando[ros2]'."
-            ) from None
         try:
             from diagnostic_msgs import msg as diagnostic
         except ImportError:

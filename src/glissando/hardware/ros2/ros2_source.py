@@ -10,12 +10,12 @@ from typing import Any, Self
 
 import numpy as np
 
-from glissando.errors import DeviceError, GlissandoError, RobotFileError
+from glissando.errors import DeviceError, GlissandoError, RobotFileError, needing
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.hardware.live.clock import SessionClock
 from glissando.hardware.live.placement import Placement, reading, require_on_robot
-from glissando.hardware.ros2.graph import Graph, Ros2Address, profile
+from glissando.hardware.ros2.graph import ROS_PACKAGES, Graph, Ros2Address, profile
 from glissando.hardware.ros2.simulated_clock import SimulatedClock
 from glissando.model.robot import Robot
 from glissando.model.sensors.readings import Readings
@@ -62,13 +62,9 @@ class Ros2Source:
         self._begun = False
 
     def __enter__(self) -> Self:
-        try:
+        with needing(ROS_PACKAGES, "ros2", DeviceError):
             from geometry_msgs.msg import PoseStamped, TransformStamped
             from sensor_msgs.msg import Imu, JointState
-        except ImportError as missing:
-            raise DeviceError(
-                f"ROS 2 needs {missing.name}: run pip install 'glissando[ros2]'."
-            ) from None
         poses = PoseStamped if self._address.type == "pose" else TransformStamped
         self._kinds = {p: Imu if p.kind == "gyro" else poses for p in self._placements}
         self._joints = JointState

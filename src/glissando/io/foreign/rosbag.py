@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from glissando.errors import GlissandoError, RecordingError
+from glissando.errors import GlissandoError, RecordingError, needing
 from glissando.geometry import se3
 from glissando.io.foreign.tracks import SAME_TIME, Track, plain_name
 from glissando.io.plain_file import largest_unpacked, require_plain
@@ -43,13 +43,9 @@ def read_bag(path: Path, topics: Sequence[str]) -> list[Track]:
         RecordingError: The bag cannot be read or has no such topics.
         GlissandoError: rosbags is not installed.
     """
-    try:
+    with needing("Reading ROS bags needs rosbags", "ros"):
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
-    except ImportError:
-        raise GlissandoError(
-            "Reading ROS bags needs the package rosbags; run pip install 'glissando[ros]'."
-        ) from None
     known = get_typestore(Stores.ROS2_HUMBLE)  # for bags that do not carry their types
     files = [path] if path.is_file() else [f for f in path.rglob("*") if not f.is_dir()]
     try:

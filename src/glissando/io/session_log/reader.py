@@ -15,7 +15,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from glissando.errors import GlissandoError, RecordingError
+from glissando.errors import RecordingError, needing
 from glissando.geometry.se3 import Array
 from glissando.io.plain_file import largest_unpacked, require_plain
 
@@ -83,12 +83,8 @@ def read_session(path: str | Path) -> RawSession:
         RecordingError: It cannot be opened or is no MCAP file.
         GlissandoError: mcap is not installed.
     """
-    try:
+    with needing("Reading MCAP files needs mcap", "hardware"):
         import mcap.records  # noqa: F401
-    except ImportError:
-        raise GlissandoError(
-            "Reading MCAP files needs the package mcap; run pip install 'glissando[hardware]'."
-        ) from None
     try:
         require_plain(Path(path), 1 << 40)
         contents = _Contents(largest_unpacked(Path(path).stat().st_size))

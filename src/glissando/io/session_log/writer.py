@@ -11,7 +11,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Self
 
-from glissando.errors import GlissandoError
+from glissando.errors import GlissandoError, needing
 from glissando.io.provenance import stated_format
 from glissando.io.session_log.messages import encoded
 
@@ -34,12 +34,8 @@ class SessionWriter:
     """
 
     def __init__(self, path: str | Path, metadata: Mapping[str, str] | None = None) -> None:
-        try:
+        with needing("Writing MCAP files needs mcap", "hardware"):
             from mcap.writer import Writer
-        except ImportError:
-            raise GlissandoError(
-                "Writing MCAP files needs the package mcap; run pip install 'glissando[hardware]'."
-            ) from None
         self.path = Path(path)
         try:
             self._file = self.path.open("xb")

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import map_coordinates, spline_filter
 
-from glissando.errors import GlissandoError
+from glissando.errors import GlissandoError, needing
 from glissando.geometry.se3 import Array
 from glissando.io.plain_file import require_plain
 from glissando.model.grid import Index
@@ -126,14 +126,9 @@ def read_mesh(path: Path, pose: Array, scale: float = 1.0) -> Mesh:
 
 def _closed_surface(path: Path, pose: Array, scale: float) -> Any:
     """The surface of trimesh in a file, placed, which has an inside; see `read_mesh`."""
-    try:
+    with needing("Meshes need trimesh and rtree", "mesh"):
         import rtree  # noqa: F401  which trimesh needs for distances
         import trimesh
-    except ImportError as missing:
-        raise GlissandoError(
-            "Meshes need trimesh and rtree, which are not both installed: run pip install "
-            "'glissando[mesh]'."
-        ) from missing
     kind = path.suffix.lower().removeprefix(".")
     try:
         require_plain(path, _LARGEST)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from glissando.errors import GlissandoError
+from glissando.errors import GlissandoError, needing
 from glissando.estimation.confidence_tube import SIGMAS_95, confidence_tube, tube_faces
 from glissando.estimation.fixed_lag import FixedLagSmoother
 from glissando.geometry.se3 import Array
@@ -34,14 +34,9 @@ class Live:
     """
 
     def __init__(self, arclength: ArrayLike, *, top: float = 0.02, port: int = 8080) -> None:
-        try:
+        with needing("A live view needs viser and matplotlib", "view"):
             import viser
             from matplotlib import colormaps
-        except ImportError as missing:
-            raise GlissandoError(
-                f"A live view needs {missing.name}, which is not installed: run pip install "
-                f"'glissando[view]'."
-            ) from missing
         self.arclength, self.top = np.asarray(arclength, dtype=float), top
         shades = colormaps["viridis"](np.linspace(0.0, 1.0, 256))[:, :3]
         self._shades = (255 * shades).astype(np.uint8)
