@@ -18,6 +18,7 @@ from glissando.estimation.posterior import Posterior
 from glissando.geometry import se3
 from glissando.model.interpolation import sort_points
 from glissando.solver.block_tridiagonal import factor
+from oracles import dense
 
 ROBOT = rigs.robot(rigs.NODES)
 
@@ -126,20 +127,14 @@ def test_joint_errors_of_the_shape_are_those_of_the_dense_inverse():
 def _dense(shape: Posterior, place, time, by_state):
     """The slow oracle: the whole information matrix, inverted."""
     system = shape.system
-    count, width = system.diagonal.shape[:2]
-    whole = np.zeros((count, width, count, width))
-    for k in range(count):
-        whole[k, :, k] = system.diagonal[k]
-    for k in range(count - 1):
-        whole[k + 1, :, k], whole[k, :, k + 1] = system.lower[k], system.lower[k].T
-    whole = whole.reshape(count * width, count * width)
+    whole = dense.matrix_of(system)
     scale = 1.0 / np.sqrt(whole.diagonal())
     cov = scale[:, None] * np.linalg.inv(scale[:, None] * whole * scale) * scale
     rows, own = [], []
     for i in range(len(time)):
         (points,) = sort_points(shape.grid, place[i : i + 1], time[i : i + 1])
         at = shape.prior.interpolate(shape.grid, shape.state, shape.state, points)
-        row = np.zeros((18, count * width))
+        row = np.zeros((18, len(whole)))
         for c, node in enumerate(at.nodes[0]):
             row[:, node * at.dof : (node + 1) * at.dof] += at.jacobian[0, :, c]
         rows.append(by_state[i] @ row)

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import oracles.dense
 import oracles.factors
 import oracles.intervals
 import oracles.se3
@@ -282,7 +283,7 @@ def test_innovations_are_those_of_the_dense_system(count, parameters):
     system = builder.system().add_to_diagonal(np.full((count, layout.size), 0.3))
     cholesky = factor(system)
     step = cholesky.solve(builder.rhs_begin)
-    cov = np.linalg.inv(dense_matrix(system))
+    cov = np.linalg.inv(oracles.dense.matrix_of(system))
     for batch in found:
         which = np.flatnonzero(rng.random(len(batch.nodes)) < 0.6)
         residual, jacobian = dense(batch, layout, count, robust=False)
@@ -297,14 +298,3 @@ def test_innovations_are_those_of_the_dense_system(count, parameters):
             expected,
             1e-6,
         )  # fmt: skip
-
-
-def dense_matrix(system):
-    """A block-tridiagonal matrix in full."""
-    (count, size), lower = system.diagonal.shape[:2], system.lower
-    out = np.zeros((count, size, count, size))
-    for k in range(count):
-        out[k, :, k] = system.diagonal[k]
-        if k + 1 < count:
-            out[k + 1, :, k], out[k, :, k + 1] = lower[k], lower[k].T
-    return out.reshape(count * size, -1)

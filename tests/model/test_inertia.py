@@ -9,12 +9,10 @@ from glissando import CoilReadings, FixedLagSmoother, estimate
 from glissando.errors import NotConvergedWarning, OutsideGridError, UnobservableError
 from glissando.geometry import se3
 from glissando.model.grid import Grid
-from glissando.model.interpolation import sort_points
 from glissando.model.mechanics import Mechanics
 from glissando.model.priors.mechanical.beam_modes import beam_modes
 from glissando.model.priors.mechanical.inertia import Inertia
 from glissando.model.priors.mechanical.prior import MechanicalPrior
-from glissando.model.state import DOF
 from glissando.simulation import Rod, Wrench
 from glissando.simulation.dynamics import Scenario, TimedWrench, simulate_motion
 from glissando.solver.block_tridiagonal import factor
@@ -24,7 +22,7 @@ from glissando.solver.located_readings import locate
 from glissando.solver.normal_equations import system_shape
 from mechanical_rod import NODES_S, mechanical, moving
 from oracles import separable as oracle
-from slope import slope_test
+from slope import interpolation_slope_test, slope_test
 
 GRID = Grid(NODES_S, [0.0, 0.01, 0.025])
 NODES = GRID.shape[0] * GRID.shape[1]
@@ -96,21 +94,10 @@ def test_every_factor_has_its_jacobian_and_names_its_nodes():
 def test_interpolation_has_its_jacobian():
     prior = mechanical(inertia=SWING)
     state = swinging(np.random.default_rng(1), prior)
-    (points,) = sort_points(GRID, np.array([0.05, 0.13, 0.39]), np.array([0.004, 0.012, 0.02]))
-    found = prior.interpolate(GRID, state, state, points)
     where = np.broadcast_to(NODES_S, GRID.shape)
     soft, ones = 0.1 / prior.rod.wrench(state.strain, where)[1], np.ones((*GRID.shape, 6))
     scale = np.concatenate([ones, soft, ones, soft, ones], axis=-1)
-
-    def moved(step):
-        there = state.retract(scale * step.reshape(scale.shape))
-        return prior.interpolate(GRID, there, state, points).state
-
-    jacobian = np.zeros((3, DOF, NODES, 30))
-    for row, nodes in enumerate(found.nodes):
-        jacobian[row][:, nodes] = found.jacobian[row]
-    jacobian = jacobian.reshape(3 * DOF, -1) * scale.ravel()
-    slope_test(moved, jacobian, difference=lambda there, here: there.difference(here).ravel())
+    interpolation_slope_test(prior, GRID, state, "cell", scale)
 
 
 def test_modes_are_those_of_the_closed_form_cantilever():

@@ -17,7 +17,7 @@ from glissando.solver.measurement_factors import measurement_factors
 from oracles import dense
 from oracles.steps import between, carried_error, pair_error
 from oracles.transitions import Bridge
-from slope import slope_test
+from slope import PLACES, interpolation_slope_test, slope_test
 
 M = 12
 GRID = Grid([0.0, 0.1, 0.25, 0.4], [0.0, 0.1, 0.25])
@@ -193,32 +193,9 @@ def test_every_prior_factor_has_its_jacobian_and_names_its_nodes():
         slope_test(moved, jacobian.reshape(-1, jacobian.shape[-1]))
 
 
-PLACES = {
-    "node": ([0.0, 0.1, 0.4], [0.0, 0.1, 0.25]),
-    "between arclengths": ([0.05, 0.13, 0.39], [0.0, 0.1, 0.25]),
-    "between times": ([0.0, 0.1, 0.4], [0.07, 0.11, 0.2]),
-    "cell": ([0.05, 0.13, 0.39], [0.07, 0.11, 0.2]),
-}
-
-
 @pytest.mark.parametrize("place", PLACES)
 def test_interpolation_has_its_jacobian_and_names_its_nodes(place):
-    state = motion(np.random.default_rng(16), GRID)
-    (points,) = sort_points(GRID, *map(np.array, PLACES[place]))
-    found = prior().interpolate(GRID, state, state, points)
-
-    def moved(step):
-        there = state.retract(step.reshape(*GRID.shape, DOF))
-        return prior().interpolate(GRID, there, state, points).state
-
-    jacobian = np.zeros((3, DOF, NODES, DOF))
-    for row, nodes in enumerate(found.nodes):
-        jacobian[row][:, nodes] = found.jacobian[row]
-
-    def difference(there, here):
-        return there.difference(here).ravel()
-
-    slope_test(moved, jacobian.reshape(3 * DOF, -1), difference=difference)
+    interpolation_slope_test(prior(), GRID, motion(np.random.default_rng(16), GRID), place)
 
 
 @pytest.mark.parametrize("sensor", SENSORS)

@@ -8,16 +8,14 @@ import pytest
 from draws import sixes
 from glissando.geometry import se3
 from glissando.model.grid import Grid
-from glissando.model.interpolation import sort_points
 from glissando.model.mechanics import Mechanics
 from glissando.model.priors.intervals import RATED
 from glissando.model.priors.mechanical.intervals import interval_end, interval_error
 from glissando.model.priors.rest_shape import STRAIGHT
-from glissando.model.state import DOF
 from glissando.simulation import Loads, Rod, Wrench, solve_shape
 from mechanical_rod import GRID, NODES_S, mechanical, moving
 from oracles import separable as oracle
-from slope import slope_test
+from slope import PLACES, interpolation_slope_test, slope_test
 
 NO_POINTS = {"points": np.zeros(0), "var_points": np.zeros((0, 6))}
 NODES = GRID.shape[0] * GRID.shape[1]
@@ -105,30 +103,11 @@ def test_without_unknown_loads_it_is_the_simulators_rod(nodes):
     np.testing.assert_allclose(found.pose[0], expected.pose, atol=5e-4 if nodes == 4 else 5e-6)
 
 
-PLACES = {
-    "node": ([0.0, 0.08, 0.4], [0.0, 0.1, 0.25]),
-    "between arclengths": ([0.05, 0.13, 0.39], [0.0, 0.1, 0.25]),
-    "between times": ([0.0, 0.08, 0.4], [0.07, 0.11, 0.2]),
-    "cell": ([0.05, 0.13, 0.39], [0.07, 0.11, 0.2]),
-}
-
-
 @pytest.mark.parametrize("place", PLACES)
 def test_interpolation_has_its_jacobian_and_names_its_nodes(place):
     prior = mechanical()
-    state, scale = moving(np.random.default_rng(6), prior), unit(prior)
-    (points,) = sort_points(GRID, *map(np.array, PLACES[place]))
-    found = prior.interpolate(GRID, state, state, points)
-
-    def moved(step):
-        there = state.retract(scale * step.reshape(scale.shape))
-        return prior.interpolate(GRID, there, state, points).state
-
-    jacobian = np.zeros((3, DOF, NODES, RATED))
-    for row, nodes in enumerate(found.nodes):
-        jacobian[row][:, nodes] = found.jacobian[row]
-    jacobian = jacobian.reshape(3 * DOF, -1) * scale.ravel()
-    slope_test(moved, jacobian, difference=lambda there, here: there.difference(here).ravel())
+    state = moving(np.random.default_rng(6), prior)
+    interpolation_slope_test(prior, GRID, state, place, unit(prior))
 
 
 def test_a_sections_prior_covariance_is_that_of_all_factors_together():

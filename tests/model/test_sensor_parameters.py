@@ -12,6 +12,7 @@ from glissando.model.grid import Grid
 from glissando.model.sensors.parameter_process import EstimatedParameters
 from glissando.model.sensors.parameters import SIZES, SensorParameter
 from glissando.model.sensors.readings import slide_motion
+from oracles import dense
 from scenes import LENGTH, angular_velocity, arc, sliding_scene
 from unknown_scenes import COARSE, SOFT, STEADY, TIMES, consistent, tracker, unknown
 
@@ -123,19 +124,14 @@ def test_covariances_are_those_of_the_dense_inverse(calibrations):
     posterior = calibrations[0]
     system = posterior.system
     k_count, size, _ = system.diagonal.shape
-    whole = np.zeros((k_count, size, k_count, size))
-    for k in range(k_count):
-        whole[k, :, k] = system.diagonal[k]
-    for k in range(k_count - 1):
-        whole[k + 1, :, k], whole[k, :, k + 1] = system.lower[k], system.lower[k].T
-    whole = whole.reshape(k_count * size, -1)
+    whole = dense.matrix_of(system)
     scale = np.sqrt(np.diagonal(whole))
-    dense = np.linalg.inv(whole / np.outer(scale, scale)) / np.outer(scale, scale)
-    dense = dense.reshape(k_count, size, k_count, size)
-    dense = np.array([dense[k, :, k] for k in range(k_count)])
-    std = np.sqrt(np.einsum("kii->ki", dense))
+    inverse = np.linalg.inv(whole / np.outer(scale, scale)) / np.outer(scale, scale)
+    inverse = inverse.reshape(k_count, size, k_count, size)
+    cov = np.array([inverse[k, :, k] for k in range(k_count)])
+    std = np.sqrt(np.einsum("kii->ki", cov))
     by_std = std[:, :, None] * std[:, None, :]
-    np.testing.assert_allclose(posterior.marginals.cov / by_std, dense / by_std, atol=1e-5)
+    np.testing.assert_allclose(posterior.marginals.cov / by_std, cov / by_std, atol=1e-5)
     first = size - sum(SIZES.values())
     for kind in SIZES:
         at = slice(first, first + SIZES[kind])

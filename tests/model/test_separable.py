@@ -12,11 +12,10 @@ from glissando.geometry import se3
 from glissando.model.interpolation import sort_points
 from glissando.model.priors import matern
 from glissando.model.priors.intervals import RATED
-from glissando.model.state import DOF
 from oracles import dense
 from oracles import separable as oracle
 from separable_rod import GRID, JOINT, NODES, PRIORS, PSD, SCALE, TWO, moving, process_of, separable
-from slope import slope_test
+from slope import PLACES, interpolation_slope_test, slope_test
 
 
 def batches(prior, state, times=slice(0, 3), about=None):
@@ -83,34 +82,11 @@ def test_factors_together_are_the_process_itself_where_strain_is_constant(change
     assert gap < 1e-6
 
 
-PLACES = {
-    "node": ([0.0, 0.1, 0.4], [0.0, 0.1, 0.25]),
-    "between arclengths": ([0.05, 0.13, 0.39], [0.0, 0.1, 0.25]),
-    "between times": ([0.0, 0.1, 0.4], [0.07, 0.11, 0.2]),
-    "cell": ([0.05, 0.13, 0.39], [0.07, 0.11, 0.2]),
-}
-
-
 @PRIORS
 @pytest.mark.parametrize("place", PLACES)
 def test_interpolation_has_its_jacobian_and_names_its_nodes(changes, place):
     state = moving(np.random.default_rng(104))
-    prior = separable(**changes)
-    (points,) = sort_points(GRID, *map(np.array, PLACES[place]))
-    found = prior.interpolate(GRID, state, state, points)
-
-    def moved(step):
-        there = state.retract(step.reshape(*GRID.shape, RATED))
-        return prior.interpolate(GRID, there, state, points).state
-
-    jacobian = np.zeros((3, DOF, NODES, RATED))
-    for row, nodes in enumerate(found.nodes):
-        jacobian[row][:, nodes] = found.jacobian[row]
-
-    def difference(there, here):
-        return there.difference(here).ravel()
-
-    slope_test(moved, jacobian.reshape(3 * DOF, -1), difference=difference)
+    interpolation_slope_test(separable(**changes), GRID, state, place)
 
 
 @law

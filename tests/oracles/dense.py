@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from math import factorial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -135,11 +136,22 @@ def assemble(batches: Iterable[Factors], nodes: int) -> DenseSystem:
     return DenseSystem(information, right)
 
 
-def spread(batch: Factors, nodes: int) -> Array:
-    """Return a batch's Jacobian (M, r, nodes * 18) with respect to every node of the grid."""
+def matrix_of(system: Any) -> Array:
+    """Return the whole matrix (K n, K n) that block-tridiagonal slabs (K, n, n) stand for."""
+    count, size = system.diagonal.shape[:2]
+    out = np.zeros((count, size, count, size))
+    for k in range(count):
+        out[k, :, k] = system.diagonal[k]
+    for k in range(count - 1):
+        out[k + 1, :, k], out[k, :, k + 1] = system.lower[k], system.lower[k].T
+    return out.reshape(count * size, count * size)
+
+
+def spread(batch: Factors, nodes: int, dof: int = DOF) -> Array:
+    """Return a batch's Jacobian (M, r, nodes * dof) with respect to every node of the grid."""
     m, r, c, _ = batch.jacobian.shape
-    out = np.zeros((m, r, nodes, DOF))
+    out = np.zeros((m, r, nodes, dof))
     for row in range(m):
         for corner in range(c):
             out[row, :, batch.nodes[row, corner], batch.dofs] += batch.jacobian[row, :, corner]
-    return out.reshape(m, r, nodes * DOF)
+    return out.reshape(m, r, nodes * dof)

@@ -129,9 +129,4 @@ def information(batches: Iterable[Factors], nodes: int) -> Array:
 
 def spread(batch: Factors, nodes: int) -> Array:
     """Return a batch's Jacobian (M, r, dof nodes) with respect to every node of the grid."""
-    m, r, c, d = batch.jacobian.shape
-    out = np.zeros((m, r, nodes, max(24, d)))
-    for row in range(m):
-        for corner in range(c):
-            out[row, :, batch.nodes[row, corner], batch.dofs] += batch.jacobian[row, :, corner]
-    return out.reshape(m, r, -1)
+    return dense.spread(batch, nodes, max(24, batch.jacobian.shape[-1]))

@@ -44,19 +44,9 @@ def equations(readings, *, state=STATE, about=ABOUT, held=None):
     return linearize(prior(), locate(GRID, readings), state, about, workspace, held)
 
 
-def dense_of(system):
-    """The whole matrix (K, K blocks) that slabs stand for."""
-    size = N * DOF
-    whole = np.zeros((K, size, K, size))
-    for k in range(K):
-        whole[k, :, k] = system.diagonal[k]
-    for k in range(K - 1):
-        whole[k + 1, :, k], whole[k, :, k + 1] = system.lower[k], system.lower[k].T
-    return whole.reshape(K * size, K * size)
-
-
 def same(one, other, tolerance=1e-12):
-    for a, b in ((dense_of(one.system), dense_of(other.system)), (one.rhs, other.rhs)):
+    matrices = dense.matrix_of(one.system), dense.matrix_of(other.system)
+    for a, b in (matrices, (one.rhs, other.rhs)):
         np.testing.assert_allclose(a, b, rtol=0.0, atol=tolerance * np.abs(b).max())
 
 
@@ -70,7 +60,8 @@ def test_the_slabs_hold_what_dense_assembly_finds(loss):
     assert sum(len(b.nodes) for b in batches[5:]) == 180
     expected = dense.assemble(batches, K * N)
     scale = np.abs(expected.information).max()
-    np.testing.assert_allclose(dense_of(found.system), expected.information, atol=1e-12 * scale)
+    matrix = dense.matrix_of(found.system)
+    np.testing.assert_allclose(matrix, expected.information, atol=1e-12 * scale)
     np.testing.assert_allclose(found.rhs.ravel(), expected.right, atol=1e-9)
 
     chol = factor(found.system)

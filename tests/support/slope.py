@@ -2,6 +2,9 @@
 
 import numpy as np
 
+from glissando.model.interpolation import sort_points
+from glissando.model.state import DOF
+
 _LARGEST, _DECADES = 1e-2, 3
 _SLACK = 4.0  # room for third-order terms
 _ROUNDING = 1e-12  # of the values at hand: below it there is nothing left to measure
@@ -31,6 +34,32 @@ def slope_test(f, jacobian, *, difference=np.subtract, seed=0, directions=3):
                 f"element {tuple(map(int, worst))}: with a step of {h:.0e} the prediction is off "
                 f"by {error[worst]:.2e}; second order allows {allowed[worst]:.2e}"
             )
+
+
+PLACES = ["node", "between arclengths", "between times", "cell"]
+"""Where states are asked for by `interpolation_slope_test`."""
+
+
+def interpolation_slope_test(prior, grid, state, place, scale=1.0):
+    """Assert that a prior's states between nodes have the Jacobian, and the nodes, that they say.
+
+    The place is one of `PLACES`; steps of the nodes are multiplied by `scale` (K, N, dof).
+    """
+    s = [0.05, 0.13, 0.39] if place in PLACES[1::2] else grid.arclength[[0, 1, -1]]
+    t = grid.time[-1] * np.array([0.28, 0.44, 0.8]) if place in PLACES[2:] else grid.time
+    (points,) = sort_points(grid, np.array(s), t)
+    found = prior.interpolate(grid, state, state, points)
+    scale = np.broadcast_to(scale, (*grid.shape, state.dof))
+
+    def moved(step):
+        there = state.retract(scale * step.reshape(scale.shape))
+        return prior.interpolate(grid, there, state, points).state
+
+    jacobian = np.zeros((3, DOF, scale[..., 0].size, state.dof))
+    for row, nodes in enumerate(found.nodes):
+        jacobian[row][:, nodes] = found.jacobian[row]
+    jacobian = jacobian.reshape(3 * DOF, -1) * scale.ravel()
+    slope_test(moved, jacobian, difference=lambda there, here: there.difference(here).ravel())
 
 
 def _norm(vectors):
