@@ -11,13 +11,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from command_line import run
 from glissando import GlissandoError, load_robot, uniform_grid
 from glissando.calibration.robot import learn as learning
 from glissando.calibration.robot import objective
 from glissando.calibration.robot.hyperparameters import expanded, learnable
 from glissando.calibration.robot.learn import learn
 from glissando.calibration.robot.objective import Objective
-from glissando.cli.main import main
 from glissando.io.shipped_robots import robot_file
 from glissando.model.sensors.sensors import PoseReadings
 from glissando.solver.gauss_newton import SolverOptions
@@ -220,10 +220,6 @@ def recording(tmp_path_factory):
         robot = robot.replace(old, new)
     (folder / "few.toml").write_text(robot)
     return folder
-
-
-def run(*arguments):
-    return main([str(a) for a in arguments])
 
 
 WINDOW = ["--window", 0, 1]

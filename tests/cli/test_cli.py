@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from command_line import run
 from glissando.cli.main import main
 from glissando.io.shipped_robots import robot_file
 
@@ -20,10 +21,6 @@ def recording(tmp_path_factory):
     folder = tmp_path_factory.mktemp("recordings") / "closed_form"
     subprocess.run([sys.executable, EXAMPLE, folder], check=True, capture_output=True)
     return folder
-
-
-def run(*arguments):
-    return main([str(a) for a in arguments])
 
 
 @pytest.mark.slow

@@ -7,13 +7,8 @@ from contextlib import contextmanager
 
 import pytest
 
+from command_line import run
 from glissando.cli.console import Console
-from glissando.cli.main import main
-
-
-def run(*arguments):
-    return main([str(a) for a in arguments])
-
 
 _TOML = """\
 robot = "sliding700"

@@ -5,16 +5,12 @@ import json
 import numpy as np
 import pytest
 
+from command_line import run
 from glissando import CoilReadings, estimate, load_robot
-from glissando.cli.main import main
 from glissando.io.netcdf import save_posterior
 from glissando.io.recording import load_recording
 from glissando.io.shipped_robots import robot_file
 from glissando.planning import Design, pareto_front
-
-
-def run(*arguments):
-    return main([str(a) for a in arguments])
 
 
 @pytest.mark.slow

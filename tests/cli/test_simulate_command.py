@@ -6,14 +6,10 @@ import json
 import numpy as np
 import pytest
 
-from glissando.cli.main import main
+from command_line import run
 from glissando.io.recording import load_recording
 from glissando.io.shipped_robots import robot_file
 from glissando.model.tendons.channel import Channel
-
-
-def run(*arguments):
-    return main([str(a) for a in arguments])
 
 
 def simulate(folder, *more):

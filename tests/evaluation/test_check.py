@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from command_line import run
 from glissando.cli.check import _table
 from glissando.cli.main import main
 from glissando.cli.tables import site_table
@@ -95,10 +96,6 @@ def recording(tmp_path_factory):
     options = ["--shape", "C", "--slide", "oscillate", "--cycles", "1"]
     assert main(["simulate", *options, "--out", str(folder)]) == 0
     return folder
-
-
-def run(*arguments):
-    return main([str(a) for a in arguments])
 
 
 @pytest.mark.slow

@@ -6,18 +6,14 @@ import tomllib
 import numpy as np
 import pytest
 
+from command_line import run
 from draws import poses
 from foreign_files import ndi_csv, tracker_csv
-from glissando.cli.main import main
 from glissando.errors import RecordingError
 from glissando.geometry import se3
 from glissando.io.foreign import Choices, Track, write_recording
 from glissando.io.recording import load_recording
 from glissando.io.shipped_robots import robot_file
-
-
-def run(*arguments):
-    return main([str(a) for a in arguments])
 
 
 def track(name, **more):
