@@ -226,7 +226,8 @@ def batches(rng, layout, count):
 
 def dense(batch, layout, count, *, robust=True):
     """Whitened residual (M r,) and Jacobian (M r, (count + 1) D) by all slabs, one past the end."""
-    residual, jacobian = batch.whitened(robust=robust)
+    white = oracles.factors.robustly_whitened(batch) if robust else batch.whitened()
+    residual, jacobian = white
     (m, r), size = residual.shape, layout.size
     out = np.zeros((m, r, (count + 1) * size))
     d = batch.dofs.stop - batch.dofs.start

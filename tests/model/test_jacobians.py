@@ -15,7 +15,7 @@ from glissando.model.state import DOF, State
 from glissando.solver.located_readings import locate
 from glissando.solver.measurement_factors import measurement_factors
 from oracles import dense
-from oracles.steps import between, carried_error, pair_error
+from oracles.steps import between, built, carried_error, pair_error
 from oracles.transitions import Bridge
 from slope import PLACES, interpolation_slope_test, slope_test
 
@@ -100,7 +100,7 @@ def neighbours(rng, direction):
     """Both ends of steps, the second near where the first one's rate leads."""
     start, step = states(rng, M), rng.uniform(0.05, 0.3, M)
     ahead = start.pose @ se3.exp(step[:, None] * direction.rate_of(start))
-    end = direction.build(ahead, direction.rate_of(start), direction.carried_of(start))
+    end = built(direction, ahead, direction.rate_of(start), direction.carried_of(start))
     return start, end.retract(0.2 * rng.standard_normal((M, DOF))), step
 
 

@@ -148,13 +148,20 @@ def at_nodes(by_state: Array, jacobian: Array, left: Array, cov: Array) -> tuple
     return (by_state @ jacobian.reshape(m, dof, c * d)).reshape(m, r, c, d), whitener
 
 
+def robustly_whitened(batch: Factors) -> tuple[Array, Array]:
+    """Whitened residual and Jacobian of factors, times the roots of their robust weights."""
+    residual, jacobian = batch.whitened()
+    scale = np.sqrt(batch.terms.robust_weights())
+    return residual * scale[:, None], jacobian * scale[:, None, None]
+
+
 def by_nodes(batch: Factors) -> tuple[Index, Array, Array]:
     """Nodes (G, c), Jᵀ J (G, q, q) and Jᵀ r (G, q), summed over factors that share nodes.
 
     The q columns are d for each of the c nodes, then the extras'. All factors of a batch touch
     nodes in the same pattern, so the first one tells them apart.
     """
-    residual, jacobian = batch.whitened()
+    residual, jacobian = robustly_whitened(batch)
     hessian = np.swapaxes(jacobian, -1, -2) @ jacobian
     pull = np.matmul(residual[:, None, :], jacobian)[:, 0]
     nodes, first = batch.nodes, batch.nodes[:, 0]

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from glissando.model.priors.steps import Direction
-from glissando.model.state import DOF, POSE, State
+from glissando.model.state import DOF, POSE, STRAIN, State
 from oracles import se3
 from oracles.se3 import Array
 from oracles.transitions import Bridge, full_bridge
@@ -62,6 +62,11 @@ def carried_error(direction: Direction, start: State, end: State) -> tuple[Array
     return field1 - ridden, j0, j1
 
 
+def built(direction: Direction, pose: Array, rate: Array, carried: Array) -> State:
+    """A state from its pose, the field that moves it along a direction, and the other."""
+    return State(pose, rate, carried) if direction.rate == STRAIN else State(pose, carried, rate)
+
+
 def between(
     direction: Direction, start: State, end: State, step: Array, offset: Array, bridge: Bridge
 ) -> tuple[State, Array, Array, Array]:
@@ -79,7 +84,7 @@ def between(
     field0 = direction.carried_of(start)
     if not direction.rigid:
         j0[..., direction.carried, direction.carried] += np.eye(6)
-        return direction.build(pose, rate, field0 + carried), j0, j1, cov
+        return built(direction, pose, rate, field0 + carried), j0, j1, cov
     ride = se3.adjoint(se3.inverse(pose) @ start.pose)
     ridden = np.einsum("...ij,...j->...i", ride, field0)
     j0[..., direction.carried, POSE] -= ride @ se3.ad(field0)
@@ -88,7 +93,7 @@ def between(
     lean[...] = np.eye(DOF)
     lean[..., direction.carried, POSE] = se3.ad(ridden)
     cov = lean @ cov @ np.swapaxes(lean, -1, -2)
-    return direction.build(pose, rate, ridden + carried), lean @ j0, lean @ j1, cov
+    return built(direction, pose, rate, ridden + carried), lean @ j0, lean @ j1, cov
 
 
 def bridged(

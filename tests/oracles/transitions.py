@@ -16,7 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from glissando.model.priors.transitions import symmetrize, transition
+from glissando.geometry.se3 import adjoint
+from glissando.model.priors.transitions import symmetrize
 from oracles import se3
 from oracles.se3 import Array
 
@@ -55,6 +56,24 @@ def _sandwich(moments: Array, powers: Array, psd: Array) -> Array:
     left = (moments @ powers.reshape(*shape, 5, 36)).reshape(powers.shape) * psd[..., None, None, :]
     left, right = (np.swapaxes(m, -3, -2).reshape(*shape, 6, 30) for m in (left, powers))
     return left @ np.swapaxes(right, -1, -2)
+
+
+def transition(rate: Array, step: Array) -> Array:
+    """Φ(step) of the pair [pose error, rate error] about a constant rate.
+
+    Args:
+        rate: Strain or velocity (…, 6).
+        step: Length (…) of the step, metres or seconds.
+
+    Returns:
+        Transition matrices (…, 12, 12).
+    """
+    phi = np.zeros((*rate.shape[:-1], 12, 12))
+    scaled = step[..., None] * rate
+    phi[..., :6, :6] = adjoint(se3.exp(-scaled))
+    phi[..., :6, 6:] = step[..., None, None] * se3.right_jacobian(scaled)
+    phi[..., 6:, 6:] = np.eye(6)
+    return phi
 
 
 def process_covariances(

@@ -69,15 +69,11 @@ class Factors:
         extras = None if self.extras is None else self.extras[rows]
         return Factors(self.nodes[rows], self.dofs, self.jacobian[rows], terms, extras)
 
-    def whitened(self, *, robust: bool = True) -> tuple[Array, Array]:
-        """Residual (M, r) and Jacobian (M, r, c·d + 2 E), whitened; robustly weighted or not."""
+    def whitened(self) -> tuple[Array, Array]:
+        """Residual (M, r) and Jacobian (M, r, c·d + 2 E), whitened, robust weights left out."""
         m, r, c, d = self.jacobian.shape
         residual = self.terms.whiten(self.terms.residual)
         jacobian = self.jacobian.reshape(m, r, c * d)
         if self.extras is not None:
             jacobian = np.concatenate([jacobian, self.extras], axis=-1)
-        jacobian = self.terms.sqrt_info @ jacobian
-        if robust and self.terms.loss is not None:
-            scale = np.sqrt(self.terms.robust_weights())
-            residual, jacobian = residual * scale[:, None], jacobian * scale[:, None, None]
-        return residual, jacobian
+        return residual, self.terms.sqrt_info @ jacobian

@@ -85,7 +85,7 @@ class PredictedInformation:
         rows = self._empty_rows(len(located.streams[0]), located.streams[0].row_count)
         batches = measurement_factors(self.prior, located, self.mean, self.mean)
         for _, at, batch in batches:
-            whitened = batch.whitened(robust=False)[1]
+            whitened = batch.whitened()[1]
             count, d = batch.nodes.shape[1], batch.jacobian.shape[-1]
             jacobian = np.zeros((*whitened.shape[:2], count, self.mean.dof))
             jacobian[..., batch.dofs] = whitened[..., : count * d].reshape(

@@ -43,12 +43,6 @@ class Direction:
         """The other field (…, 6)."""
         return state.velocity if self.rate == STRAIN else state.strain
 
-    def build(self, pose: Array, rate: Array, carried: Array) -> State:
-        """A state from its three parts."""
-        if self.rate == STRAIN:
-            return State(pose, rate, carried)
-        return State(pose, carried, rate)
-
 
 ARCLENGTH = Direction("arclength", STRAIN, VELOCITY, rigid=True)
 TIME = Direction("time", VELOCITY, STRAIN, rigid=False)

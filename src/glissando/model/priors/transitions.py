@@ -16,31 +16,12 @@ import numpy as np
 
 from glissando._kernels import transitions as kernels
 from glissando._kernels.arrays import items, unflatten
-from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 
 
 def symmetrize(matrix: Array) -> Array:
     """Half the sum of a matrix (…, r, r) and its transpose."""
     return 0.5 * (matrix + np.swapaxes(matrix, -1, -2))
-
-
-def transition(rate: Array, step: Array) -> Array:
-    """Φ(step) of the pair [pose error, rate error] about a constant rate.
-
-    Args:
-        rate: Strain or velocity (…, 6).
-        step: Length (…) of the step, metres or seconds.
-
-    Returns:
-        Transition matrices (…, 12, 12).
-    """
-    phi = np.zeros((*rate.shape[:-1], 12, 12))
-    scaled = step[..., None] * rate
-    phi[..., :6, :6] = se3.adjoint(se3.exp(-scaled))
-    phi[..., :6, 6:] = step[..., None, None] * se3.right_jacobian(scaled)
-    phi[..., 6:, 6:] = np.eye(6)
-    return phi
 
 
 def process_covariances(

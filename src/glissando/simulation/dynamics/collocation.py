@@ -22,8 +22,7 @@ _GAUSS = 0.5 * (1.0 + legendre.leggauss(3)[0])
 class Collocation:
     """A method with stages at `nodes` (s,) of a step; A (s, s) and b (s,) integrate from its start.
 
-    `values` (s,) and `modes` (s, s) are the eigenvalues and eigenvectors of A, `order` the order of
-    its error over many steps.
+    `values` (s,) and `modes` (s, s) are the eigenvalues and eigenvectors of A.
     """
 
     nodes: Array
@@ -31,17 +30,16 @@ class Collocation:
     b: Array
     values: Array
     modes: Array
-    order: int
 
     @staticmethod
-    def at(nodes: Array, order: int) -> Collocation:
+    def at(nodes: Array) -> Collocation:
         """The method that collocates at the given nodes."""
         powers = np.arange(nodes.size)
         to_modes = np.linalg.inv(nodes[:, None] ** powers)
         A = (nodes[:, None] ** (powers + 1) / (powers + 1)) @ to_modes
         b = (1.0 / (powers + 1)) @ to_modes
         values, modes = np.linalg.eig(A)
-        return Collocation(nodes, A, b, values, modes, order)
+        return Collocation(nodes, A, b, values, modes)
 
     def extrapolate(self, places: Array) -> Array:
         """Matrix (P, s) from values at the nodes to those at other places (P,) of the step."""
@@ -50,5 +48,5 @@ class Collocation:
         return matrix
 
 
-METHODS = {"radau": Collocation.at(_RADAU, 5), "gauss": Collocation.at(_GAUSS, 6)}
+METHODS = {"radau": Collocation.at(_RADAU), "gauss": Collocation.at(_GAUSS)}
 """Methods of three stages by name."""
