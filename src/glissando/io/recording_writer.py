@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 
 from glissando.errors import RecordingError
-from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.io.atomic_file import write_text
 from glissando.io.csv_stream import Stream, write_named
 from glissando.io.plain_file import file_stem
 from glissando.io.provenance import made_by, stated_format
+from glissando.model.table import pose_table
 
 
 def write_streams(
@@ -49,7 +49,9 @@ def write_streams(
         robot = "robot.toml"
     text = describe_recording(name, robot, **more)
     for frame, pose in (frames or {}).items():
-        text += f"\n[frames.{_key(frame)}]\n{_UNKNOWN if pose is None else _pose(pose)}"
+        text += (
+            f"\n[frames.{_key(frame)}]\n{_UNKNOWN if pose is None else _fields(pose_table(pose))}"
+        )
     if calibration:
         text += (
             "\n[calibration]          # found by glissando calibrate, and applied to the streams\n"
@@ -98,7 +100,7 @@ def describe_stream(stream: Stream) -> str:
         text += "[streams.channel]\n" + _fields(stream.channel.to_table())
     if np.array_equal(stream.mount, np.eye(4)):
         return text
-    return f"{text}[streams.mount]\n{_pose(stream.mount)}"
+    return f"{text}[streams.mount]\n{_fields(pose_table(stream.mount))}"
 
 
 def _fields(fields: Mapping[str, Any]) -> str:
@@ -116,7 +118,3 @@ def _value(value: Any) -> str:
         plain = value.encode("utf-8", "replace").decode().replace("\x7f", "?")
         return json.dumps(plain, ensure_ascii=False)
     return json.dumps(value.tolist() if isinstance(value, np.ndarray) else value)
-
-
-def _pose(pose: Array) -> str:
-    return _fields({"position": pose[:3, 3], "quaternion": se3.quaternion(pose[:3, :3])})

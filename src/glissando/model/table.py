@@ -204,6 +204,12 @@ class Table:
             raise self.fail(key, f"is not a key of this table; {hint}")
 
 
+def pose_table(pose: Array) -> dict[str, Any]:
+    """A pose (4, 4) as `Table.pose` reads it."""
+    quaternion = se3.quaternion(pose[:3, :3])
+    return {"position": pose[:3, 3].tolist(), "quaternion": quaternion.tolist()}
+
+
 def _is_number(value: Any) -> bool:
     plain = isinstance(value, (int, float)) and not isinstance(value, bool)
     return plain and abs(value) <= sys.float_info.max

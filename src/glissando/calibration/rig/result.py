@@ -23,7 +23,7 @@ from glissando.io.toml_table import read_toml
 from glissando.model.brief import Brief
 from glissando.model.robot import Robot
 from glissando.model.sensors.parameters import SensorParameter
-from glissando.model.table import Table
+from glissando.model.table import Table, pose_table
 from glissando.model.tendons.channel import Channel
 
 _UNITS = {"delay": ("ms", 1e3), "rate": ("ppm", 1e6), "lead": ("1", 1.0)}
@@ -120,10 +120,10 @@ class Calibration(Brief):
             "versions": versions(),
             "epoch": rig.epoch,
             "log_odds": float(self.log_odds),
-            "frames": {"tracker": {**_pose(rig.T_wt), "std": std[:6].tolist()}},
+            "frames": {"tracker": {**pose_table(rig.T_wt), "std": std[:6].tolist()}},
             "coil": {
                 "name": self.coil_name,
-                "mount": {**_pose(rig.coil_mount), "std": std[6:10].tolist()},
+                "mount": {**pose_table(rig.coil_mount), "std": std[6:10].tolist()},
                 "clock": _clock(rig.tracker_clock, std[13:15]),
                 **({"channel": self.channel.to_table()} if self.channel else {}),
             },
@@ -148,11 +148,6 @@ class Calibration(Brief):
             ],
         }
         write_text(path, tomli_w.dumps(document))
-
-
-def _pose(pose: Array) -> dict[str, Any]:
-    quaternion = se3.quaternion(pose[:3, :3])
-    return {"position": pose[:3, 3].tolist(), "quaternion": quaternion.tolist()}
 
 
 def _clock(clock: Array, std: Array) -> dict[str, Any]:

@@ -11,9 +11,10 @@ from glissando.errors import DeviceError
 from glissando.geometry.se3 import Array
 from glissando.hardware.capture.coil_names import plug
 from glissando.hardware.capture.online import OnMessage
-from glissando.hardware.capture.setup import Rig, pose_entries, slide_topic
+from glissando.hardware.capture.setup import Rig, slide_topic
 from glissando.hardware.drivers import SlideReading, Tracker, ViconStream
 from glissando.io.session_log import INTEGER, NUMBER, SessionWriter, numbers, schema
+from glissando.model.table import pose_table
 
 _POSE = {"position": numbers(3), "quaternion": numbers(4)}
 _TRACKER = schema(
@@ -131,4 +132,4 @@ def _shown(pose: Array | None) -> tuple[dict[str, Any], str]:
     """A pose's entries of a message, and its position as text."""
     if pose is None:
         return {"position": None, "quaternion": None}, "not seen"
-    return pose_entries(pose), ", ".join(f"{1e3 * x:.1f}" for x in pose[:3, 3]) + " mm"
+    return pose_table(pose), ", ".join(f"{1e3 * x:.1f}" for x in pose[:3, 3]) + " mm"

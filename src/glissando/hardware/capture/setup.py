@@ -19,7 +19,7 @@ from glissando.io.plain_file import file_stem
 from glissando.io.robot_file import load_robot
 from glissando.io.shipped_robots import beside, robot_file, shipped_robots
 from glissando.io.toml_table import read_toml
-from glissando.model.table import Table
+from glissando.model.table import Table, pose_table
 from glissando.model.tendons.channel import Channel
 
 _ARCLENGTH_STD = 2e-3  # m: how well one measures by hand where the coil is
@@ -147,20 +147,14 @@ class Rig:
             "coil_arclength": sliding.arclength if sliding else None,
             "coil_arclength_std": sliding.arclength_std if sliding else None,
             "direction": -1,
-            "frame": pose_entries(self.frame),
+            "frame": pose_table(self.frame),
             "bodies": {
                 b.name: {"slides": True}
                 if b.slides
-                else {"arclength": b.arclength, **pose_entries(b.mount)}
+                else {"arclength": b.arclength, **pose_table(b.mount)}
                 for b in self.bodies
             },
         }
-
-
-def pose_entries(pose: Array) -> dict[str, Any]:
-    """Position (m) and quaternion [w, x, y, z] of a pose (4, 4), as lists."""
-    quaternion = se3.quaternion(pose[:3, :3])
-    return {"position": pose[:3, 3].tolist(), "quaternion": quaternion.tolist()}
 
 
 def pose_of(entries: Mapping[str, Any]) -> Array:

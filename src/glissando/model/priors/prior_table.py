@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.priors.rest_shape import STRAIGHT
 from glissando.model.table import Table
@@ -49,9 +48,3 @@ def segments_table(psd: Array, joints: Array, jumps: Array, key: str) -> dict[st
         psd, jumps = np.tile(psd, (joints.size + 1, 1)), np.zeros((joints.size, 6))
     table = {"joints": joints, "psd_strain_arclength": psd, key: jumps}
     return {name: value.tolist() for name, value in table.items()}
-
-
-def pose_table(pose: Array) -> dict[str, Any]:
-    """A pose (4, 4) as `Table.pose` reads it."""
-    quaternion = se3.quaternion(pose[:3, :3])
-    return {"position": pose[:3, 3].tolist(), "quaternion": quaternion.tolist()}

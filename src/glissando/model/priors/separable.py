@@ -28,7 +28,6 @@ from glissando.model.priors.intervals import (
 )
 from glissando.model.priors.prior import by_interval, interval_strain, is_soft, soften
 from glissando.model.priors.prior_table import (
-    pose_table,
     read_rest,
     read_segments,
     segments_table,
@@ -44,7 +43,7 @@ from glissando.model.priors.stationary import (
 from glissando.model.priors.transitions import bridge, process_covariances
 from glissando.model.state import POSE, STRAIN, State
 from glissando.model.stated import Stated
-from glissando.model.table import Table
+from glissando.model.table import Table, pose_table
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,6 @@ from glissando.model.grid import Grid, Index
 from glissando.model.interpolation import Interpolation, Points
 from glissando.model.priors.prior import by_interval, interval_strain, is_soft, soften
 from glissando.model.priors.prior_table import (
-    pose_table,
     read_rest,
     read_segments,
     segments_table,
@@ -34,7 +33,7 @@ from glissando.model.priors.static import static_factors
 from glissando.model.priors.steps import ARCLENGTH, TIME, Direction, weighted_steps
 from glissando.model.state import DOF, POSE, STRAIN, VELOCITY, State, rest_state
 from glissando.model.stated import Stated
-from glissando.model.table import Table
+from glissando.model.table import Table, pose_table
 
 _ALL = slice(0, DOF)
 

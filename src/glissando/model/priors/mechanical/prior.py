@@ -38,13 +38,12 @@ from glissando.model.priors.mechanical.point_load import PointLoad, point_load
 from glissando.model.priors.mechanical.rod import LoadedRod
 from glissando.model.priors.mechanical.section import hanging_rod, section_covariances
 from glissando.model.priors.mechanical.table import read_fields
-from glissando.model.priors.prior_table import pose_table
 from glissando.model.priors.rest_shape import STRAIGHT, RestShape
 from glissando.model.priors.static import STATIC_DOF
 from glissando.model.priors.stationary import chain_factors, interpolate_process, require_digits
 from glissando.model.state import State
 from glissando.model.stated import Stated
-from glissando.model.table import Table
+from glissando.model.table import Table, pose_table
 
 _REACH = 0.3  # m, over which a load acts, for orders of magnitude
 _SOFT = 0.022  # m, of shear over curvature
