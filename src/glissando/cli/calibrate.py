@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 import json
 import math
+from collections.abc import Iterable
 from pathlib import Path
 
-from rich.box import SIMPLE_HEAD
 from rich.markup import escape
 from rich.table import Table
 
@@ -21,6 +21,7 @@ from glissando.cli.console import Console
 from glissando.cli.outputs import require_spared, require_writable
 from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_command, chosen_robot
+from glissando.cli.tables import number_table
 from glissando.errors import GlissandoError, RecordingError, RobotFileError
 from glissando.io.atomic_folder import require_new
 from glissando.io.recording import load_recording, save_recording
@@ -90,7 +91,8 @@ def _calibrate(options: argparse.Namespace) -> int:
         print(json.dumps(_as_json(result)))
         return 0
     console = Console()
-    console.print(_table(result))
+    title = f"{result.coil_name}, direction {result.rig.direction:+d}"
+    console.print(_table(title, result.displayed(), 3))
     if result.fits:
         console.print(_fits(result))
     if result.tube is not None:
@@ -187,30 +189,21 @@ def _tube_as_json(fit: SlideFit) -> dict[str, object]:
     return {"name": fit.name, **values, "along": fit.along, "across": fit.across}
 
 
-def _table(result: Calibration) -> Table:
-    table = Table(title=f"{result.coil_name}, direction {result.rig.direction:+d}", box=SIMPLE_HEAD)
-    for heading in ("", "value", "±", "unit"):
-        table.add_column(heading, justify="left" if heading in ("", "unit") else "right")
-    for name, value, std, unit in result.displayed():
-        table.add_row(name, f"{value:.3f}", f"{std:.3f}", "" if unit == "1" else unit)
+def _table(title: str, displayed: Iterable[tuple[str, float, float, str]], digits: int) -> Table:
+    table = number_table(title, ("value", "±"), left=("",))
+    table.add_column("unit")
+    for name, *numbers, unit in displayed:
+        table.add_row(name, *(f"{n:.{digits}f}" for n in numbers), "" if unit == "1" else unit)
     return table
 
 
 def _tube(fit: SlideFit) -> Table:
     left = f"{1e3 * fit.along:.3g} mm RMS is left along its line, {1e3 * fit.across:.3g} mm across"
-    title = f"the slide by {fit.name} on the tube: {left}"
-    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD)
-    for heading in ("", "value", "±", "unit"):
-        table.add_column(heading, justify="left" if heading in ("", "unit") else "right")
-    for name, value, std, unit in fit.displayed():
-        table.add_row(name, f"{value:.4f}", f"{std:.4f}", "" if unit == "1" else unit)
-    return table
+    return _table(f"the slide by {fit.name} on the tube: {left}", fit.displayed(), 4)
 
 
 def _fits(result: Calibration) -> Table:
-    table = Table(title="residuals", title_justify="left", box=SIMPLE_HEAD)
-    for heading in ("stream", "readings", "mm", "mrad", "whitened"):
-        table.add_column(heading, justify="left" if heading == "stream" else "right")
+    table = number_table("residuals", ("readings", "mm", "mrad", "whitened"), left=("stream",))
     for f in result.fits:
         rms = [f"{1e3 * value:.3f}" for value in f.rms]
         table.add_row(escape(f.name), str(f.count), *rms, f"{f.whitened:.2f}")

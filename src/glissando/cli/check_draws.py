@@ -6,13 +6,11 @@ import argparse
 import json
 from pathlib import Path
 
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
-
 from glissando.cli.console import Console
 from glissando.cli.outputs import stated
 from glissando.cli.progress import working
 from glissando.cli.shared import chosen_robot
+from glissando.cli.tables import number_table
 from glissando.errors import GlissandoError
 from glissando.evaluation.run import checked_window, chosen_streams
 from glissando.evaluation.simulation_based import SimulationCheck, simulate_and_rank
@@ -86,10 +84,8 @@ def _robot_and_layout(
 def _print(robot: Robot, check: SimulationCheck) -> None:
     count = check.checks[0].ranks.size
     title = f"{robot.name}, {check.estimator}: ranks of the truth in {count} drawn sessions"
-    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
-    table.add_column("quantity", overflow="fold")
-    for heading in ("chance if true", "below 5 %", "above 95 %"):
-        table.add_column(heading, justify="right", no_wrap=True)
+    headings = "chance if true", "below 5 %", "above 95 %"
+    table = number_table(title, headings, left=("quantity",))
     table.add_column("ranks", overflow="fold")
     for c in check.checks:
         verdict = "uniform" if c.p_value >= check.p_limit else "not uniform"

@@ -7,7 +7,6 @@ import json
 from dataclasses import asdict
 from pathlib import Path
 
-from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from glissando.cli.console import Console
@@ -23,6 +22,7 @@ from glissando.cli.plan_task import (
 from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_command
 from glissando.cli.silent import refuse_silent
+from glissando.cli.tables import number_table
 from glissando.errors import GlissandoError
 from glissando.io.atomic_folder import renewed_folder
 from glissando.io.provenance import write_report
@@ -139,9 +139,8 @@ def _require_sweep(options: argparse.Namespace) -> None:
 
 
 def _table(designs: list[Design], best: list[bool], zones: list[str]) -> Table:
-    table = Table(title="position σ (mm) in each zone", title_justify="left", box=SIMPLE_HEAD)
-    for heading in ("stroke (mm)", "speed (mm/s)", "rate (Hz)", "coils", *zones):
-        table.add_column(heading, justify="right")
+    headings = "stroke (mm)", "speed (mm/s)", "rate (Hz)", "coils", *zones
+    table = number_table("position σ (mm) in each zone", headings)
     table.add_column("worth it")
     for design, mark in zip(designs, best, strict=True):
         costs = f"{1e3 * design.stroke:g}", f"{1e3 * design.speed:g}", f"{design.rate:g}"

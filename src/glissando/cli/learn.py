@@ -8,8 +8,6 @@ import math
 from pathlib import Path
 from typing import Any
 
-from rich.table import Table as Grid
-
 from glissando.calibration.robot.case import RecordingCase
 from glissando.calibration.robot.hyperparameters import Document, Parameter, expanded, learnable
 from glissando.calibration.robot.joint_calibration import lasting, locate
@@ -20,7 +18,7 @@ from glissando.cli.learn_tendons import learn_from_tendons
 from glissando.cli.outputs import require_spared, write_robot
 from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_command, names
-from glissando.cli.tables import parameter_text
+from glissando.cli.tables import number_table, parameter_text
 from glissando.errors import GlissandoError, RecordingError
 from glissando.evaluation.metrics import pool
 from glissando.evaluation.run import checked_window, require_rows, run_estimate
@@ -247,10 +245,7 @@ def _parameters_of(document: Document) -> tuple[SensorParameter, ...]:
 
 def _print(result: Learned, report: dict[str, Any], std: dict[str, Array]) -> None:
     console = Console()
-    table = Grid(title="What was learned", title_justify="left")
-    table.add_column("number")
-    for heading in ("value", "times", "known within"):
-        table.add_column(heading, justify="right", no_wrap=True)
+    table = number_table("What was learned", ("value", "times", "known within"), left=("number",))
     for p in report["parameters"]:
         within = "–" if p["log_std"] is None else f"× {math.exp(min(p['log_std'], 20.0)):.3g}"
         table.add_row(p["name"], f"{p['value']:.4g}", f"{p['factor']:.3g}", within)

@@ -6,13 +6,13 @@ import argparse
 import json
 
 import numpy as np
-from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from glissando.cli.console import Console
 from glissando.cli.outputs import stated
 from glissando.cli.plan_task import stage_of
 from glissando.cli.progress import working
+from glissando.cli.tables import number_table
 from glissando.errors import GlissandoError
 from glissando.geometry.se3 import Array
 from glissando.io.atomic_folder import renewed_folder
@@ -83,9 +83,8 @@ def _row(found: Placement) -> dict[str, object]:
 
 
 def _table(found: list[Placement]) -> Table:
-    table = Table(title="position σ in the zones", title_justify="left", box=SIMPLE_HEAD)
-    for heading in ("budget", "cost", "σ (mm)", "no set below (mm)"):
-        table.add_column(heading, justify="right")
+    headings = "budget", "cost", "σ (mm)", "no set below (mm)"
+    table = number_table("position σ in the zones", headings)
     table.add_column("sensors")
     for each in found:
         mm = (f"{1e3 * value:.2f}" for value in (each.std, each.bound))

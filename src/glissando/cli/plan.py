@@ -9,7 +9,6 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from rich.box import SIMPLE_HEAD
 from rich.markup import escape
 from rich.table import Table
 
@@ -21,6 +20,7 @@ from glissando.cli.plan_task import ROBOT, add_task, require_horizon, stage_of, 
 from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_command
 from glissando.cli.silent import refuse_silent
+from glissando.cli.tables import number_table
 from glissando.errors import GlissandoError, PlanWarning
 from glissando.estimation.posterior import Posterior
 from glissando.geometry.se3 import Array
@@ -217,10 +217,8 @@ def _write(
 
 
 def _table(objective: str, results: dict[str, PathEvaluation]) -> Table:
-    table = Table(title="predicted for the zones", title_justify="left", box=SIMPLE_HEAD)
-    table.add_column("path")
-    for heading in ("σ (mm)", "worst (mm)", objective, "variance against oscillating"):
-        table.add_column(heading, justify="right", no_wrap=True)
+    headings = "σ (mm)", "worst (mm)", objective, "variance against oscillating"
+    table = number_table("predicted for the zones", headings, left=("path",))
     reference = results["oscillating"].std ** 2
     for name, result in results.items():
         change = f"{100 * (result.std**2 / reference - 1):+.1f} %"

@@ -15,6 +15,16 @@ _PARAMETER_UNITS = {
 }
 
 
+def number_table(title: str, numbers: Sequence[str], *, left: Sequence[str] = ()) -> Table:
+    """A table whose columns of numbers stand to the right, after those that stand `left`."""
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD)
+    for heading in left:
+        table.add_column(heading, overflow="fold")
+    for heading in numbers:
+        table.add_column(heading, justify="right")
+    return table
+
+
 def site_table(title: str, headings: Sequence[str]) -> Table:
     """A table with a row a site, which 80 columns hold; a long name folds, numbers do not."""
     table = Table(
