@@ -199,12 +199,7 @@ def _places(length: float, reach: tuple[float, float]) -> Iterator[Correction]:
 
 
 def _axes() -> Iterator[Correction]:
-    for order, signs in signed_axes():
-        matrix = np.zeros((3, 3))
-        matrix[range(3), order] = signs
-        shown = ", ".join(
-            ("−" if s < 0 else "") + "xyz"[i] for i, s in zip(order, signs, strict=True)
-        )
+    for matrix, shown in signed_axes():
         simple = abs(np.trace(matrix)) == 1.0  # one swap, or one sign
         yield Correction(
             "axes",
@@ -231,11 +226,14 @@ def _axes() -> Iterator[Correction]:
             )
 
 
-def signed_axes() -> Iterator[tuple[tuple[int, ...], tuple[float, ...]]]:
-    """Orders and signs of three axes, all but the right ones."""
+def signed_axes() -> Iterator[tuple[Array, str]]:
+    """Matrices (3, 3) that reorder and invert axes, all but the identity, and their names."""
     for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
         if order != (0, 1, 2) or min(signs) < 0.0:
-            yield order, signs
+            matrix = np.zeros((3, 3))
+            matrix[range(3), order] = signs
+            shown = ("−" * (s < 0.0) + "xyz"[i] for i, s in zip(order, signs, strict=True))
+            yield matrix, ", ".join(shown)
 
 
 def scaled(pose: Array, factor: float) -> Array:

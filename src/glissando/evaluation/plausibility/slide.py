@@ -245,12 +245,7 @@ def _explained(
         ("quaternion", "the rotations are probably those from world to body; conjugate them",
          np.swapaxes(rotation, -1, -2), moved),
     ]  # fmt: skip
-    for order, signs in signed_axes():
-        matrix = np.zeros((3, 3))
-        matrix[range(3), order] = signs
-        shown = ", ".join(
-            ("−" if s < 0 else "") + "xyz"[i] for i, s in zip(order, signs, strict=True)
-        )
+    for matrix, shown in signed_axes():
         text = f"x, y, z are probably {shown} of the rotations' axes; export both alike"
         tries.append(("axes", text, rotation, moved @ matrix.T))
     judged = []

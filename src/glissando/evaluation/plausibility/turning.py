@@ -98,13 +98,9 @@ def _compared(
     turned = np.einsum("mij,mj->mi", rotation, rates)  # in the world
     tries = [(scale, "", rates) for scale in _SCALES]
     tries += [(scale, "in the world's axes, not its own", turned) for scale in (1.0, 180.0 / np.pi)]
-    for order, signs in signed_axes():
-        shown = ", ".join(
-            ("−" if s < 0 else "") + "xyz"[i] for i, s in zip(order, signs, strict=True)
-        )
-        other = rates[:, list(order)] * np.array(signs)
+    for matrix, shown in signed_axes():
         text = "with the wrong sign" if shown == "−x, −y, −z" else f"about {shown} for x, y, z"
-        tries += [(scale, text, other) for scale in (1.0, 180.0 / np.pi)]
+        tries += [(scale, text, rates @ matrix.T) for scale in (1.0, 180.0 / np.pi)]
     unexplained = np.array([_left(seen, scale * other) for scale, _, other in tries])
     best = int(np.argmin(unexplained))
     scale, text, _ = tries[best]
