@@ -226,8 +226,10 @@ def batches(rng, layout, count):
 
 def dense(batch, layout, count, *, robust=True):
     """Whitened residual (M r,) and Jacobian (M r, (count + 1) D) by all slabs, one past the end."""
-    white = oracles.factors.robustly_whitened(batch) if robust else batch.whitened()
-    residual, jacobian = white
+    residual, jacobian = batch.whitened()
+    if robust:
+        scale = np.sqrt(batch.terms.robust_weights())
+        residual, jacobian = residual * scale[:, None], jacobian * scale[:, None, None]
     (m, r), size = residual.shape, layout.size
     out = np.zeros((m, r, (count + 1) * size))
     d = batch.dofs.stop - batch.dofs.start

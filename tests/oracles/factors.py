@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from glissando.model.factors import Factors
 from glissando.model.grid import Index
 from glissando.model.priors.prior import interval_strain
 from glissando.model.priors.steps import ARCLENGTH, Direction
@@ -146,33 +145,6 @@ def at_nodes(by_state: Array, jacobian: Array, left: Array, cov: Array) -> tuple
     (m, dof, c, d), r = jacobian.shape, by_state.shape[1]
     whitener = sqrt_information(cov + by_state @ left @ np.swapaxes(by_state, -1, -2))
     return (by_state @ jacobian.reshape(m, dof, c * d)).reshape(m, r, c, d), whitener
-
-
-def robustly_whitened(batch: Factors) -> tuple[Array, Array]:
-    """Whitened residual and Jacobian of factors, times the roots of their robust weights."""
-    residual, jacobian = batch.whitened()
-    scale = np.sqrt(batch.terms.robust_weights())
-    return residual * scale[:, None], jacobian * scale[:, None, None]
-
-
-def by_nodes(batch: Factors) -> tuple[Index, Array, Array]:
-    """Nodes (G, c), Jᵀ J (G, q, q) and Jᵀ r (G, q), summed over factors that share nodes.
-
-    The q columns are d for each of the c nodes, then the extras'. All factors of a batch touch
-    nodes in the same pattern, so the first one tells them apart.
-    """
-    residual, jacobian = robustly_whitened(batch)
-    hessian = np.swapaxes(jacobian, -1, -2) @ jacobian
-    pull = np.matmul(residual[:, None, :], jacobian)[:, 0]
-    nodes, first = batch.nodes, batch.nodes[:, 0]
-    if not np.all(np.diff(first) > 0):
-        if not np.all(np.diff(first) >= 0):
-            order = np.argsort(first, kind="stable")
-            nodes, hessian, pull = nodes[order], hessian[order], pull[order]
-        starts = np.flatnonzero(np.append(True, np.diff(nodes[:, 0]) > 0))
-        hessian, pull = np.add.reduceat(hessian, starts), np.add.reduceat(pull, starts)
-        nodes = nodes[starts]
-    return nodes, hessian, pull
 
 
 def squared_innovations(

@@ -169,10 +169,6 @@ class Solution(NamedTuple):
         """T_wb, (n, 4, 4)."""
         return self.walk(s, t)[2][2].pose
 
-    def strain_at(self, s: Array | float, t: Array | float) -> Array:
-        """Body strain, (n, 6)."""
-        return self.walk(s, t)[2][2].strain
-
     def pose_covariance_at(self, s: float, t: float) -> Array:
         """6 x 6, of a right perturbation in the body frame."""
         ids, (a, b, c, d), (early, late, here), ds, dt = self.walk(s, t)
