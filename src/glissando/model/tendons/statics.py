@@ -99,20 +99,22 @@ class Equilibrium:
         own = np.zeros((m, count, 6, 2 * count))
         for piece in range(count):
             own[:, piece, 3:5, 2 * piece : 2 * piece + 2] = np.eye(2)
-        return self._rubbing(self._strain_by(own, self.slope), self.slope)
+        return self._rubbing(self.strain_by(own, self.slope), self.slope)
 
-    def _strain_by(self, wrench: Array, slope: Array) -> Array:
-        """Strains (M, P, 6, ·) by wrenches on the sections, at what friction leaves of tensions.
+    def strain_by(self, wrench: Array, slope: Array) -> Array:
+        """Strains (…, M, P, 6, q) by wrenches on sections, at what friction leaves of tensions.
 
-        The tendons' tensions have a `slope` (M, T) by their stretch.
+        Args:
+            wrench: Wrenches (…, M, P, 6, q).
+            slope: Slopes (M, T) of the tendons' tensions by their stretch.
         """
         free = self.compliance @ wrench
         if not slope.any():
             return free
-        m, t = slope.shape
-        weighted = (self.rod.length[:, None] * self.reach).reshape(m, t, -1)
-        stretch = slope[..., None] * (weighted @ free.reshape(m, -1, free.shape[-1]))
-        return free - self.compliance @ (self.pull @ (self.yielding @ stretch)[:, None])
+        weighted = (self.rod.length[:, None] * self.reach).reshape(*slope.shape, -1)
+        short = weighted @ free.reshape(*free.shape[:-3], -1, free.shape[-1])
+        back = self.yielding @ (slope[..., None] * short)
+        return np.asarray(free - self.compliance @ (self.pull @ back[..., None, :, :]))
 
     def _rubbing(self, slope: Array, stiffness: Array) -> Array:
         """Slopes (M, P, 6, ·) of strain with those of what friction leaves of the tensions.
@@ -123,11 +125,11 @@ class Equilibrium:
         if not friction.any():
             return slope
         m, count = self.strain.shape[:2]
-        _, unit, speed, _ = _reaches(rod, self.strain)
+        _, unit, speed, _ = reaches(rod, self.strain)
         force = self.tension[..., None, None] * self.pull.transpose(0, 3, 1, 2)
         channels = friction, rod.length, rod.path[0]
         eased = wrench_by_strain(*channels, self.strain, unit, speed, force)
-        back = self._strain_by(eased.reshape(m, count, 6, -1), stiffness)
+        back = self.strain_by(eased.reshape(m, count, 6, -1), stiffness)
         whole = np.eye(6 * count) + back.reshape(m, 6 * count, -1)
         found = np.linalg.solve(whole, slope.reshape(m, 6 * count, -1))
         return np.asarray(found.reshape(slope.shape))
@@ -201,7 +203,7 @@ def equilibrium(
     strain = strain if start is None else start.copy()
     for _ in range(_ITERATIONS):
         here, residual = _linearize(rod, strain, given, displacement is None)
-        step = _step(here, residual)
+        step = here.strain_by(residual[..., None], here.slope)[..., 0]  # Newton's, to be taken off
         turned = np.abs(step * rod.length[:, None]).max(axis=(1, 2), keepdims=True)
         strain = strain - step * np.minimum(1.0, _LONGEST / np.maximum(turned, 1e-300))
         if turned.max() < _CLOSE:
@@ -231,19 +233,11 @@ def _checked_inputs(rod: TendonRod, displacement: Array | None, tension: Array |
     return given
 
 
-def _step(at: Equilibrium, residual: Array) -> Array:
-    """Newton's step (M, P, 6) of the strain, to be taken off, at wrenches (M, P, 6) left over."""
-    free = (at.compliance @ residual[..., None])[..., 0]
-    short = np.einsum("p,mtpi,mpi->mt", at.rod.length, at.reach, free)
-    back = at.yielding @ (at.slope * short)[..., None]
-    return free - (at.compliance @ (at.pull @ back[:, None]))[..., 0]
-
-
 def _linearize(
     rod: TendonRod, strain: Array, given: Array, tensions: bool
 ) -> tuple[Equilibrium, Array]:
     """The balance linearised at strains (M, P, 6), and the wrenches (M, P, 6) left over."""
-    reach, unit, speed, inside = _reaches(rod, strain)
+    reach, unit, speed, inside = reaches(rod, strain)
     stretch = given - shortening(rod, strain) - rod.tendons.slack
     force, slope = (given, np.zeros_like(given)) if tensions else rod.tendons.tension(stretch)
     left = share_left(rod.tendons.friction, rod.length, strain, unit) * inside
@@ -273,14 +267,20 @@ def misfit(
     Returns:
         Wrenches left (M, P, 6), and the tensions (M, T) of the tendons' stretch.
     """
-    reach, unit, _, inside = _reaches(rod, strain)
+    reach, unit, _, inside = reaches(rod, strain)
     left = share_left(rod.tendons.friction, rod.length, strain, unit) * inside
     pull = (reach * left[..., None]).transpose(0, 2, 3, 1)
     stretch = displacement - shortening(rod, strain) - rod.tendons.slack
     return _balance(rod, strain, pull, tension), rod.tendons.tension(stretch)[0]
 
 
-def _reaches(rod: TendonRod, strain: Array) -> tuple[Array, Array, Array, Array]:
+def levers(rod: TendonRod) -> Array:
+    """∂tangent/∂strain (T, P, 3, 6) of the channels."""
+    place = rod.path[0]
+    return np.concatenate([np.broadcast_to(np.eye(3), (*place.shape, 3)), -se3.hat3(place)], -1)
+
+
+def reaches(rod: TendonRod, strain: Array) -> tuple[Array, Array, Array, Array]:
     """∂|tangent|/∂strain (M, T, P, 6), unit tangents, their lengths, and where tendons are."""
     place, slope = rod.path
     tangent = strain[:, None, :, :3] + np.cross(strain[:, None, :, 3:], place) + slope
@@ -302,11 +302,9 @@ def shortening(rod: TendonRod, strain: Array) -> Array:
 
 def _hessian(rod: TendonRod, unit: Array, force: Array) -> Array:
     """Stiffness (M, P, 6, 6) of the sections under the tendons' `force` (M, T, P) over length."""
-    place = rod.path[0]
-    lever = np.concatenate([np.broadcast_to(np.eye(3), (*place.shape, 3)), -se3.hat3(place)], -1)
     out = np.zeros((unit.shape[0], unit.shape[2], 6, 6))
     out += rod.stiffness[:, :, None] * np.eye(6)
-    for j, arm in enumerate(lever):
+    for j, arm in enumerate(levers(rod)):
         t = unit[:, j]
         across = force[:, j, :, None, None] * (np.eye(3) - t[..., :, None] * t[..., None, :])
         out += np.swapaxes(arm, -1, -2) @ across @ arm

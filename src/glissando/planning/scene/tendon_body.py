@@ -20,7 +20,7 @@ from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Index
 from glissando.model.robot import Robot
-from glissando.model.tendons.statics import Equilibrium, equilibrium
+from glissando.model.tendons.statics import Equilibrium, equilibrium, levers, reaches
 from glissando.model.tendons.tendon_rod import TendonRod, tendon_rod
 
 BySeen = tuple[Index, Index, Array]
@@ -263,10 +263,10 @@ class BodyShapes:
         balance, rod = self.balance, self.balance.rod
         length, count = rod.length, len(rod.tendons)
         own = self.strain_by_error
-        back = self._inverse_hessian(by_slope)
+        back = balance.strain_by(by_slope / length[:, None, None], balance.slope)
         reach = length[:, None] * balance.reach  # of z = stretch by strain
         along, along_back = (np.einsum("ktpi,...kpiq->...ktq", reach, x) for x in (own, back))
-        arm, unit, speed, inside = _tangents(rod, balance.strain)
+        arm, (_, unit, speed, inside) = levers(rod), reaches(rod, balance.strain)
         bend, bend_back = (arm @ x[..., None, :, :, :] for x in (own, back))
         unit_parts = [unit[..., None, :] @ x for x in (bend, bend_back)]
         flat = [x - unit[..., None] * part
@@ -291,15 +291,6 @@ class BodyShapes:
         partial += np.einsum("...kt,ktpi->...kpi", by_stretch, reach)
         by_pull = np.einsum("kpit,...kpi->...kt", self.strain_by_displacement, by_strain - partial)
         return np.asarray(by_pull - by_stretch)
-
-    def _inverse_hessian(self, gradient: Array) -> Array:
-        """The inverse Hessian of the energy times columns (K, P, 6, q)."""
-        balance = self.balance
-        free = balance.compliance @ (gradient / balance.rod.length[:, None, None])
-        reach = balance.rod.length[:, None] * balance.reach
-        short = np.einsum("ktpi,...kpiq->...ktq", reach, free)
-        back = balance.yielding @ (balance.slope[..., None] * short)
-        return free - balance.compliance @ (balance.pull @ back[..., None, :, :])
 
 
 def _summed_up(steps: Array) -> Array:
@@ -328,16 +319,6 @@ def _summed(a: Array, b: Array) -> Array:
         ],
         axis=-1,
     )
-
-
-def _tangents(rod: TendonRod, strain: Array) -> tuple[Array, Array, Array, Array]:
-    """Levers (T, P, 3, 6) of tangents by strain, their units, sizes, and where tendons are."""
-    place, slope = rod.path
-    arm = np.concatenate([np.broadcast_to(np.eye(3), (*place.shape, 3)), -se3.hat3(place)], -1)
-    tangent = np.einsum("tpai,kpi->ktpa", arm, strain) + slope
-    speed = np.linalg.norm(tangent, axis=-1)
-    inside = (rod.middle < rod.tendons.end[:, None]).astype(float)
-    return arm, tangent / speed[..., None], speed, inside
 
 
 def _stiffening(rod: TendonRod, k: Array) -> Array:
