@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from glissando.errors import GlissandoError, RobotFileError
+from glissando.errors import GlissandoError
 from glissando.geometry.se3 import Array
 from glissando.io.toml_table import read_toml
 from glissando.model.robot import Robot
@@ -21,7 +21,7 @@ from glissando.planning.scene.obstacles import (
     sphere,
 )
 from glissando.planning.scene.scene import Actuator, Scene, SpaceZone, Target, Weights
-from glissando.planning.sliding_sensor import SlidingSensor
+from glissando.planning.sliding_sensor import SlidingSensor, sliding_sensor
 
 _FAR = 10.0  # m, beyond which a length was given in another unit
 _LIKELY = 2.0  # standard deviations of displacements, which strokes keep for corrections
@@ -202,12 +202,7 @@ def _quickness(table: Table) -> tuple[float, float]:
 
 
 def _slide(table: Table, robot: Robot) -> tuple[Actuator, SlidingSensor]:
-    kind, rate = table.text("kind", "coil"), table.number("rate", 40.0)
-    if kind not in robot.sensor_std:
-        raise RobotFileError(
-            f"Robot {robot.name} states no noise of a {kind}; add [sensors.{kind}] with a std."
-        )
-    sensor = SlidingSensor(robot.sensor_std[kind] ** 2, rate=rate, kind=kind)
+    sensor = sliding_sensor(robot, table.text("kind", "coil"), rate=table.number("rate", 40.0))
     reach = table.vector("reach", 2)
     if not 0.0 <= reach[0] < reach[1] <= robot.length + 1e-9:
         raise table.fail(
