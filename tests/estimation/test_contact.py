@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from glissando import CoilReadings, FixedLagSmoother, Grid, SolverOptions, estimate
 from glissando.errors import GlissandoError, OutsideGridError
@@ -67,6 +68,20 @@ def test_a_force_is_found_at_its_place_with_its_size():
     gap = found.force - FORCE
     assert gap @ np.linalg.solve(found.cov_force, gap) < 15.0
     assert np.linalg.norm(gap[:2]) < 0.35 * np.linalg.norm(FORCE)
+
+
+@pytest.mark.slow
+def test_the_covariance_of_a_force_is_true_in_all_directions_though_coils_show_no_roll():
+    grid, size, squares = Grid(NODES, [0.0]), 0.15, []
+    for seed in range(16):
+        rng = np.random.default_rng([7, seed])
+        force = size * rng.standard_normal(3)
+        where = rng.uniform(0.4, 0.8) * LENGTH
+        readings = coil(rng, shape(force, where))
+        found = locate_contact(PRIOR, grid, [readings], start=where, std_force=size)
+        gap = found.force - force
+        squares.append(gap @ np.linalg.solve(found.cov_force, gap))
+    assert chi2.ppf(0.001, 48) < np.sum(squares) < chi2.ppf(0.999, 48)
 
 
 @pytest.mark.slow

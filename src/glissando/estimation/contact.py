@@ -232,11 +232,9 @@ def locate_contact(
             break
         if other.posterior.solve.cost < best.posterior.solve.cost + _WORSE:
             best, reach = other, max(reach, 0.5 * abs(best.move))
-    n = int(np.abs(best.posterior.grid.arclength - best.place).argmin())
-    turn = best.posterior.state.pose[-1, n, :3, :3]
     place = float(np.clip(best.place + best.move, 0.0, length))
-    cov = turn @ best.cov[:3, :3] @ turn.T
-    return Contact(place, float(np.sqrt(best.cov[3, 3])), turn @ best.force, cov, best.posterior)
+    std = float(np.sqrt(best.cov[3, 3]))
+    return Contact(place, std, best.force, best.cov[:3, :3], best.posterior)
 
 
 @dataclass(frozen=True)
@@ -278,20 +276,21 @@ def _touched_at(
 def _without_moment(found: Posterior, place: float, variance: Array) -> tuple[Array, Array, float]:
     """A force (3,) without moment that explains the wrench at a node, and how far beyond it acts.
 
-    Of the wrench's posterior what readings say is kept, its prior variance (6,) is not. Also the
+    Of the wrench's posterior what readings say is kept, its prior variance (6,) is not. Along the
+    world's axes, as a torsional moment that is no more would turn those of the body. Also the
     covariance (4, 4) of [force, how far].
     """
     k = found.grid.time.size - 1
-    load = found.load(place, found.grid.time[k])
+    load = found.load(place, found.grid.time[k], frame="world")
     n = int(np.abs(found.grid.arclength - place).argmin())
-    tangent = found.state.strain[k, n, :3]
-    said = np.linalg.inv(load.cov)
-    information, vector = said - np.diag(1.0 / variance), said @ load.wrench
+    turn = found.state.pose[k, n, :3, :3]
+    turns = np.kron(np.eye(2), turn)
+    said, before = np.linalg.inv(load.cov), turns / variance @ turns.T
     lever = np.zeros((6, 4))
     lever[:3, :3] = np.eye(3)
-    lever[3:, 3] = np.cross(tangent, load.force)
-    length = float(found.grid.arclength[-1])
-    known = np.diag(np.append(1.0 / variance[:3], 1.0 / length**2))
-    cov = np.asarray(np.linalg.inv(lever.T @ information @ lever + known), dtype=float)
-    best = cov @ lever.T @ vector
+    lever[3:, 3] = np.cross(turn @ found.state.strain[k, n, :3], load.force)
+    known = np.zeros((4, 4))
+    known[:3, :3], known[3, 3] = before[:3, :3], float(found.grid.arclength[-1]) ** -2.0
+    cov = np.asarray(np.linalg.inv(lever.T @ (said - before) @ lever + known), dtype=float)
+    best = cov @ lever.T @ said @ load.wrench
     return best[:3], cov, float(best[3])
