@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from glissando import Huber, PoseReadings, estimate, uniform_grid
+from glissando import Grid, Huber, PoseReadings, estimate, load_robot, uniform_grid
 from glissando.calibration.robot.hyperparameters import expanded
-from glissando.errors import FalseConfidenceWarning, GlissandoError
+from glissando.errors import FalseConfidenceWarning, GlissandoError, OutsideGridError
 from glissando.estimation.outliers import CHANCE
 from glissando.estimation.posterior import SolveReport
 from glissando.io.robot_file import parse_robot
@@ -82,3 +82,15 @@ def test_spoiled_readings_do_not_count_where_they_are_refused_or_forgiven():
     first, middle, tip = streams(0, NOISE**2, spoiled=0.3)
     tip = replace(tip, loss=Huber())
     assert not estimated([first, middle, tip])[0].solve.doubt
+
+
+def test_time_nodes_that_are_too_close_are_named():
+    robot, time = load_robot("tdcr466-segments"), np.linspace(0.0, 1.0, 21)
+    tip = readings(PoseReadings, "tip", robot.length, time, cov=1e-4, seed=3)
+    for apart, close in ((1e-4, True), (5e-3, False)):
+        grid = Grid(robot.arclength_nodes, np.sort(np.append(time, 0.4 + apart)))
+        if not close:
+            assert estimate(robot.prior, grid, [tip]).solve.converged
+            continue
+        with pytest.raises(OutsideGridError, match=r"nodes 8 and 9 at 0\.4 s are 0\.0001 s apart"):
+            estimate(robot.prior, grid, [tip])

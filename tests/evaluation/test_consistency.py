@@ -121,6 +121,7 @@ def test_errors_are_as_large_as_the_covariance_says_at_nodes_and_between():
         assert abs(covered - share) < 4.5 * np.sqrt(share * (1 - share) / TRIALS)
 
 
+@pytest.mark.filterwarnings("ignore::glissando.errors.FalseConfidenceWarning")
 @pytest.mark.slow
 @pytest.mark.parametrize("inflate", [1.3, 1 / 1.3])
 def test_noise_misjudged_by_a_third_fails_the_same_test(inflate):

@@ -187,6 +187,7 @@ def draw(rng):
     return pose(JUDGED), strain, readings
 
 
+@pytest.mark.filterwarnings("ignore::glissando.errors.FalseConfidenceWarning")
 @pytest.mark.slow
 @BOTH
 def test_segments_know_a_jump_that_one_body_smears(kind):

@@ -212,6 +212,7 @@ def test_between_nodes_a_drift_is_the_conditional_of_its_covariance(memory):
 # Known unknowns, and those of nobody.
 
 
+@pytest.mark.filterwarnings("ignore::glissando.errors.FalseConfidenceWarning")
 def test_what_is_known_is_put_right_and_not_estimated():
     readings = miscalibrated(np.random.default_rng(2))
     base, middle, tip, framed, mounted, gyro, slid, late, behind, tight = readings

@@ -18,10 +18,10 @@ from glissando.errors import (
 from glissando.estimation.channels import settled
 from glissando.estimation.delays import with_unseen_delays
 from glissando.estimation.given import require_batch, require_gate
-from glissando.estimation.misfit import breakdown, doubt, worst_readings
+from glissando.estimation.misfit import breakdown, doubt, is_implausible, worst_readings
 from glissando.estimation.outliers import CHANCE, Mask, judged, used_at_first
 from glissando.estimation.posterior import Posterior, SolveReport
-from glissando.estimation.starting_point import starting_point, with_parameters
+from glissando.estimation.starting_point import bent_shapes, starting_point, with_parameters
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
 from glissando.model.priors.prior import Prior
@@ -32,6 +32,7 @@ from glissando.solver.gauss_newton import Progress, Solution, SolverOptions, Sto
 from glissando.solver.located_readings import locate
 
 _ASTRAY = 10.0  # standard deviations a number by which a start may be off and still be trusted
+_MOMENTS = 28  # time nodes of an estimate that is cheap enough to be tried from several starts
 _ROUNDS = 5  # of solving and judging readings
 
 
@@ -179,11 +180,21 @@ class _Problem:
             raise breakdown(error, self.grid, self.prior, self.readings) from error
 
     def first_solve(self, used: Sequence[Mask], start: _Start) -> _End:
-        """Solve from a start, and from rest as well where that turns out to be far off."""
+        """Solve from a start, and from others as well where that turns out to be far off.
+
+        Those are rest and, of a few moments that fit no better than in a minimum that is not the
+        lowest, bent shapes.
+        """
         end = self.solve(used, start)
         if start[0] is not None and _is_doubtful(end[1]):
             with suppress(np.linalg.LinAlgError, UnobservableError):
                 end = max(end, self.solve(used, (None, start[1])), key=_worth)
+        if self.grid.time.size <= _MOMENTS:
+            for bent in bent_shapes(self.prior, self.grid):
+                if not is_implausible(self.prior, end[1]):
+                    break
+                with suppress(np.linalg.LinAlgError, UnobservableError):
+                    end = max(end, self.solve(used, (bent, start[1])), key=_worth)
         return end
 
     def solve(
@@ -216,7 +227,7 @@ class _Problem:
             solution.state,
             solution.equations.system,
             marginals,
-            _report(solution, evidence, self.clock),
+            _report(self.prior, solution, evidence, self.clock),
             solution.located.parameters.by_name(),
             (solution.equations.state, solution.equations.noise_state),
         )
@@ -282,7 +293,7 @@ def _log_evidence(solution: Solution) -> float:
     return -solution.cost - 0.5 * (noise + solution.cholesky.log_det)
 
 
-def _report(solution: Solution, log_evidence: float, clock: Stopwatch) -> SolveReport:
+def _report(prior: Prior, solution: Solution, log_evidence: float, clock: Stopwatch) -> SolveReport:
     """The record of the solve that goes with the posterior."""
     at = solution.equations
     suspects = sum(int(np.sum(terms.robust_weights() < 0.5)) for terms in at.terms)
@@ -296,5 +307,5 @@ def _report(solution: Solution, log_evidence: float, clock: Stopwatch) -> SolveR
         suspects,
         clock.total(),
         worst="" if solution.outcome.sound else worst_readings(solution),
-        doubt=doubt(solution) if solution.outcome.sound else "",
+        doubt=doubt(prior, solution) if solution.outcome.sound else "",
     )

@@ -5,23 +5,27 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 from scipy.special import chdtri
 
-from glissando.errors import SensorError, UnobservableError
+from glissando.errors import OutsideGridError, SensorError, UnobservableError
 from glissando.estimation.outliers import Mask
 from glissando.model.factors import Residuals
 from glissando.model.grid import Grid
+from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.model.priors.prior import Prior
 from glissando.model.seconds import seconds
 from glissando.model.sensors.readings import Readings
 from glissando.solver.gauss_newton import Solution
 
 _FAR = 3.0  # lengths of the robot: readings beyond are said to be why equations break down
+_CLOSE = 0.02  # of the median step: time nodes as close as this may be why equations break down
 _MISFIT = 5.0  # standard deviations by which a reading differs from all estimates but a false one
 _NAMED = 3  # readings or streams that are named
 _CHANCE = 1e-3  # that a residual is beyond what counts as far
 _FEWEST = 20  # readings of a stream, for a share of them to say something
 _SHARE = 0.1  # of a stream that may be far off
+_UNLIKELY, _EXCESS = 1e-4, 3.0  # chance of a cost, and how many times what is expected, to doubt
 _ALIKE = 0.5  # cosine of residuals, side by side, above which they are no outliers of their own
 
 
@@ -38,8 +42,36 @@ def worst_readings(solution: Solution) -> str:
     return f"Readings that do not fit: {', '.join(named[:_NAMED])}." if named else ""
 
 
-def doubt(solution: Solution) -> str:
-    """A sentence on streams that mostly contradict the estimate, or none.
+def implausible(prior: Prior, cost: ArrayLike, count: ArrayLike) -> NDArray[np.bool_]:
+    """Whether costs of prior and readings are more than chance allows, and far above expectation.
+
+    Twice the least cost is a χ² of as many degrees of freedom as readings have numbers. In a
+    minimum that is not the lowest the prior pays what readings do not. Of a prior that knows
+    mechanics it tells nothing: a touch costs as much, for which `scan_contacts` looks.
+
+    Args:
+        prior: The prior.
+        cost: Half the sum of all squares (…).
+        count: How many numbers were read (…).
+    """
+    bound = np.maximum(chdtri(count, _UNLIKELY), _EXCESS * np.asarray(count))
+    return np.asarray(2.0 * np.asarray(cost) > bound) & (not isinstance(prior, MechanicalPrior))
+
+
+def is_implausible(prior: Prior, solution: Solution) -> bool:
+    """Whether an estimate's cost is `implausible`, but for readings that a loss forgives."""
+    cost, count = solution.cost, 0
+    for _, terms in _terms(solution):
+        kept = terms.robust_weights() > 0.5
+        count += int(kept.sum()) * terms.residual.shape[1]
+        if terms.loss is not None:
+            size = np.linalg.norm(terms.whiten(terms.residual)[~kept], axis=1)
+            cost -= float(np.sum(terms.loss.cost(size)))
+    return bool(implausible(prior, cost, count))
+
+
+def doubt(prior: Prior, solution: Solution) -> str:
+    """A sentence on streams that mostly contradict the estimate, or on its cost, or none.
 
     Readings follow an estimate more closely than they scatter about the truth, so where many do
     not, prior or noise exclude what the robot did, and covariances are too small. An impact is none
@@ -50,6 +82,12 @@ def doubt(solution: Solution) -> str:
         share = float(np.mean(_far_off(terms)))
         if len(stream) >= _FEWEST and share > _SHARE:
             far.append((share, f"{100.0 * share:.0f} % of {stream.label}"))
+    if not far and is_implausible(prior, solution):
+        return (
+            "The estimate contradicts prior and readings together more than chance allows, so its "
+            "confidence is too small: another shape may fit better, start nearer to it (initial or "
+            "--start), or the prior, mounts, units or noise are not those of this robot."
+        )
     if not far:
         return ""
     named = ", ".join(name for _, name in sorted(far)[::-1][:_NAMED])
@@ -85,8 +123,20 @@ def breakdown(
     """
     far = far_off(grid, prior, readings)
     if far is None and isinstance(error, UnobservableError):
-        return error
+        return _too_close(grid) or error
     return far or SensorError("No shape of this robot comes near the readings.")
+
+
+def _too_close(grid: Grid) -> OutsideGridError | None:
+    """What to say where two time nodes are so close that information loses its digits."""
+    steps = np.diff(grid.time)
+    if not steps.size or steps.min() > _CLOSE * np.median(steps):
+        return None
+    k = int(np.argmin(steps))
+    return OutsideGridError(
+        f"The time nodes {k} and {k + 1} at {seconds(grid.time[k])} s are {steps[k]:.2g} s apart, "
+        f"others {np.median(steps):.2g} s: too close for information to keep its digits; leave one."
+    )
 
 
 def far_off(grid: Grid, prior: Prior, readings: Sequence[Readings]) -> SensorError | None:

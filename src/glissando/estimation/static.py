@@ -17,7 +17,7 @@ from glissando._kernels.threads import one_thread
 from glissando.errors import UnobservableError
 from glissando.estimation.batch import estimate
 from glissando.estimation.given import require_model, require_options, require_streams
-from glissando.estimation.misfit import breakdown
+from glissando.estimation.misfit import far_off, implausible
 from glissando.estimation.posterior import Posterior
 from glissando.estimation.static_posterior import StaticPosterior, require_whole
 from glissando.geometry.se3 import Array
@@ -121,16 +121,23 @@ _Solved = tuple[State, tuple[Array, Array], NDArray[np.bool_]]
 
 
 def _together(prior: Prior, located: LocatedReadings, options: SolverOptions) -> _Solved:
-    """All shapes from where they start.
+    """All shapes from where they start; where that breaks down, all are left.
 
     Raises:
-        SensorError: No shape comes near the readings.
+        SensorError: Readings lie far beyond the robot's reach.
+        UnobservableError: Prior and readings leave a direction of a shape undetermined.
     """
+    grid = located.grid
     try:
         return _iterated(prior, located, _first_shapes(prior, located), options)
     except (np.linalg.LinAlgError, UnobservableError) as error:
         first = prior.of_shape(0) if isinstance(prior, MechanicalPrior) else prior
-        raise breakdown(error, located.grid, first, located.streams) from error
+        far = far_off(grid, first, located.streams)
+        if far is not None or isinstance(error, UnobservableError):
+            raise (far or error) from error
+    (count, nodes), blocks = grid.shape, (STATIC_DOF, STATIC_DOF)
+    cov, cross = np.empty((count, nodes, *blocks)), np.empty((count, nodes - 1, *blocks))
+    return prior.rest_state(grid), (cov, cross), np.ones(count, dtype=bool)
 
 
 def _first_shapes(prior: Prior, located: LocatedReadings) -> State:
@@ -166,7 +173,8 @@ def _iterated(
 ) -> _Solved:
     """Gauss–Newton steps of all shapes, straight on or bent: states, marginals, and who is left.
 
-    A shape that neither way brings down is left, at rest, to those who can shorten and damp steps.
+    A shape that neither way brings down is left, at rest, to those who can shorten and damp steps,
+    and so is one whose cost is implausible: they start elsewhere as well.
     """
     grid = located.grid
     here = linearize_static(prior, located, start)
@@ -181,7 +189,7 @@ def _iterated(
         going &= ~last
         straight = here.state.retract(step)
         if not np.any(going):
-            return straight, _marginals(here), left
+            break
         there = linearize_static(prior, located, straight)
         refused = going & ~_worthwhile(here, there, promise)
         for share in _SHARES:
@@ -195,7 +203,16 @@ def _iterated(
             state = _chosen(refused, prior.rest_state(grid), there.state)
             there = linearize_static(prior, located, state)
         here = there
-    return here.state, _marginals(here), left | going
+    left |= going | implausible(prior, here.costs(here), _numbers_read(located))
+    return here.state if np.any(going) else straight, _marginals(here), left
+
+
+def _numbers_read(located: LocatedReadings) -> NDArray[np.intp]:
+    """How many numbers were read of each shape (S,)."""
+    out = np.zeros(located.grid.time.size, dtype=np.intp)
+    for r in located.streams:
+        out += r.row_count * np.bincount(r.time.astype(np.intp), minlength=out.size)
+    return out
 
 
 def _marginals(here: StaticEquations) -> tuple[Array, Array]:
