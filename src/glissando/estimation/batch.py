@@ -33,6 +33,7 @@ from glissando.solver.located_readings import locate
 
 _ASTRAY = 10.0  # standard deviations a number by which a start may be off and still be trusted
 _MOMENTS = 28  # time nodes of an estimate that is cheap enough to be tried from several starts
+_ROUGH_ITERATIONS = 30  # from a bent shape
 _ROUNDS = 5  # of solving and judging readings
 
 
@@ -189,13 +190,21 @@ class _Problem:
         if start[0] is not None and _is_doubtful(end[1]):
             with suppress(np.linalg.LinAlgError, UnobservableError):
                 end = max(end, self.solve(used, (None, start[1])), key=_worth)
-        if self.grid.time.size <= _MOMENTS:
-            for bent in bent_shapes(self.prior, self.grid):
-                if not is_implausible(self.prior, end[1]):
-                    break
-                with suppress(np.linalg.LinAlgError, UnobservableError):
-                    end = max(end, self.solve(used, (bent, start[1])), key=_worth)
+        if self.grid.time.size <= _MOMENTS and is_implausible(self.prior, end[1]):
+            end = self.solve_from_bent(used, end, start)
         return end
+
+    def solve_from_bent(self, used: Sequence[Mask], end: _End, start: _Start) -> _End:
+        """Solve roughly from bent shapes until one is plausible, and on from the best if lower."""
+        best, numbers = end, end[1].equations.rhs.size
+        few = min(self.options.max_iterations, _ROUGH_ITERATIONS)
+        rough = replace(self.options.rougher(numbers), max_iterations=few)
+        for bent in bent_shapes(self.prior, self.grid):
+            with suppress(np.linalg.LinAlgError, UnobservableError):
+                best = max(best, self.solve(used, (bent, start[1]), rough), key=_worth)
+            if not is_implausible(self.prior, best[1]):
+                break
+        return end if best is end else max(end, self.solve(used, _end_of(best[1])), key=_worth)
 
     def solve(
         self, used: Sequence[Mask], initial: _Start, options: SolverOptions | None = None

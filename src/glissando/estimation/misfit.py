@@ -25,7 +25,7 @@ _NAMED = 3  # readings or streams that are named
 _CHANCE = 1e-3  # that a residual is beyond what counts as far
 _FEWEST = 20  # readings of a stream, for a share of them to say something
 _SHARE = 0.1  # of a stream that may be far off
-_UNLIKELY, _EXCESS = 1e-4, 3.0  # chance of a cost, and how many times what is expected, to doubt
+_UNLIKELY, _EXCESS = 1e-4, 6.0  # chance of a cost, and how many times what is expected, to doubt
 _ALIKE = 0.5  # cosine of residuals, side by side, above which they are no outliers of their own
 
 
