@@ -16,7 +16,7 @@ from glissando._kernels.arrays import items, unflatten
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Index
-from glissando.model.state import POSE, STRAIN, STRAIN_RATE, VELOCITY, State
+from glissando.model.state import State
 
 RATED = 24
 """Degrees of freedom of a node that knows its strain rate."""
@@ -35,16 +35,12 @@ def strain_rate_of(state: State) -> Array:
 def place_error(pose: Array, strain: Array, at: State) -> tuple[Array, Array]:
     """Error [r; ṙ] (…, 24) of a cross-section from where it is expected, Jacobian (…, 24, 24).
 
-    r = [log(T̄⁻¹ T); ε − ε̄] for a `pose` (4, 4) and a `strain` (6,) that stand still.
+    r = [log(T̄⁻¹ T); ε − ε̄] for a `pose` (4, 4) and a `strain` (6,) that stand still: the error of
+    an interval of no length.
     """
-    xi = se3.log(se3.inverse(pose) @ at.pose)
-    spread = se3.right_jacobian_inverse(xi)
-    xi_rate = _apply(spread, at.velocity)
-    error = np.concatenate([xi, at.strain - strain, xi_rate, strain_rate_of(at)], axis=-1)
-    jacobian = np.zeros((*xi.shape[:-1], RATED, RATED))
-    jacobian[..., :6, POSE] = jacobian[..., 12:18, VELOCITY] = spread
-    jacobian[..., 12:18, POSE] = -spread @ se3.right_jacobian_slope(xi, xi_rate) @ spread
-    jacobian[..., 6:12, STRAIN] = jacobian[..., 18:, STRAIN_RATE] = np.eye(6)
+    there, still = np.broadcast_to(pose, at.pose.shape), np.zeros(at.strain.shape)
+    start = State(there, still + strain, still, still)
+    error, _, jacobian = interval_error(start, at, still[..., 0])
     return error, jacobian
 
 

@@ -42,6 +42,8 @@ class RestShape:
         [log(exp(−u ε₀) T₀⁻¹ T(u)); ε(u) − ε₀] with no joint inside, the product of exponentials
         after Magnus to the order u⁵. Source: equation (2').
         """
+        if not self.slope.any():  # as where a strain is constant nothing is left
+            return np.zeros((arclength.size, 12))
         strain = self.at(arclength)
         slope = self.slope[segment_at(self.joints, arclength)]
         u = offset[:, None]

@@ -6,7 +6,7 @@ Source: equations (26) and (27).
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -51,7 +51,7 @@ class RodEnds:
             state: Those of the chain (K, N).
             node: Their numbers (K, N).
         """
-        at = state.take(np.s_[:, :1])
+        at = replace(state.take(np.s_[:, :1]), inertia=None)
         error, slope = place_error(self.base_pose, at.strain[0, 0], at)
         error, slope = error[..., _POSE_ROWS], _widened(slope[..., _POSE_ROWS, :], state.dof)
         cov = np.broadcast_to(np.diag(self.var_base), (len(node), 1, 6, 6))
