@@ -6,12 +6,15 @@ import warnings
 import numpy as np
 import pytest
 
-from glissando import Grid, PoseReadings, estimate, estimate_static
+from glissando import CoilReadings, Grid, PoseReadings, estimate, estimate_static
 from glissando.errors import FalseConfidenceWarning, GlissandoError
 from glissando.geometry import se3
 from glissando.io.robot_file import parse_robot
 from glissando.io.robot_template import RobotOutline, robot_text
+from glissando.model.mechanics import Mechanics
+from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.model.table import Table
+from glissando.simulation import Loads, Rod, Wrench, solve_shape
 
 LENGTH, COUNT = 0.466, 24
 
@@ -63,3 +66,33 @@ def test_a_shape_that_bends_far_more_than_its_file_says_contradicts_it(bend, dou
         warnings.simplefilter("always", FalseConfidenceWarning)
         found = estimate(arc.prior, Grid(arc.arclength_nodes, [0.0]), [one])
     assert bool(found.solve.doubt) == bool(caught) == doubtful
+
+
+@pytest.mark.parametrize("draw", [32, 108, 147])
+def test_a_rod_bent_by_loads_is_found_where_a_search_from_rest_goes_astray(draw):
+    rng, length, nodes = np.random.default_rng([1001, draw]), 0.5, np.linspace(0.0, 0.5, 11)
+    rod = Rod.of_tubes(length, [(1.2e-3, 0.0)], young=60e9, poisson=0.33, density=6450)
+    std_tip, std_point = np.repeat([0.1, 2e-3], 3), np.repeat([0.1, 2e-4], 3)
+    tip, point = std_tip * rng.standard_normal(6), std_point * rng.standard_normal(6)
+    wrenches = [Wrench(length, tip[:3], tip[3:]), Wrench(0.3, point[:3], point[3:])]
+    gravity, noise = np.array([0.0, 0.0, 9.81]), np.repeat([7e-4, 7e-3], [3, 2])
+    truth = solve_shape(rod, [], Loads(gravity=gravity, wrenches=wrenches))
+    off = se3.exp(np.append(noise * rng.standard_normal(5), rng.uniform(-np.pi, np.pi)))
+    coil = CoilReadings(
+        time=[0.0], arclength=[length], values=truth.at([length]).pose @ off, cov=noise**2
+    )
+    prior = MechanicalPrior(
+        Mechanics(rod.stiffness[None], np.array([rod.mass_per_length]), gravity=gravity),
+        psd_load=np.repeat([1e-7, 1e-11], 3),
+        psd_strain_error=np.repeat([1e-12, 1e-8], 3),
+        var_tip=std_tip**2,
+        time_scale=1.0,
+        var_base=np.full(6, 1e-10),
+        points=np.array([0.3]),
+        var_points=std_point[None] ** 2,
+    )
+    found = estimate(prior, Grid(nodes, [0.0]), [coil])
+    assert found.solve.converged
+    middle = found.at(0.25, 0.0)
+    gap = truth.at([0.25]).pose[0, :3, 3] - middle.position
+    assert gap @ np.linalg.solve(middle.cov_position_world, gap) < 25.0

@@ -183,28 +183,45 @@ class _Problem:
     def first_solve(self, used: Sequence[Mask], start: _Start) -> _End:
         """Solve from a start, and from others as well where that turns out to be far off.
 
-        Those are rest and, of a few moments that fit no better than in a minimum that is not the
-        lowest, bent shapes.
+        Those are rest and, of a few moments that it does not explain, bent shapes.
         """
-        end = self.solve(used, start)
+        few = self.grid.time.size <= _MOMENTS and self.options.max_iterations >= _ROUGH_ITERATIONS
+        try:
+            end = self.solve(used, start)
+        except (np.linalg.LinAlgError, UnobservableError):
+            found = self.solve_from_bent(used, None, start) if few else None
+            if found is None:
+                raise
+            return found
         if start[0] is not None and _is_doubtful(end[1]):
             with suppress(np.linalg.LinAlgError, UnobservableError):
                 end = max(end, self.solve(used, (None, start[1])), key=_worth)
-        if self.grid.time.size <= _MOMENTS and is_implausible(self.prior, end[1]):
-            end = self.solve_from_bent(used, end, start)
+        if few and self.is_astray(end[1]):
+            end = self.solve_from_bent(used, end, start) or end
         return end
 
-    def solve_from_bent(self, used: Sequence[Mask], end: _End, start: _Start) -> _End:
-        """Solve roughly from bent shapes until one is plausible, and on from the best if lower."""
-        best, numbers = end, end[1].equations.rhs.size
-        few = min(self.options.max_iterations, _ROUGH_ITERATIONS)
-        rough = replace(self.options.rougher(numbers), max_iterations=few)
+    def is_astray(self, solution: Solution) -> bool:
+        """Whether an iteration found no minimum, or one that is not the lowest."""
+        return not solution.outcome.sound or is_implausible(self.prior, solution)
+
+    def solve_from_bent(self, used: Sequence[Mask], end: _End | None, start: _Start) -> _End | None:
+        """Solve roughly from bent shapes until one will do, and on from the best if it is better.
+
+        None where all break down, as the start did if there is no `end`.
+        """
+        best = end
         for bent in bent_shapes(self.prior, self.grid):
+            rough = self.options.rougher(bent.numbers * self.grid.time.size)
+            rough = replace(rough, max_iterations=_ROUGH_ITERATIONS)
             with suppress(np.linalg.LinAlgError, UnobservableError):
-                best = max(best, self.solve(used, (bent, start[1]), rough), key=_worth)
-            if not is_implausible(self.prior, best[1]):
-                break
-        return end if best is end else max(end, self.solve(used, _end_of(best[1])), key=_worth)
+                found = self.solve(used, (bent, start[1]), rough)
+                best = max(best or found, found, key=_worth)
+                if not self.is_astray(best[1]):
+                    break
+        if best is None or best is end:
+            return end
+        found = self.solve(used, _end_of(best[1]))
+        return max(end or found, found, key=_worth)
 
     def solve(
         self, used: Sequence[Mask], initial: _Start, options: SolverOptions | None = None

@@ -88,6 +88,7 @@ class Intervals:
         return Intervals(self.step - offset, self.section.ahead(offset), *others)
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def in_strain(found: Flow, begin: Array, end: Array, rest: Array) -> Flow:
     """A flow with strains in the place of wrenches, for stiffness (M, 6) at both ends."""
     ones = np.ones_like(begin)
