@@ -4,7 +4,7 @@ The error of a window is taken apart at every motion-capture body, in the body's
 parts are taken away that the estimate cannot be blamed for, each alone: the delay of the truth, one
 rigid transform of all truth (its frame), and the constant of each body (its mount). All three are
 fitted to the errors, so what they take away is an upper bound; nothing of it is applied elsewhere.
-With --vary the window is estimated again with numbers of the separable prior changed one by one.
+With --vary the window is estimated again with numbers of a mechanical prior changed one by one.
 Usage: error_parts.py --robot FILE|NAME --recording FOLDER [--window T0 T1] [--use NAME …] [--vary]
 [--json]
 """
@@ -26,22 +26,23 @@ from glissando.io.robot_file import parse_robot, read_robot_document
 from glissando.io.shipped_robots import robot_file
 from glissando.model.table import Table
 
-BENDING, AXIAL = (3, 4), (2,)
-VARIED = {  # what is scaled: key, rows of segments or joints, entries, factor
+MASSES = ("mechanics", "mass_per_length"), ("mechanics", "tip", "mass")
+MOMENTS = (("prior", "var_points", 0), slice(3, None)), (("prior", "var_tip"), slice(3, None))
+VARIED = {  # what is scaled: keys that lead to a number or vector, its entries, factor
     "as it is": (),
-    "bending of the last segment × 2": (("psd_strain_arclength", slice(-1, None), BENDING, 2.0),),
-    "bending of the last segment × 3": (("psd_strain_arclength", slice(-1, None), BENDING, 3.0),),
-    "bending of every segment × 3": (("psd_strain_arclength", slice(None), BENDING, 3.0),),
-    "bending at joints × 9": (("var_jumps", slice(None), BENDING, 9.0),),
-    "bending at the base ÷ 6": (("var_strain", slice(None), BENDING, 1 / 6),),
-    "axial strain ÷ 3": (
-        ("var_strain", slice(None), AXIAL, 1 / 3),
-        ("var_jumps", slice(None), AXIAL, 1 / 3),
-    ),
-    "axial strain × 4": (
-        ("var_strain", slice(None), AXIAL, 4.0),
-        ("var_jumps", slice(None), AXIAL, 4.0),
-    ),
+    "no weight": [(key, None, 1e-6) for key in MASSES],
+    "weight ÷ 2": [(key, None, 0.5) for key in MASSES],
+    "weight × 2": [(key, None, 2.0) for key in MASSES],
+    "weight upwards": [(("mechanics", "gravity"), slice(None), -1.0)],
+    "moments of tendons × 2": [(*each, 4.0) for each in MOMENTS],
+    "moments of tendons ÷ 2": [(*each, 0.25) for each in MOMENTS],
+    "loads × 2": [(("prior", "psd_load"), slice(0, 3), 4.0)],
+    "loads ÷ 2": [(("prior", "psd_load"), slice(0, 3), 0.25)],
+    "force at the tip × 2": [(("prior", "var_tip"), slice(0, 3), 4.0)],
+    "bending set × 2": [(("prior", "psd_strain_error"), slice(3, 5), 4.0)],
+    "axial set × 2": [(("prior", "psd_strain_error"), slice(2, 3), 4.0)],
+    "torsional stiffness ÷ 3": [(("mechanics", "stiffness"), slice(5, None), 1 / 3)],
+    "time scale × 2": [(("prior", "time_scale"), None, 2.0)],
 }
 DELAYS = np.linspace(-0.04, 0.04, 17)  # s: of the truth's stamps
 
@@ -97,15 +98,23 @@ def parts(run):
 
 
 def varied(file, changes):
-    """The robot of a file with some of its prior's variances scaled."""
+    """The robot of a file with some of its mechanical prior's numbers scaled."""
     document = expanded(read_robot_document(robot_file(file)))
-    for key, rows, entries, factor in changes:
-        table = document["base" if key == "var_strain" else "prior"]
-        vectors = table[key] if isinstance(table[key][0], list) else [table[key]]
-        for vector in vectors[rows]:
-            for i in entries:
-                vector[i] *= factor
+    for (*way, last), entries, factor in changes:
+        table = document
+        for key in way:
+            table = table[key]
+        table[last] = scaled(table[last], entries, factor)
     return parse_robot(Table(document, "varied", GlissandoError))
+
+
+def scaled(value, entries, factor):
+    """A number, or the entries of a vector, or of all rows of a table, times a factor."""
+    if entries is None:
+        return value * factor
+    out = np.array(value, dtype=float)
+    out[..., entries] *= factor
+    return out.tolist()
 
 
 def variations(file, recording, window, use):

@@ -46,6 +46,20 @@ def test_a_base_that_may_stand_elsewhere_moves_all_that_is_foretold():
     np.testing.assert_allclose((unsure.cov - sure.cov)[..., :6, :6], added, atol=1e-10)
 
 
+def test_velocities_at_uneven_times_are_as_uncertain_as_commands_make_them():
+    robot = tendon_robot(psd_moment=1e-7, std=1e-4)
+    time = np.array([0.0, 1.0, 1.02, 2.0, 2.02, 3.0])
+    pull = np.linspace(0.3, 1.0, 6)[:, None] * 3e-3 * np.array([1.0, -0.5, -0.5, 0.3, 0.2, -0.4])
+    tip, rng = np.array([LENGTH]), np.random.default_rng(3)
+    claimed = predict(robot, time, pull, tip).cov[:, 0, 12:18, 12:18]
+    drawn = [
+        predict(robot, time, pull + 1e-4 * rng.standard_normal(pull.shape), tip).velocity[:, 0]
+        for _ in range(100)
+    ]
+    spread = np.trace(claimed[:, 3:, 3:], axis1=1, axis2=2) / np.var(drawn, axis=0)[:, 3:].sum(-1)
+    assert np.all((spread > 0.6) & (spread < 1.6))
+
+
 def test_weight_that_is_left_out_is_named_where_it_bends_the_robot():
     robot = tendon_robot(slack=0.01, psd_moment=1e-7, std=1e-4)
     heavy = replace(robot.prior.mechanics, gravity=np.array([9.81, 0.0, 0.0]), tip_mass=0.002)

@@ -113,6 +113,7 @@ def learnable(document: Document, kinds: Sequence[str], *, alike: bool = False) 
 def _all(document: Document, kinds: Sequence[str], alike: bool) -> Iterator[Parameter]:
     prior = document["prior"]
     yield from _rest(document)
+    yield from _weights(document)
     if "time_scale" in prior:
         yield Parameter("time scale", ("prior", "time_scale"), ())
     for table in ("prior", "base"):
@@ -169,6 +170,19 @@ def _rest(document: Document) -> Iterator[Parameter]:
             for row in range(len(rows)):
                 for axis, entry in (("x", 3), ("y", 4)):
                     yield Parameter(f"{label} {row + 1}, {axis}", (key, row), (entry,), unit)
+
+
+def _weights(document: Document) -> Iterator[Parameter]:
+    """What bends a rod by its weight; only their ratio to the stiffness shows, which is held."""
+    mechanics = document.get("mechanics", {})
+    if document["prior"]["kind"] != "mechanical" or not any(mechanics.get("gravity", [])):
+        return
+    if "mass_per_length" in mechanics:
+        rows = tuple(range(np.size(mechanics["mass_per_length"])))
+        one = not isinstance(mechanics["mass_per_length"], list)
+        yield Parameter("mass per length", ("mechanics", "mass_per_length"), () if one else rows)
+    if "mass" in mechanics.get("tip", {}):
+        yield Parameter("mass of the tip", ("mechanics", "tip", "mass"), ())
 
 
 def moved(document: Document, parameters: Sequence[Parameter], x: Array) -> Document:
