@@ -20,6 +20,7 @@ from glissando.estimation.delays import with_unseen_delays
 from glissando.estimation.given import require_batch, require_gate
 from glissando.estimation.misfit import breakdown, doubt, is_implausible, worst_readings
 from glissando.estimation.outliers import CHANCE, Mask, judged, used_at_first
+from glissando.estimation.place_evidence import by_evidence
 from glissando.estimation.posterior import Posterior, SolveReport
 from glissando.estimation.starting_point import bent_shapes, starting_point, with_parameters
 from glissando.geometry.se3 import Array
@@ -169,7 +170,7 @@ class _Problem:
             end = self.first_solve(used, start)
             if self.gate is not None:
                 end, used = self.solve_without_refuted(end, used, self.gate)
-            posterior = self.dated(*end) if self.dates else end[0]
+            posterior = self.dated(*self.displaced(end, used)) if self.dates else end[0]
         return replace(posterior, solve=replace(posterior.solve, refused=self.left_out(used)))
 
     @contextmanager
@@ -190,7 +191,7 @@ class _Problem:
             end = self.solve(used, start)
         except (np.linalg.LinAlgError, UnobservableError):
             found = self.solve_from_bent(used, None, start) if few else None
-            if found is None:
+            if found is None or self.is_astray(found[1]):
                 raise
             return found
         if start[0] is not None and _is_doubtful(end[1]):
@@ -220,13 +221,21 @@ class _Problem:
                     break
         if best is None or best is end:
             return end
-        found = self.solve(used, _end_of(best[1]))
-        return max(end or found, found, key=_worth)
+        with suppress(np.linalg.LinAlgError, UnobservableError):
+            best = self.solve(used, _end_of(best[1]))
+        return max(end or best, best, key=_worth)
 
     def solve(
         self, used: Sequence[Mask], initial: _Start, options: SolverOptions | None = None
     ) -> _End:
         """The posterior of the readings that are used, and where the iteration ended."""
+        solution = self.minimum(used, initial, options)
+        return self.known_by(solution), solution
+
+    def minimum(
+        self, used: Sequence[Mask], initial: _Start, options: SolverOptions | None = None
+    ) -> Solution:
+        """Where the iteration with the readings that are used ends."""
         readings = [r.select(rows) for r, rows in zip(self.readings, used, strict=True)]
         progress, clock = self.progress, self.clock
         with one_thread():
@@ -239,8 +248,7 @@ class _Problem:
             progress = _after(before, progress)
             options = options or self.options
             solution = minimize(self.prior, located, start, options, progress, clock)  # (19)
-        solution = replace(solution, iterations=before + solution.iterations)
-        return self.known_by(solution), solution
+        return replace(solution, iterations=before + solution.iterations)
 
     def known_by(self, solution: Solution) -> Posterior:
         """The posterior of a solution, whose factor it overwrites."""
@@ -257,6 +265,17 @@ class _Problem:
             solution.located.parameters.by_name(),
             (solution.equations.state, solution.equations.noise_state),
         )
+
+    def displaced(self, end: _End, used: Sequence[Mask]) -> _End:
+        """The same with offsets along the robot that are known by their evidence. Source: (22)."""
+
+        def again(shifted: Sequence[SensorParameter], before: Solution) -> Solution:
+            return replace(self, sensor_parameters=shifted).minimum(used, _end_of(before))
+
+        placed = end[1]
+        with one_thread(), suppress(np.linalg.LinAlgError, UnobservableError):
+            placed = by_evidence(self.prior, placed, self.sensor_parameters, again)
+        return end if placed is end[1] else (self.known_by(placed), placed)
 
     def dated(self, posterior: Posterior, solution: Solution) -> Posterior:
         """The posterior in which delays are known by what streams without one show."""

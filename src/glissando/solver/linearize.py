@@ -50,6 +50,11 @@ class NormalEquations:
         end = len(self.terms) - extra
         return self.terms[end - streams : end]
 
+    def prior_terms(self) -> list[Residuals]:
+        """Residuals of the prior of the states."""
+        extra = self.located.parameters.process.size > 0
+        return self.terms[: len(self.terms) - extra - len(self.located.streams)]
+
     def split(self, step: Array) -> tuple[Array, Array]:
         """A step (K, D) as that of the nodes (K, N, dof) and that of the parameters (K, E)."""
         k_count, n_count = self.located.grid.shape
