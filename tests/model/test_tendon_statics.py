@@ -119,18 +119,18 @@ def test_slack_tendons_leave_the_rod_straight_and_more_slack_changes_nothing():
     assert np.abs(shapes[0][0, -1, :3, 3] - [0.0, 0.0, LENGTH]).max() < 1e-8
 
 
-def test_play_is_the_play_operator():
+def test_play_is_the_play_operator_once_it_was_taken_up_and_unknown_until_then():
     robot = tendon_robot(play=[4e-4, 0.0, 1e-3, 0.0, 0.0, 2e-4])
     pulled = np.cumsum(3e-4 * np.random.default_rng(3).standard_normal((200, 6)), axis=0)
-    reached = robot.tendons.effective(pulled)
+    reached, unsettled = robot.tendons.effective(pulled), robot.tendons.unsettled(pulled)
+    np.testing.assert_allclose(unsettled[0], robot.tendons.play / np.sqrt(12.0), atol=1e-15)
+    assert not unsettled[-1].any()
     for j, half in enumerate(0.5 * robot.tendons.play):
-        state = pulled[0, j]
-        for k, now in enumerate(pulled[:, j]):
-            if state > now + half:
-                state = now + half
-            elif state < now - half:
-                state = now - half
-            assert reached[k, j] == pytest.approx(state, abs=1e-15)
+        starts = pulled[0, j] + np.linspace(-half, half, 5)
+        for state in starts:
+            for k, now in enumerate(pulled[:, j]):
+                state = min(max(state, now - half), now + half)
+                assert abs(state - reached[k, j]) <= np.sqrt(3.0) * unsettled[k, j] + 1e-15
 
 
 @pytest.mark.parametrize(

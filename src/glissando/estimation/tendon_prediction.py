@@ -29,7 +29,8 @@ def predict(
 
     The robot is in static equilibrium at every time, without loads from outside and without its own
     weight. Covariance is that of [tendons] and [base]: displacements that differ from the commands,
-    moments that the model lacks, and how well it is known where the base stands.
+    where in its play each tendon was at first, moments that the model lacks, and how well it is
+    known where the base stands.
 
     Args:
         robot: Robot with [mechanics] and [tendons].
@@ -55,10 +56,13 @@ def predict(
     if len(time) > 1 and not np.all(np.diff(time) > 0.0):
         raise GlissandoError("Times of the tendons must increase; sort the rows.")
     rod = tendon_rod(robot, places)
-    shape = equilibrium(rod, displacement=rod.tendons.effective(np.atleast_2d(displacement)))
+    displacement = np.atleast_2d(displacement)
+    shape = equilibrium(rod, displacement=rod.tendons.effective(displacement))
     node = np.searchsorted(rod.nodes, places - 1e-9)
     cov = np.zeros((len(shape.strain), len(places), DOF, DOF))
-    cov[..., : _VELOCITY.start, : _VELOCITY.start] = shape.cov()[:, node]
+    cov[..., : _VELOCITY.start, : _VELOCITY.start] = shape.cov(rod.tendons.unsettled(displacement))[
+        :, node
+    ]
     by_pull = shape.pose_by(shape.strain_by_displacement())[:, node]
     velocity, cov[..., _VELOCITY, _VELOCITY] = _velocity(rod, time, displacement, by_pull)
     strain = shape.strain[:, np.maximum(node - 1, 0)]
@@ -101,7 +105,7 @@ def predict_tip(robot: Robot, displacement: Array, stream: str) -> tuple[Array, 
     tip = frame @ shape.pose()[:, -1]
     turn = tip[:, :3, :3]
     by_pose = np.concatenate([turn, -turn @ se3.hat3(mount[:3, 3])], axis=-1)
-    cov_pose = shape.cov()[:, -1, :6, :6]
+    cov_pose = shape.cov(rod.tendons.unsettled(displacement))[:, -1, :6, :6]
     noise = robot.sensor_std.get("position", np.zeros(3))
     cov = by_pose @ cov_pose @ np.swapaxes(by_pose, 1, 2) + np.diag(np.broadcast_to(noise, 3) ** 2)
     return (tip @ mount)[:, :3, 3], cov

@@ -152,15 +152,19 @@ class Equilibrium:
             aside[:, piece, :2, 2 * piece : 2 * piece + 2] = np.diag(by_lever[piece])
         return self.pose_by(np.concatenate([mean, aside], axis=-1))
 
-    def cov(self) -> Array:
+    def cov(self, unsettled: Array | float = 0.0) -> Array:
         """Covariance (M, P+1, 12, 12) of poses and strains that [tendons] and [base] state.
 
         Displacements differ from the commands, moments are missing along the robot, and the base
         stands about its pose. The strain of a node is that of the piece before it.
+
+        Args:
+            unsettled: Standard deviations (M, T) by which displacements are off besides, m.
         """
         tendons, (m, count) = self.rod.tendons, self.strain.shape[:2]
         root = np.sqrt(tendons.psd_moment)
-        by_pull = tendons.std * self.strain_by_displacement()
+        off = np.atleast_2d(np.hypot(tendons.std, unsettled))[:, None, None]
+        by_pull = off * self.strain_by_displacement()
         by_moment = root * self._mean_by_moment
         by_base = [np.broadcast_to(np.diag(np.sqrt(self.rod.var_base)), (m, 6, 6))]
         for across in self._steps()[0].swapaxes(0, 1):

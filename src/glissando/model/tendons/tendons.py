@@ -106,17 +106,25 @@ class Tendons:
     def effective(self, displacement: Array) -> Array:
         """Displacements (M, T) in their order, less the play: what reaches the robot.
 
-        The play operator: the robot's end follows only once the servo has taken up the play.
+        The play operator: the robot's end follows only once the servo has taken up the play. Where
+        in its play a tendon was at first is unknown; until then this is the middle.
         """
+        return np.asarray(0.5 * sum(self._followed(displacement)))
+
+    def unsettled(self, displacement: Array) -> Array:
+        """Standard deviations (M, T) of those: of where in its play each tendon was at first."""
+        low, high = self._followed(displacement)
+        return np.asarray((high - low) / np.sqrt(12.0))
+
+    def _followed(self, displacement: Array) -> tuple[Array, Array]:
+        """What displacements (M, T) reach from either end of the play."""
         half = 0.5 * self.play
-        if not half.any():
-            return displacement
-        out = np.empty_like(displacement)
-        reached = displacement[0]
-        for k, pulled in enumerate(displacement):
-            reached = np.clip(reached, pulled - half, pulled + half)
-            out[k] = reached
-        return out
+        out = np.broadcast_to(displacement, (2, *displacement.shape)).copy()
+        if half.any():
+            reached = displacement[0] + half * np.array([[-1.0], [1.0]])
+            for k, pulled in enumerate(displacement):
+                out[:, k] = reached = np.clip(reached, pulled - half, pulled + half)
+        return out[0], out[1]
 
     def tension(self, stretch: Array) -> tuple[Array, Array]:
         """Tension (…, T) for a stretch (…, T), N, and its slope, N/m: zero for a slack tendon.
