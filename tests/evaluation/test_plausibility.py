@@ -142,6 +142,23 @@ def test_a_lag_is_measured(seed):
     assert ("later" if late > 0 else "earlier") in finding.sentence
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_poses_taken_at_an_even_pace_are_no_lag(seed):
+    rng, time, pace = np.random.default_rng(seed), np.arange(0.0, 15.0, 0.025), 2.5
+    size = rng.uniform(0.1, 1.0, (2, 8)) * rng.choice([-1.0, 1.0], (2, 8))
+    part, pose = np.clip(time % pace / 0.8, 0.0, 1.0), (time // pace).astype(int)
+    eased = part**2 * (3.0 - 2.0 * part)
+    streams = []
+    for (name, place), way in zip((("tip", LENGTH), ("middle", LENGTH / 2)), size, strict=True):
+        still = np.cumsum(way)
+        turn = np.zeros((time.size, 6))
+        turn[:, 3] = 0.2 * (still[pose] + eased * way[pose + 1])
+        s = np.full(time.size, place)
+        values = se3.exp(turn + 1e-4 * rng.standard_normal(turn.shape))
+        streams.append(PoseReadings(time=time, arclength=s, values=values, cov=1e-6, name=name))
+    assert "lag" not in found(load_robot("tdcr466"), streams[:1], streams[1:])
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_units_signs_and_axes_of_a_gyroscope_are_found(seed):
     rng = np.random.default_rng(seed)

@@ -20,6 +20,7 @@ _ALIKE = 0.75  # correlation of two streams' speeds that makes a lag of them
 _BETTER = 0.12  # by which it exceeds that without a lag
 _LEAST = 0.15  # s
 _AGREE = 3  # other streams, where there are so many, with which a stream has a known lag
+_AGAIN = 0.3  # of a motion's correlation with itself, by which it rises again where it repeats
 _TRAVEL = 5e-3  # m: beyond, a sensor moves by itself
 
 
@@ -119,7 +120,15 @@ def _lag(one: tuple[Array, Array], other: tuple[Array, Array]) -> float | None:
         return None
     if scores[best] - here < max(_BETTER, 0.3 * (1.0 - here)) or abs(here) > 0.9:
         return 0.0
+    if max(_repetition(signal, abs(best - reach)) for signal in (a, b)) > _AGAIN:
+        return None  # it may as well be one motion and the next
     return (best - reach) / _RATE
+
+
+def _repetition(signal: Array, lag: int) -> float:
+    """How much more a signal is like itself after a lag than at some time before that."""
+    own = _correlations(signal, signal, lag)[lag:]
+    return float(own[-1] - own.min())
 
 
 def _correlations(a: Array, b: Array, reach: int) -> Array:
