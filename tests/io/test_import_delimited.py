@@ -230,6 +230,10 @@ def test_a_path_of_a_slide_is_read_from_its_travel(tmp_path):
         ("2026-11-22,2,3,4\n", "time=1,x=2,y=3,z=4,clock=ms", "has dates for times; leave out"),
         ("1,2,3,4\n", "time=²,x=2,y=3,z=4", "has no line with the titles ²"),
         ("t,x,y,z\n1,2,3,4\n", "time=t,x=x,y=y,z=z,euler=XYX", "euler is 'XYX'"),
+        ("0,0,0,0,0,3,1\n1,0,0,0,-38.2,84.9,13.9\n",
+         "time=1,x=2,y=3,z=4,rx=5,ry=6,rz=7", "row 1 turns by 84.9 rad, more than a whole turn"),
+        ("0,0,0,0,0,3,1\n1,0,0,0,-38.2,84.9,13.9\n",
+         "time=1,x=2,y=3,z=4,a1=5,a2=6,a3=7,euler=ZYX", "if these are degrees, say angle=deg"),
     ],
 )  # fmt: skip
 def test_a_mapping_that_does_not_fit_says_why(tmp_path, text, said, sentence):

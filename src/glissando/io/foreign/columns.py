@@ -251,8 +251,9 @@ def _values(path: Path, mapping: Mapping, kind: str, keys: tuple[str, ...], tabl
     if kind == "pose":
         turn = table[:, 3:]
         if keys[3:] == _QUATERNION:
-            rotation = unit_rotations(path, turn)
-        elif keys[3:] == _VECTOR:
+            return se3.pose(unit_rotations(path, turn), mapping.length * table[:, :3])
+        _require_radians(path, mapping, turn)
+        if keys[3:] == _VECTOR:
             rotation = se3.so3_exp(mapping.angle * turn)
         else:
             rotation = Rotation.from_euler(mapping.euler, mapping.angle * turn).as_matrix()
@@ -261,3 +262,14 @@ def _values(path: Path, mapping: Mapping, kind: str, keys: tuple[str, ...], tabl
     units = sensor.value_columns({})
     scale = [scale_of(units[key], mapping.length, mapping.angle) for key in keys]
     return sensor.from_columns(table * scale)
+
+
+def _require_radians(path: Path, mapping: Mapping, turn: Array) -> None:
+    """Refuse rotations (M, 3) beyond a whole turn: degrees that are said to be radians."""
+    size = np.abs(turn).max(axis=1, initial=0.0)
+    if mapping.angle == 1.0 and size.size and np.nanmax(size) > 2.0 * np.pi:
+        row = int(np.nanargmax(size))
+        raise RecordingError(
+            f"{path.name}: row {row} turns by {size[row]:.3g} rad, more than a whole turn; if "
+            f"these are degrees, say angle=deg in --columns."
+        )
