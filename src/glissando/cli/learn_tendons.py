@@ -49,7 +49,10 @@ def learn_from_tendons(
         return 0
     print(
         f"The tip errs by {report['rmse_mm']:.3g} mm on the {len(tip)} rows learned from, by "
-        f"{report['rmse_left_out_mm']:.3g} mm on rows left out.\nWrote {options.out}. Now: "
+        f"{report['rmse_left_out_mm']:.3g} mm on rows left out.\nOnly the marker judges this: a "
+        f"turn of its tracker's frame, rest curvature and angles of tendons trade with each other, "
+        f"so in the robot's own frame more may be wrong than is foretold.\n"
+        f"Wrote {options.out}. Now: "
         f"glissando predict --robot {options.out} --tendons commands.csv --out foretold"
     )
     return 0
