@@ -56,6 +56,19 @@ def test_the_coil_is_where_the_calibration_says_at_any_time_of_the_session():
 
 
 @pytest.mark.slow
+def test_play_far_beyond_what_was_stated_is_named_and_as_stated_it_is_not(monkeypatch):
+    truth, play = rigs.truth, 6e-4
+    monkeypatch.setattr(rigs, "truth", lambda *given: replace(truth(*given), backlash=play))
+    data, _ = rigs.drawn(0, "posed", sliding="calibrate")
+    for stated, named in ((0.1 * play, True), (play, False)):
+        noise = replace(data.noise, backlash=stated)
+        found = calibrate(replace(data, noise=noise), ROBOT, readings=150)
+        said = [w for w in found.warnings if "from what was expected" in w]
+        assert any(w.startswith("The backlash was found") for w in said) == named
+        assert bool(said) == named
+
+
+@pytest.mark.slow
 def test_a_good_session_warns_of_nothing_but_what_needs_more_time_or_speeds():
     warnings = " ".join(rigs.calibrated()[0].warnings)
     for name in ("zero", "rotation", "position", "lead", "tracker's delay", "direction"):

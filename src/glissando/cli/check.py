@@ -47,7 +47,9 @@ against the prediction by all others.
 RECORDING is estimated first. A posterior.nc of an earlier estimate needs --recording for its truth.
 --leave-out predicts whole streams by the others, stretches of time by the rest, and all by the
 prior: a sensor that explains itself cannot hide there. It takes an estimate more than streams + 2.
-Bounds hold for 95 % of estimates whose confidence is true, and allow for correlated errors.
+Bounds hold for 95 % of estimates whose confidence is true, and allow for errors that are correlated
+for a part of the session. One that lasts for all of it, of a frame or a mount, is one draw that
+looks like many: judge several sessions before confidence is called false.
 
 --store-tube finds how many standard deviations hold the whole body for a whole block of time, by
 split conformal prediction on truth that nothing was learned from, and writes the robot file with

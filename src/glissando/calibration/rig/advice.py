@@ -8,11 +8,12 @@ import numpy as np
 
 from glissando.calibration.rig.model import ROWS
 from glissando.calibration.rig.refine import RigFit
-from glissando.calibration.rig.rig import PARAMETERS, RigData
+from glissando.calibration.rig.rig import PARAMETERS, Rig, RigData
 from glissando.calibration.rig.shape import body_readings
 from glissando.geometry.se3 import Array
 from glissando.solver.measurement_factors import states_at
 
+_UNLIKELY = 4.0  # standard deviations from what was expected
 _LEARNED = 0.5  # of the standard deviation before: above it little was learned
 _CLOCKS = PARAMETERS.index("tracker delay"), PARAMETERS.index("slide delay")
 
@@ -124,5 +125,25 @@ def advice(data: RigData, cov: Array, std: Array) -> tuple[str, ...]:
             sentences.append(
                 f"How far the clocks of slide and tracker are apart is known to {1e3 * after:.2g} "
                 f"ms all the same."
+            )
+    return tuple(sentences)
+
+
+def surprises(rig: Rig, expected: Rig, std: Array) -> tuple[str, ...]:
+    """Sentences on numbers of the slide and the clocks that lie far from what was expected.
+
+    Args:
+        rig: As calibrated.
+        expected: Mean of the belief before.
+        std: Standard deviations (17,) of that.
+    """
+    away, sentences = rig.minus(expected), []
+    for name, (at, _) in _GROUPS.items():
+        k = at.start
+        if at.stop - k == 1 and std[k] > 0.0 and abs(away[k]) > _UNLIKELY * std[k]:
+            sentences.append(
+                f"{name[0].upper()}{name[1:]} was found {abs(away[k]) / std[k]:.0f} standard "
+                f"deviations (±{std[k]:.2g}) from what was expected: state how large it may be, "
+                f"or do not trust this result; what else was found may be off as far."
             )
     return tuple(sentences)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from glissando.calibration.rig.advice import advice, stream_fits
+from glissando.calibration.rig.advice import advice, stream_fits, surprises
 from glissando.calibration.rig.carriage import fit_slide, judgement
 from glissando.calibration.rig.model import ROWS, CoilModel
 from glissando.calibration.rig.refine import RigFit, refine
@@ -65,7 +65,8 @@ def calibrate(data: RigData, robot: Robot, *, readings: int = _READINGS) -> Cali
     fit = _without_outliers(refine(bunched, best, expected, std), expected, std)
     left_out = model.data.coil_time.size - sound.data.coil_time.size
     left_out += bunched.data.coil_time.size - fit.model.data.coil_time.size
-    notes += _doubts(data, fit, odds, left_out) + advice(data, fit.cov, std)
+    notes += _doubts(data, fit, odds, left_out) + surprises(fit.rig, expected, std)
+    notes += advice(data, fit.cov, std)
     if tube is not None:
         notes += judgement(tube, fit.rig, fit.cov, data)
     found = fit.rig, fit.cov, data.coil_name, odds, stream_fits(fit), notes, tube
