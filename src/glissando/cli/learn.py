@@ -32,7 +32,7 @@ from glissando.model.table import Table
 _STEPS = 20  # unless told otherwise
 _HELP = """\
 Learn the numbers of a robot file from recordings: densities, time scale, strength by segment,
-noise, drifts. Without truth, the numbers that make the readings most likely (their evidence); with
+noise, drifts; of a mechanical prior loads and weights. Without truth, the numbers that make the readings most likely (their evidence); with
 truth, those that predict it best from the sensors alone: small errors and a true confidence. A
 number that the recordings do not determine stays near its start; a factor of three is expected.
 
