@@ -32,9 +32,10 @@ from glissando.model.table import Table
 _STEPS = 20  # unless told otherwise
 _HELP = """\
 Learn the numbers of a robot file from recordings: densities, time scale, strength by segment,
-noise, drifts; of a mechanical prior loads and weights. Without truth, the numbers that make the readings most likely (their evidence); with
-truth, those that predict it best from the sensors alone: small errors and a true confidence. A
-number that the recordings do not determine stays near its start; a factor of three is expected.
+noise, drifts; of a mechanical prior loads and weights. Without truth, the numbers that make the
+readings most likely (their evidence); with truth, those that predict it best from the sensors
+alone: small errors and a true confidence. A number that the recordings do not determine stays near
+its start; a factor of three is expected.
 
 Recordings of displacements of tendons and of a marker at the tip give the numbers of [tendons] and
 [mechanics] with the error of the model, and --robot then needs a mechanical prior.
