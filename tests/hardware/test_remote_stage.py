@@ -2,6 +2,7 @@
 
 import os
 import time
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,7 @@ from glissando.errors import DeviceError
 from glissando.hardware.capture import Rig, capture, load_rig
 from glissando.hardware.capture.devices import opened_stage
 from glissando.hardware.drivers import RemoteStage, remote_stage
+from glissando.hardware.drivers.remote_stage import RemoteSlide
 from glissando.io.session_log import read_session
 from glissando.model.slide_path import SlideLimits, SlidePath
 from stage_peers import Carriage, driving
@@ -46,6 +48,42 @@ def test_ten_drawn_moves_end_where_they_were_to_and_ask_for_nothing_outside_the_
                 list(slide.pursue(wanted, 1.0))
     assert len(carriage.goals) >= 10
     assert zero - 0.06 - 1e-6 <= min(carriage.goals) <= max(carriage.goals) <= zero + 1e-6
+
+
+class Told:
+    """A peer whose positions are told beforehand: (s, m), a list for each time it is asked."""
+
+    def __init__(self, *told):
+        self.told, self.counts, self.problem = list(told), Counter(), ""
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *raised):
+        pass
+
+    def positions(self):
+        return self.told.pop(0) if self.told else []
+
+    def send(self, place, speed):
+        pass
+
+
+@pytest.mark.parametrize(("pause", "sound"), [(0.5, True), (0.0, False)])
+def test_positions_that_a_stall_held_back_are_no_disturbance_and_a_jump_is(pause, sound):
+    """Both positions after the pause come at once; the first was measured when it began."""
+    late, way = 0.04 + pause, 0.01  # m in 0.5 s at 0.02 m/s, or in no time
+    peer = Told([(0.0, 0.02)], [(0.02, 0.02)], [(late, 0.0204)], [(late + 1e-3, 0.0204 + way)])
+    stage = RemoteStage(stroke=(0.0, 0.06), speed=0.02, home=0.0, silence=0.05)
+    with RemoteSlide(stage, peer) as slide:
+        slide.home_here(0.02)
+        slide.read()
+        if sound:
+            assert slide.read().travel == pytest.approx(0.0204 + way)
+            return
+        with pytest.raises(DeviceError):
+            slide.read()
+        assert slide.counts["corrupt"] == 1
 
 
 class FirstLost(list):

@@ -138,7 +138,11 @@ class PositionSlide:
 
     def _reachable(self, last: SlideReading, now: SlideReading) -> bool:
         way = abs(now.travel - last.travel)
-        return way <= 1.5 * self.stage.speed * (now.time - last.time) + _NEAR
+        return way <= 1.5 * self.stage.speed * (now.time - self._measured_after(last)) + _NEAR
+
+    def _measured_after(self, last: SlideReading) -> float:
+        """A time before which the last reading was not measured."""
+        return last.time
 
     def move(self, travel: float, *, speed: float | None = None) -> list[SlideReading]:
         """Go to a travel in metres at a speed in m/s, the stage's by default."""

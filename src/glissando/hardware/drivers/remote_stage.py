@@ -108,6 +108,7 @@ class RemoteSlide(PositionSlide):
         super().__init__(stage)
         self._peer, self.counts = peer, peer.counts
         self._newest = -np.inf, np.nan
+        self._former = self._since = -np.inf  # when the positions before the newest, and last, came
         self._goal: tuple[float, float] | None = None
 
     def __enter__(self) -> Self:
@@ -127,8 +128,18 @@ class RemoteSlide(PositionSlide):
         return 0.0
 
     def _place(self) -> tuple[float, float]:
+        if self._last is not None and self._last.time == self._newest[0]:
+            self._since = self._former
         self._wait(self.stage.silence)
         return self._newest
+
+    def _measured_after(self, last: SlideReading) -> float:
+        """When the position before the last reading's came.
+
+        After a stall of the host or the net several come at once, of which the first was measured
+        long before.
+        """
+        return min(last.time, self._since)
 
     def _wait(self, patience: float) -> None:
         """Wait for a new position. Raises DeviceError when none comes in time."""
@@ -140,7 +151,7 @@ class RemoteSlide(PositionSlide):
                 elif time <= self._newest[0]:
                     self.counts["stale"] += 1
                 else:
-                    self._newest = time, place
+                    self._former, self._newest = self._newest[0], (time, place)
             if self._newest[0] > last:
                 return
             if monotonic() > end:
