@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -18,11 +19,12 @@ from glissando.errors import (
 from glissando.estimation.channels import settled
 from glissando.estimation.delays import with_unseen_delays
 from glissando.estimation.given import require_batch, require_gate
-from glissando.estimation.misfit import breakdown, doubt, is_implausible, worst_readings
+from glissando.estimation.misfit import breakdown, doubt, worst_readings
 from glissando.estimation.outliers import CHANCE, Mask, judged, used_at_first
 from glissando.estimation.place_evidence import by_evidence
 from glissando.estimation.posterior import Posterior, SolveReport
-from glissando.estimation.starting_point import bent_shapes, starting_point, with_parameters
+from glissando.estimation.several_starts import End, Start, best_end, start_at
+from glissando.estimation.starting_point import starting_point, with_parameters
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
 from glissando.model.priors.prior import Prior
@@ -32,9 +34,6 @@ from glissando.model.state import State
 from glissando.solver.gauss_newton import Progress, Solution, SolverOptions, Stopwatch, minimize
 from glissando.solver.located_readings import locate
 
-_ASTRAY = 10.0  # standard deviations a number by which a start may be off and still be trusted
-_MOMENTS = 28  # time nodes of an estimate that is cheap enough to be tried from several starts
-_ROUGH_ITERATIONS = 30  # from a bent shape
 _ROUNDS = 5  # of solving and judging readings
 
 
@@ -124,13 +123,6 @@ def estimate_in_passing(
     return problem.placed((initial, initial_parameters))
 
 
-_Start = tuple[State | None, Sequence[tuple[SensorParameter, Array]]]
-"""Nodes to start from, and sensor parameters with their values."""
-
-_End = tuple[Posterior, Solution]
-"""A posterior, and where the iteration ended."""
-
-
 @dataclass(frozen=True)
 class _Problem:
     """What is estimated, from which readings, and how."""
@@ -145,7 +137,7 @@ class _Problem:
     dates: bool = True
     clock: Stopwatch = field(default_factory=Stopwatch)
 
-    def placed(self, start: _Start) -> Posterior:
+    def placed(self, start: Start) -> Posterior:
         """The posterior, for which readings in channels are where it says itself."""
         if not any(r.channel for r in self.readings):
             return self.corrected().posterior(start)
@@ -161,16 +153,16 @@ class _Problem:
         known = [parameter for parameter in self.sensor_parameters if parameter.known]
         return replace(self, readings=[corrected(r, known) for r in self.readings])
 
-    def posterior(self, start: _Start) -> Posterior:
+    def posterior(self, start: Start) -> Posterior:
         """The posterior of all readings but those that the others refute."""
         used = [used_at_first(r, self.gate) for r in self.readings]
         if not all(rows.all() for rows in used):
             locate(self.grid, self.readings, self.sensor_parameters)  # raises for spikes off, too
         with self.said():
-            end = self.first_solve(used, start)
+            end = best_end(self.prior, self.grid, self.options, start, partial(self.solve, used))
             if self.gate is not None:
                 end, used = self.solve_without_refuted(end, used, self.gate)
-            posterior = self.dated(*self.displaced(end, used)) if self.dates else end[0]
+            posterior = self.dated(*self.placed_by_evidence(end, used)) if self.dates else end[0]
         return replace(posterior, solve=replace(posterior.solve, refused=self.left_out(used)))
 
     @contextmanager
@@ -181,59 +173,15 @@ class _Problem:
         except (np.linalg.LinAlgError, UnobservableError) as error:
             raise breakdown(error, self.grid, self.prior, self.readings) from error
 
-    def first_solve(self, used: Sequence[Mask], start: _Start) -> _End:
-        """Solve from a start, and from others as well where that turns out to be far off.
-
-        Those are rest and, of a few moments that it does not explain, bent shapes.
-        """
-        few = self.grid.time.size <= _MOMENTS and self.options.max_iterations >= _ROUGH_ITERATIONS
-        try:
-            end = self.solve(used, start)
-        except (np.linalg.LinAlgError, UnobservableError):
-            found = self.solve_from_bent(used, None, start) if few else None
-            if found is None or self.is_astray(found[1]):
-                raise
-            return found
-        if start[0] is not None and _is_doubtful(end[1]):
-            with suppress(np.linalg.LinAlgError, UnobservableError):
-                end = max(end, self.solve(used, (None, start[1])), key=_worth)
-        if few and self.is_astray(end[1]):
-            end = self.solve_from_bent(used, end, start) or end
-        return end
-
-    def is_astray(self, solution: Solution) -> bool:
-        """Whether an iteration found no minimum, or one that is not the lowest."""
-        return not solution.outcome.sound or is_implausible(self.prior, solution)
-
-    def solve_from_bent(self, used: Sequence[Mask], end: _End | None, start: _Start) -> _End | None:
-        """Solve roughly from bent shapes until one will do, and on from the best if it is better.
-
-        None where all break down, as the start did if there is no `end`.
-        """
-        best = end
-        for bent in bent_shapes(self.prior, self.grid):
-            rough = self.options.rougher(bent.numbers * self.grid.time.size)
-            rough = replace(rough, max_iterations=_ROUGH_ITERATIONS)
-            with suppress(np.linalg.LinAlgError, UnobservableError):
-                found = self.solve(used, (bent, start[1]), rough)
-                best = max(best or found, found, key=_worth)
-                if not self.is_astray(best[1]):
-                    break
-        if best is None or best is end:
-            return end
-        with suppress(np.linalg.LinAlgError, UnobservableError):
-            best = self.solve(used, _end_of(best[1]))
-        return max(end or best, best, key=_worth)
-
     def solve(
-        self, used: Sequence[Mask], initial: _Start, options: SolverOptions | None = None
-    ) -> _End:
+        self, used: Sequence[Mask], initial: Start, options: SolverOptions | None = None
+    ) -> End:
         """The posterior of the readings that are used, and where the iteration ended."""
         solution = self.minimum(used, initial, options)
         return self.known_by(solution), solution
 
     def minimum(
-        self, used: Sequence[Mask], initial: _Start, options: SolverOptions | None = None
+        self, used: Sequence[Mask], initial: Start, options: SolverOptions | None = None
     ) -> Solution:
         """Where the iteration with the readings that are used ends."""
         readings = [r.select(rows) for r, rows in zip(self.readings, used, strict=True)]
@@ -266,13 +214,15 @@ class _Problem:
             (solution.equations.state, solution.equations.noise_state),
         )
 
-    def displaced(self, end: _End, used: Sequence[Mask]) -> _End:
+    def placed_by_evidence(self, end: End, used: Sequence[Mask]) -> End:
         """The same with offsets along the robot that are known by their evidence. Source: (22)."""
 
         def again(shifted: Sequence[SensorParameter], before: Solution) -> Solution:
-            return replace(self, sensor_parameters=shifted).minimum(used, _end_of(before))
+            return replace(self, sensor_parameters=shifted).minimum(used, start_at(before))
 
         placed = end[1]
+        if not placed.outcome.sound:
+            return end
         with one_thread(), suppress(np.linalg.LinAlgError, UnobservableError):
             placed = by_evidence(self.prior, placed, self.sensor_parameters, again)
         return end if placed is end[1] else (self.known_by(placed), placed)
@@ -284,8 +234,8 @@ class _Problem:
         return posterior if seen is solution else self.known_by(seen)
 
     def solve_without_refuted(
-        self, end: _End, used: list[Mask], gate: float
-    ) -> tuple[_End, list[Mask]]:
+        self, end: End, used: list[Mask], gate: float
+    ) -> tuple[End, list[Mask]]:
         """Judge readings and solve again until those used are those that no others refute.
 
         Estimates that are judged again are rough.
@@ -297,32 +247,15 @@ class _Problem:
                 kept = judged(*end, self.readings, used, gate)  # (25)
                 if all(map(np.array_equal, used, kept)):
                     break
-                end, used = self.solve(kept, _end_of(end[1]), rough), kept
+                end, used = self.solve(kept, start_at(end[1]), rough), kept
             if used is not first:
-                end = self.solve(used, _end_of(end[1]))
+                end = self.solve(used, start_at(end[1]))
         return end, used
 
     def left_out(self, used: Sequence[Mask]) -> dict[str, list[int]]:
         """Rows of each stream that were not used, of streams that have such rows."""
         pairs = zip(self.readings, used, strict=True)
         return {r.label: np.flatnonzero(~rows).tolist() for r, rows in pairs if not rows.all()}
-
-
-def _is_doubtful(solution: Solution) -> bool:
-    """Whether a solution may not be the lowest minimum, as its start was so far off."""
-    far = solution.first_step > _ASTRAY * float(np.sqrt(solution.equations.rhs.size))
-    return far or not solution.outcome.sound
-
-
-def _worth(end: _End) -> tuple[bool, float]:
-    """How good the end of an iteration is: whether it converged, and at which cost."""
-    report = end[0].solve
-    return report.converged, -report.cost
-
-
-def _end_of(solution: Solution) -> _Start:
-    """Where a solution ended, to start from."""
-    return solution.state, solution.located.parameters.by_name()
 
 
 def _after(before: int, progress: Progress | None) -> Progress | None:
@@ -334,8 +267,7 @@ def _after(before: int, progress: Progress | None) -> Progress | None:
 
 def _log_evidence(solution: Solution) -> float:
     """The Laplace log marginal likelihood, up to a constant. Source: equation (22)."""
-    noise = sum(terms.log_det_cov() for terms in solution.equations.terms)
-    return -solution.cost - 0.5 * (noise + solution.cholesky.log_det)
+    return -solution.cost - 0.5 * (solution.equations.log_det_noise + solution.cholesky.log_det)
 
 
 def _report(prior: Prior, solution: Solution, log_evidence: float, clock: Stopwatch) -> SolveReport:

@@ -75,8 +75,9 @@ def _offsets(process: EstimatedParameters) -> list[int]:
     return [
         column
         for parameter, at in pairs
-        if parameter.moves and parameter.along == "arclength"
-        if np.isinf(parameter.correlation_time)
+        if parameter.moves
+        and parameter.along == "arclength"
+        and np.isinf(parameter.correlation_time)
         for column in range(at.start, at.stop)
     ]
 
@@ -122,8 +123,7 @@ def _minus_evidence(prior: Prior, solution: Solution, step: Array) -> float:
     of_nodes, of_parameters = solution.equations.split(step)
     state, located = solution.state.retract(of_nodes), solution.located.moved(of_parameters)
     there = linearize(prior, located, state, state, np.empty_like(solution.workspace))
-    noise = sum(terms.log_det_cov() for terms in there.terms)
-    return there.cost_of(there) + 0.5 * (noise + factor(there.system).log_det)
+    return there.cost_of(there) + 0.5 * (there.log_det_noise + factor(there.system).log_det)
 
 
 def _as_stated(solution: Solution, process: EstimatedParameters) -> Solution:

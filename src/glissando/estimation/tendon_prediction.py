@@ -60,9 +60,8 @@ def predict(
     shape = equilibrium(rod, displacement=rod.tendons.effective(displacement))
     node = np.searchsorted(rod.nodes, places - 1e-9)
     cov = np.zeros((len(shape.strain), len(places), DOF, DOF))
-    cov[..., : _VELOCITY.start, : _VELOCITY.start] = shape.cov(rod.tendons.unsettled(displacement))[
-        :, node
-    ]
+    of_shape = shape.cov(rod.tendons.unsettled(displacement))
+    cov[..., : _VELOCITY.start, : _VELOCITY.start] = of_shape[:, node]
     by_pull = shape.pose_by(shape.strain_by_displacement())[:, node]
     velocity, cov[..., _VELOCITY, _VELOCITY] = _velocity(rod, time, displacement, by_pull)
     strain = shape.strain[:, np.maximum(node - 1, 0)]

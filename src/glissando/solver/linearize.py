@@ -44,6 +44,11 @@ class NormalEquations:
             mine.cost(theirs.residual) for mine, theirs in zip(self.terms, other.terms, strict=True)
         )
 
+    @property
+    def log_det_noise(self) -> float:
+        """Log determinant of the covariance of all residuals."""
+        return sum(terms.log_det_cov() for terms in self.terms)
+
     def reading_terms(self) -> list[Residuals]:
         """Residuals of the readings alone, those of each stream in the order of its rows."""
         streams, extra = len(self.located.streams), self.located.parameters.process.size > 0

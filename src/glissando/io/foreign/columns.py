@@ -266,9 +266,9 @@ def _values(path: Path, mapping: Mapping, kind: str, keys: tuple[str, ...], tabl
 
 def _require_radians(path: Path, mapping: Mapping, turn: Array) -> None:
     """Refuse rotations (M, 3) beyond a whole turn: degrees that are said to be radians."""
-    size = np.abs(turn).max(axis=1, initial=0.0)
-    if mapping.angle == 1.0 and size.size and np.nanmax(size) > 2.0 * np.pi:
-        row = int(np.nanargmax(size))
+    size = np.nan_to_num(np.abs(turn)).max(axis=1, initial=0.0)  # what was not seen has none
+    if mapping.angle == 1.0 and size.max(initial=0.0) > 2.0 * np.pi:
+        row = int(size.argmax())
         raise RecordingError(
             f"{path.name}: row {row} turns by {size[row]:.3g} rad, more than a whole turn; if "
             f"these are degrees, say angle=deg in --columns."

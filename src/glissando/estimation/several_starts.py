@@ -1,0 +1,118 @@
+"""A search from one start, and from others where that ends astray: rest, and bent shapes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
+from typing import Protocol
+
+import numpy as np
+
+from glissando.errors import UnobservableError
+from glissando.estimation.misfit import is_implausible
+from glissando.estimation.posterior import Posterior
+from glissando.estimation.starting_point import bent_shapes
+from glissando.geometry.se3 import Array
+from glissando.model.grid import Grid
+from glissando.model.priors.prior import Prior
+from glissando.model.sensors.parameters import SensorParameter
+from glissando.model.state import State
+from glissando.solver.gauss_newton import Solution, SolverOptions
+
+_DOUBTFUL = 10.0  # standard deviations a number by which a start may be off and still be trusted
+_MOMENTS = 28  # time nodes of an estimate that is cheap enough to be tried from several starts
+_ROUGH_ITERATIONS = 30  # from a bent shape
+
+Start = tuple[State | None, Sequence[tuple[SensorParameter, Array]]]
+"""Nodes to start from, rest if there are none, and sensor parameters with their values."""
+
+End = tuple[Posterior, Solution]
+"""A posterior, and where the iteration ended."""
+
+
+class Solve(Protocol):
+    """Solves from a start, with other options if they are given."""
+
+    def __call__(self, initial: Start, options: SolverOptions | None = None) -> End:
+        """Where the iteration ends; raises where it breaks down."""
+
+
+def best_end(prior: Prior, grid: Grid, options: SolverOptions, start: Start, solve: Solve) -> End:
+    """Solve from a start, and from others as well where that turns out to be far off.
+
+    Those are rest and, of a few moments that it does not explain, bent shapes.
+
+    Args:
+        prior: The prior.
+        grid: The nodes.
+        options: When to stop.
+        start: Where to start.
+        solve: Solves from a start.
+
+    Raises:
+        UnobservableError: All starts break down (or numpy's LinAlgError).
+    """
+    few = grid.time.size <= _MOMENTS and options.max_iterations >= _ROUGH_ITERATIONS
+    try:
+        end = solve(start)
+    except (np.linalg.LinAlgError, UnobservableError):
+        found = _from_bent(prior, grid, options, None, start, solve) if few else None
+        if found is None or _is_astray(prior, found):
+            raise
+        return found
+    if start[0] is not None and _is_doubtful(end[1]):
+        with suppress(np.linalg.LinAlgError, UnobservableError):
+            end = max(end, solve((None, start[1])), key=_worth)
+    if few and _is_astray(prior, end):
+        end = _from_bent(prior, grid, options, end, start, solve) or end
+    return end
+
+
+def start_at(solution: Solution) -> Start:
+    """Where a solution ended, to start from."""
+    return solution.state, solution.located.parameters.by_name()
+
+
+def _from_bent(
+    prior: Prior,
+    grid: Grid,
+    options: SolverOptions,
+    end: End | None,
+    start: Start,
+    solve: Solve,
+) -> End | None:
+    """Solve roughly from bent shapes until one will do, and on from the best if it is better.
+
+    None where all break down, as the start did if there is no `end`.
+    """
+    best = end
+    for bent in bent_shapes(prior, grid):
+        rough = options.rougher(bent.numbers * grid.time.size)
+        with suppress(np.linalg.LinAlgError, UnobservableError):
+            found = solve((bent, start[1]), replace(rough, max_iterations=_ROUGH_ITERATIONS))
+            best = max(best or found, found, key=_worth)
+            if not _is_astray(prior, best):
+                break
+    if best is None or best is end:
+        return end
+    with suppress(np.linalg.LinAlgError, UnobservableError):
+        best = solve(start_at(best[1]))
+    return max(end or best, best, key=_worth)
+
+
+def _is_astray(prior: Prior, end: End) -> bool:
+    """Whether an iteration found no minimum, or one that is not the lowest."""
+    return not end[1].outcome.sound or is_implausible(prior, end[1])
+
+
+def _is_doubtful(solution: Solution) -> bool:
+    """Whether a solution may not be the lowest minimum, as its start was so far off."""
+    far = solution.first_step > _DOUBTFUL * float(np.sqrt(solution.equations.rhs.size))
+    return far or not solution.outcome.sound
+
+
+def _worth(end: End) -> tuple[bool, float]:
+    """How good the end of an iteration is: whether it converged, and at which cost."""
+    report = end[0].solve
+    return report.converged, -report.cost
