@@ -115,15 +115,13 @@ The robot file also accounts for these effects. The tracker was polled faster th
 its stamps are up to 20 ms late at a tip that moves at 1.6 m/s (`rate`). The coil at the tip is
 tilted by some degrees (`--joint`). The tendons pull discs and bodies down the backbone, by 8 mm
 at mid-length (an axial set). The distortion of the tracker's field drifts. Delays of the gyroscopes
-are not in it: with a prior on strain and 0 ± 20 ms stated for each, every window left them as
-stated and no error changed, while an update took four times as long.
+are not in it: every window left them as stated, which costs time and shows nothing.
 
 **How far to trust the table.** The first two windows are no held-out test: some hundred settings,
 of priors on strain first and then of the rod, were judged on them before this file was learned, and
 apart from the steady stamps, which need no truth, the effects above were found from both recordings
 and their truth. That rest counts once is a general argument, and so is the weight, which the first
-recording shows by itself: its truth is more likely by 0.1 a degree of freedom than with a prior on
-strain. No choice was made by the last four seconds. The weights and the drifts were learned in free
+recording shows by itself (without it in the last table). No choice was made by the last four seconds. The weights and the drifts were learned in free
 space until convergence. Their initial values, the moments of tendons, the forces of contacts, sets,
 torsional stiffness, noise, time scale and the time grid were set by hand. What is published of the
 robot's body is little; a nitinol wire of 1 mm was assumed, and only ratios to its stiffness show.

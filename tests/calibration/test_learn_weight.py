@@ -10,47 +10,33 @@ from glissando.calibration.robot.hyperparameters import expanded, learnable, mov
 from glissando.calibration.robot.objective import Objective
 from glissando.geometry import se3
 from glissando.simulation import Loads, Rod, Wrench, solve_shape
+from tendon_robot import LENGTH, STIFFNESS, document
 
-LENGTH, BENDING, MASS, LINEAR = 0.4, 3e-3, 0.008, 0.04
+MASS, LINEAR = 0.03, 0.3
 NOISE = np.repeat([3e-4, 3e-3], 3)
 DOWN = [0.0, 0.0, 9.81]
-SIX = [300.0, 300.0, 800.0, BENDING, BENDING, 2.3e-3]
 
 
-def document(mass, linear):
-    return expanded(
-        {
-            "name": "hanging",
-            "length": LENGTH,
-            "rest_strain": [0.0, 0.0, 1.0, 0.0, 0.0, 0.0],
-            "grid": {"arclength_nodes": 5, "time_rate": 4.0},
-            "base": {"position": [0, 0, 0], "quaternion": [1, 0, 0, 0], "var_pose": [1e-8, 1e-8]},
-            "mechanics": {
-                "stiffness": SIX,
-                "mass_per_length": linear,
-                "gravity": DOWN,
-                "tip": {"mass": mass, "center": [0.0, 0.0, 0.0]},
-            },
-            "prior": {
-                "kind": "mechanical",
-                "time_scale": 1.0,
-                "psd_load": [1e-7, 1e-11],
-                "psd_strain_error": [1e-10, 1e-6],
-                "var_tip": [1e-6, 1e-4],
-            },
-            "sensors": {"pose": {"std": NOISE.tolist()}},
-        }
-    )
+def hanging_robot(mass, linear, gravity=DOWN):
+    """A robot file of one segment that knows its weight, and no tendons."""
+    file = document()
+    weight = {"mass_per_length": linear, "gravity": gravity, "tip": {"mass": mass}}
+    weight["tip"]["center"] = [0.0, 0.0, 0.0]
+    file["mechanics"] = {"stiffness": STIFFNESS, **weight}
+    file["prior"] |= {"psd_load": [1e-7, 1e-11], "psd_strain_error": [1e-10, 1e-6]}
+    file["prior"]["var_tip"] = [1e-6, 1e-4]
+    file["base"] = {"position": [0, 0, 0], "quaternion": [1, 0, 0, 0], "var_pose": [1e-8, 1e-8]}
+    return expanded({k: v for k, v in file.items() if k not in ("tendons", "sensor_parameters")})
 
 
 def hanging(seed):
     """Tip and middle of a hanging rod that slow moments at its tip bend: readings and truth."""
     rng, time = np.random.default_rng(seed), np.linspace(0.0, 4.0, 17)
-    rod = Rod(LENGTH, np.array(SIX), mass_per_length=LINEAR)
+    rod = Rod(LENGTH, np.array(STIFFNESS), mass_per_length=LINEAR)
     angle = 2.0 * np.pi * rng.uniform(size=2)
     streams = ([], [])
     for t in time:
-        moment = 0.01 * np.array([np.sin(1.2 * t + angle[0]), np.cos(0.9 * t + angle[1]), 0.0])
+        moment = 0.02 * np.array([np.sin(1.2 * t + angle[0]), np.cos(0.9 * t + angle[1]), 0.0])
         weight = Wrench(LENGTH, MASS * np.array(DOWN), moment)
         shape = solve_shape(rod, [], Loads(gravity=np.array(DOWN), wrenches=[weight]))
         for stream, pose in zip(streams, shape.at([LENGTH, 0.5 * LENGTH]).pose, strict=True):
@@ -70,7 +56,7 @@ def hanging(seed):
 
 @pytest.mark.parametrize("label", ["mass of the tip", "mass per length"])
 def test_a_wrong_weight_makes_the_truth_less_likely(label):
-    start = document(MASS, LINEAR)
+    start = hanging_robot(MASS, LINEAR)
     (number,) = (p for p in learnable(start, []) if p.label == label)
     objective = Objective([hanging(seed) for seed in range(2)], calibrate=False)
     factors = np.log([0.5, 1.0, 2.0])
@@ -81,8 +67,7 @@ def test_a_wrong_weight_makes_the_truth_less_likely(label):
 
 
 def test_weight_is_not_learned_where_it_does_not_show():
-    labels = [p.label for p in learnable(document(MASS, LINEAR), [])]
+    labels = [p.label for p in learnable(hanging_robot(MASS, LINEAR), [])]
     assert {"mass of the tip", "mass per length"} <= set(labels)
-    floating = document(MASS, LINEAR)
-    floating["mechanics"]["gravity"] = [0.0, 0.0, 0.0]
+    floating = hanging_robot(MASS, LINEAR, gravity=[0.0, 0.0, 0.0])
     assert not any("mass" in p.label for p in learnable(floating, []))

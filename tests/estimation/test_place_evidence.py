@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from glissando import CoilReadings, Grid, PoseReadings, SensorParameter, estimate, load_robot
+from glissando import CoilReadings, Grid, SensorParameter, estimate, load_robot
 from glissando.evaluation.prior_predictive import PriorPredictive, noisy_values
 from glissando.geometry import se3
 from glissando.model.state import State
@@ -77,14 +77,13 @@ def test_a_prior_broader_than_motions_are_does_not_pull_offsets_to_the_base():
     assert np.sqrt(np.mean(np.square(z))) < 1.6
 
 
-def test_a_single_pose_at_a_known_place_is_left_as_it_is():
-    robot = gentle(load_robot("tdcr466-segments"))
-    pose = np.eye(4)[None].copy()
-    pose[0, 2, 3] = robot.length
-    tip = PoseReadings(
-        time=[0.0], arclength=[robot.length], values=pose, cov=np.full(6, 1e-6), name="tip"
-    )
-    grid = Grid(robot.arclength_nodes, [0.0])
-    plain = estimate(robot.prior, grid, [tip])
-    other = estimate(robot.prior, grid, [tip], sensor_parameters=[OFFSET])
-    np.testing.assert_array_equal(plain.state.pose, other.state.pose)
+def test_an_offset_that_is_all_but_known_is_left_where_it_is():
+    robot, time = gentle(load_robot("tdcr466-segments")), np.linspace(0.0, 1.0, 16)
+    place, pose = sliding(time, robot.length, 0.3), np.tile(np.eye(4), (16, 1, 1))
+    pose[:, 2, 3] = place
+    coil = CoilReadings(time=time, arclength=place, values=pose, cov=STD**2, name="coil")
+    grid, sure = robot.grid(0.0, 1.0), replace(OFFSET, std=np.array([1e-7]))
+    plain = estimate(robot.prior, grid, [coil])
+    other = estimate(robot.prior, grid, [coil], sensor_parameters=[sure])
+    np.testing.assert_allclose(other.state.pose, plain.state.pose, atol=1e-6)
+    assert abs(other.parameter("off")[0][0, 0]) < 1e-7

@@ -1,0 +1,99 @@
+"""What an estimate is given is checked: kinds, gates, units and places are one sentence each."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from glissando import (
+    FixedLagSmoother,
+    GlissandoError,
+    PositionReadings,
+    Posterior,
+    SensorParameter,
+    estimate,
+    estimate_static,
+    load_robot,
+)
+from glissando.errors import OutsideGridError, SensorError
+from glissando.geometry import se3
+from scenes import sliding_scene
+
+
+def test_an_argument_of_another_kind_is_one_sentence():
+    prior, grid, readings = sliding_scene()
+    robot, nodes = load_robot("tdcr466"), grid.arclength
+    offset = SensorParameter("home", "arclength_offset", ("coil",), [0.0], [1e-3])
+    posterior = Posterior(*[None] * 8)
+    smoother = FixedLagSmoother(prior, nodes)
+    for call, said in (
+        (lambda: estimate(robot, grid, readings), "prior is a Robot; give robot.prior"),
+        (lambda: estimate(prior, nodes, readings), r"grid is a ndarray; give robot.grid\("),
+        (
+            lambda: estimate(prior, grid, readings[0]),
+            "readings are a PoseReadings and go in a list",
+        ),
+        (lambda: estimate(prior, grid, [readings]), "readings hold a list; give a list"),
+        (lambda: estimate(prior, grid, readings, initial=posterior), "give posterior.states_on"),
+        (lambda: estimate(prior, grid, readings, options={}), "options is a dict; give Solver"),
+        (lambda: estimate(prior, grid, readings, sensor_parameters=offset), "a list of Sensor"),
+        (lambda: FixedLagSmoother(prior, nodes, sensor_parameters=[offset] * 2), "'home'; rename"),
+        (lambda: FixedLagSmoother(robot, nodes), "prior is a Robot"),
+        (lambda: FixedLagSmoother(prior, nodes, window=2.5), "2.5; give a whole number"),
+        (lambda: FixedLagSmoother(prior, 1e3 * nodes), "466 m; give metres"),
+        (lambda: smoother.add(readings), "stream is a list; give the readings of one"),
+        (lambda: estimate_static(robot, nodes, []), "prior is a Robot"),
+        (lambda: dataclasses.replace(offset, streams="coil"), "streams is 'coil'; give a list"),
+    ):
+        with pytest.raises(GlissandoError, match=said):
+            call()
+
+
+@pytest.mark.parametrize("gate", [2.0, 1.0, 0.0, -1.0, np.nan])
+def test_a_gate_that_is_no_chance_is_one_sentence(gate):
+    robot = load_robot("tdcr466")
+    with pytest.raises(SensorError, match="the chance, between 0 and 1"):
+        estimate(robot.prior, robot.grid(0.0, 1.0), [], gate=gate)
+    with pytest.raises(SensorError, match="the chance, between 0 and 1"):
+        FixedLagSmoother(robot.prior, robot.arclength_nodes, gate=gate)
+
+
+def in_millimetres(robot, time):
+    """Positions of an arc at three places, each at one of three times."""
+    place = robot.length * np.array([0.3, 0.7, 1.0])
+    bent = se3.exp(place[:, None] * np.array([0.0, 0.0, 1.0, 0.0, 0.8, 0.0]))
+    data = {"arclength": place, "values": 1e3 * bent[:, :3, 3], "cov": 1e-6, "name": "seen"}
+    return PositionReadings(time=np.broadcast_to(time, 3), **data)
+
+
+FAR_OFF = r"No shape of this robot.*Check units"
+
+
+@pytest.mark.parametrize("name", ["tdcr466", "tdcr466-segments", "sliding700"])
+def test_static_shapes_in_millimetres_are_one_sentence(name):
+    robot = load_robot(name)
+    with pytest.raises(SensorError, match=FAR_OFF):
+        estimate_static(robot.prior, robot.arclength_nodes, [in_millimetres(robot, 0.0)])
+
+
+def test_updates_in_millimetres_are_one_sentence():
+    robot = load_robot("tdcr466")
+    smoother = FixedLagSmoother(robot.prior, robot.arclength_nodes)
+
+    def go():
+        for now in 0.1 * np.arange(20):
+            smoother.add(in_millimetres(robot, now))
+            smoother.advance(now)
+
+    with pytest.raises(SensorError, match=FAR_OFF):
+        go()
+
+
+def test_readings_off_the_grid_are_named():
+    prior, grid, (_, coil, _) = sliding_scene()
+    arclength = coil.arclength.copy()
+    arclength[[3, 17]] = 0.481, 0.502
+    off = dataclasses.replace(coil, arclength=arclength)
+    with pytest.raises(OutsideGridError, match=r"rows 3, 17 have arclength 0.481, 0.502 m"):
+        estimate(prior, grid, [off])
+    assert len(off.inside(grid)) == len(coil) - 2
