@@ -121,10 +121,11 @@ are not in it: every window left them as stated, which costs time and shows noth
 of priors on strain first and then of the rod, were judged on them before this file was learned, and
 apart from the steady stamps, which need no truth, the effects above were found from both recordings
 and their truth. That rest counts once is a general argument, and so is the weight, which the first
-recording shows by itself (without it in the last table). No choice was made by the last four seconds. The weights and the drifts were learned in free
-space until convergence. Their initial values, the moments of tendons, the forces of contacts, sets,
-torsional stiffness, noise, time scale and the time grid were set by hand. What is published of the
-robot's body is little; a nitinol wire of 1 mm was assumed, and only ratios to its stiffness show.
+recording shows by itself (without it in the last table). No choice was made by the last four
+seconds. The weights and the drifts were learned in free space until convergence. Their initial
+values, the moments of tendons, the forces of contacts, sets, torsional stiffness, noise, time scale
+and the time grid were set by hand. What is published of the robot's body is little; a nitinol wire
+of 1 mm was assumed, and only ratios to its stiffness show.
 
 **Remaining errors.** At the tip, tracker and motion capture disagree by some millimetres in the
 two windows, with the frame and mounts of slow motion. Motion capture is 20 ms late in
