@@ -8,265 +8,201 @@ from __future__ import annotations
 import numpy as np
 
 from glissando._kernels.jit import jit
-from glissando._kernels.lie import (
-    ad_into,
-    adjoint_back_into,
-    adjoint_into,
-    compose_into,
-    exp_into,
-    right_jacobian_into,
+from glissando._kernels.lie import adjoint_back_into, compose_into, exp_into, right_jacobian_into
+from glissando._kernels.rod_noise import add_noise, carry_noise, noise_memory, product_into
+from glissando._kernels.rod_series import (
+    ALONG,
+    FORCE,
+    MOMENT,
+    ORDERS,
+    TURN,
+    WEIGHT,
+    cross,
+    cross_slopes,
+    series_into,
+    turn_slopes,
 )
 
 STEPS = 3  # into which an interval is divided
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
-_NODES, _WEIGHTS = 0.5 * (_NODES + 1.0), 0.5 * _WEIGHTS
-_TERMS = 6  # of the exponential of a step, whose norm is small
+_AHEAD, _CARRIED, _END, _LEVER, _POSITION, _PLACES = 20, 22, 24, 28, 29, 30  # of vectors
+_END_WRENCH = _END + 2
 
 
 @jit()
-def _add(a, b, factor, out):
-    """Add a multiple of the product a b of matrices, or of a matrix and columns."""
-    for i in range(a.shape[0]):
-        for k in range(a.shape[1]):
-            x = factor * a[i, k]
-            if x != 0.0:
-                for j in range(b.shape[1]):
-                    out[i, j] += x * b[k, j]
-
-
-@jit()
-def _add_times(a, x, factor, out):
-    """Add a multiple of the vector a x."""
-    for i in range(a.shape[0]):
-        for k in range(a.shape[1]):
-            out[i] += factor * a[i, k] * x[k]
-
-
-@jit()
-def _hat_into(x, out):
-    out[0, 0] = out[1, 1] = out[2, 2] = 0.0
-    out[0, 1], out[1, 0] = -x[2], x[2]
-    out[0, 2], out[2, 0] = x[1], -x[1]
-    out[1, 2], out[2, 1] = -x[0], x[0]
-
-
-@jit()
-def _pull_into(wrench, out):
-    """B(W) (6, 6) with B(W) η = ad(η)ᵀ W."""
-    out[:] = 0.0
-    for first, row, column in ((0, 0, 3), (0, 3, 0), (3, 3, 3)):
-        x, y, z = wrench[first], wrench[first + 1], wrench[first + 2]
-        out[row, column + 1], out[row + 1, column] = -z, z
-        out[row, column + 2], out[row + 2, column] = y, -y
-        out[row + 1, column + 2], out[row + 2, column + 1] = -x, x
-
-
-@jit()
-def _series_into(stiffness, rest, rest_slope, strain, wrench, weight, d_strain, d_wrench, d_weight,
-                 ad, pull):  # fmt: skip
-    """Strain, wrench and weight (4, …) with three derivatives by arclength, and their slopes.
-
-    The first wrench and weight are given; slopes (4, …, 9) are by [weight, wrench] there. ∂W/∂s =
-    ad(ε)ᵀ W − w_g and ∂w_g/∂s = −u × w_g are differentiated by Leibniz' rule.
-    """
-    spin, heavy = np.empty((3, 3)), np.empty((3, 3))
-    d_wrench[:], d_weight[:], wrench[1:], weight[1:] = 0.0, 0.0, 0.0, 0.0
-    for i in range(6):
-        d_wrench[0, i, 3 + i] = 1.0
-    for i in range(3):
-        d_weight[0, i, i] = 1.0
-    for order in range(4):
-        for i in range(6):
-            unloaded = rest[i] if order == 0 else rest_slope[i] if order == 1 else 0.0
-            strain[order, i] = unloaded + wrench[order, i] / stiffness[i]
-            for j in range(9):
-                d_strain[order, i, j] = d_wrench[order, i, j] / stiffness[i]
-        ad_into(strain[order], ad[order])
-        _pull_into(wrench[order], pull[order])
-        if order == 3:
-            break
-        for k in range(order + 1):
-            times, j = 2.0 if order == 2 and k == 1 else 1.0, order - k
-            _add_times(ad[k].T, wrench[j], times, wrench[order + 1])
-            _add(ad[k].T, d_wrench[j], times, d_wrench[order + 1])
-            _add(pull[j], d_strain[k], times, d_wrench[order + 1])
-            _hat_into(strain[k, 3:], spin)
-            _hat_into(weight[j], heavy)
-            _add_times(spin, weight[j], -times, weight[order + 1])
-            _add(heavy, d_strain[k, 3:], times, d_weight[order + 1])
-            _add(spin, d_weight[j], -times, d_weight[order + 1])
-        for i in range(3):
-            wrench[order + 1, i] -= weight[order, i]
-            for j in range(9):
-                d_wrench[order + 1, i, j] -= d_weight[order, i, j]
-
-
-@jit()
-def _less_weight_into(h, strain, weight, d_strain, d_weight, carried, by_carried):
-    """Take off the weight over a step, from a wrench about its beginning and its slope (6, 9)."""
-    spin, along, hat = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
-    _hat_into(strain[0, 3:], spin)
-    _hat_into(strain[0], along)
-    a, b = 0.5 * h * h, h * h * h / 6.0
-    lever, by_lever = np.zeros(3), np.zeros((3, 9))
-    _add_times(spin, strain[0, :3], b, lever)
-    _add(spin, d_strain[0, :3], b, by_lever)
-    _add(along, d_strain[0, 3:], -b, by_lever)
-    for i in range(3):
-        lever[i] += a * strain[0, i] + b * strain[1, i]
-        carried[i] -= h * weight[0, i]
-        for j in range(9):
-            by_lever[i, j] += a * d_strain[0, i, j] + b * d_strain[1, i, j]
-            by_carried[i, j] -= h * d_weight[0, i, j]
-    _hat_into(lever, hat)
-    _add_times(hat, weight[0], -1.0, carried[3:])
-    _add(hat, d_weight[0], -1.0, by_carried[3:])
-    _hat_into(weight[0], hat)
-    _add(hat, by_lever, 1.0, by_carried[3:])
-
-
-@jit()
-def _step_into(h, strain, wrench, weight, d_strain, d_wrench, d_weight, ad, pose, end, phi, own):
-    """Pose (4, 4) and wrench (6,) after a step, slopes (12, 12) by both and (12, 9) as above."""
-    ahead, slope = np.zeros(6), np.zeros((6, 9))
+def _ahead(h, x, slopes, six):
+    """Six-vector of a step's pose by Magnus' expansion, and its slope."""
     power = 1.0
-    for k in range(4):
-        power *= h / (k + 1.0)
-        for i in range(6):
-            ahead[i] += power * strain[k, i]
-            for j in range(9):
-                slope[i, j] += power * d_strain[k, i, j]
-    for k, factor in ((1, h**3 / 12.0), (2, h**4 / 24.0)):
-        _add_times(ad[0], strain[k], factor, ahead)
-        _add(ad[0], d_strain[k], factor, slope)
-        _add(ad[k], d_strain[0], -factor, slope)
-    turn, moved = np.empty((6, 6)), np.zeros((6, 9))
-    exp_into(ahead, pose)
-    right_jacobian_into(ahead, turn)
-    _add(turn, slope, 1.0, moved)
-    carried, by_carried = wrench[0].copy(), d_wrench[0].copy()
-    _less_weight_into(h, strain, weight, d_strain, d_weight, carried, by_carried)
-    frame, pull, hat = np.empty((6, 6)), np.empty((6, 6)), np.empty((3, 3))
-    adjoint_into(pose, frame)
-    end[:], own[:], phi[:] = 0.0, 0.0, 0.0
-    _add_times(frame.T, carried, 1.0, end)
-    _pull_into(end, pull)
-    own[:6] = moved
-    _add(frame.T, by_carried, 1.0, own[6:])
-    _add(pull, moved, 1.0, own[6:])
-    adjoint_back_into(pose, frame)
-    phi[:6, :6] = frame
-    phi[:, 6:] = own[:, 3:]
-    _hat_into(weight[0], hat)
-    for i in range(12):
-        for j in range(3):
-            for k in range(3):
-                phi[i, 3 + j] += own[i, k] * hat[k, j]
-
-
-@jit()
-def _noise_into(h, psd, stiffness, weight, ad, pull, out):
-    """Add the covariance (12, 12) of white noise of densities `psd` (12,) over a step."""
-    powers = np.zeros((_TERMS, 12, 12))
-    generator, hat = powers[1], np.empty((3, 3))
-    _hat_into(weight, hat)
-    for i in range(6):
-        generator[i, 6 + i] = h / stiffness[i]
-        for j in range(6):
-            middle = h * (0.5 * h * ad[1, i, j] + ad[0, i, j])
-            generator[i, j] = -middle
-            generator[6 + j, 6 + i] += middle
-            force = h * (pull[0, i, j] + 0.5 * h * pull[1, i, j])
-            generator[6 + i, 6 + j] += force / stiffness[j]
     for i in range(3):
-        for j in range(3):
-            generator[6 + i, 3 + j] = -h * hat[i, j]
-    for i in range(12):
-        powers[0, i, i] = 1.0
-    for k in range(2, _TERMS):
-        _add(powers[k - 1], generator, 1.0 / k, powers[k])
-    lever = np.empty((12, 12))
-    for node in range(4):
-        for i in range(12):
-            for j in range(12):
-                value = 0.0
-                for k in range(_TERMS - 1, -1, -1):
-                    value = value * _NODES[node] + powers[k, i, j]
-                lever[i, j] = value * np.sqrt(h * psd[j])
-        for i in range(12):
-            for j in range(i + 1):
-                value = 0.0
-                for k in range(12):
-                    value += lever[i, k] * lever[j, k]
-                out[i, j] += _WEIGHTS[node] * value
-                if j < i:
-                    out[j, i] += _WEIGHTS[node] * value
+        x[_AHEAD, i] = x[_AHEAD + 1, i] = 0.0
+        for j in range(9):
+            slopes[_AHEAD, i, j] = slopes[_AHEAD + 1, i, j] = 0.0
+    for k in range(ORDERS):
+        power *= h / (k + 1.0)
+        for i in range(3):
+            x[_AHEAD, i] += power * x[ALONG + k, i]
+            x[_AHEAD + 1, i] += power * x[TURN + k, i]
+            for j in range(9):
+                slopes[_AHEAD, i, j] += power * slopes[ALONG + k, i, j]
+                slopes[_AHEAD + 1, i, j] += power * slopes[TURN + k, i, j]
+    for k, factor in ((1, h**3 / 12.0), (2, h**4 / 24.0)):
+        for a, b, c in (
+            (TURN, ALONG + k, _AHEAD), (ALONG, TURN + k, _AHEAD), (TURN, TURN + k, _AHEAD + 1),
+        ):  # fmt: skip
+            cross(x, a, b, factor, c)
+            cross_slopes(x, a, slopes, b, factor, c)
+            cross_slopes(x, b, slopes, a, -factor, c)
+    for i in range(3):
+        six[i], six[3 + i] = x[_AHEAD, i], x[_AHEAD + 1, i]
 
 
 @jit()
-def _flow_into(rotation, length, stiffness, rest, rest_slope, load, load_slope, psd, noisy, pose,
-               wrench, phi, noise, by_weight):  # fmt: skip
-    """One interval, from its wrench to that at its end; pose, phi, noise and slope are made."""
-    strain, wrenches, weight = np.empty((4, 6)), np.empty((4, 6)), np.empty((4, 3))
-    d_strain, d_wrench = np.empty((4, 6, 9)), np.empty((4, 6, 9))
-    d_weight, ad, pull = np.empty((4, 3, 9)), np.empty((4, 6, 6)), np.empty((4, 6, 6))
-    forward, before, onward = np.empty((4, 4)), np.empty((4, 4)), np.empty((12, 12))
-    own, old, half, here = np.empty((12, 9)), np.empty((12, 12)), np.empty((12, 12)), np.empty(6)
-    turn, added, h = np.empty((3, 3)), np.empty((12, 6)), length / STEPS
+def _carry(h, x, slopes):
+    """Wrench after a step about its beginning, less the weight on the way."""
+    a, b = 0.5 * h * h, h * h * h / 6.0
+    for i in range(3):
+        x[_LEVER, i] = a * x[ALONG, i] + b * x[ALONG + 1, i]
+        x[_CARRIED, i] = x[FORCE, i] - h * x[WEIGHT, i]
+        x[_CARRIED + 1, i] = x[MOMENT, i]
+        for j in range(9):
+            slopes[_LEVER, i, j] = a * slopes[ALONG, i, j] + b * slopes[ALONG + 1, i, j]
+            slopes[_CARRIED, i, j] = slopes[FORCE, i, j] - h * slopes[WEIGHT, i, j]
+            slopes[_CARRIED + 1, i, j] = slopes[MOMENT, i, j]
+    cross(x, TURN, ALONG, b, _LEVER)
+    cross_slopes(x, TURN, slopes, ALONG, b, _LEVER)
+    cross_slopes(x, ALONG, slopes, TURN, -b, _LEVER)
+    cross(x, _LEVER, WEIGHT, -1.0, _CARRIED + 1)
+    cross_slopes(x, _LEVER, slopes, WEIGHT, -1.0, _CARRIED + 1)
+    cross_slopes(x, WEIGHT, slopes, _LEVER, 1.0, _CARRIED + 1)
+
+
+@jit()
+def _step(h, x, slopes, six, frame, pose, phi):
+    """Pose (4, 4) and wrench after a step; slopes (12, 12) by both, and of the end."""
+    _ahead(h, x, slopes, six)
+    exp_into(six, pose)
+    right_jacobian_into(six, frame)
+    for i in range(3):
+        x[_POSITION, i] = pose[i, 3]
+        for part in range(4):
+            x[_END + part, i] = 0.0
+            for j in range(9):
+                slopes[_END + part, i, j] = 0.0
+    turn_slopes(frame, 0, slopes, _AHEAD, _END)
+    turn_slopes(frame, 3, slopes, _AHEAD + 1, _END)
+    turn_slopes(frame, 0, slopes, _AHEAD + 1, _END + 1)
+    _carry(h, x, slopes)
+    cross(x, _POSITION, _CARRIED, -1.0, _CARRIED + 1)
+    cross_slopes(x, _POSITION, slopes, _CARRIED, -1.0, _CARRIED + 1)
+    adjoint_back_into(pose, frame)
+    for part in range(2):
+        for i in range(3):
+            for k in range(3):
+                x[_END_WRENCH + part, i] += frame[i, k] * x[_CARRIED + part, k]
+        turn_slopes(frame, 0, slopes, _CARRIED + part, _END_WRENCH + part)
+    cross_slopes(x, _END_WRENCH, slopes, _END + 1, 1.0, _END_WRENCH)
+    cross_slopes(x, _END_WRENCH, slopes, _END, 1.0, _END_WRENCH + 1)
+    cross_slopes(x, _END_WRENCH + 1, slopes, _END + 1, 1.0, _END_WRENCH + 1)
+    for i in range(12):
+        at, k = _END + i // 3, i % 3
+        for j in range(6):
+            phi[i, j] = frame[i, j] if i < 6 else 0.0
+            phi[i, 6 + j] = slopes[at, k, 3 + j]
+        a, b, c = slopes[at, k, 0], slopes[at, k, 1], slopes[at, k, 2]
+        phi[i, 3] += b * x[WEIGHT, 2] - c * x[WEIGHT, 1]
+        phi[i, 4] += c * x[WEIGHT, 0] - a * x[WEIGHT, 2]
+        phi[i, 5] += a * x[WEIGHT, 1] - b * x[WEIGHT, 0]
+
+
+@jit()
+def _begin_step(rotation, pose, load, load_slope, middle, turn, x):
+    """Take wrench and weight over from what lies before."""
+    for i in range(3):
+        x[WEIGHT, i] = 0.0
+        for j in range(3):
+            turn[j, i] = 0.0
+            for k in range(3):
+                turn[j, i] += rotation[j, k] * pose[k, i]
+            x[WEIGHT, i] += turn[j, i] * (load[j] + middle * load_slope[j])
+        x[FORCE, i], x[MOMENT, i] = x[_END_WRENCH, i], x[_END_WRENCH + 1, i]
+
+
+@jit()
+def _add_weight(slopes, turn, middle, by_weight):
+    """Add the slope (12, 6) of a step's end by the weight in the world and its slope."""
+    for i in range(12):
+        at, k = _END + i // 3, i % 3
+        for j in range(3):
+            value = 0.0
+            for m in range(3):
+                value += slopes[at, k, m] * turn[j, m]
+            by_weight[i, j] += value
+            by_weight[i, 3 + j] += middle * value
+
+
+@jit()
+def flow_memory():
+    """What `flow_into` writes its intermediate results to."""
+    slopes = np.zeros((_PLACES, 3, 9))
+    for i in range(3):
+        slopes[WEIGHT, i, i] = slopes[FORCE, i, 3 + i] = slopes[MOMENT, i, 6 + i] = 1.0
+    return (
+        np.empty((_PLACES, 3)), slopes, np.empty(6), np.empty((6, 6)), np.empty((4, 4)),
+        np.empty((4, 4)), np.empty((12, 12)), np.empty((12, 12)), np.empty(6), np.empty((3, 3)),
+        np.empty((12, 12)), np.ones(9), noise_memory(),
+    )  # fmt: skip
+
+
+@jit()
+def flow_into(rotation, length, given, acting, noisy, memory, found):
+    """One interval, from its wrench to that at its end; the slope by weight is zero before."""
+    stiffness, rest, rest_slope = given
+    load, load_slope, psd = acting
+    x, slopes, six, frame, forward, before, onward, old, here, turn, half, scale, noises = memory
+    pose, wrench, phi, noise, by_weight = found
+    h = length / STEPS
     for i in range(4):
         pose[i, i] = 1.0
-    for i in range(12):
-        phi[i, i] = 1.0
+    for i in range(3):
+        x[_END_WRENCH, i], x[_END_WRENCH + 1, i] = wrench[i], wrench[3 + i]
+    for i in range(6):
+        scale[3 + i] = stiffness[i]
     for step in range(STEPS):
-        turn[:], weight[0] = 0.0, 0.0
-        _add(rotation, pose[:3, :3], 1.0, turn)
-        for j in range(3):
-            acting = load[j] + (step + 0.5) * h * load_slope[j]
-            for i in range(3):
-                weight[0, i] += turn[j, i] * acting
+        middle = (step + 0.5) * h
+        _begin_step(rotation, pose, load, load_slope, middle, turn, x)
         for i in range(6):
             here[i] = rest[i] + step * h * rest_slope[i]
-        wrenches[0] = wrench
-        _series_into(stiffness, here, rest_slope, strain, wrenches, weight, d_strain, d_wrench,
-                     d_weight, ad, pull)  # fmt: skip
-        _step_into(h, strain, wrenches, weight, d_strain, d_wrench, d_weight, ad, forward, wrench,
-                   onward, own)  # fmt: skip
+        series_into(stiffness, here, rest_slope, x, slopes)
+        _step(h, x, slopes, six, frame, forward, onward)
         if noisy:
-            half[:], old[:] = 0.0, noise
-            _add(onward, old, 1.0, half)
+            if step:
+                carry_noise(onward, half, noise)
+            add_noise(h, psd, scale, x, noises, noise)
+        if step:
             for i in range(12):
-                for j in range(12):
-                    value = 0.0
-                    for k in range(12):
-                        value += half[i, k] * onward[j, k]
-                    noise[i, j] = value
-            _noise_into(h, psd, stiffness, weight[0], ad, pull, noise)
-        added[:] = 0.0
-        _add(onward, by_weight, 1.0, added)
-        for i in range(12):
-            for j in range(3):
-                value = 0.0
-                for k in range(3):
-                    value += own[i, k] * turn[j, k]
-                by_weight[i, j] = added[i, j] + value
-                by_weight[i, 3 + j] = added[i, 3 + j] + (step + 0.5) * h * value
-        before[:], old[:] = pose, phi
-        compose_into(before, forward, pose)
-        phi[:] = 0.0
-        _add(onward, old, 1.0, phi)
+                for j in range(6):
+                    half[i, j] = by_weight[i, j]
+            product_into(onward, half, by_weight)
+            before[:], old[:] = pose, phi
+            compose_into(before, forward, pose)
+            product_into(onward, old, phi)
+        else:
+            pose[:], phi[:] = forward, onward
+        _add_weight(slopes, turn, middle, by_weight)
+    for i in range(3):
+        wrench[i], wrench[3 + i] = x[_END_WRENCH, i], x[_END_WRENCH + 1, i]
 
 
 @jit(
     "(f8[:,:,::1], f8[:,::1], f8[::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], "
-    "f8[:,::1], b1)"
+    "f8[:,::1], b1[::1])"
 )
 def flow(rotation, wrench, step, stiffness, rest, rest_slope, weight, weight_slope, psd, noisy):
     """See `model.priors.mechanical.flow.flow`: pose, wrench, phi, noise, slope by the weight."""
     m = step.size
-    pose, end, phi = np.zeros((m, 4, 4)), wrench.copy(), np.zeros((m, 12, 12))
-    noise, by_weight = np.zeros((m, 12, 12)), np.zeros((m, 12, 6))
+    pose, end, phi = np.zeros((m, 4, 4)), wrench.copy(), np.empty((m, 12, 12))
+    noise, by_weight, memory = np.zeros((m, 12, 12)), np.zeros((m, 12, 6)), flow_memory()
     for i in range(m):
-        _flow_into(rotation[i], step[i], stiffness[i], rest[i], rest_slope[i], weight[i],
-                   weight_slope[i], psd[i], noisy, pose[i], end[i], phi[i], noise[i],
-                   by_weight[i])  # fmt: skip
+        given, acting = (stiffness[i], rest[i], rest_slope[i]), (weight[i], weight_slope[i], psd[i])
+        found = pose[i], end[i], phi[i], noise[i], by_weight[i]
+        flow_into(rotation[i], step[i], given, acting, noisy[i], memory, found)
     return pose, end, phi, noise, by_weight
