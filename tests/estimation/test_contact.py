@@ -220,13 +220,13 @@ def test_what_is_believed_of_errors_of_a_moving_robot_is_what_all_factors_say():
     for k, here in enumerate(found):
         at = state.take(k)
         ends = at.take(np.s_[:-1]), at.take(np.s_[1:])
-        _, j0, j1 = still_error(*ends, prior.rod.intervals(GRID.arclength))
-        columns = still_columns(j0.shape[2])
+        _, slopes = still_error(*ends, prior.rod.intervals(GRID.arclength))
+        columns = still_columns(slopes.shape[3])
         for i in range(n - 1):
             nodes = np.ix_([i, i + 1], columns)
             both = cov[k, :, :, k][nodes[0], nodes[1]].reshape(2 * columns.size, n, dof)
             both = both[:, [i, i + 1]][:, :, columns].reshape(2 * columns.size, -1)
-            slope = np.hstack([j0[i], j1[i]])
+            slope = slopes[i].reshape(12, -1)
             expected, std = slope @ both @ slope.T, np.sqrt(np.diag(here.of_errors[i]))
             np.testing.assert_allclose(
                 here.of_errors[i] / np.outer(std, std), expected / np.outer(std, std), atol=2e-4

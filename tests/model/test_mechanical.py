@@ -79,7 +79,7 @@ def test_an_interval_ends_where_its_error_says():
     rng, prior = np.random.default_rng(4), mechanical()
     state, intervals = moving(rng, prior), prior.rod.intervals(NODES_S).take(np.array([1, 3, 4]))
     nodes = [state.take((0, np.array(n))) for n in ([1, 3, 4], [2, 4, 5])]
-    error, _, _ = interval_error(*nodes, intervals)
+    error, _ = interval_error(*nodes, intervals)
     again, _ = interval_end(nodes[0], error, intervals)
     np.testing.assert_allclose(again.difference(nodes[1]), 0.0, atol=1e-11)
 

@@ -183,13 +183,14 @@ def force_evidence(
     places, n, pull = _pulls(prior, arclength, state)
     count = arclength.size - 1
     ends = state.take(np.s_[:-1]), state.take(np.s_[1:])
-    error, j0, j1 = still_error(*ends, prior.rod.intervals(arclength))
+    error, slopes = still_error(*ends, prior.rod.intervals(arclength))
     even = sqrt_information(errors.of_errors)
-    slope = np.zeros((count, 12, count + 1, j0.shape[2]))
+    slope = np.zeros((count, 12, count + 1, slopes.shape[3]))
     rows = np.arange(count)
-    slope[rows, :, rows], slope[rows, :, rows + 1] = even @ j0, even @ j1
+    for end in range(2):
+        slope[rows, :, rows + end] = even @ slopes[:, :, end]
     flat = slope.reshape(12 * count, -1)
-    chosen = (np.arange(count + 1)[:, None] * state.dof + still_columns(j0.shape[2])).ravel()
+    chosen = (np.arange(count + 1)[:, None] * state.dof + still_columns(slopes.shape[3])).ravel()
     white = (even @ error[:, :, None]).ravel() + flat @ step[chosen]
     value, vector = np.linalg.eigh(np.eye(12 * count) - flat @ cov[np.ix_(chosen, chosen)] @ flat.T)
     seen = value > max(_UNSEEN, -2.0 * float(value[0]))

@@ -257,9 +257,11 @@ class SeparablePrior:
 
     def between(
         self, grid: Grid, start: State, end: State, k: Index, s: Cells, gain: Array
-    ) -> tuple[State, Array, Array]:
-        """State (M,) inside the intervals `s` at time nodes k, its Jacobians by start and end."""
-        return interval_between(start, end, s.step, s.offset, gain, self._rest_within(grid, s))
+    ) -> tuple[State, Array]:
+        """State (M,) inside the intervals `s` at time nodes k, Jacobian (M, 24, 2, 24) by both."""
+        within = s.step, s.offset, gain, self._rest_within(grid, s)
+        at, *jacobians = interval_between(start, end, *within)
+        return at, np.stack(jacobians, axis=2)
 
     def crossing(self, grid: Grid, noise_state: State, k: Index, s: Cells) -> tuple[Array, Array]:
         """Gain and covariance (M, 12, 12) inside the intervals `s` at time nodes k."""

@@ -42,8 +42,8 @@ class StationaryPrior(Protocol):
 
     def between(
         self, grid: Grid, start: State, end: State, k: Index, s: Cells, gain: Array
-    ) -> tuple[State, Array, Array]:
-        """State (M,) inside the intervals `s` at time nodes k, its Jacobians by start and end."""
+    ) -> tuple[State, Array]:
+        """State (M,) inside the intervals `s` at time nodes k, Jacobian (M, 24, 2, dof) by both."""
         ...
 
     @property
@@ -169,5 +169,5 @@ def _at_time_nodes(
         return at_nodes(state, k, n)
     nodes = (k * grid.arclength.size + n)[:, None] + np.arange(2)
     start, end = (state.flatten().take(nodes[:, i]) for i in (0, 1))
-    at, *jacobians = prior.between(grid, start, end, k, s, gain)
-    return at, nodes, np.stack(jacobians, axis=2)
+    at, jacobian = prior.between(grid, start, end, k, s, gain)
+    return at, nodes, jacobian

@@ -37,8 +37,8 @@ def bent(
     """
     errors = []
     for n, piece in enumerate(pieces):
-        error, j0, j1 = interval_error(state.take(np.s_[:, n]), state.take(np.s_[:, n + 1]), piece)
-        change = (j0 @ step[:, n, :, None] + j1 @ step[:, n + 1, :, None])[..., 0]
+        error, slopes = interval_error(state.take(np.s_[:, n]), state.take(np.s_[:, n + 1]), piece)
+        change = np.einsum("kicd,kcd->ki", slopes, step[:, n : n + 2])
         errors.append(error + change)
     error, slope = tip_error(state.take(np.s_[:, -1]))
     wanted = error + (slope @ step[:, -1, :, None])[..., 0]

@@ -53,12 +53,12 @@ def point_load(
     last, at_tip, slope = tip
     count = len(last)
     mean, left, share = np.zeros((count, 6)), np.zeros((count, 6, 6)), np.zeros((count, 6, 12))
-    error, *slopes = still_error(start, end, piece)
+    error, slopes = still_error(start, end, piece)
     noise = piece.flow(start, noisy=True).noise
     share[:, range(6), range(6, 12)] = -piece.jump / piece.end_stiffness
     gain = np.swapaxes(np.linalg.solve(noise, np.swapaxes(share, -1, -2)), -1, -2)
     mean += np.einsum("mij,mj->mi", gain, error)
-    jacobian = np.stack([gain @ slope for slope in slopes], axis=2)
+    jacobian = np.einsum("mij,mjcd->micd", gain, slopes)
     left += piece.jump[:, :, None] * np.eye(6) - gain @ np.swapaxes(share, -1, -2)
     mean[last] += at_tip[last, :6]
     jacobian[last, :, 1] += slope[last, :6][..., still_columns(jacobian.shape[-1])]

@@ -36,7 +36,7 @@ from glissando.model.priors.mechanical.intervals import (
 from glissando.model.priors.mechanical.modal_acceleration import modal_acceleration
 from glissando.model.priors.mechanical.point_load import PointLoad, point_load
 from glissando.model.priors.mechanical.rod import LoadedRod
-from glissando.model.priors.mechanical.section import hanging_rod, section_covariances
+from glissando.model.priors.mechanical.section import LinearizedRod, hanging_rod
 from glissando.model.priors.mechanical.table import read_fields
 from glissando.model.priors.rest_shape import STRAIGHT, RestShape
 from glissando.model.priors.static import STATIC_DOF
@@ -229,14 +229,13 @@ class MechanicalPrior:
             yield from motion.factors(first, own, grid.time[touched], here, local)
         shape, every = (len(here), n_count - 1), self.rod.tiled(grid, len(here))
         start, end = (local.take(np.s_[:, part]).flatten() for part in _ENDS)
-        error, *slopes = interval_error(start, end, every)
-        about = noise_state.take(touched).take(np.s_[:, _ENDS[0]]).flatten()
+        error, slopes = interval_error(start, end, every)
         yield from chain_factors(
             *chain,
             np.stack([here[:, :-1], here[:, 1:]], axis=2),
             error.reshape(*shape, RATED),
-            np.stack(slopes, axis=2).reshape(*shape, RATED, 2, state.dof),
-            every.flow(about, noisy=True).noise.reshape(*shape, 12, 12),
+            slopes.reshape(*shape, RATED, 2, state.dof),
+            self._linearized(grid, noise_state).noise[touched],
             paired=False,
         )
 
@@ -263,11 +262,11 @@ class MechanicalPrior:
         if n_count > 1:
             every = self.rod.tiled(grid, count)
             start, end = (state.take(np.s_[:, part]).flatten() for part in _ENDS)
-            error, *slopes = still_error(start, end, every)
+            error, slopes = still_error(start, end, every)
             whitener = sqrt_information(every.flow(start, noisy=True).noise)
             nodes = np.stack([node[:, part].ravel() for part in _ENDS], axis=1)
             terms = Residuals(error, whitener)
-            yield Factors(nodes, _STATIC, np.stack(slopes, axis=2), terms)
+            yield Factors(nodes, _STATIC, slopes, terms)
         yield from self.ends.static_factors(grid, state, node)
 
     def interpolate(
@@ -292,19 +291,28 @@ class MechanicalPrior:
 
     def between(
         self, grid: Grid, start: State, end: State, k: Index, s: Cells, gain: Array
-    ) -> tuple[State, Array, Array]:
-        """State (M,) inside the intervals `s` at time nodes k, its Jacobians by start and end."""
+    ) -> tuple[State, Array]:
+        """State (M,) inside the intervals `s` at time nodes k, Jacobian (M, 24, 2, dof) by both."""
         return interval_between(start, end, self.rod.pick(grid, k, s.lower), s.offset, gain)
 
     def section(
         self, grid: Grid, noise_state: State, k: Index, n: Index, s: Cells, inside: bool
     ) -> Array:
         """Prior covariance (M, 12, 12) of pose and strain at time nodes k, on n or inside `s`."""
-        times, which = np.unique(k, return_inverse=True)
-        there, every = noise_state.take(times), self.rod.tiled(grid, times.size)
-        ends = self.ends.information(grid, there)
-        offsets = (which, n, s.offset) if inside else (which, n, None)
-        return section_covariances(there, every, ends, *offsets)
+        return self._linearized(grid, noise_state).covariances(k, n, s.offset if inside else None)
+
+    def _linearized(self, grid: Grid, there: State) -> LinearizedRod:
+        """The rod at nodes (K, N), kept for those who ask for the same nodes next."""
+        last = self._last.get("rod")
+        if last and last.there is there and np.array_equal(last.arclength, grid.arclength):
+            return last
+        every, ends = self.rod.tiled(grid, len(there.strain)), self.ends.information(grid, there)
+        self._last["rod"] = found = LinearizedRod(grid.arclength, there, every, ends)
+        return found
+
+    @cached_property
+    def _last(self) -> dict[str, LinearizedRod]:
+        return {}
 
     def point_load(self, grid: Grid, state: State, k: Index, n: Index) -> PointLoad:
         """The unknown wrench that acts at arclength nodes n (M,) > 0 at time nodes k (M,).

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,9 @@ from glissando._kernels import information as kernels
 from glissando._kernels.arrays import whole
 from glissando.errors import GlissandoError
 from glissando.geometry.se3 import Array
+from glissando.model.grid import Index
 from glissando.model.mechanics import Mechanics
+from glissando.model.priors.mechanical.flow import Flow
 from glissando.model.priors.mechanical.intervals import Intervals
 from glissando.model.priors.transitions import symmetrize
 from glissando.model.state import State
@@ -103,43 +106,62 @@ def _shoot(
     return np.stack(poses, axis=1), np.stack(strains, axis=1), left, slope
 
 
-def section_covariances(
-    there: State,
-    every: Intervals,
-    ends: tuple[Array, Array],
-    which: np.ndarray,
-    n: np.ndarray,
-    offset: Array | None,
-) -> Array:
-    """Prior covariance (M, 12, 12) of pose and strain of cross-sections.
+@dataclass(frozen=True)
+class LinearizedRod:
+    """A rod at nodes (K, N), of which is computed once what many ask for.
 
-    What the base says is carried outwards and what the tip says inwards; both add.
-
-    Args:
-        there: Nodes (K, N) to linearise at.
+    Attributes:
+        arclength: The arclength nodes (N,), m.
+        there: The nodes.
         every: Intervals (K · (N−1),) between them.
         ends: Information (6, 6) of the base's pose and (K, 12, 12) of the tip's pose and strain.
-        which: Times (M,), rows of `there`.
-        n: Nodes (M,), or those where the intervals of the cross-sections begin.
-        offset: Places (M,) of the cross-sections beyond those nodes.
     """
-    k_count, n_count = there.strain.shape[:2]
-    start = there.take(np.s_[:, :-1]).flatten()
-    found = every.flow(start, noisy=True)
-    shape = (k_count, n_count - 1, 12, 12)
-    onward, noise = found.transition.reshape(shape), found.noise.reshape(shape)
-    base = np.zeros((12, 12))
-    base[:6, :6] = ends[0]
-    outwards, inwards = kernels.along_chain(base, *map(whole, (ends[1], onward, noise)))
-    if offset is None:
-        return _inverse(outwards[which, n] + inwards[which, n])
-    piece = every.take(which * (n_count - 1) + n)
-    begin = there.take((which, n))
-    near = piece.before(offset).flow(begin, noisy=True)
-    point = State(begin.pose @ near.pose, near.wrench, begin.velocity)
-    far = piece.beyond(offset).flow(point, noisy=True)
-    before = _carried(outwards[which, n], near.transition, near.noise)
-    return _inverse(before + _returned(inwards[which, n + 1], far.transition, far.noise))
+
+    arclength: Array
+    there: State
+    every: Intervals
+    ends: tuple[Array, Array]
+
+    @cached_property
+    def flow(self) -> Flow:
+        """Where undisturbed rods arrive from the nodes, with the noise on the way."""
+        return self.every.flow(self.there.take(np.s_[:, :-1]).flatten(), noisy=True)
+
+    @cached_property
+    def noise(self) -> Array:
+        """Covariance (K, N−1, 12, 12) of pose and strain where intervals end."""
+        return self.flow.noise.reshape(len(self.there.strain), -1, 12, 12)
+
+    @cached_property
+    def information(self) -> tuple[Array, Array]:
+        """What base and tip say of all nodes, carried outwards and inwards, (K, N, 12, 12)."""
+        base, onward = np.zeros((12, 12)), self.flow.transition.reshape(self.noise.shape)
+        base[:6, :6] = self.ends[0]
+        outwards, inwards = kernels.along_chain(
+            base, whole(self.ends[1]), whole(onward), whole(self.noise)
+        )
+        return outwards, inwards
+
+    def covariances(self, k: Index, n: Index, offset: Array | None) -> Array:
+        """Prior covariance (M, 12, 12) of pose and strain of cross-sections.
+
+        What the base says of them and what the tip says add.
+
+        Args:
+            k: Times (M,).
+            n: Nodes (M,), or those where the intervals of the cross-sections begin.
+            offset: Places (M,) of the cross-sections beyond those nodes.
+        """
+        outwards, inwards = self.information
+        if offset is None:
+            return _inverse(outwards[k, n] + inwards[k, n])
+        piece = self.every.take(k * (self.arclength.size - 1) + n)
+        begin = self.there.take((k, n))
+        near = piece.before(offset).flow(begin, noisy=True)
+        point = State(begin.pose @ near.pose, near.wrench, begin.velocity)
+        far = piece.beyond(offset).flow(point, noisy=True)
+        before = _carried(outwards[k, n], near.transition, near.noise)
+        return _inverse(before + _returned(inwards[k, n + 1], far.transition, far.noise))
 
 
 def _carried(information: Array, onward: Array, noise: Array) -> Array:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from glissando._kernels import rod_tip as kernels
+from glissando._kernels.arrays import items, unflatten, whole
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.mechanics import Mechanics
-from glissando.model.priors.intervals import RATED, strain_rate_of
-from glissando.model.state import STRAIN, STRAIN_RATE, State
+from glissando.model.state import State
 
 _PARTS = slice(0, 3), slice(3, 6)
 
@@ -19,20 +20,19 @@ def tip_error(mechanics: Mechanics, rest: Array, at: State) -> tuple[Array, Arra
     Args:
         mechanics: What the rod and its tool are made of.
         rest: The tip's strain (6,) without loads.
-        at: The tip (…).
+        at: The tip (…), with strain rate or at rest.
     """
-    stiffness = mechanics.stiffness[-1]
-    rotation, turning = at.pose[..., :3, :3], at.velocity[..., 3:]
-    by_turn = mechanics.tip_slope(rotation)
-    error = np.zeros((*turning.shape[:-1], 12))
-    error[..., :6] = stiffness * (at.strain - rest) - mechanics.tip_wrench(rotation)
-    error[..., 6:] = stiffness * strain_rate_of(at)
-    error[..., 6:] -= np.einsum("...ij,...j->...i", by_turn, turning)
-    jacobian = np.zeros((*turning.shape[:-1], 12, RATED))
-    jacobian[..., :6, 3:6] = jacobian[..., 6:, 15:18] = -by_turn
-    jacobian[..., :6, STRAIN] = jacobian[..., 6:, STRAIN_RATE] = np.diag(stiffness)
-    lever, spin = se3.hat3(mechanics.tip_center), se3.hat3(turning) @ by_turn[..., :3, :]
-    jacobian[..., 6:9, 3:6], jacobian[..., 9:, 3:6] = spin, lever @ spin
+    lead = at.strain.shape[:-1]
+    rate = np.zeros_like(at.strain) if at.strain_rate is None else at.strain_rate
+    fields = np.concatenate([at.strain, at.velocity, rate], axis=-1).reshape(-1, 18)
+    weight = items(mechanics.tip_mass * mechanics.gravity, lead, 3)
+    error, jacobian = unflatten(
+        lead,
+        *kernels.tip_error(
+            items(at.pose, lead, 4, 4), fields, whole(mechanics.stiffness[-1]), whole(rest),
+            weight, whole(mechanics.tip_center),
+        ),
+    )  # fmt: skip
     return error, jacobian
 
 
