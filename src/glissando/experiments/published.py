@@ -70,7 +70,7 @@ class PublishedPrior(WhiteNoisePrior):
         for name in ("time_spans", "arclength_spans"):
             object.__setattr__(per_node, name, np.ones(getattr(grid, name).size))
         found = super().interpolate(per_node, state, noise_state, points)
-        return replace(found, cov=np.zeros_like(found.cov))
+        return replace(found, bridge=np.zeros_like(found.cov))
 
 
 @dataclass(frozen=True, kw_only=True)

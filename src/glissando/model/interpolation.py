@@ -6,8 +6,9 @@ what nodes cannot tell about a point between them (equation 12).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -21,13 +22,19 @@ class Interpolation:
     """State at M points, with what it takes to carry covariance there.
 
     `nodes` (M, c) touched nodes k·N + n (c = 1, 2 or 4), `jacobian` (M, 18, c, dof) of the state at
-    the points with respect to those nodes, `cov` (M, 18, 18) the bridge covariance.
+    the points with respect to those nodes, `bridge` the bridge covariance (M, 18, 18), or what
+    computes it, as many ask for the state alone.
     """
 
     state: State
     nodes: Index
     jacobian: Array
-    cov: Array
+    bridge: Array | Callable[[], Array]
+
+    @cached_property
+    def cov(self) -> Array:
+        """The bridge covariance (M, 18, 18)."""
+        return self.bridge() if callable(self.bridge) else self.bridge
 
     @property
     def dof(self) -> int:
@@ -36,9 +43,8 @@ class Interpolation:
 
     def take(self, rows: slice) -> Interpolation:
         """The interpolation at some of its points."""
-        return Interpolation(
-            self.state.take(rows), self.nodes[rows], self.jacobian[rows], self.cov[rows]
-        )
+        own = self.state.take(rows), self.nodes[rows], self.jacobian[rows]
+        return Interpolation(*own, lambda: self.cov[rows])
 
 
 @dataclass(frozen=True)

@@ -127,8 +127,7 @@ def interpolate_process(
     n = s.lower if points.inside_arclength else s.nearest
     crossing = prior.crossing(grid, noise_state, k, s) if points.inside_arclength else None
     gain = None if crossing is None else crossing[0]
-    m, section, time_left = k.size, np.zeros((12, 12)), np.zeros((2, 2))
-    along = np.zeros((12, 12)) if crossing is None else crossing[1]
+    m, by_time = k.size, np.zeros((2, 2))
     if not points.inside_time:
         at, nodes, jacobian = _at_time_nodes(prior, grid, state, k, n, s, gain)
         at, jacobian = replace(at, strain_rate=None), jacobian[:, :DOF]
@@ -139,16 +138,24 @@ def interpolate_process(
         gains = None if gain is None else gain[both]
         places = ends, n[both], s.take(both), gains
         found, touched, inner = _at_time_nodes(prior, grid, state, *places)
-        pose, strain, velocity, jacobian, time_left = kernels.between(
+        pose, strain, velocity, jacobian, by_time = kernels.between(
             prior.time_scale, *as_fields(found, (2 * m,)), whole(t.step), whole(t.offset),
             whole(prior.rest.at(points.arclength)), whole(inner),
         )  # fmt: skip
         at, nodes = State(pose, strain, velocity), np.hstack([touched[:m], touched[m:]])
-        section = prior.section(grid, noise_state, k, n, s, points.inside_arclength)
-    left = kernels.left_over(
-        prior.time_scale, whole(at.velocity), items(time_left, (m,), 2, 2),
-        items(section, (m,), 12, 12), items(along, (m,), 12, 12),
-    )  # fmt: skip
+
+    def left() -> Array:
+        section, along = np.zeros((12, 12)), np.zeros((12, 12))
+        if points.inside_time:
+            section = prior.section(grid, noise_state, k, n, s, points.inside_arclength)
+        if crossing is not None:
+            along = crossing[1]
+        cov: Array = kernels.left_over(
+            prior.time_scale, whole(at.velocity), items(by_time, (m,), 2, 2),
+            items(section, (m,), 12, 12), items(along, (m,), 12, 12),
+        )  # fmt: skip
+        return cov
+
     return Interpolation(at, nodes, jacobian, left)
 
 
