@@ -194,7 +194,7 @@ def flow_into(rotation, length, given, acting, noisy, memory, found):
 
 @jit(
     "(f8[:,:,::1], f8[:,::1], f8[::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], "
-    "f8[:,::1], b1[::1])"
+    "f8[:,::1], b1)"
 )
 def flow(rotation, wrench, step, stiffness, rest, rest_slope, weight, weight_slope, psd, noisy):
     """See `model.priors.mechanical.flow.flow`: pose, wrench, phi, noise, slope by the weight."""
@@ -204,5 +204,5 @@ def flow(rotation, wrench, step, stiffness, rest, rest_slope, weight, weight_slo
     for i in range(m):
         given, acting = (stiffness[i], rest[i], rest_slope[i]), (weight[i], weight_slope[i], psd[i])
         found = pose[i], end[i], phi[i], noise[i], by_weight[i]
-        flow_into(rotation[i], step[i], given, acting, noisy[i], memory, found)
+        flow_into(rotation[i], step[i], given, acting, noisy, memory, found)
     return pose, end, phi, noise, by_weight

@@ -84,4 +84,4 @@ def flow(rotation: Array, wrench: Array, step: Array, section: Section, *, noisy
     widths = 6, 6, 6, 3, 3, 12
     fields = [items(x, (m,), w) for x, w in zip((*made, *acting), widths, strict=True)]
     begin = items(rotation, (m,), 3, 3), items(wrench, (m,), 6), items(step, (m,))
-    return Flow(*kernels.flow(*begin, *fields, np.full(m, noisy)))
+    return Flow(*kernels.flow(*begin, *fields, noisy))
