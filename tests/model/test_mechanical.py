@@ -1,5 +1,6 @@
 """The mechanical prior: slopes, the rod it describes, and what it says between nodes."""
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from draws import sixes
 from glissando.geometry import se3
 from glissando.model.grid import Grid
+from glissando.model.interpolation import sort_points
 from glissando.model.mechanics import Mechanics
 from glissando.model.priors.intervals import RATED
 from glissando.model.priors.mechanical.intervals import interval_end, interval_error
@@ -154,3 +156,19 @@ def test_a_column_that_is_about_to_buckle_stands():
     weight = 0.0379 * 0.7 * shape.pose[0, 0, :3, :3].T @ gravity
     np.testing.assert_allclose(wrench[0, :3], weight, atol=1e-7)
     np.testing.assert_allclose(wrench[-1], 0.0, atol=1e-7)
+
+
+def test_what_is_kept_of_a_rod_is_used_for_those_nodes_alone_and_sent_nowhere():
+    """Interpolations of two motions in turns, at few moments and at many, are a fresh prior's."""
+    rng, prior = np.random.default_rng(8), mechanical()
+    states = [moving(rng, prior) for _ in range(2)]
+    times = [np.full(3, 0.5 * sum(GRID.time[:2])), np.repeat(GRID.time[:-1] + 0.01, 3)]
+    for state, other in (states, states[::-1], states):
+        for when in times:
+            where = np.resize(NODES_S[[1, 3, 5]] - 0.01, when.size)
+            (points,) = sort_points(GRID, where, when)
+            list(prior.factors(GRID, other, other, slice(0, 2)))
+            found = prior.interpolate(GRID, state, state, points).cov
+            fresh = mechanical().interpolate(GRID, state, state, points).cov
+            np.testing.assert_allclose(found, fresh, rtol=1e-9, atol=1e-15)
+    assert not [v for v in vars(pickle.loads(pickle.dumps(prior))).values() if isinstance(v, dict)]

@@ -235,7 +235,7 @@ class MechanicalPrior:
             np.stack([here[:, :-1], here[:, 1:]], axis=2),
             error.reshape(*shape, RATED),
             slopes.reshape(*shape, RATED, 2, state.dof),
-            self._linearized(grid, noise_state).noise[touched],
+            self._keep(grid, noise_state).noise[touched],
             paired=False,
         )
 
@@ -299,20 +299,35 @@ class MechanicalPrior:
         self, grid: Grid, noise_state: State, k: Index, n: Index, s: Cells, inside: bool
     ) -> Array:
         """Prior covariance (M, 12, 12) of pose and strain at time nodes k, on n or inside `s`."""
-        return self._linearized(grid, noise_state).covariances(k, n, s.offset if inside else None)
+        rod, offset = self._kept(grid, noise_state), s.offset if inside else None
+        times, which = np.unique(k, return_inverse=True)
+        if rod is None and 2 * times.size < len(noise_state.strain):  # few of many moments
+            rod, k = self._linearized(grid, noise_state.take(times)), which
+        return (rod or self._keep(grid, noise_state)).covariances(k, n, offset)
 
     def _linearized(self, grid: Grid, there: State) -> LinearizedRod:
+        """The rod at nodes (K, N)."""
+        every = self.rod.tiled(grid, len(there.strain))
+        return LinearizedRod(grid.arclength, there, every, self.ends.information(grid, there))
+
+    def _keep(self, grid: Grid, there: State) -> LinearizedRod:
         """The rod at nodes (K, N), kept for those who ask for the same nodes next."""
-        last = self._last.get("rod")
-        if last and last.there is there and np.array_equal(last.arclength, grid.arclength):
-            return last
-        every, ends = self.rod.tiled(grid, len(there.strain)), self.ends.information(grid, there)
-        self._last["rod"] = found = LinearizedRod(grid.arclength, there, every, ends)
+        found = self._kept(grid, there) or self._linearized(grid, there)
+        self._last["rod"] = found
         return found
+
+    def _kept(self, grid: Grid, there: State) -> LinearizedRod | None:
+        last = self._last.get("rod")
+        same = last and last.there is there and np.array_equal(last.arclength, grid.arclength)
+        return last if same else None
 
     @cached_property
     def _last(self) -> dict[str, LinearizedRod]:
         return {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What goes to other processes: all but what is kept of an estimate."""
+        return {name: value for name, value in vars(self).items() if name != "_last"}
 
     def point_load(self, grid: Grid, state: State, k: Index, n: Index) -> PointLoad:
         """The unknown wrench that acts at arclength nodes n (M,) > 0 at time nodes k (M,).
