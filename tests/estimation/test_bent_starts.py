@@ -2,12 +2,21 @@
 
 import tomllib
 import warnings
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from glissando import CoilReadings, Grid, PoseReadings, estimate, estimate_static
+from glissando import (
+    CoilReadings,
+    Grid,
+    PoseReadings,
+    SolverOptions,
+    estimate,
+    estimate_static,
+)
 from glissando.errors import FalseConfidenceWarning, GlissandoError
+from glissando.estimation import several_starts
 from glissando.geometry import se3
 from glissando.io.robot_file import parse_robot
 from glissando.io.robot_template import RobotOutline, robot_text
@@ -15,6 +24,7 @@ from glissando.model.mechanics import Mechanics
 from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.model.table import Table
 from glissando.simulation import Loads, Rod, Wrench, solve_shape
+from glissando.solver.outcome import Outcome
 
 LENGTH, COUNT = 0.466, 24
 
@@ -96,3 +106,36 @@ def test_a_rod_bent_by_loads_is_found_where_a_search_from_rest_goes_astray(draw)
     middle = found.at(0.25, 0.0)
     gap = truth.at([0.25]).pose[0, :3, 3] - middle.position
     assert gap @ np.linalg.solve(middle.cov_position_world, gap) < 25.0
+
+
+def scripted(cost, outcome):
+    """An end of an iteration, of which only the cost and how it ended count."""
+    report = SimpleNamespace(cost=cost, converged=outcome.sound)
+    parameters = SimpleNamespace(by_name=list)
+    where = SimpleNamespace(parameters=parameters)
+    end = SimpleNamespace(state=None, located=where, cost=cost, outcome=outcome, first_step=0.0)
+    return SimpleNamespace(solve=report), end
+
+
+@pytest.mark.parametrize(
+    ("first", "other", "kept"),
+    [
+        ((5.6, Outcome.ITERATION_LIMIT), (58_640.0, Outcome.CONVERGED), 5.6),
+        ((58_640.0, Outcome.CONVERGED), (5.6, Outcome.ITERATION_LIMIT), 5.6),
+        ((9.0, Outcome.ITERATION_LIMIT), (5.6, Outcome.CONVERGED), 5.6),
+        ((500.0, Outcome.CONVERGED), (300.0, Outcome.CONVERGED), 300.0),
+    ],
+)
+def test_a_shape_whose_cost_is_plausible_is_kept_though_a_wrong_one_converges(
+    monkeypatch, first, other, kept
+):
+    """As on rods whose strain may jump, where weights go to and fro with the shape."""
+    monkeypatch.setattr(several_starts, "is_implausible", lambda prior, end: end.cost > 20.0)
+    grid, ends = Grid([0.0, LENGTH], [0.0]), [scripted(*first)]
+
+    def solve(initial, options=None):
+        return ends.pop() if ends else scripted(*other)
+
+    prior = robot(np.pi).prior
+    end = several_starts.best_end(prior, grid, SolverOptions(), (None, []), solve)
+    assert end[0].solve.cost == kept

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -63,7 +64,7 @@ def best_end(prior: Prior, grid: Grid, options: SolverOptions, start: Start, sol
         return found
     if start[0] is not None and _is_doubtful(end[1]):
         with suppress(np.linalg.LinAlgError, UnobservableError):
-            end = max(end, solve((None, start[1])), key=_worth)
+            end = max(end, solve((None, start[1])), key=partial(_worth, prior))
     if few and _is_astray(prior, end):
         end = _from_bent(prior, grid, options, end, start, solve) or end
     return end
@@ -86,19 +87,19 @@ def _from_bent(
 
     None where all break down, as the start did if there is no `end`.
     """
-    best = end
+    best, worth = end, partial(_worth, prior)
     for bent in bent_shapes(prior, grid):
         rough = options.rougher(bent.numbers * grid.time.size)
         with suppress(np.linalg.LinAlgError, UnobservableError):
             found = solve((bent, start[1]), replace(rough, max_iterations=_ROUGH_ITERATIONS))
-            best = max(best or found, found, key=_worth)
+            best = max(best or found, found, key=worth)
             if not _is_astray(prior, best):
                 break
     if best is None or best is end:
         return end
     with suppress(np.linalg.LinAlgError, UnobservableError):
         best = solve(start_at(best[1]))
-    return max(end or best, best, key=_worth)
+    return max(end or best, best, key=worth)
 
 
 def _is_astray(prior: Prior, end: End) -> bool:
@@ -112,7 +113,11 @@ def _is_doubtful(solution: Solution) -> bool:
     return far or not solution.outcome.sound
 
 
-def _worth(end: End) -> tuple[bool, float]:
-    """How good the end of an iteration is: whether it converged, and at which cost."""
+def _worth(prior: Prior, end: End) -> tuple[bool, bool, float]:
+    """How good the end of an iteration is: whether chance allows its cost, before all.
+
+    Where weights go to and fro with the shape, the right shape may be found and not converge, and a
+    wrong one converge.
+    """
     report = end[0].solve
-    return report.converged, -report.cost
+    return not is_implausible(prior, end[1]), report.converged, -report.cost
