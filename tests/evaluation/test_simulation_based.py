@@ -156,6 +156,22 @@ def test_ranks_are_uniform_and_a_prior_wrong_by_a_third_is_found(factor, uniform
     assert (not found[0].outside) == uniform
 
 
+@pytest.mark.slow
+def test_ranks_are_uniform_where_the_base_is_remembered_for_longer_than_dense_nodes_allow():
+    """A base of 10 s, which factors on the fine grid shorten: drawn and believed alike."""
+    robot = load_robot(ROBOT)
+    prior = replace(robot.prior, base_time_scale=10.0)
+    robot = replace(robot, prior=prior, time_rate=30.0, sensor_parameters=())
+    for found in simulate_and_rank(robot, 60):
+        assert not found.outside, found.estimator
+
+
+@pytest.mark.parametrize("name", ["tdcr466", "sliding700"])
+def test_a_prior_far_from_its_linearisation_is_refused(name):
+    with pytest.raises(GlissandoError, match="times what it allows"):
+        simulate_and_rank(load_robot(name), 20)
+
+
 def test_a_prior_without_a_base_cannot_be_drawn_from():
     robot = load_robot("tdcr466")
     robot = replace(robot, prior=replace(robot.prior, base=None))

@@ -1,13 +1,15 @@
 """Sessions drawn from a robot's own prior: motions, sensor parameters, and readings of them.
 
-A motion is drawn on a grid finer than the estimator's, in the errors of intervals, in which the
-separable prior is exactly Gaussian; the white-noise prior is linearised about rest. Readings are
-taken at nodes of the fine grid with the noise that they state.
+A motion is drawn on a grid finer than the estimator's, in the errors of intervals, with the weights
+that these have at rest. A separable prior is Gaussian in them but for its weights; a kinematic one
+is linearised about rest, so that only small motions are drawn from it. Readings are taken at nodes
+of the fine grid with the noise that they state.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -16,18 +18,19 @@ from glissando.errors import GlissandoError
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
+from glissando.model.priors.prior import Prior
+from glissando.model.priors.separable import SeparablePrior
 from glissando.model.robot import Robot
 from glissando.model.sensors.parameter_process import EstimatedParameters, ParameterValues
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.sensors.readings import Readings
 from glissando.model.sensors.sensors import sensor_class, sensor_kinds
 from glissando.model.state import State
-from glissando.solver.block_tridiagonal import Cholesky, factor
-from glissando.solver.linearize import linearize
-from glissando.solver.located_readings import locate
-from glissando.solver.normal_equations import system_shape
+from glissando.solver.square_root import RootInformation, root_information
 
-_FINER = 4  # times as many nodes as the estimator has
+_FINER = 4  # times as many nodes as the estimator has, and twice beyond _MOST along the robot
+_MOST = 33
+_TRIED, _EXCESS = 5, 2.0  # motions, whose cost may be so many times what is expected
 _NODES = 6  # time nodes of a session without a recording
 _READINGS = 1  # a time node, of every sensor
 
@@ -55,15 +58,19 @@ class PriorPredictive:
         robot: The robot.
         grid: The estimator's grid.
         layout: Which sensors read where and when; their values do not matter.
+        prior: The prior that is drawn from, the robot's as factors on the fine grid have it.
+        fine: The grid that motions are drawn on.
+        process: The sensor parameters that are drawn.
     """
 
     robot: Robot
     grid: Grid
     layout: Sequence[Readings]
+    prior: Prior = field(init=False)
     fine: Grid = field(init=False)
     process: EstimatedParameters = field(init=False)
     _rest: State = field(init=False)
-    _cholesky: Cholesky = field(init=False)
+    _root: RootInformation = field(init=False)
 
     def __post_init__(self) -> None:
         """Factor the prior's information, once for all draws.
@@ -76,17 +83,20 @@ class PriorPredictive:
             raise GlissandoError(
                 f"{self.robot.name} has no [base], so its prior cannot be drawn from; add one."
             )
-        fine = Grid(_finer(self.grid.arclength), _finer(self.grid.time))
+        n_count = self.grid.arclength.size
+        along = _FINER if _FINER * (n_count - 1) < _MOST else 2
+        fine = Grid(_finer(self.grid.arclength, along), _finer(self.grid.time, _FINER))
+        if isinstance(prior, SeparablePrior):
+            prior = prior.on(fine)
         rest = prior.rest_state(fine)
-        located = locate(fine, [])
-        workspace = np.empty(system_shape(fine.time.size, rest.numbers))
-        equations = linearize(prior, located, rest, rest, workspace)
+        factors = prior.factors(fine, rest, rest, slice(0, fine.time.size))
         names = {r.name for r in self.layout}
         parameters = [p for p in self.robot.sensor_parameters if names.intersection(p.streams)]
+        object.__setattr__(self, "prior", prior)
         object.__setattr__(self, "fine", fine)
         object.__setattr__(self, "process", EstimatedParameters(fine, parameters))
         object.__setattr__(self, "_rest", rest)
-        object.__setattr__(self, "_cholesky", factor(equations.system))
+        object.__setattr__(self, "_root", root_information(factors, fine.shape, rest.dof))
 
     def draw(self, rng: np.random.Generator) -> Session:
         """A session: motion, sensor parameters and readings.
@@ -94,13 +104,47 @@ class PriorPredictive:
         Args:
             rng: Source of all chance.
         """
-        step = self._cholesky.sample(rng).reshape(*self.fine.shape, -1)
-        moved = self.robot.prior.bent(self.fine, self._rest, step)
+        moved = self._draw_motion(rng)
         truth = State(moved.pose, moved.strain, moved.velocity)
         values = self._draw_parameters(rng)
         drawn = ParameterValues(self.process, values)
         readings = [self._read(stream, truth, drawn, rng) for stream in self.layout]
         return Session(truth, values, [r.inside(self.grid) for r in readings])
+
+    def require_exact(self, rng: np.random.Generator) -> None:
+        """Refuse a prior that is far from its linearisation where its motions are.
+
+        Twice the cost of a motion is a χ² of as many degrees of freedom as it has numbers.
+
+        Args:
+            rng: Source of all chance.
+
+        Raises:
+            GlissandoError: Motions that are drawn are none of the prior's.
+        """
+        excess = float(np.median([self._excess(self._draw_motion(rng)) for _ in range(_TRIED)]))
+        if excess < _EXCESS:
+            return
+        how = f"cost {excess:.3g} times what it allows" if excess < np.inf else "have no shape"
+        raise GlissandoError(
+            f"Motions drawn from the prior of {self.robot.name} {how}: they are drawn from its "
+            f"linearisation about rest, which they leave too far for ranks to say anything. Draw "
+            f"from a separable prior, as `glissando robot new` writes, or from smaller densities."
+        )
+
+    def _excess(self, moved: State) -> float:
+        """Twice the prior's cost of a motion over its numbers; infinite where it has none."""
+        every, cost = slice(0, self.fine.time.size), np.inf
+        with np.errstate(all="ignore"), suppress(np.linalg.LinAlgError):
+            factors = self.prior.factors(self.fine, moved, moved, every)
+            cost = sum(batch.terms.cost(batch.terms.residual) for batch in factors)
+        excess = 2.0 * float(cost) / moved.pose[..., 0, 0].size / moved.dof
+        return excess if np.isfinite(excess) else np.inf
+
+    def _draw_motion(self, rng: np.random.Generator) -> State:
+        """A motion at the fine nodes."""
+        step = self._root.sample(rng).reshape(*self.fine.shape, -1)
+        return self.prior.bent(self.fine, self._rest, step)
 
     def _draw_parameters(self, rng: np.random.Generator) -> Array:
         """Values (K, E) of Ornstein-Uhlenbeck processes at the fine time nodes."""
@@ -135,9 +179,9 @@ class PriorPredictive:
         return read
 
 
-def _finer(nodes: Array) -> Array:
-    """Nodes (K,) with three more between each two."""
-    places = np.arange(_FINER * (nodes.size - 1) + 1) / _FINER
+def _finer(nodes: Array, times: int) -> Array:
+    """Nodes so many times as dense."""
+    places = np.arange(times * (nodes.size - 1) + 1) / times
     return np.interp(places, np.arange(nodes.size), nodes)
 
 

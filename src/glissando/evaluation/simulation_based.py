@@ -225,13 +225,15 @@ def simulate_and_rank(
         progress: Called after each session.
 
     Raises:
-        GlissandoError: There are too few sessions, or the prior cannot be drawn from.
+        GlissandoError: There are too few sessions, or the prior cannot be drawn from, be it that
+            it is far from its linearisation.
     """
     if sessions < _FEWEST:
         raise GlissandoError(f"{sessions} sessions say nothing of ranks; draw {_FEWEST} or more.")
     grid, readings = layout or session_layout(robot)
     predictive = PriorPredictive(robot, grid, readings)
-    believed = replace(robot, prior=misjudged(robot.prior, prior_factor))
+    predictive.require_exact(np.random.default_rng(seed))
+    believed = replace(robot, prior=misjudged(predictive.prior, prior_factor))
     ranked: dict[str, list[dict[str, float]]] = {name: [] for name in estimators}
     failed = dict.fromkeys(estimators, 0)
     for i in range(sessions):

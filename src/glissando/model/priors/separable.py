@@ -138,6 +138,17 @@ class SeparablePrior:
         base = replace(self.base, strain=soften(self.base.strain))
         return replace(self, psd_strain_arclength=psd, base=base)
 
+    def on(self, grid: Grid) -> SeparablePrior:
+        """The prior as its factors on a grid have it: dense time nodes shorten the base's memory.
+
+        Args:
+            grid: The grid.
+        """
+        if self.base_time_scale is None:
+            return self
+        scale = max(self.time_scale, min(self.base_time_scale, longest_scale(grid)))
+        return replace(self, base_time_scale=scale)
+
     def rest_state(self, grid: Grid) -> State:
         """The robot at rest on the grid, from which an estimate starts."""
         rest, still = self.rest, np.zeros((*grid.shape, 6))
@@ -176,10 +187,10 @@ class SeparablePrior:
         local = state.take(touched)
         first = times.start == 0 and grid.before is None
         base = self._base(local)
-        if self.base_time_scale is None:
+        scale = self.on(grid).base_time_scale
+        if scale is None:
             yield from chain_factors(self.time_scale, first, steps, here[:, :1, None], *base)
         else:
-            scale = max(self.time_scale, min(self.base_time_scale, longest_scale(grid)))
             yield from self._base_apart(scale, first, steps, here[:, :1, None], *base)
         if n_count == 1:
             return

@@ -1,0 +1,84 @@
+"""The square root of a chain's information by QR: twice the digits of the normal equations.
+
+Source: Bierman, *Factorization Methods for Discrete Sequential Estimation* (1977).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from glissando._kernels.threads import one_thread
+from glissando.geometry.se3 import Array
+from glissando.model.factors import Factors
+
+
+@dataclass(frozen=True)
+class RootInformation:
+    """An upper triangular R with Rᵀ R the information of all numbers.
+
+    Attributes:
+        diagonal: Blocks (K, D, D) of the time nodes, upper triangular.
+        beside: Blocks (K−1, D, D) to the right of them.
+    """
+
+    diagonal: Array
+    beside: Array
+
+    def sample(self, rng: np.random.Generator) -> Array:
+        """One draw (K, D) from N(0, (Rᵀ R)⁻¹).
+
+        Args:
+            rng: Source of all chance.
+        """
+        x: Array = rng.standard_normal(self.diagonal.shape[:2])
+        with one_thread():
+            for k in reversed(range(len(x))):
+                if k + 1 < len(x):
+                    x[k] -= self.beside[k] @ x[k + 1]
+                x[k] = solve_triangular(self.diagonal[k], x[k])
+        return x
+
+
+def root_information(
+    factors: Iterable[Factors], shape: tuple[int, int], dof: int
+) -> RootInformation:
+    """The square root of what factors on a grid say together.
+
+    Args:
+        factors: Factors without extras, each of one time node or two neighbours.
+        shape: Time nodes and arclength nodes (K, N) of the grid.
+        dof: Numbers of a node.
+    """
+    count, size = shape[0], shape[1] * dof
+    rows: list[list[Array]] = [[] for _ in range(count)]
+    for batch in factors:
+        jacobian = batch.whitened()[1].reshape(batch.jacobian.shape)
+        slab, inner = np.divmod(batch.nodes, shape[1])
+        first = slab.min(axis=1)
+        column = (slab - first[:, None]) * size + inner * dof + batch.dofs.start
+        for k, at, slopes in zip(first, column, jacobian, strict=True):
+            rows[k].append(_spread(slopes, at, 2 * size))
+    out = RootInformation(np.empty((count, size, size)), np.empty((count - 1, size, size)))
+    left = np.zeros((0, size))
+    with one_thread():
+        for k in range(count):
+            wide = np.hstack([left, np.zeros_like(left)])
+            tall = np.vstack([wide, *rows[k]])[:, : 2 * size if k + 1 < count else size]
+            root: Array = np.asarray(np.linalg.qr(tall, mode="r"))
+            out.diagonal[k] = root[:size, :size]
+            if k + 1 < count:
+                out.beside[k] = root[:size, size:]
+            left = root[size:, size:]
+    return out
+
+
+def _spread(slopes: Array, columns: Array, width: int) -> Array:
+    """Rows (r, width) with slopes (r, c, d) by c nodes where their columns (c,) begin."""
+    out = np.zeros((len(slopes), width))
+    for a, at in enumerate(columns):
+        out[:, at : at + slopes.shape[2]] += slopes[:, a]
+    return out
