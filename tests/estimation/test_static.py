@@ -24,6 +24,7 @@ from glissando import (
 )
 from glissando.errors import OutsideGridError, SensorError, UnobservableError
 from glissando.estimation import static as method
+from glissando.estimation import static_iteration
 from glissando.evaluation.metrics import errors_against
 from glissando.geometry import se3
 from glissando.model.priors.rest_shape import STRAIGHT
@@ -132,7 +133,7 @@ def test_a_shape_that_nobody_read_is_as_uncertain_as_the_prior():
 def test_nearly_rigid_shear_and_right_angles_converge_from_rest(monkeypatch):
     """Where straight steps tear the shape apart; none is left to the slow way."""
     monkeypatch.setattr(method, "estimate", None)
-    monkeypatch.setattr(method, "implausible", lambda *_: False)  # as the bends are, for this prior
+    monkeypatch.setattr(static_iteration, "implausible", lambda *_: False)  # as the bends are, for this prior
     rng = np.random.default_rng(1)
     prior = replace(
         drawn.PRIOR,
@@ -163,7 +164,7 @@ def test_a_shape_that_steps_do_not_lead_to_is_left_to_the_estimator_of_recording
     prior, nodes = PRIORS["separable"], nodes_of("separable")
     readings = readings_of(rng, "separable", 3)
     known = estimate_static(prior, nodes, readings, options=EXACT)
-    monkeypatch.setattr(method, "WORTHWHILE", np.inf)
+    monkeypatch.setattr(static_iteration, "WORTHWHILE", np.inf)
     left = estimate_static(prior, nodes, readings, options=EXACT)
     for shape in range(3):
         found, wanted = (which.at(nodes, shape) for which in (left, known))

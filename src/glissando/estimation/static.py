@@ -11,14 +11,15 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from glissando._kernels.threads import one_thread
 from glissando.errors import UnobservableError
 from glissando.estimation.batch import estimate
 from glissando.estimation.given import require_model, require_options, require_streams
-from glissando.estimation.misfit import far_off, implausible
+from glissando.estimation.misfit import far_off
 from glissando.estimation.posterior import Posterior
+from glissando.estimation.static_iteration import Solved, iterate, node_covariances
 from glissando.estimation.static_posterior import StaticPosterior, require_whole
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
@@ -32,13 +33,11 @@ from glissando.solver.curvature import curvature, with_curvature
 from glissando.solver.gauss_newton import SolverOptions
 from glissando.solver.located_readings import LocatedReadings, locate
 from glissando.solver.outcome import Outcome
-from glissando.solver.static_equations import StaticEquations, linearize_static, static_factors
-from glissando.solver.step_search import ROUNDING, WORTHWHILE
+from glissando.solver.static_equations import linearize_static, static_factors
 
 _DOFS = slice(0, STATIC_DOF)
 _BLOCKS = 6.0  # square blocks of numbers that are kept for a node of a shape
 _SOFT_ITERATIONS = 8
-_SHARES = (1.0, 0.3, 0.1)  # of a bent step, tried in turn
 
 
 def estimate_static(
@@ -116,11 +115,7 @@ def _count(readings: Sequence[Readings], nodes: int, count: int | None) -> int:
     return count
 
 
-_Solved = tuple[State, tuple[Array, Array], NDArray[np.bool_]]
-"""States (S, N), their covariances and those of neighbours, and which shapes are left."""
-
-
-def _together(prior: Prior, located: LocatedReadings, options: SolverOptions) -> _Solved:
+def _together(prior: Prior, located: LocatedReadings, options: SolverOptions) -> Solved:
     """All shapes from where they start; where that breaks down, all are left.
 
     Raises:
@@ -129,7 +124,7 @@ def _together(prior: Prior, located: LocatedReadings, options: SolverOptions) ->
     """
     grid = located.grid
     try:
-        return _iterated(prior, located, _first_shapes(prior, located), options)
+        return iterate(prior, located, _first_shapes(prior, located), options)
     except (np.linalg.LinAlgError, UnobservableError) as error:
         first = prior.of_shape(0) if isinstance(prior, MechanicalPrior) else prior
         far = far_off(grid, first, located.streams)
@@ -146,7 +141,7 @@ def _first_shapes(prior: Prior, located: LocatedReadings) -> State:
     if soft is prior:
         return start
     rough = SolverOptions.rough(located.grid.arclength.size * STATIC_DOF)
-    return _iterated(soft, located, start, replace(rough, max_iterations=_SOFT_ITERATIONS))[0]
+    return iterate(soft, located, start, replace(rough, max_iterations=_SOFT_ITERATIONS))[0]
 
 
 def _alone(
@@ -168,81 +163,12 @@ def _node_blocks(one: Posterior) -> tuple[Array, Array]:
     return whole[every, :, every], whole[every[:-1], :, every[1:]]
 
 
-def _iterated(
-    prior: Prior, located: LocatedReadings, start: State, options: SolverOptions
-) -> _Solved:
-    """Gauss–Newton steps of all shapes, straight on or bent: states, marginals, and who is left.
-
-    A shape that neither way brings down is left, at rest, to those who can shorten and damp steps,
-    and so is one whose cost is implausible: they start elsewhere as well.
-    """
-    grid = located.grid
-    here = linearize_static(prior, located, start)
-    going, left = np.ones(len(here.rhs), dtype=bool), np.zeros(len(here.rhs), dtype=bool)
-    for _ in range(options.max_iterations):
-        cholesky = here.factored()
-        solved = cholesky.solve(here.rhs.reshape(-1, STATIC_DOF)).reshape(here.rhs.shape)
-        step = np.zeros((*grid.shape, start.dof))
-        step[..., _DOFS] = solved * going[:, None, None]
-        promise = np.sum(step[..., _DOFS] * here.rhs, axis=(1, 2))
-        last = going & (np.sqrt(np.maximum(promise, 0.0)) < options.tolerance)
-        going &= ~last
-        straight = here.state.retract(step)
-        if not np.any(going):
-            break
-        there = linearize_static(prior, located, straight)
-        refused = going & ~_worthwhile(here, there, promise)
-        for share in _SHARES:
-            if not np.any(refused):
-                break
-            bent = prior.bent(grid, here.state, share * step)
-            there = linearize_static(prior, located, _chosen(refused, bent, there.state))
-            refused &= ~_worthwhile(here, there, share * promise)
-        if np.any(refused):
-            left, going = left | refused, going & ~refused
-            state = _chosen(refused, prior.rest_state(grid), there.state)
-            there = linearize_static(prior, located, state)
-        here = there
-    left |= going | implausible(prior, here.costs(here), _numbers_read(located))
-    return here.state if np.any(going) else straight, _marginals(here), left
-
-
-def _numbers_read(located: LocatedReadings) -> NDArray[np.intp]:
-    """How many numbers were read of each shape (S,)."""
-    out = np.zeros(located.grid.time.size, dtype=np.intp)
-    for r in located.streams:
-        out += r.row_count * np.bincount(r.time.astype(np.intp), minlength=out.size)
-    return out
-
-
-def _marginals(here: StaticEquations) -> tuple[Array, Array]:
-    """Covariances of nodes (S, N, 12, 12), and of neighbours (S, N−1, 12, 12)."""
-    found, (count, n_count) = here.factored().marginals(consume=True), here.rhs.shape[:2]
-    cov = found.cov.reshape(count, n_count, STATIC_DOF, STATIC_DOF)
-    cross = np.concatenate([found.cross, np.zeros((1, STATIC_DOF, STATIC_DOF))])
-    return cov, cross.reshape(cov.shape)[:, :-1].copy()
-
-
 def _with_curvature(
     prior: Prior, located: LocatedReadings, state: State, cov: Array
 ) -> tuple[Array, Array]:
-    """Covariances as `_marginals` gives, of the whole Hessian at a state with those found."""
+    """Covariances as `node_covariances` gives, of the whole Hessian at a state with those found."""
     here = linearize_static(prior, located, state)
     step = here.factored().solve(here.rhs.reshape(-1, STATIC_DOF)).reshape(here.rhs.shape)
     std = np.sqrt(np.einsum("snii->sni", cov))
     added = curvature(lambda at: static_factors(prior, located, at), state, step, std)
-    return _marginals(replace(here, system=with_curvature(here, added)))
-
-
-def _worthwhile(here: StaticEquations, there: StaticEquations, promise: Array) -> NDArray[np.bool_]:
-    """Which costs fell by a fair share of half the `promise` (S,), if that is worth anything."""
-    cost = here.costs(here)
-    gain = cost - here.costs(there)
-    nothing = 0.5 * promise < ROUNDING * (1.0 + cost)
-    return nothing | (gain > WORTHWHILE * 0.5 * promise)
-
-
-def _chosen(where: NDArray[np.bool_], one: State, other: State) -> State:
-    """The state that is `one` in the shapes `where` (S,) says so, and `other` in the rest."""
-    pairs = zip(one.fields(), other.fields(), strict=True)
-    return State(*(np.where(where.reshape(-1, *(1,) * (a.ndim - 1)), a, b) for a, b in pairs))
+    return node_covariances(replace(here, system=with_curvature(here, added)))

@@ -1,0 +1,103 @@
+"""Gauss–Newton steps of many static shapes together. Source: equations (2'), (20), (21)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glissando.estimation.misfit import implausible
+from glissando.geometry.se3 import Array
+from glissando.model.priors.prior import Prior
+from glissando.model.priors.static import STATIC_DOF
+from glissando.model.state import State
+from glissando.solver.gauss_newton import SolverOptions
+from glissando.solver.located_readings import LocatedReadings
+from glissando.solver.static_equations import StaticEquations, linearize_static
+from glissando.solver.step_search import ROUNDING, WORTHWHILE
+
+_DOFS = slice(0, STATIC_DOF)
+_SHARES = (1.0, 0.3, 0.1)  # of a bent step, tried in turn
+
+Solved = tuple[State, tuple[Array, Array], NDArray[np.bool_]]
+"""States (S, N), their covariances and those of neighbours, and which shapes are left."""
+
+
+def iterate(prior: Prior, located: LocatedReadings, start: State, options: SolverOptions) -> Solved:
+    """Gauss–Newton steps of all shapes, straight on or bent: states, marginals, and who is left.
+
+    A shape that neither way brings down is left, at rest, to those who can shorten and damp steps,
+    and so is one whose cost is implausible: they start elsewhere as well.
+
+    Args:
+        prior: The prior.
+        located: Readings on a grid whose times are the numbers of the shapes.
+        start: Shapes (S, N) to start from.
+        options: When to stop.
+
+    Raises:
+        UnobservableError: Prior and readings leave a direction of a shape undetermined (or numpy's
+            LinAlgError: a shape went so far off that it has no weights).
+    """
+    grid = located.grid
+    here = linearize_static(prior, located, start)
+    going, left = np.ones(len(here.rhs), dtype=bool), np.zeros(len(here.rhs), dtype=bool)
+    for _ in range(options.max_iterations):
+        cholesky = here.factored()
+        solved = cholesky.solve(here.rhs.reshape(-1, STATIC_DOF)).reshape(here.rhs.shape)
+        step = np.zeros((*grid.shape, start.dof))
+        step[..., _DOFS] = solved * going[:, None, None]
+        promise = np.sum(step[..., _DOFS] * here.rhs, axis=(1, 2))
+        last = going & (np.sqrt(np.maximum(promise, 0.0)) < options.tolerance)
+        going &= ~last
+        straight = here.state.retract(step)
+        if not np.any(going):
+            break
+        there = linearize_static(prior, located, straight)
+        refused = going & ~_worthwhile(here, there, promise)
+        for share in _SHARES:
+            if not np.any(refused):
+                break
+            bent = prior.bent(grid, here.state, share * step)
+            there = linearize_static(prior, located, _chosen(refused, bent, there.state))
+            refused &= ~_worthwhile(here, there, share * promise)
+        if np.any(refused):
+            left, going = left | refused, going & ~refused
+            state = _chosen(refused, prior.rest_state(grid), there.state)
+            there = linearize_static(prior, located, state)
+        here = there
+    left |= going | implausible(prior, here.costs(here), _numbers_read(located))
+    return here.state if np.any(going) else straight, node_covariances(here), left
+
+
+def _numbers_read(located: LocatedReadings) -> NDArray[np.intp]:
+    """How many numbers were read of each shape (S,)."""
+    out = np.zeros(located.grid.time.size, dtype=np.intp)
+    for r in located.streams:
+        out += r.row_count * np.bincount(r.time.astype(np.intp), minlength=out.size)
+    return out
+
+
+def node_covariances(here: StaticEquations) -> tuple[Array, Array]:
+    """Covariances of nodes (S, N, 12, 12), and of neighbours (S, N−1, 12, 12).
+
+    Args:
+        here: Shapes where they are linearised.
+    """
+    found, (count, n_count) = here.factored().marginals(consume=True), here.rhs.shape[:2]
+    cov = found.cov.reshape(count, n_count, STATIC_DOF, STATIC_DOF)
+    cross = np.concatenate([found.cross, np.zeros((1, STATIC_DOF, STATIC_DOF))])
+    return cov, cross.reshape(cov.shape)[:, :-1].copy()
+
+
+def _worthwhile(here: StaticEquations, there: StaticEquations, promise: Array) -> NDArray[np.bool_]:
+    """Which costs fell by a fair share of half the `promise` (S,), if that is worth anything."""
+    cost = here.costs(here)
+    gain = cost - here.costs(there)
+    nothing = 0.5 * promise < ROUNDING * (1.0 + cost)
+    return nothing | (gain > WORTHWHILE * 0.5 * promise)
+
+
+def _chosen(where: NDArray[np.bool_], one: State, other: State) -> State:
+    """The state that is `one` in the shapes `where` (S,) says so, and `other` in the rest."""
+    pairs = zip(one.fields(), other.fields(), strict=True)
+    return State(*(np.where(where.reshape(-1, *(1,) * (a.ndim - 1)), a, b) for a, b in pairs))
