@@ -67,6 +67,40 @@ def test_arcs_of_up_to_three_quarters_of_a_turn_are_found_from_the_tip_alone():
     assert together.converged.all()
 
 
+def wound(rng, least, most):
+    """Poses (S, 3, 4, 4) of two arcs in ways of their own: amid the first, and at both ends."""
+    half, out = 0.5 * LENGTH, []
+    for _ in range(COUNT):
+        turn, way = rng.uniform(least, most, 2), rng.uniform(0.0, 2.0 * np.pi, 2)
+        bend = turn / half * np.array([np.cos(way), np.sin(way)])
+        first, second = (np.array([0.0, 0.0, 1.0, *bend[:, i], 0.0]) for i in (0, 1))
+        joint = se3.exp(half * first)
+        out.append([se3.exp(0.5 * half * first), joint, joint @ se3.exp(half * second)])
+    return np.array(out)
+
+
+def test_two_segments_of_up_to_three_quarters_of_a_turn_each_are_found_from_their_ends():
+    text = robot_text(RobotOutline("wound", LENGTH, 2, 0.012, 1.5 * np.pi, ["pose"]))
+    two = parse_robot(Table(tomllib.loads(text), "wound", GlissandoError))
+    rng, std, time = np.random.default_rng(2), two.sensor_std["pose"], np.arange(5) / 30.0
+    for middle, *ends in wound(rng, 0.5 * np.pi, 1.5 * np.pi):
+        readings = [
+            PoseReadings(
+                time=time,
+                arclength=np.full(5, at),
+                values=pose @ se3.exp(std * rng.standard_normal((5, 6))),
+                cov=std**2,
+                name=name,
+            )
+            for name, at, pose in zip(("joint", "tip"), (0.5 * LENGTH, LENGTH), ends, strict=True)
+        ]
+        found = estimate(two.prior, Grid(two.arclength_nodes, time), readings)
+        assert not found.solve.doubt
+        at = found.at(0.25 * LENGTH, time[2])
+        off = at.position - middle[:3, 3]
+        assert off @ np.linalg.solve(at.cov_position_world, off) < 25.0
+
+
 @pytest.mark.parametrize(("bend", "doubtful"), [(0.2 * np.pi, True), (np.pi, False)])
 def test_a_shape_that_bends_far_more_than_its_file_says_contradicts_it(bend, doubtful):
     arc, rng = robot(bend), np.random.default_rng(1)
@@ -130,12 +164,12 @@ def test_a_shape_whose_cost_is_plausible_is_kept_though_a_wrong_one_converges(
     monkeypatch, first, other, kept
 ):
     """As on rods whose strain may jump, where weights go to and fro with the shape."""
-    monkeypatch.setattr(several_starts, "is_implausible", lambda prior, end: end.cost > 20.0)
+    monkeypatch.setattr(several_starts, "is_implausible", lambda prior, end, _=0: end.cost > 20.0)
     grid, ends = Grid([0.0, LENGTH], [0.0]), [scripted(*first)]
 
     def solve(initial, options=None):
         return ends.pop() if ends else scripted(*other)
 
-    prior = robot(np.pi).prior
-    end = several_starts.best_end(prior, grid, SolverOptions(), (None, []), solve)
+    sought = several_starts.Sought(robot(np.pi).prior, grid, [], SolverOptions())
+    end = several_starts.best_end(sought, (None, []), solve)
     assert end[0].solve.cost == kept

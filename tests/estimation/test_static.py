@@ -131,9 +131,12 @@ def test_a_shape_that_nobody_read_is_as_uncertain_as_the_prior():
 
 
 def test_nearly_rigid_shear_and_right_angles_converge_from_rest(monkeypatch):
-    """Where straight steps tear the shape apart; none is left to the slow way."""
+    """Where straight steps tear the shape apart; none is left to the slow way.
+
+    This prior does not expect such bends.
+    """
     monkeypatch.setattr(method, "estimate", None)
-    monkeypatch.setattr(static_iteration, "implausible", lambda *_: False)  # as the bends are, for this prior
+    monkeypatch.setattr(static_iteration, "implausible", lambda *_: False)
     rng = np.random.default_rng(1)
     prior = replace(
         drawn.PRIOR,

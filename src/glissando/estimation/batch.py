@@ -23,7 +23,7 @@ from glissando.estimation.misfit import breakdown, doubt, worst_readings
 from glissando.estimation.outliers import CHANCE, Mask, judged, used_at_first
 from glissando.estimation.place_evidence import by_evidence
 from glissando.estimation.posterior import Posterior, SolveReport
-from glissando.estimation.several_starts import End, Start, best_end, start_at
+from glissando.estimation.several_starts import End, Sought, Start, best_end, start_at
 from glissando.estimation.starting_point import starting_point, with_parameters
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
@@ -159,7 +159,8 @@ class _Problem:
         if not all(rows.all() for rows in used):
             locate(self.grid, self.readings, self.sensor_parameters)  # raises for spikes off, too
         with self.said():
-            end = best_end(self.prior, self.grid, self.options, start, partial(self.solve, used))
+            sought = Sought(self.prior, self.grid, self.selected(used), self.options)
+            end = best_end(sought, start, partial(self.solve, used))
             if self.gate is not None:
                 end, used = self.solve_without_refuted(end, used, self.gate)
             posterior = self.dated(*self.placed_by_evidence(end, used)) if self.dates else end[0]
@@ -184,7 +185,7 @@ class _Problem:
         self, used: Sequence[Mask], initial: Start, options: SolverOptions | None = None
     ) -> Solution:
         """Where the iteration with the readings that are used ends."""
-        readings = [r.select(rows) for r, rows in zip(self.readings, used, strict=True)]
+        readings = self.selected(used)
         progress, clock = self.progress, self.clock
         with one_thread():
             located = locate(self.grid, readings, self.sensor_parameters)  # (16)
@@ -251,6 +252,10 @@ class _Problem:
             if used is not first:
                 end = self.solve(used, start_at(end[1]))
         return end, used
+
+    def selected(self, used: Sequence[Mask]) -> list[Readings]:
+        """The readings that are used."""
+        return [r.select(rows) for r, rows in zip(self.readings, used, strict=True)]
 
     def left_out(self, used: Sequence[Mask]) -> dict[str, list[int]]:
         """Rows of each stream that were not used, of streams that have such rows."""

@@ -42,7 +42,9 @@ def worst_readings(solution: Solution) -> str:
     return f"Readings that do not fit: {', '.join(named[:_NAMED])}." if named else ""
 
 
-def implausible(prior: Prior, cost: ArrayLike, count: ArrayLike) -> NDArray[np.bool_]:
+def implausible(
+    prior: Prior, cost: ArrayLike, count: ArrayLike, excess: float = _EXCESS
+) -> NDArray[np.bool_]:
     """Whether costs of prior and readings are more than chance allows, and far above expectation.
 
     Twice the least cost is a χ² of as many degrees of freedom as readings have numbers. In a
@@ -53,12 +55,13 @@ def implausible(prior: Prior, cost: ArrayLike, count: ArrayLike) -> NDArray[np.b
         prior: The prior.
         cost: Half the sum of all squares (…).
         count: How many numbers were read (…).
+        excess: How many times what is expected is too much.
     """
-    bound = np.maximum(chdtri(count, _UNLIKELY), _EXCESS * np.asarray(count))
+    bound = np.maximum(chdtri(count, _UNLIKELY), excess * np.asarray(count))
     return np.asarray(2.0 * np.asarray(cost) > bound) & (not isinstance(prior, MechanicalPrior))
 
 
-def is_implausible(prior: Prior, solution: Solution) -> bool:
+def is_implausible(prior: Prior, solution: Solution, excess: float = _EXCESS) -> bool:
     """Whether an estimate's cost is `implausible`, but for readings that a loss forgives."""
     cost, count = solution.cost, 0
     for _, terms in _terms(solution):
@@ -67,7 +70,7 @@ def is_implausible(prior: Prior, solution: Solution) -> bool:
         if terms.loss is not None:
             size = np.linalg.norm(terms.whiten(terms.residual)[~kept], axis=1)
             cost -= float(np.sum(terms.loss.cost(size)))
-    return bool(implausible(prior, cost, count))
+    return bool(implausible(prior, cost, count, excess))
 
 
 def doubt(prior: Prior, solution: Solution) -> str:

@@ -4,26 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Protocol
 
 import numpy as np
 
 from glissando.errors import UnobservableError
+from glissando.estimation.bent_starts import bent_starts
 from glissando.estimation.misfit import is_implausible
 from glissando.estimation.posterior import Posterior
-from glissando.estimation.starting_point import bent_shapes
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
 from glissando.model.priors.prior import Prior
 from glissando.model.sensors.parameters import SensorParameter
+from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
 from glissando.solver.gauss_newton import Solution, SolverOptions
 
 _DOUBTFUL = 10.0  # standard deviations a number by which a start may be off and still be trusted
 _MOMENTS = 28  # time nodes of an estimate that is cheap enough to be tried from several starts
 _ROUGH_ITERATIONS = 30  # from a bent shape
+_SUSPECT = 3.0  # times the cost that is expected, beyond which other starts are tried
 
 Start = tuple[State | None, Sequence[tuple[SensorParameter, Array]]]
 """Nodes to start from, rest if there are none, and sensor parameters with their values."""
@@ -39,26 +41,35 @@ class Solve(Protocol):
         """Where the iteration ends; raises where it breaks down."""
 
 
-def best_end(prior: Prior, grid: Grid, options: SolverOptions, start: Start, solve: Solve) -> End:
+@dataclass(frozen=True)
+class Sought:
+    """What is estimated: prior, nodes, readings, and when to stop."""
+
+    prior: Prior
+    grid: Grid
+    readings: Sequence[Readings]
+    options: SolverOptions
+
+
+def best_end(sought: Sought, start: Start, solve: Solve) -> End:
     """Solve from a start, and from others as well where that turns out to be far off.
 
     Those are rest and, of a few moments that it does not explain, bent shapes.
 
     Args:
-        prior: The prior.
-        grid: The nodes.
-        options: When to stop.
+        sought: What is estimated.
         start: Where to start.
         solve: Solves from a start.
 
     Raises:
         UnobservableError: All starts break down (or numpy's LinAlgError).
     """
-    few = grid.time.size <= _MOMENTS and options.max_iterations >= _ROUGH_ITERATIONS
+    prior, options = sought.prior, sought.options
+    few = sought.grid.time.size <= _MOMENTS and options.max_iterations >= _ROUGH_ITERATIONS
     try:
         end = solve(start)
     except (np.linalg.LinAlgError, UnobservableError):
-        found = _from_bent(prior, grid, options, None, start, solve) if few else None
+        found = _from_bent(sought, None, start, solve) if few else None
         if found is None or _is_astray(prior, found):
             raise
         return found
@@ -66,7 +77,7 @@ def best_end(prior: Prior, grid: Grid, options: SolverOptions, start: Start, sol
         with suppress(np.linalg.LinAlgError, UnobservableError):
             end = max(end, solve((None, start[1])), key=partial(_worth, prior))
     if few and _is_astray(prior, end):
-        end = _from_bent(prior, grid, options, end, start, solve) or end
+        end = _from_bent(sought, end, start, solve) or end
     return end
 
 
@@ -75,21 +86,15 @@ def start_at(solution: Solution) -> Start:
     return solution.state, solution.located.parameters.by_name()
 
 
-def _from_bent(
-    prior: Prior,
-    grid: Grid,
-    options: SolverOptions,
-    end: End | None,
-    start: Start,
-    solve: Solve,
-) -> End | None:
+def _from_bent(sought: Sought, end: End | None, start: Start, solve: Solve) -> End | None:
     """Solve roughly from bent shapes until one will do, and on from the best if it is better.
 
     None where all break down, as the start did if there is no `end`.
     """
+    prior, grid = sought.prior, sought.grid
     best, worth = end, partial(_worth, prior)
-    for bent in bent_shapes(prior, grid):
-        rough = options.rougher(bent.numbers * grid.time.size)
+    for bent in bent_starts(prior, grid, sought.readings):
+        rough = sought.options.rougher(bent.numbers * grid.time.size)
         with suppress(np.linalg.LinAlgError, UnobservableError):
             found = solve((bent, start[1]), replace(rough, max_iterations=_ROUGH_ITERATIONS))
             best = max(best or found, found, key=worth)
@@ -103,8 +108,8 @@ def _from_bent(
 
 
 def _is_astray(prior: Prior, end: End) -> bool:
-    """Whether an iteration found no minimum, or one that is not the lowest."""
-    return not end[1].outcome.sound or is_implausible(prior, end[1])
+    """Whether an iteration found no minimum, or one that may not be the lowest."""
+    return not end[1].outcome.sound or is_implausible(prior, end[1], _SUSPECT)
 
 
 def _is_doubtful(solution: Solution) -> bool:

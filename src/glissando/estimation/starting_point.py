@@ -6,8 +6,7 @@ all of them, at a fraction of the cost (nested iteration, as multigrid methods s
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -24,7 +23,6 @@ from glissando.solver.located_readings import LocatedReadings, locate
 
 _COARSER = 4  # fine time nodes to a coarse one
 _WORTHWHILE = 7  # coarse time nodes below which they save nothing
-_TURN, _WAYS = np.pi, 8  # rad by which bent shapes to start from turn, and in how many directions
 
 
 def starting_point(
@@ -62,21 +60,6 @@ def starting_point(
         rough = minimize(soft, located, state, options, progress, clock)
         state, located, iterations = rough.state, rough.located, rough.iterations
     return state, located, iterations
-
-
-def bent_shapes(prior: Prior, grid: Grid) -> Iterator[State]:
-    """Shapes (K, N) to start from where rest is too far off: circular arcs in all directions."""
-    if grid.arclength.size < 2:
-        return
-    rest, lengths = prior.rest_state(grid), np.diff(grid.arclength)
-    apart = se3.log(se3.inverse(rest.pose[:, :-1]) @ rest.pose[:, 1:])
-    for angle in np.arange(_WAYS) * 2.0 * np.pi / _WAYS:
-        bend, pose = np.zeros(6), rest.pose.copy()
-        bend[3:5] = _TURN / lengths.sum() * np.array([np.cos(angle), np.sin(angle)])
-        steps = se3.exp(apart + lengths[:, None] * bend)
-        for n in range(lengths.size):
-            pose[:, n + 1] = pose[:, n] @ steps[:, n]
-        yield replace(rest, pose=pose, strain=rest.strain + bend)
 
 
 def with_parameters(

@@ -1,0 +1,124 @@
+"""Shapes to start from where rest is too far off: arcs, settled on the readings of one moment.
+
+A robot that is bent by more than half a turn has shapes that explain a moment's readings one turn
+less, in which a search from rest ends. Hundreds of arcs, every segment in its own direction, settle
+as static shapes in the time of a few steps of a whole estimate, and those that do are tried.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+
+from glissando.errors import UnobservableError
+from glissando.estimation.static_iteration import iterate
+from glissando.geometry import se3
+from glissando.geometry.se3 import Array
+from glissando.model.grid import Grid
+from glissando.model.priors.mechanical.prior import MechanicalPrior
+from glissando.model.priors.prior import Prior
+from glissando.model.priors.rest_shape import STRAIGHT
+from glissando.model.sensors.readings import Readings
+from glissando.model.state import VELOCITY, State, concatenate
+from glissando.solver.gauss_newton import SolverOptions
+from glissando.solver.located_readings import locate
+from glissando.solver.static_equations import linearize_static
+
+_TURN, _WAYS = np.pi, 8  # rad by which arcs turn, and in how many directions
+_STRIDES = (1, 1, 2)  # between the ways that are tried where so many parts have ways of their own
+_OFF = 10.0  # times its variance that a reading of one moment is taken to have: mounts and drifts
+_SETTLED = SolverOptions(30, tolerance=1.0)
+_APART = 0.5  # rad over the robot's length by which shapes differ
+_TRIED = 8
+
+
+def bent_starts(prior: Prior, grid: Grid, readings: Sequence[Readings]) -> Iterator[State]:
+    """States (K, N) to start from, at most sixteen; likely ones first, arcs of half a turn last.
+
+    Args:
+        prior: The prior.
+        grid: The nodes.
+        readings: Readings to explain, inside the grid.
+    """
+    if grid.arclength.size < 2:
+        return
+    rest, half = prior.rest_state(grid), [(way,) for way in range(_WAYS)]
+    for shapes in (_settled(prior, grid, readings), _arcs(prior, grid.arclength, half)):
+        for pose, strain in zip(shapes.pose, shapes.strain, strict=True):
+            along = np.broadcast_to(strain, rest.strain.shape).copy()
+            yield replace(rest, pose=np.broadcast_to(pose, rest.pose.shape).copy(), strain=along)
+
+
+def _arcs(prior: Prior, arclength: Array, ways: Sequence[tuple[int, ...]]) -> State:
+    """Shapes (S, N) of arcs of half a turn, whose parts bend in `ways` of their own."""
+    rest = prior.rest_state(Grid.apart(arclength, len(ways)))
+    lengths, parts = np.diff(arclength), len(ways[0])
+    segments, part = prior.joints.size + 1, np.arange(arclength.size)
+    part = np.searchsorted(prior.joints, arclength, side="right") * parts // segments
+    shares = np.bincount(part[:-1], lengths, minlength=parts)
+    angle = 2.0 * np.pi / _WAYS * np.array(ways)[:, part]
+    bend, pose = np.zeros_like(rest.strain), rest.pose.copy()
+    bend[..., 3] = _TURN / shares[part] * np.cos(angle)
+    bend[..., 4] = _TURN / shares[part] * np.sin(angle)
+    apart = se3.log(se3.inverse(rest.pose[:, :-1]) @ rest.pose[:, 1:])
+    steps = se3.exp(apart + lengths[:, None] * bend[:, :-1])
+    for n in range(lengths.size):
+        pose[:, n + 1] = pose[:, n] @ steps[:, n]
+    return replace(rest, pose=pose, strain=rest.strain + bend)
+
+
+def _settled(prior: Prior, grid: Grid, readings: Sequence[Readings]) -> State:
+    """Different shapes (S, N) that explain readings in the middle of the grid, best first."""
+    moment, arclength = grid.time[grid.time.size // 2], grid.arclength
+    near = [r.select(np.array([np.abs(r.time - moment).argmin()])) for r in readings if len(r)]
+    near = [r for r in near if _shows_shape(r)]
+    parts = min(prior.joints.size + 1, len(_STRIDES))
+    ways = range(0, _WAYS, _STRIDES[parts - 1])
+    arcs = _arcs(prior, arclength, list(product(ways, repeat=parts)))
+    if not near or isinstance(prior, MechanicalPrior):  # a rod's shape follows from its loads
+        return arcs.take(slice(0))
+    shapes, costs = _iterated(prior, arclength, near, arcs)
+    different: list[int] = []
+    for i in np.argsort(costs, kind="stable"):
+        bends = shapes.strain[[i, *different], :, 3:5]
+        gaps = np.abs(bends[1:] - bends[0]).max(axis=(1, 2), initial=0.0) * arclength[-1]
+        if len(different) < _TRIED and np.isfinite(costs[i]) and np.all(gaps > _APART):
+            different.append(int(i))
+    return shapes.take(different)
+
+
+def _shows_shape(reading: Readings) -> bool:
+    """Whether a reading is one of pose or strain at its place."""
+    if reading.spans or reading.accelerates:
+        return False
+    still = State(np.eye(4)[None], STRAIGHT[None], np.zeros((1, 6)))
+    return not reading.jacobian(still)[..., VELOCITY].any()
+
+
+def _iterated(
+    prior: Prior, arclength: Array, readings: Sequence[Readings], start: State
+) -> tuple[State, Array]:
+    """Shapes (S, N) that each explain the same readings, and their costs, infinite where none."""
+    count = len(start.pose)
+    copies = [
+        r.select(np.zeros(count, dtype=int)).changed(
+            time=np.arange(float(count)), cov=_OFF * r.cov, loss=None
+        )
+        for r in readings
+    ]
+    located = locate(Grid.apart(arclength, count), copies)
+    try:
+        shapes, _, left = iterate(prior, located, start, _SETTLED)
+        here = linearize_static(prior, located, shapes)
+    except UnobservableError:
+        return start, np.full(count, np.inf)
+    except np.linalg.LinAlgError:  # one of them went too far
+        if count == 1:
+            return start, np.array([np.inf])
+        halves = start.take(slice(count // 2)), start.take(slice(count // 2, None))
+        found = [_iterated(prior, arclength, readings, half) for half in halves]
+        return concatenate(*(f[0] for f in found)), np.concatenate([f[1] for f in found])
+    return shapes, np.where(left, np.inf, here.costs(here))
