@@ -67,38 +67,65 @@ def test_arcs_of_up_to_three_quarters_of_a_turn_are_found_from_the_tip_alone():
     assert together.converged.all()
 
 
-def wound(rng, least, most):
-    """Poses (S, 3, 4, 4) of two arcs in ways of their own: amid the first, and at both ends."""
-    half, out = 0.5 * LENGTH, []
-    for _ in range(COUNT):
-        turn, way = rng.uniform(least, most, 2), rng.uniform(0.0, 2.0 * np.pi, 2)
-        bend = turn / half * np.array([np.cos(way), np.sin(way)])
-        first, second = (np.array([0.0, 0.0, 1.0, *bend[:, i], 0.0]) for i in (0, 1))
-        joint = se3.exp(half * first)
-        out.append([se3.exp(0.5 * half * first), joint, joint @ se3.exp(half * second)])
-    return np.array(out)
+def wound(turn, way):
+    """Poses (3, 4, 4) of two arcs in ways (2,) of their own: amid the first, and at both ends."""
+    half = 0.5 * LENGTH
+    bend = turn / half * np.array([np.cos(way), np.sin(way)])
+    first, second = (np.array([0.0, 0.0, 1.0, *bend[:, i], 0.0]) for i in (0, 1))
+    joint = se3.exp(half * first)
+    return np.array([se3.exp(0.5 * half * first), joint, joint @ se3.exp(half * second)])
+
+
+def of_two_segments():
+    """The file of a new robot of two segments of up to three quarters of a turn each."""
+    text = robot_text(RobotOutline("wound", LENGTH, 2, 0.012, 1.5 * np.pi, ["pose"]))
+    return parse_robot(Table(tomllib.loads(text), "wound", GlissandoError))
+
+
+def at_ends(rng, two, time, poses):
+    """Readings (K,) of trackers at the ends of both segments, of poses (K, 3, 4, 4)."""
+    std = two.sensor_std["pose"]
+    return [
+        PoseReadings(
+            time=time,
+            arclength=np.full(time.size, share * LENGTH),
+            values=poses[:, i] @ se3.exp(std * rng.standard_normal((time.size, 6))),
+            cov=std**2,
+            name=f"tracker{i}",
+        )
+        for i, share in ((1, 0.5), (2, 1.0))
+    ]
+
+
+def squared_miss(found, time, pose):
+    """Squared normalised error of the place amid the first segment."""
+    at = found.at(0.25 * LENGTH, time)
+    off = at.position - pose[:3, 3]
+    return off @ np.linalg.solve(at.cov_position_world, off)
 
 
 def test_two_segments_of_up_to_three_quarters_of_a_turn_each_are_found_from_their_ends():
-    text = robot_text(RobotOutline("wound", LENGTH, 2, 0.012, 1.5 * np.pi, ["pose"]))
-    two = parse_robot(Table(tomllib.loads(text), "wound", GlissandoError))
-    rng, std, time = np.random.default_rng(2), two.sensor_std["pose"], np.arange(5) / 30.0
-    for middle, *ends in wound(rng, 0.5 * np.pi, 1.5 * np.pi):
-        readings = [
-            PoseReadings(
-                time=time,
-                arclength=np.full(5, at),
-                values=pose @ se3.exp(std * rng.standard_normal((5, 6))),
-                cov=std**2,
-                name=name,
-            )
-            for name, at, pose in zip(("joint", "tip"), (0.5 * LENGTH, LENGTH), ends, strict=True)
-        ]
-        found = estimate(two.prior, Grid(two.arclength_nodes, time), readings)
+    rng, two, time = np.random.default_rng(2), of_two_segments(), np.arange(5) / 30.0
+    for _ in range(COUNT):
+        turn, way = rng.uniform(0.5 * np.pi, 1.5 * np.pi, 2), rng.uniform(0.0, 2.0 * np.pi, 2)
+        poses = np.tile(wound(turn, way), (time.size, 1, 1, 1))
+        found = estimate(two.prior, Grid(two.arclength_nodes, time), at_ends(rng, two, time, poses))
         assert not found.solve.doubt
-        at = found.at(0.25 * LENGTH, time[2])
-        off = at.position - middle[:3, 3]
-        assert off @ np.linalg.solve(at.cov_position_world, off) < 25.0
+        assert squared_miss(found, time[2], poses[2, 0]) < 25.0
+
+
+def test_two_segments_that_move_while_they_are_wound_are_found():
+    """One shape is no start for all: pieces of a few moments lead from one to the next."""
+    rng, two, time = np.random.default_rng(4), of_two_segments(), np.arange(46) / 30.0
+    for _ in range(2):
+        way = rng.uniform(0.0, 2.0 * np.pi, 2) + time[:, None] * rng.uniform(-2.5, 2.5, 2)
+        turn = np.pi * (1.0 + 0.4 * np.sin(2.0 * time[:, None] + rng.uniform(0.0, 6.0, 2)))
+        poses = np.array([wound(*each) for each in zip(turn, way, strict=True)])
+        found = estimate(two.prior, Grid(two.arclength_nodes, time), at_ends(rng, two, time, poses))
+        assert found.solve.converged
+        assert not found.solve.doubt
+        for k in (5, 20, 40):
+            assert squared_miss(found, time[k], poses[k, 0]) < 25.0
 
 
 @pytest.mark.parametrize(("bend", "doubtful"), [(0.2 * np.pi, True), (np.pi, False)])
@@ -170,6 +197,6 @@ def test_a_shape_whose_cost_is_plausible_is_kept_though_a_wrong_one_converges(
     def solve(initial, options=None):
         return ends.pop() if ends else scripted(*other)
 
-    sought = several_starts.Sought(robot(np.pi).prior, grid, [], SolverOptions())
+    sought = several_starts.Sought(robot(np.pi).prior, grid, [], SolverOptions(), None)
     end = several_starts.best_end(sought, (None, []), solve)
     assert end[0].solve.cost == kept

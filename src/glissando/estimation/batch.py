@@ -159,8 +159,7 @@ class _Problem:
         if not all(rows.all() for rows in used):
             locate(self.grid, self.readings, self.sensor_parameters)  # raises for spikes off, too
         with self.said():
-            sought = Sought(self.prior, self.grid, self.selected(used), self.options)
-            end = best_end(sought, start, partial(self.solve, used))
+            end = self.best_end(used, start)
             if self.gate is not None:
                 end, used = self.solve_without_refuted(end, used, self.gate)
             posterior = self.dated(*self.placed_by_evidence(end, used)) if self.dates else end[0]
@@ -180,6 +179,20 @@ class _Problem:
         """The posterior of the readings that are used, and where the iteration ended."""
         solution = self.minimum(used, initial, options)
         return self.known_by(solution), solution
+
+    def best_end(self, used: Sequence[Mask], start: Start) -> End:
+        """The same from other starts as well, where this one turns out to be far off."""
+
+        def piece(times: slice, initial: State | None) -> State:
+            grid = Grid(self.grid.arclength, self.grid.time[times])
+            inside = [r.inside(grid) for r in readings]
+            part = replace(self, grid=grid, readings=inside, progress=None)
+            every = [np.ones(len(r), dtype=bool) for r in inside]
+            return part.best_end(every, (initial, ()))[0].state
+
+        readings = self.selected(used)
+        sought = Sought(self.prior, self.grid, readings, self.options, piece)
+        return best_end(sought, start, partial(self.solve, used))
 
     def minimum(
         self, used: Sequence[Mask], initial: Start, options: SolverOptions | None = None

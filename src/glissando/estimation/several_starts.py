@@ -1,4 +1,4 @@
-"""A search from one start, and from others where that ends astray: rest, and bent shapes."""
+"""A search from one start, and from others where that ends astray: rest, bent shapes, pieces."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from glissando.model.state import State
 from glissando.solver.gauss_newton import Solution, SolverOptions
 
 _DOUBTFUL = 10.0  # standard deviations a number by which a start may be off and still be trusted
-_MOMENTS = 28  # time nodes of an estimate that is cheap enough to be tried from several starts
+_MOMENTS = 8  # time nodes over which one shape is a start for all
 _ROUGH_ITERATIONS = 30  # from a bent shape
 _SUSPECT = 3.0  # times the cost that is expected, beyond which other starts are tried
 
@@ -41,20 +41,37 @@ class Solve(Protocol):
         """Where the iteration ends; raises where it breaks down."""
 
 
+class SolvePiece(Protocol):
+    """Estimates some of the time nodes by themselves."""
+
+    def __call__(self, times: slice, initial: State | None) -> State:
+        """Their states; raises where the iteration breaks down."""
+
+
 @dataclass(frozen=True)
 class Sought:
-    """What is estimated: prior, nodes, readings, and when to stop."""
+    """What is estimated.
+
+    Attributes:
+        prior: The prior.
+        grid: The nodes.
+        readings: Readings to explain.
+        options: When to stop.
+        piece: Estimates some of the time nodes.
+    """
 
     prior: Prior
     grid: Grid
     readings: Sequence[Readings]
     options: SolverOptions
+    piece: SolvePiece
 
 
 def best_end(sought: Sought, start: Start, solve: Solve) -> End:
     """Solve from a start, and from others as well where that turns out to be far off.
 
-    Those are rest and, of a few moments that it does not explain, bent shapes.
+    Those are rest and, of a few moments that it does not explain, bent shapes; of more, what pieces
+    of a few moments lead to, one after the other.
 
     Args:
         sought: What is estimated.
@@ -64,20 +81,22 @@ def best_end(sought: Sought, start: Start, solve: Solve) -> End:
     Raises:
         UnobservableError: All starts break down (or numpy's LinAlgError).
     """
-    prior, options = sought.prior, sought.options
-    few = sought.grid.time.size <= _MOMENTS and options.max_iterations >= _ROUGH_ITERATIONS
+    prior, elsewhere = sought.prior, _from_pieces
+    if sought.grid.time.size <= _MOMENTS:
+        elsewhere = _from_bent
+    thorough = sought.options.max_iterations >= _ROUGH_ITERATIONS
     try:
         end = solve(start)
     except (np.linalg.LinAlgError, UnobservableError):
-        found = _from_bent(sought, None, start, solve) if few else None
+        found = elsewhere(sought, None, start, solve) if thorough else None
         if found is None or _is_astray(prior, found):
             raise
         return found
     if start[0] is not None and _is_doubtful(end[1]):
         with suppress(np.linalg.LinAlgError, UnobservableError):
             end = max(end, solve((None, start[1])), key=partial(_worth, prior))
-    if few and _is_astray(prior, end):
-        end = _from_bent(sought, end, start, solve) or end
+    if thorough and _is_astray(prior, end):
+        end = elsewhere(sought, end, start, solve) or end
     return end
 
 
@@ -105,6 +124,30 @@ def _from_bent(sought: Sought, end: End | None, start: Start, solve: Solve) -> E
     with suppress(np.linalg.LinAlgError, UnobservableError):
         best = solve(start_at(best[1]))
     return max(end or best, best, key=worth)
+
+
+def _from_pieces(sought: Sought, end: End | None, start: Start, solve: Solve) -> End | None:
+    """Solve from estimates of a few moments, each from where the one before leads.
+
+    They overlap by halves, and of each what is not near its ends counts. None as `_from_bent`.
+    """
+    count, half = sought.grid.time.size, _MOMENTS // 2
+    state, last = sought.prior.rest_state(sought.grid), None
+    with suppress(np.linalg.LinAlgError, UnobservableError):
+        for first in range(0, count - half, half):
+            times = slice(first, min(first + _MOMENTS, count))
+            last = sought.piece(times, last and _onward(last, half, times.stop - first))
+            kept = half // 2 if first else 0
+            for whole, own in zip(state.fields(), last.fields(), strict=True):
+                whole[first + kept : times.stop] = own[kept:]
+        found = solve((state, start[1]))
+        return max(end or found, found, key=partial(_worth, sought.prior))
+    return end
+
+
+def _onward(state: State, begin: int, count: int) -> State:
+    """States (K, N) from time node `begin` on, the last one held, `count` in all."""
+    return state.take(np.minimum(begin + np.arange(count), len(state.pose) - 1))
 
 
 def _is_astray(prior: Prior, end: End) -> bool:
