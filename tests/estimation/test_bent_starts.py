@@ -90,7 +90,7 @@ def at_ends(rng, two, time, poses):
             time=time,
             arclength=np.full(time.size, share * LENGTH),
             values=poses[:, i] @ se3.exp(std * rng.standard_normal((time.size, 6))),
-            cov=std**2,
+            cov=np.tile(np.diag(std**2), (time.size, 1, 1)),
             name=f"tracker{i}",
         )
         for i, share in ((1, 0.5), (2, 1.0))

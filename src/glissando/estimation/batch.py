@@ -183,12 +183,12 @@ class _Problem:
     def best_end(self, used: Sequence[Mask], start: Start) -> End:
         """The same from other starts as well, where this one turns out to be far off."""
 
-        def piece(times: slice, initial: State | None) -> State:
+        def piece(times: slice, initial: State | None) -> End:
             grid = Grid(self.grid.arclength, self.grid.time[times])
             inside = [r.inside(grid) for r in readings]
             part = replace(self, grid=grid, readings=inside, progress=None)
             every = [np.ones(len(r), dtype=bool) for r in inside]
-            return part.best_end(every, (initial, ()))[0].state
+            return part.best_end(every, (initial, ()))
 
         readings = self.selected(used)
         sought = Sought(self.prior, self.grid, readings, self.options, piece)

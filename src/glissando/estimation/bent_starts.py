@@ -103,12 +103,9 @@ def _iterated(
 ) -> tuple[State, Array]:
     """Shapes (S, N) that each explain the same readings, and their costs, infinite where none."""
     count = len(start.pose)
-    copies = [
-        r.select(np.zeros(count, dtype=int)).changed(
-            time=np.arange(float(count)), cov=_OFF * r.cov, loss=None
-        )
-        for r in readings
-    ]
+    rough = [r.changed(cov=_OFF * r.cov, loss=None) for r in readings]
+    copies = [r.select(np.zeros(count, dtype=int)) for r in rough]
+    copies = [r.changed(time=np.arange(float(count))) for r in copies]
     located = locate(Grid.apart(arclength, count), copies)
     try:
         shapes, _, left = iterate(prior, located, start, _SETTLED)

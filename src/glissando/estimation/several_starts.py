@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -16,6 +16,7 @@ from glissando.estimation.misfit import is_implausible
 from glissando.estimation.posterior import Posterior
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
+from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.model.priors.prior import Prior
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.sensors.readings import Readings
@@ -44,8 +45,8 @@ class Solve(Protocol):
 class SolvePiece(Protocol):
     """Estimates some of the time nodes by themselves."""
 
-    def __call__(self, times: slice, initial: State | None) -> State:
-        """Their states; raises where the iteration breaks down."""
+    def __call__(self, times: slice, initial: State | None) -> End:
+        """Where the iteration ends; raises where it breaks down."""
 
 
 @dataclass(frozen=True)
@@ -81,21 +82,18 @@ def best_end(sought: Sought, start: Start, solve: Solve) -> End:
     Raises:
         UnobservableError: All starts break down (or numpy's LinAlgError).
     """
-    prior, elsewhere = sought.prior, _from_pieces
-    if sought.grid.time.size <= _MOMENTS:
-        elsewhere = _from_bent
-    thorough = sought.options.max_iterations >= _ROUGH_ITERATIONS
+    prior, elsewhere = sought.prior, _elsewhere(sought)
     try:
         end = solve(start)
     except (np.linalg.LinAlgError, UnobservableError):
-        found = elsewhere(sought, None, start, solve) if thorough else None
+        found = elsewhere(sought, None, start, solve) if elsewhere else None
         if found is None or _is_astray(prior, found):
             raise
         return found
     if start[0] is not None and _is_doubtful(end[1]):
         with suppress(np.linalg.LinAlgError, UnobservableError):
             end = max(end, solve((None, start[1])), key=partial(_worth, prior))
-    if thorough and _is_astray(prior, end):
+    if elsewhere and _is_astray(prior, end):
         end = elsewhere(sought, end, start, solve) or end
     return end
 
@@ -103,6 +101,15 @@ def best_end(sought: Sought, start: Start, solve: Solve) -> End:
 def start_at(solution: Solution) -> Start:
     """Where a solution ended, to start from."""
     return solution.state, solution.located.parameters.by_name()
+
+
+def _elsewhere(sought: Sought) -> Callable[[Sought, End | None, Start, Solve], End | None] | None:
+    """How to start elsewhere, if that is worth it; of a long motion of a rod it costs too much."""
+    if sought.options.max_iterations < _ROUGH_ITERATIONS:
+        return None
+    if sought.grid.time.size <= _MOMENTS:
+        return _from_bent
+    return None if isinstance(sought.prior, MechanicalPrior) else _from_pieces
 
 
 def _from_bent(sought: Sought, end: End | None, start: Start, solve: Solve) -> End | None:
@@ -129,15 +136,18 @@ def _from_bent(sought: Sought, end: End | None, start: Start, solve: Solve) -> E
 def _from_pieces(sought: Sought, end: End | None, start: Start, solve: Solve) -> End | None:
     """Solve from estimates of a few moments, each from where the one before leads.
 
-    They overlap by halves, and of each what is not near its ends counts. None as `_from_bent`.
+    They overlap by halves, and of each what is not near its ends counts. Where one is not explained
+    either, other starts are no cure, and `end` stays.
     """
     count, half = sought.grid.time.size, _MOMENTS // 2
     state, last = sought.prior.rest_state(sought.grid), None
     with suppress(np.linalg.LinAlgError, UnobservableError):
         for first in range(0, count - half, half):
             times = slice(first, min(first + _MOMENTS, count))
-            last = sought.piece(times, last and _onward(last, half, times.stop - first))
-            kept = half // 2 if first else 0
+            part = sought.piece(times, last and _onward(last, half, times.stop - first))
+            if _is_astray(sought.prior, part):
+                return end
+            last, kept = part[1].state, half // 2 if first else 0
             for whole, own in zip(state.fields(), last.fields(), strict=True):
                 whole[first + kept : times.stop] = own[kept:]
         found = solve((state, start[1]))
