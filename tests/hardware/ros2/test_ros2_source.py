@@ -155,7 +155,8 @@ def test_a_session_follows_simulated_time(domain):
         meet(peer, source)
         ticks = peer.node.create_publisher(Clock, "/clock", profile(1, reliable=True))
         until(ticks.get_subscription_count)
-        began, lasts, updates = 1.7e9, 0.5, []
+        began, lasts, updates, straight = 1.7e9, 0.5, [], np.eye(4)
+        straight[2, 3] = ROBOT.length
 
         def simulate():
             """Ten seconds of simulation pass in a second, from a date on."""
@@ -164,7 +165,7 @@ def test_a_session_follows_simulated_time(domain):
                 tick = Clock()
                 tick.clock.sec, tick.clock.nanosec = int(began + into), int(1e9 * (into % 1.0))
                 ticks.publish(tick)
-                peer.send([("/tip/pose", peer.pose(began + into, np.eye(4)))])
+                peer.send([("/tip/pose", peer.pose(began + into, straight))])
                 time.sleep(0.002)
             tick.clock.sec -= 15
             ticks.publish(tick)
