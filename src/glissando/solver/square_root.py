@@ -14,6 +14,8 @@ from scipy.linalg import solve_triangular
 from glissando._kernels.threads import one_thread
 from glissando.geometry.se3 import Array
 from glissando.model.factors import Factors
+from glissando.model.grid import Index
+from glissando.model.memory import require_memory
 
 
 @dataclass(frozen=True)
@@ -52,23 +54,31 @@ def root_information(
         factors: Factors without extras, each of one time node or two neighbours.
         shape: Time nodes and arclength nodes (K, N) of the grid.
         dof: Numbers of a node.
+
+    Raises:
+        OutsideGridError: There is no memory for it.
     """
     count, size = shape[0], shape[1] * dof
-    rows: list[list[Array]] = [[] for _ in range(count)]
+    require_memory(
+        16.0 * count * size**2,
+        f"{count} time nodes of {size} numbers would be {count * size:,} unknowns",
+        "take a shorter window",
+    )
+    rows: list[list[tuple[Index, Array]]] = [[] for _ in range(count)]
     for batch in factors:
         jacobian = batch.whitened()[1].reshape(batch.jacobian.shape)
         slab, inner = np.divmod(batch.nodes, shape[1])
         first = slab.min(axis=1)
         column = (slab - first[:, None]) * size + inner * dof + batch.dofs.start
         for k, at, slopes in zip(first, column, jacobian, strict=True):
-            rows[k].append(_spread(slopes, at, 2 * size))
+            rows[k].append((at, slopes))
     out = RootInformation(np.empty((count, size, size)), np.empty((count - 1, size, size)))
     left = np.zeros((0, size))
     with one_thread():
         for k in range(count):
             wide = np.hstack([left, np.zeros_like(left)])
-            tall = np.vstack([wide, *rows[k]])[:, : 2 * size if k + 1 < count else size]
-            root: Array = np.asarray(np.linalg.qr(tall, mode="r"))
+            tall = np.vstack([wide, *(_spread(*row, 2 * size) for row in rows[k])])
+            root: Array = np.asarray(np.linalg.qr(tall[:, : size * min(2, count - k)], mode="r"))
             out.diagonal[k] = root[:size, :size]
             if k + 1 < count:
                 out.beside[k] = root[:size, size:]
@@ -76,7 +86,7 @@ def root_information(
     return out
 
 
-def _spread(slopes: Array, columns: Array, width: int) -> Array:
+def _spread(columns: Index, slopes: Array, width: int) -> Array:
     """Rows (r, width) with slopes (r, c, d) by c nodes where their columns (c,) begin."""
     out = np.zeros((len(slopes), width))
     for a, at in enumerate(columns):
