@@ -24,7 +24,7 @@ from glissando.model.state import State
 from glissando.solver.gauss_newton import Solution, SolverOptions
 
 _DOUBTFUL = 10.0  # standard deviations a number by which a start may be off and still be trusted
-_MOMENTS = 8  # time nodes over which one shape is a start for all
+_MOMENTS, _OF_ROD = 8, 28  # time nodes over which one shape is a start for all; of a rod are tried
 _ROUGH_ITERATIONS = 30  # from a bent shape
 _SUSPECT = 3.0  # times the cost that is expected, beyond which other starts are tried
 
@@ -104,12 +104,11 @@ def start_at(solution: Solution) -> Start:
 
 
 def _elsewhere(sought: Sought) -> Callable[[Sought, End | None, Start, Solve], End | None] | None:
-    """How to start elsewhere, if that is worth it; of a long motion of a rod it costs too much."""
-    if sought.options.max_iterations < _ROUGH_ITERATIONS:
+    """How to start elsewhere, if that is worth it; pieces of a rod's motion cost too much."""
+    count, rod = sought.grid.time.size, isinstance(sought.prior, MechanicalPrior)
+    if sought.options.max_iterations < _ROUGH_ITERATIONS or (rod and count > _OF_ROD):
         return None
-    if sought.grid.time.size <= _MOMENTS:
-        return _from_bent
-    return None if isinstance(sought.prior, MechanicalPrior) else _from_pieces
+    return _from_bent if rod or count <= _MOMENTS else _from_pieces
 
 
 def _from_bent(sought: Sought, end: End | None, start: Start, solve: Solve) -> End | None:
