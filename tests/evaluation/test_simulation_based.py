@@ -17,6 +17,7 @@ from glissando.errors import GlissandoError
 from glissando.evaluation.prior_predictive import PriorPredictive, noisy_values, session_layout
 from glissando.evaluation.simulation_based import (
     QUANTITIES,
+    _estimated,
     bands,
     misjudged,
     rank_checks,
@@ -186,3 +187,13 @@ def test_a_prior_without_a_base_cannot_be_drawn_from():
     grid = Grid(robot.arclength_nodes, [0.0, 0.1])
     with pytest.raises(GlissandoError, match="no \\[base\\]"):
         PriorPredictive(robot, grid, [])
+
+
+def test_the_smoother_has_read_a_long_session_to_its_end():
+    robot, time = load_robot(ROBOT), np.arange(0.05, 4.0, 0.1)
+    layout = [r.select(np.arange(time.size) % len(r)) for r in session_layout(robot)[1]]
+    layout = [r.changed(time=time) for r in layout]
+    grid = robot.grid(0.0, 4.0)
+    read = PriorPredictive(robot, grid, layout).draw(np.random.default_rng(0)).readings
+    batch, online = (_estimated(robot, grid, read, online=o).at(robot.length, 4.0) for o in (0, 1))
+    assert np.allclose(np.diag(batch.cov)[:6], np.diag(online.cov)[:6], rtol=0.5)

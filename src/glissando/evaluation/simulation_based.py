@@ -265,10 +265,12 @@ def _estimated(robot: Robot, grid: Grid, readings: list[Readings], *, online: bo
         smoother = FixedLagSmoother(
             robot.prior, grid.arclength, sensor_parameters=parameters, gate=None
         )
-        for stream in readings:
-            smoother.add(stream)
+        since = -np.inf
         for time in grid.time:
+            for stream in readings:
+                smoother.add(stream.select((stream.time > since) & (stream.time <= time)))
             smoother.advance(float(time))
+            since = time
         return smoother.posterior()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", EstimateWarning)

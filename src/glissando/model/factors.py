@@ -26,8 +26,12 @@ class Residuals:
         """Whitened residual (M, r), robust weights left out."""
         return np.einsum("mij,mj->mi", self.sqrt_info, residual)
 
+    @np.errstate(over="ignore")
     def cost(self, residual: Array) -> float:
-        """½ |whitened residual|² summed, or its robust loss, with these weights held fixed."""
+        """½ |whitened residual|² summed, or its robust loss, with these weights held fixed.
+
+        A state that a step threw far off costs infinitely much, which refuses the step.
+        """
         white = self.whiten(residual)
         if self.loss is None:
             return 0.5 * float(np.sum(white**2))
