@@ -92,8 +92,8 @@ class FixedLagSmoother:
     def add(self, readings: Readings) -> None:
         """Take readings of one stream, told apart by `name`; they are used when time reaches them.
 
-        Those that came before, lie before the window, off the robot, or absurdly far ahead are
-        dropped and counted in `dropped`.
+        Those that came before, lie before the window, off the robot, or more than two seconds ahead
+        of the time that is advanced to are dropped and counted in `dropped`.
 
         Raises:
             SensorError: The stream changed its kind.
