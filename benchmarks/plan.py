@@ -37,7 +37,9 @@ from plan_page import number, table, write
 LENGTH, HORIZON = 0.7, 10.0
 ZONES = [Zone((0.5, 0.6))]
 TASKS = ZONES, [Zone((0.1, 0.2))], [Zone((0.3, 0.4), (0, 5)), Zone((0.6, 0.7), (5, 10))]
-KINEMATIC = replace(load_robot("sliding700"), arclength_nodes=np.linspace(0.0, LENGTH, 10))
+KINEMATIC = replace(
+    load_robot("sliding700"), arclength_nodes=np.linspace(0.0, LENGTH, 10), sensor_parameters=()
+)
 SEPARABLE = replace(
     KINEMATIC,
     time_rate=1.0,

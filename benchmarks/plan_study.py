@@ -39,7 +39,9 @@ from glissando.simulation import SlidePath, load_bench, simulate_session
 from plan_page import table, write
 
 LASTS, ZONE = 20.0, Zone((0.5, 0.6))
-ROBOT = replace(load_robot("sliding700"), time_rate=2.0)  # Hz, what the planner looks ahead with
+ROBOT = replace(  # Hz, what the planner looks ahead with; of the coil nothing is estimated
+    load_robot("sliding700"), time_rate=2.0, sensor_parameters=()
+)
 BENCH = load_bench(robot_file("sliding700"))
 TIP = BENCH.rod.length
 STAGES = {"60 mm": BENCH.slide, "700 mm": BENCH.full_slide}

@@ -67,6 +67,6 @@ def test_sensor_parameters_of_streams_that_the_recording_lacks_are_named(
     file.write_text(text)
     chosen_robot(load_recording(recording), str(file))
     assert capsys.readouterr().err == (
-        "glissando: warning: sensor parameters of sliding700 are for 'coil2', which rec lacks; "
-        "its streams are tip.\n"
+        "glissando: warning: sensor parameters of sliding700 are for 'coil', 'coil2', which "
+        "rec lacks; its streams are tip.\n"
     )

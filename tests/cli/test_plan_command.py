@@ -78,7 +78,7 @@ def test_a_plan_is_as_good_as_what_it_is_compared_with_or_a_warning_says_so(caps
 
 def test_a_mount_counts_by_the_stream_that_slides(tmp_path, capsys):
     file = tmp_path / "mine.toml"
-    text = robot_file("sliding700").read_text(encoding="utf-8")
+    text = robot_file("sliding700").read_text(encoding="utf-8").replace('["coil"]', '["aurora"]')
     told = '\n[[sensor_parameters]]\nname = "m"\nkind = "mount"\nstreams = ["aurora"]\nstd = '
     file.write_text(text + told + "[5e-3, 0.05]\n", encoding="utf-8")
     given = "plan", "--robot", file, "--zone", "0.6:0.7", "--horizon", 1, "--json"

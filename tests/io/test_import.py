@@ -117,7 +117,7 @@ def test_a_folder_that_holds_something_is_left_alone(tmp_path, capsys):
 def test_an_imported_session_is_estimated_as_the_native_one(tmp_path, capsys):
     """A simulated session, written as a tracker and motion capture would, gives the same answer."""
     native, robot = tmp_path / "native", tmp_path / "robot.toml"
-    text = robot_file("sliding700").read_text()
+    text = robot_file("sliding700").read_text().replace('["coil"]', '["coil", "Coil"]')
     robot.write_text(text.replace("set_curvature =", "dropouts = 1\nset_curvature ="))
     options = ["--cycles", 1, "--shape", "C", "--seed", 4, "--robot", robot]
     assert run("simulate", "--out", native, *options) == 0

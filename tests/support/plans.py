@@ -20,7 +20,10 @@ from glissando.planning import (
 
 LENGTH = 0.7
 KINEMATIC = replace(
-    load_robot("sliding700"), arclength_nodes=np.linspace(0.0, LENGTH, 5), time_rate=2.0
+    load_robot("sliding700"),
+    arclength_nodes=np.linspace(0.0, LENGTH, 5),
+    time_rate=2.0,
+    sensor_parameters=(),
 )
 SEPARABLE = replace(
     KINEMATIC,

@@ -24,38 +24,43 @@ class Difference:
         key: Where it is, keys and indices joined by dots.
         before: The value then; None if there was none.
         now: The value now; None if there is none.
+        scale: The largest of the numbers in its list, 0 outside of one.
     """
 
     key: str
     before: Any
     now: Any
+    scale: float = 0.0
 
     @property
     def size(self) -> float:
-        """The difference of numbers, relative to the larger one; infinite for anything else."""
+        """The difference of numbers, relative to the largest; infinite for anything else."""
         if not (_is_number(self.before) and _is_number(self.now)):
             return np.inf
-        largest = max(abs(self.before), abs(self.now))
+        largest = max(abs(self.before), abs(self.now), self.scale)
         return abs(self.before - self.now) / largest if np.isfinite(largest) else np.inf
 
 
-def differences(before: Any, now: Any, key: str = "") -> Iterator[Difference]:
+def differences(
+    before: Any, now: Any, key: str = "", scale: float = 0.0
+) -> Iterator[Difference]:
     """The entries of two documents of JSON that are not equal.
 
     >>> [d.key for d in differences({"a": [1, 2], "b": 3}, {"a": [1, 4], "b": 3})]
     ['a.1']
     """
     if isinstance(before, dict) and isinstance(now, dict):
-        pairs = {k: (before.get(k), now.get(k)) for k in (*before, *now)}
+        pairs, scale = {k: (before.get(k), now.get(k)) for k in (*before, *now)}, 0.0
     elif isinstance(before, list) and isinstance(now, list) and len(before) == len(now):
         pairs = dict(enumerate(zip(before, now, strict=True)))
+        scale = max((abs(x) for x in (*before, *now) if _is_number(x)), default=0.0)
     else:
         both_nan = before != before and now != now
         if before != now and not both_nan:
-            yield Difference(key, before, now)
+            yield Difference(key, before, now, scale)
         return
     for name, (then, here) in pairs.items():
-        yield from differences(then, here, f"{key}.{name}".lstrip("."))
+        yield from differences(then, here, f"{key}.{name}".lstrip("."), scale)
 
 
 def table_difference(before: Path, now: Path) -> float:

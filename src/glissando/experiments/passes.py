@@ -34,10 +34,13 @@ _LAGS = {"time_offset": 0.0125, "slide_lag": 0.01375}  # s: half an exposure, wh
 def driven_robot(folder: Path) -> Path:
     """Write the paper's robot with a drive tube and a tracker that exposes; returns its file.
 
-    The tube yields, sticks and slips; the estimator has the lags of both as known parameters.
+    The tube yields, sticks and slips; the estimator has the lags of both as known parameters. They
+    take the place of the mount and drift that the file states, which are those of a slow slide.
     """
     head = "[physics.imperfections]"
-    before, after = robot_file(ROBOT).read_text(encoding="utf-8").split(head)
+    text = robot_file(ROBOT).read_text(encoding="utf-8")
+    stated, physics = text.index("[[sensor_parameters]]"), text.index("[physics]")
+    before, after = (text[:stated] + text[physics:]).split(head)
     delays = "".join(_DELAY.format(kind=kind, value=value) for kind, value in _LAGS.items())
     file = folder / "robot.toml"
     write_text(file, f"{before}{head}\n{_TUBE}{after}{delays}")

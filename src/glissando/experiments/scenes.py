@@ -198,6 +198,8 @@ def trial(scene: Scene, seed: int, other: WhiteNoisePrior | None = None) -> Tria
     """Simulate a scene with a seed, estimate it (with an `other` prior), judge it by mocap."""
     known = known_robot(scene)
     parameters, window = known.sensor_parameters, (0.0, scene.duration)
+    if "noise" in scene.published:  # which nothing is correlated in
+        parameters = tuple(parameter for parameter in parameters if parameter.known)
     recorded = recording(scene, seed)
     used, judges = recorded.choose(None, None)
     readings, _ = recorded.readings(used, known, window)
