@@ -15,7 +15,6 @@ import numpy as np
 
 from glissando.estimation.delays import (
     at_times,
-    delay_columns,
     delayed_streams,
     moving_with,
     slope_in_time,
@@ -55,7 +54,7 @@ class DelayDating:
     def __init__(self, others: Window, process: EstimatedParameters) -> None:
         """Date by the motion of a window of the other streams, of these sensor parameters."""
         self._others, self._size = others, process.size
-        self._columns = delay_columns(process)
+        self._columns = process.delay_columns
         self.information = SlopeInformation(delayed_streams(process), self._columns)
         self._slopes: list[Slopes] = []
 

@@ -22,7 +22,7 @@ from glissando.errors import UnobservableError
 from glissando.estimation.slope_share import motion_of_noise, shares_of_slope
 from glissando.estimation.starting_point import with_parameters
 from glissando.geometry.se3 import Array
-from glissando.model.factors import Factors, Residuals
+from glissando.model.factors import Factors
 from glissando.model.priors.prior import Prior
 from glissando.model.sensors.parameter_process import EstimatedParameters
 from glissando.model.sensors.parameters import SensorParameter
@@ -56,7 +56,7 @@ def with_unseen_delays(
         The solution with another information matrix, if a delay is estimated; else the same.
     """
     process = solution.located.parameters.process
-    delays = delay_columns(process)
+    delays = process.delay_columns
     if not delays:
         return solution
     late, others = delayed(sensor_parameters)
@@ -102,11 +102,9 @@ def _settled(
             return replace(found, cost=seen.cost_of(seen), outcome=ended, last_step=length)
         of_nodes, of_parameters = seen.split(step)
         state, at = state.retract(of_nodes), at.moved(of_parameters)
-    nothing, weights = dict.fromkeys(located.shares, 0.0), solution.equations.terms
-    unseen = replace(located, shares=nothing), motion, solution.state, solution, weights
-    seen, cholesky = _known_by_motion(prior, *unseen)
-    equations = replace(solution.equations, system=seen.system)
-    return replace(solution, equations=equations, cholesky=cholesky)
+    unseen = replace(located, shares=dict.fromkeys(located.shares, 0.0))
+    seen, cholesky = _known_by_motion(prior, unseen, motion, solution.state, solution)
+    return replace(solution, equations=seen, cholesky=cholesky)
 
 
 def _known_by_motion(
@@ -115,16 +113,14 @@ def _known_by_motion(
     motion: State,
     state: State,
     solution: Solution,
-    weights: Sequence[Residuals] | None = None,
 ) -> tuple[NormalEquations, Cholesky]:
     """Normal equations of x′ at a state, and their factor, in the memory of a solution."""
     process, time = located.parameters.process, located.grid.time
     workspace, cholesky = solution.memory(state.numbers + process.size)
-    noise_state = solution.equations.noise_state
-    seen = linearize(prior, located, state, noise_state, workspace, weights)
+    seen = linearize(prior, located, state, state, workspace)
     own = slope_in_time(state, time) - slope_in_time(motion, time)
     own = own.reshape(time.size, -1)
-    columns = [state.numbers + column for column in delay_columns(process)]
+    columns = [state.numbers + column for column in process.delay_columns]
     seen.rhs[:, columns] -= np.sum(own * seen.rhs[:, : state.numbers], axis=1)[:, None]
     return seen, factor(_moving_along(seen.system, own, columns), cholesky)
 
@@ -135,11 +131,6 @@ def delayed(
     """Names of the streams whose delay is estimated, and all parameters that are no such delay."""
     others = [p for p in sensor_parameters if not _is_delay(p)]
     return {name for p in sensor_parameters if _is_delay(p) for name in p.streams}, others
-
-
-def delay_columns(process: EstimatedParameters) -> list[int]:
-    """Which of the numbers of a time node's parameters are delays."""
-    return [c.start for p, c in zip(process.each, process.columns, strict=True) if _is_delay(p)]
 
 
 def delayed_streams(process: EstimatedParameters) -> list[str]:

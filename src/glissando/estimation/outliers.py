@@ -172,7 +172,7 @@ def _refuted(posterior: Posterior, readings: Readings, used: Mask, limit: float)
         limit: Largest squared innovation that is believed.
     """
     try:
-        squared = fit_of(posterior, readings).squared(np.where(used, -1.0, 1.0), _STIFF)
+        squared = fit_of(posterior, readings).squared(used, _STIFF)
     except np.linalg.LinAlgError:  # of a state that is absurd, which judges nobody
         return np.zeros(len(readings), dtype=bool)
     return np.asarray(squared > np.where(used, max(limit, _WORST * squared.max()), limit))

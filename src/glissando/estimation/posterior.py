@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from glissando._kernels.threads import one_thread
 from glissando.errors import GlissandoError
 from glissando.estimation.loads import (
     WrenchEstimate,
@@ -23,6 +24,7 @@ from glissando.model.brief import Brief
 from glissando.model.grid import Grid, Index
 from glissando.model.interpolation import sort_points
 from glissando.model.priors.prior import Prior
+from glissando.model.sensors.parameter_process import HELD, EstimatedParameters
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.state import DOF, POSE, State
 from glissando.solver.block_tridiagonal import BlockTridiagonal, Marginals, factor
@@ -164,6 +166,23 @@ class Posterior(Brief):
     solve: SolveReport
     sensor_parameters: Sequence[tuple[SensorParameter, Array]] = ()
     linearized: tuple[State, State] | None = field(default=None, compare=False)
+
+    @cached_property
+    def marginals_of_known_delays(self) -> Marginals:
+        """The marginals as if delays were known, which an estimate spreads motions by.
+
+        Readings say nothing of a delay that motion dates, so what they explain is without it.
+        """
+        process = EstimatedParameters(
+            self.grid, [parameter for parameter, _ in self.sensor_parameters]
+        )
+        columns = [self.state.numbers + column for column in process.delay_columns]
+        if not columns:
+            return self.marginals
+        held = np.zeros(self.system.diagonal.shape[:2])
+        held[:, columns] = HELD
+        with one_thread():
+            return factor(self.system.add_to_diagonal(held)).marginals(consume=True)
 
     def at(self, arclength: ArrayLike, time: ArrayLike) -> StateEstimate:
         """State with its 18×18 covariance at points; arclength and time broadcast together.

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from glissando.estimation.channels import placed
 from glissando.estimation.posterior import Posterior
@@ -25,25 +26,31 @@ class ReadingFit(Brief):
     Attributes:
         residual: Whitened residuals (M, r): of noise, an unsure place, and the bridge in time.
         explained: Covariance (M, r, r) in the same units that the estimate gives them, by its
-            states and its sensor parameters.
+            states and its sensor parameters; delays, which motion dates and no reading, as known.
+        weight: Robust weights (M,) of the readings where they are used.
     """
 
     residual: Array
     explained: Array
+    weight: Array
 
-    def squared(self, sign: Array | float, least: float) -> Array:
-        """Squares (M,) of the residuals in units of 1 + sign · explained covariance.
+    def squared(self, used: NDArray[np.bool_] | bool, least: float) -> Array:
+        """Squares (M,) of the innovations against all other readings, in their own units.
+
+        What a reading of weight w was used for leaves S = 1 − w G of its variance, where G is
+        explained: without it, its residual e is S⁻¹ e, of covariance S⁻¹ (S + G). With w = 1 this
+        is eᵀ (1 − G)⁻¹ e (equation 25); of a reading that was not used it is eᵀ (1 + G)⁻¹ e.
 
         Args:
-            sign: −1 for readings that were used, of which it leaves the innovation against all
-                others (equation 25); 1 for those that were not. One, or one each (M,).
-            least: Share of a reading's own variance that the difference counts as at least:
-                where it is less, rounding and the solver's tolerance decide.
+            used: Which readings were used; one, or one each (M,).
+            least: Share of a reading's own variance that S counts as at least: where it is less,
+                rounding and the solver's tolerance decide.
         """
         share, axes = np.linalg.eigh(self.explained)
-        left = np.maximum(1.0 + np.reshape(sign, (-1, 1)) * share, least)
+        left = 1.0 - np.where(used, self.weight, 0.0)[:, None] * share
+        left = np.maximum(left, least)
         along = np.einsum("mji,mj->mi", axes, self.residual)
-        return np.einsum("mi,mi->m", along / left, along)
+        return np.einsum("mi,mi->m", along / (left * (left + share)), along)
 
 
 def fit_of(posterior: Posterior, readings: Readings) -> ReadingFit:
@@ -61,7 +68,7 @@ def fit_of(posterior: Posterior, readings: Readings) -> ReadingFit:
         time=np.clip(readings.time, grid.time[0], grid.time[-1]),
     )
     count, r = len(readings), readings.row_count
-    residual, explained = np.zeros((count, r)), np.zeros((count, r, r))
+    residual, explained, weight = np.zeros((count, r)), np.zeros((count, r, r)), np.ones(count)
     parameters = [parameter for parameter, _ in posterior.sensor_parameters]
     of_each = [np.zeros((grid.time.size, 0)), *(v for _, v in posterior.sensor_parameters)]
     values = np.concatenate(of_each, axis=1)
@@ -74,7 +81,8 @@ def fit_of(posterior: Posterior, readings: Readings) -> ReadingFit:
             cov = whitener @ _explained(posterior, batch) @ np.swapaxes(whitener, -1, -2)
             residual[first + rows] = batch.terms.whiten(batch.terms.residual)
             explained[first + rows] = 0.5 * (cov + np.swapaxes(cov, -1, -2))
-    return ReadingFit(residual, explained)
+            weight[first + rows] = batch.terms.robust_weights()
+    return ReadingFit(residual, explained, weight)
 
 
 def _explained(posterior: Posterior, batch: Factors) -> Array:
@@ -98,4 +106,5 @@ def _explained(posterior: Posterior, batch: Factors) -> Array:
         slopes[:, :, size - own.shape[2] :] += own
     slabs = np.stack([lower, np.minimum(lower + 1, count - 1)], axis=1)
     slopes = np.ascontiguousarray(slopes.transpose(0, 3, 1, 2))
-    return posterior.marginals.spread(slabs, np.zeros_like(slabs), slopes, np.zeros((m, r, r)))
+    marginals = posterior.marginals_of_known_delays
+    return marginals.spread(slabs, np.zeros_like(slabs), slopes, np.zeros((m, r, r)))

@@ -17,6 +17,7 @@ from glissando.estimation.starting_point import with_parameters
 from glissando.geometry.se3 import Array
 from glissando.model.factors import Factors
 from glissando.model.priors.prior import Prior
+from glissando.model.sensors.parameter_process import HELD
 from glissando.model.state import State
 from glissando.solver.block_tridiagonal import Cholesky, factor
 from glissando.solver.gauss_newton import Solution
@@ -26,7 +27,6 @@ from glissando.solver.measurement_factors import measurement_factors
 from glissando.solver.normal_equations import Layout, NormalEquationsBuilder
 
 _ALIKE = 6.0  # numbers of readings that vary as one square, by how much draws of noise differ
-_HELD = 1e14  # s⁻²: of a delay that is held
 
 
 def shares_of_slope(
@@ -51,7 +51,7 @@ def shares_of_slope(
     workspace, cholesky = solution.memory(state.numbers + process.size)
     held = linearize(prior, moving, state, solution.equations.noise_state, workspace)
     columns = [state.numbers + delay for delay in delays]
-    held.system.diagonal[:, columns, columns] += _HELD
+    held.system.diagonal[:, columns, columns] += HELD
     cholesky = factor(held.system, cholesky)
     out = dict.fromkeys(late, 0.0)
     for stream in moving.streams:

@@ -157,7 +157,7 @@ def innovations(posterior: Posterior, readings: Readings) -> Array:
         posterior: The estimate.
         readings: A stream it was estimated from, corrected for known sensor parameters.
     """
-    return fit_of(posterior, readings).squared(-1.0, _LEAST_SHARE)
+    return fit_of(posterior, readings).squared(True, _LEAST_SHARE)
 
 
 def _rotation_error(estimated: Array, truth: Readings) -> Array:

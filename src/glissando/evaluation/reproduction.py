@@ -41,9 +41,7 @@ class Difference:
         return abs(self.before - self.now) / largest if np.isfinite(largest) else np.inf
 
 
-def differences(
-    before: Any, now: Any, key: str = "", scale: float = 0.0
-) -> Iterator[Difference]:
+def differences(before: Any, now: Any, key: str = "", scale: float = 0.0) -> Iterator[Difference]:
     """The entries of two documents of JSON that are not equal.
 
     >>> [d.key for d in differences({"a": [1, 2], "b": 3}, {"a": [1, 4], "b": 3})]

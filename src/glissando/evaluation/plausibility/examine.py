@@ -183,7 +183,7 @@ def after_estimate(
         r = r.inside(posterior.grid)
         if not len(r):
             continue
-        squared = fit_of(posterior, r).squared(1.0, 1.0)
+        squared = fit_of(posterior, r).squared(False, 1.0)
         size = float(np.sqrt(np.median(squared / r.row_count)))
         if size > _FOLLOWED:
             findings.append(

@@ -13,6 +13,8 @@ from glissando.model.grid import Grid
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.sensors.readings import Readings
 
+HELD = 1e14
+"""Information of a delay that is held, s⁻²."""
 _CONSTANT = 1e6  # times the recording: the memory of a constant, long enough to count as for ever
 
 
@@ -37,6 +39,12 @@ class EstimatedParameters:
         self.memory = np.concatenate([np.zeros(0), *memory])
         self.mean = np.concatenate([np.zeros(0), *(u.value for u in self.each)])
         self.std = np.concatenate([np.zeros(0), *(np.maximum(u.std, 1e-12) for u in self.each)])
+
+    @property
+    def delay_columns(self) -> list[int]:
+        """Which of the E numbers are delays."""
+        pairs = zip(self.each, self.columns, strict=True)
+        return [columns.start for parameter, columns in pairs if parameter.kind == "time_offset"]
 
     def expected(self) -> Array:
         """Every parameter at its expected value (K, E)."""
