@@ -57,7 +57,7 @@ class Candidate:
         sensor = sensor_class(self.kind)
         try:
             pose = states_at(ahead.prior, ahead.grid, ahead.mean, place, when).pose
-            values = sensor.values_at(pose)
+            values = sensor.values_at(pose, **self.settings)
         except NotImplementedError:  # linear in strain or velocity: any value has these slopes
             shape = sensor.value_shape or (np.size(self.settings["core_radius"]),)
             values = np.zeros((place.size, *shape))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -38,9 +39,10 @@ class SlidingSensor:
         name: Name of the sensor's stream, by which sensor parameters refer to it.
         mount: Pose (4, 4) of a coil in the body frame.
         arclength_std: Standard deviation of the arclength of a reading, m.
+        settings: The fields that such a sensor declares as its settings.
 
     Raises:
-        GlissandoError: The kind, rate, number or spacing cannot be.
+        GlissandoError: The kind, rate, number or spacing cannot be, or a setting is missing.
     """
 
     cov: Array
@@ -51,11 +53,19 @@ class SlidingSensor:
     name: str = "coil"
     mount: Array = field(default_factory=lambda: np.eye(4))
     arclength_std: float = 0.0
+    settings: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "cov", np.asarray(self.cov, dtype=float))
         if self.kind not in (kinds := _sliding_kinds()):
             raise GlissandoError(f"A {self.kind!r} cannot slide; choose one of {', '.join(kinds)}.")
+        sensor = sensor_class(self.kind)
+        needed = set(sensor.settings) - set(sensor.optional_settings)
+        if missing := sorted(needed - set(self.settings)):
+            raise GlissandoError(
+                f"A {self.kind} has a {missing[0]} that is not given; give settings={{"
+                f"'{missing[0]}': …}}."
+            )
         if not self.rate > 0.0:
             raise GlissandoError(
                 f"A sensor at {self.rate:g} Hz reads nothing; give a rate above 0."
@@ -83,8 +93,9 @@ class SlidingSensor:
         """Readings (M,) that agree exactly with poses (M, 4, 4) of the body."""
         sensor = sensor_class(self.kind)
         return sensor(
-            time=time, arclength=arclength, values=sensor.values_at(T_wb @ self.mount),
-            cov=self.cov, mount=self.mount, name=self.name, arclength_std=self.arclength_std,
+            time=time, arclength=arclength,
+            values=sensor.values_at(T_wb @ self.mount, **self.settings), cov=self.cov,
+            mount=self.mount, name=self.name, arclength_std=self.arclength_std, **self.settings,
         )  # fmt: skip
 
 

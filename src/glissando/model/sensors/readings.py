@@ -141,8 +141,12 @@ class Readings(Brief):
         return np.append(False, same)[: len(values)]
 
     @classmethod
-    def values_at(cls, pose: Array) -> Array:
+    def values_at(cls, pose: Array, **settings: Any) -> Array:
         """Values (M, …) without noise of sensors at poses T_wc (M, 4, 4), for plans.
+
+        Args:
+            pose: The poses.
+            **settings: The fields that the sensor declares as its settings.
 
         Raises:
             NotImplementedError: The sensor does not declare them and cannot be planned for.

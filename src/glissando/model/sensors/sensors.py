@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,7 +69,7 @@ class _TrackedPose(CompiledReadings):
         return pose @ values
 
     @classmethod
-    def values_at(cls, pose: Array) -> Array:
+    def values_at(cls, pose: Array, **settings: Any) -> Array:
         """The poses themselves."""
         return pose
 
@@ -112,7 +112,7 @@ class PositionReadings(CompiledReadings, kind="position"):
         return values @ pose[:3, :3].T + pose[:3, 3]
 
     @classmethod
-    def values_at(cls, pose: Array) -> Array:
+    def values_at(cls, pose: Array, **settings: Any) -> Array:
         """Positions of poses."""
         return pose[:, :3, 3]
 
@@ -149,7 +149,7 @@ class OrientationReadings(CompiledReadings, kind="orientation"):
         return super().repeated(values, arclength) & ~moved
 
     @classmethod
-    def values_at(cls, pose: Array) -> Array:
+    def values_at(cls, pose: Array, **settings: Any) -> Array:
         """Rotations of poses."""
         return pose[:, :3, :3]
 
