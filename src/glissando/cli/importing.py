@@ -145,7 +145,7 @@ def _next(folder: Path, recording: Recording, truth: bool) -> str:
     """What to do with a recording that was imported."""
     unknown, used = sorted(recording.unknown_frames), recording.choose(None, None)[0]
     if not unknown and {recording.streams[name].rows.kind for name in used} == {"tendon"}:
-        return f"Now: glissando learn {folder} --out learned.toml"
+        return f"Now: glissando learn {folder} --robot {folder / 'robot.toml'} --out learned.toml"
     if not unknown:
         return f"Now: glissando estimate {folder} --out results"
     where = f"Where the frame {' and '.join(unknown)} is in the world is not known"
