@@ -9,6 +9,7 @@ import numpy as np
 from glissando.evaluation.plausibility.finding import Finding
 from glissando.evaluation.plausibility.session import Streams, as_poses, weights
 
+_NEAR = 0.1  # of the length: readings farther apart along the robot do not show its speed
 _SPEED = 6.0  # robot lengths a second, half of the time
 _TURN = 30.0  # rad/s, half of the time
 _NODES = 8.0  # time nodes for each time at which something was read
@@ -25,10 +26,10 @@ def check_speed(streams: Streams) -> Iterator[Finding]:
         Findings.
     """
     for r in streams.tracked:
-        steps = np.diff(r.time)
-        if len(r) < 16 or not np.any(steps > 0.0):
+        steps, near = np.diff(r.time), np.abs(np.diff(r.arclength)) < _NEAR * streams.robot.length
+        pose, ok = as_poses(r), (steps > 0.0) & near  # a stream may read many places at a time
+        if len(r) < 16 or not np.any(ok):
             continue
-        pose, ok = as_poses(r), steps > 0.0
         if weights(r)[0] > 0.0:
             moved = np.linalg.norm(np.diff(pose[:, :3, 3], axis=0), axis=1)[ok] / steps[ok]
             speed = float(np.median(moved))
