@@ -263,6 +263,13 @@ def _print(result: Learned, report: dict[str, Any], std: dict[str, Array]) -> No
         f"{result.steps} steps; log-likelihood a degree of freedom {result.before.value:.4f} → "
         f"{result.after.value:.4f} ({result.before.samples:,} of them)"
     )
-    for held in report.get("held_out", []):
-        console.print(f"held out, {held['file']}: {json.dumps(held)}", markup=False)
+    if held_out := report.get("held_out"):
+        headings = "position (mm)", "rotation (deg)", "NEES / dof", "inside 95 %"
+        table = number_table("Truth that was held out", headings, left=("file",))
+        for held in held_out:
+            position, turn = 1e3 * held["position_rmse"], math.degrees(held["rotation_rmse"])
+            inside = f"{100.0 * held['coverage95_position']:.1f} %"
+            row = f"{position:.2f}", f"{turn:.2f}", f"{held['nees_position']:.2f}", inside
+            table.add_row(held["file"], *row)
+        console.print(table)
     console.print(f"Wrote {report['out']}", markup=False)
