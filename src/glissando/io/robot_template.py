@@ -153,7 +153,7 @@ def _sensors(outline: RobotOutline) -> str:
 def _parameters(outline: RobotOutline) -> str:
     """What is unknown of each stream: where it sits, its drift, how late its clock is."""
     where = 0.1 * outline.diameter + 1e-3
-    out = []
+    out = [_REPEATED if any(stream for _, stream in outline.streams) else _UNNAMED]
     for kind, stream in outline.streams:
         if not stream:
             continue
@@ -173,6 +173,10 @@ def _quoted(text: str) -> str:
     return json.dumps(text, ensure_ascii=False)
 
 
+_REPEATED = "# What is constant but unknown of each sensor: every reading repeats it."
+_UNNAMED = """\
+# Sensors without a stream's name count as mounted where they are said to be. Where one is a
+# little off, every reading repeats it, and confidence near it is false: give KIND:STREAM then."""
 _PARAMETER = """\
 [[sensor_parameters]]
 name = {}
@@ -210,5 +214,4 @@ time_scale = {scale}              # s in which the shape can change altogether
 {joints}psd_strain_arclength = {rows}
 
 {sensors}
-# What is constant but unknown of each sensor: every reading repeats it.
 {parameters}"""
