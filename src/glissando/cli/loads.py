@@ -14,6 +14,7 @@ from glissando.estimation.contact import ContactScan, scan_contacts
 from glissando.estimation.loads import load_places, require_mechanics
 from glissando.estimation.posterior import Posterior
 from glissando.io.atomic_file import write_table
+from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.visualization.canvas import save_figure
 from glissando.visualization.contact_figure import contact_figure, mapped_times
 
@@ -81,6 +82,12 @@ def print_loads(
         f"Something else touches the robot at {touched.size} {chance}. Surest at "
         f"{scan.time[surest]:.3f} s, likeliest there at {place:.3g} m."
     )
+    if count > 1 and isinstance(prior := posterior.prior, MechanicalPrior):
+        console.print(
+            f"Loads are believed to last {prior.time_scale:.3g} s ([prior] time_scale): a "
+            f"touch that begins or ends faster makes moments before and after it seem touched.",
+            markup=False,
+        )
     if tendons:
         console.print(
             "The prior knows no tendons, so that what they pull counts as a touch: give [prior] "
