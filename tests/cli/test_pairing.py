@@ -70,3 +70,11 @@ def test_sensor_parameters_of_streams_that_the_recording_lacks_are_named(
         "glissando: warning: sensor parameters of sliding700 are for 'coil', 'coil2', which "
         "rec lacks; its streams are tip.\n"
     )
+
+
+def test_a_robot_of_another_length_than_the_recordings_own_is_said_to_be(recording, capsys):
+    chosen_robot(load_recording(recording), "sliding700")
+    assert "long" not in capsys.readouterr().err
+    chosen_robot(load_recording(recording), "tdcr466")
+    said = "tdcr466 is 0.466 m long, the robot that rec names 0.7 m."
+    assert said in capsys.readouterr().err

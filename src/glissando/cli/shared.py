@@ -37,6 +37,8 @@ from glissando.solver.gauss_newton import SolverOptions
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 """Where a command adds its parser."""
 
+_AS_LONG = 0.01  # of its length: robots that differ by less count as alike
+
 
 def add_command(
     commands: Commands,
@@ -83,7 +85,8 @@ def add_choices(parser: argparse.ArgumentParser) -> None:
 def chosen_robot(recording: Recording, name: str | None) -> Robot:
     """The robot of that name or file, else the recording's own.
 
-    A line on stderr names streams that its sensor parameters are for and the recording lacks.
+    Lines on stderr say that it is not as long as the recording's own, and name streams that its
+    sensor parameters are for and the recording lacks.
 
     Raises:
         RobotFileError: If there is neither.
@@ -93,6 +96,13 @@ def chosen_robot(recording: Recording, name: str | None) -> Robot:
         raise RobotFileError(
             f"{recording.name} does not name its robot and no shipped robot fits; "
             f"give --robot FILE or one of {', '.join(shipped_robots())}."
+        )
+    own = recording.robot.length if recording.robot else robot.length
+    if abs(robot.length - own) > _AS_LONG * own:
+        print(
+            f"glissando: warning: {robot.name} is {robot.length:g} m long, the robot that "
+            f"{recording.name} names {own:g} m.",
+            file=sys.stderr,
         )
     named = dict.fromkeys(s for p in robot.sensor_parameters for s in p.streams)
     lacking = [stream for stream in named if stream not in recording.streams]
