@@ -103,6 +103,7 @@ def exp(x: Array) -> Array:
     >>> np.round(exp(np.array([0, 0, 0.1, 0, np.pi / 2, 0]))[:3, 3], 4)  # a quarter arc
     array([0.0637, 0.    , 0.0637])
     """
+    x = np.asarray(x, dtype=float)
     lead = x.shape[:-1]
     poses: Array = kernels.exp(items(x, lead, 6)).reshape(*lead, 4, 4)
     return poses
