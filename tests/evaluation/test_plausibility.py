@@ -68,6 +68,14 @@ def test_a_right_session_passes_with_and_without_truth(session):
     assert not found(robot, sensors)
 
 
+def test_a_stream_that_reads_many_places_of_a_robot_at_rest_does_not_move():
+    robot = load_robot("sliding700")
+    time = np.repeat(0.05 * np.arange(20), 3)
+    at = {"time": time, "arclength": np.tile([0.2, 0.45, 0.7], 20)}
+    read = PoseReadings(**at, values=arc(at["arclength"], 2.0), cov=np.full(6, 1e-6), name="many")
+    assert "speed" not in found(robot, [read])
+
+
 MISTAKES = {
     "length-unit": lambda c, f: raw(c, f, lambda p: scaled(p, 1e3)),
     "quaternion": lambda c, f: raw(c, f, cycled),

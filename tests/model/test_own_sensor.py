@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from glissando import Readings, estimate, load_robot
-from glissando.errors import SensorError
+from glissando.errors import GlissandoError, SensorError
 from glissando.io.journal import Journal
 from glissando.io.recording import load_recording, save_recording
 from glissando.io.shipped_robots import robot_file
@@ -26,9 +26,12 @@ class Range(Readings, kind="range"):
     value_shape: ClassVar = (1,)
     beacon: np.ndarray
 
+    @classmethod
+    def values_at(cls, pose, beacon):
+        return np.linalg.norm(pose[..., :3, 3] - beacon, axis=-1, keepdims=True)
+
     def residual(self, at):
-        sensor = (at.pose @ self.mount)[..., :3, 3]
-        return np.linalg.norm(sensor - self.beacon, axis=-1, keepdims=True) - self.values
+        return self.values_at(at.pose @ self.mount, self.beacon) - self.values
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,3 +148,14 @@ def test_a_kind_names_one_sensor_and_a_sensor_without_a_kind_is_not_recorded(tmp
     given = unnamed(**vars(ranges()))
     with Journal(tmp_path / "log") as journal, pytest.raises(SensorError, match="declares no kind"):
         journal.write(given)
+
+
+def test_an_own_sensor_with_settings_is_planned_for_where_they_are_given(robot):
+    planned = replace(KINEMATIC, sensor_std=robot.sensor_std)
+    given = {"settings": {"beacon": BEACON}, "name": "sonar"}
+    sensor = sliding_sensor(planned, "range", **given)
+    outlook = predict_information(planned, REACH, 1.0, sensor)
+    read = outlook.sensor.readings(np.eye(4)[None], np.zeros(1), np.zeros(1))
+    np.testing.assert_allclose(read.values, [[np.linalg.norm(BEACON)]])
+    with pytest.raises(GlissandoError, match="A range has a beacon that is not given"):
+        sliding_sensor(planned, "range")
