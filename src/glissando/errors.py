@@ -34,6 +34,10 @@ class SensorError(GlissandoError):
     """Readings have wrong shapes, or a sensor's derivative does not fit its residual."""
 
 
+class UnreachableError(SensorError):
+    """No shape of the robot comes near the readings."""
+
+
 class SimulationError(GlissandoError):
     """What was asked of the simulator cannot be: a tendon off its disk, a shape unknown."""
 

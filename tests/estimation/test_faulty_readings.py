@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from glissando import Grid, PoseReadings, load_robot
+from glissando import Grid, PoseReadings, PositionReadings, load_robot
 from glissando.errors import OutsideGridError, SensorError
 from glissando.estimation.fixed_lag import FixedLagSmoother
 from glissando.estimation.innovation_gate import InnovationGate
@@ -198,3 +198,16 @@ def test_a_clock_that_was_set_back_is_refused_and_not_answered_with_an_old_state
     smoother.advance(7199.9)
     with pytest.raises(OutsideGridError, match="the clock was set"):
         smoother.advance(3600.0)
+
+
+def test_a_sensor_with_a_wrong_residual_is_named_online_as_well():
+    class Short(PositionReadings):
+        def residual(self, at):
+            return super().residual(at)[:, :2]
+
+    robot = load_robot("tdcr466")
+    smoother = FixedLagSmoother(robot.prior, robot.arclength_nodes)
+    place = np.array([[0.05, 0.0, 0.45]])
+    smoother.add(Short(time=[0.0], arclength=[0.466], values=place, cov=1e-6, name="short"))
+    with pytest.raises(SensorError, match="return \\(1, 3\\), a row for each reading"):
+        smoother.advance(0.0)

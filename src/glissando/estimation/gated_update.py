@@ -7,7 +7,7 @@ from collections import Counter
 
 import numpy as np
 
-from glissando.errors import EstimateWarning, SensorError, UnobservableError
+from glissando.errors import EstimateWarning, UnobservableError, UnreachableError
 from glissando.estimation.batch import estimate
 from glissando.estimation.held_readings import HeldReadings
 from glissando.estimation.innovation_gate import InnovationGate
@@ -61,7 +61,7 @@ class GatedUpdate:
                 )
         except UnobservableError:
             return False  # not yet: some other sensor will fix the base
-        except SensorError:  # no shape comes near
+        except UnreachableError:
             for stream in readings:
                 for time, arclength in zip(stream.time, stream.arclength, strict=True):
                     self._refuse(stream.label, time, arclength)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import chdtri
 
-from glissando.errors import OutsideGridError, SensorError, UnobservableError
+from glissando.errors import OutsideGridError, UnobservableError, UnreachableError
 from glissando.estimation.outliers import Mask
 from glissando.model.factors import Residuals
 from glissando.model.grid import Grid
@@ -127,7 +127,7 @@ def breakdown(
     far = far_off(grid, prior, readings)
     if far is None and isinstance(error, UnobservableError):
         return _too_close(grid) or error
-    return far or SensorError("No shape of this robot comes near the readings.")
+    return far or UnreachableError("No shape of this robot comes near the readings.")
 
 
 def _too_close(grid: Grid) -> OutsideGridError | None:
@@ -142,7 +142,7 @@ def _too_close(grid: Grid) -> OutsideGridError | None:
     )
 
 
-def far_off(grid: Grid, prior: Prior, readings: Sequence[Readings]) -> SensorError | None:
+def far_off(grid: Grid, prior: Prior, readings: Sequence[Readings]) -> UnreachableError | None:
     """What to say where equations break down since readings are far beyond the robot's reach."""
     base = prior.rest_state(Grid(grid.arclength, grid.time[:1])).pose[0, 0, :3, 3]
     farthest, where = _FAR * float(grid.arclength[-1]), ""
@@ -158,7 +158,7 @@ def far_off(grid: Grid, prior: Prior, readings: Sequence[Readings]) -> SensorErr
         f"No shape of this robot of {grid.arclength[-1]:g} m comes near the readings: {where}. "
         f"Check units (mm for m, degrees for radians) and frames."
     )
-    return SensorError(said) if where else None
+    return UnreachableError(said) if where else None
 
 
 def _terms(solution: Solution) -> Iterator[tuple[Readings, Residuals]]:
