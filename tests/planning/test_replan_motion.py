@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from glissando.errors import PlanWarning
 from glissando.geometry import se3
 from glissando.model.sensors.sensors import CoilReadings
-from glissando.planning.planners import ProcessPlanner
+from glissando.planning.planners import PlannerExitedError, ProcessPlanner
 from glissando.planning.scene.error_belief import ErrorBelief
 from glissando.planning.scene.obstacles import sphere
 from glissando.planning.scene.plan_motion import motion_problem, plan_motion
@@ -46,6 +47,25 @@ def carried_out(replanner, rng, error):
         replanner.add(CoilReadings(time=np.full(place.size, time), arclength=place,
                                    values=read, cov=COIL.cov))  # fmt: skip
     return np.concatenate(times), np.concatenate(rows)
+
+
+class Gone:
+    """A planner whose process ends."""
+
+    def submit(self, task):
+        pass
+
+    def result(self):
+        raise PlannerExitedError("The planner's process has ended.")
+
+
+@pytest.mark.slow
+def test_the_last_plan_goes_on_where_the_planner_ends(plan):
+    replanner = MotionReplanner(plan, every=1.0, planner=Gone())
+    with pytest.warns(PlanWarning, match="process has ended; the last plan goes on"):
+        values = [replanner.command(time) for time in np.arange(0.0, 4.0, STEP)]
+    assert np.all(np.isfinite(values))
+    assert replanner.plans == 0
 
 
 @pytest.mark.slow

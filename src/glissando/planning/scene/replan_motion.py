@@ -8,6 +8,7 @@ comes to rest, as fast as its actuators may stop.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -16,11 +17,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from glissando._kernels.threads import one_thread
-from glissando.errors import GlissandoError
+from glissando.errors import GlissandoError, PlanWarning
 from glissando.geometry.se3 import Array
 from glissando.model.sensors.readings import Readings
 from glissando.planning.path_space import PathSpace
-from glissando.planning.planners import InlinePlanner, Planner
+from glissando.planning.planners import InlinePlanner, Planner, PlannerExitedError
 from glissando.planning.scene.close_moments import judged_closely
 from glissando.planning.scene.error_belief import ErrorBelief
 from glissando.planning.scene.follow import MotionFollower
@@ -116,7 +117,14 @@ class MotionReplanner:
         due = self._due
         if due is None:
             return
-        found = self._found = self._found or self.planner.result()
+        try:
+            found = self._found = self._found or self.planner.result()
+        except GlissandoError as problem:
+            self._due = None
+            self._next = np.inf if isinstance(problem, PlannerExitedError) else self._next
+            what = str(problem).rstrip(".")
+            warnings.warn(f"{what}; the last plan goes on.", PlanWarning, stacklevel=3)
+            return
         if found is None or self.follower.due < due - _ROUNDING:
             return
         self._found = self._due = None
