@@ -1,7 +1,7 @@
 """The guard: what is right passes, and mistakes with random parameters are named."""
 
 import re
-from concurrent.futures import ThreadPoolExecutor, wait
+from concurrent.futures import BrokenExecutor, Future, ThreadPoolExecutor, wait
 from dataclasses import replace
 
 import numpy as np
@@ -66,6 +66,25 @@ def test_a_right_session_passes_with_and_without_truth(session):
     robot, sensors, truth, frames = session
     assert not found(robot, sensors, truth, frames, window=(0.0, 5.0))
     assert not found(robot, sensors)
+
+
+@pytest.mark.parametrize("when", ["submitted", "looking"])
+def test_a_guard_whose_process_ends_says_so_once(when):
+    class Broken:
+        def submit(self, *_, **__):
+            if when == "submitted":
+                raise BrokenExecutor("gone")
+            looking = Future()
+            looking.set_exception(BrokenExecutor("gone"))
+            return looking
+
+    watch = Watch(load_robot("tdcr466"), Broken())
+    read = PoseReadings(
+        time=[0.0], arclength=[0.4], values=np.eye(4)[None], cov=np.full(6, 1e-6), name="p"
+    )
+    said = [f.sentence for t in (0.0, 20.0, 40.0, 60.0) for f in watch.take([read], t)]
+    assert len(said) == 1
+    assert "has ended" in said[0]
 
 
 def test_a_stream_that_reads_many_places_of_a_robot_at_rest_does_not_move():

@@ -35,7 +35,7 @@ class Finding:
     """Something implausible about readings.
 
     Attributes:
-        name: The check, one of `CHECKS`.
+        name: The check, one of `CHECKS`; "guard" is said of the checks themselves.
         sentence: What is wrong, the value seen, the likely cause, what to do.
         refusal: Whether an estimate would be nonsense; otherwise it is a warning.
         streams: Names of the streams concerned.

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import Executor, Future
+from concurrent.futures import BrokenExecutor, Executor, Future
 from functools import reduce
+
+import numpy as np
 
 from glissando.evaluation.plausibility.examine import examine
 from glissando.evaluation.plausibility.finding import Finding
@@ -12,6 +14,7 @@ from glissando.model.robot import Robot
 from glissando.model.sensors.readings import Readings
 
 _SPAN = 20.0  # s of readings that are looked at
+_ENDED = "The process that looks at the readings has ended: they are not judged any more."
 
 
 class Watch:
@@ -42,9 +45,7 @@ class Watch:
         self._due = now + self._every if self._due is None else self._due
         if now >= self._due and self._looking is None:
             self._due = now + self._every
-            self._looking = self._executor.submit(
-                examine, self._robot, self._newest(now), allow=tuple(self._said)
-            )
+            self._look(now)
         return self._found()
 
     def last(self, now: float) -> list[Finding]:
@@ -54,6 +55,15 @@ class Watch:
             now: Time of the session, s.
         """
         return self._new(examine(self._robot, self._newest(now), allow=tuple(self._said)))
+
+    def _look(self, now: float) -> None:
+        """Begin to look at the newest readings."""
+        given = self._robot, self._newest(now)
+        try:
+            self._looking = self._executor.submit(examine, *given, allow=tuple(self._said))
+        except BrokenExecutor as ended:
+            self._looking = Future()
+            self._looking.set_exception(ended)
 
     def _newest(self, now: float) -> list[Readings]:
         """A stream each, of which older readings are forgotten."""
@@ -66,8 +76,12 @@ class Watch:
         """New findings of a look that has ended."""
         if self._looking is None or not self._looking.done():
             return []
-        findings, self._looking = self._looking.result(), None
-        return self._new(findings)
+        looking, self._looking = self._looking, None
+        try:
+            return self._new(looking.result())
+        except BrokenExecutor:
+            self._due = np.inf
+            return self._new([Finding("guard", _ENDED, False)])
 
     def _new(self, findings: Sequence[Finding]) -> list[Finding]:
         """One of each kind that was not said before, and is from now on."""
