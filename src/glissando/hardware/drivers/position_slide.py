@@ -105,8 +105,9 @@ class PositionSlide:
                 "The stage has no home of its own; give its travel there as `home`, or say where "
                 "it is with home_here(travel)."
             )
-        self._zero = self._home_place() - self.stage.direction * self.stage.home
+        self._forget()
         self._last = None
+        self._zero = self._home_place() - self.stage.direction * self.stage.home
         self.move(float(np.clip(self.read().travel, *self.stage.stroke)))
 
     def read(self) -> SlideReading:
