@@ -20,6 +20,8 @@ from glissando import (
 from glissando.errors import OutsideGridError
 from glissando.geometry import se3
 from glissando.io.netcdf import load_posterior, save_posterior
+from glissando.model.priors.prior import by_interval
+from glissando.model.priors.prior_table import segments_table
 from glissando.model.priors.separable import BaseVariance, SeparablePrior
 
 EXACT = SolverOptions(tolerance=1e-8)
@@ -241,3 +243,16 @@ def test_a_saved_posterior_gives_the_same_answers(kind, segments, tmp_path):
     assert again.solve == posterior.solve
     more = estimate(again.prior, GRID, swinging(1.0), initial=again.state).at(s, t)
     assert max(apart(more, before)) < 1e-2
+
+
+def test_one_density_of_all_segments_leaves_their_jumps():
+    arclength, joints, jumps = np.linspace(0.0, 0.4, 5), np.array([0.2]), np.full((1, 6), 5.0)
+    one = np.arange(1.0, 7.0)
+    for found, wanted in zip(
+        by_interval(arclength, one, joints, jumps),
+        by_interval(arclength, np.tile(one, (2, 1)), joints, jumps),
+        strict=True,
+    ):
+        np.testing.assert_array_equal(found, wanted)
+    table = segments_table(one, joints, jumps, "var_jumps")
+    assert table["var_jumps"] == jumps.tolist()

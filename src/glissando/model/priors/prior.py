@@ -108,8 +108,9 @@ def by_interval(arclength: Array, psd: Array, joints: Array, jumps: Array) -> Sp
     OutsideGridError when a joint is no node of the grid.
     """
     jump = np.zeros((arclength.size - 1, 6))
-    if psd.ndim == 1:
+    if psd.ndim == 1 and not np.any(jumps):
         return np.full(jump.shape, psd), jump
+    psd = np.broadcast_to(psd, (joints.size + 1, 6))
     for joint, variance in zip(joints, jumps, strict=True):
         at = int(np.argmin(np.abs(arclength - joint)))
         if abs(arclength[at] - joint) > SAME:

@@ -44,7 +44,7 @@ def segments_table(psd: Array, joints: Array, jumps: Array, key: str) -> dict[st
     """What `read_segments` reads."""
     if not joints.size:
         return {"psd_strain_arclength": psd.tolist()}
-    if psd.ndim == 1:
-        psd, jumps = np.tile(psd, (joints.size + 1, 1)), np.zeros((joints.size, 6))
+    psd = np.broadcast_to(psd, (joints.size + 1, 6))
+    jumps = jumps if np.size(jumps) else np.zeros((joints.size, 6))
     table = {"joints": joints, "psd_strain_arclength": psd, key: jumps}
     return {name: value.tolist() for name, value in table.items()}
