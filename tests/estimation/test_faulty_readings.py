@@ -10,6 +10,7 @@ from glissando import Grid, PoseReadings, PositionReadings, load_robot
 from glissando.errors import OutsideGridError, SensorError
 from glissando.estimation.fixed_lag import FixedLagSmoother
 from glissando.estimation.innovation_gate import InnovationGate
+from glissando.estimation.reading_buffer import ReadingBuffer
 from glissando.model.noise import GemanMcClure
 from online import PRIORS, fed
 from scenes import LENGTH, arc, sliding_scene
@@ -211,3 +212,13 @@ def test_a_sensor_with_a_wrong_residual_is_named_online_as_well():
     smoother.add(Short(time=[0.0], arclength=[0.466], values=place, cov=1e-6, name="short"))
     with pytest.raises(SensorError, match="return \\(1, 3\\), a row for each reading"):
         smoother.advance(0.0)
+
+
+def test_an_absurd_stamp_does_not_make_later_readings_look_like_repeated_ones():
+    buffer = ReadingBuffer(LENGTH, InnovationGate(1e-6), lambda _: False)
+    read = PoseReadings(
+        time=[0.0, 50.0], arclength=[LENGTH] * 2, values=arc([LENGTH] * 2, [0.0, 0.1]), cov=1e-6
+    )
+    buffer.take(read, -np.inf)
+    buffer.refuse_ahead(0.0)
+    assert buffer._newest == {read.label: 0.0}
