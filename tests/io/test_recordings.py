@@ -1,3 +1,5 @@
+import tomllib
+
 import numpy as np
 import pytest
 from hypothesis import assume, given
@@ -8,6 +10,7 @@ from glissando.errors import RecordingError, RobotFileError
 from glissando.geometry import se3
 from glissando.io.csv_stream import Rows, clean, read_named, steady, write_named
 from glissando.io.recording import load_recording
+from glissando.io.recording_writer import _value
 from glissando.io.shipped_robots import robot_file, shipped_robots
 from glissando.model.sensors.sensors import sensor_kinds
 from scenes import LENGTH, arc
@@ -312,3 +315,8 @@ def test_a_robot_without_a_base_is_allowed(tmp_path):
     robot = load_robot(path)
     assert robot.prior.base is None
     assert robot.name == "free"
+
+
+def test_a_setting_without_an_end_is_read_back():
+    text = _value(np.array([1.0, np.inf, -np.inf]))
+    assert tomllib.loads(f"limit = {text}") == {"limit": [1.0, np.inf, -np.inf]}

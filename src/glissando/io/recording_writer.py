@@ -117,4 +117,5 @@ def _value(value: Any) -> str:
     if isinstance(value, str):
         plain = value.encode("utf-8", "replace").decode().replace("\x7f", "?")
         return json.dumps(plain, ensure_ascii=False)
-    return json.dumps(value.tolist() if isinstance(value, np.ndarray) else value)
+    text = json.dumps(value.tolist() if isinstance(value, np.ndarray) else value)
+    return text.replace("Infinity", "inf").replace("NaN", "nan")

@@ -170,7 +170,7 @@ def _parameters(outline: RobotOutline) -> str:
 
 def _quoted(text: str) -> str:
     """A text as TOML writes it."""
-    return json.dumps(text, ensure_ascii=False)
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 _REPEATED = "# What is constant but unknown of each sensor: every reading repeats it."
