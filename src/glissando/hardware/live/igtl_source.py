@@ -55,7 +55,7 @@ class IgtlSource:
         self._frame = WireFrame.of(self._endpoint.address)
         self._placements = {place.name: place for place in placements}
         self._own, self._travel, self._heard = Counter[str](), 0.0, -np.inf
-        self._last: dict[str, tuple[int, bytes]] = {}
+        self._last: dict[str, bytes] = {}
         self._clock = SenderClock(self._endpoint.address.clock)
         self._newest, self._origin = -1, 0
         self._kinds: dict[str, str] = {}
@@ -128,7 +128,7 @@ class IgtlSource:
                 place = self._placements.get(name)
                 if place is None:
                     self._own["unplaced"] += 1
-                elif self._is_new(name, message.stamp, value):
+                elif self._is_new(name, value):
                     with self._counted():
                         yield self._reading(place, place.kind or kind, time, value)
         self._heard = arrival
@@ -139,11 +139,10 @@ class IgtlSource:
             raise DeviceError(f"A travel of {travel} m cannot be; send one number and its unit.")
         return float(travel[0])
 
-    def _is_new(self, name: str, stamp: int, value: Array) -> bool:
+    def _is_new(self, name: str, value: Array) -> bool:
         """Whether a pose is another than the last; a server repeats it between measurements."""
-        this = stamp, value.tobytes()
-        known, self._last[name] = self._last.get(name), this
-        repeated = known is not None and known[1] == this[1]
+        known, self._last[name] = self._last.get(name), value.tobytes()
+        repeated = known == self._last[name]
         self._own["repeated"] += repeated
         return not repeated
 
