@@ -5,9 +5,10 @@ from hypothesis import strategies as st
 
 from draws import generators, law, sixes
 from glissando.geometry import se3
+from glissando.model.priors.transitions import process_covariances, symmetrize
 from oracles import dense
 from oracles.transitions import full_bridge as bridge
-from oracles.transitions import process_covariances, symmetrize, transition
+from oracles.transitions import transition
 
 PSD = np.array([1e-3, 1.2e-3, 2e-3, 3.0, 4.0, 2.0])
 CARRIED = np.array([3.0, 2.0, 1.0, 5.0, 6.0, 7.0])
