@@ -65,12 +65,16 @@ def test_a_robot_is_learned_from_imported_servos_and_foretells_other_moves(tmp_p
     other = moves(rng, 90)
     tip = servo_file(tmp_path / "other.csv", other, rng, noise=0.0)
     assert main(["predict", "--robot", str(out), "--tendons", str(tmp_path / "other.csv"),
-                 "--arclength", "0.1,0.2", "--out", str(tmp_path / "foretold")]) == 0  # fmt: skip
+                 "--arclength", "0.1,0.2", "--stream", "tip",
+                 "--out", str(tmp_path / "foretold")]) == 0  # fmt: skip
     table = np.loadtxt(tmp_path / "foretold" / "query.csv", delimiter=",", skiprows=1)
     head = (tmp_path / "foretold" / "query.csv").read_text().splitlines()[0]
     assert head == ",".join(QUERY_COLUMNS)
     assert len(table) == 180
     position, cov = predict_tip(load_robot(out), other, "tip")
+    marker = np.loadtxt(tmp_path / "foretold" / "tip.csv", delimiter=",", skiprows=1)
+    np.testing.assert_allclose(marker[:, 1:4], position, atol=1e-7)
+    np.testing.assert_allclose(marker[:, 4:], cov[:, *np.triu_indices(3)], rtol=1e-3)
     error = tip - position
     assert np.sqrt(np.mean(np.sum(error**2, axis=1))) < 1e-3
     square = np.einsum("mi,mij,mj->m", error, np.linalg.inv(cov), error)
@@ -107,6 +111,9 @@ def test_what_predict_cannot_use_is_one_sentence(tmp_path, start, capsys):
         assert status == 2
         assert sentence in error
         assert error.count("\n") == 1
+    status, error = told(head + "0,0,0,0,0,0,0\n", "--stream", "tail")
+    assert status == 2
+    assert "neither frame nor mount of a stream 'tail'" in error
     status, error = told(head + "0,0,0,0,0,0,0\n", "--arclength", "0.3")
     assert status == 2
     assert "leave a robot of 0.2 m" in error

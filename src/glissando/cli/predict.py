@@ -12,8 +12,10 @@ from glissando.cli.outputs import require_writable
 from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_command, names
 from glissando.errors import GlissandoError
-from glissando.estimation.tendon_prediction import predict
+from glissando.estimation.tendon_prediction import predict, predict_tip
+from glissando.io.atomic_file import write_table
 from glissando.io.atomic_folder import new_folder, require_new
+from glissando.io.plain_file import file_stem
 from glissando.io.query_csv import write_states
 from glissando.io.robot_file import load_robot
 from glissando.io.tendon_commands import read_tendon_commands
@@ -29,12 +31,18 @@ _EXAMPLES = """\
 examples:
   glissando predict --robot learned.toml --tendons commands.csv --out foretold
   glissando predict --robot learned.toml --tendons commands.csv --arclength 0.1,0.18 --out foretold
+  glissando predict --robot learned.toml --tendons commands.csv --stream tip --out foretold
 
-DIR/query.csv has a row for each time and arclength, with the columns of glissando estimate --query.
+DIR/query.csv has a row for each time and arclength, with the columns of glissando estimate --query,
+in the robot's frame. With --stream DIR/NAME.csv has what the tracker of a marker at the tip would
+read, in the tracker's frame: time, x, y, z, and the covariance with the marker's noise, in m².
 The robot stands still at every time, nothing outside touches it, and its weight is left out.
 
 exit status: 0 done; 1 the tendons leave no static shape; 2 something given was wrong.
 """
+
+_PAIRS = ("xx", "xy", "xz", "yy", "yz", "zz")
+_MARKER_COLUMNS = ("time", "x", "y", "z", *(f"cov_{pair}" for pair in _PAIRS))
 
 
 def add_to(commands: Commands) -> None:
@@ -45,6 +53,7 @@ def add_to(commands: Commands) -> None:
     add("--robot", required=True, metavar="FILE|NAME", help="robot file with [tendons]")
     add("--tendons", required=True, type=Path, metavar="FILE", help="CSV of the commands")
     add("--arclength", type=names, metavar="M,…", help="where (default: the robot's nodes)")
+    add("--stream", metavar="NAME", help="marker at the tip whose readings to foretell, too")
     add("--out", required=True, type=Path, metavar="DIR", help="folder to write query.csv into")
 
 
@@ -59,14 +68,24 @@ def _predict(options: argparse.Namespace) -> int:
     given = [number("--arclength", place) for place in options.arclength or ()]
     places = np.unique(given) if given else robot.arclength_nodes
     time, displacement = read_tendon_commands(options.tendons, robot.tendons.names)
+    marker = options.stream and file_stem(options.stream)
+    if marker and marker not in {s for p in robot.sensor_parameters for s in p.streams}:
+        raise GlissandoError(
+            f"Robot {robot.name!r} states neither frame nor mount of a stream {marker!r}; give one "
+            f"that its [[sensor_parameters]] name."
+        )
     with working("predicting"):
         found = predict(robot, time, displacement, places)
     with new_folder(options.out, GlissandoError) as building:
         rows = ((np.full(places.size, t), places, found.take(k)) for k, t in enumerate(time))
         write_states(rows, building / "query.csv")
+        if marker:
+            place, cov = predict_tip(robot, displacement, marker)
+            table = np.column_stack([time, place, cov[:, *np.triu_indices(3)]])
+            write_table(building / f"{marker}.csv", _MARKER_COLUMNS, table)
     tip = 1e3 * float(np.mean(found.std_position[:, -1]))
     print(
         f"Wrote {options.out / 'query.csv'}: {time.size} times at {places.size} arclengths; at "
-        f"{places[-1]:g} m positions are known within {tip:.3g} mm."
+        f"{places[-1]:g} m positions have a standard deviation of {tip:.3g} mm."
     )
     return 0
