@@ -141,14 +141,23 @@ def estimate_watched(
     work = working(f"estimating {recording.name}")
     with warnings.catch_warnings(record=True) as caught, work as shown:
         warnings.simplefilter("always", EstimateWarning)
-        tolerance, longest, done = SolverOptions().tolerance, 0.0, 0.0
+        tolerance, longest, done, last = SolverOptions().tolerance, 0.0, 0.0, 0
 
         def advance(iteration: int, cost: float, length: float) -> None:
-            nonlocal longest, done
-            way, longest = float(np.log(max(length / tolerance, 1.0))), max(longest, length)
-            whole = float(np.log(max(longest / tolerance, 1.0 + 1e-9)))
-            done = max(done, 1.0 - way / whole)
-            shown.update(done, 1, f"iteration {iteration}, cost {cost:.6g}, step {length:.3g} σ")
+            nonlocal longest, done, last
+            if iteration <= last:  # another search
+                longest = done = 0.0
+            way, longest, last = (
+                np.log(max(length / tolerance, 1.0)),
+                max(longest, length),
+                iteration,
+            )
+            done = max(done, 1.0 - float(way / np.log(max(longest / tolerance, 1.0 + 1e-9))))
+            where = f"iteration {iteration}, cost {cost:.6g}, step {length:.3g} σ"
+            if done < 1.0:
+                shown.update(done, 1, where)
+            else:
+                shown.update(0, 0, f"{where}; judging readings, delays and other starts")
 
         run = run_estimate(
             recording,

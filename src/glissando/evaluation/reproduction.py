@@ -24,7 +24,7 @@ class Difference:
         key: Where it is, keys and indices joined by dots.
         before: The value then; None if there was none.
         now: The value now; None if there is none.
-        scale: The largest of the numbers in its list, 0 outside of one.
+        scale: The largest of the numbers in its list and of the deviations stated beside it.
     """
 
     key: str
@@ -51,14 +51,15 @@ def differences(before: Any, now: Any, key: str = "", scale: float = 0.0) -> Ite
         pairs, scale = {k: (before.get(k), now.get(k)) for k in (*before, *now)}, 0.0
     elif isinstance(before, list) and isinstance(now, list) and len(before) == len(now):
         pairs = dict(enumerate(zip(before, now, strict=True)))
-        scale = max((abs(x) for x in (*before, *now) if _is_number(x)), default=0.0)
+        scale = max(scale, *_numbers(before), *_numbers(now), 0.0)
     else:
         both_nan = before != before and now != now
         if before != now and not both_nan:
             yield Difference(key, before, now, scale)
         return
+    spread = max(_numbers(now.get("std")), default=0.0) if isinstance(now, dict) else scale
     for name, (then, here) in pairs.items():
-        yield from differences(then, here, f"{key}.{name}".lstrip("."), scale)
+        yield from differences(then, here, f"{key}.{name}".lstrip("."), max(scale, spread))
 
 
 def table_difference(before: Path, now: Path) -> float:
@@ -125,6 +126,11 @@ def posterior_difference(before: Posterior, now: Posterior) -> tuple[float, floa
     equal = all(np.array_equal(then, here) for then, here in fields)
     step = 0.0 * std if equal else before.state.difference(now.state).reshape(std.shape)
     return float(np.max(np.abs(step) / std)), float(np.max(np.abs(former / std - 1.0)))
+
+
+def _numbers(value: Any) -> list[float]:
+    """The sizes of the numbers in a list; none of anything else."""
+    return [abs(x) for x in value if _is_number(x)] if isinstance(value, list) else []
 
 
 def _is_number(value: Any) -> bool:
