@@ -16,7 +16,7 @@ from glissando.model.sensors.readings import Readings
 HELD = 1e14
 """Information of a delay that is held, s⁻²."""
 _CONSTANT = 1e6  # times the recording: the memory of a constant, long enough to count as for ever
-_HOLDS = 100.0  # s that a constant is expected to last for, where it is not known how long it will
+_HOLDS = 100.0  # s in the place of that where it is not known; more would cost digits
 
 
 class EstimatedParameters:
@@ -35,7 +35,7 @@ class EstimatedParameters:
         ends = np.cumsum([0, *(u.size for u in self.each)])
         self.columns = [slice(a, b) for a, b in pairwise(ends)]
         self.size = int(ends[-1])
-        span = max(float(grid.time[-1] - grid.time[0]), _HOLDS)
+        span = max(np.ptp(grid.time), 1.0) if grid.time.size > 1 else _HOLDS
         memory = [np.full(u.size, min(u.correlation_time, _CONSTANT * span)) for u in self.each]
         self.memory = np.concatenate([np.zeros(0), *memory])
         self.mean = np.concatenate([np.zeros(0), *(u.value for u in self.each)])
