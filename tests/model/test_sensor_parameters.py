@@ -295,6 +295,7 @@ def test_an_unknown_that_was_not_estimated_is_answered_with_those_that_were(cali
 
 def test_a_constant_keeps_for_an_hour_where_a_window_says_nothing_of_how_long():
     constant = SensorParameter("zero", "arclength_offset", ("coil",), [0.0], [2e-3])
-    process = EstimatedParameters(Grid([0.0, 0.4], [0.0]), [constant])
+    window = Grid([0.0, 0.4], [0.1, 0.2], before=0.0)
+    process = EstimatedParameters(window, [constant])
     walked = np.sqrt(2.0 * 3600.0 / process.memory[0])  # of its standard deviation
     assert walked < 0.01

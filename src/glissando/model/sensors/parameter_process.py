@@ -35,7 +35,8 @@ class EstimatedParameters:
         ends = np.cumsum([0, *(u.size for u in self.each)])
         self.columns = [slice(a, b) for a, b in pairwise(ends)]
         self.size = int(ends[-1])
-        span = max(np.ptp(grid.time), 1.0) if grid.time.size > 1 else _HOLDS
+        whole = grid.time.size > 1 and grid.before is None  # not what a window sees of it
+        span = max(np.ptp(grid.time), 1.0) if whole else _HOLDS
         memory = [np.full(u.size, min(u.correlation_time, _CONSTANT * span)) for u in self.each]
         self.memory = np.concatenate([np.zeros(0), *memory])
         self.mean = np.concatenate([np.zeros(0), *(u.value for u in self.each)])
