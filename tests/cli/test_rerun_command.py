@@ -225,6 +225,15 @@ def test_differences_are_found_wherever_they_are():
     assert found["b.f"] == np.inf
 
 
+def test_a_value_is_the_same_by_the_deviation_stated_for_it_and_by_no_other():
+    before = {"value": [1e-8, 1e-8], "std": [1e-3, 1e-9], "nees": 1e-8}
+    now = before | {"value": [1e-8 + 1e-14, 1e-8 + 1e-14], "nees": 1e-8 + 1e-14}
+    found = {d.key: d.size for d in differences(before, now)}
+    assert found["value.0"] < SAME
+    assert found["value.1"] == pytest.approx(1e-6, rel=1e-3)
+    assert found["nees"] == pytest.approx(1e-6, rel=1e-3)
+
+
 @pytest.mark.slow
 def test_another_blas_on_two_threads_gives_the_same_numbers(estimated):
     """OpenBLAS's routines for a processor of 2008, which add in another order."""

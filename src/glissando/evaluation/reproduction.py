@@ -24,42 +24,49 @@ class Difference:
         key: Where it is, keys and indices joined by dots.
         before: The value then; None if there was none.
         now: The value now; None if there is none.
-        scale: The largest of the numbers in its list and of the deviations stated beside it.
+        std: The standard deviation that the report states for it, 0 if it states none.
     """
 
     key: str
     before: Any
     now: Any
-    scale: float = 0.0
+    std: float = 0.0
 
     @property
     def size(self) -> float:
-        """The difference of numbers, relative to the largest; infinite for anything else."""
+        """The difference of numbers by the largest of them and of their standard deviation.
+
+        Infinite for anything else.
+        """
         if not (_is_number(self.before) and _is_number(self.now)):
             return np.inf
-        largest = max(abs(self.before), abs(self.now), self.scale)
+        largest = max(abs(self.before), abs(self.now), self.std)
         return abs(self.before - self.now) / largest if np.isfinite(largest) else np.inf
 
 
-def differences(before: Any, now: Any, key: str = "", scale: float = 0.0) -> Iterator[Difference]:
+def differences(before: Any, now: Any, key: str = "", std: Any = 0.0) -> Iterator[Difference]:
     """The entries of two documents of JSON that are not equal.
+
+    Lists beside one named "std" of the same length have its entries as their standard deviations.
 
     >>> [d.key for d in differences({"a": [1, 2], "b": 3}, {"a": [1, 4], "b": 3})]
     ['a.1']
     """
     if isinstance(before, dict) and isinstance(now, dict):
-        pairs, scale = {k: (before.get(k), now.get(k)) for k in (*before, *now)}, 0.0
+        for name in dict.fromkeys((*before, *now)):
+            beside = now.get("std") if name != "std" else None
+            yield from differences(before.get(name), now.get(name), _within(key, name), beside)
     elif isinstance(before, list) and isinstance(now, list) and len(before) == len(now):
-        pairs = dict(enumerate(zip(before, now, strict=True)))
-        scale = max(scale, *_numbers(before), *_numbers(now), 0.0)
-    else:
-        both_nan = before != before and now != now
-        if before != now and not both_nan:
-            yield Difference(key, before, now, scale)
-        return
-    spread = max(_numbers(now.get("std")), default=0.0) if isinstance(now, dict) else scale
-    for name, (then, here) in pairs.items():
-        yield from differences(then, here, f"{key}.{name}".lstrip("."), max(scale, spread))
+        each = std if isinstance(std, list) and len(std) == len(now) else [0.0] * len(now)
+        for i, (then, here) in enumerate(zip(before, now, strict=True)):
+            yield from differences(then, here, _within(key, i), each[i])
+    elif before != now and not (before != before and now != now):  # both may be no number
+        yield Difference(key, before, now, std if _is_number(std) else 0.0)
+
+
+def _within(key: str, name: object) -> str:
+    """The key of an entry of what a key names."""
+    return f"{key}.{name}".lstrip(".")
 
 
 def table_difference(before: Path, now: Path) -> float:
@@ -126,11 +133,6 @@ def posterior_difference(before: Posterior, now: Posterior) -> tuple[float, floa
     equal = all(np.array_equal(then, here) for then, here in fields)
     step = 0.0 * std if equal else before.state.difference(now.state).reshape(std.shape)
     return float(np.max(np.abs(step) / std)), float(np.max(np.abs(former / std - 1.0)))
-
-
-def _numbers(value: Any) -> list[float]:
-    """The sizes of the numbers in a list; none of anything else."""
-    return [abs(x) for x in value if _is_number(x)] if isinstance(value, list) else []
 
 
 def _is_number(value: Any) -> bool:
