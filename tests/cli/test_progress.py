@@ -15,7 +15,7 @@ import glissando.cli
 from glissando._kernels import jit
 from glissando.cli import progress
 from glissando.cli.commands import COMMANDS
-from glissando.cli.progress import Work, working
+from glissando.cli.progress import Descent, Work, working
 
 CLI = Path(glissando.cli.__file__).parent
 SHORT = {"completion", "doctor", "exporting", "importing", "report", "rerun", "live", "robot"}
@@ -111,3 +111,19 @@ def test_compiling_says_how_far_it_is(tmp_path, monkeypatch, capsys):
     assert len(shares) >= 3
     assert shares == sorted(shares)
     assert 50 < shares[-1] < 100
+
+
+def test_a_descent_is_never_done_before_what_follows_it_and_begins_again_elsewhere():
+    work = Work("estimating arm")
+    descent = Descent(work, 0.3)
+    shares = []
+    for iteration, length in ((1, 3e4), (2, 300.0), (3, 0.2), (1, 2e4), (2, 20.0)):
+        descent(iteration, 5.0, length)
+        shares.append(work.share)
+    assert shares[0] == shares[3] == 0.0
+    assert 0.3 < shares[1] < 0.7
+    assert 0.5 < shares[4] < 0.8
+    assert shares[2] is None
+    descent(3, 5.0, 0.1)
+    assert "judging readings" in work.line()
+    assert "%" not in work.line()

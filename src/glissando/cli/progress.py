@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import threading
 import time
@@ -65,6 +66,35 @@ class Work:
             left = max(0.0, self._came / self.share - elapsed)  # counts down while a part lasts
             parts.append(f"about {left:.0f} s left")
         return f"{self.doing}: {', '.join(parts)}"
+
+
+class Descent:
+    """Shows how far the iterations of an estimate are, called as a solver's progress.
+
+    The share done is that of the way which the step's length has to shrink, in its logarithm. A
+    search that begins anew, from another start, begins at nothing.
+
+    Args:
+        work: Where to show it.
+        tolerance: Length of a step, in standard deviations, that ends a search.
+    """
+
+    def __init__(self, work: Work, tolerance: float) -> None:
+        self._work, self._tolerance = work, tolerance
+        self._longest, self._done, self._iteration = 0.0, 0.0, 0
+
+    def __call__(self, iteration: int, cost: float, length: float) -> None:
+        """Show an iteration with its cost and the length of its step."""
+        if iteration <= self._iteration:
+            self._longest = self._done = 0.0
+        self._iteration, self._longest = iteration, max(self._longest, length)
+        left, whole = (math.log(max(x / self._tolerance, 1.0)) for x in (length, self._longest))
+        self._done = max(self._done, 1.0 - left / whole if whole else 1.0)
+        where = f"iteration {iteration}, cost {cost:.6g}, step {length:.3g} σ"
+        if self._done < 1.0:
+            self._work.update(self._done, 1, where)
+        else:
+            self._work.update(0, 0, f"{where}; judging readings, delays and other starts")
 
 
 @contextmanager

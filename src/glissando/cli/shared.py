@@ -10,11 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias
 
-import numpy as np
-
 from glissando.cli.commands import COMMANDS
 from glissando.cli.pairing import require_pair
-from glissando.cli.progress import working
+from glissando.cli.progress import Descent, working
 from glissando.cli.silent import refuse_silent
 from glissando.errors import (
     EstimateWarning,
@@ -130,8 +128,6 @@ def estimate_watched(
 ) -> tuple[Run, str]:
     """Estimate a recording while stderr shows how far the iteration is.
 
-    The share done is that of the way which the step's length has to shrink, in its logarithm.
-
     Returns:
         The run, and the sentence of a warning that it has not converged, else an empty one.
     """
@@ -141,31 +137,13 @@ def estimate_watched(
     work = working(f"estimating {recording.name}")
     with warnings.catch_warnings(record=True) as caught, work as shown:
         warnings.simplefilter("always", EstimateWarning)
-        tolerance, longest, done, last = SolverOptions().tolerance, 0.0, 0.0, 0
-
-        def advance(iteration: int, cost: float, length: float) -> None:
-            nonlocal longest, done, last
-            if iteration <= last:  # another search
-                longest = done = 0.0
-            way, longest, last = (
-                np.log(max(length / tolerance, 1.0)),
-                max(longest, length),
-                iteration,
-            )
-            done = max(done, 1.0 - float(way / np.log(max(longest / tolerance, 1.0 + 1e-9))))
-            where = f"iteration {iteration}, cost {cost:.6g}, step {length:.3g} σ"
-            if done < 1.0:
-                shown.update(done, 1, where)
-            else:
-                shown.update(0, 0, f"{where}; judging readings, delays and other starts")
-
         run = run_estimate(
             recording,
             robot,
             window=tuple(options.window) if options.window else None,
             use=options.use,
             truth=options.truth,
-            progress=advance,
+            progress=Descent(shown, SolverOptions().tolerance),
             allow=options.allow,
             start=_start(options, recording, robot),
             max_iterations=most,
