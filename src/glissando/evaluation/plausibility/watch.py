@@ -43,10 +43,16 @@ class Watch:
         for r in filter(len, arrived):
             self._streams.setdefault(r.label, []).append(r)
         self._due = now + self._every if self._due is None else self._due
-        if now >= self._due and self._looking is None:
-            self._due = now + self._every
-            self._look(now)
-        return self._found()
+        try:
+            if now >= self._due and self._looking is None:
+                self._due = now + self._every
+                self._looking = self._executor.submit(
+                    examine, self._robot, self._newest(now), allow=tuple(self._said)
+                )
+            return self._found()
+        except BrokenExecutor:
+            self._due = np.inf
+            return self._new([Finding("guard", _ENDED, False)])
 
     def last(self, now: float) -> list[Finding]:
         """What was not said before, of the newest readings at the end of a session, looked at here.
@@ -55,15 +61,6 @@ class Watch:
             now: Time of the session, s.
         """
         return self._new(examine(self._robot, self._newest(now), allow=tuple(self._said)))
-
-    def _look(self, now: float) -> None:
-        """Begin to look at the newest readings."""
-        given = self._robot, self._newest(now)
-        try:
-            self._looking = self._executor.submit(examine, *given, allow=tuple(self._said))
-        except BrokenExecutor as ended:
-            self._looking = Future()
-            self._looking.set_exception(ended)
 
     def _newest(self, now: float) -> list[Readings]:
         """A stream each, of which older readings are forgotten."""
@@ -77,11 +74,7 @@ class Watch:
         if self._looking is None or not self._looking.done():
             return []
         looking, self._looking = self._looking, None
-        try:
-            return self._new(looking.result())
-        except BrokenExecutor:
-            self._due = np.inf
-            return self._new([Finding("guard", _ENDED, False)])
+        return self._new(looking.result())
 
     def _new(self, findings: Sequence[Finding]) -> list[Finding]:
         """One of each kind that was not said before, and is from now on."""
