@@ -117,5 +117,8 @@ def _value(value: Any) -> str:
     if isinstance(value, str):
         plain = value.encode("utf-8", "replace").decode().replace("\x7f", "?")
         return json.dumps(plain, ensure_ascii=False)
-    text = json.dumps(value.tolist() if isinstance(value, np.ndarray) else value)
-    return text.replace("Infinity", "inf").replace("NaN", "nan")
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if isinstance(value, list):
+        return f"[{', '.join(map(_value, value))}]"
+    return repr(float(value)) if isinstance(value, float) else json.dumps(value)
