@@ -72,7 +72,7 @@ def test_a_robot_is_learned_from_imported_servos_and_foretells_other_moves(tmp_p
     assert head == ",".join(QUERY_COLUMNS)
     assert len(table) == 180
     position, cov = predict_tip(load_robot(out), other, "tip")
-    marker = np.loadtxt(tmp_path / "foretold" / "tip.csv", delimiter=",", skiprows=1)
+    marker = np.loadtxt(tmp_path / "foretold" / "marker_tip.csv", delimiter=",", skiprows=1)
     np.testing.assert_allclose(marker[:, 1:4], position, atol=1e-7)
     np.testing.assert_allclose(marker[:, 4:], cov[:, *np.triu_indices(3)], rtol=1e-3)
     error = tip - position

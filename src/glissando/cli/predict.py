@@ -34,8 +34,8 @@ examples:
   glissando predict --robot learned.toml --tendons commands.csv --stream tip --out foretold
 
 DIR/query.csv has a row for each time and arclength, with the columns of glissando estimate --query,
-in the robot's frame. With --stream DIR/NAME.csv has what the tracker of a marker at the tip would
-read, in the tracker's frame: time, x, y, z, and the covariance with the marker's noise, in m².
+in the robot's frame. With --stream DIR/marker_NAME.csv has what the tracker of a marker at the tip
+would read, in the tracker's frame: time, x, y, z, and covariance with the marker's noise, in m².
 The robot stands still at every time, nothing outside touches it, and its weight is left out.
 
 exit status: 0 done; 1 the tendons leave no static shape; 2 something given was wrong.
@@ -69,7 +69,8 @@ def _predict(options: argparse.Namespace) -> int:
     places = np.unique(given) if given else robot.arclength_nodes
     time, displacement = read_tendon_commands(options.tendons, robot.tendons.names)
     marker = options.stream and file_stem(options.stream)
-    if marker and marker not in {s for p in robot.sensor_parameters for s in p.streams}:
+    placed = [p.streams for p in robot.sensor_parameters if p.kind in ("frame", "mount")]
+    if marker and not any(marker in streams for streams in placed):
         raise GlissandoError(
             f"Robot {robot.name!r} states neither frame nor mount of a stream {marker!r}; give one "
             f"that its [[sensor_parameters]] name."
@@ -82,10 +83,12 @@ def _predict(options: argparse.Namespace) -> int:
         if marker:
             place, cov = predict_tip(robot, displacement, marker)
             table = np.column_stack([time, place, cov[:, *np.triu_indices(3)]])
-            write_table(building / f"{marker}.csv", _MARKER_COLUMNS, table)
+            write_table(building / f"marker_{marker}.csv", _MARKER_COLUMNS, table)
     tip = 1e3 * float(np.mean(found.std_position[:, -1]))
     print(
         f"Wrote {options.out / 'query.csv'}: {time.size} times at {places.size} arclengths; at "
         f"{places[-1]:g} m positions have a standard deviation of {tip:.3g} mm."
     )
+    if marker:
+        print(f"Wrote {options.out / f'marker_{marker}.csv'}: its readings in the tracker's frame.")
     return 0
