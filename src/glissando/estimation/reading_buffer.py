@@ -132,9 +132,13 @@ class ReadingBuffer:
             if len(waiting) and _ends(waiting.time)[1] > now + _AHEAD:
                 ahead = waiting.time > now + _AHEAD
                 waiting = waiting.select(self._gate.refuse(name, "ahead", ahead))
-                self._waiting[name], held = waiting, self._all_held(name)
-                times = [r.time for r in (waiting, held) if r is not None]
-                self._newest[name] = max(np.concatenate(times), default=-np.inf)
+                self._waiting[name] = waiting
+                left = (
+                    r.time.max()
+                    for r in (waiting, self._all_held(name))
+                    if r is not None and len(r)
+                )
+                self._newest[name] = float(max(left, default=-np.inf))
 
     def arrive(self, oldest: float, until: float) -> tuple[Counter[str], float]:
         """Hold what waits up to a time; how many rows of each stream are new, and their earliest.
