@@ -162,7 +162,7 @@ def test_a_rerun_finds_a_number_of_a_table_that_is_another(estimated, tmp_path, 
     (out / "newest.csv").write_text("\n".join([*lines[:5], ",".join(cells), *lines[6:]]) + "\n")
     status, found = rerun(capsys, out / "replay.json")
     assert (status, found["same"], found["report"]) == (1, False, [])
-    assert 1e-9 < found["tables"]["newest.csv"] < 1e-3
+    assert 1e-8 < found["tables"]["newest.csv"] < 1e-3
 
 
 @pytest.mark.slow

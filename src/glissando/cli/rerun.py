@@ -27,7 +27,7 @@ Compute again what a report states (report.json, replay.json, check.json, plan.j
 summary.json), with the same options and inputs, and say what differs: bytes of the inputs,
 versions, entries of the report, and the tables and the posterior beside it. Nothing is written.
 
-Numbers count as the same if they agree to 1e-9 of their size: another BLAS or processor rounds
+Numbers count as the same if they agree to 1e-8 of their size: another BLAS or processor rounds
 differently. On one machine all are the same to the last digit. Running times are not compared.
 """
 _EXAMPLES = """\

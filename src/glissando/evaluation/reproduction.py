@@ -12,8 +12,9 @@ import numpy as np
 
 from glissando.estimation.posterior import Posterior
 
-SAME = 1e-9
-"""Largest relative difference of numbers that count as the same: rounding of another BLAS."""
+SAME = 1e-8
+"""Largest relative difference of numbers that count as the same: rounding of another BLAS, by which
+the standard deviations of constants differ most, as what ties their nodes is large."""
 
 
 @dataclass(frozen=True)
