@@ -9,6 +9,8 @@ import numpy as np
 from glissando._kernels.jit import External, jit
 
 _BAND = 32  # columns of a triangle that are computed together
+_TILE = 16  # rows and columns that are copied together
+_SCALARS = np.array([-1.0, 0.0, 1.0])
 
 _gemm: Any = External(
     "numba_xxgemm",  # numba's door to BLAS: it takes pointers and leading dimensions
@@ -19,27 +21,53 @@ _gemm: Any = External(
 
 @jit()
 def product(a, b, out, scale, keep, turn_a, turn_b):
-    """Out = scale · a b + keep · out, a or b transposed; the rows of each are contiguous."""
-    scalars = np.array([scale, keep])
+    """Out = scale · a b + keep · out, a or b transposed; the rows of each are contiguous.
+
+    Scale and keep are −1, 0 or 1: BLAS takes their addresses.
+    """
     inner = a.shape[0] if turn_a else a.shape[1]
     if out.size and inner:
         _gemm(
             ord("d"), ord("t") if turn_b else ord("n"), ord("t") if turn_a else ord("n"),
-            out.shape[1], out.shape[0], inner, scalars.ctypes, b.ctypes, b.strides[0] // 8,
-            a.ctypes, a.strides[0] // 8, scalars[1:].ctypes, out.ctypes, out.strides[0] // 8,
+            out.shape[1], out.shape[0], inner, _SCALARS[int(scale) + 1 :].ctypes,
+            b.ctypes, b.strides[0] // 8, a.ctypes, a.strides[0] // 8,
+            _SCALARS[int(keep) + 1 :].ctypes, out.ctypes, out.strides[0] // 8,
         )  # fmt: skip
 
 
 @jit()
-def lower_product(a, b, out, scale, keep, turned):
-    """The lower triangle, and a little more, of out = scale · a bᵀ + keep · out; aᵀ b if turned."""
+def lower_product(a, b, out, scale, keep, turn_a, turn_b):
+    """The lower triangle, and a little more, of what `product` gives."""
     n = len(out)
     for j in range(0, n, _BAND):
         e = min(j + _BAND, n)
-        if turned:
-            product(a[:, j:n], b[:, j:e], out[j:n, j:e], scale, keep, True, False)
-        else:
-            product(a[j:n, :], b[j:e, :], out[j:n, j:e], scale, keep, False, True)
+        rows = a[:, j:n] if turn_a else a[j:n, :]
+        columns = b[j:e, :] if turn_b else b[:, j:e]
+        product(rows, columns, out[j:n, j:e], scale, keep, turn_a, turn_b)
+
+
+@jit()
+def take_square(a, first, out):
+    """The lower triangle, and a little more, of out − aᵀ a; rows of a before `first` are zeros.
+
+    `first` (n,) is of each column.
+    """
+    n = len(out)
+    for j in range(0, n, _BAND):
+        e = min(j + _BAND, n)
+        begin = first[j:e].min()
+        product(a[begin:, j:n], a[begin:, j:e], out[j:n, j:e], -1.0, 1.0, True, False)
+
+
+@jit()
+def mirrored_into(lower, out):
+    """A symmetric matrix from its lower triangle, tile by tile, as memory is read by rows."""
+    n = len(out)
+    for i in range(0, n, _TILE):
+        for j in range(0, i + 1, _TILE):
+            for x in range(i, min(i + _TILE, n)):
+                for y in range(j, min(j + _TILE, x + 1)):
+                    out[x, y] = out[y, x] = lower[x, y]
 
 
 @jit()
@@ -52,27 +80,79 @@ def triangle_square(root, out):
 
 
 @jit()
-def triangle_product(root, b, out):
-    """rootᵀ b for a lower triangular root."""
+def turned_product(b, root, out):
+    """Bᵀ root for a lower triangular root, and a b whose columns begin with zeros further down."""
     n = len(out)
     for j in range(0, n, _BAND):
         e = min(j + _BAND, n)
-        product(root[j:n, j:e], b[j:n, :], out[j:e, :], 1.0, 0.0, True, False)
+        begin = _first_row(b, j, e)
+        product(b[j:n, 0:e], root[j:n, j:e], out[0:e, j:e], 1.0, 0.0, True, False)
+        if j:
+            product(b[begin:n, j:e], root[begin:n, 0:j], out[j:e, 0:j], 1.0, 0.0, True, False)
 
 
 @jit()
-def banded_product(root, b, out):
-    """Root bᵀ for a lower triangular root and a b whose rows hold few numbers, close together."""
+def _first_row(b, begin, end):
+    """The first row that holds a number in some columns."""
+    for i in range(len(b)):
+        for j in range(begin, end):
+            if b[i, j] != 0.0:
+                return i
+    return len(b)
+
+
+@jit()
+def right_product(b, root, out, turned):
+    """B root for a lower triangular root; b rootᵀ if turned."""
     n = len(root)
-    for j in range(0, n, _BAND // 2):
-        e, low, high = min(j + _BAND // 2, n), n, 0
-        for i in range(j, e):
-            row, first, last = b[i], 0, n
-            while first < low and row[first] == 0.0:
-                first += 1
-            while last > high and row[last - 1] == 0.0:
-                last -= 1
-            low, high = min(low, first), max(high, last)
-        out[:low, j:e] = 0.0
-        if low < high:
-            product(root[low:, low:high], b[j:e, low:high], out[low:, j:e], 1.0, 0.0, False, True)
+    for j in range(0, n, _BAND):
+        e = min(j + _BAND, n)
+        if turned:
+            product(b[:, :e], root[j:e, :e], out[:, j:e], 1.0, 0.0, False, True)
+        else:
+            product(b[:, j:n], root[j:n, j:e], out[:, j:e], 1.0, 0.0, False, False)
+
+
+@jit()
+def left_product(root, b, out, scale):
+    """Scale · root b for a lower triangular root."""
+    n = len(root)
+    for j in range(0, n, _BAND):
+        e = min(j + _BAND, n)
+        product(root[j:e, :e], b[:e, :], out[j:e, :], scale, 0.0, False, False)
+
+
+@jit()
+def _first_and_last(row):
+    """Columns from which and before which a row holds numbers; n and 0 where it holds none."""
+    first, last = 0, len(row)
+    while first < last and row[first] == 0.0:
+        first += 1
+    while last > first and row[last - 1] == 0.0:
+        last -= 1
+    return (first, last) if first < last else (len(row), 0)
+
+
+@jit()
+def banded_product(root, b, out, first):
+    """Root bᵀ for a lower triangular root and a b whose rows hold few numbers, close together.
+
+    Rows that hold numbers of the same columns are multiplied together. Rows of `out` before
+    `first` (n,) of a column are zeros.
+    """
+    n, j = len(root), 0
+    low, high = _first_and_last(b[0])
+    while j < n:
+        e, begin, end = j + 1, low, high
+        while e < n:
+            low, high = _first_and_last(b[e])
+            apart = max(low, begin) >= min(high, end) and low < high and begin < end
+            if apart or e - j == _BAND:
+                break
+            begin, end, e = min(low, begin), max(high, end), e + 1
+        out[:begin, j:e], first[j:e] = 0.0, begin
+        if begin < end:
+            product(
+                root[begin:, begin:end], b[j:e, begin:end], out[begin:, j:e], 1.0, 0.0, False, True
+            )
+        j = e

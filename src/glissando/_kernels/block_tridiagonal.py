@@ -6,15 +6,18 @@ import numpy as np
 
 from glissando._kernels.blas import (
     banded_product,
+    left_product,
     lower_product,
+    mirrored_into,
     product,
-    triangle_product,
+    right_product,
+    take_square,
     triangle_square,
+    turned_product,
 )
 from glissando._kernels.jit import jit
-from glissando._kernels.process import inverse_root_into
+from glissando._kernels.process import MOST, inverse_root_into
 
-_BASE = 12  # rows of a block up to which its inverse factor is found row by row
 _PIVOT_FLOOR = 1e-13  # a pivot this small against its diagonal entry carries no information
 
 
@@ -25,19 +28,19 @@ def inverse_factor(a, out):
     Only the lower triangle of `a` is read, and its memory is used. Returns whether there is one.
     """
     n = len(a)
-    if n <= _BASE:
+    if n <= MOST:
         return inverse_root_into(a, out)
     h = n // 2
     side, top, below = a[h:n, 0:h], out[0:h, 0:h], out[h:n, 0:h]
     tail, low = a[h:n, h:n], out[h:n, h:n]
     if not inverse_factor(a[0:h, 0:h], top):
         return False
-    product(side, top, below, 1.0, 0.0, False, True)
-    lower_product(below, below, tail, -1.0, 1.0, False)
+    right_product(side, top, below, True)
+    lower_product(below, below, tail, -1.0, 1.0, False, True)
     if not inverse_factor(tail, low):
         return False
-    product(below, top, side, 1.0, 0.0, False, False)
-    product(low, side, below, -1.0, 0.0, False, False)
+    right_product(below, top, side, False)
+    left_product(low, side, below, -1.0)
     out[0:h, h:n] = 0.0
     return True
 
@@ -47,7 +50,7 @@ def has_information(inverse, scale):
     """Whether the pivots of a slab's inverse factor are more than rounding of its diagonal (D,)."""
     least = np.inf
     for i in range(len(scale)):
-        pivot = inverse[i, i] ** -2.0 - _PIVOT_FLOOR * scale[i]
+        pivot = 1.0 / (inverse[i, i] * inverse[i, i]) - _PIVOT_FLOOR * scale[i]
         least = pivot if not pivot >= least else least  # or is not a number
     return least >= 0.0
 
@@ -61,18 +64,18 @@ def factor(diagonal, lower, start, inverse, coupling):
     direction that has no information, −1 where there is none.
     """
     d, vanished = diagonal.shape[1], -1
-    schur, scale = np.empty((d, d)), np.empty(d)
+    schur, scale, first = np.empty((d, d)), np.empty(d), np.zeros(d, np.int64)
     for k in range(start, len(diagonal)):
         for i in range(d):
             scale[i] = diagonal[k, i, i]
             for j in range(d):
                 schur[i, j] = diagonal[k, i, j]
         if k:
-            lower_product(coupling[k - 1], coupling[k - 1], schur, -1.0, 1.0, True)
+            take_square(coupling[k - 1], first, schur)
         if not inverse_factor(schur[0:d, 0:d], inverse[k, 0:d, 0:d]):
             return k if vanished < 0 else vanished
         if k < len(coupling):
-            banded_product(inverse[k], lower[k], coupling[k])
+            banded_product(inverse[k], lower[k], coupling[k], first)
         if vanished < 0 and not has_information(inverse[k], scale):
             vanished = k
     return vanished
@@ -140,19 +143,14 @@ def solve(inverse, coupling, x):
 def marginals(inverse, coupling, cov, cross):
     """Blocks of the inverse on the diagonal and next to it; they may overwrite the factor."""
     d = inverse.shape[1]
-    block, gain, carried = np.empty((d, d)), np.empty((d, d)), np.empty((d, d))
+    block, gain = np.empty((d, d)), np.empty((d, d))
     for k in range(len(inverse) - 1, -1, -1):
         triangle_square(inverse[k], block)
         if k < len(coupling):
-            triangle_product(inverse[k], coupling[k], gain)
-            product(gain, cov[k + 1], carried, 1.0, 0.0, False, False)
-            lower_product(carried, gain, block, 1.0, 1.0, False)
-            for i in range(d):
-                for j in range(d):
-                    cross[k, i, j] = -carried[i, j]
-        for i in range(d):
-            for j in range(i + 1):
-                cov[k, i, j] = cov[k, j, i] = block[i, j]
+            turned_product(coupling[k], inverse[k], gain)
+            product(gain, cov[k + 1], cross[k], -1.0, 0.0, True, False)
+            lower_product(cross[k], gain, block, -1.0, 1.0, False, False)
+        mirrored_into(block, cov[k])
 
 
 @jit("(f8[:,:,::1], f8[:,:,::1], i8[:,::1], i8[:,::1], f8[:,:,:,::1], f8[:,:,::1])")

@@ -19,6 +19,7 @@ from glissando._kernels.lie import (
     times_into,
 )
 from glissando._kernels.process import apply_into
+from glissando._kernels.scratch import matrix, vector, zero_matrix
 
 
 @jit()
@@ -39,13 +40,13 @@ def _put(out, row, column, matrix, sign):
 @jit()
 def _error(pose0, pose1, fields0, fields1, step, error, j0, j1):
     """Error [r; ṙ] (24,) of an interval between nodes of `fields` (18,); Jacobians into zeros."""
-    x, drawn, carried = np.empty(6), np.empty(6), np.empty(6)
-    ahead, miss, pose = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
-    spread, stretch, pull = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
-    back, unmiss = np.empty((6, 6)), np.empty((6, 6))
+    x, drawn, carried = vector(6), vector(6), vector(6)
+    ahead, miss, pose = matrix(4, 4), matrix(4, 4), matrix(4, 4)
+    spread, stretch, pull = matrix(6, 6), matrix(6, 6), matrix(6, 6)
+    back, unmiss = matrix(6, 6), matrix(6, 6)
     strain0, velocity0, rate0 = fields0[:6], fields0[6:12], fields0[12:]
     ahead_into(pose0, pose1, ahead)
-    scaled = np.empty(6)
+    scaled = vector(6)
     _scaled(-step, strain0, scaled)
     exp_into(scaled, pose)
     compose_into(pose, ahead, miss)
@@ -77,8 +78,8 @@ def _error_slopes(
     xi, xi_rate, scaled, rate0, step, spread, back, pull, unmiss, drawn, carried, j0, j1
 ):
     """Its Jacobians (24, 24) by both nodes, into zeros, of what the error is made of."""
-    slope, by_miss, by_ahead = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
-    a, b = np.empty((6, 6)), np.empty((6, 6))
+    slope, by_miss, by_ahead = matrix(6, 6), matrix(6, 6), matrix(6, 6)
+    a, b = matrix(6, 6), matrix(6, 6)
     times_into(spread, back, a)
     _put(j0, 0, 0, a, -1.0)
     _put(j0, 12, 12, a, -1.0)
@@ -144,7 +145,7 @@ def _spread(gain, turn, curl, e, d, out):
 @jit()
 def _add_own_slopes(u, scaled, rate0, carried, stretch, unbend, back, j0):
     """Add the Jacobian (24, 24) at the point by its lower end, as if nothing were bent."""
-    a, b, slope = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
+    a, b, slope = matrix(6, 6), matrix(6, 6), matrix(6, 6)
     ad_into(carried, a)
     times_into(a, stretch, b)
     slope_into(scaled, rate0, slope)
@@ -174,14 +175,14 @@ def interval_between(pose0, pose1, fields0, fields1, step, offset, gain, whole, 
     m = len(step)
     pose, fields = np.empty((m, 4, 4)), np.empty((m, 18))
     j0, j1 = np.empty((m, 24, 24)), np.empty((m, 24, 24))
-    error, e0, e1, d = np.empty(24), np.zeros((24, 24)), np.zeros((24, 24)), np.empty((24, 24))
-    still, moving, off, carried = np.empty(12), np.empty(12), np.empty(12), np.empty(6)
-    scaled = np.empty(6)
-    x, after = np.empty(6), np.empty(6)
-    ahead, bend, there = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
-    stretch, turn, curl = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
-    back, unbend, slope = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
-    a = np.empty((6, 6))
+    error, e0, e1, d = vector(24), zero_matrix(24, 24), zero_matrix(24, 24), matrix(24, 24)
+    still, moving, off, carried = vector(12), vector(12), vector(12), vector(6)
+    scaled = vector(6)
+    x, after = vector(6), vector(6)
+    ahead, bend, there = matrix(4, 4), matrix(4, 4), matrix(4, 4)
+    stretch, turn, curl = matrix(6, 6), matrix(6, 6), matrix(6, 6)
+    back, unbend, slope = matrix(6, 6), matrix(6, 6), matrix(6, 6)
+    a = matrix(6, 6)
     for n in range(m):
         u, strain0, rate0 = offset[n], fields0[n, :6], fields0[n, 12:]
         _error(pose0[n], pose1[n], fields0[n], fields1[n], step[n], error, e0, e1)

@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from glissando._kernels.memory import keep_freed_memory
+from glissando._kernels.scratch import StackArray
 
 try:
     import fcntl
@@ -41,9 +42,11 @@ _ALWAYS = ("block_tridiagonal", "normal_equations", "process", "se3", "sensors")
 class Kernel:
     """A function to compile: `signatures` are the argument types it is called with, if any."""
 
-    def __init__(self, function: Callable[..., Any], signatures: tuple[str, ...]) -> None:
+    def __init__(
+        self, function: Callable[..., Any], signatures: tuple[str, ...], *, inline: bool
+    ) -> None:
         update_wrapper(self, function)
-        self.function, self.signatures = function, signatures
+        self.function, self.signatures, self.inline = function, signatures, inline
         self.name = f"{function.__module__}.{function.__qualname__}"
         self.module = function.__module__.rpartition(".")[2]
         self.compiled: Any = None
@@ -76,6 +79,7 @@ class External:
     def __init__(self, symbol: str, signature: str) -> None:
         self.symbol, self.signature = symbol, signature
 
+    @property
     def compiled(self) -> Any:
         """What numba takes for it."""
         from numba import types
@@ -85,14 +89,15 @@ class External:
         return types.ExternalFunction(self.symbol, returned(*arguments))
 
 
-def jit(*signatures: str) -> Callable[[Callable[..., Any]], Any]:
+def jit(*signatures: str, inline: bool = False) -> Callable[[Callable[..., Any]], Any]:
     """A decorator that makes a kernel; sums inside it may be done in any order.
 
     Args:
         signatures: Types of the arguments as numba writes them, of kernels that others call from
             Python; none for those that only kernels call.
+        inline: Compile it into the kernels that call it, which then know the sizes of its arrays.
     """
-    return lambda function: Kernel(function, signatures)
+    return lambda function: Kernel(function, signatures, inline=inline)
 
 
 def load(module: str = "") -> None:
@@ -139,14 +144,14 @@ def _dispatchers() -> Path:
         for kernel in kernels:
             doors = {"no_cfunc_wrapper": True, "no_cpython_wrapper": not kernel.signatures}
             options: dict[str, Any] = {**doors, "fastmath": {"contract", "reassoc", "nsz"}}
-            options["error_model"] = "numpy"
+            options |= {"error_model": "numpy", "forceinline": kernel.inline}
             kernel.compiled = numba.njit(cache=True, **options)(kernel.function)
     finally:
         config.CACHE_DIR = before
     for kernel in kernels:
         for name, value in kernel.function.__globals__.items():
-            if isinstance(value, External):
-                kernel.function.__globals__[name] = value.compiled()
+            if isinstance(value, (External, StackArray)):
+                kernel.function.__globals__[name] = value.compiled
     return folder
 
 

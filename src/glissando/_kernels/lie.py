@@ -11,6 +11,7 @@ from math import asin, atan2, comb, cos, factorial, sin, sqrt, tan
 import numpy as np
 
 from glissando._kernels.jit import jit
+from glissando._kernels.scratch import matrix, vector, zero_matrix
 
 BELOW = 1.0  # squared angle under which the power series are used
 _TERMS = 12
@@ -41,7 +42,7 @@ _B1, _C1, _D1 = (np.array(_derivative(list(series))) for series in (_B, _C, _D))
 _B2, _C2 = (np.array(_derivative(list(series))) for series in (_B1, _C1))
 
 
-@jit()
+@jit(inline=True)
 def _series(coefficients, q):
     """Σ c_m q^m for q < 1, with no more terms than q asks for."""
     terms = 5 if q < 1e-3 else 7 if q < 0.05 else coefficients.size
@@ -51,7 +52,7 @@ def _series(coefficients, q):
     return value
 
 
-@jit()
+@jit(inline=True)
 def _abc(q):
     if q < BELOW:
         return _series(_A, q), _series(_B, q), _series(_C, q)
@@ -60,7 +61,7 @@ def _abc(q):
     return a, (1.0 - cos(theta)) / q, (1.0 - a) / q
 
 
-@jit()
+@jit(inline=True)
 def _d_and_slope(q):
     if q < BELOW:
         return _series(_D, q), _series(_D1, q)
@@ -70,7 +71,7 @@ def _d_and_slope(q):
     return d, (-(g - (half / sin(half)) ** 2) / (2.0 * q) - d) / q
 
 
-@jit()
+@jit(inline=True)
 def _bc_slopes(q):
     if q < BELOW:
         return _series(_B, q), _series(_C, q), _series(_B1, q), _series(_C1, q)
@@ -79,7 +80,7 @@ def _bc_slopes(q):
     return b, c, (0.5 * a - b) / q, (-a_slope - c) / q
 
 
-@jit()
+@jit(inline=True)
 def _bc_curves(q):
     """Second derivatives of B and C by q."""
     if q < BELOW:
@@ -91,18 +92,18 @@ def _bc_curves(q):
     return (0.5 * a_slope - 2.0 * b_slope) / q, -(a_curve + 2.0 * c_slope) / q
 
 
-@jit()
+@jit(inline=True)
 def squared_angle(x):
     """The squared angle of a six-vector."""
     return x[3] * x[3] + x[4] * x[4] + x[5] * x[5]
 
 
-@jit()
+@jit(inline=True)
 def _cross(ax, ay, az, bx, by, bz):
     return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
 
 
-@jit()
+@jit(inline=True)
 def exp_into(x, out):
     """Pose (4, 4) of a six-vector, into `out`."""
     q = squared_angle(x)
@@ -123,7 +124,7 @@ def exp_into(x, out):
     out[3, 3] = 1.0
 
 
-@jit()
+@jit(inline=True)
 def _rotation_log(r, out):
     """Rotation vector into out[3:6]."""
     x, y, z = r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]
@@ -149,7 +150,7 @@ def _rotation_log(r, out):
     out[3], out[4], out[5] = scale * x, scale * y, scale * z
 
 
-@jit()
+@jit(inline=True)
 def log_into(pose, out):
     """Six-vector of a pose, into `out`."""
     _rotation_log(pose, out)
@@ -160,7 +161,7 @@ def log_into(pose, out):
     out[0], out[1], out[2] = px - 0.5 * u + d * uu, py - 0.5 * v + d * vv, pz - 0.5 * w + d * ww
 
 
-@jit()
+@jit(inline=True)
 def compose_into(a, b, out):
     """The pose a b, into `out`."""
     for i in range(3):
@@ -171,7 +172,7 @@ def compose_into(a, b, out):
     out[3, 3] = 1.0
 
 
-@jit()
+@jit(inline=True)
 def ahead_into(a, b, out):
     """The pose a⁻¹ b."""
     x, y, z = b[0, 3] - a[0, 3], b[1, 3] - a[1, 3], b[2, 3] - a[2, 3]
@@ -183,7 +184,7 @@ def ahead_into(a, b, out):
     out[3, 3] = 1.0
 
 
-@jit()
+@jit(inline=True)
 def fill(out):
     """The lower half of [A B; 0 A]."""
     for i in range(3):
@@ -192,7 +193,7 @@ def fill(out):
             out[3 + i, 3 + j] = out[i, j]
 
 
-@jit()
+@jit(inline=True)
 def adjoint_into(pose, out):
     """Adjoint (6, 6) of a pose, into `out`."""
     for j in range(3):
@@ -203,7 +204,7 @@ def adjoint_into(pose, out):
     fill(out)
 
 
-@jit()
+@jit(inline=True)
 def adjoint_back_into(pose, out):
     """Ad(T⁻¹) = [Rᵀ, −Rᵀ p^; 0, Rᵀ], whose rows i are R's columns and p × them."""
     for i in range(3):
@@ -214,7 +215,7 @@ def adjoint_back_into(pose, out):
     fill(out)
 
 
-@jit()
+@jit(inline=True)
 def ad_into(x, out):
     """Derivative (6, 6) of the adjoint, into `out`."""
     for first in (0, 3):
@@ -226,7 +227,7 @@ def ad_into(x, out):
     fill(out)
 
 
-@jit()
+@jit(inline=True)
 def times_into(a, b, out):
     """Product of matrices [A B; 0 A]."""
     for i in range(3):
@@ -239,10 +240,10 @@ def times_into(a, b, out):
     fill(out)
 
 
-@jit()
+@jit(inline=True)
 def _polynomial(x, c1, c2, c3, c4, out):
     """1 + Σ c_i ad(x)^i."""
-    m, m2, tail = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
+    m, m2, tail = matrix(6, 6), matrix(6, 6), matrix(6, 6)
     ad_into(x, m)
     times_into(m, m, m2)
     for i in range(3):
@@ -258,21 +259,21 @@ def _polynomial(x, c1, c2, c3, c4, out):
     fill(out)
 
 
-@jit()
+@jit(inline=True)
 def jacobian_coefficients(q):
     """Those of ad(x)^i in J_r(x), i from 1 to 4."""
     b, c, b_slope, c_slope = _bc_slopes(q)
     return q * b_slope - b, c - q * c_slope, b_slope, -c_slope
 
 
-@jit()
+@jit(inline=True)
 def right_jacobian_into(x, out):
     """Right Jacobian (6, 6), into `out`."""
     c1, c2, c3, c4 = jacobian_coefficients(squared_angle(x))
     _polynomial(x, c1, c2, c3, c4, out)
 
 
-@jit()
+@jit(inline=True)
 def right_jacobian_inverse_into(x, out):
     """Its inverse (6, 6), into `out`."""
     q = squared_angle(x)
@@ -280,11 +281,11 @@ def right_jacobian_inverse_into(x, out):
     _polynomial(x, 0.5, d - q * slope, 0.0, -slope, out)
 
 
-@jit()
+@jit(inline=True)
 def slope_into(x, w, out):
     """Derivative (6, 6) of J_r(x) w by x, into `out`."""
-    m, by_x, fresh = np.empty((6, 6)), np.zeros((6, 6)), np.empty((6, 6))
-    power, next_ = np.empty(6), np.empty(6)
+    m, by_x, fresh = matrix(6, 6), zero_matrix(6, 6), matrix(6, 6)
+    power, next_ = vector(6), vector(6)
     q = squared_angle(x)
     c1, c2, c3, c4 = jacobian_coefficients(q)
     b_curve, c_curve = _bc_curves(q)

@@ -11,6 +11,7 @@ import numpy as np
 
 from glissando._kernels.blas import product
 from glissando._kernels.jit import jit
+from glissando._kernels.scratch import matrix
 
 _SMALL = 2.0  # argument below which a sum has more digits than a difference from one
 
@@ -61,7 +62,7 @@ def inverse_into(matrix, out):
 @jit()
 def inverse_root_of_noise_into(scale, step, out):
     """W (2, 2), lower triangular, with Wᵀ W = Q(step)⁻¹."""
-    noise = np.empty((2, 2))
+    noise = matrix(2, 2)
     covariance_into(scale, step, noise)
     first = sqrt(noise[0, 0])
     corner = noise[1, 0] / first
@@ -73,8 +74,8 @@ def inverse_root_of_noise_into(scale, step, out):
 @jit()
 def bridge_into(scale, step, offset, early, late, left):
     """What both ends of a step say at `offset` strictly inside: Λ, Ψ and leftover (2, 2)."""
-    near, whole, inverse = np.empty((2, 2)), np.empty((2, 2)), np.empty((2, 2))
-    onward, a, b = np.empty((2, 2)), np.empty((2, 2)), np.empty((2, 2))
+    near, whole, inverse = matrix(2, 2), matrix(2, 2), matrix(2, 2)
+    onward, a, b = matrix(2, 2), matrix(2, 2), matrix(2, 2)
     covariance_into(scale, offset, near)
     covariance_into(scale, step, whole)
     transition_into(scale, step - offset, onward)

@@ -13,12 +13,13 @@ from glissando._kernels.blas import product
 from glissando._kernels.jit import jit
 from glissando._kernels.process import apply_into, whiten_into
 
-_GROUP = 6  # columns of one field of a node: pose, strain, velocity, strain rate
+_SIX = np.uint64(6)  # columns of one field of a node: pose, strain, velocity, strain rate
+_ONE, _TWO, _THREE, _FOUR, _FIVE = (np.uint64(i) for i in range(1, 6))  # need no check of bounds
 _BATCH = "i8[:,::1], i8, f8[:,:,:,::1], f8[:,::1], f8[:,:,::1], f8[:,:,::1]"
 SUMS = "f8[:,:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,::1], f8[:,::1]"
 
 
-@jit()
+@jit(inline=True)
 def _is_zero(jacobian, node, first, last):
     """Whether no row has a slope by columns of a node."""
     for y in range(len(jacobian)):
@@ -28,12 +29,13 @@ def _is_zero(jacobian, node, first, last):
     return True
 
 
-@jit()
+@jit(inline=True)
 def _groups(nodes, first_dof, jacobian, extras, n_count, dof, count, groups):
     """Interval of a factor; its groups of columns with a slope, and how many they are.
 
-    A group is columns side by side, of nodes or the parameters' at one end of the interval:
-    `groups` are the end it belongs to, its column there, its width, its column in the Jacobian.
+    A group is up to six columns of a node, or columns side by side of the parameters' at one end of
+    the interval: `groups` are the end it belongs to, its column there, its width, its column in
+    the Jacobian.
     """
     c, d = jacobian.shape[1:]
     e = extras.shape[1] // 2
@@ -41,19 +43,14 @@ def _groups(nodes, first_dof, jacobian, extras, n_count, dof, count, groups):
     if e:
         k = min(k, max(count - 2, 0))
     for a in range(c):
-        slab, inner = divmod(nodes[a], n_count)
-        for part in range(0, d, _GROUP):
-            width = min(_GROUP, d - part)
-            if slab >= count or _is_zero(jacobian, a, part, part + width):
-                continue
-            column, at, last = inner * dof + first_dof + part, a * d + part, groups[found - 1]
-            beside = found > 0 and last[0] == slab - k and last[3] + last[2] == at
-            if beside and last[1] + last[2] == column:
-                last[2] += width
-                continue
-            groups[found, 0], groups[found, 1] = slab - k, column
-            groups[found, 2], groups[found, 3] = width, at
-            found += 1
+        slab = nodes[a] // n_count
+        first = (nodes[a] - slab * n_count) * dof + first_dof
+        for part in range(0, d if slab < count else 0, 6):
+            end = min(part + 6, d)
+            if not _is_zero(jacobian, np.uint64(a), np.uint64(part), np.uint64(end)):
+                groups[found, 0], groups[found, 1] = slab - k, first + part
+                groups[found, 2], groups[found, 3] = end - part, a * d + part
+                found += 1
     for later in range(2 if e else 0):
         if k + later < count:  # parameters after the last node have no weight
             first, at = n_count * dof, c * d + later * e
@@ -61,7 +58,7 @@ def _groups(nodes, first_dof, jacobian, extras, n_count, dof, count, groups):
     return k, found
 
 
-@jit()
+@jit(inline=True)
 def _add_runs(slopes, later, first, at, groups, found):
     """Add the runs of columns of parameters with a slope to the groups; how many they are now."""
     begin, count = -1, slopes.shape[1]
@@ -78,51 +75,99 @@ def _add_runs(slopes, later, first, at, groups, found):
     return found
 
 
-@jit()
-def _whitened(sqrt_info, jacobian, extras, residual, groups, slopes, white, miss):
+@jit(inline=True)
+def _whitened(sqrt_info, jacobian, extras, residual, groups, found, slopes, white, miss):
     """White Jacobian (r, ·) of the groups side by side, white residual (r,); the width."""
     r, wide, width = len(miss), jacobian.shape[1] * jacobian.shape[2], 0
     rows = jacobian.reshape(r, wide)
-    for g in range(len(groups)):
-        at = groups[g, 3]
-        for i in range(r):
-            for j in range(groups[g, 2]):
-                slopes[i, width + j] = rows[i, at + j] if at < wide else extras[i, at - wide + j]
-        width += groups[g, 2]
+    for g in range(found):
+        at, columns = groups[g, 3], groups[g, 2]
+        if at < wide and columns == 6:
+            first, to = np.uint64(at), np.uint64(width)
+            for i in range(r):
+                for j in range(_SIX):
+                    slopes[i, to + j] = rows[i, first + j]
+        else:
+            for i in range(r):
+                for j in range(columns):
+                    slopes[i, width + j] = (
+                        rows[i, at + j] if at < wide else extras[i, at - wide + j]
+                    )
+        width += columns
     apply_into(sqrt_info, residual, miss)
     product(sqrt_info, slopes[:, :width], white[:, :width], 1.0, 0.0, False, False)
     return width
 
 
-@jit()
+@jit(inline=True)
+def _pull(weight, miss, white, first, columns, rhs, k, at):
+    """Take a group's share of the white slopes times the white residual off a right-hand side."""
+    if columns == 6:
+        column, a, b, c, d, e, f = np.uint64(first), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for y in range(len(miss)):
+            pull = weight * miss[y]
+            a, b = a + pull * white[y, column], b + pull * white[y, column + _ONE]
+            c, d = c + pull * white[y, column + _TWO], d + pull * white[y, column + _THREE]
+            e, f = e + pull * white[y, column + _FOUR], f + pull * white[y, column + _FIVE]
+        for x, value in enumerate((a, b, c, d, e, f)):
+            rhs[k, at + x] -= value
+        return
+    for y in range(len(miss)):
+        for x in range(columns):
+            rhs[k, at + x] -= weight * miss[y] * white[y, first + x]
+
+
+@jit(inline=True)
+def _add_six(weight, square, row, column, blocks, k, at, beside):
+    """Add a part (6, 6) of a square to one of a block; a row is read before it is written."""
+    for x in range(_SIX):
+        i, j = row + x, at + x
+        a, b, c = square[i, column], square[i, column + _ONE], square[i, column + _TWO]
+        d, e = square[i, column + _THREE], square[i, column + _FOUR]
+        f = square[i, column + _FIVE]
+        a, b = blocks[k, j, beside] + weight * a, blocks[k, j, beside + _ONE] + weight * b
+        c, d = blocks[k, j, beside + _TWO] + weight * c, blocks[k, j, beside + _THREE] + weight * d
+        e, f = blocks[k, j, beside + _FOUR] + weight * e, blocks[k, j, beside + _FIVE] + weight * f
+        blocks[k, j, beside], blocks[k, j, beside + _ONE], blocks[k, j, beside + _TWO] = a, b, c
+        blocks[k, j, beside + _THREE], blocks[k, j, beside + _FOUR] = d, e
+        blocks[k, j, beside + _FIVE] = f
+
+
+@jit(inline=True)
+def _add_part(weight, square, row, column, height, wide, blocks, k, at, beside):
+    """Add a part (height, wide) of a square to one of a block."""
+    if height == wide == 6:
+        _add_six(
+            weight, square, np.uint64(row), np.uint64(column), blocks, np.uint64(k), np.uint64(at),
+            np.uint64(beside),
+        )  # fmt: skip
+        return
+    for x in range(height):
+        for y in range(wide):
+            blocks[k, at + x, beside + y] += weight * square[row + x, column + y]
+
+
+@jit(inline=True)
 def add_factor(
     nodes, first_dof, jacobian, residual, sqrt_info, extras, weight, n_count, dof,
     begin, end, across, rhs_begin, rhs_end, slopes, white, miss, square, room,
 ):  # fmt: skip
     """Whiten a factor and add it to the blocks of intervals; the last five are scratch."""
-    r, count = len(residual), len(begin)
+    count, row = len(begin), 0
     k, found = _groups(nodes, first_dof, jacobian, extras, n_count, dof, count, room)
-    groups = room[:found]
-    width = _whitened(sqrt_info, jacobian, extras, residual, groups, slopes, white, miss)
-    live = white[:r, :width]
-    product(live, live, square[:width, :width], weight, 0.0, True, False)
-    row = 0
+    width = _whitened(sqrt_info, jacobian, extras, residual, room, found, slopes, white, miss)
+    live = white[: len(residual), :width]
+    product(live, live, square[:width, :width], 1.0, 0.0, True, False)
     for a in range(found):
-        late, at, height = groups[a, 0], groups[a, 1], groups[a, 2]
-        rhs, column = rhs_end[k] if late else rhs_begin[k], 0
-        for y in range(r):
-            pull = weight * miss[y]
-            for x in range(height):
-                rhs[at + x] -= pull * white[y, row + x]
+        late, at, height, column = room[a, 0], room[a, 1], room[a, 2], 0
+        _pull(weight, miss, white, row, height, rhs_end if late else rhs_begin, k, at)
         for b in range(found):
-            beside, wide = groups[b, 1], groups[b, 2]
-            if groups[b, 0] <= late:
-                block = begin[k]
+            beside, wide = room[b, 1], room[b, 2]
+            if room[b, 0] <= late:
+                blocks = begin
                 if late:
-                    block = end[k] if groups[b, 0] else across[k]
-                for x in range(height):
-                    for y in range(wide):
-                        block[at + x, beside + y] += square[row + x, column + y]
+                    blocks = end if room[b, 0] else across
+                _add_part(weight, square, row, column, height, wide, blocks, k, at, beside)
             column += wide
         row += height
 
@@ -169,23 +214,23 @@ def squared_innovations(
     for n in range(m):
         i = which[n]
         k, found = _groups(nodes[i], first_dof, jacobian[i], extras[i], n_count, dof, count, room)
-        groups, column = room[:found], 0
+        column = 0
         width = _whitened(
-            sqrt_info[i], jacobian[i], extras[i], residual[i], groups, slopes, white, miss[n]
+            sqrt_info[i], jacobian[i], extras[i], residual[i], room, found, slopes, white, miss[n]
         )
         live, first = _live(white[:, :width], miss[n]), min(first, k)
         begins[n + 1] = begins[n] + live
         for g in range(found):
-            slab, at = k + groups[g, 0], groups[g, 1]
+            slab, at = k + room[g, 0], room[g, 1]
             for y in range(live):
-                for x in range(groups[g, 2]):
+                for x in range(room[g, 2]):
                     rows[slab, begins[n] + y, at + x] = white[y, column + x]
                     miss[n, y] += white[y, column + x] * step[slab, at + x]
-            column += groups[g, 2]
+            column += room[g, 2]
     return _squared(rows[first:], begins, inverse, coupling, slot[first:], miss, weight)
 
 
-@jit()
+@jit(inline=True)
 def _live(white, miss):
     """How many rows come before those at the end of which nothing depends on the state."""
     live = len(white)
@@ -194,7 +239,7 @@ def _live(white, miss):
     return live
 
 
-@jit()
+@jit(inline=True)
 def _explained(rows, root, out):
     """Rows times the transpose of a lower triangular root, where rows hold few numbers."""
     low, high = rows.shape[1], 0
@@ -207,7 +252,7 @@ def _explained(rows, root, out):
         product(rows[:, low:high], root[low:, low:high], out[:, low:], 1.0, 0.0, False, True)
 
 
-@jit()
+@jit(inline=True)
 def _squared(rows, begins, inverse, coupling, slot, miss, weight):
     """Squares (M,) from white rows (K, ·, D), residuals (M, r) at the solution and weights."""
     m, r = miss.shape
@@ -244,7 +289,7 @@ def _squared(rows, begins, inverse, coupling, slot, miss, weight):
     return out
 
 
-@jit()
+@jit(inline=True)
 def at_nodes_into(by_state, jacobian, left, cov, out, whitener):
     """Slopes (r, c, d) of a residual by nodes, into zeros, and what whitens it: see `at_nodes`."""
     r, dof = by_state.shape

@@ -17,14 +17,17 @@ from glissando._kernels.lie import (
     squared_angle,
     times_into,
 )
+from glissando._kernels.scratch import cube, matrix, vector, zero_matrix, zero_vector
 
 _RULES = [np.polynomial.legendre.leggauss(n) for n in (4, 5, 6)]
 _NODES = np.array([np.resize(0.5 * (nodes + 1.0), 6) for nodes, _ in _RULES])
 _WEIGHTS = np.array([np.resize(0.5 * weights, 6) for _, weights in _RULES])
+MOST = 48  # rows of a matrix whose inverse root is found in one piece
+_ZERO, _ONE, _TWO = (np.uint64(i) for i in range(3))  # need no check of bounds
 _FEW, _SOME = 0.02**2, 0.2**2  # squared angles up to which 4 and 5 nodes miss less than 1e-12
 
 
-@jit()
+@jit(inline=True)
 def apply_into(matrix, vector, out):
     """The product of a matrix and a vector, into `out`."""
     for i in range(matrix.shape[0]):
@@ -33,41 +36,59 @@ def apply_into(matrix, vector, out):
             out[i] += matrix[i, k] * vector[k]
 
 
-@jit()
+@jit(inline=True)
 def whiten_into(cov, out):
     """W with Wᵀ W = cov⁻¹, lower triangular: the inverse of the Cholesky factor."""
     if not inverse_root_into(cov, out):
         raise np.linalg.LinAlgError("Matrix is not positive definite")
 
 
-@jit()
+@jit(inline=True)
 def inverse_root_into(cov, out):
-    """The same, and whether there is one. An exception would keep a kernel's arrays forever."""
-    n = len(cov)
+    """The same, and whether there is one. An exception would keep a kernel's arrays forever.
+
+    By elimination of [A, 1], two pivots at a time: row j of `room` holds L⁻¹ before column j and
+    what is left of A from there on. Whole rows are added, as that is faster than their live parts:
+    what a row holds between is overwritten when its column is eliminated. Of at most `MOST` rows;
+    only the lower triangle of `cov` is read.
+    """
+    n, room = np.uint64(len(cov)), matrix(MOST, MOST)
     for j in range(n):
-        for i in range(j):
-            out[i, j] = 0.0
-        for i in range(j, n):
-            value = cov[i, j]
-            for k in range(j):
-                value -= out[i, k] * out[j, k]
-            if i == j:
-                if not value > 0.0:
-                    return False
-                out[j, j] = sqrt(value)
-            else:
-                out[i, j] = value / out[j, j]
-    for j in range(n):
-        out[j, j] = 1.0 / out[j, j]
-        for i in range(j + 1, n):
-            value = 0.0
-            for k in range(j, i):
-                value -= out[i, k] * out[k, j]
-            out[i, j] = value / out[i, i]
+        for i in range(n):
+            room[j, i] = cov[i, j] if i >= j else 0.0
+    for first in range(_ZERO, n, _TWO):
+        second = first + _ONE
+        pivot = room[first, first]
+        if not pivot > 0.0:
+            return False
+        inverse, root = -1.0 / pivot, 1.0 / sqrt(pivot)
+        room[first, first] = 1.0
+        if second < n:
+            across = room[first, second] * inverse
+            for x in range(n):
+                room[second, x] += across * room[first, x]
+            room[second, first], pivot = across, room[second, second]
+            if not pivot > 0.0:
+                return False
+            later, room[second, second] = -1.0 / pivot, 1.0
+            for i in range(second + _ONE, n):
+                a, b = room[first, i] * inverse, room[second, i] * later
+                for x in range(n):
+                    room[i, x] += a * room[first, x] + b * room[second, x]
+                room[i, first], room[i, second] = a + b * across, b
+            _row_into(second, n, 1.0 / sqrt(pivot), room, out)
+        _row_into(first, n, root, room, out)
     return True
 
 
-@jit()
+@jit(inline=True)
+def _row_into(row, count, root, room, out):
+    """A row of the inverse, scaled, and zeros beyond the diagonal."""
+    for x in range(count):
+        out[row, x] = root * room[row, x] if x <= row else 0.0
+
+
+@jit(inline=True)
 def _add_square(turn, density, weight, out):
     """Add weight · M diag(density) Mᵀ of M = [A B; 0 A] to the lower triangle of `out` (6, 6)."""
     for i in range(3):
@@ -85,11 +106,11 @@ def _add_square(turn, density, weight, out):
                 out[3 + i, 3 + j] += weight * low
 
 
-@jit()
+@jit(inline=True)
 def process_into(rate, step, psd, carried_psd, jump, rigid, cov, carried):
     """Noise of an interval; `cov` (12, 12) and `carried` (6, 6) are written."""
-    m, m2, m3, m4 = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
-    lever, ride, mean, angle = np.empty((6, 6)), np.empty((6, 6)), np.zeros(5), squared_angle(rate)
+    m, m2, m3, m4 = matrix(6, 6), matrix(6, 6), matrix(6, 6), matrix(6, 6)
+    lever, ride, mean, angle = matrix(6, 6), matrix(6, 6), zero_vector(5), squared_angle(rate)
     for i in range(6):
         for j in range(6):
             cov[i, j] = cov[6 + i, 6 + j] = carried[i, j] = 0.0
@@ -130,7 +151,7 @@ def process_into(rate, step, psd, carried_psd, jump, rigid, cov, carried):
             carried[i, i] = step * carried_psd[i]
 
 
-@jit()
+@jit(inline=True)
 def middle_into(rate0, rate1, step, psd, jump, out):
     """The rate (6,) about which a step is linearised: the mean, less the jump at its end."""
     for i in range(6):
@@ -138,7 +159,7 @@ def middle_into(rate0, rate1, step, psd, jump, out):
         out[i] = rate0[i] + share * (rate1[i] - rate0[i])
 
 
-@jit()
+@jit(inline=True)
 def _condition(near, cross, root, gain, cov):
     """Gain = crossᵀ whole⁻¹ and cov = near − gain cross, with the whitener `root` of the whole."""
     n = len(near)
@@ -151,10 +172,10 @@ def _condition(near, cross, root, gain, cov):
     product(half, half, cov, -1.0, 1.0, True, False)
 
 
-@jit()
+@jit(inline=True)
 def transition_of_pair_into(rate, step, out):
     """Φ(step) (12, 12) of [pose error, rate error] about a constant rate."""
-    x, pose, block = np.empty(6), np.empty((4, 4)), np.empty((6, 6))
+    x, pose, block = vector(6), matrix(4, 4), matrix(6, 6)
     for j in range(6):
         x[j] = step * rate[j]
     right_jacobian_into(x, block)
@@ -170,14 +191,14 @@ def transition_of_pair_into(rate, step, out):
             out[i, j] = block[i, j]
 
 
-@jit()
+@jit(inline=True)
 def bridge_into(
     rate, step, offset, psd, carried_psd, jump, rigid, gain, cov, carried_gain, carried_cov
 ):
     """Bridge at `offset` into a step: gains and covariances of pair (12, 12), carried (6, 6)."""
-    rest, jumps, phi = step - offset, np.zeros((2, 6)), np.empty((12, 12))
-    noise, carried, cross = np.empty((2, 12, 12)), np.empty((2, 6, 6)), np.empty((12, 12))
-    root, root6, cross6 = np.zeros((12, 12)), np.empty((6, 6)), np.empty((6, 6))
+    rest, jumps, phi = step - offset, zero_matrix(2, 6), matrix(12, 12)
+    noise, carried, cross = cube(2, 12, 12), cube(2, 6, 6), matrix(12, 12)
+    root, root6, cross6 = zero_matrix(12, 12), matrix(6, 6), matrix(6, 6)
     transition_of_pair_into(rate, rest, phi)
     for j in range(6):
         jumps[1, j] = jump[j]
@@ -209,10 +230,10 @@ def sqrt_information(cov):
     return out
 
 
-@jit()
+@jit(inline=True)
 def pair_whiten_into(cov, out):
     """Whitener (12, 12) of a covariance whose last block is diagonal, into zeros."""
-    corner, root, slope = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
+    corner, root, slope = matrix(6, 6), matrix(6, 6), matrix(6, 6)
     for j in range(6):
         spread = 1.0 / cov[6 + j, 6 + j]
         out[6 + j, 6 + j] = sqrt(spread)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from glissando._kernels.jit import jit
+from glissando._kernels.scratch import matrix, vector
 
 
 @jit()
@@ -27,9 +28,9 @@ def tip_error(pose, fields, stiffness, rest, weight, center):
     """See `model.priors.mechanical.tip.tip_error`; `weight` (M, 3) is the tool's in the world."""
     m = len(pose)
     error, jacobian = np.empty((m, 12)), np.zeros((m, 12, 24))
-    force, heavy, turning = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
-    lever, by_turn, spin = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
-    leant = np.empty((3, 3))
+    force, heavy, turning = vector(3), matrix(3, 3), matrix(3, 3)
+    lever, by_turn, spin = matrix(3, 3), matrix(3, 3), matrix(3, 3)
+    leant = matrix(3, 3)
     _hat_into(center, lever)
     for n in range(m):
         for i in range(3):

@@ -19,6 +19,7 @@ from glissando._kernels.lie import (
     right_jacobian_inverse_into,
     times_into,
 )
+from glissando._kernels.scratch import matrix, vector, zero_vector
 
 POSE, COIL, POSITION, ORIENTATION, GYRO, STRAIN = range(6)
 ROWS = (6, 5, 3, 3, 3, 6)
@@ -28,8 +29,8 @@ ROWS = (6, 5, 3, 3, 3, 6)
 @jit()
 def _pose_into(values, there, rolls, error):
     """Error (6,) of a measured pose `there`; if it rolls, its roll is first turned to agree."""
-    measured, apart, roll = np.empty((4, 4)), np.empty((4, 4)), np.zeros(6)
-    turn, turned = np.eye(4), np.empty((4, 4))
+    measured, apart, roll = matrix(4, 4), matrix(4, 4), zero_vector(6)
+    turn, turned = np.eye(4), matrix(4, 4)
     for i in range(16):
         measured[i // 4, i % 4] = values[i]
     ahead_into(measured, there, apart)
@@ -43,7 +44,7 @@ def _pose_into(values, there, rolls, error):
 @jit()
 def _pose_slopes(error, back, rolls, by_state):
     """Slopes of that error by the pose; of one that rolls, less the roll that follows it."""
-    spread, whole, opposite = np.empty((6, 6)), np.empty((6, 6)), np.empty(6)
+    spread, whole, opposite = matrix(6, 6), matrix(6, 6), vector(6)
     right_jacobian_inverse_into(error, spread)
     times_into(spread, back, whole)
     if rolls:  # that by a roll before the error; J_l(x) is J_r(−x)
@@ -59,7 +60,7 @@ def _pose_slopes(error, back, rolls, by_state):
 @jit()
 def _orientation_into(values, there, back, residual, by_state):
     """The rotation vector from the measured orientation to that of a pose, and its slopes."""
-    turn, error, spread = np.eye(4), np.empty(6), np.empty((6, 6))
+    turn, error, spread = np.eye(4), vector(6), matrix(6, 6)
     for i in range(3):
         for j in range(3):
             turn[i, j] = 0.0
@@ -78,7 +79,7 @@ def _orientation_into(values, there, back, residual, by_state):
 @jit()
 def sense_into(kind, values, mount, pose, strain, velocity, residual, by_state):
     """Residual of a reading (6,) and its slope (6, 18) by the state, both into zeros."""
-    there, back = np.empty((4, 4)), np.empty((6, 6))
+    there, back = matrix(4, 4), matrix(6, 6)
     if kind == STRAIN:
         for i in range(6):
             residual[i], by_state[i, 6 + i] = strain[i] - values[i], 1.0

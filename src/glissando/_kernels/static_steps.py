@@ -6,6 +6,7 @@ import numpy as np
 
 from glissando._kernels.jit import jit
 from glissando._kernels.process import middle_into, pair_whiten_into, process_into
+from glissando._kernels.scratch import matrix, vector
 from glissando._kernels.steps import pair_into
 
 
@@ -14,8 +15,8 @@ def static_steps(pose, strain, nodes, step, psd, jump, rigid):
     """Errors (M, 12) of steps that hold still, Jacobians (M, 12, 2, 12), whiteners (M, 12, 12)."""
     m = len(step)
     error, jacobian, info = np.empty((m, 12)), np.zeros((m, 12, 2, 12)), np.zeros((m, 12, 12))
-    back, pull, spread = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
-    middle, cov, unused = np.empty(6), np.empty((12, 12)), np.empty((6, 6))
+    back, pull, spread = matrix(6, 6), matrix(6, 6), matrix(6, 6)
+    middle, cov, unused = vector(6), matrix(12, 12), matrix(6, 6)
     for n in range(m):
         a, b, h = nodes[n, 0], nodes[n, 1], step[n]
         pair_into(pose[a], pose[b], strain[a], strain[b], h, error[n], back, pull, spread)

@@ -22,6 +22,7 @@ from glissando._kernels.process import (
     transition_of_pair_into,
     whiten_into,
 )
+from glissando._kernels.scratch import matrix, vector, zero_matrix, zero_vector
 from glissando._kernels.steps import pair_point_into
 
 
@@ -66,7 +67,7 @@ def chain(scale, steps, error, jacobian, cov, paired):
     m, r, wide = len(steps) * count, rows // 2, c * dof
     out, slopes = np.empty((m, rows, 1)), np.zeros((m, rows, 2, wide))
     info, mean, root = np.empty((m, rows, rows)), np.empty((r, r)), np.zeros((r, r))
-    fade, shrink, none = np.empty((2, 2)), np.empty((2, 2)), np.zeros((rows, wide))
+    fade, shrink, none = matrix(2, 2), matrix(2, 2), np.zeros((rows, wide))
     inner = jacobian.reshape(len(error), count, rows, wide)
     for k in range(len(steps)):
         transition_into(scale, steps[k], fade)
@@ -121,10 +122,10 @@ def between(scale, poses, fields, step, offset, rest, inner):
     m, c, dof = len(step), inner.shape[2], inner.shape[3]
     pose, strain, velocity = np.empty((m, 4, 4)), np.empty((m, 6)), np.empty((m, 6))
     slopes, left = np.empty((m, 18, 2 * c * dof)), np.empty((m, 2, 2))
-    fading, rising, turn = np.empty((2, 2)), np.empty((2, 2)), np.empty((6, 6))
-    gain, eye, wide = np.empty((12, 12)), np.eye(6), c * dof
+    fading, rising, turn = matrix(2, 2), matrix(2, 2), matrix(6, 6)
+    gain, eye, wide = matrix(12, 12), np.eye(6), c * dof
     for n in range(m):
-        j0, j1 = np.zeros((18, 24)), np.zeros((18, 24))
+        j0, j1 = zero_matrix(18, 24), zero_matrix(18, 24)
         early, late = fields[n], fields[m + n]
         bridge_into(scale, step[n], offset[n], fading, rising, left[n])
         kron_into(rising, eye, gain)
@@ -153,7 +154,7 @@ def left_over(scale, velocity, through, section, along):
     Returns:
         Covariances (M, 18, 18) of pose, strain and the body's velocity.
     """
-    m, whole, curl = len(velocity), np.zeros((2, 2)), np.empty((6, 6))
+    m, whole, curl = len(velocity), zero_matrix(2, 2), matrix(6, 6)
     whole[0, 0], whole[1, 1] = 1.0, 3.0 / scale**2
     out = np.empty((m, 18, 18))
     for n in range(m):
@@ -172,7 +173,7 @@ def left_over(scale, velocity, through, section, along):
 @jit()
 def _onward_into(rate, step, psd, jump, before, out):
     """Covariance (12, 12) of a cross-section `step` beyond one with the covariance `before`."""
-    phi, half, carried = np.empty((12, 12)), np.empty((12, 12)), np.empty((6, 6))
+    phi, half, carried = matrix(12, 12), matrix(12, 12), matrix(6, 6)
     transition_of_pair_into(rate, step, phi)
     process_into(rate, step, psd, psd, jump, False, out, carried)
     product(phi, before, half, 1.0, 0.0, False, False)
@@ -196,7 +197,7 @@ def sections(strain, lengths, psd, jump, base, k, n, offset):
     count, first = len(lengths), k.min()
     known = np.zeros(k.max() + 1 - first, np.bool_)
     cov = np.empty((len(known), count + 1, 12, 12))
-    out, middle, smooth = np.empty((len(k), 12, 12)), np.empty(6), np.zeros(6)
+    out, middle, smooth = np.empty((len(k), 12, 12)), vector(6), zero_vector(6)
     for i in range(len(k)):
         shape, at = cov[k[i] - first], strain[k[i]]
         if not known[k[i] - first]:

@@ -31,6 +31,7 @@ from glissando._kernels.process import (
     process_into,
     whiten_into,
 )
+from glissando._kernels.scratch import matrix, vector
 
 
 @jit()
@@ -39,9 +40,9 @@ def pair_into(start, end, rate0, rate1, step, error, back, pull, spread):
 
     In the order [pose, rate]; the three blocks (6, 6) are written.
     """
-    scaled, xi = np.empty(6), np.empty(6)
-    ahead, miss, pose = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
-    a, b = np.empty((6, 6)), np.empty((6, 6))
+    scaled, xi = vector(6), vector(6)
+    ahead, miss, pose = matrix(4, 4), matrix(4, 4), matrix(4, 4)
+    a, b = matrix(6, 6), matrix(6, 6)
     for i in range(6):
         scaled[i] = -step * rate0[i]
     ahead_into(start, end, ahead)
@@ -76,8 +77,8 @@ def _carried(start, end, field0, field1, at, rigid, error, j0, j1):
             j0[i, at + i], error[i] = -1.0, field1[i] - field0[i]
     if not rigid:
         return
-    pose, ride, curl, lean = np.empty((4, 4)), np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
-    ridden = np.empty(6)
+    pose, ride, curl, lean = matrix(4, 4), matrix(6, 6), matrix(6, 6), matrix(6, 6)
+    ridden = vector(6)
     ahead_into(end, start, pose)
     adjoint_into(pose, ride)
     apply_into(ride, field0, ridden)
@@ -96,9 +97,9 @@ def step_into(
     jump, at, carried_at, rigid, error, slopes, info, lost, lost_slopes, lost_info,
 ):  # fmt: skip
     """Errors (12,), (6,) of a step, slopes (r, 2, 18), whiteners (r, r); the pair's into zeros."""
-    back, pull, spread = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
-    middle, cov, carried_cov = np.empty(6), np.empty((12, 12)), np.empty((6, 6))
-    c0, c1 = np.empty((6, 18)), np.empty((6, 18))
+    back, pull, spread = matrix(6, 6), matrix(6, 6), matrix(6, 6)
+    middle, cov, carried_cov = vector(6), matrix(12, 12), matrix(6, 6)
+    c0, c1 = matrix(6, 18), matrix(6, 18)
     pair_into(pose0, pose1, rate0, rate1, step, error, back, pull, spread)
     _carried(pose0, pose1, field0, field1, carried_at, rigid, lost, c0, c1)
     for i in range(6):
@@ -145,7 +146,7 @@ def weighted_steps(
 @jit()
 def _pair_covariance(turn, cov, at, left):
     """Covariance of pose and rate given both ends, of a pose that `turn` bends, into zeros."""
-    half, square = np.empty((6, 12)), np.empty((6, 6))
+    half, square = matrix(6, 12), matrix(6, 6)
     product(turn, cov[0:6], half, 1.0, 0.0, False, False)
     product(half[:, 0:6], turn, square, 1.0, 0.0, False, True)
     for i in range(6):
@@ -161,8 +162,8 @@ def _onward(start, rate, offset, delta, pose, turn, back, pull):
 
     By the bend (`turn`), the start (`back`) and the rate (`pull`), all (6, 6).
     """
-    ahead, bend, there = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
-    unbend, a, scaled = np.empty((6, 6)), np.empty((6, 6)), np.empty(6)
+    ahead, bend, there = matrix(4, 4), matrix(4, 4), matrix(4, 4)
+    unbend, a, scaled = matrix(6, 6), matrix(6, 6), vector(6)
     for i in range(6):
         scaled[i] = offset * rate[i]
     exp_into(scaled, ahead)
@@ -187,9 +188,9 @@ def pair_point_into(start, end, rate0, rate1, step, offset, gain, at, pose, rate
     T(u) = T₀ exp(u rate₀) exp(δ), with [δ; δ_rate] = gain e, `gain` (12, 12); the slopes come as
     zeros, and J_r(δ) is written to `turn`.
     """
-    error, delta = np.empty(12), np.empty(12)
-    slopes, bent = np.empty((6, 18)), np.empty((12, 24))
-    back, pull, curved = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 24))
+    error, delta = vector(12), vector(12)
+    slopes, bent = matrix(6, 18), matrix(12, 24)
+    back, pull, curved = matrix(6, 6), matrix(6, 6), matrix(6, 24)
     pair_into(start, end, rate0, rate1, step, error, back, pull, turn)
     for i in range(6):
         for j in range(6):
@@ -215,8 +216,8 @@ def pair_point_into(start, end, rate0, rate1, step, offset, gain, at, pose, rate
 @jit()
 def _ride(pose, start, field0, at, field, j0, j1, left):
     """Add the field that rides from the start of a step to a pose, which turns it."""
-    there, ride = np.empty((4, 4)), np.empty((6, 6))
-    curl, lean, ridden = np.empty((6, 6)), np.empty((6, 6)), np.empty(6)
+    there, ride = matrix(4, 4), matrix(6, 6)
+    curl, lean, ridden = matrix(6, 6), matrix(6, 6), vector(6)
     ahead_into(pose, start, there)
     adjoint_into(there, ride)
     apply_into(ride, field0, ridden)
@@ -247,7 +248,7 @@ def _carried_point(
             field[i] = field0[i] + share * (field1[i] - field0[i])
             j0[at + i, at + i], j1[at + i, at + i] = 1.0 - share, share
         return
-    lost, c0, c1 = np.empty(6), np.empty((6, 18)), np.empty((6, 18))
+    lost, c0, c1 = vector(6), matrix(6, 18), matrix(6, 18)
     _carried(start, end, field0, field1, at, rigid, lost, c0, c1)
     apply_into(gain, lost, field)
     product(gain, c0, j0[at : at + 6], 1.0, 0.0, False, False)
@@ -261,8 +262,8 @@ def bridged_into(
     at, carried_at, rigid, pose, rate, field, j0, j1, left,
 ):  # fmt: skip
     """State inside a step; slopes (18, 18) by both ends and covariance given both, into zeros."""
-    gain, cov, turn = np.empty((12, 12)), np.empty((12, 12)), np.empty((6, 6))
-    carried_gain, carried_cov = np.empty((6, 6)), np.empty((6, 6))
+    gain, cov, turn = matrix(12, 12), matrix(12, 12), matrix(6, 6)
+    carried_gain, carried_cov = matrix(6, 6), matrix(6, 6)
     bridge_into(
         about, step, offset, psd, carried_psd, jump, rigid, gain, cov, carried_gain, carried_cov
     )

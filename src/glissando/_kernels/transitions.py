@@ -6,6 +6,7 @@ import numpy as np
 
 from glissando._kernels.jit import jit
 from glissando._kernels.process import bridge_into, pair_whiten_into, process_into
+from glissando._kernels.scratch import matrix
 
 
 @jit("(f8[:,::1], f8[::1], f8[:,::1], f8[:,::1], f8[:,::1], b1)")
@@ -22,7 +23,7 @@ def bridge(rate, step, offset, psd, jump, rigid):
     """Gains and covariances (M, 12, 12) of the pair, whatever is carried."""
     m = len(rate)
     gain, cov = np.empty((m, 12, 12)), np.empty((m, 12, 12))
-    unused, unused_too = np.empty((6, 6)), np.empty((6, 6))
+    unused, unused_too = matrix(6, 6), matrix(6, 6)
     for i in range(m):
         bridge_into(
             rate[i], step[i], offset[i], psd[i], psd[i], jump[i], rigid, gain[i], cov[i],

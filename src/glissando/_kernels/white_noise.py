@@ -15,6 +15,7 @@ from glissando._kernels.jit import jit
 from glissando._kernels.lie import ahead_into, log_into, right_jacobian_inverse_into
 from glissando._kernels.normal_equations import SUMS, add_factor, at_nodes_into
 from glissando._kernels.process import apply_into
+from glissando._kernels.scratch import cube, matrix, vector, zero_cube, zero_matrix
 from glissando._kernels.sensors import sense_into
 from glissando._kernels.steps import step_into
 from glissando._kernels.white_noise_points import STATE, lines, point_into
@@ -29,7 +30,7 @@ WIDTH = 21
 @jit()
 def _base_into(pose, strain, velocity, base_pose, rest, error, slopes):
     """Error (18,) of a node from where it stands and rests; slopes (18, 1, 18) into zeros."""
-    apart, spread = np.empty((4, 4)), np.empty((6, 6))
+    apart, spread = matrix(4, 4), matrix(6, 6)
     ahead_into(base_pose, pose, apart)
     log_into(apart, error[:6])
     right_jacobian_inverse_into(error[:6], spread)
@@ -47,11 +48,11 @@ def _add_prior(
 ):  # fmt: skip
     """Add all factors between nodes, and those of a base of densities (18,), if it has any."""
     k_count, n_count = strain.shape[:2]
-    error, slopes, info = np.empty(12), np.zeros((12, 2, 18)), np.zeros((12, 12))
-    lost, lost_slopes, lost_info = np.empty(6), np.empty((6, 2, 18)), np.empty((6, 6))
-    base_error, base_slopes, base_info = np.empty(18), np.zeros((18, 1, 18)), np.zeros((18, 18))
-    room, none, node = np.empty((8, 4), np.int64), np.empty((18, 0)), np.empty(2, np.int64)
-    a, b, miss, square = np.empty((18, 36)), np.empty((18, 36)), np.empty(18), np.empty((36, 36))
+    error, slopes, info = vector(12), zero_cube(12, 2, 18), zero_matrix(12, 12)
+    lost, lost_slopes, lost_info = vector(6), cube(6, 2, 18), matrix(6, 6)
+    base_error, base_slopes, base_info = vector(18), zero_cube(18, 1, 18), zero_matrix(18, 18)
+    room, none, node = np.empty((8, 4), np.int64), matrix(18, 0), np.empty(2, np.int64)
+    a, b, miss, square = matrix(18, 36), matrix(18, 36), vector(18), matrix(36, 36)
     for k in range(k_count):
         for rigid in (True, False):
             count = n_count - 1 if rigid else n_count if k + 1 < k_count else 0
@@ -112,7 +113,7 @@ def _weight(loss, threshold, whitener, residual):
     """Weight of a reading under its loss."""
     if loss == 0.0:
         return 1.0
-    white = np.empty(6)
+    white = vector(6)
     apply_into(whitener, residual, white)
     norm = 0.0
     for i in range(6):
@@ -130,12 +131,12 @@ def _add_readings(
     m, n_count = len(which), len(arclength)
     nodes, slopes = np.zeros((m, 4), np.int64), np.zeros((m, 6, 4, 18))
     residual, whitener, weight = np.zeros((m, 6)), np.empty((m, 6, 6)), np.empty(m)
-    there, bend, motion = np.empty((4, 4)), np.empty(6), np.empty(6)
-    a, b, miss, square = np.empty((6, 72)), np.empty((6, 72)), np.empty(6), np.empty((72, 72))
-    room, none, cell = np.empty((14, 4), np.int64), np.empty((6, 0)), lines()
+    there, bend, motion = matrix(4, 4), vector(6), vector(6)
+    a, b, miss, square = matrix(6, 72), matrix(6, 72), vector(6), matrix(72, 72)
+    room, none, cell = np.empty((14, 4), np.int64), matrix(6, 0), lines()
     for i in range(m):
         row, at = rows[which[i]], which[i]
-        jacobian, left, by_state = np.zeros((18, 4, 18)), np.zeros((18, 18)), np.zeros((6, 18))
+        jacobian, left, by_state = zero_cube(18, 4, 18), zero_matrix(18, 18), zero_matrix(6, 18)
         n, ds, us = _cell(arclength, row[1])
         k, dt, ut = _cell(time, row[0])
         point_into(
@@ -153,6 +154,27 @@ def _add_readings(
             room,
         )  # fmt: skip
     return nodes, slopes, residual, whitener, weight
+
+
+@jit(
+    "(f8[:,::1], f8[:,:,::1], f8[:,:,::1], i8, i8, f8, f8, f8[::1], f8[::1], f8[::1], f8[:,:,::1],"
+    " f8[:,:,::1])"
+)
+def write_rows(
+    rows, mounts, covs, first, sensor, loss, threshold, time, arclength, values, mount, cov
+):  # fmt: skip
+    """Write readings of a sensor as rows from `first` on; one mount and covariance, or each."""
+    m, r = len(time), cov.shape[1]
+    width = len(values) // m
+    for i in range(m):
+        row, own = rows[first + i], covs[first + i]
+        row[0], row[1], row[2], row[3], row[4] = time[i], arclength[i], sensor, loss, threshold
+        row[5 : 5 + width] = values[i * width : i * width + width]
+        mounts[first + i] = mount[min(i, len(mount) - 1)]
+        own[:] = 0.0
+        for j in range(6):
+            own[j, j] = 1.0
+        own[:r, :r] = cov[min(i, len(cov) - 1)]
 
 
 @jit(

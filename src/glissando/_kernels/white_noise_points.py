@@ -10,6 +10,7 @@ import numpy as np
 from glissando._kernels.blas import product
 from glissando._kernels.jit import jit
 from glissando._kernels.process import middle_into
+from glissando._kernels.scratch import matrix, vector
 from glissando._kernels.steps import bridged_into
 
 STATE = "f8[:,:,:,::1], f8[:,:,::1], f8[:,:,::1]"
@@ -26,7 +27,7 @@ def _copy(matrix, out):
 @jit()
 def _carry(slope, inner, left, jacobian, first, cov):
     """Slopes by the ends (18, 18) of an arclength step, and its covariance, through `slope`."""
-    through, wide = np.empty((18, 18)), np.empty((18, 18))
+    through, wide = matrix(18, 18), matrix(18, 18)
     for i in range(2):
         product(slope, inner[i], through, 1.0, 0.0, False, False)
         for a in range(18):
@@ -61,7 +62,7 @@ def _on_line(
         for i in range(18):
             slopes[0, i, i] = 1.0
         return
-    density, middle = np.empty((3, 6)), np.empty(6)
+    density, middle = matrix(3, 6), vector(6)
     middle_into(about[k, n], about[k, n + 1], step, given[n, 0], given[n, 2], middle)
     for i in range(3):
         for j in range(6):
@@ -78,7 +79,7 @@ def _between(
     n, share, k, step, offset, about, given, spans, poses, fields, slopes, around
 ):  # fmt: skip
     """The state between two time nodes, third of all arrays, by those there, the first two."""
-    density, middle, span = np.empty((3, 6)), np.empty(6), spans[n]
+    density, middle, span = matrix(3, 6), vector(6), spans[n]
     _bridge_rate(k, n, share, about, middle)
     if share > 0.0:
         span += share * (spans[n + 1] - span)

@@ -37,7 +37,7 @@ def _known(blocks, vectors, own, older, end, rhs_end):
         behind[a], vectors[SCALE, own, a] = rhs_end[a], end[a, a]
         for b in range(a + 1):
             known[a, b] = end[a, b]
-    lower_product(coupling, coupling, known, -1.0, 1.0, True)
+    lower_product(coupling, coupling, known, -1.0, 1.0, True, False)
     less_coupled(coupling, vectors[SOLVED, older], behind)
 
 
@@ -60,7 +60,7 @@ def solve(blocks, vectors, slot, start, begin, end, across, rhs_begin, rhs_end, 
     The step (K, D) is that of all slabs. Returns what `factor` does.
     """
     d, count, vanished = begin.shape[1], len(slot), -1
-    schur, scale = np.zeros((d, d)), np.empty(d)
+    schur, scale, first = np.zeros((d, d)), np.empty(d), np.empty(d, np.int64)
     for k in range(start, count):
         own, i = slot[k], k - start
         if i:
@@ -71,7 +71,7 @@ def solve(blocks, vectors, slot, start, begin, end, across, rhs_begin, rhs_end, 
             return k if vanished < 0 else vanished
         if k + 1 < count:
             blocks[ACROSS, own, :, :] = across[i]
-            banded_product(inverse, across[i], blocks[COUPLING, own])
+            banded_product(inverse, across[i], blocks[COUPLING, own], first)
         forward_slab(inverse, vectors[SOLVED, own])
         if vanished < 0 and not has_information(inverse, scale):
             vanished = k

@@ -10,14 +10,13 @@ from numpy.typing import NDArray
 
 from glissando._kernels import sensors as kernels
 from glissando._kernels import white_noise
-from glissando._kernels.arrays import items
+from glissando._kernels.arrays import items, whole
 from glissando.geometry.se3 import Array
 from glissando.model.noise import GemanMcClure, Huber
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import DOF, State
 
 _ROOM = 64  # rows that memory is made for at first
-_EYE = np.eye(6)
 _LOSSES: dict[type, float] = {
     type(None): 0.0,
     Huber: white_noise.HUBER,
@@ -84,17 +83,14 @@ class ReadingRows:
         first, self.count = self.count, self.count + len(readings)
         if self.count > len(self.stream):
             self._keep(slice(0, first), room=2 * self.count)
-        own, r = slice(first, self.count), kernels.ROWS[readings.sensor]
-        rows, values = self._rows[own], readings.values
-        self.stream[own] = stream
-        rows[:, 0], rows[:, 1], rows[:, 2] = readings.time, readings.arclength, readings.sensor
-        rows[:, 3] = _LOSSES[type(readings.loss)]
-        rows[:, 4] = getattr(readings.loss, "threshold", 1.0)
-        rows[:, 5 : 5 + values[0].size] = values.reshape(len(values), -1)
-        self._mounts[own] = readings.mount
-        covs = self._covs[own]
-        covs[:] = _EYE
-        covs[:, :r, :r] = readings.cov
+        self.stream[first : self.count] = stream
+        loss = _LOSSES[type(readings.loss)], getattr(readings.loss, "threshold", 1.0)
+        fields = readings.time, readings.arclength, readings.values, readings.mount, readings.cov
+        time, arclength, values, mount, cov = map(whole, fields)
+        white_noise.write_rows(
+            *self.memory, first, readings.sensor, *loss, time, arclength, values.reshape(-1),
+            mount.reshape(-1, 4, 4), cov.reshape(-1, *cov.shape[-2:]),
+        )  # fmt: skip
 
     def keep(self, which: NDArray[np.bool_]) -> None:
         """Let all others go than those rows (M,)."""
@@ -122,5 +118,5 @@ def is_compiled(readings: Readings) -> TypeGuard[CompiledReadings]:
         and type(readings.loss) in _LOSSES
         and readings.channel is None
         and readings.beside is None
-        and not np.any(readings.arclength_std)
+        and not np.count_nonzero(readings.arclength_std)
     )
