@@ -79,11 +79,12 @@ def worker(name, data):
     _, _, robot, recording, window, nodes = TASKS[name]
     recording, robot = load_recording(Path(data) / recording), load_robot(robot)
     if nodes is None:
-        runs = (
-            run_estimate(recording, robot, window=window, use=None, truth=None)
-            for _ in range(1 + WARM)
-        )
-        return [run.posterior.solve.seconds["total"] for run in runs]
+        took = []
+        for _ in range(1 + WARM):
+            run = run_estimate(recording, robot, window=window, use=None, truth=None)
+            took.append(run.posterior.solve.seconds["total"])
+            del run  # its memory is the next one's
+        return took
     readings, _, _ = chosen_streams(recording, robot, window, None, None)
     smoother = FixedLagSmoother(robot.prior, robot.arclength_nodes, window=nodes)
     took, since = [], -np.inf
