@@ -168,7 +168,7 @@ def _with_curvature(
 ) -> tuple[Array, Array]:
     """Covariances as `node_covariances` gives, of the whole Hessian at a state with those found."""
     here = linearize_static(prior, located, state)
-    step = here.factored().solve(here.rhs.reshape(-1, STATIC_DOF)).reshape(here.rhs.shape)
+    step = here.cholesky.solve(here.rhs.reshape(-1, STATIC_DOF)).reshape(here.rhs.shape)
     std = np.sqrt(np.einsum("snii->sni", cov))
     added = curvature(lambda at: static_factors(prior, located, at), state, step, std)
     return node_covariances(replace(here, system=with_curvature(here, added)))

@@ -42,8 +42,7 @@ def iterate(prior: Prior, located: LocatedReadings, start: State, options: Solve
     here = linearize_static(prior, located, start)
     going, left = np.ones(len(here.rhs), dtype=bool), np.zeros(len(here.rhs), dtype=bool)
     for _ in range(options.max_iterations):
-        cholesky = here.factored()
-        solved = cholesky.solve(here.rhs.reshape(-1, STATIC_DOF)).reshape(here.rhs.shape)
+        solved = here.cholesky.solve(here.rhs.reshape(-1, STATIC_DOF)).reshape(here.rhs.shape)
         step = np.zeros((*grid.shape, start.dof))
         step[..., _DOFS] = solved * going[:, None, None]
         promise = np.sum(step[..., _DOFS] * here.rhs, axis=(1, 2))
@@ -81,9 +80,9 @@ def node_covariances(here: StaticEquations) -> tuple[Array, Array]:
     """Covariances of nodes (S, N, 12, 12), and of neighbours (S, N−1, 12, 12).
 
     Args:
-        here: Shapes where they are linearised.
+        here: Shapes where they are linearised; their factor is of no use afterwards.
     """
-    found, (count, n_count) = here.factored().marginals(consume=True), here.rhs.shape[:2]
+    found, (count, n_count) = here.cholesky.marginals(consume=True), here.rhs.shape[:2]
     cov = found.cov.reshape(count, n_count, STATIC_DOF, STATIC_DOF)
     cross = np.concatenate([found.cross, np.zeros((1, STATIC_DOF, STATIC_DOF))])
     return cov, cross.reshape(cov.shape)[:, :-1].copy()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -46,7 +47,8 @@ class StaticEquations:
             out += np.bincount(owner, cost, minlength=out.size)
         return out
 
-    def factored(self) -> Cholesky:
+    @cached_property
+    def cholesky(self) -> Cholesky:
         """The factor of the system.
 
         Raises:
