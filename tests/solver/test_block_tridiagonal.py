@@ -75,6 +75,40 @@ def test_marginals_are_blocks_of_the_dense_inverse(rng, count, size):
         np.testing.assert_allclose(marginals.cross[k], inverse[k, k + 1], atol=tolerance)
 
 
+def sparse_system(rng, count, size):
+    """One whose couplings hold numbers in a few rectangles, as those of neighbouring nodes do."""
+    lower = np.zeros((count - 1, size, size))
+    for block in lower:
+        for _ in range(rng.integers(4)):
+            rows, columns = (np.sort(rng.integers(size + 1, size=2)) for _ in range(2))
+            block[slice(*rows), slice(*columns)] = rng.standard_normal()
+    root = rng.standard_normal((count, size, size))
+    room = 2.0 * np.abs(lower).sum(axis=(1, 2)).max(initial=0.0) + 1.0
+    diagonal = root @ root.swapaxes(1, 2) + room * np.eye(size)
+    full = np.zeros((count, size, count, size))
+    full[range(count), :, range(count)] = diagonal
+    full[range(1, count), :, range(count - 1)] = lower
+    full[range(count - 1), :, range(1, count)] = lower.swapaxes(1, 2)
+    return BlockTridiagonal(diagonal, lower), full.reshape(count * size, -1)
+
+
+@law
+@given(generators, st.integers(2, 4), st.integers(1, 120))
+def test_couplings_of_few_numbers_are_solved_as_dense_ones(rng, count, size):
+    system, full = sparse_system(rng, count, size)
+    right, inverse = rng.standard_normal((count, size)), np.linalg.inv(full)
+    solved = factor(system)
+    expected = (inverse @ right.ravel()).reshape(count, size)
+    np.testing.assert_allclose(solved.solve(right), expected, atol=1e-9 * np.abs(expected).max())
+    marginals = solved.marginals(consume=True)
+    blocks = inverse.reshape(count, size, count, size).swapaxes(1, 2)
+    tolerance = 1e-9 * np.abs(inverse).max()
+    for k in range(count):
+        np.testing.assert_allclose(marginals.cov[k], blocks[k, k], atol=tolerance)
+    for k in range(count - 1):
+        np.testing.assert_allclose(marginals.cross[k], blocks[k, k + 1], atol=tolerance)
+
+
 @law
 @given(generators, counts, sizes)
 def test_the_covariance_of_what_depends_on_parts_is_that_of_the_dense_inverse(rng, count, size):

@@ -93,12 +93,12 @@ def turned_product(b, root, out):
 
 @jit()
 def _first_row(b, begin, end):
-    """The first row that holds a number in some columns."""
+    """The first row that holds a number in some columns; the last where none does."""
     for i in range(len(b)):
         for j in range(begin, end):
             if b[i, j] != 0.0:
                 return i
-    return len(b)
+    return len(b) - 1
 
 
 @jit()
