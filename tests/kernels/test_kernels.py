@@ -196,6 +196,13 @@ def test_motions_agree_at_any_angle(function, seed):
     same(function(*arguments), definition(function)(*arguments))
 
 
+@pytest.mark.parametrize("size", [1, 6, 7, 48, 49, 80])
+def test_residuals_of_any_number_of_rows_are_whitened(size):
+    rng = np.random.default_rng(size)
+    cov = spd(rng, (3,), size)
+    same(noise.sqrt_information(cov), oracles.factors.sqrt_information(cov))
+
+
 @pytest.mark.parametrize("name", ["sqrt_information", "pair_sqrt_information"])
 def test_both_refuse_what_is_no_covariance(name):
     cov = np.broadcast_to(np.eye(12), (2, 12, 12)).copy()

@@ -16,7 +16,7 @@ from glissando._kernels.blas import (
     turned_product,
 )
 from glissando._kernels.jit import jit
-from glissando._kernels.process import MOST, inverse_root_into
+from glissando._kernels.process import SMALL, inverse_root_into
 
 _PIVOT_FLOOR = 1e-13  # a pivot this small against its diagonal entry carries no information
 
@@ -28,7 +28,7 @@ def inverse_factor(a, out):
     Only the lower triangle of `a` is read, and its memory is used. Returns whether there is one.
     """
     n = len(a)
-    if n <= MOST:
+    if n <= SMALL:
         return inverse_root_into(a, out)
     h = n // 2
     side, top, below = a[h:n, 0:h], out[0:h, 0:h], out[h:n, 0:h]

@@ -22,7 +22,7 @@ from glissando._kernels.scratch import cube, matrix, vector, zero_matrix, zero_v
 _RULES = [np.polynomial.legendre.leggauss(n) for n in (4, 5, 6)]
 _NODES = np.array([np.resize(0.5 * (nodes + 1.0), 6) for nodes, _ in _RULES])
 _WEIGHTS = np.array([np.resize(0.5 * weights, 6) for _, weights in _RULES])
-MOST = 48  # rows of a matrix whose inverse root is found in one piece
+SMALL = 48  # rows of a matrix up to which elimination by rows is faster than by halves
 _ZERO, _ONE, _TWO = (np.uint64(i) for i in range(3))  # need no check of bounds
 _FEW, _SOME = 0.02**2, 0.2**2  # squared angles up to which 4 and 5 nodes miss less than 1e-12
 
@@ -47,12 +47,22 @@ def whiten_into(cov, out):
 def inverse_root_into(cov, out):
     """The same, and whether there is one. An exception would keep a kernel's arrays forever.
 
-    By elimination of [A, 1], two pivots at a time: row j of `room` holds L⁻¹ before column j and
-    what is left of A from there on. Whole rows are added, as that is faster than their live parts:
-    what a row holds between is overwritten when its column is eliminated. Of at most `MOST` rows;
-    only the lower triangle of `cov` is read.
+    Only the lower triangle of `cov` is read.
     """
-    n, room = np.uint64(len(cov)), matrix(MOST, MOST)
+    if len(cov) > SMALL:
+        return _eliminate(cov, np.empty(cov.shape), out)
+    return _eliminate(cov, matrix(SMALL, SMALL), out)
+
+
+@jit(inline=True)
+def _eliminate(cov, room, out):
+    """Eliminate [A, 1], two pivots at a time; returns whether all of them are positive.
+
+    Row j of `room` holds L⁻¹ before column j and what is left of A from there on. Whole rows are
+    added, as that is faster than their live parts: what a row holds between is overwritten when its
+    column is eliminated.
+    """
+    n = np.uint64(len(cov))
     for j in range(n):
         for i in range(n):
             room[j, i] = cov[i, j] if i >= j else 0.0
