@@ -6,6 +6,7 @@ from .estimation.fixed_lag import FixedLagSmoother
 from .estimation.posterior import Posterior, SolveReport, StateEstimate
 from .estimation.static import estimate_static
 from .estimation.static_posterior import StaticPosterior
+from .estimation.static_samples import sample_static
 from .evaluation.consistency import check
 from .evaluation.metrics import errors_against
 from .geometry import se3
@@ -71,6 +72,7 @@ __all__ = [
     "load_recording",
     "load_robot",
     "plan_slide",
+    "sample_static",
     "save_posterior",
     "save_view",
     "se3",

@@ -52,7 +52,8 @@ def estimate_static(
 
     The answer of each is that of `estimate` at a single moment, which also takes over shapes that
     this way does not lead to. With a mechanical prior covariances are those of the whole Hessian
-    (31), which `estimate` has without its curvature.
+    (31), which `estimate` has without its curvature. They are those about the shape that is found;
+    where the readings leave others far from it, `sample_static` draws them all.
 
     Args:
         prior: What is believed before any reading.

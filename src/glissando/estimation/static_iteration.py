@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,7 +24,13 @@ Solved = tuple[State, tuple[Array, Array], NDArray[np.bool_]]
 """States (S, N), their covariances and those of neighbours, and which shapes are left."""
 
 
-def iterate(prior: Prior, located: LocatedReadings, start: State, options: SolverOptions) -> Solved:
+def iterate(
+    prior: Prior,
+    located: LocatedReadings,
+    start: State,
+    options: SolverOptions,
+    noise: Sequence[Array] = (),
+) -> Solved:
     """Gauss–Newton steps of all shapes, straight on or bent: states, marginals, and who is left.
 
     A shape that neither way brings down is left, at rest, to those who can shorten and damp steps,
@@ -33,13 +41,14 @@ def iterate(prior: Prior, located: LocatedReadings, start: State, options: Solve
         located: Readings on a grid whose times are the numbers of the shapes.
         start: Shapes (S, N) to start from.
         options: When to stop.
+        noise: What is added to whitened residuals, see `linearize_static`.
 
     Raises:
         UnobservableError: Prior and readings leave a direction of a shape undetermined (or numpy's
             LinAlgError: a shape went so far off that it has no weights).
     """
     grid = located.grid
-    here = linearize_static(prior, located, start)
+    here = linearize_static(prior, located, start, noise)
     going, left = np.ones(len(here.rhs), dtype=bool), np.zeros(len(here.rhs), dtype=bool)
     for _ in range(options.max_iterations):
         solved = here.cholesky.solve(here.rhs.reshape(-1, STATIC_DOF)).reshape(here.rhs.shape)
@@ -51,18 +60,18 @@ def iterate(prior: Prior, located: LocatedReadings, start: State, options: Solve
         straight = here.state.retract(step)
         if not np.any(going):
             break
-        there = linearize_static(prior, located, straight)
+        there = linearize_static(prior, located, straight, noise)
         refused = going & ~_worthwhile(here, there, promise)
         for share in _SHARES:
             if not np.any(refused):
                 break
             bent = prior.bent(grid, here.state, share * step)
-            there = linearize_static(prior, located, _chosen(refused, bent, there.state))
+            there = linearize_static(prior, located, _chosen(refused, bent, there.state), noise)
             refused &= ~_worthwhile(here, there, share * promise)
         if np.any(refused):
             left, going = left | refused, going & ~refused
             state = _chosen(refused, prior.rest_state(grid), there.state)
-            there = linearize_static(prior, located, state)
+            there = linearize_static(prior, located, state, noise)
         here = there
     left |= going | implausible(prior, here.costs(here), _numbers_read(located))
     return here.state if np.any(going) else straight, node_covariances(here), left

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -63,13 +63,16 @@ class StaticEquations:
             ) from None
 
 
-def linearize_static(prior: Prior, located: LocatedReadings, state: State) -> StaticEquations:
+def linearize_static(
+    prior: Prior, located: LocatedReadings, state: State, noise: Sequence[Array] = ()
+) -> StaticEquations:
     """Prior and readings of every shape at a state, weights from its own strains.
 
     Args:
         prior: The prior.
         located: Readings on a grid whose times are the numbers of the shapes.
         state: Nodes (S, N) to linearise at.
+        noise: What is added to the whitened residuals (M, r) of each batch of factors.
 
     Raises:
         SensorError: A sensor reads a velocity, which a shape does not have, or the whole robot.
@@ -83,11 +86,20 @@ def linearize_static(prior: Prior, located: LocatedReadings, state: State) -> St
     n_count = located.grid.arclength.size
     builder = NormalEquationsBuilder.joined(Layout(1, STATIC_DOF), state.strain[..., 0].size)
     terms: list[tuple[Index, Residuals]] = []
-    for batch in static_factors(prior, located, state):
+    for i, batch in enumerate(static_factors(prior, located, state)):
+        if noise:
+            batch = _with_noise(batch, noise[i])
         builder.accumulate(batch)
         terms.append((batch.nodes[:, 0] // n_count, batch.terms))
     rhs = builder.rhs_begin.reshape(*state.strain.shape[:2], STATIC_DOF)
     return StaticEquations(state, builder.system(), rhs, terms)
+
+
+def _with_noise(batch: Factors, white: Array) -> Factors:
+    """The batch with noise (M, r) added to its whitened residuals."""
+    terms = batch.terms
+    added = np.linalg.solve(terms.sqrt_info, white[..., None])[..., 0]
+    return replace(batch, terms=replace(terms, residual=terms.residual + added))
 
 
 def static_factors(prior: Prior, located: LocatedReadings, state: State) -> Iterator[Factors]:

@@ -1,0 +1,100 @@
+"""Shapes of one moment that are read at the tip alone: what a Gaussian claims, and draws.
+
+Shapes are drawn from the prior of a robot file with [base] and a separable prior; each is estimated
+from what a sensor at its tip reads, by `estimate` and by `sample_static`. Printed are shares inside
+95 % and mean squared errors by what is claimed for them (1 if true), in the middle and at the tip.
+Usage: one_moment.py [--robot FILE] [--shapes N] [--draws N]
+"""
+
+import argparse
+import os
+import warnings
+
+for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ[name] = "1"
+
+import numpy as np
+from scipy.stats import chi2
+
+from glissando import (
+    CoilReadings,
+    Grid,
+    PositionReadings,
+    estimate,
+    load_robot,
+    sample_static,
+)
+from glissando.evaluation.prior_predictive import PriorPredictive
+from glissando.model.state import State
+
+LAYOUTS = {
+    "position": lambda at: PositionReadings(**at, values=np.zeros((1, 3)), cov=1e-6),
+    "coil": lambda at: CoilReadings(**at, values=np.eye(4)[None], cov=[1e-6] * 3 + [1e-4] * 2),
+}
+METHODS = "`estimate`", "`sample_static`"
+PARTS = {"position": slice(0, 3), "rotation": slice(3, 6)}
+
+
+def squared(error, mean, cov):
+    """Squared errors of position and rotation by a covariance of both (6, 6)."""
+    miss = error[:6] - mean[:6]
+    return [miss[p] @ np.linalg.solve(cov[p, p], miss[p]) for p in PARTS.values()]
+
+
+def of_draws(shapes, truth):
+    """The same by draws (S,) of the state at a place."""
+    first = shapes.take(slice(0, 1))
+    apart = shapes.difference(first)[:, :6]
+    error = truth.take(np.newaxis).difference(first)[0]
+    return squared(error, apart.mean(axis=0), np.cov(apart.T) + 1e-12 * np.eye(6))
+
+
+def judged(robot, layout, shapes, draws):
+    """Squared errors (shapes, 2 methods, 2 places, 2 parts)."""
+    grid = Grid(robot.arclength_nodes, [0.0])
+    predictive = PriorPredictive(robot, grid, [layout])
+    rows = []
+    for seed in range(shapes):
+        session = predictive.draw(np.random.default_rng([1, seed]))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            posterior = estimate(robot.prior, grid, session.readings)
+        drawn = sample_static(
+            robot.prior, grid.arclength, session.readings, size=draws,
+            rng=np.random.default_rng(seed),
+        )  # fmt: skip
+        row = ([], [])
+        for n in (grid.arclength.size // 2, grid.arclength.size - 1):
+            fine = int(np.argmin(np.abs(predictive.fine.arclength - grid.arclength[n])))
+            truth, at = session.truth.take((0, fine)), posterior.at(grid.arclength[n], 0.0)
+            error = truth.difference(State(at.pose, at.strain, at.velocity))
+            row[0].append(squared(error, np.zeros(6), at.cov))
+            row[1].append(of_draws(drawn.take((slice(None), n)), truth))
+        rows.append(row)
+    return np.array(rows)
+
+
+def main():
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--robot", default="tdcr466-segments")
+    parser.add_argument("--shapes", type=int, default=100)
+    parser.add_argument("--draws", type=int, default=100)
+    options = parser.parse_args()
+    robot = load_robot(options.robot)
+    print("| read at the tip | | middle, position | rotation | tip, position | rotation |")
+    print("|---|---|---|---|---|---|")
+    for name, layout in LAYOUTS.items():
+        tip = {"time": [0.0], "arclength": [robot.length]}
+        errors = judged(robot, layout(tip), options.shapes, options.draws)
+        for method, each in zip(METHODS, errors.swapaxes(0, 1), strict=True):
+            flat = each.reshape(options.shapes, -1)
+            inside = 100.0 * np.mean(flat <= chi2.ppf(0.95, 3), axis=0)
+            nees = flat.mean(axis=0) / 3.0
+            cells = (f"{i:.0f} %, {m:.2g}" for i, m in zip(inside, nees, strict=True))
+            print(f"| {name} | {method} | {' | '.join(cells)} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()

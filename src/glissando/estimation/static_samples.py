@@ -1,0 +1,121 @@
+"""Shapes that could have given the readings of one moment, where no Gaussian describes them.
+
+A robot that bends widely and is read at few places may have had shapes far apart, along a curve or
+in several places, of which an estimate finds one and its covariance describes the neighbourhood.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from glissando._kernels.threads import one_thread
+from glissando.errors import GlissandoError
+from glissando.estimation.given import require_model, require_streams
+from glissando.estimation.static_iteration import iterate
+from glissando.model.grid import Grid
+from glissando.model.priors.mechanical.prior import MechanicalPrior
+from glissando.model.priors.prior import Prior
+from glissando.model.priors.static import STATIC_DOF
+from glissando.model.sensors.readings import Readings
+from glissando.model.state import State, concatenate
+from glissando.solver.gauss_newton import SolverOptions
+from glissando.solver.located_readings import LocatedReadings, locate
+from glissando.solver.static_equations import linearize_static
+
+_OPTIONS = SolverOptions(15, tolerance=1.0)
+_ROUNDS = 30  # of `size` shapes each, until as many are found
+_LARGEST = 10_000
+
+
+def sample_static(
+    prior: Prior,
+    arclength: ArrayLike,
+    readings: Sequence[Readings],
+    *,
+    size: int = 100,
+    rng: np.random.Generator | None = None,
+) -> State:
+    """Shapes drawn from what prior and readings say of one moment.
+
+    Each is the most likely shape after the errors of prior and readings were drawn anew, found from
+    a shape of the prior (randomised maximum likelihood; Oliver, He and Reynolds, 1996). Where
+    everything is linear these are draws from the posterior. Where it is not they come close to
+    that, and lie wherever a shape explains the readings, as `estimate` and `estimate_static` do not
+    claim: their covariance is that about the one shape they find.
+
+    Args:
+        prior: What is believed before any reading; none of a rod under loads.
+        arclength: Nodes (N,), metres.
+        readings: Readings of each sensor, all of the same moment, whatever their times.
+        size: How many shapes to draw.
+        rng: Source of all chance; always the same unless given.
+
+    Returns:
+        Shapes (size, N) at rest.
+
+    Raises:
+        GlissandoError: The size is not from 1 to 10,000, the prior knows loads, or hardly any draw
+            leads to a shape.
+        SensorError: A sensor reads a velocity, or slides in a channel.
+        UnobservableError: Prior and readings leave a direction of a shape undetermined.
+
+    >>> from glissando import PositionReadings, load_robot
+    >>> robot = load_robot("tdcr466-segments")
+    >>> tip = PositionReadings(time=[0], arclength=[0.466], values=[[0.15, 0.0, 0.3]], cov=1e-6)
+    >>> shapes = sample_static(robot.prior, robot.arclength_nodes, [tip])
+    >>> middle, end = shapes.pose[:, 2, :3, 3], shapes.pose[:, -1, :3, 3]
+    >>> bool(end.std(axis=0).max() < 0.002), bool(middle.std(axis=0).max() > 0.03)  # metres
+    (True, True)
+    """
+    require_model(prior, np.asarray(arclength, dtype=float))
+    require_streams(readings)
+    if not 1 <= size <= _LARGEST:
+        raise GlissandoError(f"size is {size}; draw 1 to {_LARGEST:,} shapes.")
+    if isinstance(prior, MechanicalPrior):
+        raise GlissandoError("Shapes of a rod follow from its loads; draw with a prior of strain.")
+    rng = np.random.default_rng(0) if rng is None else rng
+    given, found, missing = [r for r in readings if len(r)], [], size
+    with one_thread():
+        for _ in range(_ROUNDS):
+            shapes, left = _drawn(prior, _copies(arclength, given, size), rng)
+            kept = np.flatnonzero(~left)[:missing]
+            found.append(shapes.take(kept))
+            missing -= kept.size
+            if not missing:
+                return concatenate(*found)
+    raise GlissandoError(
+        f"Only {size - missing} of {_ROUNDS * size} draws led to a shape that explains the "
+        f"readings; check their mounts, units and noise, and the prior's densities."
+    )
+
+
+def _copies(arclength: ArrayLike, readings: Sequence[Readings], count: int) -> LocatedReadings:
+    """The readings once for each of as many shapes."""
+    copied = []
+    for r in readings:
+        rows = np.tile(np.arange(len(r)), count)
+        copied.append(r.select(rows).changed(time=np.repeat(np.arange(float(count)), len(r))))
+    return locate(Grid.apart(arclength, count), copied)
+
+
+def _drawn(
+    prior: Prior, located: LocatedReadings, rng: np.random.Generator
+) -> tuple[State, NDArray[np.bool_]]:
+    """Shapes (S, N) for errors drawn anew, and which (S,) were not found.
+
+    Raises:
+        UnobservableError: Prior and readings leave a direction of a shape undetermined.
+    """
+    grid, rest = located.grid, prior.rest_state(located.grid)
+    residuals = (terms.residual for _, terms in linearize_static(prior, located, rest).terms)
+    noise = [rng.standard_normal(residual.shape) for residual in residuals]
+    here = linearize_static(prior, locate(grid, []), rest, noise)
+    step = np.zeros((*grid.shape, rest.dof))
+    solved = here.cholesky.solve(here.rhs.reshape(-1, STATIC_DOF))
+    step[..., :STATIC_DOF] = solved.reshape(here.rhs.shape)
+    start = prior.bent(grid, rest, step)
+    shapes, _, left = iterate(prior, located, start, _OPTIONS, noise)
+    return State(shapes.pose, shapes.strain, np.zeros_like(shapes.strain)), left
