@@ -11,14 +11,6 @@ from glissando.evaluation.run import checked_window, chosen_streams
 from glissando.io.recording import load_recording
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    out = tmp_path_factory.mktemp("guard") / "right"
-    options = ["--shape", "C", "--slide", "oscillate", "--cycles", "1", "--seed", "3"]
-    assert main(["simulate", *options, "--out", str(out)]) == 0
-    return out
-
-
 def edited(folder, tmp_path, change):
     """The recording with another coil.csv."""
     out = tmp_path / "wrong"
