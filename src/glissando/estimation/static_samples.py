@@ -26,7 +26,8 @@ from glissando.solver.located_readings import LocatedReadings, locate
 from glissando.solver.static_equations import linearize_static
 
 _OPTIONS = SolverOptions(15, tolerance=1.0)
-_ROUNDS = 30  # of `size` shapes each, until as many are found
+_TOGETHER = 100  # shapes that are sought at once
+_TRIES = 30  # draws for each shape that is asked for, at most
 _LARGEST = 10_000
 
 
@@ -44,7 +45,8 @@ def sample_static(
     a shape of the prior (randomised maximum likelihood; Oliver, He and Reynolds, 1996). Where
     everything is linear these are draws from the posterior. Where it is not they come close to
     that, and lie wherever a shape explains the readings, as `estimate` and `estimate_static` do not
-    claim: their covariance is that about the one shape they find.
+    claim: their covariance is that about the one shape they find. Draws from which the search ends
+    at no plausible shape are drawn again.
 
     Args:
         prior: What is believed before any reading; none of a rod under loads.
@@ -77,19 +79,19 @@ def sample_static(
     if isinstance(prior, MechanicalPrior):
         raise GlissandoError("Shapes of a rod follow from its loads; draw with a prior of strain.")
     rng = np.random.default_rng(0) if rng is None else rng
-    given, found, missing = [r for r in readings if len(r)], [], size
+    given, found, tried, missing = [r for r in readings if len(r)], [], 0, size
     with one_thread():
-        for _ in range(_ROUNDS):
-            shapes, left = _drawn(prior, _copies(arclength, given, size), rng)
-            kept = np.flatnonzero(~left)[:missing]
-            found.append(shapes.take(kept))
-            missing -= kept.size
-            if not missing:
-                return concatenate(*found)
-    raise GlissandoError(
-        f"Only {size - missing} of {_ROUNDS * size} draws led to a shape that explains the "
-        f"readings; check their mounts, units and noise, and the prior's densities."
-    )
+        while missing and tried < _TRIES * size:
+            count = min(_TOGETHER, size)
+            shapes, left = _drawn(prior, _copies(arclength, given, count), rng)
+            found.append(shapes.take(np.flatnonzero(~left)[:missing]))
+            tried, missing = tried + count, missing - len(found[-1].pose)
+    if missing:
+        raise GlissandoError(
+            f"Only {size - missing} of {tried} draws led to a shape that explains the readings; "
+            f"check their mounts, units and noise, and the prior's densities."
+        )
+    return concatenate(*found)
 
 
 def _copies(arclength: ArrayLike, readings: Sequence[Readings], count: int) -> LocatedReadings:
