@@ -30,11 +30,11 @@ def _scaled(factor, x, out):
 
 
 @jit()
-def _put(out, row, column, matrix, sign):
-    """Write ± a matrix (6, 6) into its place."""
+def _put(out, row, column, block, sign):
+    """Write ± a block (6, 6) into its place."""
     for i in range(6):
         for j in range(6):
-            out[row + i, column + j] = sign * matrix[i, j]
+            out[row + i, column + j] = sign * block[i, j]
 
 
 @jit()

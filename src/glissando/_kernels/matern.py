@@ -52,11 +52,11 @@ def covariance_into(scale, step, out):
 
 
 @jit()
-def inverse_into(matrix, out):
+def inverse_into(a, out):
     """The inverse (2, 2)."""
-    det = matrix[0, 0] * matrix[1, 1] - matrix[0, 1] * matrix[1, 0]
-    out[0, 0], out[1, 1] = matrix[1, 1] / det, matrix[0, 0] / det
-    out[0, 1], out[1, 0] = -matrix[0, 1] / det, -matrix[1, 0] / det
+    det = a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0]
+    out[0, 0], out[1, 1] = a[1, 1] / det, a[0, 0] / det
+    out[0, 1], out[1, 0] = -a[0, 1] / det, -a[1, 0] / det
 
 
 @jit()

@@ -28,12 +28,12 @@ _FEW, _SOME = 0.02**2, 0.2**2  # squared angles up to which 4 and 5 nodes miss l
 
 
 @jit(inline=True)
-def apply_into(matrix, vector, out):
+def apply_into(a, x, out):
     """The product of a matrix and a vector, into `out`."""
-    for i in range(matrix.shape[0]):
+    for i in range(a.shape[0]):
         out[i] = 0.0
-        for k in range(matrix.shape[1]):
-            out[i] += matrix[i, k] * vector[k]
+        for k in range(a.shape[1]):
+            out[i] += a[i, k] * x[k]
 
 
 @jit(inline=True)

@@ -17,11 +17,11 @@ STATE = "f8[:,:,:,::1], f8[:,:,::1], f8[:,:,::1]"
 
 
 @jit()
-def _copy(matrix, out):
+def _copy(a, out):
     """Copy a matrix."""
-    for i in range(matrix.shape[0]):
-        for j in range(matrix.shape[1]):
-            out[i, j] = matrix[i, j]
+    for i in range(a.shape[0]):
+        for j in range(a.shape[1]):
+            out[i, j] = a[i, j]
 
 
 @jit()
