@@ -93,15 +93,15 @@ def test_every_command_that_computes_shows_its_work(module):
 
 
 def test_compiling_says_how_far_it_is(tmp_path, monkeypatch, capsys):
-    kernels = [SimpleNamespace(module="steps")] * 25
-    monkeypatch.setattr(jit, "_KERNELS", kernels)
+    names = [SimpleNamespace(__name__=str(number)) for number in range(25)]
+    kernels = [SimpleNamespace(module="steps", function=f, work=lambda: 3) for f in names]
     monkeypatch.setattr(jit, "_NOTICE", 0.02)
     monkeypatch.setattr(jit, "_AGAIN", 0.02)
     over = threading.Event()
     said = threading.Thread(target=jit._say, args=(kernels, tmp_path, over))
     said.start()
     for number in range(20):
-        (tmp_path / f"steps.{number}.nbi").touch()
+        (tmp_path / f"steps.{number}-21.py311.nbi").touch()
         time.sleep(0.02)
     over.set()
     said.join()

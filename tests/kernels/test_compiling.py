@@ -2,6 +2,7 @@
 
 import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -10,6 +11,7 @@ from subprocess import PIPE
 import pytest
 
 import glissando._kernels
+from glissando._kernels import jit
 from glissando._kernels.jit import cache_folder
 
 
@@ -66,11 +68,49 @@ def test_processes_that_compile_know_the_kernels_of_every_module():
 
 def test_what_an_upgrade_leaves_behind_is_never_met(tmp_path, monkeypatch):
     monkeypatch.setenv("GLISSANDO_CACHE", str(tmp_path))
-    folders = [cache_folder(version) for version in ("1", "2", "3", "4")]
-    assert len(set(folders)) == 4
-    assert folders[-1].is_dir()
-    assert not folders[0].exists()
+    folders = [cache_folder(version) for version in ("1", "2", "3", "4", "5", "6")]
+    assert len(set(folders)) == 6
+    assert [folder.is_dir() for folder in folders] == [False] + 5 * [True]
+    cache_folder("2")
+    cache_folder("7")
+    assert [folder.is_dir() for folder in folders] == [False, True, False] + 3 * [True]
     assert folders[0] != cache_folder("1.1")
+
+
+def test_what_another_copy_compiled_is_never_met(tmp_path, monkeypatch):
+    """Numba would find nothing there, and every process would compile for itself, and otherwise."""
+    monkeypatch.setenv("GLISSANDO_CACHE", str(tmp_path / "cache"))
+    sources = Path(jit.__file__).parent
+    copy = shutil.copytree(sources, tmp_path / "copy")
+    folders = [cache_folder("1")]
+    monkeypatch.setattr(jit, "__file__", str(copy / "jit.py"))
+    folders.append(cache_folder("1"))
+    (copy / "lie.py").touch()
+    folders.append(cache_folder("1"))
+    assert len(set(folders)) == 3
+    assert cache_folder("1") == folders[-1]
+
+
+CODE = """
+from glissando._kernels import jit, white_noise
+folder = jit._dispatchers()
+jit._compile_once([white_noise.write_rows], folder)
+"""
+
+
+@pytest.mark.slow
+def test_what_is_compiled_is_always_the_same(tmp_path):
+    """Else results would differ in the last digit between machines, and between copies on one."""
+    codes = []
+    for seed in ("1", "2"):
+        environment = {**os.environ, "GLISSANDO_CACHE": str(tmp_path / seed)}
+        environment |= {"PYTHONHASHSEED": seed}
+        command = [sys.executable, "-c", CODE]
+        subprocess.run(command, env=environment, check=True, capture_output=True)
+        (file,) = (tmp_path / seed).rglob("*.nbc")
+        codes.append(file.read_bytes())
+    assert len(codes[0]) > 10_000
+    assert codes[0] == codes[1]
 
 
 @pytest.mark.slow

@@ -1,10 +1,10 @@
 """Kernels: functions that numba compiles when the first of them is called, and keeps on disk.
 
-Importing a kernel costs nothing, and a process that calls none never imports numba. Those modules
-that every estimate uses are compiled together, any other with the first call of a kernel of it, so
-that nobody waits for the kernels of a prior that he does not use. What is
-compiled stands in a folder of its own for these sources, this numba and this Python, so an upgrade
-never meets what was compiled before it.
+Importing a kernel costs nothing, and a process that calls none never imports numba. An estimate
+begins with all modules that it and its prior use, compiled side by side; any other is compiled with
+the first call of a kernel of it, so that nobody waits for a prior that he does not use. What is
+compiled stands in a folder of its own for these sources, where and as they are, this numba and this
+Python, so neither an upgrade nor another copy meets what was compiled before it.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ _KERNELS: list[Kernel] = []
 _LOCK = threading.RLock()
 _NOTICE, _AGAIN = 1.0, 5.0  # seconds of compiling until a person reads why, and between lines
 _PROCESSES = 4  # that compile at once, at most
-_SHARED = {"blas", "lie"}  # modules of what only kernels call
-_ALWAYS = ("block_tridiagonal", "normal_equations", "process", "se3", "sensors")
+_KEPT = 4  # folders of what other versions and copies compiled
+_ALWAYS = {"block_tridiagonal", "normal_equations", "process", "se3", "sensors"}  # of estimates
 
 
 class Kernel:
@@ -59,6 +59,17 @@ class Kernel:
         from numba import types
 
         return types.Dispatcher(self.compiled)
+
+    def work(self) -> int:
+        """How much there is to compile: bytes of code of it and of all that it calls."""
+        calls, found = [self], {self.name}
+        for caller in calls:
+            names = caller.function.__code__.co_names
+            values = (caller.function.__globals__.get(name) for name in names)
+            called = [v for v in values if isinstance(v, Kernel) and v.name not in found]
+            found |= {each.name for each in called}
+            calls += called
+        return sum(len(each.function.__code__.co_code) for each in calls)
 
     def compile(self) -> None:
         """Compile every signature, or load it from the cache, which calls find by types alone."""
@@ -100,18 +111,19 @@ def jit(*signatures: str, inline: bool = False) -> Callable[[Callable[..., Any]]
     return lambda function: Kernel(function, signatures, inline=inline)
 
 
-def load(module: str = "") -> None:
+def load(*modules: str) -> None:
     """Make kernels callable: compile them, the first time on this machine, or load them.
 
     Args:
-        module: A module whose kernels are made callable besides those of every estimate.
+        modules: Modules whose kernels are made callable, besides those of every estimate unless it
+            is for the arithmetic of poses alone.
     """
     with _LOCK:
         keep_freed_memory()
         folder = _dispatchers()
-        modules = {*_ALWAYS, module}
-        kernels = [k for k in _KERNELS if k.signatures and not k.ready and k.module in modules]
-        _compile_once(sorted(kernels, key=lambda kernel: kernel.name), folder)
+        asked = {*modules} if modules == ("se3",) else {*modules} | _ALWAYS
+        kernels = [k for k in _KERNELS if k.signatures and not k.ready and k.module in asked]
+        _compile_once(sorted(kernels, key=lambda kernel: -kernel.work()), folder)
         for kernel in kernels:
             kernel.ready = True
             kernel.function.__globals__[kernel.function.__name__] = kernel.compiled
@@ -145,7 +157,8 @@ def _dispatchers() -> Path:
             doors = {"no_cfunc_wrapper": True, "no_cpython_wrapper": not kernel.signatures}
             options: dict[str, Any] = {**doors, "fastmath": {"contract", "reassoc", "nsz"}}
             options |= {"error_model": "numpy", "forceinline": kernel.inline}
-            kernel.compiled = numba.njit(cache=True, **options)(kernel.function)
+            options["cache"] = bool(kernel.signatures)  # processes would overwrite what they share
+            kernel.compiled = numba.njit(**options)(kernel.function)
     finally:
         config.CACHE_DIR = before
     for kernel in kernels:
@@ -158,8 +171,8 @@ def _dispatchers() -> Path:
 def _compile_once(kernels: list[Kernel], folder: Path) -> None:
     """Compile the given signatures unless an earlier process did, with a word if it takes long.
 
-    Processes of their own compile and all others load, so that every process runs the same code:
-    numba's own varies in the last digit with what is in its cache.
+    Processes of their own compile, what takes longest first, and all others load, so that every
+    process runs the same code; numba's varies in the last digit with the order of sets of words.
     """
     if not _missing(kernels, folder):
         return
@@ -170,8 +183,7 @@ def _compile_once(kernels: list[Kernel], folder: Path) -> None:
             missing = _missing(kernels, folder)  # another process may have compiled meanwhile
             with tempfile.TemporaryDirectory(dir=folder) as claims:
                 count = min(os.cpu_count() or 1, _PROCESSES, len(missing))
-                starts = [i * len(missing) // count for i in range(count)]
-                for process in [_compiling(claims, missing, at, folder) for at in starts]:
+                for process in [_compiling(claims, missing, folder) for _ in range(count)]:
                     if process is not None:
                         process.wait()
             for kernel in kernels:  # from the cache, or here if a process could not
@@ -200,18 +212,12 @@ def _locked(folder: Path) -> Iterator[None]:
         yield
 
 
-def _compiling(
-    claims: str, names: list[str], start: int, folder: Path
-) -> subprocess.Popen[bytes] | None:
-    """A process that compiles kernels into the cache; None inside a program that is no Python.
-
-    Each begins at another: kernels of one module share what they call.
-    """
+def _compiling(claims: str, names: list[str], folder: Path) -> subprocess.Popen[bytes] | None:
+    """A process that compiles kernels into the cache; None inside a program that is no Python."""
     if "python" not in Path(sys.executable or "").name.lower():
         return None
-    names = names[start:] + names[:start]
     command = [sys.executable, "-m", "glissando._kernels.compile", claims, *names]
-    environment = {**os.environ, "GLISSANDO_CACHE": str(folder.parent)}
+    environment = {**os.environ, "GLISSANDO_CACHE": str(folder.parent), "PYTHONHASHSEED": "0"}
     nothing = subprocess.DEVNULL
     with suppress(OSError):
         return subprocess.Popen(
@@ -222,13 +228,12 @@ def _compiling(
 
 def _say(kernels: list[Kernel], folder: Path, over: threading.Event) -> None:
     """Say what is being compiled, and how much of it is done, until it is over."""
-    modules = {kernel.module for kernel in kernels} | _SHARED
-    count = sum(kernel.module in modules for kernel in _KERNELS)
+    work = {f"{kernel.module}.{kernel.function.__name__}": kernel.work() for kernel in kernels}
     began, wait = time.monotonic(), _NOTICE
     while not over.wait(wait):
         wait, elapsed = _AGAIN, time.monotonic() - began
-        done = [path.name.partition(".")[0] in modules for path in folder.rglob("*.nbi")]
-        share = min(sum(done) / count, 0.99)
+        compiled = {path.name.partition("-")[0] for path in folder.rglob("*.nbi")}
+        share = min(sum(work[name] for name in compiled & work.keys()) / sum(work.values()), 0.99)
         what = f"compiling its inner loops, once, into {folder}"
         if share > 0.0:
             what += f"; {100 * share:.0f} % done, about {elapsed * (1 / share - 1):.0f} s left"
@@ -243,7 +248,8 @@ def cache_folder(numba_version: str) -> Path:
     """
     digest = hashlib.sha256(f"{numba_version} {sys.version}".encode())
     for source in sorted(Path(__file__).parent.glob("*.py")):
-        digest.update(source.read_bytes())
+        changed = source.stat().st_mtime_ns  # numba compiles anew what another copy compiled
+        digest.update(f"{source} {changed}".encode() + source.read_bytes())
     name = f"kernels-{digest.hexdigest()[:16]}"
     given = os.environ.get("GLISSANDO_CACHE")
     user = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
@@ -267,8 +273,9 @@ def _is_writable(folder: Path) -> bool:
 
 
 def _drop_others(root: Path, name: str) -> None:
-    """Remove what other versions compiled, but for the newest of them, which may be in use."""
+    """Remove what others compiled, but for those used last, which may be in use."""
     with suppress(OSError):
+        os.utime(root / name)
         others = [p for p in root.glob("kernels-*") if p.name != name]
-        for folder in sorted(others, key=lambda p: p.stat().st_mtime)[:-1]:
+        for folder in sorted(others, key=lambda p: p.stat().st_mtime)[:-_KEPT]:
             shutil.rmtree(folder, ignore_errors=True)

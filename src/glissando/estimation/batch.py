@@ -27,7 +27,7 @@ from glissando.estimation.several_starts import End, Sought, Start, best_end, st
 from glissando.estimation.starting_point import starting_point, with_parameters
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
-from glissando.model.priors.prior import Prior
+from glissando.model.priors.prior import Prior, load_kernels
 from glissando.model.sensors.parameters import SensorParameter, corrected
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
@@ -82,6 +82,7 @@ def estimate(
     """
     require_batch(prior, grid, readings, sensor_parameters, initial, options)
     require_gate(gate)
+    load_kernels(prior)
     problem = _Problem(
         prior, grid, readings, sensor_parameters, options or SolverOptions(), progress, gate
     )

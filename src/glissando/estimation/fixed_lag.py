@@ -14,7 +14,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from glissando._kernels.jit import load
 from glissando._kernels.threads import one_thread
 from glissando.errors import OutsideGridError
 from glissando.estimation.channels import place_in_channel
@@ -29,7 +28,8 @@ from glissando.estimation.window_steps import WindowSteps
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
 from glissando.model.interpolation import sort_points
-from glissando.model.priors.prior import Prior
+from glissando.model.priors.prior import Prior, load_kernels
+from glissando.model.priors.white_noise import WhiteNoisePrior
 from glissando.model.sensors.parameters import SensorParameter, corrected
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
@@ -67,9 +67,10 @@ class FixedLagSmoother:
         """
         require_window(window)
         require_gate(gate)
-        load("window")
         self.arclength = np.asarray(arclength, dtype=float)
         require_model(prior, self.arclength, sensor_parameters)
+        summed = ("white_noise",) if isinstance(prior, WhiteNoisePrior) else ()
+        load_kernels(prior, "static_steps", "window", *summed)
         _meet(prior, self.arclength)
         self.lag = window
         self._known = [p for p in sensor_parameters if p.known]

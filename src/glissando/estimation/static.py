@@ -25,7 +25,7 @@ from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
 from glissando.model.memory import require_memory
 from glissando.model.priors.mechanical.prior import MechanicalPrior
-from glissando.model.priors.prior import Prior
+from glissando.model.priors.prior import Prior, load_kernels
 from glissando.model.priors.static import STATIC_DOF
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
@@ -84,6 +84,7 @@ def estimate_static(
     require_model(prior, np.asarray(arclength, dtype=float))
     require_streams(readings)
     require_options(options)
+    load_kernels(prior, "static_steps")
     given, options = [r for r in readings if len(r)], options or SolverOptions()
     count = _count(given, np.size(arclength), count)
     grid = Grid.apart(arclength, count)

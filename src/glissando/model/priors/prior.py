@@ -7,6 +7,7 @@ from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
 
+from glissando._kernels.jit import load
 from glissando.errors import OutsideGridError
 from glissando.geometry.se3 import Array
 from glissando.model.factors import Factors
@@ -24,7 +25,11 @@ _STIFF = 10.0  # times softer than a prior must be to be worth a start of its ow
 
 
 class Prior(Protocol):
-    """A Gaussian prior over arclength × time: factors between nodes, and what lies between them."""
+    """A Gaussian prior over arclength × time: factors between nodes, and what lies between them.
+
+    One whose functions call compiled kernels names their modules in `kernels`, so that an estimate
+    compiles them side by side.
+    """
 
     kind: ClassVar[str]
 
@@ -77,6 +82,16 @@ class Prior(Protocol):
     ) -> Interpolation:
         """State at points between the nodes, conditional on the nodes."""
         ...
+
+
+def load_kernels(prior: Prior, *others: str) -> None:
+    """Make callable what an estimate with this prior calls, and other modules of kernels.
+
+    Args:
+        prior: The prior.
+        others: Modules besides those that it names.
+    """
+    load(*getattr(prior, "kernels", ()), *others)
 
 
 def soften(psd: Array) -> Array:

@@ -80,6 +80,7 @@ class WhiteNoisePrior:
     joints: Array = field(default_factory=lambda: np.zeros(0))
     jumps: Array = field(default_factory=lambda: np.zeros((0, 6)))
     kind: ClassVar[str] = "white-noise"
+    kernels: ClassVar = "steps", "white_noise_points"
     pace: Array = field(default_factory=lambda: np.ones(1))
     pace_times: Array = field(default_factory=lambda: np.zeros(0))
 

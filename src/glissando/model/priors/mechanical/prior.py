@@ -87,6 +87,9 @@ class MechanicalPrior:
     var_points: Array = field(default_factory=lambda: np.zeros((0, 6)))
     inertia: Inertia | None = None
     kind: ClassVar[str] = "mechanical"
+    kernels: ClassVar = (
+        "information", "intervals", "rod_flow", "rod_intervals", "rod_tip", "stationary",
+    )  # fmt: skip
 
     def __post_init__(self) -> None:
         stated = Stated(self)
