@@ -117,7 +117,7 @@ class RodEquations:
         inner = mesh.integral
         before = np.concatenate([inner, to_ends])
         beyond = np.concatenate([mesh.weights - inner, mesh.weights[None]])
-        rest = np.array(rod.rest(s), dtype=float)
+        rest = np.array(rod.rest(s), dtype=float, order="C")
         return RodEquations(rod, tuple(tendons), mesh, rest, section, paths, before, beyond)
 
     @property
@@ -131,7 +131,7 @@ class RodEquations:
         fixed = mesh.steps, mesh.widths, self.before, self.beyond, mesh.weights
         own = self.rest, self.section, self.paths
         acting = a.base, a.base_rates, a.gravity, a.cables, a.planes, a.sites
-        return Balance(*rod_forces.balance(state, *fixed, *own, *acting))
+        return Balance(*rod_forces.balance(np.ascontiguousarray(state), *fixed, *own, *acting))
 
     def stiffness(self, at: Balance, cables: Array) -> Array:
         """Derivative (6G, 6G) of the residual by strain, each row times its point's weight.
