@@ -13,6 +13,7 @@ import pytest
 import glissando._kernels
 from glissando._kernels import jit
 from glissando._kernels.jit import cache_folder
+from live_recordings import MECHANICAL
 
 
 @pytest.mark.slow
@@ -131,3 +132,38 @@ def test_two_processes_may_compile_at_once_and_say_so_in_a_line(tmp_path):
         )
     again = subprocess.run(command, env=environment, check=True, capture_output=True, text=True)
     assert (again.stdout, again.stderr) == ("1.0\n", "")
+
+
+LOADS = """
+import sys, numpy as np
+from glissando import CoilReadings, FixedLagSmoother, Grid, estimate, load_robot
+from glissando._kernels import jit
+loaded, load = [], jit.load
+jit.load = lambda *modules: (loaded.append(*modules), load(*modules))  # of kernels when called
+robot = load_robot(sys.argv[1])
+time = np.linspace(0.0, 0.2, 4)
+place, pose = np.full(4, robot.length), np.tile(np.eye(4), (4, 1, 1))
+pose[:, 2, 3] = robot.length
+coil = CoilReadings(time=time, arclength=place, values=pose, cov=[1e-6] * 3 + [1e-4] * 2)
+if sys.argv[2] == "batch":
+    grid = Grid(robot.arclength_nodes, np.linspace(0.0, 0.25, 5))
+    estimate(robot.prior, grid, [coil]).at(0.3 * robot.length, 0.11)
+else:
+    smoother = FixedLagSmoother(robot.prior, robot.arclength_nodes)
+    smoother.add(coil)
+    for now in np.arange(0.0, 0.25, 0.05):
+        smoother.advance(now)
+print(*loaded)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("robot", ["tdcr466", "tdcr466-segments", "mechanical"])
+@pytest.mark.parametrize("way", ["batch", "online"])
+def test_an_estimate_begins_with_all_kernels_that_it_calls(robot, way, tmp_path):
+    """One that is missing is compiled alone, while another core has nothing to do."""
+    (tmp_path / "mechanical.toml").write_text(MECHANICAL)
+    robot = tmp_path / "mechanical.toml" if robot == "mechanical" else robot
+    command = [sys.executable, "-c", LOADS, robot, way]
+    run = subprocess.run(command, check=True, capture_output=True, text=True)
+    assert set(run.stdout.split()) <= {"se3"}

@@ -21,7 +21,7 @@ from waiting import until
 
 ROBOT = load_robot("tdcr466")
 SPAN = (3.0, 4.5)
-_MECHANICAL = """
+MECHANICAL = """
 name = "rod"
 length = 0.466
 rest_strain = [0, 0, 1, 0, 0, 0]
@@ -47,7 +47,7 @@ std = [1e-4, 1e-4]
 [sensors.position]
 std = [1e-4, 1e-4, 1e-4]
 """
-ROD = parse_robot(Table(tomllib.loads(_MECHANICAL), "rod.toml", RobotFileError))
+ROD = parse_robot(Table(tomllib.loads(MECHANICAL), "rod.toml", RobotFileError))
 
 
 def swaying(seed: int = 0, rate: float = 41.3) -> Recording:

@@ -36,7 +36,6 @@ _LOCK = threading.RLock()
 _NOTICE, _AGAIN = 1.0, 5.0  # seconds of compiling until a person reads why, and between lines
 _PROCESSES = 4  # that compile at once, at most
 _KEPT = 4  # folders of what other versions and copies compiled
-_ALWAYS = {"block_tridiagonal", "normal_equations", "process", "se3", "sensors"}  # of estimates
 
 
 class Kernel:
@@ -115,14 +114,12 @@ def load(*modules: str) -> None:
     """Make kernels callable: compile them, the first time on this machine, or load them.
 
     Args:
-        modules: Modules whose kernels are made callable, besides those of every estimate unless it
-            is for the arithmetic of poses alone.
+        modules: Modules whose kernels are made callable, compiled side by side.
     """
     with _LOCK:
         keep_freed_memory()
         folder = _dispatchers()
-        asked = {*modules} if modules == ("se3",) else {*modules} | _ALWAYS
-        kernels = [k for k in _KERNELS if k.signatures and not k.ready and k.module in asked]
+        kernels = [k for k in _KERNELS if k.signatures and not k.ready and k.module in modules]
         _compile_once(sorted(kernels, key=lambda kernel: -kernel.work()), folder)
         for kernel in kernels:
             kernel.ready = True
@@ -275,7 +272,8 @@ def _is_writable(folder: Path) -> bool:
 def _drop_others(root: Path, name: str) -> None:
     """Remove what others compiled, but for those used last, which may be in use."""
     with suppress(OSError):
-        os.utime(root / name)
+        now = time.time_ns()  # finer than what the system sets by itself
+        os.utime(root / name, ns=(now, now))
         others = [p for p in root.glob("kernels-*") if p.name != name]
         for folder in sorted(others, key=lambda p: p.stat().st_mtime)[:-_KEPT]:
             shutil.rmtree(folder, ignore_errors=True)

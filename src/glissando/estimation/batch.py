@@ -82,7 +82,6 @@ def estimate(
     """
     require_batch(prior, grid, readings, sensor_parameters, initial, options)
     require_gate(gate)
-    load_kernels(prior)
     problem = _Problem(
         prior, grid, readings, sensor_parameters, options or SolverOptions(), progress, gate
     )
@@ -140,6 +139,7 @@ class _Problem:
 
     def placed(self, start: Start) -> Posterior:
         """The posterior, for which readings in channels are where it says itself."""
+        load_kernels(self.prior)
         if not any(r.channel for r in self.readings):
             return self.corrected().posterior(start)
 

@@ -28,8 +28,7 @@ from glissando.estimation.window_steps import WindowSteps
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
 from glissando.model.interpolation import sort_points
-from glissando.model.priors.prior import Prior, load_kernels
-from glissando.model.priors.white_noise import WhiteNoisePrior
+from glissando.model.priors.prior import Prior
 from glissando.model.sensors.parameters import SensorParameter, corrected
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
@@ -69,12 +68,10 @@ class FixedLagSmoother:
         require_gate(gate)
         self.arclength = np.asarray(arclength, dtype=float)
         require_model(prior, self.arclength, sensor_parameters)
-        summed = ("white_noise",) if isinstance(prior, WhiteNoisePrior) else ()
-        load_kernels(prior, "static_steps", "window", *summed)
+        self._window = SlidingWindow(prior, self.arclength, sensor_parameters)
         _meet(prior, self.arclength)
         self.lag = window
         self._known = [p for p in sensor_parameters if p.known]
-        self._window = SlidingWindow(prior, self.arclength, sensor_parameters)
         self._steps = WindowSteps(self._window, window, gate)
         self._late, others = delayed(sensor_parameters)
         self._errors: ErrorPrior | None = None  # of the window's first node, for contacts

@@ -30,7 +30,7 @@ from glissando.estimation.window_system import WindowSystem
 from glissando.geometry.se3 import Array
 from glissando.model.factors import Factors, Residuals
 from glissando.model.grid import Grid, Index
-from glissando.model.priors.prior import Prior
+from glissando.model.priors.prior import Prior, load_kernels
 from glissando.model.priors.white_noise import WhiteNoisePrior
 from glissando.model.sensors.compiled_readings import is_compiled
 from glissando.model.sensors.parameter_process import EstimatedParameters
@@ -53,6 +53,8 @@ class SlidingWindow:
     def __init__(
         self, prior: Prior, arclength: Array, sensor_parameters: Sequence[SensorParameter] = ()
     ) -> None:
+        summed = ["white_noise"] if type(prior) is WhiteNoisePrior else []
+        load_kernels(prior, "static_steps", "window", *summed)
         self.prior, self.arclength = prior, arclength
         self.sensor_parameters = tuple(p for p in sensor_parameters if not p.known)
         self.before: float | None = None

@@ -17,7 +17,7 @@ from glissando.estimation.given import require_model, require_streams
 from glissando.estimation.static_iteration import iterate
 from glissando.model.grid import Grid
 from glissando.model.priors.mechanical.prior import MechanicalPrior
-from glissando.model.priors.prior import Prior
+from glissando.model.priors.prior import Prior, load_kernels
 from glissando.model.priors.static import STATIC_DOF
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import State, concatenate
@@ -73,6 +73,7 @@ def sample_static(
     (True, True)
     """
     require_model(prior, np.asarray(arclength, dtype=float))
+    load_kernels(prior, "static_steps")
     require_streams(readings)
     if not 1 <= size <= _LARGEST:
         raise GlissandoError(f"size is {size}; draw 1 to {_LARGEST:,} shapes.")

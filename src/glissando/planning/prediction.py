@@ -16,7 +16,7 @@ import numpy as np
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid, Index
 from glissando.model.interpolation import sort_points
-from glissando.model.priors.prior import Prior
+from glissando.model.priors.prior import Prior, load_kernels
 from glissando.model.sensors.parameter_process import EstimatedParameters
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
@@ -190,6 +190,7 @@ def look_ahead(
     `belief` (D, D) is information of the first time node, from what lies before. Raises
     UnobservableError when prior and belief leave a direction undetermined.
     """
+    load_kernels(prior)
     system = prior_information(prior, grid, mean, sensor_parameters)
     if belief is not None:
         system.diagonal[0] += belief

@@ -21,6 +21,7 @@ Spread = tuple[Array, Array]
 
 _SOFT = 0.022**2  # m², of strain density over curvature density
 _BEFORE = 1e-6  # of an interval, at which a place lies just before a joint
+_KERNELS = "block_tridiagonal", "normal_equations", "process", "se3", "sensors"  # of any prior
 _STIFF = 10.0  # times softer than a prior must be to be worth a start of its own
 
 
@@ -89,9 +90,9 @@ def load_kernels(prior: Prior, *others: str) -> None:
 
     Args:
         prior: The prior.
-        others: Modules besides those that it names.
+        others: Modules besides those of every estimate and those that the prior names.
     """
-    load(*getattr(prior, "kernels", ()), *others)
+    load(*_KERNELS, *getattr(prior, "kernels", ()), *others)
 
 
 def soften(psd: Array) -> Array:
