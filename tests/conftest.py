@@ -6,6 +6,8 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+from glissando._kernels import jit
+
 # Drawn inputs of most laws; a machine that is busy is slower than any deadline. `--hypothesis-seed`
 # and a larger profile look for more: HYPOTHESIS_EXAMPLES=1000 pytest …
 settings.register_profile(
@@ -40,6 +42,16 @@ def _has_fixtures(file):
 
 
 DATA = Path(__file__).parents[1] / ".." / "shared" / "data"
+
+
+@pytest.fixture(scope="session", autouse=True)
+def kernels_are_called_as_declared():
+    """With other types they are compiled again, by whoever calls them, while he waits."""
+    yield
+    for kernel in jit._KERNELS:
+        if kernel.signatures and kernel.compiled is not None:
+            others = kernel.compiled.signatures[len(kernel.signatures) :]
+            assert not others, f"{kernel.name} was called with {others}"
 
 
 @pytest.fixture(scope="session")
