@@ -12,8 +12,10 @@ from glissando._kernels.jit import jit
 def _blurred_into(information, noise, out):
     """Information after noise is added, (1 + I Q)⁻¹ I, made symmetric."""
     n = len(noise)
-    mixed = np.eye(n)
-    product(information, noise, mixed, 1.0, 1.0, False, False)
+    mixed = np.empty((n, n))
+    product(information, noise, mixed, 1.0, 0.0, False, False)
+    for i in range(n):
+        mixed[i, i] += 1.0
     found = np.linalg.solve(mixed, information)
     for i in range(n):
         for j in range(n):
@@ -35,7 +37,9 @@ def along_chain(base, tip, onward, noise):
     inwards = np.empty((chains, steps + 1, r, r))
     half, carried = np.empty((r, r)), np.empty((r, r))
     for k in range(chains):
-        outwards[k, 0], inwards[k, steps] = base, tip[k]
+        for i in range(r):
+            for j in range(r):
+                outwards[k, 0, i, j], inwards[k, steps, i, j] = base[i, j], tip[k, i, j]
         for i in range(steps):
             back = np.ascontiguousarray(np.linalg.inv(onward[k, i]))  # comes by columns
             product(outwards[k, i], back, half, 1.0, 0.0, False, False)

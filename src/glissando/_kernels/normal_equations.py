@@ -147,7 +147,7 @@ def _add_part(weight, square, row, column, height, wide, blocks, k, at, beside):
             blocks[k, at + x, beside + y] += weight * square[row + x, column + y]
 
 
-@jit(inline=True)
+@jit()
 def add_factor(
     nodes, first_dof, jacobian, residual, sqrt_info, extras, weight, n_count, dof,
     begin, end, across, rhs_begin, rhs_end, slopes, white, miss, square, room,

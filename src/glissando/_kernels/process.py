@@ -36,14 +36,14 @@ def apply_into(a, x, out):
             out[i] += a[i, k] * x[k]
 
 
-@jit(inline=True)
+@jit()
 def whiten_into(cov, out):
     """W with Wᵀ W = cov⁻¹, lower triangular: the inverse of the Cholesky factor."""
     if not inverse_root_into(cov, out):
         raise np.linalg.LinAlgError("Matrix is not positive definite")
 
 
-@jit(inline=True)
+@jit()
 def inverse_root_into(cov, out):
     """The same, and whether there is one. An exception would keep a kernel's arrays forever.
 
@@ -54,7 +54,7 @@ def inverse_root_into(cov, out):
     return _eliminate(cov, matrix(SMALL, SMALL), out)
 
 
-@jit(inline=True)
+@jit()
 def _eliminate(cov, room, out):
     """Eliminate [A, 1], two pivots at a time; returns whether all of them are positive.
 
@@ -116,7 +116,7 @@ def _add_square(turn, density, weight, out):
                 out[3 + i, 3 + j] += weight * low
 
 
-@jit(inline=True)
+@jit()
 def process_into(rate, step, psd, carried_psd, jump, rigid, cov, carried):
     """Noise of an interval; `cov` (12, 12) and `carried` (6, 6) are written."""
     m, m2, m3, m4 = matrix(6, 6), matrix(6, 6), matrix(6, 6), matrix(6, 6)
@@ -161,7 +161,7 @@ def process_into(rate, step, psd, carried_psd, jump, rigid, cov, carried):
             carried[i, i] = step * carried_psd[i]
 
 
-@jit(inline=True)
+@jit()
 def middle_into(rate0, rate1, step, psd, jump, out):
     """The rate (6,) about which a step is linearised: the mean, less the jump at its end."""
     for i in range(6):
@@ -169,7 +169,7 @@ def middle_into(rate0, rate1, step, psd, jump, out):
         out[i] = rate0[i] + share * (rate1[i] - rate0[i])
 
 
-@jit(inline=True)
+@jit()
 def _condition(near, cross, root, gain, cov):
     """Gain = crossᵀ whole⁻¹ and cov = near − gain cross, with the whitener `root` of the whole."""
     n = len(near)
@@ -182,7 +182,7 @@ def _condition(near, cross, root, gain, cov):
     product(half, half, cov, -1.0, 1.0, True, False)
 
 
-@jit(inline=True)
+@jit()
 def transition_of_pair_into(rate, step, out):
     """Φ(step) (12, 12) of [pose error, rate error] about a constant rate."""
     x, pose, block = vector(6), matrix(4, 4), matrix(6, 6)
@@ -201,7 +201,7 @@ def transition_of_pair_into(rate, step, out):
             out[i, j] = block[i, j]
 
 
-@jit(inline=True)
+@jit()
 def bridge_into(
     rate, step, offset, psd, carried_psd, jump, rigid, gain, cov, carried_gain, carried_cov
 ):
@@ -240,7 +240,7 @@ def sqrt_information(cov):
     return out
 
 
-@jit(inline=True)
+@jit()
 def pair_whiten_into(cov, out):
     """Whitener (12, 12) of a covariance whose last block is diagonal, into zeros."""
     corner, root, slope = matrix(6, 6), matrix(6, 6), matrix(6, 6)

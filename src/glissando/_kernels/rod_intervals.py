@@ -29,6 +29,7 @@ STEP, STIFFNESS, REST, REST_SLOPE, WEIGHT, WEIGHT_SLOPE, END_STIFFNESS, END_REST
 """Columns of what intervals are made of, and the first of each."""
 NUDGE = 1e-4  # rad or so, by which nodes are moved to difference slopes along their motion
 _HALF = 15  # columns of a slope by a node, with inertia
+_NOISELESS = np.False_  # for a literal numba would compile flows a second time
 
 
 @jit()
@@ -59,7 +60,7 @@ def _reach(pose, fields, rod, length, made, acting, memory, found):
             ahead[i, j] = 0.0
     given = rod[STIFFNESS:REST], rod[REST:REST_SLOPE], rod[REST_SLOPE:WEIGHT]
     loads = acting[0], acting[1], rod[:12]  # no noise is asked for
-    flow_into(pose, length, given, loads, False, memory, found)
+    flow_into(pose, length, given, loads, _NOISELESS, memory, found)
     for i in range(6):
         scale = 1.0 / made[0, i]
         strain[i] = made[1, i] + scale * strain[i]

@@ -23,7 +23,7 @@ from glissando._kernels.process import (
     whiten_into,
 )
 from glissando._kernels.scratch import matrix, vector, zero_matrix, zero_vector
-from glissando._kernels.steps import pair_point_into
+from glissando._kernels.steps import FREE, pair_point_into
 
 
 @jit()
@@ -175,7 +175,7 @@ def _onward_into(rate, step, psd, jump, before, out):
     """Covariance (12, 12) of a cross-section `step` beyond one with the covariance `before`."""
     phi, half, carried = matrix(12, 12), matrix(12, 12), matrix(6, 6)
     transition_of_pair_into(rate, step, phi)
-    process_into(rate, step, psd, psd, jump, False, out, carried)
+    process_into(rate, step, psd, psd, jump, FREE, out, carried)
     product(phi, before, half, 1.0, 0.0, False, False)
     product(half, phi, out, 1.0, 1.0, False, True)
 

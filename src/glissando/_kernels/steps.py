@@ -1,8 +1,9 @@
 """Errors of steps between two nodes, and the point inside a step.
 
 A step goes along arclength, where the pose moves by its strain and the velocity is carried rigidly,
-or along time, where the pose moves by its velocity and the strain stays. `at` and `carried_at` are
-the first columns of the moving and of the carried field. Source: equations (2') to (4), (10).
+or along time, where the pose moves by its velocity and the strain stays: `rigid` says which. `at`
+and `carried_at` are the first columns of the moving and of the carried field. Source: equations
+(2') to (4), (10).
 """
 
 from __future__ import annotations
@@ -32,6 +33,8 @@ from glissando._kernels.process import (
     whiten_into,
 )
 from glissando._kernels.scratch import matrix, vector
+
+RIGID, FREE = np.True_, np.False_  # for literals numba would compile a second time
 
 
 @jit()
@@ -94,9 +97,10 @@ def _carried(start, end, field0, field1, at, rigid, error, j0, j1):
 @jit()
 def step_into(
     pose0, pose1, rate0, rate1, field0, field1, about0, about1, step, weight, psd, carried_psd,
-    jump, at, carried_at, rigid, error, slopes, info, lost, lost_slopes, lost_info,
+    jump, rigid, error, slopes, info, lost, lost_slopes, lost_info,
 ):  # fmt: skip
     """Errors (12,), (6,) of a step, slopes (r, 2, 18), whiteners (r, r); the pair's into zeros."""
+    at, carried_at = (6, 12) if rigid else (12, 6)
     back, pull, spread = matrix(6, 6), matrix(6, 6), matrix(6, 6)
     middle, cov, carried_cov = vector(6), matrix(12, 12), matrix(6, 6)
     c0, c1 = matrix(6, 18), matrix(6, 18)
@@ -123,11 +127,11 @@ def step_into(
 
 @jit(
     "(f8[:,:,::1], f8[:,::1], f8[:,::1], f8[:,::1], i8[:,::1], f8[::1], f8[::1],"
-    " f8[:,::1], f8[:,::1], f8[:,::1], i8, i8, b1)"
+    " f8[:,::1], f8[:,::1], f8[:,::1], b1)"
 )
 def weighted_steps(
-    pose, rates, fields, about, nodes, step, weight, psd, carried_psd, jump, at, carried_at, rigid
-):
+    pose, rates, fields, about, nodes, step, weight, psd, carried_psd, jump, rigid
+):  # fmt: skip
     """Errors of pair and carried, Jacobians (M, r, 2, 18) and whiteners (M, r, r)."""
     m = len(step)
     error, lost = np.empty((m, 12)), np.empty((m, 6))
@@ -137,7 +141,7 @@ def weighted_steps(
         a, b = nodes[n, 0], nodes[n, 1]
         step_into(
             pose[a], pose[b], rates[a], rates[b], fields[a], fields[b], about[a], about[b],
-            step[n], weight[n], psd[n], carried_psd[n], jump[n], at, carried_at, rigid,
+            step[n], weight[n], psd[n], carried_psd[n], jump[n], rigid,
             error[n], slopes[n], info[n], lost[n], lost_slopes[n], lost_info[n],
         )  # fmt: skip
     return error, slopes, info, lost, lost_slopes, lost_info
@@ -259,9 +263,10 @@ def _carried_point(
 @jit()
 def bridged_into(
     start, end, rate0, rate1, field0, field1, step, offset, about, psd, carried_psd, jump,
-    at, carried_at, rigid, pose, rate, field, j0, j1, left,
+    rigid, pose, rate, field, j0, j1, left,
 ):  # fmt: skip
     """State inside a step; slopes (18, 18) by both ends and covariance given both, into zeros."""
+    at, carried_at = (6, 12) if rigid else (12, 6)
     gain, cov, turn = matrix(12, 12), matrix(12, 12), matrix(6, 6)
     carried_gain, carried_cov = matrix(6, 6), matrix(6, 6)
     bridge_into(

@@ -21,6 +21,7 @@ from glissando._kernels.steps import step_into
 from glissando._kernels.white_noise_points import STATE, lines, point_into
 
 _NEAR = 1e-9  # of a step: points that close to a node lie on it
+_UNKNOWN = np.False_  # for a literal numba would compile points a second time
 HUBER, GEMAN_MCCLURE = 1.0, 2.0
 """Numbers of losses in the rows of readings; zero is none."""
 WIDTH = 21
@@ -41,8 +42,11 @@ def _base_into(pose, strain, velocity, base_pose, rest, error, slopes):
             slopes[i, 0, j] = spread[i, j]
 
 
-@jit()
-def _add_prior(
+@jit(
+    f"(f8[::1], f8[::1], f8[::1], f8[::1], {STATE}, f8[:,:,::1], f8[:,:,::1], f8[:,::1], f8[::1],"
+    f" f8[::1], {SUMS})"
+)
+def add_prior(
     arclength, time, arclength_spans, time_spans, pose, strain, velocity, along, through,
     base_pose, rest, base, begin, end, across, rhs_begin, rhs_end,
 ):  # fmt: skip
@@ -57,7 +61,6 @@ def _add_prior(
         for rigid in (True, False):
             count = n_count - 1 if rigid else n_count if k + 1 < k_count else 0
             rates, fields = (strain, velocity) if rigid else (velocity, strain)
-            at, carried_at = (6, 12) if rigid else (12, 6)
             for n in range(count):
                 j, m = (k, n + 1) if rigid else (k + 1, n)
                 step = arclength[m] - arclength[n] if rigid else time[j] - time[k]
@@ -68,7 +71,7 @@ def _add_prior(
                 step_into(
                     pose[k, n], pose[j, m], rates[k, n], rates[j, m], fields[k, n], fields[j, m],
                     rates[k, n], rates[j, m], step, weight, density[0], density[1], density[2],
-                    at, carried_at, rigid, error, slopes, info, lost, lost_slopes, lost_info,
+                    rigid, error, slopes, info, lost, lost_slopes, lost_info,
                 )  # fmt: skip
                 add_factor(
                     node, 0, slopes, error, info, none[:12], 1.0, n_count, 18, begin, end, across,
@@ -122,40 +125,6 @@ def _weight(loss, threshold, whitener, residual):
     return 1.0 / max(norm, 1.0) if loss == HUBER else 1.0 / (1.0 + norm * norm) ** 2
 
 
-@jit()
-def _add_readings(
-    rows, mounts, covs, which, arclength, time, arclength_spans, time_spans, pose, strain, velocity,
-    along, through, begin, end, across, rhs_begin, rhs_end,
-):  # fmt: skip
-    """Add the factors of `which` (M,) readings, and return them with their weights (M,)."""
-    m, n_count = len(which), len(arclength)
-    nodes, slopes = np.zeros((m, 4), np.int64), np.zeros((m, 6, 4, 18))
-    residual, whitener, weight = np.zeros((m, 6)), np.empty((m, 6, 6)), np.empty(m)
-    there, bend, motion = matrix(4, 4), vector(6), vector(6)
-    a, b, miss, square = matrix(6, 72), matrix(6, 72), vector(6), matrix(72, 72)
-    room, none, cell = np.empty((14, 4), np.int64), matrix(6, 0), lines()
-    for i in range(m):
-        row, at = rows[which[i]], which[i]
-        jacobian, left, by_state = zero_cube(18, 4, 18), zero_matrix(18, 18), zero_matrix(6, 18)
-        n, ds, us = _cell(arclength, row[1])
-        k, dt, ut = _cell(time, row[0])
-        point_into(
-            n, ds, us, k, dt, ut, pose, strain, velocity, strain, velocity, along, through,
-            arclength_spans, time_spans, cell, False, there, bend, motion, nodes[i], jacobian, left,
-        )  # fmt: skip
-        sense_into(
-            int(row[2]), row[5:], mounts[at], there, bend, motion, residual[i], by_state
-        )  # fmt: skip
-        at_nodes_into(by_state, jacobian, left, covs[at], slopes[i], whitener[i])
-        weight[i] = _weight(row[3], row[4], whitener[i], residual[i])
-        add_factor(
-            nodes[i], 0, slopes[i], residual[i], whitener[i], none, weight[i], n_count,
-            18, begin, end, across, rhs_begin, rhs_end, a, b, miss, square,
-            room,
-        )  # fmt: skip
-    return nodes, slopes, residual, whitener, weight
-
-
 @jit(
     "(f8[:,::1], f8[:,:,::1], f8[:,:,::1], i8, i8, f8, f8, f8[::1], f8[::1], f8[::1], f8[:,:,::1],"
     " f8[:,:,::1])"
@@ -169,34 +138,56 @@ def write_rows(
     for i in range(m):
         row, own = rows[first + i], covs[first + i]
         row[0], row[1], row[2], row[3], row[4] = time[i], arclength[i], sensor, loss, threshold
-        row[5 : 5 + width] = values[i * width : i * width + width]
-        mounts[first + i] = mount[min(i, len(mount) - 1)]
-        own[:] = 0.0
+        for j in range(width):
+            row[5 + j] = values[i * width + j]
+        where, spread = mount[min(i, len(mount) - 1)], cov[min(i, len(cov) - 1)]
+        for j in range(4):
+            for k in range(4):
+                mounts[first + i, j, k] = where[j, k]
         for j in range(6):
-            own[j, j] = 1.0
-        own[:r, :r] = cov[min(i, len(cov) - 1)]
+            for k in range(6):
+                own[j, k] = spread[j, k] if j < r and k < r else 1.0 if j == k else 0.0
 
 
 @jit(
-    f"(f8[::1], f8[::1], f8[::1], f8[::1], {STATE}, f8[:,:,::1], f8[:,:,::1], f8[:,::1], f8[::1],"
-    f" f8[::1], f8[:,::1], f8[:,:,::1], f8[:,:,::1], i8[::1], {SUMS})"
+    "(f8[:,::1], f8[:,:,::1], f8[:,:,::1], i8[::1], f8[::1], f8[::1], f8[::1], f8[::1],"
+    f" {STATE}, f8[:,:,::1], f8[:,:,::1], {SUMS})"
 )
-def accumulate(
-    arclength, time, arclength_spans, time_spans, pose, strain, velocity, along, through,
-    base_pose, rest, base, rows, mounts, covs, which, begin, end, across, rhs_begin, rhs_end,
+def add_readings(
+    rows, mounts, covs, which, arclength, time, arclength_spans, time_spans, pose, strain, velocity,
+    along, through, begin, end, across, rhs_begin, rhs_end,
 ):  # fmt: skip
-    """Add all factors between nodes, those of a base of densities (18,) if any, and of readings.
+    """Add the factors of readings, and return them.
 
     A row (21,) is time, arclength, sensor, loss and its threshold, then the values; `mounts` are
     (·, 4, 4) and `covs` (·, 6, 6). Factors of `which` (M,) rows and their weights (M,) are
     returned: nodes (M, 4), slopes (M, 6, 4, 18), residuals (M, 6) and whiteners; what one does not
     need of nodes and residuals is zero.
     """
-    _add_prior(
-        arclength, time, arclength_spans, time_spans, pose, strain, velocity, along, through,
-        base_pose, rest, base, begin, end, across, rhs_begin, rhs_end,
-    )  # fmt: skip
-    return _add_readings(
-        rows, mounts, covs, which, arclength, time, arclength_spans, time_spans, pose, strain,
-        velocity, along, through, begin, end, across, rhs_begin, rhs_end,
-    )  # fmt: skip
+    m, n_count = len(which), len(arclength)
+    nodes, slopes = np.zeros((m, 4), np.int64), np.zeros((m, 6, 4, 18))
+    residual, whitener, weight = np.zeros((m, 6)), np.empty((m, 6, 6)), np.empty(m)
+    there, bend, motion = matrix(4, 4), vector(6), vector(6)
+    a, b, miss, square = matrix(6, 72), matrix(6, 72), vector(6), matrix(72, 72)
+    room, none, cell = np.empty((14, 4), np.int64), matrix(6, 0), lines()
+    for i in range(m):
+        row, at = rows[which[i]], which[i]
+        jacobian, left, by_state = zero_cube(18, 4, 18), zero_matrix(18, 18), zero_matrix(6, 18)
+        n, ds, us = _cell(arclength, row[1])
+        k, dt, ut = _cell(time, row[0])
+        point_into(
+            n, ds, us, k, dt, ut, pose, strain, velocity, strain, velocity, along, through,
+            arclength_spans, time_spans, cell, _UNKNOWN, there, bend, motion, nodes[i], jacobian,
+            left,
+        )  # fmt: skip
+        sense_into(
+            int(row[2]), row[5:], mounts[at], there, bend, motion, residual[i], by_state
+        )  # fmt: skip
+        at_nodes_into(by_state, jacobian, left, covs[at], slopes[i], whitener[i])
+        weight[i] = _weight(row[3], row[4], whitener[i], residual[i])
+        add_factor(
+            nodes[i], 0, slopes[i], residual[i], whitener[i], none, weight[i], n_count,
+            18, begin, end, across, rhs_begin, rhs_end, a, b, miss, square,
+            room,
+        )  # fmt: skip
+    return nodes, slopes, residual, whitener, weight

@@ -11,7 +11,7 @@ from glissando._kernels.blas import product
 from glissando._kernels.jit import jit
 from glissando._kernels.process import middle_into
 from glissando._kernels.scratch import matrix, vector
-from glissando._kernels.steps import bridged_into
+from glissando._kernels.steps import FREE, RIGID, bridged_into
 
 STATE = "f8[:,:,:,::1], f8[:,:,::1], f8[:,:,::1]"
 
@@ -69,7 +69,7 @@ def _on_line(
             density[i, j] = given[n, i, j] / span
     bridged_into(
         pose[k, n], pose[k, n + 1], strain[k, n], strain[k, n + 1], velocity[k, n],
-        velocity[k, n + 1], step, offset, middle, density[0], density[1], density[2], 6, 12, True,
+        velocity[k, n + 1], step, offset, middle, density[0], density[1], density[2], RIGID,
         there, fields[0], fields[1], slopes[0], slopes[1], left,
     )  # fmt: skip
 
@@ -88,7 +88,7 @@ def _between(
             density[i, j] = given[k, i, j] / span
     bridged_into(
         poses[0], poses[1], fields[0, 1], fields[1, 1], fields[0, 0], fields[1, 0], step, offset,
-        middle, density[0], density[1], density[2], 12, 6, False, poses[2], fields[2, 1],
+        middle, density[0], density[1], density[2], FREE, poses[2], fields[2, 1],
         fields[2, 0], slopes[2, 0], slopes[2, 1], around[2],
     )  # fmt: skip
 

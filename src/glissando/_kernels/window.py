@@ -70,7 +70,9 @@ def solve(blocks, vectors, slot, start, begin, end, across, rhs_begin, rhs_end, 
         if not inverse_factor(schur[0:d, 0:d], inverse[0:d, 0:d]):
             return k if vanished < 0 else vanished
         if k + 1 < count:
-            blocks[ACROSS, own, :, :] = across[i]
+            for a in range(d):
+                for b in range(d):
+                    blocks[ACROSS, own, a, b] = across[i, a, b]
             banded_product(inverse, across[i], blocks[COUPLING, own], first)
         forward_slab(inverse, vectors[SOLVED, own])
         if vanished < 0 and not has_information(inverse, scale):
@@ -85,7 +87,8 @@ def _backward(blocks, solved, slot, step):
     count = len(slot)
     for k in range(count - 1, -1, -1):
         own = slot[k]
-        step[k, :] = solved[own]
+        for a in range(step.shape[1]):
+            step[k, a] = solved[own, a]
         if k + 1 < count:
             less_coupling(blocks[COUPLING, own], step[k + 1], step[k])
         backward_slab(blocks[INVERSE, own], step[k])
@@ -102,9 +105,11 @@ def respond(blocks, vectors, slot, start, rhs_begin, rhs_end, step):
     for k in range(start, len(slot)):
         own, i = slot[k], k - start
         if i:
-            behind[own, :] = rhs_end[i - 1]
+            for a in range(step.shape[1]):
+                behind[own, a] = rhs_end[i - 1, a]
             less_coupled(blocks[COUPLING, slot[k - 1]], solved[slot[k - 1]], behind[own])
-        solved[own, :] = rhs_begin[i] + behind[own]
+        for a in range(step.shape[1]):
+            solved[own, a] = rhs_begin[i, a] + behind[own, a]
         forward_slab(blocks[INVERSE, own], solved[own])
     _backward(blocks, solved, slot, step)
 

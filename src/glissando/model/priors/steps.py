@@ -77,8 +77,8 @@ def weighted_steps(
     fields = flat.pose, direction.rate_of(flat), direction.carried_of(flat)
     found = kernels.weighted_steps(
         *map(whole, (*fields, direction.rate_of(noise_state), nodes, step, weight, *densities)),
-        direction.rate.start, direction.carried.start, direction.rigid,
-    )  # fmt: skip
+        direction.rigid,
+    )
     return found[:3], found[3:]
 
 

@@ -279,11 +279,10 @@ class WhiteNoisePrior:
         Returns:
             Nodes (M, 4), slopes, residuals, whiteners and weights (M,) of the readings' factors.
         """
-        found: tuple[Any, ...] = kernels.accumulate(
-            grid.arclength, grid.time, grid.arclength_spans, grid.time_spans,
-            *state.fields(), *densities, self.base_pose, self.rest_strain, self._base_densities,
-            *readings, *sums,
-        )  # fmt: skip
+        where = grid.arclength, grid.time, grid.arclength_spans, grid.time_spans, *state.fields()
+        base = self.base_pose, self.rest_strain, self._base_densities
+        kernels.add_prior(*where, *densities, *base, *sums)
+        found: tuple[Any, ...] = kernels.add_readings(*readings, *where, *densities, *sums)
         return found
 
     @cached_property
