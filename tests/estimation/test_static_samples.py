@@ -41,6 +41,25 @@ def test_draws_are_those_of_the_posterior_where_that_is_gaussian():
         )
 
 
+@pytest.mark.parametrize("places", [(0.28,), (0.1, 0.19, 0.28, 0.37, 0.466)])
+def test_draws_explain_readings_between_nodes(places):
+    """The first steps from shapes of the prior bend some so far that readings have no weights."""
+    robot, count = load_robot("tdcr466-segments"), len(places)
+    fields = {"time": np.zeros(count), "arclength": places, "cov": [1e-6] * 3 + [1e-4] * 3}
+    layout = PoseReadings(values=np.tile(np.eye(4), (count, 1, 1)), **fields)
+    predictive = PriorPredictive(robot, Grid(robot.arclength_nodes, [0.0]), [layout])
+    for seed in range(3):
+        (read,) = predictive.draw(np.random.default_rng([1, seed])).readings
+        found = estimate_static(robot.prior, robot.arclength_nodes, [read])
+        drawn = sample_static(robot.prior, robot.arclength_nodes, [read], size=40)
+        n = int(np.argmin(np.abs(robot.arclength_nodes - np.mean(places))))
+        at = found.at(robot.arclength_nodes[n], 0)
+        mean, cov = spread(drawn, n)
+        off = mean - at.position
+        assert off @ np.linalg.solve(at.cov_position_world, off) < 1.0
+        assert 0.4 < np.trace(cov) / np.trace(at.cov_position_world) < 2.0
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("sensor", ["position", "coil"])
 def test_shapes_of_the_prior_lie_within_the_spread_of_draws(sensor):
@@ -57,7 +76,7 @@ def test_shapes_of_the_prior_lie_within_the_spread_of_draws(sensor):
     for seed in range(sessions):
         session = predictive.draw(np.random.default_rng([3, seed]))
         rng = np.random.default_rng(seed)
-        drawn = sample_static(robot.prior, grid.arclength, session.readings, size=60, rng=rng)
+        drawn = sample_static(robot.prior, grid.arclength, session.readings, size=40, rng=rng)
         mean, cov = spread(drawn, middle)
         error = session.truth.pose[0, at, :3, 3] - mean
         inside += bool(error @ np.linalg.solve(cov, error) <= CHI2)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from glissando.estimation.misfit import implausible
 from glissando.geometry.se3 import Array
+from glissando.model.grid import Grid
 from glissando.model.priors.prior import Prior
 from glissando.model.priors.static import STATIC_DOF
 from glissando.model.state import State
@@ -19,6 +20,7 @@ from glissando.solver.step_search import ROUNDING, WORTHWHILE
 
 _DOFS = slice(0, STATIC_DOF)
 _SHARES = (1.0, 0.3, 0.1)  # of a bent step, tried in turn
+_MOST = 2.0 * np.pi  # rad between nodes, beyond which readings there may have no weights
 
 Solved = tuple[State, tuple[Array, Array], NDArray[np.bool_]]
 """States (S, N), their covariances and those of neighbours, and which shapes are left."""
@@ -60,12 +62,12 @@ def iterate(
         straight = here.state.retract(step)
         if not np.any(going):
             break
-        there = linearize_static(prior, located, straight, noise)
+        there = linearize_static(prior, located, _tame(grid, straight, here.state), noise)
         refused = going & ~_worthwhile(here, there, promise)
         for share in _SHARES:
             if not np.any(refused):
                 break
-            bent = prior.bent(grid, here.state, share * step)
+            bent = _tame(grid, prior.bent(grid, here.state, share * step), here.state)
             there = linearize_static(prior, located, _chosen(refused, bent, there.state), noise)
             refused &= ~_worthwhile(here, there, share * promise)
         if np.any(refused):
@@ -103,6 +105,13 @@ def _worthwhile(here: StaticEquations, there: StaticEquations, promise: Array) -
     gain = cost - here.costs(there)
     nothing = 0.5 * promise < ROUNDING * (1.0 + cost)
     return nothing | (gain > WORTHWHILE * 0.5 * promise)
+
+
+def _tame(grid: Grid, state: State, before: State) -> State:
+    """The shapes (S, N), those that turn too far between two nodes as they were before."""
+    widest = np.max(np.diff(grid.arclength), initial=0.0)
+    turn = widest * np.max(np.linalg.norm(state.strain[..., 3:], axis=-1), axis=1)
+    return _chosen(~(turn < _MOST), before, state)  # or is not a number
 
 
 def _chosen(where: NDArray[np.bool_], one: State, other: State) -> State:
