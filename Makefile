@@ -16,7 +16,7 @@ WINDOW ?= $(if $(filter $(PUBLIC),$(RECORDING)),19 29)
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: reproduce release lock test lint check-types check-layers promises docs pytest bench picture clean
+.PHONY: reproduce release lock test checks lint check-types check-layers promises docs pytest bench picture clean
 
 reproduce: $(READY)
 	$(BIN)/glissando reproduce --out $(OUT)
@@ -24,7 +24,11 @@ reproduce: $(READY)
 	$(BIN)/glissando simulate --shape S --slide oscillate --out $(OUT)/simulated
 	$(BIN)/glissando estimate $(RECORDING) $(if $(WINDOW),--window $(WINDOW)) --out $(OUT)/estimate
 
-test: lint check-types check-layers promises docs pytest
+test: checks pytest
+
+# Two at a time: types and the site take longest.
+checks: $(READY)
+	$(MAKE) --no-print-directory -j 2 check-types docs lint check-layers promises
 
 lint: $(READY)
 	$(BIN)/ruff check .
@@ -46,7 +50,7 @@ docs: $(READY)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
 
 pytest: $(READY)
-	$(BIN)/pytest -q -n 2 -m "not alone"
+	$(BIN)/pytest -q -n 2 --dist worksteal -m "not alone"
 	$(BIN)/pytest -q -n 2 -m alone tests/hardware
 
 bench: $(READY)
