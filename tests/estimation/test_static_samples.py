@@ -14,6 +14,7 @@ from glissando import (
 )
 from glissando.errors import SensorError
 from glissando.evaluation.prior_predictive import PriorPredictive
+from glissando.geometry import se3
 
 CHI2 = 7.8147  # of three degrees of freedom, 95 %
 
@@ -58,6 +59,21 @@ def test_draws_explain_readings_between_nodes(places):
         off = mean - at.position
         assert off @ np.linalg.solve(at.cov_position_world, off) < 1.0
         assert 0.4 < np.trace(cov) / np.trace(at.cov_position_world) < 2.0
+
+
+@pytest.mark.parametrize("name", ["sliding700", "extensible1m"])
+def test_shapes_are_found_though_most_of_the_prior_are_far_from_the_readings(name):
+    robot = load_robot(name)
+    nodes, rest = robot.arclength_nodes, robot.prior.rest_state(Grid(robot.arclength_nodes, [0.0]))
+    bend = np.append(rest.strain[0, 0, :3], np.array([0.8, -0.5, 0.1]) / robot.length)
+    place = np.array([0.2, 0.55, 0.9]) * robot.length
+    pose = rest.pose[0, 0] @ se3.exp(place[:, None] * bend)
+    cov = [1e-6] * 3 + [1e-4] * 2
+    read = CoilReadings(time=np.zeros(3), arclength=place, values=pose, cov=cov)
+    drawn = sample_static(robot.prior, nodes, [read], size=20)
+    middle = int(np.argmin(np.abs(nodes - place[1])))
+    arc = rest.pose[0, 0] @ se3.exp(nodes[middle] * bend)
+    assert np.abs(drawn.pose[:, middle, :3, 3] - arc[:3, 3]).max() < 0.03
 
 
 @pytest.mark.slow

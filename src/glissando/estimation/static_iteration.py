@@ -50,7 +50,7 @@ def iterate(
             LinAlgError: a shape went so far off that it has no weights).
     """
     grid = located.grid
-    here = linearize_static(prior, located, start, noise)
+    here = linearize_static(prior, located, _tame(grid, start, prior.rest_state(grid)), noise)
     going, left = np.ones(len(here.rhs), dtype=bool), np.zeros(len(here.rhs), dtype=bool)
     for _ in range(options.max_iterations):
         solved = here.cholesky.solve(here.rhs.reshape(-1, STATIC_DOF)).reshape(here.rhs.shape)

@@ -27,7 +27,8 @@ from glissando.solver.static_equations import linearize_static
 
 _OPTIONS = SolverOptions(15, tolerance=1.0)
 _TOGETHER = 100  # shapes that are sought at once
-_TRIES = 30  # draws for each shape that is asked for, at most
+_TRIES = 60  # draws for each shape that is asked for, at most
+_RARE = 0.1  # share of draws that lead to a shape, below which some start at those found
 _LARGEST = 10_000
 
 
@@ -46,7 +47,7 @@ def sample_static(
     everything is linear these are draws from the posterior. Where it is not they come close to
     that, and lie wherever a shape explains the readings, as `estimate` and `estimate_static` do not
     claim: their covariance is that about the one shape they find. Draws from which the search ends
-    at no plausible shape are drawn again.
+    at no plausible shape are drawn again; where most do, half are sought from shapes found before.
 
     Args:
         prior: What is believed before any reading; none of a rod under loads.
@@ -80,11 +81,14 @@ def sample_static(
     if isinstance(prior, MechanicalPrior):
         raise GlissandoError("Shapes of a rod follow from its loads; draw with a prior of strain.")
     rng = np.random.default_rng(0) if rng is None else rng
-    given, found, tried, missing = [r for r in readings if len(r)], [], 0, size
+    given, tried, missing = [r for r in readings if len(r)], 0, size
+    found: list[State] = []
     with one_thread():
         while missing and tried < _TRIES * size:
             count = min(_TOGETHER, size)
-            shapes, left = _drawn(prior, _copies(arclength, given, count), rng)
+            rare, turn = size - missing < _RARE * tried, tried // count % 2
+            known = concatenate(*found) if rare and turn and missing < size else None
+            shapes, left = _drawn(prior, _copies(arclength, given, count), rng, known)
             found.append(shapes.take(np.flatnonzero(~left)[:missing]))
             tried, missing = tried + count, missing - len(found[-1].pose)
     if missing:
@@ -105,9 +109,11 @@ def _copies(arclength: ArrayLike, readings: Sequence[Readings], count: int) -> L
 
 
 def _drawn(
-    prior: Prior, located: LocatedReadings, rng: np.random.Generator
+    prior: Prior, located: LocatedReadings, rng: np.random.Generator, known: State | None
 ) -> tuple[State, NDArray[np.bool_]]:
     """Shapes (S, N) for errors drawn anew, and which (S,) were not found.
+
+    The search begins at shapes of the prior, or at some of those that are `known` (·, N).
 
     Raises:
         UnobservableError: Prior and readings leave a direction of a shape undetermined.
@@ -115,10 +121,14 @@ def _drawn(
     grid, rest = located.grid, prior.rest_state(located.grid)
     residuals = (terms.residual for _, terms in linearize_static(prior, located, rest).terms)
     noise = [rng.standard_normal(residual.shape) for residual in residuals]
-    here = linearize_static(prior, locate(grid, []), rest, noise)
-    step = np.zeros((*grid.shape, rest.dof))
-    solved = here.cholesky.solve(here.rhs.reshape(-1, STATIC_DOF))
-    step[..., :STATIC_DOF] = solved.reshape(here.rhs.shape)
-    start = prior.bent(grid, rest, step)
+    if known is None:
+        here = linearize_static(prior, locate(grid, []), rest, noise)
+        step = np.zeros((*grid.shape, rest.dof))
+        solved = here.cholesky.solve(here.rhs.reshape(-1, STATIC_DOF))
+        step[..., :STATIC_DOF] = solved.reshape(here.rhs.shape)
+        start = prior.bent(grid, rest, step)
+    else:
+        start = known.take(rng.integers(len(known.pose), size=grid.time.size))
+        start = start.with_fields_of(rest)
     shapes, _, left = iterate(prior, located, start, _OPTIONS, noise)
     return State(shapes.pose, shapes.strain, np.zeros_like(shapes.strain)), left
