@@ -125,21 +125,27 @@ def _together(prior: Prior, located: LocatedReadings, options: SolverOptions) ->
         UnobservableError: Prior and readings leave a direction of a shape undetermined.
     """
     grid = located.grid
-    first = prior.of_shape(0) if isinstance(prior, MechanicalPrior) else prior
     try:
         solved = iterate(prior, located, _first_shapes(prior, located), options)
     except (np.linalg.LinAlgError, UnobservableError) as error:
-        far = far_off(grid, first, located.streams)
-        if far is not None or isinstance(error, UnobservableError):
-            raise (far or error) from error
+        _require_reach(prior, located)
+        if isinstance(error, UnobservableError):
+            raise
     else:
-        far = far_off(grid, first, located.streams) if np.any(solved[2]) else None
-        if far is not None:
-            raise far
+        if np.any(solved[2]):
+            _require_reach(prior, located)
         return solved
     (count, nodes), blocks = grid.shape, (STATIC_DOF, STATIC_DOF)
     cov, cross = np.empty((count, nodes, *blocks)), np.empty((count, nodes - 1, *blocks))
     return prior.rest_state(grid), (cov, cross), np.ones(count, dtype=bool)
+
+
+def _require_reach(prior: Prior, located: LocatedReadings) -> None:
+    """Raise SensorError where readings lie far beyond the robot's reach."""
+    first = prior.of_shape(0) if isinstance(prior, MechanicalPrior) else prior
+    far = far_off(located.grid, first, located.streams)
+    if far is not None:
+        raise far
 
 
 def _first_shapes(prior: Prior, located: LocatedReadings) -> State:

@@ -74,23 +74,35 @@ def sample_static(
     (True, True)
     """
     require_model(prior, np.asarray(arclength, dtype=float))
-    load_kernels(prior, "static_steps")
     require_streams(readings)
     if not 1 <= size <= _LARGEST:
         raise GlissandoError(f"size is {size}; draw 1 to {_LARGEST:,} shapes.")
     if isinstance(prior, MechanicalPrior):
         raise GlissandoError("Shapes of a rod follow from its loads; draw with a prior of strain.")
+    load_kernels(prior, "static_steps")
     rng = np.random.default_rng(0) if rng is None else rng
-    given, tried, missing = [r for r in readings if len(r)], 0, size
-    found: list[State] = []
     with one_thread():
-        while missing and tried < _TRIES * size:
-            count = min(_TOGETHER, size)
-            rare, turn = size - missing < _RARE * tried, tried // count % 2
-            known = concatenate(*found) if rare and turn and missing < size else None
-            shapes, left = _drawn(prior, _copies(arclength, given, count), rng, known)
-            found.append(shapes.take(np.flatnonzero(~left)[:missing]))
-            tried, missing = tried + count, missing - len(found[-1].pose)
+        located = _copies(arclength, [r for r in readings if len(r)], min(_TOGETHER, size))
+        return _collected(prior, located, size, rng)
+
+
+def _collected(
+    prior: Prior, located: LocatedReadings, size: int, rng: np.random.Generator
+) -> State:
+    """Shapes (size, N) from as many rounds of draws as it takes.
+
+    Raises:
+        GlissandoError: Hardly any draw leads to a shape.
+        UnobservableError: Prior and readings leave a direction of a shape undetermined.
+    """
+    found: list[State] = []
+    tried, missing, among_found = 0, size, False
+    while missing and tried < _TRIES * size:
+        known = concatenate(*found) if among_found else None
+        shapes, left = _drawn(prior, located, rng, known)
+        found.append(shapes.take(np.flatnonzero(~left)[:missing]))
+        tried, missing = tried + len(left), missing - len(found[-1].pose)
+        among_found = 0 < size - missing < _RARE * tried and not among_found
     if missing:
         raise GlissandoError(
             f"Only {size - missing} of {tried} draws led to a shape that explains the readings; "
