@@ -109,7 +109,7 @@ def test_what_is_compiled_is_always_the_same(tmp_path):
         command = [sys.executable, "-c", CODE]
         subprocess.run(command, env=environment, check=True, capture_output=True)
         (file,) = (tmp_path / seed).rglob("*.nbc")
-        codes.append(file.read_bytes())
+        codes.append(re.sub(rb" at 0x[0-9a-f]+", b"", file.read_bytes()))  # in comments on types
     assert len(codes[0]) > 10_000
     assert codes[0] == codes[1]
 

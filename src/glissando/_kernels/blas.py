@@ -47,6 +47,14 @@ def lower_product(a, b, out, scale, keep, turn_a, turn_b):
 
 
 @jit()
+def copy_into(given, out):
+    """What `out[:] = given` says, without the words of an error that takes seconds to compile."""
+    for i in range(given.shape[0]):
+        for j in range(given.shape[1]):
+            out[i, j] = given[i, j]
+
+
+@jit()
 def take_square(a, first, out):
     """The lower triangle, and a little more, of out − aᵀ a; rows of a before `first` are zeros.
 

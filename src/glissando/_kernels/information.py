@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from glissando._kernels.blas import product
+from glissando._kernels.blas import copy_into, product
 from glissando._kernels.jit import jit
 
 
@@ -37,9 +37,8 @@ def along_chain(base, tip, onward, noise):
     inwards = np.empty((chains, steps + 1, r, r))
     half, carried = np.empty((r, r)), np.empty((r, r))
     for k in range(chains):
-        for i in range(r):
-            for j in range(r):
-                outwards[k, 0, i, j], inwards[k, steps, i, j] = base[i, j], tip[k, i, j]
+        copy_into(base, outwards[k, 0])
+        copy_into(tip[k], inwards[k, steps])
         for i in range(steps):
             back = np.ascontiguousarray(np.linalg.inv(onward[k, i]))  # comes by columns
             product(outwards[k, i], back, half, 1.0, 0.0, False, False)

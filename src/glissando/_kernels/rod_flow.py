@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from glissando._kernels.blas import copy_into
 from glissando._kernels.jit import jit
 from glissando._kernels.lie import adjoint_back_into, compose_into, exp_into, right_jacobian_into
 from glissando._kernels.rod_noise import add_noise, carry_noise, noise_memory, product_into
@@ -153,14 +154,6 @@ def flow_memory():
 
 
 @jit()
-def _copy_into(given, out):
-    """What `out[:] = given` says, without the words of an error that takes seconds to compile."""
-    for i in range(given.shape[0]):
-        for j in range(given.shape[1]):
-            out[i, j] = given[i, j]
-
-
-@jit()
 def flow_into(rotation, length, given, acting, noisy, memory, found):
     """One interval, from its wrench to that at its end; the slope by weight is zero before."""
     stiffness, rest, rest_slope = given
@@ -190,13 +183,13 @@ def flow_into(rotation, length, given, acting, noisy, memory, found):
                 for j in range(6):
                     half[i, j] = by_weight[i, j]
             product_into(onward, half, by_weight)
-            _copy_into(pose, before)
-            _copy_into(phi, old)
+            copy_into(pose, before)
+            copy_into(phi, old)
             compose_into(before, forward, pose)
             product_into(onward, old, phi)
         else:
-            _copy_into(forward, pose)
-            _copy_into(onward, phi)
+            copy_into(forward, pose)
+            copy_into(onward, phi)
         _add_weight(slopes, turn, middle, by_weight)
     for i in range(3):
         wrench[i], wrench[3 + i] = x[_END_WRENCH, i], x[_END_WRENCH + 1, i]

@@ -11,6 +11,7 @@ from math import sqrt
 
 import numpy as np
 
+from glissando._kernels.blas import copy_into
 from glissando._kernels.jit import jit
 from glissando._kernels.lie import ahead_into, log_into, right_jacobian_inverse_into
 from glissando._kernels.normal_equations import SUMS, add_factor, at_nodes_into
@@ -140,10 +141,8 @@ def write_rows(
         row[0], row[1], row[2], row[3], row[4] = time[i], arclength[i], sensor, loss, threshold
         for j in range(width):
             row[5 + j] = values[i * width + j]
-        where, spread = mount[min(i, len(mount) - 1)], cov[min(i, len(cov) - 1)]
-        for j in range(4):
-            for k in range(4):
-                mounts[first + i, j, k] = where[j, k]
+        spread = cov[min(i, len(cov) - 1)]
+        copy_into(mount[min(i, len(mount) - 1)], mounts[first + i])
         for j in range(6):
             for k in range(6):
                 own[j, k] = spread[j, k] if j < r and k < r else 1.0 if j == k else 0.0

@@ -7,21 +7,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from glissando._kernels.blas import product
+from glissando._kernels.blas import copy_into, product
 from glissando._kernels.jit import jit
 from glissando._kernels.process import middle_into
 from glissando._kernels.scratch import matrix, vector
 from glissando._kernels.steps import FREE, RIGID, bridged_into
 
 STATE = "f8[:,:,:,::1], f8[:,:,::1], f8[:,:,::1]"
-
-
-@jit()
-def _copy(a, out):
-    """Copy a matrix."""
-    for i in range(a.shape[0]):
-        for j in range(a.shape[1]):
-            out[i, j] = a[i, j]
 
 
 @jit()
@@ -56,7 +48,7 @@ def _on_line(
     Slopes (2, 18, 18) by both nodes and covariance (18, 18) are written into zeros.
     """
     if not 0.0 < offset < step:
-        _copy(pose[k, n], there)
+        copy_into(pose[k, n], there)
         for i in range(6):
             fields[0, i], fields[1, i] = strain[k, n, i], velocity[k, n, i]
         for i in range(18):
@@ -132,8 +124,8 @@ def point_into(
             around,
         )  # fmt: skip
     last = 2 * inside_t
-    _copy(poses[last], there)
-    _copy(around[last], left)
+    copy_into(poses[last], there)
+    copy_into(around[last], left)
     for i in range(6):
         bend[i], motion[i] = fields[last, 0, i], fields[last, 1, i]
     if inside_s and inside_t:

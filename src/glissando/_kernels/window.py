@@ -13,7 +13,7 @@ from math import sqrt
 
 import numpy as np
 
-from glissando._kernels.blas import banded_product, lower_product, product
+from glissando._kernels.blas import banded_product, copy_into, lower_product, product
 from glissando._kernels.block_tridiagonal import (
     backward_slab,
     forward_slab,
@@ -70,9 +70,7 @@ def solve(blocks, vectors, slot, start, begin, end, across, rhs_begin, rhs_end, 
         if not inverse_factor(schur[0:d, 0:d], inverse[0:d, 0:d]):
             return k if vanished < 0 else vanished
         if k + 1 < count:
-            for a in range(d):
-                for b in range(d):
-                    blocks[ACROSS, own, a, b] = across[i, a, b]
+            copy_into(across[i], blocks[ACROSS, own])
             banded_product(inverse, across[i], blocks[COUPLING, own], first)
         forward_slab(inverse, vectors[SOLVED, own])
         if vanished < 0 and not has_information(inverse, scale):
