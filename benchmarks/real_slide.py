@@ -1,6 +1,6 @@
 """A sliding coil emulated on real motion: is it worth sliding, and how fast.
 
-Nobody recorded a sliding sensor. Five motion-capture bodies ride on the real robot: the one nearest
+Nobody recorded a sliding sensor. Five motion-capture bodies sit on the real robot: the one nearest
 to a virtual place s*(t) is read as a coil (its roll made random), the others then are truth.
 Nothing else is read; the prior holds the base. Arms are a coil fixed at the tip, one that swings
 over the last quarter, and one that traverses the robot but its base, s* a cosine of some period.

@@ -9,7 +9,7 @@ def dense_covariance(problem, rows):
     All corrections are one vector, conditioned on all readings that come before at once.
     """
     count, size = len(rows), problem.body.errors
-    kept = problem.kept(problem.space.correction)
+    kept = problem.fade(problem.space.correction)
     first, eye = problem.belief.cov, np.eye(size)
     cov = np.zeros((count, count, size, size))
     own = first
@@ -33,7 +33,7 @@ def dense_covariance(problem, rows):
 def sampled_errors(problem, known, count, rng):
     """What a filter leaves of sampled model errors (count, q), moment after moment."""
     rows, before = known.corrections.rows, known.corrections.before
-    size, kept = problem.body.errors, problem.kept(problem.space.correction)
+    size, kept = problem.body.errors, problem.fade(problem.space.correction)
     moments = problem.space.moments / problem.space.correction
     off = rng.multivariate_normal(np.zeros(size), problem.belief.cov, count)
     yield off
@@ -55,7 +55,7 @@ def sampled_hits(problem, evaluation, count, rng):
     radius, std = problem.scene.robot_radius, problem.scene.model_std
     floor = std * rng.standard_normal((count, 1))
     for k, off in enumerate(sampled_errors(problem, evaluation.known, count, rng)):
-        mean = problem.kept(problem.space.moments[k]) * problem.belief.mean
+        mean = problem.fade(problem.space.moments[k]) * problem.belief.mean
         values = np.broadcast_to(evaluation.values[k, :6], (count, 6))
         place = problem.body.shapes(values, mean + off).place.reshape(-1, 3)
         for obstacle in problem.scene.obstacles:

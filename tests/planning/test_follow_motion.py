@@ -43,7 +43,7 @@ def followed(seed, corrects, error_seed=None):
         noise = np.pad(std * rng.standard_normal((place.size, 5)), ((0, 0), (0, 1)))
         reading = shapes.pose_at(place[:1])[0] @ se3.exp(noise)
         follower.advance(time)
-        kept = problem.kept(problem.space.correction)
+        kept = problem.fade(problem.space.correction)
         drift = np.sqrt(1.0 - kept**2) * rng.standard_normal(true.size)
         moved = kept * true + drift
         if corrects:

@@ -92,7 +92,7 @@ def test_a_plan_in_another_process_begins_where_it_was_said_to(plan):
         for time in np.arange(0.0, 3.0, STEP):
             replanner.command(time)
             replanner.advance(time)
-            if replanner._due is not None and replanner._found is None:
+            if replanner._due is not None and replanner._replanned is None:
                 assert replanner.planner.ready(60.0)
     assert replanner.plans == 1
     assert replanner.begun == pytest.approx(2.0)

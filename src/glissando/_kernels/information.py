@@ -16,10 +16,10 @@ def _blurred_into(information, noise, out):
     product(information, noise, mixed, 1.0, 0.0, False, False)
     for i in range(n):
         mixed[i, i] += 1.0
-    found = np.linalg.solve(mixed, information)
+    blurred = np.linalg.solve(mixed, information)
     for i in range(n):
         for j in range(n):
-            out[i, j] = 0.5 * (found[i, j] + found[j, i])
+            out[i, j] = 0.5 * (blurred[i, j] + blurred[j, i])
 
 
 @jit("(f8[:,::1], f8[:,:,::1], f8[:,:,:,::1], f8[:,:,:,::1])")

@@ -179,7 +179,7 @@ def interval_between(pose0, pose1, fields0, fields1, step, offset, gain, whole, 
     still, moving, off, carried = vector(12), vector(12), vector(12), vector(6)
     scaled = vector(6)
     x, after = vector(6), vector(6)
-    ahead, bend, there = matrix(4, 4), matrix(4, 4), matrix(4, 4)
+    ahead, bend, point = matrix(4, 4), matrix(4, 4), matrix(4, 4)
     stretch, turn, curl = matrix(6, 6), matrix(6, 6), matrix(6, 6)
     back, unbend, slope = matrix(6, 6), matrix(6, 6), matrix(6, 6)
     a = matrix(6, 6)
@@ -195,8 +195,8 @@ def interval_between(pose0, pose1, fields0, fields1, step, offset, gain, whole, 
         _scaled(u, strain0, scaled)
         exp_into(scaled, ahead)
         exp_into(still[:6], bend)
-        compose_into(pose0[n], ahead, there)
-        compose_into(there, bend, pose[n])
+        compose_into(pose0[n], ahead, point)
+        compose_into(point, bend, pose[n])
         right_jacobian_into(scaled, stretch)
         for i in range(6):
             for j in range(6):

@@ -61,12 +61,12 @@ class Kernel:
 
     def work(self) -> int:
         """How much there is to compile: bytes of code of it and of all that it calls."""
-        calls, found = [self], {self.name}
+        calls, seen = [self], {self.name}
         for caller in calls:
             names = caller.function.__code__.co_names
             values = (caller.function.__globals__.get(name) for name in names)
-            called = [v for v in values if isinstance(v, Kernel) and v.name not in found]
-            found |= {each.name for each in called}
+            called = [v for v in values if isinstance(v, Kernel) and v.name not in seen]
+            seen |= {each.name for each in called}
             calls += called
         return sum(len(each.function.__code__.co_code) for each in calls)
 

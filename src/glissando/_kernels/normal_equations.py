@@ -39,7 +39,7 @@ def _groups(nodes, first_dof, jacobian, extras, n_count, dof, count, groups):
     """
     c, d = jacobian.shape[1:]
     e = extras.shape[1] // 2
-    k, found = nodes[0] // n_count, 0
+    k, filled = nodes[0] // n_count, 0
     if e:
         k = min(k, max(count - 2, 0))
     for a in range(c):
@@ -48,18 +48,20 @@ def _groups(nodes, first_dof, jacobian, extras, n_count, dof, count, groups):
         for part in range(0, d if slab < count else 0, 6):
             end = min(part + 6, d)
             if not _is_zero(jacobian, np.uint64(a), np.uint64(part), np.uint64(end)):
-                groups[found, 0], groups[found, 1] = slab - k, first + part
-                groups[found, 2], groups[found, 3] = end - part, a * d + part
-                found += 1
+                groups[filled, 0], groups[filled, 1] = slab - k, first + part
+                groups[filled, 2], groups[filled, 3] = end - part, a * d + part
+                filled += 1
     for later in range(2 if e else 0):
         if k + later < count:  # parameters after the last node have no weight
             first, at = n_count * dof, c * d + later * e
-            found = _add_runs(extras[:, later * e : later * e + e], later, first, at, groups, found)
-    return k, found
+            filled = _add_runs(
+                extras[:, later * e : later * e + e], later, first, at, groups, filled
+            )
+    return k, filled
 
 
 @jit(inline=True)
-def _add_runs(slopes, later, first, at, groups, found):
+def _add_runs(slopes, later, first, at, groups, filled):
     """Add the runs of columns of parameters with a slope to the groups; how many they are now."""
     begin, count = -1, slopes.shape[1]
     for x in range(count + 1):
@@ -69,18 +71,18 @@ def _add_runs(slopes, later, first, at, groups, found):
         if live and begin < 0:
             begin = x
         elif not live and begin >= 0:
-            groups[found, 0], groups[found, 1] = later, first + begin
-            groups[found, 2], groups[found, 3] = x - begin, at + begin
-            found, begin = found + 1, -1
-    return found
+            groups[filled, 0], groups[filled, 1] = later, first + begin
+            groups[filled, 2], groups[filled, 3] = x - begin, at + begin
+            filled, begin = filled + 1, -1
+    return filled
 
 
 @jit(inline=True)
-def _whitened(sqrt_info, jacobian, extras, residual, groups, found, slopes, white, miss):
+def _whitened(sqrt_info, jacobian, extras, residual, groups, filled, slopes, white, miss):
     """White Jacobian (r, ·) of the groups side by side, white residual (r,); the width."""
     r, wide, width = len(miss), jacobian.shape[1] * jacobian.shape[2], 0
     rows = jacobian.reshape(r, wide)
-    for g in range(found):
+    for g in range(filled):
         at, columns = groups[g, 3], groups[g, 2]
         if at < wide and columns == 6:
             first, to = np.uint64(at), np.uint64(width)
@@ -154,14 +156,14 @@ def add_factor(
 ):  # fmt: skip
     """Whiten a factor and add it to the blocks of intervals; the last five are scratch."""
     count, row = len(begin), 0
-    k, found = _groups(nodes, first_dof, jacobian, extras, n_count, dof, count, room)
-    width = _whitened(sqrt_info, jacobian, extras, residual, room, found, slopes, white, miss)
+    k, filled = _groups(nodes, first_dof, jacobian, extras, n_count, dof, count, room)
+    width = _whitened(sqrt_info, jacobian, extras, residual, room, filled, slopes, white, miss)
     live = white[: len(residual), :width]
     product(live, live, square[:width, :width], 1.0, 0.0, True, False)
-    for a in range(found):
+    for a in range(filled):
         late, at, height, column = room[a, 0], room[a, 1], room[a, 2], 0
         _pull(weight, miss, white, row, height, rhs_end if late else rhs_begin, k, at)
-        for b in range(found):
+        for b in range(filled):
             beside, wide = room[b, 1], room[b, 2]
             if room[b, 0] <= late:
                 blocks = begin
@@ -213,14 +215,14 @@ def squared_innovations(
     begins = np.zeros(m + 1, np.int64)
     for n in range(m):
         i = which[n]
-        k, found = _groups(nodes[i], first_dof, jacobian[i], extras[i], n_count, dof, count, room)
+        k, filled = _groups(nodes[i], first_dof, jacobian[i], extras[i], n_count, dof, count, room)
         column = 0
         width = _whitened(
-            sqrt_info[i], jacobian[i], extras[i], residual[i], room, found, slopes, white, miss[n]
+            sqrt_info[i], jacobian[i], extras[i], residual[i], room, filled, slopes, white, miss[n]
         )
         live, first = _live(white[:, :width], miss[n]), min(first, k)
         begins[n + 1] = begins[n] + live
-        for g in range(found):
+        for g in range(filled):
             slab, at = k + room[g, 0], room[g, 1]
             for y in range(live):
                 for x in range(room[g, 2]):

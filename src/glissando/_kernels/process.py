@@ -120,7 +120,7 @@ def _add_square(turn, density, weight, out):
 def process_into(rate, step, psd, carried_psd, jump, rigid, cov, carried):
     """Noise of an interval; `cov` (12, 12) and `carried` (6, 6) are written."""
     m, m2, m3, m4 = matrix(6, 6), matrix(6, 6), matrix(6, 6), matrix(6, 6)
-    lever, ride, mean, angle = matrix(6, 6), matrix(6, 6), zero_vector(5), squared_angle(rate)
+    lever, transport, mean, angle = matrix(6, 6), matrix(6, 6), zero_vector(5), squared_angle(rate)
     for i in range(6):
         for j in range(6):
             cov[i, j] = cov[6 + i, 6 + j] = carried[i, j] = 0.0
@@ -145,11 +145,11 @@ def process_into(rate, step, psd, carried_psd, jump, rigid, cov, carried):
         mean[3] += weight * u * c3
         mean[4] += weight * u * c4
         if rigid:  # exp(−u ad) = 1 − u ad J_r(u rate)
-            times_into(m, lever, ride)
+            times_into(m, lever, transport)
             for i in range(3):
                 for j in range(6):
-                    ride[i, j] = (i == j) - u * ride[i, j]
-            _add_square(ride, carried_psd, weight, carried)
+                    transport[i, j] = (i == j) - u * transport[i, j]
+            _add_square(transport, carried_psd, weight, carried)
     for i in range(6):
         for j in range(6):
             value = mean[1] * m[i, j] + mean[2] * m2[i, j] + mean[3] * m3[i, j] + mean[4] * m4[i, j]

@@ -154,12 +154,12 @@ def flow_memory():
 
 
 @jit()
-def flow_into(rotation, length, given, acting, noisy, memory, found):
+def flow_into(rotation, length, given, acting, noisy, memory, out):
     """One interval, from its wrench to that at its end; the slope by weight is zero before."""
     stiffness, rest, rest_slope = given
     load, load_slope, psd = acting
     x, slopes, six, frame, forward, before, onward, old, here, turn, half, scale, noises = memory
-    pose, wrench, phi, noise, by_weight = found
+    pose, wrench, phi, noise, by_weight = out
     h = length / STEPS
     for i in range(4):
         pose[i, i] = 1.0
@@ -206,6 +206,6 @@ def flow(rotation, wrench, step, stiffness, rest, rest_slope, weight, weight_slo
     noise, by_weight, memory = np.zeros((m, 12, 12)), np.zeros((m, 12, 6)), flow_memory()
     for i in range(m):
         given, acting = (stiffness[i], rest[i], rest_slope[i]), (weight[i], weight_slope[i], psd[i])
-        found = pose[i], end[i], phi[i], noise[i], by_weight[i]
-        flow_into(rotation[i], step[i], given, acting, noisy, memory, found)
+        out = pose[i], end[i], phi[i], noise[i], by_weight[i]
+        flow_into(rotation[i], step[i], given, acting, noisy, memory, out)
     return pose, end, phi, noise, by_weight

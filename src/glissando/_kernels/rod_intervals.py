@@ -44,12 +44,12 @@ def _act(rod, fields0, fields1, half, acting):
 
 
 @jit()
-def _reach(pose, fields, rod, length, made, acting, memory, found):
+def _reach(pose, fields, rod, length, made, acting, memory, out):
     """Where an undisturbed rod arrives: pose and strain, slopes by pose and strain, by weight.
 
     `made` (2, 6) is the stiffness at the end and the strain that carries nothing there.
     """
-    ahead, strain, phi, _, by_weight = found
+    ahead, strain, phi, _, by_weight = out
     for i in range(6):
         strain[i] = rod[STIFFNESS + i] * (fields[i] - rod[REST + i])
     for i in range(12):
@@ -60,7 +60,7 @@ def _reach(pose, fields, rod, length, made, acting, memory, found):
             ahead[i, j] = 0.0
     given = rod[STIFFNESS:REST], rod[REST:REST_SLOPE], rod[REST_SLOPE:WEIGHT]
     loads = acting[0], acting[1], rod[:12]  # no noise is asked for
-    flow_into(pose, length, given, loads, _NOISELESS, memory, found)
+    flow_into(pose, length, given, loads, _NOISELESS, memory, out)
     for i in range(6):
         scale = 1.0 / made[0, i]
         strain[i] = made[1, i] + scale * strain[i]
@@ -95,14 +95,14 @@ def _apply_top(matrix, rows, slopes, end, half):
 def _still(nodes, rod, half, work, error, slopes):
     """Error (12,) of an interval and its slopes (2, 12, 15) by nodes that hold still."""
     pose0, fields0, pose1, fields1 = nodes
-    memory, found, acting, made, six, there, miss, matrix, _, _ = work
-    ahead, strain, phi, _, by_weight = found
+    memory, out, acting, made, six, end_pose, miss, matrix, _, _ = work
+    ahead, strain, phi, _, by_weight = out
     _act(rod, fields0, fields1, half, acting)
     for i in range(6):
         made[0, i], made[1, i] = rod[END_STIFFNESS + i], rod[END_REST + i]
-    _reach(pose0, fields0, rod, rod[STEP], made, acting, memory, found)
-    compose_into(pose0, ahead, there)
-    ahead_into(there, pose1, miss)
+    _reach(pose0, fields0, rod, rod[STEP], made, acting, memory, out)
+    compose_into(pose0, ahead, end_pose)
+    ahead_into(end_pose, pose1, miss)
     log_into(miss, six)
     for i in range(6):
         error[i], error[6 + i] = six[i], fields1[i] - strain[i]
@@ -131,7 +131,7 @@ def _still_inside(nodes, rod, half, offset, gain, work, point, slopes):
     """Pose (4, 4) and strain (6,) inside an interval, slopes (2, 12, 15) by nodes at rest."""
     pose0, fields0 = nodes[0], nodes[1]
     pose, strain = point
-    memory, found, acting, made, six, there, bend, matrix, error, whole = work
+    memory, out, acting, made, six, begin, bend, matrix, error, whole = work
     _still(nodes, rod, half, work, error, whole)
     for i in range(12):
         for end in range(2):
@@ -147,11 +147,11 @@ def _still_inside(nodes, rod, half, offset, gain, work, point, slopes):
             strain[i] += gain[6 + i, k] * error[k]
         made[0, i] = rod[STIFFNESS + i]
         made[1, i] = rod[REST + i] + offset * rod[REST_SLOPE + i]
-    _reach(pose0, fields0, rod, offset, made, acting, memory, found)
-    ahead, reached, phi, _, by_weight = found
+    _reach(pose0, fields0, rod, offset, made, acting, memory, out)
+    ahead, reached, phi, _, by_weight = out
     exp_into(six, bend)
-    compose_into(pose0, ahead, there)
-    compose_into(there, bend, pose)
+    compose_into(pose0, ahead, begin)
+    compose_into(begin, bend, pose)
     right_jacobian_into(six, matrix)
     _apply_top(matrix, six, slopes, 0, half)
     _apply_top(matrix, six, slopes, 1, half)
@@ -235,11 +235,11 @@ def _rates_into(nodes, nudge, half, slopes, matrix, six, rate, jacobian):
 @jit()
 def _work():
     """What the functions above write their intermediate results to."""
-    found = (
+    out = (
         np.empty((4, 4)), np.empty(6), np.empty((12, 12)), np.empty((12, 12)), np.empty((12, 6)),
     )  # fmt: skip
     return (
-        flow_memory(), found, np.empty((2, 3)), np.empty((2, 6)), np.empty(6), np.empty((4, 4)),
+        flow_memory(), out, np.empty((2, 3)), np.empty((2, 6)), np.empty(6), np.empty((4, 4)),
         np.empty((4, 4)), np.empty((6, 6)), np.empty(12), np.empty((2, 12, _HALF)),
     )  # fmt: skip
 

@@ -27,13 +27,13 @@ ROWS = (6, 5, 3, 3, 3, 6)
 
 
 @jit()
-def _pose_into(values, there, rolls, error):
-    """Error (6,) of a measured pose `there`; if it rolls, its roll is first turned to agree."""
+def _pose_into(values, sensor_pose, rolls, error):
+    """Error (6,) of a measured pose; of a sensor that rolls, its roll is first turned to agree."""
     measured, apart, roll = matrix(4, 4), matrix(4, 4), zero_vector(6)
     turn, turned = np.eye(4), matrix(4, 4)
     for i in range(16):
         measured[i // 4, i % 4] = values[i]
-    ahead_into(measured, there, apart)
+    ahead_into(measured, sensor_pose, apart)
     if rolls:
         roll[5] = -atan2(apart[1, 0] - apart[0, 1], apart[0, 0] + apart[1, 1])
         exp_into(roll, turn)
@@ -58,14 +58,14 @@ def _pose_slopes(error, back, rolls, by_state):
 
 
 @jit()
-def _orientation_into(values, there, back, residual, by_state):
+def _orientation_into(values, sensor_pose, back, residual, by_state):
     """The rotation vector from the measured orientation to that of a pose, and its slopes."""
     turn, error, spread = np.eye(4), vector(6), matrix(6, 6)
     for i in range(3):
         for j in range(3):
             turn[i, j] = 0.0
             for k in range(3):
-                turn[i, j] += values[3 * k + i] * there[k, j]
+                turn[i, j] += values[3 * k + i] * sensor_pose[k, j]
     log_into(turn, error)
     error[0] = error[1] = error[2] = 0.0
     right_jacobian_inverse_into(error, spread)
@@ -79,7 +79,7 @@ def _orientation_into(values, there, back, residual, by_state):
 @jit()
 def sense_into(kind, values, mount, pose, strain, velocity, residual, by_state):
     """Residual of a reading (6,) and its slope (6, 18) by the state, both into zeros."""
-    there, back = matrix(4, 4), matrix(6, 6)
+    sensor_pose, back = matrix(4, 4), matrix(6, 6)
     if kind == STRAIN:
         for i in range(6):
             residual[i], by_state[i, 6 + i] = strain[i] - values[i], 1.0
@@ -91,18 +91,18 @@ def sense_into(kind, values, mount, pose, strain, velocity, residual, by_state):
                 residual[i] += velocity[3 + j] * mount[j, i]
                 by_state[i, 15 + j] = mount[j, i]
         return
-    compose_into(pose, mount, there)
+    compose_into(pose, mount, sensor_pose)
     adjoint_back_into(mount, back)
     if kind == POSITION:
         for i in range(3):
-            residual[i] = there[i, 3] - values[i]
+            residual[i] = sensor_pose[i, 3] - values[i]
             for j in range(6):
                 for k in range(3):
-                    by_state[i, j] += there[i, k] * back[k, j]
+                    by_state[i, j] += sensor_pose[i, k] * back[k, j]
     elif kind == ORIENTATION:
-        _orientation_into(values, there, back, residual, by_state)
+        _orientation_into(values, sensor_pose, back, residual, by_state)
     else:
-        _pose_into(values, there, kind == COIL, residual)
+        _pose_into(values, sensor_pose, kind == COIL, residual)
         _pose_slopes(residual, back, kind == COIL, by_state)
         if kind == COIL:
             residual[5] = 0.0

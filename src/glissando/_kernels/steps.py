@@ -80,18 +80,18 @@ def _carried(start, end, field0, field1, at, rigid, error, j0, j1):
             j0[i, at + i], error[i] = -1.0, field1[i] - field0[i]
     if not rigid:
         return
-    pose, ride, curl, lean = matrix(4, 4), matrix(6, 6), matrix(6, 6), matrix(6, 6)
-    ridden = vector(6)
+    pose, transport, curl, lean = matrix(4, 4), matrix(6, 6), matrix(6, 6), matrix(6, 6)
+    moved = vector(6)
     ahead_into(end, start, pose)
-    adjoint_into(pose, ride)
-    apply_into(ride, field0, ridden)
+    adjoint_into(pose, transport)
+    apply_into(transport, field0, moved)
     ad_into(field0, curl)
-    times_into(ride, curl, lean)
-    ad_into(ridden, curl)
+    times_into(transport, curl, lean)
+    ad_into(moved, curl)
     for i in range(6):
-        error[i] = field1[i] - ridden[i]
+        error[i] = field1[i] - moved[i]
         for j in range(6):
-            j0[i, j], j0[i, at + j], j1[i, j] = lean[i, j], -ride[i, j], -curl[i, j]
+            j0[i, j], j0[i, at + j], j1[i, j] = lean[i, j], -transport[i, j], -curl[i, j]
 
 
 @jit()
@@ -166,14 +166,14 @@ def _onward(start, rate, offset, delta, pose, turn, back, pull):
 
     By the bend (`turn`), the start (`back`) and the rate (`pull`), all (6, 6).
     """
-    ahead, bend, there = matrix(4, 4), matrix(4, 4), matrix(4, 4)
+    ahead, bend, end = matrix(4, 4), matrix(4, 4), matrix(4, 4)
     unbend, a, scaled = matrix(6, 6), matrix(6, 6), vector(6)
     for i in range(6):
         scaled[i] = offset * rate[i]
     exp_into(scaled, ahead)
     exp_into(delta, bend)
-    compose_into(start, ahead, there)
-    compose_into(there, bend, pose)
+    compose_into(start, ahead, end)
+    compose_into(end, bend, pose)
     right_jacobian_into(delta, turn)
     adjoint_back_into(bend, unbend)
     adjoint_back_into(ahead, a)
@@ -218,22 +218,22 @@ def pair_point_into(start, end, rate0, rate1, step, offset, gain, at, pose, rate
 
 
 @jit()
-def _ride(pose, start, field0, at, field, j0, j1, left):
-    """Add the field that rides from the start of a step to a pose, which turns it."""
-    there, ride = matrix(4, 4), matrix(6, 6)
-    curl, lean, ridden = matrix(6, 6), matrix(6, 6), vector(6)
-    ahead_into(pose, start, there)
-    adjoint_into(there, ride)
-    apply_into(ride, field0, ridden)
+def _transport(pose, start, field0, at, field, j0, j1, left):
+    """Add the field transported from the start of a step to a pose, which turns it."""
+    end, transport = matrix(4, 4), matrix(6, 6)
+    curl, lean, moved = matrix(6, 6), matrix(6, 6), vector(6)
+    ahead_into(pose, start, end)
+    adjoint_into(end, transport)
+    apply_into(transport, field0, moved)
     ad_into(field0, curl)
-    times_into(ride, curl, lean)
+    times_into(transport, curl, lean)
     for i in range(6):
-        field[i] += ridden[i]
+        field[i] += moved[i]
         for j in range(6):
             j0[at + i, j] -= lean[i, j]
-            j0[at + i, at + j] += ride[i, j]
-    ad_into(ridden, curl)
-    for rows in (j0, j1, left):  # what rides turns with the pose
+            j0[at + i, at + j] += transport[i, j]
+    ad_into(moved, curl)
+    for rows in (j0, j1, left):  # what is transported turns with the pose
         product(curl, rows[0:6], rows[at : at + 6], 1.0, 1.0, False, False)
     product(left[:, 0:6], curl, left[:, at : at + 6], 1.0, 1.0, False, True)
 
@@ -257,7 +257,7 @@ def _carried_point(
     apply_into(gain, lost, field)
     product(gain, c0, j0[at : at + 6], 1.0, 0.0, False, False)
     product(gain, c1, j1[at : at + 6], 1.0, 0.0, False, False)
-    _ride(pose, start, field0, at, field, j0, j1, left)
+    _transport(pose, start, field0, at, field, j0, j1, left)
 
 
 @jit()

@@ -166,7 +166,7 @@ def add_readings(
     m, n_count = len(which), len(arclength)
     nodes, slopes = np.zeros((m, 4), np.int64), np.zeros((m, 6, 4, 18))
     residual, whitener, weight = np.zeros((m, 6)), np.empty((m, 6, 6)), np.empty(m)
-    there, bend, motion = matrix(4, 4), vector(6), vector(6)
+    point, bend, motion = matrix(4, 4), vector(6), vector(6)
     a, b, miss, square = matrix(6, 72), matrix(6, 72), vector(6), matrix(72, 72)
     room, none, cell = np.empty((14, 4), np.int64), matrix(6, 0), lines()
     for i in range(m):
@@ -176,11 +176,11 @@ def add_readings(
         k, dt, ut = _cell(time, row[0])
         point_into(
             n, ds, us, k, dt, ut, pose, strain, velocity, strain, velocity, along, through,
-            arclength_spans, time_spans, cell, _UNKNOWN, there, bend, motion, nodes[i], jacobian,
+            arclength_spans, time_spans, cell, _UNKNOWN, point, bend, motion, nodes[i], jacobian,
             left,
         )  # fmt: skip
         sense_into(
-            int(row[2]), row[5:], mounts[at], there, bend, motion, residual[i], by_state
+            int(row[2]), row[5:], mounts[at], point, bend, motion, residual[i], by_state
         )  # fmt: skip
         at_nodes_into(by_state, jacobian, left, covs[at], slopes[i], whitener[i])
         weight[i] = _weight(row[3], row[4], whitener[i], residual[i])

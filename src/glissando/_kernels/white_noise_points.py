@@ -41,14 +41,14 @@ def _bridge_rate(k, n, share, about, out):
 
 @jit()
 def _on_line(
-    n, step, offset, k, pose, strain, velocity, about, given, span, there, fields, slopes, left
+    n, step, offset, k, pose, strain, velocity, about, given, span, point, fields, slopes, left
 ):
     """Pose, strain and velocity at time node k, in interval n of arclength or on a node.
 
     Slopes (2, 18, 18) by both nodes and covariance (18, 18) are written into zeros.
     """
     if not 0.0 < offset < step:
-        copy_into(pose[k, n], there)
+        copy_into(pose[k, n], point)
         for i in range(6):
             fields[0, i], fields[1, i] = strain[k, n, i], velocity[k, n, i]
         for i in range(18):
@@ -62,7 +62,7 @@ def _on_line(
     bridged_into(
         pose[k, n], pose[k, n + 1], strain[k, n], strain[k, n + 1], velocity[k, n],
         velocity[k, n + 1], step, offset, middle, density[0], density[1], density[2], RIGID,
-        there, fields[0], fields[1], slopes[0], slopes[1], left,
+        point, fields[0], fields[1], slopes[0], slopes[1], left,
     )  # fmt: skip
 
 
@@ -95,7 +95,7 @@ def lines():
 @jit()
 def point_into(
     n, ds, us, k, dt, ut, pose, strain, velocity, about_strain, about_velocity, along, through,
-    arclength_spans, time_spans, room, known, there, bend, motion, nodes, jacobian, left,
+    arclength_spans, time_spans, room, known, point, bend, motion, nodes, jacobian, left,
 ):  # fmt: skip
     """State in a cell; nodes (c,), slopes (18, c, 18) and covariance (18, 18) into zeros.
 
@@ -124,7 +124,7 @@ def point_into(
             around,
         )  # fmt: skip
     last = 2 * inside_t
-    copy_into(poses[last], there)
+    copy_into(poses[last], point)
     copy_into(around[last], left)
     for i in range(6):
         bend[i], motion[i] = fields[last, 0, i], fields[last, 1, i]
@@ -153,7 +153,7 @@ def points(
     each along arclength and time.
     """
     m = len(lower)
-    there, bend, motion = np.empty((m, 4, 4)), np.empty((m, 6)), np.empty((m, 6))
+    point, bend, motion = np.empty((m, 4, 4)), np.empty((m, 6)), np.empty((m, 6))
     nodes, jacobian = np.empty((m, touched), np.int64), np.zeros((m, 18, touched, 18))
     left, room, inside = np.zeros((m, 18, 18)), lines(), False
     for i in range(m):
@@ -164,7 +164,7 @@ def points(
             known = known and lower[i, j] == lower[i - 1, j]
         point_into(
             lower[i, 0], ds, us, lower[i, 1], dt, ut, pose, strain, velocity, about_strain,
-            about_velocity, along, through, arclength_spans, time_spans, room, known, there[i],
+            about_velocity, along, through, arclength_spans, time_spans, room, known, point[i],
             bend[i], motion[i], nodes[i], jacobian[i], left[i],
         )  # fmt: skip
-    return there, bend, motion, nodes, jacobian, left
+    return point, bend, motion, nodes, jacobian, left

@@ -44,13 +44,13 @@ def _known(blocks, vectors, own, older, end, rhs_end):
 @jit()
 def _sum(blocks, vectors, own, begin, rhs_begin, schur, scale):
     """Sum a slab to `schur`, in the lower half, and its right-hand side."""
-    known, kept = blocks[KNOWN, own], blocks[BEGIN, own]
+    known, own_sum = blocks[KNOWN, own], blocks[BEGIN, own]
     for a in range(len(scale)):
         scale[a] = begin[a, a] + vectors[SCALE, own, a]
         vectors[AHEAD, own, a] = rhs_begin[a]
         vectors[SOLVED, own, a] = rhs_begin[a] + vectors[BEHIND, own, a]
         for b in range(a + 1):
-            kept[a, b], schur[a, b] = begin[a, b], begin[a, b] + known[a, b]
+            own_sum[a, b], schur[a, b] = begin[a, b], begin[a, b] + known[a, b]
 
 
 @jit(f"(f8[:,:,:,::1], f8[:,:,::1], i8[::1], i8, {SUMS}, f8[:,::1])")

@@ -124,9 +124,9 @@ def _of_session(options: argparse.Namespace) -> tuple[Calibration, list[Path]]:
 def _of_recording(options: argparse.Namespace) -> tuple[Calibration, list[Path]]:
     """Calibrate a recording; the result, and the recording that was written."""
     folder: Path = options.session
-    kept = folder.with_name(folder.resolve().name + ".uncalibrated")
+    original = folder.with_name(folder.resolve().name + ".uncalibrated")
     if options.recording is None:
-        require_new(kept, RecordingError)
+        require_new(original, RecordingError)
     recording = load_recording(folder)
     robot = chosen_robot(recording, options.robot)
     data = recording_data(recording, options.coil)
@@ -141,9 +141,9 @@ def _of_recording(options: argparse.Namespace) -> tuple[Calibration, list[Path]]
     save_recording(made, out, where, _listed(result))
     if options.recording:
         return result, [out]
-    folder.rename(kept)
+    folder.rename(original)
     out.rename(folder)
-    return result, [folder, kept]
+    return result, [folder, original]
 
 
 def _listed(result: Calibration) -> dict[str, dict[str, float | str]]:

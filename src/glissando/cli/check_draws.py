@@ -42,7 +42,7 @@ def check_draws(options: argparse.Namespace) -> int:
         raise GlissandoError(f"--prior-factor is {options.prior_factor:g}; give one above zero.")
     robot, layout = _robot_and_layout(options)
     with working(f"sessions of {robot.name}") as work:
-        found = simulate_and_rank(
+        checks = simulate_and_rank(
             robot,
             options.draws,
             layout=layout,
@@ -50,17 +50,17 @@ def check_draws(options: argparse.Namespace) -> int:
             seed=options.seed,
             progress=work.update,
         )
-    document = {"name": robot.name, "simulation": [check.as_json() for check in found]}
+    document = {"name": robot.name, "simulation": [check.as_json() for check in checks]}
     if options.out:
         with renewed_folder(options.out, ("check.json", "ranks.png")) as building:
             write_report(building / "check.json", document | stated(options, robot))
-            save_figure(ecdf_figure(found), building / "ranks.png")
+            save_figure(ecdf_figure(checks), building / "ranks.png")
     if options.json:
         print(json.dumps(document))
     else:
-        for check in found:
+        for check in checks:
             _print(robot, check)
-    return 1 if any(check.outside for check in found) else 0
+    return 1 if any(check.outside for check in checks) else 0
 
 
 def _robot_and_layout(

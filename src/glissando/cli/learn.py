@@ -251,11 +251,11 @@ def _print(result: Learned, report: dict[str, Any], std: dict[str, Array]) -> No
         within = "–" if p["log_std"] is None else f"× {math.exp(min(p['log_std'], 20.0)):.3g}"
         table.add_row(p["name"], f"{p['value']:.4g}", f"{p['factor']:.3g}", within)
     console.print(table)
-    found = [
+    constants = [
         *result.after.constants,
         *(p for p in _parameters_of(result.document) if p.name in std),
     ]
-    for c in found:
+    for c in constants:
         text = parameter_text(c.kind, c.value.tolist(), std.get(c.name, 0.0 * c.value).tolist())
         left = " (of this recording, not written)" if c.kind == "time_offset" else ""
         console.print(f"  {c.name} ({c.kind}): {text}{left}", markup=False)

@@ -81,20 +81,20 @@ def _rows(recording: Recording, start: float, stop: float) -> tuple[Array, Array
     if tendons is None or tip is None:
         lacks = "stream of kind tendon" if tendons is None else f"positions named {TIP!r}"
         raise RecordingError(f"{recording.name} has no {lacks}; tendons are learned from both.")
-    _, mine, its = np.intersect1d(tendons.time, tip.time, return_indices=True)
-    if not mine.size:
+    _, rows, its = np.intersect1d(tendons.time, tip.time, return_indices=True)
+    if not rows.size:
         raise RecordingError(
             f"{recording.name}: tendons and {TIP} have no time in common; give them one clock."
         )
-    inside = (tendons.time[mine] >= start) & (tendons.time[mine] <= stop)
+    inside = (tendons.time[rows] >= start) & (tendons.time[rows] <= stop)
     if not inside.any():
-        first, last = tendons.time[mine][[0, -1]]
+        first, last = tendons.time[rows][[0, -1]]
         raise RecordingError(
             f"{recording.name}: no row lies within --window {start:g} {stop:g}; the rows go from "
             f"{first:.6g} to {last:.6g} s."
         )
-    mine, its = mine[inside], its[inside]
-    return tendons.values[mine][:, : np.size(tendons.settings["radius"])], tip.values[its]
+    rows, its = rows[inside], its[inside]
+    return tendons.values[rows][:, : np.size(tendons.settings["radius"])], tip.values[its]
 
 
 def _document(document: Document, robot: Robot) -> Document:

@@ -117,11 +117,11 @@ def _stopped_by_signals(*, ends_process: bool = False) -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    asked: list[float] = []
+    requests: list[float] = []
 
     def stop(number: int, frame: FrameType | None) -> None:
-        asked.append(time.monotonic())
-        if len(asked) > 1 and asked[-1] < asked[0] + _CLEAN_UP:
+        requests.append(time.monotonic())
+        if len(requests) > 1 and requests[-1] < requests[0] + _CLEAN_UP:
             os.write(2, b"glissando: stopping, as asked; everything is being put away.\n")
             return
         raise KeyboardInterrupt
@@ -134,7 +134,7 @@ def _stopped_by_signals(*, ends_process: bool = False) -> Iterator[None]:
 
     def unraisable(lost: Any) -> None:
         if isinstance(lost.exc_value, KeyboardInterrupt):  # it came in a destructor: once more
-            asked.clear()
+            requests.clear()
             threading.Timer(_AGAIN, again).start()
         else:
             show_lost(lost)
@@ -149,7 +149,7 @@ def _stopped_by_signals(*, ends_process: bool = False) -> Iterator[None]:
     finally:
         sys.unraisablehook = show_lost
         for number, handler in before.items():  # nothing disturbs the end of a program
-            signal.signal(number, signal.SIG_IGN if asked and ends_process else handler)
+            signal.signal(number, signal.SIG_IGN if requests and ends_process else handler)
 
 
 @contextmanager

@@ -59,29 +59,29 @@ def stated(options: argparse.Namespace, robot: Robot | None = None) -> dict[str,
         that an option names, those of a folder by their names, a file by its option; `seed`, if
         there is one.
     """
-    found: dict[str, str] = {}
+    digests: dict[str, str] = {}
     for option, value in vars(options).items():
         for one in value if isinstance(value, list) else [value]:
             if option != "out" and isinstance(one, Path) and one.exists():
-                found |= _digests_of(one, f"--{option}")
+                digests |= _digests_of(one, f"--{option}")
     name = getattr(options, "robot", None)
     file = robot_file(name) if name else robot.file if robot else None
     if file:
-        found |= _digests_of(file, "--robot")
+        digests |= _digests_of(file, "--robot")
     seed = {"seed": options.seed} if hasattr(options, "seed") else {}
-    return {"request": _without_out(options.words), "inputs": found, **seed}
+    return {"request": _without_out(options.words), "inputs": digests, **seed}
 
 
 def _without_out(words: list[str]) -> list[str]:
     """The words of a command without `--out DIR`, so that results elsewhere are the same bytes."""
-    kept, left = [], iter(words)
+    words_left, left = [], iter(words)
     for word in left:
         flag, equals, _ = word.partition("=")
         if not (len(flag) > 2 and "--out".startswith(flag)):
-            kept.append(word)
+            words_left.append(word)
         elif not equals:
             next(left)
-    return kept
+    return words_left
 
 
 def _digests_of(path: Path, option: str) -> dict[str, str]:

@@ -43,16 +43,16 @@ def place(options: argparse.Namespace) -> int:
     with working("choosing sensors"):
         zones = [read_zone(text) for text in options.zone]
         problem = placement_problem(robot, candidates, zones, horizon=options.horizon)
-        found = list(place_sensors(problem, budgets))
-    report = {"zones": options.zone, "placements": [_row(each) for each in found]}
+        placements = list(place_sensors(problem, budgets))
+    report = {"zones": options.zone, "placements": [_row(each) for each in placements]}
     if options.out:
         with renewed_folder(options.out, ("design.json", "design.png")) as building:
             write_report(building / "design.json", report | stated(options))
-            save_figure(placement_figure(found, robot.length), building / "design.png")
+            save_figure(placement_figure(placements, robot.length), building / "design.png")
     if options.json:
         print(json.dumps(report))
     else:
-        Console().print(_table(found))
+        Console().print(_table(placements))
     return 0
 
 
@@ -76,17 +76,17 @@ def _candidates(robot: Robot, text: str, options: argparse.Namespace) -> list[Ca
     return candidates_of(robot, kind, price, std=std, count=options.places, slide=slide)
 
 
-def _row(found: Placement) -> dict[str, object]:
-    names = [each.name for each in found.chosen]
-    costs = {"budget": found.budget, "cost": found.cost}
-    return {**costs, "sensors": names, "std": found.std, "bound": found.bound}
+def _row(placement: Placement) -> dict[str, object]:
+    names = [each.name for each in placement.chosen]
+    costs = {"budget": placement.budget, "cost": placement.cost}
+    return {**costs, "sensors": names, "std": placement.std, "bound": placement.bound}
 
 
-def _table(found: list[Placement]) -> Table:
+def _table(placements: list[Placement]) -> Table:
     headings = "budget", "cost", "σ (mm)", "no set below (mm)"
     table = number_table("position σ in the zones", headings)
     table.add_column("sensors")
-    for each in found:
+    for each in placements:
         mm = (f"{1e3 * value:.2f}" for value in (each.std, each.bound))
         names = ", ".join(sensor.name for sensor in each.chosen)
         table.add_row(f"{each.budget:g}", f"{each.cost:g}", *mm, names)

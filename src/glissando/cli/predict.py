@@ -76,15 +76,15 @@ def _predict(options: argparse.Namespace) -> int:
             f"that its [[sensor_parameters]] name."
         )
     with working("predicting"):
-        found = predict(robot, time, displacement, places)
+        prediction = predict(robot, time, displacement, places)
     with new_folder(options.out, GlissandoError) as building:
-        rows = ((np.full(places.size, t), places, found.take(k)) for k, t in enumerate(time))
+        rows = ((np.full(places.size, t), places, prediction.take(k)) for k, t in enumerate(time))
         write_states(rows, building / "query.csv")
         if marker:
             place, cov = predict_tip(robot, displacement, marker)
             table = np.column_stack([time, place, cov[:, *np.triu_indices(3)]])
             write_table(building / f"marker_{marker}.csv", _MARKER_COLUMNS, table)
-    tip = 1e3 * float(np.mean(found.std_position[:, -1]))
+    tip = 1e3 * float(np.mean(prediction.std_position[:, -1]))
     print(
         f"Wrote {options.out / 'query.csv'}: {time.size} times at {places.size} arclengths; at "
         f"{places[-1]:g} m positions have a standard deviation of {tip:.3g} mm."

@@ -67,17 +67,19 @@ def _rerun(options: argparse.Namespace) -> int:
         with redirect_stdout(io.StringIO()):
             request.run(request)
         again = _report(request.out / options.report.name)
-        found = _compared(report, again) | _files(options.report.parent, request.out)
-    differ = [e for e in found["report"] if not e["size"] <= SAME]
-    apart = found["posterior"]
-    found["same"] = (
-        not differ and apart is not None and max(*apart.values(), *found["tables"].values()) <= SAME
+        comparison = _compared(report, again) | _files(options.report.parent, request.out)
+    differ = [e for e in comparison["report"] if not e["size"] <= SAME]
+    apart = comparison["posterior"]
+    comparison["same"] = (
+        not differ
+        and apart is not None
+        and max(*apart.values(), *comparison["tables"].values()) <= SAME
     )
     if options.json:
-        print(json.dumps(found, default=str))
+        print(json.dumps(comparison, default=str))
     else:
-        _print(found, differ)
-    return 0 if found["same"] else 1
+        _print(comparison, differ)
+    return 0 if comparison["same"] else 1
 
 
 def _report(path: Path) -> dict[str, Any]:
@@ -99,16 +101,16 @@ def _report(path: Path) -> dict[str, Any]:
 
 def _request(words: list[Any], options: argparse.Namespace) -> argparse.Namespace:
     """The options of a report's command, with those given now in their place."""
-    said = io.StringIO()
+    complaint = io.StringIO()
     try:
         if words[:1] not in [[name] for name in _COMMANDS] or not all(
             isinstance(word, str) for word in words
         ):
             raise ValueError(f"it may not run {str(words[:1])[:60]}")
-        with redirect_stderr(said), redirect_stdout(said):
+        with redirect_stderr(complaint), redirect_stdout(complaint):
             request = build_parser(words[0]).parse_args(words)
     except (ValueError, SystemExit) as problem:
-        why = problem if isinstance(problem, ValueError) else said.getvalue().strip()[-200:]
+        why = problem if isinstance(problem, ValueError) else complaint.getvalue().strip()[-200:]
         raise GlissandoError(f"{options.report} states no command to run again: {why}") from None
     request.words = words
     for name, value in _LEFT_OUT.items():
@@ -155,20 +157,20 @@ def _files(before: Path, now: Path) -> dict[str, Any]:
     return {"tables": tables, "posterior": apart}
 
 
-def _print(found: dict[str, Any], differ: list[dict[str, Any]]) -> None:
+def _print(comparison: dict[str, Any], differ: list[dict[str, Any]]) -> None:
     """Say what differs, a line each."""
-    for name in found["inputs"]:
+    for name in comparison["inputs"]:
         print(f"input {name}: its bytes are not those of then")
-    for entry in found["versions"]:
+    for entry in comparison["versions"]:
         print(f"{entry['key']}: {entry['before']} then, {entry['now']} now")
     for entry in differ[:_SHOWN]:
         print(f"{entry['key']}: {entry['before']} then, {entry['now']} now")
     if len(differ) > _SHOWN:
         print(f"… and {len(differ) - _SHOWN} more entries; --json lists all")
-    for name, size in found["tables"].items():
+    for name, size in comparison["tables"].items():
         if size > SAME:
             print(f"{name}: numbers up to {size:.2g} of the largest of their column apart")
-    apart = found["posterior"]
+    apart = comparison["posterior"]
     if apart is None:
         print("posterior.nc: another grid or state")
     elif max(apart.values()) > SAME:
@@ -176,6 +178,6 @@ def _print(found: dict[str, Any], differ: list[dict[str, Any]]) -> None:
             f"posterior.nc: means up to {apart['mean_in_std']:.2g} standard deviations apart, "
             f"standard deviations up to {apart['std']:.2g} of themselves"
         )
-    rounded = found["report"] or any((*(apart or {}).values(), *found["tables"].values()))
+    rounded = comparison["report"] or any((*(apart or {}).values(), *comparison["tables"].values()))
     extent = f"to {SAME:g}" if rounded else "to the last digit"
-    print(f"The same {extent}." if found["same"] else "Not the same.")
+    print(f"The same {extent}." if comparison["same"] else "Not the same.")

@@ -66,14 +66,14 @@ def _study(options: argparse.Namespace) -> int:
     todo = [c for c in cells if _is_left(store, c, retry=options.retry)]
     if todo:
         _run(options, todo, store, f"{study.name}: {len(cells) - len(todo):,} kept, now")
-    told = summarise(study, store.join(cells).to_pylist())
-    written = [folder / TABLE, *_write(told | stated(options), folder)]
+    results = summarise(study, store.join(cells).to_pylist())
+    written = [folder / TABLE, *_write(results | stated(options), folder)]
     if options.json:
-        print(json.dumps(told))
+        print(json.dumps(results))
     else:
-        print_summary(told, Console())
+        print_summary(results, Console())
         Console().print("Wrote " + ", ".join(str(path) for path in written), markup=False)
-    return 1 if told["failed"] else 0
+    return 1 if results["failed"] else 0
 
 
 def _is_left(store: Store, cell: Cell, *, retry: bool) -> bool:
@@ -91,7 +91,7 @@ def _run(options: argparse.Namespace, todo: list[Cell], store: Store, doing: str
         run_cells(client, todo, store, show)
 
 
-def _write(told: dict[str, Any], folder: Path) -> list[Path]:
+def _write(results: dict[str, Any], folder: Path) -> list[Path]:
     summary = folder / "summary.json"
-    write_report(summary, told)
-    return [summary, save_figure(study_figure(told), folder / "study.png")]
+    write_report(summary, results)
+    return [summary, save_figure(study_figure(results), folder / "study.png")]

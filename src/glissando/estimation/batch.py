@@ -159,7 +159,7 @@ class _Problem:
         used = [used_at_first(r, self.gate) for r in self.readings]
         if not all(rows.all() for rows in used):
             locate(self.grid, self.readings, self.sensor_parameters)  # raises for spikes off, too
-        with self.said():
+        with self.explained():
             end = self.best_end(used, start)
             if self.gate is not None:
                 end, used = self.solve_without_refuted(end, used, self.gate)
@@ -167,7 +167,7 @@ class _Problem:
         return replace(posterior, solve=replace(posterior.solve, refused=self.left_out(used)))
 
     @contextmanager
-    def said(self) -> Iterator[None]:
+    def explained(self) -> Iterator[None]:
         """Say so where readings are so far off that solving breaks down."""
         try:
             yield
@@ -259,10 +259,10 @@ class _Problem:
         rough = self.options.rougher(end[1].equations.rhs.size)
         with suppress(np.linalg.LinAlgError):  # of an estimate that had not converged
             for _ in range(_ROUNDS):
-                kept = judged(*end, self.readings, used, gate)  # (25)
-                if all(map(np.array_equal, used, kept)):
+                believed = judged(*end, self.readings, used, gate)  # (25)
+                if all(map(np.array_equal, used, believed)):
                     break
-                end, used = self.solve(kept, start_at(end[1]), rough), kept
+                end, used = self.solve(believed, start_at(end[1]), rough), believed
             if used is not first:
                 end = self.solve(used, start_at(end[1]))
         return end, used

@@ -116,6 +116,6 @@ def _iterated(
         if count == 1:
             return start, np.array([np.inf])
         halves = start.take(slice(count // 2)), start.take(slice(count // 2, None))
-        found = [_iterated(prior, arclength, readings, half) for half in halves]
-        return concatenate(*(f[0] for f in found)), np.concatenate([f[1] for f in found])
+        parts = [_iterated(prior, arclength, readings, half) for half in halves]
+        return concatenate(*(f[0] for f in parts)), np.concatenate([f[1] for f in parts])
     return shapes, np.where(left, np.inf, here.costs(here))

@@ -56,7 +56,7 @@ def place_in_channel(readings: Readings, prior: Prior, grid: Grid, state: State)
         points = np.tile(places, time[rows].size), np.repeat(time[rows], places.size)
         bent = states_at(prior, grid, state, *points).strain.reshape(-1, places.size, 6)
         travel = readings.arclength[rows]
-        where[rows], out[rows], beside[rows, 0] = _found(channel, travel, places, bent, nodes)
+        where[rows], out[rows], beside[rows, 0] = _positions(channel, travel, places, bent, nodes)
         beside[rows, 1] = bent[:, np.searchsorted(places, nodes)]
     # as the rod is when straight: a mount that followed twist would confirm it
     mount = channel.frame(where, np.tile(STRAIGHT, (count, 1)))
@@ -68,7 +68,7 @@ def place_in_channel(readings: Readings, prior: Prior, grid: Grid, state: State)
     return readings.changed(**placed, channel=None)
 
 
-def _found(
+def _positions(
     channel: Channel, travel: Array, places: Array, bent: Array, nodes: Array
 ) -> tuple[Array, Array, Array]:
     """Where strains are `bent` (M, P, 6) at places: arclengths after travels (M,) in a channel.
@@ -144,5 +144,5 @@ def _rough(readings: Readings, prior: Prior, grid: Grid, state: State) -> Readin
     if readings.channel is None:
         return readings
     spread = np.hypot(readings.arclength_std, readings.channel.radius)
-    found = place_in_channel(readings, prior, grid, state)
-    return found.changed(arclength_std=spread, beside=None, winding=None)
+    placed = place_in_channel(readings, prior, grid, state)
+    return placed.changed(arclength_std=spread, beside=None, winding=None)

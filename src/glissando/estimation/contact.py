@@ -123,17 +123,19 @@ def scan_contacts(
     variance, nodes = force_variance(prior, grid.arclength, std_force), grid.arclength
     seen, scans = seen_times(posterior), []
     for k in rows:
-        found = force_evidence(prior, nodes, errors[k], state.take(k), cov[k], step[k])
-        found = found if seen[k] else found.of_nothing()
-        scans.append(scan_of(found, errors[k].time, variance, false_alarms))
+        evidence = force_evidence(prior, nodes, errors[k], state.take(k), cov[k], step[k])
+        evidence = evidence if seen[k] else evidence.of_nothing()
+        scans.append(scan_of(evidence, errors[k].time, variance, false_alarms))
     return ContactScan.over(scans) if when.ndim else scans[0]
 
 
-def scan_of(found: ForceEvidence, time: float, variance: Array, false_alarms: float) -> ContactScan:
+def scan_of(
+    evidence: ForceEvidence, time: float, variance: Array, false_alarms: float
+) -> ContactScan:
     """The scan of one time, see `scan_contacts`.
 
     Args:
-        found: What the state says of a force anywhere.
+        evidence: What the state says of a force anywhere.
         time: Seconds.
         variance: Prior variance (3,) of a force, N².
         false_alarms: Share of times at which an untouched robot may be said to be touched.
@@ -142,13 +144,13 @@ def scan_of(found: ForceEvidence, time: float, variance: Array, false_alarms: fl
         raise GlissandoError(
             f"false_alarms is {false_alarms:g}; give a share of times from {RAREST:g} to 0.5."
         )
-    cov, half_log_det = found.given_force(variance)
-    force = np.einsum("cij,cj->ci", cov, found.vector)
-    ratio = 0.5 * np.einsum("ci,ci->c", found.vector, force) - half_log_det
-    evidence = np.asarray(logsumexp(ratio, b=found.shares))
-    threshold = np.asarray(found.untouched(variance, false_alarms))
-    when, places = np.asarray(time), found.arclength
-    return ContactScan(when, places, ratio, force, cov, evidence, threshold, false_alarms)
+    cov, half_log_det = evidence.given_force(variance)
+    force = np.einsum("cij,cj->ci", cov, evidence.vector)
+    ratio = 0.5 * np.einsum("ci,ci->c", evidence.vector, force) - half_log_det
+    total = np.asarray(logsumexp(ratio, b=evidence.shares))
+    threshold = np.asarray(evidence.untouched(variance, false_alarms))
+    when, places = np.asarray(time), evidence.arclength
+    return ContactScan(when, places, ratio, force, cov, total, threshold, false_alarms)
 
 
 def bending_force(prior: MechanicalPrior, arclength: Array) -> float:
@@ -221,7 +223,7 @@ def locate_contact(
         for share in _STARTS:
             with suppress(UnobservableError):  # so far off that rounding decides
                 other = _touched_at(prior, grid, readings, share * length, variance)
-                best = min(best, other, key=lambda there: there.posterior.solve.cost)
+                best = min(best, other, key=lambda touched: touched.posterior.solve.cost)
     for _ in range(_ROUNDS):
         if abs(best.move) < 0.1 * float(np.sqrt(best.cov[3, 3])) + 1e-4 * length:
             break
@@ -269,28 +271,30 @@ def _touched_at(
         var_points=np.concatenate([prior.var_points, variance[None]])[order],
     )
     start = None if near_by is None else near_by.states_on(finer)
-    found = estimate(touched, finer, readings, initial=start)
-    return _Touched(found, place, *_without_moment(found, place, variance))
+    posterior = estimate(touched, finer, readings, initial=start)
+    return _Touched(posterior, place, *_without_moment(posterior, place, variance))
 
 
-def _without_moment(found: Posterior, place: float, variance: Array) -> tuple[Array, Array, float]:
+def _without_moment(
+    posterior: Posterior, place: float, variance: Array
+) -> tuple[Array, Array, float]:
     """A force (3,) without moment that explains the wrench at a node, and how far beyond it acts.
 
     Of the wrench's posterior what readings say is kept, its prior variance (6,) is not. Along the
     world's axes, as a torsional moment that is no more would turn those of the body. Also the
     covariance (4, 4) of [force, how far].
     """
-    k = found.grid.time.size - 1
-    load = found.load(place, found.grid.time[k], frame="world")
-    n = int(np.abs(found.grid.arclength - place).argmin())
-    turn = found.state.pose[k, n, :3, :3]
+    k = posterior.grid.time.size - 1
+    load = posterior.load(place, posterior.grid.time[k], frame="world")
+    n = int(np.abs(posterior.grid.arclength - place).argmin())
+    turn = posterior.state.pose[k, n, :3, :3]
     turns = np.kron(np.eye(2), turn)
-    said, before = np.linalg.inv(load.cov), turns / variance @ turns.T
+    information, before = np.linalg.inv(load.cov), turns / variance @ turns.T
     lever = np.zeros((6, 4))
     lever[:3, :3] = np.eye(3)
-    lever[3:, 3] = np.cross(turn @ found.state.strain[k, n, :3], load.force)
+    lever[3:, 3] = np.cross(turn @ posterior.state.strain[k, n, :3], load.force)
     known = np.zeros((4, 4))
-    known[:3, :3], known[3, 3] = before[:3, :3], float(found.grid.arclength[-1]) ** -2.0
-    cov = np.asarray(np.linalg.inv(lever.T @ (said - before) @ lever + known), dtype=float)
-    best = cov @ lever.T @ said @ load.wrench
+    known[:3, :3], known[3, 3] = before[:3, :3], float(posterior.grid.arclength[-1]) ** -2.0
+    cov = np.asarray(np.linalg.inv(lever.T @ (information - before) @ lever + known), dtype=float)
+    best = cov @ lever.T @ information @ load.wrench
     return best[:3], cov, float(best[3])

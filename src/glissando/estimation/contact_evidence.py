@@ -208,6 +208,6 @@ def _pulls(prior: MechanicalPrior, arclength: Array, state: State) -> tuple[Arra
     start, piece = state.take(n), prior.rod.intervals(arclength).take(n)
     piece = piece.accelerated(start, state.take(n + 1))
     near = piece.before(offset).flow(start, noisy=False)
-    there = State(start.pose @ near.pose, near.wrench, start.velocity)
-    onward = piece.beyond(offset).flow(there, noisy=False).transition
+    point = State(start.pose @ near.pose, near.wrench, start.velocity)
+    onward = piece.beyond(offset).flow(point, noisy=False).transition
     return arclength[n] + offset, n, -onward[:, :, 6:9] / piece.section.stiffness[:, None, :3]

@@ -97,9 +97,9 @@ def _settled(
         step = cholesky.solve(seen.rhs)
         length = float(np.sqrt(np.sum(step * seen.rhs)))  # grows before it shrinks
         if length < options.tolerance:
-            found = replace(solution, state=state, located=at, equations=seen, cholesky=cholesky)
+            settled = replace(solution, state=state, located=at, equations=seen, cholesky=cholesky)
             ended = Outcome.CONVERGED
-            return replace(found, cost=seen.cost_of(seen), outcome=ended, last_step=length)
+            return replace(settled, cost=seen.cost_of(seen), outcome=ended, last_step=length)
         of_nodes, of_parameters = seen.split(step)
         state, at = state.retract(of_nodes), at.moved(of_parameters)
     unseen = replace(located, shares=dict.fromkeys(located.shares, 0.0))

@@ -148,9 +148,9 @@ class FixedLagSmoother:
         prior, nodes = require_mechanics(self.prior), self._window.nodes
         errors = error_priors(prior, Grid(self.arclength, nodes.time), nodes.state, self._errors)
         self._errors, newest = errors[0], (errors[-1], nodes.state.take(-1), cov, nodes.step[-1])
-        found = force_evidence(prior, self.arclength, *newest)
+        evidence = force_evidence(prior, self.arclength, *newest)
         variance = force_variance(prior, self.arclength, std_force)
-        return scan_of(found, errors[-1].time, variance, false_alarms)
+        return scan_of(evidence, errors[-1].time, variance, false_alarms)
 
     def at(self, arclength: ArrayLike, time: ArrayLike) -> StateEstimate:
         """State and covariance inside the window, or ahead of it as the prior predicts.

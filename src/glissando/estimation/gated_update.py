@@ -125,14 +125,17 @@ class GatedUpdate:
     ) -> tuple[str, float, float] | None:
         """Stream, time and arclength of the new reading that fits least, if beyond belief."""
         worst, wrong = 1.0, None
-        for found in self._window.innovations(fresh):
-            nis = found.nis.tolist()
+        for innovations in self._window.innovations(fresh):
+            nis = innovations.nis.tolist()
             if first_look:
-                self._gate.note(found.stream, nis, found.dof)
-            excess = self._gate.excess(found.stream, nis, found.dof)
+                self._gate.note(innovations.stream, nis, innovations.dof)
+            excess = self._gate.excess(innovations.stream, nis, innovations.dof)
             if excess > worst:
-                at = int(np.argmax(found.nis))
-                worst, wrong = excess, (found.stream, found.time[at], found.arclength[at])
+                at = int(np.argmax(innovations.nis))
+                worst, wrong = (
+                    excess,
+                    (innovations.stream, innovations.time[at], innovations.arclength[at]),
+                )
         return wrong
 
     def _refuse(self, stream: str, time: float, arclength: float) -> None:

@@ -144,9 +144,9 @@ def point_loads(
             f"No load is expected at {arclength[~expected][0]:g} m but at {shown} m; name the "
             f"place in `points` of [prior], or ask for the internal wrench there."
         )
-    found = rod.point_load(grid, state, k, n)
-    wrench, slope = found.mean, found.jacobian[:, :, ::-1]  # the node where it acts first
-    rotation, left = state.pose[k, n, :3, :3], found.cov
+    load = rod.point_load(grid, state, k, n)
+    wrench, slope = load.mean, load.jacobian[:, :, ::-1]  # the node where it acts first
+    rotation, left = state.pose[k, n, :3, :3], load.cov
     slope = slope.reshape(n.size, 6, -1)
     if frame == "world":
         wrench, slope = in_world(rotation, wrench, slope)
@@ -156,4 +156,4 @@ def point_loads(
     slope = slope.reshape(n.size, 6, 2, -1)[:, :, ::-1]
     wide = np.zeros((n.size, 6, 2, state.dof))
     wide[..., still_columns(slope.shape[-1])] = slope
-    return WrenchEstimate(wrench, spread(found.nodes, wide, left), frame)
+    return WrenchEstimate(wrench, spread(load.nodes, wide, left), frame)

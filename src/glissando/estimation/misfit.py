@@ -65,10 +65,10 @@ def is_implausible(prior: Prior, solution: Solution, excess: float = _EXCESS) ->
     """Whether an estimate's cost is `implausible`, but for readings that a loss forgives."""
     cost, count = solution.cost, 0
     for _, terms in _terms(solution):
-        kept = terms.robust_weights() > 0.5
-        count += int(kept.sum()) * terms.residual.shape[1]
+        counted = terms.robust_weights() > 0.5
+        count += int(counted.sum()) * terms.residual.shape[1]
         if terms.loss is not None:
-            size = np.linalg.norm(terms.whiten(terms.residual)[~kept], axis=1)
+            size = np.linalg.norm(terms.whiten(terms.residual)[~counted], axis=1)
             cost -= float(np.sum(terms.loss.cost(size)))
     return bool(implausible(prior, cost, count, excess))
 
@@ -154,11 +154,11 @@ def far_off(grid: Grid, prior: Prior, readings: Sequence[Readings]) -> Unreachab
                 row = int(np.argmax(away))
                 farthest, at = float(away[row]), seconds(r.time[row])
                 where = f"{r.label} row {row} at {at} s, {farthest:.3g} m from the base"
-    said = (
+    message = (
         f"No shape of this robot of {grid.arclength[-1]:g} m comes near the readings: {where}. "
         f"Check units (mm for m, degrees for radians) and frames."
     )
-    return UnreachableError(said) if where else None
+    return UnreachableError(message) if where else None
 
 
 def _terms(solution: Solution) -> Iterator[tuple[Readings, Residuals]]:

@@ -127,13 +127,15 @@ def judged(
     streams, out = iter(solution.equations.reading_terms()), []
     for stream, rows in zip(readings, used, strict=True):
         terms = next(streams) if rows.any() else None
-        kept = rows.copy()
+        believed = rows.copy()
         if stream.loss is None and stream.reads_one_state and terms is not None:
-            asked = np.flatnonzero(~rows | _suspects(terms, rows))
+            suspects = np.flatnonzero(~rows | _suspects(terms, rows))
             limit = chi_square_exceedance(gate, terms.residual.shape[1]) * _scale_of(terms)
-            if asked.size:
-                kept[asked] = ~_refuted(posterior, stream.select(asked), rows[asked], limit)
-        out.append(kept)
+            if suspects.size:
+                believed[suspects] = ~_refuted(
+                    posterior, stream.select(suspects), rows[suspects], limit
+                )
+        out.append(believed)
     return out
 
 

@@ -54,19 +54,19 @@ def by_evidence(
     columns = _offsets(process)
     if not columns:
         return solution
-    push, found = np.zeros(len(columns)), solution
+    push, at_mode = np.zeros(len(columns)), solution
     for _ in range(_ROUNDS):
-        cholesky = factor(found.equations.system)
-        slope, std = _slopes(prior, found, columns, cholesky)
-        slope *= _activity(prior, found, cholesky)
+        cholesky = factor(at_mode.equations.system)
+        slope, std = _slopes(prior, at_mode, columns, cholesky)
+        slope *= _activity(prior, at_mode, cholesky)
         change, push = slope - push, slope
         if np.all(np.abs(change) * std < _SETTLED):
             break
         expected = process.mean.copy()
         expected[columns] -= process.std[columns] ** 2 * push
         moved = {p.name: expected[at] for p, at in zip(process.each, process.columns, strict=True)}
-        found = solve([replace(p, value=moved.get(p.name, p.value)) for p in given], found)
-    return found if found is solution else _as_stated(found, process)
+        at_mode = solve([replace(p, value=moved.get(p.name, p.value)) for p in given], at_mode)
+    return at_mode if at_mode is solution else _as_stated(at_mode, process)
 
 
 def _offsets(process: EstimatedParameters) -> list[int]:
@@ -109,21 +109,21 @@ def _activity(prior: Prior, solution: Solution, cholesky: Cholesky) -> float:
     at, located = solution.equations, solution.located
     done = 2.0 * sum(terms.cost(terms.residual) for terms in at.prior_terms())
     layout = Layout(located.grid.arclength.size, at.state.dof, located.parameters.process.size)
-    told, rng = 0.0, np.random.default_rng(0)
+    expected, rng = 0.0, np.random.default_rng(0)
     for _ in range(_DRAWS):
         builder = NormalEquationsBuilder.joined(layout, located.grid.time.size)
         for _, _, batch in measurement_factors(prior, located, at.state, at.noise_state):
             add_noise(builder, batch, batch.terms.robust_weights(), rng)
-        told += float(np.sum(builder.rhs_begin * cholesky.solve(builder.rhs_begin))) / _DRAWS
-    return done / told
+        expected += float(np.sum(builder.rhs_begin * cholesky.solve(builder.rhs_begin))) / _DRAWS
+    return done / expected
 
 
 def _minus_evidence(prior: Prior, solution: Solution, step: Array) -> float:
     """Minus the log evidence, up to a constant, a step (K, D) away from a solution."""
     of_nodes, of_parameters = solution.equations.split(step)
     state, located = solution.state.retract(of_nodes), solution.located.moved(of_parameters)
-    there = linearize(prior, located, state, state, np.empty_like(solution.workspace))
-    return there.cost_of(there) + 0.5 * (there.log_det_noise + factor(there.system).log_det)
+    stepped = linearize(prior, located, state, state, np.empty_like(solution.workspace))
+    return stepped.cost_of(stepped) + 0.5 * (stepped.log_det_noise + factor(stepped.system).log_det)
 
 
 def _as_stated(solution: Solution, process: EstimatedParameters) -> Solution:

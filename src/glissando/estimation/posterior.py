@@ -229,8 +229,8 @@ class Posterior(Brief):
         k = np.abs(t.ravel()[:, None] - self.grid.time).argmin(axis=1)
         prior, grid, state = self.prior, self.grid, self.state
         spread = partial(_spread, grid, self.marginals)
-        found = point_loads(prior, grid, state, spread, s.ravel(), k, frame)
-        wrench, cov = found.wrench.reshape(*s.shape, 6), found.cov.reshape(*s.shape, 6, 6)
+        load = point_loads(prior, grid, state, spread, s.ravel(), k, frame)
+        wrench, cov = load.wrench.reshape(*s.shape, 6), load.cov.reshape(*s.shape, 6, 6)
         return WrenchEstimate(wrench, cov, frame)
 
     def states_on(self, grid: Grid) -> State:
@@ -241,13 +241,13 @@ class Posterior(Brief):
         Raises:
             OutsideGridError: The other grid is of a longer robot.
         """
-        mine = self.grid
-        if np.array_equal(grid.time, mine.time) and np.array_equal(grid.arclength, mine.arclength):
+        own = self.grid
+        if np.array_equal(grid.time, own.time) and np.array_equal(grid.arclength, own.arclength):
             return self.state
         time = np.clip(grid.time, self.grid.time[0], self.grid.time[-1])
-        found = self.at(grid.arclength, time[:, None])
-        rates = [np.zeros_like(found.strain)] * (len(self.state.fields()) - 3)
-        return State(found.pose, found.strain, found.velocity, *rates)
+        estimate = self.at(grid.arclength, time[:, None])
+        rates = [np.zeros_like(estimate.strain)] * (len(self.state.fields()) - 3)
+        return State(estimate.pose, estimate.strain, estimate.velocity, *rates)
 
     def sample(self, rng: np.random.Generator, size: int = 1) -> State:
         """Joint draws of the whole motion at the nodes, leading shape (size, K, N)."""
@@ -322,12 +322,14 @@ def state_at(
     for first in range(0, s.size, _CHUNK):
         here = slice(first, first + _CHUNK)
         for points in sort_points(grid, s[here], t[here]):
-            found = prior.interpolate(grid, state, state, points)
+            interpolation = prior.interpolate(grid, state, state, points)
             rows = first + points.rows
-            out.pose[rows] = found.state.pose
-            out.strain[rows] = found.state.strain
-            out.velocity[rows] = found.state.velocity
-            out.cov[rows] = _spread(grid, marginals, found.nodes, found.jacobian, found.cov)
+            out.pose[rows] = interpolation.state.pose
+            out.strain[rows] = interpolation.state.strain
+            out.velocity[rows] = interpolation.state.velocity
+            out.cov[rows] = _spread(
+                grid, marginals, interpolation.nodes, interpolation.jacobian, interpolation.cov
+            )
     return StateEstimate(*(a.reshape(*shape, *a.shape[1:]) for a in vars(out).values()))
 
 

@@ -73,10 +73,10 @@ class ReadingBuffer:
             faults += [("repeated", self._frozen(readings))]
         bad_ones = [(reason, bad) for reason, bad in faults if bad is not None and bad.any()]
         if bad_ones:
-            kept = np.ones(len(readings), dtype=bool)
+            good = np.ones(len(readings), dtype=bool)
             for reason, bad in bad_ones:
-                kept &= self._gate.refuse(name, reason, kept & bad)
-            readings = readings.select(kept)
+                good &= self._gate.refuse(name, reason, good & bad)
+            readings = readings.select(good)
         if len(readings):
             waiting = self._waiting.get(name)
             self._waiting[name] = readings if waiting is None else waiting.joined(readings)
@@ -195,8 +195,8 @@ class ReadingBuffer:
         """Held readings at and after a time, a stream each; `single` ones do not come as rows."""
         names = (name for name in self._held if name in self._single or not single)
         held = (self._all_held(name) for name in names)
-        found = [r.select(r.time >= begin) for r in held if r is not None]
-        return [r for r in found if len(r)]
+        recent = [r.select(r.time >= begin) for r in held if r is not None]
+        return [r for r in recent if len(r)]
 
     def since(self, begin: float) -> HeldReadings:
         """Held readings at and after a time, as rows or a stream each."""

@@ -86,10 +86,10 @@ def best_end(sought: Sought, start: Start, solve: Solve) -> End:
     try:
         end = solve(start)
     except (np.linalg.LinAlgError, UnobservableError):
-        found = elsewhere(sought, None, start, solve) if elsewhere else None
-        if found is None or _is_astray(prior, found):
+        other = elsewhere(sought, None, start, solve) if elsewhere else None
+        if other is None or _is_astray(prior, other):
             raise
-        return found
+        return other
     if start[0] is not None and _is_doubtful(end[1]):
         with suppress(np.linalg.LinAlgError, UnobservableError):
             end = max(end, solve((None, start[1])), key=partial(_worth, prior))
@@ -121,8 +121,8 @@ def _from_bent(sought: Sought, end: End | None, start: Start, solve: Solve) -> E
     for bent in bent_starts(prior, grid, sought.readings):
         rough = sought.options.rougher(bent.numbers * grid.time.size)
         with suppress(np.linalg.LinAlgError, UnobservableError):
-            found = solve((bent, start[1]), replace(rough, max_iterations=_ROUGH_ITERATIONS))
-            best = max(best or found, found, key=worth)
+            rough_end = solve((bent, start[1]), replace(rough, max_iterations=_ROUGH_ITERATIONS))
+            best = max(best or rough_end, rough_end, key=worth)
             if not _is_astray(prior, best):
                 break
     if best is None or best is end:
@@ -146,11 +146,11 @@ def _from_pieces(sought: Sought, end: End | None, start: Start, solve: Solve) ->
             part = sought.piece(times, last and _onward(last, half, times.stop - first))
             if _is_astray(sought.prior, part):
                 return end
-            last, kept = part[1].state, half // 2 if first else 0
+            last, skipped = part[1].state, half // 2 if first else 0
             for whole, own in zip(state.fields(), last.fields(), strict=True):
-                whole[first + kept : times.stop] = own[kept:]
-        found = solve((state, start[1]))
-        return max(end or found, found, key=partial(_worth, sought.prior))
+                whole[first + skipped : times.stop] = own[skipped:]
+        joined = solve((state, start[1]))
+        return max(end or joined, joined, key=partial(_worth, sought.prior))
     return end
 
 

@@ -226,9 +226,9 @@ class SlidingWindow:
         if type(self.prior) is WhiteNoisePrior and self.dating is None:
             densities, rows = (self._along, self.prior.time_densities(grid.time)), readings.which
             memory = *readings.rows.memory, rows
-            found = self.prior.accumulate(grid, nodes.state, densities, memory, builder.sums)
+            linearized = self.prior.accumulate(grid, nodes.state, densities, memory, builder.sums)
             if rows.size:
-                at, slopes, *terms, weights = found
+                at, slopes, *terms, weights = linearized
                 batch = Factors(at, slice(0, DOF), slopes, Residuals(*terms))
                 self._terms.append(LinearizedReadings(None, rows, batch, weights))
         else:
@@ -250,8 +250,8 @@ class SlidingWindow:
         placed = [place_in_channel(r, self.prior, grid, nodes.state) for r in streams]  # (M8)
         motion = None if self.dating is None else self.dating.motion
         located = replace(locate(grid, placed, *known, keep_all=True), motion=motion)
-        found = measurement_factors(self.prior, located, nodes.state, nodes.state)
-        for stream, rows, batch in found:
+        factors = measurement_factors(self.prior, located, nodes.state, nodes.state)
+        for stream, rows, batch in factors:
             if self.dating is not None:
                 batch = self.dating.dated(streams[stream].name, batch)
             moving = self._moving(batch, nodes)

@@ -62,9 +62,9 @@ class SlopeInformation:
     def begin(self, layout: Layout, info: Array) -> None:
         """Begin a window with one node, of whose numbers `info` (D, D) is known."""
         delays = [layout.nodes * layout.dof + column for column in self._columns]
-        self._layout, self._kept = layout, np.setdiff1d(np.arange(layout.size), delays)
-        self._info = info[np.ix_(self._kept, self._kept)]
-        self._rhs = np.zeros((self._kept.size, len(self._streams) * _KINDS))
+        self._layout, self._others = layout, np.setdiff1d(np.arange(layout.size), delays)
+        self._info = info[np.ix_(self._others, self._others)]
+        self._rhs = np.zeros((self._others.size, len(self._streams) * _KINDS))
         self._squares, self.total = np.zeros((2, len(self._streams), 3))
 
     def copied(self) -> SlopeInformation:
@@ -73,8 +73,8 @@ class SlopeInformation:
 
     def share(self, stream: str) -> float:
         """How much of the motion's slope counts for a stream."""
-        told, of_noise, numbers = self._recent[self._streams.index(stream)].tolist()
-        return share(told, of_noise, numbers, _DEVIATIONS)
+        of_motion, of_noise, numbers = self._recent[self._streams.index(stream)].tolist()
+        return share(of_motion, of_noise, numbers, _DEVIATIONS)
 
     def note(self, sums: NormalEquationsBuilder, slopes: Sequence[Slopes]) -> None:
         """Note how a whole window was linearised last.
@@ -88,8 +88,8 @@ class SlopeInformation:
     def drop(self) -> None:
         """Leave the oldest node behind, and count what was read until the next."""
         interval, sums = self._oldest, self._sums
-        kept = np.ix_(self._kept, self._kept)
-        begin, end, across = (each[interval][kept] for each in (sums.begin, sums.end, sums.across))
+        rows = np.ix_(self._others, self._others)
+        begin, end, across = (each[interval][rows] for each in (sums.begin, sums.end, sums.across))
         at_begin, at_end = self._slope_sums(interval)
         root, solved = _eliminated(self._info + begin, self._rhs + at_begin)
         coupling = solve_triangular(root, across.T, lower=True, check_finite=False)
@@ -112,19 +112,19 @@ class SlopeInformation:
         of_parameters = np.zeros((2, layout.parameters, *rows))
         for stream, factors, by_time in self._slopes:
             within = np.minimum(factors.nodes[:, 0] // n, last) == interval
-            mine, row = factors.take(within), self._streams.index(stream)
-            terms, weights = mine.terms, mine.terms.robust_weights()[:, None]
+            own, row = factors.take(within), self._streams.index(stream)
+            terms, weights = own.terms, own.terms.robust_weights()[:, None]
             slopes = np.einsum("mij,amj->ami", terms.sqrt_info, by_time[:, within])
             pulls = np.einsum("mij,ami->maj", terms.sqrt_info, weights * slopes)
-            b = np.einsum("mjcd,maj->mcda", mine.jacobian, pulls)
-            np.add.at(of_nodes[:, mine.dofs, row], mine.nodes - interval * n, b)
-            if mine.extras is not None:
-                extras = mine.extras.reshape(*terms.residual.shape, 2, layout.parameters)
+            b = np.einsum("mjcd,maj->mcda", own.jacobian, pulls)
+            np.add.at(of_nodes[:, own.dofs, row], own.nodes - interval * n, b)
+            if own.extras is not None:
+                extras = own.extras.reshape(*terms.residual.shape, 2, layout.parameters)
                 of_parameters[:, :, row] += np.einsum("mjte,maj->tea", extras, pulls)
             self._squares[row, :_KINDS] += np.sum(weights * slopes**2, axis=(1, 2))
             self._squares[row, _KINDS] += terms.residual.size
         out = np.concatenate([of_nodes.reshape(2, -1, *rows), of_parameters], axis=1)
-        return out.reshape(2, layout.size, -1)[:, self._kept]
+        return out.reshape(2, layout.size, -1)[:, self._others]
 
 
 def _eliminated(info: Array, rhs: Array) -> tuple[Array, Array]:

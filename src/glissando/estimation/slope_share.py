@@ -58,33 +58,35 @@ def shares_of_slope(
         if stream.name in late:
             own = locate(moving.grid, [stream], process.each, keep_all=True)
             own = with_parameters(own, moving.parameters.by_name())
-            told, *of_noise = (
-                _told(prior, replace(own, motion=motion), solution, delays, cholesky)
+            of_motion, *of_noise = (
+                _information_of_motion(
+                    prior, replace(own, motion=motion), solution, delays, cholesky
+                )
                 for motion in (moving.motion, *noise)
             )
             numbers = len(stream) * stream.row_count
-            out[stream.name] = share(told, float(np.mean(of_noise)), numbers)
+            out[stream.name] = share(of_motion, float(np.mean(of_noise)), numbers)
     return out
 
 
-def share(told: float, of_noise: float, numbers: float, deviations: float = 2.0) -> float:
+def share(of_motion: float, of_noise: float, numbers: float, deviations: float = 2.0) -> float:
     """How much of the motion's slope counts: all but noise, where it tells more than by chance.
 
     Half the logarithm of the ratio of two sums of ν squares has a standard deviation of ν^-1/2.
     Source: Fisher's z.
 
     Args:
-        told: What readings say of the delay, s⁻².
+        of_motion: What readings say of the delay, s⁻².
         of_noise: What nothing but noise would say.
         numbers: How many numbers of readings that is from.
         deviations: Standard deviations by which it has to exceed what noise would say.
     """
     chance = np.exp(2.0 * deviations / np.sqrt(max(numbers / _ALIKE, 1e-3)))
     of_noise = max(of_noise, 0.0)  # but for rounding
-    return float(np.sqrt(1.0 - of_noise / told)) if told > chance * of_noise else 0.0
+    return float(np.sqrt(1.0 - of_noise / of_motion)) if of_motion > chance * of_noise else 0.0
 
 
-def _told(
+def _information_of_motion(
     prior: Prior,
     own: LocatedReadings,
     solution: Solution,

@@ -85,12 +85,12 @@ def _coarsened(located: LocatedReadings) -> LocatedReadings | None:
     intervals = (time.size - 1) // _COARSER
     if intervals < _WORTHWHILE:
         return None
-    kept = np.round(np.linspace(0, time.size - 1, intervals + 1)).astype(int)
+    nodes = np.round(np.linspace(0, time.size - 1, intervals + 1)).astype(int)
     return locate(
-        Grid(arclength, time[kept], located.grid.before),
+        Grid(arclength, time[nodes], located.grid.before),
         [_thinned(readings, time) for readings in located.streams],
         located.parameters.process.each,
-        located.parameters.values[kept],
+        located.parameters.values[nodes],
     )
 
 

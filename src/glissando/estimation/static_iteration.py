@@ -62,19 +62,19 @@ def iterate(
         straight = here.state.retract(step)
         if not np.any(going):
             break
-        there = linearize_static(prior, located, _tame(grid, straight, here.state), noise)
-        refused = going & ~_worthwhile(here, there, promise)
+        stepped = linearize_static(prior, located, _tame(grid, straight, here.state), noise)
+        refused = going & ~_worthwhile(here, stepped, promise)
         for share in _SHARES:
             if not np.any(refused):
                 break
             bent = _tame(grid, prior.bent(grid, here.state, share * step), here.state)
-            there = linearize_static(prior, located, _chosen(refused, bent, there.state), noise)
-            refused &= ~_worthwhile(here, there, share * promise)
+            stepped = linearize_static(prior, located, _chosen(refused, bent, stepped.state), noise)
+            refused &= ~_worthwhile(here, stepped, share * promise)
         if np.any(refused):
             left, going = left | refused, going & ~refused
-            state = _chosen(refused, prior.rest_state(grid), there.state)
-            there = linearize_static(prior, located, state, noise)
-        here = there
+            state = _chosen(refused, prior.rest_state(grid), stepped.state)
+            stepped = linearize_static(prior, located, state, noise)
+        here = stepped
     left |= going | implausible(prior, here.costs(here), _numbers_read(located))
     return here.state if np.any(going) else straight, node_covariances(here), left
 
@@ -93,16 +93,18 @@ def node_covariances(here: StaticEquations) -> tuple[Array, Array]:
     Args:
         here: Shapes where they are linearised; their factor is of no use afterwards.
     """
-    found, (count, n_count) = here.cholesky.marginals(consume=True), here.rhs.shape[:2]
-    cov = found.cov.reshape(count, n_count, STATIC_DOF, STATIC_DOF)
-    cross = np.concatenate([found.cross, np.zeros((1, STATIC_DOF, STATIC_DOF))])
+    marginals, (count, n_count) = here.cholesky.marginals(consume=True), here.rhs.shape[:2]
+    cov = marginals.cov.reshape(count, n_count, STATIC_DOF, STATIC_DOF)
+    cross = np.concatenate([marginals.cross, np.zeros((1, STATIC_DOF, STATIC_DOF))])
     return cov, cross.reshape(cov.shape)[:, :-1].copy()
 
 
-def _worthwhile(here: StaticEquations, there: StaticEquations, promise: Array) -> NDArray[np.bool_]:
+def _worthwhile(
+    here: StaticEquations, stepped: StaticEquations, promise: Array
+) -> NDArray[np.bool_]:
     """Which costs fell by a fair share of half the `promise` (S,), if that is worth anything."""
     cost = here.costs(here)
-    gain = cost - here.costs(there)
+    gain = cost - here.costs(stepped)
     nothing = 0.5 * promise < ROUNDING * (1.0 + cost)
     return nothing | (gain > WORTHWHILE * 0.5 * promise)
 

@@ -71,10 +71,13 @@ class StaticPosterior:
         pose, strain = np.empty((s.size, 4, 4)), np.empty((s.size, 6))
         cov = np.zeros((s.size, DOF, DOF))
         for points in sort_points(self.grid, s, k):
-            found = self.prior.interpolate(self.grid, self.state, self.state, points)
-            pose[points.rows], strain[points.rows] = found.state.pose, found.state.strain
-            slopes, left = found.jacobian[:, _DOFS], found.cov[:, _DOFS, _DOFS]
-            cov[points.rows, _DOFS, _DOFS] = self._spread(found.nodes, slopes, left)
+            interpolation = self.prior.interpolate(self.grid, self.state, self.state, points)
+            pose[points.rows], strain[points.rows] = (
+                interpolation.state.pose,
+                interpolation.state.strain,
+            )
+            slopes, left = interpolation.jacobian[:, _DOFS], interpolation.cov[:, _DOFS, _DOFS]
+            cov[points.rows, _DOFS, _DOFS] = self._spread(interpolation.nodes, slopes, left)
         arrays = (pose, strain, np.zeros_like(strain), cov)
         return StateEstimate(*(a.reshape(*whole, *a.shape[1:]) for a in arrays))
 
@@ -97,8 +100,8 @@ class StaticPosterior:
         self.grid.require(s.ravel(), k.ravel(), "Query")
         require_whole(k.ravel(), "Query")
         prior, grid, which = self.prior, self.grid, k.ravel().astype(np.intp)
-        found = point_loads(prior, grid, self.state, self._spread, s.ravel(), which, frame)
-        wrench, cov = found.wrench.reshape(*s.shape, 6), found.cov.reshape(*s.shape, 6, 6)
+        load = point_loads(prior, grid, self.state, self._spread, s.ravel(), which, frame)
+        wrench, cov = load.wrench.reshape(*s.shape, 6), load.cov.reshape(*s.shape, 6, 6)
         return WrenchEstimate(wrench, cov, frame)
 
     def _spread(self, nodes: Index, slopes: Array, left: Array) -> Array:

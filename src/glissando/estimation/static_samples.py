@@ -95,20 +95,20 @@ def _collected(
         GlissandoError: Hardly any draw leads to a shape.
         UnobservableError: Prior and readings leave a direction of a shape undetermined.
     """
-    found: list[State] = []
+    collected: list[State] = []
     tried, missing, among_found = 0, size, False
     while missing and tried < _TRIES * size:
-        known = concatenate(*found) if among_found else None
+        known = concatenate(*collected) if among_found else None
         shapes, left = _drawn(prior, located, rng, known)
-        found.append(shapes.take(np.flatnonzero(~left)[:missing]))
-        tried, missing = tried + len(left), missing - len(found[-1].pose)
+        collected.append(shapes.take(np.flatnonzero(~left)[:missing]))
+        tried, missing = tried + len(left), missing - len(collected[-1].pose)
         among_found = 0 < size - missing < _RARE * tried and not among_found
     if missing:
         raise GlissandoError(
             f"Only {size - missing} of {tried} draws led to a shape that explains the readings; "
             f"check their mounts, units and noise, and the prior's densities."
         )
-    return concatenate(*found)
+    return concatenate(*collected)
 
 
 def _copies(arclength: ArrayLike, readings: Sequence[Readings], count: int) -> LocatedReadings:

@@ -65,17 +65,17 @@ def predict(
     by_pull = shape.pose_by(shape.strain_by_displacement())[:, node]
     velocity, cov[..., _VELOCITY, _VELOCITY] = _velocity(rod, time, displacement, by_pull)
     strain = shape.strain[:, np.maximum(node - 1, 0)]
-    found = StateEstimate(shape.pose()[:, node], strain, velocity, cov)
-    _warn_of_weight(robot, float(found.std_position.max()))
-    return found
+    prediction = StateEstimate(shape.pose()[:, node], strain, velocity, cov)
+    _warn_of_weight(robot, float(prediction.std_position.max()))
+    return prediction
 
 
 def _warn_of_weight(robot: Robot, std: float) -> None:
     """Say so where the weight in [mechanics] moves the robot by a share of what is claimed."""
     prior, grid = mechanical(robot), Grid(robot.arclength_nodes, np.zeros(1))
     light = replace(prior, mechanics=replace(prior.mechanics, gravity=np.zeros(3)))
-    there, straight = (each.rest_state(grid).pose[0, :, :3, 3] for each in (prior, light))
-    sag = float(np.linalg.norm(there - straight, axis=1).max())
+    hanging, straight = (each.rest_state(grid).pose[0, :, :3, 3] for each in (prior, light))
+    sag = float(np.linalg.norm(hanging - straight, axis=1).max())
     if sag > _NOTICED * std:
         warnings.warn(
             f"The weight in [mechanics] of robot {robot.name!r}, which tendons alone do not "

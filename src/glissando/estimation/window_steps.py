@@ -136,7 +136,7 @@ class WindowSteps:
             try:
                 self._solve(self.update.first_changed(earliest), fresh)  # (19) to (21), gated
             except (np.linalg.LinAlgError, UnobservableError, LostError) as error:
-                with self._said():
+                with self._explained():
                     if not self._started:
                         raise error
                     self._restart(min(earliest, newest - self._silence.step), fresh)
@@ -230,7 +230,7 @@ class WindowSteps:
         self._solve(0, fresh)
 
     @contextmanager
-    def _said(self) -> Iterator[None]:
+    def _explained(self) -> Iterator[None]:
         """Say so where no shape comes near the readings, also from rest."""
         try:
             yield

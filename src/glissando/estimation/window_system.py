@@ -86,11 +86,11 @@ class WindowSystem:
 
     def append(self) -> None:
         """One slab more, of which nothing is known yet."""
-        room, taken = self._blocks.shape[1], self._slot.tolist()
-        if len(taken) == room:
+        room, slots = self._blocks.shape[1], self._slot.tolist()
+        if len(slots) == room:
             self._keep(self._slot, 2 * room)
-            taken = self._slot.tolist()
-        self._slot = np.array([*taken, min(set(range(len(taken) + 1)).difference(taken))])
+            slots = self._slot.tolist()
+        self._slot = np.array([*slots, min(set(range(len(slots) + 1)).difference(slots))])
 
     def drop(self) -> None:
         """Leave the oldest slab behind; the next knows what it says. Source: equation (20)."""

@@ -246,8 +246,8 @@ def _require_units(
         )
         for k in some
     ]
-    found = examine(robot, readings, truth, allow=recording.allow)
-    wrong = [f.sentence for f in found if f.refusal and f.name in _UNITS]
+    findings = examine(robot, readings, truth, allow=recording.allow)
+    wrong = [f.sentence for f in findings if f.refusal and f.name in _UNITS]
     if wrong:
         raise ImplausibleError(" ".join(wrong))
 

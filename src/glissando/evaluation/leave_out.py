@@ -59,14 +59,14 @@ def leave_out(
         left = [r.select(~(o ^ flip)) for r, o in zip(streams, odd, strict=True)]
         jobs.append(("by other times", used, left))
     jobs.append(("by the prior", [], streams))
-    found: dict[tuple[str, str], list[Array]] = {}
+    errors: dict[tuple[str, str], list[Array]] = {}
     for number, (quantity, used, left) in enumerate(jobs):
         if watch is not None:
             names = ", ".join(r.label for r in left) if quantity == "by the others" else "stretches"
             watch(names if quantity != "by the prior" else "all", number, len(jobs))
         for r, nees in _predicted(robot, grid, used, left):
-            found.setdefault((quantity, r.label), []).append(nees)
-    return list(_judged(found, {r.label: r for r in streams}))
+            errors.setdefault((quantity, r.label), []).append(nees)
+    return list(_judged(errors, {r.label: r for r in streams}))
 
 
 def _stretch(r: Readings, grid: Grid) -> np.ndarray:
@@ -77,9 +77,9 @@ def _stretch(r: Readings, grid: Grid) -> np.ndarray:
 
 
 def _judged(
-    found: dict[tuple[str, str], list[Array]], streams: dict[str, Readings]
+    errors: dict[tuple[str, str], list[Array]], streams: dict[str, Readings]
 ) -> Iterator[Consistency]:
-    for (quantity, name), parts in found.items():
+    for (quantity, name), parts in errors.items():
         nees = np.concatenate(parts)
         worth = sum(effective_samples(part) for part in parts)
         r = streams[name]
@@ -94,11 +94,11 @@ def _predicted(
     parameters = robot.sensor_parameters
     used = [r for r in used if len(r)]
     names = {r.name for r in used}
-    mine = [p for p in parameters if p.known or names & {*p.streams}]
+    own = [p for p in parameters if p.known or names & {*p.streams}]
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", EstimateWarning)
-            posterior = estimate(robot.prior, grid, used, sensor_parameters=mine)
+            posterior = estimate(robot.prior, grid, used, sensor_parameters=own)
     except UnobservableError:
         return
     known = dict(_estimated(posterior))

@@ -167,11 +167,11 @@ class PriorPredictive:
             )
         )
         placed = stream.changed(time=self.fine.time[k], arclength=self.fine.arclength[n])
-        taken, parameters = placed, drawn.of(stream)
+        mounted, parameters = placed, drawn.of(stream)
         for parameter, columns in parameters:
             if parameter.kind == "mount":
-                taken = parameter.shift(taken, drawn.values[k, columns])
-        read = taken.changed(values=noisy_values(taken, truth.take((k, n)), rng))
+                mounted = parameter.shift(mounted, drawn.values[k, columns])
+        read = mounted.changed(values=noisy_values(mounted, truth.take((k, n)), rng))
         read = read.changed(mount=placed.mount)
         for parameter, columns in parameters:
             if parameter.kind != "mount":  # the reading is off by what a correction takes away

@@ -86,7 +86,7 @@ def table_difference(before: Path, now: Path) -> float:
             tables.append(list(csv.reader(file)))
     if len({tuple(map(len, table)) for table in tables}) > 1:
         return np.inf
-    found = 0.0
+    difference = 0.0
     for then, here in zip(*(zip(*table, strict=True) for table in tables), strict=True):
         pairs = [pair for pair in zip(then, here, strict=True) if pair[0] != pair[1]]
         if pairs:
@@ -97,8 +97,8 @@ def table_difference(before: Path, now: Path) -> float:
                 return np.inf
             size = float(np.nanmax(np.abs(column), initial=0.0))
             largest = max(apart) / size if size > 0.0 else np.inf
-            found = max(found, largest if np.isfinite(largest) else np.inf)
-    return found
+            difference = max(difference, largest if np.isfinite(largest) else np.inf)
+    return difference
 
 
 def _number(cell: str) -> float:

@@ -283,13 +283,15 @@ def _ranks(
     """Ranks of the truth at a fine node, and of the sensor parameters at the next time node."""
     k, n = at
     fine = predictive.fine
-    found: StateEstimate = posterior.at(fine.arclength[n], fine.time[k])
-    error = session.truth.take(at).difference(State(found.pose, found.strain, found.velocity))
-    std = np.sqrt(np.diagonal(found.cov))
+    estimate: StateEstimate = posterior.at(fine.arclength[n], fine.time[k])
+    error = session.truth.take(at).difference(
+        State(estimate.pose, estimate.strain, estimate.velocity)
+    )
+    std = np.sqrt(np.diagonal(estimate.cov))
     out = dict(zip(QUANTITIES, ndtr(error / std).tolist(), strict=False))
     for i, name in enumerate(QUANTITIES[18:]):
         part = slice(6 * i, 6 * i + 6)
-        out[name] = _rank_of_square(error[part], found.cov[part, part])
+        out[name] = _rank_of_square(error[part], estimate.cov[part, part])
     row = int(np.argmin(np.abs(posterior.grid.time - fine.time[k])))
     true_row = int(np.argmin(np.abs(fine.time - posterior.grid.time[row])))
     columns = zip(predictive.process.each, predictive.process.columns, strict=True)

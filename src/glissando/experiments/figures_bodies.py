@@ -56,13 +56,13 @@ def coil_figure(trials: Mapping[str, Trial], confidence: Mapping[str, Any]) -> F
         for name, result in trials.items():
             shape, kind = name.rsplit(" ", 1)
             column, row, colour = shapes.index(shape), list(_KINDS).index(kind), _KINDS[kind][0]
-            time, found = float(result.posterior.grid.time.mean()), confidence[name]
-            bodies.draw(row, column, result, time, found["coil"], colour)
+            time, places = float(result.posterior.grid.time.mean()), confidence[name]
+            bodies.draw(row, column, result, time, places["coil"], colour)
             arclength, std = std_along(result, time)
-            curves[column].axvline(found["coil"] * MM, color=colour, **_DASHES, zorder=1)
+            curves[column].axvline(places["coil"] * MM, color=colour, **_DASHES, zorder=1)
             curves[column].plot(arclength * MM, std * MM, color=colour, lw=2.2)
-            least = np.interp(found["minimum"], arclength, std) * MM
-            curves[column].plot(found["minimum"] * MM, least, mfc=colour, **_MINIMUM)
+            least = np.interp(places["minimum"], arclength, std) * MM
+            curves[column].plot(places["minimum"] * MM, least, mfc=colour, **_MINIMUM)
         bodies.finish((0.8, 3.35, 7.5, 7.2), (0.2, 0.05))
         top = 1.08 * max(axes.get_ylim()[1] for axes in curves)
         for axes, shape in zip(curves, shapes, strict=True):

@@ -142,10 +142,10 @@ def _parts(figure: Any, cell: Any, ours: Sequence[float], paper: Sequence[float]
     from matplotlib.ticker import MaxNLocator
 
     least = 0.3 * max(np.ptp(ours), np.ptp(paper) if paper else 0.0)
-    mine = _ends(ours, least)
-    ends = [mine]
+    own = _ends(ours, least)
+    ends = [own]
     if paper:
-        both = sorted([mine, _ends(paper, least)])
+        both = sorted([own, _ends(paper, least)])
         apart = both[1][0] - both[0][1] > _BREAK * sum(high - low for low, high in both)
         ends = both if apart else [_ends([*ours, *paper])]
     widths = [high - low for low, high in ends]
@@ -162,7 +162,7 @@ def _parts(figure: Any, cell: Any, ours: Sequence[float], paper: Sequence[float]
             axes.plot([end], [0], transform=axes.transAxes, clip_on=False, **mark)
         parts[1].spines["left"].set_visible(False)
         parts[1].tick_params(labelleft=False)
-        parts[0 if ends[0] != mine else 1].set_xticks([])
+        parts[0 if ends[0] != own else 1].set_xticks([])
     return parts
 
 

@@ -51,9 +51,9 @@ class PublishedPrior(WhiteNoisePrior):
         start = here[:, :-1].ravel()
         step = np.tile(np.diff(grid.arclength), len(here))
         cov = _noise(step, STRAIN, self.psd_strain_arclength, self.psd_velocity_arclength)
-        ride = np.tile(np.eye(DOF), (start.size, 1, 1))
-        ride[:, VELOCITY, POSE] = se3.ad(noise_state.flatten().velocity[start])
-        cov = ride @ cov @ np.swapaxes(ride, 1, 2)
+        transport = np.tile(np.eye(DOF), (start.size, 1, 1))
+        transport[:, VELOCITY, POSE] = se3.ad(noise_state.flatten().velocity[start])
+        cov = transport @ cov @ np.swapaxes(transport, 1, 2)
         yield _steps(flat, np.stack([start, start + 1], axis=1), step, cov, STRAIN)
         if k_count > 1 and times.start < k_count - 1:
             start = node[:-1][times].ravel()
@@ -69,8 +69,8 @@ class PublishedPrior(WhiteNoisePrior):
         per_node = copy(grid)
         for name in ("time_spans", "arclength_spans"):
             object.__setattr__(per_node, name, np.ones(getattr(grid, name).size))
-        found = super().interpolate(per_node, state, noise_state, points)
-        return replace(found, bridge=np.zeros_like(found.cov))
+        interpolation = super().interpolate(per_node, state, noise_state, points)
+        return replace(interpolation, bridge=np.zeros_like(interpolation.cov))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,8 +149,8 @@ def _steps(flat: State, nodes: Index, step: Array, cov: Array, rate: slice) -> F
     for field in (STRAIN, VELOCITY):
         jacobian[:, field, 0, field], jacobian[:, field, 1, field] = -eye, eye
     if rate == STRAIN:
-        ride = h * se3.ad(start.strain)
-        error[:, VELOCITY] += np.einsum("mij,mj->mi", ride, start.velocity)
-        jacobian[:, VELOCITY, 0, VELOCITY] += ride
+        transport = h * se3.ad(start.strain)
+        error[:, VELOCITY] += np.einsum("mij,mj->mi", transport, start.velocity)
+        jacobian[:, VELOCITY, 0, VELOCITY] += transport
         jacobian[:, VELOCITY, 0, STRAIN] = -h * se3.ad(start.velocity)
     return Factors(nodes, slice(0, DOF), jacobian, Residuals(error, sqrt_information(cov)))

@@ -130,25 +130,27 @@ class Studies:
                 for name, scene in arms.items():
                     beyond = section == "table" and name not in ("fixed", "oscillating")
                     plan.append((scene, self.seeds["beyond" if beyond else section]))
-        found = run_plan(plan, progress)
+        errors = run_plan(plan, progress)
         table, moving = (
-            {label: _against_fixed(found, arms) for label, arms in self._arms[section].items()}
+            {label: _against_fixed(errors, arms) for label, arms in self._arms[section].items()}
             for section in ("table", "moving")
         )
         speed = {}
         for label, arms in self._arms["moving"].items():
-            speed[label] = summary(*(found[list(arms.values())[k]] for k in (-1, 1)))
+            speed[label] = summary(*(errors[list(arms.values())[k]] for k in (-1, 1)))
             for name, scene in arms.items():
                 moving[label][name]["slide_speed"] = _mean_speed(scene)
                 moving[label][name]["stroke"] = 0.0 if scene.slide == "hold" else scene.stroke
         few = slice(self.seeds["causes"])
         causes = {
-            label: {s: _against(found[arms[s]][few], found[arms[_FIXED + s]][few]) for s in _SHAPES}
+            label: {
+                s: _against(errors[arms[s]][few], errors[arms[_FIXED + s]][few]) for s in _SHAPES
+            }
             for label, arms in self._arms["causes"].items()
         }
         passes: dict[str, Any] = {}
         for arms in self._arms["passes"].values():
-            passes = _against_fixed(found, arms)
+            passes = _against_fixed(errors, arms)
         out = {"table": table, "moving": moving, "speed": speed, "causes": causes}
         return {**out, "passes": passes}
 
@@ -186,8 +188,8 @@ def run_plan(
     return out
 
 
-def _against_fixed(found: dict[Scene, Array], arms: Arms) -> dict[str, dict[str, Any]]:
-    return {name: summary(found[scene], found[arms["fixed"]]) for name, scene in arms.items()}
+def _against_fixed(errors: dict[Scene, Array], arms: Arms) -> dict[str, dict[str, Any]]:
+    return {name: summary(errors[scene], errors[arms["fixed"]]) for name, scene in arms.items()}
 
 
 def _against(sliding: Array, fixed: Array) -> dict[str, Any]:

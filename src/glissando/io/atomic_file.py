@@ -47,9 +47,9 @@ def new_file(path: str | Path) -> Iterator[Path]:
             building.replace(place)
     except OSError as problem:
         reason = problem.strerror or str(problem)
-        kept = "; what was there is as it was" if path.exists() else ""
+        unharmed = "; what was there is as it was" if path.exists() else ""
         raise GlissandoError(
-            f"{path} cannot be written ({reason}){kept}. Free space, or give another name."
+            f"{path} cannot be written ({reason}){unharmed}. Free space, or give another name."
         ) from problem
 
 

@@ -173,13 +173,13 @@ def save_posterior(posterior: Posterior, path: str | Path) -> None:
 
 def _linearization(posterior: Posterior) -> dict[str, Any]:
     """The states (2, K, N) at which a posterior was linearised and weighted, for contacts."""
-    found: dict[str, Any] = {}
+    variables: dict[str, Any] = {}
     for name, key in zip(_FIELDS, _POINTS, strict=True):
         each = [getattr(state, name) for state in posterior.linearized or ()]
         if each and each[0] is not None:
             entries = ("row", "column") if name == "pose" else ("component6",)
-            found[key] = (("point", "time", "arclength", *entries), np.stack(each))
-    return found
+            variables[key] = (("point", "time", "arclength", *entries), np.stack(each))
+    return variables
 
 
 def load_posterior(path: str | Path) -> Posterior:
@@ -247,10 +247,10 @@ def _require_whole(
     size = sum(parameter.size for parameter, _ in estimated)
     each = n * state.dof + size
     wanted = [(k, n, 4, 4), *[(k, n, 6)] * (len(state.fields()) - 1), (k, each, each)]
-    found = [field.shape for field in state.fields()] + [system.diagonal.shape]
+    shapes = [field.shape for field in state.fields()] + [system.diagonal.shape]
     values = [v.shape == (k, parameter.size) for parameter, v in estimated]
-    if found != wanted or system.lower.shape != (k - 1, each, each) or not all(values):
-        raise ValueError(f"arrays of shapes {found} do not fit {k} times and {n} arclengths")
+    if shapes != wanted or system.lower.shape != (k - 1, each, each) or not all(values):
+        raise ValueError(f"arrays of shapes {shapes} do not fit {k} times and {n} arclengths")
     turn = state.pose[..., :3, :3]
     skew = np.abs(turn @ np.swapaxes(turn, -1, -2) - np.eye(3)).max()
     last = np.abs(state.pose[..., 3, :] - [0.0, 0.0, 0.0, 1.0]).max()

@@ -29,15 +29,15 @@ def require_plain(path: Path, most: int = _MOST) -> None:
         most: Bytes that it may have.
     """
     try:
-        found = path.stat()
+        status = path.stat()
     except ValueError:
         raise OSError(errno.EINVAL, "no file has such a name") from None
-    if stat.S_ISDIR(found.st_mode):
+    if stat.S_ISDIR(status.st_mode):
         raise IsADirectoryError(errno.EISDIR, "it is a folder")
-    if not stat.S_ISREG(found.st_mode):
+    if not stat.S_ISREG(status.st_mode):
         raise OSError(errno.EINVAL, "it is no plain file")
-    if found.st_size > most:
-        raise OSError(errno.EFBIG, f"it has {found.st_size:,} bytes, and {most:,} are read")
+    if status.st_size > most:
+        raise OSError(errno.EFBIG, f"it has {status.st_size:,} bytes, and {most:,} are read")
 
 
 def plain_text(path: Path, *, errors: str = "strict") -> str:

@@ -43,15 +43,15 @@ def require_readable(
     Raises:
         GlissandoError: It is of another kind, or of a version to come.
     """
-    found = re.fullmatch(rf"glissando {kind} ([1-9]\d{{0,3}})", str(stated or stated_format(kind)))
-    if found is None:
+    match = re.fullmatch(rf"glissando {kind} ([1-9]\d{{0,3}})", str(stated or stated_format(kind)))
+    if match is None:
         raise error(
             f"{where} is not a glissando {kind}: its format is {str(stated)[:60]!r}; give one of "
             f"format {stated_format(kind)!r}."
         )
-    if int(found[1]) > FORMATS[kind]:
+    if int(match[1]) > FORMATS[kind]:
         raise error(
-            f"{where} is a {found[0]!r}, which a later version wrote; this one, {__version__}, "
+            f"{where} is a {match[0]!r}, which a later version wrote; this one, {__version__}, "
             f"reads up to {stated_format(kind)!r}. Install a newer glissando."
         )
 

@@ -188,17 +188,17 @@ def _of_log(path: Path) -> Recording:
     """The recording that a session log holds, also one that was killed."""
     session = read_session(path)
     require_readable(session.metadata.get("format"), "session", path, RecordingError)
-    found = session_streams(session, session_setup(session))
-    robot = load_robot(beside(path.parent, found.robot))
-    frame = np.eye(4) if found.frame is None else found.frame
-    unknown = frozenset({"tracker"} if found.frame is None else ())
+    logged = session_streams(session, session_setup(session))
+    robot = load_robot(beside(path.parent, logged.robot))
+    frame = np.eye(4) if logged.frame is None else logged.frame
+    unknown = frozenset({"tracker"} if logged.frame is None else ())
     streams = {}
-    for stream in found.streams:
+    for stream in logged.streams:
         if stream.frame not in unknown and stream.frame != "world":
             values = stream.rows.sensor.in_frame(stream.rows.values, frame)
             stream = replace(stream, rows=replace(stream.rows, values=values), frame="world")
         streams[stream.name] = replace(stream, rows=clean(stream.rows, None, stream.keep_repeats))
-    return Recording(found.name, path.parent, streams, robot, None, unknown_frames=unknown)
+    return Recording(logged.name, path.parent, streams, robot, None, unknown_frames=unknown)
 
 
 def save_recording(
@@ -257,8 +257,8 @@ def _described(folder: Path) -> Recording:
             unknown.add(frame)
         frames[frame] = entry.pose() if frame not in unknown else np.eye(4)
         entry.close()
-    for told in ("calibration", "made_by", "seed"):  # for the reader
-        table.skip(told)
+    for key in ("calibration", "made_by", "seed"):  # for the reader
+        table.skip(key)
     came_in = {}
     for entry in table.tables("streams"):
         frame = entry.peek("frame")

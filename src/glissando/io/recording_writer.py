@@ -56,8 +56,8 @@ def write_streams(
         text += (
             "\n[calibration]          # found by glissando calibrate, and applied to the streams\n"
         )
-    for constant, found in (calibration or {}).items():
-        inner = ", ".join(f"{key} = {_value(value)}" for key, value in found.items())
+    for constant, estimate in (calibration or {}).items():
+        inner = ", ".join(f"{key} = {_value(value)}" for key, value in estimate.items())
         text += f"{_value(constant)} = {{ {inner} }}\n"
     for stream in streams:
         write_named(building / f"{file_stem(stream.name, RecordingError)}.csv", stream.rows)

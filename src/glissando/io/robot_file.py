@@ -150,9 +150,9 @@ def with_tube(text: str, tube: Tube) -> str:
         text: The robot file.
         tube: The tube to write.
     """
-    kept = re.sub(r"^\[tube\][^\n]*\n(?:(?!\[)[^\n]*(?:\n|\Z))*", "", text, flags=re.MULTILINE)
+    rest = re.sub(r"^\[tube\][^\n]*\n(?:(?!\[)[^\n]*(?:\n|\Z))*", "", text, flags=re.MULTILINE)
     entries = "".join(f"{key} = {value}\n" for key, value in vars(tube).items())
-    return f"{kept.rstrip()}\n\n[tube]\n{entries}"
+    return f"{rest.rstrip()}\n\n[tube]\n{entries}"
 
 
 def _grid(table: Table, length: float) -> tuple[Array, float, bool]:

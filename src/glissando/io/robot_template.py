@@ -64,8 +64,8 @@ class RobotOutline:
             value = getattr(self, key)
             if not low <= value <= high:
                 raise RobotFileError(
-                    f"A robot's {key.replace('_', ' ')} of {_said(value, unit)} is not likely; "
-                    f"give {_said(low, unit)} to {_said(high, unit)}."
+                    f"A robot's {key.replace('_', ' ')} of {_quantity(value, unit)} is not likely; "
+                    f"give {_quantity(low, unit)} to {_quantity(high, unit)}."
                 )
         if self.diameter > self.length:
             raise RobotFileError(
@@ -87,7 +87,7 @@ class RobotOutline:
         return [(kind, stream) for kind, _, stream in parts]
 
 
-def _said(value: float, unit: str) -> str:
+def _quantity(value: float, unit: str) -> str:
     """A number with its unit; angles are asked for in degrees, too."""
     degrees = f" ({math.degrees(value):.3g} degrees)" if unit == "rad" else ""
     return f"{value:.4g} {unit}{degrees}"

@@ -36,15 +36,15 @@ def read_tendon_commands(path: Path, names: tuple[str, ...]) -> tuple[Array, Arr
             raise RecordingError(
                 f"{path.name} line 1 has columns {' and '.join(given)} for one tendon; keep one."
             )
-        found = given[0] if given else None
-        if clock is None or found is None:
+        column = given[0] if given else None
+        if clock is None or column is None:
             raise RecordingError(
                 f"{path.name} line 1 has {len(head)} columns and no "
                 f"{'time' if clock is None else name}; give time and a column for each of the "
                 f"{len(names)} tendons: {', '.join(names)}."
             )
-        columns.append(head.index(found))
-        scales.append(1.0 if found == name else 1e-3)
+        columns.append(head.index(column))
+        scales.append(1.0 if column == name else 1e-3)
     assert clock is not None
     rows: list[Array] = []
     for number, line in enumerate(lines[1:], start=2):

@@ -177,13 +177,13 @@ class SlidePath(Brief):
         SlidePath.hold(0.0, duration, limits), SlidePath.oscillate(1, stroke, limits)  # may it?
         pieces, place, spent = [], 0.0, 0.0
         for turn in cycle([0.5, 0.25, 0.75, 0.5, 1.0, 0.5, 0.75, 0.25, 0.5, 0.0]):
-            there = turn * stroke
-            move = _trapezoid(place, there, limits.speed, limits.acceleration)
+            target = turn * stroke
+            move = _trapezoid(place, target, limits.speed, limits.acceleration)
             lasts = float(move[0].sum()) + _REST
             if spent + lasts >= duration:
                 break
             pieces += [move, _still(_REST)]
-            place, spent = there, spent + lasts
+            place, spent = target, spent + lasts
         return SlidePath._joined(0.0, [*pieces, _still(duration - spent)], limits)
 
     @staticmethod
@@ -236,9 +236,9 @@ def _trapezoid(low: float, high: float, cruise: float, most: float) -> tuple[Arr
     top = min(cruise, np.sqrt(way * most))
     ramp, level = top / most, max(way / top - top / most, 0.0)
     durations, ways = [ramp, level, ramp], [0.5 * top * ramp, top * level, 0.5 * top * ramp]
-    kept = np.array([True, level > 1e-12, True])
+    lasting = np.array([True, level > 1e-12, True])
     speeds = sign * np.array([top, top, 0.0])
-    return np.array(durations)[kept], sign * np.array(ways)[kept], speeds[kept]
+    return np.array(durations)[lasting], sign * np.array(ways)[lasting], speeds[lasting]
 
 
 def read_slide(path: Path, limits: SlideLimits, drawn_out: float | None = None) -> SlidePath:

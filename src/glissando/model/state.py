@@ -65,7 +65,7 @@ class State(Brief):
         """The step (…, dof) that takes `other` to this state: self = other.retract(step)."""
         turn = se3.log(se3.inverse(other.pose) @ self.pose)
         fields = zip(self._others(), other._others(), strict=True)
-        return np.concatenate([turn, *(mine - its for mine, its in fields)], axis=-1)
+        return np.concatenate([turn, *(own - its for own, its in fields)], axis=-1)
 
     def take(self, index: Any) -> State:
         """The state at leading indices, as numpy would index an array of points."""
@@ -79,8 +79,8 @@ class State(Brief):
     def with_fields_of(self, other: State) -> State:
         """The state with the same fields as another; rates that it lacks are zero."""
         strain_rate, inertia = (
-            None if theirs is None else np.zeros_like(self.strain) if mine is None else mine
-            for mine, theirs in (
+            None if theirs is None else np.zeros_like(self.strain) if own is None else own
+            for own, theirs in (
                 (self.strain_rate, other.strain_rate),
                 (self.inertia, other.inertia),
             )

@@ -47,7 +47,7 @@ class Stated:
         except (TypeError, ValueError):
             raise self.fail(name, f"is {given!r}; give numbers.") from None
         if not any(_fits(value.shape, shape) for shape in shapes):
-            wanted = " or ".join(_said(shape) for shape in shapes)
+            wanted = " or ".join(_words(shape) for shape in shapes)
             raise self.fail(name, f"has shape {value.shape}; give {wanted}.")
         low = above if above is not None else least
         bad = ~np.isfinite(value)
@@ -115,5 +115,5 @@ def _fits(shape: tuple[int, ...], wanted: tuple[int, ...]) -> bool:
     return all(a == b or (b == -1 and a) for a, b in zip(shape, wanted, strict=True))
 
 
-def _said(shape: tuple[int, ...]) -> str:
+def _words(shape: tuple[int, ...]) -> str:
     return str(shape).replace("-1", "K") if shape else "one number"

@@ -59,10 +59,10 @@ def _measurable(cov: Array, rows: Array) -> Array:
     few = np.asarray(np.linalg.qr(rows, mode="r"))  # the same squares in D rows at most
     variance, modes = np.linalg.eigh(few @ cov @ few.T)
     left = np.cumsum(np.maximum(variance, 0.0)) / len(rows)
-    kept = (left > _LEFT**2) & (variance > _FLOOR * variance[-1])
-    kept[:-_MOST] = False
-    kept[-1] = True
-    return few.T @ (modes[:, kept] / np.sqrt(variance[kept]))
+    measurable = (left > _LEFT**2) & (variance > _FLOOR * variance[-1])
+    measurable[:-_MOST] = False
+    measurable[-1] = True
+    return few.T @ (modes[:, measurable] / np.sqrt(variance[measurable]))
 
 
 def _reduced(marginals: Marginals, weights: Array) -> Modes:

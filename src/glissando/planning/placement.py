@@ -62,13 +62,13 @@ class PlacementProblem:
     Attributes:
         candidates: The sensors (C,).
         rows: What each measures, whitened (r, d).
-        asked: Weight (d, d) of those directions in the zones.
+        weight: Weight (d, d) of those directions in the zones.
         left: Mean position variance of the zones that no candidate can lower, m².
     """
 
     candidates: Sequence[Candidate]
     rows: Sequence[Array]
-    asked: Array
+    weight: Array
     left: float
 
     @property
@@ -83,24 +83,24 @@ class PlacementProblem:
 
     def variance(self, share: Array) -> float:
         """Mean position variance in the zones, m², with a share (C,) from 0 to 1 of each sensor."""
-        return self.left + float(np.sum(self._cov(share) * self.asked))
+        return self.left + float(np.sum(self._cov(share) * self.weight))
 
     def slopes(self, share: Array) -> Array:
         """Slopes (C,) of `variance` by the shares."""
         cov = self._cov(share)
-        return -np.einsum("cij,ji->c", self.information, cov @ self.asked @ cov)
+        return -np.einsum("cij,ji->c", self.information, cov @ self.weight @ cov)
 
     def gains(self, share: Array, which: Sequence[int]) -> Array:
         """How much each of some more sensors (G,) lowers the variance, m²."""
         cov = self._cov(share)
-        square, out = cov @ self.asked @ cov, []
+        square, out = cov @ self.weight @ cov, []
         for rows in (self.rows[i] for i in which):
             innovation = np.eye(len(rows)) + rows @ cov @ rows.T
             out.append(np.trace(np.linalg.solve(innovation, rows @ square @ rows.T)))
         return np.array(out)
 
     def _cov(self, share: Array) -> Array:
-        info = np.eye(len(self.asked)) + np.einsum("c,cij->ij", share, self.information)
+        info = np.eye(len(self.weight)) + np.einsum("c,cij->ij", share, self.information)
         return np.asarray(np.linalg.inv(info))
 
 
@@ -165,20 +165,20 @@ def _reduced(
 ) -> PlacementProblem:
     """The problem in the directions that readings see, which are all that they can make certain."""
     cholesky = factor(ahead.system)
-    seen, asked = (
+    seen, wanted_rows = (
         cholesky.whitened(rows).reshape(len(rows), -1) for rows in (np.concatenate(blocks), wanted)
     )
     gained, directions = np.linalg.eigh(seen.T @ seen)
-    worth = np.sum((asked @ directions) ** 2, axis=0) * gained / (1.0 + gained)
-    order, most = np.argsort(worth), _LEFT * (left + np.sum(asked**2) - worth.sum())
+    worth = np.sum((wanted_rows @ directions) ** 2, axis=0) * gained / (1.0 + gained)
+    order, most = np.argsort(worth), _LEFT * (left + np.sum(wanted_rows**2) - worth.sum())
     basis = directions[:, order[np.cumsum(worth[order]) > most]]
     ends = np.cumsum([len(block) for block in blocks])[:-1]
     parts = [
         part if len(part) < part.shape[1] else np.asarray(np.linalg.qr(part, mode="r"))
         for part in np.split(seen @ basis, ends)
     ]
-    along = asked @ basis
-    beside = float(np.sum(asked**2) - np.sum(along**2))
+    along = wanted_rows @ basis
+    beside = float(np.sum(wanted_rows**2) - np.sum(along**2))
     return PlacementProblem(candidates, parts, along.T @ along, left + beside)
 
 
@@ -202,8 +202,8 @@ def place_sensors(problem: PlacementProblem, budgets: Sequence[float]) -> Iterat
     bounds = [lower_bound(problem, budget) for budget in budgets]
     for i, budget in enumerate(budgets):
         starts = [_greedy(problem, budget, by_cost) for by_cost in (True, False)]
-        found = [_exchanged(problem, budget, start) for start in (*starts, before)]
-        before = min(found, key=lambda chosen: problem.variance(_share(problem, chosen)))
+        sets = [_exchanged(problem, budget, start) for start in (*starts, before)]
+        before = min(sets, key=lambda chosen: problem.variance(_share(problem, chosen)))
         share = _share(problem, before)
         yield Placement(
             budget,
@@ -261,28 +261,28 @@ def _beside(problem: PlacementProblem, budget: float, chosen: list[int]) -> Iter
     if len(chosen) <= _PAIRS:
         outs += combinations(chosen, 2)
     for out in outs:
-        kept = [each for each in chosen if each not in out]
+        rest = [each for each in chosen if each not in out]
         for by_cost in (True, False):
-            yield _greedy(problem, budget, by_cost, kept, out)
+            yield _greedy(problem, budget, by_cost, rest, out)
     for new in np.flatnonzero((_share(problem, chosen) == 0.0) & (problem.cost <= budget)):
-        kept, left = _paid_for(problem, budget, chosen, int(new))
+        rest, left = _paid_for(problem, budget, chosen, int(new))
         for by_cost in (True, False):
-            yield _greedy(problem, budget, by_cost, kept, left)
+            yield _greedy(problem, budget, by_cost, rest, left)
 
 
 def _paid_for(
     problem: PlacementProblem, budget: float, chosen: Sequence[int], new: int
 ) -> tuple[list[int], list[int]]:
     """The set with a sensor more, less those that are missed least for their cost; and these."""
-    kept, out, cost = [*chosen, new], list[int](), problem.cost
-    while cost[kept].sum() > budget + 1e-9:
-        whole = problem.variance(_share(problem, kept))
+    affordable, out, cost = [*chosen, new], list[int](), problem.cost
+    while cost[affordable].sum() > budget + 1e-9:
+        whole = problem.variance(_share(problem, affordable))
         miss = [
-            (problem.variance(_share(problem, [k for k in kept if k != i])) - whole) / cost[i]
-            for i in kept[:-1]
+            (problem.variance(_share(problem, [k for k in affordable if k != i])) - whole) / cost[i]
+            for i in affordable[:-1]
         ]
-        out.append(kept.pop(int(np.argmin(miss))))
-    return kept, out
+        out.append(affordable.pop(int(np.argmin(miss))))
+    return affordable, out
 
 
 def lower_bound(problem: PlacementProblem, budget: float) -> float:

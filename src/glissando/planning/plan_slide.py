@@ -223,8 +223,8 @@ class _Search:
 
 def _distinct(paths: Sequence[Array], apart: float, count: int) -> list[Array]:
     """The first `count` paths that are as far apart in the root mean square."""
-    kept: list[Array] = []
+    distinct: list[Array] = []
     for path in paths:
-        if len(kept) < count and all(np.mean((path - p) ** 2) > apart**2 for p in kept):
-            kept.append(path)
-    return kept
+        if len(distinct) < count and all(np.mean((path - p) ** 2) > apart**2 for p in distinct):
+            distinct.append(path)
+    return distinct

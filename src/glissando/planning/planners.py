@@ -116,8 +116,8 @@ class ProcessPlanner(Generic[Result]):
             raise PlannerExitedError("The planner's process has ended.") from None
         if isinstance(answer, GlissandoError):
             raise answer
-        found: Result | None = answer
-        return found
+        plan: Result | None = answer
+        return plan
 
 
 Planner = InlinePlanner[Result] | ProcessPlanner[Result]

@@ -161,7 +161,7 @@ class RodEquations:
 
     def _add_tendons(self, slope: Array, at: Balance, cables: Array) -> None:
         """Add how tendons turn with the section and, if they stretch, pull harder."""
-        weights, there = self.mesh.weights, self.paths[:, 2, :, 0]
+        weights, covered = self.mesh.weights, self.paths[:, 2, :, 0]
         arm = hat3(self.paths[:, 0])
         reach = np.concatenate([np.broadcast_to(np.eye(3), arm.shape), -arm], axis=-1)  # ∂along/∂ε
         across = np.eye(3) - at.unit[..., :, None] * at.unit[..., None, :]
@@ -170,7 +170,9 @@ class RodEquations:
         g = np.arange(len(weights))
         slope[g, :, g] += np.sum(tight * (back @ across @ reach), axis=0)
         for j in np.flatnonzero((cables[:, 1] > 0.0) & (at.pull.max(axis=1, initial=0.0) > 0.0)):
-            by_strain = np.einsum("gij,gj->gi", back[j], at.unit[j]) * (weights * there[j])[:, None]
+            by_strain = (
+                np.einsum("gij,gj->gi", back[j], at.unit[j]) * (weights * covered[j])[:, None]
+            )
             friction = at.pull[j] / at.pull[j].max()
             pulled = cables[j, 1] * friction[:, None] * by_strain
             slope += pulled[:, :, None, None] * by_strain

@@ -53,8 +53,8 @@ def matrices(equations: RodEquations, at: Balance, instant: Instant) -> Matrices
 
 def natural_frequencies(equations: RodEquations, at: Balance, instant: Instant) -> Array:
     """Frequencies (6G,) of small undamped vibrations about a balance at rest, Hz, lowest first."""
-    found = matrices(equations, at, instant)
-    squares = eigh(found.stiffness, found.mass, eigvals_only=True)
+    linear = matrices(equations, at, instant)
+    squares = eigh(linear.stiffness, linear.mass, eigvals_only=True)
     return np.sqrt(np.maximum(squares, 0.0)) / (2.0 * np.pi)
 
 

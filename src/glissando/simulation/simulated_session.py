@@ -170,8 +170,8 @@ def write_session(session: Session, folder: Path, robot: str | Path, **more: Any
     are further fields of recording.toml. Raises
     SimulationError when the folder holds something already.
     """
-    kept: dict[str, Any] = {"keep_repeats": True, "frame": "tracker"}
-    streams = [Stream("coil", session.coil, channel=session.channel, **kept)]
+    settings: dict[str, Any] = {"keep_repeats": True, "frame": "tracker"}
+    streams = [Stream("coil", session.coil, channel=session.channel, **settings)]
     streams += [
         Stream(name, rows, True, session.mocap_std, keep_repeats=True)
         for name, rows in session.mocap.items()

@@ -149,15 +149,17 @@ class Equilibrium:
             step = lu_solve(slope, work.ravel(), check_finite=False)
             if not np.abs(step).max() * self.equations.rod.length < _LONGEST:
                 return None
-            trial, there, found = self._shorten(strain, step.reshape(strain.shape), share, size)
-            if not found < (2.0 * size if fresh else size):
+            trial, trial_balance, trial_size = self._shorten(
+                strain, step.reshape(strain.shape), share, size
+            )
+            if not trial_size < (2.0 * size if fresh else size):
                 if fresh:
                     return None
                 slope = None
                 continue
-            strain, here = trial, there
-            slope = slope if found < 0.2 * size else None
-            size = found
+            strain, here = trial, trial_balance
+            slope = slope if trial_size < 0.2 * size else None
+            size = trial_size
         return None
 
     def _shorten(
@@ -167,10 +169,10 @@ class Equilibrium:
         shorter = 1.0
         while True:
             trial = strain - shorter * step
-            there = self._at(trial, share)
-            found = self._size(there)
-            if found < size or shorter < 0.2:
-                return trial, there, found
+            balance = self._at(trial, share)
+            trial_size = self._size(balance)
+            if trial_size < size or shorter < 0.2:
+                return trial, balance, trial_size
             shorter *= 0.5
 
     def _at(self, strain: Array, share: float) -> Balance:

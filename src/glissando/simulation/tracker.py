@@ -64,8 +64,8 @@ def coil_rows(
     centre = se3.pose(np.eye(3), np.asarray(flaws.field_centre))
     slip = centre @ se3.exp(_registration(next(streams), flaws)) @ se3.inverse(centre)
     reported = rolled(se3.inverse(T_wt) @ slip @ pose, flaws.roll, next(streams))
-    kept = _kept(next(streams), time, flaws)
-    return Rows("coil", time[kept], named[kept], reported[kept], {})
+    received = _received(next(streams), time, flaws)
+    return Rows("coil", time[received], named[received], reported[received], {})
 
 
 def _coil_at(path: SlidePath, time: Array, flaws: Imperfections) -> Array:
@@ -160,13 +160,13 @@ def rolled(pose: Array, roll: str, rng: np.random.Generator) -> Array:
     return out
 
 
-def _kept(rng: np.random.Generator, time: Array, flaws: Imperfections) -> np.ndarray:
+def _received(rng: np.random.Generator, time: Array, flaws: Imperfections) -> np.ndarray:
     """Which rows (M,) are not lost in a drop-out."""
-    kept = np.ones(time.size, dtype=bool)
+    received = np.ones(time.size, dtype=bool)
     span = float(np.ptp(time))
     for start in rng.uniform(time[0], time[-1], rng.poisson(flaws.dropouts * span)):
-        kept &= ~((time >= start) & (time < start + rng.uniform(*flaws.dropout_duration)))
-    return kept if kept.any() else np.arange(time.size) == 0
+        received &= ~((time >= start) & (time < start + rng.uniform(*flaws.dropout_duration)))
+    return received if received.any() else np.arange(time.size) == 0
 
 
 def mocap_rows(

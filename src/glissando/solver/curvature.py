@@ -47,8 +47,8 @@ def curvature(linearize: Linearize, state: State, step: Array, std: Array) -> Bl
     for parity, column in np.ndindex(2, STATIC_DOF):
         nudge = np.zeros((count, n_count, state.dof))
         nudge[:, parity::2, column] = scale.reshape(std.shape)[:, parity::2, column]
-        there = linearize(state.retract(nudge))
-        for batch, multiplier, before in zip(there, multipliers, gradients, strict=True):
+        nudged = linearize(state.retract(nudge))
+        for batch, multiplier, before in zip(nudged, multipliers, gradients, strict=True):
             change = _gradient(batch, multiplier) - before
             for j, moved in enumerate(batch.nodes.T):
                 hit = np.flatnonzero(moved % n_count % 2 == parity)

@@ -41,7 +41,7 @@ class NormalEquations:
     def cost_of(self, other: NormalEquations) -> float:
         """Cost of another state's residuals under the weights of this one."""
         return sum(
-            mine.cost(theirs.residual) for mine, theirs in zip(self.terms, other.terms, strict=True)
+            own.cost(theirs.residual) for own, theirs in zip(self.terms, other.terms, strict=True)
         )
 
     @property

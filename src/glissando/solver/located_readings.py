@@ -112,8 +112,8 @@ def locate(
                 f"estimate a recording with it, or place it by `place_in_channel` first."
             )
     named = {r.name for r in streams}
-    kept = [p for p in sensor_parameters if keep_all or named.intersection(p.streams)]
-    process = EstimatedParameters(grid, kept)
+    estimated = [p for p in sensor_parameters if keep_all or named.intersection(p.streams)]
+    process = EstimatedParameters(grid, estimated)
     parameters = ParameterValues(process, process.expected() if values is None else values)
     arclength, time = _joined(streams)
     if not grid.contains(arclength, time).all():

@@ -46,18 +46,18 @@ def measurement_factors(
         at = prior.interpolate(located.grid, state, noise_state, batch.points)
         first, slopes = 0, _slopes(prior, located, state, batch)
         for stream, rows, readings in batch.streams:
-            mine = at.take(slice(first, first + len(readings)))
+            own = at.take(slice(first, first + len(readings)))
             first += len(readings)
             if readings.spans:
                 yield stream, rows, spanning_factor(readings, prior, located, state, noise_state)
                 continue
             if isinstance(readings, AccelerometerReadings):
                 place = located.grid, state, noise_state, readings.arclength, readings.time
-                mine = accelerated(prior, *place, float(readings.span[0]))
+                own = accelerated(prior, *place, float(readings.span[0]))
             aside, beside = None, readings.beside  # on a start's coarser nodes the place is held
             if beside is not None and beside.shape[2] == located.grid.arclength.size:
                 aside = _along(prior, located.grid, state, noise_state, readings)
-            yield stream, rows, _factor(readings, mine, located.parameters, slopes[stream], aside)
+            yield stream, rows, _factor(readings, own, located.parameters, slopes[stream], aside)
 
 
 def _factor(
@@ -76,8 +76,8 @@ def _factor(
             f"{readings.label}: where and when an accelerometer reads is not estimated; state "
             f"offsets and lags of its stream as known, without a std."
         )
-    mine, now, weights, left = parameters.of(readings), *np.zeros((3, len(readings), 0))
-    if mine:
+    own, now, weights, left = parameters.of(readings), *np.zeros((3, len(readings), 0))
+    if own:
         now, weights, left = parameters.between(readings.time)
     corrected = parameters.corrected(readings, now)
     residual, by_state = _checked(corrected, at)
@@ -92,9 +92,9 @@ def _factor(
         var = np.broadcast_to(corrected.arclength_std**2, along.shape[:1])
         cov = cov + var[:, None, None] * along[:, :, None] * along[:, None, :]
     extras = None
-    if mine:
+    if own:
         by_extras = np.zeros((*by_state.shape[:2], parameters.process.size))
-        for columns, slope in _by_parameters(readings, corrected, at, by_state, mine, slopes, now):
+        for columns, slope in _by_parameters(readings, corrected, at, by_state, own, slopes, now):
             by_extras[..., columns] = slope
         cov = cov + (by_extras * left[:, None]) @ np.swapaxes(by_extras, -1, -2)
         extras = (by_extras[:, :, None] * weights[:, None]).reshape(*residual.shape, -1)
@@ -150,19 +150,19 @@ def _by_parameters(
     corrected: Readings,
     at: Interpolation,
     by_state: Array,
-    mine: Sequence[tuple[SensorParameter, slice]],
+    own: Sequence[tuple[SensorParameter, slice]],
     slopes: dict[str, Array],
     now: Array,
 ) -> Iterator[tuple[slice, Array]]:
     """Columns, and slopes (M, r, size) of residuals, of each sensor parameter of the readings."""
-    still = [(parameter, columns) for parameter, columns in mine if not parameter.moves]
+    still = [(parameter, columns) for parameter, columns in own if not parameter.moves]
     values = [(parameter, now[:, columns]) for parameter, columns in still]
-    found = by_parameters(readings, corrected, at.state, by_state, values)
-    yield from zip((columns for _, columns in still), found, strict=True)
-    for parameter, columns in mine:
+    slope = by_parameters(readings, corrected, at.state, by_state, values)
+    yield from zip((columns for _, columns in still), slope, strict=True)
+    for parameter, columns in own:
         if parameter.moves:
-            found = np.einsum("mrd,md->mr", by_state, slopes[parameter.along])
-            yield columns, (found.T * parameter.lever(readings)).T[..., None]
+            slope = np.einsum("mrd,md->mr", by_state, slopes[parameter.along])
+            yield columns, (slope.T * parameter.lever(readings)).T[..., None]
 
 
 def _slopes(

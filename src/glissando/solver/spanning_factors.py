@@ -68,20 +68,20 @@ def _through(
     """
     m, dof = len(by_state) // places, parts[0][1].dof
     first, last = np.full(m, np.iinfo(np.intp).max), np.zeros(m, dtype=np.intp)
-    for rows, found in parts:
-        time = found.nodes // n_count
+    for rows, part in parts:
+        time = part.nodes // n_count
         np.minimum.at(first, rows // places, time.min(axis=1))
         np.maximum.at(last, rows // places, time.max(axis=1))
     nodes = n_count * first[:, None] + np.arange(n_count * (1 + int(np.max(last - first))))
     by_nodes = np.zeros((*nodes.shape, by_state.shape[1], dof))
     std = np.zeros((m, by_state.shape[1]))
-    for rows, found in parts:
-        mine, slope = rows // places, by_state[rows]
-        through = slope @ found.jacobian.reshape(rows.size, DOF, -1)
+    for rows, part in parts:
+        owner, slope = rows // places, by_state[rows]
+        through = slope @ part.jacobian.reshape(rows.size, DOF, -1)
         through = through.reshape(*slope.shape[:2], -1, dof).swapaxes(1, 2)
-        np.add.at(by_nodes, (mine[:, None], found.nodes - nodes[mine, :1]), through)
-        left = np.einsum("pri,pij,prj->pr", slope, found.cov, slope)
-        np.add.at(std, mine, np.sqrt(np.maximum(left, 0.0)))
+        np.add.at(by_nodes, (owner[:, None], part.nodes - nodes[owner, :1]), through)
+        left = np.einsum("pri,pij,prj->pr", slope, part.cov, slope)
+        np.add.at(std, owner, np.sqrt(np.maximum(left, 0.0)))
     return nodes, by_nodes, std
 
 
@@ -100,8 +100,11 @@ def interpolated(
     """
     out, parts = State(np.empty((time.size, 4, 4)), *np.empty((2, time.size, 6))), []
     for points in sort_points(grid, arclength, time):
-        found = prior.interpolate(grid, state, noise_state, points)
-        out.pose[points.rows], out.strain[points.rows] = found.state.pose, found.state.strain
-        out.velocity[points.rows] = found.state.velocity
-        parts.append((points.rows, found))
+        interpolation = prior.interpolate(grid, state, noise_state, points)
+        out.pose[points.rows], out.strain[points.rows] = (
+            interpolation.state.pose,
+            interpolation.state.strain,
+        )
+        out.velocity[points.rows] = interpolation.state.velocity
+        parts.append((points.rows, interpolation))
     return out, parts

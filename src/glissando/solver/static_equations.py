@@ -41,9 +41,9 @@ class StaticEquations:
     def costs(self, other: StaticEquations) -> Array:
         """Costs (S,) of another state's residuals under the weights of this one."""
         out = np.zeros(len(self.rhs))
-        for (owner, mine), (_, theirs) in zip(self.terms, other.terms, strict=True):
-            norm = np.linalg.norm(mine.whiten(theirs.residual), axis=-1)
-            cost = 0.5 * norm**2 if mine.loss is None else mine.loss.cost(norm)
+        for (owner, own), (_, theirs) in zip(self.terms, other.terms, strict=True):
+            norm = np.linalg.norm(own.whiten(theirs.residual), axis=-1)
+            cost = 0.5 * norm**2 if own.loss is None else own.loss.cost(norm)
             out += np.bincount(owner, cost, minlength=out.size)
         return out
 

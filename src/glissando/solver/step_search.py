@@ -103,20 +103,20 @@ def try_step(
         far = stretch * step
         with suppress(np.linalg.LinAlgError):
             where = _bent(prior, here, far) if manner.bent else _straight(here, far)
-            there = at(where, fixed)
-            gain = (cost - here.cost_of(there)) / predicted
+            stepped = at(where, fixed)
+            gain = (cost - here.cost_of(stepped)) / predicted
             if gain > _PLAIN:
                 manner.stretch = _next_stretch(stretch, gain)
-                return there, gain
+                return stepped, gain
     gain = -1.0
-    for there, way in _ways(prior, here, step, fixed, at, bent=manner.bent):
+    for stepped, way in _ways(prior, here, step, fixed, at, bent=manner.bent):
         if predicted < ROUNDING * (1.0 + cost):
-            return there, 1.0
-        gain = (cost - here.cost_of(there)) / (way.share * predicted)
+            return stepped, 1.0
+        gain = (cost - here.cost_of(stepped)) / (way.share * predicted)
         if gain > _GOOD:
             manner.stretch = _next_stretch(1.0, gain) if stretch == 1.0 else 1.0
             manner.bent = manner.bent if way.bent is None else way.bent
-            return there, gain
+            return stepped, gain
         if gain > best_gain:
             best, best_gain = way.where, gain
     return at(best, fixed), best_gain if best_gain > WORTHWHILE else gain

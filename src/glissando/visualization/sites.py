@@ -25,12 +25,12 @@ def sites_of(streams: Sequence[Readings], grid: Grid, kind: Any = _POSITIONED) -
     """
     out: list[Readings] = []
     for stream in (s for s in streams if isinstance(s, kind)):
-        kept: Readings = stream.inside(grid)
-        kept = kept.select(np.argsort(kept.time, kind="stable"))
-        near = kept.arclength.round(6)
+        inside: Readings = stream.inside(grid)
+        inside = inside.select(np.argsort(inside.time, kind="stable"))
+        near = inside.arclength.round(6)
         if np.unique(near).size > _FIXED_SITES:
             near[:] = 0.0
-        out.extend(kept.select(near == site) for site in np.unique(near))
+        out.extend(inside.select(near == site) for site in np.unique(near))
     return out
 
 

@@ -69,8 +69,8 @@ def calibrate(data: RigData, robot: Robot, *, readings: int = _READINGS) -> Cali
     notes += advice(data, fit.cov, std)
     if tube is not None:
         notes += judgement(tube, fit.rig, fit.cov, data)
-    found = fit.rig, fit.cov, data.coil_name, odds, stream_fits(fit), notes, tube
-    return Calibration(*found, fit.rig.channel(data))
+    constants = fit.rig, fit.cov, data.coil_name, odds, stream_fits(fit), notes, tube
+    return Calibration(*constants, fit.rig.channel(data))
 
 
 def _prior_std(data: RigData) -> Array:

@@ -69,10 +69,10 @@ def calibrated(
         robot: The robot, whose ends bound the coil's arclength.
     """
     rig, own = calibration.rig, recording.streams[data.coil_name]
-    found = apply(calibration, data, robot).streams[own.name]
-    std = None if own.std is None else own.std[: found.rows.sensor.rows]
+    coil = apply(calibration, data, robot).streams[own.name]
+    std = None if own.std is None else own.std[: coil.rows.sensor.rows]
     streams = dict(recording.streams)
-    streams[own.name] = replace(found, std=std)
+    streams[own.name] = replace(coil, std=std)
     for name, stream in recording.streams.items():
         if stream.frame == own.frame != "world" and stream is not own:
             values = stream.rows.sensor.in_frame(stream.rows.values, rig.T_wt)

@@ -188,8 +188,8 @@ def load_calibration(path: str | Path) -> Calibration:
     warnings = table.peek("warnings") or []
     if not (isinstance(warnings, list) and all(isinstance(text, str) for text in warnings)):
         raise table.fail("warnings", f"is {str(warnings)[:60]}; give a list of sentences.")
-    found = rig, cov, coil.text("name"), float(odds or 0.0)
-    return Calibration(*found, warnings=tuple(warnings), channel=coil.channel())
+    constants = rig, cov, coil.text("name"), float(odds or 0.0)
+    return Calibration(*constants, warnings=tuple(warnings), channel=coil.channel())
 
 
 def _read_clock(device: Table) -> Array:

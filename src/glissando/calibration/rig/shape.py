@@ -195,8 +195,8 @@ def shape_covariance(
             for i, row in enumerate(points.rows):
                 columns = slice(inner[i, c] * at.dof, (inner[i, c] + 1) * at.dof)
                 touched[slab[i, c] - lower[row], row, :, columns] += slopes[i, c]
-        mine = by_state[points.rows]
-        own[points.rows] = mine @ at.cov @ np.swapaxes(mine, -1, -2)
+        slope = by_state[points.rows]
+        own[points.rows] = slope @ at.cov @ np.swapaxes(slope, -1, -2)
     if along is not None:
         share = np.clip(np.interp(time, shape.grid.time, np.arange(last + 1)) - lower, 0.0, 1.0)
         touched += np.stack([1.0 - share, share])[..., None, None] * along
@@ -211,8 +211,8 @@ def _chained(shape: Posterior, chol: Cholesky, lower: Array, touched: Array) -> 
     done = m  # readings from here on are in `ahead`, the covariance of the next slab with them
     ahead = np.zeros((width, 0))
     for k in reversed(range(len(cov))):
-        mine = np.flatnonzero(lower == k)
-        first = int(mine[0]) if mine.size else done
+        of_slab = np.flatnonzero(lower == k)
+        first = int(of_slab[0]) if of_slab.size else done
         own_rows, next_rows = (part[first:done].reshape(-1, width) for part in touched)
         if k < len(cross):
             later = -chol.inverse[k].T @ (chol.coupling[k] @ ahead)

@@ -83,8 +83,8 @@ def locate(
         if constant and not parameter.known:
             entry["value"] = estimated(parameter).value.tolist()
             del entry["std"]
-    found = [p for p in parameters if not p.known]
-    deviations = {p.name: _std(posterior, p.name) for p in found}
+    uncertain = [p for p in parameters if not p.known]
+    deviations = {p.name: _std(posterior, p.name) for p in uncertain}
     return known, tuple(map(estimated, constants)), deviations, Start.of(posterior)
 
 

@@ -197,8 +197,8 @@ class _Search:
         if promise < _GAIN:
             self._try(step, slope, beside=True)
             return 0
-        taken = any(self._try(share * step, slope) for share in _SHARES)
-        return math.ceil(np.log10(promise / _GAIN)) if taken else 0
+        better = any(self._try(share * step, slope) for share in _SHARES)
+        return math.ceil(np.log10(promise / _GAIN)) if better else 0
 
     def slopes(self, tell: Callable[[float], None]) -> tuple[Array, Array]:
         """Slope (P,) and curvature (P,) along each parameter; zero where there is no estimate.
@@ -209,12 +209,12 @@ class _Search:
         nudges = _NUDGE * np.eye(self.x.size)
         points = [self.x, *(self.x + nudges), *(self.x - nudges)]
         documents = [moved(self.document, self.parameters, x) for x in points]
-        found: list[float] = []
+        values: list[float] = []
         for value in self.pool.map(_evaluate, [self.centre] * len(points), documents):
-            found.append(value)
-            tell(len(found) / (len(points) + 1))
-        totals = np.array([self._with_prior(f, x) for f, x in zip(found, points, strict=True)])
-        good = np.array(found) < _BAD
+            values.append(value)
+            tell(len(values) / (len(points) + 1))
+        totals = np.array([self._with_prior(f, x) for f, x in zip(values, points, strict=True)])
+        good = np.array(values) < _BAD
         sides = np.where(good, totals, totals[0])[1:].reshape(2, -1)
         known = good[0] * good[1:].reshape(2, -1)
         slope = (sides[0] - sides[1]) / (_NUDGE * np.maximum(known.sum(axis=0), 1))
@@ -241,17 +241,17 @@ class _Search:
     def _try(self, step: Array, slope: Array, *, beside: bool = False) -> bool:
         """Whether a step is worth it, also if only to first order; if so, it is taken."""
         x = np.clip(self.x + step, -_REACH, _REACH)
-        there: Centre | None = None
+        centre: Centre | None = None
         with suppress(GlissandoError, np.linalg.LinAlgError):
             document = moved(self.document, self.parameters, x)
-            there = self.objective.score(document, self.centre, beside=beside)
-        if there is None:
+            centre = self.objective.score(document, self.centre, beside=beside)
+        if centre is None:
             return False
-        value = self._with_prior(-there.score.value, x)
+        value = self._with_prior(-centre.score.value, x)
         if not value < (self._beside if beside else self.value):
             return False
         self._former = x - self.x, slope
-        self.x, self.value, self.centre = x, value, there
+        self.x, self.value, self.centre = x, value, centre
         return True
 
     def _with_prior(self, value: float, x: Array) -> float:

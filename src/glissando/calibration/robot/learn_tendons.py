@@ -100,8 +100,8 @@ def learn_tendons(robot: Robot, data: TendonData, watch: Watch | None = None) ->
     held_out = np.empty_like(error)
     for block in np.unique(data.block):
         left = data.block == block
-        found = _fit(model, numbers, data, ~left, f"without block {block}", say)
-        held_out[left] = _errors(model, found, data)[left]
+        without_block = _fit(model, numbers, data, ~left, f"without block {block}", say)
+        held_out[left] = _errors(model, without_block, data)[left]
     learned = model.robot_of(numbers, _model_error(model, numbers, data, held_out))
     rmse, held_out_rmse = (float(np.sqrt(np.mean(np.sum(e**2, axis=1)))) for e in (error, held_out))
     return LearnedTendons(learned, rmse, held_out_rmse, held_out)

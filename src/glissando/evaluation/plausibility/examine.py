@@ -93,8 +93,8 @@ def _on_motion(streams: Streams) -> list[Finding]:
     if not lags and not poses:
         poses = list(check_poses(streams)) or list(check_span(streams))
     slid = {name for f in own for name in f.streams if f.name != "gyro"}
-    told = [f for f in poses if f.name not in ("shape", "base")]
-    if slid and not told:  # what a slide shows explains the rest
+    other = [f for f in poses if f.name not in ("shape", "base")]
+    if slid and not other:  # what a slide shows explains the rest
         poses = []
     poses += [f for f in small if not f.refusal]
     same = {(f.name, f.streams) for f in poses}

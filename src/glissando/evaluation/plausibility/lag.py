@@ -42,9 +42,9 @@ def check_lag(streams: Streams) -> Iterator[Finding]:
     count = len(signals)
     lags, known = np.zeros((count, count)), np.zeros((count, count), dtype=bool)
     for i, j in combinations(range(count), 2):
-        found = _lag(signals[i][1], signals[j][1])
-        if found is not None:
-            lags[i, j], lags[j, i] = found, -found
+        lag = _lag(signals[i][1], signals[j][1])
+        if lag is not None:
+            lags[i, j], lags[j, i] = lag, -lag
             known[i, j] = known[j, i] = True
     late = _delays(lags, known)
     is_truth = np.array([any(r is t for t in streams.truth) for r, _ in signals])

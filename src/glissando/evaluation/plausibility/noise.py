@@ -83,19 +83,19 @@ def _parts(r: Readings, length: float) -> Iterator[tuple[str, slice, float, floa
         yield "turn rates", slice(0, 3), _RATE, 0.0  # a vibrating robot turns like white noise
 
 
-def _at_rest(r: Readings, values: Array, taken: int) -> float:
+def _at_rest(r: Readings, values: Array, order: int) -> float:
     """Standard deviation of white noise where it is least, from third differences; 0 if unknown.
 
     Args:
         r: The readings.
-        values: Numbers (M − taken, C), differenced `taken` times already.
-        taken: How many differences were taken.
+        values: Numbers (M − order, C), differenced `order` times already.
+        order: How many differences were taken.
     """
     steps = np.diff(r.time)
     if len(values) < _FEWEST:
         return 0.0
     regular = np.abs(steps - np.median(steps)) < 0.2 * np.median(steps)
-    different = np.diff(values, 3 - taken, axis=0)
+    different = np.diff(values, 3 - order, axis=0)
     ok = regular[:-2] & regular[1:-1] & regular[2:]
     different = different[: ok.size][ok[: len(different)]]
     blocks = len(different) // _BLOCK
@@ -103,7 +103,7 @@ def _at_rest(r: Readings, values: Array, taken: int) -> float:
         return 0.0
     shaped = different[: blocks * _BLOCK].reshape(blocks, _BLOCK, -1)
     white = np.sqrt(np.mean(shaped**2, axis=1)) / _THIRD
-    if taken == 0:  # a block at rest is no more than white noise about a line
+    if order == 0:  # a block at rest is no more than white noise about a line
         raw = values[: len(ok)][ok][: blocks * _BLOCK].reshape(blocks, _BLOCK, -1)
         ramp = np.linspace(-1.0, 1.0, _BLOCK)[:, None]
         raw = raw - raw.mean(axis=1, keepdims=True)

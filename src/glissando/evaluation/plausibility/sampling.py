@@ -145,11 +145,11 @@ def _apart(streams: Sequence[Readings]) -> Iterator[Finding]:
             True, names, "zero",
         )  # fmt: skip
     middle = np.median(np.ptp(spans, axis=1))
-    for r, mine in zip(streams, spans, strict=True):
-        if np.ptp(mine) < 0.02 * middle and len(r) > 100:
+    for r, span in zip(streams, spans, strict=True):
+        if np.ptp(span) < 0.02 * middle and len(r) > 100:
             yield Finding(
                 "time-unit",
-                f"{r.label!r} has {len(r)} readings within {np.ptp(mine):.3g} s, the others last "
+                f"{r.label!r} has {len(r)} readings within {np.ptp(span):.3g} s, the others last "
                 f"{middle:.3g} s: its times are probably not in seconds; give seconds.",
                 True, (r.label,), "seconds",
             )  # fmt: skip

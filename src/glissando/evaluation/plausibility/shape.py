@@ -114,10 +114,10 @@ class Rod:
                     ..., 0
                 ]
             )
-            there = self._linearized(moved, seen, weight)
-            better = there[1] < cost
+            stepped = self._linearized(moved, seen, weight)
+            better = stepped[1] < cost
             x = np.where(better[:, None], moved, x)
-            for new, old in zip(there, here, strict=True):
+            for new, old in zip(stepped, here, strict=True):
                 old[better] = new[better]
             damping = np.clip(np.where(better, 0.1, 10.0) * damping, 1e-7, 1e6)
         pose = here[0]

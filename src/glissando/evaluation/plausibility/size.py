@@ -32,17 +32,20 @@ def check_size(streams: Streams) -> Iterator[Finding]:
     low, high = (share * robot.length for share in _TINY)
     looped = [r for r in streams.tracked if _at_base(robot, r)]
     tiny = [r for r in streams.tracked if low < r.arclength.max() < high]
-    for found, refusal in ((looped, True), (tiny, False)):
-        if not found:
+    for suspects, refusal in ((looped, True), (tiny, False)):
+        if not suspects:
             continue
-        names, farthest = tuple(r.label for r in found), max(found, key=lambda r: r.arclength.max())
+        names, farthest = (
+            tuple(r.label for r in suspects),
+            max(suspects, key=lambda r: r.arclength.max()),
+        )
         place, seen = farthest.arclength.max(), f"a robot of {robot.length:.3g} m"
         if refusal:
             near = distance_from_base(robot, farthest).max()
             seen = f"never more than {near:.2g} m from the base of {seen}, as if that were a loop"
         yield Finding(
             "length-unit",
-            f"{listed(names)} sit{'s' * (len(found) == 1)} at arclengths up to {place:.2g} m, "
+            f"{listed(names)} sit{'s' * (len(suspects) == 1)} at arclengths up to {place:.2g} m, "
             f"{'' if refusal else 'on '}{seen}: lengths are probably in metres, read as "
             f"millimetres; give metres, or leave out length_unit.",
             refusal, names, "metres, read as millimetres",

@@ -86,9 +86,9 @@ def check_slide(streams: Streams) -> Iterator[Finding]:
         fixed = np.ptp(r.arclength) < _TRAVEL
         if fixed and not any(r is sensor for sensor in streams.sensors):
             continue
-        found = _unmoved(r, streams) if fixed else _judged(r, streams.frame(r))
-        if found is not None:
-            yield found
+        finding = _unmoved(r, streams) if fixed else _judged(r, streams.frame(r))
+        if finding is not None:
+            yield finding
 
 
 def _unmoved(r: Readings, streams: Streams) -> Finding | None:

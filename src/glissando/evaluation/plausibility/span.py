@@ -42,20 +42,20 @@ def check_span(streams: Streams) -> Iterator[Finding]:
     if len(pairs) < _FEWEST:
         return
     _, seen = streams.moments(_MOMENTS)
-    found = []
+    stretches = []
     for (a, one), (b, other) in pairs:
         both = np.min(seen.weight[:, [a, b]], axis=(1, 2)) > 0.0
         if both.sum() > 1:
             length = _arc(seen.pose[both, a], seen.pose[both, b])
             ratio = float(np.median(length)) / abs(float(other.arclength[0] - one.arclength[0]))
-            found.append((ratio, one, other))
-    if len(found) < _FEWEST:
+            stretches.append((ratio, one, other))
+    if len(stretches) < _FEWEST:
         return
-    found.sort(key=lambda each: each[0])
-    ratio, one, other = found[len(found) // 2]
+    stretches.sort(key=lambda each: each[0])
+    ratio, one, other = stretches[len(stretches) // 2]
     if abs(ratio - 1.0) < _OFF + _STRETCHES * stretch(robot):
         return
-    names = tuple(dict.fromkeys(r.label for _, *pair in found for r in pair))
+    names = tuple(dict.fromkeys(r.label for _, *pair in stretches for r in pair))
     stated = abs(float(other.arclength[0] - one.arclength[0]))
     yield Finding(
         "length-unit",

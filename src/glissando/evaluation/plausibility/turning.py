@@ -45,15 +45,15 @@ def check_gyros(streams: Streams) -> Iterator[Finding]:
             r for r in full
             if np.max(np.abs(r.arclength - place)) < _NEAR * streams.robot.length
         ]  # fmt: skip
-        found = None
+        finding = None
         for body in near:
-            found = _compared(gyro, *_turns(gyro, body), body.label)
-            if found is not None:
+            finding = _compared(gyro, *_turns(gyro, body), body.label)
+            if finding is not None:
                 break
         if not near:
-            found = _scale_alone(gyro, full)
-        if found is not None:
-            yield found
+            finding = _scale_alone(gyro, full)
+        if finding is not None:
+            yield finding
 
 
 def _turns(gyro: Readings, body: Readings) -> tuple[Array, Array, Array]:

@@ -28,7 +28,7 @@ class Watch:
 
     def __init__(self, robot: Robot, executor: Executor, *, every: float = 10.0) -> None:
         self._robot, self._executor, self._every = robot, executor, every
-        self._said: set[str] = set()
+        self._reported: set[str] = set()
         self._streams: dict[str, list[Readings]] = {}
         self._due: float | None = None
         self._looking: Future[list[Finding]] | None = None
@@ -47,9 +47,9 @@ class Watch:
             if now >= self._due and self._looking is None:
                 self._due = now + self._every
                 self._looking = self._executor.submit(
-                    examine, self._robot, self._newest(now), allow=tuple(self._said)
+                    examine, self._robot, self._newest(now), allow=tuple(self._reported)
                 )
-            return self._found()
+            return self._collect()
         except BrokenExecutor:
             self._due = np.inf
             return self._new([Finding("guard", _ENDED, False)])
@@ -60,7 +60,7 @@ class Watch:
         Args:
             now: Time of the session, s.
         """
-        return self._new(examine(self._robot, self._newest(now), allow=tuple(self._said)))
+        return self._new(examine(self._robot, self._newest(now), allow=tuple(self._reported)))
 
     def _newest(self, now: float) -> list[Readings]:
         """A stream each, of which older readings are forgotten."""
@@ -69,7 +69,7 @@ class Watch:
             self._streams[name] = [whole.select(whole.time > now - _SPAN)]
         return [parts[0] for parts in self._streams.values()]
 
-    def _found(self) -> list[Finding]:
+    def _collect(self) -> list[Finding]:
         """New findings of a look that has ended."""
         if self._looking is None or not self._looking.done():
             return []
@@ -78,6 +78,6 @@ class Watch:
 
     def _new(self, findings: Sequence[Finding]) -> list[Finding]:
         """One of each kind that was not said before, and is from now on."""
-        new = {f.name: f for f in reversed(findings) if f.name not in self._said}
-        self._said |= new.keys()
+        new = {f.name: f for f in reversed(findings) if f.name not in self._reported}
+        self._reported |= new.keys()
         return list(new.values())

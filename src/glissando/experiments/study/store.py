@@ -91,8 +91,8 @@ class Store:
 
         study = self._study
         seeds = {"first": study.seeds.start, "count": len(study.seeds)}
-        asked = {"name": study.name, "grid": study.axes, "fixed": study.fixed, "seeds": seeds}
-        metadata = json.dumps({"version": __version__, "study": asked, "metrics": METRICS})
+        settings = {"name": study.name, "grid": study.axes, "fixed": study.fixed, "seeds": seeds}
+        metadata = json.dumps({"version": __version__, "study": settings, "metrics": METRICS})
         table = pyarrow.Table.from_pylist(rows, schema=_schema(path.name == TABLE))
         with new_file(path) as building:
             parquet().write_table(

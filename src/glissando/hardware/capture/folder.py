@@ -25,8 +25,10 @@ def write_recording(session: RawSession, rig: Rig, folder: Path) -> list[str]:
     Raises:
         RecordingError: Nothing is left.
     """
-    found = session_streams(session, rig.described())
+    recorded = session_streams(session, rig.described())
     with renewed_folder(folder, ()) as building:
-        frames = {"tracker": found.frame}
-        write_streams(building, found.name, found.streams, robot=found.robot, frames=frames)
-    return found.warnings
+        frames = {"tracker": recorded.frame}
+        write_streams(
+            building, recorded.name, recorded.streams, robot=recorded.robot, frames=frames
+        )
+    return recorded.warnings

@@ -129,9 +129,9 @@ class Aurora:
             frame = self._accept(reply) if reply else None
             if frame:
                 return frame
-        told = ", ".join(f"{what}: {n}" for what, n in self.counts.items() if n) or "no reply"
+        counted = ", ".join(f"{what}: {n}" for what, n in self.counts.items() if n) or "no reply"
         raise SilentError(
-            f"The Aurora at {self.address} had no new frame for {timeout:.3g} s ({told}); "
+            f"The Aurora at {self.address} had no new frame for {timeout:.3g} s ({counted}); "
             f"check that a coil is plugged in."
         )
 

@@ -125,9 +125,9 @@ class ClockFit:
             self._count, self._delay = self._count[1:], self._delay[1:]
             return
         later = np.argmin(np.reshape(self._delay, (-1, 2)), axis=1)
-        kept = 2 * np.arange(_BLOCKS // 2) + later
-        self._count = [self._count[k] for k in kept]
-        self._delay = [self._delay[k] for k in kept]
+        least = 2 * np.arange(_BLOCKS // 2) + later
+        self._count = [self._count[k] for k in least]
+        self._delay = [self._delay[k] for k in least]
         self._size *= 2
 
     def _fit(self) -> None:

@@ -51,7 +51,7 @@ class Answer:
     """Bytes that a servo sent, and the host's monotonic times in s before and after."""
 
     data: bytes
-    asked: float
+    sent: float
     answered: float
 
     def signed(self, offset: int, size: int) -> int:
@@ -205,7 +205,7 @@ class Servo:
             tick = int.from_bytes(answer.data[:2], "little")
             if (now := self._unwrapped_tick(tick, answer)) is not None:
                 self._clock = now, answer
-                middle = 0.5 * (answer.asked + answer.answered)
+                middle = 0.5 * (answer.sent + answer.answered)
                 load, velocity, position = (answer.signed(*at) for at in ((6, 2), (8, 4), (12, 4)))
                 return State(middle, 1e-3 * now, load, velocity, position)
             self.counts["stale"] += 1
@@ -265,10 +265,10 @@ class Servo:
         if self._clock is None:
             return tick
         last, before = self._clock
-        elapsed = 0.5 * (answer.asked + answer.answered - before.asked - before.answered)
+        elapsed = 0.5 * (answer.sent + answer.answered - before.sent - before.answered)
         now = unwrapped(last, tick, elapsed)
         slack = 0.003 + 0.02 * elapsed  # s: a tick either way, and how far its clock may be off
-        least, most = answer.asked - before.answered, answer.answered - before.asked
+        least, most = answer.sent - before.answered, answer.answered - before.sent
         return now if least - slack <= 1e-3 * (now - last) <= most + slack else None
 
     def _asked(
@@ -277,7 +277,7 @@ class Servo:
         """The first sound answer of a few attempts."""
         for _ in range(_ATTEMPTS):
             self._port.is_using = False  # an exception inside the SDK leaves it set
-            asked = monotonic()
+            sent = monotonic()
             try:
                 data, result, error = ask()
             except lost_port() as problem:
@@ -287,7 +287,7 @@ class Servo:
             answered = monotonic()
             if result == 0 and error & ~_ALERT != _RESEND:
                 self._require_sound(what, error, heed=heed)
-                return Answer(bytes(data), asked, answered)
+                return Answer(bytes(data), sent, answered)
             kinds = {_NO_REPLY: "missing", _CORRUPT: "corrupt"}
             self.counts["refused" if result == 0 else kinds.get(result, "failed")] += 1
             self._drain()

@@ -70,7 +70,7 @@ class GcodeSlide(PositionSlide):
         return self._place()[1]
 
     def _place(self) -> tuple[float, float]:
-        asked = monotonic()
+        sent = monotonic()
         state, position = self._line.status()
         if state in ("Alarm", "Door", "Sleep"):
             self._forget()
@@ -78,7 +78,7 @@ class GcodeSlide(PositionSlide):
                 f"The controller at {self.address} is in state {state} and its position is not "
                 f"sure; clear the cause and home again."
             )
-        return 0.5 * (asked + monotonic()), position / _MM
+        return 0.5 * (sent + monotonic()), position / _MM
 
     def _aim(self, place: float, speed: float) -> None:
         feed = max(_MM * _MINUTE * speed, 1.0)

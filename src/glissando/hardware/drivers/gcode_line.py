@@ -109,8 +109,8 @@ class GcodeLine:
                 ) from None
             if line == b"ok":
                 return
-            if found := re.fullmatch(rb"error:(\d+)", line):
-                why = _ERRORS.get(int(found[1]), f"error {int(found[1])} of GRBL's list")
+            if refusal := re.fullmatch(rb"error:(\d+)", line):
+                why = _ERRORS.get(int(refusal[1]), f"error {int(refusal[1])} of GRBL's list")
                 raise DeviceError(f"The controller refused {command!r}: {why}.")
             self._require_no_alarm(line)
 

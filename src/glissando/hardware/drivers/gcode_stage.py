@@ -48,11 +48,11 @@ def parse_status(line: bytes) -> tuple[str, list[float]]:
     >>> parse_status(b"<Idle|MPos:1.000,0.000,-2.500|FS:0,0>")
     ('Idle', [1.0, 0.0, -2.5])
     """
-    found = _STATUS.match(line)
+    match = _STATUS.match(line)
     try:
-        if found is None or found[2] != b"MPos":
+        if match is None or match[2] != b"MPos":
             raise ValueError
-        return found[1].decode(), [float(number) for number in found[3].split(b",")]
+        return match[1].decode(), [float(number) for number in match[3].split(b",")]
     except ValueError:
         raise DeviceError(
             f"The controller answered {line[:60]!r} and no machine position; set $10=1."

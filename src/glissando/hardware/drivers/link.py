@@ -205,8 +205,8 @@ def _why_closed(path: str, problem: Exception) -> str:
         from serial.tools import list_ports
 
         ports = ", ".join(sorted(port.device for port in list_ports.comports()))
-        there = f"serial ports here are {ports}" if ports else "there are no serial ports here"
-        return f"There is no device {path}: {there}. Plug it in, or give another address."
+        existing = f"serial ports here are {ports}" if ports else "there are no serial ports here"
+        return f"There is no device {path}: {existing}. Plug it in, or give another address."
     if code in (errno.EACCES, errno.EPERM):
         return (
             f"You may not open {path}. Join the group that may, then log in again: "

@@ -111,10 +111,10 @@ class Endpoint:
         Returns:
             Whether the process took them; it never waits for it.
         """
-        taken = self._open().send(BUNDLE, b"".join(messages))
-        self._own["not sent"] += not taken
+        sent = self._open().send(BUNDLE, b"".join(messages))
+        self._own["not sent"] += not sent
         self._require_alive()
-        return taken
+        return sent
 
     def receive(self) -> list[tuple[float, Message]]:
         """Messages that came since the last call, 256 at most, with their arrivals.

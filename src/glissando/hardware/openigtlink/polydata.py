@@ -90,9 +90,9 @@ class PolyData:
         (count,), *pairs, (attributes,) = _grouped(_HEADER.unpack(rest.take(_HEADER.size)))
         points = floats(rest.take(12 * count)).reshape(count, 3)
         cells = [_unpack_cells(number, rest.take(size), count) for number, size in pairs]
-        found = _unpack_attributes(rest, attributes)
+        values = _unpack_attributes(rest, attributes)
         rest.require_end()
-        return cls(points, cells[0], cells[1], cells[2], cells[3], found)
+        return cls(points, cells[0], cells[1], cells[2], cells[3], values)
 
 
 def _grouped(numbers: tuple[int, ...]) -> list[tuple[int, ...]]:

@@ -103,7 +103,7 @@ class IgtlTracker:
         deadline = time.monotonic() + timeout
         while True:
             while self._waiting:
-                if (frame := self._taken(*self._waiting.popleft())) is not None:
+                if (frame := self._frame_of(*self._waiting.popleft())) is not None:
                     return frame
             if time.monotonic() > deadline:  # whatever else a peer sends
                 return None
@@ -111,7 +111,7 @@ class IgtlTracker:
             if not self._waiting:
                 time.sleep(_PAUSE)
 
-    def _taken(self, arrival: float, message: Message) -> Frame | None:
+    def _frame_of(self, arrival: float, message: Message) -> Frame | None:
         measured = self._clock.monotonic(message.stamp, arrival)
         ports = []
         for name, _, pose in poses_in(message, self._frame):

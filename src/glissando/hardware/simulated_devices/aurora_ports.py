@@ -65,8 +65,8 @@ class Ports:
 
     def plug(self, coil: int) -> None:
         """Plug a coil in: it has a new handle."""
-        taken = {port.handle for port in self.all}
-        handle = next(h for h in range(0x0A, 0x80) if h not in taken)
+        used = {port.handle for port in self.all}
+        handle = next(h for h in range(0x0A, 0x80) if h not in used)
         memory = 0 if coil in self._without else -1
         self.all.append(Port(handle, coil, self._coils[coil], memory=memory))
 
@@ -146,7 +146,7 @@ class Ports:
         """PHINF: the parts asked for, of the general ones (bit 0) and the place (bit 5)."""
         port = self.at(text)
         try:
-            asked = int(text[2:] or "0001", 16)
+            bits = int(text[2:] or "0001", 16)
         except ValueError:
             raise CommandError(0x07) from None
         if not port.occupied:
@@ -157,4 +157,4 @@ class Ports:
             0x01: f"02100000{'SIMULATED':<12}001{serial}{port.status:02X}".ljust(33),
             0x20: f"{'AURORA-0':<8}00{port.place.port + 1:02d}{port.place.channel:02d}",
         }
-        return "".join(part for bit, part in parts.items() if asked & bit)
+        return "".join(part for bit, part in parts.items() if bits & bit)

@@ -94,8 +94,8 @@ class Scene:
         mounts = np.array([coil.T_bc for coil in self.coils])
         poses = np.empty((len(at), 4, 4))
         for k, (coil, place) in enumerate(zip(self.coils, at, strict=True)):
-            found = self.pose(np.array([place]), time)[0]
-            poses[k] = self._beside(coil.way, place, time) if coil.way else found
+            pose = self.pose(np.array([place]), time)[0]
+            poses[k] = self._beside(coil.way, place, time) if coil.way else pose
         return se3.inverse(self.T_wt) @ poses @ mounts
 
     def _beside(self, way: dict[str, float], travel: float, time: float) -> Array:

@@ -156,8 +156,8 @@ def add_axis_options(parser: argparse.ArgumentParser) -> None:
     """Where an axis is opened, who hears of its travel, and the seed."""
     add = parser.add_argument
     add("--pty", type=Path, metavar="LINK", help="make this link to the pseudo-terminal")
-    there = "send true travel there, 200 Hz; may be repeated"
-    add("--travel", type=_address, action="append", default=[], metavar="HOST:PORT", help=there)
+    purpose = "send true travel there, 200 Hz; may be repeated"
+    add("--travel", type=_address, action="append", default=[], metavar="HOST:PORT", help=purpose)
     add("--seed", type=int, default=0, help="of all that is drawn")
 
 

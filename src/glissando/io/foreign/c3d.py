@@ -110,7 +110,7 @@ class _File:
 
     def _parameters(self, at: int) -> Iterator[tuple[tuple[str, str], _Parameter]]:
         groups: dict[int, str] = {}
-        found: list[tuple[int, str, _Parameter]] = []
+        parameters: list[tuple[int, str, _Parameter]] = []
         while (length := abs(_signed(self._data[at]))) != 0:
             identity = _signed(self._data[at + 1])
             name = self._data[at + 2 : at + 2 + length].decode("latin-1").upper()
@@ -119,11 +119,11 @@ class _File:
             if identity < 0:
                 groups[-identity] = name
             else:
-                found.append((identity, name, self._parameter(at + 2)))
+                parameters.append((identity, name, self._parameter(at + 2)))
             if step == 0:
                 break
             at += step
-        for identity, name, parameter in found:
+        for identity, name, parameter in parameters:
             yield (groups.get(identity, ""), name), parameter
 
     def _parameter(self, at: int) -> _Parameter:
@@ -143,21 +143,21 @@ class _File:
         return "".join(self._texts(group, name)[:1])
 
     def _texts(self, group: str, name: str) -> list[str]:
-        found = self.parameters.get((group, name))
-        if found is None or found.kind != -1 or not found.data:
+        parameter = self.parameters.get((group, name))
+        if parameter is None or parameter.kind != -1 or not parameter.data:
             return []
-        size = found.shape[0] if found.shape else 1
-        cut = range(0, len(found.data), size)
-        return [found.data[k : k + size].decode("utf-8", "replace").strip("\0 ") for k in cut]
+        size = parameter.shape[0] if parameter.shape else 1
+        cut = range(0, len(parameter.data), size)
+        return [parameter.data[k : k + size].decode("utf-8", "replace").strip("\0 ") for k in cut]
 
     def number(self, group: str, name: str) -> float | None:
         """The first number of a parameter; None where there is none."""
-        found = self.parameters.get((group, name))
-        if found is None or found.kind not in (2, 4) or not found.data:
+        parameter = self.parameters.get((group, name))
+        if parameter is None or parameter.kind not in (2, 4) or not parameter.data:
             return None
-        if found.kind == 2:
-            return float(np.frombuffer(found.data, f"{self._order}i2", 1)[0])
-        return float(self._floats(np.frombuffer(found.data, f"{self._order}u2", 2))[0])
+        if parameter.kind == 2:
+            return float(np.frombuffer(parameter.data, f"{self._order}i2", 1)[0])
+        return float(self._floats(np.frombuffer(parameter.data, f"{self._order}u2", 2))[0])
 
     def labels(self) -> list[str]:
         """Labels of the points; a file of more than 255 goes on in LABELS2 and so forth."""

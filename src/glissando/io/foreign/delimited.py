@@ -133,10 +133,10 @@ def samples(
     return Samples(seconds * np.array(times), table, missing, {**dropped})
 
 
-def _require_fine(path: Path, kept: int, other: int) -> None:
-    if other and other >= kept:
+def _require_fine(path: Path, distinct: int, other: int) -> None:
+    if other and other >= distinct:
         raise RecordingError(
-            f"{path.name}: {other} of {kept + other} rows have the time of the row before but "
+            f"{path.name}: {other} of {distinct + other} rows have the time of the row before but "
             f"other values; give a finer clock, or a column that counts rows with its --rate, and "
             f"a file of its own to each object."
         )

@@ -77,8 +77,8 @@ def _settings(cells: list[str]) -> dict[str, str]:
 
 def _row(lines: list[Line], top: int, title: str) -> list[str]:
     """The line over the columns whose title, in its second cell, is asked for."""
-    found = (c for _, c in lines[:top] if len(c) > 1 and c[1].lower() == title)
-    return next(found, lines[max(top - 3, 0)][1])
+    matching = (c for _, c in lines[:top] if len(c) > 1 and c[1].lower() == title)
+    return next(matching, lines[max(top - 3, 0)][1])
 
 
 def _objects(heads: list[list[str]]) -> dict[str, dict[str, int]]:

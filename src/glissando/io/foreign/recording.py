@@ -94,12 +94,12 @@ def write_recording(tracks: Sequence[Track], folder: Path, choices: Choices) -> 
 def _distinct(tracks: Sequence[Track]) -> list[Track]:
     """Tracks with a number behind the names that several have."""
     names = [track.name for track in tracks]
-    taken, out = {name for name in names if names.count(name) == 1}, []
+    used, out = {name for name in names if names.count(name) == 1}, []
     for track in tracks:
         numbered = (f"{track.name}_{number}" for number in count(1))
         several = names.count(track.name) > 1
-        name = next(name for name in numbered if name not in taken) if several else track.name
-        taken.add(name)
+        name = next(name for name in numbered if name not in used) if several else track.name
+        used.add(name)
         out.append(replace(track, name=name))
     return out
 

@@ -86,8 +86,8 @@ def read_servo_csv(path: Path) -> ServoLog:
     order = np.argsort(table[:, 0], kind="stable")
     table = table[order] * np.r_[1.0, np.full(len(wanted) - 1, 1e-3)]
     names = tuple(name.removesuffix("_mm") for name in servos)
-    found = table[:, 0], table[:, 1:-3], table[:, -3:], [patterns[i] for i in order]
-    return ServoLog(names, *found, unseen)
+    log = table[:, 0], table[:, 1:-3], table[:, -3:], [patterns[i] for i in order]
+    return ServoLog(names, *log, unseen)
 
 
 def servo_tracks(path: Path) -> list[Track]:

@@ -56,9 +56,9 @@ def accelerated(
     """
     if isinstance(prior, AccelerationPrior):
         at = _interpolated(prior, grid, state, noise_state, arclength, time)
-        found = prior.acceleration(grid, state, at, arclength, time)
-        if found is not None:
-            return found
+        modal = prior.acceleration(grid, state, at, arclength, time)
+        if modal is not None:
+            return modal
     if grid.time.size == 1:
         at = _interpolated(prior, grid, state, noise_state, arclength, time)
         return _joined(at, np.zeros((time.size, 6)), np.zeros_like(at.jacobian[:, :6]), None)
@@ -109,8 +109,8 @@ def _joined(
     cov[:, :DOF, :DOF] = at.cov
     if left is not None:
         cov[:, DOF:, DOF:] = left
-    there = at.state
-    moving = AcceleratedState(there.pose, there.strain, there.velocity, acceleration=acceleration)
+    state = at.state
+    moving = AcceleratedState(state.pose, state.strain, state.velocity, acceleration=acceleration)
     return Interpolation(moving, at.nodes, np.concatenate([at.jacobian, slope], axis=1), cov)
 
 

@@ -38,8 +38,8 @@ def place_error(pose: Array, strain: Array, at: State) -> tuple[Array, Array]:
     r = [log(T̄⁻¹ T); ε − ε̄] for a `pose` (4, 4) and a `strain` (6,) that stand still: the error of
     an interval of no length.
     """
-    there, still = np.broadcast_to(pose, at.pose.shape), np.zeros(at.strain.shape)
-    start = State(there, still + strain, still, still)
+    expected, still = np.broadcast_to(pose, at.pose.shape), np.zeros(at.strain.shape)
+    start = State(expected, still + strain, still, still)
     error, _, jacobian = interval_error(start, at, still[..., 0])
     return error, jacobian
 

@@ -137,9 +137,9 @@ def interpolate_process(
         both, ends = np.tile(np.arange(m), 2), np.concatenate([k, k + 1])
         gains = None if gain is None else gain[both]
         places = ends, n[both], s.take(both), gains
-        found, touched, inner = _at_time_nodes(prior, grid, state, *places)
+        ends_state, touched, inner = _at_time_nodes(prior, grid, state, *places)
         pose, strain, velocity, jacobian, by_time = kernels.between(
-            prior.time_scale, *as_fields(found, (2 * m,)), whole(t.step), whole(t.offset),
+            prior.time_scale, *as_fields(ends_state, (2 * m,)), whole(t.step), whole(t.offset),
             whole(prior.rest.at(points.arclength)), whole(inner),
         )  # fmt: skip
         at, nodes = State(pose, strain, velocity), np.hstack([touched[:m], touched[m:]])

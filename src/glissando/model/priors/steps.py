@@ -75,11 +75,11 @@ def weighted_steps(
         densities: Of the noise.
     """
     fields = flat.pose, direction.rate_of(flat), direction.carried_of(flat)
-    found = kernels.weighted_steps(
+    whitened = kernels.weighted_steps(
         *map(whole, (*fields, direction.rate_of(noise_state), nodes, step, weight, *densities)),
         direction.rigid,
     )
-    return found[:3], found[3:]
+    return whitened[:3], whitened[3:]
 
 
 def static_steps(

@@ -282,8 +282,8 @@ class WhiteNoisePrior:
         where = grid.arclength, grid.time, grid.arclength_spans, grid.time_spans, *state.fields()
         base = self.base_pose, self.rest_strain, self._base_densities
         kernels.add_prior(*where, *densities, *base, *sums)
-        found: tuple[Any, ...] = kernels.add_readings(*readings, *where, *densities, *sums)
-        return found
+        linearized: tuple[Any, ...] = kernels.add_readings(*readings, *where, *densities, *sums)
+        return linearized
 
     @cached_property
     def _base_densities(self) -> Array:
@@ -301,8 +301,10 @@ class WhiteNoisePrior:
         densities: tuple[Array, Array, Array],
     ) -> Iterator[Factors]:
         nodes = np.stack(ends, axis=1)
-        found = weighted_steps(direction, flat, noise_state, nodes, step, np.sqrt(span), densities)
-        for error, jacobian, info in found:
+        whitened = weighted_steps(
+            direction, flat, noise_state, nodes, step, np.sqrt(span), densities
+        )
+        for error, jacobian, info in whitened:
             yield Factors(nodes, _ALL, jacobian, Residuals(error, info))
 
     def _base(self, spans: Array, flat: State, nodes: Index) -> Factors:

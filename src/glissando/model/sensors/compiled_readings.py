@@ -94,17 +94,17 @@ class ReadingRows:
 
     def keep(self, which: NDArray[np.bool_]) -> None:
         """Let all others go than those rows (M,)."""
-        kept = np.flatnonzero(which)
+        rows = np.flatnonzero(which)
         self.old = int(np.count_nonzero(which[: self.old]))
-        self.count = kept.size
-        self._keep(kept, room=len(self.stream))
+        self.count = rows.size
+        self._keep(rows, room=len(self.stream))
 
     def _keep(self, which: NDArray[np.intp] | slice, room: int) -> None:
         """Move some rows to the front of new memory."""
         for name in ("stream", "_rows", "_mounts", "_covs"):
             before = getattr(self, name)
-            after, kept = np.empty((room, *before.shape[1:]), before.dtype), before[which]
-            after[: len(kept)] = kept
+            after, rows = np.empty((room, *before.shape[1:]), before.dtype), before[which]
+            after[: len(rows)] = rows
             setattr(self, name, after)
 
 

@@ -110,9 +110,9 @@ class SensorParameter:
     def _numbers(self, part: str) -> Array:
         given = getattr(self, part)
         try:
-            found: Array = np.asarray(given, dtype=float)
-            if given is not None and (part != "correlation_time" or found.ndim == 0):
-                return found
+            numbers: Array = np.asarray(given, dtype=float)
+            if given is not None and (part != "correlation_time" or numbers.ndim == 0):
+                return numbers
         except (TypeError, ValueError):
             pass
         wanted = "seconds" if part == "correlation_time" else f"{self.size} numbers"

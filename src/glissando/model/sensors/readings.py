@@ -106,10 +106,10 @@ class Readings(Brief):
     def __init_subclass__(cls, *, kind: str = "", **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
         cls.kind = kind
-        taken = SENSORS.get(kind)
-        if taken is not None and taken.__qualname__ != cls.__qualname__:
+        former = SENSORS.get(kind)
+        if former is not None and former.__qualname__ != cls.__qualname__:
             raise SensorError(
-                f"Sensor kind {kind!r} is that of {taken.__name__}; give {cls.__name__} another."
+                f"Sensor kind {kind!r} is that of {former.__name__}; give {cls.__name__} another."
             )
         if kind:
             SENSORS[kind] = cls
@@ -247,13 +247,13 @@ class Readings(Brief):
             for name in (*_EACH, *self.per_reading)
         }
         for name, single in _ONE_OR_EACH:
-            mine, its = getattr(self, name), getattr(other, name)
-            alike = mine is its or (mine.shape == its.shape and bool(np.all(mine == its)))
-            if mine.ndim == single and alike:
+            ours, its = getattr(self, name), getattr(other, name)
+            alike = ours is its or (ours.shape == its.shape and bool(np.all(ours == its)))
+            if ours.ndim == single and alike:
                 continue
             each = [
                 np.broadcast_to(value, (len(part), *value.shape[value.ndim - single :]))
-                for part, value in ((self, mine), (other, its))
+                for part, value in ((self, ours), (other, its))
             ]
             fields[name] = np.concatenate(each)
         return self.changed(**fields)

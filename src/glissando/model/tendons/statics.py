@@ -131,8 +131,8 @@ class Equilibrium:
         eased = wrench_by_strain(*channels, self.strain, unit, speed, force)
         back = self.strain_by(eased.reshape(m, count, 6, -1), stiffness)
         whole = np.eye(6 * count) + back.reshape(m, 6 * count, -1)
-        found = np.linalg.solve(whole, slope.reshape(m, 6 * count, -1))
-        return np.asarray(found.reshape(slope.shape))
+        rubbed = np.linalg.solve(whole, slope.reshape(m, 6 * count, -1))
+        return np.asarray(rubbed.reshape(slope.shape))
 
     @cached_property
     def _mean_by_moment(self) -> Array:

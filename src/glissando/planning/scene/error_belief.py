@@ -32,9 +32,9 @@ class ErrorBelief:
 
     def after(self, time: float, time_scale: float) -> ErrorBelief:
         """The belief after a time in seconds without readings."""
-        kept = np.exp(-time / time_scale)
+        fade = np.exp(-time / time_scale)
         eye = np.eye(self.mean.size)
-        return ErrorBelief(kept * self.mean, kept**2 * self.cov + (1.0 - kept**2) * eye)
+        return ErrorBelief(fade * self.mean, fade**2 * self.cov + (1.0 - fade**2) * eye)
 
     def updated(self, rows: Array, residual: Array) -> ErrorBelief:
         """The belief after whitened readings with rows (r, q) and residuals (r,)."""
@@ -59,19 +59,19 @@ class PredictedCovariance:
         after: With the readings of the correction (K, q, q).
         free: I − K H of each correction (K, q, q).
         rows: Whitened rows of the readings (K, r, q).
-        kept: What is left of a model error from one correction to the next.
+        fade: What is left of a model error from one correction to the next.
     """
 
     before: Array
     after: Array
     free: Array
     rows: Array
-    kept: float
+    fade: float
 
     @property
     def lagged(self) -> Array:
         """Covariance (K−1, q, q) of the error of what is known with that a correction later."""
-        return self.kept * self.after[:-1]
+        return self.fade * self.after[:-1]
 
     def back(self, by_before: Array, by_lagged: Array) -> Array:
         """Slope (K, r, q) by the rows, of a value with slopes by `before` and `lagged`.
@@ -87,17 +87,17 @@ class PredictedCovariance:
             out[k] = -2.0 * self.rows[k] @ (self.after[k] @ by_after @ self.after[k])
             if k:
                 by_here = self.free[k].T @ by_after @ self.free[k] + by_before[k]
-                by_after = self.kept**2 * by_here + self.kept * by_lagged[k - 1]
+                by_after = self.fade**2 * by_here + self.fade * by_lagged[k - 1]
         return out
 
 
-def predict_covariance(cov: Array, rows: Array, kept: float) -> PredictedCovariance:
+def predict_covariance(cov: Array, rows: Array, fade: float) -> PredictedCovariance:
     """Covariances of a model error over K corrections.
 
     Args:
         cov: Covariance (q, q) before the readings of the first.
         rows: Whitened rows (K, r, q) of the readings of each.
-        kept: What is left of a model error from one correction to the next.
+        fade: What is left of a model error from one correction to the next.
     """
     shape = (len(rows), *cov.shape)
     before, after, free = np.empty(shape), np.empty(shape), np.empty(shape)
@@ -107,8 +107,8 @@ def predict_covariance(cov: Array, rows: Array, kept: float) -> PredictedCovaria
         free[k] = eye - _gain(cov, seen) @ seen
         new = free[k] @ cov
         after[k] = 0.5 * (new + new.T)
-        cov = kept**2 * after[k] + (1.0 - kept**2) * eye
-    return PredictedCovariance(before, after, free, rows, kept)
+        cov = fade**2 * after[k] + (1.0 - fade**2) * eye
+    return PredictedCovariance(before, after, free, rows, fade)
 
 
 @dataclass(frozen=True)

@@ -52,7 +52,7 @@ class MotionProblem:
     space: MotionSpace
     senses: bool = True
 
-    def kept(self, time: float | Array) -> Array:
+    def fade(self, time: float | Array) -> Array:
         """What is left of a model error after times (…), s."""
         return np.exp(-np.asarray(time) / self.body.time_scale)
 
@@ -78,10 +78,10 @@ class MotionProblem:
         """
         values = self.space.basis @ control.T
         start = None if like is None else like.shapes.balance.strain
-        error = self.kept(self.space.moments)[:, None] * self.belief.mean
+        error = self.fade(self.space.moments)[:, None] * self.belief.mean
         shapes = self.body.shapes(values[:, : len(self.scene.tendons)], error, start)
         rows, row_slopes = self._rows(shapes, values)
-        known = predict_covariance(self.belief.cov, rows, float(self.kept(self.space.correction)))
+        known = predict_covariance(self.belief.cov, rows, float(self.fade(self.space.correction)))
         left = KnownError(known, self.space.position)
         clearances, slopes = self._clearances(shapes, left)
         hits = bound_hits(clearances)

@@ -133,7 +133,7 @@ class Search:
         low, high = self.problem.space.bounds
         first = np.clip(self.problem.space.free(control), low, high)
         try:
-            found = minimize(
+            solution = minimize(
                 lambda x: value(at(x)), first, method="SLSQP", jac=lambda x: slope(at(x)),
                 bounds=np.stack([low, high], axis=-1),
                 constraints=[limits] if penalty else [limits, gaps],
@@ -141,4 +141,4 @@ class Search:
             )  # fmt: skip
         except NoShapeError:  # a trial step bent the robot beyond what has a shape
             return begin
-        return min((self._motion(found.x), begin), key=self.merit)
+        return min((self._motion(solution.x), begin), key=self.merit)

@@ -93,11 +93,11 @@ class MotionPlan:
         """What makes the stated risk too small: slow tendons; empty if nothing does."""
         scene = self.problem.scene
         left = scene.reserve * min(tendon.speed for tendon in scene.tendons)
-        taken = correction_speed(self.problem, self.evaluation)
-        if taken <= left:
+        needed = correction_speed(self.problem, self.evaluation)
+        if needed <= left:
             return ""
         return (
-            f"Corrections of what is read take tendons up to {1e3 * taken:.3g} mm/s (95 %), and "
+            f"Corrections of what is read take tendons up to {1e3 * needed:.3g} mm/s (95 %), and "
             f"the plan leaves {1e3 * left:.3g} mm/s to them: hits may be more frequent than is "
             f"stated. Raise reserve in [tendons], or correction, the time for each."
         )
@@ -162,13 +162,13 @@ def plan_motion(
         ranked = _of_different_tendons(
             [first[k] for k in np.argsort(worth, kind="stable")], len(problem.scene.tendons)
         )[:candidates]
-        found = []
+        motions = []
         for part, control in enumerate(ranked):
             way = min(slide_ways(problem, control), key=search.value)
-            found.append(search.improve(way, _BRIEF))
+            motions.append(search.improve(way, _BRIEF))
             if progress:
-                progress(part + 1, len(ranked) + _ROUNDS, f"cost {found[-1].cost:.4g}")
-        search, best = improved(search, min(found, key=search.merit), iterations)
+                progress(part + 1, len(ranked) + _ROUNDS, f"cost {motions[-1].cost:.4g}")
+        search, best = improved(search, min(motions, key=search.merit), iterations)
         return _checked(_use_up(search, best, iterations, seed, progress, len(ranked)))
 
 

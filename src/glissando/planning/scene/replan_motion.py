@@ -70,7 +70,7 @@ class MotionReplanner:
     stopped: str = field(default="", init=False)
     exceeded: str = field(default="", init=False)
     plans: int = field(default=0, init=False)
-    _found: Continuation | None = field(default=None, init=False)
+    _replanned: Continuation | None = field(default=None, init=False)
     _due: float | None = field(default=None, init=False)
     _next: float = field(init=False)
 
@@ -118,22 +118,22 @@ class MotionReplanner:
         if due is None:
             return
         try:
-            found = self._found = self._found or self.planner.result()
+            replanned = self._replanned = self._replanned or self.planner.result()
         except GlissandoError as problem:
             self._due = None
             self._next = np.inf if isinstance(problem, PlannerExitedError) else self._next
             what = str(problem).rstrip(".")
             warnings.warn(f"{what}; the last plan goes on.", PlanWarning, stacklevel=3)
             return
-        if found is None or self.follower.due < due - _ROUNDING:
+        if replanned is None or self.follower.due < due - _ROUNDING:
             return
-        self._found = self._due = None
-        if found.plan is None or self.follower.due > due + _ROUNDING:
+        self._replanned = self._due = None
+        if replanned.plan is None or self.follower.due > due + _ROUNDING:
             return
         old = self.follower
-        self.follower = MotionFollower(found.plan, old.belief, old.time - due)
-        self.begun, self.spent = self.begun + due, self.spent + found.spent
-        self.stopped, self.exceeded = found.stopped, found.exceeded
+        self.follower = MotionFollower(replanned.plan, old.belief, old.time - due)
+        self.begun, self.spent = self.begun + due, self.spent + replanned.spent
+        self.stopped, self.exceeded = replanned.stopped, replanned.exceeded
         self.plans += 1
 
 

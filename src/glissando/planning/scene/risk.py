@@ -93,9 +93,9 @@ def bound_hits(clearances: Clearances) -> HitBound:
     both = both_below(-b[own], -b[earlier], rho)
     single = ndtr(-b)
     best = _best_of(own, both, len(events))
-    kept = best[best >= 0]
-    value = float(single.sum() - both[kept].sum())
-    return _slopes(c, events, own[kept], earlier[kept], rho[kept], mixed[kept], value, b, s, a)
+    pair = best[best >= 0]
+    value = float(single.sum() - both[pair].sum())
+    return _slopes(c, events, own[pair], earlier[pair], rho[pair], mixed[pair], value, b, s, a)
 
 
 def _slopes(
@@ -124,14 +124,14 @@ def _slopes(
     np.add.at(by_error, own, by_shared[:, None] * mixed)
     late = moment[own] != moment[earlier]
     weighted = by_shared[:, None] * a[own]
-    here, there = moment[own], moment[earlier]
+    here, before = moment[own], moment[earlier]
     back = np.empty_like(weighted)
     back[~late] = _rows(c.cov, here[~late], weighted[~late])
-    back[late] = _rows(c.lagged, there[late], weighted[late])
+    back[late] = _rows(c.lagged, before[late], weighted[late])
     np.add.at(by_error, earlier, back)
     outer = a[earlier][:, :, None] * weighted[:, None, :]
     np.add.at(by_cov, here[~late], 0.5 * (outer[~late] + outer[~late].mT))
-    np.add.at(by_lagged, there[late], outer[late])
+    np.add.at(by_lagged, before[late], outer[late])
     full_mean, full_error = np.zeros_like(c.mean), np.zeros_like(c.by_error)
     full_mean[tuple(events.T)] = by_beta / s
     full_error[tuple(events.T)] = by_error
@@ -147,12 +147,12 @@ def _pairs(events: Index, rank: Index) -> tuple[Index, Index]:
     """Pairs of an event and an earlier neighbour: another obstacle, place or the moment before."""
     own, earlier = [], []
     for shift in _BEFORE:
-        there = events + np.array(shift)
-        inside = np.all((there >= 0) & (there < rank.shape), axis=1)
+        neighbour = events + np.array(shift)
+        inside = np.all((neighbour >= 0) & (neighbour < rank.shape), axis=1)
         at = np.flatnonzero(inside)
-        found = rank[tuple(there[at].T)]
-        own.append(at[found >= 0])
-        earlier.append(found[found >= 0])
+        number = rank[tuple(neighbour[at].T)]
+        own.append(at[number >= 0])
+        earlier.append(number[number >= 0])
     return np.concatenate(own), np.concatenate(earlier)
 
 

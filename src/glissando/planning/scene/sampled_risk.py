@@ -73,7 +73,7 @@ def _sampled_errors(known: KnownError, count: int, rng: np.random.Generator) -> 
     at, (correction, share) = known.corrections, known.shares
     error = rng.standard_normal((count, at.before.shape[-1])) @ _root(at.before[0]).T
     for k in range(len(at.before) - 1):
-        gain = at.kept * at.free[k]
+        gain = at.fade * at.free[k]
         rest = at.before[k + 1] - gain @ at.before[k] @ gain.T
         later = error @ gain.T + rng.standard_normal(error.shape) @ _root(rest).T
         for part in share[correction == k]:

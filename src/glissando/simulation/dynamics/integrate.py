@@ -162,11 +162,11 @@ class _Run:
             left = end - time
             whole = self.fixed is not None or left <= step * (1.0 + 1e-9)
             span = min(step, left) if whole else min(step, 0.5 * left)
-            found = self._step(time, span, middle, strain, rate)
-            if found is None:
+            stepped = self._step(time, span, middle, strain, rate)
+            if stepped is None:
                 step = 0.3 * span
                 continue
-            accelerations, error, closing = found
+            accelerations, error, closing = stepped
             factor = 0.9 * (self.tolerance / max(error, 1e-300)) ** 0.2
             if error > self.tolerance and self.fixed is None:
                 step = max(0.2, min(factor, 0.9)) * span
@@ -253,30 +253,30 @@ class _Run:
         """Accelerations (s, G, 6) that balance the stages; None unless found; whether soon."""
         method, equations = self.method, self.acting.equations
         weights, shape = equations.mesh.weights[:, None], strain.shape
-        found = self._guess(span, shape)
+        acceleration = self._guess(span, shape)
         drift = strain + span * method.nodes[:, None, None] * rate
         before, quick = np.inf, True
         for count in range(_ITERATIONS):
             states = np.stack(
                 [
-                    drift + span**2 * np.tensordot(self.square, found, 1),
-                    rate + span * np.tensordot(method.A, found, 1),
-                    found,
+                    drift + span**2 * np.tensordot(self.square, acceleration, 1),
+                    rate + span * np.tensordot(method.A, acceleration, 1),
+                    acceleration,
                 ],
                 axis=1,
             )
             balances = [equations.at(x, i) for x, i in zip(states, instants, strict=True)]
             work = np.stack([(weights * at.residual).ravel() for at in balances])
-            change = self._solve(work, span).reshape(found.shape)
+            change = self._solve(work, span).reshape(acceleration.shape)
             moved = self.size(span**2 * np.tensordot(self.square, change, 1))
             contraction = moved / before if np.isfinite(before) else 0.5
             if not np.isfinite(moved) or (count > 1 and contraction > 0.9):
                 return None, states, balances, False
-            found = found - change
+            acceleration = acceleration - change
             quick = quick and (count == 0 or contraction < 0.3)
             near = contraction / (1.0 - min(contraction, 0.9)) * moved
             if near < _NEWTON * self.tolerance:
-                return found, states, balances, quick
+                return acceleration, states, balances, quick
             before = moved
         return None, states, balances, False
 

@@ -150,10 +150,10 @@ class DynamicMotion:
         for rows in np.array_split(order, max(1, s.size // _CHUNK)):
             first, last = which[rows[0]], which[rows[-1]]
             times = instants[first : last + 1]
-            for part, found in zip(
+            for part, values in zip(
                 parts, self._rows(s[rows], times, which[rows] - first), strict=True
             ):
-                part[rows] = found
+                part[rows] = values
         return MovingSection(*(part.reshape(*shape, *part.shape[1:]) for part in parts))
 
     def _rows(self, s: Array, times: Array, which: np.ndarray) -> tuple[Array, ...]:

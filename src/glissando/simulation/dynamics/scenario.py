@@ -152,8 +152,8 @@ class Acting:
     def _natural_lengths(self) -> Array:
         rest, paths = self.equations.rest, self.equations.paths
         along = rest[:, :3] + np.cross(rest[:, 3:], paths[:, 0]) + paths[:, 1]
-        there = paths[:, 2, :, 0] * self.equations.mesh.weights
-        lengths: Array = np.sum(there * np.linalg.norm(along, axis=-1), axis=1)
+        weights = paths[:, 2, :, 0] * self.equations.mesh.weights
+        lengths: Array = np.sum(weights * np.linalg.norm(along, axis=-1), axis=1)
         return lengths
 
     def take_hold(self, moment: float, places: Array) -> None:
@@ -179,8 +179,8 @@ class Acting:
                 row = site(mesh, Wrench(hold.arclength))
                 row[7:10], row[10], row[11] = self.anchors[k], hold.stiffness, hold.damping
                 sites.append(row)
-        there = zip(scenario.half_spaces, self.planes, strict=True)
-        planes = [row for plane, row in there if _is_there(plane, moment)]
+        half_spaces = zip(scenario.half_spaces, self.planes, strict=True)
+        planes = [row for plane, row in half_spaces if _is_there(plane, moment)]
         return Instant(
             np.ascontiguousarray(base),
             np.asarray(scenario.gravity, dtype=float),

@@ -71,8 +71,8 @@ def frames_at(
     sites = sites_of(readings, grid, Readings)
     place = sensor_places(sites, times)
     body = drawn_at(grid.arclength, _ALONG)
-    asked = np.nan_to_num(np.hstack([np.tile(body, (times.size, 1)), place]), nan=body[0])
-    at = posterior.at(asked, times[:, None])
+    arclength = np.nan_to_num(np.hstack([np.tile(body, (times.size, 1)), place]), nan=body[0])
+    at = posterior.at(arclength, times[:, None])
     std, hidden = at.std_position * MM, np.where(np.isnan(place), np.nan, MM)
     of_body = np.s_[:, : body.size]
     tube, ring = confidence_tube(at.pose[of_body], at.position_covariance()[of_body], SIGMAS_95)

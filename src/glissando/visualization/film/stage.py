@@ -223,8 +223,8 @@ def _fit(panel: Any, axes: Any) -> None:
         flat = proj_transform(*(c.ravel() for c in corners), axes.get_proj())[:2]
         box = axes.transData.transform(np.stack(flat, axis=-1))
         labels = [axis.get_tightbbox() for axis in (axes.xaxis, axes.yaxis, axes.zaxis)]
-        taken = Bbox.union([Bbox([box.min(axis=0), box.max(axis=0)]), *labels])
-        ends = panel.transSubfigure.inverted().transform(taken.get_points())
+        extent = Bbox.union([Bbox([box.min(axis=0), box.max(axis=0)]), *labels])
+        ends = panel.transSubfigure.inverted().transform(extent.get_points())
         scale = np.min((room[1] - room[0]) / (ends[1] - ends[0]))
         place = axes.get_position(original=True).get_points()
         axes.set_position(Bbox((place - ends.mean(axis=0)) * scale + room.mean(axis=0)))

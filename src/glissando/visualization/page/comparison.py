@@ -123,11 +123,11 @@ def _errors(runs: Sequence[WrittenRun], quantity: str) -> str:
     rows = [n for n in [*names, "all"] if any(run.site(n, quantity) for run in runs)]
     if not rows:
         return ""
-    found = [[run.site(name, quantity) for name in rows] for run in runs]
+    errors = [[run.site(name, quantity) for name in rows] for run in runs]
     labels = [run.label for run in runs]
-    dots = [[svg.Dot(scale * f["rmse"]) if f else None for f in column] for column in found]
+    dots = [[svg.Dot(scale * f["rmse"]) if f else None for f in column] for column in errors]
     rmse = svg.chart(rows, dict(zip(labels, dots, strict=True)), f"RMSE ({unit})")
-    inside = [[_share(column[-1], level) for level in _LEVELS] for column in found]
+    inside = [[_share(column[-1], level) for level in _LEVELS] for column in errors]
     coverage = svg.chart(
         [f"{100 * float(level):g} %" for level in _LEVELS],
         dict(zip(labels, inside, strict=True)),
@@ -139,7 +139,7 @@ def _errors(runs: Sequence[WrittenRun], quantity: str) -> str:
     groups = [("", ["site"]), (labels[0], [heads[0], *heads[2:]])]
     groups += [(label, heads) for label in labels[1:]]
     lines = []
-    for name, first, *others in zip(rows, *found, strict=True):
+    for name, first, *others in zip(rows, *errors, strict=True):
         cells = _cells(first, scale, {})
         cells = [cells[0], *cells[2:]]  # the first run has no change
         lines.append([name, *cells, *(c for o in others for c in _cells(o, scale, first))])
@@ -253,9 +253,9 @@ def _figures(runs: Sequence[WrittenRun]) -> str:
             file = run.folder / f"{name}.png"
             if file.is_file():
                 data = base64.b64encode(file.read_bytes()).decode("ascii")
-                said = escape(f"{run.label}: {name}")
-                image = f'<img alt="{said}" src="data:image/png;base64,{data}">'
-                pictures.append(f"<figure>{image}<figcaption>{said}</figcaption></figure>")
+                caption = escape(f"{run.label}: {name}")
+                image = f'<img alt="{caption}" src="data:image/png;base64,{data}">'
+                pictures.append(f"<figure>{image}<figcaption>{caption}</figcaption></figure>")
     return f'<section class="figures"><h2>Figures</h2>{"".join(pictures)}</section>'
 
 

@@ -101,8 +101,8 @@ def beam_modes(
     load = var_load[0] * (modes * weight[:, None]).T @ modes
     load += var_load[1] * np.outer(at_tip, at_tip)
     for place, variance in zip(*points, strict=True):
-        there = (_polynomials(np.array([place]), length, count + _SPARE)[0] @ ritz)[0]
-        load += variance * np.outer(there, there)
+        at_place = (_polynomials(np.array([place]), length, count + _SPARE)[0] @ ritz)[0]
+        load += variance * np.outer(at_place, at_place)
     weights = shape, by_place, by_tangent, at_tip, load
     return BeamModes(np.sqrt(square[:count]), *weights, length, ritz)
 

@@ -49,10 +49,10 @@ def bent(
         by_base = slope[:, :6, _STATIC] @ by_base
         miss = (wanted - error).reshape(len(step), 2, 6)
         try:
-            found = np.linalg.solve(by_base[:, None], miss[..., None])[..., 0]
+            correction = np.linalg.solve(by_base[:, None], miss[..., None])[..., 0]
         except np.linalg.LinAlgError:  # so far off that the base has no say in the tip
             break
-        by_strain, by_rate = found[:, 0], found[:, 1]
+        by_strain, by_rate = correction[:, 0], correction[:, 1]
         strain, rate = start.strain + by_strain, strain_rate_of(start) + by_rate
         start = replace(start, strain=strain, strain_rate=rate)
     nodes, _ = _shot(pieces, start, errors)

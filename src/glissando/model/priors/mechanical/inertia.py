@@ -63,11 +63,11 @@ class Inertia:
         if retardation > 1.0:
             raise table.fail("retardation", f"is {retardation:g} s; give seconds, 4e-3 for 4 ms.")
         air = table.number("air_damping", 0.0, positive=False)
-        found = cls(round(modes), retardation, air, table.number("std_release"))
-        if found.modes != modes or not 1 <= found.modes <= 8:
+        inertia = cls(round(modes), retardation, air, table.number("std_release"))
+        if inertia.modes != modes or not 1 <= inertia.modes <= 8:
             raise table.fail("modes", f"is {modes:g}; give a whole number from 1 to 8.")
         table.close()
-        return found
+        return inertia
 
     def to_table(self) -> dict[str, Any]:
         """What a robot file says of it, as `from_table` reads it."""
@@ -140,13 +140,13 @@ class ModalMotion:
     def _moved(self, steps: Array, nodes: Index, values: Array, slopes: Array) -> Factors:
         """Amplitudes and their rates follow from those before and from D at both ends."""
         count, size = self.modes.rate.size, slopes.shape[-2:]
-        found = [self._step(float(h)) for h in steps]
-        onward, early, late, white = (np.stack(each) for each in zip(*found, strict=True))
+        steps_of_modes = [self._step(float(h)) for h in steps]
+        onward, early, late, white = (np.stack(each) for each in zip(*steps_of_modes, strict=True))
         maps, square = (
             (onward, early, late),
             np.minimum(self.modes.rate, FASTEST / steps[:, None]) ** 2,
         )
-        carried, found_there = _ends(maps, square, values)
+        carried, reached = _ends(maps, square, values)
         before, after = _ends(maps, square, slopes)
         jacobian = np.concatenate([-before, after], axis=-2)
         shape = len(steps), 6 * count
@@ -154,7 +154,7 @@ class ModalMotion:
             np.concatenate([nodes[:-1], nodes[1:]], axis=1),
             _ALL,
             jacobian.reshape(*shape, 2 * size[0], size[1]),
-            Residuals((found_there - carried).reshape(shape), white),
+            Residuals((reached - carried).reshape(shape), white),
         )
 
     def _step(self, step: float) -> tuple[Array, Array, Array, Array]:
@@ -203,9 +203,9 @@ def _transition(
     maps, green = np.zeros((3, len(rate), 2, 2)), np.zeros((len(rate), 2, _POINTS))
     for j, (omega, c) in enumerate(zip(rate, damping, strict=True)):
         own, chain = driven_mode(omega, c, step)
-        found = scipy.linalg.expm(chain)
-        driven = found[:2, 2:] @ derivatives
-        maps[:, j] = found[:2, :2], driven[:, :2], driven[:, 2:]
+        exponential = scipy.linalg.expm(chain)
+        driven = exponential[:2, 2:] @ derivatives
+        maps[:, j] = exponential[:2, :2], driven[:, :2], driven[:, 2:]
         green[j] = scipy.linalg.expm((step - time)[:, None, None] * own)[:, :, 1].T
     weighted = green * weight
     cov = np.einsum(

@@ -72,10 +72,10 @@ class Intervals:
     def flow(self, start: State, *, noisy: bool) -> Flow:
         """Where undisturbed rods arrive, in poses and strains, jumps in the noise."""
         rotation, stiffness = start.pose[:, :3, :3], self.section.stiffness
-        found = flow(rotation, self.wrench(start), self.step, self.section, noisy=noisy)
-        noise = found.noise
+        by_wrench = flow(rotation, self.wrench(start), self.step, self.section, noisy=noisy)
+        noise = by_wrench.noise
         noise[:, range(6, 12), range(6, 12)] += self.jump
-        return in_strain(found, stiffness, self.end_stiffness, self.end_rest)
+        return in_strain(by_wrench, stiffness, self.end_stiffness, self.end_rest)
 
     def before(self, offset: Array) -> Intervals:
         """The intervals up to `offset` (M,) metres."""
@@ -90,14 +90,14 @@ class Intervals:
 
 
 @np.errstate(over="ignore", invalid="ignore")
-def in_strain(found: Flow, begin: Array, end: Array, rest: Array) -> Flow:
+def in_strain(by_wrench: Flow, begin: Array, end: Array, rest: Array) -> Flow:
     """A flow with strains in the place of wrenches, for stiffness (M, 6) at both ends."""
     ones = np.ones_like(begin)
     into, out = np.concatenate([ones, begin], -1), np.concatenate([ones, 1.0 / end], -1)
-    transition = out[:, :, None] * found.transition * into[:, None, :]
-    noise = out[:, :, None] * found.noise * out[:, None, :]
-    by_weight = out[:, :, None] * found.by_weight
-    return Flow(found.pose, rest + found.wrench / end, transition, noise, by_weight)
+    transition = out[:, :, None] * by_wrench.transition * into[:, None, :]
+    noise = out[:, :, None] * by_wrench.noise * out[:, None, :]
+    by_weight = out[:, :, None] * by_wrench.by_weight
+    return Flow(by_wrench.pose, rest + by_wrench.wrench / end, transition, noise, by_weight)
 
 
 def still_error(start: State, end: State, intervals: Intervals) -> tuple[Array, Array]:
@@ -156,8 +156,8 @@ def interval_end(start: State, error: Array, intervals: Intervals) -> tuple[Stat
 def bridge(start: State, intervals: Intervals, offset: Array) -> tuple[Array, Array]:
     """Gain of a point's error on that of its interval, and what it leaves, (M, 12, 12) each."""
     near = intervals.before(offset).flow(start, noisy=True)
-    there = State(start.pose @ near.pose, near.wrench, start.velocity)
-    onward = intervals.beyond(offset).flow(there, noisy=True)
+    point = State(start.pose @ near.pose, near.wrench, start.velocity)
+    onward = intervals.beyond(offset).flow(point, noisy=True)
     cross = onward.transition @ near.noise
     whole = cross @ np.swapaxes(onward.transition, -1, -2) + onward.noise
     scale = 1.0 / np.sqrt(np.einsum("mii->mi", whole))

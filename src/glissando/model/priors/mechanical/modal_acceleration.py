@@ -48,8 +48,8 @@ def modal_acceleration(
     values = modal_values(motion.modes, state.take(times))
     slopes = modal_slopes(motion.modes, state.take(times))
     if between:
-        found = [_within(motion, s, o) for s, o in zip(cells.step, cells.offset, strict=True)]
-        weights, spread = (np.stack(each) for each in zip(*found, strict=True))
+        functionals = [_within(motion, s, o) for s, o in zip(cells.step, cells.offset, strict=True)]
+        weights, spread = (np.stack(each) for each in zip(*functionals, strict=True))
     else:
         count = motion.modes.rate.size
         one = np.zeros((1, count, 4))
@@ -103,10 +103,10 @@ def _functional(
     out, pull = np.zeros((2, len(rate), 4)), np.zeros((len(rate), _POINTS + 1))
     for j, (omega, c) in enumerate(zip(rate, damping, strict=True)):
         own, chain = driven_mode(omega, c, step)
-        found = scipy.linalg.expm(u * chain)
+        exponential = scipy.linalg.expm(u * chain)
         back = own[1]
-        free = back @ found[:2, :2]
-        forced = now + back @ found[:2, 2:] @ derivatives
+        free = back @ exponential[:2, :2]
+        forced = now + back @ exponential[:2, 2:] @ derivatives
         for end in (0, 1):
             own_forced = forced[2 * end : 2 * end + 2]
             out[end, j] = np.concatenate([-back[0] * own_forced, own_forced])

@@ -238,7 +238,7 @@ class MechanicalPrior:
             np.stack([here[:, :-1], here[:, 1:]], axis=2),
             error.reshape(*shape, RATED),
             slopes.reshape(*shape, RATED, 2, state.dof),
-            self._keep(grid, noise_state).noise[touched],
+            self._cached_rod(grid, noise_state).noise[touched],
             paired=False,
         )
 
@@ -302,26 +302,26 @@ class MechanicalPrior:
         self, grid: Grid, noise_state: State, k: Index, n: Index, s: Cells, inside: bool
     ) -> Array:
         """Prior covariance (M, 12, 12) of pose and strain at time nodes k, on n or inside `s`."""
-        rod, offset = self._kept(grid, noise_state), s.offset if inside else None
+        rod, offset = self._last_rod(grid, noise_state), s.offset if inside else None
         times, which = np.unique(k, return_inverse=True)
         if rod is None and 2 * times.size < len(noise_state.strain):  # few of many moments
             rod, k = self._linearized(grid, noise_state.take(times)), which
-        return (rod or self._keep(grid, noise_state)).covariances(k, n, offset)
+        return (rod or self._cached_rod(grid, noise_state)).covariances(k, n, offset)
 
-    def _linearized(self, grid: Grid, there: State) -> LinearizedRod:
+    def _linearized(self, grid: Grid, state: State) -> LinearizedRod:
         """The rod at nodes (K, N)."""
-        every = self.rod.tiled(grid, len(there.strain))
-        return LinearizedRod(grid.arclength, there, every, self.ends.information(grid, there))
+        every = self.rod.tiled(grid, len(state.strain))
+        return LinearizedRod(grid.arclength, state, every, self.ends.information(grid, state))
 
-    def _keep(self, grid: Grid, there: State) -> LinearizedRod:
+    def _cached_rod(self, grid: Grid, state: State) -> LinearizedRod:
         """The rod at nodes (K, N), kept for those who ask for the same nodes next."""
-        found = self._kept(grid, there) or self._linearized(grid, there)
-        self._last["rod"] = found
-        return found
+        rod = self._last_rod(grid, state) or self._linearized(grid, state)
+        self._last["rod"] = rod
+        return rod
 
-    def _kept(self, grid: Grid, there: State) -> LinearizedRod | None:
+    def _last_rod(self, grid: Grid, state: State) -> LinearizedRod | None:
         last = self._last.get("rod")
-        same = last and last.there is there and np.array_equal(last.arclength, grid.arclength)
+        same = last and last.state is state and np.array_equal(last.arclength, grid.arclength)
         return last if same else None
 
     @cached_property

@@ -65,12 +65,12 @@ class LoadedRod:
             OutsideGridError: A segment begins or a wrench acts between nodes.
         """
         key = arclength.tobytes()
-        found = self._last.get(key)
-        if found is None:
-            found = self._cut(arclength)
+        intervals = self._last.get(key)
+        if intervals is None:
+            intervals = self._cut(arclength)
             self._last.clear()
-            self._last[key] = found
-        return found
+            self._last[key] = intervals
+        return intervals
 
     def _cut(self, arclength: Array) -> Intervals:
         jump = np.zeros((arclength.size - 1, 6))
@@ -109,9 +109,9 @@ class LoadedRod:
 
     def pick(self, grid: Grid, k: Index, n: Index) -> Intervals:
         """The intervals n (M,) of the grid at its times k (M,)."""
-        found, gravity = self.intervals(grid.arclength).take(n), self.mechanics.gravity
+        intervals, gravity = self.intervals(grid.arclength).take(n), self.mechanics.gravity
         if gravity.ndim == 1:
-            return found
+            return intervals
         if len(gravity) <= k.max(initial=0):
             raise OutsideGridError(
                 f"Gravity is given for {len(gravity)} shapes and there are {k.max() + 1} or more; "
@@ -120,7 +120,7 @@ class LoadedRod:
         mass = self.mechanics.mass_per_length
         segment = self.mechanics.segment(grid.arclength[n])
         return replace(
-            found, section=replace(found.section, weight=mass[segment, None] * gravity[k])
+            intervals, section=replace(intervals.section, weight=mass[segment, None] * gravity[k])
         )
 
     def tip_error(self, grid: Grid, at: State, shape: Index | None = None) -> tuple[Array, Array]:
@@ -131,5 +131,5 @@ class LoadedRod:
         mechanics = self.mechanics
         if shape is not None and mechanics.gravity.ndim == 2:
             mechanics = replace(mechanics, gravity=mechanics.gravity[shape])
-        found = tip_error(mechanics, self.rest.at(grid.arclength[-1:])[0], at)
-        return found if at.inertia is None else pushed(mechanics, at, *found)
+        error = tip_error(mechanics, self.rest.at(grid.arclength[-1:])[0], at)
+        return error if at.inertia is None else pushed(mechanics, at, *error)

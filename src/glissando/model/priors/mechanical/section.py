@@ -42,10 +42,10 @@ def hanging_rod(mechanics: Mechanics, every: Intervals, base: Array) -> tuple[Ar
     for share in _SHARES:
         section = replace(every.section, **{f: share * getattr(every.section, f) for f in _WEIGHTS})
         lighter = replace(mechanics, gravity=share * mechanics.gravity)
-        shape, found, sound = _hanging(lighter, replace(every, section=section), base, wrench)
+        shape, balanced, sound = _hanging(lighter, replace(every, section=section), base, wrench)
         if sound and share == 1.0:
             return shape
-        wrench = found if sound else np.zeros_like(found)
+        wrench = balanced if sound else np.zeros_like(balanced)
     raise GlissandoError(
         "No shape is found in which the robot bears its own weight; check the stiffness, the mass "
         "and the gravity of [mechanics]."
@@ -65,13 +65,13 @@ def _hanging(
             break
         step = np.linalg.solve(slope, -left[..., None])[..., 0]
         tried = wrench + share * step * (miss > close)[:, None]
-        found = _shoot(mechanics, every, base, tried)
-        size = np.abs(found[2]).max(axis=1)
+        shot = _shoot(mechanics, every, base, tried)
+        size = np.abs(shot[2]).max(axis=1)
         better = (size < miss) | (miss <= close)
         share = np.where(better[:, None], np.minimum(1.0, 2.0 * share), 0.25 * share)
         wrench = np.where(better[:, None], tried, wrench)
         old = pose, strain, left, slope
-        pose, strain, left, slope = (_where(better, *pair) for pair in zip(found, old, strict=True))
+        pose, strain, left, slope = (_where(better, *pair) for pair in zip(shot, old, strict=True))
         miss = np.where(better, size, miss)
     return (pose, strain), wrench, bool(np.all(miss <= close))
 
@@ -112,25 +112,25 @@ class LinearizedRod:
 
     Attributes:
         arclength: The arclength nodes (N,), m.
-        there: The nodes.
+        state: The nodes.
         every: Intervals (K · (N−1),) between them.
         ends: Information (6, 6) of the base's pose and (K, 12, 12) of the tip's pose and strain.
     """
 
     arclength: Array
-    there: State
+    state: State
     every: Intervals
     ends: tuple[Array, Array]
 
     @cached_property
     def flow(self) -> Flow:
         """Where undisturbed rods arrive from the nodes, with the noise on the way."""
-        return self.every.flow(self.there.take(np.s_[:, :-1]).flatten(), noisy=True)
+        return self.every.flow(self.state.take(np.s_[:, :-1]).flatten(), noisy=True)
 
     @cached_property
     def noise(self) -> Array:
         """Covariance (K, N−1, 12, 12) of pose and strain where intervals end."""
-        return self.flow.noise.reshape(len(self.there.strain), -1, 12, 12)
+        return self.flow.noise.reshape(len(self.state.strain), -1, 12, 12)
 
     @cached_property
     def information(self) -> tuple[Array, Array]:
@@ -156,7 +156,7 @@ class LinearizedRod:
         if offset is None:
             return _inverse(outwards[k, n] + inwards[k, n])
         piece = self.every.take(k * (self.arclength.size - 1) + n)
-        begin = self.there.take((k, n))
+        begin = self.state.take((k, n))
         near = piece.before(offset).flow(begin, noisy=True)
         point = State(begin.pose @ near.pose, near.wrench, begin.velocity)
         far = piece.beyond(offset).flow(point, noisy=True)
@@ -177,8 +177,8 @@ def _returned(information: Array, onward: Array, noise: Array) -> Array:
 
 def _blurred(information: Array, noise: Array) -> Array:
     """Information (K, 12, 12) after noise is added: I − I (I + Q⁻¹)⁻¹ I, as (1 + I Q)⁻¹ I."""
-    found = np.linalg.solve(np.eye(12) + information @ noise, information)
-    return symmetrize(np.asarray(found, dtype=float))
+    blurred = np.linalg.solve(np.eye(12) + information @ noise, information)
+    return symmetrize(np.asarray(blurred, dtype=float))
 
 
 def _inverse(information: Array) -> Array:
