@@ -97,6 +97,7 @@ def folder(tmp_path):
     return tmp_path / "bench"
 
 
+@pytest.mark.slow
 def test_an_estimate_asks_for_calibration_and_takes_its_result(folder, capsys):
     assert main(["estimate", str(folder)]) == 2
     told = capsys.readouterr().err
@@ -119,6 +120,7 @@ def test_an_estimate_asks_for_calibration_and_takes_its_result(folder, capsys):
     assert "bench.uncalibrated exists" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_calibrated_recording_can_be_another_one(folder, capsys):
     made = folder.parent / "made"
     assert main(["calibrate", str(folder), "--recording", str(made), "--json"]) == 0

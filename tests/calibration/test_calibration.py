@@ -75,6 +75,7 @@ def test_a_good_session_warns_of_nothing_but_what_needs_more_time_or_speeds():
         assert f"{name} is known little" not in warnings
 
 
+@pytest.mark.slow
 def test_a_still_robot_shows_slide_against_tracker_but_neither_against_motion_capture():
     made, known, _ = rigs.calibrated(0, "bent")
     warnings = " ".join(made.warnings)

@@ -21,6 +21,7 @@ from glissando.io.shipped_robots import robot_file
 from glissando.model.table import Table
 
 
+@pytest.mark.slow
 def test_what_is_saved_comes_back_and_serves_a_robot_file(tmp_path):
     made, _, _ = rigs.calibrated(0, "bent")
     made.save(tmp_path / "rig.toml")

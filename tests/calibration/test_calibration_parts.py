@@ -79,6 +79,7 @@ def test_bodies_are_seen_to_move_and_to_hold():
     assert moves[held & (time % 5.0 > 0.5) & (time % 5.0 < 2.5)].mean() < 0.02
 
 
+@pytest.mark.slow
 def test_the_covariance_of_a_bunch_is_that_of_the_mean_of_its_readings():
     model, known = small_model()
     data, _ = rigs.drawn(0)

@@ -94,6 +94,7 @@ def test_evidence_finds_the_noise_of_the_readings(monkeypatch):
     np.testing.assert_array_equal(alone.std, found.std)
 
 
+@pytest.mark.slow
 def test_a_start_that_is_a_hundred_times_off_ends_where_one_beside_it_does(in_process):
     found = []
     for noise in (1.5, 100.0):
@@ -129,6 +130,7 @@ def test_a_number_that_readings_do_not_determine_stays_where_it_was(in_process):
     assert after == pytest.approx(before, rel=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("judged", [False, True])
 def test_slopes_are_those_of_converged_estimates(judged, monkeypatch):
     monkeypatch.setattr(learning, "_NUDGE", 0.02)
@@ -277,6 +279,7 @@ def test_without_json_a_table_is_printed_that_names_the_numbers(
     assert load_robot(out).sensor_std["gyro"].shape == (3,)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [

@@ -54,6 +54,7 @@ def hanging(seed):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("label", ["mass of the tip", "mass per length"])
 def test_a_wrong_weight_makes_the_truth_less_likely(label):
     start = hanging_robot(MASS, LINEAR)

@@ -92,6 +92,7 @@ def test_a_body_that_was_hardly_seen_is_explained():
     assert fit_slide(replace(data, tube=None)) is None
 
 
+@pytest.mark.slow
 def test_a_log_names_the_body_on_the_tube_and_keeps_it_off_the_robot(tmp_path):
     data, _ = rigs.drawn(0)
     tube = _session(0)[0].tube

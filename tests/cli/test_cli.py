@@ -39,6 +39,7 @@ def test_a_recording_becomes_a_table_a_report_a_posterior_and_figures(recording,
         assert (out / name).stat().st_size > 10_000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("metres", [0.2, 1000.0])
 def test_a_reading_that_is_far_off_is_named_and_every_command_goes_on(
     recording, tmp_path, capsys, metres

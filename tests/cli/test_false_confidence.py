@@ -18,6 +18,7 @@ def warned(spacetime, tmp_path, capsys, recording, window, outline):
     return CONTRADICTED in said, OUTSIDE in said
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("outline", "readings", "truth"),
     [

@@ -24,6 +24,7 @@ def recording(tmp_path):
     return tmp_path / "swaying"
 
 
+@pytest.mark.slow
 def test_a_recording_runs_live_and_leaves_journal_and_csv(recording, tmp_path, capsys):
     log, newest = tmp_path / "log", tmp_path / "newest.csv"
     options = ["--source", str(recording), "--journal", str(log), "--sink", f"csv:{newest}"]
@@ -73,6 +74,7 @@ def test_the_status_states_rate_latency_innovations_and_losses_beside_a_view(
     assert "Waiting" not in views[0]._text.content
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [

@@ -67,6 +67,7 @@ def test_the_time_left_is_that_of_the_part_under_way():
     assert work.line() == "second: 0 s"
 
 
+@pytest.mark.slow
 def test_a_terminal_gets_a_bar_that_is_removed(monkeypatch):
     screen = io.StringIO()
     terminal = Console(file=screen, force_terminal=True, width=100)

@@ -117,6 +117,7 @@ def test_a_robust_loss_shrugs_off_gross_outliers_and_counts_them(loss):
     assert off(robust) < min(0.5 * off(plain), 2.4e-3)  # least squares found 9.6 mm or 3.4 mm
 
 
+@pytest.mark.slow
 def test_a_bad_start_converges_to_the_same_answer():
     prior, grid, readings = sliding_scene()
     good = estimate(prior, grid, readings, options=TIGHT)

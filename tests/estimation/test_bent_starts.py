@@ -51,6 +51,7 @@ def tips(rng, strain, std):
     return PoseReadings(time=np.arange(COUNT), arclength=at, values=values, cov=std**2, name="tip")
 
 
+@pytest.mark.slow
 def test_arcs_of_up_to_three_quarters_of_a_turn_are_found_from_the_tip_alone():
     arc, rng = robot(1.5 * np.pi), np.random.default_rng(0)
     strain = arcs(rng, 0.9 * np.pi, 1.5 * np.pi)
@@ -104,6 +105,7 @@ def squared_miss(found, time, pose):
     return off @ np.linalg.solve(at.cov_position_world, off)
 
 
+@pytest.mark.slow
 def test_two_segments_of_up_to_three_quarters_of_a_turn_each_are_found_from_their_ends():
     rng, two, time = np.random.default_rng(2), of_two_segments(), np.arange(5) / 30.0
     for _ in range(COUNT):
@@ -114,6 +116,7 @@ def test_two_segments_of_up_to_three_quarters_of_a_turn_each_are_found_from_thei
         assert squared_miss(found, time[2], poses[2, 0]) < 25.0
 
 
+@pytest.mark.slow
 def test_two_segments_that_move_while_they_are_wound_are_found():
     """One shape is no start for all: pieces of a few moments lead from one to the next."""
     rng, two, time = np.random.default_rng(4), of_two_segments(), np.arange(46) / 30.0
@@ -139,6 +142,7 @@ def test_a_shape_that_bends_far_more_than_its_file_says_contradicts_it(bend, dou
     assert bool(found.solve.doubt) == bool(caught) == doubtful
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("draw", [32, 108, 147])
 def test_a_rod_bent_by_loads_is_found_where_a_search_from_rest_goes_astray(draw):
     rng, length, nodes = np.random.default_rng([1001, draw]), 0.5, np.linspace(0.0, 0.5, 11)

@@ -126,6 +126,7 @@ def test_the_encoders_zero_is_estimated():
     assert np.sqrt(cov[0, 0, 0]) < 1.5e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("channel", [BESIDE, ROUND])
 def test_a_window_as_long_as_the_recording_is_the_batch_estimate(channel):
     times = np.array([0.0, 0.1, 0.2])

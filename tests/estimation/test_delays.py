@@ -103,6 +103,7 @@ def test_a_delay_longer_than_steps_or_the_window_is_known_no_better_than_it_is(d
     assert np.sqrt(np.mean(np.square(z))) < 2.5
 
 
+@pytest.mark.slow
 def test_a_delay_is_estimated_from_a_first_update_that_has_readings():
     late, predictive = scene("tip")
     session = predictive.draw(np.random.default_rng(0))
@@ -116,6 +117,7 @@ def test_a_delay_is_estimated_from_a_first_update_that_has_readings():
     assert smoother.posterior().parameter("late")[1][-1, 0, 0] == pytest.approx(STD**2, rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "span", "online"),
     [("sliding700", 6.0, False), ("tdcr466-segments", 1.0, False), ("tdcr466-segments", 1.0, True)],
@@ -144,6 +146,7 @@ def test_a_robot_at_rest_tells_nothing_of_a_delay(name, span, online, seed):
     assert abs(value[-1, 0]) < 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("online", [False, True])
 @pytest.mark.parametrize(("stated", "shift"), [(0.02, 0.0), (0.2, 0.1)])
 def test_a_delay_that_all_streams_share_stays_as_uncertain_as_before(stated, shift, online):
@@ -171,6 +174,7 @@ def bent(curvature, length, place):
     return se3.exp(min(place, half) * first) @ se3.exp(max(place - half, 0.0) * second)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("online", [False, True])
 def test_a_shape_that_bends_as_freely_as_it_may_dates_nothing(online):
     """The tip's readings fit best between the middle's whatever their delay is: 25 of 50 ms."""

@@ -76,6 +76,7 @@ def test_static_shapes_in_millimetres_are_one_sentence(name):
         estimate_static(robot.prior, robot.arclength_nodes, [in_millimetres(robot, 0.0)])
 
 
+@pytest.mark.slow
 def test_updates_in_millimetres_are_one_sentence():
     robot = load_robot("tdcr466")
     smoother = FixedLagSmoother(robot.prior, robot.arclength_nodes)

@@ -56,6 +56,7 @@ def test_readings_as_noisy_as_they_say_are_no_reason_for_doubt(seed):
     assert not caught
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_noise_that_is_said_to_be_four_times_smaller_is_named(seed):
     posterior, (caught,) = estimated(streams(seed, (0.25 * NOISE) ** 2))

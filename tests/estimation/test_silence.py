@@ -84,6 +84,7 @@ SLOW = "extensible1m"  # 19 nodes
 ROBOTS = [pytest.param(n, marks=[pytest.mark.slow] * (n == SLOW)) for n in shipped_robots()]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ROBOTS)
 def test_after_any_pause_what_is_claimed_is_true_and_true_readings_are_taken_at_once(name):
     robot = load_robot(name)
@@ -120,6 +121,7 @@ def test_what_is_foretold_is_known_the_less_the_farther_ahead_it_lies(name):
         heard.at(robot.length, np.nan)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["tdcr466", "tdcr466-segments"])
 def test_a_pause_may_be_passed_at_once_or_in_any_steps(name):
     robot = load_robot(name)

@@ -161,6 +161,7 @@ def test_nearly_rigid_shear_and_right_angles_converge_from_rest(monkeypatch):
     assert estimate_static(prior, nodes, [tip]).converged.all()
 
 
+@pytest.mark.slow
 def test_a_shape_that_steps_do_not_lead_to_is_left_to_the_estimator_of_recordings(monkeypatch):
     """All are, if no step is ever worth it; and those that it gives up are said to be so."""
     rng = np.random.default_rng(2)
@@ -178,6 +179,7 @@ def test_a_shape_that_steps_do_not_lead_to_is_left_to_the_estimator_of_recording
     assert not hasty.converged.any()
 
 
+@pytest.mark.slow
 def test_truth_judges_shapes_by_their_numbers():
     rng = np.random.default_rng(3)
     prior, nodes = PRIORS["separable"], nodes_of("separable")

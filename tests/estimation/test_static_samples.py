@@ -25,6 +25,7 @@ def spread(shapes, n):
     return place.mean(axis=0), np.cov(place.T)
 
 
+@pytest.mark.slow
 def test_draws_are_those_of_the_posterior_where_that_is_gaussian():
     robot = load_robot("tdcr466-segments")
     pose = np.eye(4)[None].repeat(2, axis=0)
@@ -42,6 +43,7 @@ def test_draws_are_those_of_the_posterior_where_that_is_gaussian():
         )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("places", [(0.28,), (0.1, 0.19, 0.28, 0.37, 0.466)])
 def test_draws_explain_readings_between_nodes(places):
     """The first steps from shapes of the prior bend some so far that readings have no weights."""
@@ -61,6 +63,7 @@ def test_draws_explain_readings_between_nodes(places):
         assert 0.4 < np.trace(cov) / np.trace(at.cov_position_world) < 2.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["sliding700", "extensible1m"])
 def test_shapes_are_found_though_most_of_the_prior_are_far_from_the_readings(name):
     robot = load_robot(name)
@@ -99,6 +102,7 @@ def test_shapes_of_the_prior_lie_within_the_spread_of_draws(sensor):
     assert inside >= 13  # 95 % less three standard deviations
 
 
+@pytest.mark.slow
 def test_draws_are_the_same_again_and_of_any_number():
     robot = load_robot("tdcr466-segments")
     tip = PositionReadings(time=[4.0], arclength=[0.466], values=[[0.1, 0.0, 0.4]], cov=1e-6)
@@ -108,6 +112,7 @@ def test_draws_are_the_same_again_and_of_any_number():
     assert not one.velocity.any()
 
 
+@pytest.mark.slow
 def test_what_cannot_be_drawn_is_said():
     robot = load_robot("tdcr466-segments")
     nodes = robot.arclength_nodes

@@ -46,6 +46,7 @@ def test_a_base_that_may_stand_elsewhere_moves_all_that_is_foretold():
     np.testing.assert_allclose((unsure.cov - sure.cov)[..., :6, :6], added, atol=1e-10)
 
 
+@pytest.mark.slow
 def test_velocities_at_uneven_times_are_as_uncertain_as_commands_make_them():
     robot = tendon_robot(psd_moment=1e-7, std=1e-4)
     time = np.array([0.0, 1.0, 1.02, 2.0, 2.02, 3.0])

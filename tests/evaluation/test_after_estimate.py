@@ -43,6 +43,7 @@ def test_a_known_sensor_parameter_is_applied_to_innovations():
         np.testing.assert_allclose(one.nees, same.nees, rtol=1e-4, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_streams_left_out_accuse_a_biased_one_and_no_other():
     """A coil that is 5 cm off explains itself by its own neighbours, but not by the others."""
     prior, grid, readings = sliding_scene(duration=1.0)

@@ -76,6 +76,7 @@ def test_a_mistake_with_the_coil_is_named(session, name):
     assert ";" in finding.sentence, "what to do"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", np.exp(RNG.uniform(np.log(30.0), np.log(3e3), 2)))
 def test_a_slide_shows_any_scale_of_positions_without_truth(session, factor):
     robot, (coil,), _, frames = session

@@ -44,6 +44,7 @@ def test_the_extensible_robot_meets_its_tip(spacetime):
     assert 1e3 * found.errors[0].summary()["position_rmse"] <= 2.3
 
 
+@pytest.mark.slow
 def test_the_grid_of_the_published_window_has_the_published_size(spacetime):
     found = run(spacetime / "slow_free_space", (19, 29))
     assert found.posterior.solve.unknowns == 27_090

@@ -206,6 +206,7 @@ def test_it_can_be_watched_as_it_goes(recorded, capsys):
     assert "Look at http://127.0.0.1:" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_in_real_time_it_takes_as_long_as_it_took(recorded):
     began = clock.monotonic()
     replay(recorded, recorded.robot, window=(0.0, 0.7), real_time=True)

@@ -76,6 +76,7 @@ def test_values_are_read_with_the_noise_that_is_stated(rng, kind):
     assert 1e-7 < np.abs(gap).max() < 1e-5
 
 
+@pytest.mark.slow
 def test_sessions_have_the_prior_and_the_parameters_that_the_robot_file_states():
     """Base strain and drifts over many draws; corrected readings are those of the true motion."""
     robot = load_robot(ROBOT)
@@ -175,6 +176,7 @@ def test_ranks_of_a_shipped_file_that_winds_robots_up_are_uniform():
     assert not found.outside
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["tdcr466", "sliding700"])
 def test_a_prior_far_from_its_linearisation_is_refused(name):
     with pytest.raises(GlissandoError, match="times what it allows"):
@@ -189,6 +191,7 @@ def test_a_prior_without_a_base_cannot_be_drawn_from():
         PriorPredictive(robot, grid, [])
 
 
+@pytest.mark.slow
 def test_the_smoother_has_read_a_long_session_to_its_end():
     robot, time = load_robot(ROBOT), np.arange(0.05, 4.0, 0.1)
     layout = [r.select(np.arange(time.size) % len(r)) for r in session_layout(robot)[1]]

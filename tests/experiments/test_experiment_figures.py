@@ -107,6 +107,7 @@ def assert_legible(figure):
         assert all(a[1] < b[0] for a, b in pairwise(inside))
 
 
+@pytest.mark.slow
 def test_robots_hang_at_one_scale_and_a_missing_trial_leaves_a_gap(confidence):
     told, trials = confidence
     figure = coil_figure(trials, told)
@@ -150,6 +151,7 @@ def test_the_coil_slides_in_from_the_tip(following):
     assert_legible(figure)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("scale", "panels"), [(1.0, 4), (0.15, 8)])
 def test_a_table_far_from_the_papers_is_broken_at_one_scale(scale, panels):
     figure = table_figure(table(scale))

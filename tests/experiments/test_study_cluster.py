@@ -174,6 +174,7 @@ def test_what_is_done_is_kept_when_interrupted(tmp_path):
     assert len(kept_cells(tmp_path / "out")) == 5
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_is_not_there_is_one_sentence(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(runner, "_PATIENCE", 0.5)
     file = write_study(tmp_path, "")

@@ -335,6 +335,7 @@ def test_permission_a_missing_package_and_a_wrong_baud_rate_are_sentences(monkey
         Link("/dev/ttyUSB0")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "options", [["--tcp", "0"], ["--tcp", "0", "--scene", "absent"], ["--nonsense"]]
 )

@@ -66,6 +66,7 @@ def test_the_line_is_near_the_lower_envelope_of_all_readings(rng):
     assert abs(clock.time(n[-1]) - envelope) < 3e-4
 
 
+@pytest.mark.slow
 @given(generators, st.sampled_from([2**32, 32768]))
 @settings(law, max_examples=20)
 def test_a_counter_that_wraps_goes_on(rng, modulus):

@@ -25,6 +25,7 @@ pytestmark = pytest.mark.alone
 STAGE = GcodeStage(stroke=(0.0, 0.06), home=-0.001)
 
 
+@pytest.mark.slow
 def test_a_homed_stage_follows_a_path_and_reports_where_it_was():
     time_ = np.arange(0.0, 1.5, 0.01)
     travel = 0.005 + 0.005 * (1.0 - np.cos(2.0 * np.pi * time_ / 1.5))
@@ -50,6 +51,7 @@ def test_a_goal_outside_the_stroke_is_never_sent(wanted):
         assert slide.read().travel == pytest.approx(0.0, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_leaving_the_loop_stops_the_stage_and_keeps_its_position():
     with started("grbl") as address, GcodeSlide(address, STAGE) as slide:
         slide.home_here(0.0)
@@ -87,6 +89,7 @@ def _pursue(address):
         list(slide.pursue(lambda t: 0.01 * t, 3.0))
 
 
+@pytest.mark.slow
 def test_an_alarm_loses_the_position_until_the_stage_is_homed_again():
     with (
         started("grbl", "--faults", "alarm=30") as address,
@@ -101,6 +104,7 @@ def test_an_alarm_loses_the_position_until_the_stage_is_homed_again():
         assert slide.read().travel == pytest.approx(0.02, abs=1e-5)
 
 
+@pytest.mark.slow
 def test_a_controller_that_restarts_on_the_way_must_be_homed_again():
     with (
         started("grbl", "--faults", "restart=60") as address,
@@ -224,6 +228,7 @@ def test_an_experiment_with_two_stages_and_such_a_tracker_becomes_a_recording(tm
         np.testing.assert_allclose(rows.values[:, 0, 3], 0.7, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_peer_that_floods_is_given_up_soon():
     """Bytes without end are no answer: to an Aurora's start, and to a controller's."""
     over = threading.Event()
@@ -271,6 +276,7 @@ def _homing_until_reset(server, answer, heard):
     heard.append("homes on" if homing else "stands")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("answer", [b"", b"<Home|MPos:0.000,0.000,0.000|FS:0,0>\r\n"])
 def test_leaving_while_it_homes_ends_the_homing(answer):
     heard = []

@@ -33,6 +33,7 @@ def wire(request):
     return "igtl"
 
 
+@pytest.mark.slow
 def test_ten_drawn_moves_end_where_they_were_to_and_ask_for_nothing_outside_the_stroke(wire):
     carriage, travels = Carriage(), np.random.default_rng(7).uniform(0.0, 0.06, 10)
     zero = carriage.place + 0.02
@@ -97,6 +98,7 @@ class FirstLost(list):
         self.lost = True
 
 
+@pytest.mark.slow
 def test_a_goal_that_is_lost_is_sent_again():
     carriage = Carriage()
     carriage.goals = FirstLost()
@@ -106,6 +108,7 @@ def test_a_goal_that_is_lost_is_sent_again():
     assert len(carriage.goals) < 8  # nothing is repeated while it goes
 
 
+@pytest.mark.slow
 def test_a_path_is_followed_and_left_in_its_midst_where_the_stage_is(wire):
     carriage, begun = Carriage(), []
     stage = RemoteStage(stroke=(-0.1, 0.2), home=0.0, speed=0.1, joint="slide")
@@ -162,6 +165,7 @@ def test_a_stage_that_is_held_is_stopped_and_one_that_jumps_is_not_believed(wire
             slide.read()
 
 
+@pytest.mark.slow
 def test_a_driver_that_is_not_there_is_a_sentence(wire, monkeypatch):
     monkeypatch.setattr(remote_stage, "_FIRST", 0.5)
     carriage = Carriage()
@@ -173,6 +177,7 @@ def test_a_driver_that_is_not_there_is_a_sentence(wire, monkeypatch):
         opened_stage(alone, STAGE).__enter__()
 
 
+@pytest.mark.slow
 def test_a_driver_whose_link_dies_on_the_way_is_a_sentence():
     with pytest.raises(DeviceError, match=r"nobody answers at igtl://.*home again"):
         _killed_on_the_way()
@@ -188,6 +193,7 @@ def _killed_on_the_way():
                 driver.__exit__(None, None, None)
 
 
+@pytest.mark.slow
 def test_a_setup_file_names_a_stage_that_a_rig_records(wire, tmp_path):
     carriage = Carriage(place=0.0)
     with driving(wire, carriage) as address:

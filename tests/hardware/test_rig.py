@@ -291,6 +291,7 @@ def test_what_was_not_seen_is_said_and_an_empty_session_refused(tmp_path):
         write_recording(read_session(tmp_path / "session.mcap"), rig, tmp_path)
 
 
+@pytest.mark.slow
 def test_a_record_command_without_a_rig_is_one_sentence(tmp_path, capsys):
     assert main(["record", "--out", str(tmp_path / "s")]) == 2
     assert "--setup FILE" in capsys.readouterr().err

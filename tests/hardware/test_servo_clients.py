@@ -46,6 +46,7 @@ def test_the_official_sdk_pings_reads_and_writes(address):
     port.closePort()
 
 
+@pytest.mark.slow
 def test_the_easy_sdk_turns_the_simulated_motor(address):
     easy = pytest.importorskip("dynamixel_easy_sdk")
     connector = easy.Connector(address, 57600)
@@ -64,6 +65,7 @@ def test_the_easy_sdk_turns_the_simulated_motor(address):
         connector.closePort()
 
 
+@pytest.mark.slow
 def test_true_travel_is_sent_200_times_a_second():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ear:
         ear.bind(("127.0.0.1", 0))

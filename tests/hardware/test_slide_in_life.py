@@ -91,6 +91,7 @@ PROGRAM = f"""
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_a_host_that_is_interrupted_or_killed_leaves_the_stage_standing(ear, number):
     from dynamixel_sdk import PacketHandler, PortHandler
@@ -120,6 +121,7 @@ def _sound(handler, port, at):
     raise AssertionError(result)
 
 
+@pytest.mark.slow
 def test_in_life_a_move_takes_its_time_and_readings_are_true_at_their_stamps(ear):
     with simulated(ear, "--clock", "1.002", "--seed", "7") as address:
         with Slide(address, replace(STAGE, watchdog=1.0)) as slide:

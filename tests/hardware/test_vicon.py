@@ -162,6 +162,7 @@ def test_a_frame_may_come_in_several_datagrams(stream):
     assert stream.counts == {"repeated": 1}
 
 
+@pytest.mark.slow
 def test_silence_says_what_to_check_in_tracker(stream):
     with pytest.raises(
         DeviceError, match=rf"Nothing came on UDP port {stream.port} of 127.0.0.1 for 0.3 s; ch"

@@ -41,6 +41,7 @@ def summary(recording):
     return {"name": recording.name, "streams": streams}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("file", files("posterior"))
 def test_a_posterior_of_any_version_answers_as_it_did(file, tmp_path):
     pytest.importorskip("h5netcdf")

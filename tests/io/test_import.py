@@ -114,6 +114,7 @@ def test_a_folder_that_holds_something_is_left_alone(tmp_path, capsys):
     assert "not empty" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_an_imported_session_is_estimated_as_the_native_one(tmp_path, capsys):
     """A simulated session, written as a tracker and motion capture would, gives the same answer."""
     native, robot = tmp_path / "native", tmp_path / "robot.toml"

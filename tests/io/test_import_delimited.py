@@ -242,6 +242,7 @@ def test_a_mapping_that_does_not_fit_says_why(tmp_path, text, said, sentence):
         read_tracks(tmp_path / "log.csv", columns=said)
 
 
+@pytest.mark.slow
 def test_mutilated_exports_are_read_or_refused_with_a_sentence(tmp_path):
     rng = np.random.default_rng(0)
     tip = {"tip": poses(rng, 4), "mid": poses(rng, 4)}

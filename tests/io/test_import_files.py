@@ -120,6 +120,7 @@ def test_c3d_points_are_read_back_in_their_units_without_gaps(tmp_path, unit):
     np.testing.assert_allclose(mid.time, np.delete(np.arange(20), 6) / 120)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("version", "storage"), [(1, None), (2, StoragePlugin.SQLITE3), (2, StoragePlugin.MCAP)]
 )

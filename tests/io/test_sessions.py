@@ -130,6 +130,7 @@ def test_a_log_cut_off_at_any_byte_loses_only_its_tail(tmp_path):
     assert before == 24
 
 
+@pytest.mark.slow
 def test_damage_inside_is_counted_and_costs_no_more_than_its_chunk(tmp_path):
     data = bytearray(written(tmp_path / "a.mcap").read_bytes())
     whole = [m["tick"] for m in read_session(tmp_path / "a.mcap").topics["slide"].messages]

@@ -130,6 +130,7 @@ def test_at_rest_gravity_shows_the_tilt_as_surely_as_stated():
     assert np.mean(squares) / 3.0 < 1.6  # it is stiller than it is believed to be
 
 
+@pytest.mark.slow
 def test_a_smoother_with_a_long_window_says_what_the_batch_says():
     believed, grid, (base, coil, _) = sliding_scene()
     time = np.arange(0.0, 1.001, 0.05)  # on time nodes and between them

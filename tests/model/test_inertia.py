@@ -191,6 +191,7 @@ def test_a_smoother_with_a_long_window_says_what_the_batch_says():
     np.testing.assert_allclose(one.std_position, other.std_position, rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_a_smoother_follows_a_rod_that_is_let_go_without_beginning_again():
     motion, coil = released(0.3)
     grid = wire_grid(0.3)

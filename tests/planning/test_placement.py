@@ -55,6 +55,7 @@ def best_of_all(problem, budget):
     return found
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=12)
 @given(generators, st.integers(3, 9))
 def test_placements_are_nearly_the_best_of_all_and_no_set_beats_the_bound(rng, budget):

@@ -42,6 +42,7 @@ def process():
         yield planner
 
 
+@pytest.mark.slow
 @kinds
 def test_the_belief_of_a_smoother_is_that_of_its_posterior_and_small(kind):
     smoother = smoother_of(ROBOTS[kind])

@@ -101,6 +101,7 @@ def test_a_mesh_is_as_far_as_the_box_it_is_of(tmp_path, rng):
         read_mesh(open_file, pose)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [(0.1, 0.1, 0.001), (0.2, 0.002, 0.002), (0.01, 0.01, 0.01)])
 def test_a_mesh_is_nowhere_much_further_than_the_thin_box_it_is_of(tmp_path, rng, size):
     trimesh = pytest.importorskip("trimesh", reason="trimesh is not installed")

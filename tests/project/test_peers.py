@@ -69,6 +69,7 @@ def std(cov):
     return np.sqrt(np.einsum("mii->mi", cov))
 
 
+@pytest.mark.slow
 @settings(law, max_examples=5)
 @given(generators)
 @pytest.mark.parametrize("refined", [0, 1])

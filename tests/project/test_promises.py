@@ -3,6 +3,8 @@
 import re
 from pathlib import Path
 
+import pytest
+
 import promises
 
 ROOT = Path(__file__).parents[2]
@@ -50,6 +52,7 @@ def test_the_matrix_shows_every_promise():
     assert page.count("\n| [") == len(promises.TABLE["promise"])
 
 
+@pytest.mark.slow
 def test_every_hazard_has_controls_whose_code_and_tests_exist():
     assert HAZARDS.count("not a medical device") == 1
     sections = re.split(r"^## ", HAZARDS, flags=re.M)[1:]

@@ -73,6 +73,7 @@ def test_lag_and_play_of_drawn_sessions_are_found_as_surely_as_stated(motion):
     assert np.sqrt(variance[1]) < 3e-4
 
 
+@pytest.mark.slow
 def test_a_soft_drive_tube_lags_by_its_damping_and_plays_by_its_friction(motion):
     value, variance = found(session(replace(RIGID, **SOFT), 0, motion))
     expected = np.array([2.0 / 200.0, 2.0 * 0.1 / 200.0])

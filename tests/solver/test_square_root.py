@@ -33,6 +33,7 @@ def test_its_square_is_the_information_of_the_normal_equations(name):
     assert np.abs(apart).max() < 1e-9
 
 
+@pytest.mark.slow
 def test_draws_have_the_variance_that_the_prior_states_at_the_base():
     prior = load_robot("tdcr466-segments").prior
     grid = Grid(np.linspace(0.0, 0.466, 17), np.arange(25) / 120.0)

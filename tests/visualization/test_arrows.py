@@ -59,6 +59,7 @@ def _coloured(picture):
     return int(np.sum((red > 130) & (red > blue) & (red - green > 40) & (blue - green > 15)))
 
 
+@pytest.mark.slow
 def test_figures_and_films_show_the_arrows(posterior, tmp_path):
     axes = shape_figure(posterior, [], [0.5])
     tip = MM * arrows_of(posterior, TIME).strokes()[1, :, 1]

@@ -135,6 +135,7 @@ def test_the_slider_moves_the_robot_and_the_numbers(page, posterior):
     assert np.linalg.norm(np.subtract(tips[0], tips[2])) > 0.02
 
 
+@pytest.mark.slow
 def test_pictures_of_two_times_differ_at_the_robot_and_nowhere_else(page):
     before = seen(page)
     again = seen(page)
@@ -225,6 +226,7 @@ def test_a_drag_turns_and_the_map_seeks(page):
     assert page.evaluate("state.moment") == 15
 
 
+@pytest.mark.slow
 def test_two_fingers_zoom(browser, file):
     with opened(browser, file, has_touch=True) as page:
         touch = page.context.new_cdp_session(page)

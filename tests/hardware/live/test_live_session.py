@@ -105,6 +105,7 @@ def test_a_csv_of_updates_keeps_every_digit_of_a_unix_time(tmp_path):
     assert table["time"] == 1.7e9 + 1.0 / 3.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["tdcr466", "tdcr466-segments", "rod"])
 def test_an_update_is_what_the_smoother_says_between_its_nodes(name):
     robot = ROD if name == "rod" else load_robot(name)
@@ -116,6 +117,7 @@ def test_an_update_is_what_the_smoother_says_between_its_nodes(name):
                 np.testing.assert_allclose(ours, value, rtol=1e-9, atol=1e-9 * np.abs(value).max())
 
 
+@pytest.mark.slow
 def test_a_collection_of_garbage_holds_no_update_up():
     with LiveSession(ROBOT, [RecordingSource(swaying(), ROBOT)], duration=0.2) as session:
         list(session)
@@ -125,6 +127,7 @@ def test_a_collection_of_garbage_holds_no_update_up():
     assert gc.get_freeze_count() == 0
 
 
+@pytest.mark.slow
 def test_a_journal_of_an_earlier_session_is_refused(tmp_path):
     for again in (False, True):
         source = RecordingSource(swaying(), ROBOT)
@@ -143,6 +146,7 @@ def _pose(translation, stamp=1) -> bytes:
     return encode(Message(c.Transform(pose), "tip", stamp))
 
 
+@pytest.mark.slow
 def test_what_cannot_be_a_reading_is_counted_and_the_session_goes_on():
     sheared = encode(Message(c.Transform(np.diag([1.0, 2.0, 1.0, 1.0])), "tip", 1))
     invalid = [
@@ -212,6 +216,7 @@ def test_a_device_that_changes_its_kind_is_invalid():
     assert source.counts["invalid"] == 1
 
 
+@pytest.mark.slow
 def test_a_pose_that_a_server_repeats_between_measurements_is_one_reading():
     with Endpoint("igtl-server://:0") as peer:
         source = IgtlSource(f"igtl://127.0.0.1:{peer.address.port}", ROBOT, PLACES)
@@ -223,6 +228,7 @@ def test_a_pose_that_a_server_repeats_between_measurements_is_one_reading():
         assert source.counts["repeated"] == 2
 
 
+@pytest.mark.slow
 def test_travel_moves_a_sliding_coil_and_units_and_axes_are_the_peers():
     metre, milli = 0x01 << 54 | 1 << 50, 0xB << 60
     with Endpoint("igtl-server://:0") as peer:
@@ -242,6 +248,7 @@ def test_travel_moves_a_sliding_coil_and_units_and_axes_are_the_peers():
     np.testing.assert_allclose(read.values[0, :3, 3], [-0.1, -0.2, 0.3], atol=1e-7)
 
 
+@pytest.mark.slow
 def test_positions_with_and_without_an_orientation_are_read_and_a_status_is_passed_on():
     turn = se3.exp(np.array([0.0, 0.0, 0.0, 0.4, -0.2, 0.7]))
     wxyz = se3.quaternion(turn[:3, :3])

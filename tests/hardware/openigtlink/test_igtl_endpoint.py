@@ -97,6 +97,7 @@ def test_a_message_beyond_the_limit_is_refused_by_its_header():
         Framer(1000).feed(wire[:58])
 
 
+@pytest.mark.slow
 def test_peers_get_the_same_whole_updates_and_can_answer():
     with Endpoint("igtl-server://:0") as server:
         where = f"igtl://127.0.0.1:{server.address.port}"
@@ -156,6 +157,7 @@ def test_a_call_that_fails_at_once_is_no_connection(monkeypatch, problem):
         assert exchange.counts == {}
 
 
+@pytest.mark.slow
 def test_what_a_peer_sends_before_the_endpoint_looks_comes_once(monkeypatch):
     met = endpoint_module._met
     monkeypatch.setattr(endpoint_module, "_met", lambda *a: (met(*a), time.sleep(0.5))[0])
@@ -273,6 +275,7 @@ def test_a_client_calls_until_somebody_answers_and_again_when_he_is_gone():
         until(lambda: client.receive() or client.counts["connected"] == 3)
 
 
+@pytest.mark.slow
 def test_a_tracker_is_asked_for_tracking_data_on_connecting():
     with Endpoint("igtl-server://:0") as tracker:
         where = f"igtl://127.0.0.1:{tracker.address.port}?start=20"
@@ -292,6 +295,7 @@ def test_a_server_listens_on_this_machine_alone_unless_told():
             socket.create_connection((own, server.address.port), 2.0)
 
 
+@pytest.mark.slow
 def test_a_port_that_is_taken_and_a_process_that_died_are_sentences():
     with Endpoint("igtl-server://:0") as server:
         with (

@@ -69,6 +69,7 @@ def test_a_session_through_ros_openigtlink_and_replay_gives_the_same_estimates(d
                     np.testing.assert_allclose(ours, theirs, rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_what_is_no_pose_is_counted(domain):
     with Peer(domain, ["/tip/pose"]) as peer:
         source = Ros2Source(f"{domain}&clock=arrival", ROBOT, PLACES[1:])
@@ -96,6 +97,7 @@ def test_one_look_takes_all_that_has_come(domain):
         assert source.counts["heard"] == 80
 
 
+@pytest.mark.slow
 def test_transforms_rates_and_travels_are_read_as_they_are_sent(domain):
     """A TransformStamped of a coil that slides by a JointState, and an Imu."""
     from geometry_msgs.msg import TransformStamped
@@ -128,6 +130,7 @@ def test_transforms_rates_and_travels_are_read_as_they_are_sent(domain):
     assert read["gyro"].arclength == 0.233
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("reliable", "latched"), [(True, True), (True, False), (False, False)])
 def test_a_publisher_of_any_quality_is_heard(domain, reliable, latched):
     source = Ros2Source(f"{domain}&clock=arrival", ROBOT, PLACES[1:])
@@ -139,6 +142,7 @@ def test_a_publisher_of_any_quality_is_heard(domain, reliable, latched):
         until(lambda: send(peer.pose(1.0, np.eye(4))) or source.poll() or source.counts["heard"])
 
 
+@pytest.mark.slow
 def test_a_topic_of_another_type_is_named(domain):
     source = Ros2Source(f"{domain}&type=transform", ROBOT, PLACES[1:])
     with source, Peer(domain, ["/tip/pose"]):
@@ -146,6 +150,7 @@ def test_a_topic_of_another_type_is_named(domain):
         until(lambda: source.poll() or source.problem.startswith(why))
 
 
+@pytest.mark.slow
 def test_a_session_follows_simulated_time(domain):
     from rosgraph_msgs.msg import Clock
 
