@@ -26,7 +26,7 @@ components of a step as independent; ours is the exact transition of the step, s
 nodes for the result that ours has with one node per reading. Distances are from the limit of many
 nodes, the largest over shapes and places. With GTSAM's factors in our estimator both agree on
 every grid to 1e-6 in the mean and far better than 1 % in the standard deviation
-(`tests/project/test_peers.py`). GTSAM starts from curves through the readings, ours from a
+(`benchmarks/tests/test_peers.py`). GTSAM starts from curves through the readings, ours from a
 straight robot.
 
 | | nodes | mean, largest distance (mm) | std, largest distance | ms a shape |

@@ -4,7 +4,6 @@ import warnings
 import numpy as np
 import pytest
 
-import results
 from glissando import (
     BaseDensity,
     GemanMcClure,
@@ -188,15 +187,6 @@ def test_a_roll_that_no_sensor_sees_is_an_error_not_a_number():
     alone = dataclasses.replace(coil, values=straight)
     with pytest.raises(UnobservableError, match="singular"):
         estimate(dataclasses.replace(prior, base=None), grid, [alone])
-
-
-def test_five_arclength_nodes_give_the_posterior_of_sixty_five():
-    """A rod of 0.70 m bent to 2 rad/m, base known, a coil read once at the tip."""
-    std = {nodes: results.bent_rod_std(nodes) for nodes in (5, 9, 17, 33, 65)}
-    print("exact transitions, mid-length standard deviation (mm):", std)
-    assert std[65] == pytest.approx(12.68, abs=0.01)
-    for nodes in (5, 9, 17, 33):
-        assert std[nodes] == pytest.approx(std[65], rel=1e-3)
 
 
 def static_std(rate, arclength_nodes=5, per_node=False):

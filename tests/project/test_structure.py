@@ -1,6 +1,7 @@
 """The house keeps its shape: no circle of files, few at the root, no way round the contract."""
 
 import ast
+import re
 from pathlib import Path
 
 import grimp
@@ -32,6 +33,17 @@ def test_what_keeps_time_stands_where_make_test_looks_for_it():
     marked = {path for path in tests.rglob("test_*.py") if "mark" + ".alone" in path.read_text()}
     assert marked
     assert all(tests / "hardware" in path.parents for path in marked)
+
+
+def test_tests_import_nothing_from_benchmarks():
+    """Tests of benchmarks stand beside these, and what is in tests/support has its name first."""
+    tests = Path(__file__).parents[1]
+    own = {path.stem for folder in (tests, tests / "support") for path in folder.glob("*.py")}
+    programs = {path.stem for path in (tests.parent / "benchmarks").glob("*.py")} - own
+    for path in tests.rglob("*.py"):
+        names = set(re.findall(r"^\s*(?:import|from) (\w+)", path.read_text(), re.MULTILINE))
+        names |= set(re.findall(r"importorskip\([\"'](\w+)", path.read_text()))
+        assert not names & programs, path.name
 
 
 @pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(SOURCE)))

@@ -1,7 +1,5 @@
 """Rods that move: closed forms, statics as the limit, balances, invariance, order, contacts."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -21,10 +19,8 @@ from glissando.simulation.dynamics import (
 from glissando.simulation.mesh import Mesh
 from glissando.simulation.rod_equations import Instant, RodEquations
 from glissando.simulation.rod_mechanics import matrices, natural_frequencies
-from releases import read_release, simulate
 from rods_drawn import any_robot
 
-DATA = Path(__file__).parents[2] / ".." / "shared" / "data" / "sorosim"
 BEAM = (1.8751040687, 4.6940911330)  # cos x cosh x = −1
 few = settings(law, max_examples=2)
 
@@ -267,25 +263,6 @@ def test_loads_and_holds_at_the_clamped_base_do_nothing():
     holds = (Hold(1e-17, 50.0, place=(0.1, 0.0, 0.0), start=0.01),)
     motion = simulate_motion(soft(), [], Scenario(wrenches=loads, holds=holds), 0.05)
     np.testing.assert_allclose(motion.at(0.5, 0.05).pose[:3, 3], [0.0, 0.0, 0.5], atol=1e-12)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("number", range(1, 6))
-def test_a_release_moves_as_another_groups_solver_says(number):
-    file = (DATA / f"spring_steel_dynamics_{number}.txt").resolve()
-    if not file.is_file():
-        pytest.skip("SoroSim's releases are not beside the checkout")
-    release = read_release(file)
-    base = np.eye(4)
-    base[:3, :3] = [[0.0, 0, 1], [1, 0, 0], [0, 1, 0]]
-    rod = wire(base, retardation=release.damping)
-    motion = simulate(release, rod, 1.0)
-    times = release.time[:201]
-    ours = motion.at([[0.3], [0.6]], times).pose[..., :3, 3]
-    error = np.sqrt(np.mean(np.sum((ours - release.place[:, :201]) ** 2, axis=-1), axis=1))
-    share = error / np.linalg.norm(np.ptp(release.place[1, :201], axis=0))
-    print(f"release {number}: middle {share[0]:.2%}, tip {share[1]:.2%} of the tip's travel")
-    assert share.max() < 3e-3
 
 
 @pytest.mark.parametrize(

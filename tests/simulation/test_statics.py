@@ -1,7 +1,6 @@
 """Static shapes against closed forms, a shooting oracle, another group's solver; and none."""
 
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,18 +12,6 @@ from glissando.geometry import se3
 from glissando.simulation import Loads, NoShapeError, Rod, Tendon, Wrench, solve_shape
 from oracles import rods
 from rods_drawn import LOADS, STRAIGHT, any_robot, beam
-from sorosim import differences
-
-DATA = Path(__file__).parents[2] / ".." / "shared" / "data"
-
-
-@pytest.fixture(scope="session")
-def sorosim():
-    file = (DATA / "sorosim" / "spring_steel_statics.csv").resolve()
-    if not file.is_file():
-        pytest.skip("SoroSim's shapes are not beside the checkout")
-    return file
-
 
 # ---- closed forms ----
 
@@ -134,16 +121,6 @@ def test_a_robot_has_the_shape_that_shooting_finds(features, seed):
     )
     assert max(errors[:2]) < 1e-6
     assert errors[2] < 5e-6  # of the bending that is carried, from strains that cancel in it
-
-
-@pytest.mark.slow
-def test_five_hundred_shapes_of_another_groups_solver_are_ours(sorosim):
-    distance, angle = differences(sorosim)
-    tip = 1e3 * distance[:, -1]
-    assert np.median(tip) < 0.15
-    assert np.quantile(tip, 0.99) < 0.42
-    assert 1e3 * distance.max() < 0.65
-    assert np.degrees(angle.max()) < 0.35
 
 
 # ---- where there is no shape ----

@@ -11,8 +11,8 @@ TABLE = tomllib.loads((ROOT / "tests" / "promises.toml").read_text(encoding="utf
 
 @cache
 def tests_in(file):
-    """Names of the tests in a file of tests/, mapped to whether they are slow."""
-    path = ROOT / "tests" / file
+    """Names of the tests in a file, below tests/ unless of benchmarks; whether they are slow."""
+    path = (ROOT if file.startswith("benchmarks/") else ROOT / "tests") / file
     if not path.is_file():
         return {}
     nodes = ast.parse(path.read_text(encoding="utf-8")).body

@@ -41,7 +41,7 @@ def _has_fixtures(file):
     return file.suffix == ".py" and 'scope="module"' in file.read_text(encoding="utf-8")
 
 
-DATA = Path(__file__).parents[1] / ".." / "shared" / "data"
+DATA = Path(__file__).parent / ".." / "shared" / "data"
 
 
 @pytest.fixture(scope="session", autouse=True)

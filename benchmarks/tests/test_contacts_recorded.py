@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-contacts_recorded = pytest.importorskip("contacts_recorded")
+import contacts_recorded
 
 DATA = Path("../shared/data/spacetime")
 

@@ -17,10 +17,10 @@ from slope import slope_test
 gtsam = pytest.importorskip("gtsam")
 peers = pytest.importorskip("peers")
 
-import peers_curves  # noqa: E402
-import peers_gtsam  # noqa: E402
-from oracles.published_static import PublishedStatic  # noqa: E402
-from peers_problems import REPORTED_ON, Numbers, Problem  # noqa: E402
+import peers_curves
+import peers_gtsam
+from oracles.published_static import PublishedStatic
+from peers_problems import REPORTED_ON, Numbers, Problem
 
 NUMBERS = Numbers.of(np.array([-3.0, 0.0, -0.5, -3.0, 1.4, 0.0, -3.15, -2.15]))
 STATIONS = np.linspace(0.0, 0.6, 13)
