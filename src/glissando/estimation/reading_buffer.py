@@ -86,8 +86,9 @@ class ReadingBuffer:
         """Rows that have a stamp of before; at one moment a stream may read several places."""
         time, place = readings.time, readings.arclength
         again = np.zeros(len(readings), dtype=bool)
-        if len(readings) > 1:
-            again[1:] = (time[1:] == time[:-1]) & (place[1:] == place[:-1])
+        order = np.lexsort((place, time))  # what comes twice stays in order
+        same = (np.diff(time[order]) == 0.0) & (np.diff(place[order]) == 0.0)
+        again[order[1:]] = same
         if time.min() > self._newest.get(readings.label, -np.inf):
             return again
         for other in (self._all_held(readings.label), self._waiting.get(readings.label)):
