@@ -5,9 +5,11 @@ import pytest
 
 from glissando import GlissandoError, estimate
 from glissando.errors import OutsideGridError
+from glissando.estimation.fixed_lag import FixedLagSmoother
 from glissando.io.netcdf import COMPONENTS, load_posterior, save_posterior
 from glissando.model.interpolation import sort_points
 from glissando.model.state import DOF
+from online import fed
 from scenes import LENGTH, sliding_scene
 
 
@@ -104,3 +106,16 @@ def test_a_file_of_something_else_is_refused(tmp_path):
     (tmp_path / "other.nc").write_bytes(b"no netcdf")
     with pytest.raises(GlissandoError, match="cannot be read as NetCDF"):
         load_posterior(tmp_path / "other.nc")
+
+
+def test_the_window_of_a_smoother_is_read_as_it_was_saved(tmp_path):
+    """Its first node stands for the time since the node before it, which left the window."""
+    prior, grid, readings = sliding_scene()
+    smoother = FixedLagSmoother(prior, grid.arclength, window=3)
+    fed(smoother, grid, readings)
+    window = smoother.posterior()
+    save_posterior(window, tmp_path / "window.nc")
+    again = load_posterior(tmp_path / "window.nc")
+    assert again.grid.before == window.grid.before is not None
+    where = np.linspace(0.0, LENGTH, 9), window.grid.time[0] + np.linspace(0.0, 0.1, 9)
+    np.testing.assert_allclose(again.at(*where).cov, window.at(*where).cov, rtol=1e-6, atol=1e-12)

@@ -162,6 +162,8 @@ def save_posterior(posterior: Posterior, path: str | Path) -> None:
     dataset.attrs["sensor_parameters"] = json.dumps(
         [_plain({**vars(u), "values": values}) for u, values in posterior.sensor_parameters]
     )
+    if posterior.grid.before is not None:
+        dataset.attrs["time_before"] = posterior.grid.before
     dataset.attrs["versions"] = json.dumps(versions())
     dataset.attrs["solve"] = json.dumps(posterior.solve.to_table())
     packed = {"zlib": True, "complevel": 4, "shuffle": True}
@@ -212,7 +214,9 @@ def _posterior(dataset: xarray.Dataset, name: str) -> Posterior:
     attributes = dataset.attrs
     parameters = attributes.get("sensor_parameters") or attributes.get("unknowns", "[]")
     prior = _as_prior(json.loads(attributes["prior"]), name)
-    grid = Grid(_numbers(dataset, "arclength"), _numbers(dataset, "time"))
+    before = attributes.get("time_before")
+    before = None if before is None else float(before)
+    grid = Grid(_numbers(dataset, "arclength"), _numbers(dataset, "time"), before)
     state = State(*(_numbers(dataset, field) for field in _FIELDS if field in dataset))
     blocks = (_numbers(dataset, key) for key in ("information", "information_below"))
     estimated = [_as_sensor_parameter(table) for table in json.loads(parameters)]
