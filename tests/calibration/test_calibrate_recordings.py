@@ -98,13 +98,14 @@ def folder(tmp_path):
 
 
 @pytest.mark.slow
-def test_an_estimate_asks_for_calibration_and_takes_its_result(folder, capsys):
+def test_an_estimate_asks_for_calibration_and_takes_its_result(folder, capsys, monkeypatch):
     assert main(["estimate", str(folder)]) == 2
     told = capsys.readouterr().err
     assert f"run glissando calibrate {folder}" in told
     assert "frame 'tracker'" in told
     before = (folder / "recording.toml").read_bytes()
-    assert main(["calibrate", str(folder), "--out", str(folder.parent / "rig.toml")]) == 0
+    monkeypatch.chdir(folder)
+    assert main(["calibrate", ".", "--out", str(folder.parent / "rig.toml")]) == 0
     told = capsys.readouterr().out
     assert "tracker delay" in told
     assert "ms" in told

@@ -44,9 +44,10 @@ def test_a_calibration_file_with_a_wrong_key_is_refused_with_its_name(tmp_path):
     text = (tmp_path / "rig.toml").read_text()
     wrong = [text.replace("lead = ", "laed = "), text.replace("glissando calibration 1", "some")]
     wrong.append(re.sub(r"^warnings = \[.*?\]", "warnings = 3.0", text, flags=re.M | re.S))
+    wrong.append(re.sub(r"^log_odds = .*$", 'log_odds = "high"', text, flags=re.M))
     for bad in wrong:
         (tmp_path / "bad.toml").write_text(bad)
-        with pytest.raises(GlissandoError, match=r"lead|format|warnings"):
+        with pytest.raises(GlissandoError, match=r"lead|format|warnings|log_odds"):
             load_calibration(tmp_path / "bad.toml")
 
 

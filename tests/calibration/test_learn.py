@@ -18,6 +18,7 @@ from glissando.calibration.robot import objective
 from glissando.calibration.robot.hyperparameters import expanded, learnable
 from glissando.calibration.robot.learn import learn
 from glissando.calibration.robot.objective import Objective
+from glissando.cli.learn import _held_out_cells
 from glissando.io.shipped_robots import robot_file
 from glissando.model.sensors.sensors import PoseReadings
 from glissando.solver.gauss_newton import SolverOptions
@@ -346,3 +347,11 @@ def test_a_robot_file_that_is_none_is_one_sentence(recording, tmp_path, capsys, 
     own.write_text(text)
     assert run("learn", recording, "--robot", own, "--out", tmp_path / "o.toml", *WINDOW) == 2
     assert sentence in capsys.readouterr().err
+
+
+def test_what_a_stream_that_was_held_out_does_not_read_has_no_number():
+    errors = {"position_rmse": 2e-3, "nees_position": 1.1, "coverage95_position": 0.9}
+    held = {**errors, "rotation_rmse": None}
+    assert _held_out_cells(held) == ["2.00", "–", "1.10", "90.0 %"]
+    none = {**dict.fromkeys(errors), "rotation_rmse": 0.1}
+    assert _held_out_cells(none) == ["–", "5.73", "–", "–"]

@@ -138,6 +138,10 @@ def test_a_robot_file_keeps_its_text_and_carries_the_latest_tube(tmp_path):
     middle = with_tube(text, first).replace("[prior]", "[tube]\nlevel = 0.5\n\n[prior]", 1)
     file.write_text(with_tube(middle.rsplit("[tube]", 1)[0], second), encoding="utf-8")
     assert load_robot(file).tube == second
+    noted = with_tube(text, first).replace("[tube]", "[tube]\n# of a session in May")
+    again = with_tube(f"{noted}\n# of the data sheet\n[more]\n", second)
+    assert "# of a session in May\n" in again
+    assert "# of the data sheet\n[more]\n" in again
     file.write_text(once.replace("level = 0.9", "level = 1.5"), encoding="utf-8")
     with pytest.raises(RobotFileError, match="level"):
         load_robot(file)

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from glissando import GlissandoError, PoseReadings, estimate, load_robot
+from glissando import GlissandoError, OrientationReadings, PoseReadings, estimate, load_robot
 from glissando.cli.main import main
 from glissando.errors import ImplausibleError
 from glissando.evaluation.foreign_estimate import (
@@ -15,6 +15,7 @@ from glissando.evaluation.foreign_estimate import (
     read_estimate,
 )
 from glissando.evaluation.metrics import errors_against
+from glissando.geometry import se3
 from glissando.io.csv_stream import Rows, Stream
 from glissando.io.foreign import export, read_tracks
 from glissando.io.recording import Recording, save_recording
@@ -163,3 +164,16 @@ def test_the_command_makes_a_run_that_a_report_shows(scene, tmp_path, capsys):
     assert report["overall"]["position_rmse"] == pytest.approx(2e-3 * 3**0.5, rel=0.4)
     page = comparison(written_runs([tmp_path / "run"]))
     assert "imported from theirs.csv" in page
+
+
+def test_it_is_judged_by_orientations_too():
+    time, turn = np.linspace(0.0, 1.0, 11), np.array([0.0, 0.0, 0.0, 0.1, 0.0, 0.0])
+    pose, cov = np.tile(np.eye(4), (11, 1, 1)), np.tile(1e-4 * np.eye(6), (11, 1, 1))
+    theirs = ForeignEstimate(np.array([0.2]), [time], [pose], [cov], True)
+    mount = se3.exp(np.array([0.01, 0.0, 0.0, 0.0, 0.3, 0.0]))
+    values = np.tile((se3.exp(turn) @ mount)[:3, :3], (11, 1, 1))
+    place = np.full(11, 0.2)
+    truth = OrientationReadings(
+        time=time, arclength=place, values=values, mount=mount, cov=[1e-6] * 3, name="imu"
+    )
+    np.testing.assert_allclose(theirs.errors(truth).rotation, 0.1, atol=1e-9)

@@ -24,6 +24,9 @@ from glissando.evaluation.simulation_based import (
     rank_points,
     simulate_and_rank,
 )
+from glissando.model.mechanics import Mechanics
+from glissando.model.priors.mechanical.inertia import Inertia
+from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.model.sensors.parameter_process import ParameterValues
 from glissando.model.sensors.readings import SENSORS
 
@@ -200,3 +203,14 @@ def test_the_smoother_has_read_a_long_session_to_its_end():
     read = PriorPredictive(robot, grid, layout).draw(np.random.default_rng(0)).readings
     batch, online = (_estimated(robot, grid, read, online=o).at(robot.length, 4.0) for o in (0, 1))
     assert np.allclose(np.diag(batch.cov)[:6], np.diag(online.cov)[:6], rtol=0.5)
+
+
+def test_a_prior_that_is_misjudged_is_so_in_all_its_standard_deviations():
+    stiffness = np.array([1e3, 1e3, 1e4, 0.01, 0.01, 0.008])
+    ones, inertia = np.ones(6), Inertia(3, 1e-3, 0.0, 0.1)
+    given = 1e-3 * ones, 1e-6 * ones, 1e-2 * ones, 0.5, 1e-6 * ones
+    prior = MechanicalPrior(Mechanics(stiffness, 0.05), *given, inertia=inertia)
+    wrong = misjudged(prior, 2.0)
+    np.testing.assert_allclose(wrong.var_tip, 4.0 * prior.var_tip)
+    assert wrong.inertia.std_release == pytest.approx(2.0 * inertia.std_release)
+    assert wrong.inertia.retardation == inertia.retardation

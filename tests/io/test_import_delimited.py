@@ -268,3 +268,14 @@ def test_mutilated_exports_are_read_or_refused_with_a_sentence(tmp_path):
         except RecordingError:
             refused += 1
     assert min(read, refused) > 50
+
+
+@pytest.mark.parametrize("text", ["Objects 100", "Frame Port Q0", '"Format Version" 1', "NO_OF 1"])
+def test_empty_lines_above_text_that_blanks_part_change_nothing(tmp_path, text):
+    said = []
+    for name, lines in (("a.csv", f"{text}\n1 2 3\n"), ("b.csv", f"\n\n{text}\n1 2 3\n")):
+        (tmp_path / name).write_text(lines)
+        with pytest.raises(RecordingError) as refusal:
+            read_tracks(tmp_path / name, rate=100.0)
+        said.append(re.sub(r"\S*[ab]\.csv( line \d)?", "it", str(refusal.value)))
+    assert said[0] == said[1]

@@ -1,6 +1,7 @@
 """A journal goes on where it ended, and one stream is readings of one kind."""
 
 from contextlib import ExitStack
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -53,4 +54,16 @@ def test_a_stream_that_was_cut_off_before_it_was_described_is_begun_anew(tmp_pat
     (tmp_path / "log" / "tip.csv").write_text("time,arclength,wx,wy,wz\n")
     with Journal(tmp_path / "log") as journal:
         journal.write(_pose(0.0, 1.0))
+    assert load_recording(tmp_path / "log").streams["tip"].rows.time.tolist() == [0.0, 1.0]
+
+
+def test_noise_or_a_mount_that_changes_is_refused_as_one_of_each_is_kept(tmp_path):
+    off = np.eye(4)
+    off[0, 3] = 0.02
+    with Journal(tmp_path / "log") as journal:
+        journal.write(_pose(0.0))
+        for change in ({"cov": np.full(6, 4.0)}, {"mount": off}):
+            with pytest.raises(SensorError, match="noise or mount is not that of the readings"):
+                journal.write(replace(_pose(1.0), **change))
+        journal.write(_pose(1.0))
     assert load_recording(tmp_path / "log").streams["tip"].rows.time.tolist() == [0.0, 1.0]

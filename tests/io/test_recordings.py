@@ -257,6 +257,10 @@ def test_a_quaternion_that_is_not_unit_is_refused(tmp_path):
     (tmp_path / "p.csv").write_text("time,arclength,x,y,z,qw,qx,qy,qz\n0,0.1,0,0,0,1,1,0,0\n")
     with pytest.raises(RecordingError, match=r"line 2: the quaternion has norm 1\.41"):
         load_recording(tmp_path)
+    rows = "\n\n0,0.1,0,0,0,1,0,0,0\n\n1,0.1,0,0,0,2,0,0,0\n"
+    (tmp_path / "p.csv").write_text("time,arclength,x,y,z,qw,qx,qy,qz" + rows)
+    with pytest.raises(RecordingError, match="line 5: the quaternion has norm 2"):
+        load_recording(tmp_path)
 
 
 @pytest.mark.parametrize("name", shipped_robots())

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from draws import sixes
+from glissando.errors import OutsideGridError
 from glissando.geometry import se3
 from glissando.model.grid import Grid
 from glissando.model.interpolation import sort_points
@@ -172,3 +173,12 @@ def test_what_is_kept_of_a_rod_is_used_for_those_nodes_alone_and_sent_nowhere():
             fresh = mechanical().interpolate(GRID, state, state, points).cov
             np.testing.assert_allclose(found, fresh, rtol=1e-9, atol=1e-15)
     assert not [v for v in vars(pickle.loads(pickle.dumps(prior))).values() if isinstance(v, dict)]
+
+
+@pytest.mark.parametrize("count", [2, 5])
+def test_gravity_by_shape_is_of_as_many_shapes_as_there_are(count):
+    prior = mechanical()
+    gravity = np.tile([0.0, 0.0, -9.81], (count, 1))
+    heavy = replace(prior, mechanics=replace(prior.mechanics, gravity=gravity))
+    with pytest.raises(OutsideGridError, match=f"given for {count} shapes and there are 3"):
+        heavy.rest_state(Grid.apart(NODES_S, 3))

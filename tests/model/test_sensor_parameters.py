@@ -9,6 +9,7 @@ from glissando import GlissandoError, GyroReadings, PositionReadings, estimate
 from glissando.geometry import se3
 from glissando.io.netcdf import load_posterior, save_posterior
 from glissando.model.grid import Grid
+from glissando.model.sensors.accelerometer import AccelerometerReadings
 from glissando.model.sensors.parameter_process import EstimatedParameters
 from glissando.model.sensors.parameters import SIZES, SensorParameter
 from glissando.model.sensors.readings import slide_motion
@@ -299,3 +300,13 @@ def test_a_constant_keeps_for_an_hour_where_a_window_says_nothing_of_how_long():
     process = EstimatedParameters(window, [constant])
     walked = np.sqrt(2.0 * 3600.0 / process.memory[0])  # of its standard deviation
     assert walked < 0.01
+
+
+def test_what_reads_in_its_own_frame_has_no_frame_in_the_world():
+    """Else metres would be added to radians a second."""
+    shift = SensorParameter("f", "frame", ("g",), np.array([0.5, 0, 0, 0, 0, 0]), np.zeros(6))
+    read = {"time": [0.0], "arclength": [0.1], "values": np.zeros((1, 3)), "cov": np.ones(3)}
+    assert shift.shift(PositionReadings(**read), shift.value).values[0, 0] == 0.5
+    for cls in (GyroReadings, AccelerometerReadings):
+        with pytest.raises(GlissandoError, match="has no frame"):
+            shift.shift(cls(**read), shift.value)

@@ -124,7 +124,8 @@ def _of_session(options: argparse.Namespace) -> tuple[Calibration, list[Path]]:
 def _of_recording(options: argparse.Namespace) -> tuple[Calibration, list[Path]]:
     """Calibrate a recording; the result, and the recording that was written."""
     folder: Path = options.session
-    original = folder.with_name(folder.resolve().name + ".uncalibrated")
+    folder = folder if folder.name.strip(".") else folder.resolve()  # "." has no name
+    original = folder.with_name(f"{folder.name}.uncalibrated")
     if options.recording is None:
         require_new(original, RecordingError)
     recording = load_recording(folder)
@@ -137,7 +138,7 @@ def _of_recording(options: argparse.Namespace) -> tuple[Calibration, list[Path]]
     where: str | Path = named if options.robot else beside(folder, named)
     if where and where not in shipped_robots():
         where = robot_file(where)
-    out = options.recording or folder.with_name(f".{folder.resolve().name}-calibrated")
+    out = options.recording or folder.with_name(f".{folder.name}-calibrated")
     save_recording(made, out, where, _listed(result))
     if options.recording:
         return result, [out]

@@ -132,11 +132,15 @@ def _import_estimate(options: argparse.Namespace) -> int:
     judges = recording.readings(truth, robot, recording.span(), as_truth=True)[0]
     report = foreign_report(names_of_files, estimate, recording, robot, judges)
     write_report(options.out / "report.json", report | stated(options, robot))
-    rmse, judged = 1e3 * report["overall"]["position_rmse"], [s["name"] for s in report["sites"]]
+    overall, judged = report["overall"], ", ".join(s["name"] for s in report["sites"])
+    if overall["position_rmse"] is None:  # orientations alone
+        rmse = f"{math.degrees(overall['rotation_rmse']):.2f}°"
+    else:
+        rmse = f"{1e3 * overall['position_rmse']:.2f} mm"
     for name, lost in report["dropped"].items():
         counts = ", ".join(f"{count} {why}" for why, count in lost.items())
         print(f"{name}: {counts}, not judged")
-    print(f"Wrote {options.out}: {rmse:.2f} mm RMSE against {', '.join(judged)}.")
+    print(f"Wrote {options.out}: {rmse} RMSE against {judged}.")
     print(f"Now: glissando report RUN {options.out}")
     return 0
 

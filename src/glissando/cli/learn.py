@@ -267,9 +267,18 @@ def _print(result: Learned, report: dict[str, Any], std: dict[str, Array]) -> No
         headings = "position (mm)", "rotation (deg)", "NEES / dof", "inside 95 %"
         table = number_table("Truth that was held out", headings, left=("file",))
         for held in held_out:
-            position, turn = 1e3 * held["position_rmse"], math.degrees(held["rotation_rmse"])
-            inside = f"{100.0 * held['coverage95_position']:.1f} %"
-            row = f"{position:.2f}", f"{turn:.2f}", f"{held['nees_position']:.2f}", inside
-            table.add_row(held["file"], *row)
+            table.add_row(held["file"], *_held_out_cells(held))
         console.print(table)
     console.print(f"Wrote {report['out']}", markup=False)
+
+
+def _held_out_cells(held: dict[str, Any]) -> list[str]:
+    """Errors of a stream that was held out, as a table shows them; what it does not read is –."""
+    forms = {
+        "position_rmse": (1e3, "{:.2f}"), "rotation_rmse": (math.degrees(1.0), "{:.2f}"),
+        "nees_position": (1.0, "{:.2f}"), "coverage95_position": (100.0, "{:.1f} %"),
+    }  # fmt: skip
+    return [
+        "–" if held[key] is None else form.format(scale * held[key])
+        for key, (scale, form) in forms.items()
+    ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,7 +59,7 @@ def _unit_tube(count: int, around: int) -> tuple[Index, Array, Array]:
     ring = np.concatenate([[0] * _CAP, np.arange(count), [count - 1] * _CAP])
     angle = np.linspace(0.0, 2.0 * np.pi, around, endpoint=False)
     across = np.cos(tilt)[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], -1)
-    return ring, across, np.sin(tilt)
+    return _fixed(ring), _fixed(across), _fixed(np.sin(tilt))
 
 
 @lru_cache(maxsize=16)
@@ -72,4 +73,10 @@ def tube_faces(rings: int, around: int) -> NDArray[np.intp]:
     here = np.arange(rings * around).reshape(rings, around)
     on = np.roll(here, -1, axis=1)
     a, b, c, d = here[:-1], on[:-1], here[1:], on[1:]
-    return np.stack([a, b, c, b, d, c], axis=-1).reshape(-1, 3)
+    return _fixed(np.stack([a, b, c, b, d, c], axis=-1).reshape(-1, 3))
+
+
+def _fixed(array: NDArray[Any]) -> NDArray[Any]:
+    """An array that nobody writes to: all who ask share it."""
+    array.flags.writeable = False
+    return array

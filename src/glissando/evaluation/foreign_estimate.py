@@ -105,9 +105,11 @@ class ForeignEstimate(Brief):
 
     def errors(self, truth: Readings) -> Errors:
         """Errors at the samples of a truth stream that the estimate covers, outside of its gaps."""
-        if truth.values.ndim == 3:  # at the cross-section itself, which positions are of
-            values, mount = truth.values @ se3.inverse(truth.mount), np.eye(4)
-            truth = replace(truth, values=values, mount=mount)
+        back = se3.inverse(truth.mount)  # at the cross-section itself, which positions are of
+        if truth.value_shape == (4, 4):
+            truth = replace(truth, values=truth.values @ back, mount=np.eye(4))
+        elif truth.value_shape == (3, 3):
+            truth = replace(truth, values=truth.values @ back[..., :3, :3], mount=np.eye(4))
         at = truth.arclength, truth.time
         truth = truth.select(self.covers(*at) & ~self.in_gap(*at))
         errors = errors_against(self, truth)

@@ -189,6 +189,8 @@ def misjudged(prior: Prior, factor: float) -> Prior:
             return {inner: scaled(inner, each) for inner, each in value.items()}
         if key.startswith(("psd_", "var_")):
             return (factor**2 * np.asarray(value)).tolist()
+        if key.startswith("std_"):
+            return (factor * np.asarray(value)).tolist()
         return value
 
     robot = Table(scaled("", table), "scaled prior", RobotFileError)

@@ -172,12 +172,12 @@ def read_named(
         )
     clock = header.index("time")
     table = _numbers(path, lines, 1, len(header), None if journal else clock)
+    if set(_QUATERNION) <= units.keys():
+        _require_unit(path, lines, table[:, [header.index(name) for name in _QUATERNION]])
     if journal:
         table = table[np.argsort(table[:, clock], kind="stable")]
     table = table[:, [header.index(name) for name in units]]
     table *= [scale_of(unit, length_unit, angle_unit) for unit in units.values()]
-    if set(_QUATERNION) <= units.keys():
-        _require_unit(path, table[:, [list(units).index(name) for name in _QUATERNION]])
     values = sensor.from_columns(table[:, 2:])
     return Rows(kind, table[:, 0], table[:, 1], values, {}, settings)
 
@@ -246,13 +246,14 @@ def steady(rows: Rows, rate: float) -> Rows:
     return replace(rows, time=time)
 
 
-def _require_unit(path: Path, quaternion: Array) -> None:
+def _require_unit(path: Path, lines: list[str], quaternion: Array) -> None:
     """Raise RecordingError, with the line, unless every quaternion (M, 4) has norm one."""
     norm = np.linalg.norm(quaternion, axis=1)
     if np.any(np.abs(norm - 1.0) > 0.01):
         row = int(np.argmax(np.abs(norm - 1.0)))
+        line = [number for number, line in enumerate(lines, start=1) if line.strip()][row + 1]
         raise RecordingError(
-            f"{path.name} line {row + 2}: the quaternion has norm {norm[row]:.3g}; give a "
+            f"{path.name} line {line}: the quaternion has norm {norm[row]:.3g}; give a "
             f"unit quaternion qw, qx, qy, qz."
         )
 

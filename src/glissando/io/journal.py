@@ -47,6 +47,7 @@ class Journal:
         self.folder = Path(folder)
         self._described = self.folder / "recording.toml"
         self._files: dict[str, BinaryIO] = {}
+        self._stated: dict[str, tuple[Array, Array]] = {}  # noise and mount of each stream
         self._synced = time.monotonic()
         if self.folder.exists() and not self.folder.is_dir():
             raise RecordingError(f"{self.folder} is no folder; give the journal another one.")
@@ -94,6 +95,13 @@ class Journal:
         settings = {key: np.asarray(getattr(readings, key)) for key in named}
         at = readings.time, readings.arclength
         rows = Rows(readings.kind, *at, readings.values, {}, settings)
+        std, mount = _std(readings), readings.mount
+        before = self._stated.setdefault(readings.label, (std, mount))
+        if not all(map(np.array_equal, before, (std, mount))):
+            raise SensorError(
+                f"{readings.label}: its noise or mount is not that of the readings before, "
+                f"which stands in recording.toml; give these readings a name of their own."
+            )
         file = self._files.get(readings.label) or self._begin(readings, rows)
         table = rows.table()
         lines = (",".join(map(repr, row)) for row in table.tolist())
@@ -134,7 +142,7 @@ class Journal:
         """The stream's file, described in recording.toml unless it was before."""
         name = file_stem(readings.label, SensorError)
         described = name in self._kinds
-        stream = Stream(name, rows, False, _std(readings), readings.mount, keep_repeats=True)
+        stream = Stream(name, rows, False, *self._stated[readings.label], keep_repeats=True)
         path = self.folder / f"{name}.csv"
         file = path.open("ab" if described or _has_rows(path) else "wb")
         self._files[name] = file

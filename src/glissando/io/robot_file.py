@@ -150,7 +150,9 @@ def with_tube(text: str, tube: Tube) -> str:
         text: The robot file.
         tube: The tube to write.
     """
-    rest = re.sub(r"^\[tube\][^\n]*\n(?:(?!\[)[^\n]*(?:\n|\Z))*", "", text, flags=re.MULTILINE)
+    table = r"^\[tube\][^\n]*\n((?:(?!\[)[^\n]*(?:\n|\Z))*)"
+    keys = re.compile(r"^[ \t]*\w+[ \t]*=[^\n]*(?:\n|\Z)", re.MULTILINE)
+    rest = re.sub(table, lambda own: keys.sub("", own[1]), text, flags=re.MULTILINE)
     entries = "".join(f"{key} = {value}\n" for key, value in vars(tube).items())
     return f"{rest.rstrip()}\n\n[tube]\n{entries}"
 

@@ -169,7 +169,9 @@ def load_calibration(path: str | Path) -> Calibration:
         table.subtable(key) for key in ("frames", "coil", "slide", "covariance")
     )
     epoch = table.number("epoch", positive=False)
-    odds = table.peek("log_odds")
+    odds = table.peek("log_odds") or 0.0
+    if isinstance(odds, bool) or not isinstance(odds, int | float):  # infinite if sure
+        raise table.fail("log_odds", f"is {str(odds)[:60]}; give a number.")
     direction = slide.number("direction", positive=False)
     if direction not in (1.0, -1.0):
         raise slide.fail("direction", f"is {direction:g}; give 1 or -1.")
@@ -188,7 +190,7 @@ def load_calibration(path: str | Path) -> Calibration:
     warnings = table.peek("warnings") or []
     if not (isinstance(warnings, list) and all(isinstance(text, str) for text in warnings)):
         raise table.fail("warnings", f"is {str(warnings)[:60]}; give a list of sentences.")
-    constants = rig, cov, coil.text("name"), float(odds or 0.0)
+    constants = rig, cov, coil.text("name"), float(odds)
     return Calibration(*constants, warnings=tuple(warnings), channel=coil.channel())
 
 

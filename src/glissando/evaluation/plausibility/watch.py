@@ -52,7 +52,7 @@ class Watch:
             return self._collect()
         except BrokenExecutor:
             self._due = np.inf
-            return self._new([Finding("guard", _ENDED, False)])
+            return [Finding("guard", _ENDED, False)]
 
     def last(self, now: float) -> list[Finding]:
         """What was not said before, of the newest readings at the end of a session, looked at here.

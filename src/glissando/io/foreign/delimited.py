@@ -40,13 +40,14 @@ def cells_of(path: Path) -> list[Line]:
     """
     lines = text_lines(path)
     delimiter = _delimiter(lines)
-    out = []
+    out: list[Line] = []
     for number, line in enumerate(lines, start=1):
-        cells = line.split(delimiter) if delimiter else _BLANKS.findall(line)
+        cells = line.split(delimiter) if delimiter else _BLANKS.findall(line) or [""]
         cells = [cell.strip() for cell in cells]
         if delimiter != ",":
             cells = [c.replace(",", ".") if _COMMA.fullmatch(c) else c for c in cells]
-        out.append((number, [cell.strip('"') for cell in cells]))
+        if out or any(cells):  # empty lines before the first do not count
+            out.append((number, [cell.strip('"') for cell in cells]))
     return out
 
 

@@ -78,7 +78,8 @@ def _sections(path: Path) -> Iterator[_Section]:
         if title in TITLES:
             if end - at < 5:
                 raise RecordingError(
-                    f"{path.name} line {at + 1}: {title} end before their units; export it again."
+                    f"{path.name} line {lines[at][0]}: {title} end before their units; export it "
+                    f"again."
                 )
             (number, names, labels, units) = (lines[at + k][1] for k in range(1, 5))
             yield _Section(title, number[0], names, labels, units, lines[at + 5 : end])

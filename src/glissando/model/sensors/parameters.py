@@ -151,7 +151,8 @@ class SensorParameter:
             SensorError: The sensor has no parameter of this kind.
         """
         fits = _FOR.get(self.kind)
-        if fits is not None and readings.value_shape not in fits:
+        frameless = self.kind == "frame" and not type(readings).reads_in_world()
+        if frameless or (fits is not None and readings.value_shape not in fits):
             raise SensorError(
                 f"Sensor parameter {self.name!r}: a {type(readings).__name__} has no {self.kind}."
             )

@@ -188,6 +188,11 @@ class MechanicalPrior:
     def rest_state(self, grid: Grid) -> State:
         """The robot on the grid under its own weight and no load, from which an estimate starts."""
         still, count = np.zeros((*grid.shape, 6)), len(np.atleast_2d(self.mechanics.gravity))
+        if count > 1 and count != grid.time.size:
+            raise OutsideGridError(
+                f"Gravity is given for {count} shapes and there are {grid.time.size}; give a row "
+                f"for each, or one for all."
+            )
         base = np.broadcast_to(self.base_pose, (count, 4, 4))
         pose, strain = hanging_rod(self.mechanics, self.rod.tiled(grid, count), base)
         pose = np.broadcast_to(pose, (*grid.shape, 4, 4)).copy()
