@@ -138,6 +138,26 @@ def test_a_pause_may_be_passed_at_once_or_in_any_steps(name):
         np.testing.assert_allclose(found, found[-1], rtol=0.15)
 
 
+@pytest.mark.parametrize("silent", [0.0, 4.0, 20.0])
+def test_the_newest_state_is_the_same_by_whatever_way_it_is_asked_for(silent):
+    """Also after silence, where belief is that of shapes and a tangent space reaches for metres."""
+    robot = load_robot("sliding700")
+    smoother = FixedLagSmoother(robot.prior, robot.arclength_nodes)
+    pose = np.eye(4)[None].copy()
+    pose[0, 2, 3] = robot.length
+    for time in (0.0, 0.1, 0.2):
+        read = {"time": [time], "arclength": [robot.length], "values": pose, "name": "tip"}
+        smoother.add(PoseReadings(cov=np.repeat([1e-6, 1e-4], 3), **read))
+        smoother.advance(time)
+    newest = smoother.advance(0.2 + silent)
+    nodes, time = robot.arclength_nodes, smoother.time
+    np.testing.assert_allclose(smoother.at(nodes, time).cov, newest.cov, rtol=1e-9, atol=1e-15)
+    middle = smoother.at(0.5 * (nodes[1:] + nodes[:-1]), time).std_position
+    assert np.all(middle < 1.01 * robot.length)
+    if silent:
+        assert np.all(middle <= np.maximum(newest.std_position[1:], newest.std_position[:-1]))
+
+
 def test_readings_that_come_with_the_end_of_the_pause_are_used_at_once():
     """A loop that stood still adds before it advances; stamps then lie far ahead of the window."""
     robot = load_robot("tdcr466")

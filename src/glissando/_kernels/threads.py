@@ -22,7 +22,10 @@ def _controller() -> ThreadpoolController:
 
 
 def one_thread() -> AbstractContextManager[None]:
-    """Hold BLAS to one thread while the context lasts; it costs nothing where it is already."""
+    """Hold BLAS to one thread while the context lasts; it costs nothing where it is already.
+
+    OpenBLAS takes the number from the main thread alone: elsewhere set OPENBLAS_NUM_THREADS=1.
+    """
     return _NOTHING if getattr(_held, "already", False) else _limited()
 
 

@@ -23,6 +23,7 @@ from glissando.estimation.delays import delayed
 from glissando.estimation.given import require_gate, require_model, require_stream, require_window
 from glissando.estimation.loads import require_mechanics
 from glissando.estimation.posterior import Posterior, StateEstimate, state_at
+from glissando.estimation.shape_spread import spread_between
 from glissando.estimation.sliding_window import SlidingWindow
 from glissando.estimation.window_steps import WindowSteps
 from glissando.geometry.se3 import Array
@@ -169,7 +170,9 @@ class FixedLagSmoother:
         if np.all(when == self.time):  # as a rule, and then older nodes are not needed
             state, cov, grid = self.newest_node()
             newest = Marginals(cov[np.newaxis], np.zeros((0, *cov.shape)))
-            return state_at(self.prior, grid, state.take(np.newaxis), newest, place, when)
+            at = state_at(self.prior, grid, state.take(np.newaxis), newest, place, when)
+            wide = self._steps.curved and self.arclength.size > 1
+            return spread_between(self.arclength, self.newest(), place, at) if wide else at
         window = self._steps.ahead(float(np.max(when, initial=-np.inf)))
         begins, posterior = float(window.nodes.time[0]), window.posterior()
         late = when >= begins

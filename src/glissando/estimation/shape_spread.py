@@ -38,6 +38,24 @@ class ShapeSpread(StateEstimate):
         return lever @ self.cov[..., :6, :6] @ lever.T
 
 
+def spread_between(
+    arclength: Array, nodes: StateEstimate, place: Array, at: StateEstimate
+) -> ShapeSpread:
+    """An estimate at places (…) with the spread of shapes at the nodes, straight between them.
+
+    Args:
+        arclength: Nodes (N,), m.
+        nodes: What is believed there (N,), with the spread of shapes.
+        place: Where it is asked for, m.
+        at: What the linearised belief says there.
+    """
+    upper = np.clip(np.searchsorted(arclength, place), 1, arclength.size - 1)
+    share = (place - arclength[upper - 1]) / (arclength[upper] - arclength[upper - 1])
+    share = share[..., None, None]
+    cov = (1.0 - share) * nodes.cov[upper - 1] + share * nodes.cov[upper]
+    return ShapeSpread(at.pose, at.strain, at.velocity, cov)
+
+
 def spread_of(cov: Array, node: int, dof: int) -> tuple[float, float]:
     """RMS displacement (m) and turn (rad) of a node by the joint covariance (D, D) of a time."""
     variance = np.diagonal(cov)[node * dof : node * dof + 6]

@@ -195,10 +195,15 @@ class WindowSteps:
         if self._silence.is_at_rest(spread):
             self._restart(newest, Counter())
 
+    @property
+    def curved(self) -> bool:
+        """Whether belief is so wide that the spread of shapes counts, as after silence."""
+        return self._silence.curved or self.resting
+
     def newest(self) -> StateEstimate:
         """The newest state; after silence with the spread of shapes."""
         linear = self.window.newest_nodes()
-        if not (self._silence.curved or self.resting):
+        if not self.curved:
             return linear
         cov = shape_covariances(self.window.arclength, *self.window.newest())
         return ShapeSpread(linear.pose, linear.strain, linear.velocity, cov)
