@@ -9,6 +9,7 @@ import sys
 import numpy as np
 import pytest
 
+from glissando.cli import browser
 from glissando.cli import live as command
 from glissando.cli.main import main
 from glissando.hardware.openigtlink import Endpoint
@@ -53,7 +54,7 @@ def test_the_status_states_rate_latency_innovations_and_losses_beside_a_view(
         return views[-1]
 
     monkeypatch.setattr(command, "_PLAIN", 0.1)
-    monkeypatch.setattr(command, "Live", view)
+    monkeypatch.setattr(browser, "Live", view)
     options = ["--source", str(tmp_path / "wrong"), "--view"]
     assert main(["live", *options, "--rate", "20", "--duration", "1.2"]) == 0
     said = capsys.readouterr().err

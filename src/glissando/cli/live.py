@@ -17,6 +17,7 @@ from rich.console import Console
 from rich.live import Live as Line
 from rich.text import Text
 
+from glissando.cli.browser import browser_view
 from glissando.cli.interrupts import until_interrupted
 from glissando.cli.outputs import require_writable
 from glissando.cli.record import add_slide, further_paths, refuse_idle_slide, slide_path
@@ -37,7 +38,6 @@ from glissando.io.shipped_robots import robot_file
 from glissando.model.robot import Robot
 from glissando.model.slide_path import SlideLimits, SlidePath
 from glissando.planning.zones import read_zone
-from glissando.visualization.page import Live
 from glissando.visualization.page.live import follow
 
 _HELP = """\
@@ -74,7 +74,6 @@ something given was wrong.
 """
 _SIMULATED = "simulate"  # the source that is a simulated rig
 _SOURCES = f"{SOURCES}, a rig's setup file, or {_SIMULATED}"
-_POINTS = 41  # along the robot that is shown in a browser
 _RECENT = 300  # updates that the status is of
 _DAY = 86_400.0  # s that a slide is replanned at most
 _PLAIN, _TERMINAL = 5.0, 0.2  # s between statuses
@@ -137,7 +136,7 @@ def _run(options: argparse.Namespace, devices: ExitStack) -> int:
     status, now = _Status(session), 0.0
     watch = Watch(robot, devices.enter_context(_beside()))
     with until_interrupted(), ExitStack() as stack:
-        view = _view(robot, stack) if options.view else None
+        view = browser_view(robot.length, stack) if options.view else None
         stack.enter_context(status)
         stack.enter_context(session)
         for update in session:
@@ -217,12 +216,6 @@ def _robot(options: argparse.Namespace, rigs: dict[str, Rig]) -> Robot:
         if (robot := load_recording(folder).robot) is not None:
             return robot
     raise GlissandoError("No source says which robot it is of; give --robot FILE or NAME.")
-
-
-def _view(robot: Robot, stack: ExitStack) -> Live:
-    view = stack.enter_context(Live(np.linspace(0.0, robot.length, _POINTS)))
-    print(f"Look at {view.address}", file=sys.stderr)
-    return view
 
 
 class _Status:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ from typing import Any
 import numpy as np
 from rich.markup import escape
 
+from glissando.cli.browser import browser_view
 from glissando.cli.console import Console
 from glissando.cli.outputs import require_results_folder, stated
 from glissando.cli.progress import working
@@ -27,7 +27,6 @@ from glissando.model.robot import Robot
 from glissando.model.seconds import seconds
 from glissando.visualization.canvas import save_figure
 from glissando.visualization.evaluation_figures import replay_figure
-from glissando.visualization.page import Live
 from glissando.visualization.page.live import follow
 
 _HELP = """\
@@ -49,7 +48,6 @@ exit status: 0 done; 2 something given was wrong.
 """
 
 _MOST = 1000  # time nodes of the estimator's window, as of `glissando live`
-_POINTS = 41  # along the robot that is shown live
 
 
 def add_to(commands: Commands) -> None:
@@ -76,7 +74,7 @@ def _replay(options: argparse.Namespace) -> int:
         if (options.out / "replay.json").exists():
             raise GlissandoError(f"{options.out} holds a finished run; give another --out.")
     with working(f"replaying {recording.name}") as work, ExitStack() as stack:
-        view = _live_view(robot, stack) if options.live else None
+        view = browser_view(robot.length, stack) if options.live else None
 
         def watch(done: int, total: int, smoother: FixedLagSmoother) -> None:
             work.update(done, total)
@@ -112,13 +110,6 @@ def _require_lag(lag: float | None, robot: Robot) -> None:
         raise GlissandoError(f"--lag is {lag:g} s; give seconds, 0 or more.")
     if lag > longest:
         raise GlissandoError(f"--lag is {lag:g} s; give at most {longest:g} s, {_MOST} time nodes.")
-
-
-def _live_view(robot: Robot, stack: ExitStack) -> Live:
-    """A view of the robot in a browser, served while the stack lasts."""
-    view = stack.enter_context(Live(np.linspace(0.0, robot.length, _POINTS)))
-    print(f"Look at {view.address}", file=sys.stderr)
-    return view
 
 
 def _write(result: Replay, folder: Path, more: dict[str, Any]) -> list[Path]:

@@ -13,7 +13,6 @@ from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
 from glissando.model.robot import Robot
-from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.state import DOF
 from glissando.model.tendons.statics import equilibrium
 from glissando.model.tendons.tendon_rod import TendonRod, mechanical, tendon_rod
@@ -99,8 +98,8 @@ def predict_tip(robot: Robot, displacement: Array, stream: str) -> tuple[Array, 
     """
     rod = tendon_rod(robot, np.zeros(0))
     shape = equilibrium(rod, displacement=rod.tendons.effective(displacement))
-    mount = se3.exp(_parameter(robot.sensor_parameters, "mount", stream))
-    frame = se3.inverse(se3.exp(_parameter(robot.sensor_parameters, "frame", stream)))
+    mount = se3.exp(robot.stated_transform("mount", stream))
+    frame = se3.inverse(se3.exp(robot.stated_transform("frame", stream)))
     tip = frame @ shape.pose()[:, -1]
     turn = tip[:, :3, :3]
     by_pose = np.concatenate([turn, -turn @ se3.hat3(mount[:3, 3])], axis=-1)
@@ -122,11 +121,3 @@ def _velocity(
     variance = rod.tendons.std**2 * np.sum(np.gradient(combs, time, axis=0) ** 2, axis=1)
     velocity = (by_pose @ speed[:, None, :, None])[..., 0]
     return velocity, variance[:, None, None, None] * by_pose @ np.swapaxes(by_pose, -1, -2)
-
-
-def _parameter(parameters: tuple[SensorParameter, ...], kind: str, stream: str) -> Array:
-    """Value (6,) of a stream's frame or mount; zero unless it is stated."""
-    for parameter in parameters:
-        if parameter.kind == kind and stream in parameter.streams:
-            return parameter.value
-    return np.zeros(6)

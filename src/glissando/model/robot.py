@@ -63,6 +63,11 @@ class Robot(Brief):
     nodes_at_readings: bool = False
     file: Path | None = None
 
+    def stated_transform(self, kind: str, stream: str) -> Array:
+        """Logarithm (6,) of a stream's frame or mount as stated; zero where it is not."""
+        stated = (p for p in self.sensor_parameters if p.kind == kind and stream in p.streams)
+        return next((parameter.value for parameter in stated), np.zeros(6))
+
     def grid(self, start: float, stop: float, readings: Sequence[Readings] = ()) -> Grid:
         """The robot's grid over a window.
 

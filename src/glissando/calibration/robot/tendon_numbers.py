@@ -67,8 +67,8 @@ class TendonModel:
         prior = _prior(tendons, len(mechanics.stiffness), robot.length)
         ends = np.cumsum([0, *(value.size for value in prior.values())])
         where = {name: slice(ends[i], ends[i + 1]) for i, name in enumerate(prior)}
-        frame = se3.inverse(se3.exp(_parameter(robot, "frame")))
-        mount = se3.exp(_parameter(robot, "mount"))
+        frame = se3.inverse(se3.exp(robot.stated_transform("frame", TIP)))
+        mount = se3.exp(robot.stated_transform("mount", TIP))
         segment = mechanics.segment(rod.middle)
         return TendonModel(
             robot, rod, segment, frame, mount, where, np.concatenate(list(prior.values()))
@@ -267,11 +267,3 @@ def _prior(tendons: Tendons, segments: int, length: float) -> dict[str, Array]:
         "frame shift": np.full(3, 0.025 * length),
         "mount": np.full(3, 0.015 * length),
     }
-
-
-def _parameter(robot: Robot, kind: str) -> Array:
-    """Value (6,) of the frame or the mount of the marker at the tip; zero unless it is stated."""
-    for parameter in robot.sensor_parameters:
-        if parameter.kind == kind and TIP in parameter.streams:
-            return parameter.value
-    return np.zeros(6)
