@@ -18,7 +18,7 @@ from glissando.solver.gauss_newton import SolverOptions
 _RENEWED = 2  # intervals before the newest node that an update linearises again
 _CLOSE = 0.02  # standard deviations: where the last step missed by less, the newest alone will do
 _MISS = 0.1  # standard deviations by which a step may miss before it is followed by another
-_MOST = 5  # steps of a solution
+_MOST = 5  # steps an update
 
 
 class LostError(Exception):
@@ -84,16 +84,16 @@ class GatedUpdate:
         Raises:
             LostError: New readings contradict a belief that cannot refuse them.
         """
-        window, before, most = self._window, self._window.points, fresh.total()
-        for again in range(most + 1):
+        window, before = self._window, self._window.points
+        for again in range(_MOST + 1):
             readings, wrong, broke = self.readings(first), None, None
             try:
                 self._solve(first, readings, _MOST)
-                wrong = self._most_wrong(fresh, first_look=not again) if most else None
-                if wrong is None or again == most:
+                wrong = self._most_wrong(fresh, first_look=not again) if fresh else None
+                if wrong is None or again == _MOST:
                     return
             except (np.linalg.LinAlgError, UnobservableError) as error:
-                if again == most:
+                if not fresh or again == _MOST:
                     raise
                 broke = error
             if not linear:
@@ -126,13 +126,16 @@ class GatedUpdate:
         """Stream, time and arclength of the new reading that fits least, if beyond belief."""
         worst, wrong = 1.0, None
         for innovations in self._window.innovations(fresh):
-            nis, stream = innovations.nis.tolist(), innovations.stream
+            nis = innovations.nis.tolist()
             if first_look:
-                self._gate.note(stream, nis, innovations.dof)
-            excess = self._gate.excess(stream, nis, innovations.dof)
+                self._gate.note(innovations.stream, nis, innovations.dof)
+            excess = self._gate.excess(innovations.stream, nis, innovations.dof)
             if excess > worst:
                 at = int(np.argmax(innovations.nis))
-                worst, wrong = excess, (stream, innovations.time[at], innovations.arclength[at])
+                worst, wrong = (
+                    excess,
+                    (innovations.stream, innovations.time[at], innovations.arclength[at]),
+                )
         return wrong
 
     def _refuse(self, stream: str, time: float, arclength: float) -> None:
