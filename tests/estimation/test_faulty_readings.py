@@ -226,6 +226,26 @@ def test_an_absurd_stamp_does_not_make_later_readings_look_like_repeated_ones():
     assert buffer._newest == {read.label: 0.0}
 
 
+@pytest.mark.parametrize("wrong", [3, 6, 8])
+def test_of_many_readings_of_an_update_no_wrong_one_is_believed(wrong):
+    """Two trackers at the tip, ten readings of each in an update; one of them is 50 mm off."""
+    robot, rng = load_robot("sliding700"), np.random.default_rng(0)
+    smoother = FixedLagSmoother(robot.prior, robot.arclength_nodes)
+    for k in range(1, 8):
+        for name in "ab":
+            pose = np.tile(np.eye(4), (10, 1, 1))
+            pose[:, :3, 3] = 1e-3 * rng.standard_normal((10, 3)) + [0.0, 0.0, robot.length]
+            if k == 7 and name == "b":
+                pose[-wrong:, 0, 3] += 0.05
+            every = {"time": 0.1 * k - 0.09 + 0.01 * np.arange(10), "name": name}
+            place = np.full(10, robot.length)
+            smoother.add(PoseReadings(arclength=place, values=pose, cov=POSE_COV, **every))
+        newest = smoother.advance(0.1 * k)
+    assert smoother.dropped["b"]["gated"] == wrong
+    assert smoother.dropped["a"]["gated"] == 0
+    assert abs(newest.position[-1, 0]) < 4.0 * np.sqrt(newest.cov[-1, 0, 0])
+
+
 def test_rows_that_come_twice_in_one_batch_count_once():
     robot = load_robot("sliding700")
     time = np.array([0.0, 0.1, 0.2, 0.3])

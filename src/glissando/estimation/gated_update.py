@@ -18,7 +18,7 @@ from glissando.solver.gauss_newton import SolverOptions
 _RENEWED = 2  # intervals before the newest node that an update linearises again
 _CLOSE = 0.02  # standard deviations: where the last step missed by less, the newest alone will do
 _MISS = 0.1  # standard deviations by which a step may miss before it is followed by another
-_MOST = 5  # steps an update
+_MOST = 5  # steps of a solution, and readings that any update may refuse
 
 
 class LostError(Exception):
@@ -74,7 +74,8 @@ class GatedUpdate:
         """Solve from a node on, more than once if far; refuse what nothing else agrees with.
 
         Where a wrong reading led, its neighbours look wrong: which one it is, is seen from where
-        nodes were before.
+        nodes were before. Of many readings no more than half are refused: where most disagree with
+        what is believed, as when a robot is touched, the belief is what is wrong.
 
         Args:
             first: The node.
@@ -85,15 +86,16 @@ class GatedUpdate:
             LostError: New readings contradict a belief that cannot refuse them.
         """
         window, before = self._window, self._window.points
-        for again in range(_MOST + 1):
+        most = max(_MOST, fresh.total() // 2)
+        for again in range(most + 1):
             readings, wrong, broke = self.readings(first), None, None
             try:
                 self._solve(first, readings, _MOST)
                 wrong = self._most_wrong(fresh, first_look=not again) if fresh else None
-                if wrong is None or again == _MOST:
+                if wrong is None or again == most:
                     return
             except (np.linalg.LinAlgError, UnobservableError) as error:
-                if not fresh or again == _MOST:
+                if not fresh or again == most:
                     raise
                 broke = error
             if not linear:
@@ -126,16 +128,13 @@ class GatedUpdate:
         """Stream, time and arclength of the new reading that fits least, if beyond belief."""
         worst, wrong = 1.0, None
         for innovations in self._window.innovations(fresh):
-            nis = innovations.nis.tolist()
+            stream, nis, dof = innovations.stream, innovations.nis.tolist(), innovations.dof
             if first_look:
-                self._gate.note(innovations.stream, nis, innovations.dof)
-            excess = self._gate.excess(innovations.stream, nis, innovations.dof)
+                self._gate.note(stream, nis, dof)
+            excess = self._gate.excess(stream, nis, dof)
             if excess > worst:
-                at = int(np.argmax(innovations.nis))
-                worst, wrong = (
-                    excess,
-                    (innovations.stream, innovations.time[at], innovations.arclength[at]),
-                )
+                at = int(np.argmax(nis))
+                worst, wrong = excess, (stream, innovations.time[at], innovations.arclength[at])
         return wrong
 
     def _refuse(self, stream: str, time: float, arclength: float) -> None:
