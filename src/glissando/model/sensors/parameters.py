@@ -151,7 +151,8 @@ class SensorParameter:
             SensorError: The sensor has no parameter of this kind.
         """
         fits = _FOR.get(self.kind)
-        frameless = self.kind == "frame" and not type(readings).reads_in_world()
+        three = self.kind == "frame" and readings.value_shape == (3,)
+        frameless = three and not readings.fixes_base  # rates and accelerations of its own frame
         if frameless or (fits is not None and readings.value_shape not in fits):
             raise SensorError(
                 f"Sensor parameter {self.name!r}: a {type(readings).__name__} has no {self.kind}."

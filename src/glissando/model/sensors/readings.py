@@ -135,11 +135,6 @@ class Readings(Brief):
         return values
 
     @classmethod
-    def reads_in_world(cls) -> bool:
-        """Whether values are of a frame outside the robot: `in_frame` does something."""
-        return cls.in_frame.__func__ is not Readings.in_frame.__func__  # type: ignore[attr-defined]
-
-    @classmethod
     def repeated(cls, values: Array, arclength: Array) -> NDArray[np.bool_]:
         """Which readings (M,) of a tracker repeat the one before."""
         same = np.all(np.diff(cls.to_columns(values), axis=0) == 0.0, axis=1)
