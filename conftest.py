@@ -54,25 +54,25 @@ def kernels_are_called_as_declared():
             assert not others, f"{kernel.name} was called with {others}"
 
 
+def _beside(name, what):
+    """What stands beside the checkout; tests that need it are skipped without."""
+    path = (DATA / name).resolve()
+    if not path.exists():
+        pytest.skip(f"{what} not beside the checkout")
+    return path
+
+
 @pytest.fixture(scope="session")
 def spacetime() -> Path:
-    folder = (DATA / "spacetime").resolve()
-    if not folder.is_dir():
-        pytest.skip("the public space-time recordings are not beside the checkout")
-    return folder
+    return _beside("spacetime", "the public space-time recordings are")
 
 
 @pytest.fixture(scope="session")
 def golden() -> Path:
-    file = (DATA / "golden" / "reference_batch_slow_free_space.csv").resolve()
-    if not file.is_file():
-        pytest.skip("the reference implementation's results are not beside the checkout")
-    return file
+    file = "golden/reference_batch_slow_free_space.csv"
+    return _beside(file, "the reference implementation's results are")
 
 
 @pytest.fixture(scope="session")
 def openigtlink() -> Path:
-    folder = (DATA / "openigtlink").resolve()
-    if not folder.is_dir():
-        pytest.skip("the wire-exact OpenIGTLink messages are not beside the checkout")
-    return folder
+    return _beside("openigtlink", "the wire-exact OpenIGTLink messages are")

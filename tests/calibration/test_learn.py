@@ -1,9 +1,5 @@
-"""Learning robot files, and the command that writes them."""
+"""Learning robot files: what evidence and truth say of their numbers."""
 
-import json
-import subprocess
-import sys
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
@@ -11,18 +7,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from command_line import run
-from glissando import GlissandoError, load_robot, uniform_grid
+from glissando import GlissandoError, uniform_grid
 from glissando.calibration.robot import learn as learning
 from glissando.calibration.robot import objective
 from glissando.calibration.robot.hyperparameters import expanded, learnable
 from glissando.calibration.robot.learn import learn
 from glissando.calibration.robot.objective import Objective
-from glissando.cli.learn import _held_out_cells
-from glissando.io.shipped_robots import robot_file
 from glissando.model.sensors.sensors import PoseReadings
 from glissando.solver.gauss_newton import SolverOptions
-from learn_drawn import NOISE, readings, shipped
+from learn_drawn import NOISE, readings, same_process, shipped
 from scenes import LENGTH
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "closed_form_motion.py"
@@ -59,13 +52,6 @@ def start(noise=1.0):
     for key in ("psd_velocity_time", "psd_strain_time", "psd_velocity_arclength"):
         document["prior"][key] = [1e-3 * v for v in document["prior"][key]]
     return document
-
-
-@contextmanager
-def same_process(workers, context, prepare, arguments):
-    """Stands for the pool of processes."""
-    prepare(*arguments)
-    yield SimpleNamespace(map=map)
 
 
 @pytest.fixture
@@ -204,154 +190,3 @@ def test_a_start_that_cannot_be_estimated_is_said_to_be(in_process):
     document = start()
     with pytest.raises(GlissandoError, match="So much noise cannot be"):
         learn(document, of_label(document, "noise"), [Arc(most=1e-6)], steps=1)
-
-
-# The command.
-
-
-@pytest.fixture(scope="module")
-def recording(tmp_path_factory):
-    """A recording whose streams leave their noise to the robot file, and a robot on few nodes."""
-    folder = tmp_path_factory.mktemp("recordings") / "arc"
-    subprocess.run([sys.executable, EXAMPLE, folder], check=True, capture_output=True)
-    text = (folder / "recording.toml").read_text()
-    kept = [line for line in text.splitlines() if not line.startswith("std = ")]
-    (folder / "recording.toml").write_text("\n".join(kept))
-    robot = robot_file("tdcr466").read_text()
-    for old, new in (("arclength_nodes = 5", "arclength_nodes = 3"), ("= 30.0", "= 5.0")):
-        assert old in robot
-        robot = robot.replace(old, new)
-    (folder / "few.toml").write_text(robot)
-    return folder
-
-
-WINDOW = ["--window", 0, 1]
-
-
-@pytest.mark.slow
-def test_what_was_learned_is_a_robot_file_that_estimate_takes(recording, tmp_path, capsys):
-    out = tmp_path / "learned.toml"
-    more = ["--truth", "truth2,truth4", "--calibrate", "--hold-out", "truth3", "--json"]
-    arguments = ["--robot", recording / "few.toml", "--out", out, *WINDOW, "--steps", 1, *more]
-    assert run("learn", recording, *arguments, "--only", "noise coil") == 0
-    told = json.loads(capsys.readouterr().out)
-    learned = {p["name"] for p in told["parameters"]}
-    assert learned == {"coil noise, linear", "coil noise, angular"}
-    assert told["objective_after"] >= told["objective_before"] - 1e-4  # constants move on
-    assert [h["file"] for h in told["held_out"]] == ["before", "after"]
-    robot, before = load_robot(out), load_robot(recording / "few.toml")
-    for p in told["parameters"]:
-        where = slice(0, 3) if "linear" in p["name"] else slice(3, 5)
-        np.testing.assert_allclose(robot.sensor_std["coil"][where], p["value"])
-        old = before.sensor_std["coil"][where]
-        np.testing.assert_allclose(robot.sensor_std["coil"][where] / old, p["factor"])
-    np.testing.assert_array_equal(robot.sensor_std["gyro"], before.sensor_std["gyro"])
-    names = ["truth frame", "truth2 mount", "truth4 mount"]
-    assert [u.name for u in robot.sensor_parameters] == names
-    assert all(u.known for u in robot.sensor_parameters)
-    assert run("estimate", recording, "--robot", out, *WINDOW, "--json") == 0
-    assert json.loads(capsys.readouterr().out)["robot"] == "tdcr466"
-
-
-def test_constants_found_jointly_are_written_as_known_without_the_truths_delay(
-    recording, tmp_path, capsys, in_process
-):
-    out = tmp_path / "learned.toml"
-    options = ["--robot", recording / "few.toml", "--out", out, *WINDOW, "--steps", 1, "--json"]
-    more = ["--truth", "truth2,truth4", "--joint", "--only", "gyro noise"]
-    assert run("learn", recording, *options, *more) == 0
-    told = json.loads(capsys.readouterr().out)
-    names = ["truth frame", "truth2 mount", "truth4 mount"]
-    assert [c["name"] for c in told["constants"]] == [*names, "truth delay"]
-    robot = load_robot(out)
-    assert [u.name for u in robot.sensor_parameters] == names
-    assert all(u.known for u in robot.sensor_parameters)
-
-
-def test_without_json_a_table_is_printed_that_names_the_numbers(
-    recording, tmp_path, capsys, in_process
-):
-    out = tmp_path / "learned.toml"
-    options = ["--robot", recording / "few.toml", "--out", out, *WINDOW, "--steps", 1]
-    assert run("learn", recording, *options, "--only", "gyro noise") == 0
-    printed = capsys.readouterr().out
-    for word in ("What was learned", "gyro noise", "log-likelihood", "Wrote"):
-        assert word in printed
-    assert load_robot(out).sensor_std["gyro"].shape == (3,)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("changes", "sentence"),
-    [
-        (["--calibrate"], "--calibrate finds where the truth is mounted: name it with --truth"),
-        (["--joint"], "--joint finds where the truth is mounted: name it with --truth"),
-        (["--joint", "--calibrate", "--truth", "truth2"], "give one of them"),
-        (["--only", "nonsense"], "--only 'nonsense' matches no number"),
-        (["--only", "noise,nonsense"], "--only 'nonsense' matches no number"),
-        (["--steps", 0], "There is nothing to learn with --only"),
-        (["--truth", "sonar"], "'sonar'"),
-        (["--truth", "truth2", "--hold-out", "truth2"], "cannot be learned from and held out"),
-        (["--use", "coil", "--truth", "coil"], "coil"),
-        (["--robot", "nobody"], "no robot named 'nobody'"),
-        (["--window", 2, 1], "is empty; give T0 < T1"),
-        (["--window", 50, 60], "holds no readings"),
-    ],
-)
-def test_a_mistake_is_one_sentence_and_status_2(recording, tmp_path, capsys, changes, sentence):
-    out = tmp_path / "learned.toml"
-    options = ["--robot", recording / "few.toml", "--out", out, *WINDOW]
-    assert run("learn", recording, *options, *changes) == 2
-    captured = capsys.readouterr()
-    assert sentence in captured.err
-    assert captured.err.startswith("glissando: ")
-    assert captured.out == ""
-    assert not out.exists()
-
-
-@pytest.mark.slow
-def test_a_script_without_its_guard_gets_a_sentence_and_does_not_hang(recording, tmp_path):
-    words = [str(w) for w in ("learn", recording, "--robot", recording / "few.toml", *WINDOW)]
-    script = tmp_path / "script.py"
-    script.write_text(
-        f"from glissando.cli.main import main\n"
-        f"raise SystemExit(main({[*words, '--out', str(tmp_path / 'out.toml')]!r}))\n"
-    )
-    run = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=120)
-    assert run.returncode == 2
-    assert 'call learn from a script that begins with if __name__ == "__main__":' in run.stderr
-
-
-def test_the_file_to_start_from_is_not_overwritten(recording, tmp_path, capsys):
-    own = tmp_path / "own.toml"
-    own.write_text((recording / "few.toml").read_text())
-    assert run("learn", recording, "--robot", own, "--out", own, *WINDOW) == 2
-    assert "is the file to start from; give another name" in capsys.readouterr().err
-    assert own.read_text() == (recording / "few.toml").read_text()
-    nowhere = tmp_path / "no" / "folder.toml"
-    assert run("learn", recording, "--robot", own, "--out", nowhere, *WINDOW) == 2
-    assert "is no file in a folder that exists" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("text", "sentence"),
-    [
-        ("length = 1.0\n", "[prior] is missing"),
-        ("[prior]\nkind = 3\n", "own.toml"),
-        ("[prior]\n[sensors.pose]\n", "own.toml"),
-        ("[prior]\npsd_strain_arclength = 3\n", "own.toml"),
-    ],
-)
-def test_a_robot_file_that_is_none_is_one_sentence(recording, tmp_path, capsys, text, sentence):
-    own = tmp_path / "own.toml"
-    own.write_text(text)
-    assert run("learn", recording, "--robot", own, "--out", tmp_path / "o.toml", *WINDOW) == 2
-    assert sentence in capsys.readouterr().err
-
-
-def test_what_a_stream_that_was_held_out_does_not_read_has_no_number():
-    errors = {"position_rmse": 2e-3, "nees_position": 1.1, "coverage95_position": 0.9}
-    held = {**errors, "rotation_rmse": None}
-    assert _held_out_cells(held) == ["2.00", "–", "1.10", "90.0 %"]
-    none = {**dict.fromkeys(errors), "rotation_rmse": 0.1}
-    assert _held_out_cells(none) == ["–", "5.73", "–", "–"]

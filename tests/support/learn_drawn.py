@@ -1,5 +1,8 @@
 """Robot files as documents, and noisy poses of the moving arc to learn them from."""
 
+from contextlib import contextmanager
+from types import SimpleNamespace
+
 import numpy as np
 
 from glissando.geometry import se3
@@ -21,3 +24,10 @@ def readings(kind, name, place, time, *, std=NOISE, cov=None, seed=0):
     values = arc(place, time) @ se3.exp(noise)
     cov = np.asarray(std) ** 2 if cov is None else cov
     return kind(time=time, arclength=place, values=values, cov=cov, name=name)
+
+
+@contextmanager
+def same_process(workers, context, prepare, arguments):
+    """Stands for the pool of processes."""
+    prepare(*arguments)
+    yield SimpleNamespace(map=map)
