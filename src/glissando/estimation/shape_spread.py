@@ -43,6 +43,8 @@ def spread_between(
 ) -> ShapeSpread:
     """An estimate at places (…) with the spread of shapes at the nodes, straight between them.
 
+    Each node's covariance is of its own body frame, and so nearly that of a place beside it.
+
     Args:
         arclength: Nodes (N,), m.
         nodes: What is believed there (N,), with the spread of shapes.

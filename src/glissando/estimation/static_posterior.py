@@ -71,13 +71,10 @@ class StaticPosterior:
         pose, strain = np.empty((s.size, 4, 4)), np.empty((s.size, 6))
         cov = np.zeros((s.size, DOF, DOF))
         for points in sort_points(self.grid, s, k):
-            interpolation = self.prior.interpolate(self.grid, self.state, self.state, points)
-            pose[points.rows], strain[points.rows] = (
-                interpolation.state.pose,
-                interpolation.state.strain,
-            )
-            slopes, left = interpolation.jacobian[:, _DOFS], interpolation.cov[:, _DOFS, _DOFS]
-            cov[points.rows, _DOFS, _DOFS] = self._spread(interpolation.nodes, slopes, left)
+            at = self.prior.interpolate(self.grid, self.state, self.state, points)
+            pose[points.rows], strain[points.rows] = at.state.pose, at.state.strain
+            slopes, left = at.jacobian[:, _DOFS], at.cov[:, _DOFS, _DOFS]
+            cov[points.rows, _DOFS, _DOFS] = self._spread(at.nodes, slopes, left)
         arrays = (pose, strain, np.zeros_like(strain), cov)
         return StateEstimate(*(a.reshape(*whole, *a.shape[1:]) for a in arrays))
 

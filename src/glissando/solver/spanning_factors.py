@@ -100,11 +100,8 @@ def interpolated(
     """
     out, parts = State(np.empty((time.size, 4, 4)), *np.empty((2, time.size, 6))), []
     for points in sort_points(grid, arclength, time):
-        interpolation = prior.interpolate(grid, state, noise_state, points)
-        out.pose[points.rows], out.strain[points.rows] = (
-            interpolation.state.pose,
-            interpolation.state.strain,
-        )
-        out.velocity[points.rows] = interpolation.state.velocity
-        parts.append((points.rows, interpolation))
+        at = prior.interpolate(grid, state, noise_state, points)
+        out.pose[points.rows], out.strain[points.rows] = at.state.pose, at.state.strain
+        out.velocity[points.rows] = at.state.velocity
+        parts.append((points.rows, at))
     return out, parts

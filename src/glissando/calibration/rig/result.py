@@ -169,7 +169,8 @@ def load_calibration(path: str | Path) -> Calibration:
         table.subtable(key) for key in ("frames", "coil", "slide", "covariance")
     )
     epoch = table.number("epoch", positive=False)
-    odds = table.peek("log_odds") or 0.0
+    odds = table.peek("log_odds")
+    odds = 0.0 if odds is None else odds
     if isinstance(odds, bool) or not isinstance(odds, int | float):  # infinite if sure
         raise table.fail("log_odds", f"is {str(odds)[:60]}; give a number.")
     direction = slide.number("direction", positive=False)

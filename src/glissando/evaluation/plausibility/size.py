@@ -35,10 +35,8 @@ def check_size(streams: Streams) -> Iterator[Finding]:
     for suspects, refusal in ((looped, True), (tiny, False)):
         if not suspects:
             continue
-        names, farthest = (
-            tuple(r.label for r in suspects),
-            max(suspects, key=lambda r: r.arclength.max()),
-        )
+        names = tuple(r.label for r in suspects)
+        farthest = max(suspects, key=lambda r: r.arclength.max())
         place, seen = farthest.arclength.max(), f"a robot of {robot.length:.3g} m"
         if refusal:
             near = distance_from_base(robot, farthest).max()
