@@ -224,3 +224,18 @@ silence = 0.5
 def test_impossible_settings_are_refused(wrong):
     with pytest.raises(DeviceError):
         RemoteStage(**{"stroke": (0.0, 0.06), **wrong})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("wire", ["ros2"], indirect=True)
+def test_a_driver_that_does_not_know_of_the_goals_yet_is_waited_for(wire, monkeypatch):
+    with driving(wire, Carriage(deaf=0.6)) as address, opened_stage(address, STAGE) as slide:
+        slide.home_here(0.0)
+        readings = list(slide.pursue(lambda t: 0.02 * t, 0.6))
+    assert readings[-1].travel == pytest.approx(0.012, abs=5e-4)
+    monkeypatch.setattr(remote_stage, "_FIRST", 0.5)
+    with (
+        driving(wire, Carriage(deaf=60.0)) as address,
+        pytest.raises(DeviceError, match=r"no goal reaches it.*nobody hears /stage/servo_jp"),
+    ):
+        opened_stage(address, STAGE).__enter__()

@@ -21,10 +21,11 @@ class Carriage:
         place: Where it is, m.
         goals: What it was asked for, m.
         says: What it states of a place, m; None while it says nothing.
+        deaf: How long its driver states places, s, before it subscribes to goals (ROS 2).
     """
 
-    def __init__(self, place=0.1, speed=0.15):
-        self.place, self.speed, self.goals = place, speed, []
+    def __init__(self, place=0.1, speed=0.15, deaf=0.0):
+        self.place, self.speed, self.goals, self.deaf = place, speed, [], deaf
         self.says = lambda place: place
         self._now = time.monotonic()
 
@@ -57,9 +58,9 @@ class _RosDriver:
         from sensor_msgs.msg import JointState
 
         self.graph, self.carriage, self.kind = graph, carriage, JointState
-        reliable = profile(10, reliable=True)
-        self.says = graph.node.create_publisher(JointState, MEASURED, reliable)
-        graph.node.create_subscription(JointState, COMMAND, self.heard, reliable)
+        self.reliable = profile(10, reliable=True)
+        self.says = graph.node.create_publisher(JointState, MEASURED, self.reliable)
+        self.goals, self.begun = None, None
 
     def heard(self, message):
         self.carriage.goals.append(message.position[0])
@@ -72,6 +73,12 @@ class _RosDriver:
             nanoseconds = time.time_ns()
             state.header.stamp.sec, state.header.stamp.nanosec = divmod(nanoseconds, 10**9)
             self.says.publish(state)
+        if self.begun is None and self.says.get_subscription_count():
+            self.begun = time.monotonic()
+        if self.goals is None and self.begun and time.monotonic() > self.begun + self.carriage.deaf:
+            self.goals = self.graph.node.create_subscription(
+                self.kind, COMMAND, self.heard, self.reliable
+            )
 
 
 @contextmanager

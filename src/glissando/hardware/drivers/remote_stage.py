@@ -114,7 +114,7 @@ class RemoteSlide(PositionSlide):
     def __enter__(self) -> Self:
         self._peer.__enter__()
         try:
-            self._wait(_FIRST)
+            self._join(_FIRST)
         except BaseException:
             self._peer.__exit__()
             raise
@@ -140,6 +140,22 @@ class RemoteSlide(PositionSlide):
         long before.
         """
         return min(last.time, self._since)
+
+    def _join(self, patience: float) -> None:
+        """Wait until positions come and goals arrive.
+
+        In a ROS 2 graph the driver's positions may come before it knows of this publisher of goals,
+        and what is sent until then is lost.
+        """
+        end = monotonic() + patience
+        self._wait(patience)
+        while self._peer.problem and monotonic() < end:
+            sleep(_LOOK)
+        if self._peer.problem:
+            raise DeviceError(
+                f"The stage states where it is, but no goal reaches it ({self._peer.problem}); "
+                f"check its driver and the name of `command`."
+            )
 
     def _wait(self, patience: float) -> None:
         """Wait for a new position. Raises DeviceError when none comes in time."""

@@ -81,9 +81,10 @@ class Ros2StagePeer:
     @property
     def problem(self) -> str:
         """Who is missing in the graph; empty if nobody is."""
-        node = self._graph.node
-        if not node.count_publishers(self._measured):
+        if self._graph.problem:
+            return self._graph.problem
+        if not self._graph.node.count_publishers(self._measured):
             return f"nobody publishes {self._measured}"
-        if not node.count_subscribers(self._command):
+        if not self._goals.get_subscription_count():
             return f"nobody hears {self._command}"
-        return self._graph.problem
+        return ""
