@@ -19,6 +19,7 @@ from typing import Any
 from glissando import __version__
 from glissando.cli.commands import COMMANDS
 from glissando.cli.interrupts import is_interrupt
+from glissando.cli.plugins import add_plugins, import_plugins
 from glissando.errors import (
     FalseConfidenceWarning,
     GlissandoError,
@@ -53,6 +54,7 @@ def build_parser(command: str | None = None) -> argparse.ArgumentParser:
         description="Where every part of a continuum robot is, at every moment, and how sure.",
     )
     parser.add_argument("--version", action="version", version=f"glissando {__version__}")
+    add_plugins(parser)
     prints, shells = "print a script that completes words, and exit", ("bash", "zsh", "tcsh")
     parser.add_argument("--print-completion", action=_PrintCompletion, choices=shells, help=prints)
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
@@ -67,12 +69,13 @@ def build_parser(command: str | None = None) -> argparse.ArgumentParser:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command line; returns its exit status."""
     words = list(sys.argv[1:] if arguments is None else arguments)
-    command = next((word for word in words if not word.startswith("-")), "")
     _spell_out()
     try:
         with _stopped_by_signals(ends_process=arguments is None), _own_warnings_shown():
-            options = build_parser(command).parse_args(words)
-            options.words = words
+            others = import_plugins(words)
+            command = next((word for word in others if not word.startswith("-")), "")
+            options = build_parser(command).parse_args(others)
+            options.words = others
             status = int(options.run(options))
             if sys.stdout is not None:
                 sys.stdout.flush()

@@ -280,7 +280,7 @@ def _stream(
     folder: Path, entry: Table, frames: dict[str, Array], unknown: set[str], journal: bool
 ) -> Stream:
     name = entry.text("name")
-    kind = entry.text("kind", choices=sensor_kinds())
+    kind = entry.kind(sensor_kinds())
     sensor = sensor_class(kind)
     file = folder / entry.text("file", "")
     if file == folder:

@@ -184,7 +184,7 @@ def _grid(table: Table, length: float) -> tuple[Array, float, bool]:
 def _prior(table: Table) -> Prior:
     """The prior of the kind that its table names."""
     entries = table.subtable("prior")
-    prior = prior_class(entries.text("kind", choices=prior_kinds())).from_table(entries, table)
+    prior = prior_class(entries.kind(prior_kinds())).from_table(entries, table)
     entries.close()
     return prior
 

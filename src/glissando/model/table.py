@@ -98,6 +98,17 @@ class Table:
             raise self.fail(key, f"is {_shown(value)}; give {wanted}.")
         return value
 
+    def kind(self, known: Iterable[str]) -> str:
+        """The entry `kind`, one of `known`, which a plugin may add to."""
+        value = self._take("kind")
+        if value not in (kinds := list(known)):
+            listed = ", ".join(kinds)
+            raise self.fail(
+                "kind",
+                f"is {_shown(value)}; give one of {listed}, or --plugin FILE that declares it.",
+            )
+        return str(value)
+
     def texts(self, key: str) -> list[str]:
         """Strings, at least one."""
         value = self._take(key)
