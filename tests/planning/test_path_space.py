@@ -133,3 +133,22 @@ def test_descent_in_a_polytope_finds_the_least_of_a_bowl_and_never_leaves(rng):
     best = minimize(free, np.zeros(4), jac=True, method="SLSQP", constraints=limits)
     assert least <= best.fun * 1.002
     assert least == value(point)[0]
+
+
+@pytest.mark.parametrize("seed", [30, 43, *range(8)])  # 2 of 60 met a singular curvature
+def test_a_descent_among_kinks_ends_inside_however_long_it_is(seed):
+    """On the largest of planes, whose gradient stands still, then jumps."""
+    rng = np.random.default_rng(seed)
+    size = rng.integers(2, 40)
+    more = rng.integers(size, 3 * size)
+    rows = np.vstack([np.eye(size), rng.normal(size=(more, size))])
+    polytope = rows, np.zeros(len(rows)), rng.uniform(0.5, 2.0, len(rows))
+    planes, heights = rng.normal(size=(6, size)), rng.normal(size=6)
+
+    def highest(x):
+        values = planes @ x + heights
+        return values.max() + 10.0, planes[np.argmax(values)]
+
+    point, least = descend(highest, np.zeros(size), polytope, 500, tolerance=1e-9)
+    assert least == highest(point)[0] <= highest(np.zeros(size))[0]
+    assert np.all(np.abs(rows @ point) < polytope[2])

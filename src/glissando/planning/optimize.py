@@ -19,6 +19,7 @@ _LEAST = 1e-9  # weight of the barrier, of the value, at which it does not fall 
 _NEAREST = 0.9  # of the way to the boundary, the longest step
 _ARMIJO = 1e-4  # of the predicted decrease that a step must achieve
 _SHRINK, _TRIALS = 0.4, 6  # of a step that does not, and how often
+_ROUNDING = 1e-14  # of the curvature
 _DAMPED = 0.2  # of the curvature so far, the least that a step may measure
 
 Polytope = tuple[Array, Array, Array]
@@ -51,7 +52,10 @@ def descend(
     for _ in range(iterations):
         barrier_gradient, barrier_curvature = _barrier_derivatives(x, polytope)
         total = gradient + weight * barrier_gradient
-        step = -cho_solve(cho_factor(curvature + weight * barrier_curvature), total)
+        try:
+            step = -cho_solve(cho_factor(curvature + weight * barrier_curvature), total)
+        except np.linalg.LinAlgError:
+            break  # at a kink of the function its measured curvature is singular to rounding
         decrease = float(total @ step)
         share = min(1.0, _NEAREST * _steps_to_boundary(x, step, polytope))
         merit = value + weight * _barrier(x, polytope)
@@ -111,6 +115,8 @@ def _updated(curvature: Array, step: Array, change: Array) -> Array:
         curvature = np.eye(step.size) * max(abs(measured) / float(step @ step), 1e-300)
     along = curvature @ step
     predicted = float(step @ along)
+    if predicted <= _ROUNDING * float(np.trace(curvature)) * float(step @ step):
+        return curvature  # along this step it is flat
     if measured < _DAMPED * predicted:
         share = (1.0 - _DAMPED) * predicted / (predicted - measured)
         change = share * change + (1.0 - share) * along
