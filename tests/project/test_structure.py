@@ -46,6 +46,19 @@ def test_tests_import_nothing_from_benchmarks():
         assert not names & programs, path.name
 
 
+def test_the_list_of_benchmarks_says_of_each_what_it_says_of_itself():
+    folder = Path(__file__).parents[2] / "benchmarks"
+    texts = {path.name: path.read_text() for path in folder.glob("*.py")}
+    programs = {name: text for name, text in texts.items() if "__main__" in text}
+    rows = re.findall(
+        r"^\| \[`(\w+\.py)`\]\(\1\) \| (.*?) \|", (folder / "README.md").read_text(), re.M
+    )
+    assert dict(rows) == {
+        name: (ast.get_docstring(ast.parse(text)) or "").splitlines()[0]
+        for name, text in programs.items()
+    }
+
+
 @pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(SOURCE)))
 def test_the_package_is_imported_at_the_top_of_files_only(path):
     """A function that imports a room could go round the contract of layers."""
