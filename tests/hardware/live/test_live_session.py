@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from glissando.errors import GlissandoError
+from glissando.errors import DeviceError, GlissandoError, ImplausibleError
 from glissando.estimation.posterior import StateEstimate
 from glissando.evaluation.replay import replay
 from glissando.geometry import se3
@@ -27,6 +27,7 @@ from glissando.hardware.openigtlink import contents as c
 from glissando.io.query_csv import QUERY_COLUMNS
 from glissando.io.recording import load_recording
 from glissando.io.robot_file import load_robot
+from glissando.model.sensors.sensors import PoseReadings
 from live_recordings import (
     ROBOT,
     ROD,
@@ -243,9 +244,70 @@ def test_travel_moves_a_sliding_coil_and_units_and_axes_are_the_peers():
             peer.send([encode(Message(each, "travel")) for each in (travel, tool)])
             until(lambda: source.poll() or source.counts["heard"] == 2)
             (read,) = source.read(LiveSession(ROBOT, [source]).clock)
+            assert not source.problem
     assert read.kind == "coil"
     np.testing.assert_allclose(read.arclength, [0.37])
     np.testing.assert_allclose(read.values[0, :3, 3], [-0.1, -0.2, 0.3], atol=1e-7)
+
+
+def test_a_device_that_slides_is_not_placed_before_a_travel_is_known():
+    source = IgtlSource("igtl://127.0.0.1:1", ROBOT, [Placement("coil", 0.4, "coil", True)])
+    message = Message(c.TrackingData((c.Tool("coil", c.TOOL_5D, np.eye(4)),)), "tracker")
+    source._waiting = [(time.monotonic(), message)]
+    with source:
+        source._endpoint.peers = {"127.0.0.1:1": ""}
+        assert source.read(SessionClock()) == []
+        assert source.counts["no travel"] == 1
+        source._endpoint.peers = {"127.0.0.1:1": ""}
+        assert source.problem == "igtl://127.0.0.1:1 has sent no travel of the slide"
+
+
+class Stamped:
+    """A source whose readings are stamped some seconds off; it counts how often it is polled."""
+
+    name, first, clock, finished, problem = "tracker", None, None, False, ""
+
+    def __init__(self, off):
+        self.off, self.looks, self.counts = off, 0, {}
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *raised):
+        pass
+
+    def poll(self):
+        self.looks += 1
+
+    def read(self, clock):
+        now = np.array([clock.now() + self.off])
+        tip = np.array([ROBOT.length])
+        return [PoseReadings(time=now, arclength=tip, values=np.eye(4)[None], cov=1e-6)]
+
+
+@pytest.mark.parametrize(("off", "side"), [(3600.0, "ahead of"), (-20.0, "behind")])
+def test_a_senders_clock_that_is_off_ends_the_session_with_a_sentence(off, side):
+    why = rf"tracker: .* s {side} this computer's clock; set both by NTP.*clock=arrival"
+    with LiveSession(ROBOT, [Stamped(off)]) as session, pytest.raises(ImplausibleError, match=why):
+        next(iter(session))
+
+
+def test_a_clock_that_is_set_on_the_way_is_named_once_patience_ends():
+    source = Stamped(0.0)
+    with LiveSession(ROBOT, [source], rate=20.0, patience=0.3) as session:
+        updates = iter(session)
+        next(updates)
+        source.off = -30.0
+        with pytest.raises(DeviceError, match=r"for 0 s \(tracker: .* 30 s behind this computer"):
+            list(islice(updates, 100))
+
+
+def test_sources_are_looked_at_between_updates():
+    """A link holds little: what a fast device sends until the next update would be lost."""
+    source = Stamped(0.0)
+    with LiveSession(ROBOT, [source], rate=2.0) as session:
+        list(islice(session, 2))
+    assert source.looks > 10
 
 
 @pytest.mark.slow
@@ -300,7 +362,7 @@ def test_silence_ends_with_a_sentence_and_so_do_wrong_arguments(tmp_path):
     wrong = {
         "rate": 0.0, "lag": -1.0, "delay": 60.0, "points": 1, "duration": 0.0, "patience": 0.0,
     }  # fmt: skip
-    for name, value in wrong.items():
+    for name, value in [*wrong.items(), ("duration", np.inf)]:
         with pytest.raises(GlissandoError, match=r"correct|give"):
             LiveSession(ROBOT, [source], **{name: value})
     with pytest.raises(GlissandoError, match="needs a source"):

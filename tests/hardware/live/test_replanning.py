@@ -1,5 +1,7 @@
 """A simulated rig is estimated while its slide moves, also where a plan of its own leads."""
 
+import time
+
 import numpy as np
 import pytest
 
@@ -75,7 +77,8 @@ def test_a_steered_slide_follows_the_newest_path_and_stands_at_its_end():
 
             def travel():
                 source.read(clock)
-                return source._travel.get("/slide", 0.0)
+                motion = source._frames._slides["/slide"].at(time.monotonic())
+                return motion.travel if motion else 0.0
 
             until(lambda: travel() or source.counts["heard"])
             for goal in (0.008, 0.003):

@@ -119,9 +119,9 @@ def test_transforms_rates_and_travels_are_read_as_they_are_sent(domain):
         spin = imu.angular_velocity
         spin.x, spin.y, spin.z = rate.tolist()
         peer.send([("/stage", JointState(name=["slide"], position=[0.05]))])
-        until(lambda: source.poll() or source._travel == 0.05)
+        until(lambda: source.poll() or source.counts["heard"] == 1)
         peer.send([("/tip", transform), ("/imu", imu)])
-        until(lambda: source.poll() or source.counts["heard"] == 2)
+        until(lambda: source.poll() or source.counts["heard"] == 3)
         read = {r.kind: r for r in source.read(SessionClock())}
     np.testing.assert_allclose(read["coil"].values[0][:3, 3], pose[:3, 3], atol=1e-12)
     np.testing.assert_allclose(read["coil"].values[0][:3, 2], pose[:3, 2], atol=1e-12)
@@ -140,6 +140,18 @@ def test_a_publisher_of_any_quality_is_heard(domain, reliable, latched):
         meet(peer, source)
         send = peer.publishers["/tip/pose"].publish
         until(lambda: send(peer.pose(1.0, np.eye(4))) or source.poll() or source.counts["heard"])
+
+
+@pytest.mark.slow
+def test_a_device_that_slides_is_not_placed_before_a_travel_is_known(domain):
+    place = Placement("/tip/pose", ROBOT.length, "coil", slides=True)
+    source = Ros2Source(f"{domain}&travel=/misspelt&clock=arrival", ROBOT, [place])
+    with source, Peer(domain, ["/tip/pose"]) as peer:
+        send, clock = peer.publishers["/tip/pose"].publish, SessionClock()
+        until(lambda: send(peer.pose(1.0, np.eye(4))) or source.read(clock) or source.counts)
+        until(lambda: source.problem == "nobody publishes /misspelt")
+        assert source.read(clock) == []
+        assert source.counts["no travel"] == source.counts["heard"]
 
 
 @pytest.mark.slow

@@ -18,11 +18,10 @@ from glissando.errors import GlissandoError
 from glissando.estimation.fixed_lag import FixedLagSmoother
 from glissando.geometry.se3 import Array
 from glissando.hardware.capture.child_process import blocked_signals, end_with_parent
-from glissando.hardware.capture.setup import Coil, Rig, pose_of
+from glissando.hardware.capture.coil_frames import CoilFrames
+from glissando.hardware.capture.setup import Rig
 from glissando.io.robot_file import load_robot
 from glissando.io.shipped_robots import robot_file
-from glissando.model.robot import Robot
-from glissando.model.sensors.sensors import CoilReadings
 
 _POINTS = 41  # along the robot that is shown
 _END = 10.0  # s that the process may take to end
@@ -87,35 +86,18 @@ def live_estimate(
 def _estimate(rig: Rig, open_view: Any, show: Any, messages: Any, address: Any) -> None:
     end_with_parent()
     robot = load_robot(robot_file(rig.robot))
-    coils = {f"/tracker/{coil.name}": coil for coil in rig.coils}
+    frames = CoilFrames(rig, robot)
     smoother = FixedLagSmoother(
         robot.prior, robot.arclength_nodes, sensor_parameters=robot.sensor_parameters
     )
-    step, due, travel = 1.0 / robot.time_rate, -np.inf, dict[str, Array]()
+    step, due = 1.0 / robot.time_rate, -np.inf
     with open_view(np.linspace(0.0, robot.length, _POINTS)) as view:
         address.put(view.address)
         while (item := messages.get()) is not None:
-            topic, message = item
-            if topic.startswith("/slide"):
-                travel[topic] = np.array([message["travel"]])
-            elif topic in coils and message["position"] is not None:
-                coil = coils[topic]
-                place = travel.get(coil.slide_topic, np.zeros(1))
-                smoother.add(_reading(rig, robot, coil, message, place))
-                if message["time"] >= due and messages.empty():  # else catch up first
-                    smoother.advance(message["time"])
-                    due = message["time"] + step
+            for reading in frames.take(*item):
+                smoother.add(reading)
+                now = float(reading.time[0])
+                if now >= due and messages.empty():  # else catch up first
+                    smoother.advance(now)
+                    due = now + step
                     show(view, smoother)
-
-
-def _reading(
-    rig: Rig, robot: Robot, coil: Coil, message: dict[str, Any], travel: Array
-) -> CoilReadings:
-    return CoilReadings(
-        time=np.array([message["time"]]),
-        arclength=coil.arclengths(travel, robot.length),
-        values=(rig.frame @ pose_of(message))[None],
-        cov=robot.sensor_std["coil"] ** 2,
-        name=coil.name,
-        channel=coil.channel,
-    )

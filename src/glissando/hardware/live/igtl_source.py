@@ -12,7 +12,13 @@ import numpy as np
 from glissando.errors import DeviceError, GlissandoError, RobotFileError
 from glissando.geometry.se3 import Array
 from glissando.hardware.live.clock import SessionClock
-from glissando.hardware.live.placement import Placement, batch, reading, require_on_robot
+from glissando.hardware.live.placement import (
+    NoTravelError,
+    Placement,
+    batch,
+    reading,
+    require_on_robot,
+)
 from glissando.hardware.openigtlink import Endpoint, Message, seconds_since
 from glissando.hardware.openigtlink import contents as c
 from glissando.hardware.openigtlink.sender_clock import SenderClock
@@ -21,6 +27,7 @@ from glissando.hardware.openigtlink.wire_frame import WireFrame
 from glissando.io.plain_file import file_stem
 from glissando.model.robot import Robot
 from glissando.model.sensors.readings import SENSORS, Readings
+from glissando.model.slide_track import SlideTrack
 
 TRAVEL = "travel"  # the device whose SENSOR messages state the slide's travel
 _OWN_CLOCK = 1 << 52  # stamps below are a recording's own time, not a wall clock's
@@ -37,7 +44,8 @@ class IgtlSource:
 
     Attributes:
         counts: Messages 'heard'; those left out, and why: 'unplaced' devices, 'invalid' values,
-            'repeated' poses; and what the endpoint counts.
+            'repeated' poses, of sliding devices before a travel was known ('no travel'); and what
+            the endpoint counts.
         status: The last STATUS that was not good, as a text.
 
     Raises:
@@ -54,7 +62,7 @@ class IgtlSource:
         self._endpoint = Endpoint(address)
         self._frame = WireFrame.of(self._endpoint.address)
         self._placements = {place.name: place for place in placements}
-        self._own, self._travel, self._heard = Counter[str](), 0.0, -np.inf
+        self._own, self._slide, self._heard = Counter[str](), SlideTrack(), -np.inf
         self._last: dict[str, bytes] = {}
         self._clock = SenderClock(self._endpoint.address.clock)
         self._newest, self._origin = -1, 0
@@ -84,7 +92,10 @@ class IgtlSource:
         if not self._endpoint.peers:
             calls = "nobody has called" if self._endpoint.address.listens else "nobody answers"
             return f"{calls} at {self.name}"
-        return self.status or ("" if np.isfinite(self._heard) else f"{self.name} sends nothing")
+        if self.status or not np.isfinite(self._heard):
+            return self.status or f"{self.name} sends nothing"
+        waits = self._own["no travel"] and not self._slide.known
+        return f"{self.name} has sent no {TRAVEL} of the slide" if waits else ""
 
     def poll(self) -> None:
         """Take what has come out of the link, as `read` does, which then reads it."""
@@ -109,6 +120,8 @@ class IgtlSource:
             yield
         except RobotFileError:
             raise
+        except NoTravelError:
+            self._own["no travel"] += 1
         except GlissandoError:
             self._own["invalid"] += 1
 
@@ -121,7 +134,8 @@ class IgtlSource:
         elif isinstance(content, c.NumberArray):
             yield self._rows(message, arrival, clock)
         elif isinstance(content, c.SensorValues) and message.device.lower() == TRAVEL:
-            self._travel = self._travel_of(content)
+            travel, time = self._travel_of(content), self._time(message.stamp, arrival, clock)
+            self._slide.add(time, travel)
         else:
             time = self._time(message.stamp, arrival, clock)
             for name, kind, value in poses_in(message, self._frame):
@@ -159,10 +173,8 @@ class IgtlSource:
             raise DeviceError(f"{place.name} sent no rigid motion nearby; check the sender.")
         self._require_kind(place.name, kind)
         pose = normalized(pose)
-        arclength = place.arclength - self._travel if place.slides else place.arclength
         value = pose[:3, 3] if kind == "position" else pose
-        on_robot = float(np.clip(arclength, 0.0, self._robot.length))
-        return reading(self._robot, kind, place.name, time, on_robot, value)
+        return reading(self._robot, place, kind, place.name, time, value, self._slide)
 
     def _rows(self, message: Message, arrival: float, clock: SessionClock) -> Readings:
         """Readings of a glissando's own sink, times and values as float64."""

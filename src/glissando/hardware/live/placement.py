@@ -12,8 +12,13 @@ from glissando.geometry.se3 import Array
 from glissando.model.robot import Robot
 from glissando.model.sensors.readings import Readings
 from glissando.model.sensors.sensors import sensor_class
+from glissando.model.slide_track import SlideMotion, SlideTrack
 
 _KINDS = ("pose", "coil", "position", "gyro")
+
+
+class NoTravelError(DeviceError):
+    """A device slides, and nobody has stated the slide's travel."""
 
 
 @dataclass(frozen=True)
@@ -76,22 +81,36 @@ def require_on_robot(placements: Sequence[Placement], robot: Robot) -> None:
 
 
 def reading(
-    robot: Robot, kind: str, name: str, time: float, arclength: float, value: Array
+    robot: Robot,
+    place: Placement,
+    kind: str,
+    name: str,
+    time: float,
+    value: Array,
+    slide: SlideTrack,
 ) -> Readings:
     """One reading with the noise that the robot file states for its kind.
 
     Args:
         robot: The robot.
+        place: Where the device sits.
         kind: Kind of sensor.
         name: Name of the stream.
         time: Session time, s.
-        arclength: Where it was taken, m.
         value: Its value, as the kind's readings take them.
+        slide: The slide, which moves the device if it slides.
 
     Raises:
         RobotFileError: The robot file states no noise of such a sensor.
+        NoTravelError: The device slides, and no travel was known at that time.
     """
-    return batch(robot, kind, name, np.array([time]), np.array([arclength]), value[None])
+    motion = slide.at(time) if place.slides else SlideMotion(0.0)
+    if motion is None:
+        raise NoTravelError(f"{name} slides, and nothing stated the travel at {time:.3f} s.")
+    arclength = np.clip(place.arclength - motion.travel, 0.0, robot.length)
+    out = batch(robot, kind, name, np.array([time]), np.array([arclength]), value[None])
+    way = np.array(-motion.speed), np.array(-motion.way)
+    return out.changed(slide_speed=way[0], slide_way=way[1])
 
 
 def batch(

@@ -9,13 +9,11 @@ from __future__ import annotations
 import multiprocessing
 import os
 import queue
+import re
 import signal
 import time
-from collections import Counter
 from collections.abc import Mapping
 from contextlib import ExitStack, suppress
-from dataclasses import replace
-from multiprocessing.connection import Connection
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Self
@@ -24,11 +22,10 @@ import numpy as np
 
 from glissando.errors import DeviceError, GlissandoError
 from glissando.geometry.se3 import Array
-from glissando.hardware.capture import Coil, Rig, capture
+from glissando.hardware.capture import Rig, capture
 from glissando.hardware.capture.child_process import blocked_signals, end_with_parent
-from glissando.hardware.capture.setup import pose_of
+from glissando.hardware.capture.coil_frames import CoilFrames
 from glissando.hardware.live.clock import SessionClock
-from glissando.hardware.live.placement import reading
 from glissando.model.robot import Robot
 from glissando.model.sensors.readings import Readings
 from glissando.model.slide_path import SlidePath
@@ -37,6 +34,7 @@ _END = 15.0  # s that the slide may take to stop and the log to be written
 _LAST = 2.0  # s that a process which did not end in this time may take to end at once
 _LOOK = 0.1  # s between looks whether it has
 _MOST = 1024  # messages that one look takes
+_WANTED = re.compile("/(tracker|slide)").match  # of topics
 
 
 class RigSource:
@@ -51,7 +49,7 @@ class RigSource:
         steered: Whether the slide goes where `steer` says, for as long as the path lasts.
 
     Attributes:
-        counts: Messages 'heard', coils 'not seen'.
+        counts: Messages 'heard', and what `CoilFrames` counts.
 
     Raises:
         DeviceError: A device failed; from `read`.
@@ -70,11 +68,12 @@ class RigSource:
         further: Mapping[str, SlidePath] | None = None,
         steered: bool = False,
     ) -> None:
-        self.name, self.counts = f"rig {rig.name}", Counter[str]()
-        self._rig, self._robot, self._folder = rig, robot, folder
+        if "coil" not in robot.sensor_std:
+            raise DeviceError(f"Robot {robot.name!r} states no noise of coils; add [sensors.coil].")
+        self.name, self._rig, self._folder = f"rig {rig.name}", rig, folder
+        self._frames = CoilFrames(rig, robot)
+        self.counts, self.finished = self._frames.counts, False
         self._paths = path, dict(further or {})
-        self._coils = {f"/tracker/{coil.name}": coil for coil in rig.coils}
-        self._travel, self.finished = dict[str, float](), False
         self._steered, self._times = steered, SessionClock()
         self._stack = ExitStack()
 
@@ -83,13 +82,12 @@ class RigSource:
             self._folder = Path(self._stack.enter_context(TemporaryDirectory())) / "session"
         context = multiprocessing.get_context("spawn")
         self._messages = context.Queue()
-        heard, self._steering = context.Pipe(duplex=False)
-        steering = heard if self._steered else None
+        self._steering = context.Queue()  # a pipe would make `steer` wait while the slide homes
+        steering = self._steering if self._steered else None
         arguments = self._rig, self._paths, self._folder, self._messages, steering
         self._process = context.Process(target=_capture, args=arguments)
         with blocked_signals():
             self._process.start()
-        heard.close()
         return self
 
     def __exit__(self, *raised: object) -> None:
@@ -102,8 +100,8 @@ class RigSource:
             self._process.terminate()
             self._process.join(_LAST)
             self._process.kill()
-        self._messages.cancel_join_thread()
-        self._steering.close()
+        for messages in (self._messages, self._steering):
+            messages.cancel_join_thread()
         self._stack.close()
 
     def steer(self, time: Array, travel: Array) -> None:
@@ -113,9 +111,7 @@ class RigSource:
             time: Session times (K,), s, from before now on.
             travel: Travels (K,) at these times, m, which go on from where the slide is.
         """
-        since = self._times.of_monotonic(0.0)
-        with suppress(OSError):  # the rig has ended, which `read` says
-            self._steering.send((time - since, travel))
+        self._steering.put((time - self._times.of_monotonic(0.0), travel))
 
     def _drain(self, within: float) -> None:
         """Empty the queue until its end, without which the process does not end."""
@@ -133,10 +129,14 @@ class RigSource:
         """Why nothing comes; empty once messages have."""
         return "" if self.counts["heard"] or self.finished else f"{self.name} is starting"
 
+    def poll(self) -> None:
+        """Messages wait in a queue without an end."""
+
     def read(self, clock: SessionClock) -> list[Readings]:
         """The readings that have come since the last call."""
         self._times = clock
-        out, alive = [], self._process.is_alive()
+        out: list[Readings] = []
+        alive = self._process.is_alive()
         for _ in range(_MOST):
             try:
                 item = self._messages.get_nowait()
@@ -155,21 +155,10 @@ class RigSource:
                 break
             topic, message = item
             self.counts["heard"] += 1
-            if topic.startswith("/slide"):
-                self._travel[topic] = message["travel"]
-            elif topic in self._coils:
-                if message["position"] is None:
-                    self.counts["not seen"] += 1
-                else:
-                    out.append(self._reading(self._coils[topic], message, clock))
+            for reading in self._frames.take(topic, message):
+                time = clock.of_monotonic(float(reading.time[0]))
+                out.append(reading.changed(time=np.array([time])))
         return out
-
-    def _reading(self, coil: Coil, message: dict[str, Any], clock: SessionClock) -> Readings:
-        travel = np.array([self._travel.get(coil.slide_topic, 0.0)])
-        place = float(coil.arclengths(travel, self._robot.length)[0])
-        time, seen = clock.of_monotonic(message["time"]), self._rig.frame @ pose_of(message)
-        out = reading(self._robot, "coil", coil.name, time, place, seen)
-        return replace(out, channel=coil.channel)
 
 
 def _capture(
@@ -177,7 +166,7 @@ def _capture(
     paths: tuple[SlidePath, dict[str, SlidePath]],
     folder: Path,
     messages: Any,
-    steering: Connection | None,
+    steering: Any,
 ) -> None:
     """Run the experiment, pass on its messages, and then how it ended."""
     end: DeviceError | None = None
@@ -192,7 +181,7 @@ def _capture(
         capture(
             rig, paths[0], folder, further=paths[1],
             steered=_Steered(steering, rig.standing_travel) if steering else None,
-            on_message=lambda *message: messages.put(message),
+            on_message=lambda *message: _WANTED(message[0]) and messages.put(message),
         )  # fmt: skip
     except KeyboardInterrupt:
         pass
@@ -213,12 +202,12 @@ def _capture(
 class _Steered:
     """Where the slide is to be by the newest path that came; before the first, where it stands."""
 
-    def __init__(self, paths: Connection, standing: float) -> None:
+    def __init__(self, paths: Any, standing: float) -> None:
         self._paths = paths
         self._path = np.zeros(1), np.array([standing])
 
     def __call__(self, monotonic: float) -> float:
-        with suppress(EOFError, OSError):  # nobody steers any more: the last path ends at rest
-            while self._paths.poll():
-                self._path = self._paths.recv()
+        with suppress(queue.Empty):
+            while True:
+                self._path = self._paths.get_nowait()
         return float(np.interp(monotonic, *self._path))

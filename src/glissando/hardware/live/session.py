@@ -11,7 +11,7 @@ from typing import Self
 
 import numpy as np
 
-from glissando.errors import DeviceError, GlissandoError
+from glissando.errors import DeviceError, GlissandoError, ImplausibleError
 from glissando.estimation.fixed_lag import FixedLagSmoother
 from glissando.hardware.live.clock import SessionClock
 from glissando.hardware.live.sinks import Sink
@@ -24,6 +24,8 @@ from glissando.model.sensors.readings import Readings
 from glissando.model.sensors.sensors import PoseReadings
 
 _LOOK = 0.005  # s between looks for the first reading
+_POLL = 0.02  # s between looks at what has come, while an update is waited for
+_OFF = 1.0  # s by which a source's newest reading may be off this computer's clock
 _NODES = 4  # in the smoother's window by default
 
 
@@ -45,11 +47,12 @@ class LiveSession:
         points: Points along the robot at which the shape is given.
         journal: New folder to which readings are written, a recording; None writes none.
         duration: Seconds after which the session ends; None for when all sources have.
-        patience: Seconds that all sources may be silent before the session ends with an error.
+        patience: Seconds without a reading of now before the session ends with an error.
         clock: Session time; that of a source which has one, unless given.
 
     Raises:
         GlissandoError: An argument is wrong; while it runs, a source, a sink or a device failed.
+        ImplausibleError: A source's first readings are not of now: clocks differ.
 
         with LiveSession(robot, [IgtlSource("igtl://127.0.0.1", robot, places)]) as session:
             for update in session:
@@ -87,7 +90,9 @@ class LiveSession:
             robot.prior, robot.arclength_nodes, window=nodes,
             sensor_parameters=robot.sensor_parameters,
         )  # fmt: skip
-        self._came = self._heard = 0.0
+        self._heard = 0.0
+        self._timely: set[str] = set()
+        self._off = ""
 
     def __enter__(self) -> Self:
         with ExitStack() as stack:
@@ -130,7 +135,7 @@ class LiveSession:
         number = skip = 0
         while self.duration is None or number + skip <= round(self.duration * self.rate):
             due = first + (number + skip) / self.rate
-            self.clock.sleep_until(due + self.delay)
+            self._wait_until(due + self.delay)
             late = int((self.clock.now() - self.delay - due) * self.rate)
             if late > 1:  # one is made up for by the next update
                 skip, self.skipped = skip + late, self.skipped + late
@@ -147,14 +152,41 @@ class LiveSession:
         """What all sources have, written to the journal; sinks take what their peers say."""
         for sink in self.sinks:
             sink.poll()
-        arrived = [readings for source in self.sources for readings in source.read(self.clock)]
-        for readings in arrived:
-            if self._journal is not None:
-                self._journal.write(readings)
-            self.smoother.add(readings)
-        if arrived:
-            self._heard = time.monotonic()
+        arrived: list[Readings] = []
+        for source in self.sources:
+            new = source.read(self.clock)
+            for readings in new:
+                if self._journal is not None:
+                    self._journal.write(readings)
+                self.smoother.add(readings)
+            if new:
+                self._note(source, max(float(readings.time.max()) for readings in new))
+            arrived += new
         return arrived
+
+    def _note(self, source: Source, newest: float) -> None:
+        """Note that a source has sent readings of now; refuse one that never did."""
+        now = self.clock.now()  # -inf before simulated time has begun
+        off = newest - now if now > -np.inf else 0.0
+        if abs(off) <= _OFF + self.delay:
+            self._heard, self._off = time.monotonic(), ""
+            self._timely.add(source.name)
+            return
+        side = "ahead of" if off > 0.0 else "behind"
+        self._off = f"{source.name}: its readings are stamped {abs(off):.3g} s {side} this computer"
+        if source.name not in self._timely:
+            raise ImplausibleError(
+                f"{self._off}'s clock; set both by NTP, or take readings by their arrival "
+                f"(clock=arrival)."
+            )
+
+    def _wait_until(self, due: float) -> None:
+        """Wait until a session time, and take from every source what has come meanwhile."""
+        while -np.inf < (now := self.clock.now()) < due - _POLL:
+            self.clock.sleep_until(now + _POLL)
+            for source in self.sources:
+                source.poll()
+        self.clock.sleep_until(due)
 
     def _update(self, number: int, due: float, arrived: list[Readings]) -> Update:
         began = time.perf_counter()
@@ -177,7 +209,8 @@ class LiveSession:
     def _require_heard(self) -> None:
         silent = time.monotonic() - self._heard
         if silent > self.patience:
-            why = "; ".join(s.problem for s in self.sources if s.problem) or "no reading came"
+            problems = [self._off, *(source.problem for source in self.sources)]
+            why = "; ".join(filter(None, problems)) or "no reading came"
             raise DeviceError(
                 f"No source has sent anything usable for {silent:.0f} s ({why}); check that the "
                 f"senders run, and where their devices sit on the robot."
@@ -208,5 +241,8 @@ def _require(
         raise GlissandoError(f"A delay of {delay:g} s cannot be; give seconds, 0 to 10.")
     if not 2 <= points <= 1000:
         raise GlissandoError(f"{points} points along the robot cannot be; give 2 to 1000.")
-    if not (duration is None or duration > 0.0) or not patience > 0.0:
-        raise GlissandoError("A duration and a patience are seconds above zero; correct them.")
+    if not (duration is None or 0.0 < duration < np.inf) or not patience > 0.0:
+        raise GlissandoError(
+            "A duration and a patience are seconds above zero; correct them, or leave the duration "
+            "out for a session that lasts as long as its sources."
+        )

@@ -46,6 +46,9 @@ class Source(Protocol):
     def __exit__(self, *raised: object) -> None:
         """Close it."""
 
+    def poll(self) -> None:
+        """Take what has come out of its link, which may hold little, for `read`; never waits."""
+
     def read(self, clock: SessionClock) -> Sequence[Readings]:
         """Readings that have come since the last call, by session time; never waits."""
 
@@ -91,6 +94,9 @@ class RecordingSource:
 
     def __exit__(self, *raised: object) -> None:
         pass
+
+    def poll(self) -> None:
+        """Nothing waits in a link."""
 
     def read(self, clock: SessionClock) -> Sequence[Readings]:
         """The readings up to now."""

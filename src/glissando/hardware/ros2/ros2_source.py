@@ -14,13 +14,14 @@ from glissando.errors import DeviceError, GlissandoError, RobotFileError, needin
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.hardware.live.clock import SessionClock
-from glissando.hardware.live.placement import Placement, reading, require_on_robot
+from glissando.hardware.live.placement import NoTravelError, Placement, reading, require_on_robot
 from glissando.hardware.ros2.graph import ROS_PACKAGES, Graph, Ros2Address, profile
 from glissando.hardware.ros2.simulated_clock import SimulatedClock
 from glissando.model.robot import Robot
 from glissando.model.sensors.readings import Readings
+from glissando.model.slide_track import SlideTrack
 
-_DEPTH = 64  # messages of a topic that wait
+_DEPTH = 1024  # messages of a topic that wait
 _WAITING = 4096  # messages in all
 _FAR = 20.0  # m from the origin: no tracker reaches there
 _FASTEST = 100.0  # rad/s
@@ -37,7 +38,7 @@ class Ros2Source:
 
     Attributes:
         counts: Messages 'heard', 'invalid', 'dropped' because too many waited, 'ignored' while the
-            node was inactive.
+            node was inactive, of sliding devices before a travel was known ('no travel').
         clock: Simulated time, if the node's parameter use_sim_time is set.
 
     Raises:
@@ -55,10 +56,10 @@ class Ros2Source:
         self.counts: Counter[str] = Counter()
         self._address = Ros2Address.parse(address)
         self._graph = Graph(self._address, "source", self._subscribe, self._unsubscribe)
-        self._placements, self._travel = placements, 0.0
+        self._placements, self._slide = placements, SlideTrack()
         self._subscriptions: list[Any] = []
         self._silence, self._looked = "", -np.inf
-        self._waiting: deque[tuple[Placement, Any, float]] = deque()
+        self._waiting: deque[tuple[Placement | None, Any, float]] = deque()  # None: a travel
         self._begun = False
 
     def __enter__(self) -> Self:
@@ -67,7 +68,9 @@ class Ros2Source:
             from sensor_msgs.msg import Imu, JointState
         poses = PoseStamped if self._address.type == "pose" else TransformStamped
         self._kinds = {p: Imu if p.kind == "gyro" else poses for p in self._placements}
-        self._joints = JointState
+        self._topics = {place.name: kind for place, kind in self._kinds.items()}
+        if self._address.travel:
+            self._topics[self._address.travel] = JointState
         self._graph.__enter__()
         if self._graph.node.get_parameter("use_sim_time").value:
             self.clock = SimulatedClock(self._graph)
@@ -82,9 +85,9 @@ class Ros2Source:
         for place, kind in self._kinds.items():
             heard = partial(self._heard, place)
             self._subscriptions.append(subscribe(kind, place.name, heard, quality))
-        if self._address.travel:
-            moved = subscribe(self._joints, self._address.travel, self._moved, quality)
-            self._subscriptions.append(moved)
+        if topic := self._address.travel:
+            moved = partial(self._heard, None)
+            self._subscriptions.append(subscribe(self._topics[topic], topic, moved, quality))
 
     def _unsubscribe(self) -> None:
         while self._subscriptions:
@@ -102,20 +105,20 @@ class Ros2Source:
             return ""
         if time.monotonic() - self._looked > _PATIENCE:
             self._looked = time.monotonic()
-            silences = [self._silence_of(place, kind) for place, kind in self._kinds.items()]
+            silences = [self._silence_of(topic, kind) for topic, kind in self._topics.items()]
             self._silence = "; ".join(filter(None, silences))
         return self._graph.problem or self._silence
 
-    def _silence_of(self, place: Placement, kind: Any) -> str:
+    def _silence_of(self, topic: str, kind: Any) -> str:
         """Why a topic says nothing; empty if somebody publishes it."""
         wanted = f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
-        published = self._graph.node.get_publishers_info_by_topic(place.name)
+        published = self._graph.node.get_publishers_info_by_topic(topic)
         types = {publisher.topic_type for publisher in published}
         if not types:
-            return f"nobody publishes {place.name}"
-        return "" if wanted in types else f"{place.name} is of {', '.join(types)}, not {wanted}"
+            return f"nobody publishes {topic}"
+        return "" if wanted in types else f"{topic} is of {', '.join(types)}, not {wanted}"
 
-    def _heard(self, place: Placement, message: Any) -> None:
+    def _heard(self, place: Placement | None, message: Any) -> None:
         if self._graph.state != "active":
             self.counts["ignored"] += 1
             return
@@ -125,11 +128,10 @@ class Ros2Source:
             self._waiting.popleft()
             self.counts["dropped"] += 1
 
-    def _moved(self, message: Any) -> None:
-        if len(message.position) and abs(message.position[0]) < _FAR:
-            self._travel = float(message.position[0])
-        else:
-            self.counts["invalid"] += 1
+    def _moved(self, message: Any, time: float) -> None:
+        if not len(message.position) or not abs(message.position[0]) < _FAR:
+            raise DeviceError(f"{self._address.travel} stated no travel; send m.")
+        self._slide.add(time, float(message.position[0]))
 
     def poll(self) -> None:
         """Take what has come, as `read` does, which then reads it."""
@@ -142,16 +144,20 @@ class Ros2Source:
         while self._waiting:
             place, message, arrival = self._waiting.popleft()
             try:
-                out.append(self._reading(place, message, self._time(message, arrival, clock)))
+                time = self._time(message, arrival, clock)
+                if place is None:
+                    self._moved(message, time)
+                else:
+                    out.append(self._reading(place, message, time))
             except RobotFileError:
                 raise
+            except NoTravelError:
+                self.counts["no travel"] += 1
             except GlissandoError:
                 self.counts["invalid"] += 1
         return out
 
     def _reading(self, place: Placement, message: Any, time: float) -> Readings:
-        arclength = place.arclength - self._travel if place.slides else place.arclength
-        arclength = float(np.clip(arclength, 0.0, self._robot.length))
         kind = place.kind or "pose"
         if kind == "gyro":
             rate = message.angular_velocity
@@ -161,7 +167,7 @@ class Ros2Source:
         else:
             value = pose_of(message, place.name)
             value = value[:3, 3] if kind == "position" else value
-        return reading(self._robot, kind, _stream(place.name), time, arclength, value)
+        return reading(self._robot, place, kind, _stream(place.name), time, value, self._slide)
 
     def _time(self, message: Any, arrival: float, clock: SessionClock) -> float:
         stamp = message.header.stamp

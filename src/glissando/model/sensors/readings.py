@@ -292,11 +292,16 @@ def slide_motion(time: Array, arclength: Array) -> dict[str, Any]:
         return {"slide_speed": np.zeros(()), "slide_way": np.zeros(())}
     way, ways = 0.0, []
     moved, lasts = np.diff(arclength, prepend=arclength[:1]), np.diff(time, prepend=time[:1])
-    for step in (moved / (0.5 * _TURN)).tolist():
-        way = min(1.0, max(-1.0, way + step))
+    for step in moved.tolist():
+        way = way_after(way, step)
         ways.append(way)
     speed = np.divide(moved, lasts, out=np.zeros_like(moved), where=lasts > 0.0)
     return {"slide_speed": speed, "slide_way": np.array(ways)}
+
+
+def way_after(way: float, moved: float) -> float:
+    """Which way a slide moved last, −1 to 1, after a step in m, from that before it."""
+    return min(1.0, max(-1.0, way + moved / (0.5 * _TURN)))
 
 
 def _require_rotations(label: str, values: Array) -> None:

@@ -1,0 +1,73 @@
+"""Where a slide was when a sensor that it moves was read, while both still come in."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+from glissando.model.sensors.readings import way_after
+
+_MOST = 1024  # readings of the slide that are kept
+_AHEAD = 0.1  # s beyond its newest reading for which it is said to go on
+_APART = 1.0  # s between readings that say nothing of a speed
+
+
+@dataclass(frozen=True)
+class SlideMotion:
+    """A slide at a time.
+
+    Attributes:
+        travel: Its travel, m.
+        speed: How fast that grew, m/s.
+        way: Which way it moved last, −1 to 1, see `slide_motion`.
+    """
+
+    travel: float
+    speed: float = 0.0
+    way: float = 0.0
+
+
+class SlideTrack:
+    """The readings of a slide up to now."""
+
+    def __init__(self) -> None:
+        self._readings: deque[tuple[float, SlideMotion]] = deque(maxlen=_MOST)
+
+    @property
+    def known(self) -> bool:
+        """Whether it was read at all."""
+        return bool(self._readings)
+
+    def add(self, time: float, travel: float) -> None:
+        """Add a reading of the travel, m, at a time, s; one that is not newer is left out."""
+        if not self._readings:
+            self._readings.append((time, SlideMotion(travel)))
+            return
+        before, last = self._readings[-1]
+        if time > before:
+            moved = travel - last.travel
+            speed = moved / (time - before) if time - before < _APART else 0.0
+            self._readings.append((time, SlideMotion(travel, speed, way_after(last.way, moved))))
+
+    def at(self, time: float) -> SlideMotion | None:
+        """The slide at a time, s; None before its first reading.
+
+        Between two readings it moves straight, and beyond the newest goes on for a tenth of a
+        second as it did.
+        """
+        after: tuple[float, SlideMotion] | None = None
+        for when, motion in reversed(self._readings):
+            if when <= time:
+                return self._between(when, motion, after, time)
+            after = when, motion
+        return None
+
+    @staticmethod
+    def _between(
+        when: float, motion: SlideMotion, after: tuple[float, SlideMotion] | None, time: float
+    ) -> SlideMotion:
+        lasts, speed = min(time - when, _AHEAD), motion.speed
+        if after is not None:
+            lasts, speed = time - when, (after[1].travel - motion.travel) / (after[0] - when)
+        moved = speed * lasts
+        return SlideMotion(motion.travel + moved, speed, way_after(motion.way, moved))
