@@ -1,14 +1,19 @@
 """What an experiment gives its devices: times of a path, and names of coils."""
 
+import sys
+import threading
+import time
+from collections import Counter
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from glissando.errors import DeviceError
-from glissando.hardware.capture import Coil
+from glissando.hardware.capture import Coil, FurtherStage, Rig, capture
 from glissando.hardware.capture.capture import _motion
 from glissando.hardware.capture.coil_names import name_by_handle
+from glissando.hardware.drivers import PositionStage, SlideReading
 from glissando.hardware.drivers.aurora_setup import Tool
 from glissando.model.slide_path import SlideLimits, SlidePath
 
@@ -33,3 +38,54 @@ def test_a_coil_without_a_number_takes_a_plug_that_no_other_is_identified_by(ord
     assert name_by_handle(TOOLS, coils) == {10: "tip", 11: "free"}
     with pytest.raises(DeviceError, match="plug other in, or leave it out"):
         name_by_handle(TOOLS, (*coils, Coil("other", 0.3)))
+
+
+class Homing:
+    """A stage that homes until another thread halts it; one without travel follows."""
+
+    def __init__(self, homes):
+        self.counts, self.homes, self.halted = Counter(), homes, threading.Event()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *raised):
+        STOOD.append(self.homes)
+
+    def home_here(self, travel):
+        pass
+
+    def home_at_stop(self):
+        assert self.halted.wait(60.0)
+        raise DeviceError("The stage was halted while it moved.")
+
+    def halt(self):
+        self.halted.set()
+
+    def follow(self, times, travels):
+        while True:
+            time.sleep(0.01)
+            yield SlideReading(time.monotonic(), 0.0, 0.0, 0.0, 0.0)
+
+
+STOOD: list[bool] = []
+
+
+def test_an_interrupt_halts_a_further_stage_that_homes(monkeypatch, tmp_path):
+    module = sys.modules["glissando.hardware.capture.capture"]
+    monkeypatch.setattr(module, "opened_stage", lambda address, stage: Homing(address == "b"))
+    stage = PositionStage((0.0, 0.06), home=0.0)
+    rig = Rig(
+        "bench", "sliding700", slide="a", stage=stage, standing=0.0,
+        further=(FurtherStage("two", "b", stage),),
+    )  # fmt: skip
+    path = SlidePath.hold(0.0, 60.0, SlideLimits(0.06, 0.024, 0.1))
+    begun = time.monotonic()
+
+    def interrupted(progress):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        capture(rig, path, tmp_path / "session", on_progress=interrupted)
+    assert time.monotonic() - begun < 10.0
+    assert True in STOOD

@@ -19,6 +19,7 @@ from glissando.hardware.simulated_devices.grbl import Grbl
 from glissando.io.recording import load_recording
 from glissando.io.session_log import read_session
 from glissando.model.slide_path import SlideLimits, SlidePath
+from waiting import until
 
 pytestmark = pytest.mark.alone
 
@@ -289,4 +290,31 @@ def test_leaving_while_it_homes_ends_the_homing(answer):
             slide._line._link.write(b"$H\n")
             raise KeyboardInterrupt
         thread.join()
+    assert heard == ["reset", "reset while homing", "stands"]
+
+
+@pytest.mark.slow
+def test_another_thread_halts_a_homing_by_a_reset():
+    heard, ended = [], []
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        thread = threading.Thread(target=_homing_until_reset, args=(server, b"", heard))
+        thread.start()
+        address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        with GcodeSlide(address, STAGE) as slide:
+
+            def home():
+                with pytest.raises(DeviceError, match="has restarted and lost its position"):
+                    slide.home_at_stop()
+                ended.append(True)
+
+            homing = threading.Thread(target=home)
+            homing.start()
+            until(lambda: slide._homing)
+            time.sleep(0.2)
+            slide.halt()
+            homing.join(5.0)
+            with pytest.raises(DeviceError):
+                slide.read()
+        thread.join()
+    assert ended == [True]
     assert heard == ["reset", "reset while homing", "stands"]

@@ -153,3 +153,12 @@ def test_a_port_that_goes_away_is_one_sentence():
         slide.read()
     with pytest.raises(DeviceError):
         slide.__exit__(None, None, None)
+
+
+def test_a_port_is_of_one_program():
+    """Another one's set-up would switch the torque off."""
+    with started("servo") as address, Slide(address, STAGE) as slide:
+        slide.home_here(0.0)
+        with pytest.raises(DeviceError, match="no other program has it"):
+            Slide(address, STAGE).__enter__()
+        assert slide.move(0.002)[-1].travel == pytest.approx(0.002, abs=1e-4)

@@ -67,6 +67,12 @@ def test_shapes_that_do_not_fit_are_one_sentence(posterior, shown):
         shown.update(time, centres[:-1], frames, cov)
 
 
+@pytest.mark.parametrize("port", [-1, 65536, 99999])
+def test_a_port_that_cannot_be_is_a_sentence(port):
+    with pytest.raises(GlissandoError, match=f"A port of {port} cannot be; give 0 to 65535"):
+        Live(np.linspace(0.0, 1.0, 3), port=port)
+
+
 def test_without_viser_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "viser", None)
     with pytest.raises(GlissandoError, match=r"needs viser .* pip install 'glissando\[view\]'"):

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from glissando.errors import DeviceError
-from glissando.hardware.live import LiveSession, RecordingSource
+from glissando.hardware.live import LiveSession, Placement, RecordingSource
 from glissando.hardware.ros2.graph import Ros2Address, profile
 from glissando.hardware.ros2.ros2_sink import Ros2Sink
 from glissando.hardware.ros2.ros2_source import Ros2Source
+from glissando.hardware.ros2.ros2_tracker import Ros2Tracker
 from live_recordings import ROBOT, swaying
 from ros_peers import PLACES, Manager, Peer
 from waiting import until
@@ -81,7 +82,7 @@ def test_parameters_are_set_and_wrong_ones_refused(domain, tmp_path):
     from rcl_interfaces.srv import SetParameters
 
     file = tmp_path / "params.yaml"
-    file.write_text("/**:\n  ros__parameters:\n    frame_id: aurora\n    marker_rate: 5.0\n")
+    file.write_text("/**:\n  ros__parameters:\n    frame_id: aurora\n    marker_rate: 5\n")
     sink = Ros2Sink(f"{domain}&params={file}")
     with sink, Manager(Ros2Address.parse(domain), "manager") as manager:
 
@@ -99,3 +100,26 @@ def test_parameters_are_set_and_wrong_ones_refused(domain, tmp_path):
         assert "give 0.001 to 1000" in refused.reason
     with pytest.raises(DeviceError, match="no file"):
         Ros2Sink(f"{domain}&params={tmp_path / 'none.yaml'}")
+
+
+@pytest.mark.parametrize("given", ["marker_rate: 0.0", "marker_rate: fast", "frame_id: 5"])
+def test_parameters_of_a_file_are_judged_as_those_that_are_set(domain, tmp_path, given):
+    file = tmp_path / "params.yaml"
+    file.write_text(f"/**:\n  ros__parameters:\n    {given}\n")
+    name, _, value = given.partition(": ")
+    sentence = rf"glissando_sink cannot be configured: {name} is '?{value}'?; give "
+    with pytest.raises(DeviceError, match=sentence):
+        Ros2Sink(f"{domain}&params={file}").__enter__()
+
+
+@pytest.mark.parametrize("topic", ["/bad topic", "//x"])
+def test_a_topic_that_cannot_be_is_a_sentence(domain, topic):
+    sentence = rf"cannot be configured: Invalid topic name: .*'{topic}'$"
+    with pytest.raises(DeviceError, match=sentence):
+        Ros2Source(domain, ROBOT, [Placement(topic, 0.1, "coil")]).__enter__()
+    with pytest.raises(DeviceError, match=sentence):
+        Ros2Tracker(domain, [topic]).__enter__()
+    source = Ros2Source(f"{domain}&start=managed", ROBOT, [Placement(topic, 0.1, "coil")])
+    with source:
+        source._graph.node.trigger_configure()
+        assert topic in source.problem

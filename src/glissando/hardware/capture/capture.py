@@ -94,7 +94,8 @@ def _recorded(
     with ExitStack() as stack:
         steps = _steps(rig, path, further, log, stack)
         threads = [threading.Thread(target=_repeat, args=(s, over, failures)) for s in steps]
-        stack.callback(_finish, over, threads)
+        driven = [step for step in steps if isinstance(step, _Driven)]
+        stack.callback(_finish, over, threads, driven)
         for thread in threads:
             thread.start()
         yield failures
@@ -126,11 +127,15 @@ def _repeat(step: Callable[[], None], over: threading.Event, failures: list[Base
         try:
             step()
         except BaseException as problem:  # raised again by the thread that drives the slide
-            failures.append(problem)
+            if not over.is_set():  # else it was halted
+                failures.append(problem)
 
 
-def _finish(over: threading.Event, threads: list[threading.Thread]) -> None:
+def _finish(over: threading.Event, threads: list[threading.Thread], driven: list[_Driven]) -> None:
+    """End what threads do; a further stage that still homes, or goes to its start, is halted."""
     over.set()
+    for one in driven:
+        one.halt()
     for thread in threads:
         thread.join()
 
@@ -177,18 +182,24 @@ class _Driven:
 
     def __init__(self, one: FurtherStage, path: SlidePath, log: MessageLog) -> None:
         self._name, self._log = one.name, log
+        self._slide: LinearStage | None = None
         self._readings = self._follow(one, path)
 
     def __call__(self) -> None:
         log_slide(next(self._readings), self._log, self._name)
 
+    def halt(self) -> None:
+        """End a motion that its thread waits for."""
+        if self._slide is not None:
+            self._slide.halt()
+
     def close(self) -> None:
         """Stand still."""
         self._readings.close()
 
-    @staticmethod
-    def _follow(one: FurtherStage, path: SlidePath) -> Generator[SlideReading, None, None]:
+    def _follow(self, one: FurtherStage, path: SlidePath) -> Generator[SlideReading, None, None]:
         with opened_stage(one.address, one.stage) as slide:
+            self._slide = slide
             _home(slide, one.standing)
             yield from _motion(slide, path, None)
             while True:  # the first may still move

@@ -41,6 +41,7 @@ class GcodeSlide(PositionSlide):
         super().__init__(stage)
         self.address = address
         self._open: GcodeLine | None = None
+        self._homing = False
 
     def __enter__(self) -> Self:
         self._open = GcodeLine(self.address, self.stage, self.counts, self._forget)
@@ -66,8 +67,16 @@ class GcodeSlide(PositionSlide):
         super().home_here(travel)
 
     def _home_place(self) -> float:
+        self._homing = True
         self._line.send("$H", _HOMING)
+        self._homing = False
         return self._place()[1]
+
+    def halt(self) -> None:
+        """End the motion that another thread waits for; a controller that homes is reset."""
+        super().halt()
+        if self._homing:
+            self._line.reset()
 
     def _place(self) -> tuple[float, float]:
         sent = monotonic()

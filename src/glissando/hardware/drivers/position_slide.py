@@ -51,6 +51,7 @@ class PositionSlide:
         self.counts: Counter[str] = Counter()
         self._zero: float | None = None  # the device's position at travel zero, m
         self._last: SlideReading | None = None
+        self._halted = False
 
     def __enter__(self) -> Self:
         raise NotImplementedError
@@ -88,6 +89,10 @@ class PositionSlide:
         """Stand still at once."""
         raise NotImplementedError
 
+    def halt(self) -> None:
+        """End the motion that another thread waits for; that raises DeviceError there."""
+        self._halted = True
+
     def _forget(self) -> None:
         """The travel is not known any more."""
         self._zero = None
@@ -116,6 +121,8 @@ class PositionSlide:
         Lines may be without a checksum: a position that the stage cannot have reached is asked for
         again.
         """
+        if self._halted:
+            raise DeviceError("The stage was halted while it moved.")
         for _ in range(_ATTEMPTS):
             reading = self._read()
             if self._last is None or self._reachable(self._last, reading):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import Any
 
 from glissando.errors import DeviceError, needing
@@ -23,10 +24,12 @@ def opened(address: str, baud: int) -> tuple[Any, Any]:
     port = PortHandler(address)
     try:
         ready = port.setBaudRate(baud)
+        if ready and os.name == "posix":  # Windows opens ports for one program only
+            port.ser.exclusive = True  # another one would switch the torque off
     except lost_port() as problem:
         raise DeviceError(
-            f"The port {address} cannot be opened ({problem}); check its name and your "
-            f"rights to it."
+            f"The port {address} cannot be opened ({problem}); check its name, your rights to it, "
+            f"and that no other program has it."
         ) from None
     if not ready:
         raise DeviceError(f"The SDK knows no rate of {baud} baud; give 57600 or 1000000, say.")

@@ -118,6 +118,7 @@ class Graph:
         self.configure, self.cleanup = configure, cleanup
         self.node: Any = None
         self.state = "unconfigured"
+        self._failure = ""  # of the last transition, which rclpy does not pass on
         self._context: Any = None
         self._executor: Any = None
 
@@ -134,12 +135,17 @@ class Graph:
         except Exception as problem:  # rclpy's own errors share no other base
             self._context.try_shutdown()
             raise DeviceError(
-                f"The ROS 2 node {self.name} did not start ({problem}); correct params= and name=."
+                f"The ROS 2 node {self.name} did not start ({_in_a_line(problem)}); correct "
+                f"params= and name=."
             ) from None
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
         if self.address.start == "self":
             self.node.trigger_configure()
+            if self._failure:
+                failure = self._failure
+                self.__exit__()
+                raise DeviceError(f"The ROS 2 node {self.name} cannot be configured: {failure}")
             self.node.trigger_activate()
         return self
 
@@ -153,7 +159,20 @@ class Graph:
     @property
     def problem(self) -> str:
         """Why the node does nothing; empty while it is active."""
-        return "" if self.state == "active" else f"the ROS 2 node {self.name} is {self.state}"
+        if self.state == "active":
+            return ""
+        why = f" ({self._failure})" if self._failure else ""
+        return f"the ROS 2 node {self.name} is {self.state}{why}"
+
+    def move(self, state: str, action: Callable[[], None]) -> None:
+        """Do what leads to a state, and take it."""
+        self._failure = ""
+        try:
+            action()
+        except Exception as problem:
+            self._failure = _in_a_line(problem)
+            raise
+        self.state = state
 
     def spin(self, most: int = 256) -> None:
         """Run what is ready, about `most` callbacks at a time; never waits.
@@ -174,6 +193,12 @@ class Graph:
             ready.result()  # raises what the callback raised
 
 
+def _in_a_line(problem: Exception) -> str:
+    """What rcl says in a line, with a mark below."""
+    lines = [line.strip() for line in str(problem).splitlines()]
+    return " ".join(line for line in lines if line != "^")
+
+
 def _managed_node(graph: Graph, context: Any) -> Any:
     """A node whose life cycle is that of a graph."""
     from rclpy.lifecycle import LifecycleNode
@@ -181,8 +206,7 @@ def _managed_node(graph: Graph, context: Any) -> Any:
 
     def moves_to(state: str, transition: Any, action: Callable[[], None] = lambda: None) -> Any:
         def on_transition(self: Any, previous: Any) -> Any:
-            action()
-            graph.state = state
+            graph.move(state, action)
             return transition(self, previous)
 
         return on_transition

@@ -95,10 +95,18 @@ class Ros2Sink:
             for topic, kind in kinds.items()
         }
         if not node.has_parameter("frame_id"):
-            node.declare_parameter("frame_id", self._address.frame)
-            for number, default in _NUMBERS.items():
-                node.declare_parameter(number, default)
-            node.add_on_set_parameters_callback(_checked)
+            self._declare_parameters()
+
+    def _declare_parameters(self) -> None:
+        """Declare the node's parameters. Raises DeviceError for a value that cannot be."""
+        from rcl_interfaces.msg import ParameterDescriptor
+
+        node, defaults = self._graph.node, {"frame_id": self._address.frame, **_NUMBERS}
+        descriptor = ParameterDescriptor(dynamic_typing=True)  # 10 is a rate as 10.0 is
+        given = [node.declare_parameter(name, defaults[name], descriptor) for name in defaults]
+        if not (checked := _checked(given)).successful:
+            raise DeviceError(checked.reason)
+        node.add_on_set_parameters_callback(_checked)
 
     def _count_incompatible(self, event: Any) -> None:
         self.counts["incompatible subscribers"] += event.total_count_change
@@ -188,12 +196,14 @@ def _checked(parameters: list[Any]) -> Any:
     from rcl_interfaces.msg import SetParametersResult
 
     for parameter in parameters:
-        if parameter.name in _NUMBERS and not 1e-3 <= parameter.value <= 1e3:
-            unit = "Hz" if parameter.name in _RATES else "m/N"
-            reason = f"{parameter.name} is {parameter.value:g} {unit}; give 0.001 to 1000."
+        name, value, reason = parameter.name, parameter.value, ""
+        if name in _NUMBERS and not (type(value) in (int, float) and 1e-3 <= value <= 1e3):
+            unit = "Hz" if name in _RATES else "m/N"
+            reason = f"{name} is {value!r}; give 0.001 to 1000 {unit}."
+        elif name == "frame_id" and not (isinstance(value, str) and value):
+            reason = f"frame_id is {value!r}; give a name."
+        if reason:
             return SetParametersResult(successful=False, reason=reason)
-        if parameter.name == "frame_id" and not parameter.value:
-            return SetParametersResult(successful=False, reason="frame_id is empty; give a name.")
     return SetParametersResult(successful=True)
 
 

@@ -101,13 +101,13 @@ class Ros2Source:
     @property
     def problem(self) -> str:
         """Which topics nobody publishes, or as another type; empty if none."""
-        if self._graph.node is None:
-            return ""
+        if self._graph.node is None or self._graph.problem:
+            return "" if self._graph.node is None else self._graph.problem
         if time.monotonic() - self._looked > _PATIENCE:
             self._looked = time.monotonic()
             silences = [self._silence_of(topic, kind) for topic, kind in self._topics.items()]
             self._silence = "; ".join(filter(None, silences))
-        return self._graph.problem or self._silence
+        return self._silence
 
     def _silence_of(self, topic: str, kind: Any) -> str:
         """Why a topic says nothing; empty if somebody publishes it."""

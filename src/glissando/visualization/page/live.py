@@ -30,10 +30,12 @@ class Live:
         port: Port of the server; 0 is any free one.
 
     Raises:
-        GlissandoError: viser is not installed.
+        GlissandoError: viser is not installed, or the port cannot be.
     """
 
     def __init__(self, arclength: ArrayLike, *, top: float = 0.02, port: int = 8080) -> None:
+        if not 0 <= port < 1 << 16:
+            raise GlissandoError(f"A port of {port} cannot be; give 0 to 65535.")
         with needing("A live view needs viser and matplotlib", "view"):
             import viser
             from matplotlib import colormaps
