@@ -47,6 +47,23 @@ Style: TypeAlias = "Mapping[str, Any]"
 NO_STYLE: Style = {}
 
 
+def line_colours(count: int) -> list[Any]:
+    """So many colours that differ on white: those safe for all eyes, beyond six shades of a map."""
+    from matplotlib import colormaps
+
+    safe = [c for c in SENSORS if c not in ("#FFFFFF", "#000000")]
+    shades = colormaps["viridis"](np.linspace(0.0, 0.95, max(count, 1)))
+    return safe[:count] if count <= len(safe) else list(shades)
+
+
+def gif_rate(rate: float) -> float:
+    """The rate nearest to one in Hz at which a GIF plays: its frames last whole hundredths of s.
+
+    Browsers refuse a single hundredth, so that it is 50 Hz at most.
+    """
+    return 100.0 / max(2, round(100.0 / rate)) * (1.0 - 1e-9)  # Pillow rounds delays down
+
+
 @contextmanager
 def canvas(width: float, height: float, style: Style = NO_STYLE) -> Iterator[Figure]:
     """An empty figure of that size in inches on its own canvas, and the look while it is filled."""

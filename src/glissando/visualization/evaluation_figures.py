@@ -12,7 +12,7 @@ from glissando.evaluation.replay import Replay
 from glissando.evaluation.simulation_based import SimulationCheck, bands, rank_points
 from glissando.geometry.se3 import Array
 from glissando.model.quantiles import chi_square_quantile
-from glissando.visualization.canvas import SENSORS, legend, panels_on
+from glissando.visualization.canvas import SENSORS, legend, line_colours, panels_on
 
 
 def calibration_figure(checks: Sequence[Consistency]) -> Any:
@@ -125,7 +125,7 @@ def _draw_newest(axes: Any, run: Replay) -> None:
         at = int(np.argmin(np.abs(run.robot.arclength_nodes - share * length)))
         label = f"95 % at {1e3 * run.robot.arclength_nodes[at]:.0f} mm"
         axes.plot(run.time, radius[:, at], line, color="black", linewidth=1.0, label=label)
-    colours = _different(len(run.newest))
+    colours = line_colours(len(run.newest))
     for errors, colour in zip(run.newest, colours, strict=True):
         look = {"color": colour, "markersize": 3, "alpha": 0.6}
         axes.plot(errors.time, 1e3 * errors.position, ".", **look, label=errors.name)
@@ -133,15 +133,6 @@ def _draw_newest(axes: Any, run: Replay) -> None:
     top = 1.1 * float(np.nanquantile(np.concatenate([s.ravel() for s in shown]), 0.99))
     axes.set(xlabel="time (s)", ylabel="position error (mm)", ylim=(0, top or None))
     axes.legend(ncols=4, fontsize="small", loc="upper left")
-
-
-def _different(count: int) -> list[Any]:
-    """So many colours that differ: those safe for all eyes, and beyond eight shades of a map."""
-    from matplotlib import colormaps
-
-    safe = [c for c in SENSORS if c not in ("#FFFFFF", "#000000")]
-    shades = colormaps["viridis"](np.linspace(0.0, 0.95, max(count, 1)))
-    return safe[:count] if count <= len(safe) else list(shades)
 
 
 def radius95(cov: Array) -> Array:

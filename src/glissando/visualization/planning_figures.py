@@ -14,7 +14,15 @@ from glissando.planning.design import NUMBERS, Design, pareto_front
 from glissando.planning.placement import Placement
 from glissando.planning.planning_problem import PlanningProblem
 from glissando.planning.zones import Zone
-from glissando.visualization.canvas import NO_STYLE, SENSORS, Style, canvas, describe, panels_on
+from glissando.visualization.canvas import (
+    NO_STYLE,
+    Style,
+    canvas,
+    describe,
+    gif_rate,
+    line_colours,
+    panels_on,
+)
 
 MM = 1e3
 _PLACES, _TIMES = 60, 81  # points of a map along the body and in time
@@ -113,9 +121,13 @@ def save_plan_film(
         from matplotlib.animation import PillowWriter
 
         axes: Any = figure.subplots()
-        writer = PillowWriter(fps=max(1, round(_TIMES / (problem.end - problem.start))))
+        lasts = problem.end - problem.start
+        rate = gif_rate(_TIMES / lasts)
+        frames = np.linspace(0, time.size - 1, max(2, round(rate * lasts))).astype(int)
+        writer = PillowWriter(fps=rate)  # type: ignore[arg-type]  # any number will do
         with new_file(file) as building, writer.saving(figure, building, dpi=90):
-            for k, now in enumerate(time):
+            for k in frames.tolist():
+                now = float(time[k])
                 axes.clear()
                 for zone in zones:
                     if zone.overlap(now, now):
@@ -167,7 +179,7 @@ def design_figure(designs: Sequence[Design], *, ax: Any = None, style: Style = N
         row = panels[0]
         for axes, (name, (unit, scale)) in zip(row, NUMBERS.items(), strict=True):
             cost = scale * np.array([float(getattr(d, name)) for d in designs])
-            for zone, colour in zip(range(std.shape[1]), SENSORS, strict=False):
+            for zone, colour in enumerate(line_colours(std.shape[1])):
                 axes.plot(cost, std[:, zone], "o", color=colour, ms=4, alpha=0.5)
                 label = f"zone {zone + 1}, worth its cost"
                 style = {"mfc": colour, "mec": "black", "ms": 7, "label": label}

@@ -13,7 +13,7 @@ from glissando.io.atomic_file import new_file
 from glissando.planning.scene.motion_cost import Evaluation
 from glissando.planning.scene.obstacles import HalfSpace, sphere
 from glissando.planning.scene.plan_motion import MotionPlan
-from glissando.visualization.canvas import MM, SENSORS, canvas
+from glissando.visualization.canvas import MM, canvas, gif_rate, line_colours
 from glissando.visualization.page.scene import Scene as PageScene
 from glissando.visualization.page.scene import Solid, symmetric_root
 from glissando.visualization.shape_figure import frame_axes
@@ -62,14 +62,14 @@ def save_scene_film(plan: MotionPlan, file: Path) -> None:
     plan = plan.evenly()
     moments = plan.problem.space.moments
     lasts = float(np.ptp(moments))
-    rate = max(1, round(_FRAMES / lasts))
+    rate = gif_rate(_FRAMES / lasts)
     frames = np.linspace(0, moments.size - 1, max(2, round(rate * lasts)))
     with canvas(6.0, 5.4) as figure:
         from matplotlib.animation import PillowWriter
 
         figure.set_layout_engine("none")
         axes: Any = figure.add_axes(_INSET, projection="3d", computed_zorder=False)
-        writer = PillowWriter(fps=rate)
+        writer = PillowWriter(fps=rate)  # type: ignore[arg-type]  # any number will do
         with new_file(file) as building, writer.saving(figure, building, dpi=80):
             for k in frames:
                 axes.clear()
@@ -144,9 +144,10 @@ def _draw_time(panels: list[Any], plan: MotionPlan) -> None:
     panels[1].plot(moments, tip, color="black", label="tip's standard deviation (mm)")
     if scene.slides:
         slides = panels[1].twinx()
-        for slide, colour in zip(MM * values[:, count:].T, SENSORS, strict=False):
+        colours = line_colours(values.shape[1] - count)
+        for slide, colour in zip(MM * values[:, count:].T, colours, strict=True):
             slides.plot(time, slide, color=colour)
-        slides.set_ylabel("slide (mm)", color=SENSORS[0])
+        slides.set_ylabel("slide (mm)", color=colours[0])
     panels[1].set_ylabel("tip σ (mm)")
     if scene.obstacles:
         c = at.clearances

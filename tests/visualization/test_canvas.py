@@ -1,0 +1,39 @@
+"""What all figures share: a film's pace, and colours that show."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from glissando.visualization.canvas import canvas, gif_rate, line_colours
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("lasts", [0.5, 1.0, 2.0, 4.0, 7.0, 30.0])
+def test_a_film_lasts_as_long_as_the_motion(tmp_path, lasts):
+    from matplotlib.animation import PillowWriter
+
+    rate = gif_rate(60 / lasts)
+    count = max(2, round(rate * lasts))
+    with canvas(1.0, 1.0) as figure:
+        axes, writer = figure.subplots(), PillowWriter(fps=rate)
+        with writer.saving(figure, tmp_path / "film.gif", dpi=40):
+            for k in range(count):
+                axes.clear()
+                axes.plot([0, k], [k, 1])
+                writer.grab_frame()
+    with Image.open(tmp_path / "film.gif") as film:
+        delays = []
+        for k in range(film.n_frames):
+            film.seek(k)
+            delays.append(film.info["duration"])
+    assert min(delays) >= 20  # ms: browsers slow down what is faster
+    assert sum(delays) / 1e3 == pytest.approx(lasts, rel=0.05)
+
+
+@pytest.mark.parametrize("count", [1, 6, 7, 20])
+def test_as_many_lines_as_there_are_have_colours_that_show_and_differ(count):
+    from matplotlib.colors import to_rgb
+
+    colours = np.array([to_rgb(colour) for colour in line_colours(count)])
+    assert len(np.unique(colours.round(3), axis=0)) == len(colours) == count
+    assert np.all(colours.min(axis=1) < 0.9)  # white is the paper
