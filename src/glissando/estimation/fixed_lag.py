@@ -109,7 +109,8 @@ class FixedLagSmoother:
         """Go on to a time with all readings up to then; the newest state at the nodes (N,).
 
         A time that is not after the newest node's, or hardly, changes nothing but brings in what
-        came late.
+        came late. Where times are closer than the prior has digits for, there is no node at each of
+        them: the state is then predicted from the newest node.
 
         Args:
             time: Seconds.
@@ -123,6 +124,8 @@ class FixedLagSmoother:
             if self._undelayed is not None and self._shown:
                 self._undelayed.advance(time)
             self._steps.advance(time)
+            if self._steps.behind:
+                return self.at(self.arclength, time)
             return self._steps.newest()
 
     def newest(self) -> StateEstimate:

@@ -48,7 +48,7 @@ class GatedUpdate:
             fresh: New readings of each stream, cleared where no shape comes near.
         """
         window = self._window
-        readings = self._buffer.streams(float(window.nodes.time[0]))
+        readings = self._buffer.streams(window.since(0))
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", EstimateWarning)
@@ -111,7 +111,7 @@ class GatedUpdate:
 
     def readings(self, first: int) -> HeldReadings:
         """Readings at and after a node."""
-        return self._buffer.since(float(self._window.nodes.time[first]))
+        return self._buffer.since(self._window.since(first))
 
     def _solve(self, first: int, readings: HeldReadings, most: int) -> None:
         """Linearise and solve from a node on until a step misses by little."""

@@ -58,10 +58,21 @@ def spread_between(
     return ShapeSpread(at.pose, at.strain, at.velocity, cov)
 
 
-def spread_of(cov: Array, node: int, dof: int) -> tuple[float, float]:
-    """RMS displacement (m) and turn (rad) of a node by the joint covariance (D, D) of a time."""
-    variance = np.diagonal(cov)[node * dof : node * dof + 6]
-    return float(np.sqrt(variance[:3].sum())), float(np.sqrt(variance[3:].sum()))
+def tip_spread(state: State, cov: Array) -> tuple[float, float]:
+    """RMS displacement (m) and swing (rad) of the tip by the joint covariance (D, D) of a time.
+
+    The swing turns the tangent. A turn about the tangent, which a coil does not read, moves no
+    point of the body.
+
+    Args:
+        state: Mean (N,).
+        cov: Joint covariance of its numbers, and of whatever follows them.
+    """
+    first = (state.pose.shape[0] - 1) * state.dof
+    moves, turns = (cov[at : at + 3, at : at + 3] for at in (first, first + 3))
+    tangent = state.strain[-1, :3] / np.linalg.norm(state.strain[-1, :3])
+    swing = np.trace(turns) - tangent @ turns @ tangent
+    return float(np.sqrt(np.trace(moves))), float(np.sqrt(max(swing, 0.0)))
 
 
 def shape_covariances(arclength: Array, state: State, cov: Array) -> Array:
@@ -82,7 +93,7 @@ def shape_covariances(arclength: Array, state: State, cov: Array) -> Array:
     cov = cov[: count * dof, : count * dof]
     draws = _draws(count * dof) @ np.linalg.cholesky(cov).T
     draws = np.concatenate([draws, -draws]).reshape(-1, count, dof)
-    _, turn = spread_of(cov, count - 1, dof)
+    turn = np.sqrt(np.diagonal(cov)[(count - 1) * dof + 3 : (count - 1) * dof + 6].sum())
     pose = _bent(arclength, state, min(1.0, _WOUND / turn) * draws)
     error = np.empty((*draws.shape[:2], DOF))
     unturned = np.swapaxes(state.pose[:, :3, :3], -1, -2)

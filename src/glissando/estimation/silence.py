@@ -13,11 +13,11 @@ from glissando.estimation.reading_buffer import ReadingBuffer
 _USUAL = 1.0  # s: the usual step until two updates say what it is
 _VOID = 2.0  # usual steps without a reading, which make a silence
 _GROWTH = 0.2  # of the silence so far: the longest step in it
-_CURVED = 0.2  # rad: where the turn of the tip is known less well, belief is not linear
+_CURVED = 0.2  # rad: where the tip's direction is known less well, belief is not linear
 _LOST = 2.0  # rad: where it is known less well, the robot may as well be at rest
 
 Spread = tuple[float, float]
-"""RMS displacement (m) and turn (rad) of the tip."""
+"""RMS displacement (m) of the tip, and swing (rad) of its tangent."""
 
 
 class Silence:

@@ -29,7 +29,7 @@ from glissando.estimation.window_nodes import Nodes
 from glissando.estimation.window_system import WindowSystem
 from glissando.geometry.se3 import Array
 from glissando.model.factors import Factors, Residuals
-from glissando.model.grid import Grid, Index
+from glissando.model.grid import Grid, Index, reads_from
 from glissando.model.priors.prior import Prior, load_kernels
 from glissando.model.priors.white_noise import WhiteNoisePrior
 from glissando.model.sensors.compiled_readings import is_compiled
@@ -125,6 +125,11 @@ class SlidingWindow:
         """The grid of the nodes from `first` on."""
         before = float(self.nodes.time[first - 1]) if first else self.before
         return self._grid.at_times(self.nodes.time[first:], before)
+
+    def since(self, first: int) -> float:
+        """The time from which on readings are of the intervals from node `first` on, s."""
+        time = self.nodes.time
+        return reads_from(float(time[first]), float(time[first - 1]) if first else self.before)
 
     def append(self, time: float) -> None:
         """One more node, where constant velocity (and strain rate) lead from the newest."""

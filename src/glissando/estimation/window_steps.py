@@ -21,7 +21,7 @@ from glissando.estimation.innovation_gate import InnovationGate
 from glissando.estimation.misfit import breakdown
 from glissando.estimation.posterior import StateEstimate
 from glissando.estimation.reading_buffer import ReadingBuffer
-from glissando.estimation.shape_spread import ShapeSpread, shape_covariances, spread_of
+from glissando.estimation.shape_spread import ShapeSpread, shape_covariances, tip_spread
 from glissando.estimation.silence import Silence
 from glissando.estimation.sliding_window import SlidingWindow
 from glissando.model.grid import Grid
@@ -29,6 +29,7 @@ from glissando.model.seconds import seconds
 from glissando.model.sensors.readings import Readings
 
 _MERGED = 0.01  # of the longest interval: a node as close to the newest one would be singular
+_SAME = 1e-6  # of the least step, as times of a loop are rounded
 _BACK = 2.0  # s before the oldest node: a clock that was set, not a reading that came late
 _CLOSEST = 0.2  # of the last interval: no node is put nearer to the newest one to look ahead
 
@@ -52,6 +53,8 @@ class WindowSteps:
         self.buffer = ReadingBuffer(float(window.arclength[-1]), self.gate, window.takes_as_row)
         self.update = GatedUpdate(window, self.buffer, self.gate)
         self.updates = self.restarts = 0
+        self._least = window.prior.least_step(window.arclength)
+        self._asked = -np.inf
         self._started = False
         self._oldest, self._silence = -np.inf, Silence()
 
@@ -70,11 +73,17 @@ class WindowSteps:
         Raises:
             OutsideGridError: The time lies seconds before all that is estimated.
         """
-        time = self._new_time(time)
+        self._asked, time = time, self._new_time(time)
         with one_thread():
             self.buffer.refuse_ahead(max(time, self.time or time))
             while self._step(self._next_node(time)) < time:
                 pass
+
+    @property
+    def behind(self) -> bool:
+        """Whether the newest node is older than what was asked for, as nodes would be too close."""
+        newest = self.time
+        return newest is not None and self._asked - newest > _MERGED * self._silence.step
 
     def ahead(self, time: float) -> SlidingWindow:
         """The window, or where a time is ahead of it a copy with more nodes.
@@ -90,13 +99,13 @@ class WindowSteps:
         before = window.before if len(nodes) == 1 else nodes[-2]
         # Nodes may be too close; one further ahead than asked for does not change the answer.
         least = 0.0 if before is None else _CLOSEST * float(newest - before)
-        time = max(time, newest + least)
+        time = max(time, newest + max(least, self._least))
         with one_thread():
             while newest < time:
                 newest = time if self.resting else self._silence.next_in_void(newest, time)
                 window.append(newest)
                 first = max(0, len(window.nodes) - 2)
-                window.solve(first, self.buffer.since(float(window.nodes.time[first])))
+                window.solve(first, self.buffer.since(window.since(first)))
                 if newest < time and self._silence.is_at_rest(self._spread(window)):
                     _begin_at_rest(window, time)
                     break
@@ -115,6 +124,7 @@ class WindowSteps:
         on = [*([] if before is None else [before]), *nodes.tolist()]
         longest = max((b - a for a, b in pairwise(on)), default=0.0)
         close = _MERGED * min(longest, self._silence.step)  # however long a silence lasted
+        close = max(close, self._least * (1.0 - _SAME))
         return on[-1] if time - on[-1] < close else time
 
     def _next_node(self, time: float) -> float:
@@ -162,6 +172,7 @@ class WindowSteps:
             due = self.buffer.due(time)
             if due.size:
                 begin = max(self._oldest, min(float(due[0]), time - silence.step))
+                begin = min(begin, time - self._least)
         else:
             self._oldest = time
         self._rest(begin)
@@ -179,9 +190,8 @@ class WindowSteps:
 
     @staticmethod
     def _spread(window: SlidingWindow) -> tuple[float, float]:
-        """RMS displacement (m) and turn (rad) of the newest tip."""
-        state, cov = window.newest()
-        return spread_of(cov, window.arclength.size - 1, state.dof)
+        """RMS displacement (m) and swing (rad) of the newest tip."""
+        return tip_spread(*window.newest())
 
     @property
     def resting(self) -> bool:
@@ -219,7 +229,7 @@ class WindowSteps:
             self.window.drop()
         if not self.resting:
             self._oldest = float(self.window.nodes.time[0])
-        self.buffer.forget(self._oldest)
+        self.buffer.forget(min(self._oldest, self.window.since(0)))
 
     def _restart(self, since: float, fresh: Counter[str]) -> None:
         """Begin again from rest, where states have become absurd or say nothing more."""

@@ -18,7 +18,7 @@ SAME = 1e-9
 """Metres: places of the robot that are no farther apart are one, as decimals are rounded."""
 
 _CROWDED = 0.05  # of an interval: a reading as near to another node gets none of its own
-_TOLERANCE = 1e-9  # relative to the length: how far outside the ends still counts as the end
+_TOLERANCE = 1e-9  # of a step beside a node is on it, of the length outside the ends is the end
 
 
 def _spans(nodes: Array) -> Array:
@@ -69,6 +69,14 @@ def _locate(nodes: Array, values: Array) -> Cells:
     offset = np.where(offset < _TOLERANCE * step, 0.0, offset)
     offset = np.where(step - offset < _TOLERANCE * step, step, offset)
     return Cells(lower, step, offset)
+
+
+def reads_from(node: float, before: float | None) -> float:
+    """The time from which on readings are of the intervals from a node on, s.
+
+    What is read a hair before it, relative to the step from the node before, lies on it.
+    """
+    return node if before is None else node - _TOLERANCE * (node - before)
 
 
 def segment_at(joints: Array, arclength: Array) -> Index:

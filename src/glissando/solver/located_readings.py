@@ -10,7 +10,7 @@ import numpy as np
 
 from glissando.errors import SensorError
 from glissando.geometry.se3 import Array
-from glissando.model.grid import Grid, Index
+from glissando.model.grid import Grid, Index, reads_from
 from glissando.model.interpolation import Points, sort_points
 from glissando.model.sensors.parameter_process import EstimatedParameters, ParameterValues
 from glissando.model.sensors.parameters import SensorParameter
@@ -146,7 +146,8 @@ def _batches(
         return [[] for _ in blocks]
     begins = np.cumsum([0, *map(len, streams)])
     displaced = [parameters.displaced(r) for r in streams]
-    counted = (_joined(displaced)[1] < grid.time[0]) & (grid.before is not None)
+    counted = _joined(displaced)[1] < reads_from(float(grid.time[0]), grid.before)
+    counted &= grid.before is not None
     streams = [
         r if moved is r else _kept_on(grid, moved)
         for r, moved in zip(streams, displaced, strict=True)

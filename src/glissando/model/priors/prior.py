@@ -53,6 +53,14 @@ class Prior(Protocol):
         """Whether the prior alone says where the robot stands."""
         ...
 
+    def least_step(self, arclength: Array) -> float:
+        """The least time between time nodes, s, at which information keeps its digits.
+
+        Args:
+            arclength: Arclength nodes (N,), m.
+        """
+        ...
+
     def softened(self) -> Self:
         """The prior with soft shear and extension, a start for this one; itself if not stiff."""
         ...

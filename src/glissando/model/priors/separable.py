@@ -37,6 +37,7 @@ from glissando.model.priors.static import static_factors
 from glissando.model.priors.stationary import (
     chain_factors,
     interpolate_process,
+    least_step,
     longest_scale,
     require_digits,
 )
@@ -130,6 +131,10 @@ class SeparablePrior:
     def fixes_base(self) -> bool:
         """True: a stationary process strays only so far from where it is expected."""
         return True
+
+    def least_step(self, arclength: Array) -> float:
+        """The least time between time nodes, s, at which information keeps its digits."""
+        return least_step(self.time_scale)
 
     def softened(self) -> SeparablePrior:
         """The prior with shear and extension as soft as bending over 2 cm, or itself if not far."""

@@ -25,6 +25,7 @@ from glissando.model.priors.intervals import as_fields, at_nodes, kron_pair
 from glissando.model.priors.rest_shape import RestShape
 from glissando.model.state import DOF, State
 
+_SAME = 1e-6  # of a step, as times of a loop are rounded
 _DENSEST = 200.0  # time nodes a time scale: beyond, rounding shows in the covariance
 
 
@@ -58,14 +59,19 @@ class StationaryPrior(Protocol):
         ...
 
 
+def least_step(time_scale: float) -> float:
+    """The least time between nodes, s, of processes with a time scale."""
+    return time_scale / _DENSEST
+
+
 def require_digits(grid: Grid, time_scale: float) -> None:
     """Raise OutsideGridError where time nodes are so dense that information loses digits."""
     steps = np.diff(grid.time)
-    if longest_scale(grid) < time_scale:
+    if longest_scale(grid) < time_scale * (1.0 - _SAME):
         raise OutsideGridError(
             f"Time nodes {np.median(steps):.3g} s apart are too dense for a time scale of "
             f"{time_scale:g} s: they add nothing and cost all digits; leave "
-            f"{time_scale / _DENSEST:.3g} s at least between them."
+            f"{least_step(time_scale):.3g} s at least between them."
         )
 
 

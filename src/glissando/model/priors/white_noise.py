@@ -35,6 +35,7 @@ from glissando.model.state import DOF, POSE, STRAIN, VELOCITY, State, rest_state
 from glissando.model.stated import Stated
 from glissando.model.table import Table, pose_table
 
+_WOUND = 300.0  # rad of winding: with more, a factor of the information loses its last digits
 _ALL = slice(0, DOF)
 
 
@@ -142,6 +143,17 @@ class WhiteNoisePrior:
     def fixes_base(self) -> bool:
         """Whether the prior alone says where the robot stands."""
         return self.base is not None
+
+    def least_step(self, arclength: Array) -> float:
+        """The least time between time nodes, s, at which information keeps its digits.
+
+        One node alone knows the less of strain the shorter the time for which it stands: there a
+        body of standard deviation would be wound by `_WOUND`.
+        """
+        length = float(arclength[-1] - arclength[0])
+        psd = 0.5 * length * np.max(self.psd_strain_arclength[..., 3:])
+        psd += 0.0 if self.base is None else np.max(self.base.strain[3:])
+        return float(2.0 * psd * (length / _WOUND) ** 2)
 
     def softened(self) -> WhiteNoisePrior:
         """The prior with shear and extension as soft as bending over 2 cm, or itself if not far.

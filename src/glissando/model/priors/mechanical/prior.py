@@ -40,7 +40,12 @@ from glissando.model.priors.mechanical.section import LinearizedRod, hanging_rod
 from glissando.model.priors.mechanical.table import read_fields
 from glissando.model.priors.rest_shape import STRAIGHT, RestShape
 from glissando.model.priors.static import STATIC_DOF
-from glissando.model.priors.stationary import chain_factors, interpolate_process, require_digits
+from glissando.model.priors.stationary import (
+    chain_factors,
+    interpolate_process,
+    least_step,
+    require_digits,
+)
 from glissando.model.state import State
 from glissando.model.stated import Stated
 from glissando.model.table import Table, pose_table
@@ -146,6 +151,10 @@ class MechanicalPrior:
     def fixes_base(self) -> bool:
         """True: the base's pose has a variance."""
         return True
+
+    def least_step(self, arclength: Array) -> float:
+        """The least time between time nodes, s, at which information keeps its digits."""
+        return least_step(self.time_scale)
 
     def softened(self) -> MechanicalPrior:
         """The prior of a rod that moments bend as they like, without forces, soft in shear.
