@@ -74,6 +74,13 @@ class PlanWarning(UserWarning):
     """A plan of the sensor's path came too late or not at all, or leaves something out."""
 
 
+def is_interrupt(problem: BaseException | None) -> bool:
+    """Whether Ctrl-C caused an error, directly or inside a kernel, which makes a SystemError."""
+    while problem is not None and not isinstance(problem, KeyboardInterrupt):
+        problem = problem.__cause__ or problem.__context__
+    return problem is not None
+
+
 @contextmanager
 def needing(what: str, extra: str, error: type[GlissandoError] = GlissandoError) -> Iterator[None]:
     """Name the extra to install where a package that is imported inside is missing.

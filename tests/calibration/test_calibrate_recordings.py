@@ -118,7 +118,9 @@ def test_an_estimate_asks_for_calibration_and_takes_its_result(folder, capsys, m
     robot = load_recording(folder).robot
     load_recording(folder).readings(["coil"], robot, (0.0, 5.0))
     assert main(["calibrate", str(folder)]) == 2  # the kept one is not overwritten
-    assert "bench.uncalibrated exists" in capsys.readouterr().err
+    told = capsys.readouterr().err
+    assert "bench.uncalibrated exists" in told
+    assert "give --recording DIR" in told
 
 
 @pytest.mark.slow

@@ -190,3 +190,19 @@ def test_a_start_that_cannot_be_estimated_is_said_to_be(in_process):
     document = start()
     with pytest.raises(GlissandoError, match="So much noise cannot be"):
         learn(document, of_label(document, "noise"), [Arc(most=1e-6)], steps=1)
+
+
+def test_what_was_learned_before_an_interrupt_is_kept(in_process):
+    document = start(noise=10.0)
+    numbers = of_label(document, "pose noise")
+
+    def interrupted(done, value, expected):
+        if done >= 1.0:
+            raise KeyboardInterrupt
+
+    found = learn(document, numbers, [Arc()], watch=interrupted)
+    assert (found.interrupted, found.steps) == (True, 1)
+    assert found.after.value > found.before.value
+    assert found.document["sensors"]["pose"]["std"] != document["sensors"]["pose"]["std"]
+    with pytest.raises(KeyboardInterrupt):
+        learn(document, numbers, [Arc()], watch=lambda *_: interrupted(1.0, 0.0, 1.0))

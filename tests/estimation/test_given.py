@@ -8,6 +8,7 @@ import pytest
 from glissando import (
     FixedLagSmoother,
     GlissandoError,
+    Grid,
     PositionReadings,
     Posterior,
     SensorParameter,
@@ -98,3 +99,29 @@ def test_readings_off_the_grid_are_named():
     with pytest.raises(OutsideGridError, match=r"rows 3, 17 have arclength 0.481, 0.502 m"):
         estimate(prior, grid, [off])
     assert len(off.inside(grid)) == len(coil) - 2
+
+
+@pytest.mark.parametrize(
+    ("field", "values", "sentence"),
+    [
+        ("time", np.array(["2026-01-01", "2026-01-02"], "datetime64[s]"), "give numbers, times in"),
+        ("time", np.array([1, 2], "timedelta64[ms]"), r"type timedelta64\[ms\]; give numbers"),
+        ("values", np.ones((2, 3)) + 0j, "type complex128; give numbers"),
+        ("values", np.ma.masked_equal([[1.0, 1.0, 1.0], [1.0, 9.0, 1.0]], 9.0), "row 1 is masked"),
+        ("time", np.ma.masked_equal([9.0, 1.0], 9.0), "time of row 0 is masked; drop masked rows"),
+    ],
+)
+def test_dates_complex_numbers_and_masked_rows_are_no_readings(field, values, sentence):
+    """numpy makes numbers of them: nanoseconds, real parts, and what stands under the mask."""
+    given = {"time": [0.0, 1.0], "arclength": [0.1, 0.1], "values": np.ones((2, 3)), field: values}
+    with pytest.raises(SensorError, match=f"seen: .*{sentence}"):
+        PositionReadings(**given, cov=1e-6, name="seen")
+
+
+def test_nodes_that_begin_beyond_a_base_are_refused():
+    robot, (_, _, readings) = load_robot("tdcr466"), sliding_scene()
+    nodes = np.array([0.1, 0.2, 0.466])
+    with pytest.raises(OutsideGridError, match=r"begin at 0\.1 m, and the prior says where"):
+        estimate(robot.prior, Grid(nodes, [0.0, 1.0]), readings)
+    with pytest.raises(OutsideGridError, match="begin at 0"):
+        FixedLagSmoother(robot.prior, nodes)

@@ -71,6 +71,12 @@ class Homing:
 STOOD: list[bool] = []
 
 
+def test_a_session_that_is_there_is_not_written_over(tmp_path):
+    path = SlidePath.hold(0.0, 1.0, SlideLimits(1.0, 1.0, 1.0))
+    with pytest.raises(DeviceError, match="exists; give a new folder for the session"):
+        capture(Rig("bench", "sliding700"), path, tmp_path)
+
+
 def test_an_interrupt_halts_a_further_stage_that_homes(monkeypatch, tmp_path):
     module = sys.modules["glissando.hardware.capture.capture"]
     monkeypatch.setattr(module, "opened_stage", lambda address, stage: Homing(address == "b"))

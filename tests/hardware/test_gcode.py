@@ -123,6 +123,7 @@ def test_what_no_controller_says_is_refused():
     for line in (b"", b"ok", b"<Idle|WPos:1,2,3>", b"<Idle|MPos:1,x>", b"<Idle>"):
         with pytest.raises(DeviceError, match="machine position"):
             parse_status(line)
+    assert parse_status(b"<Alarm:11|MPos:1.0,2.0,3.0|FS:0,0>")[0] == "Alarm"  # of grblHAL
     with pytest.raises(DeviceError, match="No GRBL controller answers"), started("servo") as other:
         GcodeSlide(other, STAGE).__enter__()
     for wrong in ({"stroke": (0.06, 0.0)}, {"speed": 0.0}, {"axis": "Q"}, {"stroke": (0.0, 60.0)}):

@@ -222,7 +222,7 @@ def test_a_path_of_a_slide_is_read_from_its_travel(tmp_path):
         ("t,x,y,z\n1,2,3,4\n", "time=t,x", "'x' is no KEY=COLUMN"),
         ("t,x,y,z\n1,2,3,4\n", "time=t,x=x,y=y,z=z,length=inch", "length is 'inch'; give one of"),
         ("t,x,y,z\n1,2,a,4\n", "time=t,x=x,y=y,z=z", "line 2: '2,a,4' is not all numbers"),
-        ("t,x,y,z\n2,2,3,4\n1,2,3,4\n", "time=t,x=x,y=y,z=z", "line 3: frame 1 follows"),
+        ("t,x,y,z\n2,2,3,4\n1,2,3,4\n", "time=t,x=x,y=y,z=z", "line 3: frame or time 1 follows"),
         ("t,x,y,z,a,b,c\n1,2,3,4,5,6,7\n", "time=t,x=x,y=y,z=z,a1=a,a2=b,a3=c", "say the axes of"),
         ("t,x,y,z,a,b,c,d\n1,2,3,4,5,6,7,8\n",
          "time=t,x=x,y=y,z=z,qw=a,qx=b,qy=c,qz=d", "a quaternion has norm 13.2"),
@@ -279,3 +279,12 @@ def test_empty_lines_above_text_that_blanks_part_change_nothing(tmp_path, text):
             read_tracks(tmp_path / name, rate=100.0)
         said.append(re.sub(r"\S*[ab]\.csv( line \d)?", "it", str(refusal.value)))
     assert said[0] == said[1]
+
+
+def test_a_quaternion_of_zeros_is_a_tool_that_was_not_seen(tmp_path):
+    text = "t,x,y,z,qw,qx,qy,qz\n0,1,1,1,1,0,0,0\n1,0,0,0,0,0,0,0\n2,1,1,2,1,0,0,0\n"
+    (tmp_path / "log.csv").write_text(text)
+    said = "time=t,x=x,y=y,z=z,qw=qw,qx=qx,qy=qy,qz=qz"
+    (track,) = read_tracks(tmp_path / "log.csv", columns=said)
+    assert track.time.tolist() == [0.0, 2.0]
+    assert track.missing == 1

@@ -286,3 +286,11 @@ def test_an_impossible_motion_is_one_sentence(change, sentence):
     given = {"rod": soft(), "tendons": [], "scenario": Scenario(), "duration": 0.1}
     with pytest.raises(SimulationError, match=sentence):
         simulate_motion(**{**given, **change})
+
+
+def test_a_mesh_without_an_edge_where_something_acts_is_refused():
+    """The load would act at the nearest edge."""
+    rod = Rod.of_tubes(0.5, [(2e-3, 1.8e-3)], young=60e9, poisson=0.33, density=6450.0)
+    scenario = Scenario(wrenches=(TimedWrench(Wrench(0.2, (0.1, 0.0, 0.0))),))
+    with pytest.raises(SimulationError, match="no edge wherever something acts"):
+        simulate_motion(rod, (), scenario, 0.01, mesh=Mesh.through([0.0, 0.5], 0.25))

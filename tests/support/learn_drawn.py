@@ -30,4 +30,4 @@ def readings(kind, name, place, time, *, std=NOISE, cov=None, seed=0):
 def same_process(workers, context, prepare, arguments):
     """Stands for the pool of processes."""
     prepare(*arguments)
-    yield SimpleNamespace(map=map)
+    yield SimpleNamespace(map=map, shutdown=lambda **_: None)

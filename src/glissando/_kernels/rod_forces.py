@@ -57,7 +57,7 @@ def _pulls_into(state, before, weights, paths, cables, pull, unit, stretch):
 
 @jit()
 def _contacts_into(place, rates, planes, sites, touch, ends):
-    """Set contact force a metre (2, G, 3) in touch[0], and wrenches at elements' ends (E, 6).
+    """Set contact force a metre (1, G, 3) in touch[0], and wrenches at elements' ends (E, 6).
 
     `planes` (C, 9): point, normal, stiffness N/m², damping s/m, friction of half-spaces, which push
     as Hunt and Crossley 1975, equation (14), with Coulomb's friction. `sites` (H, 12): element,

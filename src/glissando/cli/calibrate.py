@@ -126,8 +126,11 @@ def _of_recording(options: argparse.Namespace) -> tuple[Calibration, list[Path]]
     folder: Path = options.session
     folder = folder if folder.name.strip(".") else folder.resolve()  # "." has no name
     original = folder.with_name(f"{folder.name}.uncalibrated")
-    if options.recording is None:
-        require_new(original, RecordingError)
+    if options.recording is None and original.exists():
+        raise GlissandoError(
+            f"{original} exists, so {folder} was calibrated before; give --recording DIR for "
+            f"another calibration, or calibrate {original}."
+        )
     recording = load_recording(folder)
     robot = chosen_robot(recording, options.robot)
     data = recording_data(recording, options.coil)

@@ -5,12 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-
-def is_interrupt(problem: BaseException | None) -> bool:
-    """Whether Ctrl-C caused an error, directly or inside a kernel."""
-    while problem is not None and not isinstance(problem, KeyboardInterrupt):
-        problem = problem.__cause__ or problem.__context__
-    return problem is not None
+from glissando.errors import is_interrupt
 
 
 @contextmanager

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -113,7 +114,7 @@ def _learn(options: argparse.Namespace) -> int:
     written = _with_constants(result)
     write_robot(written, options.robot, options.out)
     report = _as_json(result, options.out)
-    if options.hold_out:
+    if options.hold_out and not result.interrupted:
         report["held_out"] = [
             {"file": name, **_held_out(recording, file, options)}
             for recording in recordings
@@ -123,6 +124,10 @@ def _learn(options: argparse.Namespace) -> int:
         print(json.dumps(report))
     else:
         _print(result, report, std)
+    if result.interrupted:
+        said = f"{options.out} holds what was learned in {result.steps} steps"
+        print(f"glissando: interrupted; {said}; learn on from it.", file=sys.stderr)
+        return 130
     return 0
 
 

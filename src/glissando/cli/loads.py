@@ -72,7 +72,9 @@ def print_loads(
         table.add_row(f"{row['time']:.3f}", f"{row['arclength']:.4f}", *cells)
     console.print(table)
     touched, count = np.flatnonzero(scan.detected), scan.time.size
-    chance = f"of {count} times; a false alarm is one in {1.0 / scan.false_alarms:.3g}"
+    read = int(np.any(scan.log_ratio != 0.0, axis=-1).sum())  # others say nothing
+    of = f"{count} times" if read == count else f"{read} times beside which something was read"
+    chance = f"of {of}; a false alarm is one in {1.0 / scan.false_alarms:.3g}"
     if not touched.size:
         console.print(f"Something else touches the robot at none {chance}.")
         return

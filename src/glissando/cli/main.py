@@ -18,7 +18,6 @@ from typing import Any
 
 from glissando import __version__
 from glissando.cli.commands import COMMANDS
-from glissando.cli.interrupts import is_interrupt
 from glissando.cli.plugins import add_plugins, import_plugins
 from glissando.errors import (
     FalseConfidenceWarning,
@@ -26,6 +25,7 @@ from glissando.errors import (
     NoShapeError,
     OldNameWarning,
     PlanWarning,
+    is_interrupt,
 )
 
 _OWN = (OldNameWarning, PlanWarning, FalseConfidenceWarning)

@@ -9,7 +9,7 @@ import numpy as np
 
 from glissando.errors import GlissandoError, OutsideGridError, SensorError, UnobservableError
 from glissando.geometry.se3 import Array
-from glissando.model.grid import Grid
+from glissando.model.grid import SAME, Grid
 from glissando.model.mechanics import Mechanics, implausible
 from glissando.model.priors.prior import Prior
 from glissando.model.sensors.parameters import SensorParameter
@@ -50,13 +50,18 @@ def require_batch(
 def require_model(
     prior: Prior, arclength: Array, sensor_parameters: Sequence[SensorParameter] = ()
 ) -> None:
-    """Raise GlissandoError for no prior, nodes in millimetres, or parameters of one name."""
+    """Raise GlissandoError for no prior, nodes in millimetres or off the base, or equal names."""
     if not hasattr(prior, "rest_state"):
         raise GlissandoError(f"The prior is a {type(prior).__name__}; give robot.prior or a Prior.")
     longest = float(np.max(arclength, initial=0.0))
     if longest > _LONGEST:
         raise OutsideGridError(
             f"The arclength nodes reach {longest:g} m; give metres, not millimetres."
+        )
+    if prior.fixes_base and arclength.size and abs(arclength.flat[0]) > SAME:
+        raise OutsideGridError(
+            f"The arclength nodes begin at {arclength.flat[0]:g} m, and the prior says where the "
+            f"base stands; begin at 0, or give a prior without a base."
         )
     mechanics = getattr(prior, "mechanics", None)
     wrong = implausible(mechanics, longest) if isinstance(mechanics, Mechanics) else None

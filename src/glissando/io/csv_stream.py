@@ -166,9 +166,14 @@ def read_named(
         raise RecordingError(f"{path.name} line 1: column {twice[0]} stands there twice; keep one.")
     missing = [name for name in units if name not in header]
     if missing:
+        other = '"' in lines[0] or ";" in lines[0] or "\t" in lines[0]
+        why = (
+            "the file quotes or parts them otherwise: bring it in with glissando import"
+            if (other)
+            else f"{', '.join(missing)} is missing"
+        )
         raise RecordingError(
-            f"{path.name} line 1: a {kind} stream needs the columns {', '.join(units)}; "
-            f"{', '.join(missing)} is missing."
+            f"{path.name} line 1: a {kind} stream needs the columns {','.join(units)}; {why}."
         )
     clock = header.index("time")
     table = _numbers(path, lines, 1, len(header), None if journal else clock)

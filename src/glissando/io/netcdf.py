@@ -25,7 +25,7 @@ from glissando.io.robot_file import OLD_KINDS
 from glissando.model.grid import Grid
 from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.model.priors.prior import Prior
-from glissando.model.priors.registry import prior_class
+from glissando.model.priors.registry import UnknownPriorError, prior_class
 from glissando.model.priors.separable import BaseVariance
 from glissando.model.priors.white_noise import BaseDensity
 from glissando.model.sensors.parameters import SensorParameter
@@ -205,6 +205,8 @@ def load_posterior(path: str | Path) -> Posterior:
     require_readable(dataset.attrs.get("format", "unknown"), "posterior", path)
     try:
         return _posterior(dataset, path.name)
+    except UnknownPriorError as problem:
+        raise GlissandoError(f"{path}: {problem}") from None
     except (GlissandoError, np.linalg.LinAlgError, *_DAMAGED) as problem:
         raise GlissandoError(f"{path} is damaged ({problem}); estimate again.") from None
 

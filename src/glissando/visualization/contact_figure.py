@@ -63,9 +63,8 @@ def contact_figure(
 
 def _draw_map(axes: Axes, scan: ContactScan) -> None:
     """Evidence over time and arclength, cells between places and times."""
-    length = 2.0 * scan.arclength[-1] - scan.arclength[-2]
     top = max(float(scan.log_ratio.max()), _LEAST)
-    edges = _edges(scan.time), MM * np.clip(_edges(scan.arclength), 0.0, length)
+    edges = _edges(scan.time), MM * np.maximum(_edges(scan.arclength), 0.0)
     look: dict[str, Any] = {"cmap": "viridis", "vmin": 0.0, "vmax": top, "rasterized": True}
     shade = axes.pcolormesh(*edges, scan.log_ratio.T, **look)
     label = "log evidence of a force there"

@@ -11,9 +11,10 @@ import pytest
 from glissando.estimation.confidence_tube import SIGMAS_95, confidence_tube, tube_faces
 from glissando.geometry import se3
 from glissando.hardware.live import IgtlSink, LiveSession, RecordingSource
-from glissando.hardware.live.igtl_sink import frame_name
-from glissando.hardware.openigtlink import Endpoint, Message, encode
+from glissando.hardware.live.igtl_sink import frame_name, readings_message
+from glissando.hardware.openigtlink import Endpoint, Message, decode, encode
 from glissando.hardware.openigtlink import contents as c
+from glissando.model.sensors.sensors import PoseReadings
 from live_recordings import ROBOT, ROD, swaying
 from waiting import until
 
@@ -128,3 +129,13 @@ def test_the_status_says_what_is_silent():
     sink = IgtlSink("igtl://127.0.0.1:1")
     with sink:
         assert sink.problem == "nobody answers at igtl://127.0.0.1:1"
+
+
+@pytest.mark.parametrize("name", ["caméra de droite très longue", "位置位置位置位置位置位置位置"])
+def test_a_stream_may_have_any_name(name):
+    """A device's name has 20 bytes; the whole stands in the metadata."""
+    readings = PoseReadings(time=[0.0], arclength=[0.1], values=[np.eye(4)], cov=1e-6, name=name)
+    message = readings_message(readings, 1)
+    assert len(message.device.encode()) <= 20
+    assert name.startswith(message.device)
+    assert decode(encode(message)).metadata["name"] == name

@@ -76,14 +76,15 @@ def locate(
         values, _ = posterior.parameter(parameter.name)
         return replace(parameter, value=values[len(values) // 2], std=0.0 * parameter.std)
 
+    found = {parameter.name for parameter, _ in posterior.sensor_parameters}
     known = copy.deepcopy(document)
     entries = known.get("sensor_parameters", [])
     for entry, parameter in zip(entries, robot.sensor_parameters, strict=True):
         constant = np.isinf(parameter.correlation_time) and parameter.kind not in _OF_A_RECORDING
-        if constant and not parameter.known:
+        if constant and parameter.name in found:
             entry["value"] = estimated(parameter).value.tolist()
             del entry["std"]
-    uncertain = [p for p in parameters if not p.known]
+    uncertain = [p for p in parameters if p.name in found]  # streams of others are not there
     deviations = {p.name: _std(posterior, p.name) for p in uncertain}
     return known, tuple(map(estimated, constants)), deviations, Start.of(posterior)
 

@@ -30,7 +30,7 @@ from glissando.calibration.robot.case import RecordingCase
 from glissando.calibration.robot.hyperparameters import Document, Parameter, moved
 from glissando.calibration.robot.objective import Centre, Objective
 from glissando.calibration.robot.predictive import Score, Start
-from glissando.errors import GlissandoError
+from glissando.errors import GlissandoError, is_interrupt
 from glissando.geometry.se3 import Array
 from glissando.io.atomic_file import new_file
 from glissando.model.sensors.parameters import SensorParameter
@@ -60,6 +60,7 @@ class Learned:
         before: Score of the robot file at the start.
         after: Score of the learned one.
         steps: Number of steps.
+        interrupted: Whether Ctrl-C ended the search; what it had found by then is kept.
     """
 
     document: Document
@@ -69,6 +70,7 @@ class Learned:
     before: Score
     after: Score
     steps: int
+    interrupted: bool = False
 
 
 _objective: Objective | None = None  # of a worker process
@@ -133,6 +135,7 @@ def learn(
 
     Raises:
         GlissandoError: The robot file to start from cannot be estimated, or processes cannot start.
+        KeyboardInterrupt: Ctrl-C came before the first step was done.
     """
     parameters = list(parameters)
     objective = Objective(cases, calibrate)
@@ -141,18 +144,26 @@ def learn(
         pool.map(int, [0])  # starts the workers while the first estimate is made
         first = objective.score(document, objective.start(constants, start))
         search = _Search(document, parameters, objective, pool, first, np.zeros(len(parameters)))
-        count, left = 0, _EXPECTED
+        count, left, interrupted = 0, _EXPECTED, False
 
         def tell(part: float) -> None:
             if watch is not None:
                 watch(count + part, -search.value, min(count + left, steps))
 
-        while left and count < steps:
-            left, count = search.step(tell), count + 1
-            tell(0.0)
+        try:
+            while left and count < steps:
+                left, count = search.step(tell), count + 1
+                tell(0.0)
+        except (KeyboardInterrupt, SystemError) as problem:
+            if not count or not is_interrupt(problem):
+                raise
+            interrupted = True
+            pool.shutdown(wait=False, cancel_futures=True)
     learned = moved(document, parameters, search.x)
     after = search.centre.score
-    return Learned(learned, parameters, search.x, search.std, first.score, after, count)
+    return Learned(
+        learned, parameters, search.x, search.std, first.score, after, count, interrupted
+    )
 
 
 @dataclass

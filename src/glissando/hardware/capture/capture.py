@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from glissando.errors import DeviceError
 from glissando.hardware.capture.coil_names import name_by_handle, name_by_identity
 from glissando.hardware.capture.devices import opened_stage, opened_tracker
 from glissando.hardware.capture.messages import (
@@ -71,7 +72,10 @@ def capture(
     Raises:
         DeviceError: A device failed. What came before is in the log, and the slide stands still.
     """
-    folder.mkdir(parents=True, exist_ok=False)
+    try:
+        folder.mkdir(parents=True, exist_ok=False)
+    except FileExistsError:
+        raise DeviceError(f"{folder} exists; give a new folder for the session.") from None
     progress, metadata = Progress(total=path.duration), {"setup": json.dumps(rig.described())}
     with SessionWriter(folder / LOG, metadata) as writer:
         log = MessageLog(writer, progress, on_message)

@@ -122,6 +122,8 @@ def log_mocap_frame(mocap: ViconStream, rig: Rig, log: MessageLog) -> None:
     except DeviceError as silence:
         log.progress.problems["mocap"] = str(silence)
         return
+    log.progress.problems.pop("mocap", None)
+    log.progress.problems.update({f"mocap {k}": str(n) for k, n in mocap.counts.items() if n})
     for body in rig.bodies:
         pose, text = _shown(frame.poses.get(body.name))
         message = {"time": frame.received, "frame": frame.number, **pose}

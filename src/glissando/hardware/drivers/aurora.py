@@ -71,6 +71,8 @@ class Aurora:
         if baud not in setup.BAUD_CODES:
             known = ", ".join(map(str, sorted(setup.BAUD_CODES)))
             raise DeviceError(f"An Aurora has no rate of {baud} baud; give one of {known}.")
+        if not 0.0 < rate <= 1000.0:
+            raise DeviceError(f"An Aurora has no rate of {rate:g} frames a second; give 40, say.")
         self.address, self.counts = address, Counter[str]()
         self.clock = ClockFit(1.0 / rate, 2**32, latency=latency, std_latency=std_latency)
         self.version, self.tools = "", list[setup.Tool]()

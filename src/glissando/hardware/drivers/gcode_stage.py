@@ -10,7 +10,7 @@ from glissando.errors import DeviceError
 from glissando.hardware.drivers.position_stage import PositionStage
 from glissando.model.table import Table
 
-_STATUS = re.compile(rb"<(\w+)(?::\d)?\|(MPos|WPos):([-\d.,]+)")
+_STATUS = re.compile(rb"<(\w+)(?::\d+)?\|(MPos|WPos):([-\d.,]+)")
 
 
 @dataclass(frozen=True)

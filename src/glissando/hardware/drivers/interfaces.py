@@ -34,7 +34,7 @@ class SlideReading:
 
 
 class Tracker(Protocol):
-    """A tracker that is read frame by frame: `Aurora`, `IgtlTracker`, `Ros2Tracker`."""
+    """A tracker that is read frame by frame: `IgtlTracker`, `Ros2Tracker`, `RemoteTracker`."""
 
     @property
     def tools(self) -> Sequence[Tool]:

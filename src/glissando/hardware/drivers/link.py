@@ -13,6 +13,7 @@ from typing import Protocol
 from urllib.parse import urlsplit
 
 from glissando.errors import DeviceError, needing
+from glissando.hardware.drivers.sdk import lost_port
 
 _CONNECT = 5.0  # s for a network device to accept
 _FLOOD = 1 << 20  # bytes between two requests, which no device sends
@@ -134,7 +135,7 @@ class Link:
     def _watched(self) -> Iterator[None]:
         try:
             yield
-        except OSError as problem:
+        except lost_port() as problem:
             raise LostError(
                 f"The link to {self.address} is lost ({problem}); plug the device in again."
             ) from None

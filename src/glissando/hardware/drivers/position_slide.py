@@ -188,6 +188,8 @@ class PositionSlide:
             rate: Goals and readings a second; the stage's own by default.
         """
         rate = self.rate if rate is None else rate
+        if not 0.0 < rate <= 1000.0:
+            raise DeviceError(f"Goals at {rate:g} Hz cannot be; give a rate above zero.")
         with _standing_still(self):
             aim = self.read().travel
             begun = beat = until = monotonic()  # until: when the goals that wait are reached

@@ -137,7 +137,7 @@ class IgtlSink:
     def _points(self, update: Update) -> Iterator[c.Point]:
         """Sensors by their streams' names, and forces by their size."""
         for label, place in self._measured.items():
-            yield c.Point(label[:64], self._frame.points_out(place), group="sensors")
+            yield c.Point(within(label, 64), self._frame.points_out(place), group="sensors")
         if (loads := update.loads()) is not None:
             size = np.linalg.norm(loads.wrench.force, axis=-1)
             for place, force, std in zip(loads.position, size, loads.std_force, strict=True):
@@ -182,7 +182,12 @@ def readings_message(readings: Readings, stamp: int, time: float | None = None) 
         metadata["time"] = repr(float(time))
     rows = Rows(readings.kind, readings.time, readings.arclength, readings.values, {})
     table = c.NumberArray(rows.table())
-    return Message(table, readings.label[:20], stamp, 2, metadata=metadata)
+    return Message(table, within(readings.label, 20), stamp, 2, metadata=metadata)
+
+
+def within(text: str, size: int) -> str:
+    """As much of a text as fits into a field of so many bytes."""
+    return text.encode()[:size].decode(errors="ignore")
 
 
 def _sigma(sigma: Array) -> tuple[Attribute, ...]:

@@ -13,6 +13,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Self
 
 from glissando.errors import DeviceError
@@ -161,7 +162,8 @@ def _met(door: socket.socket, token: bytes) -> socket.socket:
         except TimeoutError:
             break
         connected.settimeout(_END)
-        if secrets.compare_digest(connected.recv(16, socket.MSG_WAITALL), token):
-            return connected
+        with suppress(OSError):
+            if secrets.compare_digest(connected.recv(16, socket.MSG_WAITALL), token):
+                return connected
         connected.close()  # somebody else found the port
     raise DeviceError("The process that speaks with peers did not start; start it again.")

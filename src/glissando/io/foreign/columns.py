@@ -10,7 +10,7 @@ small letters about fixed ones.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -211,6 +211,12 @@ def _track(
     at = [find(path, titles, columns[key]) for key in keys]
     zeros = "x" not in keys  # a tracker writes them for what it does not see
     seen = samples(path, rows, clock, at, seconds, zeros=zeros)
+    if keys[-4:] == _QUATERNION:  # all zeros is what a tracker writes for what it does not see
+        blind = ~np.any(seen.values[:, -4:], axis=1)
+        seen = replace(
+            seen, time=seen.time[~blind], values=seen.values[~blind],
+            missing=seen.missing + int(blind.sum()),
+        )  # fmt: skip
     values = _values(path, mapping, kind, keys, seen.values)
     absolute = bool(seen.time.size and seen.time[0] > EPOCH)
     return Track(

@@ -90,11 +90,11 @@ def as_numbers(path: Path, line: int, cells: Sequence[str]) -> Array | None:
 
 
 def require_ahead(path: Path, line: int, before: float, frame: float) -> None:
-    """Raise RecordingError unless frame numbers increase."""
+    """Raise RecordingError unless frame numbers, or times, increase."""
     if not frame > before:
         raise RecordingError(
-            f"{path.name} line {line}: frame {frame:g} follows frame {before:g}; the device was "
-            f"started again there, make it two files."
+            f"{path.name} line {line}: frame or time {frame:.15g} follows {before:.15g}; sort the "
+            f"rows, or make it two files if the device was started again there."
         )
 
 

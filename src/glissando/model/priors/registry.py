@@ -17,6 +17,10 @@ _PRIORS: dict[str, type[Prior]] = {
 }
 
 
+class UnknownPriorError(GlissandoError):
+    """No prior of that kind was imported."""
+
+
 def register_prior(prior: type[Prior]) -> type[Prior]:
     """Make a prior known by its `kind`; a class decorator."""
     _PRIORS[prior.kind] = prior
@@ -32,8 +36,11 @@ def prior_class(kind: str) -> type[Prior]:
     """The prior of a kind.
 
     Raises:
-        GlissandoError: No prior has that kind.
+        UnknownPriorError: No prior has that kind.
     """
     if kind not in _PRIORS:
-        raise GlissandoError(f"{kind!r} is no kind of prior; known: {', '.join(_PRIORS)}.")
+        raise UnknownPriorError(
+            f"{kind!r} is no kind of prior; known: {', '.join(_PRIORS)}. Import the file that "
+            f"declares another (--plugin FILE)."
+        )
     return _PRIORS[kind]

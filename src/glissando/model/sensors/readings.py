@@ -155,7 +155,7 @@ class Readings(Brief):
 
     def __post_init__(self) -> None:
         for given in ("time", "arclength", "values"):
-            array = np.asarray(getattr(self, given), dtype=float)
+            array = _numbers(self.label, given, getattr(self, given))
             object.__setattr__(self, given, array)
             bad = np.argwhere(~np.isfinite(array))[:, 0] if array.ndim else np.zeros(0, int)
             if bad.size:
@@ -297,6 +297,20 @@ def slide_motion(time: Array, arclength: Array) -> dict[str, Any]:
         ways.append(way)
     speed = np.divide(moved, lasts, out=np.zeros_like(moved), where=lasts > 0.0)
     return {"slide_speed": speed, "slide_way": np.array(ways)}
+
+
+def _numbers(label: str, name: str, value: Any) -> Array:
+    """An array of numbers; dates, complex numbers and what is masked are none."""
+    given = np.asanyarray(value)
+    if np.ma.is_masked(given):
+        row = np.argwhere(np.ma.getmaskarray(given))[0, 0]
+        raise SensorError(f"{label}: {name} of row {row} is masked; drop masked rows.")
+    if given.dtype.kind in "mMc":
+        raise SensorError(
+            f"{label}: {name} is of type {given.dtype}; give numbers, times in seconds (of "
+            f"dates, as in (t - t[0]) / np.timedelta64(1, 's'))."
+        )
+    return np.asarray(given, dtype=float)
 
 
 def way_after(way: float, moved: float) -> float:

@@ -71,6 +71,8 @@ def simulate_motion(
     if method == "gauss" and step is None:
         raise SimulationError("The method 'gauss' does not choose its steps; give a step in s.")
     breaks = [0.0, rod.length, *(tendon.end for tendon in tendons), *scenario.places]
+    if mesh is not None and not mesh.has(breaks):
+        raise SimulationError("The mesh has no edge wherever something acts or ends; give one.")
 
     def first(mesh: Mesh) -> Equilibrium:
         equations = RodEquations.of(rod, tendons, mesh)
@@ -81,7 +83,7 @@ def simulate_motion(
     if start is None:
         shape = settle(first, rod, breaks, mesh)
         mesh, start = shape.mesh, (shape.strain, np.zeros_like(shape.strain))
-    elif mesh is None or not mesh.has(breaks):
+    elif mesh is None:
         raise SimulationError("A start has no mesh with an edge wherever something acts; give it.")
     acting = Acting(scenario, RodEquations.of(rod, tendons, mesh))
     run = _Run(acting, METHODS[method], tolerance * rod.length, step)
