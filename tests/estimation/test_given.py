@@ -125,3 +125,26 @@ def test_nodes_that_begin_beyond_a_base_are_refused():
         estimate(robot.prior, Grid(nodes, [0.0, 1.0]), readings)
     with pytest.raises(OutsideGridError, match="begin at 0"):
         FixedLagSmoother(robot.prior, nodes)
+
+
+@pytest.mark.parametrize(
+    "time", ["4", np.array([3.1]), np.datetime64("2026-01-01"), np.nan, None, 1 + 0j]
+)
+def test_a_time_that_is_no_number_is_one_sentence(time):
+    robot = load_robot("tdcr466")
+    smoother = FixedLagSmoother(robot.prior, robot.arclength_nodes)
+    smoother.advance(0.0)
+    with pytest.raises(OutsideGridError, match=r"time to advance to is .*; give seconds, a number"):
+        smoother.advance(time)
+    smoother.advance(np.float32(0.5))
+    assert smoother.time == 0.5
+
+
+def test_places_and_times_of_a_query_are_numbers_that_fit_together():
+    robot = load_robot("tdcr466")
+    smoother = FixedLagSmoother(robot.prior, robot.arclength_nodes)
+    smoother.advance(0.0)
+    for place, time in (("tip", 0.0), ([0.1, 0.2], [0.0, 0.0, 0.0]), (0.1, np.datetime64("2026"))):
+        for asked in (smoother, smoother.posterior()):
+            with pytest.raises(OutsideGridError, match="Places and times are numbers, m and s"):
+                asked.at(place, time)

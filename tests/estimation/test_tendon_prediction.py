@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from glissando.errors import FalseConfidenceWarning
+from glissando.errors import FalseConfidenceWarning, GlissandoError
 from glissando.estimation.tendon_prediction import predict
 from glissando.geometry import se3
 from tendon_robot import LENGTH, tendon_robot
@@ -72,3 +72,19 @@ def test_weight_that_is_left_out_is_named_where_it_bends_the_robot():
             )
         assert bool(caught) == heard
     assert heavy.gravity[0] > 0.0
+
+
+@pytest.mark.parametrize(
+    "given", [np.zeros((1, 5)), np.zeros((2, 6)), np.full((1, 6), np.nan), np.zeros(5)]
+)
+def test_commands_of_another_shape_are_a_sentence(given):
+    with pytest.raises(GlissandoError, match=r"give \(1, 6\), a row a time and a column a tendon"):
+        predict(tendon_robot(psd_moment=1e-7, std=1e-4), TIME, given)
+
+
+def test_a_single_time_and_place_are_taken_as_they_are():
+    robot = tendon_robot(psd_moment=1e-7, std=1e-4)
+    alone = predict(robot, 0.0, commands(1)[0], LENGTH)
+    np.testing.assert_allclose(
+        alone.position, predict(robot, TIME, commands(1), np.array([LENGTH])).position
+    )

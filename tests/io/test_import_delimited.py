@@ -234,6 +234,7 @@ def test_a_path_of_a_slide_is_read_from_its_travel(tmp_path):
          "time=1,x=2,y=3,z=4,rx=5,ry=6,rz=7", "row 1 turns by 84.9 rad, more than a whole turn"),
         ("0,0,0,0,0,3,1\n1,0,0,0,-38.2,84.9,13.9\n",
          "time=1,x=2,y=3,z=4,a1=5,a2=6,a3=7,euler=ZYX", "if these are degrees, say angle=deg"),
+        ("t,x,z\n1,2,3\n2,3,4\n", "time=t,x=x,y=x,z=z", "x and y are one column of log.csv"),
     ],
 )  # fmt: skip
 def test_a_mapping_that_does_not_fit_says_why(tmp_path, text, said, sentence):

@@ -59,6 +59,8 @@ def add_to(commands: Commands) -> None:
 
 
 def _rerun(options: argparse.Namespace) -> int:
+    if options.report.is_dir():
+        options.report /= "report.json"
     report = _report(options.report)
     with tempfile.TemporaryDirectory() as place:
         request = _request([*report["request"], "--out", f"{place}/out"], options)

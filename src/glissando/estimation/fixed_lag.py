@@ -27,7 +27,7 @@ from glissando.estimation.shape_spread import spread_between
 from glissando.estimation.sliding_window import SlidingWindow
 from glissando.estimation.window_steps import WindowSteps
 from glissando.geometry.se3 import Array
-from glissando.model.grid import Grid
+from glissando.model.grid import Grid, points_of
 from glissando.model.interpolation import sort_points
 from glissando.model.priors.prior import Prior
 from glissando.model.sensors.parameters import SensorParameter, corrected
@@ -118,8 +118,9 @@ class FixedLagSmoother:
         Raises:
             OutsideGridError: The time is not finite, or lies seconds before all that is estimated.
         """
-        if not np.isfinite(time):
-            raise OutsideGridError(f"The time to advance to is {time}; give seconds.")
+        if np.ndim(time) or np.asarray(time).dtype.kind not in "fiu" or not np.isfinite(time):
+            raise OutsideGridError(f"The time to advance to is {time!r}; give seconds, a number.")
+        time = float(time)
         with one_thread():
             if self._undelayed is not None and self._shown:
                 self._undelayed.advance(time)
@@ -168,7 +169,7 @@ class FixedLagSmoother:
             OutsideGridError: A point lies off the robot or before the window, or is not finite.
         """
         self._require_started()
-        place, when = np.broadcast_arrays(*(np.asarray(x, dtype=float) for x in (arclength, time)))
+        place, when = points_of(arclength, time)
         if not np.isfinite(when).all():
             raise OutsideGridError(f"The time asked for is {time!r}; give finite seconds.")
         if np.all(when == self.time):  # as a rule, and then older nodes are not needed

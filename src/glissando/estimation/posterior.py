@@ -21,7 +21,7 @@ from glissando.estimation.loads import (
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.brief import Brief
-from glissando.model.grid import Grid, Index
+from glissando.model.grid import Grid, Index, points_of
 from glissando.model.interpolation import sort_points
 from glissando.model.priors.prior import Prior
 from glissando.model.sensors.parameter_process import HELD, EstimatedParameters
@@ -310,7 +310,7 @@ def state_at(
 
     Source: equations (10) to (12).
     """
-    s, t = np.broadcast_arrays(np.asarray(arclength, dtype=float), np.asarray(time, dtype=float))
+    s, t = points_of(arclength, time)
     shape, s, t = s.shape, s.ravel(), t.ravel()
     grid.require(s, t, "Query")
     out = StateEstimate(

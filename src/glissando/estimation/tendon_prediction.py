@@ -48,6 +48,8 @@ def predict(
         FalseConfidenceWarning: The robot's weight, which is left out, bends it noticeably.
     """
     places = robot.arclength_nodes if arclength is None else np.asarray(arclength, dtype=float)
+    places, time = np.atleast_1d(places), np.atleast_1d(np.asarray(time, dtype=float))
+    displacement = np.atleast_2d(np.asarray(displacement, dtype=float))
     if np.any((places < 0.0) | (places > robot.length + 1e-9)):
         raise GlissandoError(
             f"Arclengths up to {places.max():g} m leave a robot of {robot.length:g} m; ask on it."
@@ -55,7 +57,12 @@ def predict(
     if len(time) > 1 and not np.all(np.diff(time) > 0.0):
         raise GlissandoError("Times of the tendons must increase; sort the rows.")
     rod = tendon_rod(robot, places)
-    displacement = np.atleast_2d(displacement)
+    wanted = time.size, len(rod.tendons)
+    if displacement.shape != wanted or not np.all(np.isfinite(displacement)):
+        raise GlissandoError(
+            f"Displacements have shape {displacement.shape}; give {wanted}, a row a time and a "
+            f"column a tendon, all finite."
+        )
     shape = equilibrium(rod, displacement=rod.tendons.effective(displacement))
     node = np.searchsorted(rod.nodes, places - 1e-9)
     cov = np.zeros((len(shape.strain), len(places), DOF, DOF))

@@ -79,6 +79,24 @@ def reads_from(node: float, before: float | None) -> float:
     return node if before is None else node - _TOLERANCE * (node - before)
 
 
+def points_of(arclength: ArrayLike, time: ArrayLike) -> tuple[Array, Array]:
+    """Arclengths and times that broadcast, as arrays of one shape.
+
+    Raises:
+        OutsideGridError: They are no numbers, or their shapes do not fit.
+    """
+    try:
+        given = np.asarray(arclength), np.asarray(time)
+        if any(values.dtype.kind in "mMc" for values in given):
+            raise TypeError(f"they are {given[0].dtype} and {given[1].dtype}")
+        place, when = np.broadcast_arrays(*(values.astype(float, copy=False) for values in given))
+    except (TypeError, ValueError) as problem:
+        raise OutsideGridError(
+            f"Places and times are numbers, m and s, whose shapes fit together ({problem})."
+        ) from None
+    return place, when
+
+
 def segment_at(joints: Array, arclength: Array) -> Index:
     """Number (M,) of the segment at arclengths (M,); at a joint the one beyond it."""
     return np.searchsorted(joints, arclength + SAME, side="right")

@@ -22,6 +22,7 @@ from glissando.simulation import load_bench
 from glissando.simulation.channel import routed, straight_length
 
 _LEAD = 0.0254  # m a revolution
+_BEYOND = 2e-3  # m from the stroke to the hard stops
 _BEHIND = 0.1  # m from the base to the body on the sliding tube
 _SCENE_RATE = 20.0  # Hz at which the devices are given a moving robot's shapes
 
@@ -72,7 +73,8 @@ def simulated_rig(
         options = ("--tcp", "0", "--travel", str(travel), "--faults", faults)
         tracker = stack.enter_context(started("aurora", *begin, *options))
         to = (("--travel", f"127.0.0.1:{port}") for port in (travel, tube_travel))
-        servo = stack.enter_context(started("servo", *chain(*to)))
+        stops = "--ends", repr(-_BEYOND), repr(limits.stroke + _BEYOND), "--lead", repr(_LEAD)
+        servo = stack.enter_context(started("servo", *stops, *chain(*to)))
         options = ("--to", f"127.0.0.1:{mocap}", "--bodies", markers, "--seed", str(seed))
         behind = ("--tube", f"{tube.name}={_BEHIND}", "--travel", str(tube_travel))
         stack.enter_context(started("vicon", *begin, *options, *behind))

@@ -209,6 +209,13 @@ def _track(
     titles, rows, clock, seconds = parts
     kind, keys = _kind(path, mapping, name, columns)
     at = [find(path, titles, columns[key]) for key in keys]
+    for key, column in zip(keys, at, strict=True):
+        if at.count(column) > 1:
+            others = [k for k, c in zip(keys, at, strict=True) if c == column and k != key]
+            raise RecordingError(
+                f"--columns of {name}: {key} and {others[0]} are one column of {path.name}; give "
+                f"each its own."
+            )
     zeros = "x" not in keys  # a tracker writes them for what it does not see
     seen = samples(path, rows, clock, at, seconds, zeros=zeros)
     if keys[-4:] == _QUATERNION:  # all zeros is what a tracker writes for what it does not see
