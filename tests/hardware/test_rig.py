@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import contextmanager
 from urllib.request import urlopen
 
 import numpy as np
@@ -304,3 +305,36 @@ def test_a_record_command_without_a_rig_is_one_sentence(tmp_path, capsys):
         assert main(["record", "--setup", str(file), *call]) == 2
         assert said in capsys.readouterr().err
     assert not (tmp_path / "s").exists()
+
+
+class Failing:
+    """A view that fails as soon as it is shown something."""
+
+    address = "nowhere"
+
+
+@contextmanager
+def open_failing(arclength):
+    yield Failing()
+
+
+def fail(view, smoother):
+    raise SystemExit(1)
+
+
+@pytest.mark.slow
+def test_a_view_that_fails_is_said_once_and_nothing_waits_for_it(capfd):
+    rig = Rig("bench", "sliding700", coils=(Coil("coil", 0.7),))
+    seen = {"position": [0.0, 0.0, 0.7], "quaternion": [1.0, 0.0, 0.0, 0.0]}
+    with live_estimate(rig, open_failing, fail) as (_, on_message):
+        on_message("/tracker/coil", {"time": 0.0, **seen})
+        told = []
+
+        def said():
+            on_message("/tracker/coil", {"time": 1.0, **seen})
+            told.append(capfd.readouterr().err)
+            return any("live view has ended; the recording goes on" in text for text in told)
+
+        wait_for(said)
+        said()
+    assert sum(text.count("live view has ended") for text in told) == 1

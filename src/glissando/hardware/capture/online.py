@@ -7,9 +7,12 @@ milliseconds at a time, and a moving servo that hears nothing for long enough st
 from __future__ import annotations
 
 import multiprocessing
+import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
+from multiprocessing.process import BaseProcess
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
@@ -74,13 +77,28 @@ def live_estimate(
                     "The live view did not start; try pip install 'glissando[view]'."
                 )
             time.sleep(0.05)
-        yield str(address.get()), lambda topic, message: messages.put((topic, message))
+        yield str(address.get()), _passed_on(process, messages)
     finally:
         messages.put(None)
         process.join(_END)
         if process.is_alive():
             process.terminate()
         messages.cancel_join_thread()
+
+
+def _passed_on(process: BaseProcess, messages: Any) -> OnMessage:
+    """The callback that passes messages on, and says once that nobody takes them any more."""
+    ended = threading.Event()
+
+    def on_message(topic: str, message: dict[str, Any]) -> None:
+        if process.is_alive():
+            messages.put((topic, message))
+        elif not ended.is_set():
+            ended.set()
+            said = "glissando: the live view has ended; the recording goes on without it."
+            print(said, file=sys.stderr)
+
+    return on_message
 
 
 def _estimate(rig: Rig, open_view: Any, show: Any, messages: Any, address: Any) -> None:
