@@ -9,6 +9,7 @@ import pytest
 
 from command_line import run
 from glissando.cli.console import Console
+from glissando.cli.main import main
 
 _TOML = """\
 robot = "sliding700"
@@ -176,3 +177,12 @@ def test_a_file_gets_whole_lines_and_a_stated_width_is_kept(monkeypatch):
     narrow = io.StringIO()
     Console(file=narrow).print("word " * 60)
     assert max(map(len, narrow.getvalue().splitlines())) <= 40
+
+
+def test_an_unknown_option_is_answered_with_the_usage_of_its_command(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["view", "results", "--nowhere", "f.html"])
+    assert ended.value.code == 2
+    told = capsys.readouterr().err
+    assert told.startswith("usage: glissando view")
+    assert "unrecognized arguments: --nowhere f.html" in told

@@ -74,7 +74,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with _stopped_by_signals(ends_process=arguments is None), _own_warnings_shown():
             others = import_plugins(words)
             command = next((word for word in others if not word.startswith("-")), "")
-            options = build_parser(command).parse_args(others)
+            options, unknown = build_parser(command).parse_known_args(others)
+            if unknown:  # with the usage of the command, not of all
+                options.refuse(f"unrecognized arguments: {' '.join(unknown)}")
             options.words = others
             status = int(options.run(options))
             if sys.stdout is not None:

@@ -59,7 +59,7 @@ def add_command(
         epilog=texts[1],
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.set_defaults(run=run, default_of=parser.get_default)
+    parser.set_defaults(run=run, default_of=parser.get_default, refuse=parser.error)
     return parser
 
 
