@@ -4,6 +4,7 @@ import json
 import os
 import re
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -17,7 +18,7 @@ from glissando.calibration.rig.session_data import rig_data
 from glissando.cli.main import main
 from glissando.errors import DeviceError, RecordingError
 from glissando.evaluation.run import run_estimate
-from glissando.hardware.capture import Body, Coil, Rig, load_rig, write_recording
+from glissando.hardware.capture import Body, Coil, Rig, load_rig, simulated_rig, write_recording
 from glissando.hardware.capture.online import live_estimate
 from glissando.io.recording import load_recording
 from glissando.io.session_log import SessionWriter, read_session
@@ -338,3 +339,20 @@ def test_a_view_that_fails_is_said_once_and_nothing_waits_for_it(capfd):
         wait_for(said)
         said()
     assert sum(text.count("live view has ended") for text in told) == 1
+
+
+@pytest.mark.slow
+def test_a_port_that_another_program_took_is_not_asked_for_again(monkeypatch):
+    module = sys.modules["glissando.hardware.capture.simulated"]
+    choose, given = module._free_port, []
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 0))
+
+        def free_port():
+            given.append(taken.getsockname()[1] if len(given) in (1, 3) else choose())
+            return given[-1]
+
+        monkeypatch.setattr(module, "_free_port", free_port)
+        with simulated_rig("sliding700", "straight") as rig:
+            assert rig.slide
+    assert len(given) == 5  # the tracker's and the motion capture's second ones were free

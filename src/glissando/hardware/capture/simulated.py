@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from glissando.errors import SimulationError
 from glissando.hardware.capture.setup import Body, Coil, Rig
 from glissando.hardware.drivers import Stage
 from glissando.hardware.simulated_devices import started
@@ -22,6 +23,7 @@ from glissando.simulation import load_bench
 from glissando.simulation.channel import routed, straight_length
 
 _LEAD = 0.0254  # m a revolution
+_TRIES = 5  # to start a device on a port that is free
 _BEYOND = 2e-3  # m from the stroke to the hard stops
 _BEHIND = 0.1  # m from the base to the body on the sliding tube
 _SCENE_RATE = 20.0  # Hz at which the devices are given a moving robot's shapes
@@ -63,26 +65,41 @@ def simulated_rig(
         acceleration=limits.acceleration, watchdog=2.0, lag=0.02,
     )  # fmt: skip
     bodies = tuple(Body(f"mocap_{1e3 * s:g}", float(s), np.eye(4)) for s in bench.truth)
-    travel, tube_travel, mocap = _free_port(), _free_port(), _free_port()
+    mocap = _free_port()
     markers = ",".join(f"{body.name}={body.arclength!r}" for body in bodies)
     tube = Body("tube", np.nan, np.eye(4), slides=True)
     with ExitStack() as stack:
         file = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "scene.npz"
         scene.save(file)
         begin = ("--epoch", repr(time.monotonic()), "--scene", str(file))
-        options = ("--tcp", "0", "--travel", str(travel), "--faults", faults)
-        tracker = stack.enter_context(started("aurora", *begin, *options))
+        served = "--tcp", "0", "--faults", faults
+        tracker, travel = _hearing(stack, "aurora", *begin, *served)
+        options = ("--to", f"127.0.0.1:{mocap}", "--bodies", markers, "--seed", str(seed))
+        behind = ("--tube", f"{tube.name}={_BEHIND}")
+        _, tube_travel = _hearing(stack, "vicon", *begin, *options, *behind)
         to = (("--travel", f"127.0.0.1:{port}") for port in (travel, tube_travel))
         stops = "--ends", repr(-_BEYOND), repr(limits.stroke + _BEYOND), "--lead", repr(_LEAD)
         servo = stack.enter_context(started("servo", *stops, *chain(*to)))
-        options = ("--to", f"127.0.0.1:{mocap}", "--bodies", markers, "--seed", str(seed))
-        behind = ("--tube", f"{tube.name}={_BEHIND}", "--travel", str(tube_travel))
-        stack.enter_context(started("vicon", *begin, *options, *behind))
         coils = (Coil("coil", tip, channel=channel),)
         yield Rig(
             "simulated", robot, tracker, coils, servo, stage, 0.0, mocap,
             (*bodies, tube), frame=bench.tracker,
         )  # fmt: skip
+
+
+def _hearing(stack: ExitStack, name: str, *options: str) -> tuple[str, int]:
+    """A device that hears of the slide's travel: its address, and the UDP port where it does.
+
+    Another program may take a port between its choice and the device's start.
+    """
+    for left in reversed(range(_TRIES)):
+        port = _free_port()
+        try:
+            return stack.enter_context(started(name, *options, "--travel", str(port))), port
+        except SimulationError as problem:
+            if not left or "listened on" not in str(problem):
+                raise
+    raise AssertionError("unreachable")
 
 
 def _free_port() -> int:
