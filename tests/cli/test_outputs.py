@@ -179,6 +179,14 @@ def test_a_file_gets_whole_lines_and_a_stated_width_is_kept(monkeypatch):
     assert max(map(len, narrow.getvalue().splitlines())) <= 40
 
 
+def test_an_option_of_the_whole_program_is_not_abbreviated(capsys):
+    """Else it would be read, and its plugin not imported."""
+    with pytest.raises(SystemExit) as ended:
+        main(["--plug", "wire.py", "estimate", "bench"])
+    assert ended.value.code == 2
+    assert "invalid choice: 'wire.py'" in capsys.readouterr().err
+
+
 def test_an_unknown_option_is_answered_with_the_usage_of_its_command(capsys):
     with pytest.raises(SystemExit) as ended:
         main(["view", "results", "--nowhere", "f.html"])

@@ -52,6 +52,7 @@ def build_parser(command: str | None = None) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="glissando",
         description="Where every part of a continuum robot is, at every moment, and how sure.",
+        allow_abbrev=False,  # plugins are imported by the whole word
     )
     parser.add_argument("--version", action="version", version=f"glissando {__version__}")
     add_plugins(parser)
