@@ -41,10 +41,10 @@ def test_a_coil_without_a_number_takes_a_plug_that_no_other_is_identified_by(ord
 
 
 class Homing:
-    """A stage that homes until another thread halts it; one without travel follows."""
+    """A stage that homes until another thread aborts it; one without travel follows."""
 
     def __init__(self, homes):
-        self.counts, self.homes, self.halted = Counter(), homes, threading.Event()
+        self.counts, self.homes, self.aborted = Counter(), homes, threading.Event()
 
     def __enter__(self):
         return self
@@ -56,11 +56,11 @@ class Homing:
         pass
 
     def home_at_stop(self):
-        assert self.halted.wait(60.0)
-        raise DeviceError("The stage was halted while it moved.")
+        assert self.aborted.wait(60.0)
+        raise DeviceError("The motion of the stage was aborted.")
 
-    def halt(self):
-        self.halted.set()
+    def abort(self):
+        self.aborted.set()
 
     def follow(self, times, travels):
         while True:
@@ -77,7 +77,7 @@ def test_a_session_that_is_there_is_not_written_over(tmp_path):
         capture(Rig("bench", "sliding700"), path, tmp_path)
 
 
-def test_an_interrupt_halts_a_further_stage_that_homes(monkeypatch, tmp_path):
+def test_an_interrupt_aborts_a_further_stage_that_homes(monkeypatch, tmp_path):
     module = sys.modules["glissando.hardware.capture.capture"]
     monkeypatch.setattr(module, "opened_stage", lambda address, stage: Homing(address == "b"))
     stage = PositionStage((0.0, 0.06), home=0.0)

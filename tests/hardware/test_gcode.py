@@ -295,7 +295,7 @@ def test_leaving_while_it_homes_ends_the_homing(answer):
 
 
 @pytest.mark.slow
-def test_another_thread_halts_a_homing_by_a_reset():
+def test_another_thread_aborts_a_homing_by_a_reset():
     heard, ended = [], []
     with socket.create_server(("127.0.0.1", 0)) as server:
         thread = threading.Thread(target=_homing_until_reset, args=(server, b"", heard))
@@ -312,7 +312,7 @@ def test_another_thread_halts_a_homing_by_a_reset():
             homing.start()
             until(lambda: slide._homing)
             time.sleep(0.2)
-            slide.halt()
+            slide.abort()
             homing.join(5.0)
             with pytest.raises(DeviceError):
                 slide.read()

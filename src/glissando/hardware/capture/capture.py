@@ -131,15 +131,15 @@ def _repeat(step: Callable[[], None], over: threading.Event, failures: list[Base
         try:
             step()
         except BaseException as problem:  # raised again by the thread that drives the slide
-            if not over.is_set():  # else it was halted
+            if not over.is_set():  # else it was aborted
                 failures.append(problem)
 
 
 def _finish(over: threading.Event, threads: list[threading.Thread], driven: list[_Driven]) -> None:
-    """End what threads do; a further stage that still homes, or goes to its start, is halted."""
+    """End what threads do, and the motion of a further stage that homes or goes to its start."""
     over.set()
     for one in driven:
-        one.halt()
+        one.abort()
     for thread in threads:
         thread.join()
 
@@ -192,10 +192,10 @@ class _Driven:
     def __call__(self) -> None:
         log_slide(next(self._readings), self._log, self._name)
 
-    def halt(self) -> None:
+    def abort(self) -> None:
         """End a motion that its thread waits for."""
         if self._slide is not None:
-            self._slide.halt()
+            self._slide.abort()
 
     def close(self) -> None:
         """Stand still."""

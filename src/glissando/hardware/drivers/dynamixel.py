@@ -108,7 +108,7 @@ class Servo:
 
     Attributes:
         counts: How many answers were missing, corrupt, stale, or refusals of a bad CRC.
-        abandoned: Set by another thread to end a motion: `state` then raises DeviceError.
+        aborted: Set by another thread to end a motion: `state` then raises DeviceError.
 
     Args:
         address: Serial path.
@@ -119,7 +119,7 @@ class Servo:
     def __init__(self, address: str, identity: int, baud: int) -> None:
         self.address, self.identity, self.baud = address, identity, baud
         self.counts: Counter[str] = Counter()
-        self.abandoned = False
+        self.aborted = False
         self._port, self._handler = opened(address, baud)
         self._clock: tuple[int, Answer] | None = None  # unwrapped ms of the last state, and it
 
@@ -202,8 +202,8 @@ class Servo:
         An answer whose tick is not from now answers an earlier request, and the request is
         repeated; when that does not help, the servo has restarted and DeviceError is raised.
         """
-        if heed and self.abandoned:
-            raise DeviceError("The stage was halted while it moved.")
+        if heed and self.aborted:
+            raise DeviceError("The motion of the stage was aborted.")
         for _ in range(_ATTEMPTS):
             answer = self.read(TICK, 16, heed=heed)
             tick = int.from_bytes(answer.data[:2], "little")

@@ -68,13 +68,15 @@ class GcodeSlide(PositionSlide):
 
     def _home_place(self) -> float:
         self._homing = True
-        self._line.send("$H", _HOMING)
-        self._homing = False
+        try:
+            self._line.send("$H", _HOMING)
+        finally:
+            self._homing = False
         return self._place()[1]
 
-    def halt(self) -> None:
+    def abort(self) -> None:
         """End the motion that another thread waits for; a controller that homes is reset."""
-        super().halt()
+        super().abort()
         if self._homing:
             self._line.reset()
 

@@ -93,5 +93,5 @@ class LinearStage(Protocol):
     def stop(self) -> None:
         """Stand still, at once."""
 
-    def halt(self) -> None:
+    def abort(self) -> None:
         """End a motion that another thread waits for, in which it raises DeviceError."""

@@ -51,7 +51,7 @@ class PositionSlide:
         self.counts: Counter[str] = Counter()
         self._zero: float | None = None  # the device's position at travel zero, m
         self._last: SlideReading | None = None
-        self._halted = False
+        self._aborted = False
 
     def __enter__(self) -> Self:
         raise NotImplementedError
@@ -89,9 +89,9 @@ class PositionSlide:
         """Stand still at once."""
         raise NotImplementedError
 
-    def halt(self) -> None:
+    def abort(self) -> None:
         """End the motion that another thread waits for; that raises DeviceError there."""
-        self._halted = True
+        self._aborted = True
 
     def _forget(self) -> None:
         """The travel is not known any more."""
@@ -121,8 +121,8 @@ class PositionSlide:
         Lines may be without a checksum: a position that the stage cannot have reached is asked for
         again.
         """
-        if self._halted:
-            raise DeviceError("The stage was halted while it moved.")
+        if self._aborted:
+            raise DeviceError("The motion of the stage was aborted.")
         for _ in range(_ATTEMPTS):
             reading = self._read()
             if self._last is None or self._reachable(self._last, reading):

@@ -221,10 +221,10 @@ class Slide:
         speed = min(abs(aim - here) / ahead, 1.1 * self.stage.speed)
         self._aim(aim, self.stage.speed_units(speed), 0)
 
-    def halt(self) -> None:
+    def abort(self) -> None:
         """End the motion that another thread waits for; that raises DeviceError there."""
         if self._open is not None:
-            self._open.abandoned = True
+            self._open.aborted = True
 
     def stop(self) -> None:
         """Stand still, at once, and hold; without torque if the servo will not."""
