@@ -29,7 +29,6 @@ from glissando.model.seconds import seconds
 from glissando.model.sensors.readings import Readings
 
 _MERGED = 0.01  # of the longest interval: a node as close to the newest one would be singular
-_SAME = 1e-6  # of the least step, as times of a loop are rounded
 _BACK = 2.0  # s before the oldest node: a clock that was set, not a reading that came late
 _CLOSEST = 0.2  # of the last interval: no node is put nearer to the newest one to look ahead
 
@@ -124,7 +123,7 @@ class WindowSteps:
         on = [*([] if before is None else [before]), *nodes.tolist()]
         longest = max((b - a for a, b in pairwise(on)), default=0.0)
         close = _MERGED * min(longest, self._silence.step)  # however long a silence lasted
-        close = max(close, self._least * (1.0 - _SAME))
+        close = max(close, self._least)
         return on[-1] if time - on[-1] < close else time
 
     def _next_node(self, time: float) -> float:

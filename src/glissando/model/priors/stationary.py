@@ -61,17 +61,17 @@ class StationaryPrior(Protocol):
 
 def least_step(time_scale: float) -> float:
     """The least time between nodes, s, of processes with a time scale."""
-    return time_scale / _DENSEST
+    return time_scale / _DENSEST * (1.0 - _SAME)
 
 
 def require_digits(grid: Grid, time_scale: float) -> None:
     """Raise OutsideGridError where time nodes are so dense that information loses digits."""
     steps = np.diff(grid.time)
-    if longest_scale(grid) < time_scale * (1.0 - _SAME):
+    if steps.size and np.median(steps) < least_step(time_scale):
         raise OutsideGridError(
             f"Time nodes {np.median(steps):.3g} s apart are too dense for a time scale of "
             f"{time_scale:g} s: they add nothing and cost all digits; leave "
-            f"{least_step(time_scale):.3g} s at least between them."
+            f"{time_scale / _DENSEST:.3g} s at least between them."
         )
 
 
