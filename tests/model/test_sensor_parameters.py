@@ -12,7 +12,7 @@ from glissando.model.grid import Grid
 from glissando.model.sensors.accelerometer import AccelerometerReadings
 from glissando.model.sensors.parameter_process import EstimatedParameters
 from glissando.model.sensors.parameters import SIZES, SensorParameter
-from glissando.model.sensors.readings import slide_motion
+from glissando.model.slide_track import slide_motion
 from oracles import dense
 from scenes import LENGTH, angular_velocity, arc, sliding_scene
 from unknown_scenes import COARSE, SOFT, STEADY, TIMES, consistent, tracker, unknown

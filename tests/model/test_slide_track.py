@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given, settings
 
 from draws import generators
-from glissando.model.sensors.readings import slide_motion
-from glissando.model.slide_track import SlideTrack
+from glissando.model.slide_track import SlideTrack, slide_motion
 
 
 @settings(max_examples=40, deadline=None)

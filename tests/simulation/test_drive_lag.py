@@ -7,7 +7,7 @@ import pytest
 
 from glissando import CoilReadings, Grid, SensorParameter, estimate, load_robot
 from glissando.io.shipped_robots import robot_file
-from glissando.model.sensors.readings import slide_motion
+from glissando.model.slide_track import slide_motion
 from glissando.simulation import SlideLimits, SlidePath, load_bench
 from glissando.simulation.tracker import coil_rows
 from unknown_scenes import consistent

@@ -41,7 +41,8 @@ from glissando.model.brief import Brief
 from glissando.model.robot import Robot
 from glissando.model.seconds import seconds
 from glissando.model.sensors.parameters import SensorParameter, corrected
-from glissando.model.sensors.readings import Readings, slide_motion
+from glissando.model.sensors.readings import Readings
+from glissando.model.slide_track import slide_motion
 
 _NODES = 4  # in the smoother's window by default
 _MEMORY = 30.0  # s of a journal that are estimated again before a run continues

@@ -24,8 +24,9 @@ from glissando.io.toml_table import read_toml
 from glissando.model.brief import Brief
 from glissando.model.robot import Robot
 from glissando.model.sensors.parameters import corrected
-from glissando.model.sensors.readings import SENSORS, Readings, slide_motion
+from glissando.model.sensors.readings import SENSORS, Readings
 from glissando.model.sensors.sensors import sensor_class, sensor_kinds
+from glissando.model.slide_track import slide_motion
 from glissando.model.table import Table
 from glissando.model.tendons.channel import Channel
 

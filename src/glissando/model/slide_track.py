@@ -1,12 +1,16 @@
-"""Where a slide was when a sensor that it moves was read, while both still come in."""
+"""How a slide moved: over a whole recording, or while its readings still come in."""
 
 from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
+from typing import Any
 
-from glissando.model.sensors.readings import way_after
+import numpy as np
 
+from glissando.geometry.se3 import Array
+
+_TURN = 2e-4  # m, over which a slide that turns is said to move the other way
 _MOST = 1024  # readings of the slide that are kept
 _AHEAD = 0.1  # s beyond its newest reading for which it is said to go on
 _APART = 1.0  # s between readings that say nothing of a speed
@@ -47,7 +51,7 @@ class SlideTrack:
         if time > before:
             moved = travel - last.travel
             speed = moved / (time - before) if time - before < _APART else 0.0
-            self._readings.append((time, SlideMotion(travel, speed, way_after(last.way, moved))))
+            self._readings.append((time, SlideMotion(travel, speed, _way_after(last.way, moved))))
 
     def at(self, time: float) -> SlideMotion | None:
         """The slide at a time, s; None before its first reading.
@@ -70,4 +74,29 @@ class SlideTrack:
         if after is not None:
             lasts, speed = time - when, (after[1].travel - motion.travel) / (after[0] - when)
         moved = speed * lasts
-        return SlideMotion(motion.travel + moved, speed, way_after(motion.way, moved))
+        return SlideMotion(motion.travel + moved, speed, _way_after(motion.way, moved))
+
+
+def slide_motion(time: Array, arclength: Array) -> dict[str, Any]:
+    """The fields `slide_speed` and `slide_way` of a sliding sensor's readings.
+
+    They are how fast it moved (M,), m/s, and which way it moved last (M,), −1 to 1.
+
+    The speed is that since the reading before, so that a lag shorter than this leads between the
+    two. The way is zero until the sensor moves, and turns over 0.2 mm of travel, as a tube's play
+    is taken up.
+    """
+    if not np.any(np.diff(arclength)):
+        return {"slide_speed": np.zeros(()), "slide_way": np.zeros(())}
+    way, ways = 0.0, []
+    moved, lasts = np.diff(arclength, prepend=arclength[:1]), np.diff(time, prepend=time[:1])
+    for step in moved.tolist():
+        way = _way_after(way, step)
+        ways.append(way)
+    speed = np.divide(moved, lasts, out=np.zeros_like(moved), where=lasts > 0.0)
+    return {"slide_speed": speed, "slide_way": np.array(ways)}
+
+
+def _way_after(way: float, moved: float) -> float:
+    """Which way a slide moved last, −1 to 1, after a step in m, from that before it."""
+    return min(1.0, max(-1.0, way + moved / (0.5 * _TURN)))

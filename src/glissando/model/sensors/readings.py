@@ -21,10 +21,10 @@ from glissando.geometry.se3 import Array
 from glissando.model.brief import Brief
 from glissando.model.grid import Grid
 from glissando.model.noise import Loss, covariance_matrix
+from glissando.model.sensors.given_arrays import numbers, require_rotations
 from glissando.model.state import DOF, State
 from glissando.model.tendons.channel import Channel
 
-_TURN = 2e-4  # m, over which a slide that turns is said to move the other way
 _EACH = ("time", "arclength", "values")
 _ONE_OR_EACH = (  # fields and dimensions of one
     *(("cov", 2), ("mount", 2), ("arclength_std", 0), ("slide_speed", 0), ("slide_way", 0)),
@@ -155,7 +155,7 @@ class Readings(Brief):
 
     def __post_init__(self) -> None:
         for given in ("time", "arclength", "values"):
-            array = _numbers(self.label, given, getattr(self, given))
+            array = numbers(self.label, given, getattr(self, given))
             object.__setattr__(self, given, array)
             bad = np.argwhere(~np.isfinite(array))[:, 0] if array.ndim else np.zeros(0, int)
             if bad.size:
@@ -174,12 +174,12 @@ class Readings(Brief):
                 f"{(*count, *(self.expected_shape or ()))}."
             )
         if self.expected_shape in ((4, 4), (3, 3)):
-            _require_rotations(self.label, self.values)
+            require_rotations(self.label, self.values)
         mount = np.asarray(self.mount, dtype=float)
         object.__setattr__(self, "mount", mount)
         if mount.shape not in ((4, 4), (*count, 4, 4)):
             raise SensorError(f"{self.label}: mount has shape {mount.shape}; give (4, 4).")
-        _require_rotations(f"{self.label} mount", mount.reshape(-1, 4, 4))
+        require_rotations(f"{self.label} mount", mount.reshape(-1, 4, 4))
         std = np.asarray(self.arclength_std, dtype=float)
         object.__setattr__(self, "arclength_std", std)
         if std.shape not in ((), count) or not np.all((std >= 0.0) & np.isfinite(std)):
@@ -277,59 +277,6 @@ class Readings(Brief):
     def jacobian_over(self, arclength: Array, at: State) -> Array:
         """∂residual/∂[pose, strain, velocity] of the nodes (M, rows, N, 18), of what `spans`."""
         raise NotImplementedError(f"{type(self).__name__} must define jacobian_over(s, at).")
-
-
-def slide_motion(time: Array, arclength: Array) -> dict[str, Any]:
-    """The fields `slide_speed` and `slide_way` of a sliding sensor's readings.
-
-    They are how fast it moved (M,), m/s, and which way it moved last (M,), −1 to 1.
-
-    The speed is that since the reading before, so that a lag shorter than this leads between the
-    two. The way is zero until the sensor moves, and turns over 0.2 mm of travel, as a tube's play
-    is taken up.
-    """
-    if not np.any(np.diff(arclength)):
-        return {"slide_speed": np.zeros(()), "slide_way": np.zeros(())}
-    way, ways = 0.0, []
-    moved, lasts = np.diff(arclength, prepend=arclength[:1]), np.diff(time, prepend=time[:1])
-    for step in moved.tolist():
-        way = way_after(way, step)
-        ways.append(way)
-    speed = np.divide(moved, lasts, out=np.zeros_like(moved), where=lasts > 0.0)
-    return {"slide_speed": speed, "slide_way": np.array(ways)}
-
-
-def _numbers(label: str, name: str, value: Any) -> Array:
-    """An array of numbers; dates, complex numbers and what is masked are none."""
-    given = np.asanyarray(value)
-    if np.ma.is_masked(given):
-        row = np.argwhere(np.ma.getmaskarray(given))[0, 0]
-        raise SensorError(f"{label}: {name} of row {row} is masked; drop masked rows.")
-    if given.dtype.kind in "mMc":
-        raise SensorError(
-            f"{label}: {name} is of type {given.dtype}; give numbers, times in seconds (of "
-            f"dates, as in (t - t[0]) / np.timedelta64(1, 's'))."
-        )
-    return np.asarray(given, dtype=float)
-
-
-def way_after(way: float, moved: float) -> float:
-    """Which way a slide moved last, −1 to 1, after a step in m, from that before it."""
-    return min(1.0, max(-1.0, way + moved / (0.5 * _TURN)))
-
-
-def _require_rotations(label: str, values: Array) -> None:
-    """Raise SensorError unless values (M, 4, 4) or (M, 3, 3) are poses or rotations."""
-    rotation = values[:, :3, :3]
-    gap = np.abs(rotation @ np.swapaxes(rotation, -1, -2) - np.eye(3)).max(axis=(-1, -2), initial=0)
-    sound = (gap <= 1e-3) & (np.linalg.det(rotation) > 0.0)
-    if values.shape[-1] == 4:
-        sound &= np.all(values[:, 3] == [0.0, 0.0, 0.0, 1.0], axis=-1)
-    if not np.all(sound):
-        raise SensorError(
-            f"{label}: row {int(np.argmin(sound))} is no rigid motion; give rotation matrices "
-            f"(orthonormal, right-handed), poses with a last row 0 0 0 1."
-        )
 
 
 def numerical_jacobian(readings: Readings, at: State) -> Array:

@@ -1,0 +1,38 @@
+"""Arrays that readings are given: numbers, and rotations."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from glissando.errors import SensorError
+from glissando.geometry.se3 import Array
+
+
+def numbers(label: str, name: str, value: Any) -> Array:
+    """An array of numbers. Raises SensorError for dates, complex numbers and masked rows."""
+    given = np.asanyarray(value)
+    if np.ma.is_masked(given):
+        row = np.argwhere(np.ma.getmaskarray(given))[0, 0]
+        raise SensorError(f"{label}: {name} of row {row} is masked; drop masked rows.")
+    if given.dtype.kind in "mMc":
+        raise SensorError(
+            f"{label}: {name} is of type {given.dtype}; give numbers, times in seconds (of "
+            f"dates, as in (t - t[0]) / np.timedelta64(1, 's'))."
+        )
+    return np.asarray(given, dtype=float)
+
+
+def require_rotations(label: str, values: Array) -> None:
+    """Raise SensorError unless values (M, 4, 4) or (M, 3, 3) are poses or rotations."""
+    rotation = values[:, :3, :3]
+    gap = np.abs(rotation @ np.swapaxes(rotation, -1, -2) - np.eye(3)).max(axis=(-1, -2), initial=0)
+    sound = (gap <= 1e-3) & (np.linalg.det(rotation) > 0.0)
+    if values.shape[-1] == 4:
+        sound &= np.all(values[:, 3] == [0.0, 0.0, 0.0, 1.0], axis=-1)
+    if not np.all(sound):
+        raise SensorError(
+            f"{label}: row {int(np.argmin(sound))} is no rigid motion; give rotation matrices "
+            f"(orthonormal, right-handed), poses with a last row 0 0 0 1."
+        )
