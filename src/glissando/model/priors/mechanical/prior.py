@@ -33,10 +33,11 @@ from glissando.model.priors.mechanical.intervals import (
     interval_error,
     still_error,
 )
+from glissando.model.priors.mechanical.linearized_rods import LinearizedRods
 from glissando.model.priors.mechanical.modal_acceleration import modal_acceleration
 from glissando.model.priors.mechanical.point_load import PointLoad, point_load
 from glissando.model.priors.mechanical.rod import LoadedRod
-from glissando.model.priors.mechanical.section import LinearizedRod, hanging_rod
+from glissando.model.priors.mechanical.section import hanging_rod
 from glissando.model.priors.mechanical.table import read_fields
 from glissando.model.priors.rest_shape import STRAIGHT, RestShape
 from glissando.model.priors.static import STATIC_DOF
@@ -252,7 +253,7 @@ class MechanicalPrior:
             np.stack([here[:, :-1], here[:, 1:]], axis=2),
             error.reshape(*shape, RATED),
             slopes.reshape(*shape, RATED, 2, state.dof),
-            self._cached_rod(grid, noise_state).noise[touched],
+            self._rods.at(grid, noise_state).noise[touched],
             paired=False,
         )
 
@@ -316,35 +317,15 @@ class MechanicalPrior:
         self, grid: Grid, noise_state: State, k: Index, n: Index, s: Cells, inside: bool
     ) -> Array:
         """Prior covariance (M, 12, 12) of pose and strain at time nodes k, on n or inside `s`."""
-        rod, offset = self._last_rod(grid, noise_state), s.offset if inside else None
-        times, which = np.unique(k, return_inverse=True)
-        if rod is None and 2 * times.size < len(noise_state.strain):  # few of many moments
-            rod, k = self._linearized(grid, noise_state.take(times)), which
-        return (rod or self._cached_rod(grid, noise_state)).covariances(k, n, offset)
-
-    def _linearized(self, grid: Grid, state: State) -> LinearizedRod:
-        """The rod at nodes (K, N)."""
-        every = self.rod.tiled(grid, len(state.strain))
-        return LinearizedRod(grid.arclength, state, every, self.ends.information(grid, state))
-
-    def _cached_rod(self, grid: Grid, state: State) -> LinearizedRod:
-        """The rod at nodes (K, N), kept for those who ask for the same nodes next."""
-        rod = self._last_rod(grid, state) or self._linearized(grid, state)
-        self._last["rod"] = rod
-        return rod
-
-    def _last_rod(self, grid: Grid, state: State) -> LinearizedRod | None:
-        last = self._last.get("rod")
-        same = last and last.state is state and np.array_equal(last.arclength, grid.arclength)
-        return last if same else None
+        return self._rods.covariances(grid, noise_state, k, n, s.offset if inside else None)
 
     @cached_property
-    def _last(self) -> dict[str, LinearizedRod]:
-        return {}
+    def _rods(self) -> LinearizedRods:
+        return LinearizedRods(self.rod, self.ends)
 
     def __getstate__(self) -> dict[str, Any]:
         """What goes to other processes: all but what is kept of an estimate."""
-        return {name: value for name, value in vars(self).items() if name != "_last"}
+        return {name: value for name, value in vars(self).items() if name != "_rods"}
 
     def point_load(self, grid: Grid, state: State, k: Index, n: Index) -> PointLoad:
         """The unknown wrench that acts at arclength nodes n (M,) > 0 at time nodes k (M,).
