@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -109,8 +109,7 @@ def reading(
         raise NoTravelError(f"{name} slides, and nothing stated the travel at {time:.3f} s.")
     arclength = np.clip(place.arclength - motion.travel, 0.0, robot.length)
     out = batch(robot, kind, name, np.array([time]), np.array([arclength]), value[None])
-    way = np.array(-motion.speed), np.array(-motion.way)
-    return out.changed(slide_speed=way[0], slide_way=way[1])
+    return replace(out, slide_speed=-motion.speed, slide_way=-motion.way)
 
 
 def batch(
