@@ -8,8 +8,6 @@ import socket
 import subprocess
 import sys
 import time
-from contextlib import contextmanager
-from urllib.request import urlopen
 
 import numpy as np
 import pytest
@@ -19,7 +17,6 @@ from glissando.cli.main import main
 from glissando.errors import DeviceError, RecordingError
 from glissando.evaluation.run import run_estimate
 from glissando.hardware.capture import Body, Coil, Rig, load_rig, simulated_rig, write_recording
-from glissando.hardware.capture.online import live_estimate
 from glissando.io.recording import load_recording
 from glissando.io.session_log import SessionWriter, read_session
 from glissando.io.session_recording import session_streams
@@ -27,7 +24,7 @@ from glissando.io.shipped_robots import robot_file
 from glissando.model.tendons.channel import Channel
 from glissando.simulation import SlidePath, load_bench
 from glissando.simulation.simulated_session import simulate_session, write_session
-from glissando.visualization.page.live import Live, follow
+from waiting import until
 
 pytestmark = pytest.mark.alone
 
@@ -236,7 +233,7 @@ def test_killed_in_mid_session_it_keeps_all_but_the_last_second(tmp_path):
     folder = tmp_path / "session"
     with recorded(folder) as process:
         log = folder / "session.mcap"
-        wait_for(lambda: log.exists() and log.stat().st_size > 5000)
+        until(lambda: log.exists() and log.stat().st_size > 5000)
         time.sleep(2.0)
         killed = time.monotonic_ns()
         process.kill()
@@ -252,7 +249,7 @@ def test_interrupted_it_stops_the_slide_and_keeps_the_recording(tmp_path):
     folder = tmp_path / "session"
     with recorded(folder, start_new_session=True) as process:
         log = folder / "session.mcap"
-        wait_for(lambda: log.exists() and log.stat().st_size > 5000)
+        until(lambda: log.exists() and log.stat().st_size > 5000)
         time.sleep(1.0)
         os.kill(process.pid, signal.SIGINT)
         out, err = process.communicate(timeout=60)
@@ -262,26 +259,6 @@ def test_interrupted_it_stops_the_slide_and_keeps_the_recording(tmp_path):
     assert session.complete
     recording = load_recording(folder)
     assert len(recording.streams["coil"].rows.time) > 10
-
-
-def wait_for(true, seconds=60.0):
-    end = time.monotonic() + seconds
-    while not true():
-        assert time.monotonic() < end
-        time.sleep(0.05)
-
-
-@pytest.mark.slow
-def test_the_shape_can_be_looked_at_while_it_is_recorded():
-    pytest.importorskip("viser")
-    rig = Rig("bench", "sliding700", coils=(Coil("coil", 0.7),))
-    with live_estimate(rig, Live, follow) as (address, on_message):
-        on_message("/slide", {"travel": 0.01})
-        seen = {"position": [0.0, 0.0, 0.69], "quaternion": [1.0, 0.0, 0.0, 0.0]}
-        for k in range(3):
-            on_message("/tracker/coil", {"time": 0.1 * k, **seen})
-        with urlopen(address, timeout=20) as page:
-            assert page.status == 200
 
 
 def test_what_was_not_seen_is_said_and_an_empty_session_refused(tmp_path):
@@ -306,39 +283,6 @@ def test_a_record_command_without_a_rig_is_one_sentence(tmp_path, capsys):
         assert main(["record", "--setup", str(file), *call]) == 2
         assert said in capsys.readouterr().err
     assert not (tmp_path / "s").exists()
-
-
-class Failing:
-    """A view that fails as soon as it is shown something."""
-
-    address = "nowhere"
-
-
-@contextmanager
-def open_failing(arclength):
-    yield Failing()
-
-
-def fail(view, smoother):
-    raise SystemExit(1)
-
-
-@pytest.mark.slow
-def test_a_view_that_fails_is_said_once_and_nothing_waits_for_it(capfd):
-    rig = Rig("bench", "sliding700", coils=(Coil("coil", 0.7),))
-    seen = {"position": [0.0, 0.0, 0.7], "quaternion": [1.0, 0.0, 0.0, 0.0]}
-    with live_estimate(rig, open_failing, fail) as (_, on_message):
-        on_message("/tracker/coil", {"time": 0.0, **seen})
-        told = []
-
-        def said():
-            on_message("/tracker/coil", {"time": 1.0, **seen})
-            told.append(capfd.readouterr().err)
-            return any("live view has ended; the recording goes on" in text for text in told)
-
-        wait_for(said)
-        said()
-    assert sum(text.count("live view has ended") for text in told) == 1
 
 
 @pytest.mark.slow
