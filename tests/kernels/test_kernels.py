@@ -106,7 +106,10 @@ def weighted(rng, lead):
     """Steps between any two of seven states, as many as `lead` has items."""
     direction, m = (ARCLENGTH, TIME)[rng.integers(2)], int(np.prod(lead))
     nodes, (step, weight) = rng.integers(7, size=(m, 2)), rng.uniform(0.01, 0.3, (2, m))
-    densities = tuple(rng.uniform(0.1, 2.0, (3, m, 6)))
+    densities = rng.uniform(0.1, 2.0, (3, m, 6))
+    if rng.integers(2):
+        densities[..., ::3] = densities[..., 1::3]  # alike across z
+    densities = tuple(densities)
     return (direction, states(rng, (7,)), states(rng, (7,)), nodes, step, weight, densities), {}
 
 

@@ -80,7 +80,7 @@ def test_rates_are_derivatives_in_time(seed):
 
     at = interval_between(start, end, step, offset, gain, UNBENT)[0]
     before, behind = (interval_between(*e, step, offset, gain, UNBENT)[0] for e in ends)
-    moved = behind.difference(before)[:, :12] / (2 * wait)
+    moved = behind.rise_from(before)[:, :12] / (2 * wait)
     np.testing.assert_allclose(at.velocity, moved[:, :6], atol=1e-7)
     np.testing.assert_allclose(at.strain_rate, moved[:, 6:], atol=1e-7)
 

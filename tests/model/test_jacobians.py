@@ -162,7 +162,7 @@ def test_bridge_covariance_is_carried_into_the_frame_of_the_point(direction):
 
     tiny = 1e-6
     columns = [
-        disturbed(np.tile(h, (M, 1))).difference(disturbed(np.tile(-h, (M, 1)))) / (2 * tiny)
+        disturbed(np.tile(h, (M, 1))).rise_from(disturbed(np.tile(-h, (M, 1)))) / (2 * tiny)
         for h in tiny * np.eye(DOF)
     ]
     into_frame = np.stack(columns, axis=-1)

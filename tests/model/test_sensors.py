@@ -48,23 +48,42 @@ def coils(rng, at, tilt=0.5):
 
 @law
 @given(generators, st.floats(0.0, 2.5))
-def test_any_roll_added_to_coil_readings_changes_nothing(rng, tilt):
+def test_a_roll_of_the_robot_about_a_coil_changes_no_residual_and_has_no_slope(rng, tilt):
+    at = states(rng, M)
+    coil = coils(rng, at, tilt)
+    about_coil = coil.mount @ rolled(np.tile(np.eye(4), (M, 1, 1)), rng.uniform(-3, 3, M))
+    other = replace(at, pose=at.pose @ about_coil @ se3.inverse(coil.mount))
+    np.testing.assert_allclose(coil.residual(other), coil.residual(at), rtol=0.0, atol=1e-12)
+    axis = se3.adjoint(coil.mount)[:, 5]
+    np.testing.assert_allclose(coil.jacobian(at)[..., :6] @ axis, 0.0, atol=1e-12)
+
+
+@law
+@given(generators, st.floats(0.0, 2.5))
+def test_any_roll_added_to_coil_readings_turns_the_residual_alone(rng, tilt):
     at = states(rng, M)
     one = coils(rng, at, tilt)
-    other = replace(one, values=rolled(one.values, rng.uniform(-np.pi, np.pi, M)))
-    np.testing.assert_allclose(other.residual(at), one.residual(at), rtol=0.0, atol=1e-12)
-    np.testing.assert_allclose(other.jacobian(at), one.jacobian(at), rtol=0.0, atol=1e-12)
+    angle = rng.uniform(-np.pi, np.pi, M)
+    other = replace(one, values=rolled(one.values, angle))
+    turn = rolled(np.tile(np.eye(4), (M, 1, 1)), -angle)[:, :2, :2]
+    for own, its in (
+        (one.residual(at)[..., None], other.residual(at)[..., None]),
+        (one.jacobian(at), other.jacobian(at)),
+    ):
+        turned = own.copy()
+        turned[:, :2], turned[:, 3:5] = turn @ own[:, :2], turn @ own[:, 3:5]
+        np.testing.assert_allclose(its, turned, rtol=0.0, atol=1e-12)
 
 
 @law
 @given(generators)
-def test_a_coil_is_a_pose_sensor_whose_roll_always_agrees(rng):
+def test_a_coil_is_a_pose_sensor_of_a_robot_whose_roll_always_agrees(rng):
     at = states(rng, M)
     coil = coils(rng, at)
     apart = se3.inverse(coil.values) @ at.pose @ coil.mount
     agreed = np.arctan2(apart[:, 1, 0] - apart[:, 0, 1], apart[:, 0, 0] + apart[:, 1, 1])
-    tracker = at_zero(PoseReadings, rolled(coil.values, agreed), mount=coil.mount)
-    full = tracker.residual(at)
+    there = replace(at, pose=rolled(at.pose @ coil.mount, -agreed))
+    full = at_zero(PoseReadings, coil.values).residual(there)
     np.testing.assert_allclose(full[:, 5], 0.0, atol=1e-12)
     np.testing.assert_allclose(coil.residual(at), full[:, :5], rtol=0.0, atol=1e-12)
 

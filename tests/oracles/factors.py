@@ -60,11 +60,33 @@ def weighted_steps(
     )
     pair, carried = pair_error(direction, start, end, step), carried_error(direction, start, end)
     whiteners = pair_sqrt_information(cov), sqrt_information(carried_cov)
+    alike = np.all([d[:, ::3] == d[:, 1::3] for d in densities], axis=(0, 2))
+    angle = np.where(alike, rolls_between(about.pose, flat.pose)[nodes[:, 0]], 0.0)
     first, second = (
-        (error, np.stack(jacobians, axis=2), weight[:, None, None] * whitener)
+        (*turned_back(error, np.stack(jacobians, axis=2), alike, angle), white)
         for (error, *jacobians), whitener in zip((pair, carried), whiteners, strict=True)
+        for white in [weight[:, None, None] * whitener]
     )
     return first, second
+
+
+def rolls_between(before: Array, after: Array) -> Array:
+    """Angles (M,) about z by which poses turned, besides a turn about an axis across it."""
+    apart = se3.inverse(before) @ after
+    return np.arctan2(apart[:, 1, 0] - apart[:, 0, 1], apart[:, 0, 0] + apart[:, 1, 1])
+
+
+def turned_back(error: Array, jacobian: Array, alike: Array, angle: Array) -> tuple[Array, Array]:
+    """Errors (M, r) turned about z by angles (M,), slopes (M, r, c, dof) of such errors."""
+    across = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    thirds = np.eye(error.shape[1] // 3)
+    turn = np.kron(thirds, across)
+    out = jacobian.copy()
+    out[..., 0, 5] += alike[:, None] * (error @ turn.T)
+    roll = np.zeros((len(angle), 6))
+    roll[:, 5] = angle
+    whole = np.kron(thirds, se3.exp(roll)[:, :3, :3])
+    return (whole @ error[..., None])[..., 0], np.einsum("mij,mjcd->micd", whole, out)
 
 
 def static_steps(
@@ -82,29 +104,33 @@ def static_steps(
     return error, jacobian, pair_sqrt_information(cov)
 
 
-def pose_error(values: Array, pose: Array, mount: Array, *, rolls: bool = False) -> Array:
-    """log(T_meas⁻¹ T T_bc) (M, 6); if the sensor `rolls`, its roll is first turned to agree.
+def rolled_to(values: Array, pose: Array, mount: Array) -> Array:
+    """The mount (M, 4, 4) of a coil turned about its z until its roll is the measured one.
 
     The turn about z is all of q_z against q_w of the quaternion, here from the matrix.
     """
     apart = se3.inverse(values) @ (pose @ mount)
-    if rolls:
-        turn = np.zeros((*apart.shape[:-2], 6))
-        turn[..., 5] = -np.arctan2(
-            apart[..., 1, 0] - apart[..., 0, 1], apart[..., 0, 0] + apart[..., 1, 1]
-        )
-        apart = se3.exp(turn) @ apart
-    return se3.log(apart)
+    turn = np.zeros((*apart.shape[:-2], 6))
+    turn[..., 5] = -np.arctan2(
+        apart[..., 1, 0] - apart[..., 0, 1], apart[..., 0, 0] + apart[..., 1, 1]
+    )
+    turned: Array = mount @ se3.exp(turn)
+    return turned
+
+
+def pose_error(values: Array, pose: Array, mount: Array) -> Array:
+    """log(T_meas⁻¹ T T_bc) (M, 6)."""
+    return se3.log(se3.inverse(values) @ (pose @ mount))
 
 
 def pose_error_jacobian(miss: Array, mount: Array, *, rolls: bool = False) -> Array:
     """Slope of `pose_error` by the pose, (M, 6, 6); if it `rolls`, (M, 5, 6) less what follows."""
-    full = se3.right_jacobian_inverse(miss) @ se3.adjoint(se3.inverse(mount))
+    spread = se3.right_jacobian_inverse(miss)
+    full = spread @ se3.adjoint(se3.inverse(mount))
     if not rolls:
         return full
-    by_roll = se3.left_jacobian_inverse(miss)[..., :, 5]
-    follow = full[..., 5:, :] / by_roll[..., 5, None, None]
-    return full[..., :5, :] - by_roll[..., :5, None] * follow
+    follow = spread[..., :5, 5, None] / spread[..., 5, 5, None, None]
+    return full[..., :5, :] - follow * full[..., 5:, :]
 
 
 def sense(kind: str, values: Array, mount: Array, at: State) -> tuple[Array, Array]:
@@ -113,7 +139,8 @@ def sense(kind: str, values: Array, mount: Array, at: State) -> tuple[Array, Arr
     there, turned = at.pose @ mount, np.swapaxes(mount[:3, :3], -1, -2)
     if kind in ("pose", "coil"):
         rolls = kind == "coil"
-        residual = pose_error(values, at.pose, mount, rolls=rolls)
+        mount = rolled_to(values, at.pose, mount) if rolls else mount
+        residual = pose_error(values, at.pose, mount)
         block, where = pose_error_jacobian(residual, mount, rolls=rolls), POSE
         residual = residual[:, : block.shape[1]]
     elif kind == "position":

@@ -5,7 +5,7 @@ A sensor has a number; its readings are rows of sixteen numbers, those it does n
 
 from __future__ import annotations
 
-from math import atan2
+from math import cos, sin
 
 import numpy as np
 
@@ -14,12 +14,12 @@ from glissando._kernels.lie import (
     adjoint_back_into,
     ahead_into,
     compose_into,
-    exp_into,
     log_into,
     right_jacobian_inverse_into,
     times_into,
 )
-from glissando._kernels.scratch import matrix, vector, zero_vector
+from glissando._kernels.rolls import roll_into, roll_of
+from glissando._kernels.scratch import matrix, vector
 
 POSE, COIL, POSITION, ORIENTATION, GYRO, STRAIN = range(6)
 ROWS = (6, 5, 3, 3, 3, 6)
@@ -27,30 +27,33 @@ ROWS = (6, 5, 3, 3, 3, 6)
 
 
 @jit()
-def _pose_into(values, sensor_pose, rolls, error):
-    """Error (6,) of a measured pose; of a sensor that rolls, its roll is first turned to agree."""
-    measured, apart, roll = matrix(4, 4), matrix(4, 4), zero_vector(6)
-    turn, turned = np.eye(4), matrix(4, 4)
+def _pose_into(values, sensor_pose, rolls, back, error):
+    """Error (6,) of a measured pose. A sensor that rolls is first turned to the measured roll.
+
+    Its axes turn, and with them `back` (6, 6), which takes a motion of the body to one of the
+    sensor: the error is then of axes that are measured, whatever the roll of the robot.
+    """
+    measured, apart = matrix(4, 4), matrix(4, 4)
     for i in range(16):
         measured[i // 4, i % 4] = values[i]
     ahead_into(measured, sensor_pose, apart)
     if rolls:
-        roll[5] = -atan2(apart[1, 0] - apart[0, 1], apart[0, 0] + apart[1, 1])
-        exp_into(roll, turn)
-    compose_into(turn, apart, turned)
-    log_into(turned, error)
+        roll = roll_of(apart)
+        roll_into(apart, -roll)
+        c, s = cos(roll), sin(roll)
+        for i in (0, 3):
+            for j in range(6):
+                x, y = back[i, j], back[i + 1, j]
+                back[i, j], back[i + 1, j] = c * x - s * y, c * y + s * x
+    log_into(apart, error)
 
 
 @jit()
 def _pose_slopes(error, back, rolls, by_state):
     """Slopes of that error by the pose; of one that rolls, less the roll that follows it."""
-    spread, whole, opposite = matrix(6, 6), matrix(6, 6), vector(6)
+    spread, whole = matrix(6, 6), matrix(6, 6)
     right_jacobian_inverse_into(error, spread)
     times_into(spread, back, whole)
-    if rolls:  # that by a roll before the error; J_l(x) is J_r(−x)
-        for i in range(6):
-            opposite[i] = -error[i]
-        right_jacobian_inverse_into(opposite, spread)
     for i in range(5 if rolls else 6):
         follow = spread[i, 5] / spread[5, 5] if rolls else 0.0
         for j in range(6):
@@ -102,7 +105,7 @@ def sense_into(kind, values, mount, pose, strain, velocity, residual, by_state):
     elif kind == ORIENTATION:
         _orientation_into(values, sensor_pose, back, residual, by_state)
     else:
-        _pose_into(values, sensor_pose, kind == COIL, residual)
+        _pose_into(values, sensor_pose, kind == COIL, back, residual)
         _pose_slopes(residual, back, kind == COIL, by_state)
         if kind == COIL:
             residual[5] = 0.0

@@ -32,6 +32,7 @@ from glissando._kernels.process import (
     process_into,
     whiten_into,
 )
+from glissando._kernels.rolls import alike_across, turn_back, turn_on
 from glissando._kernels.scratch import matrix, vector
 
 RIGID, FREE = np.True_, np.False_  # for literals numba would compile a second time
@@ -123,16 +124,22 @@ def step_into(
     for i in range(6):
         for j in range(6):
             lost_info[i, j] *= weight
+    if alike_across(psd) and alike_across(carried_psd) and alike_across(jump):
+        turn_back(error, slopes)
+        turn_back(lost, lost_slopes)
 
 
 @jit(
     "(f8[:,:,::1], f8[:,::1], f8[:,::1], f8[:,::1], i8[:,::1], f8[::1], f8[::1],"
-    " f8[:,::1], f8[:,::1], f8[:,::1], b1)"
+    " f8[:,::1], f8[:,::1], f8[:,::1], b1, f8[::1])"
 )
 def weighted_steps(
-    pose, rates, fields, about, nodes, step, weight, psd, carried_psd, jump, rigid
+    pose, rates, fields, about, nodes, step, weight, psd, carried_psd, jump, rigid, angle
 ):  # fmt: skip
-    """Errors of pair and carried, Jacobians (M, r, 2, 18) and whiteners (M, r, r)."""
+    """Errors of pair and carried, Jacobians (M, r, 2, 18) and whiteners (M, r, r).
+
+    Nodes rolled by `angle` (L,) since their rates were those that weights are `about`.
+    """
     m = len(step)
     error, lost = np.empty((m, 12)), np.empty((m, 6))
     slopes, lost_slopes = np.zeros((m, 12, 2, 18)), np.empty((m, 6, 2, 18))
@@ -144,6 +151,9 @@ def weighted_steps(
             step[n], weight[n], psd[n], carried_psd[n], jump[n], rigid,
             error[n], slopes[n], info[n], lost[n], lost_slopes[n], lost_info[n],
         )  # fmt: skip
+        if alike_across(psd[n]) and alike_across(carried_psd[n]) and alike_across(jump[n]):
+            turn_on(angle[a], error[n], slopes[n])
+            turn_on(angle[a], lost[n], lost_slopes[n])
     return error, slopes, info, lost, lost_slopes, lost_info
 
 

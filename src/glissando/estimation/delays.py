@@ -181,7 +181,7 @@ def slope_in_time(state: State, time: Array) -> Array:
     k = np.arange(time.size)
     before, after = np.maximum(k - 1, 0), np.minimum(k + 1, time.size - 1)
     step = time[after] - time[before]
-    return state.take(after).difference(state.take(before)) / step[:, None, None]
+    return state.take(after).rise_from(state.take(before)) / step[:, None, None]
 
 
 def _moving_along(system: BlockTridiagonal, own: Array, columns: list[int]) -> BlockTridiagonal:

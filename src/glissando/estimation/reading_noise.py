@@ -41,7 +41,7 @@ def reading_covariance(
         return readings.cov
     step = np.where(readings.arclength > _NUDGE, -_NUDGE, _NUDGE)
     beside = estimate.at(readings.arclength + step, readings.time)
-    rise = State(beside.pose, beside.strain, beside.velocity).difference(at) / step[:, None]
+    rise = State(beside.pose, beside.strain, beside.velocity).rise_from(at) / step[:, None]
     if readings.winding is not None:
         rise[:, POSE] += readings.winding
     along = std[:, None] * np.einsum("mrd,md->mr", by_state, rise)

@@ -27,6 +27,7 @@ from glissando.estimation.linearized_readings import (
 from glissando.estimation.posterior import Posterior, SolveReport, StateEstimate
 from glissando.estimation.window_nodes import Nodes
 from glissando.estimation.window_system import WindowSystem
+from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.factors import Factors, Residuals
 from glissando.model.grid import Grid, Index, reads_from
@@ -36,7 +37,7 @@ from glissando.model.sensors.compiled_readings import is_compiled
 from glissando.model.sensors.parameter_process import EstimatedParameters
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.sensors.readings import Readings
-from glissando.model.state import DOF, POSE, STRAIN, State
+from glissando.model.state import DOF, State
 from glissando.solver.located_readings import locate
 from glissando.solver.measurement_factors import measurement_factors
 from glissando.solver.normal_equations import Layout, NormalEquationsBuilder, kernel_arguments
@@ -134,11 +135,10 @@ class SlidingWindow:
     def append(self, time: float) -> None:
         """One more node, where constant velocity (and strain rate) lead from the newest."""
         (state, parameters), lasts = self.nodes.newest, time - float(self.nodes.time[-1])
-        ahead = np.zeros((state.pose.shape[0], state.dof))
-        ahead[:, POSE] = lasts * state.velocity
+        ahead = replace(state, pose=se3.retract(state.pose, lasts * state.velocity))
         if state.strain_rate is not None:
-            ahead[:, STRAIN] = lasts * state.strain_rate
-        self.nodes = self.nodes.joined(self._node(time, state.retract(ahead), parameters))
+            ahead = replace(ahead, strain=state.strain + lasts * state.strain_rate)
+        self.nodes = self.nodes.joined(self._node(time, ahead, parameters))
         self._noise = np.concatenate([self._noise, np.zeros((1, self.layout.size))])
         self._system.append()
 

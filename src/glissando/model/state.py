@@ -7,6 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from glissando._kernels import rolls
+from glissando._kernels import state as kernels
+from glissando._kernels.arrays import items
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.brief import Brief
@@ -56,16 +59,50 @@ class State(Brief):
         return [self.pose, *self._others()]
 
     def retract(self, step: Array) -> State:
-        """The state moved by `step` (…, dof): poses on the right, the rest by addition."""
-        pose = se3.retract(self.pose, step)
-        moved = [f + step[..., 6 + 6 * i : 12 + 6 * i] for i, f in enumerate(self._others())]
+        """The state moved by `step` (…, dof): poses on the right, the rest by addition.
+
+        A roll φ of the body about its z, however large, turns the fields of the body frame by −φ,
+        so that the curve is as it was; of first order in the step that changes nothing. Source:
+        equation (35).
+        """
+        lead = np.broadcast_shapes(self.strain.shape[:-1], step.shape[:-1])
+        steps = items(step, lead, step.shape[-1])
+        pose = kernels.retract(items(self.pose, lead, 4, 4), steps).reshape(*lead, 4, 4)
+        moved = [
+            each + step[..., 6 * i : 6 * i + 6]
+            if each is self.inertia
+            else kernels.carry(items(each, lead, 6), steps, 6 * i).reshape(*lead, 6)
+            for i, each in enumerate(self._others(), start=1)
+        ]
         return State(pose, *moved)
 
     def difference(self, other: State) -> Array:
         """The step (…, dof) that takes `other` to this state: self = other.retract(step)."""
-        turn = se3.log(se3.inverse(other.pose) @ self.pose)
+        lead = np.broadcast_shapes(self.strain.shape[:-1], other.strain.shape[:-1])
+        step = kernels.difference(items(other.pose, lead, 4, 4), items(self.pose, lead, 4, 4))
+        parts = [
+            own - its
+            if own is self.inertia
+            else kernels.change(items(its, lead, 6), step, items(own, lead, 6)).reshape(*lead, 6)
+            for own, its in zip(self._others(), other._others(), strict=True)
+        ]
+        return np.concatenate([step.reshape(*lead, 6), *parts], axis=-1)
+
+    def rise_from(self, other: State) -> Array:
+        """What changed (…, dof) since a state nearby: the twist between poses, what fields gained.
+
+        Over a small step either way, or between two nodes, it is of second order a slope.
+        """
+        twist = se3.log(se3.inverse(other.pose) @ self.pose)
         fields = zip(self._others(), other._others(), strict=True)
-        return np.concatenate([turn, *(own - its for own, its in fields)], axis=-1)
+        return np.concatenate([twist, *(own - its for own, its in fields)], axis=-1)
+
+    def rolls_from(self, other: State) -> Array:
+        """Angles (…) about z by which bodies rolled since a state of the same shape."""
+        lead = self.pose.shape[:-2]
+        poses = (items(each.pose, lead, 4, 4) for each in (other, self))
+        rolled: Array = rolls.rolls_between(*poses).reshape(lead)
+        return rolled
 
     def take(self, index: Any) -> State:
         """The state at leading indices, as numpy would index an array of points."""
@@ -103,10 +140,9 @@ class AcceleratedState(State):
 
     def retract(self, step: Array) -> AcceleratedState:
         """The state moved by `step` (…, 24)."""
-        at = State(self.pose, self.strain, self.velocity).retract(step[..., :DOF])
-        return AcceleratedState(
-            at.pose, at.strain, at.velocity, acceleration=self.acceleration + step[..., DOF:]
-        )
+        at = State(self.pose, self.strain, self.velocity, self.acceleration).retract(step)
+        pose, strain, velocity, acceleration = at.fields()  # carried as a strain rate is
+        return AcceleratedState(pose, strain, velocity, acceleration=acceleration)
 
 
 def concatenate(*states: State) -> State:

@@ -210,7 +210,7 @@ def state_slope(
     ends = np.clip(ends, nodes[0], nodes[-1])
     points[along], points[1 - along] = ends, np.tile(points[1 - along], 2)
     at = states_at(prior, grid, state, *points)
-    rise = at.take(slice(m)).difference(at.take(slice(m, None)))
+    rise = at.take(slice(m)).rise_from(at.take(slice(m, None)))
     return np.asarray(rise / (ends[:m] - ends[m:])[:, None])
 
 

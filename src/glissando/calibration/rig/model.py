@@ -90,10 +90,18 @@ class CoilModel:
             mount=rig.sits(arclength, self.data),
         )
 
-    def residual(self, rig: Rig) -> Array:
-        """Expected minus measured (B·5,) in the coil's frame, roll left out, by bunch."""
+    def expected(self, rig: Rig) -> tuple[CoilReadings, State]:
+        """The readings with the rolls of the robot where they are, and the robot there (M,)."""
         readings = self.readings(rig)
         states = self.states(readings.arclength, readings.time)
+        coil = replace(states, pose=states.pose @ readings.mount)
+        roll = np.zeros((len(readings), 6))
+        roll[:, 5] = coil.rolls_from(replace(states, pose=readings.values))
+        return replace(readings, values=readings.values @ se3.exp(roll)), states
+
+    def residual(self, rig: Rig) -> Array:
+        """Expected minus measured (B·5,) in the coil's frame, roll left out, by bunch."""
+        readings, states = self.expected(rig)
         return self._bunch_means(readings.residual(states))
 
     def _bunch_means(self, rows: Array) -> Array:
@@ -116,7 +124,7 @@ class CoilModel:
         ideal = replace(self, data=replace(self.data, coil=coil))
         by_state = ideal.readings(rig).jacobian(states)
         by_arclength, by_time = (
-            np.einsum("mrd,md->mr", by_state, ends[i].difference(ends[i + 1])) / (2.0 * _NUDGE)
+            np.einsum("mrd,md->mr", by_state, ends[i].rise_from(ends[i + 1])) / (2.0 * _NUDGE)
             for i in (0, 2)
         )
         columns = []
@@ -140,9 +148,8 @@ class CoilModel:
             noise = replace(self.data.noise, coil=self.data.noise.coil / np.sqrt(self.bunch))
             middles = replace(self.data.at(rows), noise=noise)
             return replace(self, data=middles, bunch=1).covariance(rig)
-        readings, noise = self.readings(rig), self.data.noise
+        (readings, states), noise = self.expected(rig), self.data.noise
         arclength, time = readings.arclength, readings.time
-        states = self.states(arclength, time)
         by_state = readings.jacobian(states)
         inside = self._inside(arclength, time)
         along = self._by_strain(rig, by_state)
@@ -166,7 +173,7 @@ class CoilModel:
             return None
         arclength, time = self.points(rig)
         ends = [self.states(arclength + step, time) for step in (_NUDGE, -_NUDGE)]
-        rise = ends[0].difference(ends[1]) / (2.0 * _NUDGE)
+        rise = ends[0].rise_from(ends[1]) / (2.0 * _NUDGE)
         travel = rig.arclength(time, self.data)
         placed = self.readings(rig)
         readings = replace(placed, arclength=travel, mount=rig.tilt, channel=channel)

@@ -21,7 +21,9 @@ Spread = tuple[Array, Array]
 
 _SOFT = 0.022**2  # m², of strain density over curvature density
 _BEFORE = 1e-6  # of an interval, at which a place lies just before a joint
-_KERNELS = "block_tridiagonal", "normal_equations", "process", "se3", "sensors"  # of any prior
+_KERNELS = (  # of any prior
+    "block_tridiagonal", "normal_equations", "process", "rolls", "se3", "sensors", "state",
+)  # fmt: skip
 _STIFF = 10.0  # times softer than a prior must be to be worth a start of its own
 
 
@@ -112,6 +114,11 @@ def soften(psd: Array) -> Array:
 def is_soft(psd: Array, softened: Array) -> bool:
     """Whether softening changed so little that a start of its own would not pay."""
     return bool(np.all(softened <= _STIFF * psd))
+
+
+def alike_across(*densities: Array) -> bool:
+    """Whether densities (…, 6) are the same across the body's z in every direction."""
+    return all(np.array_equal(each[..., ::3], each[..., 1::3]) for each in densities)
 
 
 def both_sides(arclength: Array, joints: Array) -> Array:

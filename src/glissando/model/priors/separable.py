@@ -26,7 +26,7 @@ from glissando.model.priors.intervals import (
     interval_error,
     place_error,
 )
-from glissando.model.priors.prior import by_interval, interval_strain, is_soft, soften
+from glissando.model.priors.prior import alike_across, by_interval, interval_strain, is_soft, soften
 from glissando.model.priors.prior_table import (
     read_rest,
     read_segments,
@@ -204,7 +204,10 @@ class SeparablePrior:
         step = np.broadcast_to(np.diff(grid.arclength), (len(here), n_count - 1))
         error, *jacobians = interval_error(*ends, step)
         error[..., :12] -= self.rest.interval_errors(grid.arclength)
-        cov = self._interval_covariances(grid, noise_state.take(touched))[1]
+        about = noise_state.take(touched)
+        cov = self._interval_covariances(grid, about)[1]
+        alike = alike_across(self.psd_strain_arclength, self.jumps)
+        angle = ends[0].rolls_from(about.take(np.s_[:, :-1])) if alike else None
         yield from chain_factors(
             self.time_scale,
             first,
@@ -213,6 +216,7 @@ class SeparablePrior:
             error,
             np.stack(jacobians, axis=3),
             cov,
+            angle=angle,
         )
 
     def _base_apart(

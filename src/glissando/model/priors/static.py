@@ -6,10 +6,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from glissando._kernels import rolls
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.factors import Factors, Residuals
 from glissando.model.grid import Grid
+from glissando.model.priors.prior import alike_across
 from glissando.model.priors.rest_shape import RestShape
 from glissando.model.priors.steps import static_steps
 from glissando.model.state import State
@@ -18,6 +20,7 @@ STATIC_DOF = 12
 """Degrees of freedom of a node that holds still: pose and strain."""
 
 _DOFS = slice(0, STATIC_DOF)
+_FAR = 1.5 * STATIC_DOF  # squared length of a whitened error that is no estimate's, but on its way
 
 
 def static_factors(
@@ -45,7 +48,13 @@ def static_factors(
         step = np.tile(np.diff(grid.arclength), count)
         error, jacobian, whitener = static_steps(state.flatten(), nodes, step, psd, jump)
         error = error - np.tile(rest.interval_errors(grid.arclength), (count, 1))
-        yield Factors(nodes, _DOFS, jacobian, Residuals(error, whitener))
+        terms = Residuals(error, whitener)
+        if alike_across(*intervals):
+            near = np.sum(terms.whiten(error) ** 2, axis=1) < _FAR  # farther off, steps overshoot
+            slopes = jacobian[near]
+            rolls.turn_all_back(np.zeros(len(slopes)), error[near], slopes)  # (35)
+            jacobian[near] = slopes
+        yield Factors(nodes, _DOFS, jacobian, terms)
     if base is None:
         return
     pose, variance = base

@@ -12,6 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
+from glissando._kernels import rolls
 from glissando._kernels import stationary as kernels
 from glissando._kernels.arrays import items, whole
 from glissando.errors import OutsideGridError
@@ -91,6 +92,7 @@ def chain_factors(
     cov: Array,
     *,
     paired: bool = True,
+    angle: Array | None = None,
 ) -> Iterator[Factors]:
     """Factors of I processes over K times. Source: equation (8).
 
@@ -103,18 +105,24 @@ def chain_factors(
         jacobian: Their Jacobians (K, I, 2 r, c, dof).
         cov: Covariances Q (K, I, r, r).
         paired: Whether the last six rows and columns of Q are diagonal.
+        angle: By how much first nodes (K, I) of processes rolled since Q was found. Given where
+            errors are those of a body frame and Q is alike across its z: they are turned back.
     """
     every, shape = slice(0, jacobian.shape[-1]), error.shape[:2]
     if first:
         whitener = pair_sqrt_information if paired else sqrt_information
         root = np.diag(np.diagonal(matern.stationary(time_scale)) ** -0.5)
-        terms = Residuals(error[0], kron_pair(root, whitener(cov[0])))
-        yield Factors(nodes[0], every, jacobian[0], terms)
+        still, slopes = error[0].copy(), jacobian[0].copy()
+        if angle is not None:
+            rolls.turn_all_back(whole(angle[0]), still, slopes)  # (35)
+        yield Factors(nodes[0], every, slopes, Residuals(still, kron_pair(root, whitener(cov[0]))))
     if not len(steps):
         return
     given = whole(steps), whole(error), whole(jacobian), items(cov, shape, *cov.shape[2:])
     given = *given[:3], given[3].reshape(cov.shape)
     innovation, slopes, info = kernels.chain(time_scale, *given, paired)
+    if angle is not None:
+        rolls.turn_all_back(angle[:-1].ravel(), innovation, slopes)
     joined = np.concatenate([nodes[:-1], nodes[1:]], axis=2).reshape(len(innovation), -1)
     yield Factors(joined, every, slopes, Residuals(innovation, info))
 

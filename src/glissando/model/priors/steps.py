@@ -68,7 +68,8 @@ def weighted_steps(
     Args:
         direction: Along arclength or time.
         flat: States (L,) in which nodes are indices.
-        noise_state: States (L,) whose rates the noise is linearised about.
+        noise_state: States (L,) whose rates the noise is linearised about; errors are those of its
+            axes, where densities are alike across z (equation 35).
         nodes: Both ends (M, 2) of each step.
         step: Lengths (M,), metres or seconds.
         weight: Factors (M,) of the whiteners.
@@ -78,6 +79,7 @@ def weighted_steps(
     whitened = kernels.weighted_steps(
         *map(whole, (*fields, direction.rate_of(noise_state), nodes, step, weight, *densities)),
         direction.rigid,
+        flat.rolls_from(noise_state),
     )
     return whitened[:3], whitened[3:]
 

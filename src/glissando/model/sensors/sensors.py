@@ -86,9 +86,9 @@ class PoseReadings(_TrackedPose, kind="pose"):
 class CoilReadings(_TrackedPose, kind="coil"):
     """A five-degree-of-freedom coil, roll about its z unseen: `values` (M, 4, 4) poses T_wc.
 
-    The reported roll is arbitrary and is turned to agree with the prediction before the roll row
-    is dropped, so that no roll however large leaks into the other rows. Its `cov` (5) should treat
-    the coil's x and y alike. Source: equation (15).
+    The reported roll is arbitrary: the predicted pose is turned to it before the roll row is
+    dropped, so that no roll, of the coil or of the robot about it, leaks into the other rows. Its
+    `cov` (5) should treat the coil's x and y alike. Source: equation (15).
     """
 
     sensor: ClassVar[int] = kernels.COIL
