@@ -259,7 +259,7 @@ class _Search:
         if centre is None:
             return False
         value = self._with_prior(-centre.score.value, x)
-        if not value < (self._beside if beside else self.value):
+        if not value < min(self.value, self._beside if beside else np.inf):
             return False
         self._former = x - self.x, slope
         self.x, self.value, self.centre = x, value, centre
