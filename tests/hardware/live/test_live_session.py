@@ -175,6 +175,12 @@ def test_a_clock_that_is_set_on_the_way_is_named_once_patience_ends():
             list(islice(updates, 100))
 
 
+def test_what_came_during_a_pause_of_its_reader_counts_before_patience_ends():
+    with LiveSession(ROBOT, [Stamped(0.0)], rate=20.0, patience=0.3) as session:
+        for _ in islice(session, 3):
+            time.sleep(0.5)
+
+
 def test_sources_are_looked_at_between_updates():
     """A link holds little: what a fast device sends until the next update would be lost."""
     source = Stamped(0.0)

@@ -142,10 +142,11 @@ class LiveSession:
                 continue
             over = self._finished()
             arrived += self._read()
+            if not over:
+                self._require_heard()
             yield self._update(number, due, arrived)
             if over:
                 return
-            self._require_heard()
             arrived, number = [], number + 1
 
     def _read(self) -> list[Readings]:
