@@ -231,7 +231,6 @@ def test_faults_are_what_the_receiver_counts():
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        (["--to", "here"], "Give --to HOST:PORT"),
         (["--bodies", "tip=far"], "give NAME=ARCLENGTH"),
         (["--bodies", "=0.1"], "give each a name of 1 to 24 bytes"),
         (["--bodies", "tip=0.9"], "0.9 lies outside the scene, 0 to 0.4"),

@@ -17,6 +17,8 @@ from glissando.hardware.simulated_devices.faults import Dice, parse_faults
 from glissando.hardware.simulated_devices.serving import (
     add_axis_options,
     device_parser,
+    finite,
+    require_axis,
     run_device,
     serve_axis,
 )
@@ -160,13 +162,14 @@ def _parser() -> argparse.ArgumentParser:
     parser = device_parser("grbl", __doc__, GrblFaults)
     add_axis_options(parser)
     add = parser.add_argument
-    add("--limits", type=float, nargs=2, default=(-2.0, 62.0), help="machine positions, mm")
-    add("--start", type=float, default=0.0, metavar="MM", help="machine position at the start")
+    add("--limits", type=finite, nargs=2, default=(-2.0, 62.0), help="machine positions, mm")
+    add("--start", type=finite, default=0.0, metavar="MM", help="machine position at the start")
     add("--locked", action="store_true", help="homing is required ($22=1): begins in alarm")
     return parser
 
 
 def _serve(options: argparse.Namespace) -> None:
+    require_axis(options.start, options.limits, "mm")
     state = "Alarm" if options.locked else "Idle"
     device = Grbl(tuple(options.limits), place=options.start, state=state)
     faults = parse_faults(GrblFaults, options.faults)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import heapq
+import math
 import os
 import pty
 import selectors
@@ -157,15 +158,61 @@ def add_axis_options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--pty", type=Path, metavar="LINK", help="make this link to the pseudo-terminal")
     purpose = "send true travel there, 200 Hz; may be repeated"
-    add("--travel", type=_address, action="append", default=[], metavar="HOST:PORT", help=purpose)
-    add("--seed", type=int, default=0, help="of all that is drawn")
+    add("--travel", type=address, action="append", default=[], metavar="HOST:PORT", help=purpose)
+    add("--seed", type=seed, default=0, help="of all that is drawn")
 
 
-def _address(text: str) -> tuple[str, int]:
-    host, _, port = text.rpartition(":")
-    if not (host and port.isdigit()):
+def address(text: str) -> tuple[str, int]:
+    """A host and a port of a command line."""
+    host, _, number = text.rpartition(":")
+    if not host:
         raise argparse.ArgumentTypeError(f"{text!r} is no HOST:PORT")
-    return host, int(port)
+    return host, port(number)
+
+
+def port(text: str) -> int:
+    """A port of a command line, 0 for any."""
+    return _integer(text, 0xFFFF, "is no port; give 0 to 65535")
+
+
+def seed(text: str) -> int:
+    """A seed of a command line."""
+    return _integer(text, 2**63 - 1, "is no seed; give a whole number, 0 or more")
+
+
+def finite(text: str) -> float:
+    """A number of a command line that is neither NaN nor infinite."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{text!r} is no number; give a finite one")
+    return value
+
+
+def positive(text: str) -> float:
+    """A number of a command line from a millionth to a million."""
+    value = finite(text)
+    if not 1e-6 <= value <= 1e6:
+        raise argparse.ArgumentTypeError(f"{text!r} cannot be; give a number above zero")
+    return value
+
+
+def _integer(text: str, largest: int, problem: str) -> int:
+    if not (text.isascii() and text.isdigit() and int(text[:20]) <= largest):
+        raise argparse.ArgumentTypeError(f"{text!r} {problem}")
+    return int(text)
+
+
+def require_axis(start: float, ends: Sequence[float], unit: str) -> None:
+    """Raise SimulationError unless an axis starts between its ends."""
+    low, high = ends
+    if not low <= start <= high:
+        raise SimulationError(
+            f"An axis from {low:g} to {high:g} {unit} cannot start at {start:g} {unit}; give ends "
+            f"that increase and a start between them."
+        )
 
 
 def serve_axis(hear: Hear, travel: Callable[[float], float], options: argparse.Namespace) -> None:

@@ -14,11 +14,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from glissando.errors import SimulationError
 from glissando.hardware.simulated_devices.faults import Dice, parse_faults
 from glissando.hardware.simulated_devices.screw import TICKS, Screw
 from glissando.hardware.simulated_devices.serving import (
     add_axis_options,
     device_parser,
+    finite,
+    positive,
+    require_axis,
     run_device,
     serve_axis,
 )
@@ -89,16 +93,19 @@ def _parser() -> argparse.ArgumentParser:
     parser = device_parser("servo", __doc__, ServoFaults)
     add_axis_options(parser)
     add = parser.add_argument
-    add("--lead", type=float, default=0.0254, help="m a revolution")
+    add("--lead", type=positive, default=0.0254, help="m a revolution")
     add("--direction", type=int, default=1, choices=(1, -1))
-    add("--backlash", type=float, default=0.1e-3, help="m of play in the nut")
-    add("--ends", type=float, nargs=2, default=(-0.002, 0.062), help="hard stops, m")
-    add("--start", type=float, default=0.0, metavar="TRAVEL", help="m")
-    add("--clock", type=float, default=1.0, help="rate of the servo's clock against ours")
+    add("--backlash", type=finite, default=0.1e-3, help="m of play in the nut")
+    add("--ends", type=finite, nargs=2, default=(-0.002, 0.062), help="hard stops, m")
+    add("--start", type=finite, default=0.0, metavar="TRAVEL", help="m")
+    add("--clock", type=positive, default=1.0, help="rate of the servo's clock against ours")
     return parser
 
 
 def _serve(options: argparse.Namespace) -> None:
+    require_axis(options.start, options.ends, "m")
+    if options.backlash < 0.0:
+        raise SimulationError(f"A play of {options.backlash:g} m cannot be; give 0 or more.")
     random = np.random.default_rng(options.seed)
     screw = Screw(
         options.lead, options.direction, options.backlash, tuple(options.ends), options.start,

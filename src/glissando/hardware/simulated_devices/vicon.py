@@ -26,7 +26,16 @@ from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.hardware.simulated_devices.faults import Dice, parse_faults
 from glissando.hardware.simulated_devices.scene import Scene
-from glissando.hardware.simulated_devices.serving import Serving, device_parser, run_device
+from glissando.hardware.simulated_devices.serving import (
+    Serving,
+    address,
+    device_parser,
+    finite,
+    port,
+    positive,
+    run_device,
+    seed,
+)
 from glissando.hardware.simulated_devices.travel import Travel
 
 NOISE_MM, NOISE_RAD = 0.15, 1.5e-3  # RMS over all directions
@@ -129,21 +138,18 @@ def _parser() -> argparse.ArgumentParser:
     parser = device_parser("vicon", __doc__, MocapFaults)
     add = parser.add_argument
     add("--scene", type=Path, required=True, metavar="FILE", help="NPZ file of the robot's motion")
-    add("--to", required=True, metavar="HOST:PORT", help="where the datagrams go")
+    add("--to", type=address, required=True, metavar="HOST:PORT", help="where the datagrams go")
     add("--bodies", required=True, metavar="NAME=S,…", help="arclengths of the bodies, m")
-    add("--rate", type=float, default=100.0, metavar="HZ", help="frames a second (default 100)")
-    add("--epoch", type=float, metavar="T", help="monotonic time of the scene's start (now)")
-    add("--seed", type=int, default=0, metavar="N", help="of noise and faults (default 0)")
+    add("--rate", type=positive, default=100.0, metavar="HZ", help="frames a second (default 100)")
+    add("--epoch", type=finite, metavar="T", help="monotonic time of the scene's start (now)")
+    add("--seed", type=seed, default=0, metavar="N", help="of noise and faults (default 0)")
     tube = "a body on the sliding tube, so far behind the robot's base at travel zero"
     add("--tube", metavar="NAME=M", help=tube)
-    add("--travel", type=int, metavar="PORT", help="UDP port the slide's travel comes to")
+    add("--travel", type=port, metavar="PORT", help="UDP port the slide's travel comes to")
     return parser
 
 
 def _serve(options: argparse.Namespace) -> None:
-    host, _, port = options.to.rpartition(":")
-    if not host or not port.isdigit() or not options.rate > 0.0:
-        raise SimulationError("Give --to HOST:PORT and a --rate above zero.")
     faults, bodies = parse_faults(MocapFaults, options.faults), parse_bodies(options.bodies)
     scene = Scene.load(options.scene)
     Sender(scene, bodies).datagrams(0, 0.0)  # compiles what it needs before it is due
@@ -161,11 +167,11 @@ def _serve(options: argparse.Namespace) -> None:
             nonlocal number
             while epoch + number / options.rate <= now:
                 for data in sender.datagrams(number + 1, number / options.rate):
-                    out.sendto(data, (host, int(port)))
+                    out.sendto(data, options.to)
                 number += 1
             return epoch + number / options.rate
 
-        Serving(beat=beat).run(f"ready {options.to} {options.rate:g} Hz")
+        Serving(beat=beat).run("ready {}:{} {:g} Hz".format(*options.to, options.rate))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
