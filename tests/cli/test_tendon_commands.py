@@ -67,6 +67,8 @@ def test_a_robot_is_learned_from_imported_servos_and_foretells_other_moves(tmp_p
     assert main(["predict", "--robot", str(out), "--tendons", str(tmp_path / "other.csv"),
                  "--arclength", "0.1,0.2", "--stream", "tip",
                  "--out", str(tmp_path / "foretold")]) == 0  # fmt: skip
+    stream = ["--tendons", str(tmp_path / "rec" / "tendons.csv"), "--out", str(tmp_path / "same")]
+    assert main(["predict", "--robot", str(out), *stream]) == 0
     table = np.loadtxt(tmp_path / "foretold" / "query.csv", delimiter=",", skiprows=1)
     head = (tmp_path / "foretold" / "query.csv").read_text().splitlines()[0]
     assert head == ",".join(QUERY_COLUMNS)

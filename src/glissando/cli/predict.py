@@ -24,8 +24,9 @@ _HELP = """\
 Foretell pose, strain and velocity along a robot, with covariance, from the commands of its tendons.
 
 The robot file has [tendons] and a mechanical prior; glissando learn finds their numbers. Commands
-are a CSV file: time, and one column a tendon, named as [tendons] names says. Displacements are
-positive when pulled, in metres, or in millimetres in columns whose names end in _mm.
+are a CSV file: time, and one column a tendon, named as [tendons] names says, or the stream of
+tendons in a recording. Displacements are positive when pulled, in metres, or in millimetres in
+columns whose names end in _mm.
 """
 _EXAMPLES = """\
 examples:

@@ -17,7 +17,8 @@ def read_tendon_commands(path: Path, names: tuple[str, ...]) -> tuple[Array, Arr
 
     Args:
         path: CSV file with the column time, or timestamp, and one a tendon: its name, in metres, or
-            its name and _mm, in millimetres.
+            its name and _mm, in millimetres. A stream of a recording does as well, whose columns
+            are tendon_0, tendon_1 and so on in the order of the names.
         names: Names of the tendons.
 
     Returns:
@@ -28,6 +29,9 @@ def read_tendon_commands(path: Path, names: tuple[str, ...]) -> tuple[Array, Arr
     """
     lines = text_lines(path)
     head = [cell.strip() for cell in lines[0].split(",")] if lines else []
+    numbered = tuple(f"tendon_{j}" for j in range(len(names)))
+    if set(numbered) <= set(head):
+        names = numbered
     clock = next((name for name in ("time", "timestamp") if name in head), None)
     columns, scales = [], []
     for name in names:
