@@ -47,6 +47,7 @@ POSES = [f"pose:aurora{i}" for i in range(4)]
 TENDONS = RobotOutline(
     "new", 0.466, 2, 0.012, math.pi, [*POSES[:2], "gyro:gyro_mid", "gyro:gyro_ee"]
 )
+CHOSEN_ON = {("tdcr466-segments", "slow_free_space")}  # the rest is reported
 # What a user states of the robot of each recording. That of `extensible` has a tracker at the end
 # of each third, and begins squeezed to 0.16 of its 1 m: three segments that shorten by 85 %.
 SQUEEZED = partial(RobotOutline, "new", 1.0, diameter=0.02, sensors=POSES)
@@ -156,6 +157,7 @@ HEAD = """\
 def line(row):
     """A row of the table."""
     span = " {:g}–{:g} s".format(*row["window"]) if row["window"] else ""
+    span += ", chosen on it" if (row["robot"], row["recording"]) in CHOSEN_ON else ""
     low, high = BOUNDS[row["kind"]]
     verdict = "yes" if low <= row["seen"] <= high else "no"
     interval = "{:.0f}–{:.0f}".format(*(100 * v for v in row["interval"]))

@@ -100,8 +100,9 @@ neither of them reads.
 
 {real_slide}
 
-A prior broad enough for impacts claims less than is known of slow motion, where a sliding coil's
-errors are half the deviations, and more than is known where a coil at the tip is all there is.
+How far the second segment's strain varies was chosen on `slow_free_space`, where it bends most
+towards its tip; `fast_contact` is reported. A prior broad enough for impacts claims less than is
+known of slow motion, where a sliding coil's errors are half to two thirds of the deviations.
 
 ## Outliers
 
