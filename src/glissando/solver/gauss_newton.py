@@ -23,7 +23,7 @@ from glissando.solver.located_readings import LocatedReadings
 from glissando.solver.normal_equations import system_shape
 from glissando.solver.outcome import Outcome
 from glissando.solver.step_lengths import StepLengths
-from glissando.solver.step_search import WORTHWHILE, Manner, Where, candidates, try_step
+from glissando.solver.step_search import WORTHWHILE, Where, candidates, try_step
 
 _DAMPING = (1e-4, 1e8)  # smallest damping worth applying, and the one at which to give up
 _ROUGH = 10.0  # standard deviations a number that a rough start may be off by
@@ -154,7 +154,7 @@ def minimize(
 
     here, fixed = at((start, located)), None
     steps = StepLengths(options.tolerance, kinks=located.moves, weighted=located.weighted)
-    damping, iteration, manner = 0.0, 0, Manner()
+    damping, iteration, bent = 0.0, 0, False
 
     def solution(end: Where, cholesky: Cholesky, outcome: Outcome, fall: float = 0.0) -> Solution:
         cost, lengths = here.cost_of(here) - fall, (steps.first, steps.length)
@@ -175,8 +175,7 @@ def minimize(
             continue
         if iteration == options.settled:
             fixed = here
-        manner.stretch = 1.0 if damping else manner.stretch
-        here, gain = try_step(prior, here, step, fixed, predicted, at, manner)
+        here, gain, bent = try_step(prior, here, step, fixed, predicted, at, bent=bent)
         damping = _next_damping(damping, gain)
         settled = steps.idle and not gain > WORTHWHILE
         settled |= fixed is not None and steps.stall(here.cost_of(here))

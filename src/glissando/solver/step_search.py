@@ -22,26 +22,12 @@ ROUNDING = 1e-11
 """A fall in cost this small, relatively, cannot be told from rounding."""
 _GOOD = 0.25  # share above which no other way to take the step is tried
 _SHORTER = (0.5, 0.2)  # parts of a refused step that are tried
-_PLAIN, _FARTHEST = 2.0, 8.0  # a stretch of a step below which it is as good; and the longest
 
 Where = tuple[State, LocatedReadings]
 """A state, and the readings where the sensor parameters that go with it put them."""
 
 Linearize = Callable[[Where, NormalEquations | None], NormalEquations]
 """The normal equations somewhere, with the weights of others if they are given."""
-
-
-@dataclass
-class Manner:
-    """How the last step was taken, which is how the next is tried first.
-
-    Attributes:
-        stretch: How many Gauss–Newton steps away the least cost seemed to lie.
-        bent: Whether a whole step was better bent than straight on.
-    """
-
-    stretch: float = 1.0
-    bent: bool = False
 
 
 @dataclass(frozen=True)
@@ -90,46 +76,35 @@ def try_step(
     fixed: NormalEquations | None,
     predicted: float,
     at: Linearize,
-    manner: Manner,
-) -> tuple[NormalEquations, float]:
-    """The problem at the first way worth it, else as it was; the share of the promise.
+    *,
+    bent: bool,
+) -> tuple[NormalEquations, float, bool]:
+    """The first way that is worth it, else the best, or none.
 
-    Where steps keep more than they promise, the cost curves less than residuals without their
-    second derivatives say, and a stretched step is tried first. The manner becomes that of this.
+    Args:
+        prior: The prior.
+        here: The problem where the step begins.
+        step: The step (K, D).
+        fixed: The problem whose weights are kept, if they are.
+        predicted: The fall in cost that the whole step promises.
+        at: Linearises.
+        bent: Whether the last whole step was better bent than straight on: this one is tried so
+            first.
+
+    Returns:
+        The problem there; its share of the promise; whether the next is tried bent first.
     """
     cost, best, best_gain = here.cost_of(here), (here.state, here.located), WORTHWHILE
-    stretch, manner.stretch = manner.stretch, 1.0
-    if stretch > 1.0 and predicted > ROUNDING * (1.0 + cost):
-        far = stretch * step
-        with suppress(np.linalg.LinAlgError):
-            where = _bent(prior, here, far) if manner.bent else _straight(here, far)
-            stepped = at(where, fixed)
-            gain = (cost - here.cost_of(stepped)) / predicted
-            if gain > _PLAIN:
-                manner.stretch = _next_stretch(stretch, gain)
-                return stepped, gain
     gain = -1.0
-    for stepped, way in _ways(prior, here, step, fixed, at, bent=manner.bent):
+    for stepped, way in _ways(prior, here, step, fixed, at, bent=bent):
         if predicted < ROUNDING * (1.0 + cost):
-            return stepped, 1.0
+            return stepped, 1.0, bent
         gain = (cost - here.cost_of(stepped)) / (way.share * predicted)
         if gain > _GOOD:
-            manner.stretch = _next_stretch(1.0, gain) if stretch == 1.0 else 1.0
-            manner.bent = manner.bent if way.bent is None else way.bent
-            return stepped, gain
+            return stepped, gain, bent if way.bent is None else way.bent
         if gain > best_gain:
             best, best_gain = way.where, gain
-    return at(best, fixed), best_gain if best_gain > WORTHWHILE else gain
-
-
-def _next_stretch(stretch: float, gain: float) -> float:
-    """How many Gauss–Newton steps away the least cost lies, as the gain of the last one tells.
-
-    Where the cost curves c times as much as Gauss–Newton assumes, a step α times as long gains
-    2 α − c α² of what a plain one promises, most at α = 1/c.
-    """
-    curvature = (2.0 * stretch - gain) / stretch**2
-    return 1.0 if curvature > 1.0 / _PLAIN else 1.0 / max(curvature, 1.0 / _FARTHEST)
+    return at(best, fixed), best_gain if best_gain > WORTHWHILE else gain, bent
 
 
 def _ways(
