@@ -182,3 +182,19 @@ def test_errors_of_a_prior_that_tells_directions_apart_are_left_as_they_are():
 
         jacobian = dense.spread(batch, state.strain[..., 0].size)
         slope_test(moved, jacobian.reshape(-1, jacobian.shape[-1]))
+
+
+@law
+@given(generators, st.sampled_from(KINDS))
+def test_a_step_goes_on_from_where_one_that_rolled_led_as_differences_say(rng, kind):
+    start = drawn(rng, kind)
+    step = 0.3 * rng.standard_normal((M, start.dof))
+    step[:, :5], step[:, 5] = 0.0, rng.uniform(-3.0, 3.0, M)
+    end, small = start.retract(step), 1e-6 * np.eye(start.dof)
+    for n in range(M):
+        here, there = start.take(np.full(start.dof, n)), end.take(np.full(start.dof, n))
+        ahead, behind = (here.retract(step[n] + way * small) for way in (1.0, -1.0))
+        slopes = (ahead.difference(there) - behind.difference(there)).T / 2e-6
+        np.testing.assert_allclose(start.slope_to(end)[n], slopes, atol=1e-7)
+    both = start.slope_to(end) @ end.slope_to(start)
+    np.testing.assert_allclose(both, np.broadcast_to(np.eye(start.dof), both.shape), atol=1e-12)

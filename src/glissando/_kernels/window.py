@@ -125,14 +125,17 @@ def node_covariances(root, n_count, dof, size):
 
 @jit("(f8[:,::1], f8[:,::1], i8, i8)")
 def missed(root, step, n_count, dof):
-    """Half the length of the newest step, in standard deviations, times the largest turn of any."""
+    """Half the length of the newest step, in standard deviations, times the largest bend of any.
+
+    A roll, however large, is no bend (35).
+    """
     turn = length = 0.0
     for k in range(len(step)):
         for n in range(n_count):
-            for i in range(3, 6):
+            for i in range(3, 5):
                 turn = max(turn, abs(step[k, n * dof + i]))
     for n in range(n_count):
-        for i in range(6):
+        for i in range(5):
             variance = 0.0
             for j in range(len(root)):
                 variance += root[j, n * dof + i] ** 2

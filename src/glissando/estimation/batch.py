@@ -16,6 +16,7 @@ from glissando.errors import (
     NotConvergedWarning,
     UnobservableError,
 )
+from glissando.estimation.carried import carried
 from glissando.estimation.channels import settled
 from glissando.estimation.delays import with_unseen_delays
 from glissando.estimation.given import require_batch, require_gate
@@ -217,13 +218,13 @@ class _Problem:
         """The posterior of a solution, whose factor it overwrites."""
         evidence = _log_evidence(solution)  # (22)
         with one_thread(), self.clock("covariance"):
-            marginals = solution.cholesky.marginals(consume=True)  # (21)
+            known = solution.equations.system, solution.cholesky.marginals(consume=True)  # (21)
+            known = carried(solution.equations.state, solution.state, *known)  # (35)
         return Posterior(
             self.prior,
             self.grid,
             solution.state,
-            solution.equations.system,
-            marginals,
+            *known,
             _report(self.prior, solution, evidence, self.clock),
             solution.located.parameters.by_name(),
             (solution.equations.state, solution.equations.noise_state),

@@ -15,6 +15,7 @@ from scipy.special import logsumexp
 
 from glissando.errors import GlissandoError, OutsideGridError, UnobservableError
 from glissando.estimation.batch import estimate
+from glissando.estimation.carried import carried
 from glissando.estimation.contact_evidence import (
     RAREST,
     ForceEvidence,
@@ -118,10 +119,11 @@ def scan_contacts(
         )
     rows = np.abs(when.reshape(-1, 1) - grid.time).argmin(axis=1)
     state, noise_state = posterior.linearized
-    errors, cov = error_priors(prior, grid, noise_state), posterior.marginals.cov
+    system, marginals = carried(posterior.state, state, posterior.system, posterior.marginals)
+    errors, cov = error_priors(prior, grid, noise_state), marginals.cov
     step = posterior.state.difference(state).reshape(grid.time.size, -1)
     variance, nodes = force_variance(prior, grid.arclength, std_force), grid.arclength
-    seen, scans = seen_times(posterior), []
+    seen, scans = seen_times(posterior, system), []
     for k in rows:
         evidence = force_evidence(prior, nodes, errors[k], state.take(k), cov[k], step[k])
         evidence = evidence if seen[k] else evidence.of_nothing()

@@ -150,10 +150,11 @@ class FixedLagSmoother:
 
         It is best asked after every update, as it remembers by how much shapes before differed.
         """
-        _, cov, _ = self.newest_node()
+        self._require_started()
         prior, nodes = require_mechanics(self.prior), self._window.nodes
+        step, cov = self._window.newest_step()
         errors = error_priors(prior, Grid(self.arclength, nodes.time), nodes.state, self._errors)
-        self._errors, newest = errors[0], (errors[-1], nodes.state.take(-1), cov, nodes.step[-1])
+        self._errors, newest = errors[0], (errors[-1], nodes.state.take(-1), cov, step)
         evidence = force_evidence(prior, self.arclength, *newest)
         variance = force_variance(prior, self.arclength, std_force)
         return scan_of(evidence, errors[-1].time, variance, false_alarms)

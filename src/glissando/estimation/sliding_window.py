@@ -16,6 +16,7 @@ import numpy as np
 
 from glissando._kernels import normal_equations as kernels
 from glissando._kernels import window as window_kernels
+from glissando.estimation.carried import carried, carried_root
 from glissando.estimation.channels import place_in_channel
 from glissando.estimation.delay_dating import DelayDating
 from glissando.estimation.held_readings import HeldReadings
@@ -63,7 +64,7 @@ class SlidingWindow:
         self._grid = Grid(arclength, [0.0])
         self._process = EstimatedParameters(self._grid, self.sensor_parameters)
         self._parameters = self._process.mean, np.diag(self._process.std**2)
-        self._root = np.zeros((0, 0))  # its square is the covariance of the newest node
+        self._root = np.zeros((0, 0))  # its square is the covariance of the newest step
         self._terms: list[LinearizedReadings] = []
         self._rng: np.random.Generator | None = None  # of noise, where it is asked for
         if type(prior) is WhiteNoisePrior:
@@ -300,13 +301,22 @@ class SlidingWindow:
 
     def newest(self) -> tuple[State, Array]:
         """Estimate (N,) of the newest time and its covariance (D, D)."""
-        inverse = self._root
-        return self.nodes.newest[0], inverse.T @ inverse
+        root = self._newest_root
+        return self.nodes.newest[0], root.T @ root
+
+    @property
+    def _newest_root(self) -> Array:
+        """The root (D, D) of the newest time's covariance, in the axes of its estimate."""
+        return carried_root(self.nodes.state.take(-1), self.nodes.newest[0], self._root)
+
+    def newest_step(self) -> tuple[Array, Array]:
+        """The step (D,) of the newest node from where it is linearised, and its covariance."""
+        return self.nodes.step[-1], self._root.T @ self._root
 
     def newest_nodes(self) -> StateEstimate:
         """The newest time at the nodes (N,), each with its own covariance (N, 18, 18)."""
         layout = self.layout
-        cov = window_kernels.node_covariances(self._root, layout.nodes, layout.dof, DOF)
+        cov = window_kernels.node_covariances(self._newest_root, layout.nodes, layout.dof, DOF)
         state = self.nodes.newest[0]
         return StateEstimate(state.pose, state.strain, state.velocity, cov)
 
@@ -317,5 +327,6 @@ class SlidingWindow:
         report = SolveReport(Outcome.UPDATED, 1, 0.0, rhs.size, 0.0, 0.0, 0, {})
         pairs = zip(self._process.each, self._process.columns, strict=True)
         parameters = [(p, values[:, at]) for p, at in pairs]
-        marginals, at = self._system.cholesky.marginals(), (self.nodes.state, self.nodes.state)
-        return Posterior(self.prior, self.grid(), state, system, marginals, report, parameters, at)
+        start = self.nodes.state
+        known = carried(start, state, system, self._system.cholesky.marginals())
+        return Posterior(self.prior, self.grid(), state, *known, report, parameters, (start, start))

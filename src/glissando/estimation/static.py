@@ -184,4 +184,4 @@ def _with_curvature(
     step = here.cholesky.solve(here.rhs.reshape(-1, STATIC_DOF)).reshape(here.rhs.shape)
     std = np.sqrt(np.einsum("snii->sni", cov))
     added = curvature(lambda at: static_factors(prior, located, at), state, step, std)
-    return node_covariances(replace(here, system=with_curvature(here, added)))
+    return node_covariances(replace(here, system=with_curvature(here, added)), state)

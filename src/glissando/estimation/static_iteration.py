@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from glissando.estimation.carried import has_rolled
 from glissando.estimation.misfit import implausible
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
@@ -76,7 +77,8 @@ def iterate(
             stepped = linearize_static(prior, located, state, noise)
         here = stepped
     left |= going | implausible(prior, here.costs(here), _numbers_read(located))
-    return here.state if np.any(going) else straight, node_covariances(here), left
+    end = here.state if np.any(going) else straight
+    return end, node_covariances(here, end), left
 
 
 def _numbers_read(located: LocatedReadings) -> NDArray[np.intp]:
@@ -87,16 +89,22 @@ def _numbers_read(located: LocatedReadings) -> NDArray[np.intp]:
     return out
 
 
-def node_covariances(here: StaticEquations) -> tuple[Array, Array]:
+def node_covariances(here: StaticEquations, end: State) -> tuple[Array, Array]:
     """Covariances of nodes (S, N, 12, 12), and of neighbours (S, N−1, 12, 12).
 
     Args:
         here: Shapes where they are linearised; their factor is of no use afterwards.
+        end: Where the last step led, in whose axes they are.
     """
     marginals, (count, n_count) = here.cholesky.marginals(consume=True), here.rhs.shape[:2]
     cov = marginals.cov.reshape(count, n_count, STATIC_DOF, STATIC_DOF)
     cross = np.concatenate([marginals.cross, np.zeros((1, STATIC_DOF, STATIC_DOF))])
-    return cov, cross.reshape(cov.shape)[:, :-1].copy()
+    cross = cross.reshape(cov.shape)[:, :-1].copy()
+    if not has_rolled(here.state, end):
+        return cov, cross
+    slopes = here.state.slope_to(end)[..., _DOFS, _DOFS]  # (35)
+    turned = slopes.swapaxes(-1, -2)
+    return slopes @ cov @ turned, slopes[:, :-1] @ cross @ turned[:, 1:]
 
 
 def _worthwhile(

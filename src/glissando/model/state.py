@@ -104,6 +104,29 @@ class State(Brief):
         rolled: Array = rolls.rolls_between(*poses).reshape(lead)
         return rolled
 
+    def slope_to(self, moved: State) -> Array:
+        """How a step from `moved` goes with the one from here that led there (…, dof, dof).
+
+        Bodies that rolled on the way have turned their axes with them, so that a covariance C of
+        steps from here is J C Jᵀ of steps from there; what else bends is of second order.
+
+        Args:
+            moved: Where a step leads from here, of the same shape.
+        """
+        angle = moved.rolls_from(self)[..., None]
+        c, s, lead = np.cos(angle), np.sin(angle), angle.shape[:-1]
+        turned = [i for i, each in enumerate(self._others(), 1) if each is not self.inertia]
+        x = np.concatenate([[0, 3], *([6 * i, 6 * i + 3] for i in turned)])
+        out = np.broadcast_to(np.eye(self.dof), (*lead, self.dof, self.dof)).copy()
+        out[..., x, x] = out[..., x + 1, x + 1] = c
+        out[..., x, x + 1], out[..., x + 1, x] = s, -s
+        here, there = (np.concatenate(each._others(), axis=-1) for each in (self, moved))
+        at = x[2:] - 6
+        a, b = here[..., at], here[..., at + 1]
+        out[..., x[2:], 5] = there[..., at + 1] - c * b + s * a
+        out[..., x[2:] + 1, 5] = c * a + s * b - there[..., at]
+        return out
+
     def take(self, index: Any) -> State:
         """The state at leading indices, as numpy would index an array of points."""
         return State(self.pose[index], *[f[index] for f in self._others()])
