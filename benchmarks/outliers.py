@@ -145,8 +145,9 @@ def main():
     print(
         f"Robot `{robot.name}`, {RECORDING}, {options.seeds} seeds: mean (worst); position RMSE\n"
         f"over all sites. Growth is against the same loss, and against no loss, on clean rows. "
-        f"Without a\nloss the gate that every estimate has leaves outliers out; a loss that "
-        f"forgives little, as Huber's,\nkeeps them.\n"
+        f"Without a\nloss the gate that every estimate has leaves outliers out where the search "
+        f"converges, and a warning\nsays where it does not; a loss that forgives little, as "
+        f"Huber's, keeps them.\n"
     )
     heads = ("window", "loss", "clean (mm)", "corrupted (mm)", "growth", "of no loss, clean")
     heads += ("suspects clean → corrupted", "corrupted rows", "iterations", "converged")

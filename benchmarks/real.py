@@ -143,7 +143,7 @@ def main():
         begin = Path(__file__).with_name("real.toml")
         words = LEARN.format(data=options.data, out=options.learn)
         words = words.replace("benchmarks/real.toml", shlex.quote(str(begin)))
-        subprocess.run([sys.executable, "-m", *shlex.split(words)], check=True)
+        subprocess.run([sys.executable, "-m", *shlex.split(words)], check=True, stdout=sys.stderr)
     print(page(options.data, options.learn or options.learned))
 
 
