@@ -218,13 +218,14 @@ class _Problem:
         """The posterior of a solution, whose factor it overwrites."""
         evidence = _log_evidence(solution)  # (22)
         with one_thread(), self.clock("covariance"):
-            known = solution.equations.system, solution.cholesky.marginals(consume=True)  # (21)
-            known = carried(solution.equations.state, solution.state, *known)  # (35)
+            marginals = solution.cholesky.marginals(consume=True)  # (21)
+            marginals = carried(solution.equations.state, solution.state, marginals)  # (35)
         return Posterior(
             self.prior,
             self.grid,
             solution.state,
-            *known,
+            solution.equations.system,
+            marginals,
             _report(self.prior, solution, evidence, self.clock),
             solution.located.parameters.by_name(),
             (solution.equations.state, solution.equations.noise_state),

@@ -11,7 +11,7 @@ import numpy as np
 from glissando._kernels.arrays import whole
 from glissando.geometry.se3 import Array
 from glissando.model.state import State
-from glissando.solver.block_tridiagonal import BlockTridiagonal, Marginals
+from glissando.solver.block_tridiagonal import Marginals
 
 _TURNED = 1e-3  # rad, below which axes count as where they were
 
@@ -21,27 +21,23 @@ def has_rolled(start: State, end: State) -> bool:
     return bool(np.abs(end.rolls_from(start)).max() > _TURNED)
 
 
-def carried(
-    start: State, end: State, system: BlockTridiagonal, marginals: Marginals
-) -> tuple[BlockTridiagonal, Marginals]:
-    """Information and covariances of steps from nodes (K, N) as those of steps from another state.
+def carried(start: State, end: State, marginals: Marginals) -> Marginals:
+    """Covariances of steps from nodes (K, N) as those of steps from another state.
 
     Args:
         start: Where the steps begin.
         end: Where one of them led.
-        system: Their information.
-        marginals: The blocks of its inverse.
+        marginals: The covariances.
     """
     if not has_rolled(start, end):
-        return system, marginals
-    ahead, back = start.slope_to(end).swapaxes(-1, -2), end.slope_to(start)
+        return marginals
+    slopes = start.slope_to(end).swapaxes(-1, -2)
 
     def both(blocks: Array, rows: Array, columns: Array) -> Array:
         return whole(_times(_times(blocks, columns).swapaxes(1, 2), rows).swapaxes(1, 2))
 
-    information = both(system.diagonal, back, back), both(system.lower, back[1:], back[:-1])
-    cov = both(marginals.cov, ahead, ahead), both(marginals.cross, ahead[:-1], ahead[1:])
-    return BlockTridiagonal(*information), Marginals(*cov)
+    cov = both(marginals.cov, slopes, slopes)
+    return Marginals(cov, both(marginals.cross, slopes[:-1], slopes[1:]))
 
 
 def carried_root(start: State, end: State, root: Array) -> Array:

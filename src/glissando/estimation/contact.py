@@ -15,7 +15,7 @@ from scipy.special import logsumexp
 
 from glissando.errors import GlissandoError, OutsideGridError, UnobservableError
 from glissando.estimation.batch import estimate
-from glissando.estimation.carried import carried
+from glissando.estimation.carried import has_rolled
 from glissando.estimation.contact_evidence import (
     RAREST,
     ForceEvidence,
@@ -29,6 +29,7 @@ from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid, Index, with_places
 from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.model.sensors.readings import Readings
+from glissando.solver.block_tridiagonal import factor
 
 _ROUNDS = 8
 _MISFIT = 5.0  # standard deviations of readings' misfit beyond which a search begins elsewhere
@@ -119,11 +120,13 @@ def scan_contacts(
         )
     rows = np.abs(when.reshape(-1, 1) - grid.time).argmin(axis=1)
     state, noise_state = posterior.linearized
-    system, marginals = carried(posterior.state, state, posterior.system, posterior.marginals)
-    errors, cov = error_priors(prior, grid, noise_state), marginals.cov
+    errors, marginals = error_priors(prior, grid, noise_state), posterior.marginals
+    if has_rolled(state, posterior.state):
+        marginals = factor(posterior.system).marginals(consume=True)
+    cov = marginals.cov
     step = posterior.state.difference(state).reshape(grid.time.size, -1)
     variance, nodes = force_variance(prior, grid.arclength, std_force), grid.arclength
-    seen, scans = seen_times(posterior, system), []
+    seen, scans = seen_times(posterior), []
     for k in rows:
         evidence = force_evidence(prior, nodes, errors[k], state.take(k), cov[k], step[k])
         evidence = evidence if seen[k] else evidence.of_nothing()

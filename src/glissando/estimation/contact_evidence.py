@@ -20,7 +20,6 @@ from glissando.model.priors import matern
 from glissando.model.priors.mechanical.intervals import still_columns, still_error
 from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.model.state import State
-from glissando.solver.block_tridiagonal import BlockTridiagonal
 from glissando.solver.linearize import linearize
 from glissando.solver.located_readings import locate
 from glissando.solver.normal_equations import system_shape
@@ -91,7 +90,7 @@ def error_priors(
     return out
 
 
-def seen_times(posterior: Posterior, system: BlockTridiagonal) -> NDArray[np.bool_]:
+def seen_times(posterior: Posterior) -> NDArray[np.bool_]:
     """Whether readings lie in the time steps beside each time node (K,).
 
     Elsewhere the state is what it was, faded, and a force that acts there would be what explains a
@@ -99,9 +98,8 @@ def seen_times(posterior: Posterior, system: BlockTridiagonal) -> NDArray[np.boo
 
     Args:
         posterior: A posterior that knows where it was linearised.
-        system: Its information there.
     """
-    prior, grid = posterior.prior, posterior.grid
+    prior, grid, system = posterior.prior, posterior.grid, posterior.system
     assert posterior.linearized is not None
     state, noise_state = posterior.linearized
     workspace = np.empty(system_shape(grid.time.size, state.numbers))

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from glissando._kernels.threads import one_thread
 from glissando.errors import GlissandoError
+from glissando.estimation.carried import carried
 from glissando.estimation.loads import (
     WrenchEstimate,
     internal_wrench,
@@ -152,10 +153,10 @@ class Posterior(Brief):
     """Gaussian posterior over the whole motion, continuous in arclength and time.
 
     `state` is the mean at the nodes, `system` the information matrix of the nodes in time order,
-    `marginals` the blocks of its inverse that any query needs, `solve` how it was reached,
-    `sensor_parameters` of the sensors with their estimated values (K, size) at the time nodes,
-    `linearized` the states at which `system` was linearised and weighted, which a file has for a
-    mechanical prior alone.
+    `marginals` the blocks of its inverse that any query needs, in the axes of `state`, `solve` how
+    it was reached, `sensor_parameters` of the sensors with their estimated values (K, size) at the
+    time nodes, `linearized` the states at which `system` was linearised and weighted, which a file
+    has for a mechanical prior, and where the last step rolled the body.
     """
 
     prior: Prior
@@ -182,7 +183,13 @@ class Posterior(Brief):
         held = np.zeros(self.system.diagonal.shape[:2])
         held[:, columns] = HELD
         with one_thread():
-            return factor(self.system.add_to_diagonal(held)).marginals(consume=True)
+            marginals = factor(self.system.add_to_diagonal(held)).marginals(consume=True)
+            return carried(self.start, self.state, marginals)
+
+    @property
+    def start(self) -> State:
+        """The nodes from which `system` knows steps: where it was linearised, as far as known."""
+        return self.state if self.linearized is None else self.linearized[0]
 
     def at(self, arclength: ArrayLike, time: ArrayLike) -> StateEstimate:
         """State with its 18×18 covariance at points; arclength and time broadcast together.
@@ -254,7 +261,8 @@ class Posterior(Brief):
         chol = factor(self.system)
         of_nodes = self.grid.arclength.size * self.state.dof
         steps = np.array([chol.sample(rng)[:, :of_nodes] for _ in range(size)])
-        return self.state.retract(steps.reshape(size, *self.grid.shape, self.state.dof))
+        steps = steps.reshape(size, *self.grid.shape, self.state.dof)
+        return self.start.retract(self.state.difference(self.start) + steps)
 
     def std_pose(self) -> Array:
         """Standard deviations (K, N, 6) of the pose at the nodes, body frame."""

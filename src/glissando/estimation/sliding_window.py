@@ -328,5 +328,5 @@ class SlidingWindow:
         pairs = zip(self._process.each, self._process.columns, strict=True)
         parameters = [(p, values[:, at]) for p, at in pairs]
         start = self.nodes.state
-        known = carried(start, state, system, self._system.cholesky.marginals())
+        known = system, carried(start, state, self._system.cholesky.marginals())
         return Posterior(self.prior, self.grid(), state, *known, report, parameters, (start, start))

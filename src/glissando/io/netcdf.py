@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from glissando.errors import GlissandoError, needing
+from glissando.estimation.carried import carried, has_rolled
 from glissando.estimation.loads import load_places
 from glissando.estimation.posterior import Posterior, SolveReport
 from glissando.geometry import se3
@@ -156,7 +157,7 @@ def save_posterior(posterior: Posterior, path: str | Path) -> None:
     dataset["pose"] = (("time", "arclength", "row", "column"), posterior.state.pose)
     dataset["information"] = (("time", "slab", "slab_"), posterior.system.diagonal)
     dataset["information_below"] = (("time_step", "slab", "slab_"), posterior.system.lower)
-    if isinstance(posterior.prior, MechanicalPrior):
+    if isinstance(posterior.prior, MechanicalPrior) or has_rolled(posterior.start, posterior.state):
         dataset.update(_linearization(posterior))
     dataset.attrs["prior"] = json.dumps(posterior.prior.to_table())
     dataset.attrs["sensor_parameters"] = json.dumps(
@@ -174,7 +175,7 @@ def save_posterior(posterior: Posterior, path: str | Path) -> None:
 
 
 def _linearization(posterior: Posterior) -> dict[str, Any]:
-    """The states (2, K, N) at which a posterior was linearised and weighted, for contacts."""
+    """The states (2, K, N) at which a posterior was linearised and weighted."""
     variables: dict[str, Any] = {}
     for name, key in zip(_FIELDS, _POINTS, strict=True):
         each = [getattr(state, name) for state in posterior.linearized or ()]
@@ -229,8 +230,9 @@ def _posterior(dataset: xarray.Dataset, name: str) -> Posterior:
         raise ValueError("where it was linearised does not fit its nodes")
     solve = SolveReport.from_table(json.loads(attributes["solve"]))
     f"{solve.status}{solve.iterations:d}{solve.cost:g}{sum(solve.seconds.values()):g}"  # or raises
-    marginals = factor(system).marginals(consume=True)
     where = (State(*(p[0] for p in points)), State(*(p[1] for p in points))) if points else None
+    marginals = factor(system).marginals(consume=True)
+    marginals = carried(where[0] if where else state, state, marginals)
     return Posterior(prior, grid, state, system, marginals, solve, estimated, where)
 
 
