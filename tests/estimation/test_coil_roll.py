@@ -5,6 +5,7 @@ import pytest
 
 from glissando import CoilReadings, FixedLagSmoother, Grid, PoseReadings, estimate, load_robot
 from glissando.geometry import se3
+from glissando.io.netcdf import load_posterior, save_posterior
 
 COV = np.array([5e-7] * 3 + [2e-5] * 2)
 LOOSE, SURE = 1e4, 1e-8
@@ -63,3 +64,30 @@ def test_online_it_is_known_as_a_recording_has_it(name):
     at, std = whole.at(robot.length, time[-1]), np.sqrt(newest.cov[-1, 5, 5])
     assert std == pytest.approx(np.sqrt(at.cov[5, 5]), rel=0.05)
     assert abs(roll_of(newest.pose[-1], at.pose)) < 0.1 * std
+
+
+def test_a_window_that_rolled_states_its_covariances_in_the_axes_of_its_mean(tmp_path):
+    """They are those of draws, those of the newest state, and those that a file gives back."""
+    robot, time = load_robot("tdcr466"), np.arange(10) / 30.0
+    around = 1.2 / robot.length * np.array([np.cos(8.0 * time), np.sin(8.0 * time)]).T
+    arcs = np.tile([0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (time.size, 1))
+    arcs[:, 3:5] = around
+    seen = CoilReadings(
+        time=time, arclength=np.full(time.size, robot.length), cov=COV, name="coil",
+        values=se3.exp(robot.length * arcs),
+    )  # fmt: skip
+    smoother = FixedLagSmoother(robot.prior, robot.arclength_nodes, window=9)
+    for each in time:
+        smoother.add(seen.select(seen.time == each))
+        smoother.advance(float(each))
+    posterior, at = smoother.posterior(), (robot.length, time[-1])
+    assert np.abs(posterior.state.rolls_from(posterior.linearization_point)).max() > 0.5
+    save_posterior(posterior, tmp_path / "posterior.nc")
+    again = load_posterior(tmp_path / "posterior.nc")
+    np.testing.assert_allclose(again.marginals.cov, posterior.marginals.cov, rtol=1e-5, atol=1e-8)
+    newest = smoother.newest().cov[-1]
+    np.testing.assert_allclose(newest, posterior.at(*at).cov, rtol=1e-6, atol=1e-9)
+    drawn = posterior.sample(np.random.default_rng(9), 4000)
+    steps = drawn.difference(posterior.state).reshape(4000, len(posterior.grid.time), -1)
+    std = np.sqrt(np.einsum("kii->ki", posterior.marginals.cov))
+    np.testing.assert_allclose(steps.std(axis=0), std, rtol=0.1)

@@ -21,45 +21,34 @@ def has_rolled(start: State, end: State) -> bool:
     return bool(np.abs(end.rolls_from(start)).max() > _TURNED)
 
 
-def carried(start: State, end: State, marginals: Marginals) -> Marginals:
-    """Covariances of steps from nodes (K, N) as those of steps from another state.
+def carried_rows(start: State, end: State, rows: Array) -> Array:
+    """Numbers that belong to steps from one state as those of steps from another.
 
     Args:
-        start: Where the steps begin.
-        end: Where one of them led.
-        marginals: The covariances.
+        start: Points (…, N) where the steps begin.
+        end: Points (…, N) where one of them led.
+        rows: Rows (…, R, D) of numbers: N · dof of the points, then others, which stay.
+
+    Returns:
+        The rows (…, R, D): of a root R of the covariance RᵀR of steps, those of the other's root.
     """
+    out, dof = rows.copy(), start.dof
+    slopes = start.slope_to(end).swapaxes(-1, -2)
+    for n in range(slopes.shape[-3]):
+        at = slice(n * dof, (n + 1) * dof)
+        out[..., at] = rows[..., at] @ slopes[..., n, :, :]
+    return out
+
+
+def carried(start: State, end: State, marginals: Marginals) -> Marginals:
+    """Covariances of steps from nodes (K, N) `start` as those of steps from `end`."""
     if not has_rolled(start, end):
         return marginals
-    slopes = start.slope_to(end).swapaxes(-1, -2)
 
-    def both(blocks: Array, rows: Array, columns: Array) -> Array:
-        return whole(_times(_times(blocks, columns).swapaxes(1, 2), rows).swapaxes(1, 2))
+    def both(blocks: Array, rows: slice, columns: slice) -> Array:
+        for at in (columns, rows):
+            blocks = carried_rows(start.take(at), end.take(at), blocks).swapaxes(1, 2)
+        return whole(blocks)
 
-    cov = both(marginals.cov, slopes, slopes)
-    return Marginals(cov, both(marginals.cross, slopes[:-1], slopes[1:]))
-
-
-def carried_root(start: State, end: State, root: Array) -> Array:
-    """The root (D, D) of a covariance RᵀR of steps from nodes (N,) as that of steps from another.
-
-    Args:
-        start: Where the steps begin.
-        end: Where one of them led.
-        root: The root.
-    """
-    if not has_rolled(start, end):
-        return root
-    return _times(root, start.slope_to(end).swapaxes(-1, -2))
-
-
-def _times(rows: Array, blocks: Array) -> Array:
-    """Rows (…, R, D) times a block (…, N, dof, dof) each for the numbers of N points.
-
-    Numbers after those of the points are as they were.
-    """
-    out, dof = whole(rows).copy(), blocks.shape[-1]
-    for n in range(blocks.shape[-3]):
-        at = slice(n * dof, (n + 1) * dof)
-        out[..., at] = rows[..., at] @ blocks[..., n, :, :]
-    return out
+    every, first, second = slice(None), slice(-1), slice(1, None)
+    return Marginals(both(marginals.cov, every, every), both(marginals.cross, first, second))

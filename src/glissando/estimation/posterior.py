@@ -184,11 +184,11 @@ class Posterior(Brief):
         held[:, columns] = HELD
         with one_thread():
             marginals = factor(self.system.add_to_diagonal(held)).marginals(consume=True)
-            return carried(self.start, self.state, marginals)
+            return carried(self.linearization_point, self.state, marginals)
 
     @property
-    def start(self) -> State:
-        """The nodes from which `system` knows steps: where it was linearised, as far as known."""
+    def linearization_point(self) -> State:
+        """The nodes (K, N) from which `system` knows steps; the mean where that is not known."""
         return self.state if self.linearized is None else self.linearized[0]
 
     def at(self, arclength: ArrayLike, time: ArrayLike) -> StateEstimate:
@@ -262,7 +262,8 @@ class Posterior(Brief):
         of_nodes = self.grid.arclength.size * self.state.dof
         steps = np.array([chol.sample(rng)[:, :of_nodes] for _ in range(size)])
         steps = steps.reshape(size, *self.grid.shape, self.state.dof)
-        return self.start.retract(self.state.difference(self.start) + steps)
+        start = self.linearization_point
+        return start.retract(self.state.difference(start) + steps)
 
     def std_pose(self) -> Array:
         """Standard deviations (K, N, 6) of the pose at the nodes, body frame."""

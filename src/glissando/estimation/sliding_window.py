@@ -16,7 +16,7 @@ import numpy as np
 
 from glissando._kernels import normal_equations as kernels
 from glissando._kernels import window as window_kernels
-from glissando.estimation.carried import carried, carried_root
+from glissando.estimation.carried import carried, carried_rows, has_rolled
 from glissando.estimation.channels import place_in_channel
 from glissando.estimation.delay_dating import DelayDating
 from glissando.estimation.held_readings import HeldReadings
@@ -307,7 +307,8 @@ class SlidingWindow:
     @property
     def _newest_root(self) -> Array:
         """The root (D, D) of the newest time's covariance, in the axes of its estimate."""
-        return carried_root(self.nodes.state.take(-1), self.nodes.newest[0], self._root)
+        start, end = self.nodes.state.take(-1), self.nodes.newest[0]
+        return carried_rows(start, end, self._root) if has_rolled(start, end) else self._root
 
     def newest_step(self) -> tuple[Array, Array]:
         """The step (D,) of the newest node from where it is linearised, and its covariance."""

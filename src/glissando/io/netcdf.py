@@ -157,7 +157,8 @@ def save_posterior(posterior: Posterior, path: str | Path) -> None:
     dataset["pose"] = (("time", "arclength", "row", "column"), posterior.state.pose)
     dataset["information"] = (("time", "slab", "slab_"), posterior.system.diagonal)
     dataset["information_below"] = (("time_step", "slab", "slab_"), posterior.system.lower)
-    if isinstance(posterior.prior, MechanicalPrior) or has_rolled(posterior.start, posterior.state):
+    rolled = has_rolled(posterior.linearization_point, posterior.state)
+    if rolled or isinstance(posterior.prior, MechanicalPrior):
         dataset.update(_linearization(posterior))
     dataset.attrs["prior"] = json.dumps(posterior.prior.to_table())
     dataset.attrs["sensor_parameters"] = json.dumps(
