@@ -61,7 +61,7 @@ weighs for its stiffness is learned (`mass`). The tendons' moments at the ends o
 of contacts and the torsional stiffness keep their initial values: tendons alone pull the robot little
 there, so that learned values are small, and in contact the estimate is then overconfident.
 
-The robot rests for nineteen of the 45 s. A resting robot repeats the same truth, which therefore counts
+The robot rests for nineteen of the 45 s, of which the last counts. A resting robot repeats the same truth, which counts
 once for weight and drifts and for half a second for mounts; counting every sample makes an overconfident
 robot file. While any of it moves, all of it counts: errors at the base change then, too. How long drifts
 last is learned with their size. The tip accelerates at {slow:.1f} m/s² (RMS) where weights were learned,

@@ -79,14 +79,14 @@ def add_to(commands: Commands) -> None:
 
 def _learn(options: argparse.Namespace) -> int:
     recordings = [load_recording(folder) for folder in options.recordings]
-    load_robot(options.robot)  # which says what is wrong with it
+    robot = load_robot(options.robot)  # which says what is wrong with it
     document = expanded(read_robot_document(robot_file(options.robot)))
     document.pop("tube", None)  # it was calibrated for the numbers of before
     _require_writable(options)
     if any(s.rows.kind == "tendon" for r in recordings for s in r.streams.values()):
         return learn_from_tendons(recordings, document, options)
     _require_one_way(options)
-    cases = [_case(recording, options) for recording in recordings]
+    cases = [_case(recording, options).while_moving(robot) for recording in recordings]
     parameters = _parameters(document, cases, options)
     constants: tuple[SensorParameter, ...] = ()
     std: dict[str, Array] = {}
@@ -113,7 +113,7 @@ def _learn(options: argparse.Namespace) -> int:
         )
     written = _with_constants(result)
     write_robot(written, options.robot, options.out)
-    report = _as_json(result, options.out)
+    report = _as_json(result, options.out) | {"windows": [case.window for case in cases]}
     if options.hold_out and not result.interrupted:
         report["held_out"] = [
             {"file": name, **_held_out(recording, file, options)}
@@ -264,6 +264,8 @@ def _print(result: Learned, report: dict[str, Any], std: dict[str, Array]) -> No
         text = parameter_text(c.kind, c.value.tolist(), std.get(c.name, 0.0 * c.value).tolist())
         left = " (of this recording, not written)" if c.kind == "time_offset" else ""
         console.print(f"  {c.name} ({c.kind}): {text}{left}", markup=False)
+    windows = "; ".join(f"{start:g} to {stop:g} s" for start, stop in report["windows"])
+    console.print(f"Learned from {windows}")
     console.print(
         f"{result.steps} steps; log-likelihood a degree of freedom {result.before.value:.4f} → "
         f"{result.after.value:.4f} ({result.before.samples:,} of them)"

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from glissando.calibration.robot.predictive import APART, in_motion
 from glissando.io.recording import Recording
 from glissando.model.grid import Grid
 from glissando.model.robot import Robot
 from glissando.model.sensors.readings import Readings
+
+_REST = 1.0  # s of rest that is kept before the first and after the last motion
 
 
 @dataclass(frozen=True)
@@ -40,3 +43,16 @@ class RecordingCase:
         """The streams to predict, inside the window."""
         truth, _ = self.recording.readings(self.predict, robot, self.window, as_truth=True)
         return [stream for stream in truth if len(stream)]
+
+    def while_moving(self, robot: Robot) -> RecordingCase:
+        """The case without the rest before truth first moves and after it last did.
+
+        Truth says there what its first sample says. A case without truth stays as it is, and so
+        does one whose robot never moves.
+        """
+        moving = APART * in_motion(self.truth(robot))[1:]  # the first sample counts always
+        if not moving.size:
+            return self
+        start = max(self.window[0], moving[0] - _REST)
+        stop = min(self.window[1], moving[-1] + APART + _REST)
+        return replace(self, window=(float(start), float(stop)))

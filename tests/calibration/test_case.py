@@ -1,0 +1,45 @@
+"""Windows of what a robot file is learned from."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from glissando.calibration.robot.case import RecordingCase
+from glissando.geometry import se3
+from glissando.model.sensors.sensors import PoseReadings
+
+WINDOW = (3.0, 40.0)
+
+
+def case_of(first, last, moves=True):
+    """A body that moves by a millimetre a sample from one time to another, and else rests."""
+    time = np.arange(*WINDOW, 0.1)
+    way = np.zeros((time.size, 6))
+    way[:, 0] = moves * 1e-3 * np.clip(time - first, 0.0, last - first) / 0.1
+    fields = {"time": time, "arclength": np.zeros_like(time), "values": se3.exp(way)}
+    body = PoseReadings(**fields, cov=np.full(6, 1e-6), name="body")
+
+    def readings(names, robot, window, *, as_truth):
+        inside = (body.time >= window[0]) & (body.time <= window[1])
+        return [body.select(inside) for _ in names], []
+
+    return RecordingCase(SimpleNamespace(readings=readings), WINDOW, ("sensor",), ("body",))
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_rest_is_left_out_but_a_second_and_all_motion_is_in(seed):
+    first, last = np.sort(np.random.default_rng(seed).uniform(5.0, 38.0, 2))
+    last += 1.0
+    start, stop = case_of(first, last).while_moving(None).window
+    assert WINDOW[0] <= start <= first
+    assert last <= stop <= WINDOW[1]
+    assert first - start < 2.0
+    assert stop - last < 2.0
+
+
+def test_a_robot_that_never_moves_and_one_without_truth_keep_their_windows():
+    still = case_of(10.0, 20.0, moves=False)
+    assert still.while_moving(None) is still
+    unjudged = RecordingCase(still.recording, WINDOW, ("sensor",))
+    assert unjudged.while_moving(None) is unjudged
