@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from glissando.cli.record import slide_path
 from glissando.errors import DeviceError
 from glissando.hardware.capture import Coil, FurtherStage, Rig, capture
 from glissando.hardware.capture.capture import _motion
@@ -95,3 +96,32 @@ def test_an_interrupt_aborts_a_further_stage_that_homes(monkeypatch, tmp_path):
         capture(rig, path, tmp_path / "session", on_progress=interrupted)
     assert time.monotonic() - begun < 10.0
     assert True in STOOD
+
+
+def test_a_further_stage_that_is_aborted_while_it_is_opened_does_not_move(monkeypatch):
+    class Opening(Homing):
+        def __enter__(self):
+            driven.abort()
+            return self
+
+        def home_at_stop(self):
+            raise AssertionError("It homes.")
+
+    module = sys.modules["glissando.hardware.capture.capture"]
+    monkeypatch.setattr(module, "opened_stage", lambda address, stage: Opening(True))
+    path = SlidePath.hold(0.0, 60.0, SlideLimits(0.06, 0.024, 0.1))
+    stage = FurtherStage("two", "b", PositionStage((0.0, 0.06), home=0.0))
+    driven = module._Driven(stage, path, None)
+    with pytest.raises(StopIteration):
+        driven()
+
+
+@pytest.mark.parametrize("standing", [0.05, None])
+def test_a_stage_that_holds_stays_where_it_stands(standing):
+    options = SimpleNamespace(slide="hold", duration=5.0)
+    stage = PositionStage((0.01, 0.06), home=0.0)
+    further = FurtherStage("two", "b", stage, standing)
+    rig = Rig("bench", "sliding700", slide="a", stage=stage, standing=standing, further=(further,))
+    stands = 0.01 if standing is None else standing
+    for one in (None, further):
+        assert slide_path(options, rig, one).at(2.0) == stands

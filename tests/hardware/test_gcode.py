@@ -67,6 +67,18 @@ def test_leaving_the_loop_stops_the_stage_and_keeps_its_position():
         assert slide.move(0.0)[-1].travel == pytest.approx(0.0, abs=1e-5)
 
 
+def test_homing_believes_no_single_answer(monkeypatch):
+    with started("grbl") as address, GcodeSlide(address, STAGE) as slide:
+        answers = iter([8.0, 0.0, 0.0])
+        line, asked = slide._line, slide._line.status
+        monkeypatch.setattr(line, "status", lambda: (asked()[0], asked()[1] + next(answers, 0.0)))
+        slide.home_here(0.03)
+        assert slide.read().travel == pytest.approx(0.03, abs=1e-6)
+        answers = iter(np.arange(1.0, 9.0))
+        with pytest.raises(DeviceError, match="let it come to rest"):
+            slide.home_here(0.03)
+
+
 @pytest.mark.slow
 def test_a_noisy_line_is_counted_and_survived_and_a_dead_one_is_a_sentence():
     with (

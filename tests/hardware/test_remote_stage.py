@@ -74,7 +74,8 @@ class Told:
 def test_positions_that_a_stall_held_back_are_no_disturbance_and_a_jump_is(pause, sound):
     """Both positions after the pause come at once; the first was measured when it began."""
     late, way = 0.04 + pause, 0.01  # m in 0.5 s at 0.02 m/s, or in no time
-    peer = Told([(0.0, 0.02)], [(0.02, 0.02)], [(late, 0.0204)], [(late + 1e-3, 0.0204 + way)])
+    still = [[(at, 0.02)] for at in (0.0, 0.01, 0.02)]
+    peer = Told(*still, [(late, 0.0204)], [(late + 1e-3, 0.0204 + way)])
     stage = RemoteStage(stroke=(0.0, 0.06), speed=0.02, home=0.0, silence=0.05)
     with RemoteSlide(stage, peer) as slide:
         slide.home_here(0.02)

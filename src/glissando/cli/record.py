@@ -90,7 +90,7 @@ def add_to(commands: Commands) -> None:
 def add_slide(parser: argparse.ArgumentParser, default: str) -> None:
     """Add the options that choose the slide's path, but for its duration."""
     add = parser.add_argument
-    slides = f"oscillate, calibrate, hold or a CSV file of glissando plan (default {default})"
+    slides = f"oscillate, calibrate, hold (where it stands) or a CSV of plan (default {default})"
     add("--slide", default=default, metavar="NAME|FILE", help=slides)
     add("--cycles", type=int, default=3, metavar="N", help="there and back (default 3)")
     add("--stroke", type=float, metavar="M", help="of a cycle (default: the stage's)")
@@ -178,7 +178,8 @@ def slide_path(
     if lasts is not None and lasts > _DAY:
         raise GlissandoError(f"--duration is {lasts:g} s; give a day, {_DAY:g} s, at most.")
     if options.slide == "hold" or stage is None:
-        return SlidePath.hold(0.0, 15.0 if lasts is None else lasts, limits)
+        where = (further or rig).standing_travel
+        return SlidePath.hold(where, 15.0 if lasts is None else lasts, limits)
     stroke = limits.stroke if options.stroke is None else options.stroke
     if options.slide == "oscillate":
         return SlidePath.oscillate(options.cycles, stroke, limits, speed=options.speed)

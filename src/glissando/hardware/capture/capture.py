@@ -185,7 +185,7 @@ class _Driven:
     """A further stage on its path: each call logs its next reading; it is opened by the first."""
 
     def __init__(self, one: FurtherStage, path: SlidePath, log: MessageLog) -> None:
-        self._name, self._log = one.name, log
+        self._name, self._log, self._aborted = one.name, log, False
         self._slide: LinearStage | None = None
         self._readings = self._follow(one, path)
 
@@ -193,7 +193,8 @@ class _Driven:
         log_slide(next(self._readings), self._log, self._name)
 
     def abort(self) -> None:
-        """End a motion that its thread waits for."""
+        """End a motion that its thread waits for, also one that begins only then."""
+        self._aborted = True
         if self._slide is not None:
             self._slide.abort()
 
@@ -204,6 +205,8 @@ class _Driven:
     def _follow(self, one: FurtherStage, path: SlidePath) -> Generator[SlideReading, None, None]:
         with opened_stage(one.address, one.stage) as slide:
             self._slide = slide
+            if self._aborted:  # while it was opened
+                return
             _home(slide, one.standing)
             yield from _motion(slide, path, None)
             while True:  # the first may still move

@@ -70,6 +70,13 @@ def slide_topic(name: str) -> str:
     return f"/slide/{name}" if name else "/slide"
 
 
+def _standing_travel(stage: PositionStage | None, standing: float | None) -> float:
+    """Travel at which a stage stands after homing, m; zero where there is none."""
+    home = stage.home if stage and standing is None else standing
+    low, high = stage.stroke if stage else (0.0, 0.0)
+    return min(max(home or 0.0, low), high)
+
+
 @dataclass(frozen=True)
 class FurtherStage:
     """A stage beside the first: its name, address and settings, and where it stands at first."""
@@ -78,6 +85,11 @@ class FurtherStage:
     address: str
     stage: PositionStage
     standing: float | None = None
+
+    @property
+    def standing_travel(self) -> float:
+        """Travel at which it stands after homing, m."""
+        return _standing_travel(self.stage, self.standing)
 
 
 @dataclass(frozen=True)
@@ -131,9 +143,7 @@ class Rig:
     @property
     def standing_travel(self) -> float:
         """Travel at which the slide stands after homing, m."""
-        home = self.stage.home if self.stage and self.standing is None else self.standing
-        low, high = self.stage.stroke if self.stage else (0.0, 0.0)
-        return min(max(home or 0.0, low), high)
+        return _standing_travel(self.stage, self.standing)
 
     def described(self) -> dict[str, Any]:
         """What a session log states about the rig, in JSON's types."""

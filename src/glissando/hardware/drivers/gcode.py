@@ -72,7 +72,7 @@ class GcodeSlide(PositionSlide):
             self._line.send("$H", _HOMING)
         finally:
             self._homing = False
-        return self._place()[1]
+        return self._standing_place()
 
     def abort(self) -> None:
         """End the motion that another thread waits for; a controller that homes is reset."""

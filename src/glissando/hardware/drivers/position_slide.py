@@ -98,10 +98,27 @@ class PositionSlide:
         self._zero = None
 
     def home_here(self, travel: float) -> None:
-        """Declare the stage's travel now, in metres."""
+        """Declare the stage's travel now, in metres.
+
+        Raises:
+            DeviceError: No two answers of where it is agree: it moves, or answers are damaged.
+        """
         self.stage.require_inside(travel)
-        self._zero = self._place()[1] - self.stage.direction * travel
+        self._zero = self._standing_place() - self.stage.direction * travel
         self._last = None
+
+    def _standing_place(self) -> float:
+        """The device's own position, m, as two answers in turn agree on it."""
+        now = self._place()[1]
+        for _ in range(_ATTEMPTS):
+            before, now = now, self._place()[1]
+            if abs(now - before) <= _NEAR:
+                return now
+            self.counts["corrupt"] += 1
+        raise DeviceError(
+            f"The stage stood at {_MM * before:.4g} mm and then at {_MM * now:.4g} mm of its own; "
+            f"let it come to rest, check the line, and home again."
+        )
 
     def home_at_stop(self) -> None:
         """Find the travel by the device's own home, then enter the stroke."""
