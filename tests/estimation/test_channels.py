@@ -14,6 +14,7 @@ from glissando import (
 )
 from glissando.errors import GlissandoError, SensorError
 from glissando.estimation.channels import place_in_channel, placed
+from glissando.evaluation.metrics import errors_against
 from glissando.geometry import se3
 from glissando.io.csv_stream import Rows, Stream
 from glissando.io.journal import Journal
@@ -85,6 +86,15 @@ def test_confidence_of_shapes_seen_from_a_channel_is_true(channel):
         cov = at.cov_position_world + 1e-12 * np.eye(3)
         sizes.append(np.mean(np.einsum("mi,mij,mj->m", off, np.linalg.inv(cov), off)) / 3.0)
     assert 0.3 < np.mean(sizes) < 1.4
+
+
+def test_truth_in_a_channel_is_judged_where_an_estimate_places_it():
+    _, coil, _ = bent(np.random.default_rng(5), BESIDE)
+    posterior = estimate(PRIOR, GRID, [coil])
+    with pytest.raises(SensorError, match="coil: truth in a channel is beside the backbone"):
+        errors_against(posterior, coil)
+    errors = errors_against(posterior, *placed([coil], posterior))
+    assert errors.position.max() < 5.0 * STD[0]
 
 
 def test_a_channel_of_no_radius_is_the_backbone():

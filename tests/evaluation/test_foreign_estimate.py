@@ -5,9 +5,16 @@ import json
 import numpy as np
 import pytest
 
-from glissando import GlissandoError, OrientationReadings, PoseReadings, estimate, load_robot
+from glissando import (
+    CoilReadings,
+    GlissandoError,
+    OrientationReadings,
+    PoseReadings,
+    estimate,
+    load_robot,
+)
 from glissando.cli.main import main
-from glissando.errors import ImplausibleError
+from glissando.errors import ImplausibleError, SensorError
 from glissando.evaluation.foreign_estimate import (
     ForeignEstimate,
     estimate_of_tracks,
@@ -177,3 +184,32 @@ def test_it_is_judged_by_orientations_too():
         time=time, arclength=place, values=values, mount=mount, cov=[1e-6] * 3, name="imu"
     )
     np.testing.assert_allclose(theirs.errors(truth).rotation, 0.1, atol=1e-9)
+
+
+@pytest.mark.parametrize("turns", [True, False])
+def test_an_estimate_that_is_right_has_the_errors_of_the_truth_alone(turns):
+    """Whatever the mount, and whatever the axes in which the truth's noise is stated."""
+    rng, count = np.random.default_rng(3), 400
+    time = np.linspace(0.0, 1.0, count)
+    pose = se3.exp(rng.normal(0.0, 0.5, (count, 6)))
+    shown = pose.copy()
+    if not turns:
+        shown[:, :3, :3] = np.eye(3)
+    none = np.tile(1e-12 * np.eye(6), (count, 1, 1))
+    theirs = ForeignEstimate(np.array([0.2]), [time], [shown], [none], turns)
+    mount = se3.exp(np.array([3e-3, 0.0, 0.0, 0.0, 0.5 * np.pi, 0.0]))
+    std = np.array([1e-3, 1e-3, 1e-2, 1e-3, 1e-3, 1e-3])
+    fields = {"time": time, "arclength": np.full(count, 0.2), "mount": mount, "name": "truth"}
+    noisy = pose @ mount @ se3.exp(std * rng.standard_normal((count, 6)))
+    errors = theirs.errors(PoseReadings(values=noisy, cov=std**2, **fields))
+    assert np.mean(errors.nees_position / 3.0) == pytest.approx(1.0, abs=0.2)
+    rolled = np.zeros((count, 6))
+    rolled[:, 5] = rng.uniform(-3.0, 3.0, count)
+    coil = CoilReadings(values=pose @ mount @ se3.exp(rolled), cov=std[:5] ** 2, **fields)
+    if turns:
+        exact = theirs.errors(coil)
+        np.testing.assert_allclose(exact.position, 0.0, atol=1e-9)
+        np.testing.assert_allclose(exact.rotation, 0.0, atol=1e-9)
+        return
+    with pytest.raises(SensorError, match="sits beside the backbone"):
+        theirs.errors(coil)

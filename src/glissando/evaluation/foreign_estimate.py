@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from glissando.errors import GlissandoError, ImplausibleError
+from glissando.errors import GlissandoError, ImplausibleError, SensorError
 from glissando.estimation.posterior import StateEstimate
 from glissando.evaluation.consistency import check
 from glissando.evaluation.metrics import Errors, errors_against, pool
@@ -24,7 +24,12 @@ from glissando.io.recording import Recording
 from glissando.model.brief import Brief
 from glissando.model.robot import Robot
 from glissando.model.sensors.readings import Readings
-from glissando.model.sensors.sensors import PositionReadings
+from glissando.model.sensors.sensors import (
+    CoilReadings,
+    OrientationReadings,
+    PoseReadings,
+    PositionReadings,
+)
 
 _SAME = 1e-4  # m: samples no farther apart along the body are of one place
 _GAP = 5.0  # usual steps, beyond which nothing is interpolated
@@ -105,18 +110,44 @@ class ForeignEstimate(Brief):
 
     def errors(self, truth: Readings) -> Errors:
         """Errors at the samples of a truth stream that the estimate covers, outside of its gaps."""
-        back = se3.inverse(truth.mount)  # at the cross-section itself, which positions are of
-        if truth.value_shape == (4, 4):
-            truth = replace(truth, values=truth.values @ back, mount=np.eye(4))
-        elif truth.value_shape == (3, 3):
-            truth = replace(truth, values=truth.values @ back[..., :3, :3], mount=np.eye(4))
         at = truth.arclength, truth.time
         truth = truth.select(self.covers(*at) & ~self.in_gap(*at))
-        errors = errors_against(self, truth)
         if self.turns:
-            return errors
+            return errors_against(self, truth)
+        errors = errors_against(self, _of_backbone(truth))
         none = np.full(len(truth), np.nan)
         return replace(errors, rotation=none, nees_rotation=none)
+
+
+def _of_backbone(truth: Readings) -> Readings:
+    """Truth as positions of the backbone, for an estimate of positions alone.
+
+    Raises:
+        SensorError: A sensor is mounted beside the backbone, on a side that it does not state.
+    """
+    if isinstance(truth, PoseReadings):
+        lever = se3.adjoint(truth.mount)
+        pose = truth.values @ se3.inverse(truth.mount)
+        cov = se3.position_covariance(lever @ truth.cov @ np.swapaxes(lever, -1, -2))
+    elif isinstance(truth, OrientationReadings):
+        return truth
+    elif np.any(truth.mount[..., :3, 3]):
+        raise SensorError(
+            f"{truth.label} sits beside the backbone, and an estimate of positions alone does not "
+            f"say on which side; give rotations (qw, qx, qy, qz) or other truth."
+        )
+    elif isinstance(truth, CoilReadings):
+        pose, cov = truth.values, truth.cov[..., :3, :3]
+    else:
+        return truth
+    turn = pose[:, :3, :3]
+    return PositionReadings(
+        time=truth.time,
+        arclength=truth.arclength,
+        values=pose[:, :3, 3],
+        cov=turn @ cov @ np.swapaxes(turn, -1, -2),
+        name=truth.name,
+    )
 
 
 def read_estimate(path: Path) -> ForeignEstimate:

@@ -94,12 +94,17 @@ def errors_against(estimate: StateSource, truth: Readings) -> Errors:
         truth: Poses, coils, positions or orientations; NEES counts their own covariance too.
 
     Raises:
-        SensorError: For other kinds of truth.
+        SensorError: For other kinds of truth, and for truth in a channel that is not placed.
     """
     if not isinstance(truth, _TRUTH):
         raise SensorError(
             f"{truth.label}: a {type(truth).__name__} cannot be truth; give poses, coils, "
             f"positions or orientations."
+        )
+    if truth.channel is not None:
+        raise SensorError(
+            f"{truth.label}: truth in a channel is beside the backbone, at no arclength of it; "
+            f"place it by the estimate, or name other truth."
         )
     truth = truth.select(np.argsort(truth.time, kind="stable"))
     body = estimate.at(truth.arclength, truth.time)

@@ -230,7 +230,7 @@ def run_estimate(
             options=SolverOptions(max_iterations or SolverOptions.max_iterations),
             progress=progress,
         )
-        readings = placed(readings, posterior)
+        readings, references = placed(readings, posterior), placed(references, posterior)
         after = after_estimate(posterior, readings, parameters)
         errors = [errors_against(posterior, t) for t in references]
     except np.linalg.LinAlgError:
