@@ -6,14 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from glissando import SensorParameter, estimate, load_robot, se3
+from glissando import GlissandoError, Grid, SensorParameter, estimate, load_robot, se3
 from glissando.evaluation.consistency import check_readings
-from glissando.evaluation.leave_out import leave_out
+from glissando.evaluation.leave_out import _stretch, leave_out
 from glissando.evaluation.metrics import innovations
 from glissando.evaluation.plausibility.examine import after_estimate
 from glissando.evaluation.run import chosen_streams
 from glissando.io.recording import load_recording
 from glissando.solver.gauss_newton import SolverOptions
+from glissando.visualization.evaluation_figures import calibrated_quantities, calibration_figure
 from scenes import sliding_scene
 
 
@@ -41,6 +42,26 @@ def test_a_known_sensor_parameter_is_applied_to_innovations():
     stated = check_readings(posterior, other, [known])
     for one, same in zip(direct, stated, strict=True):
         np.testing.assert_allclose(one.nees, same.nees, rtol=1e-4, atol=1e-6)
+
+
+def test_innovations_alone_are_not_drawn_as_coverage():
+    prior, grid, readings = sliding_scene()
+    checks = check_readings(estimate(prior, grid, readings), readings)
+    assert checks
+    assert calibrated_quantities(checks) == []
+    with pytest.raises(GlissandoError, match="No position or rotation was checked"):
+        calibration_figure(checks)
+
+
+@pytest.mark.parametrize("end", [0.3, 8.0])
+def test_the_last_moment_is_of_the_last_stretch(end):
+    """Readings are given to the other stretches only, so none of them anchors its own."""
+    _, _, readings = sliding_scene()
+    grid = Grid(np.linspace(0.0, 0.4, 3), np.linspace(0.0, end, 4))
+    time = np.linspace(0.0, end, len(readings[1]))
+    used = _stretch(readings[1].changed(time=time), grid)
+    assert np.sum(np.diff(used)) == 7
+    assert used[-1] == used[-2]
 
 
 @pytest.mark.slow

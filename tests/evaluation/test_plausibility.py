@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from glissando import GyroReadings, PoseReadings, load_robot, se3
+from glissando import CoilReadings, GyroReadings, PoseReadings, load_robot, se3
 from glissando.errors import GlissandoError, ImplausibleError, OutsideGridError
 from glissando.evaluation.plausibility.examine import examine
 from glissando.evaluation.plausibility.finding import CHECKS, Finding, refuse
@@ -74,6 +74,19 @@ def test_a_mistake_with_the_coil_is_named(session, name):
     assert finding.name in CHECKS
     assert "probably" in finding.sentence
     assert ";" in finding.sentence, "what to do"
+
+
+@pytest.mark.parametrize(("late", "word"), [(0.4, "later"), (-0.4, "earlier")])
+def test_a_slide_on_a_clock_of_its_own_is_said_to_come_late_or_early(late, word):
+    time = np.arange(0.0, 20.0, 0.025)
+    place = 0.4 + 0.05 * np.sin(0.5 * np.pi * np.array([time, time - late]))
+    pose = np.tile(np.eye(4), (time.size, 1, 1))
+    pose[:, :3, 3] += RNG.normal(0.0, 2e-4, (time.size, 3))
+    pose[:, 2, 3] += place[0]
+    fields = {"time": time, "arclength": place[1], "values": pose, "name": "coil"}
+    coil = CoilReadings(**fields, cov=np.full(5, 1e-6))
+    said = found(load_robot("sliding700"), [coil])["slide"].sentence
+    assert f"changes {abs(late):g} s {word} than the sensor moves" in said
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import tempfile
 import time as clock
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,7 @@ from glissando.geometry import se3
 from glissando.io.journal import Journal
 from glissando.io.recording import load_recording
 from glissando.model.sensors.sensors import sensor_class, sensor_kinds
+from glissando.model.tendons.channel import Channel
 from scenes import LENGTH, arc, sliding_scene
 
 ROBOT = """
@@ -246,6 +248,9 @@ def test_only_the_same_run_is_gone_on_with(recorded, tmp_path):
     ):
         with pytest.raises(RecordingError, match=f"differs in: {named}; repeat"):
             replay(recorded, robot, **short | changed)
+    beside = {k: replace(s, channel=Channel(5e-3)) for k, s in recorded.streams.items()}
+    with pytest.raises(RecordingError, match="differs in: readings; repeat"):
+        replay(replace(recorded, streams=beside), robot, **short)
     with pytest.raises(RecordingError, match="differs in: robot; repeat"):
         replay(recorded, load_robot("tdcr466"), **short)
     assert len(replay(recorded, robot, **short).time) == 4

@@ -29,6 +29,7 @@ from glissando.model.priors.mechanical.inertia import Inertia
 from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.model.sensors.parameter_process import ParameterValues
 from glissando.model.sensors.readings import SENSORS
+from glissando.model.tendons.channel import Channel
 
 ROBOT = Path(__file__).parents[2] / "benchmarks" / "sbc.toml"
 
@@ -77,6 +78,9 @@ def test_values_are_read_with_the_noise_that_is_stated(rng, kind):
     read = blank.changed(values=noisy_values(blank, at, rng))
     gap = read.residual(at)
     assert 1e-7 < np.abs(gap).max() < 1e-5
+    if kind == "coil":
+        with pytest.raises(GlissandoError, match="a sensor in a channel are not drawn"):
+            noisy_values(blank.changed(channel=Channel(0.02)), at, rng)
 
 
 @pytest.mark.slow

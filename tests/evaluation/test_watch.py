@@ -26,6 +26,7 @@ def test_a_guard_whose_process_ends_says_so_once(when):
     said = [f.sentence for t in (0.0, 20.0, 40.0, 60.0) for f in watch.take([read], t)]
     assert len(said) == 1
     assert "has ended" in said[0]
+    assert not watch._streams  # of which nobody looks at any
     assert watch.last(60.0) == []
 
 

@@ -36,7 +36,7 @@ from glissando.io.provenance import write_report
 from glissando.io.robot_file import with_tube
 from glissando.model.robot import Robot
 from glissando.visualization.canvas import save_figure
-from glissando.visualization.evaluation_figures import calibration_figure
+from glissando.visualization.evaluation_figures import calibrated_quantities, calibration_figure
 
 _HELP = """\
 Check whether the confidence of an estimate is true: errors against truth in units of their own
@@ -118,7 +118,8 @@ def _check(options: argparse.Namespace) -> int:
     if options.out:
         with renewed_folder(options.out, ("check.json", "calibration.png")) as building:
             write_report(building / "check.json", document | stated(options, robot))
-            save_figure(calibration_figure(checks), building / "calibration.png")
+            if calibrated_quantities(checks):
+                save_figure(calibration_figure(checks), building / "calibration.png")
     if options.json:
         print(json.dumps(document))
     else:
@@ -160,6 +161,8 @@ def _tube(
     if tube is None or not errors:
         return None
     scores = block_scores(errors, tube.seconds)
+    if not scores.size:
+        return None
     return {**vars(tube), "inside": inside_tube(tube, scores), "here": int(scores.size)}
 
 

@@ -72,7 +72,8 @@ def leave_out(
 def _stretch(r: Readings, grid: Grid) -> np.ndarray:
     """Which readings (M,) lie in every other stretch of time."""
     share = (r.time - grid.time[0]) / (grid.time[-1] - grid.time[0])
-    out: np.ndarray = np.floor(_STRETCHES * share).astype(int) % 2 == 0
+    number = np.minimum(np.floor(_STRETCHES * share), _STRETCHES - 1)  # at its end, too
+    out: np.ndarray = number.astype(int) % 2 == 0
     return out
 
 

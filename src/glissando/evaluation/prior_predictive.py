@@ -196,12 +196,9 @@ def noisy_values(readings: Readings, at: State, rng: np.random.Generator) -> Arr
         rng: Source of the noise.
 
     Raises:
-        GlissandoError: The sensor needs the states' acceleration.
+        GlissandoError: Its readings are not drawn, see `require_drawn`.
     """
-    if readings.accelerates:
-        raise GlissandoError(
-            f"{readings.label}: readings of an accelerometer are not drawn; leave its stream out."
-        )
+    require_drawn(readings)
     root = np.linalg.cholesky(
         np.broadcast_to(readings.cov, (len(readings), *readings.cov.shape[-2:]))
     )
@@ -217,6 +214,24 @@ def noisy_values(readings: Readings, at: State, rng: np.random.Generator) -> Arr
         turn = se3.exp(np.concatenate([np.zeros_like(noise), -noise], axis=1))
         return (at.pose @ readings.mount @ turn)[:, :3, :3]
     return readings.values + readings.residual(at) - noise
+
+
+def require_drawn(readings: Readings) -> None:
+    """Refuse sensors whose readings are not drawn.
+
+    Raises:
+        GlissandoError: The sensor needs the states' acceleration or the whole robot, or it slides
+            beside the backbone.
+    """
+    for cannot, what in (
+        (readings.accelerates, "an accelerometer"),
+        (readings.spans, "tendons"),
+        (readings.channel is not None, "a sensor in a channel"),
+    ):
+        if cannot:
+            raise GlissandoError(
+                f"{readings.label}: readings of {what} are not drawn; leave its stream out."
+            )
 
 
 def session_layout(robot: Robot) -> tuple[Grid, list[Readings]]:

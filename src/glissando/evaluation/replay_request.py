@@ -34,7 +34,8 @@ def request_of(
     """
     every = hashlib.sha256()
     for r in readings:
-        every.update(f"{r.label} {r.kind} ".encode())
+        shared = [getattr(r, name, None) for name in (*r.settings, *r.optional_settings)]
+        every.update(f"{r.label} {r.kind} {r.channel} {shared} ".encode())
         for part in (r.time, r.arclength, r.values, r.cov, r.mount):
             every.update(np.ascontiguousarray(part).tobytes())
     return {

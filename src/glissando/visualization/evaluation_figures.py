@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from glissando.errors import GlissandoError
 from glissando.evaluation.consistency import Consistency
 from glissando.evaluation.replay import Replay
 from glissando.evaluation.simulation_based import SimulationCheck, bands, rank_points
@@ -28,9 +29,11 @@ def calibration_figure(checks: Sequence[Consistency]) -> Any:
         The axes (1, Q), one a quantity.
 
     Raises:
-        GlissandoError: matplotlib is not installed.
+        GlissandoError: matplotlib is not installed, or nothing is of a position or rotation.
     """
-    quantities = [q for q in ("position", "rotation") if any(c.quantity == q for c in checks)]
+    quantities = calibrated_quantities(checks)
+    if not quantities:
+        raise GlissandoError("No position or rotation was checked; give truth of either.")
     shape, size = (1, len(quantities)), (5.2 * len(quantities), 5.0)
     with panels_on(None, shape, size) as panels:
         for axes, quantity in zip(panels[0], quantities, strict=True):
@@ -43,16 +46,21 @@ def calibration_figure(checks: Sequence[Consistency]) -> Any:
     return panels
 
 
+def calibrated_quantities(checks: Sequence[Consistency]) -> list[str]:
+    """The quantities that `calibration_figure` has axes for, of those checked."""
+    return [q for q in ("position", "rotation") if any(c.quantity == q for c in checks)]
+
+
 def _draw(axes: Any, checks: Sequence[Consistency]) -> None:
     level = np.linspace(0.01, 0.99, 99)
     whole = checks[-1]
     low, high = np.array([whole.coverage_bounds(p) for p in level]).T
     axes.fill_between(100 * level, 100 * low, 100 * high, color="0.88", label="consistent, 95 %")
     axes.plot([0, 100], [0, 100], color="0.5", linewidth=0.9)
-    for order, c in enumerate(checks):
+    for c, own in zip(checks, line_colours(len(checks)), strict=True):
         inside = np.mean(c.nees[:, None] <= chi_square_quantile(level, c.dof), axis=0)
         last = c is whole and len(checks) > 1
-        colour = "black" if last else SENSORS[(0, 1, 3, 4, 6, 7)[order % 6]]
+        colour = "black" if last else own
         width = 2.8 if last else 1.3
         axes.plot(100 * level, 100 * inside, color=colour, linewidth=width, label=c.site)
 

@@ -27,8 +27,8 @@ _TRAVEL = 5e-3  # m: beyond, a sensor moves by itself
 def check_lag(streams: Streams) -> Iterator[Finding]:
     """Findings on clocks, from when bodies and gyroscopes move.
 
-    Speeds do not depend on frames, so they are compared without any. All streams of the truth
-    count as one clock, and so do all sensors of one kind.
+    Speeds do not depend on frames, so they are compared without any. Streams of the truth that are
+    late together are one clock.
 
     Args:
         streams: A session.

@@ -222,7 +222,7 @@ def _late(r: Readings, left: float) -> Finding | None:
     best = int(np.argmin(shares))
     if abs(_LATE[best]) < 0.12 or left < 1.6 * shares[best] + 0.01 or shares[best] > 0.6:
         return None
-    later = "later" if _LATE[best] > 0.0 else "earlier"
+    later = "earlier" if _LATE[best] > 0.0 else "later"
     return Finding(
         "slide",
         f"The arclength of {r.label!r} changes {abs(_LATE[best]):.2g} s {later} than the sensor "

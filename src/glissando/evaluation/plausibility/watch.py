@@ -40,6 +40,8 @@ class Watch:
             arrived: Readings that came since the last call.
             now: Time of the session, s.
         """
+        if self._due == np.inf:  # nobody looks any more
+            return []
         for r in filter(len, arrived):
             self._streams.setdefault(r.label, []).append(r)
         self._due = now + self._every if self._due is None else self._due
@@ -52,6 +54,7 @@ class Watch:
             return self._collect()
         except BrokenExecutor:
             self._due = np.inf
+            self._streams.clear()
             return [Finding("guard", _ENDED, False)]
 
     def last(self, now: float) -> list[Finding]:
