@@ -104,6 +104,11 @@ def test_designs_are_compared_and_drawn(tmp_path, capsys):
     assert best[0.06, 2] < best[0.06, 1]
     assert best[0.06, 2] < best[0.03, 2]
     assert (tmp_path / "design.png").stat().st_size > 10_000
+    whole = ("--limits", "0.7,0.1,0.2", "--strokes", "0.7", "--speeds", "0.1", "--rates", "40")
+    assert run("design", *given, *whole, "--coils", "1,2") == 0
+    assert [d["coils"] for d in json.loads(capsys.readouterr().out)["designs"]] == [1]
+    assert run("design", *given, *whole, "--coils", "2") == 2
+    assert "No design has room for 2 coils" in capsys.readouterr().err
 
 
 @pytest.mark.slow

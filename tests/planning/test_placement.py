@@ -147,3 +147,13 @@ def test_a_budget_that_buys_nothing_says_what_the_cheapest_costs():
     problem = drawn(np.random.default_rng(0))
     with pytest.raises(GlissandoError, match="cannot be: the cheapest sensor costs 1"):
         list(place_sensors(problem, [0.5]))
+    with pytest.raises(GlissandoError, match="Budgets of 3 and then 1 fall"):
+        list(place_sensors(problem, [3.0, 1.0]))
+
+
+def test_a_time_ahead_that_does_not_fit_is_said_and_a_zone_after_it_refused():
+    coils = candidates_of(ROBOT, "coil", 1.0, count=2)
+    problem = placement_problem(ROBOT, coils, [Zone((0.3, 0.6))], horizon=100.0)
+    assert problem.horizon < 10.0
+    with pytest.raises(GlissandoError, match="A zone counts from 50 s on, and sensors"):
+        placement_problem(ROBOT, coils, [Zone((0.3, 0.6), (50.0, 60.0))], horizon=100.0)

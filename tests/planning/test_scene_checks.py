@@ -12,6 +12,7 @@ from glissando.planning.scene.scene import Actuator, SpaceZone, Target
 from glissando.planning.scene.scene_checks import idle_obstacles
 from motion_scenes import ROBOT, TENDON, small_scene
 
+(SENSOR,) = small_scene([]).sensors
 HERE, THERE = (0.03, 0.01, 0.19), (-0.03, 0.01, 0.19)
 
 
@@ -33,6 +34,13 @@ HERE, THERE = (0.03, 0.01, 0.19), (-0.03, 0.01, 0.19)
         ({"zones": [SpaceZone([5.0, 2.0, 9.0], 2.0)]}, "Zone 1 .* out of reach"),
         ({"tendons": [*[TENDON] * 5, replace(TENDON, start=0.01)]}, "Tendon 5 starts at 0.01 m"),
         ({"tendons": [*[TENDON] * 5, replace(TENDON, speed=0.0)]}, "a speed of 0 m/s"),
+        (
+            {"targets": [Target(HERE, 0.004, 4.0), Target(THERE, 0.004, 2.0)]},
+            "in the order of time",
+        ),
+        ({"slides": [Actuator(0.0, 0.9, 0.05, 0.1, 0.8)]}, "0.9 m along a robot of 0.2 m"),
+        ({"slides": [Actuator(-0.1, 0.1, 0.05, 0.1, 0.1)]}, "go from -0.1 to 0.1 m"),
+        ({"sensors": [replace(SENSOR, arclength_std=0.02)]}, "an arclength_std of 0.02 m"),
         ({"slides": [Actuator(0.15, 0.05, 0.05, 0.1, 0.1)]}, "limits of slide 0"),
     ],
 )

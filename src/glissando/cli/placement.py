@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 
 import numpy as np
 from rich.table import Table
@@ -44,7 +45,17 @@ def place(options: argparse.Namespace) -> int:
         zones = [read_zone(text) for text in options.zone]
         problem = placement_problem(robot, candidates, zones, horizon=options.horizon)
         placements = list(place_sensors(problem, budgets))
-    report = {"zones": options.zone, "placements": [_row(each) for each in placements]}
+    if problem.horizon < options.horizon:
+        print(
+            f"glissando: sensors read for {problem.horizon:g} s, not {options.horizon:g} s: as "
+            f"many time nodes of this robot as fit a thousand numbers",
+            file=sys.stderr,
+        )
+    report = {
+        "zones": options.zone,
+        "horizon": problem.horizon,
+        "placements": [_row(each) for each in placements],
+    }
     if options.out:
         with renewed_folder(options.out, ("design.json", "design.png")) as building:
             write_report(building / "design.json", report | stated(options))

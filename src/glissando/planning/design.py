@@ -24,6 +24,8 @@ _ALIKE = 1.02  # ratio of two standard deviations that count as the same
 NUMBERS = {"stroke": ("mm", 1e3), "speed": ("mm/s", 1e3), "rate": ("Hz", 1.0), "coils": ("", 1.0)}
 """Numbers of a design with the unit they are shown in, and how many of it the SI unit is."""
 
+_APART = 1e-3  # m between coils, below which they are at one place
+
 
 @dataclass(frozen=True)
 class Design:
@@ -62,7 +64,8 @@ def sweep(
 ) -> Iterator[Design]:
     """Evaluate every combination of numbers, each on its own best path.
 
-    Several coils follow each other a stroke apart, or as near as the body requires.
+    Several coils follow each other a stroke apart, or as near as the body requires; where they
+    would be at one place, as behind a stroke of the whole body, that number of coils is left out.
 
     Args:
         robot: The robot.
@@ -78,12 +81,15 @@ def sweep(
         stream: Name of the sensors' stream, by which sensor parameters refer to them.
 
     Raises:
-        GlissandoError: A stroke is longer than the body.
+        GlissandoError: A stroke is longer than the body, or no design fits it.
     """
+    none = True
     for stroke, count, rate in itertools.product(strokes, coils, rates):
         if not 0.0 < stroke <= upper + 1e-9:
             raise GlissandoError(f"A stroke of {stroke:g} m does not fit a body of {upper:g} m.")
         spacing = min(stroke, (upper - stroke) / (count - 1)) if count > 1 else 0.0
+        if count > 1 and spacing < _APART:
+            continue
         sensor = sliding_sensor(robot, rate=rate, coils=count, spacing=spacing, name=stream)
         lower = upper - stroke
         problem = predict_information(robot, (lower, upper), horizon, sensor)
@@ -94,7 +100,13 @@ def sweep(
             )
             plan = plan_slide(path_objective, path_space, zones)
             std = (evaluate_path(problem, [z], objective, plan.arclength).std for z in zones)
+            none = False
             yield Design(stroke, speed, rate, count, plan.value, tuple(std))
+    if none:
+        raise GlissandoError(
+            f"No design has room for {', '.join(map(str, coils))} coils behind each other; give "
+            f"fewer, or shorter strokes."
+        )
 
 
 def pareto_front(designs: Sequence[Design]) -> NDArray[np.bool_]:

@@ -10,7 +10,7 @@ is bounded by the convex problem in which candidates are bought in part. Source:
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
 
@@ -64,12 +64,14 @@ class PlacementProblem:
         rows: What each measures, whitened (r, d).
         weight: Weight (d, d) of those directions in the zones.
         left: Mean position variance of the zones that no candidate can lower, m².
+        horizon: How long the sensors read, s.
     """
 
     candidates: Sequence[Candidate]
     rows: Sequence[Array]
     weight: Array
     left: float
+    horizon: float = np.nan
 
     @property
     def cost(self) -> Array:
@@ -113,10 +115,10 @@ def placement_problem(
         robot: The robot: its prior is what is known without sensors.
         candidates: The sensors that could be bought.
         zones: The zones that count.
-        horizon: How long sensors read, s.
+        horizon: How long sensors read, s; on a robot of many numbers the problem's is shorter.
 
     Raises:
-        GlissandoError: There is no candidate, or the horizon is no time.
+        GlissandoError: There is no candidate, the horizon is no time, or a zone counts later.
         UnobservableError: The prior leaves the base unknown.
     """
     if not candidates:
@@ -127,6 +129,12 @@ def placement_problem(
     size = belief.hold_shape(Grid(belief.arclength, [0.0])).numbers
     cells = max(1, min(round(horizon * robot.time_rate), _NUMBERS // size - 1))
     horizon = min(horizon, cells / robot.time_rate)  # time nodes are as close as the robot asks
+    for zone in zones:
+        if zone.time is not None and zone.time[0] > horizon:
+            raise GlissandoError(
+                f"A zone counts from {zone.time[0]:g} s on, and sensors of this robot are placed "
+                f"for {horizon:g} s; give zones without times."
+            )
     grid = Grid(belief.arclength, np.linspace(0.0, horizon, cells + 1))
     with one_thread():
         parameters = EstimatedParameters(grid, [])
@@ -143,7 +151,7 @@ def placement_problem(
         wanted = _dense(ahead, Rows(rows.cell, rows.lower, rows.jacobian[:, :3]))
         wanted *= np.repeat(np.sqrt(weight), 3)[:, None, None]
         left = float(np.einsum("z,zii->", weight, open_[:, :3, :3]))
-        return _reduced(ahead, candidates, blocks, wanted, left)
+        return replace(_reduced(ahead, candidates, blocks, wanted, left), horizon=horizon)
 
 
 def _dense(ahead: PredictedInformation, rows: Rows) -> Array:
@@ -190,10 +198,14 @@ def place_sensors(problem: PlacementProblem, budgets: Sequence[float]) -> Iterat
         budgets: What sets may cost, in rising order.
 
     Raises:
-        GlissandoError: A budget buys nothing, or is not finite.
+        GlissandoError: A budget buys nothing, is not finite, or is less than the one before.
     """
     cost, before = problem.cost, list[int]()
-    for budget in budgets:
+    for budget, less in zip(budgets, (0.0, *budgets), strict=False):
+        if budget < less:
+            raise GlissandoError(
+                f"Budgets of {less:g} and then {budget:g} fall; give them in rising order."
+            )
         if not cost.min() <= budget < np.inf:
             raise GlissandoError(
                 f"A budget of {budget:g} cannot be: the cheapest sensor costs {cost.min():g}, all "

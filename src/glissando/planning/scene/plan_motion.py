@@ -104,20 +104,15 @@ class MotionPlan:
 
 
 def motion_problem(
-    scene: Scene, robot: Robot, belief: ErrorBelief | None = None, *,
-    step: float | None = None, senses: bool = True,
-    start: Array | None = None, speed: Array | None = None,
-) -> MotionProblem:  # fmt: skip
+    scene: Scene, robot: Robot, *, step: float | None = None, senses: bool = True
+) -> MotionProblem:
     """The problem of a scene for a robot.
 
     Args:
         scene: The scene.
         robot: The robot, with [tendons] and a mechanical prior.
-        belief: What is known of the model error; nothing but what [tendons] states unless given.
         step: Duration of a piece of the paths, s; by default a twelfth of the horizon, or 1 s.
         senses: Whether readings to come are counted on.
-        start: Where the actuators (C,) are; where the scene starts unless given.
-        speed: Their speeds (C,); at rest unless given.
 
     Raises:
         GlissandoError: The scene is none, or none of this robot.
@@ -125,9 +120,9 @@ def motion_problem(
     require_scene(scene, robot)
     spacing = max(_SPACING * scene.robot_radius, robot.length / _PLACES)
     body = tendon_body(robot, spacing)
-    belief = belief or ErrorBelief.unknown(body.errors)
+    belief = ErrorBelief.unknown(body.errors)  # nothing but what [tendons] states
     step = step or max(1.0, scene.horizon / _PIECES)
-    space = motion_space(scene, step, start, speed)
+    space = motion_space(scene, step)
     return MotionProblem(scene, body, belief, space, senses)
 
 

@@ -76,6 +76,7 @@ def _mistakes(scene: Scene, robot: Robot) -> Iterator[str]:
             f"slides on each."
         )
     yield from _mistakes_of_actuators(scene)
+    yield from _mistakes_of_slides(scene, robot)
     yield from _mistakes_of_targets(scene)
     for number, zone in enumerate(scene.zones, start=1):
         if zone.center is not None:
@@ -105,6 +106,21 @@ def _mistakes_of_actuators(scene: Scene) -> Iterator[str]:
             )
 
 
+def _mistakes_of_slides(scene: Scene, robot: Robot) -> Iterator[str]:
+    for number, (slide, sensor) in enumerate(zip(scene.slides, scene.sensors, strict=False)):
+        low, high = slide.lower - float(np.max(sensor.behind)), slide.upper
+        if low < -_ROUNDING or high > robot.length + _ROUNDING:
+            yield (
+                f"Coils of slide {number} go from {low:g} to {high:g} m along a robot of "
+                f"{robot.length:g} m; give limits on its body."
+            )
+        if sensor.arclength_std > 0.0:
+            yield (
+                f"The sensor of slide {number} has an arclength_std of {sensor.arclength_std:g} m, "
+                f"and motions are planned for sensors whose place is known; give 0."
+            )
+
+
 def _mistakes_of_targets(scene: Scene) -> Iterator[str]:
     if not scene.targets:
         yield "The scene has no target; give one at least."
@@ -116,7 +132,12 @@ def _mistakes_of_targets(scene: Scene) -> Iterator[str]:
                 f"A target is due at {target.time:g} s, and the motion lasts {scene.horizon:g} s; "
                 f"give a time within it."
             )
-    for a, b in pairwise(sorted(scene.targets, key=lambda target: target.time)):
+    for a, b in pairwise(scene.targets):
+        if b.time < a.time:
+            yield (
+                f"Targets are due at {a.time:g} s and then at {b.time:g} s; give them in the order "
+                f"of time."
+            )
         apart = float(np.linalg.norm(np.subtract(a.position, b.position)))
         if b.time == a.time and apart > a.tolerance + b.tolerance:
             yield (
