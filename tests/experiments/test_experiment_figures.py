@@ -51,7 +51,7 @@ def moving():
 
 CAUSES = {
     "as it is": {"C": summary(0.01, 0.1, -6.0), "S": summary(0.01, 0.1, -8.0)},
-    "bias x 3": {"C": summary(0.01, 0.1, -15.0)},
+    "bias × 3": {"C": summary(0.01, 0.1, -15.0)},
     "no set": {"S": {"position": number(0.01), "rotation": number(0.1)}},
 }
 

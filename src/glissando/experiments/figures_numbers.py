@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -188,7 +189,7 @@ def moving_figure(moving: Mapping[str, Mapping[str, Any]]) -> Figure:
     from matplotlib.patches import Patch
 
     strokes = sorted({arm["stroke"] for arms in moving.values() for arm in arms.values()} - {0.0})
-    markers = dict(zip(strokes, "ov^sDP", strict=False))
+    markers = dict(zip(strokes, cycle("ov^sDP"), strict=False))
     with canvas(10.0 if len(moving) > 1 else 7.0, 6.2) as figure:
         table: Any = figure.subplots(
             2, len(moving), sharex=True, sharey="row", squeeze=False, gridspec_kw={"hspace": 0.06}
@@ -271,7 +272,7 @@ def causes_figure(causes: Mapping[str, Mapping[str, Any]]) -> Figure:
             axes.tick_params(axis="y", length=0)
             for row in range(1, len(causes), 2):
                 axes.axhspan(row - 0.5, row + 0.5, color="0.965", zorder=0)
-        pair[0].set_yticks(range(len(causes)), [label.replace(" x ", " × ") for label in causes])
+        pair[0].set_yticks(range(len(causes)), list(causes))
         pair[0].set_ylim(len(causes) - 0.5, -0.5)
         entries: dict[str, Any] = {}
         for s in shapes:

@@ -15,6 +15,7 @@ from glissando.planning.placement import Placement
 from glissando.planning.planning_problem import PlanningProblem
 from glissando.planning.zones import Zone
 from glissando.visualization.canvas import (
+    MM,
     NO_STYLE,
     Style,
     canvas,
@@ -24,7 +25,6 @@ from glissando.visualization.canvas import (
     panels_on,
 )
 
-MM = 1e3
 _PLACES, _TIMES = 60, 81  # points of a map along the body and in time
 _SWING = 10.0  # s of a slide's motion, to draw its reach
 _FRONT = {"std": "best set found", "bound": "no set goes below"}
@@ -133,7 +133,7 @@ def save_plan_film(
                     if zone.overlap(now, now):
                         low, high = (float(end[0]) for end in zone.ends(np.array([now])))
                         axes.axvspan(low * MM, high * MM, color="#E69F00", alpha=0.2, lw=0)
-                for (name, std), colour in zip(maps.items(), _LINES, strict=False):
+                for (name, std), colour in zip(maps.items(), line_colours(len(maps)), strict=True):
                     axes.plot(place * MM, std[:, k], color=colour, label=name)
                     at = float(np.interp(now, problem.times, paths[name]))
                     axes.plot(at * MM, 0.02 * top, "^", color=colour, clip_on=False)

@@ -105,7 +105,8 @@ def _schema(with_settings: bool) -> pyarrow.Schema:
     import pyarrow as pa
 
     kinds = dict.fromkeys(("id", "robot", "prior", "shape", "slide", "error"), pa.string())
-    kinds |= {"still": pa.bool_(), "nodes": pa.int64(), "cycles": pa.int64(), "seed": pa.int64()}
+    kinds |= dict.fromkeys(("still", "paced", "dynamic"), pa.bool_())
+    kinds |= dict.fromkeys(("nodes", "cycles", "seed"), pa.int64())
     settings = [*SETTINGS, "seed"] if with_settings else []
     names = ["id", *settings, *METRICS, "error"]
     return pa.schema([(name, kinds.get(name, pa.float64())) for name in names])

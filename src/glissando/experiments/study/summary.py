@@ -64,7 +64,7 @@ def print_summary(summary: dict[str, Any], console: Console) -> None:
     for axis, points in summary["axes"].items():
         for point in points:
             value = point["value"]
-            number = isinstance(value, (int, float)) and value is not True
+            number = isinstance(value, (int, float)) and not isinstance(value, bool)
             label = f"{value:g}" if number else str(value)
             table.add_row(escape(axis), escape(label), *_cells(point))
         table.add_section()

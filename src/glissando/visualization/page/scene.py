@@ -85,7 +85,7 @@ def scene_of(
     tube: Tube | None = None,
     progress: Progress | None = None,
 ) -> Scene:
-    """The posterior at its time nodes, and between them where they are below 20 Hz.
+    """The posterior at its time nodes and the middles between them, at 20 Hz at least.
 
     Every moment is evaluated by the posterior: nothing is interpolated afterwards.
 
