@@ -4,6 +4,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -65,6 +66,24 @@ def test_the_last_plan_goes_on_where_the_planner_ends(plan):
     with pytest.warns(PlanWarning, match="process has ended; the last plan goes on"):
         values = [replanner.command(time) for time in np.arange(0.0, 4.0, STEP)]
     assert np.all(np.isfinite(values))
+    assert replanner.plans == 0
+
+
+class Late(Gone):
+    """A planner whose first plan comes when the loop has gone past where it begins."""
+
+    asked = 0
+
+    def result(self):
+        self.asked += 1
+        return SimpleNamespace(plan=None) if self.asked == 4 else None
+
+
+@pytest.mark.slow
+def test_a_plan_that_comes_late_is_said_and_not_followed(plan):
+    replanner = MotionReplanner(plan, every=0.9, planner=Late())
+    with pytest.warns(PlanWarning, match="came later than that and is not followed"):
+        _ = [replanner.command(time) for time in np.arange(0.0, 4.0, STEP)]
     assert replanner.plans == 0
 
 

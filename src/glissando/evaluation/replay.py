@@ -113,6 +113,7 @@ class Replay(Brief):
                     "level": s.level,
                 }
                 for name, s in self.adaptive.items()
+                if s.count
             },
         }
 

@@ -128,7 +128,15 @@ class MotionReplanner:
         if replanned is None or self.follower.due < due - _ROUNDING:
             return
         self._replanned = self._due = None
-        if replanned.plan is None or self.follower.due > due + _ROUNDING:
+        if self.follower.due > due + _ROUNDING:
+            warnings.warn(
+                f"A plan for {self.begun + due:.3g} s came later than that and is not followed; "
+                f"give a longer lead.",
+                PlanWarning,
+                stacklevel=3,
+            )
+            return
+        if replanned.plan is None:
             return
         old = self.follower
         self.follower = MotionFollower(replanned.plan, old.belief, old.time - due)
