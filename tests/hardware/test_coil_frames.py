@@ -1,14 +1,17 @@
 """A rig's coils are where its slides were at each frame, or nowhere while nobody knows."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from glissando.hardware.capture import Coil, Rig
+from glissando.hardware.capture import Coil, FurtherStage, Rig
 from glissando.hardware.capture.coil_frames import CoilFrames
 from glissando.hardware.drivers import GcodeStage
 from glissando.io.robot_file import load_robot
+from glissando.io.session_log import SessionWriter, read_session
+from glissando.io.session_recording import session_streams
 from glissando.model.noise import Huber
 
 ROBOT = load_robot("sliding700")
@@ -47,3 +50,31 @@ def test_without_a_stage_a_coil_stays_where_the_setup_says():
     frames = CoilFrames(replace(RIG, slide=None, stage=None), ROBOT)
     (coil,) = frame(frames, "coil", 1.0)
     np.testing.assert_allclose(coil.arclength, 0.7)
+
+
+def test_a_recording_has_no_frames_from_before_or_after_the_stage_that_moves_the_coil(tmp_path):
+    coils = Coil("coil", 0.7), Coil("outer", 0.5, slide="outer")
+    stage = GcodeStage(stroke=(0.0, 0.06), home=0.0)
+    rig = replace(RIG, coils=coils, further=(FurtherStage("outer", "tcp://2", stage),))
+    times = np.arange(0.0, 10.05, 0.1)
+    travels = np.interp(times, [4.0, 9.0], [0.0, 0.05])
+    frames = CoilFrames(rig, ROBOT)
+    with SessionWriter(tmp_path / "log.mcap", {"setup": json.dumps(rig.described())}) as log:
+        topics = "/slide", "/slide/outer", "/tracker/coil", "/tracker/outer"
+        for topic in topics:
+            log.add_topic(topic, {"type": "object"})
+        placed = {"coil": [], "outer": []}
+        for number, (time, travel) in enumerate(zip(times, travels, strict=True)):
+            for topic in topics:
+                if topic == "/slide/outer" and not 4.0 <= time <= 9.0:  # it homes, or is over
+                    continue
+                message = {"time": time, "frame": number, "travel": travel, **SEEN}
+                log.write(topic, message, round(1e9 * time))
+                for reading in frames.take(topic, message):
+                    placed[reading.name].append((reading.time[0], reading.arclength[0]))
+    streams = session_streams(read_session(tmp_path / "log.mcap"), rig.described()).streams
+    assert [stream.name for stream in streams] == ["coil", "outer"]
+    for stream, ends in zip(streams, ((times[0], times[-1]), (4.0, 9.0)), strict=True):
+        rows, (time, arclength) = stream.rows, np.transpose(placed[stream.name])
+        np.testing.assert_allclose([rows.time[0], rows.time[-1]], ends)
+        np.testing.assert_allclose(rows.arclength, arclength[time <= ends[1] + 1e-9])

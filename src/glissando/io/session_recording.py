@@ -69,7 +69,8 @@ def session_streams(session: RawSession, setup: Mapping[str, Any]) -> SessionStr
     """The streams of a session, of one that was cut off as well.
 
     Times begin at the slide's first reading. Messages before the slide's first reading and after
-    its last, and frames without a pose, are left out.
+    its last, frames of a coil before and after those of the stage that moves it, and frames without
+    a pose are left out.
 
     Args:
         session: The log.
@@ -85,18 +86,21 @@ def session_streams(session: RawSession, setup: Mapping[str, Any]) -> SessionStr
     warnings: list[str] = []
     streams: list[Stream] = []
 
-    def seen(topic: str, name: str) -> tuple[Array, Array]:
+    def seen(topic: str, name: str, first: float, last: float) -> tuple[Array, Array]:
         time, poses = seen_poses(session.topics.get(f"/{topic}/{name}"))
-        inside = (time >= span[0]) & (time <= span[1])
+        inside = (time >= first) & (time <= last)
         time, poses = time[inside], poses[inside]
-        gaps = _gaps(name, time, span, zero) if time.size else [f"{name} was never seen"]
+        gaps = _gaps(name, time, (first, last), zero) if time.size else [f"{name} was never seen"]
         warnings.extend(gaps)
         return time, poses
 
     for name, (place, direction, moved_by, channel) in _coils(session, table).items():
-        time, poses = seen("tracker", name)
+        moved, known = slid, span
+        if moved_by:
+            moved = _travels(session, moved_by)
+            known = max(span[0], moved[0][0]), min(span[1], moved[0][-1])
+        time, poses = seen("tracker", name, *known)
         if time.size:
-            moved = _travels(session, moved_by) if moved_by else slid
             arclength = place + direction * np.interp(time, *moved)
             ends = channel.travels(length) if channel else (0.0, length)
             rows = Rows("coil", time - zero, np.clip(arclength, *ends), poses, {})
@@ -104,7 +108,7 @@ def session_streams(session: RawSession, setup: Mapping[str, Any]) -> SessionStr
     for name, body in table.named_tables("bodies"):
         if body.flag("slides"):  # on the sliding tube, not on the robot
             continue
-        time, poses = seen("mocap", name)
+        time, poses = seen("mocap", name, *span)
         if time.size:
             place = body.number("arclength", positive=False)
             rows = Rows("pose", time - zero, np.full(time.size, place), poses, {})
