@@ -1,12 +1,15 @@
 """Messages are byte for byte the C++ library's, and nothing malformed becomes a value."""
 
 import json
+import math
 import time
 import tracemalloc
 from dataclasses import asdict
 
 import numpy as np
 import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 
 from glissando.errors import DeviceError
 from glissando.hardware.openigtlink import Message, decode, encode, seconds_since, stamp_of
@@ -159,6 +162,23 @@ def test_a_count_of_four_thousand_million_allocates_nothing(at):
         assert tracemalloc.get_traced_memory()[1] < 1e6
     finally:
         tracemalloc.stop()
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    code=st.sampled_from(sorted(c._SCALARS)),
+    shape=st.lists(st.sampled_from([0, 1, 2, 65535]), max_size=255),
+)
+@example(code=11, shape=[1] * 65)
+@example(code=11, shape=[65535] * 4 + [0])
+def test_an_array_of_any_stated_shape_is_read_or_refused(code, shape):
+    count = math.prod(shape)
+    size = count * np.dtype(c._SCALARS[code]).itemsize if count <= 16 else 16
+    data = bytes([code, len(shape)]) + np.array(shape, ">u2").tobytes() + bytes(size)
+    try:
+        assert c.NumberArray.unpack(data).values.shape == tuple(shape)
+    except MalformedError:
+        assert count > 16 or len(shape) > 32 or 65535 in shape
 
 
 def test_a_stamp_loses_nothing_where_a_float_of_seconds_would():

@@ -281,7 +281,13 @@ class NumberArray:
         for side in shape:  # Python's numbers do not overflow
             count *= side
         _require(len(data) - begin == count * kind.itemsize, cls.type_id, data)
-        values = np.frombuffer(data, kind, offset=begin).reshape(shape)
+        try:
+            values = np.frombuffer(data, kind, offset=begin).reshape(shape)
+        except ValueError:  # numpy has fewer dimensions than the protocol, and sides overflow it
+            raise MalformedError(
+                f"An NDARRAY of {len(shape)} sides, {max(shape)} the longest, cannot be held; send "
+                f"one of fewer."
+            ) from None
         return cls(values.astype(kind.newbyteorder("=")))
 
 
