@@ -32,12 +32,14 @@ def test_before_its_first_reading_a_slide_is_unknown_and_beyond_the_newest_it_go
     assert track.at(0.0) is None
     track.add(1.0, 0.02)
     assert track.at(0.999) is None
-    assert track.at(5.0).travel == 0.02
+    assert track.at(1.9).travel == 0.02
     track.add(1.1, 0.03)
     assert track.at(1.15).travel == pytest.approx(0.035)
-    assert track.at(9.0).travel == pytest.approx(0.04)  # for a tenth of a second
+    assert track.at(2.09).travel == pytest.approx(0.04)  # for a tenth of a second
+    assert track.at(2.11) is None  # it may be anywhere by now
     track.add(1.1, 0.5)  # it came twice
     track.add(1.05, 0.5)  # it came late
     assert track.at(1.1).travel == pytest.approx(0.03)
     track.add(5.0, 0.03)
+    assert track.at(2.11).travel == pytest.approx(0.03)
     assert track.at(5.0).speed == 0.0  # a pause says nothing of a speed

@@ -13,7 +13,7 @@ from glissando.geometry.se3 import Array
 _TURN = 2e-4  # m, over which a slide that turns is said to move the other way
 _MOST = 1024  # readings of the slide that are kept
 _AHEAD = 0.1  # s beyond its newest reading for which it is said to go on
-_APART = 1.0  # s between readings that say nothing of a speed
+_APART = 1.0  # s between readings that say nothing of a speed, or after one, of the travel
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class SlideTrack:
             self._readings.append((time, SlideMotion(travel, speed, _way_after(last.way, moved))))
 
     def at(self, time: float) -> SlideMotion | None:
-        """The slide at a time, s; None before its first reading.
+        """The slide at a time, s; None before its first reading, and a second after its newest.
 
         Between two readings it moves straight, and beyond the newest goes on for a tenth of a
         second as it did.
@@ -62,6 +62,8 @@ class SlideTrack:
         after: tuple[float, SlideMotion] | None = None
         for when, motion in reversed(self._readings):
             if when <= time:
+                if after is None and time - when > _APART:
+                    return None
                 return self._between(when, motion, after, time)
             after = when, motion
         return None

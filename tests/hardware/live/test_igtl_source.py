@@ -148,6 +148,29 @@ def test_a_device_that_slides_is_not_placed_before_a_travel_is_known():
         assert source.problem == "igtl://127.0.0.1:1 has sent no travel of the slide"
 
 
+def test_a_travel_that_ends_leaves_the_device_nowhere_and_is_named():
+    place = Placement("coil", 0.4, "coil", True)
+    source = IgtlSource("igtl://127.0.0.1:1?clock=arrival", ROBOT, [place])
+    source._endpoint.peers, clock = 1, SessionClock()
+
+    def came(at):
+        pose = np.eye(4)
+        pose[0, 3] = at  # mm: another one each time
+        tool = c.TrackingData((c.Tool("coil", c.TOOL_5D, pose),))
+        source._endpoint.receive = lambda: [(at, Message(tool, "tracker"))]
+        return source.read(clock)
+
+    source._waiting = [(0.0, Message(c.SensorValues(np.array([10.0])), "travel"))]
+    assert len(came(0.9)) == 1
+    assert not source.problem
+    assert came(1.1) == came(1000.0) == []
+    assert source.counts["no travel"] == 2
+    assert source.problem == "igtl://127.0.0.1:1 sends no more travel of the slide"
+    source._waiting = [(1000.0, Message(c.SensorValues(np.array([10.0])), "travel"))]
+    assert len(came(1000.1)) == 1
+    assert not source.problem
+
+
 @pytest.mark.slow
 def test_positions_with_and_without_an_orientation_are_read_and_a_status_is_passed_on():
     turn = se3.exp(np.array([0.0, 0.0, 0.0, 0.4, -0.2, 0.7]))

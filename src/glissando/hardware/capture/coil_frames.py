@@ -22,8 +22,8 @@ class CoilFrames:
         robot: The robot, which states the noise and the loss of coils.
 
     Attributes:
-        counts: Coils 'not seen', and frames of sliding coils before their slide was read, which
-            nobody can place ('no travel').
+        counts: Coils 'not seen', and frames of sliding coils before their slide was read, or a
+            second after, which nobody can place ('no travel').
     """
 
     def __init__(self, rig: Rig, robot: Robot) -> None:

@@ -44,7 +44,7 @@ class IgtlSource:
 
     Attributes:
         counts: Messages 'heard'; those left out, and why: 'unplaced' devices, 'invalid' values,
-            'repeated' poses, of sliding devices before a travel was known ('no travel'); and what
+            'repeated' poses, of sliding devices while no travel was known ('no travel'); and what
             the endpoint counts.
         status: The last STATUS that was not good, as a text.
 
@@ -68,6 +68,7 @@ class IgtlSource:
         self._newest, self._origin = -1, 0
         self._kinds: dict[str, str] = {}
         self._waiting: list[tuple[float, Message]] = []
+        self._lacks_travel = False
 
     def __enter__(self) -> Self:
         self._endpoint.__enter__()
@@ -94,8 +95,10 @@ class IgtlSource:
             return f"{calls} at {self.name}"
         if self.status or not np.isfinite(self._heard):
             return self.status or f"{self.name} sends nothing"
-        waits = self._own["no travel"] and not self._slide.known
-        return f"{self.name} has sent no {TRAVEL} of the slide" if waits else ""
+        if not self._lacks_travel:
+            return ""
+        ended = self._slide.known
+        return f"{self.name} {'sends no more' if ended else 'has sent no'} {TRAVEL} of the slide"
 
     def poll(self) -> None:
         """Take what has come out of the link, as `read` does, which then reads it."""
@@ -122,6 +125,7 @@ class IgtlSource:
             raise
         except NoTravelError:
             self._own["no travel"] += 1
+            self._lacks_travel = True
         except GlissandoError:
             self._own["invalid"] += 1
 
@@ -136,6 +140,7 @@ class IgtlSource:
         elif isinstance(content, c.SensorValues) and message.device.lower() == TRAVEL:
             travel, time = self._travel_of(content), self._time(message.stamp, arrival, clock)
             self._slide.add(time, travel)
+            self._lacks_travel = False
         else:
             time = self._time(message.stamp, arrival, clock)
             for name, kind, value in poses_in(message, self._frame):

@@ -18,7 +18,7 @@ _KINDS = ("pose", "coil", "position", "gyro")
 
 
 class NoTravelError(DeviceError):
-    """A device slides, and nobody has stated the slide's travel."""
+    """A device slides, and nobody stated the slide's travel of then."""
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ def reading(
 
     Raises:
         RobotFileError: The robot file states no noise of such a sensor.
-        NoTravelError: The device slides, and no travel was known at that time.
+        NoTravelError: The device slides, and no travel was known at that time, see `SlideTrack`.
     """
     motion = slide.at(time) if place.slides else SlideMotion(0.0)
     if motion is None:

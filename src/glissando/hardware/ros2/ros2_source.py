@@ -38,7 +38,7 @@ class Ros2Source:
 
     Attributes:
         counts: Messages 'heard', 'invalid', 'dropped' because too many waited, 'ignored' while the
-            node was inactive, of sliding devices before a travel was known ('no travel').
+            node was inactive, of sliding devices while no travel was known ('no travel').
         clock: Simulated time, if the node's parameter use_sim_time is set.
 
     Raises:
