@@ -181,6 +181,24 @@ def test_what_came_during_a_pause_of_its_reader_counts_before_patience_ends():
             time.sleep(0.5)
 
 
+def test_patience_begins_when_no_source_is_busy_any_more():
+    class Homing(Stamped):
+        busy = True
+
+        def read(self, clock):
+            self.busy = self.looks < 100
+            self.looks += 1
+            return []
+
+    source = Homing(0.0)
+    with LiveSession(ROBOT, [source], patience=0.1) as session:
+        began = time.monotonic()
+        with pytest.raises(DeviceError, match="No source has sent anything usable for 0 s"):
+            next(iter(session))
+    assert source.looks > 100
+    assert time.monotonic() - began > 0.5
+
+
 def test_sources_are_looked_at_between_updates():
     """A link holds little: what a fast device sends until the next update would be lost."""
     source = Stamped(0.0)

@@ -5,12 +5,15 @@ import queue
 import signal
 import time
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
+from types import SimpleNamespace
 
 import pytest
 
 from glissando.errors import DeviceError, GlissandoError
-from glissando.hardware.capture import Rig
+from glissando.hardware.capture import Coil, FurtherStage, Rig
+from glissando.hardware.drivers import GcodeStage
 from glissando.hardware.live import rig_source
 from glissando.hardware.live.clock import SessionClock
 from glissando.hardware.live.rig_source import RigSource
@@ -56,6 +59,26 @@ def test_a_capture_that_fails_says_why_and_that_it_ends(monkeypatch, tmp_path, p
         with pytest.raises(DeviceError, match=sentence):
             raise end
     assert said.get_nowait() == (None, signal.SIG_IGN)
+
+
+def test_a_rig_is_busy_until_each_of_its_stages_was_read():
+    stage = GcodeStage(stroke=(0.0, 0.06), home=0.0)
+    further = (FurtherStage("outer", "tcp://2", stage),)
+    rig = replace(RIG, coils=(Coil("coil", 0.7),), slide="tcp://1", stage=stage, further=further)
+    source, said = RigSource(rig, load_robot("sliding700"), HELD), queue.Queue()
+    source._messages, source._process = said, SimpleNamespace(is_alive=lambda: True)
+    moved = {"time": 0.0, "travel": 0.0}
+    for item, problem in [
+        (None, "rig bench is starting"),
+        (("/tracker/coil", {"time": 0.0, "position": None}), "a stage of rig bench homes"),
+        (("/slide", moved), "a stage of rig bench homes"),
+        (("/slide/outer", moved), ""),
+    ]:
+        if item:
+            said.put(item)
+        assert source.read(SessionClock()) == []
+        assert (source.problem, source.busy) == (problem, bool(problem))
+    assert not RigSource(RIG, load_robot("sliding700"), HELD).busy
 
 
 def test_a_process_that_dies_is_a_sentence_and_leaving_does_not_wait_for_it():

@@ -25,6 +25,7 @@ from glissando.geometry.se3 import Array
 from glissando.hardware.capture import Rig, capture
 from glissando.hardware.capture.child_process import blocked_signals, end_with_parent
 from glissando.hardware.capture.coil_frames import CoilFrames
+from glissando.hardware.capture.setup import slide_topic
 from glissando.hardware.live.clock import SessionClock
 from glissando.model.robot import Robot
 from glissando.model.sensors.readings import Readings
@@ -73,6 +74,8 @@ class RigSource:
         self.name, self._rig, self._folder = f"rig {rig.name}", rig, folder
         self._frames = CoilFrames(rig, robot)
         self.counts, self.finished = self._frames.counts, False
+        stages = [*([""] if rig.slide else []), *(one.name for one in rig.further)]
+        self._homing = {slide_topic(name) for name in stages}  # until their first reading
         self._paths = path, dict(further or {})
         self._steered, self._times = steered, SessionClock()
         self._stack = ExitStack()
@@ -126,8 +129,17 @@ class RigSource:
 
     @property
     def problem(self) -> str:
-        """Why nothing comes; empty once messages have."""
-        return "" if self.counts["heard"] or self.finished else f"{self.name} is starting"
+        """Why nothing comes; empty once messages have, of every stage as well."""
+        if self.finished:
+            return ""
+        if not self.counts["heard"]:
+            return f"{self.name} is starting"
+        return f"a stage of {self.name} homes" if self._homing else ""
+
+    @property
+    def busy(self) -> bool:
+        """Whether a stage homes, or goes to where its path begins, for as long as that may take."""
+        return bool(self._homing) and not self.finished
 
     def poll(self) -> None:
         """Messages wait in a queue without an end."""
@@ -155,6 +167,7 @@ class RigSource:
                 break
             topic, message = item
             self.counts["heard"] += 1
+            self._homing.discard(topic)
             for reading in self._frames.take(topic, message):
                 time = clock.of_monotonic(float(reading.time[0]))
                 out.append(reading.changed(time=np.array([time])))

@@ -47,7 +47,8 @@ class LiveSession:
         points: Points along the robot at which the shape is given.
         journal: New folder to which readings are written, a recording; None writes none.
         duration: Seconds after which the session ends; None for when all sources have.
-        patience: Seconds without a reading of now before the session ends with an error.
+        patience: Seconds without a reading of now before the session ends with an error, beside
+            those in which a source was `busy`.
         clock: Session time; that of a source which has one, unless given.
 
     Raises:
@@ -208,6 +209,8 @@ class LiveSession:
         return all(source.finished for source in self.sources)
 
     def _require_heard(self) -> None:
+        if any(getattr(source, "busy", False) for source in self.sources):
+            self._heard = time.monotonic()
         silent = time.monotonic() - self._heard
         if silent > self.patience:
             problems = [self._off, *(source.problem for source in self.sources)]

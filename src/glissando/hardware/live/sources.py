@@ -19,6 +19,9 @@ from glissando.model.sensors.readings import Readings
 class Source(Protocol):
     """A source of readings; a context manager.
 
+    One whose readings come late for a reason, such as a stage that homes, may say so by an
+    attribute `busy`; nobody loses patience while it is true.
+
     Attributes:
         name: What it is called in messages.
         first: Session time of its beginning, s, where it has one of its own, else None.
