@@ -13,8 +13,10 @@ from glissando.cli.record import slide_path
 from glissando.errors import DeviceError
 from glissando.hardware.capture import Coil, FurtherStage, Rig, capture
 from glissando.hardware.capture.capture import _motion
-from glissando.hardware.capture.coil_names import name_by_handle
+from glissando.hardware.capture.coil_names import name_by_handle, name_by_identity
+from glissando.hardware.capture.messages import Progress, log_tracker_frame
 from glissando.hardware.drivers import PositionStage, SlideReading
+from glissando.hardware.drivers.aurora_reply import Frame, PortReading
 from glissando.hardware.drivers.aurora_setup import Tool
 from glissando.model.slide_path import SlideLimits, SlidePath
 
@@ -39,6 +41,34 @@ def test_a_coil_without_a_number_takes_a_plug_that_no_other_is_identified_by(ord
     assert name_by_handle(TOOLS, coils) == {10: "tip", 11: "free"}
     with pytest.raises(DeviceError, match="plug other in, or leave it out"):
         name_by_handle(TOOLS, (*coils, Coil("other", 0.3)))
+
+
+def test_coils_that_do_not_describe_themselves_are_told_apart_by_their_handles():
+    tools = [Tool(10, "", "", ""), Tool(11, "", "", ""), Tool(12, "S2", "02", "00")]
+    names = name_by_identity(tools, {10: "one", 11: "two"})
+    tracker, log = SimpleNamespace(tools=tools, counts={}), Logged()
+    ports = tuple(PortReading(t.handle, "missing", 1, 0, None, 0.0) for t in tools)
+    tracker.read = lambda patience: Frame(1, time.monotonic(), 0.0, time.monotonic(), ports)
+    log_tracker_frame(tracker, names, log, 0.5)
+    assert log.topics == ["/tracker/one", "/tracker/two"]
+
+
+def test_coils_of_one_plug_and_no_serial_number_of_their_own_are_a_sentence():
+    same = [Tool(10, "S1", "01", "00"), Tool(11, "S1", "01", "00")]
+    with pytest.raises(DeviceError, match=r"Coil one states port 01, channel 00 and so does"):
+        name_by_identity(same, {10: "one", 11: "two"})
+    told = [Tool(10, "S1", "01", "00"), Tool(11, "S2", "01", "00")]
+    assert name_by_identity(told, {10: "one", 11: "two"}) == {"S1": "one", "S2": "two"}
+
+
+class Logged:
+    """A log that keeps its topics."""
+
+    def __init__(self):
+        self.topics, self.progress = [], Progress()
+
+    def write(self, topic, form, message, at, text):
+        self.topics.append(topic)
 
 
 class Homing:

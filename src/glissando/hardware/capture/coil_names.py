@@ -48,13 +48,24 @@ def name_by_identity(tools: Sequence[Tool], names: dict[int, str]) -> dict[str, 
     Args:
         tools: What is plugged in.
         names: Names by handle.
+
+    Raises:
+        DeviceError: Two coils cannot be told apart.
     """
     named = [tool for tool in tools if tool.handle in names]
-    serials = Counter(tool.serial for tool in tools)
+    serials, plugs = Counter(tool.serial for tool in tools), Counter(map(plug, tools))
     unique = {t.serial: names[t.handle] for t in named if t.serial and serials[t.serial] == 1}
-    return {plug(t): names[t.handle] for t in named} | unique
+    for tool in named:
+        if tool.serial not in unique and plugs[plug(tool)] > 1:
+            raise DeviceError(
+                f"Coil {names[tool.handle]} states {plug(tool)} and so does another, and no serial "
+                f"number tells them apart; unplug one of them."
+            )
+    return {plug(t): names[t.handle] for t in named if plugs[plug(t)] == 1} | unique
 
 
 def plug(tool: Tool) -> str:
-    """Where a tool is plugged in."""
+    """Where a tool is plugged in; its handle where it does not say."""
+    if not tool.port and not tool.channel:
+        return f"handle {tool.handle:02X}"
     return f"port {tool.port}, channel {tool.channel}"
