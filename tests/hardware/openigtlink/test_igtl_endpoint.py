@@ -157,6 +157,28 @@ def test_a_call_that_fails_at_once_is_no_connection(monkeypatch, problem):
         assert exchange.counts == {}
 
 
+def test_a_host_of_several_addresses_is_called_at_each_in_turn(monkeypatch):
+    found = [(socket.AF_INET, socket.SOCK_STREAM, 0, "", ("127.0.0.1", 1))]  # nobody is there
+    near, far = socket.socketpair()
+    with near, far, socket.create_server(("127.0.0.1", 0)) as door:
+        found.append((*found[0][:4], door.getsockname()))
+        monkeypatch.setattr(exchange_module.socket, "getaddrinfo", lambda *_, **__: found)
+        monkeypatch.setattr(exchange_module, "_AGAIN", 0.0)
+        exchange = Exchange(Address.parse("igtl://both:1"), SimpleNamespace(socket=far))
+
+        def connected():
+            exchange._call()
+            for key, events in exchange._selector.select(0.01):
+                exchange._serve(key.fileobj, events)
+            return exchange._peers
+
+        (peer,) = until(connected, 5.0)
+        exchange._let_go(exchange._peers[peer], "lost")
+        (peer,) = until(connected, 5.0)
+        assert exchange._failed == 1  # who answered is called first
+        peer.close()
+
+
 @pytest.mark.slow
 def test_what_a_peer_sends_before_the_endpoint_looks_comes_once(monkeypatch):
     met = endpoint_module._met

@@ -92,6 +92,7 @@ class Exchange:
         self._selector.register(link.socket, selectors.EVENT_READ)
         self._server: socket.socket | None = None
         self._calling: socket.socket | None = None
+        self._failed = 0  # calls: a host may have several addresses, which are called in turn
         self._next_call = self._next_report = self._second = time.monotonic()
         self._reported = 0  # peers
         self.port = address.port
@@ -145,9 +146,10 @@ class Exchange:
             self._hang_up()
         self._next_call = now + _CALL
         with contextlib.suppress(OSError):
-            family, kind, protocol, _, where = socket.getaddrinfo(
+            found = socket.getaddrinfo(
                 self.address.host, self.address.port, type=socket.SOCK_STREAM
-            )[0]
+            )
+            family, kind, protocol, _, where = found[self._failed % len(found)]
             self._calling = socket.socket(family, kind, protocol)
             self._calling.setblocking(False)
             self._selector.register(self._calling, selectors.EVENT_WRITE)
@@ -163,6 +165,7 @@ class Exchange:
         self._selector.unregister(self._calling)
         self._calling.close()
         self._calling, self._next_call = None, time.monotonic() + _AGAIN
+        self._failed += 1
 
     def _answered(self, calling: socket.socket) -> None:
         if calling.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
