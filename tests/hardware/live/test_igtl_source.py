@@ -60,7 +60,7 @@ def test_what_cannot_be_a_reading_is_counted_and_the_session_goes_on():
 
 def _receiving(source, content, device="tip"):
     """The readings of a source whose peer has sent a message."""
-    source._endpoint.receive = lambda: [(time.monotonic(), Message(content, device, 1))]
+    source._endpoint.receive_all = lambda: [(time.monotonic(), Message(content, device, 1))]
     return source.read(SessionClock())
 
 
@@ -87,13 +87,28 @@ def test_readings_of_a_glissando_keep_their_names_and_their_times():
     old = replace(sent[0], metadata={"kind": "pose"})
     begun = -clock.of_monotonic(0.0)
     mad = replace(sent[0], metadata={"kind": "pose", "time": "noon"})
-    source._endpoint.receive = lambda: [(begun + 5.0, m) for m in (*sent, old, mad)]
+    source._endpoint.receive_all = lambda: [(begun + 5.0, m) for m in (*sent, old, mad)]
     *came, last = source.read(clock)
     assert [r.name for r in (*came, last)] == [streams[0].name, streams[1].name, "a" * 20]
     for r in came:
         np.testing.assert_allclose(r.time, 5.0 + readings.time - first - 1.5, atol=1e-6)
     np.testing.assert_allclose(last.time[-1], 5.0, atol=1e-6)
     assert source.counts["invalid"] == 1
+
+
+def test_what_a_pause_left_waiting_is_read_at_once_up_to_the_newest():
+    source = IgtlSource("igtl://127.0.0.1:1?clock=arrival", ROD, PLACES)
+    messages = [Message(c.Position(np.array([k, 0.0, 0.0])), "tip") for k in range(1500)]
+    waiting = [(0.01 * k, message) for k, message in enumerate(messages)]
+
+    def receive():
+        out, waiting[:] = waiting[:256], waiting[256:]
+        return out
+
+    source._endpoint.receive, clock = receive, SessionClock()
+    read = source.read(clock)
+    assert len(read) == 1500
+    assert read[-1].time[-1] == clock.of_monotonic(0.01 * 1499)
 
 
 def test_a_device_that_changes_its_kind_is_invalid():
@@ -157,7 +172,7 @@ def test_a_travel_that_ends_leaves_the_device_nowhere_and_is_named():
         pose = np.eye(4)
         pose[0, 3] = at  # mm: another one each time
         tool = c.TrackingData((c.Tool("coil", c.TOOL_5D, pose),))
-        source._endpoint.receive = lambda: [(at, Message(tool, "tracker"))]
+        source._endpoint.receive_all = lambda: [(at, Message(tool, "tracker"))]
         return source.read(clock)
 
     source._waiting = [(0.0, Message(c.SensorValues(np.array([10.0])), "travel"))]

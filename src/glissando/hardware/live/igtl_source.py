@@ -102,7 +102,7 @@ class IgtlSource:
 
     def poll(self) -> None:
         """Take what has come out of the link, as `read` does, which then reads it."""
-        came = self._endpoint.receive()
+        came = self._endpoint.receive_all()
         self._own["heard"] += len(came)
         self._waiting += came
 

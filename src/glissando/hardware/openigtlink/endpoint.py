@@ -31,6 +31,7 @@ from glissando.hardware.openigtlink.message import Message, decode
 
 _START, _END = 60.0, 5.0  # s that the process may take to begin and to end
 _MOST = 256  # messages that one look takes, so that a flood cannot hold the caller up
+_LOOKS = 8  # that take all that waits: as many messages as the process keeps
 
 
 class Endpoint:
@@ -140,6 +141,15 @@ class Endpoint:
             elif kind == FAILURE:
                 raise DeviceError(data.decode())
         self._require_alive()
+        return out
+
+    def receive_all(self) -> list[tuple[float, Message]]:
+        """What `receive` gives until nothing waits: the newest is among it, and a flood ends."""
+        out: list[tuple[float, Message]] = []
+        for _ in range(_LOOKS):
+            if not (came := self.receive()):
+                break
+            out += came
         return out
 
     def _open(self) -> PacketLink:

@@ -17,7 +17,6 @@ from glissando.hardware.openigtlink.tracker import poses_in
 from glissando.hardware.openigtlink.wire_frame import WireFrame
 
 COMMAND, MEASURED = "StageTarget", "Stage"
-_LOOKS = 8  # that take all that waits, so that positions are fresh and a flood has an end
 
 
 class IgtlStagePeer:
@@ -53,13 +52,9 @@ class IgtlStagePeer:
     def positions(self) -> list[tuple[float, float]]:
         """Times and positions that have come, but no more messages than may wait."""
         out = []
-        for _ in range(_LOOKS):
-            if not (come := self._endpoint.receive()):
-                break
-            for arrival, message in come:
-                places = self._places(message)
-                if places:
-                    out.append((self._clock.monotonic(message.stamp, arrival), places[0]))
+        for arrival, message in self._endpoint.receive_all():
+            if places := self._places(message):
+                out.append((self._clock.monotonic(message.stamp, arrival), places[0]))
         return out
 
     def _places(self, message: Message) -> list[float]:
