@@ -16,6 +16,7 @@ from glissando.hardware.live.clock import SessionClock
 from glissando.hardware.live.igtl_sink import readings_message
 from glissando.hardware.openigtlink import Endpoint, Message, encode, stamp_of
 from glissando.hardware.openigtlink import contents as c
+from glissando.model.sensors.readings import SENSORS
 from live_recordings import (
     ROBOT,
     ROD,
@@ -109,6 +110,37 @@ def test_what_a_pause_left_waiting_is_read_at_once_up_to_the_newest():
     read = source.read(clock)
     assert len(read) == 1500
     assert read[-1].time[-1] == clock.of_monotonic(0.01 * 1499)
+
+
+def _sent(source, messages):
+    """The readings of a source to which readings were sent as arrays."""
+    source._endpoint.receive_all = lambda: [(time.monotonic(), m) for m in messages]
+    return source.read(SessionClock())
+
+
+@pytest.mark.parametrize("kind", sorted(SENSORS))
+def test_readings_of_no_kind_end_a_session_whatever_their_values(kind):
+    """Kinds that need settings, positions where no tracker reaches, values that are no number."""
+    noisy = replace(ROBOT, sensor_std={name: np.ones(1) for name in SENSORS})
+    source = IgtlSource("igtl://127.0.0.1:1?clock=arrival", noisy)
+    table = np.zeros((2, 2 + len(SENSORS[kind].columns)))
+    table[:, 1] = 0.1
+    messages = [
+        Message(c.NumberArray(table + value), kind, 1, 2, metadata={"kind": kind})
+        for value in (0.0, 1.0, 1e300, -np.inf, np.nan)
+    ]
+    read = _sent(source, messages)
+    assert len(read) + source.counts["invalid"] == len(messages)
+    for r in read:
+        assert kind not in ("pose", "coil", "position") or np.abs(r.values[..., :3]).max() <= 20.0
+
+
+def test_streams_are_as_many_as_a_journal_can_keep():
+    source, rest = IgtlSource("igtl://127.0.0.1:1?clock=arrival", ROBOT), swaying()
+    (readings, *_), _ = rest.readings(["tip"], ROBOT, SPAN)
+    named = [readings.changed(name=f"stream {k}") for k in range(100)]
+    assert len(_sent(source, [readings_message(r, 1 << 40) for r in named])) == 64
+    assert source.counts["invalid"] == 36
 
 
 def test_a_device_that_changes_its_kind_is_invalid():

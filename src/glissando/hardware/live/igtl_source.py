@@ -32,6 +32,7 @@ from glissando.model.slide_track import SlideTrack
 TRAVEL = "travel"  # the device whose SENSOR messages state the slide's travel
 _OWN_CLOCK = 1 << 52  # stamps below are a recording's own time, not a wall clock's
 _FAR = 20.0  # m from the origin: no tracker reaches there
+_MOST = 64  # streams: a journal keeps a file open for each
 
 
 class IgtlSource:
@@ -167,6 +168,8 @@ class IgtlSource:
 
     def _require_kind(self, name: str, kind: str) -> None:
         """Raise DeviceError for another kind than a device sent before: a stream is of one kind."""
+        if name not in self._kinds and len(self._kinds) >= _MOST:
+            raise DeviceError(f"{name} is one of more than {_MOST} streams; send fewer.")
         if (first := self._kinds.setdefault(name, kind)) != kind:
             raise DeviceError(f"{name} sent a {kind} and before a {first}; send one of them.")
 
@@ -185,16 +188,20 @@ class IgtlSource:
         """Readings of a glissando's own sink, times and values as float64."""
         assert isinstance(message.content, c.NumberArray)
         kind, table = message.metadata.get("kind", ""), np.asarray(message.content.values, float)
-        if kind not in SENSORS or table.ndim != 2 or not len(table):
+        sensor = SENSORS.get(kind)
+        if sensor is None or sensor.settings or table.ndim != 2 or not len(table):
             raise DeviceError(f"{message.device} sent an array that is no readings; leave it out.")
-        columns = 2 + len(SENSORS[kind].columns)
-        if table.shape[1] != columns:
-            raise DeviceError(f"{message.device} sent {table.shape[1]} columns, not {columns}.")
+        units = ["s", "", *sensor.columns.values()]
+        if table.shape[1] != len(units):
+            raise DeviceError(f"{message.device} sent {table.shape[1]} columns, not {len(units)}.")
+        if not np.all(np.abs(table[:, [unit == "m" for unit in units]]) <= _FAR):
+            raise DeviceError(f"{message.device} sent lengths beyond {_FAR:g} m; send metres.")
         name = file_stem(message.metadata.get("name", message.device), DeviceError)
         stamped, time = self._time(message.stamp, arrival, clock), table[:, 0]
         if self._endpoint.address.clock != "sender":
             time = time + (stamped - _time_of_stamp(message, time[-1]))
-        values = SENSORS[kind].from_columns(table[:, 2:])
+        with np.errstate(all="ignore"):  # readings refuse the NaN of a quaternion of zeros
+            values = sensor.from_columns(table[:, 2:])
         self._require_kind(name, kind)
         return batch(self._robot, kind, name, time, table[:, 1], values)
 
