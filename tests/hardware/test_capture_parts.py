@@ -61,6 +61,33 @@ def test_coils_of_one_plug_and_no_serial_number_of_their_own_are_a_sentence():
     assert name_by_identity(told, {10: "one", 11: "two"}) == {"S1": "one", "S2": "two"}
 
 
+@pytest.mark.parametrize(("off", "side"), [(-1.8e9, "1.8e\\+09 s before"), (5.0, "5 s after")])
+def test_a_tracker_whose_clock_is_another_is_a_sentence(off, side):
+    log, now, frames = Logged(), time.monotonic(), []
+    tracker = SimpleNamespace(tools=TOOLS, counts={}, read=lambda patience: frames.pop())
+
+    def logged(stamp):
+        ports = (PortReading(10, "valid", 1, 0, np.eye(4), 0.0),)
+        frames.append(Frame(1, stamp, 0.0, now, ports))
+        log_tracker_frame(tracker, {"S1": "tip"}, log, 0.5)
+
+    with pytest.raises(DeviceError, match=f"Coil tip is stamped {side} its arrival; set both"):
+        logged(now + off)
+    logged(now - 0.1)
+    logged(now - 1.5)  # it came late
+    assert log.topics == 2 * ["/tracker/tip"]
+
+
+def test_a_tracker_that_sends_nothing_is_named_until_it_does():
+    log = Logged()
+    frames = [Frame(1, 1.0, 0.0, 1.0, ()), None]
+    tracker = SimpleNamespace(tools=TOOLS, counts={}, read=lambda patience: frames.pop())
+    log_tracker_frame(tracker, {}, log, 0.5)
+    assert log.progress.problems == {"tracker": "sent nothing for 0.5 s"}
+    log_tracker_frame(tracker, {}, log, 0.5)
+    assert log.progress.problems == {}
+
+
 class Logged:
     """A log that keeps its topics."""
 
@@ -69,6 +96,7 @@ class Logged:
 
     def write(self, topic, form, message, at, text):
         self.topics.append(topic)
+        self.progress.last[topic] = text
 
 
 class Homing:

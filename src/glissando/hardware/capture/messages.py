@@ -16,6 +16,7 @@ from glissando.hardware.drivers import SlideReading, Tracker, ViconStream
 from glissando.io.session_log import INTEGER, NUMBER, SessionWriter, numbers, schema
 from glissando.model.table import pose_table
 
+_OFF = 1.0  # s by which a coil's first frame may be off its arrival
 _POSE = {"position": numbers(3), "quaternion": numbers(4)}
 _TRACKER = schema(
     "glissando.Coil", time=NUMBER, frame=INTEGER, **_POSE, error=NUMBER, status=INTEGER
@@ -92,15 +93,26 @@ def log_tracker_frame(
         names: Names of the coils by serial number or plug, see `name_by_identity`.
         log: Where to.
         patience: How long to wait for a frame, s.
+
+    Raises:
+        DeviceError: The tracker failed, or a coil's first frame is not of now.
     """
     frame = tracker.read(patience)
     if frame is None:
+        log.progress.problems["tracker"] = f"sent nothing for {patience:g} s"
         return
+    log.progress.problems.pop("tracker", None)
     coils = {t.handle: names.get(t.serial) or names.get(plug(t)) for t in tracker.tools}
     for port in frame.ports:
         name = coils.get(port.handle)
         if name is None:
             continue
+        off = frame.time - frame.arrival
+        if abs(off) > _OFF and f"/tracker/{name}" not in log.progress.last:
+            raise DeviceError(
+                f"Coil {name} is stamped {abs(off):.3g} s {'after' if off > 0.0 else 'before'} its "
+                f"arrival; set both clocks by NTP, or take frames by their arrival (clock=arrival)."
+            )
         stamp = {"time": frame.time, "frame": frame.number}
         quality = {"error": port.quality, "status": port.status or 0}
         pose, text = _shown(port.pose if port.good else None)
