@@ -107,6 +107,8 @@ def test_a_coil_of_a_setup_may_slide_in_a_channel_and_its_session_says_so(tmp_pa
         ("[0.1, 0, 0]", "[100, 0, 0]", "more than 3 m away; give metres"),
         ("[0, 0, 0.02]", "[0, 0, 20]", "more than 1 m away"),
         ("arclength = 0.70", "arclength = 0.70\narclength_std = 2", "arclength_std is 2 m; give"),
+        ("stroke = [0.0, 0.06]", "stroke = [-0.01, 0.06]", r"coil at 0.7 m leaves .* by 0.01 m on"),
+        ("arclength = 0.70", "arclength = 0.05", r"coil at 0.05 m leaves .* by 0.01 m .* correct"),
         ("standing = 0.0", "home = -2", "Home at -2 m lies far off the stroke"),
         ('address = "/dev/ttyUSB1"', "", "address is missing"),
         ("lead = 0.0254", "leed = 0.0254", "lead is missing"),

@@ -57,7 +57,17 @@ class Coil:
     def arclengths(self, travel: Array, length: float) -> Array:
         """Arclengths (M,) m on a robot of some length, m, at travels (M,) m of the slide."""
         place = self.arclength - travel if self.slides else np.full(travel.shape, self.arclength)
-        return np.clip(place, *(self.channel.travels(length) if self.channel else (0.0, length)))
+        return np.clip(place, *self._ends(length))
+
+    def off(self, stroke: tuple[float, float], length: float) -> float:
+        """How far a stroke takes it off a robot of some length, m; zero or less if it does not."""
+        low, high = self._ends(length)
+        most = self.arclength - stroke[0] - high, low - self.arclength + stroke[1]
+        return max(most) if self.slides else 0.0
+
+    def _ends(self, length: float) -> tuple[float, float]:
+        """Its first and last arclength on a robot of some length."""
+        return self.channel.travels(length) if self.channel else (0.0, length)
 
     def described(self) -> dict[str, Any]:
         """What a session log states about it, in JSON's types."""
@@ -206,13 +216,26 @@ def load_rig(path: str | Path) -> Rig:
         mocap.close()
     _require_apart(path.name, "slides", [one.name for one in further])
     _require_apart(path.name, "bodies", [body.name for body in devices.get("bodies", ())])
-    known = {"", *(one.name for one in further)}
+    stages = {"": devices.get("stage"), **{one.name: one.stage for one in further}}
     for coil in devices.get("coils", ()):
-        if coil.slide not in known:
-            raise DeviceError(
-                f"{path.name}: coil {coil.name} is moved by {coil.slide!r}; name one of [[slides]]."
-            )
+        _require_moved(path.name, coil, stages, length)
     return Rig(name, robot, **devices)
+
+
+def _require_moved(
+    where: str, coil: Coil, stages: Mapping[str, PositionStage | None], length: float
+) -> None:
+    """Raise DeviceError for a coil that no stage moves, or one moves off the robot."""
+    if coil.slide not in stages:
+        raise DeviceError(
+            f"{where}: coil {coil.name} is moved by {coil.slide!r}; name one of [[slides]]."
+        )
+    stage = stages[coil.slide]
+    if stage and (off := coil.off(stage.stroke, length)) > 3.0 * coil.arclength_std:
+        raise DeviceError(
+            f"{where}: coil {coil.name} at {coil.arclength:g} m leaves the robot by {off:.3g} m on "
+            f"the stroke {list(stage.stroke)} m; correct one of them."
+        )
 
 
 def _require_apart(where: str, what: str, names: list[str]) -> None:
