@@ -5,6 +5,7 @@ import time
 import numpy as np
 import pytest
 
+from glissando.errors import DeviceError
 from glissando.hardware.drivers import RemoteStage
 from glissando.hardware.openigtlink import Message
 from glissando.hardware.openigtlink import contents as c
@@ -12,6 +13,18 @@ from glissando.hardware.openigtlink.stage import IgtlStagePeer
 from glissando.hardware.openigtlink.tracker import IgtlTracker
 
 ADDRESS = "igtl://127.0.0.1:1?clock=arrival"
+
+
+@pytest.mark.parametrize(
+    "opened",
+    [
+        lambda address: IgtlTracker(address, ["tip"]),
+        lambda address: IgtlStagePeer(address, RemoteStage(stroke=(0.0, 0.06))),
+    ],
+)
+def test_a_device_of_a_rig_keeps_no_time_of_its_own(opened):
+    with pytest.raises(DeviceError, match=r"this computer's time; give clock=fitted, shared or"):
+        opened("igtl://127.0.0.1:1?clock=sender")
 
 
 @pytest.mark.parametrize(

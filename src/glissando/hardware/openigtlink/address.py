@@ -72,6 +72,21 @@ class Address:
             raise DeviceError(f"{text!r} is no address; {_HINT}")
         return cls(host, port, listens, _UNITS[unit], axes, clock, start, send)
 
+    @classmethod
+    def of_rig(cls, text: str) -> Address:
+        """The address of a device of a rig, whose times are this computer's.
+
+        Raises:
+            DeviceError: The text is none, or keeps another time.
+        """
+        out = cls.parse(text)
+        if out.clock == "sender":
+            raise DeviceError(
+                f"{text}: a recording keeps this computer's time; give clock=fitted, shared or "
+                f"arrival."
+            )
+        return out
+
 
 _HINT = (
     "give igtl://host:port to call a server, igtl-server://host:port to be one; after a ? "

@@ -10,6 +10,7 @@ import numpy as np
 
 from glissando.hardware.drivers.remote_stage import RemoteStage
 from glissando.hardware.openigtlink import contents as c
+from glissando.hardware.openigtlink.address import Address
 from glissando.hardware.openigtlink.endpoint import Endpoint
 from glissando.hardware.openigtlink.message import Message, encode, stamp_of
 from glissando.hardware.openigtlink.sender_clock import SenderClock
@@ -38,7 +39,7 @@ class IgtlStagePeer:
     def __init__(self, address: str, stage: RemoteStage) -> None:
         self._endpoint, self.counts = Endpoint(address), Counter[str]()
         self._frame = WireFrame.of(self._endpoint.address)
-        self._clock = SenderClock(self._endpoint.address.clock)
+        self._clock = SenderClock(Address.of_rig(address).clock)
         self._command, self._measured = stage.command or COMMAND, stage.measured or MEASURED
 
     def __enter__(self) -> Self:

@@ -14,6 +14,7 @@ from glissando.geometry.se3 import Array
 from glissando.hardware.drivers.aurora_reply import Frame, PortReading
 from glissando.hardware.drivers.aurora_setup import Tool
 from glissando.hardware.openigtlink import contents as c
+from glissando.hardware.openigtlink.address import Address
 from glissando.hardware.openigtlink.endpoint import Endpoint
 from glissando.hardware.openigtlink.message import Message
 from glissando.hardware.openigtlink.sender_clock import SenderClock
@@ -75,7 +76,7 @@ class IgtlTracker:
     def __init__(self, address: str, names: Sequence[str]) -> None:
         self._endpoint = Endpoint(address)
         self._frame = WireFrame.of(self._endpoint.address)
-        self._clock = SenderClock(self._endpoint.address.clock)
+        self._clock = SenderClock(Address.of_rig(address).clock)
         self.tools = [Tool(k, name, "openigtlink", str(k)) for k, name in enumerate(names)]
         self._handles = {tool.serial: tool.handle for tool in self.tools}
         self._own: Counter[str] = Counter()
