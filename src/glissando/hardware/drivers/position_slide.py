@@ -169,57 +169,48 @@ class PositionSlide:
         """A time before which the last reading was not measured."""
         return last.time
 
-    def move(self, travel: float, *, speed: float | None = None) -> list[SlideReading]:
-        """Go to a travel in metres at a speed in m/s, the stage's by default."""
-        speed = self.stage.speed if speed is None else speed
+    def move(self, travel: float) -> list[SlideReading]:
+        """Go to a travel in metres at the stage's speed."""
+        speed = self.stage.speed
         self.stage.require_inside(travel)
-        self.stage.require_allowed(speed)
         start = self.read()
         lasts = abs(travel - start.travel) / speed + speed / self.stage.acceleration
         with _standing_still(self):
             self._go(travel, speed, start.travel)
             return [start, *self._until_rest(travel, lasts)]
 
-    def follow(
-        self, time: ArrayLike, travel: ArrayLike, *, rate: float | None = None
-    ) -> Iterator[SlideReading]:
+    def follow(self, time: ArrayLike, travel: ArrayLike) -> Iterator[SlideReading]:
         """Follow a path, straight between its points, yielding readings.
 
         Args:
             time: Times (K,), s; the first is now.
             travel: Travels (K,) at these times, m; the stage goes to the first before.
-            rate: Goals and readings a second; the stage's own by default.
         """
         times, places = self.stage.path(time, travel)
         self.move(float(places[0]))
-        yield from self.pursue(lambda t: np.interp(t, times, places), times[-1], rate=rate)
+        yield from self.pursue(lambda t: np.interp(t, times, places), times[-1])
 
-    def pursue(
-        self, wanted: Callable[[float], float], lasts: float, *, rate: float | None = None
-    ) -> Iterator[SlideReading]:
+    def pursue(self, wanted: Callable[[float], float], lasts: float) -> Iterator[SlideReading]:
         """Follow a path that is decided on the way, yielding readings; at its end, rest.
 
         Args:
             wanted: The travel in m at a time in s from now, up to three periods after the end.
             lasts: Duration, s.
-            rate: Goals and readings a second; the stage's own by default.
         """
-        rate = self.rate if rate is None else rate
-        if not 0.0 < rate <= 1000.0:
-            raise DeviceError(f"Goals at {rate:g} Hz cannot be; give a rate above zero.")
+        ahead = self.ahead / self.rate
         with _standing_still(self):
             aim = self.read().travel
             begun = beat = until = monotonic()  # until: when the goals that wait are reached
             while (now := monotonic()) - begun < lasts:
-                goal = float(wanted(now - begun + self.ahead / rate))
+                goal = float(wanted(now - begun + ahead))
                 self.stage.require_inside(goal)
-                span = now + self.ahead / rate - max(until, now)
+                span = now + ahead - max(until, now)
                 speed = min(abs(goal - aim) / span, 1.1 * self.stage.speed)
-                aim, until = self._go(goal, speed, aim), now + self.ahead / rate
+                aim, until = self._go(goal, speed, aim), now + ahead
                 reading = self.read()
                 self._require_near(reading, float(wanted(reading.time - begun)))
                 yield reading
-                beat = max(beat + 1.0 / rate, now)
+                beat = max(beat + 1.0 / self.rate, now)
                 sleep(max(beat - monotonic(), 0.0))
             last = float(wanted(lasts))
             self._go(last, self.stage.speed, aim)

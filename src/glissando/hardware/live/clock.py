@@ -8,15 +8,10 @@ from glissando.hardware.openigtlink import seconds_since, stamp_of
 
 
 class SessionClock:
-    """Maps the host's clocks to session time, in which readings and estimates are stamped.
+    """Maps the host's clocks to session time, in which readings and estimates are stamped."""
 
-    Args:
-        first: Session time now, s.
-    """
-
-    def __init__(self, first: float = 0.0) -> None:
-        self._stamp = stamp_of(time.time())
-        self.begin_at(first)
+    def __init__(self) -> None:
+        self.begin_at(0.0)
 
     def begin_at(self, first: float) -> None:
         """Let session time be `first` seconds now."""

@@ -32,7 +32,6 @@ class Xl430:
 
     Args:
         screw: What it turns.
-        identity: Its address on the bus.
         now: When it is switched on, s.
         clock: Rate of its own clock against ours.
         tick: Where that clock begins, ms.
@@ -42,14 +41,12 @@ class Xl430:
         self,
         screw: Screw | None = None,
         *,
-        identity: int = 1,
         now: float = 0.0,
         clock: float = 1.0,
         tick: int = 0,
     ) -> None:
         self.screw = Screw() if screw is None else screw
         self.table = ControlTable()
-        self.table["id"] = identity
         self._clock = clock
         self._parser = Parser()
         self._profile = Profile(now, self.screw.angle)
