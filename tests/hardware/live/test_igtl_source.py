@@ -183,6 +183,18 @@ def test_travel_moves_a_sliding_coil_and_units_and_axes_are_the_peers():
     np.testing.assert_allclose(read.values[0, :3, 3], [-0.1, -0.2, 0.3], atol=1e-7)
 
 
+def test_a_peer_that_sends_nothing_but_images_is_named():
+    image = encode(Message(c.Text("x" * 300), "scan")).replace(b"STRING", b"IMAGES", 1)
+    with (
+        Endpoint("igtl-server://:0") as peer,
+        IgtlSource(f"igtl://127.0.0.1:{peer.address.port}", ROBOT, PLACES) as source,
+    ):
+        until(lambda: peer.receive() or peer.peers)
+        peer.send(3 * [image])
+        until(lambda: source.poll() or source.counts["of unread types"] == 3)
+        assert source.problem.endswith("sends nothing that is read here")
+
+
 def test_a_device_that_slides_is_not_placed_before_a_travel_is_known():
     source = IgtlSource("igtl://127.0.0.1:1", ROBOT, [Placement("coil", 0.4, "coil", True)])
     message = Message(c.TrackingData((c.Tool("coil", c.TOOL_5D, np.eye(4)),)), "tracker")

@@ -95,7 +95,8 @@ class IgtlSource:
             calls = "nobody has called" if self._endpoint.address.listens else "nobody answers"
             return f"{calls} at {self.name}"
         if self.status or not np.isfinite(self._heard):
-            return self.status or f"{self.name} sends nothing"
+            unread = " that is read here" if self.counts["of unread types"] else ""
+            return self.status or f"{self.name} sends nothing{unread}"
         if not self._lacks_travel:
             return ""
         ended = self._slide.known

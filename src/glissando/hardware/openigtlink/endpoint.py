@@ -46,8 +46,8 @@ class Endpoint:
         address: The address in parts, its port the one that is listened at.
         peers: How many peers are connected.
         counts: Events: peers 'connected', 'lost', 'silent', 'refused' for what they sent, 'turned
-            away'; 'updates dropped' for slow peers; 'messages dropped', 'malformed'; 'not sent',
-            because the process had not taken the update before.
+            away'; 'updates dropped' for slow peers; 'messages dropped', 'malformed' or 'of unread
+            types'; 'not sent', because the process had not taken the update before.
 
     Raises:
         DeviceError: The address is wrong, or cannot be listened at; in any method, the process

@@ -232,11 +232,13 @@ class Exchange:
             self._let_go(peer, "lost")
             return
         peer.budget -= len(data)
+        before = peer.framer.skipped
         try:
             messages = peer.framer.feed(data)
         except MessageError:
             self._let_go(peer, "refused")
             return
+        self.counts["of unread types"] += peer.framer.skipped - before
         for message in messages if self._hears else ():
             if len(self._messages) == _WAITING:
                 self.counts["messages dropped"] += 1

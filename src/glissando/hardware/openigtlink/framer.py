@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from collections import Counter
-
 from glissando.hardware.openigtlink.contents import CONTENTS
 from glissando.hardware.openigtlink.errors import MalformedError
 from glissando.hardware.openigtlink.message import HEADER, Header, read_header
-
-_TYPES = 32  # that are counted by name
 
 
 class Framer:
@@ -18,11 +14,11 @@ class Framer:
         most: Bytes that the body of a message may have if it is of a type that is read.
 
     Attributes:
-        skipped: Messages of types that are not read, by type, the first 32 by name.
+        skipped: How many messages of types that are not read were passed over.
     """
 
     def __init__(self, most: int = 1 << 22) -> None:
-        self.skipped: Counter[str] = Counter()
+        self.skipped = 0
         self._held = bytearray()
         self._most, self._pass_over = most, 0
         self._size: int | None = None  # of the message that has begun
@@ -52,8 +48,7 @@ class Framer:
         """Decide whether the next message is kept or passed over."""
         size = HEADER + header.size
         if header.type_id not in CONTENTS:
-            known = header.type_id in self.skipped or len(self.skipped) < _TYPES
-            self.skipped[header.type_id if known else "other"] += 1
+            self.skipped += 1
             self._pass_over = size
             return
         if header.size > self._most:
