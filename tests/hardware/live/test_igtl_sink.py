@@ -4,6 +4,7 @@ import json
 import re
 from contextlib import ExitStack
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +15,8 @@ from glissando.hardware.live import IgtlSink, LiveSession, RecordingSource
 from glissando.hardware.live.igtl_sink import frame_name, readings_message
 from glissando.hardware.openigtlink import Endpoint, Message, decode, encode
 from glissando.hardware.openigtlink import contents as c
-from glissando.model.sensors.sensors import PoseReadings
+from glissando.model.sensors.sensors import CoilReadings, FbgReadings, PoseReadings
+from glissando.model.tendons.channel import Channel
 from live_recordings import ROBOT, ROD, swaying
 from waiting import until
 
@@ -129,6 +131,25 @@ def test_the_status_says_what_is_silent():
     sink = IgtlSink("igtl://127.0.0.1:1")
     with sink:
         assert sink.problem == "nobody answers at igtl://127.0.0.1:1"
+
+
+def test_readings_that_an_array_does_not_state_whole_are_not_sent_and_named():
+    given = {"time": [0.0], "arclength": [0.1], "cov": 1e-6}
+    plain = PoseReadings(values=[np.eye(4)], name="plain", **given)
+    turned = plain.changed(name="turned", mount=se3.exp(np.array([0, 0, 0, 0, 0, 1.0])))
+    inside = CoilReadings(values=[np.eye(4)], name="inside", channel=Channel(0.004), **given)
+    cores = FbgReadings(
+        values=np.zeros((1, 3)),
+        name="cores",
+        core_radius=np.full(3, 1e-4),
+        core_angle=np.arange(3.0),
+        **given,
+    )
+    sink = IgtlSink("igtl://127.0.0.1:1?send=readings")
+    update = SimpleNamespace(stamp=1, time=0.0, readings=[plain, turned, inside, cores])
+    assert [decode(wire).device for wire in sink._readings(update)] == ["plain"]
+    why = "not sent (mount, channel or settings)"
+    assert sink.counts == {f"{name} {why}": 1 for name in ("turned", "inside", "cores")}
 
 
 @pytest.mark.parametrize("name", ["caméra de droite très longue", "位置位置位置位置位置位置位置"])

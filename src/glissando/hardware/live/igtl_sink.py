@@ -9,7 +9,7 @@
 | Ellipsoids95 | POLYDATA | an ellipsoid of 95 % about each frame |
 | Points | POINT | ten times a second: sensors as they were measured last, and forces |
 | Estimate | STATUS, STRING | once a second: well or not, and figures as JSON |
-| (stream) | NDARRAY | readings, exactly, for another glissando |
+| (stream) | NDARRAY | values of readings, exactly, for another glissando |
 
 `sigma` is the root of the total position variance in the wire's unit of length.
 """
@@ -48,6 +48,10 @@ class IgtlSink:
     Args:
         address: As `Endpoint` takes it; `send=` in it chooses what is sent.
 
+    Attributes:
+        counts: What happened to the peers, and updates of streams 'not sent' because they have a
+            mount, a channel or settings, which another glissando would not learn of.
+
     Raises:
         DeviceError: The address is wrong.
     """
@@ -59,6 +63,7 @@ class IgtlSink:
         self._send = self._endpoint.address.send
         self._stated = self._pointed = -np.inf
         self._measured: dict[str, Array] = {}
+        self._unsent = Counter[str]()
 
     def __enter__(self) -> Self:
         self._endpoint.__enter__()
@@ -75,8 +80,8 @@ class IgtlSink:
 
     @property
     def counts(self) -> Counter[str]:
-        """What happened to the peers."""
-        return self._endpoint.counts
+        """What happened to the peers, and what was not sent."""
+        return self._unsent + self._endpoint.counts
 
     @property
     def problem(self) -> str:
@@ -153,8 +158,13 @@ class IgtlSink:
     def _readings(self, update: Update) -> list[bytes]:
         if "readings" not in self._send:
             return []
-        at = update.stamp, update.time
-        return [encode(readings_message(r, *at)) for r in update.readings if r.kind]
+        at, out = (update.stamp, update.time), []
+        for readings in filter(lambda r: r.kind, update.readings):
+            if _is_whole(readings):
+                out.append(encode(readings_message(readings, *at)))
+            else:
+                self._unsent[f"{readings.label} not sent (mount, channel or settings)"] += 1
+        return out
 
 
 @lru_cache(maxsize=4096)
@@ -183,6 +193,12 @@ def readings_message(readings: Readings, stamp: int, time: float | None = None) 
     rows = Rows(readings.kind, readings.time, readings.arclength, readings.values, {})
     table = c.NumberArray(rows.table())
     return Message(table, within(readings.label, 20), stamp, 2, metadata=metadata)
+
+
+def _is_whole(readings: Readings) -> bool:
+    """Whether time, arclength and values say all that a residual needs of readings."""
+    placed = readings.channel is not None or np.any(readings.mount != np.eye(4))
+    return not (placed or readings.settings)
 
 
 def within(text: str, size: int) -> str:
