@@ -1,6 +1,7 @@
 """`glissando learn`: a robot file from a recording, mistakes as one sentence."""
 
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -11,7 +12,9 @@ import pytest
 from command_line import run
 from glissando import load_robot
 from glissando.calibration.robot import learn as learning
+from glissando.cli import learn as learn_command
 from glissando.cli.learn import _held_out_cells
+from glissando.evaluation.run import run_estimate
 from glissando.io.shipped_robots import robot_file
 from learn_drawn import same_process
 
@@ -78,6 +81,27 @@ def test_constants_found_jointly_are_written_as_known_without_the_truths_delay(
     robot = load_robot(out)
     assert [u.name for u in robot.sensor_parameters] == names
     assert all(u.known for u in robot.sensor_parameters)
+
+
+def test_truth_that_was_learned_from_is_no_sensor_where_other_truth_is_held_out(
+    recording, tmp_path, capsys, in_process, monkeypatch
+):
+    """Nothing marks truth here, so each stream is a sensor unless an option says otherwise."""
+    folder = tmp_path / "unmarked"
+    shutil.copytree(recording, folder)
+    text = (folder / "recording.toml").read_text()
+    (folder / "recording.toml").write_text(text.replace("truth = true\n", ""))
+    used = []
+
+    def watched(*given, use, **more):
+        used.append(use)
+        return run_estimate(*given, use=use, **more)
+
+    monkeypatch.setattr(learn_command, "run_estimate", watched)
+    options = ["--robot", folder / "few.toml", "--out", tmp_path / "out.toml", "--steps", 1]
+    more = ["--truth", "truth2,truth4", "--hold-out", "truth3", "--only", "gyro noise"]
+    assert run("learn", folder, *options, *WINDOW, *more) == 0
+    assert used == 2 * [["coil", "gyro", "truth1"]]
 
 
 def test_without_json_a_table_is_printed_that_names_the_numbers(

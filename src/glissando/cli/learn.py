@@ -9,6 +9,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from glissando.calibration.robot.case import RecordingCase
 from glissando.calibration.robot.hyperparameters import Document, Parameter, expanded, learnable
 from glissando.calibration.robot.joint_calibration import lasting, locate
@@ -116,8 +118,8 @@ def _learn(options: argparse.Namespace) -> int:
     report = _as_json(result, options.out) | {"windows": [case.window for case in cases]}
     if options.hold_out and not result.interrupted:
         report["held_out"] = [
-            {"file": name, **_held_out(recording, file, options)}
-            for recording in recordings
+            {"file": name, **_held_out(case, file, options)}
+            for case in cases
             for name, file in (("before", document), ("after", written))
         ]
     if options.json:
@@ -211,13 +213,14 @@ def _with_constants(result: Learned) -> Document:
 
 
 def _held_out(
-    recording: Recording, document: Document, options: argparse.Namespace
+    case: RecordingCase, document: Document, options: argparse.Namespace
 ) -> dict[str, Any]:
-    """Errors against truth that was not learned from."""
-    robot = parse_robot(Table(document, "learned", GlissandoError))
-    run = run_estimate(
-        recording, robot, window=options.window, use=options.use, truth=options.hold_out
-    )
+    """Errors against truth that was not learned from, of an estimate from the case's sensors."""
+    robot, recording = parse_robot(Table(document, "learned", GlissandoError)), case.recording
+    start, stop = checked_window(recording, options.window)
+    times = {name: recording.stream(name).rows.time for name in case.use}
+    use = [name for name, time in times.items() if np.any((time >= start) & (time <= stop))]
+    run = run_estimate(recording, robot, window=(start, stop), use=use, truth=options.hold_out)
     return {"recording": recording.name, **pool(run.errors).summary()}
 
 
