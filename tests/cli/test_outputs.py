@@ -86,6 +86,19 @@ def test_a_recording_is_no_folder_for_results(held, tmp_path, capsys, words):
     assert "is a recording; give a folder for the results" in capsys.readouterr().err
 
 
+def test_a_recording_of_the_public_layout_is_kept_as_any_other(held, tmp_path, capsys):
+    public = tmp_path / "public"
+    public.mkdir()
+    head = "Sensor type,vicon\ntime,arclength,rho_x,rho_y,rho_z,phi_x,phi_y,phi_z\n"
+    (public / "vicon1.csv").write_text(head + "0,0.7,0,0,0.7,0,0,0\n")
+    with kept(public):
+        words = ["export", held, "--stream", "coil", "--out", public / "vicon1.csv"]
+        assert run(*words) == 2
+        assert "would replace data; give another name or folder" in capsys.readouterr().err
+        assert run("estimate", held, "--out", public) == 2
+        assert "is a recording; give a folder for the results" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [

@@ -13,6 +13,7 @@ import tomli_w
 
 from glissando.errors import GlissandoError
 from glissando.io.atomic_file import write_text
+from glissando.io.csv_stream import is_public
 from glissando.io.provenance import digests, made_by, stated_format
 from glissando.io.session_recording import LOG
 from glissando.io.shipped_robots import robot_file
@@ -44,7 +45,9 @@ def require_spared(option: str, out: Path, *inputs: str | Path | None) -> None:
 
 
 def _is_recording(folder: Path) -> bool:
-    return any((folder / name).is_file() for name in (_TOML, LOG))
+    """Whether a folder is a recording, described, a session's or of the public layout."""
+    described = any((folder / name).is_file() for name in (_TOML, LOG))
+    return described or any(is_public(file) for file in folder.glob("*.csv"))
 
 
 def stated(options: argparse.Namespace, robot: Robot | None = None) -> dict[str, Any]:

@@ -16,13 +16,14 @@ from glissando.errors import RecordingError
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.io.atomic_file import write_table
-from glissando.io.plain_file import plain_text
+from glissando.io.plain_file import plain_text, require_plain
 from glissando.model.brief import Brief
 from glissando.model.seconds import seconds
 from glissando.model.sensors.readings import Readings
 from glissando.model.sensors.sensors import sensor_class
 from glissando.model.tendons.channel import Channel
 
+_PUBLIC_HEAD = "sensor type"
 _PUBLIC_KINDS = {"aurora": ("pose", False), "vicon": ("pose", True), "gyro": ("gyro", False)}
 _QUATERNION = ["qw", "qx", "qy", "qz"]
 _NEAR_CLIP = 0.99  # a value within 1 % of its sensor's range is taken as clipped
@@ -105,6 +106,18 @@ def scale_of(unit: str, length: float, angle: float) -> float:
     return scales.get(above, 1.0) / scales.get(below, 1.0)
 
 
+def is_public(path: Path) -> bool:
+    """Whether a file begins as a stream of the public space-time recordings does."""
+    try:
+        require_plain(path)
+        with path.open("rb") as file:
+            begun = file.read(100)
+    except OSError:
+        return False
+    text = begun.decode("utf-8-sig", "replace")
+    return text.lstrip().lower().startswith(_PUBLIC_HEAD)
+
+
 def read_public(path: Path) -> tuple[Rows, bool]:
     """A stream of the public space-time recordings, and whether it is ground truth.
 
@@ -115,7 +128,7 @@ def read_public(path: Path) -> tuple[Rows, bool]:
     """
     lines = _lines(path)
     head = [part.strip() for part in lines[0].split(",")] if lines else []
-    if len(head) < 2 or not head[0].lower().startswith("sensor type"):
+    if len(head) < 2 or not head[0].lower().startswith(_PUBLIC_HEAD):
         raise RecordingError(
             f"{path.name} line 1: the header has no sensor type, as those of the public recordings "
             f"have. Name the folder's streams and their kinds in a recording.toml, see "
