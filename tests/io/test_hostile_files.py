@@ -15,6 +15,7 @@ from mcap.writer import CompressionType, Writer
 
 from draws import law
 from foreign_bags import bag, c3d
+from glissando import estimate
 from glissando.cli.main import main
 from glissando.errors import GlissandoError, RecordingError, RobotFileError, SensorError
 from glissando.io.csv_stream import Rows, Stream
@@ -22,7 +23,7 @@ from glissando.io.foreign import read_tracks
 from glissando.io.foreign.recording import Choices, write_recording
 from glissando.io.foreign.tracks import Track
 from glissando.io.journal import Journal
-from glissando.io.netcdf import load_posterior
+from glissando.io.netcdf import load_posterior, save_posterior
 from glissando.io.plain_file import file_stem
 from glissando.io.recording import load_recording, save_recording
 from glissando.io.recording_writer import write_streams
@@ -30,6 +31,7 @@ from glissando.io.robot_file import load_robot
 from glissando.io.session_log import read_session
 from glissando.io.session_log.reader import Topic
 from glissando.io.shipped_robots import beside, robot_file
+from glissando.model.grid import Grid
 from glissando.model.sensors.sensors import PoseReadings
 
 PATHS = ["../x", "a/b", "/tmp/x", "..", ".hidden", "a\\b", "a\0b", "a\nb", "", " ", "n" * 300]
@@ -165,6 +167,24 @@ def test_a_posterior_that_announces_more_than_it_holds_is_refused_before_it_is_r
         file.create_dataset("information", (1 << 20, 1 << 12), "f8", chunks=True)
     with pytest.raises(GlissandoError, match="announces 34,359,738,368 bytes"):
         load_posterior(tmp_path / "a.nc")
+
+
+@pytest.mark.slow
+def test_a_posterior_of_fine_nodes_is_read_though_its_zeros_pack_well(tmp_path, monkeypatch):
+    robot = load_robot("tdcr466")
+    grid = Grid(np.linspace(0.0, robot.length, 60), np.array([0.0, 0.05]))
+    tip = np.eye(4)
+    tip[2, 3] = robot.length
+    at = {"time": np.zeros(1), "arclength": np.full(1, robot.length), "cov": np.full(6, 1e-6)}
+    posterior = estimate(robot.prior, grid, [PoseReadings(values=tip[None], name="tip", **at)])
+    path = tmp_path / "fine.nc"
+    save_posterior(posterior, path)
+    assert posterior.system.diagonal.nbytes > 30 * path.stat().st_size
+    read = load_posterior(path)
+    np.testing.assert_allclose(read.marginals.cov, posterior.marginals.cov, atol=1e-9)
+    monkeypatch.setattr("os.sysconf", lambda name: 1 << 12)  # a machine of 16 MiB
+    with pytest.raises(GlissandoError, match=r"announces .* bytes"):
+        load_posterior(path)
 
 
 @pytest.mark.parametrize("cut", [0.1, 0.5, 0.9, 0.999])

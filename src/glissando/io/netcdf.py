@@ -20,7 +20,7 @@ from glissando.estimation.posterior import Posterior, SolveReport
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.io.atomic_file import new_file
-from glissando.io.plain_file import largest_unpacked, require_plain
+from glissando.io.plain_file import largest_deflated, require_plain
 from glissando.io.provenance import require_readable, stated_format, versions
 from glissando.io.robot_file import OLD_KINDS
 from glissando.model.grid import Grid
@@ -198,8 +198,10 @@ def load_posterior(path: str | Path) -> Posterior:
         open_dataset, options = _xarray().open_dataset, {"decode_cf": False, "phony_dims": "sort"}
         with open_dataset(path, engine="h5netcdf", **options) as opened:
             announced = sum(int(v.nbytes) for v in opened.variables.values())
-            if announced > largest_unpacked(path.stat().st_size):
-                raise ValueError(f"it announces {announced:,} bytes of numbers and has them not")
+            if announced > largest_deflated(path.stat().st_size):
+                raise ValueError(
+                    f"it announces {announced:,} bytes of numbers, more than it or memory holds"
+                )
             names = [name for name in _READ if name in opened.variables]
             dataset = opened[names].load()
     except (OSError, MemoryError, *_DAMAGED) as problem:

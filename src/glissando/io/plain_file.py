@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import os
 import stat
 from pathlib import Path
 
@@ -11,6 +12,8 @@ from glissando.errors import GlissandoError
 _MOST = 1 << 31  # bytes of a text
 _LONGEST_NAME = 200  # bytes
 _PACKED, _LEAST = 50, 1 << 24  # bytes that one byte of a file may unpack to; always allowed
+_DEFLATED = 1032  # bytes that one byte of deflate unpacks to at most
+_MEMORY = 1 << 34  # bytes that a machine is taken to have if it does not say
 
 
 def largest_unpacked(size: int) -> int:
@@ -19,6 +22,18 @@ def largest_unpacked(size: int) -> int:
     What was measured hardly packs; a file that holds more was made to fill the memory.
     """
     return max(_PACKED * size, _LEAST)
+
+
+def largest_deflated(size: int) -> int:
+    """Bytes that a file of a size in bytes may hold by deflate, none more than the memory has.
+
+    What was computed may pack well: the matrices of fine grids are zero in most places.
+    """
+    try:
+        memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, OSError, ValueError):  # Windows
+        memory = _MEMORY
+    return min(max(_DEFLATED * size, _LEAST), memory)
 
 
 def require_plain(path: Path, most: int = _MOST) -> None:
