@@ -6,6 +6,7 @@ import pytest
 from glissando.cli.main import main
 from glissando.geometry import se3
 from glissando.io.csv_stream import Rows, Stream
+from glissando.io.journal import Journal
 from glissando.io.recording_writer import write_streams
 from glissando.io.shipped_robots import robot_file
 
@@ -94,3 +95,25 @@ def test_a_delay_that_is_known_moves_readings_and_the_window_with_them(
             1,
         )
         assert "outside the grid" not in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "estimate log --robot sliding700",
+        "replay log --robot sliding700",
+        "check log --robot sliding700",
+        "view log --robot sliding700",
+        "live --source log --robot sliding700",
+        "learn log --robot sliding700 --out learned.toml",
+        "export log --stream tip --out tip.csv",
+        "export log --out tip.csv",
+    ],
+)
+def test_a_journal_that_heard_nothing_ends_in_a_sentence(tmp_path, monkeypatch, capsys, words):
+    monkeypatch.chdir(tmp_path)
+    Journal("log").close()
+    assert main(words.split()) == 2
+    said = "glissando: log holds no readings; see that its sensors send, and record again.\n"
+    assert capsys.readouterr().err.endswith(said)
+    assert [path.name for path in tmp_path.iterdir()] == ["log"]

@@ -65,6 +65,7 @@ def _export(options: argparse.Namespace) -> int:
 
 def _export_stream(options: argparse.Namespace) -> int:
     recording = load_recording(options.posterior)
+    recording.span()  # which says if there is nothing to write
     if options.stream not in recording.streams:
         raise GlissandoError(
             f"{options.posterior} is a recording: say with --stream which of "

@@ -151,8 +151,18 @@ class Recording(Brief):
         return list(dict.fromkeys(use)), chosen_truth
 
     def span(self, names: Sequence[str] = ()) -> tuple[float, float]:
-        """First and last time of any of these streams, of all unless given, seconds."""
+        """First and last time of any of these streams, of all unless given, seconds.
+
+        Raises:
+            RecordingError: They have no rows, as those of a journal whose sources were silent.
+        """
         times = [self.streams[name].rows.time for name in names or self.streams]
+        times = [time for time in times if time.size]
+        if not times:
+            of = f" of {', '.join(names)}" if names else ""
+            raise RecordingError(
+                f"{self.folder} holds no readings{of}; see that its sensors send, and record again."
+            )
         return min(float(t[0]) for t in times), max(float(t[-1]) for t in times)
 
 
