@@ -54,6 +54,20 @@ def test_a_qualisys_tsv_is_read_back_as_bodies_or_markers(tmp_path_factory, rng)
     assert (first.kind, first.missing) == ("position", 1)
 
 
+@pytest.mark.parametrize("poses_of", [poses, lambda rng, n: rng.normal(size=(n, 3))])
+def test_frames_of_a_qualisys_tsv_are_its_clock(tmp_path, poses_of):
+    tip = {"tip": poses_of(np.random.default_rng(0), 4)}
+    file = qualisys_tsv(tmp_path / "take.tsv", tip, frames=[101, 102, 104, 105])
+    assert read_tracks(file)[0].time.tolist() == [1.0, 1.01, 1.03, 1.04]
+    assert read_tracks(file, rate=50.0)[0].time.tolist() == [2.0, 2.02, 2.06, 2.08]
+    qualisys_tsv(file, tip, frames=[1, 2, 2, 3])
+    (track,) = read_tracks(file)
+    assert (track.time.tolist(), sum(track.dropped.values())) == ([0.0, 0.01, 0.02], 1)
+    qualisys_tsv(file, tip, frames=[1, 2, 3, 1])
+    with pytest.raises(RecordingError, match="frame or time 1 follows 3"):
+        read_tracks(file)
+
+
 @law
 @given(generators)
 def test_an_ndi_csv_may_hold_euler_angles(tmp_path_factory, rng):

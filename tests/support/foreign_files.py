@@ -102,8 +102,8 @@ def motive_csv(path, bodies, markers, *, rate=120.0, turn="Quaternion", unit="Me
     return path
 
 
-def qualisys_tsv(path, tracks, *, rate=100.0, titles=True):
-    """A Qualisys TSV of poses (6D) or points (3D) by name, zeros where NaN."""
+def qualisys_tsv(path, tracks, *, rate=100.0, titles=True, frames=None):
+    """A Qualisys TSV of poses (6D) or points (3D) by name, zeros where NaN; frames from 1."""
     bodies = next(iter(tracks.values())).ndim == 3
     count, word = len(next(iter(tracks.values()))), "BODY" if bodies else "MARKER"
     lines = [f"NO_OF_FRAMES\t{count}", "NO_OF_CAMERAS\t8", f"FREQUENCY\t{rate:g}"]
@@ -115,7 +115,8 @@ def qualisys_tsv(path, tracks, *, rate=100.0, titles=True):
     if titles:
         lines.append("\t".join(["Frame", "Time", *(f"{n} {p}" for n in tracks for p in parts)]))
     for k in range(count):
-        cells = [str(k + 1), f"{k / rate:.5f}"] if titles else []
+        frame = frames[k] if frames else k + 1
+        cells = [str(frame), f"{(frame - 1) / rate:.5f}"] if titles else []
         for track in tracks.values():
             if np.isnan(track[k].flat[-1] if not bodies else track[k, 0, 3]):
                 cells += ["0.000"] * len(parts)

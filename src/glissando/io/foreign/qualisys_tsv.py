@@ -1,13 +1,16 @@
 """TSV files of Qualisys Track Manager: markers (3D) and rigid bodies (6D), with their header.
 
 Lines of a name and a value, among them FREQUENCY, DATA_INCLUDED and the names of markers or bodies;
-then, if it was asked for, a line of column titles; then a row a frame, in millimetres. [inferred],
-to be verified on an export of one's own: a marker that was not seen has zeros or empty cells, a
-body zeros or NaN; the nine elements of a body's rotation go down the columns of its matrix.
+then, if it was asked for, a line of column titles, and with it each row's frame and time; then a
+row a frame, in millimetres. Frame 1 is time 0; rows without titles are frames without gaps.
+[inferred], to be verified on an export of one's own: a marker that was not seen has zeros or
+empty cells, a body zeros or NaN; the nine elements of a body's rotation go down the columns of its
+matrix.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -41,25 +44,30 @@ def read_qualisys_tsv(path: Path, rate: float | None) -> list[Track]:
     bodies = header.get("DATA_INCLUDED", ["3D"])[0].upper() == "6D"
     names = [n for n in header.get("BODY_NAMES" if bodies else "MARKER_NAMES", []) if n]
     if not names or not rows:
-        raise RecordingError(f"{path.name} names no markers or bodies, or has no rows; export it")
-    first = 2 if titles and titles[0].lower() == "frame" else 0
-    rows = [(number, [str(k), *cells]) for k, (number, cells) in enumerate(rows)]
+        raise RecordingError(
+            f"{path.name} names no markers or bodies, or has no rows; export it anew."
+        )
+    counted = bool(titles) and titles[0].lower() == "frame"
+    if not counted:
+        rows = [(number, [str(k), *cells]) for k, (number, cells) in enumerate(rows, start=1)]
+    first = 2 if counted else 1
     width = _BODY if bodies else 3
     tracks = []
     for k, name in enumerate(names):
-        start = 1 + first + k * width
+        start = first + k * width
         turn = range(start + _TURN, start + _TURN + 9) if bodies else range(0)
-        seen = samples(path, rows, 0, [*range(start, start + 3), *turn], 1.0 / hz)
+        seen = samples(path, rows, 0, [*range(start, start + 3), *turn], 1.0)
+        time = (seen.time - 1.0) / hz
         at = _MM * seen.values[:, :3]
         if not bodies:
-            track = Track(plain_name(name), "position", seen.time, at, seen.missing)
+            track = Track(plain_name(name), "position", time, at, seen.missing)
         else:
             matrix = seen.values[:, 3:].reshape(-1, 3, 3).swapaxes(1, 2)
             sound = np.abs(np.linalg.det(matrix) - 1.0) < 1e-2
             pose = se3.pose(_orthonormal(matrix[sound]), at[sound])
             lost = seen.missing + int(np.sum(~sound))
-            track = Track(plain_name(name), "pose", seen.time[sound], pose, lost)
-        tracks.append(track)
+            track = Track(plain_name(name), "pose", time[sound], pose, lost)
+        tracks.append(replace(track, dropped=seen.dropped))
     return tracks
 
 
