@@ -1,6 +1,6 @@
 """Learning robot files: what evidence and truth say of their numbers."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -13,6 +13,7 @@ from glissando.calibration.robot import objective
 from glissando.calibration.robot.hyperparameters import expanded, learnable
 from glissando.calibration.robot.learn import learn
 from glissando.calibration.robot.objective import Objective
+from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.sensors.sensors import PoseReadings
 from glissando.solver.gauss_newton import SolverOptions
 from learn_drawn import NOISE, readings, same_process, shipped
@@ -159,6 +160,28 @@ def test_places_that_err_together_count_as_one(in_process):
     once, twice = (goal.score(start(), goal.start()).score for goal in goals)
     assert (once.samples, once.independent) == (18, 18)
     assert (twice.samples, twice.independent) == (36, 18)
+
+
+def test_the_delay_of_the_first_recordings_truth_is_not_that_of_the_next(in_process):
+    @dataclass(frozen=True)
+    class Late(Arc):
+        def truth(self, robot):
+            (tip,) = super().truth(robot)
+            early = tip.select(tip.time < 0.9)
+            return [replace(early, time=early.time + 0.1)]
+
+    delay = SensorParameter("late", "time_offset", ("truth",), np.array([0.1]), np.zeros(1))
+
+    def score(constants, *cases):
+        goal = Objective(cases, False)
+        return goal.score(start(), goal.start(constants)).score
+
+    late, timely = Late(judged=True), Arc(judged=True)
+    each, both = (score((delay,), late), score((), timely)), score((delay,), late, timely)
+    samples = [one.samples for one in each]
+    assert both.value == pytest.approx(np.average([one.value for one in each], weights=samples))
+    assert both.samples == sum(samples)
+    assert both.constants == (delay,)
 
 
 @pytest.mark.parametrize(

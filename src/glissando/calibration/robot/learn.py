@@ -128,7 +128,7 @@ def learn(
         parameters: The parameters to learn.
         cases: The data.
         calibrate: Whether frame and mounts of the truth are calibrated, starting from `constants`.
-        constants: Frame, mounts and delays of the truth.
+        constants: Frame and mounts of the truth, and its delays in the first case.
         start: Where the estimate of the first case starts.
         steps: Number of steps at most.
         watch: Called on the way, and after each step.

@@ -13,6 +13,7 @@ import numpy as np
 
 from glissando.calibration.robot.case import RecordingCase
 from glissando.calibration.robot.hyperparameters import Document
+from glissando.calibration.robot.joint_calibration import lasting
 from glissando.calibration.robot.predictive import (
     Score,
     Start,
@@ -107,15 +108,19 @@ class Objective:
         truths: Sequence[list[Readings]],
         constants: tuple[SensorParameter, ...],
     ) -> Score:
-        """Score of the truth of all cases; constants are calibrated on the longest one."""
+        """Score of the truth of all cases; constants are calibrated on the longest one.
+
+        Delays of the truth are those of the first case, and count for no other.
+        """
         longest = max(range(len(truths)), key=lambda i: sum(map(len, truths[i])))
         if self.calibrate:
             constants = constants or constants_of(truths[longest])
             best = predict(posteriors[longest], truths[longest], constants, free=True)
             constants = best.constants
+        of_cases = [constants, *[lasting(constants)] * (len(truths) - 1)]
         scores = [
-            predict(posterior, truth, constants, free=False)
-            for posterior, truth in zip(posteriors, truths, strict=True)
+            predict(posterior, truth, known, free=False)
+            for posterior, truth, known in zip(posteriors, truths, of_cases, strict=True)
         ]
         samples = sum(s.samples for s in scores)
         if not samples:
