@@ -7,6 +7,7 @@ from glissando import GlissandoError, load_robot
 from glissando.calibration.robot.hyperparameters import Parameter, expanded, learnable, moved
 from glissando.io.robot_file import parse_robot
 from glissando.io.shipped_robots import shipped_robots
+from glissando.model.sensors.readings import SENSORS, Readings
 from glissando.model.sensors.sensors import sensor_kinds
 from glissando.model.table import Table
 from learn_drawn import shipped
@@ -30,6 +31,18 @@ def test_writing_pairs_out_leaves_a_robot_as_it_was(name):
         assert {k: str(v) for k, v in vars(one).items()} == {
             k: str(v) for k, v in vars(other).items()
         }
+
+
+def test_two_numbers_of_a_sensor_of_two_rows_are_no_pair(monkeypatch):
+    class Tilt(Readings):
+        rows = 2
+
+    monkeypatch.setitem(SENSORS, "tilt", Tilt)
+    robot = {**shipped("tdcr466"), "sensors": {"tilt": {"std": [0.1, 0.2]}}}
+    document = expanded(robot)
+    assert parsed(document).sensor_std["tilt"].tolist() == [0.1, 0.2]
+    (noise,) = (p for p in learnable(document, ["tilt"]) if "noise" in p.label)
+    assert noise.entries == (0, 1)
 
 
 @pytest.mark.parametrize("name", shipped_robots())

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from glissando.geometry.se3 import Array
+from glissando.model.sensors.sensors import sensor_class
 
 Document = dict[str, Any]
 """A robot file as parsed from TOML."""
@@ -86,9 +87,9 @@ def expanded(document: Document) -> Document:
             elif key.startswith(("psd_", "var_")):
                 table[key] = _six(value)
     for kind, sensor in out.get("sensors", {}).items():
-        if len(sensor["std"]) == 2:
-            each = (3, 2) if kind == "coil" else (3, 3)
-            sensor["std"] = [float(v) for v in np.repeat(sensor["std"], each)]
+        rows = sensor_class(kind).rows
+        if rows in (5, 6) and len(sensor["std"]) == 2:
+            sensor["std"] = [float(v) for v in np.repeat(sensor["std"], (3, rows - 3))]
     for unknown in out.get("sensor_parameters", []):
         if len(unknown.get("std", [])) == 2:
             unknown["std"] = _six(unknown["std"])
