@@ -7,6 +7,7 @@ import pytest
 import tomli_w
 from scipy.stats import chi2
 
+from glissando.cli import learn as learn_command
 from glissando.cli.main import main
 from glissando.estimation.tendon_prediction import predict_tip
 from glissando.io.query_csv import QUERY_COLUMNS
@@ -164,6 +165,27 @@ def test_learning_from_tendons_refuses_options_that_it_does_not_heed(tmp_path, s
     assert f"{more.split()[0]} has no effect" in capsys.readouterr().err
     assert main([*words, "--window", "5000", "6000"]) == 2
     assert "the rows go from 0 to" in capsys.readouterr().err
+
+
+def test_beside_other_sensors_tendons_leave_the_usual_way_of_learning_open(
+    tmp_path, start, capsys, monkeypatch
+):
+    imported(tmp_path, start, range(6), "rec")
+    described = tmp_path / "rec" / "recording.toml"
+    coil = '\n[[streams]]\nname = "coil"\nkind = "coil"\nstd = [1e-3, 1e-2]\n'
+    described.write_text(described.read_text() + coil)
+    rows = "".join(f"{t},0.2,0,0,0.2,1,0,0,0\n" for t in range(3))
+    (tmp_path / "rec" / "coil.csv").write_text("time,arclength,x,y,z,qw,qx,qy,qz\n" + rows)
+    monkeypatch.setattr(learn_command, "learn_from_tendons", lambda *given: 77)
+    words = ["learn", str(tmp_path / "rec"), "--robot", start, "--out", str(tmp_path / "out.toml")]
+    usual = ["--use", "coil", "--only", "nonsense"]
+    assert main(words) == 77
+    assert main([*words, *usual]) == 2
+    assert "--only 'nonsense' matches no number" in capsys.readouterr().err
+    described.write_text(described.read_text().replace('"tip"', '"tip"\nfile = "tip.csv"', 1))
+    described.write_text(described.read_text().replace('name = "tip"', 'name = "marker"'))
+    assert main([*words, "--only", "nonsense"]) == 2
+    assert "--only 'nonsense' matches no number" in capsys.readouterr().err
 
 
 def test_a_tendon_has_one_name_and_one_column(tmp_path, start, capsys):

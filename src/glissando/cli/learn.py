@@ -17,7 +17,7 @@ from glissando.calibration.robot.joint_calibration import lasting, locate
 from glissando.calibration.robot.learn import Learned, learn
 from glissando.calibration.robot.predictive import Start
 from glissando.cli.console import Console
-from glissando.cli.learn_tendons import learn_from_tendons
+from glissando.cli.learn_tendons import is_of_tendons, learn_from_tendons
 from glissando.cli.outputs import require_spared, write_robot
 from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_command, names
@@ -40,8 +40,9 @@ readings most likely (their evidence); with truth, those that predict it best fr
 alone: small errors and a true confidence. A number that the recordings do not determine stays near
 its start; a factor of three is expected.
 
-Recordings of displacements of tendons and of a marker at the tip give the numbers of [tendons] and
-[mechanics] with the error of the model, and --robot then needs a mechanical prior.
+Recordings of displacements of tendons and of a marker, positions named tip, give the numbers of
+[tendons] and [mechanics] with the error of the model, and --robot then needs a mechanical prior.
+Where other sensors stand beside them, --use and the other options choose the usual way.
 
 The file written has the same keys and is given to estimate with --robot.
 """
@@ -85,7 +86,7 @@ def _learn(options: argparse.Namespace) -> int:
     document = expanded(read_robot_document(robot_file(options.robot)))
     document.pop("tube", None)  # it was calibrated for the numbers of before
     _require_writable(options)
-    if any(s.rows.kind == "tendon" for r in recordings for s in r.streams.values()):
+    if is_of_tendons(recordings, options):
         return learn_from_tendons(recordings, document, options)
     _require_one_way(options)
     cases = [_case(recording, options).while_moving(robot) for recording in recordings]

@@ -16,11 +16,25 @@ from glissando.calibration.robot.tendon_numbers import TIP
 from glissando.cli.outputs import write_robot
 from glissando.errors import RecordingError
 from glissando.geometry.se3 import Array
+from glissando.io.csv_stream import Stream
 from glissando.io.recording import Recording
 from glissando.io.robot_file import load_robot
 from glissando.model.robot import Robot
 
 _UNHEEDED = ("use", "truth", "hold_out", "only", "calibrate", "joint", "alike", "steps")
+
+
+def is_of_tendons(recordings: Sequence[Recording], options: argparse.Namespace) -> bool:
+    """Whether it is [tendons] and [mechanics] that recordings are to teach.
+
+    Others than tendons and the tip may be there too; options for these say that they count.
+    """
+    streams = [s for recording in recordings for s in recording.streams.values()]
+    if not any(stream.rows.kind == "tendon" for stream in streams):
+        return False
+    if all(stream.rows.kind == "tendon" or stream.name == TIP for stream in streams):
+        return True
+    return any(map(_is_tip, streams)) and not _given(options)
 
 
 def learn_from_tendons(
@@ -64,7 +78,7 @@ def _say(text: str) -> None:
 
 def _require_effect(options: argparse.Namespace) -> None:
     """Raise if an option is given that learning from tendons does not heed."""
-    given = [name for name in _UNHEEDED if getattr(options, name) not in (None, False)]
+    given = _given(options)
     if given:
         raise RecordingError(
             f"--{given[0].replace('_', '-')} has no effect on what is learned from tendons: all "
@@ -73,11 +87,20 @@ def _require_effect(options: argparse.Namespace) -> None:
         )
 
 
+def _given(options: argparse.Namespace) -> list[str]:
+    """The options given that learning from tendons does not heed."""
+    return [name for name in _UNHEEDED if getattr(options, name) not in (None, False)]
+
+
+def _is_tip(stream: Stream) -> bool:
+    return stream.name == TIP and stream.rows.kind == "position"
+
+
 def _rows(recording: Recording, start: float, stop: float) -> tuple[Array, Array]:
     """Displacements (M, T) and positions (M, 3) of the times in a window that both streams have."""
     streams = recording.streams.values()
     tendons = next((s.rows for s in streams if s.rows.kind == "tendon"), None)
-    tip = next((s.rows for s in streams if s.name == TIP and s.rows.kind == "position"), None)
+    tip = next((s.rows for s in streams if _is_tip(s)), None)
     if tendons is None or tip is None:
         lacks = "stream of kind tendon" if tendons is None else f"positions named {TIP!r}"
         raise RecordingError(f"{recording.name} has no {lacks}; tendons are learned from both.")
