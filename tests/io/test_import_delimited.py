@@ -240,6 +240,8 @@ def test_a_path_of_a_slide_is_read_from_its_travel(tmp_path):
         ("t,x,y,z,a,b,c\n1,2,3,4,5,6,7\n", "time=t,x=x,y=y,z=z,a1=a,a2=b,a3=c", "say the axes of"),
         ("t,x,y,z,a,b,c,d\n1,2,3,4,5,6,7,8\n",
          "time=t,x=x,y=y,z=z,qw=a,qx=b,qy=c,qz=d", "a quaternion has norm 13.2"),
+        ("0,0.2,0.2,0.2,0.2\n1,1,0,0,0\n",
+         "time=1,qw=2,qx=3,qy=4,qz=5", "a quaternion has norm 0.4"),
         ("t,x,y,z,x\n1,2,3,4,5\n", XYZ, "has 2 columns 'x'; give the number of the one"),
         ("2026-11-22,2,3,4\n", "time=1,x=2,y=3,z=4,clock=ms", "has dates for times; leave out"),
         ("1,2,3,4\n", "time=²,x=2,y=3,z=4", "has no line with the titles ²"),

@@ -271,6 +271,8 @@ def _values(path: Path, mapping: Mapping, kind: str, keys: tuple[str, ...], tabl
         else:
             rotation = Rotation.from_euler(mapping.euler, mapping.angle * turn).as_matrix()
         return se3.pose(rotation, mapping.length * table[:, :3])
+    if keys[-4:] == _QUATERNION:
+        unit_rotations(path, table[:, -4:])  # or raises
     sensor = SENSORS[kind]
     units = sensor.value_columns({})
     scale = [scale_of(units[key], mapping.length, mapping.angle) for key in keys]
