@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from glissando.errors import SensorError
+from glissando.geometry import se3
 from glissando.io.journal import Journal
 from glissando.io.recording import load_recording
 from glissando.model.sensors.sensors import GyroReadings, PoseReadings
@@ -57,13 +58,22 @@ def test_a_stream_that_was_cut_off_before_it_was_described_is_begun_anew(tmp_pat
     assert load_recording(tmp_path / "log").streams["tip"].rows.time.tolist() == [0.0, 1.0]
 
 
-def test_noise_or_a_mount_that_changes_is_refused_as_one_of_each_is_kept(tmp_path):
-    off = np.eye(4)
-    off[0, 3] = 0.02
-    with Journal(tmp_path / "log") as journal:
-        journal.write(_pose(0.0))
-        for change in ({"cov": np.full(6, 4.0)}, {"mount": off}):
+@pytest.mark.parametrize("again", [False, True])
+def test_noise_or_a_mount_that_changes_is_refused_as_one_of_each_is_kept(tmp_path, again):
+    mount = se3.exp(np.array([0.0, 0.02, 0.0, 0.3, -0.2, 0.1]))
+    off = mount @ se3.exp(np.array([0.0, 0.0, 0.0, 1e-3, 0.0, 0.0]))
+
+    def pose(time, std=0.1):
+        return replace(_pose(time), cov=np.full(6, std**2), mount=mount)
+
+    with ExitStack() as stack:
+        journal = stack.enter_context(Journal(tmp_path / "log"))
+        journal.write(pose(0.0))
+        if again:
+            journal.close()
+            journal = stack.enter_context(Journal(tmp_path / "log"))
+        for changed in (pose(1.0, std=0.2), replace(pose(1.0), mount=off)):
             with pytest.raises(SensorError, match="noise or mount is not that of the readings"):
-                journal.write(replace(_pose(1.0), **change))
-        journal.write(_pose(1.0))
+                journal.write(changed)
+        journal.write(pose(1.0))
     assert load_recording(tmp_path / "log").streams["tip"].rows.time.tolist() == [0.0, 1.0]

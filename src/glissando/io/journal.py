@@ -61,7 +61,7 @@ class Journal:
         try:
             if not self._described.exists():
                 self._describe(describe_recording(name, journal=True))
-            self._kinds = self._kinds_described()
+            self._kinds = self._read_description()
             for path in self.folder.glob("*.csv"):
                 _cut_unfinished(path)
         except BaseException:
@@ -97,7 +97,7 @@ class Journal:
         rows = Rows(readings.kind, *at, readings.values, {}, settings)
         std, mount = _std(readings), readings.mount
         before = self._stated.setdefault(readings.label, (std, mount))
-        if not all(map(np.array_equal, before, (std, mount))):
+        if not all(map(_are_alike, before, (std, mount))):
             raise SensorError(
                 f"{readings.label}: its noise or mount is not that of the readings before, "
                 f"which stands in recording.toml; give these readings a name of their own."
@@ -156,14 +156,24 @@ class Journal:
             self._kinds[name] = readings.kind
         return file
 
-    def _kinds_described(self) -> dict[str, str]:
-        """Kinds of the streams in recording.toml by name. Raises RecordingError for no journal."""
+    def _read_description(self) -> dict[str, str]:
+        """Kinds of the streams in recording.toml by name; their noise and mounts become stated.
+
+        Raises RecordingError for no journal.
+        """
         table = read_toml(self._described, RecordingError)
         if not table.flag("journal"):
             raise RecordingError(
                 f"{self.folder} is a recording and no journal; give the journal a new folder."
             )
-        return {entry.text("name"): entry.text("kind") for entry in table.tables("streams")}
+        kinds: dict[str, str] = {}
+        for entry in table.tables("streams"):
+            name, kind, mount = entry.text("name"), entry.text("kind"), entry.table("mount")
+            kinds[name] = kind
+            if kind in SENSORS and entry.peek("std") is not None:
+                std = entry.std(SENSORS[kind].rows)
+                self._stated[name] = std, mount.pose() if mount else np.eye(4)
+        return kinds
 
     def _describe(self, text: str) -> None:
         """Write recording.toml, whole or not at all."""
@@ -179,6 +189,11 @@ def _std(readings: Readings) -> Array:
             f"whole stream; give `cov` as variances (rows,)."
         )
     return np.sqrt(np.diagonal(cov))[: readings.rows]
+
+
+def _are_alike(stated: Array, given: Array) -> bool:
+    """Whether numbers are those that recording.toml states, which rounds rotations."""
+    return np.allclose(stated, given, rtol=1e-9, atol=1e-12)
 
 
 def _locked(folder: Path) -> int | None:
