@@ -1,5 +1,7 @@
 """An option that has no effect beside the others is refused with one sentence."""
 
+import json
+
 import pytest
 
 from glissando.cli.main import main
@@ -15,6 +17,9 @@ def place(tmp_path_factory):
     head = "time,arclength,x,y,z,qw,qx,qy,qz\n"
     (folder / "rec" / "coil.csv").write_text(head + "0,0.7,0,0,0.7,1,0,0,0\n")
     (folder / "still.toml").write_text('robot = "sliding700"\n[mocap]\n')
+    for words in (["plan", "--zone", "0.5:0.6"], ["study", "sweep.toml"]):
+        report = {"request": words, "inputs": {}, "versions": {}}
+        (folder / f"{words[0]}.json").write_text(json.dumps(report))
     (folder / "results").mkdir()
     for saved in ("posterior.nc", "results/posterior.nc"):
         (folder / saved).write_text("not read")
@@ -61,6 +66,11 @@ def place(tmp_path_factory):
         ("figure error rec --out a.png --times 1", "the figure error"),
         ("view posterior.nc --html a.html --allow shape", "a posterior"),
         ("view rec --html a.html --recording rec", "a recording"),
+        ("view rec --port 9000", "a view without --live"),
+        ("view rec --html a.html --live", "--live"),
+        ("rerun plan.json --recording nowhere", "a report that names no recording"),
+        ("rerun study.json --robot sliding700", "a report of study"),
+        ("design --zone 0:0.7 --sensor coil=1 --limits 0.1,0.1,1", "sensors without one of slide"),
     ],
 )
 def test_an_option_without_effect_is_refused(place, monkeypatch, capsys, words, to):

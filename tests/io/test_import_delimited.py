@@ -128,7 +128,8 @@ def test_poses_are_read_from_any_columns(tmp_path_factory, delimiter, turn, rng)
     if rng.integers(2):
         names = [str(1 + list(order).index(k)) for k in range(len(keys))]
     said = ",".join(f"{key}={name}" for key, name in zip(keys, names, strict=True))
-    said += ",clock=ms,length=mm,angle=deg,euler=zyx,frame=tracker"
+    units = {"a1": ",angle=deg,euler=zyx", "rx": ",angle=deg"}  # a quaternion has none
+    said += f",clock=ms,length=mm,frame=tracker{units.get(keys[4], '')}"
     (found,) = read_tracks(file, columns=said)
     np.testing.assert_allclose(found.values, track, atol=1e-9)
     np.testing.assert_allclose(found.time, 0.025 * np.arange(6) + 0.007)
@@ -240,6 +241,9 @@ def test_a_path_of_a_slide_is_read_from_its_travel(tmp_path):
         ("t,x,y,z,a,b,c\n1,2,3,4,5,6,7\n", "time=t,x=x,y=y,z=z,a1=a,a2=b,a3=c", "say the axes of"),
         ("t,x,y,z,a,b,c,d\n1,2,3,4,5,6,7,8\n",
          "time=t,x=x,y=y,z=z,qw=a,qx=b,qy=c,qz=d", "a quaternion has norm 13.2"),
+        ("0,1,2,3\n", "time=1,x=2,y=3,z=4,euler=ZYX", "euler says nothing to columns without a1"),
+        ("0,1,2,3\n", "time=1,x=2,y=3,z=4,angle=deg", "angle says nothing to columns without an"),
+        ("0,1,2,3\n", "time=1,wx=2,wy=3,wz=4,euler=ZYX", "euler says nothing to columns with"),
         ("0,0.2,0.2,0.2,0.2\n1,1,0,0,0\n",
          "time=1,qw=2,qx=3,qy=4,qz=5", "a quaternion has norm 0.4"),
         ("t,x,y,z,x\n1,2,3,4,5\n", XYZ, "has 2 columns 'x'; give the number of the one"),

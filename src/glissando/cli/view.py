@@ -9,6 +9,7 @@ from pathlib import Path
 from glissando.cli.outputs import require_spared, require_writable
 from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_choices, add_command, posterior_shown
+from glissando.cli.silent import refuse_silent
 from glissando.io.atomic_file import write_text
 from glissando.visualization.page import page, scene_of, subtitle
 from glissando.visualization.page.live import play
@@ -46,8 +47,12 @@ def add_to(commands: Commands) -> None:
 
 
 def _view(options: argparse.Namespace) -> int:
-    require_writable(options.html.parent)
-    require_spared("--html", options.html, options.target, options.recording, options.robot)
+    if options.live:
+        refuse_silent(options, "--live, which writes no page", "html")
+    else:
+        refuse_silent(options, "a view without --live", "port")
+        require_writable(options.html.parent)
+        require_spared("--html", options.html, options.target, options.recording, options.robot)
     shown = posterior_shown(options)
     posterior = shown.posterior
     window = tuple(options.window) if options.window else None

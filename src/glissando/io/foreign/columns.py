@@ -142,6 +142,7 @@ _GENERAL = ("time", "count", "clock", "length", "angle", "euler", "frame")
 
 def _mapping(table: Table) -> Mapping:
     counts = table.peek("count") is not None
+    turning = {key: table.peek(key) is not None for key in ("euler", "angle")}
     clock = _column(table, "count" if counts else "time")
     if counts and table.peek("clock") is not None:
         raise table.fail("clock", "says nothing to count; leave it out, and give --rate HZ.")
@@ -159,7 +160,19 @@ def _mapping(table: Table) -> Mapping:
     table.close()
     if not objects or not all(objects.values()):
         raise table.fail("objects", "say no column; give x, y, z or those of another sensor.")
+    said = {key for columns in objects.values() for key in columns}
+    if turning["euler"] and not said & set(_TURNS):
+        raise table.fail("euler", "says nothing to columns without a1, a2, a3; leave it out.")
+    if turning["angle"] and not said & _angles():
+        raise table.fail("angle", "says nothing to columns without angles; leave it out.")
     return Mapping(clock, objects, counts, seconds, length, angle, euler, frame)
+
+
+def _angles() -> set[str]:
+    """Columns whose numbers are in the unit of angle."""
+    sensors = [sensor.value_columns({}) for sensor in SENSORS.values() if not sensor.settings]
+    units = [pair for columns in sensors for pair in columns.items()]
+    return {*_VECTOR, *_TURNS, *(key for key, unit in units if "rad" in unit)}
 
 
 def _column(table: Table, key: str) -> str:
