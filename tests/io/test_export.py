@@ -13,6 +13,7 @@ from glissando.errors import GlissandoError, OutsideGridError
 from glissando.io.foreign import export
 from glissando.io.foreign.trajectories import SCHEMAS
 from glissando.io.netcdf import save_posterior
+from glissando.io.provenance import stated_format
 from glissando.io.query_csv import QUERY_COLUMNS
 from scenes import LENGTH, sliding_scene
 
@@ -73,6 +74,9 @@ def test_an_mcap_file_is_read_by_its_own_reader_and_fits_its_schemas(posterior, 
         count = export(posterior, out, arclength=np.array([0.2, 0.466, 0.3]), rate=20.0)
     found = {topic: [] for topic in SCHEMAS}
     with out.open("rb") as file:
+        (about,) = make_reader(file).iter_metadata()
+        assert about.metadata["format"] == stated_format("posterior")
+        file.seek(0)
         for schema, channel, message in make_reader(file, validate_crcs=True).iter_messages():
             assert (schema.encoding, channel.message_encoding) == ("jsonschema", "json")
             assert schema.name == SCHEMAS[channel.topic]["title"]

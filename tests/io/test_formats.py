@@ -8,6 +8,7 @@ which also printed the numbers beside them (NAME.json) after reading its own fil
 import json
 import re
 import shutil
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from glissando.errors import GlissandoError, OldNameWarning
 from glissando.io.journal import Journal
 from glissando.io.provenance import FORMATS, require_readable, stated_format
 from glissando.io.session_log import read_session
+from glissando.model.state import State
 
 GOLDEN = Path(__file__).parent / "golden"
 PAGE = (Path(__file__).parents[2] / "docs" / "formats.md").read_text(encoding="utf-8")
@@ -118,6 +120,8 @@ def test_what_is_written_states_the_newest_version_and_the_page_describes_it():
     assert f'format = "{stated_format("robot")}"' in (GOLDEN / "robot/1-stated.toml").read_text()
     for kind in FORMATS:
         assert f"`{stated_format(kind)}`" in PAGE, kind
+    for field in fields(State):
+        assert f"`{field.name}`" in PAGE, field.name
 
 
 @pytest.mark.parametrize("kind", FORMATS)

@@ -12,6 +12,7 @@ from glissando.estimation.posterior import Posterior, StateEstimate
 from glissando.geometry.se3 import Array, inverse, pose, quaternion
 from glissando.io.atomic_file import new_file
 from glissando.io.csv_stream import Stream, write_named
+from glissando.io.provenance import stated_format
 from glissando.io.query_csv import write_query
 from glissando.io.session_log import NUMBER, TEXT, SessionWriter, numbers, schema
 
@@ -144,7 +145,7 @@ def _write_mcap(posterior: Posterior, building: Path, time: Array, arclength: Ar
         raise GlissandoError(
             f"MCAP has no times before zero, and the posterior begins at {time[0]:g} s."
         )
-    clocks = {"format": "glissando posterior 1", "monotonic_ns": "0", "wall_ns": "0"}
+    clocks = {"format": stated_format("posterior"), "monotonic_ns": "0", "wall_ns": "0"}
     with SessionWriter(building, clocks) as log:
         for topic, described in SCHEMAS.items():
             log.add_topic(topic, described)
