@@ -144,3 +144,31 @@ def test_too_few_coil_readings_are_refused_with_a_sentence():
     data, _ = rigs.drawn(0, "bent")
     with pytest.raises(RecordingError, match="needs 10 readings or more"):
         calibrate(data.at(np.arange(3)), ROBOT)
+
+
+def test_a_body_that_was_seen_once_is_refused_with_a_sentence():
+    data, _ = rigs.drawn(0, "bent")
+    tip = data.bodies["tip"]
+    once = {"tip": replace(tip, time=tip.time[150:151], poses=tip.poses[150:151])}
+    with pytest.raises(RecordingError, match="saw tip at a single time"):
+        calibrate(replace(data, bodies=once), ROBOT)
+
+
+def test_a_slide_that_rests_while_the_coil_is_seen_shows_nothing_of_itself():
+    data, _ = rigs.drawn(0, "bent")
+    rest = np.where(data.slide_time < data.coil_time[0] - 1.0, data.travel, data.travel[-1])
+    rest[0] = data.travel[-1] - 0.02
+    late = data.at(np.flatnonzero(data.coil_time > data.coil_time[0] + 3.0))
+    made = calibrate(replace(late, bodies={}, travel=rest), ROBOT)
+    assert made.rig.lead == 1.0
+    assert any("lead scale is known little better" in w for w in made.warnings)
+
+
+def test_a_calibration_without_a_solution_ends_in_a_sentence(monkeypatch):
+    def singular(*_):
+        raise np.linalg.LinAlgError("Singular matrix")
+
+    data, _ = rigs.drawn(0, "bent")
+    monkeypatch.setattr("glissando.calibration.rig.calibrate.against_slide", singular)
+    with pytest.raises(RecordingError, match=r"has no solution \(Singular matrix\)"):
+        calibrate(replace(data, bodies={}), ROBOT)

@@ -45,8 +45,20 @@ def calibrate(data: RigData, robot: Robot, *, readings: int = _READINGS) -> Cali
         The constants, their joint covariance, and sentences on what the session does not show.
 
     Raises:
-        RecordingError: If there are too few coil readings while slide and motion capture ran.
+        RecordingError: If there are too few coil readings while slide and motion capture ran, or
+            if no finite solution exists.
     """
+    try:
+        return _calibrated(data, robot, readings)
+    except np.linalg.LinAlgError as problem:
+        raise RecordingError(
+            f"The calibration of {data.coil_name!r} has no solution ({problem}); check arclengths "
+            f"and mounts of the bodies, or record again as docs/calibration.md says."
+        ) from None
+
+
+def _calibrated(data: RigData, robot: Robot, readings: int) -> Calibration:
+    """The calibration of data whose lengths fit the robot."""
     data, notes = _usable(data)
     tube = fit_slide(data)
     middle = 0.5 * float(data.coil_time[0] + data.coil_time[-1])

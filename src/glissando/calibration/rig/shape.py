@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from glissando.calibration.rig.rig import RigData
+from glissando.errors import RecordingError
 from glissando.estimation.batch import estimate
 from glissando.estimation.posterior import Posterior
 from glissando.geometry import se3
@@ -57,9 +58,17 @@ def estimate_shape(data: RigData, robot: Robot) -> Posterior:
     Args:
         data: The session.
         robot: The robot with its prior.
+
+    Raises:
+        RecordingError: If bodies were seen at a single time.
     """
     readings = body_readings(data)
     start, stop = span(data)
+    if not stop > start:
+        raise RecordingError(
+            f"Motion capture saw {', '.join(data.bodies)} at a single time; record it for as long "
+            f"as the tracker."
+        )
     rate = max(robot.time_rate, min(_RATE, _MOST / (stop - start)))
     grid = replace(robot, arclength_nodes=_nodes(data, robot), time_rate=rate).grid(start, stop)
     prior = _free_base(robot, data)

@@ -59,6 +59,8 @@ def against_slide(data: RigData, expected: Rig, std: Array) -> tuple[Rig, Array]
         behind, speed, ahead = (
             _carriage_speeds(data, stamps + lag + h) for h in (-_NUDGE, 0.0, _NUDGE)
         )
+        if not speed @ speed > 0.0:  # the slide rested while the coil was seen
+            return expected, cov
         gain = float(speed @ coil_speed / (speed @ speed))
         jacobian = np.stack([speed, gain * (ahead - behind) / (2.0 * _NUDGE)], axis=1)
         residual = coil_speed - gain * speed
