@@ -10,6 +10,7 @@ import rigs_drawn as rigs
 from glissando.calibration.rig.calibrate import calibrate
 from glissando.calibration.rig.rig import PARAMETERS
 from glissando.errors import RecordingError
+from glissando.geometry import se3
 
 TAIL = 0.025  # chance that a true law fails, each side
 ROBOT = rigs.robot(rigs.NODES)
@@ -144,6 +145,39 @@ def test_too_few_coil_readings_are_refused_with_a_sentence():
     data, _ = rigs.drawn(0, "bent")
     with pytest.raises(RecordingError, match="needs 10 readings or more"):
         calibrate(data.at(np.arange(3)), ROBOT)
+
+
+def noise(**parts):
+    return lambda data: {"noise": replace(data.noise, **parts)}
+
+
+def bodies(**parts):
+    return lambda data: {"bodies": {n: replace(b, **parts) for n, b in data.bodies.items()}}
+
+
+@pytest.mark.parametrize(
+    ("wrong", "sentence"),
+    [
+        (lambda data: {"coil_arclength": 700.0}, "Coil 'coil' is stated at the arclength 700 m"),
+        (lambda data: {"coil_arclength_std": 5.0}, "deviation of the coil's arclength is 5 m"),
+        (lambda data: {"travel": 1e3 * data.travel}, "slide's way is 60 m"),
+        (noise(mocap=np.array([0.2, 0.1])), "noise of motion capture is 0.2 m"),
+        (noise(coil=np.array([0.1, 0.001])), "noise of the coil is 0.1 m"),
+        (noise(bias=np.array([0.4, 5e-3, 0.1])), "bias of the tracker is 0.4 m"),
+        (noise(bias=np.array([4e-4, 5e-3, 100.0])), "length of the bias of the tracker is 100 m"),
+        (noise(play=np.array([0.3, 75.0])), "play of the coil's tube is 0.3 m"),
+        (noise(play=np.array([3e-4, 75.0])), "length of the play of the coil's tube is 75 m"),
+        (noise(backlash=0.1), "backlash is 0.1 m"),
+        (bodies(arclength=340.0), "Body 'base' is stated at the arclength 340 m"),
+        (bodies(arclength=-0.01), "Body 'base' is stated at the arclength -0.01 m"),
+        (bodies(mount=se3.pose(np.eye(3), np.array([0, 0, 20.0]))), "mount of body 'base' is 20 m"),
+    ],
+)
+def test_lengths_in_millimetres_are_refused_with_the_value_that_is_wrong(wrong, sentence):
+    data, _ = rigs.drawn(0, "bent")
+    with pytest.raises(RecordingError, match=sentence) as refused:
+        calibrate(replace(data, **wrong(data)), ROBOT)
+    assert "give metres" in str(refused.value)
 
 
 def test_a_body_that_was_seen_once_is_refused_with_a_sentence():

@@ -4,12 +4,14 @@ import json
 import re
 import tomllib
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import rigs_drawn as rigs
 from glissando import GlissandoError, load_robot
+from glissando.calibration.rig.plausible import require_metres
 from glissando.calibration.rig.result import apply, load_calibration
 from glissando.calibration.rig.rig import PARAMETERS
 from glissando.calibration.rig.session_data import rig_data
@@ -82,6 +84,9 @@ def test_a_session_log_holds_all_that_calibration_needs(tmp_path):
         ((), {"bodies": {}}, "does not say where it sits"),
         ((), {"direction": 3}, "direction is 3"),
         ((), {"coil_arclength": "tip"}, "coil_arclength"),
+        ((), {"coil_arclength": 700.0}, "arclength 700 m, off robot 'sliding700'"),
+        ((), {"coil_bais": [4e-4, 5e-3, 0.1]}, "coil_bais is not a key of this table; did you"),
+        ((), {"bodies": {"tip": {"arclength": 0.7, "positon": [0, 0, 1]}}}, "mean 'position'"),
     ],
 )
 def test_what_a_session_lacks_is_said(tmp_path, capsys, without, setup, sentence):
@@ -90,6 +95,15 @@ def test_what_a_session_lacks_is_said(tmp_path, capsys, without, setup, sentence
     path = rigs.write(tmp_path / "a.mcap", data.at(np.arange(40)), without=without, setup=setup)
     assert main(["calibrate", str(path), "--out", str(tmp_path / "rig.toml")]) == 2
     assert sentence in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["1-one-stage", "1-several-stages"])
+def test_sessions_of_earlier_versions_say_nothing_unknown(name):
+    log = Path(__file__).parents[1] / "io/golden/session" / name / "session.mcap"
+    data = rig_data(read_session(log))
+    assert data.coil_arclength == 0.7
+    assert len(data.bodies) == 6
+    require_metres(data, load_robot("sliding700"))
 
 
 @pytest.mark.slow

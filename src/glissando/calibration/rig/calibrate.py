@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from glissando.calibration.rig.advice import advice, stream_fits, surprises
 from glissando.calibration.rig.carriage import fit_slide, judgement
 from glissando.calibration.rig.model import ROWS, CoilModel
+from glissando.calibration.rig.plausible import require_metres
 from glissando.calibration.rig.refine import RigFit, refine
 from glissando.calibration.rig.result import Calibration
 from glissando.calibration.rig.rig import Rig, RigData
@@ -45,9 +46,10 @@ def calibrate(data: RigData, robot: Robot, *, readings: int = _READINGS) -> Cali
         The constants, their joint covariance, and sentences on what the session does not show.
 
     Raises:
-        RecordingError: If there are too few coil readings while slide and motion capture ran, or
-            if no finite solution exists.
+        RecordingError: If there are too few coil readings while slide and motion capture ran, if
+            lengths do not fit the robot, or if no finite solution exists.
     """
+    require_metres(data, robot)
     try:
         return _calibrated(data, robot, readings)
     except np.linalg.LinAlgError as problem:

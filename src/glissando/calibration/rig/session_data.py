@@ -23,8 +23,9 @@ def rig_data(session: RawSession) -> RigData:
         session: Raw session log. Repeated frames count once, poses that are null are left out.
 
     Raises:
-        RecordingError: If the setup or a tracker topic is missing or wrong, if there are several
-            coils and the setup names none, or if a body has no place.
+        RecordingError: If the setup or a tracker topic is missing or wrong, if the setup has a key
+            that means nothing, if there are several coils and the setup names none, or if a body
+            has no place.
     """
     setup = Table(session_setup(session), "setup", RecordingError)
     name, time, coil = _coil(session, setup)
@@ -33,7 +34,7 @@ def rig_data(session: RawSession) -> RigData:
     direction = setup.number("direction", 0.0, positive=False)
     if direction not in (-1.0, 0.0, 1.0):
         raise setup.fail("direction", f"is {direction:g}; give 1, -1, or 0 for not known.")
-    return RigData(
+    data = RigData(
         coil_name=name,
         coil_time=time,
         coil=coil,
@@ -48,6 +49,10 @@ def rig_data(session: RawSession) -> RigData:
         tube=tube,
         channel=_channel(setup, name),
     )
+    for key in ("name", "frame"):  # for the recording that a session is
+        setup.skip(key)
+    setup.close()
+    return data
 
 
 def _noise(setup: Table) -> Noise:
@@ -68,6 +73,8 @@ def _coil(session: RawSession, setup: Table) -> tuple[str, Array, Array]:
             f"calibrate; record it too."
         )
     wanted = setup.peek("coil")
+    if wanted is None:
+        setup.skip("coil")
     if wanted is None and len(names) > 1:
         raise RecordingError(
             f"The session has coils {', '.join(sorted(names))}; say which one slides: "
@@ -101,10 +108,13 @@ def _bodies(session: RawSession, setup: Table) -> tuple[dict[str, Body], TubeBod
         time, poses = seen_poses(topic)
         if entry.flag("slides"):
             tubes.append(TubeBody(name, time, poses))
+            for key in ("arclength", "position", "quaternion"):  # of one on the robot
+                entry.skip(key)
         else:
             arclength, mount = entry.number("arclength", positive=False), entry.pose()
             if time.size:
                 out[name] = Body(arclength, mount, time, poses)
+        entry.close()
     if len(tubes) > 1:
         raise RecordingError(
             f"Bodies {', '.join(tube.name for tube in tubes)} are on the sliding tube; leave "
