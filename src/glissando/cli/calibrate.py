@@ -67,7 +67,7 @@ def add_to(commands: Commands) -> None:
     add(
         "--coil",
         metavar="NAME",
-        help="the stream of a recording to calibrate, if several",
+        help="the coil of a session or stream of a recording to calibrate, if several",
     )
     add("--out", type=Path, metavar="FILE", help="TOML file to write (needed for a SESSION)")
     made = "write what was recorded, put right, as a new recording"
@@ -109,7 +109,7 @@ def _of_session(options: argparse.Namespace) -> tuple[Calibration, list[Path]]:
         raise GlissandoError("A session is kept as it is: give --out FILE for what is found.")
     if options.session.is_dir():
         options.session = options.session / LOG
-    data = rig_data(read_session(options.session))
+    data = rig_data(read_session(options.session), options.coil)
     robot = _robot(options, data)
     with working("calibrating"):
         result = calibrate(data, robot)

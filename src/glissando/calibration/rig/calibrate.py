@@ -193,7 +193,9 @@ def _usable(data: RigData) -> tuple[RigData, tuple[str, ...]]:
     """The data from when all devices ran, within LATEST, and sentences on missing devices."""
     notes = []
     if not data.slides:
-        notes.append("There is no slide topic: zero is where the coil is, the rest stays unknown.")
+        notes.append(
+            "There is no slide topic of this coil: zero is where it is, the rest stays unknown."
+        )
     if not data.bodies:
         notes.append(
             "There is no motion capture: the tracker's frame, the mount, the zero and the "

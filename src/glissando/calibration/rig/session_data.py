@@ -2,34 +2,58 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from glissando.calibration.rig.rig import Body, Noise, RigData, TubeBody
 from glissando.errors import RecordingError
-from glissando.geometry.se3 import Array
 from glissando.io.session_log import RawSession
 from glissando.io.session_recording import seen_poses, seen_travels, session_setup
 from glissando.model.table import Table
 from glissando.model.tendons.channel import Channel
 
 _NOISE = {"mocap": "mocap_std", "coil": "coil_std", "bias": "coil_bias", "play": "play"}
-_TRACKER, _MOCAP = "/tracker/", "/mocap/"
+_TRACKER, _MOCAP, _SLIDE = "/tracker/", "/mocap/", "/slide"
+_ARCLENGTH_STD = 2e-3  # m: how well one measures by hand where a coil is
 
 
-def rig_data(session: RawSession) -> RigData:
+@dataclass(frozen=True)
+class _Place:
+    """Where the setup states a coil.
+
+    Attributes:
+        arclength: Its arclength at travel 0, m.
+        std: Standard deviation of that, m.
+        stage: Topic of the stage that moves it; empty if it is fixed.
+        channel: The channel beside the backbone that it slides in, if there is one.
+    """
+
+    arclength: float
+    std: float
+    stage: str
+    channel: Channel | None
+
+
+def rig_data(session: RawSession, coil: str | None = None) -> RigData:
     """The data of a session's devices, as its metadata 'setup' describes them.
 
     Args:
         session: Raw session log. Repeated frames count once, poses that are null are left out.
+        coil: Name of the coil to calibrate; by default the one that the setup names, and of
+            several the only one that slides.
 
     Raises:
         RecordingError: If the setup or a tracker topic is missing or wrong, if the setup has a key
-            that means nothing, if there are several coils and the setup names none, or if a body
-            has no place.
+            that means nothing, if there is no such coil, or there are several, or if a body has no
+            place.
     """
     setup = Table(session_setup(session), "setup", RecordingError)
-    name, time, coil = _coil(session, setup)
-    slide_time, travel = seen_travels(session.topics.get("/slide"))
+    coils = dict(setup.named_tables("coils"))
+    name = _chosen(session, setup, coils, coil)
+    place = _place(setup, coils.get(name))
+    time, poses = seen_poses(session.topics[_TRACKER + name])
+    slide_time, travel = seen_travels(session.topics.get(place.stage))
     bodies, tube = _bodies(session, setup)
     direction = setup.number("direction", 0.0, positive=False)
     if direction not in (-1.0, 0.0, 1.0):
@@ -37,17 +61,17 @@ def rig_data(session: RawSession) -> RigData:
     data = RigData(
         coil_name=name,
         coil_time=time,
-        coil=coil,
+        coil=poses,
         slide_time=slide_time,
         travel=travel,
         bodies=bodies,
-        coil_arclength=setup.number("coil_arclength", positive=False),
-        coil_arclength_std=setup.number("coil_arclength_std"),
-        direction=int(direction),
+        coil_arclength=place.arclength,
+        coil_arclength_std=place.std,
+        direction=int(direction) if slide_time.size > 1 else 0,
         noise=_noise(setup),
         robot=setup.text("robot", ""),
-        tube=tube,
-        channel=_channel(setup, name),
+        tube=tube if place.stage == _SLIDE else None,  # it is on the first stage's tube
+        channel=place.channel,
     )
     for key in ("name", "frame"):  # for the recording that a session is
         setup.skip(key)
@@ -65,29 +89,50 @@ def _noise(setup: Table) -> Noise:
     return Noise(**stated)
 
 
-def _coil(session: RawSession, setup: Table) -> tuple[str, Array, Array]:
-    names = [topic.removeprefix(_TRACKER) for topic in session.topics if topic.startswith(_TRACKER)]
-    if not names:
+def _chosen(
+    session: RawSession, setup: Table, coils: Mapping[str, Table], wanted: str | None
+) -> str:
+    """The name of the coil to calibrate."""
+    seen = [topic.removeprefix(_TRACKER) for topic in session.topics if topic.startswith(_TRACKER)]
+    if not seen:
         raise RecordingError(
             f"The session has no topic {_TRACKER}NAME: without the tracker there is nothing to "
             f"calibrate; record it too."
         )
-    wanted = setup.peek("coil")
-    if wanted is None:
-        setup.skip("coil")
-    if wanted is None and len(names) > 1:
+    stated = None if setup.peek("coil") is None else setup.text("coil", choices=seen)
+    setup.skip("coil")
+    sliding = [name for name in seen if name in coils and coils[name].peek("slides")]
+    name = wanted or stated
+    if name is None and len(seen) > 1:
+        name = sliding[0] if len(sliding) == 1 else None
+    elif name is None:
+        name = seen[0]
+    if name is None or name not in seen:
+        lacks = f"The session has no coil {name!r}" if name else "Several coils were recorded"
         raise RecordingError(
-            f"The session has coils {', '.join(sorted(names))}; say which one slides: "
-            f'"coil": NAME in the setup.'
+            f"{lacks}; say with --coil which of {', '.join(sorted(seen))} is to be calibrated."
         )
-    name = names[0] if wanted is None else setup.text("coil", choices=names)
-    return name, *seen_poses(session.topics[_TRACKER + name])
+    return name
 
 
-def _channel(setup: Table, name: str) -> Channel | None:
-    """The channel that the setup states of a coil."""
-    entry = dict(setup.named_tables("coils")).get(name)
-    return entry.channel() if entry else None
+def _place(setup: Table, entry: Table | None) -> _Place:
+    """Where a coil of this entry is; one without an entry slides and is where the setup says."""
+    if entry is None:
+        place = setup.number("coil_arclength", positive=False)
+        return _Place(place, setup.number("coil_arclength_std"), _SLIDE, None)
+    std = setup.number("coil_arclength_std", _ARCLENGTH_STD)
+    fixed = entry.peek("slides") is not None and not entry.flag("slides")
+    stage = entry.text("slide", "")
+    out = _Place(
+        arclength=entry.number("arclength", setup.peek("coil_arclength"), positive=False),
+        std=entry.number("arclength_std", std),
+        stage="" if fixed else f"{_SLIDE}/{stage}".removesuffix("/"),
+        channel=entry.channel(),
+    )
+    setup.skip("coil_arclength")
+    entry.skip("slides")
+    entry.close()
+    return out
 
 
 def _bodies(session: RawSession, setup: Table) -> tuple[dict[str, Body], TubeBody | None]:

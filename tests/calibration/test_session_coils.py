@@ -1,0 +1,76 @@
+"""Sessions of several coils: which one is calibrated, and where it is stated to be."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import rigs_drawn as rigs
+from glissando.calibration.rig.calibrate import calibrate
+from glissando.calibration.rig.session_data import rig_data
+from glissando.cli.main import main
+from glissando.errors import RecordingError
+from glissando.hardware.capture.setup import Coil, Rig
+from glissando.io.session_log import read_session
+
+SLIDING, FIXED = Coil("coil", 0.7, arclength_std=0.004), Coil("mid", 0.35, slides=False)
+OUTER = Coil("outer", 0.5, slide="b")
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory):
+    data, _ = rigs.drawn(0, "bent", direction=-1)
+    return rigs.write(tmp_path_factory.mktemp("log") / "a.mcap", data.at(np.arange(0, 500, 4)))
+
+
+@pytest.fixture(scope="module")
+def session(log):
+    return read_session(log)
+
+
+def recorded(session, *coils):
+    """The session as `record` logs it of these coils, which all see the same; stage b goes back."""
+    stated = json.loads(session.metadata["setup"])
+    described = Rig("bench", "sliding700", coils=coils).described()
+    setup = stated | described | {"bodies": stated["bodies"]}
+    topics = {n: t for n, t in session.topics.items() if not n.startswith("/tracker/")}
+    topics |= {f"/tracker/{coil.name}": session.topics["/tracker/coil"] for coil in coils}
+    slide = session.topics["/slide"]
+    back = [m | {"travel": 0.06 - m["travel"]} for m in slide.messages]
+    topics["/slide/b"] = replace(slide, name="/slide/b", messages=back)
+    return replace(session, topics=topics, metadata={"setup": json.dumps(setup)})
+
+
+def test_of_several_coils_the_only_one_that_slides_is_calibrated(session):
+    data = rig_data(recorded(session, FIXED, SLIDING))
+    assert data.coil_name == "coil"
+    assert (data.coil_arclength, data.coil_arclength_std) == (0.7, 0.004)
+    assert data.direction == -1
+    assert data.slides
+
+
+def test_a_coil_that_is_named_is_calibrated_where_it_is_stated(session):
+    several = recorded(session, SLIDING, FIXED, OUTER)
+    fixed, outer = (rig_data(several, name) for name in ("mid", "outer"))
+    assert fixed.coil_arclength == 0.35
+    assert not fixed.slides
+    assert outer.coil_arclength == 0.5
+    first = rig_data(several, "coil")
+    np.testing.assert_allclose(outer.travel, 0.06 - first.travel)
+
+
+def test_a_session_of_one_coil_that_is_fixed_gives_its_place_on_the_robot(session):
+    data = rig_data(recorded(session, FIXED))
+    assert data.coil_name == "mid"
+    made = calibrate(replace(data, bodies={}), rigs.robot(rigs.NODES))
+    assert made.rig.zero == 0.35
+    assert made.warnings[0].startswith("There is no slide topic of this coil")
+
+
+def test_coils_that_cannot_be_told_apart_or_are_not_there_are_sentences(session, log, capsys):
+    with pytest.raises(RecordingError, match="say with --coil which of coil, outer is to be"):
+        rig_data(recorded(session, SLIDING, OUTER))
+    given = ["calibrate", str(log), "--coil", "nonsense", "--out", str(log.with_name("rig.toml"))]
+    assert main(given) == 2
+    assert "no coil 'nonsense'; say with --coil which of coil is" in capsys.readouterr().err
