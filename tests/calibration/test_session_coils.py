@@ -1,4 +1,4 @@
-"""Sessions of several coils: which one is calibrated, and where it is stated to be."""
+"""Sessions of several coils: which is calibrated, where it is stated to be, and the others."""
 
 import json
 from dataclasses import replace
@@ -8,10 +8,14 @@ import pytest
 
 import rigs_drawn as rigs
 from glissando.calibration.rig.calibrate import calibrate
+from glissando.calibration.rig.result import Calibration, apply
+from glissando.calibration.rig.rig import Rig as Constants
 from glissando.calibration.rig.session_data import rig_data
 from glissando.cli.main import main
 from glissando.errors import RecordingError
+from glissando.geometry import se3
 from glissando.hardware.capture.setup import Coil, Rig
+from glissando.io.robot_file import load_robot
 from glissando.io.session_log import read_session
 
 SLIDING, FIXED = Coil("coil", 0.7, arclength_std=0.004), Coil("mid", 0.35, slides=False)
@@ -66,6 +70,24 @@ def test_a_session_of_one_coil_that_is_fixed_gives_its_place_on_the_robot(sessio
     made = calibrate(replace(data, bodies={}), rigs.robot(rigs.NODES))
     assert made.rig.zero == 0.35
     assert made.warnings[0].startswith("There is no slide topic of this coil")
+
+
+def test_the_other_coils_come_into_the_world_with_the_calibrated_one(session):
+    later = Coil("later", 0.65)
+    data = rig_data(recorded(session, SLIDING, FIXED, OUTER, later), "coil")
+    clocks = {"tracker_clock": np.array([0.2, 0.0]), "slide_clock": np.array([0.1, 0.0])}
+    found = Constants(se3.exp(np.full(6, 0.3)), -1, 0.699, 0.0, lead=1.01, **clocks)
+    made = Calibration(found, np.zeros((17, 17)), "coil", np.inf)
+    streams = apply(made, data, load_robot("sliding700")).streams
+    assert list(streams) == ["coil", "mid", "outer", "later", *data.bodies]
+    coil, mid, outer, beside = (streams[n].rows for n in ("coil", "mid", "outer", "later"))
+    np.testing.assert_allclose(mid.values, found.T_wt @ data.coil)
+    np.testing.assert_allclose(mid.time, data.coil_time - 0.2)
+    assert set(mid.arclength) == {0.35}
+    np.testing.assert_allclose(beside.time, coil.time)
+    np.testing.assert_allclose(coil.arclength - beside.arclength, 0.049, atol=1e-9)
+    stage = np.interp(outer.time + 0.2, data.slide_time, 0.06 - data.travel)
+    np.testing.assert_allclose(outer.arclength, 0.5 - stage, atol=1e-9)
 
 
 def test_coils_that_cannot_be_told_apart_or_are_not_there_are_sentences(session, log, capsys):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ import tomli_w
 
 from glissando.calibration.rig.advice import StreamFit
 from glissando.calibration.rig.carriage import SlideFit
+from glissando.calibration.rig.other_coil import OtherCoil
 from glissando.calibration.rig.rig import MOUNT, PARAMETERS, Rig, RigData
 from glissando.errors import GlissandoError, RecordingError
 from glissando.geometry import se3
@@ -210,17 +211,18 @@ def apply(calibration: Calibration, data: RigData, robot: Robot | None = None) -
 
     Returns:
         A recording of the coil at true times and arclengths with its mount. Readings while the
-        slide was not recorded, or a millimetre or more off the robot, are left out.
+        slide was not recorded, or a millimetre or more off the robot, are left out. The tracker's
+        other coils come along, at true times and where they are stated to be.
 
     Raises:
         RecordingError: If no coil reading is left.
     """
-    rig = calibration.rig
+    rig, length = calibration.rig, None if robot is None else robot.length
     time = rig.true_time(data.coil_time)
     arclength, inside = rig.arclength(time, data), rig.covered(time, data)
     channel = rig.channel(data)
-    if robot is not None:
-        low, high = channel.travels(robot.length) if channel else (0.0, robot.length)
+    if length is not None:
+        low, high = _ends(channel, length)
         inside &= (arclength > low - 1e-3) & (arclength < high + 1e-3)
         arclength = np.clip(arclength, low, high)
     if not inside.any():
@@ -228,8 +230,30 @@ def apply(calibration: Calibration, data: RigData, robot: Robot | None = None) -
     name, mount = data.coil_name, rig.tilt if channel else rig.coil_mount
     rows = Rows("coil", time[inside], arclength[inside], rig.T_wt @ data.coil[inside], {})
     streams = {name: Stream(name, rows, mount=mount, keep_repeats=True, channel=channel)}
+    for other in data.others:
+        rows = _rows_of(other, rig, data, length)
+        if rows.time.size:
+            streams[other.name] = Stream(other.name, rows, keep_repeats=True, channel=other.channel)
     std = np.repeat(data.noise.mocap, 3)
     for name, b in data.bodies.items():
         rows = Rows("pose", b.time, np.full(b.time.size, b.arclength), b.poses, {})
         streams[name] = Stream(name, rows, True, std, b.mount, keep_repeats=True)
     return Recording("session", Path(), streams, robot, None)
+
+
+def _ends(channel: Channel | None, length: float) -> tuple[float, float]:
+    """Least and greatest arclength, m, of a coil on a robot of some length, m."""
+    return channel.travels(length) if channel else (0.0, length)
+
+
+def _rows_of(other: OtherCoil, rig: Rig, data: RigData, length: float | None) -> Rows:
+    """Rows of another coil in the world at true times, where it is stated, on the robot."""
+    time = rig.true_time(other.time)
+    if other.travel is None:  # it slides as the calibrated one does, from a place of its own
+        arclength = replace(rig, zero=other.arclength).arclength(time, data)
+        inside = rig.covered(time, data)
+    else:
+        arclength, inside = other.arclength - other.travel, np.isfinite(other.travel)
+    if length is not None:
+        arclength = np.clip(arclength, *_ends(other.channel, length))
+    return Rows("coil", time[inside], arclength[inside], rig.T_wt @ other.poses[inside], {})

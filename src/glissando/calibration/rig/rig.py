@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from glissando.calibration.rig.other_coil import OtherCoil
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.brief import Brief
@@ -106,6 +107,7 @@ class RigData(Brief):
         tube: The motion capture body on the sliding tube, if there is one.
         channel: The channel beside the backbone that the coil slides in, if there is one, along
             which its arclength is then measured.
+        others: The tracker's other coils, which are not calibrated.
     """
 
     coil_name: str
@@ -121,6 +123,7 @@ class RigData(Brief):
     robot: str = ""
     tube: TubeBody | None = None
     channel: Channel | None = None
+    others: tuple[OtherCoil, ...] = ()
 
     @property
     def slides(self) -> bool:

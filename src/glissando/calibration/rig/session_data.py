@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
+from glissando.calibration.rig.other_coil import OtherCoil
 from glissando.calibration.rig.rig import Body, Noise, RigData, TubeBody
 from glissando.errors import RecordingError
 from glissando.io.session_log import RawSession
@@ -55,9 +58,7 @@ def rig_data(session: RawSession, coil: str | None = None) -> RigData:
     time, poses = seen_poses(session.topics[_TRACKER + name])
     slide_time, travel = seen_travels(session.topics.get(place.stage))
     bodies, tube = _bodies(session, setup)
-    direction = setup.number("direction", 0.0, positive=False)
-    if direction not in (-1.0, 0.0, 1.0):
-        raise setup.fail("direction", f"is {direction:g}; give 1, -1, or 0 for not known.")
+    direction = _direction(setup)
     data = RigData(
         coil_name=name,
         coil_time=time,
@@ -67,16 +68,24 @@ def rig_data(session: RawSession, coil: str | None = None) -> RigData:
         bodies=bodies,
         coil_arclength=place.arclength,
         coil_arclength_std=place.std,
-        direction=int(direction) if slide_time.size > 1 else 0,
+        direction=direction if slide_time.size > 1 else 0,
         noise=_noise(setup),
         robot=setup.text("robot", ""),
         tube=tube if place.stage == _SLIDE else None,  # it is on the first stage's tube
         channel=place.channel,
+        others=tuple(_others(session, setup, coils, name, place.stage)),
     )
     for key in ("name", "frame"):  # for the recording that a session is
         setup.skip(key)
     setup.close()
     return data
+
+
+def _direction(setup: Table) -> int:
+    direction = setup.number("direction", 0.0, positive=False)
+    if direction not in (-1.0, 0.0, 1.0):
+        raise setup.fail("direction", f"is {direction:g}; give 1, -1, or 0 for not known.")
+    return int(direction)
 
 
 def _noise(setup: Table) -> Noise:
@@ -133,6 +142,23 @@ def _place(setup: Table, entry: Table | None) -> _Place:
     entry.skip("slides")
     entry.close()
     return out
+
+
+def _others(
+    session: RawSession, setup: Table, coils: Mapping[str, Table], name: str, stage: str
+) -> Iterator[OtherCoil]:
+    """The coils of the setup beside the one of this name, which this stage moves."""
+    for other, entry in coils.items():
+        time, poses = seen_poses(session.topics.get(_TRACKER + other))
+        if other == name or not time.size:
+            continue
+        place, travel = _place(setup, entry), None
+        if place.stage != stage or not stage:
+            stamps, travels = seen_travels(session.topics.get(place.stage))
+            travel = np.zeros(time.size)
+            if stamps.size:
+                travel = np.interp(time, stamps, travels, left=np.nan, right=np.nan)
+        yield OtherCoil(other, time, poses, place.arclength, travel, place.channel)
 
 
 def _bodies(session: RawSession, setup: Table) -> tuple[dict[str, Body], TubeBody | None]:
