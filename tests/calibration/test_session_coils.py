@@ -8,7 +8,7 @@ import pytest
 
 import rigs_drawn as rigs
 from glissando.calibration.rig.calibrate import calibrate
-from glissando.calibration.rig.result import Calibration, apply
+from glissando.calibration.rig.result import Calibration, apply, load_calibration
 from glissando.calibration.rig.rig import Rig as Constants
 from glissando.calibration.rig.session_data import rig_data
 from glissando.cli.main import main
@@ -96,3 +96,26 @@ def test_coils_that_cannot_be_told_apart_or_are_not_there_are_sentences(session,
     given = ["calibrate", str(log), "--coil", "nonsense", "--out", str(log.with_name("rig.toml"))]
     assert main(given) == 2
     assert "no coil 'nonsense'; say with --coil which of coil is" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("frame", [None, {"position": [0.3, 0.0, 0.0]}])
+def test_without_motion_capture_the_coil_stays_in_the_frame_of_the_tracker(
+    session, frame, tmp_path
+):
+    setup = json.loads(session.metadata["setup"])
+    setup |= {"frame": frame} if frame else {}
+    topics = {n: t for n, t in session.topics.items() if not n.startswith("/mocap/")}
+    data = rig_data(replace(session, topics=topics, metadata={"setup": json.dumps(setup)}))
+    made = calibrate(data, load_robot("sliding700"))
+    recording = apply(made, data, load_robot("sliding700"))
+    coil = recording.streams["coil"]
+    assert (coil.frame, recording.unknown_frames) == (
+        ("world", frozenset()) if frame else ("tracker", {"tracker"})
+    )
+    inside = np.isin(data.coil_time, coil.rows.time)
+    off = coil.rows.values[:, :3, 3] - data.coil[inside][:, :3, 3]
+    np.testing.assert_allclose(off, np.tile([0.3 if frame else 0.0, 0.0, 0.0], (off.shape[0], 1)))
+    assert not any(row[0].startswith(("frame", "mount", "tracker")) for row in made.displayed())
+    made.save(tmp_path / "rig.toml")
+    assert load_calibration(tmp_path / "rig.toml").sensor_parameters() == ()
+    assert "streams" not in (tmp_path / "rig.toml").read_text()

@@ -13,7 +13,7 @@ from glissando.calibration.rig.model import ROWS, CoilModel
 from glissando.calibration.rig.plausible import require_metres
 from glissando.calibration.rig.refine import RigFit, refine
 from glissando.calibration.rig.result import Calibration
-from glissando.calibration.rig.rig import Rig, RigData
+from glissando.calibration.rig.rig import ANYWHERE, Rig, RigData
 from glissando.calibration.rig.rough import FEWEST, agreeing, distances, rough_start
 from glissando.calibration.rig.shape import estimate_shape, span
 from glissando.calibration.rig.slide_timing import LATEST, against_slide, slide_lag
@@ -89,7 +89,7 @@ def _calibrated(data: RigData, robot: Robot, readings: int) -> Calibration:
 
 def _prior_std(data: RigData) -> Array:
     """Standard deviations (17,) before calibration; zero for parameters of a missing device."""
-    frame_and_mount = np.repeat([1.0, 1.0, 1e-3, 0.03], [3, 3, 2, 2])  # the frame may be anywhere
+    frame_and_mount = np.repeat([ANYWHERE, 1e-3, 0.03], [6, 2, 2])
     clock = np.array([LATEST / 2.0, 1e-4])  # a crystal's rate [inferred]
     slide = np.array([0.02, data.noise.backlash]) if data.slides else np.zeros(2)
     zero = [data.coil_arclength_std]

@@ -12,7 +12,7 @@ import tomli_w
 from glissando.calibration.rig.advice import StreamFit
 from glissando.calibration.rig.carriage import SlideFit
 from glissando.calibration.rig.other_coil import OtherCoil
-from glissando.calibration.rig.rig import MOUNT, PARAMETERS, Rig, RigData
+from glissando.calibration.rig.rig import ANYWHERE, MOUNT, PARAMETERS, Rig, RigData
 from glissando.errors import GlissandoError, RecordingError
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
@@ -27,6 +27,7 @@ from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.table import Table, pose_table
 from glissando.model.tendons.channel import Channel
 
+_OF_PLACE = "frame", "mount", "tracker"  # constants that motion capture shows
 _UNITS = {"delay": ("ms", 1e3), "rate": ("ppm", 1e6), "lead": ("1", 1.0)}
 
 
@@ -62,6 +63,11 @@ class Calibration(Brief):
         """Standard deviations (17,) in the order of PARAMETERS."""
         return np.sqrt(self.cov.diagonal())
 
+    @property
+    def placed(self) -> bool:
+        """Whether the tracker's place was found, which takes motion capture."""
+        return bool(np.any(self.std[:6] < ANYWHERE))
+
     def values(self) -> dict[str, tuple[float, float]]:
         """Value and standard deviation by parameter; the frame as position and rotation vector."""
         rig = self.rig
@@ -77,7 +83,7 @@ class Calibration(Brief):
         """Name, value, standard deviation and unit of what was found, in mm, mrad, ms or ppm."""
         out = []
         for name, (value, std) in self.values().items():
-            if std > 0.0:
+            if std > 0.0 and (self.placed or not name.startswith(_OF_PLACE)):
                 angle = "rotation" in name or "tilt" in name
                 unit, size = ("mrad", 1e3) if angle else _UNITS.get(name.split()[-1], ("mm", 1e3))
                 out.append((name, size * value, size * std, unit))
@@ -99,7 +105,10 @@ class Calibration(Brief):
         """Frame, mount and delay of the coil as known sensor parameters for a robot file.
 
         They are for recordings whose coil is in the tracker's frame and time but has arclengths.
+        There are none where the tracker's place was not found.
         """
+        if not self.placed:
+            return ()
         twist = np.zeros(6)
         twist[MOUNT] = self.rig.mount
         parts = {
@@ -212,12 +221,13 @@ def apply(calibration: Calibration, data: RigData, robot: Robot | None = None) -
     Returns:
         A recording of the coil at true times and arclengths with its mount. Readings while the
         slide was not recorded, or a millimetre or more off the robot, are left out. The tracker's
-        other coils come along, at true times and where they are stated to be.
+        other coils come along, at true times and where they are stated to be. Where the
+        calibration did not find the tracker's frame, it is the stated one, else unknown.
 
     Raises:
         RecordingError: If no coil reading is left.
     """
-    rig, length = calibration.rig, None if robot is None else robot.length
+    rig, length = _in_frame(calibration, data), None if robot is None else robot.length
     time = rig.true_time(data.coil_time)
     arclength, inside = rig.arclength(time, data), rig.covered(time, data)
     channel = rig.channel(data)
@@ -238,7 +248,24 @@ def apply(calibration: Calibration, data: RigData, robot: Robot | None = None) -
     for name, b in data.bodies.items():
         rows = Rows("pose", b.time, np.full(b.time.size, b.arclength), b.poses, {})
         streams[name] = Stream(name, rows, True, std, b.mount, keep_repeats=True)
-    return Recording("session", Path(), streams, robot, None)
+    made = Recording("session", Path(), streams, robot, None)
+    return made if calibration.placed or data.frame is not None else _unplaced(made)
+
+
+def _unplaced(recording: Recording) -> Recording:
+    """The recording with the coils in the tracker's frame, whose place is not known."""
+    streams = {
+        name: stream if stream.truth else replace(stream, frame="tracker")
+        for name, stream in recording.streams.items()
+    }
+    return replace(recording, streams=streams, unknown_frames=frozenset({"tracker"}))
+
+
+def _in_frame(calibration: Calibration, data: RigData) -> Rig:
+    """The rig with the frame that was found, else the stated one, else the tracker's own."""
+    if calibration.placed or data.frame is None:
+        return calibration.rig
+    return replace(calibration.rig, T_wt=data.frame)
 
 
 def _ends(channel: Channel | None, length: float) -> tuple[float, float]:

@@ -28,6 +28,8 @@ PARAMETERS = (
 """The constants in the order of every covariance: m, rad, s, and 1 for lead and rates."""
 MOUNT = np.array([0, 1, 3, 4])
 """Entries of the mount's twist that a coil shows: roll is not seen, z is the slide's zero."""
+ANYWHERE = 1.0
+"""Standard deviation of the tracker's frame before calibration, m and rad."""
 _WIDEST = 0.05  # m: radius of a channel
 _BUNCH = 0.1  # s in which all errors but the white ones stay the same
 
@@ -108,6 +110,7 @@ class RigData(Brief):
         channel: The channel beside the backbone that the coil slides in, if there is one, along
             which its arclength is then measured.
         others: The tracker's other coils, which are not calibrated.
+        frame: Pose T_wt (4, 4) of the tracker in the world as it was stated, if it was.
     """
 
     coil_name: str
@@ -124,6 +127,7 @@ class RigData(Brief):
     tube: TubeBody | None = None
     channel: Channel | None = None
     others: tuple[OtherCoil, ...] = ()
+    frame: Array | None = None
 
     @property
     def slides(self) -> bool:

@@ -58,7 +58,7 @@ def rig_data(session: RawSession, coil: str | None = None) -> RigData:
     time, poses = seen_poses(session.topics[_TRACKER + name])
     slide_time, travel = seen_travels(session.topics.get(place.stage))
     bodies, tube = _bodies(session, setup)
-    direction = _direction(setup)
+    direction, frame = _direction(setup), setup.table("frame")
     data = RigData(
         coil_name=name,
         coil_time=time,
@@ -74,9 +74,9 @@ def rig_data(session: RawSession, coil: str | None = None) -> RigData:
         tube=tube if place.stage == _SLIDE else None,  # it is on the first stage's tube
         channel=place.channel,
         others=tuple(_others(session, setup, coils, name, place.stage)),
+        frame=frame.pose() if frame else None,
     )
-    for key in ("name", "frame"):  # for the recording that a session is
-        setup.skip(key)
+    setup.skip("name")
     setup.close()
     return data
 
