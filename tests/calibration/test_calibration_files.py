@@ -17,6 +17,7 @@ from glissando.calibration.rig.rig import PARAMETERS
 from glissando.calibration.rig.session_data import rig_data
 from glissando.cli.main import main
 from glissando.geometry import se3
+from glissando.io.recording import load_recording
 from glissando.io.robot_file import parse_robot
 from glissando.io.session_log import read_session
 from glissando.io.shipped_robots import robot_file
@@ -120,3 +121,22 @@ def test_the_command_calibrates_what_can_be(tmp_path, capsys, without):
     if not without:
         assert main(["calibrate", str(path), "--out", str(out)]) == 0
         assert "whitened" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("given", [True, False])
+def test_a_calibrated_session_takes_its_robots_file_along(tmp_path, monkeypatch, given):
+    """Whether it is asked for or lies beside the session, whose estimate finds it there as well."""
+    data, _ = rigs.drawn(0, "bent")
+    data = replace(data, bodies={}).at(np.arange(0, 400, 4))
+    (tmp_path / "bench").mkdir()
+    mine = tmp_path / ("mine.toml" if given else "bench/mine.toml")
+    mine.write_text(robot_file("sliding700").read_text().replace("sliding700", "mine"))
+    setup = {} if given else {"robot": "mine.toml"}
+    log = rigs.write(tmp_path / "bench/session.mcap", data, setup=setup)
+    monkeypatch.chdir(tmp_path)
+    made = ["--out", "rig.toml", "--recording", "made"] + ["--robot", "mine.toml"] * given
+    assert main(["calibrate", str(log.parent), *made]) == 0
+    assert (tmp_path / "made/robot.toml").read_bytes() == mine.read_bytes()
+    assert load_recording(tmp_path / "made").robot.name == load_robot(mine).name
+    if not given:
+        assert load_recording(log).robot.name == load_robot(mine).name

@@ -30,7 +30,6 @@ from glissando.io.session_log import read_session
 from glissando.io.session_recording import LOG
 from glissando.io.shipped_robots import beside, robot_file, shipped_robots
 from glissando.io.toml_table import read_document
-from glissando.model.robot import Robot
 
 _HELP = """\
 Find the constants of a rig that a sliding sensor needs: the clocks of tracker and slide relative to
@@ -110,14 +109,14 @@ def _of_session(options: argparse.Namespace) -> tuple[Calibration, list[Path]]:
     if options.session.is_dir():
         options.session = options.session / LOG
     data = rig_data(read_session(options.session), options.coil)
-    robot = _robot(options, data)
+    robot = load_robot(_named(options, data))
     with working("calibrating"):
         result = calibrate(data, robot)
     if options.recording is None:
         return result, []
-    name = options.robot or data.robot
     made = apply(result, data, robot)
-    save_recording(made, options.recording, name, _listed(result))
+    where = _copied(_named(options, data))
+    save_recording(made, options.recording, where, _listed(result))
     return result, [options.recording]
 
 
@@ -138,9 +137,7 @@ def _of_recording(options: argparse.Namespace) -> tuple[Calibration, list[Path]]
         result = calibrate(data, robot)
     made = calibrated(recording, result, data, robot)
     named = options.robot or read_document(folder / "recording.toml").get("robot", "")
-    where: str | Path = named if options.robot else beside(folder, named)
-    if where and where not in shipped_robots():
-        where = robot_file(where)
+    where = _copied(named if options.robot else beside(folder, named))
     out = options.recording or folder.with_name(f".{folder.name}-calibrated")
     save_recording(made, out, where, _listed(result))
     if options.recording:
@@ -158,7 +155,7 @@ def _listed(result: Calibration) -> dict[str, dict[str, float | str]]:
     }
 
 
-def _robot(options: argparse.Namespace, data: RigData) -> Robot:
+def _named(options: argparse.Namespace, data: RigData) -> str:
     """The robot that was asked for, else the session's; its file may lie beside the session."""
     name = options.robot or data.robot
     if not name:
@@ -166,7 +163,12 @@ def _robot(options: argparse.Namespace, data: RigData) -> Robot:
             f"The session does not name its robot; give --robot FILE or one of "
             f"{', '.join(shipped_robots())}."
         )
-    return load_robot(name if options.robot else beside(options.session.parent, name))
+    return name if options.robot else beside(options.session.parent, name)
+
+
+def _copied(robot: str) -> str | Path:
+    """The robot as a recording names it: its file, which is copied, unless it is shipped."""
+    return robot if not robot or robot in shipped_robots() else robot_file(robot)
 
 
 def _as_json(result: Calibration) -> dict[str, object]:

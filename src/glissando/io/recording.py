@@ -199,7 +199,7 @@ def _of_log(path: Path) -> Recording:
     """The recording that a session log holds, also one that was killed."""
     session = read_session(path)
     require_readable(session.metadata.get("format"), "session", path, RecordingError)
-    logged = session_streams(session, session_setup(session))
+    logged = session_streams(session, session_setup(session), path.parent)
     robot = load_robot(beside(path.parent, logged.robot))
     frame = np.eye(4) if logged.frame is None else logged.frame
     unknown = frozenset({"tracker"} if logged.frame is None else ())

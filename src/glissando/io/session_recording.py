@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from glissando.geometry.se3 import Array
 from glissando.io.csv_stream import Rows, Stream
 from glissando.io.robot_file import load_robot
 from glissando.io.session_log import RawSession, Topic
-from glissando.io.shipped_robots import robot_file
+from glissando.io.shipped_robots import beside, robot_file
 from glissando.model.table import Table
 from glissando.model.tendons.channel import Channel
 
@@ -65,7 +66,9 @@ def session_setup(session: RawSession) -> dict[str, Any]:
     return setup
 
 
-def session_streams(session: RawSession, setup: Mapping[str, Any]) -> SessionStreams:
+def session_streams(
+    session: RawSession, setup: Mapping[str, Any], folder: Path = Path()
+) -> SessionStreams:
     """The streams of a session, of one that was cut off as well.
 
     Times begin at the slide's first reading. Messages before the slide's first reading and after
@@ -75,13 +78,14 @@ def session_streams(session: RawSession, setup: Mapping[str, Any]) -> SessionStr
     Args:
         session: The log.
         setup: What is known of the rig, as its metadata 'setup' states it.
+        folder: The session's folder, in which its robot's file may be.
 
     Raises:
         RecordingError: Nothing is left, or the setup is wrong.
     """
     table = Table(dict(setup), "setup", RecordingError)
     robot = table.text("robot")
-    length = load_robot(robot_file(robot)).length
+    length = load_robot(robot_file(beside(folder, robot))).length
     slid, zero, span = _slide(session)
     warnings: list[str] = []
     streams: list[Stream] = []
