@@ -16,6 +16,7 @@ from glissando.calibration.rig.result import Calibration, apply, load_calibratio
 from glissando.calibration.rig.rig import PARAMETERS, Rig
 from glissando.cli.main import main
 from glissando.errors import RecordingError
+from glissando.geometry import se3
 from glissando.io.csv_stream import Rows, Stream
 from glissando.io.recording import Recording, load_recording, save_recording
 from glissando.io.shipped_robots import robot_file
@@ -79,6 +80,20 @@ def test_zero_and_place_of_a_coils_channel_are_found_within_their_confidence(see
     assert (found.std[x] < 1e-4) == np.isfinite(pitch)  # only a winding one shows its radius
     (coil,) = (s for s in apply(found, data).streams.values() if s.channel)
     assert coil.channel == found.channel == found.rig.channel(data)
+
+
+def test_a_mount_that_a_recording_states_stays_and_what_is_found_comes_after_it():
+    data, known = rigs.drawn(0, "bent", direction=-1)
+    recording, robot = recording_of(data), rigs.robot(rigs.NODES)
+    stated = se3.exp(np.array([0.005, 0.002, 0.0, 0.05, 0.0, 0.0]))
+    streams = recording.streams | {"coil": replace(recording.streams["coil"], mount=stated)}
+    recording = replace(recording, streams=streams)
+    own = recording_data(recording)
+    made = Calibration(known, np.zeros((len(PARAMETERS),) * 2), "coil", np.inf)
+    written = calibrated(recording, made, own, robot).streams["coil"]
+    np.testing.assert_allclose(written.mount, stated @ known.coil_mount, atol=1e-12)
+    inside = np.isin(known.true_time(own.coil_time), written.rows.time)
+    np.testing.assert_allclose(written.rows.values, known.T_wt @ own.coil[inside])
 
 
 def test_a_calibration_file_keeps_the_channel(tmp_path):

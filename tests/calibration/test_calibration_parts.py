@@ -17,6 +17,7 @@ from glissando.calibration.rig.slide_timing import LATEST, slide_lag
 from glissando.estimation.posterior import Posterior
 from glissando.geometry import se3
 from glissando.model.interpolation import sort_points
+from glissando.model.tendons.channel import Channel
 from glissando.solver.block_tridiagonal import factor
 from oracles import dense
 
@@ -40,6 +41,23 @@ def test_slopes_of_the_coil_by_the_rig_are_right():
         slope = (ideal.residual(known.moved(nudge)) - ideal.residual(known.moved(-nudge))) / 2e-5
         assert np.abs(slope).max() > 1e-3
         assert np.allclose(slope, jacobian[:, k], atol=1e-4 * np.abs(slope).max())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("channel", [None, Channel(0.004, 0.5)])
+def test_a_coil_on_its_stated_mount_is_where_the_model_expects_it_whatever_its_roll(channel):
+    model, known = small_model()
+    known = replace(known, mount=np.zeros(4))
+    stated = se3.exp(np.array([0.005, 0.002, 0.0, 0.05, -0.03, 0.0]))
+    plain = replace(model.data, channel=channel)
+    model = replace(model, data=replace(plain, mount=stated))
+    arclength, time = model.points(known)
+    roll = np.zeros((time.size, 6))
+    roll[:, 5] = np.linspace(-3.0, 3.0, time.size)
+    sits = known.sits(arclength, plain) @ stated
+    said = se3.inverse(known.T_wt) @ model.states(arclength, time).pose @ sits @ se3.exp(roll)
+    ideal = replace(model, data=replace(model.data, coil=said))
+    np.testing.assert_allclose(ideal.residual(known), 0.0, atol=1e-9)
 
 
 @pytest.mark.slow

@@ -176,7 +176,9 @@ class CoilModel:
         rise = ends[0].rise_from(ends[1]) / (2.0 * _NUDGE)
         travel = rig.arclength(time, self.data)
         placed = self.readings(rig)
-        readings = replace(placed, arclength=travel, mount=rig.tilt, channel=channel)
+        readings = replace(
+            placed, arclength=travel, mount=rig.whole_mount(self.data), channel=channel
+        )
         return by_strain_along(self.shape, readings, by_state, rise)
 
 

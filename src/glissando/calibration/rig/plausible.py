@@ -60,7 +60,7 @@ def _limits(data: RigData, length: float) -> list[tuple[str, float, float]]:
         out.append((f"The correlation length of the {what}", float(value), _CORRELATED * length))
     if data.slides:
         out.append(("The slide's way", float(np.ptp(data.travel)), _SLIDDEN * length))
-    for name, body in data.bodies.items():
-        off = float(np.linalg.norm(body.mount[:3, 3]))
-        out.append((f"The mount of body {name!r}", off, _MOUNT))
+    mounts = {f"body {name!r}": body.mount for name, body in data.bodies.items()}
+    for name, mount in {**mounts, f"coil {data.coil_name!r}": data.mount}.items():
+        out.append((f"The mount of {name}", float(np.linalg.norm(mount[:3, 3])), _MOUNT))
     return out

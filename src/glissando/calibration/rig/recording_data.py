@@ -52,6 +52,7 @@ def recording_data(recording: Recording, coil: str | None = None) -> RigData:
         direction=-1,
         noise=_noise(recording, list(bodies)),
         channel=stream.channel,
+        mount=stream.mount,
     )
 
 

@@ -237,7 +237,7 @@ def apply(calibration: Calibration, data: RigData, robot: Robot | None = None) -
         arclength = np.clip(arclength, low, high)
     if not inside.any():
         raise RecordingError("No coil reading is on the robot while the slide ran; is it this rig?")
-    name, mount = data.coil_name, rig.tilt if channel else rig.coil_mount
+    name, mount = data.coil_name, rig.whole_mount(data)
     rows = Rows("coil", time[inside], arclength[inside], rig.T_wt @ data.coil[inside], {})
     streams = {name: Stream(name, rows, mount=mount, keep_repeats=True, channel=channel)}
     for other in data.others:

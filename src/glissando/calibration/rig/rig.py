@@ -111,6 +111,7 @@ class RigData(Brief):
             which its arclength is then measured.
         others: The tracker's other coils, which are not calibrated.
         frame: Pose T_wt (4, 4) of the tracker in the world as it was stated, if it was.
+        mount: The coil's stated mount (4, 4), after which the one that is found comes.
     """
 
     coil_name: str
@@ -128,6 +129,7 @@ class RigData(Brief):
     channel: Channel | None = None
     others: tuple[OtherCoil, ...] = ()
     frame: Array | None = None
+    mount: Array = field(default_factory=lambda: np.eye(4))
 
     @property
     def slides(self) -> bool:
@@ -177,8 +179,9 @@ class Rig:
         direction: Sign of arclength with travel, ±1.
         zero: Arclength of the coil at travel 0, m.
         epoch: Stamp about which the clocks' rates count, s.
-        mount: x, y [m] and tilts about x, y [rad] of the coil in the cross-section; of a coil in a
-            channel beside the backbone, how far off the channel is at the base, and those tilts.
+        mount: x, y [m] and tilts about x, y [rad] of the coil in the cross-section, off its stated
+            mount if there is one; of a coil in a channel beside the backbone, how far off the
+            channel is at the base, and those tilts.
         lead: Metres of arclength for a metre of travel.
         backlash: Play between carriage and coil, m.
         tracker_clock: Delay [s] and rate of the tracker's stamps.
@@ -210,7 +213,7 @@ class Rig:
 
     @property
     def coil_mount(self) -> Array:
-        """The coil in the cross-section, T_bc (4, 4), without roll and without shift along z."""
+        """The coil off its stated mount (4, 4), without roll and without shift along z."""
         twist = np.zeros(6)
         twist[MOUNT] = self.mount
         return se3.exp(twist)
@@ -228,12 +231,17 @@ class Rig:
         """The coil in the cross-sections at arclengths (M,): T_bc (4, 4), or (M, 4, 4)."""
         channel = self.channel(data)
         if channel is None:
-            return self.coil_mount
-        return channel.frame(arclength, np.tile(STRAIGHT, (arclength.size, 1))) @ self.tilt
+            return self.whole_mount(data)
+        straight = np.tile(STRAIGHT, (arclength.size, 1))
+        return channel.frame(arclength, straight) @ self.whole_mount(data)
+
+    def whole_mount(self, data: RigData) -> Array:
+        """The mount (4, 4) of the coil in the cross-section, or in its channel."""
+        return data.mount @ (self.tilt if data.channel else self.coil_mount)
 
     @property
     def tilt(self) -> Array:
-        """The coil in its channel (4, 4)."""
+        """The coil off its stated mount (4, 4) in its channel."""
         return replace(self, mount=np.append([0.0, 0.0], self.mount[2:])).coil_mount
 
     def true_time(self, stamps: Array) -> Array:
