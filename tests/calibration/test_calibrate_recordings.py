@@ -138,6 +138,28 @@ def test_an_estimate_asks_for_calibration_and_takes_its_result(folder, capsys, m
     assert "give --recording DIR" in told
 
 
+def test_any_folder_without_a_log_is_a_recording(tmp_path, monkeypatch, capsys):
+    """Also one of the public layout, whose robot is the shipped one that fits."""
+    data, known = rigs.drawn(0, "bent")
+    folder = tmp_path / "public"
+    folder.mkdir()
+    for name, kind in (("middle", "aurora"), ("tip", "vicon")):
+        b = data.bodies[name]
+        rows = np.column_stack([b.time, np.full(b.time.size, b.arclength), se3.log(b.poses)])
+        text = "\n".join(",".join(map(repr, row)) for row in rows.tolist())
+        (folder / f"{name}.csv").write_text(f"Sensor Type, {kind}\nTime, Arclength\n{text}\n")
+    found = Calibration(known, np.eye(len(PARAMETERS)) * 1e-6, "middle", np.inf)
+    found = replace(found, rig=replace(known, zero=0.34))
+    monkeypatch.setattr("glissando.cli.calibrate.calibrate", lambda data, robot: found)
+    made = tmp_path / "made"
+    assert main(["calibrate", str(folder), "--recording", str(made)]) == 0
+    again = load_recording(made)
+    assert again.robot.name == "sliding700"
+    assert set(again.streams) == {"middle", "tip"}
+    assert main(["calibrate", str(tmp_path / "nowhere")]) == 2
+    assert "There is no recording folder" in capsys.readouterr().err
+
+
 @pytest.mark.slow
 def test_a_calibrated_recording_can_be_another_one(folder, capsys):
     made = folder.parent / "made"

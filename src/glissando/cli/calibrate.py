@@ -30,6 +30,7 @@ from glissando.io.session_log import read_session
 from glissando.io.session_recording import LOG
 from glissando.io.shipped_robots import beside, robot_file, shipped_robots
 from glissando.io.toml_table import read_document
+from glissando.model.robot import Robot
 
 _HELP = """\
 Find the constants of a rig that a sliding sensor needs: the clocks of tracker and slide relative to
@@ -80,9 +81,10 @@ def _calibrate(options: argparse.Namespace) -> int:
         require_spared("--out", options.out, options.session, options.robot)
     if options.recording:
         require_new(options.recording, RecordingError)
-    folder = options.session
-    is_recording = (folder / "recording.toml").is_file() and not (folder / LOG).is_file()
-    result, written = (_of_recording if is_recording else _of_session)(options)
+    given: Path = options.session
+    is_log = given.suffix == ".mcap" and not given.is_dir()
+    is_session = is_log or (given / LOG).is_file()
+    result, written = (_of_session if is_session else _of_recording)(options)
     if options.out:
         result.save(options.out)
         written.insert(0, options.out)
@@ -136,7 +138,7 @@ def _of_recording(options: argparse.Namespace) -> tuple[Calibration, list[Path]]
     with working("calibrating"):
         result = calibrate(data, robot)
     made = calibrated(recording, result, data, robot)
-    named = options.robot or read_document(folder / "recording.toml").get("robot", "")
+    named = options.robot or _stated_robot(folder, robot)
     where = _copied(named if options.robot else beside(folder, named))
     out = options.recording or folder.with_name(f".{folder.name}-calibrated")
     save_recording(made, out, where, _listed(result))
@@ -145,6 +147,12 @@ def _of_recording(options: argparse.Namespace) -> tuple[Calibration, list[Path]]
     folder.rename(original)
     out.rename(folder)
     return result, [folder, original]
+
+
+def _stated_robot(folder: Path, robot: Robot) -> str:
+    """The robot that a recording names; one of the public layout names none, and fits one."""
+    file = folder / "recording.toml"
+    return str(read_document(file).get("robot", "")) if file.is_file() else robot.name
 
 
 def _listed(result: Calibration) -> dict[str, dict[str, float | str]]:
