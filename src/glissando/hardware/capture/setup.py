@@ -71,7 +71,8 @@ class Coil:
 
     def described(self) -> dict[str, Any]:
         """What a session log states about it, in JSON's types."""
-        out = {"arclength": self.arclength, "slides": self.slides, "slide": self.slide}
+        out: dict[str, Any] = {"arclength": self.arclength, "arclength_std": self.arclength_std}
+        out |= {"slides": self.slides, "slide": self.slide}
         return out | ({"channel": self.channel.to_table()} if self.channel else {})
 
 
