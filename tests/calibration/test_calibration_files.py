@@ -87,7 +87,7 @@ def test_a_session_log_holds_all_that_calibration_needs(tmp_path):
         ((), {"coil_arclength": "tip"}, "coil_arclength"),
         ((), {"coil_arclength": 700.0}, "arclength 700 m, off robot 'sliding700'"),
         ((), {"coil_bais": [4e-4, 5e-3, 0.1]}, "coil_bais is not a key of this table; did you"),
-        ((), {"bodies": {"tip": {"arclength": 0.7, "positon": [0, 0, 1]}}}, "mean 'position'"),
+        ((), {"bodies": {"tip": {"arclength": 0.7, "positions": [0, 0, 1]}}}, "mean 'position'"),
     ],
 )
 def test_what_a_session_lacks_is_said(tmp_path, capsys, without, setup, sentence):
