@@ -11,6 +11,7 @@ import pytest
 from glissando.errors import GlissandoError, PlanWarning
 from glissando.planning import MovingInterval, ProcessPlanner, Zone, sliding_sensor
 from glissando.planning.belief import belief_of
+from glissando.planning.planners import InlinePlanner
 from plans import (
     LENGTH,
     LONG_REACH,
@@ -61,6 +62,21 @@ def test_a_belief_that_is_propagated_is_that_of_the_smoother_at_the_later_time(k
     later = belief_of(smoother_of(robot, 1.5))
     assert (propagated.time, propagated.previous_time) == (later.time, later.previous_time)
     np.testing.assert_allclose(np.diag(propagated.cov), np.diag(later.cov), rtol=slack)
+
+
+def broken():
+    """A plan whose numbers break down."""
+    np.linalg.cholesky(-np.eye(2))
+
+
+@pytest.mark.parametrize("inline", [True, False])
+def test_a_plan_that_breaks_down_is_a_sentence_and_the_planner_goes_on(process, inline):
+    planner = InlinePlanner() if inline else process
+    for _ in range(2):
+        planner.submit(broken)
+        assert inline or planner.ready(WAIT)
+        with pytest.raises(GlissandoError, match="A plan broke down"):
+            planner.result()
 
 
 @pytest.mark.slow

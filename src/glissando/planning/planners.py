@@ -12,6 +12,8 @@ from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import Any, Generic, TypeVar
 
+import numpy as np
+
 from glissando._kernels.threads import one_thread
 from glissando.errors import GlissandoError
 
@@ -43,7 +45,7 @@ class InlinePlanner(Generic[Result]):
     def result(self) -> Result | None:
         """The plan, computed now."""
         task, self._task = self._task, None
-        return None if task is None else task()
+        return None if task is None else _planned(task)
 
 
 class ProcessPlanner(Generic[Result]):
@@ -123,6 +125,14 @@ class ProcessPlanner(Generic[Result]):
 Planner = InlinePlanner[Result] | ProcessPlanner[Result]
 
 
+def _planned(task: Task[Result]) -> Result:
+    """The plan of a task; numbers that break down on the way are no plan, and no end either."""
+    try:
+        return task()
+    except np.linalg.LinAlgError as problem:
+        raise GlissandoError(f"A plan broke down ({problem})") from None
+
+
 def _work(connection: Connection) -> None:
     """Answer one task after another until the connection closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the loop says when to end
@@ -133,7 +143,7 @@ def _work(connection: Connection) -> None:
         while True:
             task: Task[Any] = connection.recv()
             try:
-                answer: object = task()
+                answer: object = _planned(task)
             except GlissandoError as problem:
                 answer = problem
             connection.send(answer)
