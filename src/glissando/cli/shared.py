@@ -20,6 +20,7 @@ from glissando.errors import (
     NotConvergedWarning,
     RobotFileError,
 )
+from glissando.estimation.channels import placed
 from glissando.estimation.posterior import Posterior
 from glissando.evaluation.plausibility.examine import examine_recording
 from glissando.evaluation.plausibility.finding import Finding, listed
@@ -116,11 +117,12 @@ def chosen_robot(recording: Recording, name: str | None) -> Robot:
 def streams_of(
     posterior: Posterior, recording: Recording, robot: Robot, options: argparse.Namespace
 ) -> tuple[list[Readings], list[Readings]]:
-    """The readings and the truth of the recording that a posterior was estimated from."""
+    """The readings and the truth of the recording that a posterior was estimated from, placed."""
     time = posterior.grid.time
     require_pair(posterior, robot, recording.name, recording.span())
     window = (float(time[0]), float(time[-1]))
-    return chosen_streams(recording, robot, window, options.use, options.truth)[:2]
+    readings, truth, _ = chosen_streams(recording, robot, window, options.use, options.truth)
+    return placed(readings, posterior), placed(truth, posterior)
 
 
 def estimate_watched(

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from glissando.errors import GlissandoError, ImplausibleError, RecordingError
+from glissando.estimation.channels import placed
 from glissando.estimation.fixed_lag import FixedLagSmoother
 from glissando.estimation.posterior import Posterior, StateEstimate
 from glissando.estimation.reading_noise import StateSource
@@ -319,4 +320,8 @@ class _Run:
         if isinstance(estimate, Posterior):  # after silence it begins later
             after = max(after, np.nextafter(estimate.grid.time[0], -np.inf))
         inside = [t.select((t.time > after) & (t.time <= until)) for t in self.truth]
+        if isinstance(estimate, Posterior):
+            inside = placed(inside, estimate)
+        else:
+            inside = [self.smoother.placed(t) for t in inside]
         return [errors_against(estimate, t) for t in inside]
