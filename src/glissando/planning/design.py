@@ -83,13 +83,17 @@ def sweep(
     Raises:
         GlissandoError: A stroke is longer than the body, or no design fits it.
     """
-    none = True
-    for stroke, count, rate in itertools.product(strokes, coils, rates):
+    for stroke in strokes:
         if not 0.0 < stroke <= upper + 1e-9:
             raise GlissandoError(f"A stroke of {stroke:g} m does not fit a body of {upper:g} m.")
-        spacing = min(stroke, (upper - stroke) / (count - 1)) if count > 1 else 0.0
-        if count > 1 and spacing < _APART:
-            continue
+    pairs = itertools.product(strokes, coils)
+    fitting = [(*p, spacing) for p in pairs if (spacing := _spacing(*p, upper)) >= _APART]
+    if not fitting:
+        raise GlissandoError(
+            f"No design has room for {', '.join(map(str, coils))} coils behind each other; give "
+            f"fewer, or shorter strokes."
+        )
+    for (stroke, count, spacing), rate in itertools.product(fitting, rates):
         sensor = sliding_sensor(robot, rate=rate, coils=count, spacing=spacing, name=stream)
         lower = upper - stroke
         problem = predict_information(robot, (lower, upper), horizon, sensor)
@@ -100,13 +104,12 @@ def sweep(
             )
             plan = plan_slide(path_objective, path_space, zones)
             std = (evaluate_path(problem, [z], objective, plan.arclength).std for z in zones)
-            none = False
             yield Design(stroke, speed, rate, count, plan.value, tuple(std))
-    if none:
-        raise GlissandoError(
-            f"No design has room for {', '.join(map(str, coils))} coils behind each other; give "
-            f"fewer, or shorter strokes."
-        )
+
+
+def _spacing(stroke: float, count: int, upper: float) -> float:
+    """Metres between coils; a single one has the whole body."""
+    return min(stroke, (upper - stroke) / (count - 1)) if count > 1 else upper
 
 
 def pareto_front(designs: Sequence[Design]) -> NDArray[np.bool_]:
