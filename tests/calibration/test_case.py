@@ -13,7 +13,10 @@ WINDOW = (3.0, 40.0)
 
 
 def case_of(first, last, moves=True):
-    """A body that moves by a millimetre a sample from one time to another, and else rests."""
+    """A body that moves by a millimetre a sample from one time to another, and else rests.
+
+    A second one, which always rests, is seen first two seconds later.
+    """
     time = np.arange(*WINDOW, 0.1)
     way = np.zeros((time.size, 6))
     way[:, 0] = moves * 1e-3 * np.clip(time - first, 0.0, last - first) / 0.1
@@ -21,10 +24,14 @@ def case_of(first, last, moves=True):
     body = PoseReadings(**fields, cov=np.full(6, 1e-6), name="body")
 
     def readings(names, robot, window, *, as_truth):
-        inside = (body.time >= window[0]) & (body.time <= window[1])
-        return [body.select(inside) for _ in names], []
+        resting = body.select(time > WINDOW[0] + 2.0).changed(name="resting")
+        resting = resting.changed(values=np.broadcast_to(np.eye(4), resting.values.shape))
+        inside = [r.select((r.time >= window[0]) & (r.time <= window[1])) for r in (body, resting)]
+        return inside[: len(names)], []
 
-    return RecordingCase(SimpleNamespace(readings=readings), WINDOW, ("sensor",), ("body",))
+    return RecordingCase(
+        SimpleNamespace(readings=readings), WINDOW, ("sensor",), ("body", "resting")
+    )
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from glissando.calibration.robot.predictive import APART, in_motion
 from glissando.io.recording import Recording
 from glissando.model.grid import Grid
@@ -50,7 +52,8 @@ class RecordingCase:
         Truth says there what its first sample says. A case without truth stays as it is, and so
         does one whose robot never moves.
         """
-        moving = APART * in_motion(self.truth(robot))[1:]  # the first sample counts always
+        later = (in_motion([t])[1:] for t in self.truth(robot))  # a first sample counts always
+        moving = APART * np.unique(np.concatenate([np.zeros(0), *later]))
         if not moving.size:
             return self
         start = max(self.window[0], moving[0] - _REST)
