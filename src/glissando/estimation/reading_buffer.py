@@ -14,6 +14,7 @@ from glissando.estimation.held_readings import HeldReadings
 from glissando.estimation.innovation_gate import InnovationGate
 from glissando.model.sensors.compiled_readings import CompiledReadings, ReadingRows
 from glissando.model.sensors.readings import Readings
+from glissando.model.tendons.channel import ends_of
 
 _AHEAD = 2.0  # s: stamps further ahead of the time now are a clock's fault
 _FEW = 100_000  # pairs of stamps that are compared each with each
@@ -58,7 +59,7 @@ class ReadingBuffer:
         if not len(readings):
             return
         channel, slack = readings.channel, 1e-9 * self._length
-        low, high = channel.travels(self._length) if channel else (0.0, self._length)
+        low, high = ends_of(channel, self._length)
         times, (lowest, highest) = time.tolist(), _ends(place)
         first, last = min(times), max(times)
         faults: list[tuple[str, np.ndarray | None]] = []

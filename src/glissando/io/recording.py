@@ -28,7 +28,7 @@ from glissando.model.sensors.readings import SENSORS, Readings
 from glissando.model.sensors.sensors import sensor_class, sensor_kinds
 from glissando.model.slide_track import slide_motion
 from glissando.model.table import Table
-from glissando.model.tendons.channel import Channel
+from glissando.model.tendons.channel import Channel, ends_of
 
 _TRUTH_STD = 1e-6  # noise of a truth stream that states none: negligible against any posterior
 
@@ -320,7 +320,7 @@ def _stream(
 
 
 def _require_on_robot(name: str, rows: Rows, robot: Robot, channel: Channel | None) -> None:
-    low, high = channel.travels(robot.length) if channel else (0.0, robot.length)
+    low, high = ends_of(channel, robot.length)
     excess = np.maximum(rows.arclength - high, low - rows.arclength)
     bad = np.flatnonzero(excess > 1e-9)
     if bad.size:

@@ -18,7 +18,7 @@ from glissando.io.robot_file import load_robot
 from glissando.io.session_log import RawSession, Topic
 from glissando.io.shipped_robots import beside, robot_file
 from glissando.model.table import Table
-from glissando.model.tendons.channel import Channel
+from glissando.model.tendons.channel import Channel, ends_of
 
 LOG = "session.mcap"
 """Name of a session's log in its folder."""
@@ -106,8 +106,9 @@ def session_streams(
         time, poses = seen("tracker", name, *known)
         if time.size:
             arclength = place + direction * np.interp(time, *moved)
-            ends = channel.travels(length) if channel else (0.0, length)
-            rows = Rows("coil", time - zero, np.clip(arclength, *ends), poses, {})
+            rows = Rows(
+                "coil", time - zero, np.clip(arclength, *ends_of(channel, length)), poses, {}
+            )
             streams.append(Stream(name, rows, frame="tracker", channel=channel))
     for name, body in table.named_tables("bodies"):
         if body.flag("slides"):  # on the sliding tube, not on the robot

@@ -7,6 +7,7 @@ import numpy as np
 from glissando.calibration.rig.rig import RigData
 from glissando.errors import RecordingError
 from glissando.model.robot import Robot
+from glissando.model.tendons.channel import ends_of
 
 _SPREAD = 0.1  # of the robot's length: noise, play and doubt about an arclength are less
 _SLIDDEN = 1.5  # of the robot's length: what a slide travels at most
@@ -31,7 +32,7 @@ def require_metres(data: RigData, robot: Robot) -> None:
                 f"{what} is {value:.3g} m, more than the {most:g} m that fit robot "
                 f"{robot.name!r} of {robot.length:g} m; give metres, not millimetres."
             )
-    low, high = data.channel.travels(robot.length) if data.channel else (0.0, robot.length)
+    low, high = ends_of(data.channel, robot.length)
     far = _SPREAD * robot.length + (float(np.abs(data.travel).max()) if data.slides else 0.0)
     places = {f"Body {name!r}": (b.arclength, 0.0, robot.length) for name, b in data.bodies.items()}
     places[f"Coil {data.coil_name!r}"] = data.coil_arclength, low - far, high + far

@@ -25,7 +25,7 @@ from glissando.model.brief import Brief
 from glissando.model.robot import Robot
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.table import Table, pose_table
-from glissando.model.tendons.channel import Channel
+from glissando.model.tendons.channel import Channel, ends_of
 
 _OF_PLACE = "frame", "mount", "tracker"  # constants that motion capture shows
 _UNITS = {"delay": ("ms", 1e3), "rate": ("ppm", 1e6), "lead": ("1", 1.0)}
@@ -232,7 +232,7 @@ def apply(calibration: Calibration, data: RigData, robot: Robot | None = None) -
     arclength, inside = rig.arclength(time, data), rig.covered(time, data)
     channel = rig.channel(data)
     if length is not None:
-        low, high = _ends(channel, length)
+        low, high = ends_of(channel, length)
         inside &= (arclength > low - 1e-3) & (arclength < high + 1e-3)
         arclength = np.clip(arclength, low, high)
     if not inside.any():
@@ -268,11 +268,6 @@ def _in_frame(calibration: Calibration, data: RigData) -> Rig:
     return replace(calibration.rig, T_wt=data.frame)
 
 
-def _ends(channel: Channel | None, length: float) -> tuple[float, float]:
-    """Least and greatest arclength, m, of a coil on a robot of some length, m."""
-    return channel.travels(length) if channel else (0.0, length)
-
-
 def _rows_of(other: OtherCoil, rig: Rig, data: RigData, length: float | None) -> Rows:
     """Rows of another coil in the world at true times, where it is stated, on the robot."""
     time = rig.true_time(other.time)
@@ -282,5 +277,5 @@ def _rows_of(other: OtherCoil, rig: Rig, data: RigData, length: float | None) ->
     else:
         arclength, inside = other.arclength - other.travel, np.isfinite(other.travel)
     if length is not None:
-        arclength = np.clip(arclength, *_ends(other.channel, length))
+        arclength = np.clip(arclength, *ends_of(other.channel, length))
     return Rows("coil", time[inside], arclength[inside], rig.T_wt @ other.poses[inside], {})

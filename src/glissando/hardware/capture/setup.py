@@ -20,7 +20,7 @@ from glissando.io.robot_file import load_robot
 from glissando.io.shipped_robots import beside, robot_file, shipped_robots
 from glissando.io.toml_table import read_toml
 from glissando.model.table import Table, pose_table
-from glissando.model.tendons.channel import Channel
+from glissando.model.tendons.channel import Channel, ends_of
 
 _ARCLENGTH_STD = 2e-3  # m: how well one measures by hand where the coil is
 _BAUD, _PORT = 115200, 51001
@@ -57,17 +57,13 @@ class Coil:
     def arclengths(self, travel: Array, length: float) -> Array:
         """Arclengths (M,) m on a robot of some length, m, at travels (M,) m of the slide."""
         place = self.arclength - travel if self.slides else np.full(travel.shape, self.arclength)
-        return np.clip(place, *self._ends(length))
+        return np.clip(place, *ends_of(self.channel, length))
 
     def off(self, stroke: tuple[float, float], length: float) -> float:
         """How far a stroke takes it off a robot of some length, m; zero or less if it does not."""
-        low, high = self._ends(length)
+        low, high = ends_of(self.channel, length)
         most = self.arclength - stroke[0] - high, low - self.arclength + stroke[1]
         return max(most) if self.slides else 0.0
-
-    def _ends(self, length: float) -> tuple[float, float]:
-        """Its first and last arclength on a robot of some length."""
-        return self.channel.travels(length) if self.channel else (0.0, length)
 
     def described(self) -> dict[str, Any]:
         """What a session log states about it, in JSON's types."""
@@ -257,7 +253,7 @@ def _coils(table: Table, length: float) -> tuple[Coil, ...]:
     coils = []
     for entry in table.tables("coils"):
         name, channel = file_stem(entry.text("name"), DeviceError), entry.channel()
-        arclength = _arclength(entry, channel.travels(length)[1] if channel else length)
+        arclength = _arclength(entry, ends_of(channel, length)[1])
         slides, serial = not entry.flag("fixed"), entry.text("serial", "")
         std = entry.number("arclength_std", _ARCLENGTH_STD)
         if std > 0.1 * length:

@@ -89,3 +89,13 @@ class Channel:
         """What a recording says of it: metres and radians, a pitch of 0 for a straight channel."""
         pitch = self.pitch if np.isfinite(self.pitch) else 0.0
         return {"radius": self.radius, "angle": self.angle, "pitch": pitch}
+
+
+def ends_of(channel: Channel | None, length: float) -> tuple[float, float]:
+    """Least and greatest arclength, m, of sensors on a robot: along the channel if there is one.
+
+    Args:
+        channel: The channel beside the backbone that a sensor slides in, if it does.
+        length: Length of the robot, m.
+    """
+    return channel.travels(length) if channel else (0.0, length)
