@@ -24,7 +24,7 @@ from glissando import load_robot
 from glissando.evaluation.metrics import pool
 from glissando.evaluation.run import run_estimate
 from glissando.experiments.scenes import Scene, trial
-from glissando.io.recording import load_recording
+from glissando.io.recording_folder import load_recording
 from glissando.io.robot_file import read_robot_document
 from glissando.io.robot_template import RobotOutline, robot_text
 from sorosim import FILE

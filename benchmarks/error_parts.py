@@ -21,7 +21,7 @@ from glissando.errors import GlissandoError
 from glissando.evaluation.metrics import pool
 from glissando.evaluation.run import run_estimate
 from glissando.geometry import se3
-from glissando.io.recording import load_recording
+from glissando.io.recording_folder import load_recording
 from glissando.io.robot_file import parse_robot, read_robot_document
 from glissando.io.shipped_robots import robot_file
 from glissando.model.table import Table

@@ -20,7 +20,7 @@ from rich.table import Table
 
 from glissando import CoilReadings, Grid, GyroReadings, PoseReadings, estimate, load_robot
 from glissando.geometry import se3
-from glissando.io.recording import load_recording
+from glissando.io.recording_folder import load_recording
 
 SIZES = [(5, 76), (5, 151), (5, 301), (5, 601), (10, 201), (10, 401), (19, 31)]
 PHASES = ("linearise", "solve", "covariance", "total")

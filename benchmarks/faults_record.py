@@ -9,7 +9,7 @@ import numpy as np
 
 from faults_bench import STROKE, Device, Program
 from glissando.errors import GlissandoError
-from glissando.io.recording import load_recording
+from glissando.io.recording_folder import load_recording
 from glissando.io.session_log import read_session
 
 SIGNALS = {"SIGTERM": signal.SIGTERM, "SIGHUP": signal.SIGHUP, "kill -9": signal.SIGKILL}

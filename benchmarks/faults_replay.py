@@ -9,7 +9,7 @@ import numpy as np
 from faults_bench import Device, Program, free_port
 from faults_record import SIGNALS
 from glissando.io.journal import Journal
-from glissando.io.recording import load_recording
+from glissando.io.recording_folder import load_recording
 
 SPAN = 3.0  # s of a recording that is replayed as it was, and of a live estimate
 _PEER = """import sys, time, numpy as np

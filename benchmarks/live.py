@@ -34,7 +34,7 @@ from glissando.hardware.openigtlink import encode
 from glissando.hardware.openigtlink.crc import crc64
 from glissando.hardware.openigtlink.framer import Framer
 from glissando.hardware.openigtlink.message import HEADER, read_header
-from glissando.io.recording import load_recording
+from glissando.io.recording_folder import load_recording
 from glissando.model.sensors.sensors import PoseReadings
 
 LAST = "Ellipsoids95"  # the last message of every update

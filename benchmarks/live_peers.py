@@ -35,7 +35,7 @@ from glissando.hardware.live.rig_source import RigSource
 from glissando.hardware.ros2.ros2_sink import Ros2Sink
 from glissando.hardware.ros2.ros2_source import Ros2Source
 from glissando.hardware.simulated_devices.scene import Scene, SceneCoil
-from glissando.io.recording import load_recording
+from glissando.io.recording_folder import load_recording
 from glissando.io.robot_file import load_robot
 from glissando.io.shipped_robots import robot_file
 from glissando.model.slide_path import SlideLimits, SlidePath

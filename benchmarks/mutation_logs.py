@@ -21,7 +21,7 @@ from mcap.writer import Writer
 
 from glissando.calibration.rig.session_data import rig_data
 from glissando.io.journal import Journal
-from glissando.io.recording import load_recording, save_recording
+from glissando.io.recording_folder import load_recording, save_recording
 from glissando.io.robot_file import load_robot
 from glissando.io.session_log import read_session
 from glissando.model.sensors.sensors import PoseReadings

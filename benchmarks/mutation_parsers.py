@@ -28,7 +28,7 @@ from glissando.hardware.drivers.gcode_stage import parse_status
 from glissando.io.foreign import export
 from glissando.io.netcdf import load_posterior, save_posterior
 from glissando.io.query_csv import read_query, write_query
-from glissando.io.recording import load_recording, save_recording
+from glissando.io.recording_folder import load_recording, save_recording
 from glissando.io.robot_file import load_robot
 from glissando.io.shipped_robots import robot_file, shipped_robots
 from glissando.io.tendon_commands import read_tendon_commands

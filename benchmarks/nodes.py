@@ -21,7 +21,7 @@ import numpy as np
 
 from glissando import NotConvergedWarning, estimate, load_robot
 from glissando.evaluation.metrics import errors_against, pool
-from glissando.io.recording import load_recording
+from glissando.io.recording_folder import load_recording
 from glissando.model.sensors.parameters import corrected
 
 DATA = Path("../shared/data/spacetime")

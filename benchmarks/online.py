@@ -20,7 +20,7 @@ import numpy as np
 from estimate import arc
 from glissando import CoilReadings, FixedLagSmoother, PoseReadings, load_robot
 from glissando.evaluation.replay import replay
-from glissando.io.recording import load_recording
+from glissando.io.recording_folder import load_recording
 from glissando.model.sensors.parameters import SensorParameter
 
 # Published for the reference implementation's window of four nodes and its filter: tip RMSE (mm)

@@ -23,7 +23,7 @@ from glissando.errors import GlissandoError
 from glissando.evaluation.metrics import errors_against, pool
 from glissando.evaluation.run import chosen_streams
 from glissando.geometry import se3
-from glissando.io.recording import load_recording
+from glissando.io.recording_folder import load_recording
 from glissando.model.noise import GemanMcClure, Huber
 
 DATA = Path("../shared/data/spacetime")

@@ -8,7 +8,7 @@ import numpy as np
 import shapes
 from glissando import load_robot
 from glissando.geometry import se3
-from glissando.io.recording import load_recording
+from glissando.io.recording_folder import load_recording
 
 SPACETIME = Path("../shared/data/spacetime")
 READ = [3, 6, 9, 12]  # stations of the steel rod that are read, its tip the last

@@ -16,7 +16,7 @@ from glissando import load_robot
 from glissando.evaluation.consistency import check
 from glissando.evaluation.metrics import pool
 from glissando.evaluation.run import run_estimate
-from glissando.io.recording import load_recording
+from glissando.io.recording_folder import load_recording
 
 DATA = Path("../shared/data/spacetime")
 TRUTH = [f"vicon{i}" for i in range(5)]

@@ -31,7 +31,7 @@ import numpy as np
 from glissando import CoilReadings, NotConvergedWarning, SensorParameter, estimate, load_robot
 from glissando.evaluation.metrics import Errors, errors_against, pool
 from glissando.geometry import se3
-from glissando.io.recording import load_recording
+from glissando.io.recording_folder import load_recording
 from glissando.model.sensors.parameters import corrected
 
 DATA = Path("../shared/data/spacetime")

@@ -24,7 +24,7 @@ import numpy as np
 
 from glissando import FixedLagSmoother, load_robot
 from glissando.evaluation.run import chosen_streams, run_estimate
-from glissando.io.recording import load_recording
+from glissando.io.recording_folder import load_recording
 
 # name: program, its robot, our robot, recording, window (s), time nodes (None for a batch)
 TASKS = {

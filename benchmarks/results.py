@@ -29,7 +29,7 @@ from glissando import (
 )
 from glissando.evaluation.run import run_estimate
 from glissando.geometry import se3
-from glissando.io.recording import load_recording
+from glissando.io.recording_folder import load_recording
 
 # Position RMSE (mm) that was published for the reference implementation, by site; its CPU seconds
 # for the batch (one thread of a 2.5 GHz Xeon core).

@@ -17,7 +17,7 @@ import numpy as np
 
 from glissando.evaluation.metrics import pool
 from glissando.evaluation.run import run_estimate
-from glissando.io.recording import load_recording
+from glissando.io.recording_folder import load_recording
 from glissando.io.robot_file import load_robot
 from glissando.io.shipped_robots import robot_file
 from glissando.simulation.simulate import simulate

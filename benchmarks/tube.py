@@ -21,7 +21,7 @@ from glissando import load_robot
 from glissando.evaluation.conformal import conformal_tube, inside_tube
 from glissando.evaluation.plausibility.finding import CHECKS
 from glissando.evaluation.replay import replay
-from glissando.io.recording import load_recording
+from glissando.io.recording_folder import load_recording
 from sorosim import FILE
 
 DATA = Path("../shared/data/spacetime")

@@ -24,7 +24,7 @@ import numpy as np
 from glissando import BaseVariance, CoilReadings, FixedLagSmoother, SeparablePrior, load_robot
 from glissando.evaluation.run import chosen_streams
 from glissando.geometry import se3
-from glissando.io.recording import load_recording
+from glissando.io.recording_folder import load_recording
 from glissando.io.shipped_robots import robot_file
 from glissando.model.mechanics import Mechanics
 from glissando.model.priors.mechanical.prior import MechanicalPrior

@@ -11,7 +11,7 @@ from .evaluation.consistency import check
 from .evaluation.metrics import errors_against
 from .geometry import se3
 from .io.netcdf import load_posterior, save_posterior
-from .io.recording import load_recording
+from .io.recording_folder import load_recording
 from .io.robot_file import load_robot
 from .model.grid import Grid, uniform_grid
 from .model.noise import GemanMcClure, Huber

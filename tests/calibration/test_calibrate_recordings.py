@@ -18,7 +18,8 @@ from glissando.cli.main import main
 from glissando.errors import RecordingError
 from glissando.geometry import se3
 from glissando.io.csv_stream import Rows, Stream
-from glissando.io.recording import Recording, load_recording, save_recording
+from glissando.io.recording import Recording
+from glissando.io.recording_folder import load_recording, save_recording
 from glissando.io.shipped_robots import robot_file
 from glissando.model.tendons.channel import Channel
 

@@ -17,7 +17,7 @@ from glissando.calibration.rig.rig import PARAMETERS
 from glissando.calibration.rig.session_data import rig_data
 from glissando.cli.main import main
 from glissando.geometry import se3
-from glissando.io.recording import load_recording
+from glissando.io.recording_folder import load_recording
 from glissando.io.robot_file import parse_robot
 from glissando.io.session_log import read_session
 from glissando.io.shipped_robots import robot_file

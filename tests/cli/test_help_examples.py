@@ -11,7 +11,7 @@ import pytest
 
 from glissando.cli.main import build_parser, main
 from glissando.evaluation.run import run_estimate, write_run
-from glissando.io.recording import load_recording
+from glissando.io.recording_folder import load_recording
 from glissando.io.shipped_robots import robot_file
 from glissando.simulation import SlidePath, load_bench, simulate_session, write_session
 from outputs import Renamed, watched

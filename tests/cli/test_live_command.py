@@ -13,7 +13,7 @@ from glissando.cli import browser
 from glissando.cli import live as command
 from glissando.cli.main import main
 from glissando.hardware.openigtlink import Endpoint
-from glissando.io.recording import load_recording, save_recording
+from glissando.io.recording_folder import load_recording, save_recording
 from glissando.visualization.page import Live
 from live_recordings import ROBOT, SPAN, pose_messages, swaying
 from waiting import until

@@ -7,7 +7,7 @@ from glissando import Grid, PoseReadings, estimate, load_robot
 from glissando.cli.main import main
 from glissando.cli.shared import chosen_robot
 from glissando.io.netcdf import save_posterior
-from glissando.io.recording import load_recording
+from glissando.io.recording_folder import load_recording
 from glissando.io.shipped_robots import robot_file
 
 pytest.importorskip("h5netcdf")

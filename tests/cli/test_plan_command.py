@@ -8,7 +8,7 @@ import pytest
 from command_line import run
 from glissando import CoilReadings, estimate, load_robot
 from glissando.io.netcdf import save_posterior
-from glissando.io.recording import load_recording
+from glissando.io.recording_folder import load_recording
 from glissando.io.shipped_robots import robot_file
 from glissando.planning import Design, pareto_front
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from command_line import run
-from glissando.io.recording import load_recording
+from glissando.io.recording_folder import load_recording
 from glissando.io.shipped_robots import robot_file
 from glissando.model.tendons.channel import Channel
 

@@ -11,7 +11,7 @@ from glissando.cli import learn as learn_command
 from glissando.cli.main import main
 from glissando.estimation.tendon_prediction import predict_tip
 from glissando.io.query_csv import QUERY_COLUMNS
-from glissando.io.recording import load_recording
+from glissando.io.recording_folder import load_recording
 from glissando.io.robot_file import load_robot
 from glissando.model.tendons.statics import equilibrium
 from glissando.model.tendons.tendon_rod import tendon_rod

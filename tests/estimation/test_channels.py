@@ -18,7 +18,7 @@ from glissando.evaluation.metrics import errors_against
 from glissando.geometry import se3
 from glissando.io.csv_stream import Rows, Stream
 from glissando.io.journal import Journal
-from glissando.io.recording import load_recording
+from glissando.io.recording_folder import load_recording
 from glissando.io.recording_writer import write_streams
 from glissando.model.state import State
 from glissando.model.tendons.channel import Channel

@@ -11,7 +11,7 @@ import pytest
 
 from glissando.evaluation.run import run_estimate
 from glissando.geometry import se3
-from glissando.io.recording import load_recording
+from glissando.io.recording_folder import load_recording
 from oracles import published
 
 WINDOW = (19.0, 29.0)

@@ -4,7 +4,7 @@ import pytest
 
 from glissando.cli.main import main
 from glissando.evaluation.run import chosen_streams
-from glissando.io.recording import load_recording
+from glissando.io.recording_folder import load_recording
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from glissando.evaluation.leave_out import _stretch, leave_out
 from glissando.evaluation.metrics import innovations
 from glissando.evaluation.plausibility.examine import after_estimate
 from glissando.evaluation.run import chosen_streams
-from glissando.io.recording import load_recording
+from glissando.io.recording_folder import load_recording
 from glissando.solver.gauss_newton import SolverOptions
 from glissando.visualization.evaluation_figures import calibrated_quantities, calibration_figure
 from scenes import sliding_scene

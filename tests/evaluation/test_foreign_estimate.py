@@ -25,7 +25,8 @@ from glissando.evaluation.metrics import errors_against
 from glissando.geometry import se3
 from glissando.io.csv_stream import Rows, Stream
 from glissando.io.foreign import export, read_tracks
-from glissando.io.recording import Recording, save_recording
+from glissando.io.recording import Recording
+from glissando.io.recording_folder import save_recording
 from glissando.visualization.page.comparison import comparison, written_runs
 
 PLACES = np.array([0.0, 0.1, 0.233, 0.35, 0.466])

@@ -8,7 +8,7 @@ import pytest
 from glissando.cli.main import main
 from glissando.evaluation.plausibility.examine import examine
 from glissando.evaluation.run import checked_window, chosen_streams
-from glissando.io.recording import load_recording
+from glissando.io.recording_folder import load_recording
 
 
 def edited(folder, tmp_path, change):

@@ -9,7 +9,7 @@ from glissando import load_robot
 from glissando.cli.main import main
 from glissando.evaluation.replay import replay
 from glissando.evaluation.run import run_estimate
-from glissando.io.recording import load_recording
+from glissando.io.recording_folder import load_recording
 
 # Position RMSE (mm) of the published code's batch estimator by arclength of the site (m).
 PUBLISHED = [

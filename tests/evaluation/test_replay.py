@@ -23,7 +23,7 @@ from glissando.evaluation.replay import replay
 from glissando.evaluation.run import run_estimate
 from glissando.geometry import se3
 from glissando.io.journal import Journal
-from glissando.io.recording import load_recording
+from glissando.io.recording_folder import load_recording
 from glissando.model.sensors.sensors import sensor_class, sensor_kinds
 from glissando.model.tendons.channel import Channel
 from scenes import LENGTH, arc, sliding_scene
@@ -220,7 +220,7 @@ import sys
 import tempfile
 import time as clock
 from pathlib import Path
-from glissando.io.recording import load_recording
+from glissando.io.recording_folder import load_recording
 from glissando.evaluation.replay import replay
 recording = load_recording(sys.argv[1])
 def watch(done, total, smoother):

@@ -16,7 +16,7 @@ from glissando.hardware.openigtlink import Endpoint, Message, encode, stamp_of
 from glissando.hardware.openigtlink import contents as c
 from glissando.hardware.simulated_devices import started
 from glissando.hardware.simulated_devices.grbl import Grbl
-from glissando.io.recording import load_recording
+from glissando.io.recording_folder import load_recording
 from glissando.io.session_log import read_session
 from glissando.model.slide_path import SlideLimits, SlidePath
 from waiting import until

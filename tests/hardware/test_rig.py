@@ -17,7 +17,7 @@ from glissando.cli.main import main
 from glissando.errors import DeviceError, RecordingError
 from glissando.evaluation.run import run_estimate
 from glissando.hardware.capture import Body, Coil, Rig, load_rig, simulated_rig, write_recording
-from glissando.io.recording import load_recording
+from glissando.io.recording_folder import load_recording
 from glissando.io.session_log import SessionWriter, read_session
 from glissando.io.session_recording import session_streams
 from glissando.io.shipped_robots import robot_file

@@ -25,7 +25,7 @@ from glissando.io.foreign.tracks import Track
 from glissando.io.journal import Journal
 from glissando.io.netcdf import load_posterior, save_posterior
 from glissando.io.plain_file import file_stem
-from glissando.io.recording import load_recording, save_recording
+from glissando.io.recording_folder import load_recording, save_recording
 from glissando.io.recording_writer import write_streams
 from glissando.io.robot_file import load_robot
 from glissando.io.session_log import read_session

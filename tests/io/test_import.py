@@ -12,7 +12,7 @@ from foreign_files import ndi_csv, tracker_csv
 from glissando.errors import RecordingError
 from glissando.geometry import se3
 from glissando.io.foreign import Choices, Track, write_recording
-from glissando.io.recording import load_recording
+from glissando.io.recording_folder import load_recording
 from glissando.io.shipped_robots import robot_file
 
 

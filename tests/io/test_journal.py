@@ -9,7 +9,7 @@ import pytest
 from glissando.errors import SensorError
 from glissando.geometry import se3
 from glissando.io.journal import Journal
-from glissando.io.recording import load_recording
+from glissando.io.recording_folder import load_recording
 from glissando.model.sensors.sensors import GyroReadings, PoseReadings
 
 

@@ -9,7 +9,7 @@ from glissando import Huber, load_robot
 from glissando.errors import RecordingError, RobotFileError
 from glissando.geometry import se3
 from glissando.io.csv_stream import Rows, clean, read_named, steady, write_named
-from glissando.io.recording import load_recording
+from glissando.io.recording_folder import load_recording
 from glissando.io.recording_writer import _value
 from glissando.io.shipped_robots import robot_file, shipped_robots
 from glissando.model.sensors.sensors import sensor_kinds

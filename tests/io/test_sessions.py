@@ -17,7 +17,7 @@ from draws import law
 from glissando.errors import GlissandoError, RecordingError
 from glissando.geometry import se3
 from glissando.hardware.capture import Body, Coil, Rig, write_recording
-from glissando.io.recording import load_recording
+from glissando.io.recording_folder import load_recording
 from glissando.io.session_log import (
     INTEGER,
     NUMBER,

@@ -23,7 +23,8 @@ from glissando.io.atomic_file import new_file, write_table, write_text
 from glissando.io.atomic_folder import new_folder, renewed_folder
 from glissando.io.csv_stream import Rows, Stream
 from glissando.io.foreign import export
-from glissando.io.recording import Recording, load_recording, save_recording
+from glissando.io.recording import Recording
+from glissando.io.recording_folder import load_recording, save_recording
 from glissando.visualization.canvas import save_figure
 from glissando.visualization.film import save_animation
 from outputs import contents, watched

@@ -9,7 +9,7 @@ import pytest
 from glissando import Readings, estimate, load_robot
 from glissando.errors import GlissandoError, SensorError
 from glissando.io.journal import Journal
-from glissando.io.recording import load_recording, save_recording
+from glissando.io.recording_folder import load_recording, save_recording
 from glissando.io.shipped_robots import robot_file
 from glissando.model.sensors.readings import SENSORS
 from glissando.planning import predict_information, sliding_sensor

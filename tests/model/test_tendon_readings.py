@@ -7,7 +7,7 @@ from glissando.errors import SensorError
 from glissando.estimation.batch import estimate
 from glissando.estimation.static import estimate_static
 from glissando.io.journal import Journal
-from glissando.io.recording import load_recording
+from glissando.io.recording_folder import load_recording
 from glissando.model.grid import Grid
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.sensors.tendons import TendonReadings, up_to

@@ -9,7 +9,7 @@ import pytest
 
 from glissando.cli.main import main
 from glissando.geometry import se3
-from glissando.io.recording import load_recording
+from glissando.io.recording_folder import load_recording
 from glissando.io.shipped_robots import robot_file
 from glissando.simulation import SlidePath, load_bench
 from glissando.simulation.drive_tube import STEP, DriveTube

@@ -24,7 +24,7 @@ from glissando.cli.shared import Commands, add_command, chosen_robot
 from glissando.cli.tables import number_table
 from glissando.errors import GlissandoError, RecordingError, RobotFileError
 from glissando.io.atomic_folder import require_new
-from glissando.io.recording import load_recording, save_recording
+from glissando.io.recording_folder import load_recording, save_recording
 from glissando.io.robot_file import load_robot
 from glissando.io.session_log import read_session
 from glissando.io.session_recording import LOG

@@ -17,7 +17,7 @@ from glissando.evaluation.simulation_based import SimulationCheck, simulate_and_
 from glissando.geometry.se3 import Array
 from glissando.io.atomic_folder import renewed_folder
 from glissando.io.provenance import write_report
-from glissando.io.recording import load_recording
+from glissando.io.recording_folder import load_recording
 from glissando.io.robot_file import load_robot
 from glissando.model.grid import Grid
 from glissando.model.robot import Robot

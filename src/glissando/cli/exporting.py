@@ -15,7 +15,7 @@ from glissando.errors import GlissandoError
 from glissando.io.foreign import export
 from glissando.io.foreign.trajectories import export_stream
 from glissando.io.netcdf import load_posterior
-from glissando.io.recording import load_recording
+from glissando.io.recording_folder import load_recording
 
 _HELP = """\
 Write poses of a posterior, which estimate made, or a stream of a recording, such as the truth, to a

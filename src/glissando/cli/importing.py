@@ -20,7 +20,8 @@ from glissando.io.foreign import Choices, read_tracks, write_recording
 from glissando.io.foreign.kinds import is_bag
 from glissando.io.foreign.tracks import Track
 from glissando.io.provenance import write_report
-from glissando.io.recording import Recording, load_recording
+from glissando.io.recording import Recording
+from glissando.io.recording_folder import load_recording
 
 _HELP = """\
 Bring files of motion capture and trackers into a recording folder that every command takes.

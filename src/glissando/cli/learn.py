@@ -26,7 +26,8 @@ from glissando.errors import GlissandoError, RecordingError
 from glissando.evaluation.metrics import pool
 from glissando.evaluation.run import checked_window, require_rows, run_estimate
 from glissando.geometry.se3 import Array
-from glissando.io.recording import Recording, load_recording
+from glissando.io.recording import Recording
+from glissando.io.recording_folder import load_recording
 from glissando.io.robot_file import load_robot, parse_robot, read_robot_document
 from glissando.io.shipped_robots import robot_file
 from glissando.model.sensors.parameters import SensorParameter

@@ -32,7 +32,7 @@ from glissando.hardware.live.addresses import SINKS, SOURCES, sink_of, source_of
 from glissando.hardware.live.replanning import Replanning
 from glissando.hardware.live.rig_source import RigSource
 from glissando.hardware.live.sinks import Sink
-from glissando.io.recording import load_recording
+from glissando.io.recording_folder import load_recording
 from glissando.io.robot_file import load_robot
 from glissando.io.shipped_robots import robot_file
 from glissando.model.robot import Robot

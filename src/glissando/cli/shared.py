@@ -26,7 +26,8 @@ from glissando.evaluation.plausibility.examine import examine_recording
 from glissando.evaluation.plausibility.finding import Finding, listed
 from glissando.evaluation.run import Run, checked_window, chosen_streams, run_estimate
 from glissando.io.netcdf import load_posterior
-from glissando.io.recording import Recording, load_recording
+from glissando.io.recording import Recording
+from glissando.io.recording_folder import load_recording
 from glissando.io.robot_file import load_robot
 from glissando.io.shipped_robots import shipped_robots
 from glissando.model.robot import Robot

@@ -37,7 +37,8 @@ from glissando.evaluation.run import checked_window, chosen_streams
 from glissando.geometry.se3 import Array
 from glissando.io.csv_stream import Rows
 from glissando.io.journal import Journal
-from glissando.io.recording import Recording, load_recording
+from glissando.io.recording import Recording
+from glissando.io.recording_folder import load_recording
 from glissando.model.brief import Brief
 from glissando.model.robot import Robot
 from glissando.model.seconds import seconds

@@ -20,7 +20,7 @@ from glissando.hardware.live import (
 )
 from glissando.hardware.openigtlink import Endpoint
 from glissando.io.query_csv import QUERY_COLUMNS
-from glissando.io.recording import load_recording
+from glissando.io.recording_folder import load_recording
 from glissando.io.robot_file import load_robot
 from glissando.model.sensors.sensors import PoseReadings
 from live_recordings import (

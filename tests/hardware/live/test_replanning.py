@@ -13,7 +13,7 @@ from glissando.hardware.live import LiveSession
 from glissando.hardware.live.replanning import Replanning
 from glissando.hardware.live.rig_source import RigSource
 from glissando.hardware.simulated_devices import started
-from glissando.io.recording import load_recording
+from glissando.io.recording_folder import load_recording
 from glissando.io.robot_file import load_robot
 from glissando.model.slide_path import SlideLimits, SlidePath
 from glissando.planning import Zone

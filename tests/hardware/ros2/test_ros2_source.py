@@ -15,7 +15,7 @@ from glissando.hardware.live import LiveSession, Placement
 from glissando.hardware.live.clock import SessionClock
 from glissando.hardware.ros2.graph import Ros2Address, profile
 from glissando.hardware.ros2.ros2_source import Ros2Source
-from glissando.io.recording import load_recording
+from glissando.io.recording_folder import load_recording
 from live_recordings import ROBOT, SPAN, Lockstep, reading_messages, swaying, through_wire
 from ros_peers import PLACES, Peer, meet
 from waiting import until

@@ -11,7 +11,8 @@ import numpy as np
 
 from glissando.evaluation.run import checked_window, chosen_streams
 from glissando.hardware.live.clock import SessionClock
-from glissando.io.recording import Recording, load_recording
+from glissando.io.recording import Recording
+from glissando.io.recording_folder import load_recording
 from glissando.model.robot import Robot
 from glissando.model.sensors.readings import Readings
 
