@@ -22,6 +22,8 @@ from glissando.model.tendons.channel import Channel, ends_of
 
 LOG = "session.mcap"
 """Name of a session's log in its folder."""
+ARCLENGTH_STD = 2e-3
+"""How well one measures by hand where a coil is, m, where a setup does not say."""
 _GAP = 0.5  # s without a pose that is reported
 _MOCAP_STD = np.repeat([3e-4, 5e-3], 3)  # m, rad: a marker body of some centimetres
 

@@ -12,13 +12,12 @@ from glissando.calibration.rig.other_coil import OtherCoil
 from glissando.calibration.rig.rig import Body, Noise, RigData, TubeBody
 from glissando.errors import RecordingError
 from glissando.io.session_log import RawSession
-from glissando.io.session_recording import seen_poses, seen_travels, session_setup
+from glissando.io.session_recording import ARCLENGTH_STD, seen_poses, seen_travels, session_setup
 from glissando.model.table import Table
 from glissando.model.tendons.channel import Channel
 
 _NOISE = {"mocap": "mocap_std", "coil": "coil_std", "bias": "coil_bias", "play": "play"}
 _TRACKER, _MOCAP, _SLIDE = "/tracker/", "/mocap/", "/slide"
-_ARCLENGTH_STD = 2e-3  # m: how well one measures by hand where a coil is
 
 
 @dataclass(frozen=True)
@@ -129,7 +128,7 @@ def _place(setup: Table, entry: Table | None) -> _Place:
     if entry is None:
         place = setup.number("coil_arclength", positive=False)
         return _Place(place, setup.number("coil_arclength_std"), _SLIDE, None)
-    std = setup.number("coil_arclength_std", _ARCLENGTH_STD)
+    std = setup.number("coil_arclength_std", ARCLENGTH_STD)
     fixed = entry.peek("slides") is not None and not entry.flag("slides")
     stage = entry.text("slide", "")
     out = _Place(

@@ -17,12 +17,12 @@ from glissando.hardware.drivers import GcodeStage, PositionStage, RemoteStage, S
 from glissando.hardware.drivers.position_stage import optional_number
 from glissando.io.plain_file import file_stem
 from glissando.io.robot_file import load_robot
+from glissando.io.session_recording import ARCLENGTH_STD
 from glissando.io.shipped_robots import beside, robot_file, shipped_robots
 from glissando.io.toml_table import read_toml
 from glissando.model.table import Table, pose_table
 from glissando.model.tendons.channel import Channel, ends_of
 
-_ARCLENGTH_STD = 2e-3  # m: how well one measures by hand where the coil is
 _BAUD, _PORT = 115200, 51001
 
 
@@ -45,7 +45,7 @@ class Coil:
     arclength: float
     slides: bool = True
     serial: str = ""
-    arclength_std: float = _ARCLENGTH_STD
+    arclength_std: float = ARCLENGTH_STD
     slide: str = ""
     channel: Channel | None = None
 
@@ -255,7 +255,7 @@ def _coils(table: Table, length: float) -> tuple[Coil, ...]:
         name, channel = file_stem(entry.text("name"), DeviceError), entry.channel()
         arclength = _arclength(entry, ends_of(channel, length)[1])
         slides, serial = not entry.flag("fixed"), entry.text("serial", "")
-        std = entry.number("arclength_std", _ARCLENGTH_STD)
+        std = entry.number("arclength_std", ARCLENGTH_STD)
         if std > 0.1 * length:
             raise entry.fail("arclength_std", f"is {std:g} m; give metres, not millimetres.")
         slide = entry.text("slide", "")
