@@ -24,7 +24,7 @@ from glissando.estimation.misfit import breakdown, doubt, worst_readings
 from glissando.estimation.outliers import CHANCE, Mask, judged, used_at_first
 from glissando.estimation.place_evidence import by_evidence
 from glissando.estimation.posterior import Posterior, SolveReport
-from glissando.estimation.several_starts import End, Sought, Start, best_end, start_at
+from glissando.estimation.several_starts import Sought, Start, best_end, start_at
 from glissando.estimation.starting_point import starting_point, with_parameters
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
@@ -161,10 +161,12 @@ class _Problem:
         if not all(rows.all() for rows in used):
             locate(self.grid, self.readings, self.sensor_parameters)  # raises for spikes off, too
         with self.explained():
-            end = self.best_end(used, start)
+            end, known = self.best_end(used, start), None
             if self.gate is not None:
-                end, used = self.solve_without_refuted(end, used, self.gate)
-            posterior = self.dated(*self.placed_by_evidence(end, used)) if self.dates else end[0]
+                end, known, used = self.solve_without_refuted(end, used, self.gate)
+            seen = self.placed_by_evidence(end, used)
+            seen = self.dated(seen) if self.dates else seen
+            posterior = self.known_by(seen) if known is None or seen is not end else known
         return replace(posterior, solve=replace(posterior.solve, refused=self.left_out(used)))
 
     @contextmanager
@@ -175,17 +177,10 @@ class _Problem:
         except (np.linalg.LinAlgError, UnobservableError) as error:
             raise breakdown(error, self.grid, self.prior, self.readings) from error
 
-    def solve(
-        self, used: Sequence[Mask], initial: Start, options: SolverOptions | None = None
-    ) -> End:
-        """The posterior of the readings that are used, and where the iteration ended."""
-        solution = self.minimum(used, initial, options)
-        return self.known_by(solution), solution
+    def best_end(self, used: Sequence[Mask], start: Start) -> Solution:
+        """Where the iteration ends, from other starts as well, where this one is far off."""
 
-    def best_end(self, used: Sequence[Mask], start: Start) -> End:
-        """The same from other starts as well, where this one turns out to be far off."""
-
-        def piece(times: slice, initial: State | None) -> End:
+        def piece(times: slice, initial: State | None) -> Solution:
             grid = Grid(self.grid.arclength, self.grid.time[times])
             inside = [r.inside(grid) for r in readings]
             part = replace(self, grid=grid, readings=inside, progress=None)
@@ -194,7 +189,7 @@ class _Problem:
 
         readings = self.selected(used)
         sought = Sought(self.prior, self.grid, readings, self.options, piece)
-        return best_end(sought, start, partial(self.solve, used))
+        return best_end(sought, start, partial(self.minimum, used))
 
     def minimum(
         self, used: Sequence[Mask], initial: Start, options: SolverOptions | None = None
@@ -231,43 +226,43 @@ class _Problem:
             (solution.equations.state, solution.equations.noise_state),
         )
 
-    def placed_by_evidence(self, end: End, used: Sequence[Mask]) -> End:
+    def placed_by_evidence(self, end: Solution, used: Sequence[Mask]) -> Solution:
         """The same with offsets along the robot that are known by their evidence. Source: (22)."""
 
         def again(shifted: Sequence[SensorParameter], before: Solution) -> Solution:
             return replace(self, sensor_parameters=shifted).minimum(used, start_at(before))
 
-        placed = end[1]
-        if not placed.outcome.sound:
+        if not end.outcome.sound:
             return end
         with one_thread(), suppress(np.linalg.LinAlgError, UnobservableError):
-            placed = by_evidence(self.prior, placed, self.sensor_parameters, again)
-        return end if placed is end[1] else (self.known_by(placed), placed)
+            return by_evidence(self.prior, end, self.sensor_parameters, again)
+        return end
 
-    def dated(self, posterior: Posterior, solution: Solution) -> Posterior:
-        """The posterior in which delays are known by what streams without one show."""
+    def dated(self, solution: Solution) -> Solution:
+        """The solution in which delays are known by what streams without one show."""
         with one_thread():
-            seen = with_unseen_delays(self.prior, solution, self.sensor_parameters, self.options)
-        return posterior if seen is solution else self.known_by(seen)
+            return with_unseen_delays(self.prior, solution, self.sensor_parameters, self.options)
 
     def solve_without_refuted(
-        self, end: End, used: list[Mask], gate: float
-    ) -> tuple[End, list[Mask]]:
+        self, end: Solution, used: list[Mask], gate: float
+    ) -> tuple[Solution, Posterior, list[Mask]]:
         """Judge readings and solve again until those used are those that no others refute.
 
         Estimates that are judged again are rough.
         """
-        first = used
-        rough = self.options.rougher(end[1].equations.rhs.size)
+        first, known = used, self.known_by(end)
+        rough = self.options.rougher(end.equations.rhs.size)
         with suppress(np.linalg.LinAlgError):  # of an estimate that had not converged
             for _ in range(_ROUNDS):
-                believed = judged(*end, self.readings, used, gate)  # (25)
+                believed = judged(known, end, self.readings, used, gate)  # (25)
                 if all(map(np.array_equal, used, believed)):
                     break
-                end, used = self.solve(believed, start_at(end[1]), rough), believed
+                better = self.minimum(believed, start_at(end), rough)
+                known, end, used = self.known_by(better), better, believed
             if used is not first:
-                end = self.solve(used, start_at(end[1]))
-        return end, used
+                better = self.minimum(used, start_at(end))
+                known, end = self.known_by(better), better
+        return end, known, used
 
     def selected(self, used: Sequence[Mask]) -> list[Readings]:
         """The readings that are used."""

@@ -13,7 +13,6 @@ import numpy as np
 from glissando.errors import UnobservableError
 from glissando.estimation.bent_starts import bent_starts
 from glissando.estimation.misfit import is_implausible
-from glissando.estimation.posterior import Posterior
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
 from glissando.model.priors.mechanical.prior import MechanicalPrior
@@ -31,21 +30,18 @@ _SUSPECT = 3.0  # times the cost that is expected, beyond which other starts are
 Start = tuple[State | None, Sequence[tuple[SensorParameter, Array]]]
 """Nodes to start from, rest if there are none, and sensor parameters with their values."""
 
-End = tuple[Posterior, Solution]
-"""A posterior, and where the iteration ended."""
-
 
 class Solve(Protocol):
     """Solves from a start, with other options if they are given."""
 
-    def __call__(self, initial: Start, options: SolverOptions | None = None) -> End:
+    def __call__(self, initial: Start, options: SolverOptions | None = None) -> Solution:
         """Where the iteration ends; raises where it breaks down."""
 
 
 class SolvePiece(Protocol):
     """Estimates some of the time nodes by themselves."""
 
-    def __call__(self, times: slice, initial: State | None) -> End:
+    def __call__(self, times: slice, initial: State | None) -> Solution:
         """Where the iteration ends; raises where it breaks down."""
 
 
@@ -68,7 +64,10 @@ class Sought:
     piece: SolvePiece
 
 
-def best_end(sought: Sought, start: Start, solve: Solve) -> End:
+_Elsewhere = Callable[[Sought, Solution | None, Start, Solve], Solution | None]
+
+
+def best_end(sought: Sought, start: Start, solve: Solve) -> Solution:
     """Solve from a start, and from others as well where that turns out to be far off.
 
     Those are rest and, of a few moments that it does not explain, bent shapes; of more, what pieces
@@ -90,7 +89,7 @@ def best_end(sought: Sought, start: Start, solve: Solve) -> End:
         if other is None or _is_astray(prior, other):
             raise
         return other
-    if start[0] is not None and _is_doubtful(end[1]):
+    if start[0] is not None and _is_doubtful(end):
         with suppress(np.linalg.LinAlgError, UnobservableError):
             end = max(end, solve((None, start[1])), key=partial(_worth, prior))
     if elsewhere and _is_astray(prior, end):
@@ -103,7 +102,7 @@ def start_at(solution: Solution) -> Start:
     return solution.state, solution.located.parameters.by_name()
 
 
-def _elsewhere(sought: Sought) -> Callable[[Sought, End | None, Start, Solve], End | None] | None:
+def _elsewhere(sought: Sought) -> _Elsewhere | None:
     """How to start elsewhere, if that is worth it; pieces of a rod's motion cost too much."""
     count, rod = sought.grid.time.size, isinstance(sought.prior, MechanicalPrior)
     if sought.options.max_iterations < _ROUGH_ITERATIONS or (rod and count > _OF_ROD):
@@ -111,7 +110,7 @@ def _elsewhere(sought: Sought) -> Callable[[Sought, End | None, Start, Solve], E
     return _from_bent if rod or count <= _MOMENTS else _from_pieces
 
 
-def _from_bent(sought: Sought, end: End | None, start: Start, solve: Solve) -> End | None:
+def _from_bent(sought: Sought, end: Solution | None, start: Start, solve: Solve) -> Solution | None:
     """Solve roughly from bent shapes until one will do, and on from the best if it is better.
 
     None where all break down, as the start did if there is no `end`.
@@ -128,11 +127,13 @@ def _from_bent(sought: Sought, end: End | None, start: Start, solve: Solve) -> E
     if best is None or best is end:
         return end
     with suppress(np.linalg.LinAlgError, UnobservableError):
-        best = solve(start_at(best[1]))
+        best = solve(start_at(best))
     return max(end or best, best, key=worth)
 
 
-def _from_pieces(sought: Sought, end: End | None, start: Start, solve: Solve) -> End | None:
+def _from_pieces(
+    sought: Sought, end: Solution | None, start: Start, solve: Solve
+) -> Solution | None:
     """Solve from estimates of a few moments, each from where the one before leads.
 
     They overlap by halves, and of each what is not near its ends counts. Where one is not explained
@@ -146,7 +147,7 @@ def _from_pieces(sought: Sought, end: End | None, start: Start, solve: Solve) ->
             part = sought.piece(times, last and _onward(last, half, times.stop - first))
             if _is_astray(sought.prior, part):
                 return end
-            last, skipped = part[1].state, half // 2 if first else 0
+            last, skipped = part.state, half // 2 if first else 0
             for whole, own in zip(state.fields(), last.fields(), strict=True):
                 whole[first + skipped : times.stop] = own[skipped:]
         joined = solve((state, start[1]))
@@ -159,9 +160,9 @@ def _onward(state: State, begin: int, count: int) -> State:
     return state.take(np.minimum(begin + np.arange(count), len(state.pose) - 1))
 
 
-def _is_astray(prior: Prior, end: End) -> bool:
+def _is_astray(prior: Prior, end: Solution) -> bool:
     """Whether an iteration found no minimum, or one that may not be the lowest."""
-    return not end[1].outcome.sound or is_implausible(prior, end[1], _SUSPECT)
+    return not end.outcome.sound or is_implausible(prior, end, _SUSPECT)
 
 
 def _is_doubtful(solution: Solution) -> bool:
@@ -170,11 +171,10 @@ def _is_doubtful(solution: Solution) -> bool:
     return far or not solution.outcome.sound
 
 
-def _worth(prior: Prior, end: End) -> tuple[bool, bool, float]:
+def _worth(prior: Prior, end: Solution) -> tuple[bool, bool, float]:
     """How good the end of an iteration is: whether chance allows its cost, before all.
 
     Where weights go to and fro with the shape, the right shape may be found and not converge, and a
     wrong one converge.
     """
-    report = end[0].solve
-    return not is_implausible(prior, end[1]), report.converged, -report.cost
+    return not is_implausible(prior, end), end.outcome.sound, -end.cost
