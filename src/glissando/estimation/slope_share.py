@@ -53,6 +53,8 @@ def shares_of_slope(
     columns = [state.numbers + delay for delay in delays]
     held.system.diagonal[:, columns, columns] += HELD
     cholesky = factor(held.system, cholesky)
+    layout = Layout(moving.grid.arclength.size, state.dof, process.size)
+    builder = NormalEquationsBuilder.joined(layout, moving.grid.time.size, workspace)
     out = dict.fromkeys(late, 0.0)
     for stream in moving.streams:
         if stream.name in late:
@@ -60,7 +62,7 @@ def shares_of_slope(
             own = with_parameters(own, moving.parameters.by_name())
             of_motion, *of_noise = (
                 _information_of_motion(
-                    prior, replace(own, motion=motion), solution, delays, cholesky
+                    prior, replace(own, motion=motion), solution, delays, cholesky, builder
                 )
                 for motion in (moving.motion, *noise)
             )
@@ -92,14 +94,16 @@ def _information_of_motion(
     solution: Solution,
     delays: Sequence[int],
     cholesky: Cholesky,
+    builder: NormalEquationsBuilder,
 ) -> float:
-    """What the readings of a stream tell of its delay by the motion, s⁻²."""
+    """What the readings of a stream tell of its delay by the motion, s⁻².
+
+    Of the builder's sums only those of the right-hand side are set to zero and read.
+    """
     process, state = own.parameters.process, solution.state
-    columns = [*delays, *(process.size + column for column in delays)]
-    layout, out = Layout(own.grid.arclength.size, state.dof, process.size), 0.0
-    workspace, _ = solution.memory(layout.size)
-    builder = NormalEquationsBuilder.joined(layout, own.grid.time.size, workspace)
-    noise_state = solution.equations.noise_state
+    columns, out = [*delays, *(process.size + column for column in delays)], 0.0
+    noise_state, rhs = solution.equations.noise_state, builder.rhs_begin
+    rhs.fill(0.0)
     for _, _, batch in measurement_factors(prior, own, state, noise_state):
         if batch.extras is not None:
             slope = batch.extras[..., columns].sum(axis=-1)
@@ -107,7 +111,6 @@ def _information_of_motion(
             out += float(np.sum(weights * np.sum(batch.terms.whiten(slope) ** 2, axis=1)))
             terms = replace(batch.terms, residual=slope)
             builder.accumulate(replace(batch, terms=terms), weights)
-    rhs = builder.rhs_begin
     return out - float(np.sum(rhs * cholesky.solve(rhs)))
 
 
