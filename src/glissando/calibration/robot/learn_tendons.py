@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
-from scipy.stats import chi2
 
 from glissando.calibration.robot.tendon_numbers import Numbers, TendonModel
 from glissando.errors import RecordingError
 from glissando.geometry.se3 import Array
+from glissando.model.quantiles import chi_square_quantile
 from glissando.model.robot import Robot
 from glissando.model.tendons.statics import Equilibrium
 
@@ -185,5 +185,5 @@ def _model_error(model: TendonModel, numbers: Numbers, data: TendonData, error: 
 
     start = np.log(total / size / np.sqrt(len(parts)))
     logs = minimize(cost, start, method="Nelder-Mead", options={"maxiter": 300}).x
-    inside = np.quantile(squares(logs)[0], _COVERED) / chi2.ppf(_ELLIPSOID, 3)
+    inside = np.quantile(squares(logs)[0], _COVERED) / chi_square_quantile(_ELLIPSOID, 3)
     return np.asarray(np.exp(logs) * np.sqrt(inside))
