@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from glissando import GlissandoError, uniform_grid
-from glissando.calibration.robot import learn as learning
-from glissando.calibration.robot import objective
+from glissando.calibration.robot import objective, search, workers
 from glissando.calibration.robot.hyperparameters import expanded, learnable
 from glissando.calibration.robot.learn import learn
 from glissando.calibration.robot.objective import Objective
+from glissando.calibration.robot.search import Search
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.sensors.sensors import PoseReadings
 from glissando.solver.gauss_newton import SolverOptions
@@ -57,7 +57,7 @@ def start(noise=1.0):
 
 @pytest.fixture
 def in_process(monkeypatch):
-    monkeypatch.setattr(learning, "ProcessPoolExecutor", same_process)
+    monkeypatch.setattr(workers, "ProcessPoolExecutor", same_process)
 
 
 def of_label(document, word):
@@ -76,7 +76,7 @@ def test_evidence_finds_the_noise_of_the_readings(monkeypatch):
     assert found.after.samples == 3 * 21 * 6
     assert np.all((found.std > 0.01) & (found.std < 0.3))
     np.testing.assert_allclose(std / (3.0 * NOISE), np.exp(np.repeat(found.moved, 3)))
-    monkeypatch.setattr(learning, "ProcessPoolExecutor", same_process)
+    monkeypatch.setattr(workers, "ProcessPoolExecutor", same_process)
     alone = learn(document, numbers, [Arc()], steps=8)  # without other processes
     np.testing.assert_array_equal(alone.moved, found.moved)
     np.testing.assert_array_equal(alone.std, found.std)
@@ -121,7 +121,7 @@ def test_a_number_that_readings_do_not_determine_stays_where_it_was(in_process):
 @pytest.mark.slow
 @pytest.mark.parametrize("judged", [False, True])
 def test_slopes_are_those_of_converged_estimates(judged, monkeypatch):
-    monkeypatch.setattr(learning, "_NUDGE", 0.02)
+    monkeypatch.setattr(search, "_NUDGE", 0.02)
     monkeypatch.setattr(objective, "_TIGHT", SolverOptions(30, 1e-3))
 
     @dataclass(frozen=True)
@@ -138,11 +138,11 @@ def test_slopes_are_those_of_converged_estimates(judged, monkeypatch):
     assert len(numbers) == 5
     goal = Objective([Late(judged=judged)], False)
     middle, zero = goal.score(document, goal.start()), np.zeros(len(numbers))
-    search = learning._Search(document, numbers, goal, SimpleNamespace(map=map), middle, zero)
-    monkeypatch.setattr(learning, "_objective", goal)
-    slope, curvature = search.slopes(lambda part: None)
+    around = Search(document, numbers, goal, SimpleNamespace(map=map), middle, zero)
+    monkeypatch.setattr(workers, "_objective", goal)
+    slope, curvature = around.slopes(lambda part: None)
     monkeypatch.setattr(objective, "_ONE_STEP", objective._TIGHT)
-    true_slope, true_curvature = search.slopes(lambda part: None)
+    true_slope, true_curvature = around.slopes(lambda part: None)
     assert np.abs(true_slope).max() > 0.3
     np.testing.assert_allclose(slope, true_slope, atol=2e-3 * np.abs(true_slope).max())
     np.testing.assert_allclose(curvature, true_curvature, rtol=0.2, atol=5e-3)
@@ -205,8 +205,8 @@ def test_a_document_that_cannot_be_estimated_is_a_bad_one_and_not_the_end(in_pro
     assert found.after.value >= found.before.value
     goal = Objective([case], False)
     about = goal.score(document, goal.start())
-    assert learning._evaluate(about, start(noise=1.0)) == learning._BAD
-    assert learning._evaluate(about, start(noise=0.3)) < learning._BAD
+    assert workers.evaluate(about, start(noise=1.0)) == workers.BAD
+    assert workers.evaluate(about, start(noise=0.3)) < workers.BAD
 
 
 def test_a_start_that_cannot_be_estimated_is_said_to_be(in_process):

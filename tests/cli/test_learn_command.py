@@ -11,7 +11,7 @@ import pytest
 
 from command_line import run
 from glissando import load_robot
-from glissando.calibration.robot import learn as learning
+from glissando.calibration.robot import workers
 from glissando.cli import learn as learn_command
 from glissando.cli.learn import _held_out_cells
 from glissando.evaluation.run import run_estimate
@@ -24,7 +24,7 @@ WINDOW = ["--window", 0, 1]
 
 @pytest.fixture
 def in_process(monkeypatch):
-    monkeypatch.setattr(learning, "ProcessPoolExecutor", same_process)
+    monkeypatch.setattr(workers, "ProcessPoolExecutor", same_process)
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,67 @@
+"""Processes that score robot files beside the one at which a search is."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from multiprocessing import get_context
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from glissando.calibration.robot.hyperparameters import Document
+from glissando.calibration.robot.objective import Centre, Objective
+from glissando.errors import GlissandoError
+from glissando.io.atomic_file import new_file
+
+_objective: Objective | None = None  # of a worker process
+
+
+def _prepare(file: Path) -> None:
+    global _objective
+    _objective = pickle.loads(file.read_bytes())
+
+
+@contextmanager
+def workers(objective: Objective, count: int) -> Iterator[ProcessPoolExecutor]:
+    """Processes that evaluate an objective.
+
+    It comes by a file: where a process ends before it has read its pipe, who writes waits forever.
+
+    Args:
+        objective: The objective.
+        count: How many processes.
+
+    Raises:
+        GlissandoError: The processes ended.
+    """
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "objective"
+        with new_file(file) as building:
+            building.write_bytes(pickle.dumps(objective, protocol=pickle.HIGHEST_PROTOCOL))
+        with ProcessPoolExecutor(count, get_context("spawn"), _prepare, (file,)) as pool:
+            try:
+                yield pool
+            except BrokenProcessPool:
+                raise GlissandoError(
+                    "The processes that learn ended; call learn from a script that begins with "
+                    'if __name__ == "__main__":, and see that there is memory for them.'
+                ) from None
+
+
+BAD = 1e3
+"""Objective of a document that cannot be estimated."""
+
+
+def evaluate(about: Centre, document: Document) -> float:
+    """Objective of a robot file about another one, in a worker."""
+    assert _objective is not None
+    try:
+        value = -_objective.score(document, about, beside=True).score.value
+    except (GlissandoError, np.linalg.LinAlgError):
+        return BAD
+    return value if np.isfinite(value) else BAD
