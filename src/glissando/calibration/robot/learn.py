@@ -85,7 +85,7 @@ def learn(
     objective = Objective(cases, calibrate)
     most = min(os.cpu_count() or 1, 1 + 2 * len(parameters))
     with workers(objective, most) as pool:
-        pool.map(int, [0])  # starts the workers while the first estimate is made
+        pool.map(int, range(most))  # starts the workers while the first estimate is made
         first = objective.score(document, objective.start(constants, start))
         search = Search(document, parameters, objective, pool, first, np.zeros(len(parameters)))
         count, left, interrupted = 0, _EXPECTED, False

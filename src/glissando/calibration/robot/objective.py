@@ -30,7 +30,7 @@ from glissando.model.sensors.readings import Readings
 from glissando.model.table import Table
 from glissando.solver.gauss_newton import SolverOptions
 
-_TIGHT = SolverOptions(max_iterations=20, tolerance=0.03)
+_TIGHT = SolverOptions(max_iterations=20, tolerance=1.0)
 _ONE_STEP = SolverOptions(max_iterations=1, tolerance=np.inf)
 
 
@@ -126,7 +126,8 @@ class Objective:
         if not samples:
             raise RecordingError("There is no truth in the window; choose another.")
         value = sum(s.value * s.samples for s in scores) / samples
-        return Score(value, samples, sum(s.independent for s in scores), constants)
+        foretold = tuple(each for score in scores for each in score.foretold)
+        return Score(value, samples, sum(s.independent for s in scores), constants, foretold)
 
     @staticmethod
     def _readings(case: RecordingCase, robot: Robot) -> list[Readings]:

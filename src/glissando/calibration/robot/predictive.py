@@ -27,6 +27,10 @@ APART = 0.5
 _MOVED = 5e-3, 0.05  # m, rad: motion of a body between samples that count
 
 
+Foretold = tuple[Array, Array]
+"""Residuals (M, r) of the samples of a truth stream, and their covariance (M, r, r)."""
+
+
 @dataclass(frozen=True)
 class Score:
     """Log-likelihood of truth given an estimate, or of readings given a robot file.
@@ -36,12 +40,14 @@ class Score:
         samples: Degrees of freedom.
         independent: Degrees of freedom that are independent; all places of a robot err together.
         constants: Frame, mounts and delays of the truth.
+        foretold: The samples of truth, by stream; none of readings.
     """
 
     value: float
     samples: int
     independent: float
     constants: tuple[SensorParameter, ...] = ()
+    foretold: tuple[Foretold, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -93,12 +99,14 @@ def predict(
     constants = tuple(c for c in constants if not c.moves)
     for _ in range(_ROUNDS * free):
         constants = _improved(sparse, states, constants)
-    terms = [_cost(corrected(t, constants), at) for t, at in zip(sparse, states, strict=True)]
-    total = sum(cost for cost, _ in terms)
-    count = sum(size for _, size in terms)
+    pairs = zip(sparse, states, strict=True)
+    foretold = tuple(_residual(corrected(t, constants), at) for t, at in pairs)
+    total = sum(_cost(*each) for each in foretold)
+    count = sum(residual.size for residual, _ in foretold)
     stretches = np.concatenate([np.zeros(0), *(t.time // APART for t in sparse)])
     independent = count * np.unique(stretches).size / max(stretches.size, 1)
-    return Score(-total / max(count, 1), count, independent, (*constants, *moving))
+    value = -total / max(count, 1)
+    return Score(value, count, independent, (*constants, *moving), foretold)
 
 
 def informative(truth: Sequence[Readings]) -> list[Readings]:
@@ -149,12 +157,11 @@ def _moved_between(before: Readings, after: Readings) -> bool:
     return bool(np.any(np.linalg.norm(way, axis=-1) > _MOVED))
 
 
-def _cost(truth: Readings, at: StateEstimate) -> tuple[float, int]:
-    """Minus log-likelihood of truth samples, and their degrees of freedom."""
-    residual, cov = _residual(truth, at)
+def _cost(residual: Array, cov: Array) -> float:
+    """Minus log-likelihood of truth samples."""
     square = np.sum(residual * np.linalg.solve(cov, residual[..., None])[..., 0])
     log_det = np.sum(np.linalg.slogdet(cov)[1])
-    return 0.5 * float(square + log_det + residual.size * np.log(2.0 * np.pi)), residual.size
+    return 0.5 * float(square + log_det + residual.size * np.log(2.0 * np.pi))
 
 
 def _residual(truth: Readings, at: StateEstimate) -> tuple[Array, Array]:

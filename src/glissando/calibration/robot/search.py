@@ -1,9 +1,10 @@
 """Newton steps towards the parameters of a robot file under which data are most likely.
 
-Slope and curvature along each parameter are central differences of objectives on all cores, and
-each of these costs one Gauss–Newton step from the estimate in their middle: the optimum moves by
-that step to first order (the implicit function theorem). Curvature between parameters is learned
-from step to step (BFGS).
+Each objective beside the centre costs one Gauss–Newton step from the estimate there: the optimum
+moves by that step to first order (the implicit function theorem). Where truth is foretold, its
+samples tell slope and curvature by one nudge of each parameter (Fisher scoring). The evidence of
+readings has no samples: slope and curvature along each parameter are central differences, and
+curvature between parameters is learned from step to step (BFGS).
 """
 
 from __future__ import annotations
@@ -16,13 +17,16 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from glissando.calibration.robot import fisher_information
 from glissando.calibration.robot.hyperparameters import Document, Parameter, moved
 from glissando.calibration.robot.objective import Centre, Objective
-from glissando.calibration.robot.workers import BAD, evaluate
+from glissando.calibration.robot.predictive import Score
+from glissando.calibration.robot.workers import score_beside
 from glissando.errors import GlissandoError
 from glissando.geometry.se3 import Array
 
-_NUDGE = 0.1  # of a logarithm, for differences
+_NUDGE = 0.1  # of a logarithm, for second differences
+_SMALL_NUDGE = 1e-3  # for first differences
 _GAIN = 1e-3  # gain a degree of freedom below which the search ends
 _SHARES = (1.0, 0.5, 0.25, 0.125)  # of a step that are tried
 _REACH = np.log(1e4)  # how far a number may move
@@ -40,6 +44,8 @@ class Search:
         pool: Where objectives beside the centre are evaluated.
         centre: The robot file at which the search is.
         x: How far the parameters are moved there (P,).
+        value: Minus the log posterior there.
+        std: Standard deviation of each parameter (P,), the others fixed.
     """
 
     document: Document
@@ -58,13 +64,12 @@ class Search:
         self.value = self._with_prior(-self.centre.score.value, self.x)
 
     def step(self, tell: Callable[[float], None]) -> int:
-        """Take a step; return how many more are expected, by the gain that this one promised."""
-        slope, curvature = self.slopes(tell)
-        self.std = np.where(
-            curvature > 0.0, np.maximum(curvature * self.independent, 1e-12) ** -0.5, np.inf
-        )
-        least = _PRIOR_STD**-2.0 / self.independent
-        self._update(slope, np.maximum(np.abs(curvature), least))
+        """Take a step; return how many more are expected, by the gain that this one promised.
+
+        Args:
+            tell: Called with the part of the step that is done, after each objective.
+        """
+        slope = self.look_around(tell)
         step: Array = np.asarray(-np.linalg.solve(self._curvature, slope), dtype=float)
         step *= min(1.0, _PRIOR_STD / max(float(np.abs(step).max()), 1e-12))
         promise = float(-slope @ step - 0.5 * step @ self._curvature @ step)
@@ -74,29 +79,68 @@ class Search:
         better = any(self._try(share * step, slope) for share in _SHARES)
         return math.ceil(np.log10(promise / _GAIN)) if better else 0
 
-    def slopes(self, tell: Callable[[float], None]) -> tuple[Array, Array]:
-        """Slope (P,) and curvature (P,) along each parameter; zero where there is no estimate.
+    def look_around(self, tell: Callable[[float], None]) -> Array:
+        """Slope (P,), after which curvature and standard deviations are those of the centre."""
+        if self.centre.score.foretold:
+            slope, curvature = self._by_samples(tell)
+            self._curvature = curvature
+        else:
+            slope, along = self._by_differences(tell)
+            curvature = np.diag(along)
+            self._learn_curvature(slope, np.maximum(np.abs(along), self._least))
+        along = np.diagonal(curvature)
+        precision = np.maximum(along * self.independent, 1e-12)
+        self.std = np.where(along > 0.0, precision**-0.5, np.inf)
+        return slope
 
-        Args:
-            tell: Called with the part of a step that is done, after each objective.
-        """
+    @property
+    def _least(self) -> float:
+        """Curvature of the prior of a parameter."""
+        return float(_PRIOR_STD**-2.0 / self.independent)
+
+    def _by_samples(self, tell: Callable[[float], None]) -> tuple[Array, Array]:
+        """Slope (P,) and expected curvature (P, P) by the samples of truth."""
+        size = self.x.size
+        points = [self.x, *(self.x + _SMALL_NUDGE * np.eye(size))]
+        centre, *beside = self._scores(points, tell)
+        slope, curvature = np.zeros(size), np.zeros((size, size))
+        self._beside = np.inf
+        if centre is not None:
+            self._beside = self._with_prior(-centre.value, self.x)
+            slope, curvature = fisher_information.slopes(centre, beside, _SMALL_NUDGE)
+        return slope + self._least * self.x, curvature + self._least * np.eye(size)
+
+    def _by_differences(self, tell: Callable[[float], None]) -> tuple[Array, Array]:
+        """Slope (P,) and curvature (P,) along each parameter; zero where there is no estimate."""
         nudges = _NUDGE * np.eye(self.x.size)
         points = [self.x, *(self.x + nudges), *(self.x - nudges)]
-        documents = [moved(self.document, self.parameters, x) for x in points]
-        values: list[float] = []
-        for value in self.pool.map(evaluate, [self.centre] * len(points), documents):
-            values.append(value)
-            tell(len(values) / (len(points) + 1))
-        totals = np.array([self._with_prior(f, x) for f, x in zip(values, points, strict=True)])
-        good = np.array(values) < BAD
+        scores = self._scores(points, tell)
+        good = np.array([score is not None for score in scores])
+        totals = np.array(
+            [
+                np.inf if score is None else self._with_prior(-score.value, x)
+                for score, x in zip(scores, points, strict=True)
+            ]
+        )
+        self._beside = float(totals[0])
         sides = np.where(good, totals, totals[0])[1:].reshape(2, -1)
         known = good[0] * good[1:].reshape(2, -1)
-        slope = (sides[0] - sides[1]) / (_NUDGE * np.maximum(known.sum(axis=0), 1))
-        curvature = (sides[0] + sides[1] - 2.0 * totals[0]) / _NUDGE**2
-        self._beside = float(totals[0])
-        return slope * known.any(axis=0), curvature * known.all(axis=0)
+        slope, curvature = np.zeros((2, self.x.size))
+        if good[0]:
+            slope = (sides[0] - sides[1]) / (_NUDGE * np.maximum(known.sum(axis=0), 1))
+            curvature = (sides[0] + sides[1] - 2.0 * totals[0]) / _NUDGE**2
+        return slope, curvature * known.all(axis=0)
 
-    def _update(self, slope: Array, diagonal: Array) -> None:
+    def _scores(self, points: list[Array], tell: Callable[[float], None]) -> list[Score | None]:
+        """Scores of robot files beside the centre; None where there is no estimate."""
+        documents = [moved(self.document, self.parameters, x) for x in points]
+        scores: list[Score | None] = []
+        for score in self.pool.map(score_beside, [self.centre] * len(points), documents):
+            scores.append(score)
+            tell(len(scores) / (len(points) + 1))
+        return scores
+
+    def _learn_curvature(self, slope: Array, diagonal: Array) -> None:
         """The curvature: between parameters by BFGS (damped, Powell 1978), along them as given."""
         if self._former is None:
             self._curvature = np.diag(diagonal)

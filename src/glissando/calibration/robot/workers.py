@@ -15,6 +15,7 @@ import numpy as np
 
 from glissando.calibration.robot.hyperparameters import Document
 from glissando.calibration.robot.objective import Centre, Objective
+from glissando.calibration.robot.predictive import Score
 from glissando.errors import GlissandoError
 from glissando.io.atomic_file import new_file
 
@@ -53,15 +54,11 @@ def workers(objective: Objective, count: int) -> Iterator[ProcessPoolExecutor]:
                 ) from None
 
 
-BAD = 1e3
-"""Objective of a document that cannot be estimated."""
-
-
-def evaluate(about: Centre, document: Document) -> float:
-    """Objective of a robot file about another one, in a worker."""
+def score_beside(about: Centre, document: Document) -> Score | None:
+    """Score of a robot file about another one, in a worker; None if it cannot be estimated."""
     assert _objective is not None
     try:
-        value = -_objective.score(document, about, beside=True).score.value
+        score = _objective.score(document, about, beside=True).score
     except (GlissandoError, np.linalg.LinAlgError):
-        return BAD
-    return value if np.isfinite(value) else BAD
+        return None
+    return score if np.isfinite(score.value) else None

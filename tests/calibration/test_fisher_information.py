@@ -1,0 +1,91 @@
+"""What samples of truth tell of parameters: slopes of their likelihood, and information."""
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from glissando.calibration.robot import fisher_information
+from glissando.calibration.robot.predictive import Score
+
+COUNT = 3  # parameters
+NUDGE = 1e-4
+
+
+def world(seed):
+    """How residuals and covariances of two streams depend on parameters, and a sample of both."""
+    rng = np.random.default_rng(seed)
+    streams = []
+    for moments, rows in ((6, 3), (4, 6)):
+        root = rng.standard_normal((moments, rows, rows)) + 3.0 * np.eye(rows)
+        spread = 0.3 * rng.standard_normal((COUNT, rows, rows))
+        moves = rng.standard_normal((COUNT, moments, rows))
+        streams.append((root, spread, moves))
+
+    def foretold(x, white):
+        out = []
+        for (root, spread, moves), w in zip(streams, white, strict=True):
+            at = root @ (np.eye(root.shape[1]) + np.einsum("p,pij->ij", x, spread))
+            drawn = np.einsum("mij,mj->mi", root, w)
+            out.append((drawn + np.einsum("p,pmi->mi", x, moves), at @ at.swapaxes(1, 2)))
+        return tuple(out)
+
+    def draw(generator):
+        return [generator.standard_normal(root.shape[:2]) for root, _, _ in streams]
+
+    return foretold, draw
+
+
+def score(foretold):
+    pairs = [pair for residual, cov in foretold for pair in zip(residual, cov, strict=True)]
+    total = sum(multivariate_normal.logpdf(residual, cov=cov) for residual, cov in pairs)
+    count = sum(residual.size for residual, _ in foretold)
+    return Score(total / count, count, float(count), (), foretold)
+
+
+def about(foretold, white, x, nudge=NUDGE):
+    centre = score(foretold(x, white))
+    beside = [score(foretold(x + step, white)) for step in nudge * np.eye(COUNT)]
+    return centre, beside
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_slopes_are_those_of_the_likelihood(seed):
+    foretold, draw = world(seed)
+    white, x = draw(np.random.default_rng(seed)), np.linspace(-0.1, 0.1, COUNT)
+    slope, _ = fisher_information.slopes(*about(foretold, white, x), NUDGE)
+    ends = [[score(foretold(x + s, white)).value for s in d * np.eye(COUNT)] for d in (1e-5, -1e-5)]
+    np.testing.assert_allclose(slope, -np.subtract(*ends) / 2e-5, atol=2e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(2))
+def test_the_information_is_the_mean_product_of_slopes(seed):
+    foretold, draw = world(seed)
+    rng, zero = np.random.default_rng(seed), np.zeros(COUNT)
+    centre, beside = about(foretold, draw(rng), zero)
+    _, information = fisher_information.slopes(centre, beside, NUDGE)
+    slopes = np.array(
+        [fisher_information.slopes(*about(foretold, draw(rng), zero), NUDGE)[0] for _ in range(600)]
+    )
+    seen = centre.samples * slopes.T @ slopes / len(slopes)
+    scale = np.sqrt(np.diag(information))
+    np.testing.assert_allclose(
+        seen / np.outer(scale, scale), information / np.outer(scale, scale), atol=0.2
+    )
+
+
+def test_a_parameter_without_an_estimate_has_no_slope_and_no_information():
+    foretold, draw = world(7)
+    centre, beside = about(foretold, draw(np.random.default_rng(0)), np.zeros(COUNT))
+    every, of_every = fisher_information.slopes(centre, beside, NUDGE)
+    slope, information = fisher_information.slopes(centre, [beside[0], None, beside[2]], NUDGE)
+    others = [0, 2]
+    np.testing.assert_array_equal(slope, every * [1.0, 0.0, 1.0])
+    np.testing.assert_array_equal(
+        information[np.ix_(others, others)], of_every[np.ix_(others, others)]
+    )
+    assert not information[1].any()
+    assert not information[:, 1].any()
+    none, nothing = fisher_information.slopes(centre, 3 * [None], NUDGE)
+    assert not none.any()
+    assert not nothing.any()
