@@ -8,10 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from draws import generators, law, motion, prior, sixes, states
+from glissando.estimation.carried import carried, carried_rows
 from glissando.geometry import se3
 from glissando.model.grid import Grid
 from glissando.model.priors.separable import SeparablePrior
 from glissando.model.state import DOF, AcceleratedState
+from glissando.solver.block_tridiagonal import Marginals
 from oracles import dense
 from separable_rod import GRID as RATED_GRID
 from separable_rod import rated, separable
@@ -198,3 +200,23 @@ def test_a_step_goes_on_from_where_one_that_rolled_led_as_differences_say(rng, k
         np.testing.assert_allclose(start.slope_to(end)[n], slopes, atol=1e-7)
     both = start.slope_to(end) @ end.slope_to(start)
     np.testing.assert_allclose(both, np.broadcast_to(np.eye(start.dof), both.shape), atol=1e-12)
+
+
+@law
+@given(generators, st.sampled_from(KINDS), st.integers(0, 2))
+def test_covariances_go_on_with_the_axes_as_the_dense_products_do(rng, kind, others):
+    start = drawn(rng, kind).reshape(3, 2)
+    step = 0.3 * rng.standard_normal((3, 2, start.dof))
+    end = start.retract(step)
+    size = 2 * start.dof + others  # with numbers of sensor parameters, which stay
+    cov, cross = rng.standard_normal((3, size, size)), rng.standard_normal((2, size, size))
+    turns = np.broadcast_to(np.eye(size), (3, size, size)).copy()
+    for n in range(2):
+        at = slice(n * start.dof, (n + 1) * start.dof)
+        turns[:, at, at] = start.slope_to(end)[:, n]
+    back = turns.swapaxes(1, 2)
+    found = carried(start, end, Marginals(cov.copy(), cross.copy()))
+    np.testing.assert_allclose(found.cov, turns @ cov @ back, atol=1e-12)
+    np.testing.assert_allclose(found.cross, turns[:-1] @ cross @ back[1:], atol=1e-12)
+    rows = carried_rows(start.take(0), end.take(0), cov[0])
+    np.testing.assert_allclose(rows, cov[0] @ back[0], atol=1e-12)

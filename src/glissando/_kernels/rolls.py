@@ -80,3 +80,43 @@ def rolls_between(before, after):
         ahead_into(before[n], after[n], apart)
         out[n] = roll_of(apart)
     return out
+
+
+@jit("(f8[:,:,:,::1], f8[:,:,::1])")
+def carry_columns(slopes, blocks):
+    """Multiply blocks (K, R, D) on the right by the transposes of what `State.slope_to` returns.
+
+    In place; `slopes` (K, N, dof, dof) turn pairs of numbers and add parts of the roll, number 5.
+    """
+    dof = slopes.shape[2]
+    for k in range(len(slopes)):
+        for r in range(blocks.shape[1]):
+            for n in range(slopes.shape[1]):
+                slope, row = slopes[k, n], blocks[k, r, n * dof : (n + 1) * dof]
+                for x in range(0, dof, 3):
+                    a, b = row[x], row[x + 1]
+                    row[x] = slope[x, x] * a + slope[x, x + 1] * b
+                    row[x + 1] = slope[x + 1, x] * a + slope[x + 1, x + 1] * b
+                    if x > 3:
+                        row[x] += slope[x, 5] * row[5]
+                        row[x + 1] += slope[x + 1, 5] * row[5]
+
+
+@jit("(f8[:,:,:,::1], f8[:,:,::1])")
+def carry_rows(slopes, blocks):
+    """Multiply blocks (K, D, C) on the left by what `State.slope_to` returns, in place."""
+    dof = slopes.shape[2]
+    for k in range(len(slopes)):
+        for n in range(slopes.shape[1]):
+            slope, rows = slopes[k, n], blocks[k, n * dof : (n + 1) * dof]
+            for x in range(0, dof, 3):
+                aa, ab, by_roll = slope[x, x], slope[x, x + 1], slope[x, 5] if x > 3 else 0.0
+                ba, bb, too = (
+                    slope[x + 1, x],
+                    slope[x + 1, x + 1],
+                    slope[x + 1, 5] if x > 3 else 0.0,
+                )
+                for c in range(rows.shape[1]):
+                    a, b = rows[x, c], rows[x + 1, c]
+                    rows[x, c] = aa * a + ab * b + by_roll * rows[5, c]
+                    rows[x + 1, c] = ba * a + bb * b + too * rows[5, c]
