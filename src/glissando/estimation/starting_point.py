@@ -7,6 +7,7 @@ all of them, at a fraction of the cost (nested iteration, as multigrid methods s
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from glissando.solver.gauss_newton import Progress, SolverOptions, Stopwatch, mi
 from glissando.solver.located_readings import LocatedReadings, locate
 
 _COARSER = 4  # fine time nodes to a coarse one
+_NEARER = 0.4  # part of a rough start's tolerance: a coarse iteration more spares a whole one
 _WORTHWHILE = 7  # coarse time nodes below which they save nothing
 
 
@@ -46,6 +48,8 @@ def starting_point(
     coarse = _coarsened(located) if state.inertia is None else None  # coarse nodes miss vibration
     if coarse is not None:
         options = SolverOptions.rough(coarse.grid.time.size * state.numbers)
+        if not coarse.weighted:
+            options = replace(options, tolerance=_NEARER * options.tolerance)
         try:
             rough = minimize(soft, coarse, prior.rest_state(coarse.grid), options, progress, clock)
         except (UnobservableError, np.linalg.LinAlgError):
