@@ -140,13 +140,13 @@ def test_slopes_are_those_of_converged_estimates(judged, monkeypatch):
     middle, zero = goal.score(document, goal.start()), np.zeros(len(numbers))
     around = Search(document, numbers, goal, SimpleNamespace(map=map), middle, zero)
     monkeypatch.setattr(workers, "_objective", goal)
-    slope, std = around.look_around(lambda part: None), around.std
+    slope, std = around.differentiate(lambda part: None), around.std
     monkeypatch.setattr(objective, "_ONE_STEP", objective._TIGHT)
     true_slope, curvature = around._by_differences(lambda part: None)
     assert np.abs(true_slope).max() > 0.3
     np.testing.assert_allclose(slope, true_slope, atol=2e-3 * np.abs(true_slope).max())
     monkeypatch.setattr(search, "_SMALL_NUDGE", 0.02)  # above what convergence leaves to go
-    around.look_around(lambda part: None)
+    around.differentiate(lambda part: None)
     true = around.std**-2.0 if judged else curvature * middle.score.independent
     np.testing.assert_allclose(std**-2.0, true, rtol=0.2, atol=5e-3 * middle.score.independent)
 

@@ -69,7 +69,7 @@ class Search:
         Args:
             tell: Called with the part of the step that is done, after each objective.
         """
-        slope = self.look_around(tell)
+        slope = self.differentiate(tell)
         step: Array = np.asarray(-np.linalg.solve(self._curvature, slope), dtype=float)
         step *= min(1.0, _PRIOR_STD / max(float(np.abs(step).max()), 1e-12))
         promise = float(-slope @ step - 0.5 * step @ self._curvature @ step)
@@ -79,8 +79,8 @@ class Search:
         better = any(self._try(share * step, slope) for share in _SHARES)
         return math.ceil(np.log10(promise / _GAIN)) if better else 0
 
-    def look_around(self, tell: Callable[[float], None]) -> Array:
-        """Slope (P,), after which curvature and standard deviations are those of the centre."""
+    def differentiate(self, tell: Callable[[float], None]) -> Array:
+        """Slope (P,) at the centre; keeps the curvature and the standard deviations there."""
         if self.centre.score.foretold:
             slope, curvature = self._by_samples(tell)
             self._curvature = curvature
