@@ -106,6 +106,8 @@ def linearize(
         terms[first + stream].sqrt_info[rows] = batch.terms.sqrt_info
     if size:
         decay, std, residual = located.parameters.process.drift(located.parameters.values)
+        if fixed_weights is not None:
+            std = 1.0 / np.einsum("kee->ke", fixed_weights[-1].sqrt_info)
         builder.accumulate_drift(decay, std, residual)
         terms.append(Residuals(residual, (1.0 / std)[:, :, None] * np.eye(size)))
     return NormalEquations(state, located, noise_state, builder.system(), builder.rhs_begin, terms)

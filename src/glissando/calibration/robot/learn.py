@@ -83,11 +83,13 @@ def learn(
     """
     parameters = list(parameters)
     objective = Objective(cases, calibrate)
-    most = min(os.cpu_count() or 1, 1 + 2 * len(parameters))
+    most = min(os.cpu_count() or 1, 1 + len(parameters))
     with workers(objective, most) as pool:
         pool.map(int, range(most))  # starts the workers while the first estimate is made
         first = objective.score(document, objective.start(constants, start))
-        search = Search(document, parameters, objective, pool, first, np.zeros(len(parameters)))
+        search = Search(
+            document, parameters, objective, pool, most, first, np.zeros(len(parameters))
+        )
         count, left, interrupted = 0, _EXPECTED, False
 
         def tell(part: float) -> None:

@@ -1,10 +1,9 @@
 """Newton steps towards the parameters of a robot file under which data are most likely.
 
-Each objective beside the centre costs one Gauss–Newton step from the estimate there: the optimum
-moves by that step to first order (the implicit function theorem). Where truth is foretold, its
-samples tell slope and curvature by one nudge of each parameter (Fisher scoring). The evidence of
-readings has no samples: slope and curvature along each parameter are central differences, and
-curvature between parameters is learned from step to step (BFGS).
+Slope and curvature take one nudge of each parameter. Where truth is foretold, its samples tell
+both (Fisher scoring): what is foretold beside the centre costs one Gauss–Newton step from the
+estimate there, as the optimum moves by that step to first order (the implicit function theorem).
+The evidence of readings is differentiated where the estimate is (average information).
 """
 
 from __future__ import annotations
@@ -14,23 +13,26 @@ from collections.abc import Callable
 from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
+from scipy.optimize import lsq_linear
 
-from glissando.calibration.robot import fisher_information
+from glissando.calibration.robot import average_information, fisher_information
+from glissando.calibration.robot.average_information import Change
 from glissando.calibration.robot.hyperparameters import Document, Parameter, moved
 from glissando.calibration.robot.objective import Centre, Objective
 from glissando.calibration.robot.predictive import Score
-from glissando.calibration.robot.workers import score_beside
+from glissando.calibration.robot.workers import changes_beside, score_beside
 from glissando.errors import GlissandoError
 from glissando.geometry.se3 import Array
 
-_NUDGE = 0.1  # of a logarithm, for second differences
-_SMALL_NUDGE = 1e-3  # for first differences
+_NUDGE = 1e-3  # of a logarithm
 _GAIN = 1e-3  # gain a degree of freedom below which the search ends
 _SHARES = (1.0, 0.5, 0.25, 0.125)  # of a step that are tried
 _REACH = np.log(1e4)  # how far a number may move
 _PRIOR_STD = np.log(3.0)  # of a logarithm
+_FARTHEST = np.log(10.0)  # that a step may move a number
 
 
 @dataclass
@@ -42,6 +44,7 @@ class Search:
         parameters: What is learned.
         objective: The objective.
         pool: Where objectives beside the centre are evaluated.
+        processes: How many processes the pool has.
         centre: The robot file at which the search is.
         x: How far the parameters are moved there (P,).
         value: Minus the log posterior there.
@@ -52,12 +55,12 @@ class Search:
     parameters: list[Parameter]
     objective: Objective
     pool: Executor
+    processes: int
     centre: Centre
     x: Array
     value: float = field(init=False)
     std: Array = field(init=False)
     _curvature: Array = field(init=False)
-    _former: tuple[Array, Array] | None = None  # the last step and the slope before it
 
     def __post_init__(self) -> None:
         self.independent = self.centre.score.independent
@@ -70,28 +73,31 @@ class Search:
             tell: Called with the part of the step that is done, after each objective.
         """
         slope = self.differentiate(tell)
-        step: Array = np.asarray(-np.linalg.solve(self._curvature, slope), dtype=float)
-        step *= min(1.0, _PRIOR_STD / max(float(np.abs(step).max()), 1e-12))
+        step = self._within_reach(slope)
         promise = float(-slope @ step - 0.5 * step @ self._curvature @ step)
         if promise < _GAIN:
-            self._try(step, slope, beside=True)
+            self._try(step, beside=True)
             return 0
-        better = any(self._try(share * step, slope) for share in _SHARES)
+        better = any(self._try(share * step) for share in _SHARES)
         return math.ceil(np.log10(promise / _GAIN)) if better else 0
 
     def differentiate(self, tell: Callable[[float], None]) -> Array:
         """Slope (P,) at the centre; keeps the curvature and the standard deviations there."""
-        if self.centre.score.foretold:
-            slope, curvature = self._by_samples(tell)
-            self._curvature = curvature
-        else:
-            slope, along = self._by_differences(tell)
-            curvature = np.diag(along)
-            self._learn_curvature(slope, np.maximum(np.abs(along), self._least))
+        by = self._by_samples if self.centre.score.foretold else self._by_evidence
+        slope, curvature = by(tell)
+        self._curvature = curvature
         along = np.diagonal(curvature)
         precision = np.maximum(along * self.independent, 1e-12)
         self.std = np.where(along > 0.0, precision**-0.5, np.inf)
         return slope
+
+    def _within_reach(self, slope: Array) -> Array:
+        """The Newton step (P,) among those of which no number goes farther than it may."""
+        root = np.linalg.cholesky(self._curvature)
+        low = np.maximum(-_FARTHEST, -_REACH - self.x)
+        high = np.minimum(_FARTHEST, _REACH - self.x)
+        found = lsq_linear(root.T, -np.linalg.solve(root, slope), (low, high), method="bvls")
+        return np.asarray(found.x)
 
     @property
     def _least(self) -> float:
@@ -101,35 +107,30 @@ class Search:
     def _by_samples(self, tell: Callable[[float], None]) -> tuple[Array, Array]:
         """Slope (P,) and expected curvature (P, P) by the samples of truth."""
         size = self.x.size
-        points = [self.x, *(self.x + _SMALL_NUDGE * np.eye(size))]
+        points = [self.x, *(self.x + _NUDGE * np.eye(size))]
         centre, *beside = self._scores(points, tell)
         slope, curvature = np.zeros(size), np.zeros((size, size))
         self._beside = np.inf
         if centre is not None:
             self._beside = self._with_prior(-centre.value, self.x)
-            slope, curvature = fisher_information.slopes(centre, beside, _SMALL_NUDGE)
+            slope, curvature = fisher_information.slopes(centre, beside, _NUDGE)
         return slope + self._least * self.x, curvature + self._least * np.eye(size)
 
-    def _by_differences(self, tell: Callable[[float], None]) -> tuple[Array, Array]:
-        """Slope (P,) and curvature (P,) along each parameter; zero where there is no estimate."""
-        nudges = _NUDGE * np.eye(self.x.size)
-        points = [self.x, *(self.x + nudges), *(self.x - nudges)]
-        scores = self._scores(points, tell)
-        good = np.array([score is not None for score in scores])
-        totals = np.array(
-            [
-                np.inf if score is None else self._with_prior(-score.value, x)
-                for score, x in zip(scores, points, strict=True)
-            ]
-        )
-        self._beside = float(totals[0])
-        sides = np.where(good, totals, totals[0])[1:].reshape(2, -1)
-        known = good[0] * good[1:].reshape(2, -1)
-        slope, curvature = np.zeros((2, self.x.size))
-        if good[0]:
-            slope = (sides[0] - sides[1]) / (_NUDGE * np.maximum(known.sum(axis=0), 1))
-            curvature = (sides[0] + sides[1] - 2.0 * totals[0]) / _NUDGE**2
-        return slope, curvature * known.all(axis=0)
+    def _by_evidence(self, tell: Callable[[float], None]) -> tuple[Array, Array]:
+        """Slope (P,) and curvature (P, P) by what the numbers change of the evidence."""
+        self._beside = self.value
+        here = moved(self.document, self.parameters, self.x)
+        nudged = [
+            moved(self.document, self.parameters, x) for x in self.x + _NUDGE * np.eye(self.x.size)
+        ]
+        parts = [nudged[i :: self.processes] for i in range(min(self.processes, len(nudged)))]
+        changes: list[Change | None] = [None] * len(nudged)
+        call = partial(changes_beside, self.centre, here, nudge=_NUDGE)
+        for i, part in enumerate(self.pool.map(call, parts)):
+            changes[i :: self.processes] = part
+            tell((i + 1) / (len(parts) + 1))
+        slope, curvature = average_information.slopes(changes, self.centre.score.samples)
+        return slope + self._least * self.x, curvature + self._least * np.eye(self.x.size)
 
     def _scores(self, points: list[Array], tell: Callable[[float], None]) -> list[Score | None]:
         """Scores of robot files beside the centre; None where there is no estimate."""
@@ -140,25 +141,9 @@ class Search:
             tell(len(scores) / (len(points) + 1))
         return scores
 
-    def _learn_curvature(self, slope: Array, diagonal: Array) -> None:
-        """The curvature: between parameters by BFGS (damped, Powell 1978), along them as given."""
-        if self._former is None:
-            self._curvature = np.diag(diagonal)
-            return
-        step, before = self._former
-        change, foreseen = slope - before, self._curvature @ step
-        most, seen = float(step @ foreseen), float(step @ change)
-        if seen < 0.2 * most:
-            part = 0.8 * most / (most - seen)
-            change = part * change + (1.0 - part) * foreseen
-        updated = self._curvature - np.outer(foreseen, foreseen) / most
-        updated += np.outer(change, change) / float(step @ change)
-        scale = np.sqrt(diagonal / np.diagonal(updated))
-        self._curvature = scale[:, None] * updated * scale
-
-    def _try(self, step: Array, slope: Array, *, beside: bool = False) -> bool:
+    def _try(self, step: Array, *, beside: bool = False) -> bool:
         """Whether a step is worth it, also if only to first order; if so, it is taken."""
-        x = np.clip(self.x + step, -_REACH, _REACH)
+        x = self.x + step
         centre: Centre | None = None
         with suppress(GlissandoError, np.linalg.LinAlgError):
             document = moved(self.document, self.parameters, x)
@@ -168,7 +153,6 @@ class Search:
         value = self._with_prior(-centre.score.value, x)
         if not value < min(self.value, self._beside if beside else np.inf):
             return False
-        self._former = x - self.x, slope
         self.x, self.value, self.centre = x, value, centre
         return True
 

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from glissando.calibration.robot.average_information import Change, EvidenceAt
 from glissando.calibration.robot.hyperparameters import Document
 from glissando.calibration.robot.objective import Centre, Objective
 from glissando.calibration.robot.predictive import Score
@@ -62,3 +63,19 @@ def score_beside(about: Centre, document: Document) -> Score | None:
     except (GlissandoError, np.linalg.LinAlgError):
         return None
     return score if np.isfinite(score.value) else None
+
+
+def changes_beside(
+    about: Centre, document: Document, beside: Sequence[Document], nudge: float
+) -> list[Change | None]:
+    """What changes from one robot file to others, in a worker; None where there is no estimate."""
+    assert _objective is not None
+    evidence = EvidenceAt(_objective.cases, document, about.starts)
+    changes: list[Change | None] = []
+    for each in beside:
+        change = None
+        with suppress(GlissandoError, np.linalg.LinAlgError):
+            change = evidence.change(each, nudge)
+        good = change is not None and np.isfinite([change.misfit, change.width]).all()
+        changes.append(change if good else None)
+    return changes

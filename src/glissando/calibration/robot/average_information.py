@@ -1,0 +1,186 @@
+"""What readings tell of parameters, by how those change the evidence at an estimate.
+
+The slope of the evidence (22) is that of its terms where the estimate is: by Fisher's identity the
+estimate may be held. With A the information of the states, P = A⁻¹, R the covariances of all
+residuals e and an index for a derivative, minus the evidence has the slope
+½ ∂(eᵀR⁻¹e) + ½ tr(P ∂A) + ½ ∂ log det R. Its curvature is the average of the observed and of the
+expected information, which takes first derivatives alone (Gilmour, Thompson and Cullis, Average
+information REML, Biometrics 51, 1995): with the changes m = eᵢ of means and u = Rᵢ R⁻¹ e of
+covariances, and what the states explain taken off, mᵀR⁻¹m + ½ uᵀR⁻¹u.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from glissando.calibration.robot.case import RecordingCase
+from glissando.calibration.robot.hyperparameters import Document
+from glissando.calibration.robot.predictive import Start
+from glissando.errors import GlissandoError
+from glissando.estimation.channels import place_in_channel
+from glissando.estimation.starting_point import with_parameters
+from glissando.geometry.se3 import Array
+from glissando.io.robot_file import parse_robot
+from glissando.model.factors import Residuals
+from glissando.model.robot import Robot
+from glissando.model.sensors.parameters import corrected
+from glissando.model.table import Table
+from glissando.solver.block_tridiagonal import factor
+from glissando.solver.linearize import NormalEquations, linearize
+from glissando.solver.located_readings import LocatedReadings, locate
+from glissando.solver.normal_equations import system_shape
+
+_MOST = 1e4  # how far observed and expected information may be apart
+
+
+@dataclass(frozen=True)
+class Change:
+    """How a parameter changes minus the evidence, by one unit of it.
+
+    Attributes:
+        misfit: Slope of ½ eᵀR⁻¹e.
+        width: Slope of ½ (log det A + log det R).
+        left: Changes whose products with `right` of another parameter are information.
+        right: The same, with what the states explain solved for.
+    """
+
+    misfit: float
+    width: float
+    left: Array
+    right: Array
+
+
+def slopes(changes: Sequence[Change | None], count: int) -> tuple[Array, Array]:
+    """Slope (P,) and information (P, P) of minus the evidence, per degree of freedom.
+
+    Of a covariance that is scaled by exp(z) too much, the average information differs from the
+    curvature by exp(∓z) and the expected one by 1; their geometric mean foretells the whole way
+    back up to z³ / 24.
+
+    Args:
+        changes: What each parameter changes; None where there is no estimate.
+        count: Degrees of freedom.
+
+    Returns:
+        Slope and information, zero for a parameter without an estimate.
+    """
+    size = len(changes)
+    slope, scale, information = np.zeros(size), np.ones(size), np.zeros((size, size))
+    for i, change in enumerate(changes):
+        if change is not None:
+            slope[i] = change.misfit + change.width
+            both = change.width * change.misfit < 0.0
+            apart = abs(change.width / change.misfit) if both else 1.0
+            scale[i] = np.clip(apart, 1.0 / _MOST, _MOST) ** 0.25
+            information[i] = [0.0 if c is None else change.left @ c.right for c in changes]
+    values, vectors = np.linalg.eigh(scale[:, None] * (information + information.T) * scale)
+    information = (vectors * np.maximum(0.5 * values, 0.0)) @ vectors.T
+    return slope / count, information / count
+
+
+class EvidenceAt:
+    """The evidence of cases about a robot file, at the estimates that its centre holds."""
+
+    def __init__(
+        self, cases: Sequence[RecordingCase], document: Document, starts: Sequence[Start]
+    ) -> None:
+        """Linearise every case.
+
+        Args:
+            cases: The cases.
+            document: The robot file.
+            starts: Its estimates.
+        """
+        robot = _robot(document)
+        self._cases = [_Linearized(*each, robot) for each in zip(cases, starts, strict=True)]
+
+    def change(self, document: Document, nudge: float) -> Change:
+        """What changes from there to another robot file, by one unit of its `nudge`."""
+        robot = _robot(document)
+        parts = [case.change(robot, nudge) for case in self._cases]
+        misfit, width = (sum(getattr(part, n) for part in parts) for n in ("misfit", "width"))
+        left, right = (np.concatenate([getattr(p, n) for p in parts]) for n in ("left", "right"))
+        return Change(misfit, width, left, right)
+
+
+class _Linearized:
+    """A case, linearised at an estimate."""
+
+    def __init__(self, case: RecordingCase, start: Start, robot: Robot) -> None:
+        assert start.state is not None
+        self._case, self._start, self._state = case, start, start.state
+        prior, located = robot.prior, self._located(robot)
+        size = located.parameters.process.size + self._state.numbers
+        self._memory = np.empty(system_shape(located.grid.time.size, size))
+        here = linearize(prior, located, self._state, self._state, np.empty_like(self._memory))
+        self._cholesky = factor(here.system)
+        self._known = self._cholesky.marginals()
+        self._terms, self._rhs = here.terms, here.rhs
+        self._left_to_go = self._cholesky.solve(here.rhs)
+        self._misfit, self._width = _cost(here), 0.5 * (here.log_det_noise + here.rhs.size)
+
+    def _located(self, robot: Robot) -> LocatedReadings:
+        """The readings where the estimate puts them."""
+        known = [parameter for parameter in robot.sensor_parameters if parameter.known]
+        grid, prior = self._case.grid(robot), robot.prior
+        readings = [corrected(r, known) for r in self._case.readings(robot)]
+        placed = [place_in_channel(r, prior, grid, self._state) for r in readings]
+        located = locate(grid, placed, robot.sensor_parameters)
+        return with_parameters(located, self._start.sensor_parameters)
+
+    def change(self, robot: Robot, nudge: float) -> Change:
+        """What changes to another robot, by one unit of its `nudge`."""
+        problem = robot.prior, self._located(robot), self._state, self._state, self._memory
+        there, know = linearize(*problem), self._known
+        trace = np.vdot(there.system.diagonal, know.cov)
+        trace += 2.0 * np.vdot(there.system.lower, know.cross.swapaxes(1, 2))
+        further = np.vdot(self._left_to_go, there.rhs - self._rhs)
+        misfit = float(_cost(there) - further - self._misfit) / nudge
+        width = float(0.5 * (there.log_det_noise + trace) - self._width) / nudge
+        means, held = _shifted(self._terms, there.terms) / nudge, self._rhs
+        if means.any():
+            held = linearize(*problem, self._terms).rhs
+        covs = _widened(self._terms, there.terms) / nudge
+        left, right = [], []
+        for share, own, of_states in (
+            (1.0, means, held - self._rhs),
+            (np.sqrt(0.5), covs, there.rhs - held),
+        ):
+            of_states = of_states / nudge
+            left += [share * own, -share * of_states.ravel()]
+            right += [share * own, share * self._cholesky.solve(of_states).ravel()]
+        return Change(misfit, width, np.concatenate(left), np.concatenate(right))
+
+
+def _robot(document: Document) -> Robot:
+    return parse_robot(Table(document, "learned", GlissandoError))
+
+
+def _cost(at: NormalEquations) -> float:
+    return at.cost_of(at)
+
+
+def _shifted(before: Sequence[Residuals], after: Sequence[Residuals]) -> Array:
+    """Changes of residuals (M,), whitened as before."""
+    pairs = zip(before, after, strict=True)
+    return np.concatenate(
+        [_weighted(here, here.whiten(there.residual - here.residual)) for here, there in pairs]
+    )
+
+
+def _widened(before: Sequence[Residuals], after: Sequence[Residuals]) -> Array:
+    """Changes of covariances R times R⁻¹e (M,), whitened as before, to first order."""
+    parts = []
+    for here, there in zip(before, after, strict=True):
+        wide = np.einsum("mji,mj->mi", there.sqrt_info, there.whiten(here.residual))
+        back = np.linalg.solve(here.sqrt_info.swapaxes(1, 2), wide[..., None])[..., 0]
+        parts.append(_weighted(here, here.whiten(here.residual) - back))
+    return np.concatenate(parts)
+
+
+def _weighted(terms: Residuals, white: Array) -> Array:
+    """Whitened numbers (M,), weighted by the loss of the residuals."""
+    return np.ravel(np.sqrt(terms.robust_weights())[:, None] * white)
