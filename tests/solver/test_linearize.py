@@ -7,11 +7,12 @@ from draws import motion, prior
 from glissando.geometry import se3
 from glissando.model.grid import Grid
 from glissando.model.noise import GemanMcClure, Huber
+from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.sensors.sensors import CoilReadings, GyroReadings, PositionReadings
 from glissando.model.state import DOF
 from glissando.solver import located_readings
 from glissando.solver.block_tridiagonal import factor
-from glissando.solver.linearize import linearize
+from glissando.solver.linearize import gradient, linearize
 from glissando.solver.located_readings import locate
 from glissando.solver.measurement_factors import measurement_factors
 from glissando.solver.normal_equations import system_shape
@@ -86,6 +87,26 @@ def test_the_right_hand_side_is_the_downhill_slope_of_the_cost(loss):
         )
         slope = (uphill - downhill) / 2e-5
         assert -np.sum(here.rhs * way.reshape(K, -1)) == pytest.approx(slope, rel=1e-6)
+
+
+@pytest.mark.parametrize("correlation_time", [np.inf, 0.1])
+def test_the_gradient_is_the_right_hand_side_without_the_system(correlation_time):
+    rng = np.random.default_rng(67)
+    readings = scattered(rng, 40, loss=Huber(1.0))
+    zero, std = np.zeros(6), np.full(6, 0.01)
+    names = (readings[0].name,)
+    kept = {"correlation_time": correlation_time}
+    offsets = [SensorParameter("mount", "mount", names, zero, std, **kept)]
+    for grid in (GRID, Grid(GRID.arclength, [0.0])):
+        state = motion(rng, grid)
+        inside = [r.inside(grid) for r in readings]
+        located = locate(grid, inside, offsets)
+        located = located.moved(0.01 * rng.standard_normal(located.parameters.values.shape))
+        shape = system_shape(grid.time.size, N * DOF + 6)
+        whole = linearize(prior(), located, state, state, np.empty(shape))
+        scale = np.abs(whole.rhs).max()
+        found = gradient(prior(), located, state)
+        np.testing.assert_allclose(found, whole.rhs, atol=1e-12 * scale)
 
 
 def test_fixed_weights_are_those_of_where_they_were_found():

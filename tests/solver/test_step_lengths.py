@@ -65,3 +65,15 @@ def test_weights_that_are_renewed_begin_a_series_of_costs():
     steps.note(1.0, damped=False, renewed=True)
     assert not any(steps.stall(10.0) for _ in range(5))
     assert steps.stall(10.0)
+
+
+def test_a_sudden_end_is_doubted_until_the_next_step_is_as_short_as_was_promised():
+    steps = StepLengths(0.3, kinks=False, weighted=False)
+    for length in (30.0, 0.8):
+        steps.note(length, damped=False, renewed=False)
+    assert steps.short
+    assert steps.doubtful
+    assert steps.confirms(0.02)
+    assert not steps.confirms(0.5)
+    steps.note(0.01, damped=False, renewed=False)
+    assert not steps.doubtful

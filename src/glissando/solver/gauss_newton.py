@@ -18,7 +18,7 @@ from glissando.geometry.se3 import Array
 from glissando.model.priors.prior import Prior
 from glissando.model.state import State
 from glissando.solver.block_tridiagonal import Cholesky, factor
-from glissando.solver.linearize import NormalEquations, linearize
+from glissando.solver.linearize import NormalEquations, gradient, linearize
 from glissando.solver.located_readings import LocatedReadings
 from glissando.solver.normal_equations import system_shape
 from glissando.solver.outcome import Outcome
@@ -51,6 +51,10 @@ class SolverOptions:
     max_iterations: int = 100
     tolerance: float = 0.3
     settled: int = 10
+
+    def is_rough(self, numbers: int) -> bool:
+        """Whether a state of so many numbers may be off by a standard deviation in each."""
+        return self.tolerance >= float(np.sqrt(numbers))
 
     @staticmethod
     def rough(numbers: int) -> SolverOptions:
@@ -160,6 +164,11 @@ def minimize(
         cost, lengths = here.cost_of(here) - fall, (steps.first, steps.length)
         return Solution(*end, here, cholesky, cost, outcome, iteration, *lengths, workspace)
 
+    def confirmed(end: Where, cholesky: Cholesky) -> bool:
+        with clock("linearise"):
+            rhs = gradient(prior, end[1], end[0])
+        return steps.confirms(float(np.sqrt(np.sum(rhs * cholesky.solve(rhs)))))
+
     while True:
         with clock("solve"):
             cholesky, step, length, predicted = _step(here, damping, cholesky)
@@ -169,8 +178,9 @@ def minimize(
         steps.note(length, damped=damping > 0.0, renewed=fixed is here)
         if steps.short and (fixed is None or fixed is here or steps.last):
             end = next(candidates(prior, here, step)).where
-            return solution(end, cholesky, Outcome.CONVERGED, predicted)
-        if steps.short:
+            if not steps.doubtful or options.is_rough(here.rhs.size) or confirmed(end, cholesky):
+                return solution(end, cholesky, Outcome.CONVERGED, predicted)
+        elif steps.short:
             here = fixed = at((here.state, here.located))
             continue
         if iteration == options.settled:

@@ -15,7 +15,7 @@ from glissando.model.state import State
 from glissando.solver.block_tridiagonal import BlockTridiagonal
 from glissando.solver.located_readings import LocatedReadings
 from glissando.solver.measurement_factors import measurement_factors
-from glissando.solver.normal_equations import Layout, NormalEquationsBuilder
+from glissando.solver.normal_equations import Gradient, Layout, NormalEquationsBuilder
 
 
 @dataclass(frozen=True)
@@ -85,32 +85,53 @@ def linearize(
         workspace: Memory for the system, of `system_shape`, used again: it is the largest.
         fixed_weights: Terms of an earlier linearisation whose weights are to be used as they are.
     """
-    grid, size = located.grid, located.parameters.process.size
-    builder = NormalEquationsBuilder.joined(
-        Layout(grid.arclength.size, state.dof, size), grid.time.size, workspace
-    )
-    terms: list[Residuals] = []
+    layout = _layout(located, state)
+    builder = NormalEquationsBuilder.joined(layout, located.grid.time.size, workspace)
+    terms = _accumulate(builder, prior, located, (state, noise_state), fixed_weights)
+    return NormalEquations(state, located, noise_state, builder.system(), builder.rhs_begin, terms)
+
+
+def gradient(prior: Prior, located: LocatedReadings, state: State) -> Array:
+    """What `linearize` has on the right (K, D), without the system."""
+    sums = Gradient(_layout(located, state), located.grid.time.size)
+    _accumulate(sums, prior, located, (state, state), None)
+    return sums.rhs
+
+
+def _layout(located: LocatedReadings, state: State) -> Layout:
+    return Layout(located.grid.arclength.size, state.dof, located.parameters.process.size)
+
+
+def _accumulate(
+    builder: NormalEquationsBuilder | Gradient,
+    prior: Prior,
+    located: LocatedReadings,
+    states: tuple[State, State],
+    fixed_weights: Sequence[Residuals] | None,
+) -> list[Residuals]:
+    """Sum all factors at a state, with weights from another; their residuals."""
+    grid, terms = located.grid, list[Residuals]()
     for times in located.blocks:
-        for batch in prior.factors(grid, state, noise_state, times):
+        for batch in prior.factors(grid, *states, times):
             whiteners = None if fixed_weights is None else fixed_weights[len(terms)].sqrt_info
             batch = _with_weights(batch, whiteners)
             builder.accumulate(batch)
             terms.append(batch.terms)
     first = len(terms)
     terms += [_empty_terms(stream) for stream in located.streams]
-    for stream, rows, batch in measurement_factors(prior, located, state, noise_state):
+    for stream, rows, batch in measurement_factors(prior, located, *states):
         fixed = None if fixed_weights is None else fixed_weights[first + stream]
         batch = _with_weights(batch, None if fixed is None else fixed.sqrt_info[rows])
         builder.accumulate(batch)
         terms[first + stream].residual[rows] = batch.terms.residual
         terms[first + stream].sqrt_info[rows] = batch.terms.sqrt_info
-    if size:
+    if size := located.parameters.process.size:
         decay, std, residual = located.parameters.process.drift(located.parameters.values)
         if fixed_weights is not None:
             std = 1.0 / np.einsum("kee->ke", fixed_weights[-1].sqrt_info)
         builder.accumulate_drift(decay, std, residual)
         terms.append(Residuals(residual, (1.0 / std)[:, :, None] * np.eye(size)))
-    return NormalEquations(state, located, noise_state, builder.system(), builder.rhs_begin, terms)
+    return terms
 
 
 def _with_weights(batch: Factors, sqrt_info: Array | None) -> Factors:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from glissando._kernels import normal_equations as kernels
 from glissando._kernels.arrays import whole
@@ -122,6 +123,46 @@ class NormalEquationsBuilder:
     def system(self) -> BlockTridiagonal:
         """The sums as a block-tridiagonal matrix, unless they are kept by interval."""
         return BlockTridiagonal(self.begin, self.across)
+
+
+class Gradient:
+    """−Jᵀr (K, D) of factors, without the system: `rhs`, in the layout of slabs."""
+
+    def __init__(self, layout: Layout, count: int) -> None:
+        self.layout, self.rhs = layout, np.zeros((count, layout.size))
+
+    def accumulate(self, batch: Factors) -> None:
+        """Take a batch of factors off. Source: equation (19)."""
+        terms, layout, (m, r, c, d) = batch.terms, self.layout, batch.jacobian.shape
+        pull = terms.robust_weights()[:, None] * terms.whiten(terms.residual)
+        pull = pull[:, None] @ terms.sqrt_info
+        slab, node = np.divmod(batch.nodes, layout.nodes)
+        first = slab * layout.size + node * layout.dof + batch.dofs.start
+        self._take(first[..., None] + np.arange(d), pull @ batch.jacobian.reshape(m, r, c * d))
+        if batch.extras is not None:
+            begin = np.minimum(slab[:, 0], max(len(self.rhs) - 2, 0)) * layout.size
+            ends = layout.size * np.arange(min(2, len(self.rhs)))
+            own = np.arange(layout.size - layout.parameters, layout.size)
+            columns = (ends[:, None] + own).ravel()
+            self._take(begin[:, None] + columns, pull @ batch.extras[..., : columns.size])
+
+    def _take(self, at: NDArray[np.intp], values: Array) -> None:
+        """Take values off the sums at flat indices, some of which may be there many times."""
+        flat = self.rhs.reshape(-1)
+        flat -= np.bincount(at.ravel(), values.ravel(), flat.size)
+
+    def accumulate_drift(self, decay: Array, std: Array, residual: Array) -> None:
+        """Take off what sensor parameters say that fade from slab to slab. Source: equation (18).
+
+        Args:
+            decay: What is left (K−1, E) of a parameter at the next slab.
+            std: Standard deviations (K, E) of the innovations.
+            residual: Innovations (K, E).
+        """
+        pull = std**-2.0 * residual
+        of_parameters = self.rhs[:, self.layout.size - self.layout.parameters :]
+        of_parameters -= pull
+        of_parameters[:-1] += decay * pull[1:]
 
 
 def kernel_arguments(batch: Factors) -> tuple[Array | int, ...]:

@@ -27,13 +27,14 @@ class StepLengths:
         idle: Whether it is so short that the search ends if it gains nothing.
         short: Whether it, and with it all that would follow, is negligible.
         last: Whether steps that follow renewed weights no longer shrink.
+        doubtful: Whether it is short, but the next one by itself may be too long to end with.
     """
 
     def __init__(self, tolerance: float, *, kinks: bool, weighted: bool) -> None:
         self._tolerance, self._kinks, self._weighted = tolerance, kinks, weighted
         self.first, self.length, self._renewed = np.nan, np.inf, np.inf
         self._costs: list[float] = []
-        self.idle = self.short = self.last = False
+        self.idle = self.short = self.last = self.doubtful = False
 
     def note(self, length: float, *, damped: bool, renewed: bool) -> None:
         """Take the length of the next step; `renewed` weights make it one of a series of theirs."""
@@ -43,10 +44,15 @@ class StepLengths:
         self.idle = not damped and length < _IDLE * self._tolerance
         rate = length / before if before else np.inf
         self.short = not damped and self._is_short(length, rate)
+        self.doubtful = not self._kinks and length > _SLOWEST * self._tolerance
         if renewed:
             self.last = self._kinks and length > _CALMER * self._renewed
             self._renewed, self._costs = length, []
         self.length = length
+
+    def confirms(self, length: float) -> bool:
+        """Whether the next step, of that length, is as short as the last one promised."""
+        return self._is_short(length, length / self.length)
 
     def _is_short(self, length: float, rate: float) -> bool:
         """Whether a step is short enough, the `rate` times as long as the one before."""
