@@ -7,7 +7,7 @@ import pytest
 
 from glissando import GlissandoError
 from glissando.calibration.robot import average_information
-from glissando.calibration.robot.average_information import Change, EvidenceAt
+from glissando.calibration.robot.average_information import NUDGE, Change, EvidenceAt
 from glissando.calibration.robot.hyperparameters import expanded, learnable, moved
 from glissando.calibration.robot.objective import Objective
 from glissando.evaluation.prior_predictive import PriorPredictive
@@ -17,7 +17,6 @@ from glissando.model.sensors.sensors import PoseReadings
 from glissando.model.table import Table
 from learn_drawn import shipped
 
-NUDGE = 1e-3
 STILL = 0.01  # of the file's densities: motions so small that all is linear
 
 

@@ -7,9 +7,11 @@ import pytest
 
 from glissando.calibration.robot.case import RecordingCase
 from glissando.geometry import se3
+from glissando.model.sensors.parameters import SensorParameter, corrected
 from glissando.model.sensors.sensors import PoseReadings
 
 WINDOW = (3.0, 40.0)
+ROBOT = SimpleNamespace(sensor_parameters=())
 
 
 def case_of(first, last, moves=True):
@@ -38,7 +40,7 @@ def case_of(first, last, moves=True):
 def test_rest_is_left_out_but_a_second_and_all_motion_is_in(seed):
     first, last = np.sort(np.random.default_rng(seed).uniform(5.0, 38.0, 2))
     last += 1.0
-    start, stop = case_of(first, last).while_moving(None).window
+    start, stop = case_of(first, last).while_moving(ROBOT).window
     assert WINDOW[0] <= start <= first
     assert last <= stop <= WINDOW[1]
     assert first - start < 2.0
@@ -47,6 +49,16 @@ def test_rest_is_left_out_but_a_second_and_all_motion_is_in(seed):
 
 def test_a_robot_that_never_moves_and_one_without_truth_keep_their_windows():
     still = case_of(10.0, 20.0, moves=False)
-    assert still.while_moving(None) is still
+    assert still.while_moving(ROBOT) is still
     unjudged = RecordingCase(still.recording, WINDOW, ("sensor",))
-    assert unjudged.while_moving(None) is unjudged
+    assert unjudged.while_moving(ROBOT) is unjudged
+
+
+def test_truth_is_put_right_by_what_is_known_of_its_frame():
+    case = case_of(10.0, 20.0)
+    value = np.array([0.0, 0.02, 0.0, 0.0, 0.0, 0.3])
+    frame = SensorParameter("seen from", "frame", ("body",), value, np.zeros(6))
+    there, _ = case.truth(SimpleNamespace(sensor_parameters=(frame,)))
+    plain, _ = case.truth(SimpleNamespace(sensor_parameters=()))
+    np.testing.assert_allclose(there.values, corrected(plain, [frame]).values)
+    assert np.abs(there.values - plain.values).max() > 0.01

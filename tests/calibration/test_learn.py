@@ -1,5 +1,7 @@
 """Learning robot files: what evidence and truth say of their numbers."""
 
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -8,9 +10,9 @@ import numpy as np
 import pytest
 
 from glissando import GlissandoError, uniform_grid
-from glissando.calibration.robot import objective, search, workers
+from glissando.calibration.robot import fisher_information, objective, workers
 from glissando.calibration.robot.hyperparameters import expanded, learnable, moved
-from glissando.calibration.robot.learn import learn
+from glissando.calibration.robot.learn import End, learn
 from glissando.calibration.robot.objective import Objective
 from glissando.calibration.robot.search import Search
 from glissando.model.sensors.parameters import SensorParameter
@@ -156,7 +158,9 @@ def test_slopes_are_those_of_converged_estimates(judged, monkeypatch):
     assert np.abs(true_slope).max() > 0.3
     np.testing.assert_allclose(slope, true_slope, atol=2e-3 * np.abs(true_slope).max())
     if judged:
-        monkeypatch.setattr(search, "_NUDGE", 0.02)  # above what convergence leaves to go
+        monkeypatch.setattr(
+            fisher_information, "NUDGE", 0.02
+        )  # above what convergence leaves to go
         around.differentiate(lambda part: None)
         least = 5e-3 * middle.score.independent
         np.testing.assert_allclose(std**-2.0, around.std**-2.0, rtol=0.2, atol=least)
@@ -238,8 +242,44 @@ def test_what_was_learned_before_an_interrupt_is_kept(in_process):
             raise KeyboardInterrupt
 
     found = learn(document, numbers, [Arc()], watch=interrupted)
-    assert (found.interrupted, found.steps) == (True, 1)
+    assert (found.end, found.steps) == (End.INTERRUPTED, 1)
     assert found.after.value > found.before.value
     assert found.document["sensors"]["pose"]["std"] != document["sensors"]["pose"]["std"]
     with pytest.raises(KeyboardInterrupt):
         learn(document, numbers, [Arc()], watch=lambda *_: interrupted(1.0, 0.0, 1.0))
+
+
+def test_how_a_search_ended_is_said_and_which_numbers_went_as_far_as_they_may(in_process):
+    document = start(noise=1e6)
+    numbers = of_label(document, "pose noise")
+    first = learn(document, numbers, [Arc()], steps=1)
+    assert (first.end, first.at_bounds) == (End.LAST_STEP, ())
+    found = learn(document, numbers, [Arc()])
+    assert found.end is End.SETTLED
+    assert found.at_bounds == tuple(p.label for p in numbers)
+    np.testing.assert_allclose(found.moved, -np.log(1e4))
+
+
+def test_what_was_learned_before_a_process_broke_is_kept(monkeypatch):
+    calls = []
+
+    @contextmanager
+    def breaking(*given):
+        with same_process(*given) as pool:
+
+            def broken(function, *arguments):
+                calls.append(function)
+                if len(calls) > 2:  # one starts the processes
+                    raise BrokenProcessPool
+                return map(function, *arguments)
+
+            yield SimpleNamespace(map=broken, shutdown=pool.shutdown)
+
+    monkeypatch.setattr(workers, "ProcessPoolExecutor", breaking)
+    document = start(noise=10.0)
+    found = learn(document, of_label(document, "pose noise"), [Arc()])
+    assert (found.end, found.steps) == (End.BROKEN, 1)
+    assert found.after.value > found.before.value
+    calls += [None, None]
+    with pytest.raises(GlissandoError, match="that there is memory for them"):
+        learn(document, of_label(document, "pose noise"), [Arc()])

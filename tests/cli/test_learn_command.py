@@ -10,10 +10,14 @@ import numpy as np
 import pytest
 
 from command_line import run
-from glissando import load_robot
+from glissando import GlissandoError, load_robot
 from glissando.calibration.robot import workers
+from glissando.calibration.robot.hyperparameters import Parameter, moved
+from glissando.calibration.robot.learn import End, Learned
+from glissando.calibration.robot.predictive import Score
 from glissando.cli import learn as learn_command
-from glissando.cli.learn import _held_out_cells
+from glissando.cli import outputs
+from glissando.cli.learn_report import _cells, _held_out_cells, as_json
 from glissando.evaluation.run import run_estimate
 from glissando.io.shipped_robots import robot_file
 from learn_drawn import same_process
@@ -81,6 +85,94 @@ def test_constants_found_jointly_are_written_as_known_without_the_truths_delay(
     robot = load_robot(out)
     assert [u.name for u in robot.sensor_parameters] == names
     assert all(u.known for u in robot.sensor_parameters)
+
+
+def test_constants_that_were_found_are_found_anew(recording, tmp_path, capsys, in_process):
+    first, second = tmp_path / "first.toml", tmp_path / "second.toml"
+    options = [*WINDOW, "--steps", 1, "--json", "--truth", "truth2,truth4,truth2"]
+    more = ["--only", "gyro noise"]
+    values = []
+    for start, out in ((recording / "few.toml", first), (first, second)):
+        way = ["--joint"] if start == first else ["--calibrate"]
+        assert run("learn", recording, "--robot", start, "--out", out, *options, *more, *way) == 0
+        told = json.loads(capsys.readouterr().out)
+        robot = load_robot(out)
+        names = ["truth frame", "truth2 mount", "truth4 mount"]
+        assert [u.name for u in robot.sensor_parameters] == names
+        values.append([u.value for u in robot.sensor_parameters])
+    assert told["degrees_of_freedom"] == 2 * 2 * 6
+    np.testing.assert_allclose(values[0], values[1], atol=3e-3)
+
+
+def test_truth_in_millimetres_is_refused_before_anything_is_learned(
+    recording, tmp_path, capsys, in_process
+):
+    folder = tmp_path / "millimetres"
+    shutil.copytree(recording, folder)
+    head, *rows = (folder / "truth2.csv").read_text().splitlines()
+    columns = head.split(",")
+    position = [columns.index(c) for c in ("x", "y", "z")]
+    cells = [row.split(",") for row in rows]
+    for row in cells:
+        for i in position:
+            row[i] = str(1e3 * float(row[i]))
+    (folder / "truth2.csv").write_text("\n".join([head, *map(",".join, cells)]) + "\n")
+    out = tmp_path / "out.toml"
+    options = ["--robot", folder / "few.toml", "--out", out, *WINDOW, "--steps", 1]
+    for way in (["--truth", "truth2"], ["--truth", "truth4", "--hold-out", "truth2"]):
+        assert run("learn", folder, *options, *way, "--only", "gyro noise") == 2
+        captured = capsys.readouterr()
+        assert "millimetres" in captured.err
+        assert "--allow length-unit" in captured.err
+        assert not out.exists()
+    allowed = ["--truth", "truth2", "--only", "gyro noise", "--allow", "length-unit"]
+    assert run("learn", folder, *options, *allowed) == 0
+
+
+def test_what_was_learned_stays_where_held_out_truth_cannot_be_judged(
+    recording, tmp_path, capsys, in_process, monkeypatch
+):
+    def breaks(*given, **more):
+        raise GlissandoError("It cannot be judged.")
+
+    monkeypatch.setattr(learn_command, "run_estimate", breaks)
+    out = tmp_path / "out.toml"
+    options = ["--robot", recording / "few.toml", "--out", out, *WINDOW, "--steps", 1]
+    more = ["--truth", "truth2", "--hold-out", "truth3", "--only", "gyro noise"]
+    assert run("learn", recording, *options, *more) == 2
+    captured = capsys.readouterr()
+    assert "What was learned" in captured.out
+    assert f"{out} holds what was learned" in captured.err
+    assert "It cannot be judged." in captured.err
+    assert load_robot(out).name == "tdcr466"
+
+
+def test_a_folder_that_cannot_be_written_to_is_found_before_learning(
+    recording, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.setattr(outputs.os, "access", lambda path, mode: False)
+    options = ["--robot", recording / "few.toml", "--out", tmp_path / "out.toml", *WINDOW]
+    assert run("learn", recording, *options) == 2
+    assert "is not a folder that can be written to" in capsys.readouterr().err
+
+
+def test_a_curvature_at_rest_is_shifted_and_a_density_scaled():
+    document = {"rest_strain": [[0.0, 0.0, 1.0, 0.5, 0.0, 0.0]], "prior": {"time_scale": 2.0}}
+    numbers = [
+        Parameter("rest curvature 1, x", ("rest_strain", 0), (3,), 1.0),
+        Parameter("time scale", ("prior", "time_scale"), ()),
+    ]
+    x, std = np.array([-0.7, np.log(2.0)]), np.array([0.1, np.inf])
+    score = Score(0.0, 6, 6.0)
+    end = End.SETTLED
+    found = Learned(moved(document, numbers, x), numbers, x, std, score, score, 2, end, ())
+    rest, scale = as_json(found, Path("out.toml"))["parameters"]
+    assert rest["value"] == pytest.approx(-0.2)
+    assert rest["shift"] == pytest.approx(-0.7)
+    assert rest["std"] == pytest.approx(0.1)
+    assert scale["factor"] == pytest.approx(2.0)
+    assert scale["log_std"] is None
+    assert [_cells(rest), _cells(scale)] == [("-0.7", "± 0.1"), ("× 2", "–")]
 
 
 def test_truth_that_was_learned_from_is_no_sensor_where_other_truth_is_held_out(

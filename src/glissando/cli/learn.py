@@ -13,23 +13,25 @@ import numpy as np
 
 from glissando.calibration.robot.case import RecordingCase
 from glissando.calibration.robot.hyperparameters import Document, Parameter, expanded, learnable
-from glissando.calibration.robot.joint_calibration import lasting, locate
-from glissando.calibration.robot.learn import Learned, learn
+from glissando.calibration.robot.joint_calibration import lasting, locate, without_constants
+from glissando.calibration.robot.learn import End, Learned, learn
 from glissando.calibration.robot.predictive import Start
-from glissando.cli.console import Console
+from glissando.cli.learn_report import as_json, print_report, steps_of
 from glissando.cli.learn_tendons import is_of_tendons, learn_from_tendons
-from glissando.cli.outputs import require_spared, write_robot
+from glissando.cli.outputs import require_spared, require_writable, write_robot
 from glissando.cli.progress import working
-from glissando.cli.shared import Commands, add_command, names
-from glissando.cli.tables import number_table, parameter_text
+from glissando.cli.shared import Commands, add_command, names, warn
 from glissando.errors import GlissandoError, RecordingError
 from glissando.evaluation.metrics import pool
-from glissando.evaluation.run import checked_window, require_rows, run_estimate
+from glissando.evaluation.plausibility.examine import examine_recording
+from glissando.evaluation.plausibility.finding import refuse
+from glissando.evaluation.run import checked_window, chosen_streams, require_rows, run_estimate
 from glissando.geometry.se3 import Array
 from glissando.io.recording import Recording
 from glissando.io.recording_folder import load_recording
 from glissando.io.robot_file import load_robot, parse_robot, read_robot_document
 from glissando.io.shipped_robots import robot_file
+from glissando.model.robot import Robot
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.table import Table
 
@@ -53,7 +55,8 @@ examples:
   glissando learn first second --robot my_robot.toml --out learned.toml      # evidence only
   glissando learn slow --robot my_robot.toml --out learned.toml --only noise --window 0 20
 
-exit status: 0 done; 2 something given was wrong.
+exit status: 0 done; 2 something given was wrong, or the search broke off: what it had found by then
+is written.
 """
 
 
@@ -77,6 +80,8 @@ def add_to(commands: Commands) -> None:
     add("--only", type=names, metavar="WORDS,…", help=only)
     alike = "segments are built alike: scale what each has together"
     add("--alike", action="store_true", help=alike)
+    allowed = "checks of plausibility to leave out, of those that a refusal names"
+    add("--allow", type=names, default=[], metavar="NAME,…", help=allowed)
     add("--steps", type=int, metavar="N", help=f"steps at most (default: {_STEPS})")
     add("--json", action="store_true", help="print one JSON object and nothing else")
 
@@ -90,7 +95,12 @@ def _learn(options: argparse.Namespace) -> int:
     if is_of_tendons(recordings, options):
         return learn_from_tendons(recordings, document, options)
     _require_one_way(options)
+    if options.calibrate or options.joint:
+        document = without_constants(document, options.truth)
+        robot = parse_robot(Table(document, "learned", GlissandoError))
     cases = [_case(recording, options).while_moving(robot) for recording in recordings]
+    for case in cases:
+        _examine(case, robot, options)
     parameters = _parameters(document, cases, options)
     constants: tuple[SensorParameter, ...] = ()
     std: dict[str, Array] = {}
@@ -117,22 +127,59 @@ def _learn(options: argparse.Namespace) -> int:
         )
     written = _with_constants(result)
     write_robot(written, options.robot, options.out)
-    report = _as_json(result, options.out) | {"windows": [case.window for case in cases]}
-    if options.hold_out and not result.interrupted:
-        report["held_out"] = [
-            {"file": name, **_held_out(case, file, options)}
-            for case in cases
-            for name, file in (("before", document), ("after", written))
-        ]
+    report = as_json(result, options.out) | {"windows": [case.window for case in cases]}
+    broken = result.end in (End.INTERRUPTED, End.BROKEN)
+    unjudged = ""
+    if options.hold_out and not broken:
+        try:
+            report["held_out"] = [
+                {"file": name, **_held_out(case, file, options)}
+                for case in cases
+                for name, file in (("before", document), ("after", written))
+            ]
+        except GlissandoError as problem:  # which takes nothing from what was learned
+            unjudged = str(problem)
     if options.json:
         print(json.dumps(report))
     else:
-        _print(result, report, std)
-    if result.interrupted:
-        said = f"{options.out} holds what was learned in {result.steps} steps"
-        print(f"glissando: interrupted; {said}; learn on from it.", file=sys.stderr)
+        print_report(result, report, std)
+    return _ended(result, unjudged, options)
+
+
+def _ended(result: Learned, unjudged: str, options: argparse.Namespace) -> int:
+    """Say on stderr what did not go as it should; the exit status."""
+    if result.at_bounds:
+        numbers = "; ".join(result.at_bounds)
+        print(
+            f"glissando: warning: as far as a number may go from its start, a factor of ten "
+            f"thousand, went: {numbers}. Learn on from {options.out} if that is plausible.",
+            file=sys.stderr,
+        )
+    if result.end is not End.SETTLED:
+        print(
+            f"glissando: the search ended after {steps_of(result)}: {result.end.value}. "
+            f"{options.out} holds what was learned; learn on from it.",
+            file=sys.stderr,
+        )
+    if unjudged:
+        print(
+            f"glissando: {options.out} holds what was learned, but the truth that was held out "
+            f"cannot be judged: {unjudged}",
+            file=sys.stderr,
+        )
+    if result.end is End.INTERRUPTED:
         return 130
-    return 0
+    return 2 if unjudged or result.end is End.BROKEN else 0
+
+
+def _examine(case: RecordingCase, robot: Robot, options: argparse.Namespace) -> None:
+    """Refuse what readings and truth of a case cannot be, and warn of what they hardly can."""
+    use, truth = _with_rows(case, case.window), [*case.predict, *(options.hold_out or ())]
+    readings, references, _ = chosen_streams(case.recording, robot, case.window, use, truth)
+    streams = readings, references, case.window, options.allow
+    findings = examine_recording(case.recording, robot, *streams)
+    refuse(findings)
+    warn(findings)
 
 
 def _require_one_way(options: argparse.Namespace) -> None:
@@ -185,6 +232,7 @@ def _require_writable(options: argparse.Namespace) -> None:
     if out.exists() and robot_file(options.robot).resolve() == out.resolve():
         raise GlissandoError(f"--out {out} is the file to start from; give another name.")
     require_spared("--out", out, *options.recordings)
+    require_writable(out.absolute().parent)
 
 
 def _case(recording: Recording, options: argparse.Namespace) -> RecordingCase:
@@ -214,83 +262,20 @@ def _with_constants(result: Learned) -> Document:
     return document
 
 
+def _with_rows(case: RecordingCase, window: tuple[float, float]) -> list[str]:
+    """The streams to use that have rows in a window."""
+    times = {name: case.recording.stream(name).rows.time for name in case.use}
+    return [name for name, t in times.items() if np.any((t >= window[0]) & (t <= window[1]))]
+
+
 def _held_out(
     case: RecordingCase, document: Document, options: argparse.Namespace
 ) -> dict[str, Any]:
     """Errors against truth that was not learned from, of an estimate from the case's sensors."""
     robot, recording = parse_robot(Table(document, "learned", GlissandoError)), case.recording
-    start, stop = checked_window(recording, options.window)
-    times = {name: recording.stream(name).rows.time for name in case.use}
-    use = [name for name, time in times.items() if np.any((time >= start) & (time <= stop))]
-    run = run_estimate(recording, robot, window=(start, stop), use=use, truth=options.hold_out)
-    return {"recording": recording.name, **pool(run.errors).summary()}
-
-
-def _as_json(result: Learned, out: Path) -> dict[str, Any]:
-    return {
-        "out": str(out),
-        "objective_before": result.before.value,
-        "objective_after": result.after.value,
-        "degrees_of_freedom": result.before.samples,
-        "steps": result.steps,
-        "parameters": [
-            {
-                "name": p.label,
-                "value": p.of(result.document),
-                "factor": math.exp(moved),
-                "log_std": None if math.isinf(std) else std,
-            }
-            for p, moved, std in zip(result.parameters, result.moved, result.std, strict=True)
-        ],
-        "constants": [
-            {"name": c.name, "kind": c.kind, "value": c.value.tolist()}
-            for c in result.after.constants
-        ],
-    }
-
-
-def _parameters_of(document: Document) -> tuple[SensorParameter, ...]:
-    """The sensor parameters of a robot file."""
-    return parse_robot(Table(document, "learned", GlissandoError)).sensor_parameters
-
-
-def _print(result: Learned, report: dict[str, Any], std: dict[str, Array]) -> None:
-    console = Console()
-    table = number_table("What was learned", ("value", "times", "known within"), left=("number",))
-    for p in report["parameters"]:
-        within = "–" if p["log_std"] is None else f"× {math.exp(min(p['log_std'], 20.0)):.3g}"
-        table.add_row(p["name"], f"{p['value']:.4g}", f"{p['factor']:.3g}", within)
-    console.print(table)
-    constants = [
-        *result.after.constants,
-        *(p for p in _parameters_of(result.document) if p.name in std),
-    ]
-    for c in constants:
-        text = parameter_text(c.kind, c.value.tolist(), std.get(c.name, 0.0 * c.value).tolist())
-        left = " (of this recording, not written)" if c.kind == "time_offset" else ""
-        console.print(f"  {c.name} ({c.kind}): {text}{left}", markup=False)
-    windows = "; ".join(f"{start:g} to {stop:g} s" for start, stop in report["windows"])
-    console.print(f"Learned from {windows}")
-    console.print(
-        f"{result.steps} steps; log-likelihood a degree of freedom {result.before.value:.4f} → "
-        f"{result.after.value:.4f} ({result.before.samples:,} of them)"
+    window = checked_window(recording, options.window)
+    use = _with_rows(case, window)
+    run = run_estimate(
+        recording, robot, window=window, use=use, truth=options.hold_out, allow=options.allow
     )
-    if held_out := report.get("held_out"):
-        headings = "position (mm)", "rotation (deg)", "NEES / dof", "inside 95 %"
-        table = number_table("Truth that was held out", headings, left=("file",))
-        for held in held_out:
-            table.add_row(held["file"], *_held_out_cells(held))
-        console.print(table)
-    console.print(f"Wrote {report['out']}", markup=False)
-
-
-def _held_out_cells(held: dict[str, Any]) -> list[str]:
-    """Errors of a stream that was held out, as a table shows them; what it does not read is –."""
-    forms = {
-        "position_rmse": (1e3, "{:.2f}"), "rotation_rmse": (math.degrees(1.0), "{:.2f}"),
-        "nees_position": (1.0, "{:.2f}"), "coverage95_position": (100.0, "{:.1f} %"),
-    }  # fmt: skip
-    return [
-        "–" if held[key] is None else form.format(scale * held[key])
-        for key, (scale, form) in forms.items()
-    ]
+    return {"recording": recording.name, **pool(run.errors).summary()}

@@ -66,8 +66,8 @@ def add_command(
 
 
 def names(text: str) -> list[str]:
-    """The names in a list separated by commas."""
-    return [name.strip() for name in text.split(",") if name.strip()]
+    """The names in a list separated by commas, each once."""
+    return list(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
 
 
 def add_choices(parser: argparse.ArgumentParser) -> None:

@@ -33,6 +33,8 @@ from glissando.solver.linearize import NormalEquations, linearize
 from glissando.solver.located_readings import LocatedReadings, locate
 from glissando.solver.normal_equations import system_shape
 
+NUDGE = 1e-3
+"""Of a logarithm: at a held estimate nothing but first differences is rounded."""
 _MOST = 1e4  # how far observed and expected information may be apart
 
 

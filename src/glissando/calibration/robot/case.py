@@ -11,6 +11,7 @@ from glissando.calibration.robot.predictive import APART, in_motion
 from glissando.io.recording import Recording
 from glissando.model.grid import Grid
 from glissando.model.robot import Robot
+from glissando.model.sensors.parameters import corrected
 from glissando.model.sensors.readings import Readings
 
 _REST = 1.0  # s of rest that is kept before the first and after the last motion
@@ -42,9 +43,9 @@ class RecordingCase:
         return self.recording.readings(self.use, robot, self.window)[0]
 
     def truth(self, robot: Robot) -> list[Readings]:
-        """The streams to predict, inside the window."""
+        """The streams to predict, inside the window, put right by known sensor parameters."""
         truth, _ = self.recording.readings(self.predict, robot, self.window, as_truth=True)
-        return [stream for stream in truth if len(stream)]
+        return [corrected(stream, robot.sensor_parameters) for stream in truth if len(stream)]
 
     def while_moving(self, robot: Robot) -> RecordingCase:
         """The case without the rest before truth first moves and after it last did.

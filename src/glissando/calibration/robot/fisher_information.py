@@ -9,6 +9,9 @@ import numpy as np
 from glissando.calibration.robot.predictive import Foretold, Score
 from glissando.geometry.se3 import Array
 
+NUDGE = 1e-2
+"""Of a logarithm: far above what estimates beside one another are rounded to."""
+
 
 def slopes(centre: Score, beside: Sequence[Score | None], nudge: float) -> tuple[Array, Array]:
     """Slope (P,) and Fisher information (P, P) of minus a score, per degree of freedom.

@@ -20,12 +20,13 @@ from glissando.calibration.robot.predictive import (
     constants_of,
     in_motion,
 )
-from glissando.errors import GlissandoError
+from glissando.errors import GlissandoError, RecordingError
 from glissando.estimation.batch import estimate_in_passing
 from glissando.estimation.posterior import Posterior
 from glissando.geometry.se3 import Array
 from glissando.io.recording import Recording
 from glissando.io.robot_file import parse_robot
+from glissando.model.seconds import seconds
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.sensors.readings import Readings
 from glissando.model.table import Table
@@ -67,6 +68,12 @@ def locate(
     shift = 2.0 * _LATE  # no reading may be moved off the grid
     start, stop = window[0] + shift, window[1] - shift
     inner = [r.select((r.time > start) & (r.time < stop)) for r in readings]
+    if not all(any(len(r) for r in inner if r.name in names) for names in (use, truth)):
+        raise RecordingError(
+            f"From {seconds(start)} to {seconds(stop)} s ({1e3 * shift:g} ms inside the window, "
+            f"for the delay's sake) there are no readings of sensors and of truth while the robot "
+            f"moves; choose a longer window."
+        )
     parameters = [*robot.sensor_parameters, *constants]
     posterior = estimate_in_passing(
         robot.prior, robot.grid(*window, inner), inner, parameters, _OPTIONS
@@ -81,7 +88,7 @@ def locate(
     entries = known.get("sensor_parameters", [])
     for entry, parameter in zip(entries, robot.sensor_parameters, strict=True):
         constant = np.isinf(parameter.correlation_time) and parameter.kind not in _OF_A_RECORDING
-        if constant and parameter.name in found:
+        if constant and not parameter.known and parameter.name in found:
             entry["value"] = estimated(parameter).value.tolist()
             del entry["std"]
     uncertain = [p for p in parameters if p.name in found]  # streams of others are not there
@@ -112,3 +119,20 @@ def while_moving(readings: Sequence[Readings], truth: Sequence[Readings]) -> lis
 def lasting(constants: Sequence[SensorParameter]) -> tuple[SensorParameter, ...]:
     """The constants that hold for other recordings as well."""
     return tuple(c for c in constants if c.kind not in _OF_A_RECORDING)
+
+
+def without_constants(document: Document, truth: Sequence[str]) -> Document:
+    """The robot file without frame and mounts of truth that an earlier learning found.
+
+    Args:
+        document: The robot file.
+        truth: Names of the truth streams, whose constants are found anew.
+    """
+    found = {"truth frame", *(f"{name} mount" for name in truth)}
+
+    def again(entry: Document) -> bool:
+        of_truth = set(truth).issuperset(entry["streams"])
+        return "std" not in entry and entry["name"] in found and of_truth
+
+    entries = document.get("sensor_parameters", [])
+    return {**document, "sensor_parameters": [each for each in entries if not again(each)]}

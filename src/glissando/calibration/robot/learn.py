@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
+from enum import Enum
 
 import numpy as np
 
@@ -23,10 +25,18 @@ from glissando.errors import is_interrupt
 from glissando.geometry.se3 import Array
 from glissando.model.sensors.parameters import SensorParameter
 
-_EXPECTED = 3  # steps, before the first one says how many
-
 Watch = Callable[[float, float, float], None]
 """Called with how many steps are done, the objective and how many are expected in all."""
+
+
+class End(Enum):
+    """How a search has ended."""
+
+    SETTLED = "no step promises more"
+    LAST_STEP = "it has taken the steps it may and would go on; allow more"
+    NO_GAIN = "no part of a step that promised more gave it"
+    INTERRUPTED = "it was interrupted; what it had found by then is kept"
+    BROKEN = "a process that learns ended, perhaps for want of memory; what it had found is kept"
 
 
 @dataclass(frozen=True)
@@ -41,7 +51,8 @@ class Learned:
         before: Score of the robot file at the start.
         after: Score of the learned one.
         steps: Number of steps.
-        interrupted: Whether Ctrl-C ended the search; what it had found by then is kept.
+        end: How the search has ended.
+        at_bounds: Names of numbers that went as far as any may.
     """
 
     document: Document
@@ -51,7 +62,8 @@ class Learned:
     before: Score
     after: Score
     steps: int
-    interrupted: bool = False
+    end: End
+    at_bounds: tuple[str, ...]
 
 
 def learn(
@@ -90,23 +102,31 @@ def learn(
         search = Search(
             document, parameters, objective, pool, most, first, np.zeros(len(parameters))
         )
-        count, left, interrupted = 0, _EXPECTED, False
+        count, share, end = 0, 0.0, None
 
         def tell(part: float) -> None:
+            nonlocal share
             if watch is not None:
-                watch(count + part, -search.value, min(count + left, steps))
+                done, expected = count + part, min(count + search.left, steps)
+                share = max(share, done / expected)  # what is expected may grow
+                watch(done, -search.value, done / share)
 
         try:
-            while left and count < steps:
-                left, count = search.step(tell), count + 1
+            while end is None:
+                search.step(tell)
+                count += 1
                 tell(0.0)
-        except (KeyboardInterrupt, SystemError) as problem:
-            if not count or not is_interrupt(problem):
+                if not search.left:
+                    end = End.NO_GAIN if search.stuck else End.SETTLED
+                elif count == steps:
+                    end = End.LAST_STEP
+        except (KeyboardInterrupt, SystemError, BrokenProcessPool) as problem:
+            broken = isinstance(problem, BrokenProcessPool)
+            if not count or not (broken or is_interrupt(problem)):
                 raise
-            interrupted = True
+            end = End.BROKEN if broken else End.INTERRUPTED
             pool.shutdown(wait=False, cancel_futures=True)
-    learned = moved(document, parameters, search.x)
+    learned, bound = moved(document, parameters, search.x), search.at_bounds
+    names = tuple(p.label for p, there in zip(parameters, bound, strict=True) if there)
     after = search.centre.score
-    return Learned(
-        learned, parameters, search.x, search.std, first.score, after, count, interrupted
-    )
+    return Learned(learned, parameters, search.x, search.std, first.score, after, count, end, names)

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from glissando.calibration.robot import average_information, fisher_information
@@ -27,10 +28,10 @@ from glissando.calibration.robot.workers import changes_beside, score_beside
 from glissando.errors import GlissandoError
 from glissando.geometry.se3 import Array
 
-_NUDGE = 1e-3  # of a logarithm
 _GAIN = 1e-3  # gain a degree of freedom below which the search ends
 _SHARES = (1.0, 0.5, 0.25, 0.125)  # of a step that are tried
 _REACH = np.log(1e4)  # how far a number may move
+_EXPECTED = 3  # steps, before the first one says how many
 _PRIOR_STD = np.log(3.0)  # of a logarithm
 _FARTHEST = np.log(10.0)  # that a step may move a number
 
@@ -49,6 +50,8 @@ class Search:
         x: How far the parameters are moved there (P,).
         value: Minus the log posterior there.
         std: Standard deviation of each parameter (P,), the others fixed.
+        left: How many steps more are expected, by the gain that the last one promised.
+        stuck: Whether the last step promised a gain of which no part came true.
     """
 
     document: Document
@@ -60,14 +63,16 @@ class Search:
     x: Array
     value: float = field(init=False)
     std: Array = field(init=False)
+    left: int = _EXPECTED
+    stuck: bool = False
     _curvature: Array = field(init=False)
 
     def __post_init__(self) -> None:
         self.independent = self.centre.score.independent
         self.value = self._with_prior(-self.centre.score.value, self.x)
 
-    def step(self, tell: Callable[[float], None]) -> int:
-        """Take a step; return how many more are expected, by the gain that this one promised.
+    def step(self, tell: Callable[[float], None]) -> None:
+        """Take a step.
 
         Args:
             tell: Called with the part of the step that is done, after each objective.
@@ -77,9 +82,15 @@ class Search:
         promise = float(-slope @ step - 0.5 * step @ self._curvature @ step)
         if promise < _GAIN:
             self._try(step, beside=True)
-            return 0
-        better = any(self._try(share * step) for share in _SHARES)
-        return math.ceil(np.log10(promise / _GAIN)) if better else 0
+            self.left = 0
+            return
+        self.stuck = not any(self._try(share * step) for share in _SHARES)
+        self.left = 0 if self.stuck else math.ceil(np.log10(promise / _GAIN))
+
+    @property
+    def at_bounds(self) -> NDArray[np.bool_]:
+        """Which of the parameters (P,) have moved as far as any may."""
+        return np.abs(self.x) > _REACH - 1e-6
 
     def differentiate(self, tell: Callable[[float], None]) -> Array:
         """Slope (P,) at the centre; keeps the curvature and the standard deviations there."""
@@ -107,25 +118,26 @@ class Search:
     def _by_samples(self, tell: Callable[[float], None]) -> tuple[Array, Array]:
         """Slope (P,) and expected curvature (P, P) by the samples of truth."""
         size = self.x.size
-        points = [self.x, *(self.x + _NUDGE * np.eye(size))]
+        points = [self.x, *(self.x + fisher_information.NUDGE * np.eye(size))]
         centre, *beside = self._scores(points, tell)
         slope, curvature = np.zeros(size), np.zeros((size, size))
         self._beside = np.inf
         if centre is not None:
             self._beside = self._with_prior(-centre.value, self.x)
-            slope, curvature = fisher_information.slopes(centre, beside, _NUDGE)
+            slope, curvature = fisher_information.slopes(centre, beside, fisher_information.NUDGE)
         return slope + self._least * self.x, curvature + self._least * np.eye(size)
 
     def _by_evidence(self, tell: Callable[[float], None]) -> tuple[Array, Array]:
         """Slope (P,) and curvature (P, P) by what the numbers change of the evidence."""
-        self._beside = self.value
+        self._beside, nudge = self.value, average_information.NUDGE
         here = moved(self.document, self.parameters, self.x)
         nudged = [
-            moved(self.document, self.parameters, x) for x in self.x + _NUDGE * np.eye(self.x.size)
+            moved(self.document, self.parameters, x)
+            for x in self.x + average_information.NUDGE * np.eye(self.x.size)
         ]
         parts = [nudged[i :: self.processes] for i in range(min(self.processes, len(nudged)))]
         changes: list[Change | None] = [None] * len(nudged)
-        call = partial(changes_beside, self.centre, here, nudge=_NUDGE)
+        call = partial(changes_beside, self.centre, here, nudge=nudge)
         for i, part in enumerate(self.pool.map(call, parts)):
             changes[i :: self.processes] = part
             tell((i + 1) / (len(parts) + 1))

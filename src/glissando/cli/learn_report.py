@@ -1,0 +1,107 @@
+"""What `glissando learn` says of what it has learned."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+from glissando.calibration.robot.hyperparameters import Document, Parameter
+from glissando.calibration.robot.learn import Learned
+from glissando.cli.console import Console
+from glissando.cli.tables import number_table, parameter_text
+from glissando.errors import GlissandoError
+from glissando.geometry.se3 import Array
+from glissando.io.robot_file import parse_robot
+from glissando.model.sensors.parameters import SensorParameter
+from glissando.model.table import Table
+
+
+def as_json(result: Learned, out: Path) -> dict[str, Any]:
+    """What was learned, as one object."""
+    return {
+        "out": str(out),
+        "objective_before": result.before.value,
+        "objective_after": result.after.value,
+        "degrees_of_freedom": result.before.samples,
+        "steps": result.steps,
+        "end": result.end.name.lower().replace("_", "-"),
+        "parameters": [
+            {"name": p.label, "value": p.of(result.document), **_way(p, moved, std)}
+            for p, moved, std in zip(result.parameters, result.moved, result.std, strict=True)
+        ],
+        "constants": [
+            {"name": c.name, "kind": c.kind, "value": c.value.tolist()}
+            for c in result.after.constants
+        ],
+    }
+
+
+def steps_of(result: Learned) -> str:
+    """How many steps the search took, in words."""
+    return f"{result.steps} step{'s' if result.steps > 1 else ''}"
+
+
+def _way(parameter: Parameter, moved: float, std: float) -> dict[str, float | None]:
+    """How far a number went, and how well it is known: by a factor, or by a shift in its unit."""
+    known = None if math.isinf(std) else std
+    if parameter.unit is None:
+        return {"factor": math.exp(moved), "log_std": known}
+    within = None if known is None else known * parameter.unit
+    return {"shift": moved * parameter.unit, "std": within}
+
+
+def _cells(way: dict[str, Any]) -> tuple[str, str]:
+    """The same, for a table."""
+    if "shift" in way:
+        within = "–" if way["std"] is None else f"± {way['std']:.3g}"
+        return f"{way['shift']:+.3g}", within
+    within = "–" if way["log_std"] is None else f"× {math.exp(min(way['log_std'], 20.0)):.3g}"
+    return f"× {way['factor']:.3g}", within
+
+
+def _parameters_of(document: Document) -> tuple[SensorParameter, ...]:
+    """The sensor parameters of a robot file."""
+    return parse_robot(Table(document, "learned", GlissandoError)).sensor_parameters
+
+
+def print_report(result: Learned, report: dict[str, Any], std: dict[str, Array]) -> None:
+    """Print what was learned, with standard deviations of constants by name."""
+    console = Console()
+    table = number_table("What was learned", ("value", "moved", "known within"), left=("number",))
+    for p in report["parameters"]:
+        table.add_row(p["name"], f"{p['value']:.4g}", *_cells(p))
+    console.print(table)
+    constants = [
+        *result.after.constants,
+        *(p for p in _parameters_of(result.document) if p.name in std),
+    ]
+    for c in constants:
+        text = parameter_text(c.kind, c.value.tolist(), std.get(c.name, 0.0 * c.value).tolist())
+        left = " (of this recording, not written)" if c.kind == "time_offset" else ""
+        console.print(f"  {c.name} ({c.kind}): {text}{left}", markup=False)
+    windows = "; ".join(f"{start:g} to {stop:g} s" for start, stop in report["windows"])
+    console.print(f"Learned from {windows}")
+    console.print(
+        f"{steps_of(result)}; log-likelihood a degree of freedom {result.before.value:.4f} → "
+        f"{result.after.value:.4f} ({result.before.samples:,} of them)"
+    )
+    if held_out := report.get("held_out"):
+        headings = "position (mm)", "rotation (deg)", "NEES / dof", "inside 95 %"
+        table = number_table("Truth that was held out", headings, left=("file",))
+        for held in held_out:
+            table.add_row(held["file"], *_held_out_cells(held))
+        console.print(table)
+    console.print(f"Wrote {report['out']}", markup=False)
+
+
+def _held_out_cells(held: dict[str, Any]) -> list[str]:
+    """Errors of a stream that was held out, as a table shows them; what it does not read is –."""
+    forms = {
+        "position_rmse": (1e3, "{:.2f}"), "rotation_rmse": (math.degrees(1.0), "{:.2f}"),
+        "nees_position": (1.0, "{:.2f}"), "coverage95_position": (100.0, "{:.1f} %"),
+    }  # fmt: skip
+    return [
+        "–" if held[key] is None else form.format(scale * held[key])
+        for key, (scale, form) in forms.items()
+    ]
