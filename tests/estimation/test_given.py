@@ -6,15 +6,18 @@ import numpy as np
 import pytest
 
 from glissando import (
+    FbgReadings,
     FixedLagSmoother,
     GlissandoError,
     Grid,
     PositionReadings,
     Posterior,
     SensorParameter,
+    SolverOptions,
     estimate,
     estimate_static,
     load_robot,
+    uniform_grid,
 )
 from glissando.errors import OutsideGridError, SensorError
 from glissando.geometry import se3
@@ -45,9 +48,48 @@ def test_an_argument_of_another_kind_is_one_sentence():
         (lambda: smoother.add(readings), "stream is a list; give the readings of one"),
         (lambda: estimate_static(robot, nodes, []), "prior is a Robot"),
         (lambda: dataclasses.replace(offset, streams="coil"), "streams is 'coil'; give a list"),
+        (lambda: dataclasses.replace(offset, streams=None), "streams is None; give a list"),
+        (lambda: dataclasses.replace(offset, kind=["frame"]), "choose one of"),
+        (lambda: estimate(type(prior), grid, readings), "prior is a .*; give robot.prior"),
+        (lambda: estimate(prior, grid, readings, gate="a"), "gate is 'a'"),
+        (lambda: SolverOptions(max_iterations="5"), "max_iterations is '5'; give 1 or more"),
+        (lambda: SolverOptions(max_iterations=0), "max_iterations is 0"),
+        (lambda: SolverOptions(tolerance=np.nan), "tolerance is nan; give standard deviations"),
+        (lambda: SolverOptions(tolerance=-1.0), r"tolerance is -1\.0"),
+        (lambda: Grid(["a"], [0.0]), "Grid arclength must be a list of finite numbers"),
+        (lambda: Grid([0.0], [0.0, 1.0], before="a"), "The node before the grid, 'a'"),
+        (lambda: uniform_grid(0.5, 5, 0.0, 1.0, np.inf), "give positive numbers"),
+        (lambda: uniform_grid(0.5, -2, 0.0, 1.0, 10.0), "give positive numbers"),
+        (lambda: uniform_grid(0.5, 5, 0.0, 1.0, 1e12), "give positive numbers"),
+        (lambda: estimate_static(prior, ["a"], []), "arclength nodes are"),
+        (lambda: estimate_static(prior, nodes, [], count=2.0), "count is 2.0; give how many"),
+        (lambda: FixedLagSmoother(prior, "a"), "arclength nodes are 'a'"),
+        (lambda: estimate(prior, grid, readings).sample(0), "rng is 0; give numpy.random"),
     ):
         with pytest.raises(GlissandoError, match=said):
             call()
+
+
+def test_an_offset_in_another_unit_is_one_sentence():
+    prior, grid, (base, coil, gyro) = sliding_scene()
+    for kind, value, said in (
+        ("time_offset", 30.0, "'off' is 30 s, which puts most readings of coil outside"),
+        ("arclength_offset", -5.0, "'off' is -5 m, which puts most readings"),
+    ):
+        off = SensorParameter("off", kind, ("coil",), [value], [0.01])
+        with pytest.raises(OutsideGridError, match=said):
+            estimate(prior, grid, [base, coil, gyro], sensor_parameters=[off])
+
+
+def test_a_mount_of_what_has_none_is_not_estimated():
+    robot = load_robot("tdcr466")
+    fibre = FbgReadings(
+        time=[0.0], arclength=[0.1], values=[[0.0]], cov=1e-8, core_radius=[1e-4], core_angle=[0.0],
+        name="fibre",
+    )  # fmt: skip
+    mount = SensorParameter("roll", "mount", ("fibre",), np.zeros(6), np.full(6, 0.1))
+    with pytest.raises(SensorError, match="has no mount; leave sensor parameter 'roll'"):
+        estimate(robot.prior, robot.grid(0.0, 0.2), [fibre], sensor_parameters=[mount])
 
 
 @pytest.mark.parametrize("gate", [2.0, 1.0, 0.0, -1.0, np.nan])

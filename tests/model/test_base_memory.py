@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from glissando import Grid, PoseReadings, estimate
+from glissando import GlissandoError, Grid, PoseReadings, estimate
 from glissando.errors import RobotFileError
 from glissando.io.robot_file import parse_robot
 from glissando.model.table import Table
@@ -35,6 +35,28 @@ def test_with_the_shapes_own_time_scale_nothing_changes():
     stated = estimate(replace(PRIOR, base_time_scale=PRIOR.time_scale), grid, [read])
     assert np.allclose(plain.state.pose, stated.state.pose, atol=1e-7)
     assert np.allclose(plain.std_pose(), stated.std_pose(), rtol=1e-6)
+
+
+@pytest.mark.parametrize("ratio", [1.0, 2.0, 5.0])
+def test_between_time_nodes_a_base_is_as_unsure_as_more_nodes_make_it(ratio):
+    prior = replace(PRIOR, base_time_scale=ratio * PRIOR.time_scale)
+    step = PRIOR.time_scale / 2.0
+    time = step * np.arange(5)
+    base = PoseReadings(
+        time=time, arclength=np.zeros(5), values=np.tile(np.eye(4), (5, 1, 1)), cov=1e-12
+    )
+    coarse, fine = (
+        estimate(prior, Grid([0.0, 0.2, 0.5], np.linspace(0.0, time[-1], count)), [base])
+        for count in (5, 41)
+    )
+    for place in (0.0, 0.1, 0.5):
+        found, expected = (p.at(place, 1.5 * step).std_position for p in (coarse, fine))
+        assert found == pytest.approx(expected, rel=0.03)
+
+
+def test_a_base_is_remembered_for_no_less_than_a_shape():
+    with pytest.raises(GlissandoError, match=r"base_time_scale is 0\.01 s, less than the"):
+        replace(PRIOR, base_time_scale=0.01)
 
 
 def test_a_robot_file_states_it_and_gets_it_back():

@@ -72,7 +72,8 @@ def readings_of(sensor, rng, at, **where):
         pytest.fail(f"{sensor.__name__} has no builder here; give it one, so its slope is tested.")
     mount = poses(rng, reach=0.02)
     place = {"time": np.zeros(M), "arclength": np.zeros(M), **where}
-    return sensor(**place, **build(rng, at, mount), mount=mount, cov=1e-4)
+    mounted = {"mount": mount} if sensor.mounted else {}
+    return sensor(**place, **build(rng, at, mount), **mounted, cov=1e-4)
 
 
 def test_discovery_finds_the_sensors():

@@ -136,11 +136,11 @@ def test_a_sections_prior_covariance_is_that_of_all_factors_together():
         s, _ = coarse.locate(np.array([place]), np.zeros(1))
         inside = place == 0.11
         n = s.lower if inside else s.nearest
-        found = prior.section(coarse, there, np.zeros(1, dtype=int), n, s, inside)[0]
+        [(_, covs)] = prior.sections(coarse, there, np.zeros(1, dtype=int), n, s, inside)
         at = slice(12 * node, 12 * node + 12)
         std = np.sqrt(np.diag(dense[at, at]))
         np.testing.assert_allclose(
-            found / np.outer(std, std), dense[at, at] / np.outer(std, std), atol=1e-4
+            covs[0] / np.outer(std, std), dense[at, at] / np.outer(std, std), atol=1e-4
         )
 
 

@@ -6,6 +6,15 @@ import numpy as np
 import pytest
 
 from draws import motion, prior, sixes
+from glissando import (
+    BaseVariance,
+    GlissandoError,
+    SeparablePrior,
+    WhiteNoisePrior,
+    estimate,
+    estimate_static,
+)
+from glissando.errors import OutsideGridError
 from glissando.geometry import se3
 from glissando.model.grid import Grid
 from glissando.model.interpolation import sort_points
@@ -44,6 +53,39 @@ def expected_covariances(which):
                 if which == CARRIED_T:
                     cov = dense.carried_covariance(rate, h, soft.psd_strain_time, rigid=False)
                 yield (k * n_count + n, (k + 1) * n_count + n), cov / span
+
+
+def test_a_joint_that_is_no_node_is_refused_whatever_varies_there():
+    bent = SeparablePrior(
+        np.r_[[1e-3] * 3, [2.0] * 3],
+        1.0,
+        BaseVariance(np.full(6, 1e-6), np.full(6, 1e-3)),
+        rest_strain=[[0, 0, 1, 0, 3, 0], [0, 0, 1, 0, -3, 0]],
+        joints=[0.25],
+    )
+    for call in (
+        lambda: estimate(bent, Grid(np.linspace(0.0, 0.4, 5), [0.0]), []),
+        lambda: estimate_static(bent, np.linspace(0.0, 0.4, 5), [], count=1),
+    ):
+        with pytest.raises(OutsideGridError, match=r"joint at 0\.25 m, which is no arclength node"):
+            call()
+
+
+@pytest.mark.parametrize(
+    ("times", "said"), [([0.8, 0.2], "rising seconds"), ([np.nan, 0.5], "finite"), ("a", "numbers")]
+)
+def test_paces_change_at_times_that_rise(times, said):
+    stiff = np.full(6, 1e-3)
+    fields = dict.fromkeys(
+        ("psd_velocity_time", "psd_strain_arclength", "psd_strain_time", "psd_velocity_arclength"),
+        stiff,
+    )
+    with pytest.raises(GlissandoError, match=said):
+        WhiteNoisePrior(**fields, base=None, pace=np.ones(np.size(times) + 1), pace_times=times)
+    listed = WhiteNoisePrior(**fields, base=None, pace=[1, 2.0], pace_times=[0.5])
+    assert listed.pace_times.tolist() == [0.5]
+    one_row = WhiteNoisePrior(**fields, base=None, rest_strain=[[0, 0, 1, 0, 0, 0]])
+    assert one_row.rest_strain.shape == (6,)
 
 
 @pytest.mark.parametrize("which", [PAIR_S, CARRIED_S, PAIR_T, CARRIED_T])

@@ -17,6 +17,7 @@ from glissando.model.noise import (
     sqrt_information,
 )
 from glissando.model.priors.white_noise import BaseDensity, WhiteNoisePrior
+from glissando.model.sensors.accelerometer import AccelerometerReadings
 from glissando.model.sensors.sensors import (
     CoilReadings,
     FbgReadings,
@@ -24,6 +25,8 @@ from glissando.model.sensors.sensors import (
     PoseReadings,
     PositionReadings,
     Readings,
+    StrainReadings,
+    TendonReadings,
 )
 
 NAN = np.array([0.0, np.nan, 0.0])
@@ -52,6 +55,45 @@ def positions(**changes):
 def test_a_mistake_is_answered_with_a_sentence(sentence):
     with pytest.raises(SensorError, match=sentence):
         positions(**{"cov": 1.0, **MISTAKES[sentence]})
+
+
+FBG = {"core_radius": [1e-3], "core_angle": [0.0], "values": np.zeros((3, 1))}
+TENDON = {"radius": [1e-3], "angle": [0.0], "end": [0.2], "values": np.zeros((3, 1))}
+TURNED = np.diag([1.0, -1.0, -1.0, 1.0])
+UNHEARD = {
+    "a fbg sensor has no mount": (FbgReadings, {**FBG, "mount": TURNED}),
+    "a strain sensor has no mount": (StrainReadings, {"values": np.zeros((3, 6)), "mount": TURNED}),
+    "uncertain arclength of a tendon sensor": (TendonReadings, {**TENDON, "arclength_std": 0.1}),
+    "uncertain arclength of a accelerometer": (
+        AccelerometerReadings,
+        {"values": POINTS, "arclength_std": 0.1},
+    ),
+    r"core_radius is \[35.0\]; give metres": (FbgReadings, {**FBG, "core_radius": [35.0]}),
+    r"core_angle is \[120.0\]; give radians": (FbgReadings, {**FBG, "core_angle": [120.0]}),
+    r"core_radius is \['wide'\]; give numbers": (FbgReadings, {**FBG, "core_radius": ["wide"]}),
+    r"end is \[-0.1\]; give finite numbers above": (TendonReadings, {**TENDON, "end": [-0.1]}),
+    r"slack is \[nan\]; give finite": (TendonReadings, {**TENDON, "slack": [np.nan]}),
+    r"compliance is \[-1.0\]": (TendonReadings, {**TENDON, "compliance": [-1.0]}),
+    "radius is 'a'; give numbers": (TendonReadings, {**TENDON, "radius": "a"}),
+    "loss is 'huber'; give Huber": (PositionReadings, {"values": POINTS, "loss": "huber"}),
+    "loss is <class .*Huber'>; give Huber": (PositionReadings, {"values": POINTS, "loss": Huber}),
+    r"time is \['a'\]; give numbers": (PositionReadings, {"values": POINTS, "time": ["a"]}),
+    "arclength_std is 'a'": (PositionReadings, {"values": POINTS, "arclength_std": "a"}),
+    "slide_speed is 'a'": (PositionReadings, {"values": POINTS, "slide_speed": "a"}),
+}
+
+
+@pytest.mark.parametrize("sentence", UNHEARD)
+def test_what_would_change_nothing_or_cannot_be_is_one_sentence(sentence):
+    sensor, given = UNHEARD[sentence]
+    with pytest.raises(SensorError, match=sentence):
+        sensor(**{"time": ZERO, "arclength": ZERO, "cov": 1e-4, **given})
+
+
+@pytest.mark.parametrize("threshold", ["3", None, 0.0, np.nan])
+def test_a_loss_has_a_threshold_above_zero(threshold):
+    with pytest.raises(SensorError, match="The threshold of a loss"):
+        Huber(threshold)
 
 
 TREE = {"core_radius": np.array([0.0, 1e-3]), "core_angle": np.zeros(2)}
@@ -117,14 +159,14 @@ def test_select_takes_the_same_rows_of_everything(rows):
 
 def test_select_keeps_what_all_rows_share():
     mount = np.diag([1.0, -1.0, -1.0, 1.0])
-    cores = FbgReadings(
-        time=ZERO, arclength=ZERO, values=np.zeros((3, 2)), cov=1e-12, mount=mount,
-        loss=Huber(2.0), name="grating", **TREE,
+    places = PositionReadings(
+        time=ZERO, arclength=ZERO, values=np.zeros((3, 3)), cov=1e-12, mount=mount,
+        loss=Huber(2.0), name="marker",
     )  # fmt: skip
-    one = cores.select(np.array([2]))
-    assert (one.loss, one.name, one.row_count) == (Huber(2.0), "grating", 2)
+    one = places.select(np.array([2]))
+    assert (one.loss, one.name, one.row_count) == (Huber(2.0), "marker", 3)
     np.testing.assert_array_equal(one.mount, mount)
-    np.testing.assert_array_equal(one.cov, 1e-12 * np.eye(2))
+    np.testing.assert_array_equal(one.cov, 1e-12 * np.eye(3))
 
 
 def test_no_rows_at_all_is_a_choice_like_any_other():

@@ -101,6 +101,21 @@ def test_tendons_make_the_shape_sure_where_they_run():
     assert found.at(LENGTH, 0.5).std_position < 0.5 * unread.std_position
 
 
+@pytest.mark.parametrize("count", [1, 2, 4, 8])
+def test_tendons_read_between_time_nodes_err_together(count):
+    """Many read at one moment tell no more of its nodes than a node there lets them."""
+    angle = np.linspace(0.0, np.pi, count)
+    channels = {"radius": np.full(count, 0.0045), "angle": angle, "end": np.full(count, 0.2)}
+    pulled = readings([0.25], np.zeros((1, count)), **channels)
+    coarse, fine = (
+        estimate(tendon_robot().prior, Grid(NODES, time), [pulled])
+        for time in ([0.0, 0.5, 1.0], [0.0, 0.25, 0.5, 1.0])
+    )
+    for time in (0.0, 0.5):
+        stds = [np.sqrt(p.at(LENGTH, time).cov[3, 3]) for p in (coarse, fine)]
+        assert 0.99 * stds[1] < stds[0] < 1.1 * stds[1]
+
+
 def test_displacements_that_contradict_others_are_no_traceback():
     values = np.zeros((5, 3))
     values[2, 0] = 1e-3

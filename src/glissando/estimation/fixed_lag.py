@@ -20,7 +20,13 @@ from glissando.estimation.channels import place_in_channel
 from glissando.estimation.contact import ContactScan, force_variance, scan_of
 from glissando.estimation.contact_evidence import ErrorPrior, error_priors, force_evidence
 from glissando.estimation.delays import delayed
-from glissando.estimation.given import require_gate, require_model, require_stream, require_window
+from glissando.estimation.given import (
+    arclength_nodes,
+    require_gate,
+    require_model,
+    require_stream,
+    require_window,
+)
 from glissando.estimation.loads import require_mechanics
 from glissando.estimation.posterior import Posterior, StateEstimate, state_at
 from glissando.estimation.shape_spread import spread_between
@@ -68,7 +74,7 @@ class FixedLagSmoother:
         """
         require_window(window)
         require_gate(gate)
-        self.arclength = np.asarray(arclength, dtype=float)
+        self.arclength = arclength_nodes(arclength)
         require_model(prior, self.arclength, sensor_parameters)
         self._window = SlidingWindow(prior, self.arclength, sensor_parameters)
         _meet(prior, self.arclength)

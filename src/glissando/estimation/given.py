@@ -6,6 +6,7 @@ from collections.abc import Collection, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from glissando.errors import GlissandoError, OutsideGridError, SensorError, UnobservableError
 from glissando.geometry.se3 import Array
@@ -15,8 +16,10 @@ from glissando.model.priors.prior import Prior
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
+from glissando.model.stated import is_number
 from glissando.solver.gauss_newton import SolverOptions
 
+_FAR = 5.0  # standard deviations of an offset
 _LONGEST = 50.0  # m of a robot, as in a robot file
 
 
@@ -33,6 +36,10 @@ def require_batch(
     require_model(prior, grid.arclength, sensor_parameters)
     require_streams(readings)
     require_options(options)
+    for parameter in sensor_parameters:
+        for r in readings:
+            if r.name in parameter.streams and len(r):
+                _require_plausible(grid, r, parameter)
     if initial is not None:
         _require_kind(initial, State, "initial state", "give posterior.states_on(grid) or a State")
         if initial.pose.shape[:2] != grid.shape:
@@ -51,7 +58,7 @@ def require_model(
     prior: Prior, arclength: Array, sensor_parameters: Sequence[SensorParameter] = ()
 ) -> None:
     """Raise GlissandoError for no prior, nodes in millimetres or off the base, or equal names."""
-    if not hasattr(prior, "rest_state"):
+    if isinstance(prior, type) or not hasattr(prior, "rest_state"):
         raise GlissandoError(f"The prior is a {type(prior).__name__}; give robot.prior or a Prior.")
     longest = float(np.max(arclength, initial=0.0))
     if longest > _LONGEST:
@@ -74,6 +81,37 @@ def require_model(
         names.add(parameter.name)
 
 
+def _require_plausible(grid: Grid, readings: Readings, parameter: SensorParameter) -> None:
+    """Raise where a mount would change nothing, or an offset leads most readings off the grid."""
+    if parameter.kind == "mount" and not readings.mounted:
+        raise SensorError(
+            f"{readings.label}: a {readings.kind} sensor has no mount; leave sensor parameter "
+            f"{parameter.name!r} out."
+        )
+    if parameter.kind not in ("arclength_offset", "time_offset"):
+        return
+    nodes, unit = (grid.time, "s") if parameter.kind == "time_offset" else (grid.arclength, "m")
+    at = getattr(parameter.shift(readings, parameter.value), parameter.along)
+    room = _FAR * float(parameter.std[0])
+    if np.mean((at < nodes[0] - room) | (at > nodes[-1] + room)) > 0.5:
+        raise OutsideGridError(
+            f"Sensor parameter {parameter.name!r} is {parameter.value[0]:g} {unit}, which puts "
+            f"most readings of {readings.label} outside [{nodes[0]:g}, {nodes[-1]:g}] {unit}; give "
+            f"{'metres' if unit == 'm' else 'seconds'}."
+        )
+
+
+def arclength_nodes(given: ArrayLike) -> Array:
+    """Arclength nodes (N,) as they are given; raises OutsideGridError unless they are numbers."""
+    try:
+        nodes = np.asarray(given, dtype=float)
+    except (TypeError, ValueError):
+        nodes = np.zeros(0)
+    if nodes.ndim != 1 or not nodes.size:
+        raise OutsideGridError(f"The arclength nodes are {given!r}; give a list of metres.")
+    return nodes
+
+
 def require_streams(readings: Sequence[Readings]) -> None:
     """Raise SensorError unless readings are a list of streams."""
     _listed(readings, Readings, "readings")
@@ -87,7 +125,7 @@ def require_options(options: SolverOptions | None) -> None:
 
 def require_gate(gate: float | None) -> None:
     """Raise SensorError unless a gate is a chance that a reading may have, or none."""
-    if gate is not None and not 0.0 < gate < 1.0:
+    if gate is not None and not (is_number(gate) and 0.0 < gate < 1.0):
         raise SensorError(
             f"The gate is {gate!r}; give the chance, between 0 and 1, below which a reading is "
             f"refused, or None."

@@ -257,7 +257,14 @@ class Posterior(Brief):
         return State(estimate.pose, estimate.strain, estimate.velocity, *rates)
 
     def sample(self, rng: np.random.Generator, size: int = 1) -> State:
-        """Joint draws of the whole motion at the nodes, leading shape (size, K, N)."""
+        """Joint draws of the whole motion at the nodes, leading shape (size, K, N).
+
+        Args:
+            rng: A generator, such as `numpy.random.default_rng(0)`.
+            size: How many.
+        """
+        if not isinstance(rng, np.random.Generator):
+            raise GlissandoError(f"sample: rng is {rng!r}; give numpy.random.default_rng(0).")
         chol = factor(self.system)
         of_nodes = self.grid.arclength.size * self.state.dof
         steps = np.array([chol.sample(rng)[:, :of_nodes] for _ in range(size)])

@@ -14,9 +14,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from glissando._kernels.threads import one_thread
-from glissando.errors import UnobservableError
+from glissando.errors import OutsideGridError, UnobservableError
 from glissando.estimation.batch import estimate
-from glissando.estimation.given import require_model, require_options, require_streams
+from glissando.estimation.given import (
+    arclength_nodes,
+    require_model,
+    require_options,
+    require_streams,
+)
 from glissando.estimation.misfit import far_off
 from glissando.estimation.posterior import Posterior
 from glissando.estimation.static_iteration import Solved, iterate, node_covariances
@@ -81,7 +86,8 @@ def estimate_static(
     array([[ 0.012,  0.   ,  0.232],
            [ 0.   , -0.025,  0.231]])
     """
-    require_model(prior, np.asarray(arclength, dtype=float))
+    arclength = arclength_nodes(arclength)
+    require_model(prior, arclength)
     require_streams(readings)
     require_options(options)
     load_kernels(prior, "static_steps")
@@ -107,6 +113,8 @@ def _count(readings: Sequence[Readings], nodes: int, count: int | None) -> int:
     """How many shapes there are, of whole numbers, which fit into memory."""
     for r in readings:
         require_whole(r.time, r.label)
+    if count is not None and (not isinstance(count, int | np.integer) or count < 1):
+        raise OutsideGridError(f"count is {count!r}; give how many shapes there are, 1 or more.")
     if count is None:
         count = 1 + int(max((r.time.max() for r in readings), default=0.0))
     require_memory(

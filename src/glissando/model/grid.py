@@ -11,10 +11,12 @@ from glissando.errors import OutsideGridError
 from glissando.geometry.se3 import Array
 from glissando.model.brief import Brief
 from glissando.model.seconds import seconds
+from glissando.model.stated import is_number
 
 Index = NDArray[np.intp]
 
 SAME = 1e-9
+_MOST_NODES = 1e7
 """Metres: places of the robot that are no farther apart are one, as decimals are rounded."""
 
 _CROWDED = 0.05  # of an interval: a reading as near to another node gets none of its own
@@ -129,7 +131,10 @@ class Grid(Brief):
 
     def __init__(self, arclength: ArrayLike, time: ArrayLike, before: float | None = None) -> None:
         for name, given in (("arclength", arclength), ("time", time)):
-            nodes = np.atleast_1d(np.asarray(given, dtype=float))
+            try:
+                nodes = np.atleast_1d(np.asarray(given, dtype=float))
+            except (TypeError, ValueError):
+                nodes = np.zeros(0)
             if nodes.ndim != 1 or nodes.size == 0 or not np.isfinite(nodes).all():
                 raise OutsideGridError(f"Grid {name} must be a list of finite numbers: {given!r}.")
             stays = np.diff(nodes) <= (SAME if name == "arclength" else 0.0)
@@ -144,9 +149,9 @@ class Grid(Brief):
             object.__setattr__(self, f"{name}_spans", _spans(nodes))
         object.__setattr__(self, "before", before)
         if before is not None:
-            if not before < self.time[0]:
+            if not is_number(before) or not before < self.time[0]:
                 raise OutsideGridError(
-                    f"The node before the grid, {before:g} s, must lie before {self.time[0]:g} s."
+                    f"The node before the grid, {before!r} s, must lie before {self.time[0]:g} s."
                 )
             vars(self).update(vars(self.at_times(self.time, before)))
 
@@ -249,5 +254,16 @@ def _listed(rows: Index) -> str:
 
 def uniform_grid(length: float, nodes: int, start: float, stop: float, rate: float) -> Grid:
     """Evenly spaced grid: `nodes` over [0, length] m, about `rate` a second over [start, stop]."""
+    given = length, nodes, start, stop, rate
+    if (
+        not all(is_number(each) and np.isfinite(each) for each in given)
+        or min(length, nodes, rate) <= 0.0
+        or nodes != int(nodes)
+        or not 0.0 <= (stop - start) * rate < _MOST_NODES
+    ):
+        raise OutsideGridError(
+            f"No grid has {nodes!r} nodes over {length!r} m and {rate!r} a second from {start!r} "
+            f"to {stop!r} s; give positive numbers, and whole ones of nodes."
+        )
     count = max(2, round((stop - start) * rate) + 1)
-    return Grid(np.linspace(0.0, length, nodes), np.linspace(start, stop, count))
+    return Grid(np.linspace(0.0, length, int(nodes)), np.linspace(start, stop, count))

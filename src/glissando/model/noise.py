@@ -12,6 +12,7 @@ from glissando._kernels import process, transitions
 from glissando._kernels.arrays import items
 from glissando.errors import SensorError
 from glissando.geometry.se3 import Array
+from glissando.model.stated import is_number
 
 _ASYMMETRY = 1e-9  # of both standard deviations, which is rounding
 
@@ -85,7 +86,7 @@ class Loss(Protocol):
 
 
 def _require_positive(threshold: float) -> None:
-    if not threshold > 0.0:
+    if not is_number(threshold) or not threshold > 0.0:
         raise SensorError(f"The threshold of a loss is {threshold}; give one above zero.")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,11 @@ from glissando.geometry.se3 import Array
 
 _TURNED = 1e-6  # by which a rotation may differ from one
 _FAR = 50.0  # m of any position
+
+
+def is_number(value: object) -> bool:
+    """Whether a value is a real number, which may be infinite."""
+    return isinstance(value, Real) and value == value
 
 
 class Stated:

@@ -14,9 +14,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from glissando.errors import GlissandoError
 from glissando.geometry.se3 import Array
 from glissando.model.priors.prior import Prior
 from glissando.model.state import State
+from glissando.model.stated import is_number
 from glissando.solver.block_tridiagonal import Cholesky, factor
 from glissando.solver.linearize import NormalEquations, gradient, linearize
 from glissando.solver.located_readings import LocatedReadings
@@ -55,6 +57,16 @@ class SolverOptions:
     def is_rough(self, numbers: int) -> bool:
         """Whether a state of so many numbers may be off by a standard deviation in each."""
         return self.tolerance >= float(np.sqrt(numbers))
+
+    def __post_init__(self) -> None:
+        for name, least in (("max_iterations", 1), ("settled", 0)):
+            value = getattr(self, name)
+            if not isinstance(value, int | np.integer) or value < least:
+                raise GlissandoError(f"SolverOptions: {name} is {value!r}; give {least} or more.")
+        if not is_number(self.tolerance) or not self.tolerance > 0.0:
+            raise GlissandoError(
+                f"SolverOptions: tolerance is {self.tolerance!r}; give standard deviations."
+            )
 
     @staticmethod
     def rough(numbers: int) -> SolverOptions:

@@ -16,6 +16,8 @@ from glissando.model.sensors.readings import Readings
 from glissando.model.state import DOF, State
 from glissando.solver.located_readings import LocatedReadings
 
+_NOTHING = 1e-300
+
 Parts = list[tuple[Index, Interpolation]]
 """Which of some points, and the states there."""
 
@@ -26,7 +28,7 @@ def spanning_factor(
     """Factors of readings that depend on all nodes of their time, and on both sides of joints.
 
     What the bridge in time leaves open counts as fully correlated along the robot, which it nearly
-    is: the careful side.
+    is: the careful side. What rows then have in common is that of the same errors everywhere.
 
     Args:
         readings: Readings (M,).
@@ -49,16 +51,15 @@ def spanning_factor(
     at = at.reshape(len(readings), s.size)
     residual, by_state = readings.residual_over(s, at), readings.jacobian_over(s, at)
     by_state = by_state.swapaxes(1, 2).reshape(-1, residual.shape[1], DOF)
-    nodes, by_nodes, std = _through(parts, by_state, s.size, located.grid.arclength.size)
-    cov = readings.cov + std[..., None] ** 2 * np.eye(residual.shape[1])
-    terms = Residuals(residual, sqrt_information(cov), readings.loss)
+    nodes, by_nodes, left = _through(parts, by_state, s.size, located.grid.arclength.size)
+    terms = Residuals(residual, sqrt_information(readings.cov + left), readings.loss)
     return Factors(nodes, slice(0, state.dof), whole(by_nodes.swapaxes(1, 2)), terms)
 
 
 def _through(
     parts: Parts, by_state: Array, places: int, n_count: int
 ) -> tuple[Index, Array, Array]:
-    """Nodes (M, c) of readings, slopes (M, c, r, dof) by them, and what they leave open (M, r).
+    """Nodes (M, c) of readings, slopes (M, c, r, dof) by them, what they leave open (M, r, r).
 
     Args:
         parts: States at the `places` of each reading, readings after readings.
@@ -74,15 +75,21 @@ def _through(
         np.maximum.at(last, rows // places, time.max(axis=1))
     nodes = n_count * first[:, None] + np.arange(n_count * (1 + int(np.max(last - first))))
     by_nodes = np.zeros((*nodes.shape, by_state.shape[1], dof))
-    std = np.zeros((m, by_state.shape[1]))
+    std, common = np.zeros((m, by_state.shape[1])), np.zeros((m, by_state.shape[1], DOF))
     for rows, part in parts:
         owner, slope = rows // places, by_state[rows]
         through = slope @ part.jacobian.reshape(rows.size, DOF, -1)
         through = through.reshape(*slope.shape[:2], -1, dof).swapaxes(1, 2)
         np.add.at(by_nodes, (owner[:, None], part.nodes - nodes[owner, :1]), through)
-        left = np.einsum("pri,pij,prj->pr", slope, part.cov, slope)
-        np.add.at(std, owner, np.sqrt(np.maximum(left, 0.0)))
-    return nodes, by_nodes, std
+        values, vectors = np.linalg.eigh(part.cov)
+        root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None] @ vectors.swapaxes(1, 2)
+        np.add.at(std, owner, np.linalg.norm(slope @ root, axis=2))
+        np.add.at(common, owner, slope @ root)
+    share = std / np.maximum(np.linalg.norm(common, axis=2), _NOTHING)
+    common *= share[..., None]
+    left = common @ common.swapaxes(1, 2)
+    np.einsum("mrr->mr", left)[...] = std**2
+    return nodes, by_nodes, left
 
 
 def interpolated(

@@ -139,10 +139,7 @@ def by_interval(arclength: Array, psd: Array, joints: Array, jumps: Array) -> Sp
     OutsideGridError when a joint is no node of the grid.
     """
     jump = np.zeros((arclength.size - 1, 6))
-    if psd.ndim == 1 and not np.any(jumps):
-        return np.full(jump.shape, psd), jump
-    psd = np.broadcast_to(psd, (joints.size + 1, 6))
-    for joint, variance in zip(joints, jumps, strict=True):
+    for joint, variance in zip(joints, jumps if np.any(jumps) else 0.0 * joints, strict=True):
         at = int(np.argmin(np.abs(arclength - joint)))
         if abs(arclength[at] - joint) > SAME:
             raise OutsideGridError(
@@ -151,6 +148,9 @@ def by_interval(arclength: Array, psd: Array, joints: Array, jumps: Array) -> Sp
             )
         if at:
             jump[at - 1] = variance
+    if psd.ndim == 1 and not np.any(jumps):
+        return np.full(jump.shape, psd), jump
+    psd = np.broadcast_to(psd, (joints.size + 1, 6))
     middle = 0.5 * (arclength[1:] + arclength[:-1])
     return psd[np.searchsorted(joints, middle)], jump
 

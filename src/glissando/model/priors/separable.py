@@ -46,6 +46,8 @@ from glissando.model.state import POSE, STRAIN, State
 from glissando.model.stated import Stated
 from glissando.model.table import Table, pose_table
 
+_HARDLY = 1e-30  # of a density, where none counts but their ratio does
+
 
 @dataclass(frozen=True)
 class BaseVariance:
@@ -70,7 +72,7 @@ class SeparablePrior:
     (S−1, 6), variances of the strain's jump there; it may be curved at rest, with the strain
     `rest_strain` (S, 6) where each segment begins and its change per metre `rest_slope` (S, 6).
     A clamped base stands where it stands, though nobody knows exactly where: with a
-    `base_time_scale` in seconds its pose is remembered for that long, or 200 time nodes, not for ℓ.
+    `base_time_scale` above ℓ, in seconds, its pose is remembered for that long, or 200 time nodes.
     Source: equations (6) to (9).
     """
 
@@ -94,6 +96,12 @@ class SeparablePrior:
         stated.number("time_scale", above=0.0)
         if self.base_time_scale is not None:
             stated.number("base_time_scale", above=0.0)
+            if self.base_time_scale < self.time_scale:
+                raise stated.fail(
+                    "base_time_scale",
+                    f"is {self.base_time_scale:g} s, less than the {self.time_scale:g} s for which "
+                    f"a shape is remembered; give a longer one, or none.",
+                )
         if not isinstance(self.base, BaseVariance):
             raise stated.fail("base", f"is {self.base!r}; give a BaseVariance.")
 
@@ -296,16 +304,23 @@ class SeparablePrior:
         whole = self.rest.interval_errors(grid.arclength)[np.minimum(s.lower, grid.shape[1] - 2)]
         return whole, self.rest.error(grid.arclength[s.lower], s.offset)
 
-    def section(
+    def sections(
         self, grid: Grid, noise_state: State, k: Index, n: Index, s: Cells, inside: bool
-    ) -> Array:
-        """Prior covariance K_s (M, 12, 12) of pose and strain, along the shapes at time nodes k."""
-        pose = np.zeros(6) if self.base_time_scale else self.base.pose  # as good as at its nodes
-        base = np.diag(np.concatenate([pose, self.base.strain]))
+    ) -> list[tuple[float, Array]]:
+        """Prior covariances K_s (M, 12, 12) of pose and strain along the shapes at time nodes k.
+
+        A base with a time scale of its own moves the whole body, by what no strain adds to.
+        """
+        nothing, parts = np.zeros(6), [(self.time_scale, (self.base.pose, self.base.strain), 1.0)]
+        slow = self.on(grid).base_time_scale
+        if slow is not None:
+            parts = [(self.time_scale, (nothing, self.base.strain), 1.0)]
+            parts.append((slow, (self.base.pose, nothing), _HARDLY))
         psd, jump = map(whole, self._intervals(grid))
-        offset = s.offset if inside else np.zeros(k.size)
-        cov: Array = kernels.sections(
-            whole(noise_state.strain), np.diff(grid.arclength), psd, jump, base, whole(k), whole(n),
-            whole(offset),
-        )  # fmt: skip
-        return cov
+        at = whole(k), whole(n), whole(s.offset if inside else np.zeros(k.size))
+        strain, lengths = whole(noise_state.strain), np.diff(grid.arclength)
+        return [
+            (scale, kernels.sections(strain, lengths, share * psd, share * jump, base, *at))
+            for scale, variances, share in parts
+            for base in [np.diag(np.concatenate(variances))]
+        ]

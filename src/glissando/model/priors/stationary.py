@@ -53,10 +53,13 @@ class StationaryPrior(Protocol):
         """The shape that is expected where nothing acts."""
         ...
 
-    def section(
+    def sections(
         self, grid: Grid, noise_state: State, k: Index, n: Index, s: Cells, inside: bool
-    ) -> Array:
-        """Prior covariance (M, 12, 12) of pose and strain at time nodes k, on n or inside `s`."""
+    ) -> list[tuple[float, Array]]:
+        """Prior covariances (M, 12, 12) of pose and strain at time nodes k, on n or inside `s`.
+
+        They add up; each goes with how long, in seconds, what varies so is remembered: ℓ first.
+        """
         ...
 
 
@@ -159,15 +162,19 @@ def interpolate_process(
         at, nodes = State(pose, strain, velocity), np.hstack([touched[:m], touched[m:]])
 
     def left() -> Array:
-        section, along = np.zeros((12, 12)), np.zeros((12, 12))
+        parts, along = [(prior.time_scale, np.zeros((12, 12)))], np.zeros((12, 12))
         if points.inside_time:
-            section = prior.section(grid, noise_state, k, n, s, points.inside_arclength)
+            parts = prior.sections(grid, noise_state, k, n, s, points.inside_arclength)
         if crossing is not None:
             along = crossing[1]
-        cov: Array = kernels.left_over(
-            prior.time_scale, whole(at.velocity), items(by_time, (m,), 2, 2),
-            items(section, (m,), 12, 12), items(along, (m,), 12, 12),
-        )  # fmt: skip
+        cov, through = np.zeros((m, DOF, DOF)), by_time
+        for i, (scale, section) in enumerate(parts):
+            if i:
+                along, through = np.zeros((12, 12)), matern.bridge(scale, t.step, t.offset)[2]
+            cov += kernels.left_over(
+                scale, whole(at.velocity), items(through, (m,), 2, 2),
+                items(section, (m,), 12, 12), items(along, (m,), 12, 12),
+            )  # fmt: skip
         return cov
 
     return Interpolation(at, nodes, jacobian, left)

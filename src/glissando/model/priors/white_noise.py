@@ -68,7 +68,7 @@ class WhiteNoisePrior:
     `psd_strain_arclength` (S, 6), the `joints` (S−1,) between them in metres, and `jumps`
     (S−1, 6), variance · second of the strain's jump there. For a robot that now moves and now
     holds, `pace` (P + 1,) multiplies the densities along time before, between and after
-    `pace_times` (P,), which are time nodes. Source: equations (2'), (3'), (4), (5).
+    `pace_times` (P,), by the middle of a step. Source: equations (2'), (3'), (4), (5).
     """
 
     psd_velocity_time: Array
@@ -89,10 +89,13 @@ class WhiteNoisePrior:
         stated = Stated(self)
         stated.segments()
         stated.rest(1)
+        object.__setattr__(self, "rest_strain", self.rest_strain.reshape(6))
         for name in ("psd_velocity_time", "psd_strain_time", "psd_velocity_arclength"):
             stated.numbers(name, (6,), above=0.0)
         stated.pose("base_pose")
-        stated.numbers("pace", (np.size(self.pace_times) + 1,), above=0.0)
+        if np.any(np.diff(stated.numbers("pace_times", (np.size(self.pace_times),))) <= 0.0):
+            raise stated.fail("pace_times", f"is {self.pace_times.tolist()}; give rising seconds.")
+        stated.numbers("pace", (self.pace_times.size + 1,), above=0.0)
         if self.base is not None and not isinstance(self.base, BaseDensity):
             raise stated.fail("base", f"is {self.base!r}; give a BaseDensity or None.")
 

@@ -11,8 +11,13 @@ from glissando.geometry.se3 import Array
 
 
 def numbers(label: str, name: str, value: Any) -> Array:
-    """An array of numbers. Raises SensorError for dates, complex numbers and masked rows."""
-    given = np.asanyarray(value)
+    """An array of numbers. Raises SensorError for text, dates, complex numbers, masked rows."""
+    try:
+        given = np.asanyarray(value)
+        if given.dtype.kind not in "mMc":
+            given = given.astype(float)
+    except (TypeError, ValueError):
+        raise SensorError(f"{label}: {name} is {value!r}; give numbers.") from None
     if np.ma.is_masked(given):
         row = np.argwhere(np.ma.getmaskarray(given))[0, 0]
         raise SensorError(f"{label}: {name} of row {row} is masked; drop masked rows.")

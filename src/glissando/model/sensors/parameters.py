@@ -7,7 +7,7 @@ constant. One that is known (`std` of zeros) is applied and never estimated. Sou
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -83,13 +83,15 @@ class SensorParameter:
     correlation_time: float = np.inf
 
     def __post_init__(self) -> None:
-        if self.kind not in SIZES:
+        if not isinstance(self.kind, str) or self.kind not in SIZES:
             kinds = ", ".join(SIZES)
             raise SensorError(
                 f"Sensor parameter {self.name!r} is a {self.kind!r}; choose one of {kinds}."
             )
         streams: Any = self.streams
-        if isinstance(streams, str):
+        if isinstance(streams, str) or not (
+            isinstance(streams, Collection) and all(isinstance(each, str) for each in streams)
+        ):
             raise SensorError(
                 f"Sensor parameter {self.name!r}: streams is {streams!r}; give a list of names."
             )

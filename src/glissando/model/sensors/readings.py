@@ -70,6 +70,7 @@ class Readings(Brief):
         per_reading: Declares the fields of one's own that have a row a reading.
         accelerates: Declares that it needs the state's acceleration: `residual` and `jacobian`
             (M, rows, 24) take an `AcceleratedState`, and are zero of another.
+        mounted: Declares whether `mount` says where it sits; others have settings of their own.
         fixes_base: Declares whether readings fix the robot in the world.
         tracker: Declares a tracker: it may be truth, and repeated rows are one reading twice.
 
@@ -100,6 +101,7 @@ class Readings(Brief):
     per_reading: ClassVar[tuple[str, ...]] = ()
     fixes_base: ClassVar[bool] = False
     tracker: ClassVar[bool] = False
+    mounted: ClassVar[bool] = True
     spans: ClassVar[bool] = False
     accelerates: ClassVar[bool] = False
 
@@ -175,28 +177,46 @@ class Readings(Brief):
             )
         if self.expected_shape in ((4, 4), (3, 3)):
             require_rotations(self.label, self.values)
-        mount = np.asarray(self.mount, dtype=float)
+        mount = numbers(self.label, "mount", self.mount)
         object.__setattr__(self, "mount", mount)
         if mount.shape not in ((4, 4), (*count, 4, 4)):
             raise SensorError(f"{self.label}: mount has shape {mount.shape}; give (4, 4).")
         require_rotations(f"{self.label} mount", mount.reshape(-1, 4, 4))
-        std = np.asarray(self.arclength_std, dtype=float)
+        std = numbers(self.label, "arclength_std", self.arclength_std)
         object.__setattr__(self, "arclength_std", std)
         if std.shape not in ((), count) or not np.all((std >= 0.0) & np.isfinite(std)):
             raise SensorError(
                 f"{self.label}: arclength_std must be one number from 0, or {count}, all finite."
             )
         for given in ("slide_speed", "slide_way"):
-            value = np.asarray(getattr(self, given), dtype=float)
+            value = numbers(self.label, given, getattr(self, given))
             object.__setattr__(self, given, value)
             if value.shape not in ((), count) or not np.all(np.isfinite(value)):
                 raise SensorError(f"{self.label}: {given} must be one number, or {count}.")
+        self._require_heard()
         object.__setattr__(self, "cov", covariance_matrix(self.cov, self.row_count, self.label))
         if self.cov.ndim == 3 and len(self.cov) != len(self):
             raise SensorError(
                 f"{self.label}: {len(self.cov)} covariances for {len(self)} readings; give one, "
                 f"or one a reading."
             )
+
+    def _require_heard(self) -> None:
+        """Raise SensorError for what is stated and would change nothing, and for a loss of none."""
+        if not self.mounted and self.beside is None and np.any(self.mount != np.eye(4)):
+            raise SensorError(
+                f"{self.label}: a {self.kind} sensor has no mount; state where it reads by its own "
+                f"settings, such as the angles of its cores."
+            )
+        if not self.reads_one_state and np.any(self.arclength_std):
+            raise SensorError(
+                f"{self.label}: an uncertain arclength of a {self.kind} sensor is not estimated; "
+                f"leave arclength_std out."
+            )
+        if self.loss is not None and (
+            isinstance(self.loss, type) or not hasattr(self.loss, "weight")
+        ):
+            raise SensorError(f"{self.label}: loss is {self.loss!r}; give Huber(3.0) or another.")
 
     @property
     def label(self) -> str:

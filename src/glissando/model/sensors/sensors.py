@@ -15,10 +15,12 @@ from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.sensors.accelerometer import AccelerometerReadings as AccelerometerReadings
 from glissando.model.sensors.compiled_readings import CompiledReadings
+from glissando.model.sensors.given_arrays import numbers
 from glissando.model.sensors.readings import SENSORS, Readings
 from glissando.model.sensors.tendons import TendonReadings as TendonReadings
 from glissando.model.state import DOF, STRAIN, State
 
+_WIDEST, _TURN = 0.05, 7.0  # m of a core's radius, rad of its angle
 _POSITION = dict.fromkeys(("x", "y", "z"), "m")
 _QUATERNION = dict.fromkeys(("qw", "qx", "qy", "qz"), "1")
 
@@ -168,6 +170,7 @@ class GyroReadings(CompiledReadings, kind="gyro"):
 class StrainReadings(CompiledReadings, kind="strain"):
     """All six strains of the cross-section: `values` (M, 6), [linear, angular]. Source: (17)."""
 
+    mounted: ClassVar[bool] = False
     sensor: ClassVar[int] = kernels.STRAIN
     rows: ClassVar[int] = 6
     columns: ClassVar[Mapping[str, str]] = {
@@ -188,6 +191,7 @@ class FbgReadings(Readings, kind="fbg"):
     core_radius: Array
     core_angle: Array
 
+    mounted: ClassVar[bool] = False
     rows: ClassVar[int] = 1  # in a file: one standard deviation for all cores
     settings: ClassVar[Mapping[str, str]] = {"core_radius": "m", "core_angle": "rad"}
 
@@ -211,6 +215,14 @@ class FbgReadings(Readings, kind="fbg"):
                 f"{self.label}: core radii {np.shape(self.core_radius)} and angles "
                 f"{np.shape(self.core_angle)} must be lists of one length; give one of each a core."
             )
+        for name, least, most, wanted in (
+            ("core_radius", 0.0, _WIDEST, f"metres up to {_WIDEST:g}"),
+            ("core_angle", -_TURN, _TURN, "radians of one turn"),
+        ):
+            value = numbers(self.label, name, getattr(self, name))
+            object.__setattr__(self, name, value)
+            if not np.all((value >= least) & (value <= most)):
+                raise SensorError(f"{self.label}: {name} is {value.tolist()}; give {wanted}.")
         return (len(self.core_radius),)
 
     def _tangents(self, at: State) -> tuple[Array, Array]:

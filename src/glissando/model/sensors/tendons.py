@@ -11,6 +11,7 @@ import numpy as np
 from glissando.errors import SensorError
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
+from glissando.model.sensors.given_arrays import numbers
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import DOF, STRAIN, State
 from glissando.model.tendons.channel import Channel
@@ -50,6 +51,7 @@ class TendonReadings(Readings, kind="tendon"):
     rows: ClassVar[int] = 1  # in a file: one standard deviation for all tendons
     settings: ClassVar[Mapping[str, str]] = _EACH
     optional_settings: ClassVar[Mapping[str, str]] = _MORE
+    mounted: ClassVar[bool] = False
     spans: ClassVar[bool] = True
 
     @classmethod
@@ -75,11 +77,17 @@ class TendonReadings(Readings, kind="tendon"):
         """
         count = np.size(self.radius)
         for name in (*_EACH, *_MORE):
-            value = np.atleast_1d(np.asarray(getattr(self, name), dtype=float))
+            value = np.atleast_1d(numbers(self.label, name, getattr(self, name)))
             if value.shape not in ((1,), (count,)):
                 raise SensorError(
                     f"{self.label}: {name} has {value.size} numbers for {count} tendons; give one "
                     f"each."
+                )
+            least = {"end": 1e-6, "compliance": 0.0, "radius": 0.0}.get(name, -np.inf)
+            if not np.all(np.isfinite(value) & (value >= least)):
+                raise SensorError(
+                    f"{self.label}: {name} is {value.tolist()}; give finite numbers"
+                    f"{' above zero' * (least > 0.0) or ' from zero' * (least == 0.0)}."
                 )
             object.__setattr__(self, name, np.broadcast_to(value, count).copy())
         return (2 * count if np.any(self.compliance) else count,)

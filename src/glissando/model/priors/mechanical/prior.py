@@ -313,11 +313,12 @@ class MechanicalPrior:
         """State (M,) inside the intervals `s` at time nodes k, Jacobian (M, 24, 2, dof) by both."""
         return interval_between(start, end, self.rod.pick(grid, k, s.lower), s.offset, gain)
 
-    def section(
+    def sections(
         self, grid: Grid, noise_state: State, k: Index, n: Index, s: Cells, inside: bool
-    ) -> Array:
-        """Prior covariance (M, 12, 12) of pose and strain at time nodes k, on n or inside `s`."""
-        return self._rods.covariances(grid, noise_state, k, n, s.offset if inside else None)
+    ) -> list[tuple[float, Array]]:
+        """Prior covariances (M, 12, 12) of pose and strain at time nodes k, on n or inside `s`."""
+        cov = self._rods.covariances(grid, noise_state, k, n, s.offset if inside else None)
+        return [(self.time_scale, cov)]
 
     @cached_property
     def _rods(self) -> LinearizedRods:
