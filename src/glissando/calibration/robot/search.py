@@ -96,11 +96,10 @@ class Search:
         """Slope (P,) at the centre; keeps the curvature and the standard deviations there."""
         by = self._by_samples if self.centre.score.foretold else self._by_evidence
         slope, curvature = by(tell)
-        self._curvature = curvature
-        along = np.diagonal(curvature)
-        precision = np.maximum(along * self.independent, 1e-12)
-        self.std = np.where(along > 0.0, precision**-0.5, np.inf)
-        return slope
+        least = float(_PRIOR_STD**-2.0 / self.independent)  # of the prior
+        self._curvature = curvature + least * np.eye(self.x.size)
+        self.std = (np.diagonal(self._curvature) * self.independent) ** -0.5
+        return slope + least * self.x
 
     def _within_reach(self, slope: Array) -> Array:
         """The Newton step (P,) among those of which no number goes farther than it may."""
@@ -110,48 +109,35 @@ class Search:
         found = lsq_linear(root.T, -np.linalg.solve(root, slope), (low, high), method="bvls")
         return np.asarray(found.x)
 
-    @property
-    def _least(self) -> float:
-        """Curvature of the prior of a parameter."""
-        return float(_PRIOR_STD**-2.0 / self.independent)
+    def _moved(self, nudge: float) -> list[Document]:
+        """The robot file at the centre, and with each parameter nudged."""
+        points = [self.x, *(self.x + nudge * np.eye(self.x.size))]
+        return [moved(self.document, self.parameters, x) for x in points]
 
     def _by_samples(self, tell: Callable[[float], None]) -> tuple[Array, Array]:
         """Slope (P,) and expected curvature (P, P) by the samples of truth."""
-        size = self.x.size
-        points = [self.x, *(self.x + fisher_information.NUDGE * np.eye(size))]
-        centre, *beside = self._scores(points, tell)
-        slope, curvature = np.zeros(size), np.zeros((size, size))
-        self._beside = np.inf
-        if centre is not None:
-            self._beside = self._with_prior(-centre.value, self.x)
-            slope, curvature = fisher_information.slopes(centre, beside, fisher_information.NUDGE)
-        return slope + self._least * self.x, curvature + self._least * np.eye(size)
+        documents, scores = self._moved(fisher_information.NUDGE), list[Score | None]()
+        for score in self.pool.map(score_beside, [self.centre] * len(documents), documents):
+            scores.append(score)
+            tell(len(scores) / (len(documents) + 1))
+        centre, *beside = scores
+        if centre is None:
+            self._beside = np.inf
+            return np.zeros(self.x.size), np.zeros((self.x.size, self.x.size))
+        self._beside = self._with_prior(-centre.value, self.x)
+        return fisher_information.slopes(centre, beside, fisher_information.NUDGE)
 
     def _by_evidence(self, tell: Callable[[float], None]) -> tuple[Array, Array]:
         """Slope (P,) and curvature (P, P) by what the numbers change of the evidence."""
         self._beside, nudge = self.value, average_information.NUDGE
-        here = moved(self.document, self.parameters, self.x)
-        nudged = [
-            moved(self.document, self.parameters, x)
-            for x in self.x + average_information.NUDGE * np.eye(self.x.size)
-        ]
+        here, *nudged = self._moved(nudge)
         parts = [nudged[i :: self.processes] for i in range(min(self.processes, len(nudged)))]
         changes: list[Change | None] = [None] * len(nudged)
         call = partial(changes_beside, self.centre, here, nudge=nudge)
         for i, part in enumerate(self.pool.map(call, parts)):
             changes[i :: self.processes] = part
             tell((i + 1) / (len(parts) + 1))
-        slope, curvature = average_information.slopes(changes, self.centre.score.samples)
-        return slope + self._least * self.x, curvature + self._least * np.eye(self.x.size)
-
-    def _scores(self, points: list[Array], tell: Callable[[float], None]) -> list[Score | None]:
-        """Scores of robot files beside the centre; None where there is no estimate."""
-        documents = [moved(self.document, self.parameters, x) for x in points]
-        scores: list[Score | None] = []
-        for score in self.pool.map(score_beside, [self.centre] * len(points), documents):
-            scores.append(score)
-            tell(len(scores) / (len(points) + 1))
-        return scores
+        return average_information.slopes(changes, self.centre.score.samples)
 
     def _try(self, step: Array, *, beside: bool = False) -> bool:
         """Whether a step is worth it, also if only to first order; if so, it is taken."""

@@ -70,12 +70,12 @@ def changes_beside(
 ) -> list[Change | None]:
     """What changes from one robot file to others, in a worker; None where there is no estimate."""
     assert _objective is not None
-    evidence = EvidenceAt(_objective.cases, document, about.starts)
-    changes: list[Change | None] = []
-    for each in beside:
-        change = None
-        with suppress(GlissandoError, np.linalg.LinAlgError):
-            change = evidence.change(each, nudge)
-        good = change is not None and np.isfinite([change.misfit, change.width]).all()
-        changes.append(change if good else None)
+    changes: list[Change | None] = [None] * len(beside)
+    with suppress(GlissandoError, np.linalg.LinAlgError):
+        evidence = EvidenceAt(_objective.cases, document, about.starts)
+        for i, each in enumerate(beside):
+            with suppress(GlissandoError, np.linalg.LinAlgError):
+                change = evidence.change(each, nudge)
+                if np.isfinite([change.misfit, change.width]).all():
+                    changes[i] = change
     return changes
