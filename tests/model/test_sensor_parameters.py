@@ -5,7 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from glissando import GlissandoError, GyroReadings, PositionReadings, estimate
+from glissando import (
+    BaseVariance,
+    GlissandoError,
+    GyroReadings,
+    PositionReadings,
+    SeparablePrior,
+    estimate,
+)
 from glissando.geometry import se3
 from glissando.io.netcdf import load_posterior, save_posterior
 from glissando.model.grid import Grid
@@ -300,6 +307,23 @@ def test_a_constant_keeps_for_an_hour_where_a_window_says_nothing_of_how_long():
     process = EstimatedParameters(window, [constant])
     walked = np.sqrt(2.0 * 3600.0 / process.memory[0])  # of its standard deviation
     assert walked < 0.01
+
+
+@pytest.mark.parametrize("std", [0.01, 0.1, 1.0, 10.0])
+def test_a_constant_is_as_well_known_as_its_readings_say_however_little_was_before(std):
+    """A rigid robot in a known place: the mean of its readings, less the constant."""
+    stiff = np.full(6, 1e-12)
+    rigid = SeparablePrior(stiff, 1.0, BaseVariance(stiff, stiff))
+    rng, time, count = np.random.default_rng(0), np.linspace(0.0, 1.0, 11), 440
+    seen = np.array([0.0, 0.0, 0.4]) + 1e-3 * rng.standard_normal((count, 3))
+    place = {"time": np.repeat(time, count // 11), "arclength": np.full(count, 0.4)}
+    read = PositionReadings(**place, values=seen, cov=1e-6, name="marker")
+    bias = SensorParameter("bias", "bias", ("marker",), np.zeros(3), np.full(3, std))
+    found = estimate(rigid, Grid([0.0, 0.2, 0.4], time), [read], sensor_parameters=[bias])
+    values, cov = found.parameter("bias")
+    exact = (count / 1e-6 + std**-2.0) ** -0.5
+    np.testing.assert_allclose(np.sqrt(np.einsum("kii->ki", cov)), exact, rtol=0.1)
+    assert np.ptp(values, axis=0).max() < 0.3 * exact
 
 
 def test_what_reads_in_its_own_frame_has_no_frame_in_the_world():

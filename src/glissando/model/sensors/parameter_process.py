@@ -16,6 +16,7 @@ from glissando.model.sensors.readings import Readings
 HELD = 1e14
 """Information of a delay that is held, s⁻²."""
 _CONSTANT = 1e6  # times the recording: the memory of a constant, long enough to count as for ever
+_FIRM = 0.01  # m, rad, s, rad/s: a constant that is broader drifts no more than one of this std
 _HOLDS = 100.0  # s in the place of that where it is not known; more would cost digits
 
 
@@ -37,7 +38,9 @@ class EstimatedParameters:
         self.size = int(ends[-1])
         whole = grid.time.size > 1 and grid.before is None  # not what a window sees of it
         span = max(np.ptp(grid.time), 1.0) if whole else _HOLDS
-        memory = [np.full(u.size, min(u.correlation_time, _CONSTANT * span)) for u in self.each]
+        forever = [_CONSTANT * span * np.maximum(1.0, (u.std / _FIRM) ** 2) for u in self.each]
+        pairs = zip(self.each, forever, strict=True)
+        memory = [np.minimum(u.correlation_time, longest) for u, longest in pairs]
         self.memory = np.concatenate([np.zeros(0), *memory])
         self.mean = np.concatenate([np.zeros(0), *(u.value for u in self.each)])
         self.std = np.concatenate([np.zeros(0), *(np.maximum(u.std, 1e-12) for u in self.each)])
