@@ -108,7 +108,7 @@ def squared_miss(found, time, pose):
 @pytest.mark.slow
 def test_two_segments_of_up_to_three_quarters_of_a_turn_each_are_found_from_their_ends():
     rng, two, time = np.random.default_rng(2), of_two_segments(), np.arange(5) / 30.0
-    for _ in range(COUNT):
+    for _ in range(10):
         turn, way = rng.uniform(0.5 * np.pi, 1.5 * np.pi, 2), rng.uniform(0.0, 2.0 * np.pi, 2)
         poses = np.tile(wound(turn, way), (time.size, 1, 1, 1))
         found = estimate(two.prior, Grid(two.arclength_nodes, time), at_ends(rng, two, time, poses))
@@ -120,7 +120,7 @@ def test_two_segments_of_up_to_three_quarters_of_a_turn_each_are_found_from_thei
 def test_two_segments_that_move_while_they_are_wound_are_found():
     """One shape is no start for all: pieces of a few moments lead from one to the next."""
     rng, two, time = np.random.default_rng(4), of_two_segments(), np.arange(46) / 30.0
-    for _ in range(2):
+    for _ in range(1):
         way = rng.uniform(0.0, 2.0 * np.pi, 2) + time[:, None] * rng.uniform(-2.5, 2.5, 2)
         turn = np.pi * (1.0 + 0.4 * np.sin(2.0 * time[:, None] + rng.uniform(0.0, 6.0, 2)))
         poses = np.array([wound(*each) for each in zip(turn, way, strict=True)])

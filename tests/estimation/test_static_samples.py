@@ -32,7 +32,7 @@ def test_draws_are_those_of_the_posterior_where_that_is_gaussian():
     pose[:, 2, 3] = 0.233, 0.466
     poses = PoseReadings(time=[0, 0], arclength=[0.233, 0.466], values=pose, cov=1e-4)
     found = estimate_static(robot.prior, robot.arclength_nodes, [poses])
-    drawn = sample_static(robot.prior, robot.arclength_nodes, [poses], size=600)
+    drawn = sample_static(robot.prior, robot.arclength_nodes, [poses], size=400)
     for n, s in enumerate(robot.arclength_nodes):
         at, (mean, cov) = found.at(s, 0), spread(drawn, n)
         expected = at.cov_position_world
@@ -83,7 +83,7 @@ def test_shapes_are_found_though_most_of_the_prior_are_far_from_the_readings(nam
 @pytest.mark.parametrize("sensor", ["position", "coil"])
 def test_shapes_of_the_prior_lie_within_the_spread_of_draws(sensor):
     """A Gaussian about the shape that is found holds half to four fifths of them."""
-    robot, sessions, inside = load_robot("tdcr466-segments"), 16, 0
+    robot, sessions, inside = load_robot("tdcr466-segments"), 10, 0
     grid = Grid(robot.arclength_nodes, [0.0])
     tip = {"time": [0.0], "arclength": [robot.length]}
     layout = PositionReadings(**tip, values=np.zeros((1, 3)), cov=1e-6)
@@ -99,7 +99,7 @@ def test_shapes_of_the_prior_lie_within_the_spread_of_draws(sensor):
         mean, cov = spread(drawn, middle)
         error = session.truth.pose[0, at, :3, 3] - mean
         inside += bool(error @ np.linalg.solve(cov, error) <= CHI2)
-    assert inside >= 13  # 95 % less three standard deviations
+    assert inside >= 8  # 95 % less three standard deviations
 
 
 @pytest.mark.slow
