@@ -24,6 +24,10 @@ from glissando.geometry import se3
 from scenes import sliding_scene
 
 
+def framed(value, *, kind="frame", std=None):
+    return SensorParameter("f", kind, ("coil",), value, np.zeros(6) if std is None else std)
+
+
 def test_an_argument_of_another_kind_is_one_sentence():
     prior, grid, readings = sliding_scene()
     robot, nodes = load_robot("tdcr466"), grid.arclength
@@ -52,6 +56,11 @@ def test_an_argument_of_another_kind_is_one_sentence():
         (lambda: dataclasses.replace(offset, kind=["frame"]), "choose one of"),
         (lambda: estimate(type(prior), grid, readings), "prior is a .*; give robot.prior"),
         (lambda: estimate(prior, grid, readings, gate="a"), "gate is 'a'"),
+        (lambda: framed([0, 0, 0, 90.0, 0, 0]), "give radians"),
+        (lambda: framed([250.0, 0, 0, 0, 0, 0]), "give metres"),
+        (lambda: framed([20.0, 0, 0, 0, 0, 0], kind="mount"), "give metres"),
+        (lambda: framed(np.zeros(6), std=np.full(6, 90.0)), "std is .*; give metres"),
+        (lambda: dataclasses.replace(prior, rest_strain=[0, 0, 1e3, 0, 0, 0]), "extension of 1000"),
         (lambda: SolverOptions(max_iterations="5"), "max_iterations is '5'; give 1 or more"),
         (lambda: SolverOptions(max_iterations=0), "max_iterations is 0"),
         (lambda: SolverOptions(tolerance=np.nan), "tolerance is nan; give standard deviations"),

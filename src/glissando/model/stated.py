@@ -11,6 +11,7 @@ from glissando.errors import GlissandoError
 from glissando.geometry.se3 import Array
 
 _TURNED = 1e-6  # by which a rotation may differ from one
+_LONGER = 10.0  # times its length that a robot may be at rest
 _FAR = 50.0  # m of any position
 
 
@@ -99,11 +100,12 @@ class Stated:
     def rest(self, segments: int) -> None:
         """`rest_strain` of a body or of its segments, which a robot can have."""
         strain = self.numbers("rest_strain", (6,), (segments, 6))
-        if np.any(strain[..., 2] <= 0.0):
+        wrong = strain[..., 2][(strain[..., 2] <= 0.0) | (strain[..., 2] > _LONGER)]
+        if wrong.size:
             raise self.fail(
                 "rest_strain",
-                f"has an extension of {strain[..., 2].min():g}; a straight rod at its own length "
-                f"has [0, 0, 1, 0, 0, 0].",
+                f"has an extension of {wrong[0]:g}; a straight rod at its own length has "
+                f"[0, 0, 1, 0, 0, 0].",
             )
 
     def segments(self) -> int:

@@ -48,6 +48,8 @@ _MOVES: dict[str, tuple[str, Callable[[Readings], Array | float]]] = {
     "slide_lag": ("arclength", lambda r: -r.slide_speed),
     "slide_play": ("arclength", lambda r: -0.5 * r.slide_way),
 }  # what a parameter moves readings along, and by how much one unit of it
+_FARTHEST_FRAME, _FARTHEST_MOUNT = 50.0, 2.0  # m, of the value and of its deviation
+_TURN = 7.0  # rad
 SIZES = {"frame": 6, "mount": 6, "bias": 3} | dict.fromkeys(_MOVES, 1)
 """Kinds of sensor parameter and how many numbers each has."""
 
@@ -102,12 +104,25 @@ class SensorParameter:
                 raise SensorError(
                     f"Sensor parameter {self.name!r}: {part} is {given}; give {self.size} numbers."
                 )
+            self._require_units(part, given)
         object.__setattr__(self, "correlation_time", float(self._numbers("correlation_time")))
         if np.any(self.std < 0.0) or not self.correlation_time > 0.0:
             raise SensorError(
                 f"Sensor parameter {self.name!r}: std {self.std} and correlation time "
                 f"{self.correlation_time:g} s must not be negative."
             )
+
+    def _require_units(self, part: str, given: Array) -> None:
+        """Raise SensorError for a frame or a mount in millimetres or degrees."""
+        farthest = {"frame": _FARTHEST_FRAME, "mount": _FARTHEST_MOUNT}.get(self.kind)
+        if farthest is None:
+            return
+        for half, most, unit in ((given[:3], farthest, "metres"), (given[3:], _TURN, "radians")):
+            if np.abs(half).max() > most:
+                raise SensorError(
+                    f"Sensor parameter {self.name!r}: {part} is {given.tolist()}; give {unit}, of "
+                    f"which {most:g} are most, in a {self.kind}."
+                )
 
     def _numbers(self, part: str) -> Array:
         given = getattr(self, part)
