@@ -52,7 +52,7 @@ KINDS = sensor_kinds()
 
 
 def some_readings(rng, kind, count):
-    """Readings of a kind, out of order, with a mount."""
+    """Readings of a kind, out of order, with a mount where it has one."""
     noise = {"time": rng.uniform(0, 9, count), "arclength": rng.uniform(0, LENGTH, count)}
     pose = se3.exp(rng.uniform(-1, 1, (count, 6)))
     three = dict.fromkeys(("position", "gyro", "accelerometer"), 3)
@@ -67,10 +67,9 @@ def some_readings(rng, kind, count):
     }.get(kind, {})
     rows = {"pose": 6, "coil": 5, "strain": 6, "fbg": 2, "tendon": 2}.get(kind, 3)
     cov = np.full(rows, 1e-4) if kind in ("fbg", "tendon") else rng.uniform(1e-4, 1.0, rows)
-    return sensor_class(kind)(
-        **noise, values=values, cov=cov, mount=se3.exp(rng.uniform(-1, 1, 6)), name=kind,
-        **extra,
-    )  # fmt: skip
+    sensor, mount = sensor_class(kind), se3.exp(rng.uniform(-1, 1, 6))
+    mount = mount if sensor.mounted else np.eye(4)
+    return sensor(**noise, values=values, cov=cov, mount=mount, name=kind, **extra)
 
 
 @pytest.mark.slow

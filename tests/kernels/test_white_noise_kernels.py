@@ -43,7 +43,7 @@ def readings_of(rng, kind, **options):
         values = se3.exp(rng.standard_normal((12, 6)))[:, :n, :n]
     root = rng.standard_normal((12, sensor.rows, sensor.rows))
     cov = root @ np.swapaxes(root, 1, 2) + np.eye(sensor.rows)
-    mount = se3.exp(0.3 * rng.standard_normal(6))
+    mount = se3.exp(0.3 * rng.standard_normal(6)) if sensor.mounted else np.eye(4)
     return sensor(time=time, arclength=place, values=values, cov=cov, mount=mount, **options)
 
 

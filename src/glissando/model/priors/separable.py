@@ -86,7 +86,7 @@ class SeparablePrior:
     rest_slope: Array = field(default_factory=lambda: np.zeros(6))
     base_time_scale: float | None = None
     kind: ClassVar[str] = "separable"
-    kernels: ClassVar = "intervals", "stationary", "transitions"
+    kernels: ClassVar = "intervals", "matern", "stationary", "transitions"
 
     def __post_init__(self) -> None:
         stated = Stated(self)
