@@ -10,11 +10,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from glissando.errors import GlissandoError
+from glissando.errors import GlissandoError, UnobservableError
 from glissando.geometry.se3 import Array
 from glissando.model.priors.prior import Prior
 from glissando.model.state import State
@@ -28,6 +29,8 @@ from glissando.solver.step_lengths import StepLengths
 from glissando.solver.step_search import WORTHWHILE, Where, candidates, try_step
 
 _DAMPING = (1e-4, 1e8)  # smallest damping worth applying, and the one at which to give up
+_RESCUES = (1e-11, 1e-9, 1e-7)  # dampings that give a system far from its end digits back
+_MOST_RESCUES = 5  # times that they do; then it says what it lacks
 _ROUGH = 10.0  # standard deviations a number that a rough start may be off by
 _ROUGH_ITERATIONS = 15
 _PASSING = 0.01  # standard deviations a number that what is only looked at may be off by
@@ -170,7 +173,7 @@ def minimize(
 
     here, fixed = at((start, located)), None
     steps = StepLengths(options.tolerance, kinks=located.moves, weighted=located.weighted)
-    damping, iteration, bent = 0.0, 0, False
+    damping, iteration, bent, rescues = 0.0, 0, False, _MOST_RESCUES
 
     def solution(end: Where, cholesky: Cholesky, outcome: Outcome, fall: float = 0.0) -> Solution:
         cost, lengths = here.cost_of(here) - fall, (steps.first, steps.length)
@@ -183,7 +186,9 @@ def minimize(
 
     while True:
         with clock("solve"):
-            cholesky, step, length, predicted = _step(here, damping, cholesky)
+            solved, damping = _step_or_rescue(here, damping, cholesky, rescues)
+            cholesky, step, length, predicted = solved
+            rescues -= damping in _RESCUES
         iteration += 1
         if progress is not None:
             progress(iteration, here.cost_of(here), length)
@@ -234,6 +239,21 @@ def _step(
     step = cholesky.solve(here.rhs)
     length = float(np.sqrt(np.maximum(np.sum(step * (here.rhs - extra * step)), 0.0)))
     return cholesky, step, length, 0.5 * float(np.sum(step * (here.rhs + extra * step)))
+
+
+def _step_or_rescue(
+    here: NormalEquations, damping: float, workspace: Cholesky | None, rescues: int
+) -> tuple[tuple[Cholesky, Array, float, float], float]:
+    """The step, and the damping with which it could be taken.
+
+    A system far from its end may be singular by rounding alone, its diagonal of thirteen decades;
+    whether anything is really undetermined is seen where the iteration ends, without damping.
+    """
+    if not damping and rescues:
+        for rescue in (damping, *_RESCUES):
+            with suppress(UnobservableError):
+                return _step(here, rescue, workspace), rescue
+    return _step(here, damping, workspace), damping
 
 
 def _next_damping(damping: float, gain: float) -> float:
