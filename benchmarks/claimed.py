@@ -20,13 +20,14 @@ import numpy as np
 from scipy.stats import chi2
 
 import shapes
-from glissando import load_robot
+from glissando import GlissandoError, load_robot
 from glissando.evaluation.metrics import pool
 from glissando.evaluation.run import run_estimate
 from glissando.experiments.scenes import Scene, trial
 from glissando.io.recording_folder import load_recording
 from glissando.io.robot_file import read_robot_document
 from glissando.io.robot_template import RobotOutline, robot_text
+from script import run, say
 from sorosim import FILE
 
 DATA = Path("../shared/data/spacetime")
@@ -180,15 +181,22 @@ def main():
     if options.recording:
         recording = load_recording(options.recording)
         robot = load_robot(options.robot) if options.robot else recording.robot
+        if robot is None:
+            raise GlissandoError(f"{recording.name} names no robot; give --robot.")
         window = tuple(options.window) if options.window else None
         where = {"robot": robot.name, "kind": "shipped", "recording": recording.name}
         every = [{**where, "window": window, **of_recording(robot, options.recording, window)}]
+    elif options.window or options.robot:
+        parser.error("--window and --robot are of a recording; name it with --recording")
+    elif not options.folder.is_dir():
+        raise GlissandoError(f"{options.folder} is no folder of recordings; give --recording.")
     else:
         every = rows(options.folder)
     found = []
     if not options.json:
         print(HEAD)
     for row in every:
+        say(f"{row['robot']}, {row['recording']}")
         found.append(row)
         if not options.json:
             print(line(row), flush=True)
@@ -197,4 +205,4 @@ def main():
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

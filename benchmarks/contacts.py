@@ -26,6 +26,7 @@ from glissando.simulation import Loads, Wrench, solve_shape
 from glissando.simulation.bench import load_bench
 from glissando.visualization.canvas import canvas, save_figure
 from plan_page import table, write
+from script import run
 
 NOISE = np.repeat([0.7e-3, np.radians(0.4)], [3, 2])
 STD_FORCE = 0.6  # N, each component
@@ -122,7 +123,7 @@ def summary(untouched, touched):
     out = {"false_alarms": share(untouched[:, 2] > 0.0), "found": share(seen)}
     for third in range(3):
         here = (row["place"] * 3.0).astype(int) == third
-        out[f"found_third_{third + 1}"] = share(seen[here])
+        out[f"found_third_{third + 1}"] = share(seen[here]) if here.any() else None
     for name in ("miss", "off", "std_place", "std_force"):
         out[name] = [float(np.quantile(row[name][seen], q)) for q in (0.5, 0.9)]
     for name in ("z_place", "z_force"):
@@ -134,7 +135,11 @@ def lines(found, counts):
     """The table of the page."""
 
     def rate(cell):
-        return f"{100 * cell[0]:.1f} % ({100 * cell[1]:.1f} to {100 * cell[2]:.1f})"
+        return (
+            "–"
+            if cell is None
+            else f"{100 * cell[0]:.1f} % ({100 * cell[1]:.1f} to {100 * cell[2]:.1f})"
+        )
 
     def both(cell, scale, unit):
         return f"{scale * cell[0]:.2g} {unit} ({scale * cell[1]:.2g} {unit})"
@@ -188,11 +193,13 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--touched", type=int, default=100, help="shapes with a contact")
     parser.add_argument("--untouched", type=int, default=340, help="shapes without")
-    parser.add_argument("--seed", type=int, default=1000)
-    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--seed", type=int, default=1000, help="of what is drawn")
+    parser.add_argument("--json", action="store_true", help="print JSON")
     parser.add_argument("--page", action="store_true", help="write the table into docs/loads.md")
     parser.add_argument("--figure", type=Path, metavar="FILE.png", help="draw standard deviations")
     options = parser.parse_args()
+    if min(options.touched, options.untouched) < 10:
+        parser.error("--touched and --untouched are ten shapes or more, to have rates")
     warnings.simplefilter("ignore", NotConvergedWarning)
     setup, counts, touched, found = robot(), (options.untouched, options.touched), {}, {}
     for way in WAYS:
@@ -211,4 +218,4 @@ def main():
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

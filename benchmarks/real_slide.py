@@ -1,9 +1,10 @@
 """A sliding coil emulated on real motion: is it worth sliding, and how fast.
 
-Nobody recorded a sliding sensor. Five motion-capture bodies sit on the real robot: the one nearest
-to a virtual place s*(t) is read as a coil (its roll made random), the others then are truth.
-Nothing else is read; the prior holds the base. Arms are a coil fixed at the tip, one that swings
-over the last quarter, and one that traverses the robot but its base, s* a cosine of some period.
+Nobody recorded a sliding sensor. Motion-capture bodies sit on the real robot, in the public
+recordings five: the one nearest to a virtual place s*(t) is read as a coil (its roll made random),
+the others then are truth. Nothing else is read; the prior holds the base. Arms are a coil fixed at
+the tip, one that swings over the last quarter, and one that traverses the robot but its base, s* a
+cosine of some period. The bodies are the recording's streams of poses that are marked as truth.
 A body sits on the robot with an unknown, constant offset, which every reading of it repeats: each
 body read is a stream with a mount of its own, and truth is as uncertain. A hundred readings at one
 place are worth one place.
@@ -28,18 +29,26 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 
 import numpy as np
 
-from glissando import CoilReadings, NotConvergedWarning, SensorParameter, estimate, load_robot
+from glissando import (
+    CoilReadings,
+    GlissandoError,
+    NotConvergedWarning,
+    SensorParameter,
+    estimate,
+    load_robot,
+)
 from glissando.evaluation.metrics import Errors, errors_against, pool
 from glissando.geometry import se3
 from glissando.io.recording_folder import load_recording
 from glissando.model.sensors.parameters import corrected
+from script import run, say
 
 DATA = Path("../shared/data/spacetime")
 WINDOWS = [("slow_free_space", (19.0, 45.0)), ("fast_contact", (10.0, 30.0))]
-BODIES = [f"vicon{i}" for i in range(5)]
 STD = np.repeat([1e-3, np.radians(1.0)], 3)  # m, rad: motion capture, from one frame to the next
 MOUNT_STD = np.repeat([1.5e-3, np.radians(1.0)], 3)  # m, rad: where a body sits on the robot
-SWINGS = {"fixed": (0.466, 0.466), "oscillating": (0.3495, 0.466), "traverse": (0.1165, 0.466)}
+SWINGS = {"fixed": (1.0, 1.0), "oscillating": (0.75, 1.0), "traverse": (0.25, 1.0)}  # of length
+BASE = 0.05  # of the length: a body nearer than this to the base is held by the prior
 PERIODS = (0.5, 1.0, 2.0, 4.0)
 BLOCK = 2.0  # seconds of one block of the bootstrap
 DRAWS = 2000
@@ -64,13 +73,20 @@ class Bodies:
 
 
 def load_bodies(recording, robot, window):
-    """The bodies with frames and mounts put right, their noise as stated here."""
-    found, _ = recording.readings(BODIES, robot, window, as_truth=True)
-    unseen = [r.label for r in found if not len(r)]
-    if unseen:
-        raise SystemExit(
-            f"{recording.name}: {', '.join(unseen)} was not seen between {window[0]:g} and "
-            f"{window[1]:g} s; give another --window."
+    """The bodies from the base on, frames and mounts put right, their noise as stated here."""
+    names = [n for n, s in recording.streams.items() if s.truth and s.rows.kind == "pose"]
+    found, _ = recording.readings(names, robot, window, as_truth=True)
+    found = sorted((r for r in found if len(r)), key=lambda r: float(np.mean(r.arclength)))
+    if len(found) < 3:
+        raise GlissandoError(
+            f"{recording.name}: {len(found)} of {len(names)} streams of poses that are marked as "
+            f"truth were seen from {window[0]:g} to {window[1]:g} s; three are needed."
+        )
+    farthest = float(found[-1].arclength.max())
+    if not 0.9 < farthest / robot.length < 1.01:
+        raise GlissandoError(
+            f"{recording.name}: the farthest body sits at {farthest:g} m and {robot.name} is "
+            f"{robot.length:g} m long; give the --robot of this recording."
         )
     cov = STD**2 + MOUNT_STD**2
     streams = [replace(corrected(r, robot.sensor_parameters), cov=cov) for r in found]
@@ -82,7 +98,7 @@ def load_bodies(recording, robot, window):
 
 
 def nearest(bodies, swing, period):
-    """The body (K,) nearest to s*(t), which starts at the far end; −1 where it was not seen."""
+    """The body (K,) nearest to s*(t), in metres; −1 where it was not seen."""
     low, high = swing
     place = low + (high - low) * 0.5 * (1.0 + np.cos(2.0 * np.pi * bodies.time / period))
     body = np.argmin(np.abs(bodies.arclength[:, None] - place), axis=0)
@@ -135,7 +151,7 @@ def trial(bodies, robot, window, swing, period):
 def unread(bodies, arms):
     """Samples (B, K) seen but read by none of these arms, but the base, which the prior holds."""
     truth = bodies.row >= 0
-    truth[0] = False
+    truth[bodies.arclength < BASE * bodies.arclength.max()] = False
     for arm in arms:
         truth &= np.arange(len(truth))[:, None] != arm.read
     return truth
@@ -174,7 +190,13 @@ def relative_change(time, errors, against, rng):
 
 def rows(bodies, robot, window, periods):
     """Yield a dictionary an arm, period and kind of truth: the same for all arms, or its own."""
-    trials = cache(lambda arm, period: trial(bodies, robot, window, SWINGS[arm], period))
+
+    def estimated(arm, period):
+        say(f"{arm}, a period of {period:g} s")
+        swing = [share * robot.length for share in SWINGS[arm]]
+        return trial(bodies, robot, window, swing, period)
+
+    trials = cache(estimated)
     for period in periods:
         arms = {arm: trials(arm, np.inf if arm == "fixed" else period) for arm in SWINGS}
         same = unread(bodies, arms.values())
@@ -236,19 +258,26 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", nargs="?", default=DATA, type=Path, help="of the recordings")
     parser.add_argument("--recording", type=Path, metavar="FOLDER", help="this recording alone")
-    parser.add_argument("--window", nargs=2, type=float, metavar=("T0", "T1"))
-    parser.add_argument("--robot", default="tdcr466-segments", metavar="FILE|NAME")
-    parser.add_argument("--periods", nargs="+", type=float, default=PERIODS, metavar="S")
+    window = "seconds to estimate (default: all)"
+    parser.add_argument("--window", nargs=2, type=float, metavar=("T0", "T1"), help=window)
+    robots = "its robot file (default: tdcr466-segments)"
+    parser.add_argument("--robot", default="tdcr466-segments", metavar="FILE|NAME", help=robots)
+    periods = "periods of the slide, s (default: 0.5 1 2 4)"
+    parser.add_argument("--periods", nargs="+", type=float, default=PERIODS, metavar="S",
+                        help=periods)  # fmt: skip
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     options = parser.parse_args()
+    if options.window and not options.recording:
+        parser.error("--window is of a recording; name it with --recording")
+    if min(options.periods) <= 0.0:
+        parser.error("--periods are seconds above zero")
     cases = [(options.folder / name, window) for name, window in WINDOWS]
     if options.recording:
         window = options.window or load_recording(options.recording).span()
         cases = [(options.recording, tuple(window))]
     cases = [(folder, window) for folder, window in cases if folder.is_dir()]
     if not cases:
-        print("Skipped: there are no such recordings; see the usage above.")
-        return
+        raise GlissandoError(f"{options.folder} holds no public recordings; give --recording.")
     robot, found = load_robot(options.robot), []
     if not options.json:
         print(TEXT.format(robot=robot.name, mm=1e3 * STD[0], deg=np.degrees(STD[3]),
@@ -267,10 +296,10 @@ def main():
 
 TEXT = """\
 Robot `{robot}`. A coil is read with {mm:g} mm and {deg:.2g}°; where a body sits on the robot is
-known to {mount:g} mm and {deg:.2g}°, for truth and for the coil. *Same*: bodies 1 to 4 where none
-of the three arms reads them; *own*: where the arm itself does not; against fixed at the samples of
-both. Blocks of {block:g} s."""
+known to {mount:g} mm and {deg:.2g}°, for truth and for the coil. *Same*: bodies but the
+base's where none of the three arms reads them; *own*: where the arm itself does not; against fixed
+at the samples of both. Blocks of {block:g} s."""
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

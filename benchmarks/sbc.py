@@ -12,6 +12,7 @@ from pathlib import Path
 
 from glissando import load_robot
 from glissando.evaluation.simulation_based import simulate_and_rank
+from script import run, say
 
 ROBOT = Path(__file__).with_name("sbc.toml")
 WRONG = (1.3, 1 / 1.3)  # times the prior's standard deviations
@@ -21,6 +22,7 @@ def judged(robot, sessions, wrong, seed):
     """A dictionary a prior and estimator: the right prior, then the wrong ones."""
     for factor, count in ((1.0, sessions), *((f, wrong) for f in WRONG)):
         if count:
+            say(f"{count} sessions with a prior times {factor:.2f}")
             for check in simulate_and_rank(robot, count, prior_factor=factor, seed=seed):
                 yield {"prior_factor": factor, **check.as_json()}
 
@@ -39,11 +41,13 @@ def row(found):
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--robot", default=ROBOT, help="robot file or name")
-    parser.add_argument("--sessions", type=int, default=1000)
+    parser.add_argument("--sessions", type=int, default=1000, help="sessions with the prior")
     parser.add_argument("--wrong", type=int, default=200, help="sessions with each wrong prior")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--seed", type=int, default=0, help="of what is drawn")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
     options = parser.parse_args()
+    if options.sessions < 1 or options.wrong < 0:
+        parser.error("--sessions is 1 or more, --wrong 0 or more")
     robot, found = load_robot(options.robot), []
     if not options.json:
         print("| prior's std | estimator | sessions | not converged | least chance | ranks |")
@@ -57,4 +61,4 @@ def main():
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

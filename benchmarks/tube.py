@@ -17,11 +17,12 @@ from pathlib import Path
 import numpy as np
 
 import shapes
-from glissando import load_robot
+from glissando import GlissandoError, load_robot
 from glissando.evaluation.conformal import conformal_tube, inside_tube
 from glissando.evaluation.plausibility.finding import CHECKS
 from glissando.evaluation.replay import replay
 from glissando.io.recording_folder import load_recording
+from script import run, say
 from sorosim import FILE
 
 DATA = Path("../shared/data/spacetime")
@@ -50,15 +51,13 @@ def tube_of_shapes(file=FILE):
     return out
 
 
-def corrupted(recording, how, rng):
-    """The recording with gross outliers, or with streams that jump half way."""
-    streams = {}
+def corrupted(recording, how, window, rng):
+    """The recording with gross outliers, or with streams that jump half way through a window."""
+    streams, half = {}, float(np.mean(window or recording.span()))
     for name, stream in recording.streams.items():
         rows, values = stream.rows, np.array(stream.rows.values)
-        if how == "outliers":
-            hit = rng.random(rows.time.size) < OUTLIERS
-        else:
-            hit = rows.time > np.median(rows.time)
+        random = rng.random(rows.time.size)
+        hit = random < OUTLIERS if how == "outliers" else rows.time > half
         if values.ndim == 3:
             values[hit, :3, 3] += 0.1
         else:
@@ -71,7 +70,8 @@ def adaptive_sets(folder, robot, window):
     """A dictionary a stream and way of corruption."""
     recording, rng = load_recording(folder), np.random.default_rng(SEED)
     for how in ("as it is", "outliers", "breaks off"):
-        spoiled = recording if how == "as it is" else corrupted(recording, how, rng)
+        say(f"{recording.name}, {how}")
+        spoiled = recording if how == "as it is" else corrupted(recording, how, window, rng)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             spoilt = () if spoiled is recording else tuple(CHECKS)  # the checks would name them
@@ -87,22 +87,25 @@ def adaptive_sets(folder, robot, window):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folder", nargs="?", type=Path, default=DATA)
+    parser.add_argument("folder", nargs="?", type=Path, default=DATA, help="of the recordings")
     parser.add_argument("--recording", type=Path, help="this recording alone, no shapes")
-    parser.add_argument("--robot", default=ROBOT)
-    parser.add_argument("--window", nargs=2, type=float, metavar=("T0", "T1"))
-    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--robot", default=ROBOT, help=f"robot file or name (default: {ROBOT})")
+    window = "seconds of --recording (default: all)"
+    parser.add_argument("--window", nargs=2, type=float, metavar=("T0", "T1"), help=window)
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
     options = parser.parse_args()
+    if options.window and not options.recording:
+        parser.error("--window is of a recording; name it with --recording")
     chosen = [(options.folder / name, window) for name, window in RECORDINGS]
     if options.recording:
         chosen = [(options.recording, tuple(options.window) if options.window else None)]
+    chosen = [each for each in chosen if options.recording or each[0].is_dir()]
+    if not chosen:
+        raise GlissandoError(f"{options.folder} holds no public recordings; give --recording.")
     robot = load_robot(options.robot)
     found = {"shapes": tube_of_shapes() if FILE.is_file() and not options.recording else []}
     found["next_reading"] = [
-        each
-        for folder, window in chosen
-        if folder.is_dir()
-        for each in adaptive_sets(folder, robot, window)
+        each for folder, window in chosen for each in adaptive_sets(folder, robot, window)
     ]
     print(json.dumps(found) if options.json else page(found))
 
@@ -128,4 +131,4 @@ def page(found):
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

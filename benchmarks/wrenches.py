@@ -16,6 +16,7 @@ import numpy as np
 
 from glissando import estimate_static
 from glissando.simulation import Rod
+from script import run, say
 from wrenches_bound import RESTARTS, cramer_rao, other_minima
 from wrenches_problem import (
     BODY,
@@ -42,9 +43,11 @@ def judge(material, file_shapes, how):
     coil, used = read(judged, half, how)
     count, nodes = len(judged.pose), np.linspace(0.0, material.length, NODES)
     mechanical = mechanical_prior(material, learned, solver_error(material, few))
+    say("shapes with the mechanical prior")
     began = time.process_time()
     found = estimate_static(with_gravity(mechanical, judged.gravity), nodes, [coil], count=count)
     seconds = time.process_time() - began
+    say("shapes with priors on strain")
     strain, plain = (
         estimate_static(each, nodes, [coil], count=count) for each in strain_priors(material, few)
     )
@@ -52,6 +55,7 @@ def judge(material, file_shapes, how):
     out |= {"plain_prior": PLAIN, "converged": int(found.converged.sum())}
     for name, posterior in (("plain", plain), ("strain", strain), ("mechanical", found)):
         out[name], squares = positions(material, judged, used, posterior)
+    say("the least errors that there can be")
     out["restarted_from_truth"] = other_minima(
         material, judged, coil, used, found, mechanical, squares
     )
@@ -161,9 +165,17 @@ def main():
     parser.add_argument("--density", type=float, required=True, help="density, kg/m³")
     parser.add_argument("--radius", type=float, required=True, help="radius, m")
     parser.add_argument("--length", type=float, required=True, help="length, m")
-    parser.add_argument("--readings", choices=("tip", "five"), default="tip")
+    readings = "a coil at the tip, or at five stations (default: tip)"
+    parser.add_argument("--readings", choices=("tip", "five"), default="tip", help=readings)
     parser.add_argument("--json", action="store_true", help="print JSON")
     options = parser.parse_args()
+    for name, least, most, unit in (
+        ("young", 1e4, 1e13, "Pa"), ("poisson", -1.0, 0.5, ""), ("density", 1.0, 3e4, "kg/m³"),
+        ("radius", 1e-6, 0.1, "m"), ("length", 1e-3, 50.0, "m"),
+    ):  # fmt: skip
+        value = getattr(options, name)
+        if not least <= value <= most:
+            parser.error(f"--{name} is {value:g}; give {least:g} to {most:g} {unit}".rstrip())
     base = np.eye(4)
     base[:3, :3] = BODY
     material = Rod.of_tubes(
@@ -179,4 +191,4 @@ def main():
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from glissando import BaseVariance, CoilReadings, SeparablePrior
+from glissando import BaseVariance, CoilReadings, GlissandoError, SeparablePrior
 from glissando.geometry import se3
 from glissando.model.mechanics import Mechanics
 from glissando.model.priors.mechanical.prior import MechanicalPrior
@@ -45,6 +45,11 @@ def load_shapes(file, length):
     """All shapes of a file in SoroSim's form."""
     with file.open() as text:
         rows = list(csv.reader(text))
+    if len(rows) < 14 or (len(rows) - 2) % 6 or len({len(row) for row in rows[2:]}) != 1:
+        raise GlissandoError(
+            f"{file}: {len(rows)} lines are no two of a head and six a shape, of one length, of "
+            f"two shapes or more; give a file in SoroSim's form."
+        )
     fractions = np.array([float(x) for x in rows[1][4:]])
     half = fractions.size // 2
     station = 0.5 * length * np.concatenate([fractions[:half], 1.0 + fractions[half:]])
