@@ -173,7 +173,8 @@ def minimize(
 
     here, fixed = at((start, located)), None
     steps = StepLengths(options.tolerance, kinks=located.moves, weighted=located.weighted)
-    damping, iteration, bent, rescues = 0.0, 0, False, _MOST_RESCUES
+    damping, iteration, bent = 0.0, 0, False
+    rescues = _MOST_RESCUES if prior.fixes_base else 0
 
     def solution(end: Where, cholesky: Cholesky, outcome: Outcome, fall: float = 0.0) -> Solution:
         cost, lengths = here.cost_of(here) - fall, (steps.first, steps.length)
@@ -246,8 +247,8 @@ def _step_or_rescue(
 ) -> tuple[tuple[Cholesky, Array, float, float], float]:
     """The step, and the damping with which it could be taken.
 
-    A system far from its end may be singular by rounding alone, its diagonal of thirteen decades;
-    whether anything is really undetermined is seen where the iteration ends, without damping.
+    A system far from its end may be singular by rounding alone, its diagonal of thirteen decades:
+    where the prior fixes the base, nothing is undetermined.
     """
     if not damping and rescues:
         for rescue in (damping, *_RESCUES):
