@@ -3,7 +3,9 @@
 from .errors import GlissandoError, NotConvergedWarning
 from .estimation.batch import estimate
 from .estimation.fixed_lag import FixedLagSmoother
-from .estimation.posterior import Posterior, SolveReport, StateEstimate
+from .estimation.posterior import Posterior
+from .estimation.solve_report import SolveReport
+from .estimation.state_estimate import StateEstimate
 from .estimation.static import estimate_static
 from .estimation.static_posterior import StaticPosterior
 from .estimation.static_samples import sample_static

@@ -11,7 +11,7 @@ from glissando import Grid, Huber, PoseReadings, estimate, load_robot, uniform_g
 from glissando.calibration.robot.hyperparameters import expanded
 from glissando.errors import FalseConfidenceWarning, GlissandoError, OutsideGridError
 from glissando.estimation.outliers import CHANCE
-from glissando.estimation.posterior import SolveReport
+from glissando.estimation.solve_report import SolveReport
 from glissando.io.robot_file import parse_robot
 from glissando.io.robot_template import RobotOutline, robot_text
 from glissando.model.table import Table

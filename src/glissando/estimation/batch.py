@@ -23,8 +23,9 @@ from glissando.estimation.given import require_batch, require_gate
 from glissando.estimation.misfit import breakdown, doubt, worst_readings
 from glissando.estimation.outliers import CHANCE, Mask, judged, used_at_first
 from glissando.estimation.place_evidence import by_evidence
-from glissando.estimation.posterior import Posterior, SolveReport
+from glissando.estimation.posterior import Posterior
 from glissando.estimation.several_starts import Sought, Start, best_end, start_at
+from glissando.estimation.solve_report import SolveReport
 from glissando.estimation.starting_point import starting_point, with_parameters
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid

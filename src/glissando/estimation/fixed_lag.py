@@ -28,9 +28,10 @@ from glissando.estimation.given import (
     require_window,
 )
 from glissando.estimation.loads import require_mechanics
-from glissando.estimation.posterior import Posterior, StateEstimate, state_at
+from glissando.estimation.posterior import Posterior
 from glissando.estimation.shape_spread import spread_between
 from glissando.estimation.sliding_window import SlidingWindow
+from glissando.estimation.state_estimate import StateEstimate, state_at
 from glissando.estimation.window_steps import WindowSteps
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid, points_of

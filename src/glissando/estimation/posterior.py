@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,133 +18,16 @@ from glissando.estimation.loads import (
     point_loads,
     require_mechanics,
 )
-from glissando.geometry import se3
+from glissando.estimation.solve_report import SolveReport
+from glissando.estimation.state_estimate import StateEstimate, spread, state_at
 from glissando.geometry.se3 import Array
 from glissando.model.brief import Brief
-from glissando.model.grid import Grid, Index, points_of
-from glissando.model.interpolation import sort_points
+from glissando.model.grid import Grid
 from glissando.model.priors.prior import Prior
 from glissando.model.sensors.parameter_process import HELD, EstimatedParameters
 from glissando.model.sensors.parameters import SensorParameter
-from glissando.model.state import DOF, POSE, State
+from glissando.model.state import POSE, State
 from glissando.solver.block_tridiagonal import BlockTridiagonal, Marginals, factor
-from glissando.solver.outcome import Outcome
-
-_CHUNK = 500  # queries at a time: more ask for new memory faster than it is given
-
-
-@dataclass(frozen=True)
-class SolveReport:
-    """How an estimate was reached.
-
-    Attributes:
-        outcome: How the solver ended.
-        iterations: How many linearisations it took.
-        last_step: Length of the last step, posterior standard deviations.
-        unknowns: How many numbers were estimated.
-        cost: Half the sum of squared whitened residuals, or of their losses.
-        log_evidence: Laplace log marginal likelihood up to a constant (equation 22).
-        suspects: How many readings a robust loss gave less than half their weight.
-        seconds: Processor time by phase; empty of a posterior that was loaded.
-        refused: Rows of each stream that were not used, as all other readings refute them.
-        worst: Of an estimate that did not converge, the readings that fit least where it ended.
-        doubt: Why confidence is too small, if many readings contradict the estimate.
-    """
-
-    outcome: Outcome
-    iterations: int
-    last_step: float
-    unknowns: int
-    cost: float
-    log_evidence: float
-    suspects: int
-    seconds: dict[str, float] = field(compare=False)
-    refused: dict[str, list[int]] = field(default_factory=dict)
-    worst: str = ""
-    doubt: str = ""
-
-    @property
-    def converged(self) -> bool:
-        """Whether the result can be trusted: the solver reached what it was to reach."""
-        return self.outcome.sound
-
-    @property
-    def status(self) -> str:
-        """The outcome as a sentence."""
-        if self.converged:
-            return self.outcome.sentence
-        if self.outcome is Outcome.NO_DESCENT:  # the last step was damped to nothing
-            return f"{self.outcome.sentence} after {self.iterations} iterations"
-        return (
-            f"{self.outcome.sentence}: {self.iterations} iterations, the last step still "
-            f"{self.last_step:.2g} standard deviations long"
-        )
-
-    def to_table(self) -> dict[str, Any]:
-        """The report as JSON holds it, without the times, which differ from run to run."""
-        table = {**vars(self), "outcome": self.outcome.name}
-        del table["seconds"]
-        return table
-
-    @staticmethod
-    def from_table(table: dict[str, Any]) -> SolveReport:
-        """The report that `to_table` wrote, or one of an earlier version, which had a status."""
-        if "status" in table:
-            status = table.pop("status")
-            named = {"converged": "CONVERGED", "online": "UPDATED"}
-            table |= {"outcome": named.get(status, "ITERATION_LIMIT"), "last_step": np.nan}
-        return SolveReport(**{"seconds": {}, **table, "outcome": Outcome[table["outcome"]]})
-
-
-_UNMOVED = np.eye(4)
-
-
-@dataclass(frozen=True)
-class StateEstimate(Brief):
-    """State and covariance at queried points, with the leading shape of the query.
-
-    `pose` (…, 4, 4), `strain` (…, 6), `velocity` (…, 6) and `cov` (…, 18, 18) of
-    [pose, strain, velocity], each [linear, angular], in the body frame (pose on the right).
-    """
-
-    pose: Array
-    strain: Array
-    velocity: Array
-    cov: Array
-
-    def take(self, index: Any) -> StateEstimate:
-        """The estimate at leading indices, as numpy would index an array of points."""
-        return type(self)(*(field[index] for field in vars(self).values()))
-
-    @property
-    def position(self) -> Array:
-        """Position (…, 3) in the world, metres."""
-        return self.pose[..., :3, 3]
-
-    @property
-    def quaternion(self) -> Array:
-        """Orientation (…, 4) as [w, x, y, z], body to world."""
-        return se3.quaternion(self.pose[..., :3, :3])
-
-    @property
-    def cov_position_world(self) -> Array:
-        """Covariance (…, 3, 3) of the position in the world frame."""
-        rotation = self.pose[..., :3, :3]
-        return rotation @ self.position_covariance() @ np.swapaxes(rotation, -1, -2)
-
-    def position_covariance(self, mount: Array = _UNMOVED) -> Array:
-        """Covariance (…, 3, 3) of a mounted frame's position, in its axes. Source: (34).
-
-        Args:
-            mount: Pose (4, 4) of the frame on the body, or one each (…, 4, 4).
-        """
-        lever = se3.adjoint(se3.inverse(mount))
-        return se3.position_covariance(lever @ self.cov[..., :6, :6] @ np.swapaxes(lever, -1, -2))
-
-    @property
-    def std_position(self) -> Array:
-        """Root of the total position variance (…), metres."""
-        return np.sqrt(np.einsum("...ii->...", self.position_covariance()))
 
 
 @dataclass(frozen=True)
@@ -235,8 +117,8 @@ class Posterior(Brief):
         self.grid.require(s.ravel(), t.ravel(), "Query")
         k = np.abs(t.ravel()[:, None] - self.grid.time).argmin(axis=1)
         prior, grid, state = self.prior, self.grid, self.state
-        spread = partial(_spread, grid, self.marginals)
-        load = point_loads(prior, grid, state, spread, s.ravel(), k, frame)
+        carry = partial(spread, grid, self.marginals)
+        load = point_loads(prior, grid, state, carry, s.ravel(), k, frame)
         wrench, cov = load.wrench.reshape(*s.shape, 6), load.cov.reshape(*s.shape, 6, 6)
         return WrenchEstimate(wrench, cov, frame)
 
@@ -301,55 +183,3 @@ class Posterior(Brief):
         raise GlissandoError(
             f"No sensor parameter {name!r} was estimated; those that were: {known}."
         )
-
-
-def state_at(
-    prior: Prior,
-    grid: Grid,
-    state: State,
-    marginals: Marginals,
-    arclength: ArrayLike,
-    time: ArrayLike,
-) -> StateEstimate:
-    """State with its 18×18 covariance at points of a grid, given its nodes.
-
-    Args:
-        prior: The prior of the motion.
-        grid: The grid.
-        state: Mean (K, N) at the nodes.
-        marginals: Covariance of the nodes' numbers, a slab for each time.
-        arclength: Metres; broadcast with `time`.
-        time: Seconds.
-
-    Raises:
-        OutsideGridError: A point is off the grid.
-
-    Source: equations (10) to (12).
-    """
-    s, t = points_of(arclength, time)
-    shape, s, t = s.shape, s.ravel(), t.ravel()
-    grid.require(s, t, "Query")
-    out = StateEstimate(
-        np.empty((s.size, 4, 4)),
-        np.empty((s.size, 6)),
-        np.empty((s.size, 6)),
-        np.empty((s.size, DOF, DOF)),
-    )
-    for first in range(0, s.size, _CHUNK):
-        here = slice(first, first + _CHUNK)
-        for points in sort_points(grid, s[here], t[here]):
-            interpolation = prior.interpolate(grid, state, state, points)
-            rows = first + points.rows
-            out.pose[rows] = interpolation.state.pose
-            out.strain[rows] = interpolation.state.strain
-            out.velocity[rows] = interpolation.state.velocity
-            out.cov[rows] = _spread(
-                grid, marginals, interpolation.nodes, interpolation.jacobian, interpolation.cov
-            )
-    return StateEstimate(*(a.reshape(*shape, *a.shape[1:]) for a in vars(out).values()))
-
-
-def _spread(grid: Grid, marginals: Marginals, nodes: Index, slopes: Array, left: Array) -> Array:
-    """Covariance (M, r, r) by slopes (M, r, c, dof) of nodes (M, c), and what they leave open."""
-    slab, inner = np.divmod(nodes, grid.arclength.size)
-    return marginals.spread(slab, inner * slopes.shape[-1], slopes, left)

@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from glissando.estimation.posterior import StateEstimate
+from glissando.estimation.state_estimate import StateEstimate
 from glissando.geometry.se3 import Array
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import POSE, State

@@ -12,7 +12,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from glissando.estimation.posterior import StateEstimate
+from glissando.estimation.state_estimate import StateEstimate
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.priors.steps import static_steps

@@ -25,7 +25,9 @@ from glissando.estimation.linearized_readings import (
     LinearizedReadings,
     sums_of_noise,
 )
-from glissando.estimation.posterior import Posterior, SolveReport, StateEstimate
+from glissando.estimation.posterior import Posterior
+from glissando.estimation.solve_report import SolveReport
+from glissando.estimation.state_estimate import StateEstimate
 from glissando.estimation.window_nodes import Nodes
 from glissando.estimation.window_system import WindowSystem
 from glissando.geometry import se3

@@ -14,7 +14,7 @@ from glissando.estimation.loads import (
     point_loads,
     require_mechanics,
 )
-from glissando.estimation.posterior import StateEstimate
+from glissando.estimation.state_estimate import StateEstimate
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid, Index
 from glissando.model.interpolation import sort_points

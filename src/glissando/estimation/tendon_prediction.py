@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from glissando.errors import FalseConfidenceWarning, GlissandoError
-from glissando.estimation.posterior import StateEstimate
+from glissando.estimation.state_estimate import StateEstimate
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid

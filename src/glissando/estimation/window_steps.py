@@ -19,11 +19,11 @@ from glissando.estimation.gated_update import GatedUpdate, LostError
 from glissando.estimation.held_readings import HeldReadings
 from glissando.estimation.innovation_gate import InnovationGate
 from glissando.estimation.misfit import breakdown
-from glissando.estimation.posterior import StateEstimate
 from glissando.estimation.reading_buffer import ReadingBuffer
 from glissando.estimation.shape_spread import ShapeSpread, shape_covariances, tip_spread
 from glissando.estimation.silence import Silence
 from glissando.estimation.sliding_window import SlidingWindow
+from glissando.estimation.state_estimate import StateEstimate
 from glissando.model.grid import Grid
 from glissando.model.seconds import seconds
 from glissando.model.sensors.readings import Readings

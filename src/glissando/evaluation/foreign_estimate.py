@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from glissando.errors import GlissandoError, ImplausibleError, SensorError
-from glissando.estimation.posterior import StateEstimate
+from glissando.estimation.state_estimate import StateEstimate
 from glissando.evaluation.consistency import check
 from glissando.evaluation.metrics import Errors, errors_against, pool
 from glissando.evaluation.plausibility.examine import examine

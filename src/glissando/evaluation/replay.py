@@ -13,8 +13,9 @@ import numpy as np
 from glissando.errors import GlissandoError, ImplausibleError, RecordingError
 from glissando.estimation.channels import placed
 from glissando.estimation.fixed_lag import FixedLagSmoother
-from glissando.estimation.posterior import Posterior, StateEstimate
+from glissando.estimation.posterior import Posterior
 from glissando.estimation.reading_noise import StateSource
+from glissando.estimation.state_estimate import StateEstimate
 from glissando.evaluation.conformal import AdaptiveSet
 from glissando.evaluation.metrics import (
     Errors,

@@ -20,7 +20,8 @@ from scipy.special import bdtr, chdtr, ndtr
 from glissando.errors import EstimateWarning, GlissandoError, RobotFileError
 from glissando.estimation.batch import estimate
 from glissando.estimation.fixed_lag import FixedLagSmoother
-from glissando.estimation.posterior import Posterior, StateEstimate
+from glissando.estimation.posterior import Posterior
+from glissando.estimation.state_estimate import StateEstimate
 from glissando.evaluation.prior_predictive import PriorPredictive, Session, session_layout
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid, Index

@@ -16,7 +16,8 @@ import numpy as np
 from glissando.errors import GlissandoError, needing
 from glissando.estimation.carried import carried, has_rolled
 from glissando.estimation.loads import load_places
-from glissando.estimation.posterior import Posterior, SolveReport
+from glissando.estimation.posterior import Posterior
+from glissando.estimation.solve_report import SolveReport
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.io.atomic_file import new_file

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from glissando.errors import GlissandoError
-from glissando.estimation.posterior import Posterior, StateEstimate
+from glissando.estimation.posterior import Posterior
+from glissando.estimation.state_estimate import StateEstimate
 from glissando.geometry.se3 import Array
 from glissando.io.atomic_file import write_table
 

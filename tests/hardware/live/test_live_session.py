@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from glissando.errors import DeviceError, GlissandoError, ImplausibleError
-from glissando.estimation.posterior import StateEstimate
+from glissando.estimation.state_estimate import StateEstimate
 from glissando.evaluation.replay import replay
 from glissando.hardware.live import (
     CsvSink,

@@ -9,7 +9,7 @@ import numpy as np
 
 from glissando.estimation.fixed_lag import FixedLagSmoother
 from glissando.estimation.loads import WrenchEstimate
-from glissando.estimation.posterior import StateEstimate
+from glissando.estimation.state_estimate import StateEstimate
 from glissando.geometry.se3 import Array
 from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.model.sensors.readings import Readings

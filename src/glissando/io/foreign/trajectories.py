@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from glissando.errors import GlissandoError
-from glissando.estimation.posterior import Posterior, StateEstimate
+from glissando.estimation.posterior import Posterior
+from glissando.estimation.state_estimate import StateEstimate
 from glissando.geometry.se3 import Array, inverse, pose, quaternion
 from glissando.io.atomic_file import new_file
 from glissando.io.csv_stream import Stream, write_named
