@@ -16,8 +16,8 @@ from glissando.model.stated import is_number
 Index = NDArray[np.intp]
 
 SAME = 1e-9
-_MOST_NODES = 1e7
 """Metres: places of the robot that are no farther apart are one, as decimals are rounded."""
+_MOST_NODES = 1e7  # of a grid; more is another unit
 
 _CROWDED = 0.05  # of an interval: a reading as near to another node gets none of its own
 _TOLERANCE = 1e-9  # of a step beside a node is on it, of the length outside the ends is the end

@@ -72,7 +72,8 @@ class SeparablePrior:
     (S−1, 6), variances of the strain's jump there; it may be curved at rest, with the strain
     `rest_strain` (S, 6) where each segment begins and its change per metre `rest_slope` (S, 6).
     A clamped base stands where it stands, though nobody knows exactly where: with a
-    `base_time_scale` above ℓ, in seconds, its pose is remembered for that long, or 200 time nodes.
+    `base_time_scale` in seconds its pose is remembered for that long, ℓ at least and 200 time nodes
+    at most.
     Source: equations (6) to (9).
     """
 
@@ -96,12 +97,6 @@ class SeparablePrior:
         stated.number("time_scale", above=0.0)
         if self.base_time_scale is not None:
             stated.number("base_time_scale", above=0.0)
-            if self.base_time_scale < self.time_scale:
-                raise stated.fail(
-                    "base_time_scale",
-                    f"is {self.base_time_scale:g} s, less than the {self.time_scale:g} s for which "
-                    f"a shape is remembered; give a longer one, or none.",
-                )
         if not isinstance(self.base, BaseVariance):
             raise stated.fail("base", f"is {self.base!r}; give a BaseVariance.")
 
