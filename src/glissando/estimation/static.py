@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from glissando._kernels.threads import one_thread
 from glissando.errors import OutsideGridError, UnobservableError
@@ -97,16 +97,31 @@ def estimate_static(
     with one_thread():
         located = locate(grid, given)
         state, (cov, cross), left = _together(prior, located, options)
-    outcomes = [Outcome.CONVERGED] * count
-    for k in np.flatnonzero(left):
-        one = _alone(prior, grid.arclength, given, int(k), options)
-        outcomes[k] = one.solve.outcome
-        state.pose[k], state.strain[k] = one.state.pose[0], one.state.strain[0]
-        cov[k], cross[k] = _node_blocks(one)
+    outcomes = _complete(prior, grid, given, options, left, state, cov, cross)
     if isinstance(prior, MechanicalPrior):
         with one_thread():
             cov, cross = _with_curvature(prior, located, state, cov)  # (31)
-    return StaticPosterior(prior, grid, state, cov, cross, tuple(outcomes))
+    return StaticPosterior(prior, grid, state, cov, cross, outcomes)
+
+
+def _complete(
+    prior: Prior,
+    grid: Grid,
+    readings: Sequence[Readings],
+    options: SolverOptions,
+    left: NDArray[np.bool_],
+    state: State,
+    cov: Array,
+    cross: Array,
+) -> tuple[Outcome, ...]:
+    """Estimate by itself each shape that is left, in place; how all shapes were found."""
+    outcomes = [Outcome.CONVERGED] * left.size
+    for k in np.flatnonzero(left):
+        one = _alone(prior, grid.arclength, readings, int(k), options)
+        outcomes[k] = one.solve.outcome
+        state.pose[k], state.strain[k] = one.state.pose[0], one.state.strain[0]
+        cov[k], cross[k] = _node_blocks(one)
+    return tuple(outcomes)
 
 
 def _count(readings: Sequence[Readings], nodes: int, count: int | None) -> int:

@@ -10,17 +10,17 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from glissando.errors import GlissandoError, UnobservableError
+from glissando.errors import GlissandoError
 from glissando.geometry.se3 import Array
 from glissando.model.priors.prior import Prior
 from glissando.model.state import State
 from glissando.model.stated import is_number
 from glissando.solver.block_tridiagonal import Cholesky, factor
+from glissando.solver.damping import Damping
 from glissando.solver.linearize import NormalEquations, gradient, linearize
 from glissando.solver.located_readings import LocatedReadings
 from glissando.solver.normal_equations import system_shape
@@ -28,9 +28,6 @@ from glissando.solver.outcome import Outcome
 from glissando.solver.step_lengths import StepLengths
 from glissando.solver.step_search import WORTHWHILE, Where, candidates, try_step
 
-_DAMPING = (1e-4, 1e8)  # smallest damping worth applying, and the one at which to give up
-_RESCUES = (1e-11, 1e-9, 1e-7)  # dampings that give a system far from its end digits back
-_MOST_RESCUES = 5  # times that they do; then it says what it lacks
 _ROUGH = 10.0  # standard deviations a number that a rough start may be off by
 _ROUGH_ITERATIONS = 15
 _PASSING = 0.01  # standard deviations a number that what is only looked at may be off by
@@ -173,38 +170,31 @@ def minimize(
 
     here, fixed = at((start, located)), None
     steps = StepLengths(options.tolerance, kinks=located.moves, weighted=located.weighted)
-    damping, iteration, bent = 0.0, 0, False
-    rescues = _MOST_RESCUES if prior.fixes_base else 0
+    damping, iteration, bent = Damping(determined=prior.fixes_base), 0, False
 
     def solution(end: Where, cholesky: Cholesky, outcome: Outcome, fall: float = 0.0) -> Solution:
         cost, lengths = here.cost_of(here) - fall, (steps.first, steps.length)
         return Solution(*end, here, cholesky, cost, outcome, iteration, *lengths, workspace)
 
-    def confirmed(end: Where, cholesky: Cholesky) -> bool:
-        with clock("linearise"):
-            rhs = gradient(prior, end[1], end[0])
-        return steps.confirms(float(np.sqrt(np.sum(rhs * cholesky.solve(rhs)))))
-
     while True:
         with clock("solve"):
-            solved, damping = _step_or_rescue(here, damping, cholesky, rescues)
-            cholesky, step, length, predicted = solved
-            rescues -= damping in _RESCUES
-        iteration += 1
+            way = damping.step(here, cholesky)
+        cholesky, iteration = way.cholesky, iteration + 1
         if progress is not None:
-            progress(iteration, here.cost_of(here), length)
-        steps.note(length, damped=damping > 0.0, renewed=fixed is here)
+            progress(iteration, here.cost_of(here), way.length)
+        steps.note(way.length, damped=way.damped, renewed=fixed is here)
         if steps.short and (fixed is None or fixed is here or steps.last):
-            end = next(candidates(prior, here, step)).where
-            if not steps.doubtful or options.is_rough(here.rhs.size) or confirmed(end, cholesky):
-                return solution(end, cholesky, Outcome.CONVERGED, predicted)
+            end = next(candidates(prior, here, way.step)).where
+            rough = options.is_rough(here.rhs.size)
+            if rough or not steps.doubtful or _confirmed(prior, end, cholesky, steps, clock):
+                return solution(end, cholesky, Outcome.CONVERGED, way.predicted)
         elif steps.short:
             here = fixed = at((here.state, here.located))
             continue
         if iteration == options.settled:
             fixed = here
-        here, gain, bent = try_step(prior, here, step, fixed, predicted, at, bent=bent)
-        damping = _next_damping(damping, gain)
+        here, gain, bent = try_step(prior, here, way.step, fixed, way.predicted, at, bent=bent)
+        damping.adapt(gain)
         settled = steps.idle and not gain > WORTHWHILE
         settled |= fixed is not None and steps.stall(here.cost_of(here))
         ended = _ended(settled, damping, iteration, options)
@@ -212,11 +202,22 @@ def minimize(
             return solution((here.state, here.located), factor(here.system, cholesky), ended)
 
 
-def _ended(settled: bool, damping: float, iteration: int, options: SolverOptions) -> Outcome | None:
+def _confirmed(
+    prior: Prior, end: Where, cholesky: Cholesky, steps: StepLengths, clock: Stopwatch
+) -> bool:
+    """Whether the next step from an end, by its gradient, is as short as the last one promised."""
+    with clock("linearise"):
+        rhs = gradient(prior, end[1], end[0])
+    return steps.confirms(float(np.sqrt(np.sum(rhs * cholesky.solve(rhs)))))
+
+
+def _ended(
+    settled: bool, damping: Damping, iteration: int, options: SolverOptions
+) -> Outcome | None:
     """How the iteration has ended, if it has: settled, damped in vain, or at its limit."""
     if settled:
         return Outcome.CONVERGED
-    if damping > _DAMPING[1]:
+    if damping.in_vain:
         return Outcome.NO_DESCENT
     return Outcome.ITERATION_LIMIT if iteration >= options.max_iterations else None
 
@@ -229,40 +230,3 @@ def _memory(
     if former is not None:
         return former.memory(size)
     return np.empty(system_shape(start.pose.shape[0], size)), None
-
-
-def _step(
-    here: NormalEquations, damping: float, workspace: Cholesky | None
-) -> tuple[Cholesky, Array, float, float]:
-    """The factor, the damped step, its length in standard deviations, the fall it promises."""
-    extra = damping * np.einsum("kii->ki", here.system.diagonal)
-    cholesky = factor(here.system.add_to_diagonal(extra) if damping else here.system, workspace)
-    step = cholesky.solve(here.rhs)
-    length = float(np.sqrt(np.maximum(np.sum(step * (here.rhs - extra * step)), 0.0)))
-    return cholesky, step, length, 0.5 * float(np.sum(step * (here.rhs + extra * step)))
-
-
-def _step_or_rescue(
-    here: NormalEquations, damping: float, workspace: Cholesky | None, rescues: int
-) -> tuple[tuple[Cholesky, Array, float, float], float]:
-    """The step, and the damping with which it could be taken.
-
-    A system far from its end may be singular by rounding alone, its diagonal of thirteen decades:
-    where the prior fixes the base, nothing is undetermined.
-    """
-    if not damping and rescues:
-        for rescue in (damping, *_RESCUES):
-            with suppress(UnobservableError):
-                return _step(here, rescue, workspace), rescue
-    return _step(here, damping, workspace), damping
-
-
-def _next_damping(damping: float, gain: float) -> float:
-    """Less damping after a step that kept its promise, more after one that did not (Nielsen 1999).
-
-    Shrinking in proportion to how well the promise was kept avoids refusing every other step.
-    """
-    if not gain > WORTHWHILE:  # NaN included
-        return max(_DAMPING[0], 4.0 * damping)
-    shrunk = damping * max(0.2, 1.0 - (2.0 * min(gain, 1.0) - 1.0) ** 3)
-    return 0.0 if shrunk < _DAMPING[0] else shrunk

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from enum import Enum
@@ -102,31 +103,50 @@ def learn(
         search = Search(
             document, parameters, objective, pool, most, first, np.zeros(len(parameters))
         )
-        count, share, end = 0, 0.0, None
-
-        def tell(part: float) -> None:
-            nonlocal share
-            if watch is not None:
-                done, expected = count + part, min(count + search.left, steps)
-                share = max(share, done / expected)  # what is expected may grow
-                watch(done, -search.value, done / share)
-
-        try:
-            while end is None:
-                search.step(tell)
-                count += 1
-                tell(0.0)
-                if not search.left:
-                    end = End.NO_GAIN if search.stuck else End.SETTLED
-                elif count == steps:
-                    end = End.LAST_STEP
-        except (KeyboardInterrupt, SystemError, BrokenProcessPool) as problem:
-            broken = isinstance(problem, BrokenProcessPool)
-            if not count or not (broken or is_interrupt(problem)):
-                raise
-            end = End.BROKEN if broken else End.INTERRUPTED
-            pool.shutdown(wait=False, cancel_futures=True)
+        progress = _Progress(search, max(steps, 1), watch)
+        end = _searched(progress, pool)
     learned, bound = moved(document, parameters, search.x), search.at_bounds
     names = tuple(p.label for p, there in zip(parameters, bound, strict=True) if there)
-    after = search.centre.score
-    return Learned(learned, parameters, search.x, search.std, first.score, after, count, end, names)
+    scores = first.score, search.centre.score
+    found = learned, parameters, search.x, search.std, *scores
+    return Learned(*found, progress.count, end, names)
+
+
+class _Progress:
+    """Steps of a search, and what is said of them.
+
+    Attributes:
+        search: The search.
+        most: Steps at most.
+        count: Steps that are done.
+    """
+
+    def __init__(self, search: Search, most: int, watch: Watch | None) -> None:
+        self.search, self.most, self.count = search, most, 0
+        self._watch, self._share = watch, 0.0
+
+    def tell(self, part: float = 0.0) -> None:
+        """Say that a part of the next step is done; the share of all never falls."""
+        if self._watch is not None:
+            done, expected = self.count + part, min(self.count + self.search.left, self.most)
+            self._share = max(self._share, done / expected)  # what is expected may grow
+            self._watch(done, -self.search.value, done / self._share)
+
+
+def _searched(progress: _Progress, pool: Executor) -> End:
+    """Take steps until the search ends; how it did. After a first step nothing found is lost."""
+    search = progress.search
+    try:
+        while progress.count < progress.most:
+            search.step(progress.tell)
+            progress.count += 1
+            progress.tell()
+            if not search.left:
+                return End.NO_GAIN if search.stuck else End.SETTLED
+    except (KeyboardInterrupt, SystemError, BrokenProcessPool) as problem:
+        broken = isinstance(problem, BrokenProcessPool)
+        if not progress.count or not (broken or is_interrupt(problem)):
+            raise
+        pool.shutdown(wait=False, cancel_futures=True)
+        return End.BROKEN if broken else End.INTERRUPTED
+    return End.LAST_STEP
