@@ -97,7 +97,7 @@ def test_a_mount_of_what_has_none_is_not_estimated():
         name="fibre",
     )  # fmt: skip
     mount = SensorParameter("roll", "mount", ("fibre",), np.zeros(6), np.full(6, 0.1))
-    with pytest.raises(SensorError, match="has no mount; leave sensor parameter 'roll'"):
+    with pytest.raises(SensorError, match="have no mount; leave sensor parameter 'roll'"):
         estimate(robot.prior, robot.grid(0.0, 0.2), [fibre], sensor_parameters=[mount])
 
 

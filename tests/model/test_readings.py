@@ -61,10 +61,13 @@ FBG = {"core_radius": [1e-3], "core_angle": [0.0], "values": np.zeros((3, 1))}
 TENDON = {"radius": [1e-3], "angle": [0.0], "end": [0.2], "values": np.zeros((3, 1))}
 TURNED = np.diag([1.0, -1.0, -1.0, 1.0])
 UNHEARD = {
-    "a fbg sensor has no mount": (FbgReadings, {**FBG, "mount": TURNED}),
-    "a strain sensor has no mount": (StrainReadings, {"values": np.zeros((3, 6)), "mount": TURNED}),
-    "uncertain arclength of a tendon sensor": (TendonReadings, {**TENDON, "arclength_std": 0.1}),
-    "uncertain arclength of a accelerometer": (
+    "of kind fbg have no mount": (FbgReadings, {**FBG, "mount": TURNED}),
+    "of kind strain have no mount": (StrainReadings, {"values": np.zeros((3, 6)), "mount": TURNED}),
+    "uncertain arclength of readings of kind tendon": (
+        TendonReadings,
+        {**TENDON, "arclength_std": 0.1},
+    ),
+    "uncertain arclength of readings of kind accelerometer": (
         AccelerometerReadings,
         {"values": POINTS, "arclength_std": 0.1},
     ),

@@ -85,8 +85,8 @@ def _require_plausible(grid: Grid, readings: Readings, parameter: SensorParamete
     """Raise where a mount would change nothing, or an offset leads most readings off the grid."""
     if parameter.kind == "mount" and not readings.mounted:
         raise SensorError(
-            f"{readings.label}: a {readings.kind} sensor has no mount; leave sensor parameter "
-            f"{parameter.name!r} out."
+            f"{readings.label}: readings of kind {readings.kind} have no mount; leave sensor "
+            f"parameter {parameter.name!r} out."
         )
     if parameter.kind not in ("arclength_offset", "time_offset"):
         return

@@ -205,13 +205,13 @@ class Readings(Brief):
         """Raise SensorError for what is stated and would change nothing, and for a loss of none."""
         if not self.mounted and self.beside is None and np.any(self.mount != np.eye(4)):
             raise SensorError(
-                f"{self.label}: a {self.kind} sensor has no mount; state where it reads by its own "
-                f"settings, such as the angles of its cores."
+                f"{self.label}: readings of kind {self.kind} have no mount; state where they are "
+                f"taken by their own settings, such as the angles of cores."
             )
         if not self.reads_one_state and np.any(self.arclength_std):
             raise SensorError(
-                f"{self.label}: an uncertain arclength of a {self.kind} sensor is not estimated; "
-                f"leave arclength_std out."
+                f"{self.label}: an uncertain arclength of readings of kind {self.kind} changes "
+                f"nothing; leave arclength_std out."
             )
         if self.loss is not None and (
             isinstance(self.loss, type) or not hasattr(self.loss, "weight")
