@@ -105,7 +105,7 @@ def test_the_gradient_is_the_right_hand_side_without_the_system(correlation_time
         shape = system_shape(grid.time.size, N * DOF + 6)
         whole = linearize(prior(), located, state, state, np.empty(shape))
         scale = np.abs(whole.rhs).max()
-        found = gradient(prior(), located, state)
+        found = gradient(prior(), located, state, state)
         np.testing.assert_allclose(found, whole.rhs, atol=1e-12 * scale)
 
 

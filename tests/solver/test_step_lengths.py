@@ -77,3 +77,23 @@ def test_a_sudden_end_is_doubted_until_the_next_step_is_as_short_as_was_promised
     assert not steps.confirms(0.5)
     steps.note(0.01, damped=False, renewed=False)
     assert not steps.doubtful
+
+
+def test_a_next_step_not_far_shorter_than_the_last_has_to_be_taken_before_it_counts():
+    """Along a curved valley steps go on as long as that, though the first was a long one."""
+    steps = StepLengths(0.3, kinks=False, weighted=False)
+    for length in (30.0, 0.8):
+        steps.note(length, damped=False, renewed=False)
+    assert not steps.confirms(0.2)
+    steps.note(0.1, damped=False, renewed=False)
+    assert steps.confirms(0.02)
+
+
+@pytest.mark.parametrize(("length", "turns_back", "ends"), [
+    (0.15, True, True), (0.15, False, False), (0.4, True, False),
+])  # fmt: skip
+def test_weights_that_go_to_and_fro_by_less_than_the_tolerance_end(length, turns_back, ends):
+    steps = StepLengths(0.3, kinks=False, weighted=False)
+    for _ in range(2):
+        steps.note(length, damped=False, renewed=True, turns_back=turns_back)
+    assert steps.last == ends

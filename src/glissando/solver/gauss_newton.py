@@ -16,17 +16,18 @@ import numpy as np
 
 from glissando.errors import GlissandoError
 from glissando.geometry.se3 import Array
+from glissando.model.factors import Residuals
 from glissando.model.priors.prior import Prior
 from glissando.model.state import State
 from glissando.model.stated import is_number
 from glissando.solver.block_tridiagonal import Cholesky, factor
-from glissando.solver.damping import Damping
+from glissando.solver.damping import Damping, Step
 from glissando.solver.linearize import NormalEquations, gradient, linearize
 from glissando.solver.located_readings import LocatedReadings
 from glissando.solver.normal_equations import system_shape
 from glissando.solver.outcome import Outcome
 from glissando.solver.step_lengths import StepLengths
-from glissando.solver.step_search import WORTHWHILE, Where, candidates, try_step
+from glissando.solver.step_search import WORTHWHILE, Where, try_step, whole_steps
 
 _ROUGH = 10.0  # standard deviations a number that a rough start may be off by
 _ROUGH_ITERATIONS = 15
@@ -160,66 +161,107 @@ def minimize(
         clock: Times the phases.
         former: A solution of no fewer numbers whose memory is overwritten, as it is not needed.
     """
-    workspace, cholesky = _memory(located, start, former)
+    return _Iteration(prior, located, start, options, clock, former).run(progress)
 
-    def at(where: Where, fixed: NormalEquations | None = None) -> NormalEquations:
-        noise_state = where[0] if fixed is None else fixed.noise_state
-        weights = None if fixed is None else fixed.terms
-        with clock("linearise"):
-            return linearize(prior, where[1], where[0], noise_state, workspace, weights)
 
-    here, fixed = at((start, located)), None
-    steps = StepLengths(options.tolerance, kinks=located.moves, weighted=located.weighted)
-    damping, iteration, bent = Damping(determined=prior.fixes_base), 0, False
+class _Iteration:
+    """A problem where its iteration stands, and what its steps have shown so far."""
 
-    def solution(end: Where, cholesky: Cholesky, outcome: Outcome, fall: float = 0.0) -> Solution:
-        cost, lengths = here.cost_of(here) - fall, (steps.first, steps.length)
-        return Solution(*end, here, cholesky, cost, outcome, iteration, *lengths, workspace)
+    def __init__(
+        self,
+        prior: Prior,
+        located: LocatedReadings,
+        start: State,
+        options: SolverOptions,
+        clock: Stopwatch,
+        former: Solution | None,
+    ) -> None:
+        self._prior, self._options, self._clock = prior, options, clock
+        self._workspace, self._cholesky = _memory(located, start, former)
+        self._here = self._at((start, located))
+        self._fixed: NormalEquations | None = None  # whose weights are kept, if they are
+        self._renewed: Array | None = None  # the last step that followed renewed weights
+        self._steps = StepLengths(options.tolerance, kinks=located.moves, weighted=located.weighted)
+        self._damping, self._count, self._bent = Damping(determined=prior.fixes_base), 0, False
 
-    while True:
-        with clock("solve"):
-            way = damping.step(here, cholesky)
-        cholesky, iteration = way.cholesky, iteration + 1
+    def run(self, progress: Progress | None) -> Solution:
+        """Take steps until it ends."""
+        while True:
+            way = self._next_step(progress)
+            here, of_here = self._here, self._fixed is None or self._fixed is self._here
+            if self._steps.short and (of_here or self._steps.last):
+                end = self._confirmed_end(way)
+                if end is not None:
+                    return self._solution(end, way.cholesky, Outcome.CONVERGED, way.predicted)
+            elif self._steps.short:
+                self._here = self._fixed = self._at((here.state, here.located))
+                continue
+            outcome = self._take(way)
+            if outcome is not None:
+                here = self._here
+                cholesky = factor(here.system, way.cholesky)
+                return self._solution((here.state, here.located), cholesky, outcome)
+
+    def _next_step(self, progress: Progress | None) -> Step:
+        """The next step, its length noted."""
+        here, renewed = self._here, self._fixed is self._here
+        with self._clock("solve"):
+            way = self._damping.step(here, self._cholesky)
+        self._cholesky, self._count = way.cholesky, self._count + 1
         if progress is not None:
-            progress(iteration, here.cost_of(here), way.length)
-        steps.note(way.length, damped=way.damped, renewed=fixed is here)
-        if steps.short and (fixed is None or fixed is here or steps.last):
-            end = next(candidates(prior, here, way.step)).where
-            rough = options.is_rough(here.rhs.size)
-            if rough or not steps.doubtful or _confirmed(prior, end, cholesky, steps, clock):
-                return solution(end, cholesky, Outcome.CONVERGED, way.predicted)
-        elif steps.short:
-            here = fixed = at((here.state, here.located))
-            continue
-        if iteration == options.settled:
-            fixed = here
-        here, gain, bent = try_step(prior, here, way.step, fixed, way.predicted, at, bent=bent)
-        damping.adapt(gain)
-        settled = steps.idle and not gain > WORTHWHILE
-        settled |= fixed is not None and steps.stall(here.cost_of(here))
-        ended = _ended(settled, damping, iteration, options)
-        if ended is not None:
-            return solution((here.state, here.located), factor(here.system, cholesky), ended)
+            progress(self._count, here.cost_of(here), way.length)
+        turns_back = self._renewed is not None and bool(np.vdot(here.rhs, self._renewed) < 0.0)
+        self._steps.note(way.length, damped=way.damped, renewed=renewed, turns_back=turns_back)
+        self._renewed = way.step if renewed else self._renewed
+        return way
+
+    def _confirmed_end(self, way: Step) -> Where | None:
+        """Where a short step leads, if the next one from there is as short as it promised."""
+        sure = self._options.is_rough(self._here.rhs.size) or not self._steps.doubtful
+        for end in whole_steps(self._prior, self._here, way.step):
+            if sure or self._steps.confirms(self._next_length(end, way.cholesky)):
+                return end
+        return None
+
+    def _next_length(self, end: Where, cholesky: Cholesky) -> float:
+        """Length of the step that would follow, by the gradient and the system before."""
+        with self._clock("linearise"):
+            rhs = gradient(self._prior, end[1], end[0], *_weights(end, self._fixed))
+        return float(np.sqrt(np.sum(rhs * cholesky.solve(rhs))))
+
+    def _take(self, way: Step) -> Outcome | None:
+        """Go where the step leads, as far as that is worth it; how the iteration ends, if so."""
+        if self._count == self._options.settled:
+            self._fixed = self._here
+        self._here, gain, self._bent = try_step(
+            self._prior, self._here, way.step, self._fixed, way.predicted, self._at, bent=self._bent
+        )
+        self._damping.adapt(gain)
+        settled = self._steps.idle and not gain > WORTHWHILE
+        if self._fixed is not None:
+            settled |= self._steps.stall(self._here.cost_of(self._here))
+        if settled:
+            return Outcome.CONVERGED
+        if self._damping.in_vain:
+            return Outcome.NO_DESCENT
+        return Outcome.ITERATION_LIMIT if self._count >= self._options.max_iterations else None
+
+    def _at(self, where: Where, fixed: NormalEquations | None = None) -> NormalEquations:
+        noise_state, weights = _weights(where, fixed)
+        with self._clock("linearise"):
+            return linearize(self._prior, where[1], where[0], noise_state, self._workspace, weights)
+
+    def _solution(
+        self, end: Where, cholesky: Cholesky, outcome: Outcome, fall: float = 0.0
+    ) -> Solution:
+        here, lengths = self._here, (self._steps.first, self._steps.length)
+        cost = here.cost_of(here) - fall
+        return Solution(*end, here, cholesky, cost, outcome, self._count, *lengths, self._workspace)
 
 
-def _confirmed(
-    prior: Prior, end: Where, cholesky: Cholesky, steps: StepLengths, clock: Stopwatch
-) -> bool:
-    """Whether the next step from an end, by its gradient, is as short as the last one promised."""
-    with clock("linearise"):
-        rhs = gradient(prior, end[1], end[0])
-    return steps.confirms(float(np.sqrt(np.sum(rhs * cholesky.solve(rhs)))))
-
-
-def _ended(
-    settled: bool, damping: Damping, iteration: int, options: SolverOptions
-) -> Outcome | None:
-    """How the iteration has ended, if it has: settled, damped in vain, or at its limit."""
-    if settled:
-        return Outcome.CONVERGED
-    if damping.in_vain:
-        return Outcome.NO_DESCENT
-    return Outcome.ITERATION_LIMIT if iteration >= options.max_iterations else None
+def _weights(where: Where, fixed: NormalEquations | None) -> tuple[State, list[Residuals] | None]:
+    """The state that weights come from, and the terms whose weights are kept, if they are."""
+    return (where[0], None) if fixed is None else (fixed.noise_state, fixed.terms)
 
 
 def _memory(

@@ -91,10 +91,16 @@ def linearize(
     return NormalEquations(state, located, noise_state, builder.system(), builder.rhs_begin, terms)
 
 
-def gradient(prior: Prior, located: LocatedReadings, state: State) -> Array:
+def gradient(
+    prior: Prior,
+    located: LocatedReadings,
+    state: State,
+    noise_state: State,
+    fixed_weights: Sequence[Residuals] | None = None,
+) -> Array:
     """What `linearize` has on the right (K, D), without the system."""
     sums = Gradient(_layout(located, state), located.grid.time.size)
-    _accumulate(sums, prior, located, (state, state), None)
+    _accumulate(sums, prior, located, (state, noise_state), fixed_weights)
     return sums.rhs
 
 

@@ -9,6 +9,7 @@ _CALMER = 0.5  # part of the step before above which steps do not shrink
 _STALLED = 5  # steps that together gain nothing end the search
 _SLOWEST = 0.05  # least share by which steps count as shrinking
 _STEADY = 0.05  # part of itself that a Gauss–Newton step leaves to go at best, near the end
+_SURE = 0.2  # tolerances: a next step this short needs not be far shorter than the last
 _FALLING = 0.1  # part of the step before below which steps are on their way to the end
 
 
@@ -19,14 +20,15 @@ class StepLengths:
     residuals, a step that is a small part of the one before is followed by smaller ones, and
     what it leaves decides. Readings that move across nodes leave kinks in the cost, below any
     confidence: steps that no longer shrink are as short as they get, and in a kink itself, where
-    none leads down for long, they may be long and gain nothing.
+    none leads down for long, they may be long and gain nothing. Weights that depend on the state
+    may go to and fro with it, by less than the tolerance: then one side is as good as the other.
 
     Attributes:
         first: Length of the first step.
         length: Length of the last one.
         idle: Whether it is so short that the search ends if it gains nothing.
         short: Whether it, and with it all that would follow, is negligible.
-        last: Whether steps that follow renewed weights no longer shrink.
+        last: Whether steps that follow renewed weights no longer shrink, but go to and fro.
         doubtful: Whether it is short, but the next one by itself may be too long to end with.
     """
 
@@ -36,8 +38,15 @@ class StepLengths:
         self._costs: list[float] = []
         self.idle = self.short = self.last = self.doubtful = False
 
-    def note(self, length: float, *, damped: bool, renewed: bool) -> None:
-        """Take the length of the next step; `renewed` weights make it one of a series of theirs."""
+    def note(self, length: float, *, damped: bool, renewed: bool, turns_back: bool = False) -> None:
+        """Take the length of the next step.
+
+        Args:
+            length: Its length.
+            damped: Whether it is damped.
+            renewed: Whether it is the first with renewed weights, one of a series of such.
+            turns_back: Whether it then leads back from where the one before of that series led.
+        """
         before = np.inf if damped else self._renewed if renewed else self.length
         if np.isnan(self.first):
             self.first = length
@@ -46,13 +55,16 @@ class StepLengths:
         self.short = not damped and self._is_short(length, rate)
         self.doubtful = not self._kinks and length > _SLOWEST * self._tolerance
         if renewed:
-            self.last = self._kinks and length > _CALMER * self._renewed
+            small = length < self._tolerance and turns_back
+            self.last = (self._kinks or small) and length > _CALMER * self._renewed
             self._renewed, self._costs = length, []
         self.length = length
 
     def confirms(self, length: float) -> bool:
         """Whether the next step, of that length, is as short as the last one promised."""
-        return self._is_short(length, length / self.length)
+        rate = length / self.length
+        sure = rate < _FALLING or length < _SURE * self._tolerance
+        return sure and self._is_short(length, rate)
 
     def _is_short(self, length: float, rate: float) -> bool:
         """Whether a step is short enough, the `rate` times as long as the one before."""

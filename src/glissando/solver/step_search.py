@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 
@@ -54,6 +55,11 @@ def candidates(
         yield _Way(where, part * (2.0 - part), True if part == 1.0 else None)
     if bent:
         yield _Way(_straight(here, step), bent=False)
+
+
+def whole_steps(prior: Prior, here: NormalEquations, step: Array) -> Iterator[Where]:
+    """Where the whole step leads: straight on, then bent."""
+    return (way.where for way in islice(candidates(prior, here, step), 2))
 
 
 def _straight(here: NormalEquations, step: Array) -> Where:
