@@ -1,10 +1,12 @@
-"""The real robot: learned on one recording, judged on another, with the two commands of the page.
+"""The real robot: learned on one recording, judged on others, with the two commands of the page.
 
-`python benchmarks/real.py --learn FILE` learns the robot file first, which takes a minute or two;
-`--learned FILE` judges one that is there.
+`--learn FILE` learns the robot file first, which takes a minute or two; `--learned FILE` judges one
+that is there. Usage: real.py [--data FOLDER of public recordings] [--learn FILE | --learned FILE]
+[--recording FOLDER [--window T0 T1]] [--json]
 """
 
 import argparse
+import json
 import shlex
 import subprocess
 import sys
@@ -12,14 +14,14 @@ from pathlib import Path
 
 import numpy as np
 
-from glissando import load_robot
+from glissando import GlissandoError, load_robot
 from glissando.evaluation.consistency import check
 from glissando.evaluation.metrics import pool
 from glissando.evaluation.run import run_estimate
 from glissando.io.recording_folder import load_recording
+from script import run, say
 
 DATA = Path("../shared/data/spacetime")
-TRUTH = [f"vicon{i}" for i in range(5)]
 SENSORS = ["aurora0", "aurora1", "gyro_mid", "gyro_ee"]
 TUNED_ON = ("slow_free_space", (19.0, 45.0))
 REPORTED_ON = (
@@ -28,7 +30,7 @@ REPORTED_ON = (
     ("fast_contact", (30.0, 34.0), "–", "–"),
 )  # window, and position (mm) and rotation (deg) of the reference implementation
 LEARN = (
-    "glissando learn {data}/slow_free_space --window 0 45 --robot benchmarks/real.toml "
+    "glissando learn {tuned} --window 0 45 --robot {begin} "
     "--truth vicon0,vicon1,vicon2,vicon3,vicon4 --joint "
     "--only 'mass,spread linear,correlation' --out {out}"
 )
@@ -47,8 +49,7 @@ alone. The published columns are those of the reference implementation with its 
 {estimate}
 ```
 
-| window (s) | position RMSE (mm) | published | rotation RMSE (°) | published | inside 50 % | inside 95 % | NEES |
-|---|---|---|---|---|---|---|---|
+{head}
 {rows}
 
 On the recording it was learned on, 19 to 29 s: {tuned_line}; and before the contact,
@@ -69,53 +70,76 @@ and at {fast:.1f}, {impact:.1f} and {last:.1f} m/s² in the three windows; inert
 """
 
 
-def judged(robot, name, window, data=DATA):
+HEAD = """\
+| window (s) | position RMSE (mm) | published | rotation RMSE (°) | published | inside 50 % | \
+inside 95 % | NEES |
+|---|---|---|---|---|---|---|---|"""
+
+
+def estimated(robot, folder, window, truth=None):
+    """One run on a window, from the sensors of the page as far as the recording has them."""
+    recording = load_recording(folder)
+    use = [name for name in SENSORS if name in recording.streams]
+    say(f"{recording.name}, {'all of it' if window is None else '{:g} to {:g} s'.format(*window)}")
+    return run_estimate(recording, robot, window=window, use=use or None, truth=truth)
+
+
+def judged(robot, folder, window):
     """One run on a window: position and rotation RMSE, coverage, NEES of all sites together."""
-    recording = load_recording(data / name)
-    run = run_estimate(recording, robot, window=window, use=SENSORS, truth=TRUTH)
-    errors = pool(run.errors).summary()
-    whole = next(c for c in check(run.errors) if c.site == "all" and c.quantity == "position")
+    found = estimated(robot, folder, window)
+    if not found.errors:
+        raise GlissandoError(f"{folder} has no truth to judge by: mark its streams as truth.")
+    errors = pool(found.errors).summary()
+    whole = next(c for c in check(found.errors) if c.site == "all" and c.quantity == "position")
     return {
-        "converged": run.posterior.solve.converged,
+        "recording": found.recording.name,
+        "window": found.window,
+        "converged": found.posterior.solve.converged,
         "position": 1e3 * errors["position_rmse"],
         "rotation": np.degrees(errors["rotation_rmse"]),
         "half": 100.0 * whole.coverage(0.5),
         "most": 100.0 * whole.coverage(0.95),
         "nees": whole.mean,
-        "seconds": run.posterior.solve.seconds["total"],
     }
 
 
-def row(robot, name, window, position, rotation, data):
-    """A line of the table."""
-    found = judged(robot, name, window, data)
+def line(found, position="–", rotation="–"):
+    """A line of the table, beside what the reference implementation reached."""
     return (
-        f"| {window[0]:g}–{window[1]:g} | {found['position']:.2f} | {position} | "
+        "| {:g}–{:g} | ".format(*found["window"]) + f"{found['position']:.2f} | {position} | "
         f"{found['rotation']:.2f} | {rotation} | {found['half']:.0f} % | {found['most']:.0f} % | "
-        f"{found['nees']:.2f} |"
+        f"{found['nees']:.2f} |{'' if found['converged'] else ' not converged'}"
     )
 
 
 def acceleration(robot, name, window, data):
     """Root mean square of the tip's acceleration as estimated, m/s²."""
-    run = run_estimate(load_recording(data / name), robot, window=window, use=SENSORS, truth=[])
-    time = run.posterior.grid.time
-    tip = run.posterior.at(np.full(time.size, robot.length), time)
+    posterior = estimated(robot, data / name, window, truth=[]).posterior
+    time = posterior.grid.time
+    tip = posterior.at(np.full(time.size, robot.length), time)
     velocity = np.einsum("kij,kj->ki", tip.pose[:, :3, :3], tip.velocity[:, :3])
     return float(np.sqrt(np.mean(np.sum(np.gradient(velocity, time, axis=0) ** 2, axis=1))))
 
 
-def page(data, file):
+def judged_windows(robot, data):
+    """What is found in the windows that are reported."""
+    return [judged(robot, data / name, window) for name, window, *_ in REPORTED_ON]
+
+
+def page(data, robot):
     """The section of the page: commands and tables."""
-    robot = load_robot(file)
-    rows = [row(robot, *each, data) for each in REPORTED_ON]
-    tuned = judged(robot, TUNED_ON[0], (19.0, 29.0), data)
-    free = judged(robot, "fast_contact", (0.0, 10.0), data)
+    found = zip(judged_windows(robot, data), REPORTED_ON, strict=True)
+    rows = [line(each, *published[2:]) for each, published in found]
+    tuned = judged(robot, data / TUNED_ON[0], (19.0, 29.0))
+    free = judged(robot, data / "fast_contact", (0.0, 10.0))
     moves = [acceleration(robot, *where[:2], data) for where in (TUNED_ON, *REPORTED_ON)]
     return TEXT.format(
         tuned=TUNED_ON[0],
-        learn=LEARN.format(data="spacetime", out="learned.toml"),
+        learn=LEARN.format(
+            tuned=f"spacetime/{TUNED_ON[0]}", begin="benchmarks/real.toml", out="learned.toml"
+        ),
         estimate=ESTIMATE.format(data="spacetime"),
+        head=HEAD,
         rows="\n".join(rows),
         tuned_line=(
             f"{tuned['position']:.2f} mm, {tuned['rotation']:.2f}°, {tuned['most']:.0f} % inside "
@@ -131,21 +155,48 @@ def page(data, file):
     )
 
 
+def learn(data, out):
+    """Learn the robot file by the command of the page."""
+    begin = Path(__file__).with_name("real.toml")
+    where = {"tuned": data / TUNED_ON[0], "begin": begin, "out": out}
+    words = LEARN.format(**{name: shlex.quote(str(path)) for name, path in where.items()})
+    done = subprocess.run([sys.executable, "-m", *shlex.split(words)], stdout=sys.stderr)
+    if done.returncode:
+        raise GlissandoError(f"nothing was learned into {out}; see above.")
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--data", type=Path, default=DATA)
-    parser.add_argument("--learned", type=Path, default=Path("learned.toml"), metavar="FILE")
-    parser.add_argument("--learn", type=Path, metavar="FILE", help="learn again, into this one")
+    public = "of the public recordings"
+    parser.add_argument("--data", type=Path, default=DATA, metavar="FOLDER", help=public)
+    which = parser.add_mutually_exclusive_group()
+    which.add_argument("--learned", type=Path, default=Path("learned.toml"), metavar="FILE",
+                       help="robot file that is judged (default: learned.toml)")  # fmt: skip
+    which.add_argument("--learn", type=Path, metavar="FILE", help="learn it first, into this one")
+    alone = "judge on this recording alone"
+    parser.add_argument("--recording", type=Path, metavar="FOLDER", help=alone)
+    window = "seconds to estimate (default: all)"
+    parser.add_argument("--window", nargs=2, type=float, metavar=("T0", "T1"), help=window)
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
     options = parser.parse_args()
-    if not options.data.is_dir():
-        sys.exit(f"{options.data} does not hold the public recordings.")
+    if options.window and not options.recording:
+        parser.error("--window is of a recording; name it with --recording")
+    if not options.data.is_dir() and (options.learn or not options.recording):
+        raise GlissandoError(f"{options.data} does not hold the public recordings; give --data.")
     if options.learn:
-        begin = Path(__file__).with_name("real.toml")
-        words = LEARN.format(data=options.data, out=options.learn)
-        words = words.replace("benchmarks/real.toml", shlex.quote(str(begin)))
-        subprocess.run([sys.executable, "-m", *shlex.split(words)], check=True, stdout=sys.stderr)
-    print(page(options.data, options.learn or options.learned))
+        learn(options.data, options.learn)
+    robot = load_robot(options.learn or options.learned)
+    if not (options.json or options.recording):
+        print(page(options.data, robot))
+        return
+    window = tuple(options.window) if options.window else None
+    alone = options.recording and [judged(robot, options.recording, window)]
+    found = alone or judged_windows(robot, options.data)
+    if options.json:
+        print(json.dumps({"robot": robot.name, "rows": found}))
+    else:
+        print("\n".join([HEAD, *map(line, found)]))
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

@@ -4,6 +4,7 @@ Draws sessions of `sbc.toml` (or another robot file), estimates each in batch an
 that the ranks of the truth are uniform inside simultaneous 95 % bands; then again with priors whose
 standard deviations are 1.3 times too large and too small, which must fail.
 Usage: sbc.py [--robot FILE] [--sessions N] [--wrong N] [--seed N] [--json]   (some minutes)
+Status 1: the right prior fails, or a wrong one passes in batch and online.
 """
 
 import argparse
@@ -38,6 +39,15 @@ def row(found):
     )
 
 
+def as_it_must(checks):
+    """Whether the right prior passes with each estimator, and each wrong one fails with one."""
+    uniform = {}
+    for check in checks:
+        ranks = all(q["uniform"] for q in check["quantities"])
+        uniform.setdefault(check["prior_factor"], []).append(ranks)
+    return all(all(u) if factor == 1.0 else not all(u) for factor, u in uniform.items())
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--robot", default=ROBOT, help="robot file or name")
@@ -58,6 +68,7 @@ def main():
             print(row(each), flush=True)
     if options.json:
         print(json.dumps({"robot": robot.name, "checks": found}))
+    return 0 if as_it_must(found) else 1
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import sbc
 import tendons
 
 FOLDER = Path(__file__).parents[1]
@@ -27,6 +28,9 @@ def script(name, *arguments):
         ("real_slide.py", ["/nowhere", "--json"], "holds no public recordings"),
         ("real_slide.py", ["--window", 1, 2], "name it with --recording"),
         ("real_slide.py", ["--periods", -1], "seconds above zero"),
+        ("real.py", ["--data", "/nowhere", "--learn", "x"], "does not hold the public recordings"),
+        ("real.py", ["--recording", "/nowhere", "--learned", "tdcr466"], "no recording folder"),
+        ("real.py", ["--window", 1, 2], "name it with --recording"),
         ("tube.py", ["--recording", "/nowhere"], "no recording folder '/nowhere'"),
         ("tube.py", ["/nowhere", "--json"], "holds no public recordings"),
         ("claimed.py", ["/nowhere", "--json"], "is no folder of recordings"),
@@ -64,3 +68,31 @@ def test_of_one_pattern_blocks_are_stretches_of_time():
     assert tendons._blocks(np.array(["walk"] * 12)).tolist() == sorted([*range(6)] * 2)
     three = tendons._blocks(np.array(["a", "a_hold", "b", "c", "b"]))
     assert three.tolist() == [0, 0, 1, 2, 1]
+
+
+@pytest.mark.slow
+def test_a_recording_nobody_has_seen_is_judged_by_the_sensors_that_it_has(spacetime, tmp_path):
+    copy = tmp_path / "a motion of another day"
+    shutil.copytree(spacetime / "fast_contact", copy)
+    (copy / "gyro_mid.csv").unlink()
+    options = ["--learned", "tdcr466", "--recording", copy, "--window", 10, 12]
+    (row,) = json.loads(script("real.py", *options, "--json").stdout)["rows"]
+    assert row["window"] == [10.0, 12.0]
+    assert row["converged"]
+    assert 1.0 < row["position"] < 20.0
+    printed = script("real.py", *options).stdout.splitlines()[-1]
+    assert f"| 10–12 | {row['position']:.2f} | – |" in printed
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "passes"),
+    [
+        ([True, True], [False, True], True),
+        ([True, True], [True, True], False),
+        ([True, False], [False, False], False),
+    ],
+)
+def test_ranks_are_as_they_must_where_wrong_priors_fail(right, wrong, passes):
+    pairs = [(1.0, each) for each in right] + [(1.3, each) for each in wrong]
+    checks = [{"prior_factor": f, "quantities": [{"uniform": u}]} for f, u in pairs]
+    assert sbc.as_it_must(checks) == passes
