@@ -2,6 +2,7 @@
 
 import tomllib
 import warnings
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -66,6 +67,23 @@ def test_arcs_of_up_to_three_quarters_of_a_turn_are_found_from_the_tip_alone():
             off = found.position - middle
             assert off @ np.linalg.solve(found.position_covariance(), off) < 25.0
     assert together.converged.all()
+
+
+def _note(seen, number, cost, length):
+    seen.append(number)
+
+
+def test_a_report_counts_the_iterations_from_all_starts():
+    """The pieces of the public contact once ended after "1 iteration", of a hundred before."""
+    arc, rng = robot(1.5 * np.pi), np.random.default_rng(0)
+    tip = tips(rng, arcs(rng, 1.3 * np.pi, 1.5 * np.pi), arc.sensor_std["pose"])
+    grid, several = Grid(arc.arclength_nodes, [0.0]), 0
+    for k in range(4):
+        one, seen = tip.select(tip.time == k).changed(time=np.zeros(1)), []
+        found = estimate(arc.prior, grid, [one], progress=partial(_note, seen))
+        assert found.solve.iterations == len(seen)
+        several += seen.count(1) > 1
+    assert several
 
 
 def wound(turn, way):

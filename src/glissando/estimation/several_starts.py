@@ -78,9 +78,24 @@ def best_end(sought: Sought, start: Start, solve: Solve) -> Solution:
         start: Where to start.
         solve: Solves from a start.
 
+    Returns:
+        The best end; its iterations are those from all starts.
+
     Raises:
         UnobservableError: All starts break down (or numpy's LinAlgError).
     """
+    taken: list[int] = []
+
+    def counted(initial: Start, options: SolverOptions | None = None) -> Solution:
+        solution = solve(initial, options)
+        taken.append(solution.iterations)
+        return solution
+
+    end = _best_end(sought, start, counted)
+    return replace(end, iterations=sum(taken))
+
+
+def _best_end(sought: Sought, start: Start, solve: Solve) -> Solution:
     prior, elsewhere = sought.prior, _elsewhere(sought)
     try:
         end = solve(start)

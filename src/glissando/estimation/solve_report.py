@@ -16,7 +16,7 @@ class SolveReport:
 
     Attributes:
         outcome: How the solver ended.
-        iterations: How many linearisations it took.
+        iterations: How many iterations over all time nodes it took, from all starts.
         last_step: Length of the last step, posterior standard deviations.
         unknowns: How many numbers were estimated.
         cost: Half the sum of squared whitened residuals, or of their losses.
