@@ -101,6 +101,28 @@ def _learn(options: argparse.Namespace) -> int:
     cases = [_case(recording, options).while_moving(robot) for recording in recordings]
     for case in cases:
         _examine(case, robot, options)
+    begun, result, std = _searched(document, cases, options)
+    written = _with_constants(result)
+    write_robot(written, options.robot, options.out)
+    report = as_json(result, options.out) | {"windows": [case.window for case in cases]}
+    unjudged = ""
+    if options.hold_out and result.end not in (End.INTERRUPTED, End.BROKEN):
+        files = {"before": begun, "after": written}
+        try:
+            report["held_out"] = _judged(files, cases, options)
+        except GlissandoError as problem:  # which takes nothing from what was learned
+            unjudged = str(problem)
+    if options.json:
+        print(json.dumps(report))
+    else:
+        print_report(result, report, std)
+    return _ended(result, unjudged, options)
+
+
+def _searched(
+    document: Document, cases: list[RecordingCase], options: argparse.Namespace
+) -> tuple[Document, Learned, dict[str, Array]]:
+    """The file to learn from, what is learned, and deviations (6,) of constants found first."""
     parameters = _parameters(document, cases, options)
     constants: tuple[SensorParameter, ...] = ()
     std: dict[str, Array] = {}
@@ -110,7 +132,7 @@ def _learn(options: argparse.Namespace) -> int:
             work.begin("finding frames and mounts")
             first = cases[0]
             document, constants, std, start = locate(
-                document, recordings[0], first.window, first.use, options.truth
+                document, first.recording, first.window, first.use, options.truth
             )
             work.begin("learning")
         result = learn(
@@ -125,25 +147,7 @@ def _learn(options: argparse.Namespace) -> int:
                 done, total, f"step {math.ceil(done)}, {value:.4f} a degree of freedom"
             ),
         )
-    written = _with_constants(result)
-    write_robot(written, options.robot, options.out)
-    report = as_json(result, options.out) | {"windows": [case.window for case in cases]}
-    broken = result.end in (End.INTERRUPTED, End.BROKEN)
-    unjudged = ""
-    if options.hold_out and not broken:
-        try:
-            report["held_out"] = [
-                {"file": name, **_held_out(case, file, options)}
-                for case in cases
-                for name, file in (("before", document), ("after", written))
-            ]
-        except GlissandoError as problem:  # which takes nothing from what was learned
-            unjudged = str(problem)
-    if options.json:
-        print(json.dumps(report))
-    else:
-        print_report(result, report, std)
-    return _ended(result, unjudged, options)
+    return document, result, std
 
 
 def _ended(result: Learned, unjudged: str, options: argparse.Namespace) -> int:
@@ -268,14 +272,17 @@ def _with_rows(case: RecordingCase, window: tuple[float, float]) -> list[str]:
     return [name for name, t in times.items() if np.any((t >= window[0]) & (t <= window[1]))]
 
 
-def _held_out(
-    case: RecordingCase, document: Document, options: argparse.Namespace
-) -> dict[str, Any]:
-    """Errors against truth that was not learned from, of an estimate from the case's sensors."""
-    robot, recording = parse_robot(Table(document, "learned", GlissandoError)), case.recording
-    window = checked_window(recording, options.window)
-    use = _with_rows(case, window)
-    run = run_estimate(
-        recording, robot, window=window, use=use, truth=options.hold_out, allow=options.allow
-    )
-    return {"recording": recording.name, **pool(run.errors).summary()}
+def _judged(
+    files: dict[str, Document], cases: list[RecordingCase], options: argparse.Namespace
+) -> list[dict[str, Any]]:
+    """Errors against truth that was not learned from, with each file, from the cases' sensors."""
+    found = []
+    for case in cases:
+        window = checked_window(case.recording, options.window)
+        streams = {"use": _with_rows(case, window), "truth": options.hold_out}
+        for name, document in files.items():
+            robot = parse_robot(Table(document, "learned", GlissandoError))
+            run = run_estimate(case.recording, robot, window=window, **streams, allow=options.allow)
+            summary = pool(run.errors).summary()
+            found.append({"file": name, "recording": case.recording.name, **summary})
+    return found
