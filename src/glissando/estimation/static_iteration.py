@@ -37,7 +37,8 @@ def iterate(
     """Gauss–Newton steps of all shapes, straight on or bent: states, marginals, and who is left.
 
     A shape that neither way brings down is left, at rest, to those who can shorten and damp steps,
-    and so is one whose cost is implausible: they start elsewhere as well.
+    and so is one whose cost is implausible, or whose system is singular by rounding to the end:
+    they start elsewhere as well.
 
     Args:
         prior: The prior.
@@ -76,7 +77,7 @@ def iterate(
             state = _chosen(refused, prior.rest_state(grid), stepped.state)
             stepped = linearize_static(prior, located, state, noise)
         here = stepped
-    left |= going | implausible(prior, here.costs(here), _numbers_read(located))
+    left |= going | here.damped | implausible(prior, here.costs(here), _numbers_read(located))
     end = here.state if np.any(going) else straight
     return end, node_covariances(here, end), left
 

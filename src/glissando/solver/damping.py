@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,9 +14,32 @@ from glissando.solver.block_tridiagonal import Cholesky, factor
 from glissando.solver.linearize import NormalEquations
 from glissando.solver.step_search import WORTHWHILE
 
+RESCUES = (1e-11, 1e-9, 1e-7)
+"""Dampings, in parts of the diagonal, that give a system far from its end its digits back."""
 _LEAST, _MOST = 1e-4, 1e8  # smallest damping worth applying, and the one at which to give up
-_RESCUES = (1e-11, 1e-9, 1e-7)  # dampings that give a system far from its end digits back
 _MOST_RESCUES = 5  # times that they do; then it says what it lacks
+
+
+_NO_DIGITS = (
+    "The prior determines every number, but its variances lie so many decades apart that rounding "
+    "leaves no digits of some: make those of strains that hardly change larger, or take fewer "
+    "arclength nodes."
+)
+
+
+@contextmanager
+def saying_why(*, determined: bool) -> Iterator[None]:
+    """Say that a system is singular by rounding alone, where the prior determines every number.
+
+    Raises:
+        UnobservableError: It is singular.
+    """
+    try:
+        yield
+    except UnobservableError:
+        if not determined:
+            raise
+        raise UnobservableError(_NO_DIGITS) from None
 
 
 @dataclass(frozen=True)
@@ -65,7 +89,7 @@ class Damping:
             with suppress(UnobservableError):
                 return self._solved(here, workspace)
             self._rescues -= 1
-            for rescue in _RESCUES:
+            for rescue in RESCUES:
                 self._value = rescue
                 with suppress(UnobservableError):
                     return self._solved(here, workspace)

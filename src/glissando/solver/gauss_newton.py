@@ -21,7 +21,7 @@ from glissando.model.priors.prior import Prior
 from glissando.model.state import State
 from glissando.model.stated import is_number
 from glissando.solver.block_tridiagonal import Cholesky, factor
-from glissando.solver.damping import Damping, Step
+from glissando.solver.damping import Damping, Step, saying_why
 from glissando.solver.linearize import NormalEquations, gradient, linearize
 from glissando.solver.located_readings import LocatedReadings
 from glissando.solver.normal_equations import system_shape
@@ -160,8 +160,12 @@ def minimize(
         progress: Called after each iteration.
         clock: Times the phases.
         former: A solution of no fewer numbers whose memory is overwritten, as it is not needed.
+
+    Raises:
+        UnobservableError: Something is undetermined, or lost in rounding.
     """
-    return _Iteration(prior, located, start, options, clock, former).run(progress)
+    with saying_why(determined=prior.fixes_base):
+        return _Iteration(prior, located, start, options, clock, former).run(progress)
 
 
 class _Iteration:

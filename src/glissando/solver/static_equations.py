@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from glissando.errors import SensorError, UnobservableError
 from glissando.geometry.se3 import Array
@@ -16,9 +18,15 @@ from glissando.model.priors.prior import Prior
 from glissando.model.priors.static import STATIC_DOF
 from glissando.model.state import State
 from glissando.solver.block_tridiagonal import BlockTridiagonal, Cholesky, factor
+from glissando.solver.damping import RESCUES, saying_why
 from glissando.solver.located_readings import LocatedReadings
 from glissando.solver.measurement_factors import measurement_factors
 from glissando.solver.normal_equations import Layout, NormalEquationsBuilder
+
+_UNDETERMINED = (
+    "Prior and readings leave a direction of a shape undetermined. Give the robot a [base], or "
+    "every shape a pose, or coils or positions at several places."
+)
 
 
 @dataclass(frozen=True)
@@ -31,12 +39,14 @@ class StaticEquations:
             not coupled.
         rhs: −Jᵀr (S, N, 12).
         terms: Residuals of every factor with the shapes that they belong to.
+        determined: Whether the prior alone determines every number.
     """
 
     state: State
     system: BlockTridiagonal
     rhs: Array
     terms: list[tuple[Index, Residuals]]
+    determined: bool
 
     def costs(self, other: StaticEquations) -> Array:
         """Costs (S,) of another state's residuals under the weights of this one."""
@@ -47,20 +57,46 @@ class StaticEquations:
             out += np.bincount(owner, cost, minlength=out.size)
         return out
 
-    @cached_property
+    @property
     def cholesky(self) -> Cholesky:
         """The factor of the system.
 
         Raises:
             UnobservableError: Prior and readings leave a direction of a shape undetermined.
         """
-        try:
-            return factor(self.system)
-        except UnobservableError:
-            raise UnobservableError(
-                "Prior and readings leave a direction of a shape undetermined. Give the robot a "
-                "[base], or every shape a pose, or coils or positions at several places."
-            ) from None
+        return self._factored[0]
+
+    @property
+    def damped(self) -> NDArray[np.bool_]:
+        """Which shapes (S,) had to be damped, as they are singular by rounding."""
+        return self._factored[1]
+
+    @cached_property
+    def _factored(self) -> tuple[Cholesky, NDArray[np.bool_]]:
+        with suppress(UnobservableError):
+            return factor(self.system), np.zeros(len(self.rhs), dtype=bool)
+        added = self._damping()
+        return factor(self.system.add_to_diagonal(added)), np.any(added, axis=-1).reshape(
+            self.rhs.shape[:2]
+        ).any(axis=1)
+
+    def _damping(self) -> Array:
+        """What has to be added to the diagonal (S · N, 12); nothing where shapes have factors."""
+        count, n_count, size = self.rhs.shape
+        added = np.zeros((count * n_count, size))
+        for first in range(0, count * n_count, n_count):
+            slabs, between = np.s_[first : first + n_count], np.s_[first : first + n_count - 1]
+            shape = BlockTridiagonal(self.system.diagonal[slabs], self.system.lower[between])
+            scale = np.einsum("nii->ni", shape.diagonal)
+            for damping in (0.0, *RESCUES) if self.determined else (0.0,):
+                added[slabs] = damping * scale
+                with suppress(UnobservableError):
+                    factor(shape.add_to_diagonal(added[slabs]))
+                    break
+            else:
+                with saying_why(determined=self.determined):
+                    raise UnobservableError(_UNDETERMINED)
+        return added
 
 
 def linearize_static(
@@ -92,7 +128,7 @@ def linearize_static(
         builder.accumulate(batch)
         terms.append((batch.nodes[:, 0] // n_count, batch.terms))
     rhs = builder.rhs_begin.reshape(*state.strain.shape[:2], STATIC_DOF)
-    return StaticEquations(state, builder.system(), rhs, terms)
+    return StaticEquations(state, builder.system(), rhs, terms, prior.fixes_base)
 
 
 def _with_noise(batch: Factors, white: Array) -> Factors:
