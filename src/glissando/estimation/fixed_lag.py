@@ -20,6 +20,7 @@ from glissando.estimation.channels import place_in_channel
 from glissando.estimation.contact import ContactScan, force_variance, scan_of
 from glissando.estimation.contact_evidence import ErrorPrior, error_priors, force_evidence
 from glissando.estimation.delays import delayed
+from glissando.estimation.foretold import foretold
 from glissando.estimation.given import (
     arclength_nodes,
     require_gate,
@@ -29,7 +30,7 @@ from glissando.estimation.given import (
 )
 from glissando.estimation.loads import require_mechanics
 from glissando.estimation.posterior import Posterior
-from glissando.estimation.shape_spread import spread_between
+from glissando.estimation.shape_spread import ShapeSpread, spread_between
 from glissando.estimation.sliding_window import SlidingWindow
 from glissando.estimation.state_estimate import StateEstimate, state_at
 from glissando.estimation.window_steps import WindowSteps
@@ -169,6 +170,8 @@ class FixedLagSmoother:
     def at(self, arclength: ArrayLike, time: ArrayLike) -> StateEstimate:
         """State and covariance inside the window, or ahead of it as the prior predicts.
 
+        Far ahead, and while nothing was read, that is what is known of a robot at rest.
+
         Args:
             arclength: Metres; broadcast with `time`.
             time: Seconds.
@@ -180,20 +183,21 @@ class FixedLagSmoother:
         place, when = points_of(arclength, time)
         if not np.isfinite(when).all():
             raise OutsideGridError(f"The time asked for is {time!r}; give finite seconds.")
+        if self._steps.resting:  # a robot at rest is known as well at any later time
+            when = np.minimum(when, float(self._window.nodes.time[-1]))
+        wide = self._steps.curved and self.arclength.size > 1
         if np.all(when == self.time):  # as a rule, and then older nodes are not needed
             state, cov, grid = self.newest_node()
-            newest = Marginals(cov[np.newaxis], np.zeros((0, *cov.shape)))
-            at = state_at(self.prior, grid, state.take(np.newaxis), newest, place, when)
-            wide = self._steps.curved and self.arclength.size > 1
+            marginals = Marginals(cov[np.newaxis], np.zeros((0, *cov.shape)))
+            at = state_at(self.prior, grid, state.take(np.newaxis), marginals, place, when)
             return spread_between(self.arclength, self.newest(), place, at) if wide else at
         window = self._steps.ahead(float(np.max(when, initial=-np.inf)))
-        begins, posterior = float(window.nodes.time[0]), window.posterior()
+        begins, newest = float(window.nodes.time[0]), float(self._window.nodes.time[-1])
         late = when >= begins
-        if late.all() or begins <= self._window.nodes.time[-1]:
-            return posterior.at(place, when)
-        return _merged(
-            late, self.at(place[~late], when[~late]), posterior.at(place[late], when[late])
-        )
+        if late.all() or begins <= newest:
+            return foretold(window, place, when, newest)
+        ahead = foretold(window, place[late], when[late], newest)
+        return _merged(late, self.at(place[~late], when[~late]), ahead)
 
     def placed(self, readings: Readings) -> Readings:
         """Readings of a sensor in a channel, as those where the newest shape puts it. (M8)."""
@@ -269,13 +273,18 @@ class FixedLagSmoother:
 
 def _merged(late: NDArray[np.bool_], early: StateEstimate, other: StateEstimate) -> StateEstimate:
     """States of two kinds of points, by which of all points (…) are of the second."""
+    spread = ShapeSpread in (type(early), type(other))
+    if spread:
+        early, other = (
+            e if isinstance(e, ShapeSpread) else ShapeSpread.of(e) for e in (early, other)
+        )
     out = []
     for name in ("pose", "strain", "velocity", "cov"):
         one, two = getattr(early, name), getattr(other, name)
         values = np.empty((*late.shape, *one.shape[1:]))
         values[~late], values[late] = one, two
         out.append(values)
-    return StateEstimate(*out)
+    return ShapeSpread(*out) if spread else StateEstimate(*out)
 
 
 def _meet(prior: Prior, arclength: Array) -> None:

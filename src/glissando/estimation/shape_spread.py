@@ -28,6 +28,13 @@ _UNMOVED = np.eye(4)
 class ShapeSpread(StateEstimate):
     """An estimate whose covariance is the second moment of shapes: their arcs are in it."""
 
+    @staticmethod
+    def of(estimate: StateEstimate) -> ShapeSpread:
+        """The same, what arcs add to positions being in its covariance (30)."""
+        cov = estimate.cov.copy()
+        cov[..., :3, :3] = estimate.position_covariance()
+        return ShapeSpread(estimate.pose, estimate.strain, estimate.velocity, cov)
+
     def position_covariance(self, mount: Array = _UNMOVED) -> Array:
         """Covariance (…, 3, 3) of a mounted frame's position, in its axes. Source: (30).
 
@@ -51,11 +58,17 @@ def spread_between(
         place: Where it is asked for, m.
         at: What the linearised belief says there.
     """
+    cov = between_nodes(arclength, nodes.cov, place)
+    return ShapeSpread(at.pose, at.strain, at.velocity, cov)
+
+
+def between_nodes(arclength: Array, cov: Array, place: Array) -> Array:
+    """Covariances of places (…) between those (N, d, d) of the nodes (N,), straight."""
     upper = np.clip(np.searchsorted(arclength, place), 1, arclength.size - 1)
     share = (place - arclength[upper - 1]) / (arclength[upper] - arclength[upper - 1])
-    share = share[..., None, None]
-    cov = (1.0 - share) * nodes.cov[upper - 1] + share * nodes.cov[upper]
-    return ShapeSpread(at.pose, at.strain, at.velocity, cov)
+    share = np.asarray(share)[..., None, None]
+    out: Array = (1.0 - share) * cov[upper - 1] + share * cov[upper]
+    return out
 
 
 def tip_spread(state: State, cov: Array) -> tuple[float, float]:

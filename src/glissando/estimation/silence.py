@@ -20,6 +20,11 @@ Spread = tuple[float, float]
 """RMS displacement (m) of the tip, and swing (rad) of its tangent."""
 
 
+def is_curved(spread: Spread) -> bool:
+    """Whether belief is too wide to be linear."""
+    return spread[1] > _CURVED
+
+
 class Silence:
     """When a reading was heard last, and what is known of the tip since.
 
@@ -61,7 +66,7 @@ class Silence:
 
     def note(self, spread: Spread) -> None:
         """Nothing was read, and this is what is known of the tip."""
-        self.curved = spread[1] > _CURVED
+        self.curved = is_curved(spread)
 
     @property
     def has_rest(self) -> bool:

@@ -87,12 +87,12 @@ class WindowSteps:
     def ahead(self, time: float) -> SlidingWindow:
         """The window, or where a time is ahead of it a copy with more nodes.
 
-        Those lie as they would if nothing were read until then; where a robot at rest is known as
-        well, the copy has one node, of that.
+        Those lie as they would if nothing were read until then, as far as where a robot at rest is
+        known as well: the copy has one node there, of that, which holds from then on.
         """
         window, nodes = self.window, self.window.nodes.time
         newest = float(nodes[-1])
-        if time <= newest:
+        if time <= newest or self.resting:
             return window
         window = window.copied()
         before = window.before if len(nodes) == 1 else nodes[-2]
@@ -101,12 +101,12 @@ class WindowSteps:
         time = max(time, newest + max(least, self._least))
         with one_thread():
             while newest < time:
-                newest = time if self.resting else self._silence.next_in_void(newest, time)
+                newest = self._silence.next_in_void(newest, time)
                 window.append(newest)
                 first = max(0, len(window.nodes) - 2)
                 window.solve(first, self.buffer.since(window.since(first)))
                 if newest < time and self._silence.is_at_rest(self._spread(window)):
-                    _begin_at_rest(window, time)
+                    _begin_at_rest(window, newest)
                     break
         return window
 
