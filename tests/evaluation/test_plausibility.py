@@ -137,6 +137,21 @@ def test_a_lag_is_measured(seed):
     told = float(finding.sentence.split("moves ")[1].split(" s ")[0])
     assert told == pytest.approx(abs(late), abs=0.06)
     assert ("later" if late > 0 else "earlier") in finding.sentence
+    assert (" subtract " if late > 0 else " add ") in finding.sentence
+
+
+@pytest.mark.parametrize(("shifts", "named"), [((-0.6, 0.6), False), ((0.6, 0.6), True)])
+def test_truth_is_of_one_late_clock_only_where_its_streams_agree(shifts, named):
+    """Segments that move out of phase once made "moves 0 s earlier; subtract 0 s"."""
+    tip, middle, _ = moving(np.random.default_rng(0))
+    truth = [
+        middle.changed(time=middle.time + shift, name=name)
+        for shift, name in zip(shifts, "ab", strict=True)
+    ]
+    said = found(load_robot("tdcr466"), [tip], truth)
+    assert ("lag" in said) == named
+    if named:
+        assert "The truth" in said["lag"].sentence
 
 
 @pytest.mark.parametrize("seed", range(6))
