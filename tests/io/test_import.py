@@ -107,6 +107,21 @@ def test_a_track_of_another_clock_than_its_path_is_said_to_be(tmp_path):
         write_recording([track("coil")], tmp_path / "out", choices)
 
 
+@pytest.mark.parametrize(("times", "path", "said"), [
+    (1e3, 1.0, "its times are probably in milliseconds; say so by clock=ms"),
+    (1.0, 1e3, "those of its path are probably in milliseconds; say so by clock=ms"),
+])  # fmt: skip
+def test_milliseconds_on_one_side_of_a_path_are_named(tmp_path, times, path, said):
+    """Once all but the first reading were left out, and what was left was written."""
+    time = np.arange(40) / 10
+    lines = [f"{path * t},{0.4 - 0.01 * t}" for t in time]
+    (tmp_path / "path.csv").write_text("\n".join(["time,arclength", *lines]))
+    coil = Track("coil", "pose", times * time, poses(np.random.default_rng(0), 40))
+    with pytest.raises(RecordingError, match=said):
+        write_recording([coil], tmp_path / "out", Choices({"coil": tmp_path / "path.csv"}))
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_folder_that_holds_something_is_left_alone(tmp_path, capsys):
     file = tracker_csv(tmp_path / "a.csv", {"tip": poses(np.random.default_rng(0), 3)})
     options = [file, "--rate", 100, "--arclength", "tip=0.1", "--out", tmp_path]

@@ -159,6 +159,13 @@ def test_titles_name_their_columns_however_they_are_written(tmp_path, text):
     np.testing.assert_array_equal(track.values, [[1.5, 2.0, 3.0]])
 
 
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "cp1252"])
+def test_titles_are_read_in_the_encodings_that_exports_have(tmp_path, encoding):
+    (tmp_path / "log.csv").write_bytes("Zeit;X µm;Y;Höhe\r\n0,5;1,5;2;3\r\n".encode(encoding))
+    (track,) = read_tracks(tmp_path / "log.csv", columns="time=Zeit,x=X µm,y=Y,z=Höhe")
+    np.testing.assert_array_equal(track.values, [[1.5, 2.0, 3.0]])
+
+
 def test_rows_that_share_a_time_are_counted_and_a_clock_too_coarse_is_refused(tmp_path):
     rows = ["t,x,y,z", "1,,,", "1,1,1,1", "1,1,1,1", "1,1,1,2", "2,1,1,2", "3,0,0,0", "3,1,1,3"]
     (tmp_path / "log.csv").write_text("\n".join(rows))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import stat
+from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from pathlib import Path
 
 from glissando.errors import GlissandoError
@@ -55,19 +56,27 @@ def require_plain(path: Path, most: int = _MOST) -> None:
         raise OSError(errno.EFBIG, f"it has {status.st_size:,} bytes, and {most:,} are read")
 
 
-def plain_text(path: Path, *, errors: str = "strict") -> str:
-    """The text of a plain file in UTF-8, without a byte order mark.
+def plain_text(path: Path, *, otherwise: str = "") -> str:
+    """The text of a plain file in UTF-8, or in UTF-16 where its mark says so.
 
     Args:
         path: The file.
-        errors: What becomes of other bytes, as `str.decode` has it.
+        otherwise: Encoding of text that is no UTF-8; bytes it does not know are replaced.
 
     Raises:
         OSError: It is no plain file, or cannot be read.
-        UnicodeDecodeError: It is no UTF-8.
+        UnicodeDecodeError: It is no UTF-8, and there is no other encoding.
     """
     require_plain(path)
-    return path.read_text(encoding="utf-8-sig", errors=errors)
+    content = path.read_bytes()
+    marked = content.startswith((BOM_UTF16_LE, BOM_UTF16_BE))
+    try:
+        text = content.decode("utf-16" if marked else "utf-8-sig")
+    except UnicodeDecodeError:
+        if not otherwise:
+            raise
+        text = content.decode(otherwise, errors="replace")
+    return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def file_stem(name: str, error: type[GlissandoError] = GlissandoError) -> str:

@@ -8,6 +8,7 @@ from itertools import count
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from glissando.errors import RecordingError
 from glissando.geometry.se3 import Array
@@ -20,6 +21,7 @@ from glissando.io.robot_file import load_robot
 from glissando.io.shipped_robots import robot_file, shipped_robots
 from glissando.model.robot import Robot
 
+_FEW = 0.1  # part of the rows, below which they hardly are on a path
 _KINDS = ("pose", "coil"), ("position",)
 
 
@@ -154,6 +156,7 @@ def _placed(track: Track, choices: Choices, start: float, robot: Robot | None) -
     at, arclength = read_path(place, choices.columns.get(place.name, ""))
     at = at - (start if _since_1970(at) else 0.0)
     inside = (time >= at[0]) & (time <= at[-1])
+    _require_one_clock(track.name, time, at, inside)
     reason = "outside its path"
     if time.size and not inside.any():
         reason = (
@@ -163,6 +166,24 @@ def _placed(track: Track, choices: Choices, start: float, robot: Robot | None) -
     dropped = {reason: int(np.sum(~inside))} if not inside.all() else {}
     where = np.interp(time[inside], at, arclength)
     return Rows(kind, time[inside], where, track.values[inside], dropped)
+
+
+def _require_one_clock(name: str, time: Array, path: Array, inside: NDArray[np.bool_]) -> None:
+    """Raise where times or path last a thousand times as long as the other, but begin together."""
+    spans = float(np.ptp(time)) if time.size else 0.0, float(np.ptp(path))
+    if not all(spans) or not inside.any():
+        return
+    what = ""
+    if inside.mean() < _FEW and 300.0 < spans[0] / spans[1] < 3000.0:
+        what = "its times"
+    elif 900.0 < spans[1] / spans[0] < 1100.0:
+        what = "those of its path"
+    if what:
+        raise RecordingError(
+            f"{name} was read from {time[0]:.6g} to {time[-1]:.6g} s, and its path goes from "
+            f"{path[0]:.6g} to {path[-1]:.6g} s: {what} are probably in milliseconds; say so by "
+            f"clock=ms among its --columns."
+        )
 
 
 def _since_1970(time: Array) -> bool:

@@ -60,13 +60,13 @@ def plain_name(text: str) -> str:
 
 
 def text_lines(path: Path) -> list[str]:
-    """Lines of a text file; bytes that are not UTF-8 are replaced.
+    """Lines of a text file in UTF-8, in UTF-16 with a mark, or as Windows in the West writes it.
 
     Raises:
         RecordingError: The file cannot be read.
     """
     try:
-        return plain_text(path, errors="replace").splitlines()
+        return plain_text(path, otherwise="cp1252").splitlines()
     except OSError as problem:
         raise RecordingError(f"{path} cannot be read ({problem.strerror}).") from None
 

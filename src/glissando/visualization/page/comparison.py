@@ -226,7 +226,7 @@ def _scenes(runs: Sequence[WrittenRun]) -> str:
     frames = []
     for run in runs:
         ready = run.folder / "view.html"
-        source = plain_text(ready, errors="replace") if ready.is_file() else _scene(run)
+        source = plain_text(ready, otherwise="utf-8") if ready.is_file() else _scene(run)
         if source:
             named = f'title="{escape(run.label)} over time"'
             # A script of a page that somebody else wrote reaches nothing beyond its frame.
