@@ -134,20 +134,18 @@ def test_what_a_journal_cannot_keep_is_a_sentence(tmp_path):
         Journal(tmp_path / "other")
 
 
-@pytest.fixture(scope="module")
-def recorded(tmp_path_factory):
-    """A recording folder with truth, and its robot."""
-    folder = tmp_path_factory.mktemp("recorded") / "arc"
-    _, _, readings = sliding_scene(duration=2.0)
-    base, coil, gyro = readings
+def record(folder, duration, silence=(0.0, 0.0)):
+    """A recording folder with truth, and its robot; its sensors say nothing during the silence."""
+    _, _, sensors = sliding_scene(duration=duration)
+    sensors = [r.select((r.time <= silence[0]) | (r.time >= silence[1])) for r in sensors]
     rng = np.random.default_rng(1)
-    time = np.arange(0.03, 2.0, 0.11)
+    time = np.arange(0.03, duration, 0.11)
     tip = some_readings(rng, "pose", len(time)).changed(
         time=time, arclength=np.full(len(time), LENGTH), values=arc(LENGTH, time),
         name="tip", mount=np.eye(4), cov=1e-8 * np.eye(6),
     )  # fmt: skip
     with Journal(folder, "arc") as journal:
-        for stream in (base, coil, gyro, tip):
+        for stream in (*sensors, tip):
             journal.write(stream)
     text = (folder / "recording.toml").read_text()
     text = text.replace('name = "tip"', 'name = "tip"\ntruth = true')
@@ -155,6 +153,24 @@ def recorded(tmp_path_factory):
     (folder / "recording.toml").write_text(text)
     (folder / "arc.toml").write_text(ROBOT)
     return load_recording(folder)
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    return record(tmp_path_factory.mktemp("recorded") / "arc", 2.0)
+
+
+@pytest.mark.slow
+def test_truth_of_a_silence_is_judged_as_well(tmp_path):
+    """By a robot at rest, which it is taken to be; it was left out, and errors looked small."""
+    recording = record(tmp_path / "arc", 12.0, silence=(1.0, 11.0))
+    found = replay(recording, recording.robot)
+    assert found.smoother.restarts
+    truth = recording.stream("tip").rows.time
+    np.testing.assert_array_equal(found.newest[0].time, truth[truth > found.time[0]])
+    silent = (found.newest[0].time > 5.0) & (found.newest[0].time < 10.0)
+    assert found.newest[0].position[silent].max() > 0.02
+    assert found.newest[0].nees_position[silent].max() < 16.0
 
 
 @pytest.mark.slow

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from glissando.errors import GlissandoError, ImplausibleError, RecordingError
 from glissando.estimation.channels import placed
@@ -319,11 +320,26 @@ class _Run:
 
     def _errors(self, estimate: StateSource, after: float, until: float) -> list[Errors]:
         """Errors in an interval, those of each truth stream."""
-        if isinstance(estimate, Posterior):  # after silence it begins later
-            after = max(after, np.nextafter(estimate.grid.time[0], -np.inf))
+        if isinstance(estimate, Posterior) and estimate.grid.time[0] > after:
+            if np.isfinite(after):
+                estimate = _AtRest(self.smoother)  # which a robot after silence is taken to be
+            else:
+                after = np.nextafter(estimate.grid.time[0], -np.inf)
         inside = [t.select((t.time > after) & (t.time <= until)) for t in self.truth]
         if isinstance(estimate, Posterior):
             inside = placed(inside, estimate)
         else:
             inside = [self.smoother.placed(t) for t in inside]
         return [errors_against(estimate, t) for t in inside]
+
+
+@dataclass(frozen=True)
+class _AtRest:
+    """The newest state for any time: a robot at rest is known as well before and after."""
+
+    smoother: FixedLagSmoother
+
+    def at(self, arclength: ArrayLike, time: ArrayLike) -> StateEstimate:
+        """State and covariance at arclengths (m), whatever the times (s)."""
+        when = np.full(np.broadcast(arclength, time).shape, self.smoother.time)
+        return self.smoother.at(arclength, when)
