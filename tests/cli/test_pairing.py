@@ -1,5 +1,7 @@
 """A posterior of another robot or time than the recording's is refused."""
 
+import shutil
+
 import numpy as np
 import pytest
 
@@ -56,6 +58,22 @@ def test_a_posterior_of_another_robot_or_time_is_refused(
     file = posterior_of(length, start, tmp_path / "posterior.nc")
     assert main(words.format(file=file, rec=recording).split()) == 2
     assert said in capsys.readouterr().err
+
+
+def test_a_posterior_is_compared_with_the_readings_that_it_is_of(recording, tmp_path, capsys):
+    """Another motion of the same robot at the same time was judged without a word."""
+    noisy, other, results = (tmp_path / name for name in ("noisy", "other", "results"))
+    for folder in (noisy, other):
+        shutil.copytree(recording, folder)
+        with (folder / "recording.toml").open("a") as text:
+            text.write("std = [1e-3, 0.01]\n")
+    rows = (other / "tip.csv").read_text().replace("0.7,0,0,0.7", "0.7,0,0.01,0.69")
+    (other / "tip.csv").write_text(rows)
+    assert main(f"estimate {noisy} --use tip --truth= --out {results}".split()) == 0
+    for folder, named in ((noisy, False), (other, True)):
+        main(f"check {results}/posterior.nc --recording {folder} --truth tip".split())
+        said = capsys.readouterr().err
+        assert ("was estimated from other readings" in said and "tip.csv differ" in said) == named
 
 
 def test_sensor_parameters_of_streams_that_the_recording_lacks_are_named(

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+
 from glissando.errors import GlissandoError
 from glissando.estimation.posterior import Posterior
+from glissando.io.plain_file import plain_text
+from glissando.io.provenance import digests
 from glissando.model.robot import Robot
 from glissando.model.seconds import seconds
 
@@ -35,3 +40,26 @@ def require_pair(
             f"The posterior runs from {seconds(time[0], time[-1])} s, {name} from "
             f"{seconds(*window)} s; give the recording that it was estimated from."
         )
+
+
+def other_readings(saved: Path, folder: Path) -> str:
+    """A sentence, if a recording's readings are not those that a posterior was estimated from.
+
+    Args:
+        saved: The posterior, the report of its estimate beside it or not.
+        folder: The recording.
+    """
+    try:
+        report = json.loads(plain_text(saved.with_name("report.json")))
+        known = {f"{name}.csv": report["inputs"][f"{name}.csv"] for name in report["readings"]}
+    except (OSError, ValueError, KeyError, TypeError):  # of before, or of others: nobody knows
+        return ""
+    present = digests(folder / name for name in known if (folder / name).is_file())
+    differ = [name for name, digest in present.items() if digest != known[name]]
+    if not differ and present:
+        return ""
+    why = f"{', '.join(differ)} differ" if differ else f"it has no {', '.join(known)}"
+    return (
+        f"{saved} was estimated from other readings than those of {folder} ({why}): what is "
+        f"compared may be two motions. Give the recording that it was estimated from."
+    )

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TypeAlias
 
 from glissando.cli.commands import COMMANDS
-from glissando.cli.pairing import require_pair
+from glissando.cli.pairing import other_readings, require_pair
 from glissando.cli.progress import Descent, working
 from glissando.cli.silent import refuse_silent
 from glissando.errors import (
@@ -228,6 +228,8 @@ def posterior_shown(options: argparse.Namespace) -> Shown:
         known = load_robot(options.robot) if options.robot else None
         return Shown(posterior, [], [], options.target.resolve().name, "", known)
     recording = load_recording(options.recording)
+    if others := other_readings(target, options.recording):
+        print(f"glissando: warning: {others}", file=sys.stderr)
     robot = chosen_robot(recording, options.robot)
     streams = streams_of(posterior, recording, robot, options)
     return Shown(posterior, *streams, recording.name, "", robot)
