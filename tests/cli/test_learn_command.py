@@ -217,7 +217,7 @@ def test_without_json_a_table_is_printed_that_names_the_numbers(
         (["--joint", "--calibrate", "--truth", "truth2"], "give one of them"),
         (["--only", "nonsense"], "--only 'nonsense' matches no number"),
         (["--only", "noise,nonsense"], "--only 'nonsense' matches no number"),
-        (["--steps", 0], "There is nothing to learn with --only"),
+        (["--steps", 0], "--steps is 0; give 1 or more"),
         (["--truth", "sonar"], "'sonar'"),
         (["--truth", "truth2", "--hold-out", "truth2"], "cannot be learned from and held out"),
         (["--use", "coil", "--truth", "coil"], "coil"),

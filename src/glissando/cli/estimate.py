@@ -142,10 +142,10 @@ def _warn_of_truth(run: Run) -> None:
 def _print(run: Run, console: Console) -> None:
     """Print a line on the solve, and a table with a row for each truth site and for all."""
     solve = run.posterior.solve
+    counted = "" if "iterations" in solve.status else f"{solve.iterations} iterations, "
     console.print(
         f"[bold]{escape(run.recording.name)}[/bold] on {escape(run.robot.name)}, "
-        f"{seconds(*run.window)} s: {solve.status}, "
-        f"{solve.iterations} iterations, {solve.unknowns:,} unknowns, "
+        f"{seconds(*run.window)} s: {solve.status}, {counted}{solve.unknowns:,} unknowns, "
         f"{sum(len(r) for r in run.readings):,} readings, {solve.seconds['total']:.2f} s of CPU"
     )
     for name, reasons in run.dropped.items():

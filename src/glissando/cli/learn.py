@@ -215,11 +215,12 @@ def _parameters(
                 f"--only {words!r} matches no number; the numbers are: "
                 f"{'; '.join(p.label for p in everything)}."
             )
-    if not chosen or _steps(options) < 1:
+    if _steps(options) < 1:
+        raise GlissandoError(f"--steps is {_steps(options)}; give 1 or more.")
+    if not chosen:
         raise GlissandoError(
-            f"There is nothing to learn with --only {','.join(options.only or [])} and "
-            f"--steps {_steps(options)}; the numbers are: "
-            f"{'; '.join(p.label for p in everything)}."
+            f"There is nothing to learn with --only {','.join(options.only or [])}; the numbers "
+            f"are: {'; '.join(p.label for p in everything)}."
         )
     return chosen
 

@@ -47,6 +47,7 @@ examples:
 exit status: 0 done; 2 something given was wrong.
 """
 
+_SAYS_NOTHING = 0.5  # bound of a rate of misses that says nothing
 _MOST = 1000  # time nodes of the estimator's window, as of `glissando live`
 
 
@@ -145,8 +146,12 @@ def _print(result: Replay, console: Console) -> None:
     for name, ahead in report["next_reading"].items():
         console.print(
             f"  next reading of {escape(name)}: {ahead['miss_rate']:.1%} outside its "
-            f"{ahead['level']:.0%} set, by construction {1 - ahead['level']:.0%} "
-            f"± {ahead['bound']:.1%}"
+            f"{ahead['level']:.0%} set, "
+            + (
+                f"by construction {1 - ahead['level']:.0%} ± {ahead['bound']:.1%}"
+                if ahead["bound"] < _SAYS_NOTHING
+                else "too few readings for a promise"
+            )
         )
     if report["newest"] is None:
         console.print("No truth streams: nothing to compare with. Name some with --truth.")

@@ -58,8 +58,10 @@ def add_to(commands: Commands) -> None:
 
 def _robot(options: argparse.Namespace) -> int:
     out: Path = options.out
-    if out.exists() or not out.absolute().parent.is_dir():
-        raise GlissandoError(f"--out {out} is there already, or in no folder; give a new file.")
+    if out.exists():
+        raise GlissandoError(f"--out {out} is there already; give a new file.")
+    if not out.absolute().parent.is_dir():
+        raise GlissandoError(f"--out {out} is in no folder; make {out.absolute().parent} first.")
     answers = {key: getattr(options, key) for key in _ASKED}
     missing = [key for key, value in answers.items() if value is None]
     if missing and not sys.stdin.isatty():

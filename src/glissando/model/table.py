@@ -71,6 +71,7 @@ class Table:
 
     def peek(self, key: str) -> Any:
         """The raw value of a key, which stays to be asked for."""
+        self._known.append(key)
         return self._left.get(key)
 
     def skip(self, key: str) -> None:

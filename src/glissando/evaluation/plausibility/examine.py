@@ -226,7 +226,7 @@ def _swelling(posterior: Posterior) -> Iterator[Finding]:
         f"Confidence swells between time nodes: at {1e3 * arclength[n]:.4g} mm the standard "
         f"deviation of position is {1e3 * max(before[k, n], after[k, n]):.3g} mm at a node and "
         f"{1e3 * between[k, n]:.3g} mm half a step later, at {middle[k]:.4g} s. The nodes are too "
-        f"far apart for this prior; set time_rate = {float(f'{enough:.2g}'):g} in [grid] (it is "
-        f"{rate:.3g}).",
+        f"far apart for this prior; set time_rate = {float(f'{enough:.2g}'):g} in [grid] (here "
+        f"are {rate:.3g} a second).",
         False,
     )
