@@ -204,8 +204,9 @@ position = [0, 0, 0]
 quaternion = [1, 0, 0, 0]
 var_pose = [{off}, 4e-4]
 time_scale = {clamped}            # s: what is off stays off
-# A segment bends by {bend:.0f} degrees at most, taken as two standard deviations; what is mounted
-# on the body slips, or the body stretches, by {stretch:.3g} % of its length.
+# The first segment bends by {bend:.0f} degrees at most, taken as two standard deviations, and
+# each further one may bend by as much more or less than the one before it; what is mounted on the
+# body slips, or the body stretches, by {stretch:.3g} % of its length.
 var_strain = {strain}
 
 [prior]
