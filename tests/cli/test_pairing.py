@@ -96,3 +96,12 @@ def test_a_robot_of_another_length_than_the_recordings_own_is_said_to_be(recordi
     chosen_robot(load_recording(recording), "tdcr466")
     said = "tdcr466 is 0.466 m long, the robot that rec names 0.7 m."
     assert said in capsys.readouterr().err
+
+
+def test_repeats_that_leave_no_time_are_counted(recording, tmp_path, capsys):
+    still = tmp_path / "still"
+    shutil.copytree(recording, still)
+    text = (still / "recording.toml").read_text().replace("keep_repeats = true\ntruth = true\n", "")
+    (still / "recording.toml").write_text(text)
+    assert main(["estimate", str(still)]) == 2
+    assert "no length (10 rows of tip repeat the one before; keep" in capsys.readouterr().err

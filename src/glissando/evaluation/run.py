@@ -128,10 +128,18 @@ def checked_window(recording: Recording, window: tuple[float, float] | None) -> 
     if not (np.isfinite(first) and np.isfinite(last)):
         raise RecordingError(f"The window {first:g} to {last:g} s is not finite; give seconds.")
     if not first < last:
-        given = window or recording.window
-        advice = "give T0 < T1" if given else "the recording has no length, give --window T0 T1"
+        advice = "give T0 < T1"
+        if not (window or recording.window):
+            advice = f"the recording has no length{_repeats(recording)}, give --window T0 T1"
         raise RecordingError(f"The window {seconds(first, last, decimals=6)} s is empty; {advice}.")
     return first, last
+
+
+def _repeats(recording: Recording) -> str:
+    """What to say of rows that were left out as repeats."""
+    counts = {name: s.rows.dropped.get("repeated", 0) for name, s in recording.streams.items()}
+    said = ", ".join(f"{n} rows of {name}" for name, n in counts.items() if n)
+    return f" ({said} repeat the one before; keep_repeats = true keeps them)" if said else ""
 
 
 def chosen_streams(
