@@ -2,6 +2,7 @@
 
 import tomllib
 import warnings
+from dataclasses import dataclass
 from functools import partial
 from types import SimpleNamespace
 
@@ -191,10 +192,19 @@ def test_a_rod_bent_by_loads_is_found_where_a_search_from_rest_goes_astray(draw)
     assert gap @ np.linalg.solve(middle.cov_position_world, gap) < 25.0
 
 
-def scripted(cost, outcome):
+@dataclass(frozen=True)
+class Scripted:
     """An end of an iteration, of which only the cost and how it ended count."""
-    located = SimpleNamespace(parameters=SimpleNamespace(by_name=list))
-    return SimpleNamespace(state=None, located=located, cost=cost, outcome=outcome, first_step=0.0)
+
+    cost: float
+    outcome: Outcome
+    iterations: int = 7
+    first_step: float = 0.0
+    state: None = None
+
+    @property
+    def located(self):
+        return SimpleNamespace(parameters=SimpleNamespace(by_name=list))
 
 
 @pytest.mark.parametrize(
@@ -211,11 +221,15 @@ def test_a_shape_whose_cost_is_plausible_is_kept_though_a_wrong_one_converges(
 ):
     """As on rods whose strain may jump, where weights go to and fro with the shape."""
     monkeypatch.setattr(several_starts, "is_implausible", lambda prior, end, _=0: end.cost > 20.0)
-    grid, ends = Grid([0.0, LENGTH], [0.0]), [scripted(*first)]
+    grid, ends = Grid([0.0, LENGTH], [0.0]), [Scripted(*first)]
+
+    tries = []
 
     def solve(initial, options=None):
-        return ends.pop() if ends else scripted(*other)
+        tries.append(initial)
+        return ends.pop() if ends else Scripted(*other)
 
     sought = several_starts.Sought(robot(np.pi).prior, grid, [], SolverOptions(), None)
     end = several_starts.best_end(sought, (None, []), solve)
     assert end.cost == kept
+    assert end.iterations == 7 * len(tries)
