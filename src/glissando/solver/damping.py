@@ -22,8 +22,8 @@ _MOST_RESCUES = 5  # times that they do; then it says what it lacks
 
 _NO_DIGITS = (
     "The prior determines every number, but its variances lie so many decades apart that rounding "
-    "leaves no digits of some: make those of strains that hardly change larger, or take fewer "
-    "arclength nodes."
+    "leaves no digits of some: make those of strains that hardly change larger, take fewer "
+    "arclength nodes, or a window that lasts longer than a millisecond or two."
 )
 
 
