@@ -16,6 +16,7 @@ from glissando import (
     SolverOptions,
     estimate,
     estimate_static,
+    load_recording,
     load_robot,
     uniform_grid,
 )
@@ -35,6 +36,9 @@ def test_an_argument_of_another_kind_is_one_sentence():
     posterior = Posterior(*[None] * 8)
     smoother = FixedLagSmoother(prior, nodes)
     for call, said in (
+        (lambda: load_robot(3), "load_robot was given 3; give a robot's name"),
+        (lambda: load_recording(None), "load_recording was given None; give a recording's folder"),
+        (lambda: robot.grid("0", 1), "A grid goes from '0' to 1 s; give two numbers"),
         (lambda: estimate(robot, grid, readings), "prior is a Robot; give robot.prior"),
         (lambda: estimate(prior, nodes, readings), r"grid is a ndarray; give robot.grid\("),
         (

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,8 @@ def load_recording(folder: str | Path) -> Recording:
     Raises:
         RecordingError: Something is wrong in it, with the file, the line and what to do.
     """
+    if not isinstance(folder, str | PathLike):
+        raise RecordingError(f"load_recording was given {folder!r}; give a recording's folder.")
     folder = Path(folder)
     if folder.suffix == ".mcap" and folder.is_file():
         return _of_log(folder)

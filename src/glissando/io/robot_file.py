@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import warnings
 from dataclasses import replace
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +61,8 @@ def load_robot(name: str | Path) -> Robot:
     >>> load_robot("tdcr466").length
     0.466
     """
+    if not isinstance(name, str | PathLike):
+        raise RobotFileError(f"load_robot was given {name!r}; give a robot's name or its file.")
     path = robot_file(name)
     robot = parse_robot(Table(read_robot_document(path), path.name, RobotFileError))
     return replace(robot, file=path)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from glissando.errors import OutsideGridError
 from glissando.geometry.se3 import Array
 from glissando.model.brief import Brief
 from glissando.model.grid import Grid
@@ -19,6 +20,7 @@ from glissando.model.seconds import seconds
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import DOF
+from glissando.model.stated import is_number
 from glissando.model.tendons.tendons import Tendons
 from glissando.model.tube import Tube
 
@@ -77,8 +79,11 @@ class Robot(Brief):
             readings: What will be estimated from, for a robot of which `nodes_at_readings`.
 
         Raises:
-            OutsideGridError: An estimate would need more memory than the machine can give.
+            OutsideGridError: Times are no numbers, or an estimate would need more memory than the
+                machine can give.
         """
+        if not (is_number(start) and is_number(stop)):
+            raise OutsideGridError(f"A grid goes from {start!r} to {stop!r} s; give two numbers.")
         wanted = max(2.0, float(np.round((stop - start) * self.time_rate)) + 1.0)
         self._require_memory(wanted, start, stop, f"at {self.time_rate:g} nodes a second")
         grid = Grid(self.arclength_nodes, np.linspace(start, stop, int(wanted)))
