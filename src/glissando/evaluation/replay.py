@@ -320,11 +320,11 @@ class _Run:
 
     def _errors(self, estimate: StateSource, after: float, until: float) -> list[Errors]:
         """Errors in an interval, those of each truth stream."""
-        if isinstance(estimate, Posterior) and estimate.grid.time[0] > after:
-            if np.isfinite(after):
-                estimate = _AtRest(self.smoother)  # which a robot after silence is taken to be
+        if isinstance(estimate, Posterior) and (begins := float(estimate.grid.time[0])) > after:
+            if np.isfinite(after):  # it began again after silence
+                estimate = _HeldBefore(self.smoother, begins)
             else:
-                after = np.nextafter(estimate.grid.time[0], -np.inf)
+                after = np.nextafter(begins, -np.inf)
         inside = [t.select((t.time > after) & (t.time <= until)) for t in self.truth]
         if isinstance(estimate, Posterior):
             inside = placed(inside, estimate)
@@ -334,12 +334,12 @@ class _Run:
 
 
 @dataclass(frozen=True)
-class _AtRest:
-    """The newest state for any time: a robot at rest is known as well before and after."""
+class _HeldBefore:
+    """A window that began again at rest: before, the robot is taken to be as it began."""
 
     smoother: FixedLagSmoother
+    begins: float
 
     def at(self, arclength: ArrayLike, time: ArrayLike) -> StateEstimate:
-        """State and covariance at arclengths (m), whatever the times (s)."""
-        when = np.full(np.broadcast(arclength, time).shape, self.smoother.time)
-        return self.smoother.at(arclength, when)
+        """State and covariance at arclengths (m) and times (s), those before its first node."""
+        return self.smoother.at(arclength, np.maximum(time, self.begins))
