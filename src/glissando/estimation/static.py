@@ -100,7 +100,7 @@ def estimate_static(
     outcomes = _complete(prior, grid, given, options, left, state, cov, cross)
     if isinstance(prior, MechanicalPrior):
         with one_thread():
-            cov, cross = _with_curvature(prior, located, state, cov)  # (31)
+            cov, cross = _with_curvature(prior, located, state, cov, cross)  # (31)
     return StaticPosterior(prior, grid, state, cov, cross, outcomes)
 
 
@@ -200,11 +200,18 @@ def _node_blocks(one: Posterior) -> tuple[Array, Array]:
 
 
 def _with_curvature(
-    prior: Prior, located: LocatedReadings, state: State, cov: Array
+    prior: Prior, located: LocatedReadings, state: State, cov: Array, cross: Array
 ) -> tuple[Array, Array]:
-    """Covariances as `node_covariances` gives, of the whole Hessian at a state with those found."""
+    """Covariances as `node_covariances` gives, of the whole Hessian at a state with those found.
+
+    A shape whose Hessian is singular by rounding keeps its own: damped they would be too small.
+    """
     here = linearize_static(prior, located, state)
     step = here.cholesky.solve(here.rhs.reshape(-1, STATIC_DOF)).reshape(here.rhs.shape)
     std = np.sqrt(np.einsum("snii->sni", cov))
     added = curvature(lambda at: static_factors(prior, located, at), state, step, std)
-    return node_covariances(replace(here, system=with_curvature(here, added)), state)
+    whole = replace(here, system=with_curvature(here, added))
+    damped, found = whole.damped, node_covariances(whole, state)
+    for mine, before in zip(found, (cov, cross), strict=True):
+        mine[damped] = before[damped]
+    return found

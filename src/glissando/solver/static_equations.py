@@ -76,9 +76,8 @@ class StaticEquations:
         with suppress(UnobservableError):
             return factor(self.system), np.zeros(len(self.rhs), dtype=bool)
         added = self._damping()
-        return factor(self.system.add_to_diagonal(added)), np.any(added, axis=-1).reshape(
-            self.rhs.shape[:2]
-        ).any(axis=1)
+        damped: NDArray[np.bool_] = np.any(added.reshape(len(self.rhs), -1), axis=1)
+        return factor(self.system.add_to_diagonal(added)), damped
 
     def _damping(self) -> Array:
         """What has to be added to the diagonal (S · N, 12); nothing where shapes have factors."""
