@@ -16,7 +16,8 @@ from glissando.solver.step_search import WORTHWHILE
 
 RESCUES = (1e-11, 1e-9, 1e-7)
 """Dampings, in parts of the diagonal, that give a system far from its end its digits back."""
-_LEAST, _MOST = 1e-4, 1e8  # smallest damping worth applying, and the one at which to give up
+_FIRST, _MOST = 1e-4, 1e8  # damping after a whole step is refused; the one at which to give up
+_FINER, _FINEST = 0.01, 1e-12  # what that first damping shrinks by when it helps; its least
 _MOST_RESCUES = 5  # times that they do; then it says what it lacks
 
 
@@ -69,7 +70,8 @@ class Damping:
     """
 
     def __init__(self, *, determined: bool) -> None:
-        self._value, self._rescues = 0.0, _MOST_RESCUES if determined else 0
+        self._value, self._first = 0.0, _FIRST
+        self._rescues = _MOST_RESCUES if determined else 0
 
     @property
     def in_vain(self) -> bool:
@@ -107,14 +109,21 @@ class Damping:
     def adapt(self, gain: float) -> None:
         """Damp less after a step that kept its promise, more after one that did not.
 
-        Shrinking in proportion to how well the promise was kept avoids refusing every other step.
-        Source: Nielsen, 1999.
+        Shrinking in proportion to how well the promise was kept avoids refusing every other step
+        (Nielsen, 1999). In a long valley whole steps are refused again and again, and a step that
+        is damped at all may be a thousand times too short: each time that the first damping helps,
+        the next one begins smaller, and damping falls as far before a whole step is tried.
 
         Args:
             gain: The part of the promised fall that came true, NaN included.
         """
+        at_first = self._value == self._first
         if not gain > WORTHWHILE:
-            self._value = max(_LEAST, 4.0 * self._value)
+            if at_first:
+                self._first = min(_FIRST, self._first / _FINER)
+            self._value = max(self._first, 4.0 * self._value)
             return
+        if at_first:
+            self._first = max(_FINEST, self._first * _FINER)
         shrunk = self._value * max(0.2, 1.0 - (2.0 * min(gain, 1.0) - 1.0) ** 3)
-        self._value = 0.0 if shrunk < _LEAST else shrunk
+        self._value = 0.0 if shrunk < self._first else shrunk
