@@ -67,8 +67,8 @@ def test_coverage_bounds_hold_honest_coverage():
 def test_sites_are_judged_alone_and_together_and_what_is_missing_is_left_out():
     nan = np.full(50, np.nan)
     nees = series(np.random.default_rng(3), 50, 0.0)
-    seen = Errors("pose", np.full(50, 0.1), nees, nees, nees, nees)
-    point = Errors("point", np.full(50, 0.2), nees, nan, nees, nan)
+    seen = Errors("pose", np.full(50, 0.1), nees, nees, nees, nees, nees)
+    point = Errors("point", np.full(50, 0.2), nees, nan, nees, nan, nan)
     found = [(c.site, c.quantity) for c in check([seen, point])]
     assert found == [
         ("pose", "position"), ("point", "position"), ("all", "position"), ("pose", "rotation")

@@ -14,15 +14,54 @@ from glissando.evaluation.conformal import (
     conformal_tube,
     inside_tube,
 )
-from glissando.evaluation.metrics import Errors
+from glissando.estimation.state_estimate import StateEstimate
+from glissando.evaluation.metrics import Errors, errors_against
 from glissando.io.robot_file import load_robot, with_tube
 from glissando.io.shipped_robots import robot_file
+from glissando.model.sensors.sensors import PositionReadings
 from glissando.model.tube import Tube
 
 
-def errors_of(name, time, nees):
+def errors_of(name, time, sigmas):
     blank = np.zeros(time.size)
-    return Errors(name, blank, blank, blank, nees, blank, 3, time)
+    return Errors(name, blank, blank, blank, blank, blank, sigmas, 3, time)
+
+
+class _Straight:
+    """An estimate of a straight robot, as unsure in every direction of position."""
+
+    def __init__(self, std):
+        self._std = std
+
+    def at(self, arclength, time):
+        cov = np.zeros((time.size, 18, 18))
+        cov[:, range(3), range(3)] = self._std**2
+        still = np.zeros((time.size, 6))
+        return StateEstimate(np.tile(np.eye(4), (time.size, 1, 1)), still, still, cov)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1.0, 3.0])  # of truth, in deviations of the estimate
+def test_noise_of_truth_widens_a_tube_that_holds_the_body_itself(noise):
+    rng, std, blocks = np.random.default_rng(8), 1e-3, 60
+    time, inside = 0.1 * np.arange(10 * blocks), []
+    for _ in range(40):
+        scores = []
+        for _ in range(2):
+            off = 3.0 * std * rng.standard_normal((time.size, 3))
+            seen = off + noise * std * rng.standard_normal(off.shape)
+            truth = PositionReadings(
+                time=time,
+                arclength=np.full(time.size, 0.1),
+                values=seen,
+                cov=(noise * std) ** 2 + 1e-14,
+                name="truth",
+            )
+            errors = errors_against(_Straight(std), truth)
+            scores.append(block_scores([errors], 1.0))
+        tube = conformal_tube(scores[0], 1.0, 0.9)
+        of_body = np.linalg.norm(off, axis=1).reshape(blocks, 10).max(axis=1) / std
+        inside.append(inside_tube(tube, of_body))
+    assert np.mean(inside) > 0.9 - 4.0 * np.std(inside) / np.sqrt(len(inside))
 
 
 @pytest.mark.parametrize("shape", [0.3, 1.0, 8.0])  # of tails, from light to very heavy
@@ -58,14 +97,11 @@ def test_a_block_scores_its_worst_sample_of_all_sites(rng, seconds):
     errors = []
     for site in "ab":
         time = np.sort(np.round(rng.uniform(5.0, 12.0, 30), 1))
-        nees = rng.chisquare(3, time.size)
-        nees[rng.random(time.size) < 0.1] = np.nan
-        errors.append(errors_of(site, time, nees))
+        sigmas = rng.chisquare(3, time.size)
+        sigmas[rng.random(time.size) < 0.1] = np.nan
+        errors.append(errors_of(site, time, sigmas))
     pairs = [
-        (t, n)
-        for e in errors
-        for t, n in zip(e.time, e.nees_position, strict=True)
-        if not np.isnan(n)
+        (t, n) for e in errors for t, n in zip(e.time, e.sigmas, strict=True) if not np.isnan(n)
     ]
     first = min(t for t, _ in pairs)
     worst = {}
@@ -78,7 +114,7 @@ def test_a_block_scores_its_worst_sample_of_all_sites(rng, seconds):
         worst = {
             b: n for b, n in worst.items() if first + (b + 1) * seconds <= end + 1e-6 * seconds
         }
-    expected = np.sqrt([worst[block] for block in sorted(worst)])
+    expected = [worst[block] for block in sorted(worst)]
     assert np.allclose(block_scores(errors, seconds), expected)
 
 

@@ -32,7 +32,9 @@ def require_tube(seconds: float, level: float = 0.95) -> None:
 
 
 def block_scores(errors: Sequence[Errors], seconds: float) -> Array:
-    """Largest normalised position error (B,) of each block of time, over all samples and sites.
+    """Largest position error (B,) of each block of time, over all samples and sites.
+
+    Errors are in standard deviations of the estimate alone, as the tube that holds them is drawn.
 
     Args:
         errors: Errors of each site.
@@ -44,8 +46,8 @@ def block_scores(errors: Sequence[Errors], seconds: float) -> Array:
     """
     require_tube(seconds)
     time = np.concatenate([np.zeros(0), *(e.time for e in errors)])
-    squared = np.concatenate([np.zeros(0), *(e.nees_position for e in errors)])
-    time, squared = time[~np.isnan(squared)], squared[~np.isnan(squared)]
+    score = np.concatenate([np.zeros(0), *(e.sigmas for e in errors)])
+    time, score = time[~np.isnan(score)], score[~np.isnan(score)]
     if not time.size:
         return np.zeros(0)
     block = np.floor((time - time.min()) / seconds) if seconds else time
@@ -53,13 +55,13 @@ def block_scores(errors: Sequence[Errors], seconds: float) -> Array:
         every = np.unique(time)
         end = every[-1] + (float(np.median(np.diff(every))) if every.size > 1 else 0.0)
         whole = block < np.floor((end - every[0]) / seconds + _ROUNDING)
-        block, squared = block[whole], squared[whole]
+        block, score = block[whole], score[whole]
         if not block.size:
             return np.zeros(0)
     _, which = np.unique(block, return_inverse=True)
     largest = np.zeros(which.max() + 1)
-    np.maximum.at(largest, which, squared)
-    return np.sqrt(largest)
+    np.maximum.at(largest, which, score)
+    return largest
 
 
 def conformal_tube(scores: Array, seconds: float, level: float = 0.95) -> Tube:

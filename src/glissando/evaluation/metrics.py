@@ -26,6 +26,7 @@ from glissando.model.sensors.sensors import (
 from glissando.model.state import State
 
 _LEAST_SHARE = 1e-5  # of a reading's variance that the rest of an estimate leaves
+_LEAST_VARIANCE = 1e-18  # m², of an estimate that states none
 _TRUTH = (PoseReadings, CoilReadings, PositionReadings, OrientationReadings)
 
 
@@ -40,6 +41,8 @@ class Errors(Brief):
         rotation: Angle (M,), rad.
         nees_position: Squared position errors (M,) in units of their covariance, 3 dof.
         nees_rotation: Squared rotation errors (M,) in units of their covariance.
+        sigmas: Position errors (M,) in standard deviations of the estimate alone, as tubes are
+            drawn; the noise of truth makes them larger.
         dof_rotation: Degrees of freedom of the latter: 3, or 2 for a coil, which shows no roll.
         time: Times (M,), s.
     """
@@ -50,6 +53,7 @@ class Errors(Brief):
     rotation: Array
     nees_position: Array
     nees_rotation: Array
+    sigmas: Array
     dof_rotation: int = 3
     time: Array = field(default_factory=lambda: np.zeros(0))
 
@@ -109,7 +113,7 @@ def errors_against(estimate: StateSource, truth: Readings) -> Errors:
     truth = truth.select(np.argsort(truth.time, kind="stable"))
     body = estimate.at(truth.arclength, truth.time)
     at = body.pose @ truth.mount
-    position, nees_position, rotation, nees_rotation = np.full((4, len(truth)), np.nan)
+    position, nees_position, sigmas, rotation, nees_rotation = np.full((5, len(truth)), np.nan)
     dof = 2 if isinstance(truth, CoilReadings) else 3
     if not isinstance(truth, OrientationReadings):
         where = truth.values[:, :3, 3] if truth.values.ndim == 3 else truth.values
@@ -117,15 +121,16 @@ def errors_against(estimate: StateSource, truth: Readings) -> Errors:
         own = truth.cov[..., :3, :3]
         if isinstance(truth, PositionReadings):  # stated in the world frame
             own = np.swapaxes(at[:, :3, :3], -1, -2) @ own @ at[:, :3, :3]
-        cov = body.position_covariance(truth.mount) + own
-        position, nees_position = np.linalg.norm(error, axis=1), _squared(error, cov)
+        cov = body.position_covariance(truth.mount)
+        position, nees_position = np.linalg.norm(error, axis=1), _squared(error, cov + own)
+        sigmas = np.sqrt(_squared(error, cov + _LEAST_VARIANCE * np.eye(3)))
     if truth.values.ndim == 3:
         error = _rotation_error(at[:, :3, :3], truth)
         own = truth.cov[..., -dof:, -dof:]
         turn = np.swapaxes(truth.mount[..., :3, :3], -1, -2)[..., :dof, :]
         cov = turn @ body.cov[:, 3:6, 3:6] @ np.swapaxes(turn, -1, -2) + own
         rotation, nees_rotation = np.linalg.norm(error, axis=1), _squared(error, cov)
-    numbers = position, rotation, nees_position, nees_rotation
+    numbers = position, rotation, nees_position, nees_rotation, sigmas
     return Errors(truth.label, truth.arclength, *numbers, dof, truth.time)
 
 
