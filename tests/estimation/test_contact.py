@@ -132,6 +132,10 @@ def test_online_a_touch_is_seen_while_it_lasts():
         said.append(smoother.contacts(std_force=STD, false_alarms=1e-3).detected)
     assert not any(said[:4])
     assert all(said[5:])
+    for time in np.arange(0.8, 3.0, 0.2):  # nothing is read any more
+        smoother.advance(time)
+        scan = smoother.contacts(std_force=STD, false_alarms=1e-3)
+        assert not scan.detected and np.all(scan.force == 0.0)
 
 
 def test_times_at_which_nothing_was_read_say_nothing_of_a_touch():

@@ -8,13 +8,13 @@ from scipy.stats import beta
 
 from draws import generators, law
 from glissando.errors import GlissandoError, RobotFileError
+from glissando.estimation.state_estimate import StateEstimate
 from glissando.evaluation.conformal import (
     AdaptiveSet,
     block_scores,
     conformal_tube,
     inside_tube,
 )
-from glissando.estimation.state_estimate import StateEstimate
 from glissando.evaluation.metrics import Errors, errors_against
 from glissando.io.robot_file import load_robot, with_tube
 from glissando.io.shipped_robots import robot_file

@@ -156,7 +156,8 @@ class FixedLagSmoother:
     ) -> ContactScan:
         """A scan of the newest state for something that touches, see `scan_contacts`.
 
-        It is best asked after every update, as it remembers by how much shapes before differed.
+        It is best asked after every update, as it remembers by how much shapes before differed. A
+        state whose last interval has no readings says nothing of what touches.
         """
         self._require_started()
         prior, nodes = require_mechanics(self.prior), self._window.nodes
@@ -164,6 +165,7 @@ class FixedLagSmoother:
         errors = error_priors(prior, Grid(self.arclength, nodes.time), nodes.state, self._errors)
         self._errors, newest = errors[0], (errors[-1], nodes.state.take(-1), cov, step)
         evidence = force_evidence(prior, self.arclength, *newest)
+        evidence = evidence if self._steps.read else evidence.of_nothing()
         variance = force_variance(prior, self.arclength, std_force)
         return scan_of(evidence, errors[-1].time, variance, false_alarms)
 

@@ -66,6 +66,7 @@ class SlidingWindow:
         self._grid = Grid(arclength, [0.0])
         self._process = EstimatedParameters(self._grid, self.sensor_parameters)
         self._parameters = self._process.mean, np.diag(self._process.std**2)
+        self._settled = 0.0, *self._parameters
         self._root = np.zeros((0, 0))  # its square is the covariance of the newest step
         self._terms: list[LinearizedReadings] = []
         self._rng: np.random.Generator | None = None  # of noise, where it is asked for
@@ -80,8 +81,7 @@ class SlidingWindow:
 
     def begin(self, time: float, state: State) -> None:
         """Start with one node, linearised at `state` (N,); of before, keep sensor parameters."""
-        self._carry(time)
-        values, cov = self._parameters
+        values, cov = self._parameters = self._carried(time)
         self.before = None
         self.nodes = self._node(time, state, values)
         self.layout = Layout(self.arclength.size, state.dof, self._process.size)
@@ -96,17 +96,21 @@ class SlidingWindow:
         self._noise = np.zeros((1, size))
         self._root = np.zeros((0, 0))
 
-    def _carry(self, time: float) -> None:
-        """Predict the sensor parameters from the newest node to a time."""
-        process, parameters = self._process, self._parameters
-        if self._root.size:
+    def settle(self) -> None:
+        """Note what is known of the sensor parameters, to go on with where a window begins anew."""
+        if self._process.size:
             own = self._root[:, self.nodes.state.numbers :]
-            values = self.nodes.newest[1]
-            fade = np.exp((float(self.nodes.time[-1]) - time) / process.memory)
-            cov = fade[:, None] * (own.T @ own) * fade
-            cov += np.diag(process.std**2 * (1.0 - fade**2))
-            parameters = process.mean + fade * (values - process.mean), cov
-        self._parameters = parameters
+            self._settled = float(self.nodes.time[-1]), self.nodes.newest[1], own.T @ own
+
+    def _carried(self, time: float) -> tuple[Array, Array]:
+        """The sensor parameters and their covariance at a time, by what was known when settled.
+
+        They are stationary, so that they fade alike to times before and after.
+        """
+        process, (settled, values, cov) = self._process, self._settled
+        fade = np.exp(-abs(time - settled) / process.memory)
+        faded = fade[:, None] * cov * fade + np.diag(process.std**2 * (1.0 - fade**2))
+        return process.mean + fade * (values - process.mean), faded
 
     def believed_parameters(self) -> list[SensorParameter]:
         """The sensor parameters as they were known when the first node began."""

@@ -149,6 +149,7 @@ class WindowSteps:
                     if not self._started:
                         raise error
                     self._restart(min(earliest, newest - self._silence.step), fresh)
+            self.window.settle()
             if fresh.total():
                 self._silence.end(before, newest)
             elif self._started:
@@ -196,6 +197,13 @@ class WindowSteps:
     def resting(self) -> bool:
         """Whether nothing is known but the prior."""
         return not self._started and self._silence.has_rest
+
+    @property
+    def read(self) -> bool:
+        """Whether readings lie in the last interval."""
+        window = self.window
+        held = self.buffer.since(window.since(len(window.nodes) - 1))
+        return bool(held.streams or held.which.size)
 
     def _note_silence(self, newest: float) -> None:
         """Begin again where the newest state is no better known than that of a robot at rest."""
