@@ -135,7 +135,8 @@ def test_online_a_touch_is_seen_while_it_lasts():
     for time in np.arange(0.8, 3.0, 0.2):  # nothing is read any more
         smoother.advance(time)
         scan = smoother.contacts(std_force=STD, false_alarms=1e-3)
-        assert not scan.detected and np.all(scan.force == 0.0)
+        assert not scan.detected
+        assert np.all(scan.force == 0.0)
 
 
 def test_times_at_which_nothing_was_read_say_nothing_of_a_touch():
