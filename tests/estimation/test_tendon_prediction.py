@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from glissando.errors import FalseConfidenceWarning, GlissandoError
-from glissando.estimation.tendon_prediction import predict
+from glissando.estimation.tendon_prediction import predict, predict_tip
 from glissando.geometry import se3
 from tendon_robot import LENGTH, tendon_robot
 
@@ -44,6 +44,20 @@ def test_a_base_that_may_stand_elsewhere_moves_all_that_is_foretold():
     back = se3.adjoint(se3.inverse(sure.pose) @ robot.prior.base_pose)
     added = back @ np.diag(var) @ np.swapaxes(back, -1, -2)
     np.testing.assert_allclose((unsure.cov - sure.cov)[..., :6, :6], added, atol=1e-10)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_marker_is_foretold_as_surely_as_its_place_on_the_body(seed):
+    robot = tendon_robot(psd_moment=1e-7, std=3e-4)
+    robot = replace(robot, sensor_std={**robot.sensor_std, "position": np.full(3, 1e-4)})
+    mount, frame = (se3.exp(robot.stated_transform(kind, "tip")) for kind in ("mount", "frame"))
+    for pulled in (commands(seed), np.zeros((1, 6))):  # bent, and straight, where (34) counts most
+        body = predict(robot, TIME, pulled, np.array([LENGTH]))
+        place, cov = predict_tip(robot, pulled, "tip")
+        at = se3.inverse(frame) @ body.pose[0, -1] @ mount
+        own = at[:3, :3] @ body.position_covariance(mount)[0, -1] @ at[:3, :3].T
+        np.testing.assert_allclose(place[0], at[:3, 3], atol=1e-12)
+        np.testing.assert_allclose(cov[0], own + 1e-8 * np.eye(3), rtol=1e-6, atol=1e-14)
 
 
 @pytest.mark.slow

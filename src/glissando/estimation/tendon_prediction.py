@@ -107,13 +107,12 @@ def predict_tip(robot: Robot, displacement: Array, stream: str) -> tuple[Array, 
     shape = equilibrium(rod, displacement=rod.tendons.effective(displacement))
     mount = se3.exp(robot.stated_transform("mount", stream))
     frame = se3.inverse(se3.exp(robot.stated_transform("frame", stream)))
-    tip = frame @ shape.pose()[:, -1]
-    turn = tip[:, :3, :3]
-    by_pose = np.concatenate([turn, -turn @ se3.hat3(mount[:3, 3])], axis=-1)
+    marker = frame @ shape.pose()[:, -1] @ mount
+    lever, turn = se3.adjoint(se3.inverse(mount)), marker[:, :3, :3]
     cov_pose = shape.cov(rod.tendons.unsettled(displacement))[:, -1, :6, :6]
+    cov = turn @ se3.position_covariance(lever @ cov_pose @ lever.T) @ np.swapaxes(turn, 1, 2)
     noise = robot.sensor_std.get("position", np.zeros(3))
-    cov = by_pose @ cov_pose @ np.swapaxes(by_pose, 1, 2) + np.diag(np.broadcast_to(noise, 3) ** 2)
-    return (tip @ mount)[:, :3, 3], cov
+    return marker[:, :3, 3], cov + np.diag(np.broadcast_to(noise, 3) ** 2)
 
 
 def _velocity(

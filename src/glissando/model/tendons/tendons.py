@@ -107,24 +107,33 @@ class Tendons:
         """Displacements (M, T) in their order, less the play: what reaches the robot.
 
         The play operator: the robot's end follows only once the servo has taken up the play. Where
-        in its play a tendon was at first is unknown; until then this is the middle.
+        in its play a tendon was at first is unknown: this is the mean over all it may have been.
         """
-        return np.asarray(0.5 * sum(self._followed(displacement)))
+        return self._played(displacement)[0]
 
     def unsettled(self, displacement: Array) -> Array:
         """Standard deviations (M, T) of those: of where in its play each tendon was at first."""
-        low, high = self._followed(displacement)
-        return np.asarray((high - low) / np.sqrt(12.0))
+        return self._played(displacement)[1]
 
-    def _followed(self, displacement: Array) -> tuple[Array, Array]:
-        """What displacements (M, T) reach from either end of the play."""
+    def _played(self, displacement: Array) -> tuple[Array, Array]:
+        """Mean and standard deviation (M, T) of what is reached from anywhere in the play.
+
+        Starts are uniform in the play; those that have been taken along all lie at an end.
+        """
         half = 0.5 * self.play
-        out = np.broadcast_to(displacement, (2, *displacement.shape)).copy()
-        if half.any():
-            reached = displacement[0] + half * np.array([[-1.0], [1.0]])
-            for k, pulled in enumerate(displacement):
-                out[:, k] = reached = np.clip(reached, pulled - half, pulled + half)
-        return out[0], out[1]
+        if not half.any():
+            return np.array(displacement, dtype=float), np.zeros(displacement.shape)
+        first, last = displacement[0] - half, displacement[0] + half
+        ends = np.empty((2, *displacement.shape))
+        reached = np.stack([first, last])
+        for k, pulled in enumerate(displacement):
+            ends[:, k] = reached = np.clip(reached, pulled - half, pulled + half)
+        play = np.where(half > 0.0, self.play, 1.0)
+        at_low, at_high = np.clip([(ends[0] - first) / play, (last - ends[1]) / play], 0.0, 1.0)
+        mean, width = 0.5 * (ends[0] + ends[1]), ends[1] - ends[0]
+        off = 0.5 * width * (at_high - at_low)
+        square = width**2 / 12.0 + (at_low + at_high) * width**2 / 6.0
+        return mean + off, np.sqrt(np.maximum(square - off**2, 0.0))
 
     def tension(self, stretch: Array) -> tuple[Array, Array]:
         """Tension (…, T) for a stretch (…, T), N, and its slope, N/m: zero for a slack tendon.
